@@ -1,0 +1,1 @@
+"""Recordings in, stimuli out: readers, reducers, metrics and stimulus sets."""

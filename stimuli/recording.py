@@ -1,0 +1,160 @@
+"""A recording: three-axis acceleration that never travels without its rate.
+
+Units: acceleration in m/s², rate in Hz, time in s.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+STANDARD_GRAVITY = 9.80665
+"""m/s² per g, CGPM 1901."""
+
+UNITS = {"m/s^2": 1.0, "g": STANDARD_GRAVITY, "mg": STANDARD_GRAVITY / 1000}
+"""Accepted units of acceleration, each with its size in m/s²."""
+
+AXES = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """Three-axis acceleration measured on a hand-held tool.
+
+    Parameters
+    ----------
+    acceleration : array_like, shape (3, n_samples)
+        Acceleration in m/s². Copied to float64 and made read-only.
+    rate_hz : float
+        Sampling rate in Hz, greater than 0.
+    name : str
+        What the recording is called in tables and file names.
+    warnings : tuple of str
+        What the reader noticed (saturated runs, silent axes, an assumed unit); never repaired.
+    sha256 : str
+        Digest of the source file; if left out, of the samples and the rate.
+
+    Raises
+    ------
+    ValueError
+        If the shape is not (3, n) with n >= 1, a value is not finite, or the rate is not above 0.
+
+    Examples
+    --------
+    >>> tap = Recording([[0, 1, 0], [0, 2, 0], [0, 2, 0]], rate_hz=1000, name="tap")
+    >>> tap.n_samples, tap.duration_s
+    (3, 0.003)
+    """
+
+    acceleration: NDArray[np.float64]
+    rate_hz: float
+    name: str
+    warnings: tuple[str, ...] = ()
+    sha256: str = ""
+
+    def __post_init__(self) -> None:
+        samples = check_acceleration(self.acceleration).copy()
+        if samples.ndim != 2 or samples.shape[1] == 0:  # noqa: PLR2004 - axes x samples
+            raise ValueError(f"recording {self.name!r}: got shape {samples.shape}, allowed is (3, n) with n >= 1")
+        samples.flags.writeable = False
+        object.__setattr__(self, "acceleration", samples)
+        object.__setattr__(self, "rate_hz", check_rate(self.rate_hz))
+        if not self.sha256:
+            digest = hashlib.sha256(np.float64(self.rate_hz).tobytes() + samples.tobytes())
+            object.__setattr__(self, "sha256", digest.hexdigest())
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples per axis."""
+        return int(self.acceleration.shape[1])
+
+    @property
+    def duration_s(self) -> float:
+        """Duration in s."""
+        return self.n_samples / self.rate_hz
+
+
+def check_acceleration(acceleration: ArrayLike) -> NDArray[np.float64]:
+    """Coerce to float64 of shape (..., 3, n), or say what is wrong.
+
+    Parameters
+    ----------
+    acceleration : array_like, shape (..., 3, n_samples)
+        Acceleration of the three axes, any unit.
+
+    Returns
+    -------
+    ndarray of float64, shape (..., 3, n_samples)
+        The same values, not copied if they already were float64.
+
+    Raises
+    ------
+    ValueError
+        If the values are not numbers, not finite, or not three axes.
+    """
+    try:
+        samples = np.asarray(acceleration, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"acceleration: got values that are not real numbers ({error})") from None
+    if samples.ndim < 2 or samples.shape[-2] != AXES:  # noqa: PLR2004 - axes x samples
+        raise ValueError(f"acceleration: got shape {samples.shape}, allowed is (..., 3, n): three axes, then samples")
+    check_finite(samples, "acceleration")
+    return samples
+
+
+def check_finite(samples: NDArray[np.float64], what: str) -> None:
+    """Raise ValueError that counts and places the values that are not finite.
+
+    Parameters
+    ----------
+    samples : ndarray
+        Any shape.
+    what : str
+        What the samples are, for the message.
+
+    Raises
+    ------
+    ValueError
+        If any value is NaN or infinite.
+    """
+    # A finite sum proves that all are finite, in one pass; an infinite one may only be an overflow.
+    with np.errstate(over="ignore", invalid="ignore"):
+        if np.isfinite(samples.sum()):
+            return
+    bad = np.argwhere(~np.isfinite(samples))
+    if len(bad):
+        place = ", ".join(str(i) for i in bad[0])
+        raise ValueError(f"{what}: got {len(bad)} values that are not finite (first at index {place}); remove or mend them")
+
+
+def check_rate(rate_hz: float) -> float:
+    """Return the rate as float, or say what is wrong.
+
+    Parameters
+    ----------
+    rate_hz : float
+        Sampling rate in Hz.
+
+    Returns
+    -------
+    float
+        The same rate.
+
+    Raises
+    ------
+    ValueError
+        If it is not a finite number above 0.
+    """
+    try:
+        rate = float(rate_hz)
+    except (TypeError, ValueError):
+        rate = float("nan")
+    if not (np.isfinite(rate) and rate > 0):
+        raise ValueError(f"rate_hz: got {rate_hz!r}, allowed is a finite number of Hz above 0")
+    return rate
