@@ -1,0 +1,151 @@
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from scipy.io import wavfile
+
+from stimuli.wav import read_wav, read_wav_header, write_wav
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@pytest.mark.parametrize("shape", [(1,), (7,), (3, 500), (1, 4), (2, 3)])
+def test_what_is_written_is_read_back_to_float32(tmp_path: Path, shape: tuple[int, ...]) -> None:
+    samples = np.random.default_rng(1).normal(size=shape) * 1e3
+    write_wav(tmp_path / "a.wav", samples, 48000.0)
+    back, rate = read_wav(tmp_path / "a.wav")
+    assert rate == 48000
+    assert back.dtype == np.float64
+    np.testing.assert_array_equal(back, samples.astype(np.float32).reshape(back.shape))
+    assert back.shape == (shape if shape[0] > 1 else shape[-1:])  # one channel has no channel axis
+
+
+def test_same_samples_give_the_same_bytes_and_no_other_file(tmp_path: Path) -> None:
+    samples = np.sin(np.arange(100.0))
+    write_wav(tmp_path / "a.wav", samples, 10000)
+    first = (tmp_path / "a.wav").read_bytes()
+    write_wav(tmp_path / "a.wav", np.zeros(3), 10000)
+    write_wav(tmp_path / "a.wav", samples, 10000)
+    assert (tmp_path / "a.wav").read_bytes() == first
+    assert [p.name for p in tmp_path.iterdir()] == ["a.wav"]
+
+
+def test_a_write_that_fails_leaves_the_old_file_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_wav(tmp_path / "a.wav", [1.0], 8000)
+    before = (tmp_path / "a.wav").read_bytes()
+
+    def fail(file: object, *_: object) -> None:
+        file.write(b"half")  # type: ignore[attr-defined]
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(wavfile, "write", fail)
+    with pytest.raises(KeyboardInterrupt):
+        write_wav(tmp_path / "a.wav", [2.0], 8000)
+    assert (tmp_path / "a.wav").read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["a.wav"]
+
+
+@pytest.mark.parametrize(
+    ("stored", "fractions"),
+    [
+        (np.array([0, 128, 255], np.uint8), [-1, 0, 127 / 128]),
+        (np.array([-32768, 0, 16384], np.int16), [-1, 0, 0.5]),
+        (np.array([-(2**31), 0, 2**30], np.int32), [-1, 0, 0.5]),
+    ],
+)
+def test_integers_are_fractions_of_full_scale(
+    tmp_path: Path, stored: np.ndarray, fractions: list[float]
+) -> None:
+    wavfile.write(tmp_path / "a.wav", 8000, stored)
+    np.testing.assert_array_equal(read_wav(tmp_path / "a.wav")[0], fractions)
+
+
+def _header(data_bytes: int, *, coding: int = 1, channels: int = 1, frame_bytes: int = 1) -> bytes:
+    layout = struct.pack("<HHIIHH", coding, channels, 8000, 8000 * frame_bytes, frame_bytes, 8 * frame_bytes)
+    data = struct.pack("<4sI", b"data", data_bytes)
+    size = min(36 + data_bytes, 2**32 - 1)
+    return b"RIFF" + struct.pack("<I8sI", size, b"WAVEfmt ", 16) + layout + data
+
+
+def test_24_bit_integers_are_fractions_too(tmp_path: Path) -> None:
+    data = b"".join(v.to_bytes(3, "little", signed=True) for v in [-(2**23), 2**22, 0, 1])
+    (tmp_path / "a.wav").write_bytes(_header(12, frame_bytes=3) + data)
+    np.testing.assert_array_equal(read_wav(tmp_path / "a.wav")[0], [-1, 0.5, 0, 2.0**-23])
+
+
+def test_unknown_chunks_are_passed_over(tmp_path: Path) -> None:
+    write_wav(tmp_path / "a.wav", [0.5, 0.25], 8000)
+    plain = (tmp_path / "a.wav").read_bytes()
+    extra = struct.pack("<4sI", b"cue!", 3) + b"abc\0"
+    (tmp_path / "a.wav").write_bytes(plain[:12] + extra + plain[12:])
+    np.testing.assert_array_equal(read_wav(tmp_path / "a.wav")[0], [0.5, 0.25])
+
+
+def test_big_endian_container_is_read(tmp_path: Path) -> None:
+    head = struct.pack(">4sI4s4sIHHIIHH", b"RIFX", 40, b"WAVE", b"fmt ", 16, 1, 1, 8000, 16000, 2, 16)
+    (tmp_path / "a.wav").write_bytes(head + struct.pack(">4sIhh", b"data", 4, 1, -2))
+    np.testing.assert_array_equal(read_wav(tmp_path / "a.wav")[0], np.array([1, -2]) / 32768)
+
+
+def test_the_header_says_what_is_there(tmp_path: Path) -> None:
+    write_wav(tmp_path / "a.wav", np.zeros((3, 10)), 26753)
+    header = read_wav_header(tmp_path / "a.wav")
+    assert (header.channels, header.rate_hz, header.frame_bytes, header.data_bytes) == (3, 26753, 12, 120)
+
+
+def test_a_truncated_file_is_refused_with_both_numbers(tmp_path: Path) -> None:
+    write_wav(tmp_path / "a.wav", np.zeros((3, 10)), 8000)
+    (tmp_path / "a.wav").write_bytes((tmp_path / "a.wav").read_bytes()[:-30])
+    with pytest.raises(ValueError, match=r"a\.wav: got 7 samples where the header promises 10"):
+        read_wav(tmp_path / "a.wav")
+
+
+def test_a_header_of_two_to_the_31_samples_is_refused_without_allocating(tmp_path: Path) -> None:
+    (tmp_path / "a.wav").write_bytes(_header(2**31) + b"12345")
+    with pytest.raises(ValueError, match="got 5 samples where the header promises 2147483648"):
+        read_wav(tmp_path / "a.wav")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "ends inside its header"),
+        (b"RIFF\x00\x00\x00\x00WAVE", "ends inside its header"),
+        (b"RF64\x00\x00\x00\x00WAVE", "allowed is RIFF/WAVE"),
+        (b"\x00garbage in the file", "allowed is RIFF/WAVE"),
+        (b"RIFF\x00\x00\x00\x00WAVEdata\x00\x00\x00\x00", "before any format chunk"),
+        (_header(8, channels=0, frame_bytes=0), "0 channels at 8000 Hz in frames of 0 bytes"),
+        (_header(4, coding=7) + b"abcd", "coding that cannot be read"),
+        (_header(0), "without samples"),
+    ],
+)
+def test_what_is_not_a_wav_file_is_refused(tmp_path: Path, content: bytes, message: str) -> None:
+    (tmp_path / "a.wav").write_bytes(content)
+    with pytest.raises(ValueError, match=rf"a\.wav: .*{message}"):
+        read_wav(tmp_path / "a.wav")
+
+
+@pytest.mark.parametrize(
+    ("samples", "rate", "message"),
+    [
+        ([], 8000, "shape"),
+        (np.zeros((2, 2, 2)), 8000, "shape"),
+        ([np.nan], 8000, "not finite"),
+        ([1e39], 8000, "float32 holds"),
+        ([1.0], 8000.5, "whole number"),
+        ([1.0], 2**32, "whole number"),
+        ([1.0], 0, "above 0"),
+    ],
+)
+def test_what_a_wav_cannot_hold_is_refused(
+    tmp_path: Path, samples: object, rate: float, message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        write_wav(tmp_path / "a.wav", samples, rate)  # type: ignore[arg-type]
+    assert not list(tmp_path.iterdir())
