@@ -1,0 +1,106 @@
+"""The one door of every reducer: coerce, refuse, and bring extreme values into a safe range.
+
+Reducers are homogeneous of degree one, so a recording whose squares would overflow or vanish is scaled by a
+power of two (which is exact) and its output scaled back. Ordinary recordings pass unscaled.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from stimuli.recording import check_acceleration, check_finite, check_rate
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+# Fourth powers of anything between these stay far inside float64's range, for any length.
+SAFE_PEAK = (1e-60, 1e60)
+
+
+class Admitted(NamedTuple):
+    """Samples in a safe range, and the factor that gives back the caller's unit."""
+
+    samples: NDArray[np.float64]
+    unit: float
+
+    def restore(self, reduced: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Give a reduced signal back in the caller's unit."""
+        return reduced if self.unit == 1.0 else reduced * self.unit
+
+
+def admit(acceleration: ArrayLike, rate_hz: float) -> Admitted:
+    """Check a reducer's input, shape (..., 3, n_samples), and scale it only where squares would overflow or vanish.
+
+    Parameters
+    ----------
+    acceleration : array_like, shape (..., 3, n_samples)
+        Acceleration of the three axes, any unit.
+    rate_hz : float
+        Sampling rate in Hz.
+
+    Returns
+    -------
+    Admitted
+        The samples, float64 of the same shape, and the factor back to the caller's unit.
+
+    Raises
+    ------
+    ValueError
+        If the input is not three axes of finite numbers, or the rate is not above 0.
+    """
+    check_rate(rate_hz)
+    samples = check_acceleration(acceleration)
+    peak = largest(samples)
+    if peak == 0.0 or SAFE_PEAK[0] <= peak <= SAFE_PEAK[1]:
+        return Admitted(samples, 1.0)
+    exponent = int(np.frexp(peak)[1])
+    return Admitted(np.ldexp(samples, -exponent), float(np.ldexp(1.0, exponent - 1)) * 2.0)
+
+
+def largest(samples: NDArray[np.float64]) -> float:
+    """Return the largest magnitude, 0 for an empty array, without making a copy.
+
+    Parameters
+    ----------
+    samples : ndarray
+        Any shape, finite.
+
+    Returns
+    -------
+    float
+        max(abs(samples)).
+    """
+    return max(float(samples.max()), -float(samples.min())) if samples.size else 0.0
+
+
+def check_reduced(reduced: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Coerce a reduced signal to float64, or say why it does not go with its recording.
+
+    Parameters
+    ----------
+    reduced : array_like, shape (n_samples,)
+        The reduced signal.
+    shape : tuple of int
+        Shape of the recording's acceleration, to be (3, n_samples) with n_samples >= 1.
+
+    Returns
+    -------
+    ndarray of float64, shape (n_samples,)
+        The same values.
+
+    Raises
+    ------
+    ValueError
+        If the recording is a batch or empty, the lengths differ, or a value is not finite.
+    """
+    if len(shape) != 2 or shape[-1] == 0:  # noqa: PLR2004 - axes x samples
+        raise ValueError(f"acceleration: got shape {shape}, allowed is (3, n) with n >= 1: one recording at a time")
+    signal = np.asarray(reduced, dtype=np.float64)
+    if signal.shape != shape[-1:]:
+        raise ValueError(
+            f"reduced: got shape {signal.shape}, allowed is {shape[-1:]}: as many samples as the recording, one axis"
+        )
+    check_finite(signal, "reduced")
+    return signal

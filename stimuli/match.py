@@ -1,0 +1,321 @@
+"""METRICS: how well a reduced signal matches the recording, in spectrum and in time.
+
+Conventions: acceleration (3, n_samples) and reduced (n_samples,), both finite, in any common unit; every metric is
+called alike, `METRICS[name](acceleration, reduced, rate_hz)`, and 1 is a perfect match. Each has a `..._details` form that
+says what the figure rests on.
+
+- `spectral_match` (eq. 1): 1 minus the mean relative deviation of the smoothed energy spectra. At most 1; it may be
+  negative, and very much so where the reduced signal has energy in bands in which the recording has almost none.
+- `temporal_match` (eq. 2): mean absolute correlation, at zero lag, of the reduced signal with each axis. 0 to 1. No
+  mean is removed: an offset counts as signal, as in the paper.
+
+References
+----------
+.. [1] N. Landin, J. M. Romano, W. McMahan, K. J. Kuchenbecker, "Dimensional reduction of high-frequency accelerations
+   for haptic rendering", EuroHaptics 2010, section 3. doi:10.1007/978-3-642-14075-4_12
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Literal, Protocol
+
+import numpy as np
+
+from stimuli.door import admit, check_reduced
+from stimuli.recording import check_rate
+from stimuli.spectrum import WeberSmoothing, energy_spectrum, linear_grid, log_grid
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import ArrayLike, NDArray
+
+    Grid = Literal["linear", "log"]
+
+NUMERICAL_FLOOR = 1e-12
+"""Frequencies whose smoothed energy is below this share of the recording's mean energy per bin are left out: there the
+spectrum is the rounding error of the transforms, not a vibration."""
+
+_SILENT = 1e-12
+
+
+@dataclass(frozen=True, slots=True)
+class SpectralMatch:
+    """A spectral match and what it rests on; frequencies in Hz."""
+
+    value: float
+    lowest_hz: float
+    highest_hz: float
+    n_frequencies: int
+    n_left_out: int
+
+
+@dataclass(frozen=True, slots=True)
+class TemporalMatch:
+    """A temporal match and what it rests on; axes are numbered 0, 1, 2."""
+
+    value: float
+    correlations: tuple[float, float, float]
+    silent_axes: tuple[int, ...]
+    silent_reduced: bool
+
+
+def spectral_match(
+    acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float, *, grid: Grid = "linear"
+) -> float:
+    r"""Tell how well a reduced signal keeps the energy of all three axes at every frequency (eq. 1).
+
+    Parameters
+    ----------
+    acceleration : array_like, shape (3, n_samples)
+        The recording, any unit.
+    reduced : array_like, shape (n_samples,)
+        The reduced signal, same unit.
+    rate_hz : float
+        Sampling rate in Hz.
+    grid : {"linear", "log"}
+        Frequencies averaged over: the DFT's own from 20 Hz to min(1000 Hz, Nyquist), as in the paper, or 24 per octave.
+
+    Returns
+    -------
+    float
+        1 if the smoothed spectra agree, 0 for silence, negative for more than twice the energy on average.
+
+    Raises
+    ------
+    ValueError
+        If shapes or values are wrong, or no frequency can be compared and the energies differ.
+
+    Notes
+    -----
+    With :math:`\tilde E` the energy spectral density smoothed over 22 % of the frequency (see `spectrum`),
+
+    .. math:: M_{sm} = 1 - \frac{1}{n_f} \sum_{f = 20\,\mathrm{Hz}}^{1000\,\mathrm{Hz}}
+        \frac{|\tilde E_x + \tilde E_y + \tilde E_z - \tilde E_s|}{\tilde E_x + \tilde E_y + \tilde E_z}
+
+    References
+    ----------
+    .. [1] Landin et al. 2010, equation 1. doi:10.1007/978-3-642-14075-4_12
+
+    Examples
+    --------
+    >>> u = np.sin(np.arange(1000))
+    >>> round(spectral_match([u, u, u], u, 1000), 12)
+    0.333333333333
+    >>> round(spectral_match([u, u, u], u + u + u, 1000), 12)
+    -1.0
+    """
+    return spectral_match_details(acceleration, reduced, rate_hz, grid=grid).value
+
+
+def spectral_match_details(
+    acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float, *, grid: Grid = "linear"
+) -> SpectralMatch:
+    """Compute `spectral_match` and say which frequencies it rests on.
+
+    Parameters
+    ----------
+    acceleration : array_like, shape (3, n_samples)
+        The recording, any unit.
+    reduced : array_like, shape (n_samples,)
+        The reduced signal, same unit.
+    rate_hz : float
+        Sampling rate in Hz.
+    grid : {"linear", "log"}
+        Frequencies averaged over.
+
+    Returns
+    -------
+    SpectralMatch
+        The match, the range covered, the number of frequencies, and how many were left out below the numerical floor.
+
+    Raises
+    ------
+    ValueError
+        If shapes or values are wrong, or no frequency can be compared and the energies differ.
+    """
+    samples, signal = _admit_pair(acceleration, reduced, rate_hz)
+    original = OriginalSpectrum(samples, check_rate(rate_hz), grid=grid)
+    used = original.frequencies_hz
+    value = float(original.match(signal))
+    lowest, highest = (float(used[0]), float(used[-1])) if len(used) else (float("nan"), float("nan"))
+    return SpectralMatch(value, lowest, highest, len(used), original.n_left_out)
+
+
+class OriginalSpectrum:
+    """The smoothed spectrum of one recording, ready to be compared with many reduced signals.
+
+    The sum of the axes' energies does not change when the sensor is turned, so one such spectrum serves every orientation.
+
+    Parameters
+    ----------
+    samples : ndarray, shape (3, n_samples)
+        The recording, n_samples >= 1.
+    rate_hz : float
+        Sampling rate in Hz.
+    grid : {"linear", "log"}
+        Frequencies averaged over.
+    """
+
+    def __init__(self, samples: NDArray[np.float64], rate_hz: float, *, grid: Grid = "linear") -> None:
+        n = samples.shape[-1]
+        frequencies = {"linear": linear_grid, "log": log_grid}[grid](n, rate_hz)
+        self._energy = energy_spectrum(samples).sum(axis=-2)
+        self._smooth = WeberSmoothing(frequencies, rate_hz / n, n // 2 + 1)
+        smoothed = self._smooth(self._energy)
+        self._used = smoothed > NUMERICAL_FLOOR * self._energy.mean()
+        self._smoothed = smoothed[self._used]
+        self.frequencies_hz = frequencies[self._used]
+        self.n_left_out = int(np.count_nonzero(~self._used))
+
+    def match(self, reduced: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Spectral match of one or many reduced signals.
+
+        Parameters
+        ----------
+        reduced : ndarray, shape (..., n_samples)
+            Reduced signals.
+
+        Returns
+        -------
+        ndarray of float64, shape (...)
+            Their matches.
+
+        Raises
+        ------
+        ValueError
+            If no frequency can be compared and the energies differ.
+        """
+        # The difference is taken before it is smoothed: what two equal spectra share cancels without rounding.
+        difference = energy_spectrum(reduced)
+        np.subtract(self._energy, difference, out=difference)
+        if not len(self._smoothed):
+            return self._match_nothing(difference)
+        deviation = np.abs(self._smooth(difference)[..., self._used])
+        return 1.0 - (deviation / self._smoothed).mean(axis=-1)
+
+    def _match_nothing(self, difference: NDArray[np.float64]) -> NDArray[np.float64]:
+        # Silence, or too short for one DFT frequency from 20 to 1000 Hz: only equality can still be told.
+        if np.all(np.abs(difference) <= NUMERICAL_FLOOR * self._energy.max(initial=0.0)):
+            return np.ones(difference.shape[:-1])
+        raise ValueError(
+            "spectral match: the recording has no frequency with energy between 20 and 1000 Hz; "
+            "record longer, or at a higher rate"
+        )
+
+
+def temporal_match(acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float | None = None) -> float:
+    r"""Tell how well peaks and sudden changes of the reduced signal coincide with those of the axes (eq. 2).
+
+    Parameters
+    ----------
+    acceleration : array_like, shape (3, n_samples)
+        The recording, any unit.
+    reduced : array_like, shape (n_samples,)
+        The reduced signal, any unit.
+    rate_hz : float, optional
+        Not used by this metric; every metric takes it so that all are called alike.
+
+    Returns
+    -------
+    float
+        0 to 1: mean of the absolute correlations with the axes that are not silent; 0 for a silent reduced signal.
+
+    Raises
+    ------
+    ValueError
+        If shapes or values are wrong.
+
+    Notes
+    -----
+    .. math:: M_{tm} = \frac{1}{3} \sum_{i \in x,y,z} \frac{|a_i \cdot a_s|}{\|a_i\| \, \|a_s\|}
+
+    References
+    ----------
+    .. [1] Landin et al. 2010, equation 2. doi:10.1007/978-3-642-14075-4_12
+
+    Examples
+    --------
+    >>> temporal_match([[1, 0], [0, 1], [0, 0]], [1, 0])
+    0.5
+    """
+    return temporal_match_details(acceleration, reduced, rate_hz).value
+
+
+def temporal_match_details(
+    acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float | None = None
+) -> TemporalMatch:
+    """Compute `temporal_match` and say which axes it rests on.
+
+    Parameters
+    ----------
+    acceleration : array_like, shape (3, n_samples)
+        The recording, any unit.
+    reduced : array_like, shape (n_samples,)
+        The reduced signal, any unit.
+    rate_hz : float, optional
+        Not used by this metric.
+
+    Returns
+    -------
+    TemporalMatch
+        The match, the absolute correlation with each axis (NaN for a silent one), the silent axes, and whether the reduced
+        signal is silent. An axis is silent if its norm is below 1e-12 of the strongest axis's.
+
+    Raises
+    ------
+    ValueError
+        If shapes or values are wrong.
+    """
+    samples, signal = _admit_pair(acceleration, reduced, 1.0 if rate_hz is None else rate_hz)
+    correlations = axis_correlations(samples, signal)
+    heard = ~np.isnan(correlations)
+    value = float(correlations[heard].mean()) if heard.any() else 0.0
+    x, y, z = (float(r) for r in correlations)
+    silent = tuple(int(axis) for axis in np.flatnonzero(~heard))
+    return TemporalMatch(value, (x, y, z), silent, not signal.any())
+
+
+def axis_correlations(samples: NDArray[np.float64], reduced: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Absolute correlation at zero lag of reduced signals with each axis, NaN for silent axes.
+
+    Parameters
+    ----------
+    samples : ndarray, shape (..., 3, n_samples)
+        Recordings.
+    reduced : ndarray, shape (..., n_samples)
+        Reduced signals.
+
+    Returns
+    -------
+    ndarray of float64, shape (..., 3)
+        Correlations; 0 for a silent reduced signal.
+    """
+    together = np.abs(np.einsum("...in,...n->...i", samples, reduced))
+    norms = np.sqrt(np.einsum("...in,...in->...i", samples, samples))
+    silent = norms <= _SILENT * norms.max(axis=-1, keepdims=True)
+    norm = np.sqrt(np.einsum("...n,...n->...", reduced, reduced))[..., None]
+    scale = norms * np.where(norm > 0, norm, 1.0)
+    return np.where(silent, np.nan, np.minimum(together / np.where(silent, 1.0, scale), 1.0))
+
+
+class Metric(Protocol):
+    """A match metric: how well a reduced signal matches its recording."""
+
+    def __call__(self, acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float, /) -> float:
+        """Match of one reduced signal."""
+
+
+METRICS: Mapping[str, Metric] = MappingProxyType({"spectral_match": spectral_match, "temporal_match": temporal_match})
+"""Name -> metric."""
+
+
+def _admit_pair(
+    acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Check both signals and scale them by one power of two into a safe range."""
+    samples, unit = admit(acceleration, rate_hz)
+    signal = check_reduced(reduced, samples.shape)
+    return samples, signal / unit
