@@ -1,0 +1,135 @@
+from __future__ import annotations
+
+import json
+from collections import Counter
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from protocols.design import make_order, williams_square
+from protocols.registry import PROTOCOLS
+from protocols.trial import Item
+
+ORACLE = Path(__file__).parents[3] / "shared" / "oracles" / "williams_design" / "expected.json"
+BOTH = tuple(PROTOCOLS.values())
+REALISM = (PROTOCOLS["realism"],)
+
+
+def order(items, number=1, repeats=1, *, protocols=BOTH, seed=1):
+    return make_order(items, protocols, number=number, repeats=repeats, rng=np.random.default_rng(seed))
+
+
+def count_neighbours(rows):
+    return Counter(pair for row in rows for pair in pairwise(row))
+
+
+@pytest.fixture(scope="module")
+def oracle():
+    if not ORACLE.is_file():
+        pytest.skip(f"the oracle williams_design is not beside the project ({ORACLE})")
+    return json.loads(ORACLE.read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("n", [5, 6])
+def test_square_is_the_published_table(oracle, n):
+    assert [list(row) for row in williams_square(n)] == oracle[f"example_n{n}"]
+
+
+@pytest.mark.parametrize("n", range(2, 13))
+def test_square_has_the_counts_of_the_oracle(oracle, n):
+    square, expected = williams_square(n), oracle["properties"][str(n)]
+    assert len(square) == expected["n_sequences"]
+    places = Counter((place, condition) for row in square for place, condition in enumerate(row))
+    assert set(places.values()) == {expected["per_position"]}
+    assert len(places) == n * n
+    neighbours = count_neighbours(square)
+    assert set(neighbours.values()) == {expected["per_ordered_pair"]}
+    assert len(neighbours) == n * (n - 1)
+
+
+@given(st.integers(1, 40))
+def test_every_row_of_a_square_is_a_permutation(n):
+    assert all(sorted(row) == list(range(n)) for row in williams_square(n))
+
+
+def test_square_of_nothing_is_refused():
+    with pytest.raises(ValueError, match="n: got 0, allowed is a number of conditions of at least 1"):
+        williams_square(0)
+
+
+def test_everything_is_judged_once_per_repeat_and_protocol(items):
+    trials = order(items, repeats=3)
+    counts = Counter((t.protocol, t.repeat, t.stimulus_id) for t in trials)
+    assert set(counts.values()) == {1}
+    assert len(counts) == 2 * 3 * len(items)
+    assert [t.number for t in trials] == list(range(1, len(trials) + 1))
+
+
+def test_a_block_is_one_recording_of_one_protocol_and_repeat(items):
+    recording = {item.stimulus_id: item.recording for item in items}
+    trials = order(items, repeats=2)
+    blocks: dict[int, set[tuple[str, int, str]]] = {}
+    for t in trials:
+        blocks.setdefault(t.block, set()).add((t.protocol, t.repeat, recording[t.stimulus_id]))
+    assert list(blocks) == list(range(1, 2 * 2 * 3 + 1))
+    assert all(len(block) == 1 for block in blocks.values())
+    assert [t.protocol for t in trials] == ["realism"] * 36 + ["similarity"] * 36
+
+
+def test_a_full_cycle_of_participants_balances_place_and_carry_over_in_every_recording(items):
+    orders = [order(items, number, protocols=REALISM) for number in range(1, 7)]
+    for recording in ("bumps", "drag", "taps"):
+        rows = [[t.stimulus_id for t in trials if t.stimulus_id.startswith(recording)] for trials in orders]
+        neighbours = count_neighbours(rows)
+        assert set(neighbours.values()) == {1}
+        assert len(neighbours) == 6 * 5
+        assert all(len({row[place] for row in rows}) == 6 for place in range(6))
+
+
+def test_a_full_cycle_of_participants_balances_the_recordings(items):
+    recording = {item.stimulus_id: item.recording for item in items}
+    rows = [
+        list(dict.fromkeys(recording[t.stimulus_id] for t in order(items, number, protocols=REALISM)))
+        for number in range(1, 7)
+    ]
+    assert set(count_neighbours(rows).values()) == {2}
+
+
+@given(st.integers(1, 30), st.integers(1, 4), st.integers(1, 3), st.integers(2, 5), st.integers(0, 9))
+def test_no_stimulus_twice_in_a_row_across_any_border(number, repeats, n_recordings, n_stimuli, seed):
+    items = [Item(f"{r}-{s}", str(r), "as_is", "test") for r in range(n_recordings) for s in range(n_stimuli)]
+    trials = order(items, number, repeats, protocols=REALISM, seed=seed)
+    assert all(a.stimulus_id != b.stimulus_id for a, b in pairwise(trials))
+
+
+def test_a_lone_stimulus_may_follow_itself():
+    trials = order([Item("tap", "tap", "as_is", "test")], repeats=2, protocols=REALISM)
+    assert [t.stimulus_id for t in trials] == ["tap", "tap"]
+
+
+def test_order_depends_on_seed_and_participant_and_on_nothing_else(items):
+    assert order(items, 3) == order(items, 3)
+    assert order(items, 3) != order(items, 4)
+    assert len({order(items, 3, seed=seed) for seed in range(5)}) == 5
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"number": 0}, "number: got 0, allowed is a whole number of at least 1"),
+        ({"repeats": 0}, "repeats: got 0, allowed"),
+        ({"protocols": ()}, "protocols: got none"),
+    ],
+)
+def test_orders_of_nothing_are_refused(items, changes, message):
+    with pytest.raises(ValueError, match=message):
+        order(items, **changes)
+
+
+def test_no_items_are_refused():
+    with pytest.raises(ValueError, match="items: got none, an order needs at least one"):
+        order([])
