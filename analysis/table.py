@@ -1,0 +1,229 @@
+"""Ratings married to their stimuli: one tidy table, or one clear line about what is wrong.
+
+Conventions: ratings run from 0 to 100; one row per judgement; recording, reducer, level, role and the metrics
+of a stimulus come from the manifest. Nothing is repaired and nothing is dropped silently: what is left out,
+or taken for granted because a column is missing, stands in `Table.notes`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from analysis.sheet import read_flags, read_numbers, read_sheet, refuse_lines
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+
+    from pandas import DataFrame
+
+LOWEST, HIGHEST = 0.0, 100.0
+"""The ends of every rating scale."""
+
+ROLES = ("test", "reference", "anchor")
+NEEDED = ("participant", "stimulus_id", "scale", "rating")
+TRIAL_KEY = ("participant", "session", "protocol", "scale", "block", "trial", "stimulus_id")
+"""What may occur once only. The stimulus belongs to it: a multi-stimulus page is one trial, many ratings."""
+
+IDENTITY = ("stimulus_id", "recording", "reducer")
+ECHOED = ("recording", "reducer", "level")
+"""Columns that both files may hold and must then agree on."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Table:
+    """Ratings and metrics, side by side.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        One row per judgement: participant, stimulus_id, recording, reducer, level, role, scale, repeat,
+        rating, simulated, then one column per metric.
+    metrics : tuple of str
+        The metric columns, in the order of `stimuli.match.METRICS`.
+    notes : tuple of str
+        What was left out and what was assumed, one sentence each.
+    """
+
+    rows: DataFrame
+    metrics: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def read_table(ratings_path: Path, manifest_path: Path) -> Table:
+    """Read ratings and manifest into one tidy table.
+
+    Parameters
+    ----------
+    ratings_path : Path
+        ``ratings.csv`` from anywhere: participant, stimulus_id, scale and rating are enough.
+    manifest_path : Path
+        ``manifest.csv``: stimulus_id, recording, reducer and at least one metric are enough.
+
+    Returns
+    -------
+    Table
+        The rows and what there is to say about them.
+
+    Raises
+    ------
+    ValueError
+        If a column, cell, stimulus, role or trial is not as it must be; names the file and the lines.
+    OSError
+        If a file cannot be opened.
+    """
+    manifest, metrics, notes = read_manifest(manifest_path)
+    ratings, more_notes = _read_ratings(ratings_path)
+    strangers = ratings.loc[~ratings["stimulus_id"].isin(manifest.index), "stimulus_id"]
+    unknown = f"in column 'stimulus_id', which {manifest_path.name} does not know"
+    refuse_lines(strangers, ratings_path.name, why=unknown)
+    rows = ratings.join(manifest, on="stimulus_id", rsuffix="_of_manifest")
+    _check_echoes(rows, ratings_path.name, manifest=manifest_path.name)
+    judged = ["role", "scale", "repeat", "rating", "simulated"]
+    order = ["participant", "stimulus_id", *ECHOED, *judged, *metrics]
+    return Table(rows[order].reset_index(drop=True), metrics, (*notes, *more_notes))
+
+
+def read_manifest(path: Path) -> tuple[DataFrame, tuple[str, ...], list[str]]:
+    """Read the manifest's columns that an analysis needs.
+
+    Parameters
+    ----------
+    path : Path
+        ``manifest.csv``.
+
+    Returns
+    -------
+    manifest : DataFrame
+        Indexed by stimulus_id: recording, reducer, level, role and one column per metric.
+    metrics : tuple of str
+        The metrics found, in the order of `stimuli.match.METRICS`.
+    notes : list of str
+        What was assumed.
+
+    Raises
+    ------
+    ValueError
+        If a column or cell is not as it must be, or a stimulus is listed twice.
+    """
+    from stimuli.match import METRICS
+
+    sheet = read_sheet(path, required=IDENTITY, optional=("level", "role", *METRICS))
+    metrics = tuple(name for name in METRICS if name in sheet)
+    if not metrics:
+        raise ValueError(f"{path.name}: got no metric; at least one column of {', '.join(METRICS)} is needed")
+    absent = [name for name in METRICS if name not in sheet]
+    notes = [f"{path.name} has no column '{name}', so that metric is not reported." for name in absent]
+    notes += _fill_column(sheet, "level", value="as_is", what=path.name)
+    notes += _fill_column(sheet, "role", value="test", what=path.name)
+    _check_identity(sheet, path.name)
+    for name in metrics:
+        sheet[name] = _read_metric(sheet, name, what=path.name)
+    return sheet.set_index("stimulus_id"), metrics, notes + _name_strangers(sheet)
+
+
+def order_reducers(names: Iterable[str]) -> list[str]:
+    """Put reducer names into the order of `stimuli.reduce.REDUCERS`; unknown ones follow by alphabet.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Names, repeated or not.
+
+    Returns
+    -------
+    list of str
+        Each name once.
+
+    Examples
+    --------
+    >>> order_reducers(["mine", "dft321", "soc321", "dft321"])
+    ['soc321', 'dft321', 'mine']
+    """
+    from stimuli.reduce import REDUCERS
+
+    found = set(names)
+    return [name for name in REDUCERS if name in found] + sorted(found - set(REDUCERS))
+
+
+def _read_ratings(path: Path) -> tuple[DataFrame, list[str]]:
+    optional = ("session", "protocol", "block", "trial", "repeat", "rejected", "simulated", *ECHOED)
+    sheet = read_sheet(path, required=NEEDED, optional=optional)
+    for name in ("participant", "scale"):
+        _refuse_blanks(sheet, name, what=path.name)
+    sheet["rating"] = read_numbers(sheet["rating"], path.name)
+    outside = sheet.loc[~sheet["rating"].between(LOWEST, HIGHEST), "rating"]
+    refuse_lines(outside, path.name, why="in column 'rating', allowed is 0 to 100")
+    sheet["simulated"] = read_flags(sheet["simulated"], path.name) if "simulated" in sheet else False
+    notes = _drop_rejected(sheet, path.name)
+    if "trial" in sheet:
+        _refuse_doubles(sheet, path.name)
+    else:
+        alike = "rows alike in participant, stimulus and scale are taken as repeats"
+        notes.append(f"{path.name} has no column 'trial': {alike}.")
+    if "repeat" not in sheet:
+        sheet["repeat"] = (sheet.groupby(["participant", "stimulus_id", "scale"]).cumcount() + 1).astype(str)
+    return sheet, notes
+
+
+def _drop_rejected(sheet: DataFrame, what: str) -> list[str]:
+    if "rejected" not in sheet:
+        return []
+    rejected = read_flags(sheet["rejected"], what)
+    if rejected.all():
+        raise ValueError(f"{what}: all {len(sheet)} judgements are marked as rejected; one must be valid")
+    sheet.drop(index=sheet.index[rejected], inplace=True)  # noqa: PD002 - a copy of 10^6 rows of text costs 0.5 GB
+    return [f"{int(rejected.sum())} judgements marked as rejected are left out."] if rejected.any() else []
+
+
+def _refuse_doubles(sheet: DataFrame, what: str) -> None:
+    key = [name for name in TRIAL_KEY if name in sheet]
+    doubled = sheet.loc[sheet.duplicated(key), "trial"]
+    refuse_lines(doubled, what, why=f"in column 'trial', but an earlier line has the same {', '.join(key)}")
+
+
+def _check_echoes(rows: DataFrame, what: str, *, manifest: str) -> None:
+    for name in ECHOED:
+        if f"{name}_of_manifest" in rows:
+            differing = rows.loc[rows[name] != rows[f"{name}_of_manifest"], name]
+            otherwise = f"in column '{name}', but {manifest} says otherwise of that stimulus"
+            refuse_lines(differing, what, why=otherwise)
+
+
+def _check_identity(sheet: DataFrame, what: str) -> None:
+    for name in IDENTITY:
+        _refuse_blanks(sheet, name, what=what)
+    odd = sheet.loc[~sheet["role"].isin(ROLES), "role"]
+    refuse_lines(odd, what, why=f"in column 'role', allowed is {', '.join(ROLES)}")
+    doubled = sheet.loc[sheet["stimulus_id"].duplicated(), "stimulus_id"]
+    refuse_lines(doubled, what, why="in column 'stimulus_id', but an earlier line lists it already")
+
+
+def _refuse_blanks(sheet: DataFrame, name: str, *, what: str) -> None:
+    refuse_lines(sheet.loc[sheet[name] == "", name], what, why=f"in column '{name}', which must not be empty")
+
+
+def _fill_column(sheet: DataFrame, name: str, *, value: str, what: str) -> list[str]:
+    if name in sheet:
+        return []
+    sheet[name] = value
+    return [f"{what} has no column '{name}': every stimulus is taken as '{value}'."]
+
+
+def _read_metric(sheet: DataFrame, name: str, *, what: str) -> np.ndarray:
+    # The reference need not have a metric: it is what the others are matched against.
+    blank = (sheet[name] == "") & (sheet["role"] != "test")
+    values = np.full(len(sheet), np.nan)
+    values[~blank] = read_numbers(sheet.loc[~blank, name], what)
+    return values
+
+
+def _name_strangers(sheet: DataFrame) -> list[str]:
+    from stimuli.reduce import REDUCERS
+
+    tests = sheet.loc[sheet["role"] == "test", "reducer"]
+    strangers = sorted(set(tests) - set(REDUCERS))
+    return [f"Reducers unknown to feel321, analysed as named: {', '.join(strangers)}."] if strangers else []
