@@ -1,0 +1,50 @@
+# feel321: every command of the house. `make help` lists them.
+# The stamps in .venv are older than pyproject.toml or constraints.txt exactly when something is to be installed.
+
+PYTHON := .venv/bin/python
+PIP := $(PYTHON) -m pip install --disable-pip-version-check -q -c constraints.txt
+ROOMS := stimuli protocols study analysis
+
+.DELETE_ON_ERROR:
+.PHONY: help demo test check bench soak constraints clean
+
+help: ## list the commands
+	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile | expand -t 20
+
+demo: .venv/.runs ## set up, run the whole chain on the bundled study, say where the report is
+	.venv/bin/feel321 demo
+
+test: .venv/.tests ## set up, run every test with branch coverage
+	$(PYTHON) -m pytest --cov --cov-report=term $(ARGS)
+
+check: .venv/.tests ## every guard rail: lint, types, floors, duplicates, wheel, house rules
+	.venv/bin/ruff check .
+	.venv/bin/mypy
+	.venv/bin/lint-imports --no-logo
+	.venv/bin/pylint $(ROOMS)
+	$(PYTHON) -m pytest tests/house
+
+bench: .venv/.tests ## speed against the floor of the FFTs, memory, real-time factor
+	$(PYTHON) tests/bench/bench.py
+
+soak: .venv/.tests ## the tests that take minutes
+	$(PYTHON) -m pytest -m soak $(ARGS)
+
+constraints: .venv/.tests ## pin what is installed now, after an upgrade
+	{ sed -n '/^#/p' constraints.txt; $(PYTHON) -m pip freeze --all --exclude-editable | grep -v '^pip==' | sort -f; } > .venv/pins
+	mv .venv/pins constraints.txt
+
+clean: ## remove everything that can be made again
+	rm -rf .venv .coverage* .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis dist
+
+.venv/bin/python:
+	.ci/make-venv
+
+.venv/.runs: pyproject.toml constraints.txt | .venv/bin/python
+	$(PIP) -e .
+	touch $@
+
+.venv/.tests: pyproject.toml constraints.txt .ci/packages.txt | .venv/bin/python
+	sed 's/#.*//' .ci/packages.txt | xargs .ci/apt-install
+	$(PIP) -e '.[dev,rig,ide]'
+	touch $@ .venv/.runs
