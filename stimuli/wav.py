@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 BYTE_ORDERS = {b"RIFF": "<", b"RIFX": ">"}
 """The container names that are read, each with its byte order in `struct` notation."""
 
+IEEE_FLOAT = 0x0003
+EXTENSIBLE = 0xFFFE
+"""Codings in a format chunk; the second says that the true one stands further on."""
+
 
 @dataclass(frozen=True, slots=True)
 class WavHeader:
@@ -39,6 +43,8 @@ class WavHeader:
         Bytes of samples that the header promises.
     present_bytes : int
         Bytes of samples that the file holds.
+    is_float : bool
+        Whether the samples are floats, not integers.
     """
 
     channels: int
@@ -46,6 +52,7 @@ class WavHeader:
     frame_bytes: int
     data_bytes: int
     present_bytes: int
+    is_float: bool
 
 
 def write_wav(path: str | Path, samples: ArrayLike, rate_hz: float) -> None:
@@ -169,7 +176,7 @@ def _scan_chunks(file: BinaryIO, size: int) -> WavHeader:
     if container not in BYTE_ORDERS or kind != b"WAVE":
         raise ValueError(f"got a file that begins with {container!r}, allowed is RIFF/WAVE; export it as WAV")
     order = BYTE_ORDERS[container]
-    layout: tuple[int, int, int] | None = None
+    layout: tuple[int, int, int, bool] | None = None
     while True:
         name, length = struct.unpack(f"{order}4sI", file.read(8))
         if name == b"data":
@@ -179,17 +186,19 @@ def _scan_chunks(file: BinaryIO, size: int) -> WavHeader:
             layout = _parse_format(body, order)
     if layout is None:
         raise ValueError("got samples before any format chunk; export it as WAV again")
-    channels, rate, frame_bytes = layout
-    return WavHeader(channels, rate, frame_bytes, length, min(length, size - file.tell()))
+    channels, rate, frame_bytes, is_float = layout
+    return WavHeader(channels, rate, frame_bytes, length, min(length, size - file.tell()), is_float)
 
 
-def _parse_format(body: bytes, order: str) -> tuple[int, int, int]:
-    _, channels, rate, _, frame_bytes, _ = struct.unpack(f"{order}HHIIHH", body[:16])
+def _parse_format(body: bytes, order: str) -> tuple[int, int, int, bool]:
+    coding, channels, rate, _, frame_bytes, _ = struct.unpack(f"{order}HHIIHH", body[:16])
+    if coding == EXTENSIBLE:
+        coding = struct.unpack(f"{order}H", body[24:26])[0]
     if 0 in {channels, rate, frame_bytes}:
         raise ValueError(
             f"got {channels} channels at {rate} Hz in frames of {frame_bytes} bytes; all must be above 0"
         )
-    return channels, rate, frame_bytes
+    return channels, rate, frame_bytes, coding == IEEE_FLOAT
 
 
 def _as_frames(samples: ArrayLike, name: str) -> NDArray[np.float32]:

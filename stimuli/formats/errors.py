@@ -1,0 +1,61 @@
+"""Where foreign exceptions become one clear line: file name, what was got, what is allowed, what to do."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+
+@contextmanager
+def file_named(path: Path) -> Iterator[None]:
+    """Put the file's name before every refusal raised inside.
+
+    Parameters
+    ----------
+    path : Path
+        The file that is read.
+
+    Raises
+    ------
+    ValueError
+        The one raised inside, its message preceded by the name.
+    OSError
+        If the operating system refuses the file.
+    """
+    prefix = f"{path.name}: "
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(prefix + str(error).removeprefix(prefix)) from error
+    except OSError as error:
+        reason = error.strerror or str(error).removeprefix(prefix)
+        raise type(error)(f"{prefix}{reason}") from error
+
+
+@contextmanager
+def foreign_errors(what: str) -> Iterator[None]:
+    """Translate whatever a library raises at a damaged file.
+
+    Parameters
+    ----------
+    what : str
+        What the file should have been, with its article.
+
+    Raises
+    ------
+    ValueError
+        In place of any error raised inside, except those of the operating system.
+    """
+    try:
+        yield
+    except OSError:
+        raise
+    except Exception as error:  # noqa: BLE001 - libraries raise anything at damaged files, even UnboundLocalError
+        reason = (str(error).strip() or type(error).__name__).splitlines()[0]
+        raise ValueError(
+            f"cannot be read as {what} ({reason}); the file is damaged or of another kind, copy or export it again"
+        ) from error
