@@ -101,7 +101,7 @@ def make_order(
     _check_order(items, protocols, number=number, repeats=repeats)
     rounds = list(product(protocols, range(1, repeats + 1)))
     parts = {protocol: _compare_by_recording(items, protocol) for protocol in protocols}
-    blocks = _order_blocks(rounds, parts, _shuffle_squares(parts.values(), rng), turn=number)
+    blocks = _order_blocks(rounds, parts, squares=_shuffle_squares(parts.values(), rng), turn=number)
     judgements = (
         (block, protocol, repeat, pair)
         for block, (protocol, repeat, pairs) in enumerate(blocks, start=1)
@@ -116,8 +116,8 @@ def make_order(
 def _order_blocks(
     rounds: Sequence[tuple[Protocol, int]],
     parts: Mapping[Protocol, Part],
-    squares: Mapping[int, Square],
     *,
+    squares: Mapping[int, Square],
     turn: int,
 ) -> Iterator[tuple[Protocol, int, list[Comparison]]]:
     """Yield the blocks of a session: protocol, repeat, and the comparisons of one recording in order."""

@@ -1,0 +1,93 @@
+"""Whether what lies in a study is what was once written there: plans, journals, stimuli.
+
+Every finding names the file, and the line where there is one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+from stimuli.manifest import read_stimuli
+from stimuli.sets import check_stimuli
+from study.journal import read_journal
+from study.plan import require_plan
+from study.session import PLAN_FILE, find_header, name_journal
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+    from pathlib import Path
+
+    from study.chain import Chain, Record
+    from study.folder import StudyFolder
+    from study.plan import Plan
+
+
+def audit_study(study: StudyFolder) -> list[str]:
+    """Verify all plans, journals and stimuli of a study.
+
+    Parameters
+    ----------
+    study : StudyFolder
+        The study.
+
+    Returns
+    -------
+    list of str
+        Everything that is not as it was written, one line each; empty if all is well.
+    """
+    findings = check_stimuli(study.stimuli) if study.manifest.exists() else []
+    stimuli_sha256 = read_stimuli(study.stimuli).sha256 if study.manifest.exists() else None
+    for folder in study.participants:
+        findings += _audit_participant(folder, stimuli_sha256)
+    return findings
+
+
+def _audit_participant(folder: Path, stimuli_sha256: str | None) -> list[str]:
+    try:
+        plan = require_plan(folder / PLAN_FILE)
+    except (OSError, ValueError) as error:
+        return [str(error)]
+    findings = []
+    if plan.participant != folder.name:
+        findings.append(f"{folder / PLAN_FILE}: is the plan of {plan.participant!r}, it was copied here")
+    if stimuli_sha256 not in {None, plan.stimuli_sha256}:
+        findings.append(f"{folder / PLAN_FILE}: names another stimulus set than the one that is built")
+    for path in sorted(folder.glob("session-*.jsonl")):
+        try:
+            chain = read_journal(path)
+        except ValueError as error:
+            findings.append(str(error))
+        else:
+            findings += [f"{path}{finding}" for finding in _audit_journal(chain, plan, name=path.stem)]
+    return findings
+
+
+def _audit_journal(chain: Chain, plan: Plan, *, name: str) -> Iterator[str]:
+    if chain.torn:
+        yield f": ends in {len(chain.torn)} bytes of a line that was never finished; resuming moves them aside"
+    header = find_header(chain.records)
+    if header is None:
+        if chain.records:
+            yield ": has no header"
+        return
+    if (header["participant"], name_journal(header["session"])) != (plan.participant, f"{name}.jsonl"):
+        yield f": is session {header['session']} of {header['participant']!r}, it was copied here"
+    if header["plan_sha256"] != plan.sha256:
+        yield ": was begun with another plan than the one beside it"
+    yield from _audit_trials(chain.records, plan)
+
+
+def _audit_trials(records: Iterable[Record], plan: Plan) -> Iterator[str]:
+    """Compare what was shown and rated, in order, with the plan."""
+    expected = {trial.number: asdict(trial) for trial in plan.trials}
+    rated = 0
+    for record in records:
+        if record.event == "shown" and record.data != expected.get(record.data["number"]):
+            yield f", line {record.sequence + 1}: shows a trial that the plan does not hold"
+        elif record.event == "rated":
+            if record.data["trial"] != rated + 1:
+                yield f", line {record.sequence + 1}: rates trial {record.data['trial']}, expected {rated + 1}"
+            rated = record.data["trial"]
+        elif record.event == "finished" and rated != len(plan.trials):
+            yield f", line {record.sequence + 1}: finished after {rated} of {len(plan.trials)} trials"

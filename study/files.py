@@ -1,0 +1,69 @@
+"""Files that are whole or absent: nobody ever meets half a table, plan or report."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file in one step, replacing the one that is there.
+
+    Parameters
+    ----------
+    path : Path
+        Where to write; its folder must exist.
+    text : str
+        The whole content; written as UTF-8 with the line ends that it has.
+    """
+    # Beside the target, so that the replacement stays on one file system and is atomic.
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with unfinished.open("w", encoding="utf-8", newline="") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        unfinished.replace(path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+    sync_folder(path.parent)
+
+
+def create_text(path: Path, text: str) -> None:
+    """Write a text file where none is yet.
+
+    Parameters
+    ----------
+    path : Path
+        Where to write; its folder must exist.
+    text : str
+        The whole content.
+
+    Raises
+    ------
+    FileExistsError
+        If there is a file already; it is left alone.
+    """
+    if path.exists():
+        raise FileExistsError(f"{path}: is there already, nothing is overwritten; move it away or use it")
+    write_text(path, text)
+
+
+def sync_folder(folder: Path) -> None:
+    """Make a new file's name survive a power cut, where the system can promise that.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder that holds the new file.
+    """
+    if os.name == "nt":  # pragma: no cover - Windows opens no folders and needs no such call
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,128 @@
+"""A study on the disk: one folder, and where everything lies in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import TYPE_CHECKING
+
+from study.files import create_text
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+SETTINGS_FILE = "study.toml"
+
+
+@dataclass(frozen=True, slots=True)
+class StudyFolder:
+    """The places in a study.
+
+    Parameters
+    ----------
+    path : Path
+        The folder that holds `study.toml`.
+    """
+
+    path: Path
+
+    @property
+    def settings(self) -> Path:
+        """What the lab decides."""
+        return self.path / SETTINGS_FILE
+
+    @property
+    def stimuli(self) -> Path:
+        """The stimulus set."""
+        return self.path / "stimuli"
+
+    @property
+    def sessions(self) -> Path:
+        """One folder per participant."""
+        return self.path / "sessions"
+
+    @property
+    def ratings(self) -> Path:
+        """The table of ratings, derived from the journals."""
+        return self.path / "ratings.csv"
+
+    @property
+    def manifest(self) -> Path:
+        """The table of stimuli."""
+        return self.stimuli / "manifest.csv"
+
+    @property
+    def report(self) -> Path:
+        """The folder of the report."""
+        return self.path / "report"
+
+    @property
+    def participants(self) -> list[Path]:
+        """The participants' folders, sorted."""
+        return sorted(entry for entry in self.sessions.glob("*") if entry.is_dir())
+
+    @property
+    def journals(self) -> list[Path]:
+        """All journals, sorted by participant, then session."""
+        return sorted(self.sessions.glob("*/session-*.jsonl"))
+
+
+def create_study(path: Path) -> StudyFolder:
+    """Begin a study: its folder, and a commented `study.toml` that names the bundled scenes.
+
+    Parameters
+    ----------
+    path : Path
+        The folder; created if missing.
+
+    Returns
+    -------
+    StudyFolder
+        The new study.
+
+    Raises
+    ------
+    FileExistsError
+        If the folder holds a `study.toml` already.
+    """
+    study = StudyFolder(path)
+    (path / "recordings").mkdir(parents=True, exist_ok=True)
+    create_text(study.settings, read_template())
+    return study
+
+
+def require_study(path: Path) -> StudyFolder:
+    """Find a study that is there.
+
+    Parameters
+    ----------
+    path : Path
+        The folder.
+
+    Returns
+    -------
+    StudyFolder
+        The study.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the folder holds no `study.toml`.
+    """
+    study = StudyFolder(path)
+    if not study.settings.is_file():
+        raise FileNotFoundError(
+            f"{path}: got a folder without {SETTINGS_FILE}; name a study, or begin one with: feel321 new {path}"
+        )
+    return study
+
+
+def read_template() -> str:
+    """Read the `study.toml` that a new study begins with.
+
+    Returns
+    -------
+    str
+        Its text.
+    """
+    return (files("study") / "template.toml").read_text(encoding="utf-8")

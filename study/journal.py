@@ -1,0 +1,182 @@
+"""The journal of a session: append-only, one fsync per record, nothing ever overwritten.
+
+`create_journal` refuses a file that is there, `require_journal` refuses one that is not. A record is on the
+disk when `write` returns. The line that a crash or power cut tore is moved into a file beside the journal and
+reported.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from study.chain import START, Record, digest, read_chain, write_line
+from study.files import sync_folder
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from datetime import datetime
+    from pathlib import Path
+
+    from study.chain import Chain
+
+    Clock = Callable[[], datetime]
+
+_APPEND = os.O_WRONLY | os.O_APPEND | getattr(os, "O_BINARY", 0)
+
+
+@dataclass(slots=True)
+class Journal:
+    """A journal open for writing; hold the session's lock while it is.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    now : callable
+        Gives the time of day, with its zone.
+    records : list of Record
+        All events so far, in order.
+    """
+
+    path: Path
+    now: Clock
+    records: list[Record] = field(default_factory=list)
+    _tip: str = START
+
+    def write(self, event: str, data: Mapping[str, Any]) -> None:
+        """Append one record; it is on the disk when this returns.
+
+        Parameters
+        ----------
+        event : str
+            What happened.
+        data : mapping
+            What is known about it; everything JSON can hold.
+
+        Raises
+        ------
+        OSError
+            If the disk takes no more; the journal then ends with its last whole record.
+        """
+        record = Record(len(self.records), self.now().isoformat(timespec="milliseconds"), event, data)
+        line = write_line(record, self._tip)
+        _append(self.path, line)
+        self.records.append(record)
+        self._tip = digest(line.rstrip(b"\n"))
+
+
+def create_journal(path: Path, *, now: Clock) -> Journal:
+    """Begin a journal where no file is yet.
+
+    Parameters
+    ----------
+    path : Path
+        The file to begin; its folder must exist.
+    now : callable
+        Gives the time of day, with its zone.
+
+    Returns
+    -------
+    Journal
+        Without records.
+
+    Raises
+    ------
+    FileExistsError
+        If there is a file already; it is left alone.
+    """
+    try:
+        os.close(os.open(path, os.O_CREAT | os.O_EXCL | _APPEND, 0o644))
+    except FileExistsError:
+        raise FileExistsError(f"{path}: is there already, nothing is overwritten; resume it") from None
+    sync_folder(path.parent)
+    return Journal(path, now)
+
+
+def require_journal(path: Path, *, now: Clock) -> Journal:
+    """Go on with a journal that is there.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    now : callable
+        Gives the time of day, with its zone.
+
+    Returns
+    -------
+    Journal
+        With all its records. If the last line was torn, a record `recovered` says so.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is none.
+    ValueError
+        If the chain is broken, naming the line.
+    """
+    chain = read_journal(path)
+    journal = Journal(path, now, list(chain.records), chain.tip)
+    if chain.torn:
+        torn = _cut_torn_line(path, chain.torn)
+        journal.write("recovered", {"torn_bytes": len(chain.torn), "moved_to": torn.name})
+    return journal
+
+
+def read_journal(path: Path) -> Chain:
+    """Read a journal without writing to it, also while its session runs.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    Chain
+        The records, and what is left of a torn last line.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is none.
+    ValueError
+        If the chain is broken, naming the line.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: there is no such journal; begin the session first")
+    return read_chain(path.read_bytes(), str(path))
+
+
+def _append(path: Path, line: bytes) -> None:
+    descriptor = os.open(path, _APPEND)
+    try:
+        before = os.fstat(descriptor).st_size
+        written = os.write(descriptor, line)
+        if written != len(line):
+            # A full disk takes the beginning of a line and says so by a short count only.
+            os.ftruncate(descriptor, before)
+            raise OSError(f"{path}: the disk took {written} of {len(line)} bytes; make room, then resume")
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _cut_torn_line(path: Path, torn: bytes) -> Path:
+    number = 1
+    while (target := path.with_name(f"{path.name}.torn{number}")).exists():
+        number += 1
+    # The piece is safe beside the journal before the journal loses it.
+    target.write_bytes(torn)
+    _sync(target, size=len(torn))
+    _sync(path, size=path.stat().st_size - len(torn))
+    sync_folder(path.parent)
+    return target
+
+
+def _sync(path: Path, *, size: int) -> None:
+    with path.open("r+b") as file:
+        file.truncate(size)
+        os.fsync(file.fileno())

@@ -1,0 +1,108 @@
+"""Reading `study.toml`; the one place where a mistake in it is put into words."""
+
+from __future__ import annotations
+
+import tomllib
+from difflib import get_close_matches
+from typing import TYPE_CHECKING
+
+from pydantic import ValidationError
+
+from study.tables import (
+    AnalysisTable,
+    ConditioningTable,
+    FileTable,
+    ObserverTable,
+    RigTable,
+    SceneTable,
+    SessionTable,
+    Settings,
+    StimuliTable,
+    StudyTable,
+)
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from pydantic_core import ErrorDetails
+
+TABLES = {
+    (): Settings,
+    ("analysis",): AnalysisTable,
+    ("observer",): ObserverTable,
+    ("recordings", "file"): FileTable,
+    ("recordings", "scene"): SceneTable,
+    ("rig",): RigTable,
+    ("session",): SessionTable,
+    ("stimuli",): StimuliTable,
+    ("stimuli", "conditioning"): ConditioningTable,
+    ("study",): StudyTable,
+}
+"""Which keys are allowed where."""
+
+
+def read_settings(path: Path) -> Settings:
+    """Read and check a `study.toml`.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    Settings
+        The settings, defaults filled in.
+
+    Raises
+    ------
+    ValueError
+        If the file is not TOML, or anything in it is not allowed: one line per mistake, all of them.
+    OSError
+        If the file cannot be read.
+    """
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:  # TOML's own errors and those of the encoding
+        raise ValueError(f"{path}: got no TOML ({error}); mend that place") from None
+    try:
+        return Settings.model_validate(content, strict=False)
+    except ValidationError as error:
+        lines = [f"{path.name}: {_translate(detail)}" for detail in error.errors(include_url=False)]
+        raise ValueError("\n".join(lines)) from None
+
+
+def _translate(detail: ErrorDetails) -> str:
+    names = tuple(part for part in detail["loc"] if isinstance(part, str))
+    place = _write_place(detail["loc"])
+    if detail["type"] == "extra_forbidden":
+        return f"{place}: is no setting; {_suggest(names)}"
+    if detail["type"] == "missing":
+        return f"{place}: is missing; add it"
+    if detail["type"] == "value_error":
+        reason = str(detail["ctx"]["error"])
+    else:
+        reason = f"allowed: {detail['msg'].removeprefix('Input should be ')}"
+    # The whole file is no answer to what was got where.
+    got = f"got {detail['input']!r}, " if names else ""
+    return f"{place or 'recordings'}: {got}{reason}"
+
+
+def _write_place(location: tuple[int | str, ...]) -> str:
+    """Write a place as the file's author counts: `recordings[1].unit`; the kind of a recording is no key."""
+    place = ""
+    for before, part in zip((None, *location), location, strict=False):
+        if isinstance(part, int):
+            place += f"[{part + 1}]"
+        elif not isinstance(before, int):
+            place += f".{part}" if place else part
+        elif location[0] != "recordings":
+            place += f".{part}"
+    return place
+
+
+def _suggest(names: tuple[str, ...]) -> str:
+    *table, key = names
+    allowed = list(TABLES[tuple(table)].model_fields)
+    near = get_close_matches(key, allowed, n=1)
+    return f"did you mean {near[0]}?" if near else f"allowed: {', '.join(allowed)}"

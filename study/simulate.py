@@ -1,0 +1,121 @@
+"""Whole studies with simulated participants, through the engine that real sessions use."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
+
+from protocols.texts import read_scales
+from study.observer import ObserverModel, SimulatedObserver, identify_observer
+from study.plan import make_plan
+from study.session import Stage, find_elapsed, open_session, run_session
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from protocols.trial import Trial
+    from stimuli.manifest import StimulusSet
+    from study.folder import StudyFolder
+    from study.journal import Clock
+    from study.plan import Plan
+    from study.tables import Settings
+
+    Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Simulation:
+    """A study that simulated participants take part in.
+
+    Parameters
+    ----------
+    study : StudyFolder
+        Where it lies.
+    settings : Settings
+        What it consists of.
+    stimuli : StimulusSet
+        What is felt.
+    seed : int
+        Seed of the participants.
+    now : callable
+        Gives the time of day, with its zone.
+    """
+
+    study: StudyFolder
+    settings: Settings
+    stimuli: StimulusSet
+    seed: int
+    now: Clock
+
+
+def run_simulation(simulation: Simulation, participants: int, *, progress: Progress | None = None) -> None:
+    """Lead simulated participants through their sessions; finished ones are kept, broken ones resumed.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        The study.
+    participants : int
+        How many; they are called sim001, sim002, ...
+    progress : callable, optional
+        Called with the numbers of trials done and to do, after each trial.
+
+    Raises
+    ------
+    ValueError
+        If a session was begun with other settings, stimuli or seed, saying what differs.
+    """
+    plans = [plan_session(simulation, number) for number in range(1, participants + 1)]
+    total = sum(len(plan.trials) for plan in plans)
+    before = 0
+    for plan in plans:
+        _run(plan, simulation, on_rated=partial(_count, progress, before=before, total=total))
+        before += len(plan.trials)
+
+
+def plan_session(simulation: Simulation, number: int) -> Plan:
+    """Plan the session of one simulated participant.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        The study.
+    number : int
+        The participant's number, from 1.
+
+    Returns
+    -------
+    Plan
+        The plan.
+    """
+    return make_plan(
+        simulation.stimuli,
+        f"sim{number:03d}",
+        number=number,
+        seed=simulation.settings.study.seed,
+        protocols=simulation.settings.session.protocols,
+        repeats=simulation.settings.session.repeats,
+    )
+
+
+def _run(plan: Plan, simulation: Simulation, *, on_rated: Callable[[Trial], None]) -> None:
+    model = ObserverModel(**simulation.settings.observer.model_dump())
+    identity = identify_observer(model, seed=simulation.seed)
+    folder = simulation.study.sessions / plan.participant
+    with open_session(folder, plan, identity=identity, now=simulation.now) as journal:
+        observer = SimulatedObserver(
+            model, seed=simulation.seed, number=plan.number, elapsed_s=find_elapsed(journal.records)
+        )
+        stage = Stage(
+            presenter=observer,
+            stimuli={stimulus.stimulus_id: stimulus for stimulus in simulation.stimuli.stimuli},
+            scales=read_scales(simulation.settings.session.language),
+            journal=journal,
+        )
+        run_session(plan, stage, on_rated=on_rated)
+
+
+def _count(progress: Progress | None, trial: Trial, *, before: int, total: int) -> None:
+    if progress is not None:
+        progress(before + trial.number, total)
