@@ -1,0 +1,112 @@
+"""Every public thing has a docstring, and numpydoc finds nothing wrong with it."""
+
+from __future__ import annotations
+
+import ast
+from typing import TYPE_CHECKING, Any
+
+import click
+import pytest
+from numpydoc.docscrape import NumpyDocString, get_doc_object
+from numpydoc.validate import Validator, validate
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+DEFINITIONS = (ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+
+
+class HouseValidator(Validator):
+    """Ports are never called; records may list their fields as attributes; what starts with _ is private."""
+
+    def __init__(self, obj_name: str) -> None:
+        super().__init__(get_doc_object(Validator._load_obj(obj_name)))
+
+    @property
+    def signature_parameters(self) -> tuple[str, ...]:
+        if getattr(self.obj, "_is_protocol", False):
+            return ()
+        told = {name for name, _, _ in NumpyDocString(self.clean_doc)["Attributes"]}
+        return tuple(name for name in super().signature_parameters if name[0] != "_" and name not in told)
+
+
+def module_name(path: str) -> str:
+    return path.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+
+
+def definitions(node: ast.Module | ast.ClassDef) -> Iterator[Any]:
+    return (inner for inner in node.body if isinstance(inner, DEFINITIONS) and not inner.name.startswith("_"))
+
+
+def public_names(path: str, tree: ast.Module) -> Iterator[str]:
+    """Dotted names of a module's public classes and functions, and of its public classes' public methods."""
+    module = module_name(path)
+    for node in definitions(tree):
+        yield f"{module}.{node.name}"
+        if isinstance(node, ast.ClassDef):
+            yield from (f"{module}.{node.name}.{inner.name}" for inner in definitions(node))
+
+
+def faults(name: str, checks: set[str]) -> list[str]:
+    """What numpydoc holds against a docstring, `all` but the listed codes."""
+    if isinstance(Validator._load_obj(name), click.Command):  # its docstring is its help text
+        return []
+    errors = validate(name, HouseValidator)["errors"]
+    return [f"{name}: {code} {text}" for code, text in errors if code not in checks]
+
+
+def test_every_module_says_what_it_is(sources: Any) -> None:
+    assert [source.path for source in sources if ast.get_docstring(source.tree) is None] == []
+
+
+def test_every_public_docstring_keeps_the_form(sources: Any, pyproject: Any) -> None:
+    checks = set(pyproject["tool"]["numpydoc_validation"]["checks"])
+    names = [name for source in sources for name in public_names(source.path, source.tree)]
+    assert [fault for name in names for fault in faults(name, checks)] == []
+
+
+SNIPPET = '''
+def f(a, b):
+    """Add.
+
+    Parameters
+    ----------
+    a, c : int
+        Terms.
+
+    Returns
+    -------
+    int
+        The sum.
+    """
+
+class K:
+    """A thing."""
+    def g(self):
+        """Return one."""
+        return 1
+    def _h(self):
+        return 1
+'''
+
+
+@pytest.mark.parametrize(
+    ("name", "codes"),
+    [
+        ("house_snippet.f", ["PR01", "PR02"]),
+        ("house_snippet.K", []),
+        ("house_snippet.K.g", ["RT01"]),
+    ],
+)
+def test_a_false_docstring_is_found(
+    name: str, codes: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    tmp_path.joinpath("house_snippet.py").write_text(SNIPPET, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    found = faults(name, {"ES01", "SA01", "EX01"})
+    assert [fault.split()[1] for fault in found] == codes
+
+
+def test_private_names_are_left_alone() -> None:
+    assert list(public_names("a/b.py", ast.parse(SNIPPET))) == ["a.b.f", "a.b.K", "a.b.K.g"]

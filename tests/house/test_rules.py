@@ -1,0 +1,96 @@
+"""The tools behind `make check` refuse what they are there to refuse: each is fed one fault."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOMS = ("analysis", "protocols", "stimuli", "study")
+NESTED = """
+    if a:
+        for b in a:
+            while b:
+                if c:
+                    return 1
+    return 2
+"""
+BRANCHES = "    if a:\n        b += 1\n" * 8 + "    return b\n"
+
+
+def ruff(root: Path, code: str) -> str:
+    """Ruff's answer to a function of the given text in a module of `stimuli/`."""
+    options = ["--output-format=json", "--stdin-filename=stimuli/x.py", "-"]
+    command = [sys.executable, "-m", "ruff", "check", *options]
+    text = f'"""A module."""\n\n{code}'
+    return subprocess.run(command, cwd=root, input=text, text=True, capture_output=True, check=False).stdout
+
+
+def function(signature: str, body: str) -> str:
+    return f'def f({signature}) -> int:\n    """Work."""\n{body}'
+
+
+@pytest.mark.parametrize(
+    ("code", "rule"),
+    [
+        (function("a: list[int], c: int", NESTED), "PLR1702"),
+        (function("a: int, b: int", BRANCHES), "C901"),
+        (function("a: int, b: int, c: int", "    return a + b + c\n"), "PLR0917"),
+        (function("a: int, *, b: int, c: int, d: int, e: int, f: int, g: int", "    return a\n"), "PLR0913"),
+        (function("a: bool", "    return int(a)\n"), "FBT001"),
+        (function("a: int", "    print(a)\n    return a\n"), "T201"),
+        ("def f(a: int) -> int:\n    return a\n", "D103"),
+        ('__all__ = ["b", "a"]\na = b = 1\n', "RUF022"),
+    ],
+)
+def test_ruff(code: str, rule: str, root: Path) -> None:
+    assert f'"{rule}"' in ruff(root, code)
+
+
+def test_ruff_lets_good_code_pass(root: Path) -> None:
+    good = function("a: int, *, b: int", "    return a + b\n")
+    assert ruff(root, good).strip() == "[]"
+
+
+def copy_with(tmp_path: Path, root: Path, files: dict[str, str]) -> Path:
+    """A tree of the four rooms, empty but for `files`, under the project's own contracts."""
+    (tmp_path / "pyproject.toml").write_bytes((root / "pyproject.toml").read_bytes())
+    for room in ROOMS:
+        (tmp_path / room).mkdir()
+        (tmp_path / room / "__init__.py").touch()
+    for name, text in files.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    return tmp_path
+
+
+def tool(name: str, *arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    program = Path(sys.executable).with_name(name)
+    return subprocess.run([program, *arguments], cwd=cwd, text=True, capture_output=True, check=False)
+
+
+@pytest.mark.parametrize(
+    ("files", "broken"),
+    [
+        ({}, 0),
+        ({"study/screen.py": "import psychopy\n"}, 0),
+        ({"study/session.py": "def f():\n    import psychopy\n"}, 1),
+        ({"stimuli/sound.py": "from sounddevice import play\n"}, 1),
+        ({"stimuli/a.py": "import protocols\n"}, 1),
+        ({"protocols/a.py": "import stimuli\n"}, 1),
+        ({"analysis/a.py": "def f():\n    import study\n"}, 1),
+        ({"stimuli/a.py": "import stimuli.b\n", "stimuli/b.py": "import stimuli.a\n"}, 1),
+    ],
+)
+def test_floors(files: dict[str, str], broken: int, root: Path, tmp_path: Path) -> None:
+    done = tool("lint-imports", "--no-cache", "--no-logo", cwd=copy_with(tmp_path, root, files))
+    assert f"{broken} broken" in done.stdout
+    assert done.returncode == int(broken > 0)
+
+
+@pytest.mark.parametrize(("lines", "code"), [(6, 0), (9, 8)])
+def test_duplicates(lines: int, code: int, root: Path, tmp_path: Path) -> None:
+    text = "".join(f"value_{number} = {number} * {number}\n" for number in range(lines))
+    tree = copy_with(tmp_path, root, {"stimuli/a.py": text, "analysis/b.py": text})
+    assert tool("pylint", *ROOMS, cwd=tree).returncode == code
