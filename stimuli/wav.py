@@ -55,7 +55,7 @@ class WavHeader:
     is_float: bool
 
 
-def write_wav(path: str | Path, samples: ArrayLike, rate_hz: float) -> None:
+def write_wav(path: str | Path, samples: ArrayLike, rate_hz: float) -> None:  # noqa: PLR0917 - samples and rate are one thing
     """Write samples as a float32 WAV: the whole file or nothing, the same bytes every time.
 
     Parameters

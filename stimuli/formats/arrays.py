@@ -44,7 +44,8 @@ def read_npz(path: Path, _: Request) -> Decoded:
     ValueError
         If the archive is damaged, or holds no three axes.
     """
-    with foreign_errors("an NPZ archive"), np.load(path, allow_pickle=False) as archive:
+    # Opened here, because numpy leaves it open when the archive is damaged.
+    with foreign_errors("an NPZ archive"), path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
         arrays = {name: archive[name] for name in archive.files}
     return decode_arrays(arrays)
 

@@ -69,12 +69,12 @@ def find_columns(labels: Sequence[str]) -> Columns:
     for i, label in enumerate(labels):
         if match := AXIS.fullmatch(split_unit(label, ACCELERATION_SPELLINGS)[0]):
             found[match[1].lower()].append(i)
-    _check_axes_found(labels, found, times)
+    _check_axes_found(labels, found=found, times=times)
     axes = (found["x"][0], found["y"][0], found["z"][0])
     for i in axes:
         if unit := split_unit(labels[i], ACCELERATION_SPELLINGS)[1]:
             parse_unit(unit)  # a bracket that is no unit may say volts: only columns=... overrules it
-    return _with_units(labels, axes, times[0] if times else None)
+    return _with_units(labels, axes=axes, time=times[0] if times else None)
 
 
 def count_columns(n_columns: int) -> Columns:
@@ -100,14 +100,14 @@ def count_columns(n_columns: int) -> Columns:
     if n_columns == 1:
         raise already_reduced("one column without a header")
     if n_columns < AXES:
-        raise ValueError(f"got {n_columns} columns without a header, allowed is three axes x, y, z (time optional)")
+        raise ValueError(f"got {n_columns} columns without a header, allowed is three axes x, y, z")
     raise ValueError(
         f"got {n_columns} columns without a header, which is ambiguous; "
         "say which they are, e.g. columns=(0, 1, 2, 3) for time, x, y, z or columns=(0, 1, 2) for x, y, z"
     )
 
 
-def pick_columns(wanted: Sequence[str | int], labels: Sequence[str] | None, n_columns: int) -> Columns:
+def pick_columns(wanted: Sequence[str | int], *, labels: Sequence[str] | None, n_columns: int) -> Columns:
     """Take the columns that the caller names.
 
     Parameters
@@ -131,15 +131,17 @@ def pick_columns(wanted: Sequence[str | int], labels: Sequence[str] | None, n_co
     """
     if isinstance(wanted, str) or len(wanted) not in {AXES, WITH_TIME}:
         raise ValueError(f"got columns={wanted!r}, allowed is (x, y, z) or (time, x, y, z)")
-    places = [_place(column, labels, n_columns) for column in wanted]
+    places = [_place(column, labels=labels, n_columns=n_columns) for column in wanted]
     if len(set(places)) < len(places):
-        raise ValueError(f"got columns={tuple(wanted)!r}, which name one column twice; allowed is each one once")
+        raise ValueError(
+            f"got columns={tuple(wanted)!r}, which name one column twice; allowed is each one once"
+        )
     x, y, z = places[-AXES:]
     time = places[0] if len(places) == WITH_TIME else None
-    return _with_units(labels, (x, y, z), time) if labels else Columns((x, y, z), time)
+    return _with_units(labels, axes=(x, y, z), time=time) if labels else Columns((x, y, z), time)
 
 
-def _place(column: str | int, labels: Sequence[str] | None, n_columns: int) -> int:
+def _place(column: str | int, *, labels: Sequence[str] | None, n_columns: int) -> int:
     names = [label.strip().casefold() for label in labels or ()]
     if isinstance(column, str) and names.count(column.strip().casefold()) == 1:
         return names.index(column.strip().casefold())
@@ -150,7 +152,7 @@ def _place(column: str | int, labels: Sequence[str] | None, n_columns: int) -> i
     raise ValueError(f"got the column {column!r}, allowed is {known}a number from 0 to {n_columns - 1}")
 
 
-def _check_axes_found(labels: Sequence[str], found: dict[str, list[int]], times: list[int]) -> None:
+def _check_axes_found(labels: Sequence[str], *, found: dict[str, list[int]], times: list[int]) -> None:
     header = ", ".join(labels)
     for what, places in (*found.items(), ("time", times)):
         if len(places) > 1:
@@ -168,7 +170,7 @@ def _check_axes_found(labels: Sequence[str], found: dict[str, list[int]], times:
     )
 
 
-def _with_units(labels: Sequence[str], axes: tuple[int, int, int], time: int | None) -> Columns:
+def _with_units(labels: Sequence[str], *, axes: tuple[int, int, int], time: int | None) -> Columns:
     units = {split_unit(labels[i], ACCELERATION_SPELLINGS)[1] for i in axes}
     named = {ACCELERATION_SPELLINGS.get(unit or "") for unit in units}
     if len(named) > 1:

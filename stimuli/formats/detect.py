@@ -53,7 +53,9 @@ def detect_format(path: Path) -> str:
         if head.startswith(magic):
             return name
     if head.startswith(HDF5):
-        raise ValueError("got a MATLAB 7.3 or HDF5 file, allowed is MATLAB 5; save it with save(..., '-v7')")
+        raise ValueError(
+            "got a MATLAB 7.3 or HDF5 file, allowed is an older MAT-file; save it with save(..., '-v7')"
+        )
     if head.startswith(WIDE_TEXT):
         raise ValueError("got text in UTF-16 or UTF-32, allowed is UTF-8; save the file as UTF-8")
     return _detect_text(path, head)
@@ -65,7 +67,7 @@ def _detect_text(path: Path, head: bytes) -> str:
     if suffix == ".mat" and not is_text:
         return "mat"  # version 4 has no first bytes of its own
     if not is_text:
-        raise ValueError(f"got binary data of no known format ({suffix or 'no suffix'}), allowed is {_allowed()}")
+        raise ValueError(f"got binary data of no known format (suffix {suffix!r}), allowed is {_allowed()}")
     if head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<"):
         return "hatt"
     if is_lmt(path):
@@ -73,7 +75,9 @@ def _detect_text(path: Path, head: bytes) -> str:
     if suffix in TABLE_SUFFIXES:
         return "table"
     if suffix in SUFFIXES:
-        raise ValueError(f"got text in a {suffix} file; rename it to .csv if it is a table, or export it again")
+        raise ValueError(
+            f"got text in a {suffix} file; rename it to .csv if it is a table, or export it again"
+        )
     raise ValueError(f"got the unknown suffix {suffix!r}, allowed is {_allowed()}")
 
 

@@ -52,10 +52,11 @@ def foreign_errors(what: str) -> Iterator[None]:
     """
     try:
         yield
-    except OSError:
-        raise
-    except Exception as error:  # noqa: BLE001 - libraries raise anything at damaged files, even UnboundLocalError
+    except Exception as error:  # libraries raise anything at damaged files, even UnboundLocalError
+        if isinstance(error, OSError) and error.errno:  # the system's own; libraries raise theirs without a number
+            raise
         reason = (str(error).strip() or type(error).__name__).splitlines()[0]
         raise ValueError(
-            f"cannot be read as {what} ({reason}); the file is damaged or of another kind, copy or export it again"
+            f"cannot be read as {what} ({reason}); "
+            "the file is damaged or of another kind, copy or export it again"
         ) from error

@@ -52,9 +52,11 @@ def read_hatt(path: Path, _: Request) -> Decoded:
     content = path.read_bytes()
     # Entities can expand without end or name other files; a recording needs neither.
     if re.search(rb"<!\s*(doctype|entity)", content, re.IGNORECASE):
-        raise ValueError("got XML that declares a document type or entities, allowed is plain XML; remove them")
+        raise ValueError(
+            "got XML that declares a document type or entities, allowed is plain XML; remove them"
+        )
     tags = _collect_tags(_parse(content))
-    axes = {match[1]: _one(found, tag) for tag, found in tags.items() if (match := AXIS.fullmatch(tag))}
+    axes = {tag[-1]: _one(found, tag) for tag, found in tags.items() if AXIS.fullmatch(tag)}
     if not axes:
         raise _no_axes(tags)
     units = {text for tag, found in tags.items() if UNIT.fullmatch(tag) for text in found}
@@ -66,10 +68,10 @@ def read_hatt(path: Path, _: Request) -> Decoded:
 
 
 def _parse(content: bytes) -> Element:
-    from xml.etree import ElementTree as ET  # noqa: S405 - entities are refused before parsing
+    from xml.etree import ElementTree as ET
 
     with foreign_errors("XML"):
-        return ET.fromstring(content)  # noqa: S314 - the same
+        return ET.fromstring(content)  # noqa: S314 - entities were refused before
 
 
 def _collect_tags(root: Element) -> Mapping[str, list[str]]:
@@ -89,7 +91,9 @@ def _local(element: Element) -> str:
 
 def _one(texts: list[str], tag: str) -> str:
     if len(texts) != 1:
-        raise ValueError(f"got {len(texts)} elements for {tag}, allowed is one; which is meant cannot be told")
+        raise ValueError(
+            f"got {len(texts)} elements for {tag}, allowed is one; which is meant cannot be told"
+        )
     return texts[0]
 
 
@@ -97,7 +101,9 @@ def _no_axes(tags: Mapping[str, list[str]]) -> ValueError:
     if re.search(rf"\b{SENSOR}\b", " ".join(tags)):
         return already_reduced("a scalar Accel signal (the toolkit's DFT321 output)")
     found = ", ".join(list(tags)[:12]) or "none"
-    return ValueError(f"got XML without acceleration (tags: {found}), allowed is AccelX, AccelY, AccelZ or Accel/X, Y, Z")
+    return ValueError(
+        f"got XML without acceleration (tags: {found}), allowed is AccelX, AccelY, AccelZ or Accel/X, Y, Z"
+    )
 
 
 def _numbers(text: str, axis: str) -> NDArray[np.float64]:
@@ -105,10 +111,10 @@ def _numbers(text: str, axis: str) -> NDArray[np.float64]:
     try:
         values = np.array(words, dtype=np.float64)
     except ValueError as error:
-        raise ValueError(f"got a value on the {axis} axis that is no number ({error}); mend the file") from None
+        raise ValueError(f"got a value of the {axis} axis that is no number ({error}); mend it") from None
     if not np.isfinite(values).all():
         i = int(np.argmin(np.isfinite(values)))
-        raise ValueError(f"got {words[i]!r} as value {i} of the {axis} axis, allowed is a finite number; mend the file")
+        raise ValueError(f"got {words[i]!r} as value {i} of the {axis} axis, allowed is a finite number")
     return values
 
 

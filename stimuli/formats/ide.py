@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from stimuli.formats.decoded import Request
 
 LOST_SAMPLE = 1.5
-"""An interval of so many periods means that samples were lost; the stamps of the blocks are no finer than that."""
+"""An interval of so many periods means that samples were lost; less is the coarse clock of the blocks."""
 
 
 def read_ide(path: Path, _: Request) -> Decoded:
@@ -34,8 +34,8 @@ def read_ide(path: Path, _: Request) -> Decoded:
     Returns
     -------
     Decoded
-        Calibrated samples. Its rate is the mean over the recording, because the recorder stamps blocks, on a
-        clock coarser than a sample; only where samples were lost are the time stamps kept, to be refused or resampled.
+        Calibrated samples at the mean rate, because the recorder stamps blocks of samples on a coarse clock.
+        Only where samples were lost are the time stamps kept, to be refused or resampled.
 
     Raises
     ------
@@ -45,16 +45,19 @@ def read_ide(path: Path, _: Request) -> Decoded:
     try:
         import idelib
     except ImportError:
-        raise ValueError("got an enDAQ recording, which idelib reads; install it: pip install 'feel321[ide]'") from None
+        raise ValueError(
+            "got an enDAQ recording, which idelib reads; install it: pip install 'feel321[ide]'"
+        ) from None
     with foreign_errors("an enDAQ recording"), idelib.importFile(str(path), quiet=True) as dataset:
-        found = [_read_channel(channel) for channel in dataset.channels.values() if len(_axes(channel)) == AXES]
+        triaxial = [c for c in dataset.channels.values() if c.sessions and len(_axes(c)) == AXES]
+        found = [_read_channel(channel) for channel in triaxial]
     measured = [(samples, unit) for samples, unit in found if samples.shape[1] > 1]
     if not measured:
-        raise ValueError("got no accelerometer with three axes and samples in it; allowed is a triaxial recording")
+        raise ValueError("got no accelerometer with three axes and samples, allowed is a triaxial recording")
     samples, unit = max(measured, key=lambda pair: _rate_hz(pair[0][0]))
     time_s = samples[0] - samples[0, 0]
     even = bool(np.diff(time_s).max() * _rate_hz(time_s) < LOST_SAMPLE)
-    return Decoded(samples[1:], unit, _rate_hz(time_s), time_s=None if even else time_s)
+    return Decoded(samples[1:], unit, _rate_hz(time_s)) if even else Decoded(samples[1:], unit, time_s=time_s)
 
 
 def _axes(channel: Any) -> dict[str, int]:  # noqa: ANN401 - idelib is not typed
@@ -69,8 +72,8 @@ def _axes(channel: Any) -> dict[str, int]:  # noqa: ANN401 - idelib is not typed
 
 def _unit(subchannel: Any) -> str | None:  # noqa: ANN401 - idelib is not typed
     """Return the unit of acceleration, or None for what is no acceleration."""
-    _, unit = subchannel.units
-    return ACCELERATION_SPELLINGS.get(normalise(str(unit)))
+    label_and_unit = subchannel.units or ("", "")
+    return ACCELERATION_SPELLINGS.get(normalise(str(label_and_unit[1])))
 
 
 def _read_channel(channel: Any) -> tuple[NDArray[np.float64], str | None]:  # noqa: ANN401 - idelib is not typed

@@ -55,28 +55,29 @@ def inspect_samples(acceleration: NDArray[np.float64], rate_hz: float) -> tuple[
 
     Notes
     -----
-    A run is *saturated* if three or more equal samples stand at the axis's minimum or maximum and the signal came
-    or went by more than two of the axis's smallest steps: the smooth crest of a slow, quantised signal
-    is entered and left one step at a time and is not reported.
-    An axis *stands still* if it holds one value for 50 ms while another axis moves; where none moves it is silence.
+    A run is *saturated* if three or more equal samples stand at the axis's minimum or maximum and the
+    signal came or went by more than twice the smallest difference of its values: the smooth crest of a slow, quantised
+    signal is entered and left one step at a time and is not reported.
+    An axis *stands still* if it holds one value for 50 ms while another axis moves; where none moves it is
+    silence.
 
     Examples
     --------
     >>> import numpy as np
     >>> wave = np.sin(np.arange(1000) / 9)
     >>> inspect_samples(np.stack([wave, np.minimum(wave, 0.5), 0 * wave]), 1000.0)[0]
-    'axis y: saturated at 0.5 m/s^2 in 18 runs (337 samples), the first at 0.005 s'
+    'axis y: saturated at 0.5 m/s^2 in 18 runs (339 samples), the first at 0.005 s'
     """
     runs = [find_runs(axis) for axis in acceleration]
-    held = [_held(axis_runs, acceleration.shape[1], rate_hz) for axis_runs in runs]
+    held = [_held(axis_runs, rate_hz) for axis_runs in runs]
     silence = np.logical_and.reduce(held)
     findings: list[str] = []
     for name, axis_runs, still in zip("xyz", runs, held, strict=True):
         if axis_runs.start.size == 1:
             findings += _constant(name, axis_runs)
         else:
-            findings += _saturated(name, axis_runs, rate_hz)
-            findings += _stands_still(name, still & ~silence, rate_hz)
+            findings += _saturated(name, axis_runs, rate_hz=rate_hz)
+            findings += _stands_still(name, still & ~silence, rate_hz=rate_hz)
     return tuple(findings)
 
 
@@ -102,29 +103,32 @@ def _constant(name: str, runs: Runs) -> Iterator[str]:
         yield f"axis {name}: flat, {runs.value[0]:.6g} m/s^2 in all {runs.length[0]} samples"
 
 
-def _saturated(name: str, runs: Runs, rate_hz: float) -> Iterator[str]:
-    steps = np.abs(np.diff(runs.value))
-    edge = np.maximum(np.append(0.0, steps), np.append(steps, 0.0))
+def _saturated(name: str, runs: Runs, *, rate_hz: float) -> Iterator[str]:
+    jumps = np.abs(np.diff(runs.value))
+    jump = np.maximum(np.append(0.0, jumps), np.append(jumps, 0.0))
     for extreme in (runs.value.min(), runs.value.max()):
-        hit = (runs.value == extreme) & (runs.length >= SATURATED_SAMPLES) & (edge > 2 * steps.min())
+        hit = (runs.value == extreme) & (runs.length >= SATURATED_SAMPLES)
+        if hit.any():
+            hit &= jump > 2 * np.diff(np.unique(runs.value)).min()
         if hit.any():
             yield (
-                f"axis {name}: saturated at {extreme:.6g} m/s^2 in {hit.sum()} runs ({runs.length[hit].sum()} samples), "
-                f"the first at {runs.start[hit][0] / rate_hz:.6g} s"
+                f"axis {name}: saturated at {extreme:.6g} m/s^2 in {hit.sum()} runs "
+                f"({runs.length[hit].sum()} samples), the first at {runs.start[hit][0] / rate_hz:.6g} s"
             )
 
 
-def _held(runs: Runs, n_samples: int, rate_hz: float) -> NDArray[np.bool_]:
+def _held(runs: Runs, rate_hz: float) -> NDArray[np.bool_]:
     """Return which samples belong to a long run of equal ones, shape (n_samples,)."""
     long = runs.length >= max(SATURATED_SAMPLES, STILL_S * rate_hz)
-    return np.repeat(long, runs.length)[:n_samples]
+    return np.repeat(long, runs.length)
 
 
-def _stands_still(name: str, still: NDArray[np.bool_], rate_hz: float) -> Iterator[str]:
+def _stands_still(name: str, still: NDArray[np.bool_], *, rate_hz: float) -> Iterator[str]:
     runs = find_runs(still.astype(np.float64))
     long = (runs.value > 0) & (runs.length >= STILL_S * rate_hz)
     if long.any():
         yield (
-            f"axis {name}: stands still {STILL_S * 1000:g} ms or longer {long.sum()} times ({runs.length[long].sum()} samples) "
-            f"while another axis moves, the first at {runs.start[long][0] / rate_hz:.6g} s"
+            f"axis {name}: stands still while another moves, "
+            f"{long.sum()} times for {STILL_S * 1000:g} ms or longer "
+            f"({runs.length[long].sum()} samples), the first at {runs.start[long][0] / rate_hz:.6g} s"
         )

@@ -11,6 +11,7 @@ from stimuli.formats.text import lay_out, read_numbers, read_text
 if TYPE_CHECKING:
     from pathlib import Path
 
+    import numpy as np
     from numpy.typing import NDArray
 
     from stimuli.formats.decoded import Request
@@ -79,8 +80,8 @@ def _is_reduced(path: Path) -> bool:
     return any(part.lower() == REDUCED_FOLDER for part in path.absolute().parts[:-1])
 
 
-def _read_axis(path: Path) -> NDArray:  # type: ignore[type-arg]
+def _read_axis(path: Path) -> NDArray[np.float64]:
     table = lay_out(read_text(path))
     if table.n_columns != 1:
         raise ValueError(f"got {table.n_columns} columns in {path.name}, allowed is one value per line")
-    return read_numbers(table, (0,))[0]
+    return read_numbers(table, (0,)).ravel()

@@ -1,4 +1,4 @@
-"""One rate for all samples: agreed between file and caller, checked on the time stamps, or made on request."""
+"""One rate for all samples: agreed by file and caller, checked on the time stamps, or made on request."""
 
 from __future__ import annotations
 
@@ -64,16 +64,16 @@ def settle_sampling(decoded: Decoded, request: Request) -> Sampled:
         If no rate is known, two contradict each other, or the time stamps do not increase evenly.
     """
     requested = None if request.rate_hz is None else check_rate(request.rate_hz)
-    stated = _agree(requested, decoded.rate_hz, "the file")
+    stated = _agree(requested, decoded.rate_hz, who="the file")
     if decoded.time_s is None:
         if stated is None:
-            raise ValueError("got no sampling rate and no time column; give rate_hz=... (command line: --rate)")
+            raise ValueError("got no sampling rate and no time column, one is needed; give rate_hz=...")
         return Sampled(decoded.acceleration, stated)
     time_s = _check_stamps(decoded)
     measured_hz = (time_s.size - 1) / float(time_s[-1] - time_s[0])
     irregular = _irregular(time_s, decoded.time_step_s)
     if irregular.size == 0:
-        rate_hz = _agree(stated, measured_hz, "the time stamps") or measured_hz
+        rate_hz = _agree(stated, measured_hz, who="the time stamps") or measured_hz
         return Sampled(decoded.acceleration, rate_hz, _coarse_stamps(decoded, rate_hz))
     finding = _describe(time_s, irregular)
     if not request.resample:
@@ -81,39 +81,43 @@ def settle_sampling(decoded: Decoded, request: Request) -> Sampled:
             f"got irregular sampling: {finding}; allowed is {JITTER_LIMIT:.0%} of the period; "
             "resample=True (command line: --resample) interpolates to an even rate"
         )
-    resampled = _resample(decoded.acceleration, time_s, finding)
-    _agree(stated, resampled.rate_hz, "the time stamps")
+    resampled = _resample(decoded.acceleration, time_s, finding=finding)
+    _agree(stated, resampled.rate_hz, who="the time stamps")
     return resampled
 
 
-def _agree(stated: float | None, own: float | None, who: str) -> float | None:
+def _agree(stated: float | None, own: float | None, *, who: str) -> float | None:
     if stated is None or own is None:
         return stated or own
     if abs(stated / check_rate(own) - 1) > AGREEMENT:
-        raise ValueError(f"got rate_hz={stated:g}, but {who} says {own:g} Hz; allowed is a difference of {AGREEMENT:.0%}")
+        raise ValueError(
+            f"got {stated:g} Hz, but {own:g} Hz by {who}; allowed is a difference of {AGREEMENT:.0%}"
+        )
     return stated
 
 
 def _check_stamps(decoded: Decoded) -> NDArray[np.float64]:
     time_s, n_samples = decoded.time_s, decoded.acceleration.shape[1]
     if time_s is None or time_s.shape != (n_samples,):
-        shape = None if time_s is None else time_s.shape
-        raise ValueError(f"got time stamps of shape {shape} for {n_samples} samples, allowed is one stamp per sample")
+        count = 0 if time_s is None else time_s.size
+        raise ValueError(f"got {count} time stamps for {n_samples} samples, allowed is one stamp per sample")
     if n_samples < 2:  # noqa: PLR2004 - an interval has two ends
-        raise ValueError(f"got {n_samples} sample with a time stamp, allowed is at least 2: they give the rate")
+        raise ValueError(
+            f"got {n_samples} sample with a time stamp, allowed is 2 or more: they give the rate"
+        )
     rising = np.diff(time_s) > 0  # false for NaN too
     if not rising.all():
         i = int(np.argmin(rising)) + 1
         place = f"sample {i}" if decoded.first_line is None else f"line {decoded.first_line + i}"
         raise ValueError(
-            f"got time stamps that do not increase: {time_s[i]:.9g} s after {time_s[i - 1]:.9g} s at {place}; "
+            f"got time stamps that do not increase: {time_s[i]:.9g} after {time_s[i - 1]:.9g} s at {place}; "
             "mend the stamps, or leave the time column out and give rate_hz"
         )
     return time_s
 
 
 def _irregular(time_s: NDArray[np.float64], step_s: float) -> NDArray[np.intp]:
-    """Return the intervals that differ from the median by more than the limit and the rounding of the stamps."""
+    """Return the intervals off the median by more than the limit and the rounding of the stamps."""
     intervals = np.diff(time_s)
     period = float(np.median(intervals))
     # A rounded stamp is off by half a printed place, an interval by a whole one.
@@ -126,8 +130,9 @@ def _describe(time_s: NDArray[np.float64], irregular: NDArray[np.intp]) -> str:
     period = float(np.median(intervals))
     jitter = float(np.abs(intervals - period).max()) / period
     return (
-        f"jitter up to {jitter:.1%} of the {period * 1e3:.6g} ms period, {irregular.size} of {intervals.size} intervals "
-        f"off, the first at {time_s[irregular[0]]:.6f} s, the longest {intervals.max() * 1e3:.6g} ms"
+        f"jitter up to {jitter:.1%} of the {period * 1e3:.6g} ms period, "
+        f"{irregular.size} of {intervals.size} intervals off, the first at {time_s[irregular[0]]:.6f} s, "
+        f"the longest {intervals.max() * 1e3:.6g} ms"
     )
 
 
@@ -135,12 +140,13 @@ def _coarse_stamps(decoded: Decoded, rate_hz: float) -> tuple[str, ...]:
     step_s = decoded.time_step_s
     if step_s * rate_hz <= JITTER_LIMIT:
         return ()
+    share = step_s * rate_hz
     return (
-        f"time stamps are printed to {step_s:g} s, {step_s * rate_hz:.0%} of the period: smaller jitter cannot be seen",
+        f"time stamps show steps of {step_s:g} s, {share:.0%} of the period: finer jitter cannot be seen",
     )
 
 
-def _resample(acceleration: NDArray[np.float64], time_s: NDArray[np.float64], finding: str) -> Sampled:
+def _resample(acceleration: NDArray[np.float64], time_s: NDArray[np.float64], *, finding: str) -> Sampled:
     from scipy.interpolate import make_interp_spline
 
     if time_s.size < SPLINE_POINTS:

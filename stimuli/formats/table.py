@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 CLUSTER_LABELS = ("time", "X", "Y", "Z")
 CLUSTER_RATE_HZ = 6000.0
 CLUSTER_NOTE = (
-    "header and rate are those of the Cluster Haptic Texture Database: unit taken as g (unit=... says otherwise)"
+    "header and rate are those of the Cluster Haptic Texture Database: "
+    "unit taken as g (unit=... says otherwise)"
 )
 
 
@@ -81,7 +82,7 @@ def choose_columns(table: Table, request: Request) -> Columns:
         Where the samples stand.
     """
     if request.columns is not None:
-        return pick_columns(request.columns, table.labels, table.n_columns)
+        return pick_columns(request.columns, labels=table.labels, n_columns=table.n_columns)
     return find_columns(table.labels) if table.labels else count_columns(table.n_columns)
 
 
@@ -104,7 +105,10 @@ def _time_notes(columns: Columns, time_s: NDArray[np.float64]) -> tuple[str, ...
     rate_hz = (time_s.size - 1) / float(np.ptp(time_s))
     if rate_hz >= slowest_hz:
         return ()
-    return (f"the time column names no unit: taken as s, which gives {rate_hz:g} Hz; if it is ms, call it time_ms",)
+    note = (
+        f"the time column names no unit: taken as s, which gives {rate_hz:g} Hz; if it is ms, call it time_ms"
+    )
+    return (note,)
 
 
 def _is_cluster(table: Table, time_s: NDArray[np.float64]) -> bool:

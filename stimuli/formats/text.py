@@ -77,7 +77,7 @@ def read_text(path: Path) -> str:
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
         raise ValueError(
-            f"got the byte 0x{content[error.start]:02x} on line {line}, which is not UTF-8 (Latin-1, perhaps); "
+            f"got the byte 0x{content[error.start]:02x} on line {line}, not UTF-8 (perhaps Latin-1); "
             "save the file as UTF-8"
         ) from None
     return text.replace("\r\n", "\n").replace("\r", "\n")
@@ -106,9 +106,9 @@ def lay_out(text: str) -> Table:
     for i, row in enumerate(head[:HEAD_LINES]):
         content = row.strip()
         if content and content[0] not in COMMENT_MARKS and _is_row(content):
-            return _table("\n".join(head[i:]), i + 1, content, above)
+            return _table("\n".join(head[i:]), content, line=i + 1, above=above)
         above += [content] if content else []
-    raise ValueError(f"got no row of numbers in the first {HEAD_LINES} lines; record or export the file again")
+    raise ValueError(f"got no row of numbers in the first {HEAD_LINES} lines; export the file again")
 
 
 def read_numbers(table: Table, columns: Sequence[int]) -> NDArray[np.float64]:
@@ -129,7 +129,7 @@ def read_numbers(table: Table, columns: Sequence[int]) -> NDArray[np.float64]:
     Raises
     ------
     ValueError
-        If a cell is blank, no number or not finite, or a row has too many or too few cells; the line is named.
+        If a cell is no finite number, or a row has too many or too few cells; the line is named.
     """
     import pandas as pd
 
@@ -190,21 +190,22 @@ def _number(cell: str, decimal: str) -> float | None:
         return None
 
 
-def _table(text: str, line: int, row: str, above: list[str]) -> Table:
+def _table(text: str, row: str, *, line: int, above: list[str]) -> Table:
     delimiter, decimal = _sniff(row)
     n_columns = len(split_row(row, delimiter))
-    labels = _labels(above, delimiter, n_columns)
+    labels = _labels(above, delimiter, n_columns=n_columns)
     if labels is not None and len(labels) != n_columns:
         raise ValueError(
-            f"got {len(labels)} names in the header but {n_columns} cells on line {line}, allowed is one name per cell"
+            f"got {len(labels)} names in the header but {n_columns} cells on line {line}, "
+            "allowed is one name per cell"
         )
     return Table(text, line, delimiter, decimal, labels, n_columns)
 
 
-def _labels(above: list[str], delimiter: str, n_columns: int) -> tuple[str, ...] | None:
+def _labels(above: list[str], delimiter: str, *, n_columns: int) -> tuple[str, ...] | None:
     headers = [content for content in above if content[0] not in COMMENT_MARKS]
     if len(headers) > 1:
-        raise ValueError(f"got {len(headers)} lines of text ({headers[0][:40]!r} first), allowed is one header line")
+        raise ValueError(f"got {len(headers)} lines of text above the numbers, allowed is one header line")
     if headers:
         return tuple(split_row(headers[0], delimiter))
     # numpy.savetxt writes its header as a comment.
@@ -214,12 +215,12 @@ def _labels(above: list[str], delimiter: str, n_columns: int) -> tuple[str, ...]
 
 def _first_fault(table: Table, columns: Sequence[int]) -> ValueError | None:
     for line, row in enumerate(table.text.split("\n"), start=table.first_line):
-        for fault in _faults(table, columns, row):
+        for fault in _faults(row, table=table, columns=columns):
             return ValueError(f"line {line}: {fault}")
     return None
 
 
-def _faults(table: Table, columns: Sequence[int], row: str) -> Iterator[str]:
+def _faults(row: str, *, table: Table, columns: Sequence[int]) -> Iterator[str]:
     cells = split_row(row, table.delimiter)
     if not row.strip():
         yield "got a blank line, allowed is one row per line; remove or mend it"
@@ -230,4 +231,4 @@ def _faults(table: Table, columns: Sequence[int], row: str) -> Iterator[str]:
             number = _number(cells[i], table.decimal)
             if number is None or not math.isfinite(number):
                 label = f" {table.labels[i]!r}" if table.labels else ""
-                yield f"got {cells[i]!r} in column {i}{label}, allowed is a finite number; remove or mend the row"
+                yield f"got {cells[i]!r} in column {i}{label}, allowed is a finite number; mend the row"

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Container
 
 ACCELERATION_SPELLINGS = {
-    "m/s^2": "m/s^2", "m/s2": "m/s^2", "m/s²": "m/s^2", "m/s/s": "m/s^2", "m/s**2": "m/s^2", "m/sec^2": "m/s^2",
+    "m/s^2": "m/s^2", "m/s2": "m/s^2", "m/s²": "m/s^2", "m/s/s": "m/s^2", "m/s**2": "m/s^2",
     "ms^-2": "m/s^2", "ms-2": "m/s^2", "ms⁻²": "m/s^2", "m·s⁻²": "m/s^2", "m*s^-2": "m/s^2", "ms2": "m/s^2",
     "g": "g", "gn": "g", "g0": "g", "gee": "g", "gees": "g",
     "mg": "mg", "milli-g": "mg", "millig": "mg",
@@ -136,6 +136,6 @@ def settle_unit(own: str | None, requested: str | None) -> tuple[str, tuple[str,
     """
     wanted = None if requested is None else parse_unit(requested)
     if own and wanted and own != wanted:
-        raise ValueError(f"got unit={requested!r}, but the file says {own!r}; leave unit out or mend the file")
+        raise ValueError(f"got unit={requested!r}, but the file says {own!r}; leave unit out")
     unit = own or wanted
     return (unit, ()) if unit else ("m/s^2", (NO_UNIT_NOTE,))

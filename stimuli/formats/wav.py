@@ -68,7 +68,7 @@ def read_wav_recording(path: Path, request: Request) -> Decoded:
     header = read_wav_header(path)
     sidecar = read_sidecar(path)
     channels = _channels(header.channels, sidecar)
-    full_scale = _full_scale(header, sidecar, request)
+    full_scale = _full_scale(header, sidecar, requested=request.full_scale)
     notes = () if full_scale else ("integer WAV without full_scale: full scale taken as 1.0 in the unit",)
     samples, _ = read_wav(path)
     return Decoded(
@@ -103,7 +103,8 @@ def read_sidecar(path: Path) -> Sidecar:
     if not present:
         return Sidecar()
     if len(present) > 1:
-        raise ValueError(f"got two sidecars, {present[0].name} and {present[1].name}, allowed is one; remove the other")
+        names = " and ".join(sidecar.name for sidecar in present)
+        raise ValueError(f"got two sidecars, {names}, allowed is one; remove the other")
     try:
         return _parse_sidecar(present[0])
     except ValueError as error:
@@ -114,7 +115,8 @@ def _parse_sidecar(path: Path) -> Sidecar:
     text = path.read_text(encoding="utf-8-sig")
     entries: Any = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
     if not isinstance(entries, dict):
-        raise ValueError(f"got a {type(entries).__name__}, allowed is a table with unit, rate_hz, axes, full_scale")
+        allowed = "allowed is a table with unit, rate_hz, axes, full_scale"
+        raise ValueError(f"got a {type(entries).__name__}, {allowed}")  # noqa: TRY004 - a file's fault, not a caller's
     unit, rate_hz, full_scale = (entries.get(key) for key in ("unit", "rate_hz", "full_scale"))
     return Sidecar(
         path,
@@ -166,7 +168,8 @@ def _channels(n_channels: int, sidecar: Sidecar) -> list[int]:
     axes = sidecar.axes or ("x", "y", "z")
     if len(axes) != n_channels:
         raise ValueError(
-            f"got {n_channels} channels for {len(axes)} axes, allowed is 3, or a sidecar whose axes name every channel"
+            f"got {n_channels} channels for {len(axes)} axes, "
+            "allowed is 3, or a sidecar whose axes name every channel"
         )
     return [axes.index(axis) for axis in "xyz"]
 
@@ -177,17 +180,18 @@ def _true_rate(header_hz: int, sidecar: Sidecar) -> float:
         return float(header_hz)
     if abs(rate_hz - header_hz) > max(1.0, 0.001 * header_hz):
         raise ValueError(
-            f"got {header_hz} Hz in the header and {rate_hz:g} Hz in the sidecar, allowed is a difference of 1 Hz "
-            "or 0.1 %; mend the one that is wrong"
+            f"got {header_hz} Hz in the header and {rate_hz:g} Hz in the sidecar, "
+            "allowed is a difference of 1 Hz or 0.1 %; mend the one that is wrong"
         )
     return rate_hz
 
 
-def _full_scale(header: WavHeader, sidecar: Sidecar, request: Request) -> float | None:
-    requested = None if request.full_scale is None else check_full_scale(request.full_scale)
+def _full_scale(header: WavHeader, sidecar: Sidecar, *, requested: float | None) -> float | None:
+    requested = None if requested is None else check_full_scale(requested)
     if requested and sidecar.full_scale and requested != sidecar.full_scale:
-        raise ValueError(f"got full_scale={requested:g}, but the sidecar says {sidecar.full_scale:g}; leave one out")
+        own = sidecar.full_scale
+        raise ValueError(f"got full_scale={requested:g}, but the sidecar says {own:g}; leave one out")
     full_scale = requested or sidecar.full_scale
     if full_scale and header.is_float:
-        raise ValueError("got full_scale for float samples, which are in the unit already; leave full_scale out")
+        raise ValueError("got full_scale for float samples, which are in the unit already; leave it out")
     return full_scale

@@ -1,0 +1,417 @@
+from __future__ import annotations
+
+import hashlib
+import json
+import struct
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from scipy.io import savemat, wavfile
+
+from stimuli.formats import read_recording
+from stimuli.recording import STANDARD_GRAVITY
+from stimuli.wav import write_wav
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    Signal = NDArray[np.float64]
+
+
+
+
+# --- WAV ---
+
+
+def test_float_wav_is_in_the_unit_of_its_sidecar(tmp_path: Path, signal: Signal) -> None:
+    write_wav(tmp_path / "a.wav", signal, 20000)
+    (tmp_path / "a.json").write_text('{"unit": "g", "rate_hz": 19999.57, "axes": ["x", "y", "z"]}')
+    recording = read_recording(tmp_path / "a.wav")
+    np.testing.assert_array_equal(recording.acceleration, signal.astype("f4").astype("f8") * STANDARD_GRAVITY)
+    assert (recording.rate_hz, recording.name, recording.warnings) == (19999.57, "a", ())
+    both = (tmp_path / "a.wav").read_bytes() + (tmp_path / "a.json").read_bytes()
+    assert recording.sha256 == hashlib.sha256(both).hexdigest()
+
+
+def test_sidecar_may_be_toml_and_name_more_channels_in_any_order(tmp_path: Path, signal: Signal) -> None:
+    write_wav(tmp_path / "a.wav", np.vstack([signal, signal[:1]])[[3, 2, 1, 0]], 8000)
+    (tmp_path / "a.toml").write_text('unit = "m/s2"\naxes = ["force", "z", "y", "x"]\n')
+    recording = read_recording(tmp_path / "a.wav")
+    np.testing.assert_array_equal(recording.acceleration, signal.astype(np.float32))
+
+
+def test_integer_wav_is_a_fraction_of_full_scale(tmp_path: Path) -> None:
+    counts = np.array([[-32768, 0, 16384], [0, 1, 2], [5, 6, 7]], np.int16)
+    wavfile.write(tmp_path / "a.wav", 8000, counts.T)
+    np.testing.assert_allclose(
+        read_recording(tmp_path / "a.wav", full_scale=16, unit="g").acceleration,
+        counts / 32768 * 16 * STANDARD_GRAVITY,
+    )
+    bare = read_recording(tmp_path / "a.wav", unit="g")
+    assert any("full scale taken as 1.0" in line for line in bare.warnings)
+    (tmp_path / "a.json").write_text('{"unit": "g", "full_scale": 2}')
+    np.testing.assert_allclose(read_recording(tmp_path / "a.wav").acceleration[0], counts[0] / 16384 * STANDARD_GRAVITY)
+
+
+def test_wav_is_known_by_its_content_not_its_suffix(tmp_path: Path, signal: Signal) -> None:
+    write_wav(tmp_path / "a.csv", signal, 8000)
+    assert read_recording(tmp_path / "a.csv").rate_hz == 8000
+
+
+def test_extensible_float_wav_is_float(tmp_path: Path, signal: Signal) -> None:
+    frames = signal.T.astype("<f4").tobytes()
+    guid = b"\x03\x00\x00\x00\x00\x00\x10\x00\x80\x00\x00\xaa\x00\x38\x9b\x71"
+    layout = struct.pack("<HHIIHHHHI", 0xFFFE, 3, 8000, 96000, 12, 32, 22, 32, 0) + guid
+    chunks = struct.pack("<4s4sI", b"WAVE", b"fmt ", 40) + layout + struct.pack("<4sI", b"data", len(frames)) + frames
+    (tmp_path / "a.wav").write_bytes(b"RIFF" + struct.pack("<I", len(chunks)) + chunks)
+    recording = read_recording(tmp_path / "a.wav", unit="m/s^2")
+    np.testing.assert_array_equal(recording.acceleration, signal.astype(np.float32))
+    assert recording.warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("sidecar", "arguments", "message"),
+    [
+        ({"rate_hz": 8020}, {}, "8000 Hz in the header and 8020 Hz in the sidecar"),
+        ({"unit": "ft"}, {}, r"sidecar a\.json: got the unit 'ft'"),
+        ({"unit": 9}, {}, r"sidecar a\.json: got the unit 9"),
+        ({"unit": "g"}, {"unit": "mg"}, "unit='mg', but the file says 'g'"),
+        ({"rate_hz": "fast"}, {}, "sidecar .*'fast', allowed is a finite number"),
+        ({"axes": ["x", "y"]}, {}, 'allowed is a list with "x", "y" and "z" once each'),
+        ({"axes": 3}, {}, "got axes 3"),
+        ({"axes": ["x", "y", "z", "force"]}, {}, "3 channels for 4 axes"),
+        ({"full_scale": 4}, {}, "full_scale for float samples"),
+        ({"full_scale": -4}, {}, "full_scale -4, allowed is a finite number above 0"),
+        ({"full_scale": 4}, {"full_scale": 5.0}, "full_scale=5, but the sidecar says 4"),
+        ({}, {"rate_hz": 9000}, "got 9000 Hz, but 8000 Hz by the file"),
+        ({}, {"columns": (0, 1, 2)}, "columns for a wav file"),
+        ([], {}, "sidecar a.json: got a list, allowed is a table"),
+    ],
+)
+def test_a_wav_that_contradicts_what_is_said_of_it_is_refused(
+    tmp_path: Path, signal: Signal, sidecar: object, arguments: dict[str, object], message: str
+) -> None:
+    write_wav(tmp_path / "a.wav", signal, 8000)
+    (tmp_path / "a.json").write_text(json.dumps(sidecar))
+    with pytest.raises(ValueError, match=rf"^a\.wav: .*{message}"):
+        read_recording(tmp_path / "a.wav", **arguments)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("text", ["{", "\xff"])
+def test_a_damaged_sidecar_is_refused(tmp_path: Path, signal: Signal, text: str) -> None:
+    write_wav(tmp_path / "a.wav", signal, 8000)
+    (tmp_path / "a.json").write_bytes(text.encode("latin-1"))
+    with pytest.raises(ValueError, match=r"a\.wav: sidecar a\.json: "):
+        read_recording(tmp_path / "a.wav")
+
+
+def test_two_sidecars_are_refused(tmp_path: Path, signal: Signal) -> None:
+    write_wav(tmp_path / "a.wav", signal, 8000)
+    (tmp_path / "a.json").write_text("{}")
+    (tmp_path / "a.toml").write_text("")
+    with pytest.raises(ValueError, match=r"two sidecars, a\.json and a\.toml"):
+        read_recording(tmp_path / "a.wav")
+
+
+@pytest.mark.parametrize(
+    ("channels", "message"), [(1, "already reduced"), (2, "2 channels, allowed is 3"), (4, "4 channels for 3 axes")]
+)
+def test_a_wav_without_three_channels_is_refused(tmp_path: Path, channels: int, message: str) -> None:
+    write_wav(tmp_path / "a.wav", np.ones((channels, 9)), 8000)
+    with pytest.raises(ValueError, match=message):
+        read_recording(tmp_path / "a.wav")
+
+
+def test_a_truncated_wav_is_named_once(tmp_path: Path, signal: Signal) -> None:
+    write_wav(tmp_path / "a.wav", signal, 8000)
+    (tmp_path / "a.wav").write_bytes((tmp_path / "a.wav").read_bytes()[:-100])
+    with pytest.raises(ValueError, match=r"^a\.wav: got 51 samples where the header promises 60"):
+        read_recording(tmp_path / "a.wav")
+
+
+# --- NPZ, NPY, MAT ---
+
+
+@pytest.mark.parametrize(
+    "arrays",
+    [
+        lambda s: {"acceleration": s, "rate_hz": 1000.0, "unit": "g"},
+        lambda s: {"ACC": s.T, "fs": np.array([1000]), "units": np.array(["g"])},
+        lambda s: {"x": s[0], "y": s[1], "z": s[2], "rate": 1000, "unit": "G"},
+        lambda s: {"acc_x": s[0], "acc_y": s[1], "acc_z": s[2], "time": np.arange(60) / 1000, "unit": "g"},
+        lambda s: {"tmp": s.T, "time_ms": np.arange(60.0), "unit": "g"},
+        lambda s: {"data": s, "t": (5 + np.arange(60) / 1000).astype(np.float32), "unit": "g"},
+    ],
+)
+@pytest.mark.parametrize("kind", ["npz", "mat"])
+def test_named_arrays_are_found(
+    tmp_path: Path, signal: Signal, kind: str, arrays: Callable[[Signal], dict[str, object]]
+) -> None:
+    path = tmp_path / f"a.{kind}"
+    savemat(path, arrays(signal)) if kind == "mat" else np.savez(path, **arrays(signal))
+    recording = read_recording(path)
+    np.testing.assert_allclose(recording.acceleration, signal * STANDARD_GRAVITY, rtol=1e-15)
+    assert recording.rate_hz == pytest.approx(1000, rel=1e-4)
+    assert recording.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert not any("unit" in line for line in recording.warnings)
+
+
+def test_a_bare_array_is_read_with_a_given_rate(tmp_path: Path, signal: Signal) -> None:
+    np.save(tmp_path / "a.npy", signal.T)
+    recording = read_recording(tmp_path / "a.npy", rate_hz=1000, unit="mg")
+    np.testing.assert_allclose(recording.acceleration, signal * STANDARD_GRAVITY / 1000, rtol=1e-15)
+
+
+def test_a_matlab_4_file_is_read(tmp_path: Path, signal: Signal) -> None:
+    savemat(tmp_path / "a.mat", {"tmp": signal}, format="4")
+    np.testing.assert_array_equal(read_recording(tmp_path / "a.mat", rate_hz=1000).acceleration, signal)
+
+
+ARRAY_REFUSALS = {
+    "reduced": ({"acceleration": np.ones(9), "fs": 1}, "already reduced to one axis"),
+    "one row": ({"acceleration": np.ones((1, 9)), "fs": 1}, "already reduced"),
+    "two rows": ({"acceleration": np.ones((2, 9)), "fs": 1}, r"shape \(2, 9\), allowed is \(3, n\) or \(n, 3\)"),
+    "four columns": ({"acceleration": np.ones((9, 4)), "fs": 1}, r"shape \(9, 4\), allowed"),
+    "cube": ({"acceleration": np.ones((3, 3, 3)), "fs": 1}, r"shape \(3, 3, 3\)"),
+    "empty": ({"acceleration": np.ones((3, 0)), "fs": 1}, "empty array"),
+    "two axes": ({"x": np.ones(9), "y": np.ones(9), "fs": 1}, "only the axes x, y"),
+    "unequal": ({"x": np.ones(9), "y": np.ones(9), "z": np.ones(8), "fs": 1}, r"unequal length \(x 9, y 9, z 8 samples\)"),
+    "unknown": ({"force": np.ones(9)}, "arrays named force; allowed is 'acceleration'"),
+    "nothing": ({}, "arrays named nothing"),
+    "text": ({"acceleration": np.array([["a"] * 3] * 9), "fs": 1}, "values of type <U1 in 'acceleration'"),
+    "complex": ({"acceleration": np.ones((3, 9)) * 1j, "fs": 1}, "type complex128"),
+    "NaN": ({"acceleration": np.full((3, 9), np.nan), "fs": 1}, r"27 values that are not finite \(first at index 0, 0\)"),
+    "no rate": ({"acceleration": np.ones((3, 9))}, "no sampling rate and no time column"),
+    "two rates": ({"acceleration": np.ones((3, 9)), "fs": [1, 2]}, "2 values for the rate"),
+    "rate and time differ": ({"acceleration": np.ones((3, 9)), "fs": 2, "t": np.arange(9)}, "got 2 Hz, but 1 Hz by the time"),
+    "short time": ({"acceleration": np.ones((3, 9)), "t": np.arange(8)}, "8 time stamps for 9 samples"),
+    "clock stops": ({"acceleration": np.ones((3, 9)), "t": np.zeros(9)}, "do not increase: 0 after 0 s at sample 1"),
+    "no unit": ({"acceleration": np.ones((3, 9)), "fs": 1, "unit": "ft"}, "unit 'ft', allowed"),
+    "pickled": ({"acceleration": np.array([None] * 9)}, "cannot be read as an NPZ archive .*allow_pickle"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", ARRAY_REFUSALS)
+def test_arrays_that_are_no_recording_are_refused(tmp_path: Path, case: str) -> None:
+    arrays, message = ARRAY_REFUSALS[case]
+    np.savez(tmp_path / "a.npz", **arrays)
+    with pytest.raises(ValueError, match=rf"^a\.npz: .*{message}"):
+        read_recording(tmp_path / "a.npz")
+
+
+def test_an_array_header_that_promises_too_much_is_refused(tmp_path: Path) -> None:
+    with (tmp_path / "a.npy").open("wb") as file:
+        np.lib.format.write_array_header_1_0(file, {"descr": "<f8", "fortran_order": False, "shape": (3, 2**31)})
+    with pytest.raises(ValueError, match=r"a\.npy: cannot be read as an NPY array"):
+        read_recording(tmp_path / "a.npy", rate_hz=1000)
+
+
+@pytest.mark.parametrize("name", ["a.npz", "a.mat", "a.npy"])
+def test_half_a_file_is_refused(tmp_path: Path, signal: Signal, name: str) -> None:
+    path = tmp_path / name
+    {"a.npz": np.savez, "a.npy": np.save}.get(name, lambda p, s: savemat(p, {"tmp": s}))(path, signal)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.raises(ValueError, match=rf"^{name}: cannot be read as an? .*damaged"):
+        read_recording(path, rate_hz=1000)
+
+
+# --- HaTT ---
+
+
+def _hatt(signal: Signal, *, nested: bool = False, mark: str = " ", extra: str = "") -> str:
+    texts = [mark.join(map(repr, axis.tolist())) for axis in signal]
+    if nested:
+        body = "<Accel>" + "".join(f"<{a}>{t}</{a}>" for a, t in zip("XYZ", texts, strict=True)) + "</Accel>"
+    else:
+        body = "".join(f"<Accel{a}>{t}</Accel{a}>" for a, t in zip("XYZ", texts, strict=True))
+    return f'<?xml version="1.0"?>\n<Recording><Force><X>1</X><Y>2</Y></Force>{body}{extra}</Recording>'
+
+
+@pytest.mark.parametrize("nested", [False, True])
+@pytest.mark.parametrize("mark", [" ", ",", "\n", ", "])
+def test_hatt_axes_are_found_flat_or_nested(tmp_path: Path, signal: Signal, nested: bool, mark: str) -> None:
+    extra = "<SampleRate>10000</SampleRate><AccelUnits>m/s^2</AccelUnits>"
+    (tmp_path / "a.xml").write_text(_hatt(signal, nested=nested, mark=mark, extra=extra))
+    recording = read_recording(tmp_path / "a.xml")
+    np.testing.assert_array_equal(recording.acceleration, signal)
+    assert (recording.rate_hz, recording.warnings) == (10000, ())
+
+
+@pytest.mark.parametrize(
+    ("extra", "rate"),
+    [
+        ("<SamplingRate>10 kHz</SamplingRate>", 10000),
+        ("<AccelSampleRate>8000 Hz</AccelSampleRate><ForceSampleRate>1000</ForceSampleRate>", 8000),
+        ("<Accel><SampleRate>1e4</SampleRate></Accel><Force><SampleRate>1000</SampleRate></Force>", 10000),
+    ],
+)
+def test_hatt_rate_is_the_accelerometers(tmp_path: Path, signal: Signal, extra: str, rate: float) -> None:
+    (tmp_path / "a.xml").write_text(_hatt(signal, extra=extra))
+    assert read_recording(tmp_path / "a.xml").rate_hz == rate
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("<R><Accel>1 2 3</Accel></R>", "scalar Accel signal .*already reduced"),
+        ("<R><Force>1</Force></R>", r"XML without acceleration \(tags: force, rforce\)"),
+        ("<R/>", r"XML without acceleration \(tags: none\)"),
+        ("<R><AccelX>1 2</AccelX><AccelY>1 2</AccelY></R>", "only the axes x, y"),
+        ("<R><AccelX>1 2</AccelX><AccelX>1 2</AccelX></R>", "2 elements for accelx"),
+        ("<R><AccelX>1 2</AccelX><AccelY>1 2</AccelY><AccelZ>1</AccelZ></R>", r"unequal length \(x 2, y 2, z 1"),
+        ("<R><AccelX>1 two</AccelX></R>", "a value of the x axis that is no number"),
+        ("<R><AccelX>1 nan</AccelX></R>", "'nan' as value 1 of the x axis"),
+        ("<R><AccelX/></R>", "a value of the x axis that is no number"),
+        ("<R><AccelX>1</AccelX><AccelY>1</AccelY><AccelZ>1</AccelZ></R>", "no sampling rate"),
+        ("<R><AccelX>1</AccelX><AccelY>1</AccelY><AccelZ>1</AccelZ><SampleRate>fast</SampleRate></R>", "sampling rate 'fast'"),
+        ("<R><AccelX>1", "cannot be read as XML"),
+        ('<!DOCTYPE R [<!ENTITY a "1">]><R><AccelX>&a;</AccelX></R>', "declares a document type or entities"),
+    ],
+)
+def test_xml_that_is_no_recording_is_refused(tmp_path: Path, content: str, message: str) -> None:
+    (tmp_path / "a.xml").write_text(content)
+    with pytest.raises(ValueError, match=rf"^a\.xml: .*{message}"):
+        read_recording(tmp_path / "a.xml")
+
+
+# --- LMT-108 ---
+
+
+def _write_lmt(folder: Path, signal: Signal) -> list[Path]:
+    paths = [folder / f"G1RhombAluminumMesh_Movement_{axis}_train1.txt" for axis in "XYZ"]
+    for path, values in zip(paths, signal, strict=True):
+        path.write_text("\n".join(map(repr, values.tolist())) + "\n")
+    return paths
+
+
+@pytest.mark.parametrize("which", [0, 1, 2])
+def test_any_axis_of_an_lmt_triple_finds_its_sisters(tmp_path: Path, signal: Signal, which: int) -> None:
+    paths = _write_lmt(tmp_path, signal)
+    recording = read_recording(paths[which], unit="g")
+    np.testing.assert_allclose(recording.acceleration, signal * STANDARD_GRAVITY, rtol=1e-15)
+    assert recording.name == "G1RhombAluminumMesh_Movement_train1"
+    assert recording.rate_hz == 10000
+    assert recording.sha256 == hashlib.sha256(b"".join(path.read_bytes() for path in paths)).hexdigest()
+    assert any("documented 10000 Hz" in line for line in recording.warnings)
+    assert read_recording(paths[which], unit="g", rate_hz=9000).rate_hz == 9000
+
+
+def test_an_lmt_triple_of_unequal_lengths_is_refused(tmp_path: Path, signal: Signal) -> None:
+    paths = _write_lmt(tmp_path, signal)
+    paths[1].write_text("1\n2\n")
+    with pytest.raises(ValueError, match=r"unequal length \(x 60, y 2, z 60 samples\)"):
+        read_recording(paths[0])
+
+
+def test_an_lmt_file_without_sisters_is_refused(tmp_path: Path, signal: Signal) -> None:
+    paths = _write_lmt(tmp_path, signal)
+    paths[0].unlink()
+    with pytest.raises(ValueError, match="got no G1RhombAluminumMesh_Movement_X_train1.txt beside it"):
+        read_recording(paths[2])
+
+
+def test_an_lmt_file_of_several_columns_is_refused(tmp_path: Path, signal: Signal) -> None:
+    paths = _write_lmt(tmp_path, signal)
+    paths[0].write_text("1,2\n")
+    with pytest.raises(ValueError, match="2 columns in G1RhombAluminumMesh_Movement_X_train1.txt"):
+        read_recording(paths[0])
+
+
+def test_the_reduced_lmt_folder_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "AccelScansDFT321" / "G1RhombAluminumMesh_Movement_train1.txt"
+    path.parent.mkdir()
+    path.write_text("1\n2\n3\n")
+    with pytest.raises(ValueError, match="AccelScansDFT321: one channel, so already reduced"):
+        read_recording(path)
+
+
+# --- enDAQ ---
+
+
+@pytest.mark.filterwarnings("ignore")  # idelib warns of elements that a minimal file leaves out
+def test_the_fastest_accelerometer_of_an_ide_file_is_read(write_ide: Callable[..., Path]) -> None:
+    counts = np.random.default_rng(1).integers(-3000, 3000, size=(500, 3))
+    recording = read_recording(write_ide(counts))
+    np.testing.assert_allclose(recording.acceleration, counts.T * 0.001 * STANDARD_GRAVITY, rtol=1e-12)
+    assert recording.rate_hz == pytest.approx(20000)
+    assert recording.warnings == ()
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_lost_samples_of_an_ide_file_are_refused(write_ide: Callable[..., Path]) -> None:
+    counts = np.random.default_rng(1).integers(-3000, 3000, size=(500, 3))
+    path = write_ide(counts, lost_us=400)
+    with pytest.raises(ValueError, match=r"recorder\.IDE: got irregular sampling: .*the longest 0\.45 ms"):
+        read_recording(path)
+    assert read_recording(path, resample=True).n_samples == 508
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_an_ide_file_without_accelerometer_is_refused(write_ide: Callable[..., Path]) -> None:
+    path = write_ide(np.ones((100, 3), np.int16), unit="dps")
+    with pytest.raises(ValueError, match="no accelerometer with three axes"):
+        read_recording(path)
+
+
+def test_a_damaged_ide_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.ide").write_bytes(b"\x1aE\xdf\xa3" + bytes(40))
+    with pytest.raises(ValueError, match=r"a\.ide: cannot be read as an enDAQ recording"):
+        read_recording(tmp_path / "a.ide")
+
+
+def test_without_idelib_the_way_to_get_it_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a.ide").write_bytes(b"\x1aE\xdf\xa3" + bytes(40))
+    monkeypatch.setitem(sys.modules, "idelib", None)
+    with pytest.raises(ValueError, match=r"pip install 'feel321\[ide\]'"):
+        read_recording(tmp_path / "a.ide")
+
+
+# --- what is no recording at all ---
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.csv", b"", r"empty file \(0 bytes\)"),
+        ("a.csv", "x,y,z\n1,2,3\n".encode("utf-16"), "UTF-16 or UTF-32, allowed is UTF-8"),
+        ("a.csv", "x,y,z\n1,2,3\n".encode("utf-16-le"), "binary data of no known format"),
+        ("a.csv", "t [µs],x,y,z\n1,1,2,3\n".encode("latin-1"), "byte 0xb5 on line 1, not UTF-8"),
+        ("a.csv", b"x,y,z\n1,2,3\n1,2,\xff\n", "byte 0xff on line 3, not UTF-8"),
+        ("a.csv", b"\x00\x01\x02garbage", r"binary data of no known format \(suffix '\.csv'\)"),
+        ("a.wav", b"x,y,z\n1,2,3\n", r"text in a \.wav file; rename it to \.csv"),
+        ("a.log", b"x,y,z\n1,2,3\n", r"unknown suffix '\.log', allowed is \.csv \.tsv"),
+        ("a", b"x,y,z\n1,2,3\n", "unknown suffix ''"),
+        ("a.mat", b"\x89HDF\r\n\x1a\n", r"MATLAB 7\.3 or HDF5 file.*'-v7'"),
+        ("a.mat", b"MATLAB 7.3 MAT-file, Platform: GLNXA64", r"MATLAB 7\.3"),
+        ("a.mat", b"\x00\x01\x02\x03", "cannot be read as a MATLAB file"),
+        ("a.npz", b"PK\x03\x04 and no more", "cannot be read as an NPZ archive"),
+    ],
+)
+def test_what_is_no_recording_is_refused(tmp_path: Path, name: str, content: bytes, message: str) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(ValueError, match=rf"^{name}: .*{message}"):
+        read_recording(tmp_path / name)
+
+
+def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"^a\.csv: got no such file"):
+        read_recording(tmp_path / "a.csv")
+    (tmp_path / "a.csv").mkdir()
+    with pytest.raises(IsADirectoryError, match=r"^a\.csv: got a folder"):
+        read_recording(tmp_path / "a.csv")
+
+
+def test_a_file_that_the_system_refuses_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a.csv").write_text("1,2,3\n")
+
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "open", refuse)
+    with pytest.raises(PermissionError, match=r"^a\.csv: Permission denied$"):
+        read_recording(tmp_path / "a.csv")
