@@ -83,6 +83,8 @@ class Difference:
         correlations about the same mean z; covers 0 exactly if that does.
     z_value, z_low, z_high : float
         The same as a difference of Fisher's z.
+    first_value, second_value : float
+        The two correlations.
     n_items, n_participants, n_recordings : int
         Size of the data.
     draws : int
@@ -99,6 +101,8 @@ class Difference:
     z_value: float
     z_low: float
     z_high: float
+    first_value: float
+    second_value: float
     n_items: int
     n_participants: int
     n_recordings: int
@@ -184,8 +188,9 @@ def correlate(
     ceiling = _ceiling(items, notes)
     defined = int(np.isfinite(drawn.two_way[0]).sum())
     return Association(
-        value=value, low=low, high=high, n_items=items.n_items, ceiling=ceiling, disattenuated=value / ceiling,
-        draws=defined, participants_low=narrow_low, participants_high=narrow_high,
+        value=value, low=low, high=high, n_items=items.n_items, ceiling=ceiling,
+        disattenuated=value / ceiling, draws=defined,
+        participants_low=narrow_low, participants_high=narrow_high,
         n_participants=items.n_participants, n_recordings=items.n_recordings, n_missing=items.n_missing,
         metric=metric, method=method, notes=tuple(notes),
     )  # fmt: skip
@@ -249,8 +254,10 @@ def compare_metrics(  # noqa: PLR0917 - the contract's calling form; a compariso
     return Difference(
         value=float(value), low=float(low), high=float(high),
         z_value=float(z), z_low=float(z - margin), z_high=float(z + margin),
+        first_value=float(drawn.point[0]), second_value=float(drawn.point[1]),
         n_items=items.n_items, n_participants=items.n_participants, n_recordings=items.n_recordings,
-        draws=int(np.isfinite(differences).sum()), first=first, second=second, method=method, notes=tuple(notes),
+        draws=int(np.isfinite(differences).sum()), first=first, second=second, method=method,
+        notes=tuple(notes),
     )  # fmt: skip
 
 

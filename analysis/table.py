@@ -80,8 +80,11 @@ def read_table(ratings_path: Path, manifest_path: Path) -> Table:
     strangers = ratings.loc[~ratings["stimulus_id"].isin(manifest.index), "stimulus_id"]
     unknown = f"in column 'stimulus_id', which {manifest_path.name} does not know"
     refuse_lines(strangers, ratings_path.name, why=unknown)
-    rows = ratings.join(manifest, on="stimulus_id", rsuffix="_of_manifest")
-    _check_echoes(rows, ratings_path.name, manifest=manifest_path.name)
+    for name in [name for name in ECHOED if name in ratings]:
+        differing = ratings.loc[ratings[name] != ratings["stimulus_id"].map(manifest[name]), name]
+        otherwise = f"in column '{name}', but {manifest_path.name} says otherwise of that stimulus"
+        refuse_lines(differing, ratings_path.name, why=otherwise)
+    rows = ratings.drop(columns=list(ECHOED), errors="ignore").join(manifest, on="stimulus_id")
     judged = ["role", "scale", "repeat", "rating", "simulated"]
     order = ["participant", "stimulus_id", *ECHOED, *judged, *metrics]
     return Table(rows[order].reset_index(drop=True), metrics, (*notes, *more_notes))
@@ -158,7 +161,7 @@ def _read_ratings(path: Path) -> tuple[DataFrame, list[str]]:
     outside = sheet.loc[~sheet["rating"].between(LOWEST, HIGHEST), "rating"]
     refuse_lines(outside, path.name, why="in column 'rating', allowed is 0 to 100")
     sheet["simulated"] = read_flags(sheet["simulated"], path.name) if "simulated" in sheet else False
-    notes = _drop_rejected(sheet, path.name)
+    sheet, notes = _leave_rejected(sheet, path.name)
     if "trial" in sheet:
         _refuse_doubles(sheet, path.name)
     else:
@@ -169,28 +172,21 @@ def _read_ratings(path: Path) -> tuple[DataFrame, list[str]]:
     return sheet, notes
 
 
-def _drop_rejected(sheet: DataFrame, what: str) -> list[str]:
+def _leave_rejected(sheet: DataFrame, what: str) -> tuple[DataFrame, list[str]]:
     if "rejected" not in sheet:
-        return []
+        return sheet, []
     rejected = read_flags(sheet["rejected"], what)
     if rejected.all():
         raise ValueError(f"{what}: all {len(sheet)} judgements are marked as rejected; one must be valid")
-    sheet.drop(index=sheet.index[rejected], inplace=True)  # noqa: PD002 - a copy of 10^6 rows of text costs 0.5 GB
-    return [f"{int(rejected.sum())} judgements marked as rejected are left out."] if rejected.any() else []
+    if not rejected.any():
+        return sheet, []
+    return sheet[~rejected].copy(), [f"{int(rejected.sum())} judgements marked as rejected are left out."]
 
 
 def _refuse_doubles(sheet: DataFrame, what: str) -> None:
     key = [name for name in TRIAL_KEY if name in sheet]
     doubled = sheet.loc[sheet.duplicated(key), "trial"]
     refuse_lines(doubled, what, why=f"in column 'trial', but an earlier line has the same {', '.join(key)}")
-
-
-def _check_echoes(rows: DataFrame, what: str, *, manifest: str) -> None:
-    for name in ECHOED:
-        if f"{name}_of_manifest" in rows:
-            differing = rows.loc[rows[name] != rows[f"{name}_of_manifest"], name]
-            otherwise = f"in column '{name}', but {manifest} says otherwise of that stimulus"
-            refuse_lines(differing, what, why=otherwise)
 
 
 def _check_identity(sheet: DataFrame, what: str) -> None:

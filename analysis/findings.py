@@ -1,0 +1,147 @@
+"""Everything that is computed from a table of ratings, before a word or a picture is made of it."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+from analysis.association import Association, Difference, compare_metrics, correlate
+from analysis.bootstrap import METHODS
+from analysis.profile import participant_means, profile_reducers, stimulus_means
+
+if TYPE_CHECKING:
+    import numpy as np
+    from pandas import DataFrame
+
+    from analysis.table import Table
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Panel:
+    """Findings on the test stimuli of one scale and one level.
+
+    Parameters
+    ----------
+    scale, level : str
+        Which ratings.
+    associations : tuple of Association
+        Per metric and method.
+    differences : tuple of Difference
+        Per pair of metrics and method.
+    stimuli : DataFrame
+        One row per test stimulus: stimulus_id, recording, reducer, mean, low, high, n_participants, each
+        metric.
+    """
+
+    scale: str
+    level: str
+    associations: tuple[Association, ...]
+    differences: tuple[Difference, ...]
+    stimuli: DataFrame
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Findings:
+    """Everything computed from a table.
+
+    Parameters
+    ----------
+    panels : tuple of Panel
+        Per scale and level. Levels are kept apart because a louder arm may be rated higher for being louder.
+    profile : DataFrame
+        What `profile_reducers` returns, all roles.
+    participants : DataFrame
+        What `participant_means` returns, all roles.
+    """
+
+    panels: tuple[Panel, ...]
+    profile: DataFrame
+    participants: DataFrame
+
+
+def analyse(table: Table, *, draws: int, rng: np.random.Generator) -> Findings:
+    """Compute everything that a report shows.
+
+    Parameters
+    ----------
+    table : Table
+        Ratings and metrics.
+    draws : int
+        Bootstrap draws per interval.
+    rng : Generator
+        Source of randomness.
+
+    Returns
+    -------
+    Findings
+        Associations per scale and level; profiles of all reducers.
+
+    Raises
+    ------
+    ValueError
+        If no test stimulus was rated.
+    """
+    tests = table.rows[table.rows["role"] == "test"]
+    if tests.empty:
+        raise ValueError("ratings: got none of a stimulus with role 'test'; at least one is needed")
+    groups = tests.groupby(["scale", "level"], observed=True)
+    panels = tuple(_make_panel(part, table.metrics, draws=draws, rng=rng) for _, part in groups)
+    return Findings(panels, profile_reducers(table.rows), participant_means(table.rows))
+
+
+def _make_panel(part: DataFrame, metrics: tuple[str, ...], *, draws: int, rng: np.random.Generator) -> Panel:
+    # Every result gets a generator of its own, so that a further metric does not change the intervals of the
+    # others.
+    one = [(metric, method) for metric in metrics for method in METHODS]
+    two = [(first, second, method) for first, second in combinations(metrics, 2) for method in METHODS]
+    streams = iter(rng.spawn(len(one) + len(two)))
+    of_stimuli = part.drop_duplicates("stimulus_id").set_index("stimulus_id")[list(metrics)]
+    return Panel(
+        scale=str(part["scale"].iloc[0]),
+        level=str(part["level"].iloc[0]),
+        associations=tuple(
+            correlate(part, metric, method=method, draws=draws, rng=next(streams)) for metric, method in one
+        ),
+        differences=tuple(
+            compare_metrics(part, first, second, method=method, draws=draws, rng=next(streams))
+            for first, second, method in two
+        ),
+        stimuli=stimulus_means(part).join(of_stimuli, on="stimulus_id"),
+    )
+
+
+def make_tables(findings: Findings) -> dict[str, DataFrame]:
+    """Lay the findings out as tables to be written.
+
+    Parameters
+    ----------
+    findings : Findings
+        All results.
+
+    Returns
+    -------
+    dict of str to DataFrame
+        By file name without suffix.
+    """
+    import pandas as pd
+
+    return {
+        "associations": _stack_records(findings, "associations"),
+        "differences": _stack_records(findings, "differences"),
+        "profiles": findings.profile,
+        "participants": findings.participants,
+        "stimuli": pd.concat([panel.stimuli for panel in findings.panels]),
+    }
+
+
+def _stack_records(findings: Findings, kind: str) -> DataFrame:
+    import pandas as pd
+
+    return pd.DataFrame(
+        [
+            {"scale": panel.scale, "level": panel.level, **asdict(record), "notes": " ".join(record.notes)}
+            for panel in findings.panels
+            for record in getattr(panel, kind)
+        ]
+    )

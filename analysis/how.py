@@ -1,0 +1,36 @@
+"""How a report was computed, told to its reader; part of ``results.json``."""
+
+from __future__ import annotations
+
+
+def tell_how(draws: int) -> tuple[str, ...]:
+    """Describe the analysis.
+
+    Parameters
+    ----------
+    draws : int
+        Bootstrap draws per interval.
+
+    Returns
+    -------
+    tuple of str
+        One paragraph each.
+    """
+    return (
+        "Ratings run from 0 to 100. A stimulus's rating is the mean over participants of each participant's mean "
+        "over repeats. The hidden reference and the anchors are left out of every association, because stimuli "
+        "chosen to be far apart inflate a correlation; they stand in the profile of ratings.",
+        "Correlations are over test stimuli, separately per scale and level. Pearson's r measures how straight the "
+        "relation is, Spearman's how monotone it is.",
+        f"Two-way intervals: {draws} bootstrap draws of participants and, independently, of recordings with all "
+        "their stimuli, both with replacement; "
+        "tanh(atanh r ± t(.975, R − 1) sqrt(R / (R − 1)) SD(atanh r*)) with R recordings. They say what other people "
+        "and other recordings might give. Intervals over participants only treat these very stimuli as the only "
+        "ones; they are far too narrow for a claim about the metric and are shown for comparison with the literature.",
+        "Differences between metrics: both correlations are recomputed in every draw; the interval of the difference "
+        "of Fisher's z is told as a difference of correlations about their mean z.",
+        "Noise ceiling: sqrt(ICC(C,k)) from a two-way analysis of variance, the correlation that a perfect metric "
+        "would be expected to reach with ratings as noisy as these. r / ceiling may exceed 1 by chance.",
+        "Profiles: mean over participants of each participant's mean; 95 % t intervals over participants, which "
+        "speak of other people judging these recordings.",
+    )

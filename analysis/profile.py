@@ -1,0 +1,91 @@
+"""What each reducer was rated: means per participant, their mean, and its interval.
+
+Conventions: hidden reference and anchors have their place here (role tells them apart); repeats are averaged
+first, then a participant's stimuli, then participants, so that nobody counts twice for having judged more.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from analysis.bootstrap import CONFIDENCE
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+GROUP = ["scale", "level", "role", "reducer"]
+"""What a profile is split by."""
+
+
+def participant_means(ratings: DataFrame) -> DataFrame:
+    """Mean rating that each participant gave each reducer.
+
+    Parameters
+    ----------
+    ratings : DataFrame
+        Tidy table: participant, stimulus_id, reducer, level, role, scale, rating.
+
+    Returns
+    -------
+    DataFrame
+        scale, level, role, reducer, participant, rating; one row each, sorted by them.
+    """
+    cells = ratings.groupby([*GROUP, "participant", "stimulus_id"], observed=True)["rating"].mean()
+    return cells.groupby([*GROUP, "participant"], observed=True).mean().reset_index()
+
+
+def profile_reducers(ratings: DataFrame) -> DataFrame:
+    """Mean rating of each reducer with its interval over participants.
+
+    Parameters
+    ----------
+    ratings : DataFrame
+        Tidy table: participant, stimulus_id, reducer, level, role, scale, rating.
+
+    Returns
+    -------
+    DataFrame
+        scale, level, role, reducer, mean, low, high, n_participants, n_stimuli, n_ratings; one row each.
+
+    Notes
+    -----
+    The interval is mean ± t(.975, P - 1) SD / sqrt(P) over the P participants' means: it speaks of other
+    participants judging these recordings, not of other recordings. NaN for a single participant.
+    """
+    profile = _summarise(participant_means(ratings), GROUP)
+    rows = ratings.groupby(GROUP, observed=True)
+    counts = rows.agg(n_stimuli=("stimulus_id", "nunique"), n_ratings=("rating", "size"))
+    return profile.join(counts).reset_index()
+
+
+def stimulus_means(ratings: DataFrame) -> DataFrame:
+    """Mean rating of each stimulus with its interval over participants.
+
+    Parameters
+    ----------
+    ratings : DataFrame
+        Tidy table: participant, stimulus_id, recording, reducer, level, role, scale, rating.
+
+    Returns
+    -------
+    DataFrame
+        scale, level, role, recording, reducer, stimulus_id, mean, low, high, n_participants; one row each.
+    """
+    key = ["scale", "level", "role", "recording", "reducer", "stimulus_id"]
+    cells = ratings.groupby([*key, "participant"], observed=True)["rating"].mean().reset_index()
+    return _summarise(cells, key).reset_index()
+
+
+def _summarise(means: DataFrame, key: list[str]) -> DataFrame:
+    """Average participants' means; t interval over participants."""
+    from scipy.stats import t
+
+    table = means.groupby(key, observed=True)["rating"].agg(["mean", "std", "size"])
+    n = table["size"].to_numpy(np.float64)
+    with np.errstate(invalid="ignore"):
+        margin = t.ppf((1 + CONFIDENCE) / 2, n - 1) * table["std"].to_numpy(np.float64) / np.sqrt(n)
+    table = table.rename(columns={"size": "n_participants"})
+    table = table.assign(low=table["mean"] - margin, high=table["mean"] + margin)
+    return table[["mean", "low", "high", "n_participants"]]

@@ -1,0 +1,228 @@
+"""Every number of a report by name, with its uncertainty, method and n: what ``results.json`` holds."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Hashable, Iterator, Mapping
+
+    from analysis.association import Association, Difference
+    from analysis.findings import Findings, Panel
+    from analysis.table import Table
+
+TWO_WAY = "95 % two-way bootstrap interval, over participants and recordings"
+ONE_WAY = "95 % bootstrap interval over participants only: these stimuli as the only ones"
+STUDENT = "95 % t interval over participants, for these recordings"
+NONE = ""
+
+MEAN = "mean over participants of each participant's mean"
+COUNT = "count"
+
+
+@dataclass(frozen=True, slots=True)
+class Number:
+    """A number and all that is needed to judge it.
+
+    Parameters
+    ----------
+    name : str
+        Dotted path, unique in a report.
+    value : float
+        The number; NaN where it is not defined.
+    low, high : float
+        Ends of the interval; NaN where there is none.
+    uncertainty : str
+        What kind of interval that is; empty where there is none.
+    method : str
+        How the value was computed.
+    n : int
+        How many stimuli, participants or judgements the value rests on.
+    """
+
+    name: str
+    value: float
+    low: float
+    high: float
+    uncertainty: str
+    method: str
+    n: int
+
+
+@dataclass(frozen=True, slots=True)
+class Results:
+    """A report as data.
+
+    Parameters
+    ----------
+    verdict : tuple of str
+        The answer in words.
+    numbers : tuple of Number
+        Every number shown.
+    notes : tuple of str
+        What was left out or assumed.
+    how : tuple of str
+        How it was computed.
+    simulated : bool
+        Whether any rating came from a simulated participant.
+    inputs : Mapping of str to str
+        File names and digests, seed and draws.
+    versions : Mapping of str to str
+        Software that computed it.
+    """
+
+    verdict: tuple[str, ...]
+    numbers: tuple[Number, ...]
+    notes: tuple[str, ...]
+    how: tuple[str, ...]
+    simulated: bool
+    inputs: Mapping[str, str]
+    versions: Mapping[str, str]
+
+    def to_json(self) -> str:
+        """Write as JSON text, the same text for the same results.
+
+        Returns
+        -------
+        str
+            UTF-8 JSON; a number that is not defined is null.
+        """
+        content = {
+            "verdict": self.verdict,
+            "simulated": self.simulated,
+            "numbers": [_without_nan(asdict(number)) for number in self.numbers],
+            "notes": self.notes,
+            "how": self.how,
+            "inputs": dict(self.inputs),
+            "versions": dict(self.versions),
+        }
+        return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def collect_numbers(table: Table, findings: Findings) -> tuple[Number, ...]:
+    """Name every number that a report may show.
+
+    Parameters
+    ----------
+    table : Table
+        What was analysed.
+    findings : Findings
+        What came out.
+
+    Returns
+    -------
+    tuple of Number
+        Sizes first, then per scale and level associations, differences and stimuli, then profiles.
+    """
+    numbers = [*_count_table(table)]
+    for panel in findings.panels:
+        numbers += _collect_panel(panel)
+    return (*numbers, *_collect_profile(findings))
+
+
+def collect_notes(table: Table, findings: Findings) -> tuple[str, ...]:
+    """Gather what was left out, assumed or not defined.
+
+    Parameters
+    ----------
+    table : Table
+        What was analysed.
+    findings : Findings
+        What came out.
+
+    Returns
+    -------
+    tuple of str
+        Each sentence once, those on one scale led by its name.
+    """
+    notes = list(table.notes)
+    roles = table.rows.loc[table.rows["role"] != "test", "role"].value_counts().sort_index()
+    notes += [f"Associations leave out {count} judgements of stimuli with role '{role}'." for role, count in roles.items()]
+    for panel in findings.panels:
+        lead = f"{panel.scale}, {panel.level}"
+        found: tuple[Association | Difference, ...] = (*panel.associations, *panel.differences)
+        notes += [f"{lead}: {note}" for result in found for note in result.notes]
+    return tuple(dict.fromkeys(notes))
+
+
+def panel_path(scale: str, level: str) -> str:
+    """Name a scale and level the way the numbers do.
+
+    Parameters
+    ----------
+    scale, level : str
+        Which panel.
+
+    Returns
+    -------
+    str
+        Their dotted path.
+    """
+    return f"{scale}.{level}"
+
+
+def _count_table(table: Table) -> Iterator[Number]:
+    rows = table.rows
+    for name in ("participant", "recording", "stimulus_id", "reducer", "scale"):
+        yield _count(f"size.{name}", rows[name].nunique(), n=len(rows))
+    yield _count("size.judgements", len(rows), n=len(rows))
+    yield _count("size.simulated_judgements", int(rows["simulated"].sum()), n=len(rows))
+
+
+def _collect_panel(panel: Panel) -> Iterator[Number]:
+    path = panel_path(panel.scale, panel.level)
+    for association in panel.associations:
+        yield from _name_association(association, path)
+    for difference in panel.differences:
+        yield from _name_difference(difference, path)
+    for row in panel.stimuli.to_dict("records"):
+        yield _name_mean(f"stimulus.{path}.{row['stimulus_id']}", row)
+
+
+def _name_association(result: Association, path: str) -> Iterator[Number]:
+    name = f"association.{path}.{result.metric}.{result.method}"
+    method = f"{result.method} correlation of mean ratings of test stimuli with {result.metric}"
+    nan, n = math.nan, result.n_items
+    yield Number(name, result.value, result.low, result.high, TWO_WAY, method, n)
+    narrow = result.participants_low, result.participants_high
+    yield Number(f"{name}.participants_only", result.value, *narrow, ONE_WAY, method, n)
+    yield Number(f"{name}.ceiling", result.ceiling, nan, nan, NONE, "sqrt(ICC(C,k)), k participants", n)
+    yield Number(f"{name}.disattenuated", result.disattenuated, nan, nan, NONE, "correlation / ceiling", n)
+    yield _count(f"{name}.draws", result.draws, n=result.draws)
+    yield _count(f"{name}.n_participants", result.n_participants, n=n)
+    yield _count(f"{name}.n_recordings", result.n_recordings, n=n)
+    yield _count(f"{name}.n_items", n, n=n)
+
+
+def _name_difference(result: Difference, path: str) -> Iterator[Number]:
+    name = f"difference.{path}.{result.first}.{result.second}.{result.method}"
+    method = f"{result.method} correlation with {result.first} minus that with {result.second}"
+    yield Number(name, result.value, result.low, result.high, TWO_WAY, method, result.n_items)
+    scale = f"{TWO_WAY}, on Fisher's z"
+    z_method = f"{method}, as a difference of Fisher's z"
+    yield Number(f"{name}.z", result.z_value, result.z_low, result.z_high, scale, z_method, result.n_items)
+
+
+def _collect_profile(findings: Findings) -> Iterator[Number]:
+    for row in findings.profile.to_dict("records"):
+        name = f"profile.{panel_path(row['scale'], row['level'])}.{row['role']}.{row['reducer']}"
+        yield _name_mean(name, row)
+        yield _count(f"{name}.n_participants", row["n_participants"], n=row["n_ratings"])
+        yield _count(f"{name}.n_stimuli", row["n_stimuli"], n=row["n_ratings"])
+        yield _count(f"{name}.n_ratings", row["n_ratings"], n=row["n_ratings"])
+
+
+def _name_mean(name: str, row: Mapping[Hashable, Any]) -> Number:
+    interval = row["low"], row["high"]
+    return Number(name, row["mean"], *interval, STUDENT, f"rating, {MEAN}", int(row["n_participants"]))
+
+
+def _count(name: str, value: int, *, n: int) -> Number:
+    return Number(name, int(value), math.nan, math.nan, NONE, COUNT, int(n))
+
+
+def _without_nan(fields: dict[str, object]) -> dict[str, object]:
+    return {key: None if value != value else value for key, value in fields.items()}  # noqa: PLR0124 - NaN

@@ -1,0 +1,124 @@
+"""How figures look and how they are saved: made for print, the same bytes for the same data.
+
+Conventions: one column wide (8.5 cm), so that text keeps its size in a paper and on a telephone; every
+reducer has a colour and a marker of its own, the same in all figures, so that colour is never alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from contextlib import AbstractContextManager
+    from pathlib import Path
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+COLUMN_CM = 8.5
+CM_PER_INCH = 2.54
+PNG_DPI = 300
+THIN, GREY = 0.5, "#8A8A8A"
+
+OKABE_ITO = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+"""Colour-blind safe; its yellow is left out because it fades on white paper."""
+
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*", "p")
+"""As many as can be told apart in print; a pair of colour and marker comes again only after 77 reducers."""
+
+PRINT: Any = {
+    "font.family": "DejaVu Sans", "font.size": 7, "axes.labelsize": 7.5, "axes.titlesize": 7,
+    "xtick.labelsize": 7, "ytick.labelsize": 7, "legend.fontsize": 7, "axes.linewidth": 0.6,
+    "axes.spines.top": False, "axes.spines.right": False, "axes.titlelocation": "left",
+    "lines.markersize": 4, "lines.linewidth": 0.8, "text.parse_math": False, "svg.fonttype": "path", "svg.hashsalt": "feel321",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """Colour and marker of a reducer.
+
+    Parameters
+    ----------
+    colour : str
+        Hexadecimal.
+    marker : str
+        One of matplotlib's letters.
+    """
+
+    colour: str
+    marker: str
+
+
+def assign_looks(reducers: Sequence[str]) -> dict[str, Look]:
+    """Give every reducer a look.
+
+    Parameters
+    ----------
+    reducers : sequence of str
+        All names of a study, in order.
+
+    Returns
+    -------
+    dict of str to Look
+        In the same order, no two alike.
+    """
+    colours, markers = len(OKABE_ITO), len(MARKERS)
+    return {name: Look(OKABE_ITO[i % colours], MARKERS[i % markers]) for i, name in enumerate(reducers)}
+
+
+def print_style() -> AbstractContextManager[None]:
+    """Set fonts and lines for print while figures are drawn or saved.
+
+    Returns
+    -------
+    AbstractContextManager
+        Restores matplotlib's settings when left.
+    """
+    from matplotlib import rc_context
+
+    return rc_context(PRINT)
+
+
+def new_figure(height_cm: float) -> tuple[Figure, Axes]:
+    """Make an empty figure, one column wide.
+
+    Parameters
+    ----------
+    height_cm : float
+        Height in cm.
+
+    Returns
+    -------
+    figure : Figure
+        Laid out so that nothing overlaps; belongs to no window.
+    axes : Axes
+        Its only axes.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(COLUMN_CM / CM_PER_INCH, height_cm / CM_PER_INCH), layout="constrained")
+    return figure, figure.add_subplot()
+
+
+def save_figure(figure: Figure, stem: Path) -> None:
+    """Write a figure as vector and as bitmap.
+
+    Parameters
+    ----------
+    figure : Figure
+        What to write.
+    stem : Path
+        Where, without suffix: ``.svg`` and ``.png`` (300 dpi) are added. The same figure gives the same
+        bytes.
+
+    Raises
+    ------
+    OSError
+        If a file cannot be written.
+    """
+    with print_style():
+        figure.savefig(stem.with_suffix(".svg"), metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
+        figure.savefig(stem.with_suffix(".png"), dpi=PNG_DPI, metadata={"Software": None})

@@ -1,0 +1,108 @@
+"""How names and numbers are told to a reader: one place, so that text, tables and figures agree."""
+
+from __future__ import annotations
+
+import math
+
+MINUS = "\N{MINUS SIGN}"
+ABSENT = "\N{EN DASH}"
+"""What stands where a number is not defined."""
+
+PLACES = {"correlation": 2, "rating": 1, "count": 0}
+"""Digits behind the point, per kind of number."""
+
+METRIC_AXES = {
+    "spectral_match": "Spectral match (1 = identical energy)",
+    "temporal_match": "Temporal match (1 = identical waveform)",
+}
+"""Axis label of each metric; another metric is labelled by its name."""
+
+
+def tell_name(name: str) -> str:
+    """Turn a column or scale name into words.
+
+    Parameters
+    ----------
+    name : str
+        Such as ``spectral_match``.
+
+    Returns
+    -------
+    str
+        Such as ``spectral match``.
+
+    Examples
+    --------
+    >>> tell_name("equal_intensity")
+    'equal intensity'
+    """
+    return name.replace("_", " ")
+
+
+def tell_axis(metric: str) -> str:
+    """Label an axis by its metric.
+
+    Parameters
+    ----------
+    metric : str
+        Name of the metric.
+
+    Returns
+    -------
+    str
+        Its name and what 1 means.
+    """
+    words = tell_name(metric)
+    return METRIC_AXES.get(metric, words[:1].upper() + words[1:])
+
+
+def tell_number(value: float, *, kind: str = "correlation") -> str:
+    """Write a number as the report shows it.
+
+    Parameters
+    ----------
+    value : float
+        The number; NaN gives a dash.
+    kind : str
+        A name of `PLACES`.
+
+    Returns
+    -------
+    str
+        With a real minus sign, and none before a zero.
+
+    Examples
+    --------
+    >>> tell_number(-0.256), tell_number(-0.001), tell_number(71.26, kind="rating"), tell_number(float("nan"))
+    ('−0.26', '0.00', '71.3', '–')
+    """
+    if not math.isfinite(value):
+        return ABSENT
+    places = PLACES[kind]
+    text = f"{round(value, places) + 0.0:.{places}f}"
+    return text.replace("-", MINUS)
+
+
+def tell_range(low: float, high: float, *, kind: str = "correlation") -> str:
+    """Write an interval as the report shows it.
+
+    Parameters
+    ----------
+    low, high : float
+        Its ends; NaN gives a dash.
+    kind : str
+        A name of `PLACES`.
+
+    Returns
+    -------
+    str
+        Low to high, in words.
+
+    Examples
+    --------
+    >>> tell_range(-0.1, 0.734)
+    '−0.10 to 0.73'
+    """
+    if not math.isfinite(low + high):
+        return ABSENT
+    return f"{tell_number(low, kind=kind)} to {tell_number(high, kind=kind)}"
