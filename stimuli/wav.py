@@ -55,7 +55,7 @@ class WavHeader:
     is_float: bool
 
 
-def write_wav(path: str | Path, samples: ArrayLike, rate_hz: float) -> None:  # noqa: PLR0917 - samples and rate are one thing
+def write_wav(path: str | Path, samples: ArrayLike, rate_hz: float) -> None:
     """Write samples as a float32 WAV: the whole file or nothing, the same bytes every time.
 
     Parameters
@@ -195,9 +195,7 @@ def _parse_format(body: bytes, order: str) -> tuple[int, int, int, bool]:
     if coding == EXTENSIBLE:
         coding = struct.unpack(f"{order}H", body[24:26])[0]
     if 0 in {channels, rate, frame_bytes}:
-        raise ValueError(
-            f"got {channels} channels at {rate} Hz in frames of {frame_bytes} bytes; all must be above 0"
-        )
+        raise ValueError(f"got {channels} channels at {rate} Hz in frames of {frame_bytes} bytes; all must be above 0")
     return channels, rate, frame_bytes, coding == IEEE_FLOAT
 
 
@@ -217,9 +215,7 @@ def _as_frames(samples: ArrayLike, name: str) -> NDArray[np.float32]:
 def _whole_rate(rate_hz: float, name: str) -> int:
     rate = check_rate(rate_hz)
     if rate != int(rate) or rate >= 2**32:
-        raise ValueError(
-            f"{name}: got a rate of {rate!r} Hz, allowed in a WAV header is a whole number below 2**32"
-        )
+        raise ValueError(f"{name}: got a rate of {rate!r} Hz, allowed in a WAV header is a whole number below 2**32")
     return int(rate)
 
 

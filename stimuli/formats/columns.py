@@ -133,9 +133,7 @@ def pick_columns(wanted: Sequence[str | int], *, labels: Sequence[str] | None, n
         raise ValueError(f"got columns={wanted!r}, allowed is (x, y, z) or (time, x, y, z)")
     places = [_place(column, labels=labels, n_columns=n_columns) for column in wanted]
     if len(set(places)) < len(places):
-        raise ValueError(
-            f"got columns={tuple(wanted)!r}, which name one column twice; allowed is each one once"
-        )
+        raise ValueError(f"got columns={tuple(wanted)!r}, which name one column twice; allowed is each one once")
     x, y, z = places[-AXES:]
     time = places[0] if len(places) == WITH_TIME else None
     return _with_units(labels, axes=(x, y, z), time=time) if labels else Columns((x, y, z), time)

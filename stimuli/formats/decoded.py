@@ -102,9 +102,7 @@ def stack_axes(axes: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
     lengths = {axis: axes[axis].size for axis in "xyz"}
     if len(set(lengths.values())) > 1:
         counts = ", ".join(f"{axis} {n}" for axis, n in lengths.items())
-        raise ValueError(
-            f"got axes of unequal length ({counts} samples), allowed is one length; cut them alike"
-        )
+        raise ValueError(f"got axes of unequal length ({counts} samples), allowed is one length; cut them alike")
     return np.stack([axes[axis] for axis in "xyz"])
 
 

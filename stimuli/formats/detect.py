@@ -53,9 +53,7 @@ def detect_format(path: Path) -> str:
         if head.startswith(magic):
             return name
     if head.startswith(HDF5):
-        raise ValueError(
-            "got a MATLAB 7.3 or HDF5 file, allowed is an older MAT-file; save it with save(..., '-v7')"
-        )
+        raise ValueError("got a MATLAB 7.3 or HDF5 file, allowed is an older MAT-file; save it with save(..., '-v7')")
     if head.startswith(WIDE_TEXT):
         raise ValueError("got text in UTF-16 or UTF-32, allowed is UTF-8; save the file as UTF-8")
     return _detect_text(path, head)
@@ -75,9 +73,7 @@ def _detect_text(path: Path, head: bytes) -> str:
     if suffix in TABLE_SUFFIXES:
         return "table"
     if suffix in SUFFIXES:
-        raise ValueError(
-            f"got text in a {suffix} file; rename it to .csv if it is a table, or export it again"
-        )
+        raise ValueError(f"got text in a {suffix} file; rename it to .csv if it is a table, or export it again")
     raise ValueError(f"got the unknown suffix {suffix!r}, allowed is {_allowed()}")
 
 

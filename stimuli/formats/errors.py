@@ -57,6 +57,5 @@ def foreign_errors(what: str) -> Iterator[None]:
             raise
         reason = (str(error).strip() or type(error).__name__).splitlines()[0]
         raise ValueError(
-            f"cannot be read as {what} ({reason}); "
-            "the file is damaged or of another kind, copy or export it again"
+            f"cannot be read as {what} ({reason}); the file is damaged or of another kind, copy or export it again"
         ) from error

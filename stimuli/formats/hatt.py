@@ -52,9 +52,7 @@ def read_hatt(path: Path, _: Request) -> Decoded:
     content = path.read_bytes()
     # Entities can expand without end or name other files; a recording needs neither.
     if re.search(rb"<!\s*(doctype|entity)", content, re.IGNORECASE):
-        raise ValueError(
-            "got XML that declares a document type or entities, allowed is plain XML; remove them"
-        )
+        raise ValueError("got XML that declares a document type or entities, allowed is plain XML; remove them")
     tags = _collect_tags(_parse(content))
     axes = {tag[-1]: _one(found, tag) for tag, found in tags.items() if AXIS.fullmatch(tag)}
     if not axes:
@@ -91,9 +89,7 @@ def _local(element: Element) -> str:
 
 def _one(texts: list[str], tag: str) -> str:
     if len(texts) != 1:
-        raise ValueError(
-            f"got {len(texts)} elements for {tag}, allowed is one; which is meant cannot be told"
-        )
+        raise ValueError(f"got {len(texts)} elements for {tag}, allowed is one; which is meant cannot be told")
     return texts[0]
 
 

@@ -45,9 +45,7 @@ def read_ide(path: Path, _: Request) -> Decoded:
     try:
         import idelib
     except ImportError:
-        raise ValueError(
-            "got an enDAQ recording, which idelib reads; install it: pip install 'feel321[ide]'"
-        ) from None
+        raise ValueError("got an enDAQ recording, which idelib reads; install it: pip install 'feel321[ide]'") from None
     with foreign_errors("an enDAQ recording"), idelib.importFile(str(path), quiet=True) as dataset:
         triaxial = [c for c in dataset.channels.values() if c.sessions and len(_axes(c)) == AXES]
         found = [_read_channel(channel) for channel in triaxial]

@@ -56,8 +56,8 @@ def inspect_samples(acceleration: NDArray[np.float64], rate_hz: float) -> tuple[
     Notes
     -----
     A run is *saturated* if three or more equal samples stand at the axis's minimum or maximum and the
-    signal came or went by more than twice the smallest difference of its values: the smooth crest of a slow, quantised
-    signal is entered and left one step at a time and is not reported.
+    signal came or went by more than twice the smallest difference between its values: the smooth crest of a
+    slow, quantised signal is entered and left one step at a time and is not reported.
     An axis *stands still* if it holds one value for 50 ms while another axis moves; where none moves it is
     silence.
 
@@ -108,13 +108,15 @@ def _saturated(name: str, runs: Runs, *, rate_hz: float) -> Iterator[str]:
     jump = np.maximum(np.append(0.0, jumps), np.append(jumps, 0.0))
     for extreme in (runs.value.min(), runs.value.max()):
         hit = (runs.value == extreme) & (runs.length >= SATURATED_SAMPLES)
-        if hit.any():
-            hit &= jump > 2 * np.diff(np.unique(runs.value)).min()
-        if hit.any():
+        if hit.any() and (hit := hit & (jump > 2 * _smallest_step(runs))).any():
             yield (
                 f"axis {name}: saturated at {extreme:.6g} m/s^2 in {hit.sum()} runs "
                 f"({runs.length[hit].sum()} samples), the first at {runs.start[hit][0] / rate_hz:.6g} s"
             )
+
+
+def _smallest_step(runs: Runs) -> float:
+    return float(np.diff(np.unique(runs.value)).min())
 
 
 def _held(runs: Runs, rate_hz: float) -> NDArray[np.bool_]:

@@ -105,9 +105,7 @@ def _decode(path: Path, request: Request) -> Decoded:
         raise FileNotFoundError(f"got no such file in {path.parent}; check the name and the folder")
     kind = detect_format(path)
     if request.columns is not None and kind != "table":
-        raise ValueError(
-            f"got columns for a {kind} file, allowed is columns for CSV, TSV and TXT; leave it out"
-        )
+        raise ValueError(f"got columns for a {kind} file, allowed is columns for CSV, TSV and TXT; leave it out")
     if request.full_scale is not None and kind != "wav":
         raise ValueError(f"got full_scale for a {kind} file, allowed is only for integer WAV; leave it out")
     return READERS[kind](path, request)

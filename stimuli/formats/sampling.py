@@ -90,9 +90,7 @@ def _agree(stated: float | None, own: float | None, *, who: str) -> float | None
     if stated is None or own is None:
         return stated or own
     if abs(stated / check_rate(own) - 1) > AGREEMENT:
-        raise ValueError(
-            f"got {stated:g} Hz, but {own:g} Hz by {who}; allowed is a difference of {AGREEMENT:.0%}"
-        )
+        raise ValueError(f"got {stated:g} Hz, but {own:g} Hz by {who}; allowed is a difference of {AGREEMENT:.0%}")
     return stated
 
 
@@ -102,9 +100,7 @@ def _check_stamps(decoded: Decoded) -> NDArray[np.float64]:
         count = 0 if time_s is None else time_s.size
         raise ValueError(f"got {count} time stamps for {n_samples} samples, allowed is one stamp per sample")
     if n_samples < 2:  # noqa: PLR2004 - an interval has two ends
-        raise ValueError(
-            f"got {n_samples} sample with a time stamp, allowed is 2 or more: they give the rate"
-        )
+        raise ValueError(f"got {n_samples} sample with a time stamp, allowed is 2 or more: they give the rate")
     rising = np.diff(time_s) > 0  # false for NaN too
     if not rising.all():
         i = int(np.argmin(rising)) + 1
@@ -141,9 +137,7 @@ def _coarse_stamps(decoded: Decoded, rate_hz: float) -> tuple[str, ...]:
     if step_s * rate_hz <= JITTER_LIMIT:
         return ()
     share = step_s * rate_hz
-    return (
-        f"time stamps show steps of {step_s:g} s, {share:.0%} of the period: finer jitter cannot be seen",
-    )
+    return (f"time stamps show steps of {step_s:g} s, {share:.0%} of the period: finer jitter cannot be seen",)
 
 
 def _resample(acceleration: NDArray[np.float64], time_s: NDArray[np.float64], *, finding: str) -> Sampled:

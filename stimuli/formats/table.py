@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 CLUSTER_LABELS = ("time", "X", "Y", "Z")
 CLUSTER_RATE_HZ = 6000.0
 CLUSTER_NOTE = (
-    "header and rate are those of the Cluster Haptic Texture Database: "
-    "unit taken as g (unit=... says otherwise)"
+    "header and rate are those of the Cluster Haptic Texture Database: unit taken as g (unit=... says otherwise)"
 )
 
 
@@ -105,9 +104,7 @@ def _time_notes(columns: Columns, time_s: NDArray[np.float64]) -> tuple[str, ...
     rate_hz = (time_s.size - 1) / float(np.ptp(time_s))
     if rate_hz >= slowest_hz:
         return ()
-    note = (
-        f"the time column names no unit: taken as s, which gives {rate_hz:g} Hz; if it is ms, call it time_ms"
-    )
+    note = f"the time column names no unit: taken as s, which gives {rate_hz:g} Hz; if it is ms, call it time_ms"
     return (note,)
 
 

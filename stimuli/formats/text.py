@@ -196,8 +196,7 @@ def _table(text: str, row: str, *, line: int, above: list[str]) -> Table:
     labels = _labels(above, delimiter, n_columns=n_columns)
     if labels is not None and len(labels) != n_columns:
         raise ValueError(
-            f"got {len(labels)} names in the header but {n_columns} cells on line {line}, "
-            "allowed is one name per cell"
+            f"got {len(labels)} names in the header but {n_columns} cells on line {line}, allowed is one name per cell"
         )
     return Table(text, line, delimiter, decimal, labels, n_columns)
 

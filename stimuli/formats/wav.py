@@ -168,8 +168,7 @@ def _channels(n_channels: int, sidecar: Sidecar) -> list[int]:
     axes = sidecar.axes or ("x", "y", "z")
     if len(axes) != n_channels:
         raise ValueError(
-            f"got {n_channels} channels for {len(axes)} axes, "
-            "allowed is 3, or a sidecar whose axes name every channel"
+            f"got {n_channels} channels for {len(axes)} axes, allowed is 3, or a sidecar whose axes name every channel"
         )
     return [axes.index(axis) for axis in "xyz"]
 

@@ -34,9 +34,7 @@ def test_same_samples_give_the_same_bytes_and_no_other_file(tmp_path: Path) -> N
     assert [p.name for p in tmp_path.iterdir()] == ["a.wav"]
 
 
-def test_a_write_that_fails_leaves_the_old_file_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_write_that_fails_leaves_the_old_file_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_wav(tmp_path / "a.wav", [1.0], 8000)
     before = (tmp_path / "a.wav").read_bytes()
 
@@ -59,9 +57,7 @@ def test_a_write_that_fails_leaves_the_old_file_alone(
         (np.array([-(2**31), 0, 2**30], np.int32), [-1, 0, 0.5]),
     ],
 )
-def test_integers_are_fractions_of_full_scale(
-    tmp_path: Path, stored: np.ndarray, fractions: list[float]
-) -> None:
+def test_integers_are_fractions_of_full_scale(tmp_path: Path, stored: np.ndarray, fractions: list[float]) -> None:
     wavfile.write(tmp_path / "a.wav", 8000, stored)
     np.testing.assert_array_equal(read_wav(tmp_path / "a.wav")[0], fractions)
 
@@ -143,9 +139,7 @@ def test_what_is_not_a_wav_file_is_refused(tmp_path: Path, content: bytes, messa
         ([1.0], 0, "above 0"),
     ],
 )
-def test_what_a_wav_cannot_hold_is_refused(
-    tmp_path: Path, samples: object, rate: float, message: str
-) -> None:
+def test_what_a_wav_cannot_hold_is_refused(tmp_path: Path, samples: object, rate: float, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         write_wav(tmp_path / "a.wav", samples, rate)  # type: ignore[arg-type]
     assert not list(tmp_path.iterdir())

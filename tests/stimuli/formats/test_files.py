@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     Signal = NDArray[np.float64]
 
 
-
-
 # --- WAV ---
 
 
@@ -268,7 +266,10 @@ def test_hatt_rate_is_the_accelerometers(tmp_path: Path, signal: Signal, extra: 
         ("<R><AccelX>1 nan</AccelX></R>", "'nan' as value 1 of the x axis"),
         ("<R><AccelX/></R>", "a value of the x axis that is no number"),
         ("<R><AccelX>1</AccelX><AccelY>1</AccelY><AccelZ>1</AccelZ></R>", "no sampling rate"),
-        ("<R><AccelX>1</AccelX><AccelY>1</AccelY><AccelZ>1</AccelZ><SampleRate>fast</SampleRate></R>", "sampling rate 'fast'"),
+        (
+            "<R><AccelX>1</AccelX><AccelY>1</AccelY><AccelZ>1</AccelZ><SampleRate>fast</SampleRate></R>",
+            "sampling rate 'fast'",
+        ),
         ("<R><AccelX>1", "cannot be read as XML"),
         ('<!DOCTYPE R [<!ENTITY a "1">]><R><AccelX>&a;</AccelX></R>', "declares a document type or entities"),
     ],

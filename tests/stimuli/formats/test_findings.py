@@ -53,7 +53,9 @@ def test_a_frozen_axis_is_placed_and_silence_is_not() -> None:
 def test_findings_reach_the_recording_in_metres_per_second_squared(tmp_path: Path) -> None:
     wave = np.minimum(np.sin(2 * np.pi * 100 * TIME_S), 0.5)
     np.savez(tmp_path / "a.npz", acceleration=np.stack([_noise(1), wave, _noise(2)]), rate_hz=RATE_HZ, unit="g")
-    assert re.search(r"axis y: saturated at 4\.90332 m/s\^2 in 100 runs", read_recording(tmp_path / "a.npz").warnings[0])
+    assert re.search(
+        r"axis y: saturated at 4\.90332 m/s\^2 in 100 runs", read_recording(tmp_path / "a.npz").warnings[0]
+    )
 
 
 def _listed() -> list[tuple[str, float, int, str]]:

@@ -46,7 +46,10 @@ def _timed(signal: NDArray[np.float64], second: float = 1.0) -> NDArray[np.float
         ("time [s],x [m/s^2],y [m/s^2],z [m/s^2]", 1.0),
         ("Time (s),x (g),y (g),z (g)", STANDARD_GRAVITY),
         ("t_s,acc_x_m_s2,acc_y_m_s2,acc_z_m_s2", 1.0),
-        ('"Time (s)","Linear Acceleration x (m/s²)","Linear Acceleration y (m/s²)","Linear Acceleration z (m/s²)"', 1.0),
+        (
+            '"Time (s)","Linear Acceleration x (m/s²)","Linear Acceleration y (m/s²)","Linear Acceleration z (m/s²)"',
+            1.0,
+        ),
         ("# t,x,y,z", 1.0),
     ],
 )
@@ -104,7 +107,9 @@ def test_three_columns_without_header_are_the_axes(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_recording(path, rate_hz=1000, columns=(2, 1, 0)).acceleration, signal[::-1])
 
 
-@pytest.mark.parametrize("content", ["\ufeffx_g,y_g,z_g\r\n1,2,3\r\n4,5,6\r\n", "\n# lab\nx_g,y_g,z_g\n1,2,3\n4,5,6\n\n\n"])
+@pytest.mark.parametrize(
+    "content", ["\ufeffx_g,y_g,z_g\r\n1,2,3\r\n4,5,6\r\n", "\n# lab\nx_g,y_g,z_g\n1,2,3\n4,5,6\n\n\n"]
+)
 def test_marks_line_ends_and_comments_do_not_matter(tmp_path: Path, content: str) -> None:
     (tmp_path / "a.csv").write_bytes(content.encode())
     recording = read_recording(tmp_path / "a.csv", rate_hz=1000)
@@ -131,14 +136,18 @@ def test_cluster_files_are_in_g_and_resampled_on_request(tmp_path: Path) -> None
     time = np.cumsum(rng.choice([1.3e-4, 2.1e-4, 1.6e-4], p=[0.25, 0.25, 0.5], size=400))
     rows = np.vstack([time, np.sin(2 * np.pi * 50 * time + np.array([[0], [1], [2]]))]).T
     path = _write(tmp_path / "0_135_40_500_0.csv", "time,X,Y,Z", rows)
-    with pytest.raises(ValueError, match=r"irregular sampling: jitter up to 31\.\d% .* of 399 intervals off.*resample=True"):
+    with pytest.raises(
+        ValueError, match=r"irregular sampling: jitter up to 31\.\d% .* of 399 intervals off.*resample=True"
+    ):
         read_recording(path)
     recording = read_recording(path, resample=True)
     expected = np.sin(2 * np.pi * 50 * (time[0] + np.arange(recording.n_samples) / 6250) + np.array([[0], [1], [2]]))
     assert recording.rate_hz == pytest.approx(6250)
     np.testing.assert_allclose(recording.acceleration / STANDARD_GRAVITY, expected, atol=2e-5)
     assert any("Cluster" in line for line in recording.warnings)
-    assert any(re.search(r"resampled on request to \d+ samples at 6250 Hz by cubic spline", w) for w in recording.warnings)
+    assert any(
+        re.search(r"resampled on request to \d+ samples at 6250 Hz by cubic spline", w) for w in recording.warnings
+    )
     in_metres = read_recording(path, resample=True, unit="m/s^2")
     np.testing.assert_allclose(in_metres.acceleration * STANDARD_GRAVITY, recording.acceleration)
 
