@@ -67,7 +67,7 @@ def dft321(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.float64]:
     admitted = admit(acceleration, rate_hz)
     n = admitted.samples.shape[-1]
     if n == 0:
-        return np.zeros(admitted.samples.shape[:-2] + (0,))
+        return np.zeros((*admitted.samples.shape[:-2], 0))
     merged = merge_spectra(np.moveaxis(fft.rfft(admitted.samples), -2, 0))
     return admitted.restore(fft.irfft(merged, n, overwrite_x=True))
 
@@ -168,7 +168,7 @@ def merge_spectra(spectra: NDArray[np.complex128]) -> NDArray[np.complex128]:
     ndarray of complex128, shape (..., n_bins)
         Magnitude: root of the summed energies. Phase: of the sum, or of the strongest axis where the sum vanishes.
     """
-    merged = spectra[0] + spectra[1]
+    merged: NDArray[np.complex128] = spectra[0] + spectra[1]
     merged += spectra[2]
     energy = _energy(spectra[0])
     for other in spectra[1:]:
@@ -178,7 +178,7 @@ def merge_spectra(spectra: NDArray[np.complex128]) -> NDArray[np.complex128]:
     floor *= _ROUNDING**2
     vanishing = of_sum <= floor
     if vanishing.any():
-        _take_strongest(merged, of_sum, spectra, vanishing)
+        _take_strongest(merged, of_sum, spectra=spectra, vanishing=vanishing)
     np.divide(energy, of_sum, out=energy)
     np.sqrt(energy, out=energy)
     merged *= energy
@@ -188,6 +188,7 @@ def merge_spectra(spectra: NDArray[np.complex128]) -> NDArray[np.complex128]:
 def _take_strongest(
     merged: NDArray[np.complex128],
     of_sum: NDArray[np.float64],
+    *,
     spectra: NDArray[np.complex128],
     vanishing: NDArray[np.bool_],
 ) -> None:

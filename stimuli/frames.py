@@ -34,7 +34,7 @@ class BlockProcessor(Protocol):
     hop: int
 
     def push(self, blocks: NDArray[np.float64], valid: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Take m blocks, shape (..., 3, m, hop), with `valid` (m, hop) false on padding; give m finished ones (..., m, hop).
+        """Take m blocks, shape (..., 3, m, hop), `valid` (m, hop) false on padding; give m finished ones (..., m, hop).
 
         The first answered block is the one before the first that is pushed.
         """

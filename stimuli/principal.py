@@ -56,7 +56,7 @@ def pca321(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.float64]:
     admitted = admit(acceleration, rate_hz)
     samples = admitted.samples
     if samples.shape[-1] == 0:
-        return np.zeros(samples.shape[:-2] + (0,))
+        return np.zeros((*samples.shape[:-2], 0))
     centred = samples - samples.mean(axis=-1, keepdims=True)
     # einsum, not matmul: its result does not depend on how many threads a BLAS library happens to use.
     axes = with_sign(leading_axis(np.einsum("...in,...jn->...ij", centred, centred)))
@@ -107,7 +107,7 @@ def leading_axis(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
     ndarray of float64, shape (..., 3)
         Unit vectors.
     """
-    return np.linalg.eigh(covariance)[1][..., -1]
+    return np.asarray(np.linalg.eigh(covariance)[1][..., -1])
 
 
 def with_sign(axes: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -127,7 +127,7 @@ def with_sign(axes: NDArray[np.float64]) -> NDArray[np.float64]:
     strength = np.abs(axes)
     first = np.argmax(strength >= (1 - _NO_SIGN) * strength.max(axis=-1, keepdims=True), axis=-1)
     largest = np.take_along_axis(axes, first[..., None], axis=-1)
-    return axes * np.where(np.where(np.abs(along) > _NO_SIGN, along, largest) < 0, -1.0, 1.0)
+    return np.asarray(axes * np.where(np.where(np.abs(along) > _NO_SIGN, along, largest) < 0, -1.0, 1.0))
 
 
 class PrincipalFrames:
@@ -169,10 +169,10 @@ class PrincipalFrames:
         frames = np.concatenate([blocks[..., :-1, :], blocks[..., 1:, :]], axis=-1)
         weights = np.concatenate([valid[:-1] * self._rise, valid[1:] * self._fall], axis=-1)
         axes = np.concatenate([self._axis, self._turned(*_segment_axes(frames, weights))], axis=-2)
-        self._previous, self._valid, self._axis = blocks[..., -1:, :], valid[-1:], axes[..., -1:, :]
+        self._previous, self._valid, self._axis = blocks[..., -1:, :].copy(), valid[-1:], axes[..., -1:, :]
         mixed = axes[..., :-1, :, None] * self._fall + axes[..., 1:, :, None] * self._rise
         mixed /= np.linalg.norm(mixed, axis=-2, keepdims=True)
-        return np.einsum("...mih,...imh->...mh", mixed, blocks[..., :-1, :])
+        return np.asarray(np.einsum("...mih,...imh->...mh", mixed, blocks[..., :-1, :]))
 
     def _turned(self, axes: NDArray[np.float64], constant: NDArray[np.bool_]) -> NDArray[np.float64]:
         """Let constant segments keep the axis before them, and turn each axis to point along the one before."""
@@ -182,7 +182,7 @@ class PrincipalFrames:
         axes = np.take_along_axis(axes, own[..., None], axis=-2)
         along = np.einsum("...mi,...mi->...m", axes[..., 1:, :], axes[..., :-1, :])
         signs = np.cumprod(np.where(along < 0, -1.0, 1.0), axis=-1)
-        return axes[..., 1:, :] * signs[..., None]
+        return np.asarray(axes[..., 1:, :] * signs[..., None])
 
 
 def _segment_axes(
@@ -195,4 +195,4 @@ def _segment_axes(
     covariance = np.einsum("...imt,...jmt->...mij", centred, centred)
     variation = np.trace(covariance, axis1=-2, axis2=-1)
     constant = variation <= _CONSTANT * np.einsum("...im,m->...m", mean**2, total)
-    return leading_axis(covariance), constant
+    return leading_axis(covariance), np.asarray(constant)

@@ -59,6 +59,7 @@ class Recording:
     sha256: str = ""
 
     def __post_init__(self) -> None:
+        """Coerce once, at the door."""
         samples = check_acceleration(self.acceleration).copy()
         if samples.ndim != 2 or samples.shape[1] == 0:  # noqa: PLR2004 - axes x samples
             raise ValueError(f"recording {self.name!r}: got shape {samples.shape}, allowed is (3, n) with n >= 1")
@@ -130,7 +131,7 @@ def check_finite(samples: NDArray[np.float64], what: str) -> None:
     bad = np.argwhere(~np.isfinite(samples))
     if len(bad):
         place = ", ".join(str(i) for i in bad[0])
-        raise ValueError(f"{what}: got {len(bad)} values that are not finite (first at index {place}); remove or mend them")
+        raise ValueError(f"{what}: got {len(bad)} values that are not finite (first at {place}); remove or mend them")
 
 
 def check_rate(rate_hz: float) -> float:

@@ -2,8 +2,8 @@
 
 References
 ----------
-.. [1] G. Park, K. J. Kuchenbecker, "Objective and subjective assessment of algorithms for reducing three-axis vibrations
-   to one-axis vibrations", World Haptics 2019. doi:10.1109/WHC.2019.8816148
+.. [1] G. Park, K. J. Kuchenbecker, "Objective and subjective assessment of algorithms for reducing three-axis
+   vibrations to one-axis vibrations", World Haptics 2019. doi:10.1109/WHC.2019.8816148
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def rotation_statistics(
     """
     samples = admit(acceleration, rate_hz).samples
     if samples.ndim != 2 or samples.shape[1] == 0:  # noqa: PLR2004 - axes x samples
-        raise ValueError(f"acceleration: got shape {samples.shape}, allowed is (3, n) with n >= 1: one recording at a time")
+        raise ValueError(f"acceleration: got shape {samples.shape}, allowed is (3, n), n >= 1: one recording at a time")
     if rotations < LEAST_ROTATIONS:
         raise ValueError(f"rotations: got {rotations}, allowed is {LEAST_ROTATIONS} or more")
     reduce = get_reducer(reducer)

@@ -3,10 +3,10 @@
 Conventions: spectra are one-sided energy spectral densities on the DFT's grid, shape (..., n_bins), bin k at
 k * rate_hz / n_samples; frequencies in Hz.
 
-The kernel is a rectangle (Daniell smoothing) of full width 0.22 f around f: the Weber fraction of vibration frequency. The
-paper used MATLAB's `spafdr`, which averages the product of the transforms "over local frequency regions" of a
-chosen, frequency-dependent width (its *resolution*); the width here is that resolution, 0.22 f, edge to edge. MATLAB does
-not document its kernel's shape; the match metrics depend on it little, because both spectra are smoothed alike.
+The kernel is a rectangle (Daniell smoothing) of full width 0.22 f around f: the Weber fraction of vibration frequency.
+The paper used MATLAB's `spafdr`, which averages the product of the transforms "over local frequency regions" of a
+chosen, frequency-dependent width (its *resolution*); the width here is that resolution, 0.22 f, edge to edge. MATLAB
+does not document its kernel's shape; the match metrics depend on it little, because both spectra are smoothed alike.
 
 References
 ----------
@@ -76,7 +76,7 @@ def linear_grid(n_samples: int, rate_hz: float) -> NDArray[np.float64]:
     # The tolerance keeps a frequency that is 20 Hz or 1000 Hz but for the rounding of the rate.
     first = int(np.ceil(LOWEST_HZ / spacing * (1 - 1e-12)))
     last = int(np.floor(min(HIGHEST_HZ / spacing * (1 + 1e-12), n_samples / 2)))
-    return np.arange(first, last + 1) * spacing
+    return np.arange(first, last + 1, dtype=np.float64) * spacing
 
 
 def log_grid(n_samples: int, rate_hz: float, *, points_per_octave: int = 24) -> NDArray[np.float64]:
@@ -115,11 +115,10 @@ class WeberSmoothing:
     n_bins : int
         Number of bins of the one-sided spectrum.
 
-    Notes
-    -----
-    Each bin's energy is spread evenly over one spacing, so the window's edges may cut bins. A window narrower than one
-    spacing gives the bin itself; one that reaches beyond the last bin is cut off there and averaged over what is left. Bins
-    far below the lowest frequency, the offset among them, never enter the running sum: a large offset costs no accuracy.
+    Notes ----- Each bin's energy is spread evenly over one spacing, so the window's edges may cut bins. A window
+    narrower than one spacing gives the bin itself; one that reaches beyond the last bin is cut off there and averaged
+    over what is left. Bins far below the lowest frequency, the offset among them, never enter the running sum: a large
+    offset costs no accuracy.
     """
 
     def __init__(self, frequencies_hz: NDArray[np.float64], spacing_hz: float, n_bins: int) -> None:
@@ -148,7 +147,7 @@ class WeberSmoothing:
         running = np.zeros((*part.shape[:-1], part.shape[-1] + 1))
         np.cumsum(part, axis=-1, out=running[..., 1:])
         low, high = (edge.read(running, part) for edge in self._edges)
-        return (high - low) / self._width
+        return np.asarray((high - low) / self._width)
 
 
 class _Edge:

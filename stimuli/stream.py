@@ -1,7 +1,7 @@
 """Reducers that run while the vibration is still being made: blocks in, blocks out, a constant delay.
 
-A streamed reducer gives, sample by sample, what its offline form gives for the whole signal, `latency_samples` later. It
-allocates a little per call and never looks ahead.
+A streamed reducer gives, sample by sample, what its offline form gives for the whole signal, `latency_samples` later.
+It allocates a little per call and never looks ahead.
 """
 
 from __future__ import annotations

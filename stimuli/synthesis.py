@@ -4,9 +4,9 @@ Each scene is a few lines of physics: contacts push the tool, the tool rings in 
 sensor along a direction of its own. Amplitudes are those of light tool use (peaks of 5 to 60 m/s²). Seeded: the same
 name, seed, rate and duration give the same samples. They are stand-ins, not measurements; studies name real recordings.
 
-The first three stand for the parts of the paper's Figure 2 (bumps, a drag over textured vinyl, taps on hard plastic), the
-fourth for its Figure 4 (a constrained texture drag). The isotropic rumble and the circular motion are the cases
-in which the choice of one axis must fail.
+The first three stand for the parts of the paper's Figure 2 (bumps, a drag over textured vinyl, taps on hard plastic),
+the fourth for its Figure 4 (a constrained texture drag). The isotropic rumble and the circular motion are the cases in
+which the choice of one axis must fail.
 
 References
 ----------
@@ -88,7 +88,7 @@ def make_scene(name: str, *, seed: int = 0, rate_hz: float = 10000.0, duration_s
 
 
 def bumps(time_s: Samples, rng: np.random.Generator) -> Samples:
-    """The tip rides over small ridges: a push sideways and up at each, and the tool rings.
+    """Ride over small ridges with the tip: a push sideways and up at each, and the tool rings.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def bumps(time_s: Samples, rng: np.random.Generator) -> Samples:
         up += size * _ridge_slope(time_s - when, width)
         aside += size * _ridge_slope(time_s - when - width, 0.6 * width)
     scraped = _scrape(time_s, np.full_like(time_s, 0.15), rng)
-    return _ring(up, time_s, 9.0) + _ring(aside, time_s, 5.0)[[1, 2, 0]] + scraped
+    return _ring(up, time_s, size=9.0) + _ring(aside, time_s, size=5.0)[[1, 2, 0]] + scraped
 
 
 def texture_drag(time_s: Samples, rng: np.random.Generator) -> Samples:
@@ -133,7 +133,7 @@ def texture_drag(time_s: Samples, rng: np.random.Generator) -> Samples:
     normal, friction, lateral = (_roughness(time_s, speed, rng) for _ in range(3))
     forces = (normal, 0.4 * normal + 0.35 * friction, 0.2 * lateral)
     turned = ([0, 1, 2], [1, 2, 0], [2, 0, 1])
-    moved = np.sum([_ring(force, time_s, 3.0)[order] for force, order in zip(forces, turned, strict=True)], axis=0)
+    moved = np.sum([_ring(force, time_s, size=3.0)[order] for force, order in zip(forces, turned, strict=True)], axis=0)
     return np.asarray(moved) + _scrape(time_s, 2.0 * speed / speed.max(), rng)
 
 
@@ -158,7 +158,7 @@ def hard_taps(time_s: Samples, rng: np.random.Generator) -> Samples:
     for when, size in zip(at, rng.uniform(0.4, 1.0, len(at)), strict=True):
         push = size * np.exp(-0.5 * ((time_s - when) / 0.0004) ** 2)
         # The hand does not hold the tool alike at every tap, so modes take part by different amounts.
-        moved += _ring(push, time_s, 60.0, shares=rng.uniform(0.3, 1.0, len(_TOOL_MODES)))
+        moved += _ring(push, time_s, size=60.0, shares=rng.uniform(0.3, 1.0, len(_TOOL_MODES)))
     return moved + _scrape(time_s, np.full_like(time_s, 0.1), rng)
 
 
@@ -184,7 +184,7 @@ def constrained_drag(time_s: Samples, rng: np.random.Generator) -> Samples:
 
 
 def isotropic_rumble(time_s: Samples, rng: np.random.Generator) -> Samples:
-    """A vibrating machine felt through a soft grip: the same spectrum on every axis, independent of each other.
+    """Feel a vibrating machine through a soft grip: the same spectrum on every axis, independent of each other.
 
     Parameters
     ----------
@@ -198,11 +198,12 @@ def isotropic_rumble(time_s: Samples, rng: np.random.Generator) -> Samples:
     ndarray of float64, shape (3, n)
         Acceleration in m/s².
     """
-    return 4.0 * np.array([_coloured(time_s, rng, 40.0, 400.0) for _ in range(3)]) + _sensor_noise(time_s, rng)
+    axes = [_coloured(time_s, rng, low_hz=40.0, high_hz=400.0) for _ in range(3)]
+    return 4.0 * np.array(axes) + _sensor_noise(time_s, rng)
 
 
 def circular_motion(time_s: Samples, rng: np.random.Generator) -> Samples:
-    """An unbalanced rotor: x and y a quarter of a turn apart, with a slowly drifting speed.
+    """Turn with an unbalanced rotor: x and y a quarter of a turn apart, with a slowly drifting speed.
 
     Parameters
     ----------
@@ -217,7 +218,7 @@ def circular_motion(time_s: Samples, rng: np.random.Generator) -> Samples:
         Acceleration in m/s².
     """
     turns = 150.0 * time_s + 4.0 * np.sin(2 * np.pi * 0.5 * time_s)
-    wobble = 0.2 * _coloured(time_s, rng, 100.0, 300.0)
+    wobble = 0.2 * _coloured(time_s, rng, low_hz=100.0, high_hz=300.0)
     angle = 2 * np.pi * turns
     return 6.0 * np.array([np.cos(angle), np.sin(angle), wobble]) + _sensor_noise(time_s, rng)
 
@@ -235,7 +236,7 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
 """Name -> scene, the only list."""
 
 
-def _ring(push: Samples, time_s: Samples, size: float, shares: Samples | None = None) -> Samples:
+def _ring(push: Samples, time_s: Samples, *, size: float, shares: Samples | None = None) -> Samples:
     """Let the tool's modes answer a push: decaying sinusoids, each along its own direction; peak near `size`."""
     from scipy.signal import fftconvolve
 
@@ -246,7 +247,7 @@ def _ring(push: Samples, time_s: Samples, size: float, shares: Samples | None = 
         impulse = np.sin(2 * np.pi * frequency * lag) * np.exp(-lag / decay)
         answer = fftconvolve(push, impulse / np.linalg.norm(impulse))[: len(time_s)]
         moved += share * np.outer(direction, answer)
-    return size / np.sqrt(len(_TOOL_MODES)) * moved
+    return np.asarray(size / np.sqrt(len(_TOOL_MODES)) * moved)
 
 
 def _ridge_slope(time_s: Samples, width_s: float) -> Samples:
@@ -256,16 +257,16 @@ def _ridge_slope(time_s: Samples, width_s: float) -> Samples:
 
 
 def _scrape(time_s: Samples, size: Samples, rng: np.random.Generator) -> Samples:
-    """Micro-contacts at the tip, over the whole felt range: one force through the tool's modes, and the sensor's noise."""
-    force = _coloured(time_s, rng, 30.0, 1500.0)
+    """Micro-contacts at the tip over the whole felt range: one force through the tool, and the sensor's noise."""
+    force = _coloured(time_s, rng, low_hz=30.0, high_hz=1500.0)
     direct = np.outer((0.5, 0.6, 0.6), force)
-    return size * (_ring(force, time_s, 1.0) + direct) + _sensor_noise(time_s, rng)
+    return np.asarray(size * (_ring(force, time_s, size=1.0) + direct) + _sensor_noise(time_s, rng))
 
 
 def _strokes(time_s: Samples, rng: np.random.Generator) -> Samples:
     """Speed of a hand that strokes to and fro about once a second, in m/s."""
     phase = 2 * np.pi * (0.9 * time_s + rng.uniform())
-    return 0.12 * np.abs(np.sin(phase)) + 0.01
+    return np.asarray(0.12 * np.abs(np.sin(phase)) + 0.01)
 
 
 def _roughness(time_s: Samples, speed: Samples, rng: np.random.Generator) -> Samples:
@@ -277,10 +278,10 @@ def _roughness(time_s: Samples, speed: Samples, rng: np.random.Generator) -> Sam
     shape = np.exp(-0.5 * ((wave_number - 2500.0) / 1500.0) ** 2)
     profile = np.fft.irfft(np.fft.rfft(rng.standard_normal(n_grains)) * shape, n_grains)
     felt = np.interp(path, np.arange(n_grains) * step_m, profile) * speed
-    return felt / felt.std()
+    return np.asarray(felt / felt.std())
 
 
-def _coloured(time_s: Samples, rng: np.random.Generator, low_hz: float, high_hz: float) -> Samples:
+def _coloured(time_s: Samples, rng: np.random.Generator, *, low_hz: float, high_hz: float) -> Samples:
     """Gaussian noise between two frequencies with smooth edges, standard deviation 1."""
     n = len(time_s)
     frequency = np.fft.rfftfreq(n, time_s[1] - time_s[0])

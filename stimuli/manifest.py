@@ -1,0 +1,189 @@
+"""The manifest of a stimulus set: one row per stimulus, and the recipe that made it.
+
+`manifest.csv` holds the rows; `manifest.json` the same, the recipe, the software's versions, and the unit of every
+column. Both are written last, whole or not at all, so a set with a manifest is complete.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import json
+import os
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+ROLES = ("test", "reference", "anchor")
+
+COLUMN_UNITS = {
+    "stimulus_id": "name, unique in the set",
+    "recording": "name",
+    "reducer": "name of a reducer, 'original' for the three-axis recording, or name of an anchor",
+    "level": "name of the level arm",
+    "role": "test, reference or anchor",
+    "file": "path relative to the manifest",
+    "rate_hz": "Hz",
+    "n_samples": "samples per channel",
+    "duration_s": "s",
+    "peak": "largest magnitude in the file, 1 = full scale",
+    "rms_m_s2": "m/s^2, root mean square that the actuators are to give (of all channels together)",
+    "gain": "m/s^2 given per m/s^2 recorded",
+    "spectral_match": "1 = identical energy spectra; conditioned recording and reduced signal, before level and rate",
+    "temporal_match": "1 = perfectly correlated with every axis (as for spectral_match)",
+    "clipped": "samples limited at full scale",
+    "sha256": "digest of the file",
+    "recording_sha256": "digest of the recording's source",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Stimulus:
+    """One row of the manifest; units as in `COLUMN_UNITS`."""
+
+    stimulus_id: str
+    recording: str
+    reducer: str
+    level: str
+    role: str
+    file: str
+    rate_hz: float
+    n_samples: int
+    duration_s: float
+    peak: float
+    rms_m_s2: float
+    gain: float
+    spectral_match: float
+    temporal_match: float
+    clipped: int
+    sha256: str
+    recording_sha256: str
+
+
+@dataclass(frozen=True, slots=True)
+class StimulusSet:
+    """A built set: its folder, its stimuli in the manifest's order, and the digest of `manifest.csv`."""
+
+    folder: Path
+    stimuli: tuple[Stimulus, ...]
+    sha256: str
+
+
+COLUMNS = tuple(field.name for field in fields(Stimulus))
+_READ_AS = {field.name: {"float": float, "int": int, "str": str}[str(field.type)] for field in fields(Stimulus)}
+
+
+def write_manifest(folder: Path, stimuli: Sequence[Stimulus], *, details: Mapping[str, Any]) -> StimulusSet:
+    """Write `manifest.json`, then `manifest.csv`, each whole or not at all.
+
+    Parameters
+    ----------
+    folder : Path
+        The set's folder.
+    stimuli : sequence of Stimulus
+        The rows.
+    details : mapping
+        What else `manifest.json` is to hold: recipe, versions, build keys. Must be JSON.
+
+    Returns
+    -------
+    StimulusSet
+        The set as it now stands on disk.
+    """
+    rows = [asdict(stimulus) for stimulus in stimuli]
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\r\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    table = text.getvalue().encode()
+    whole = {"columns": COLUMN_UNITS, "stimuli": rows, **details}
+    write_bytes(folder / "manifest.json", (json.dumps(whole, indent=1, sort_keys=True) + "\n").encode())
+    write_bytes(folder / "manifest.csv", table)
+    return StimulusSet(folder, tuple(stimuli), hashlib.sha256(table).hexdigest())
+
+
+def read_stimuli(folder: str | Path) -> StimulusSet:
+    """Read a built stimulus set.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Where `build_stimuli` built it.
+
+    Returns
+    -------
+    StimulusSet
+        Its stimuli, in the manifest's order.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no manifest.
+    ValueError
+        If the manifest is not one; the message names the line.
+    """
+    path = Path(folder) / "manifest.csv"
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: there is no manifest; build the stimulus set first (feel321 build)")
+    table = path.read_bytes()
+    try:
+        rows = list(csv.DictReader(io.StringIO(table.decode(), newline=""), strict=True))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ValueError(f"{path}: not a CSV table in UTF-8 ({error}); build the set again") from None
+    stimuli = tuple(_row(row, f"{path}, line {line}") for line, row in enumerate(rows, start=2))
+    if not stimuli:
+        raise ValueError(f"{path}: holds no stimulus; build the set again")
+    return StimulusSet(Path(folder), stimuli, hashlib.sha256(table).hexdigest())
+
+
+def read_details(folder: Path) -> dict[str, Any]:
+    """Read `manifest.json` of an earlier build, or give an empty one where there is none that can be used.
+
+    Parameters
+    ----------
+    folder : Path
+        The set's folder.
+
+    Returns
+    -------
+    dict
+        What the file holds; empty if it is missing or damaged, which only costs building anew.
+    """
+    try:
+        details = json.loads((folder / "manifest.json").read_bytes())
+    except (OSError, ValueError):
+        return {}
+    return details if isinstance(details, dict) else {}
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a file whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        Where to.
+    content : bytes
+        What.
+    """
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        part.write_bytes(content)
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _row(row: dict[str, str], place: str) -> Stimulus:
+    wrong = [name for name in COLUMNS if row.get(name) is None] + [str(name) for name in row if name not in COLUMNS]
+    if wrong:
+        raise ValueError(f"{place}: wrong or missing columns {', '.join(wrong)}; allowed are {', '.join(COLUMNS)}")
+    try:
+        values = {name: _READ_AS[name](row[name]) for name in COLUMNS}
+    except ValueError as error:
+        raise ValueError(f"{place}: {error}; build the set again") from None
+    return Stimulus(**values)

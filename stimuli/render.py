@@ -1,0 +1,194 @@
+"""From one recording to its rendered stimuli: condition, reduce, match, resample, fade; no gain yet.
+
+What is rendered is kept in a *parts* folder, one WAV in m/s² and one note of what was measured per stimulus, under a
+key made from everything that went into it. A build that was killed finds its parts again; a finished build throws them
+away.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stimuli.anchors import ANCHORS
+from stimuli.condition import condition, fade, resample
+from stimuli.door import largest
+from stimuli.manifest import write_bytes
+from stimuli.match import OriginalSpectrum, axis_correlations
+from stimuli.perception import felt_level
+from stimuli.recipe import NO_REFERENCE, ORIGINAL
+from stimuli.reduce import REDUCERS
+from stimuli.version import __version__
+from stimuli.wav import write_wav
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from stimuli.recipe import Recipe
+    from stimuli.recording import Recording
+
+    Samples = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """One stimulus to be, before its level: which recording, made how, for which role."""
+
+    recording: str
+    reducer: str
+    role: str
+    key: str
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """What was measured on a rendered stimulus at unit gain: peak and level in m/s² and multiples of the threshold."""
+
+    peak: float
+    felt_level: float
+    spectral_match: float
+    temporal_match: float
+
+
+def list_candidates(recording: Recording, recipe: Recipe) -> tuple[Candidate, ...]:
+    """List what a recipe makes of one recording: tests, the hidden reference, anchors.
+
+    Parameters
+    ----------
+    recording : Recording
+        The recording as read, not yet conditioned.
+    recipe : Recipe
+        What is wanted.
+
+    Returns
+    -------
+    tuple of Candidate
+        In the manifest's order.
+    """
+    wanted = [(name, "test") for name in recipe.reducers]
+    if recipe.reference != NO_REFERENCE:
+        wanted.append((recipe.reference, "reference"))
+    if recipe.anchors:
+        wanted += [(name, "anchor") for name in ANCHORS]
+    basis = {"version": __version__, "recording": recording.sha256, **versions(), **recipe.rendering()}
+    return tuple(
+        Candidate(recording.name, reducer, role, _digest({**basis, "reducer": reducer})) for reducer, role in wanted
+    )
+
+
+def versions() -> dict[str, str]:
+    """Versions of the software whose arithmetic decides the samples.
+
+    Returns
+    -------
+    dict
+        Package name -> version.
+    """
+    from importlib.metadata import version
+
+    return {name: version(name) for name in ("numpy", "scipy", "soxr")}
+
+
+def render_recording(
+    recording: Recording, candidates: Sequence[Candidate], *, recipe: Recipe, parts: Path
+) -> dict[str, Measured]:
+    """Render those candidates of one recording that are not in the parts folder yet, and say what was measured.
+
+    Parameters
+    ----------
+    recording : Recording
+        The recording as read.
+    candidates : sequence of Candidate
+        Stimuli of this recording.
+    recipe : Recipe
+        How they are made.
+    parts : Path
+        Folder of the parts.
+
+    Returns
+    -------
+    dict
+        Key -> what was measured.
+
+    Raises
+    ------
+    ValueError
+        If the recording cannot be conditioned, or is silent where people feel.
+    """
+    measured = {c.key: found for c in candidates if (found := _read_part(parts, c.key)) is not None}
+    missing = [c for c in candidates if c.key not in measured]
+    if missing:
+        conditioned = condition(recording, recipe.conditioning)
+        original = OriginalSpectrum(conditioned.acceleration, conditioned.rate_hz)
+        for candidate in missing:
+            samples = _make(candidate.reducer, conditioned)
+            rendered = _for_the_rig(samples, conditioned.rate_hz, recipe)
+            note = _measure(samples, rendered, recording=conditioned, original=original)
+            write_wav(part_path(parts, candidate.key), rendered, recipe.rate_hz)
+            write_bytes(parts / f"{candidate.key}.json", json.dumps(asdict(note)).encode())
+            measured[candidate.key] = note
+    return measured
+
+
+def part_path(parts: Path, key: str) -> Path:
+    """Where a rendered stimulus is kept until the set is complete.
+
+    Parameters
+    ----------
+    parts : Path
+        Folder of the parts.
+    key : str
+        The candidate's key.
+
+    Returns
+    -------
+    Path
+        The WAV file, in m/s².
+    """
+    return parts / f"{key}.wav"
+
+
+def _make(reducer: str, recording: Recording) -> Samples:
+    if reducer == ORIGINAL:
+        return recording.acceleration
+    if reducer in ANCHORS:
+        seed = [int(recording.sha256[:16], 16), *reducer.encode()]
+        return ANCHORS[reducer](recording, np.random.default_rng(seed))
+    return REDUCERS[reducer](recording.acceleration, recording.rate_hz)
+
+
+def _for_the_rig(samples: Samples, rate_hz: float, recipe: Recipe) -> Samples:
+    # An offset (mag321 makes one) cannot be felt and only heats the coil; the metrics are taken before it is removed.
+    vibration = samples - samples.mean(axis=-1, keepdims=True)
+    return fade(resample(vibration, rate_hz, to_hz=recipe.rate_hz), recipe.rate_hz, fade_s=recipe.fade_s)
+
+
+def _measure(
+    samples: Samples, rendered: Samples, *, recording: Recording, original: OriginalSpectrum
+) -> Measured:
+    level = felt_level(samples, recording.rate_hz)
+    if samples.ndim > 1:  # the original itself, matched channel by channel
+        return Measured(largest(rendered), level, 1.0, 1.0)
+    correlations = axis_correlations(recording.acceleration, samples)
+    heard = correlations[~np.isnan(correlations)]
+    temporal = float(heard.mean()) if heard.size else 0.0
+    return Measured(largest(rendered), level, float(original.match(samples)), temporal)
+
+
+def _read_part(parts: Path, key: str) -> Measured | None:
+    """Read a part's note, which is written after its samples: a part without one does not count."""
+    note = parts / f"{key}.json"
+    if not (note.is_file() and part_path(parts, key).is_file()):
+        return None
+    return Measured(**json.loads(note.read_bytes()))
+
+
+def _digest(what: object) -> str:
+    return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()

@@ -1,0 +1,252 @@
+"""Stimulus sets: every recording through every reducer at every level; only what changed, all or nothing.
+
+A build runs in two passes over the recordings, each in parallel: *measure* renders what is not remembered and measures
+it at unit gain, *write* gives every stimulus the gain of its level arm. Between them stands the only thing that needs
+the whole set: the gain. Each file is replaced in one step and the manifest comes last, so a killed build leaves no
+half file and is continued by the next.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import shutil
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stimuli.door import largest
+from stimuli.levels import choose_gains
+from stimuli.manifest import Stimulus, StimulusSet, read_details, write_manifest
+from stimuli.render import Candidate, Measured, list_candidates, part_path, render_recording, versions
+from stimuli.version import __version__
+from stimuli.wav import read_wav, write_wav
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+
+    from stimuli.recipe import Recipe
+    from stimuli.recording import Recording
+
+    Progress = Callable[[int, int], None]
+    Job = tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]
+
+PARTS = ".parts"
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
+
+
+@dataclass(frozen=True, slots=True)
+class _Order:
+    """One file to be: a candidate, what was measured on it, its level arm, and the gain that brings it there."""
+
+    candidate: Candidate
+    measured: Measured
+    level: str
+    gain: float
+
+    @property
+    def stimulus_id(self) -> str:
+        made = "reference" if self.candidate.role == "reference" else self.candidate.reducer
+        return f"{self.candidate.recording}__{made}__{self.level}"
+
+
+@dataclass(frozen=True, slots=True)
+class _Before:
+    """What an earlier build left: its rows, the keys they were made under, and what was measured."""
+
+    rows: dict[str, Stimulus]
+    keys: dict[str, str]
+    measured: dict[str, Measured]
+
+    @classmethod
+    def read(cls, folder: Path) -> _Before:
+        details = read_details(folder)
+        try:
+            rows = {row["stimulus_id"]: Stimulus(**row) for row in details.get("stimuli", [])}
+            measured = {key: Measured(**note) for key, note in details.get("measured", {}).items()}
+        except (TypeError, KeyError):  # the manifest of another version: everything is made again
+            return cls({}, {}, {})
+        return cls(rows, dict(details.get("keys", {})), measured)
+
+
+def build_stimuli(
+    recordings: Sequence[Recording],
+    folder: str | Path,
+    *,
+    recipe: Recipe,
+    workers: int = 1,
+    progress: Progress | None = None,
+) -> StimulusSet:
+    """Build a stimulus set, or bring one up to date.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        One or more, each with a name of its own that can stand in a file name.
+    folder : str or Path
+        Where to; made if missing. Files of an earlier build that are no longer wanted are removed.
+    recipe : Recipe
+        What is made of every recording.
+    workers : int
+        Number of processes. The result does not depend on it.
+    progress : callable, optional
+        Called with (steps done, steps in all) after each step.
+
+    Returns
+    -------
+    StimulusSet
+        What `manifest.csv` holds.
+
+    Raises
+    ------
+    ValueError
+        If names clash, or a recording cannot be used; nothing already built is harmed.
+    """
+    _check_names(recordings)
+    folder = Path(folder)
+    parts = _make_parts_folder(folder)
+    before = _Before.read(folder)
+    wanted = {recording.name: list_candidates(recording, recipe) for recording in recordings}
+    new = [r for r in recordings if any(c.key not in before.measured for c in wanted[r.name])]
+    counter = _Counter(progress, total=len(new) + len(recordings))
+    measure = [(render_recording, (r, wanted[r.name]), {"recipe": recipe, "parts": parts}) for r in new]
+    measured = dict(before.measured)
+    for found in counter.count(_in_parallel(measure, workers=workers)):
+        measured.update(found)
+    orders = _place_orders(wanted, measured, recipe)
+    how = {"recipe": recipe, "folder": folder, "before": before}
+    write = [(_write_recording, (r, orders[r.name]), how) for r in recordings]
+    written = {row.stimulus_id: row for rows in counter.count(_in_parallel(write, workers=workers)) for row in rows}
+    in_order = [order for recording in recordings for order in orders[recording.name]]
+    rows = [written[order.stimulus_id] for order in in_order]
+    for stale in {row.file for row in before.rows.values()} - {row.file for row in rows}:
+        (folder / stale).unlink(missing_ok=True)
+    finished = write_manifest(folder, rows, details=_details(in_order, recipe))
+    shutil.rmtree(parts)
+    return finished
+
+
+def _check_names(recordings: Sequence[Recording]) -> None:
+    if not recordings:
+        raise ValueError("recordings: got none, allowed is one or more; name them in study.toml")
+    seen: set[str] = set()
+    for recording in recordings:
+        if not _NAME.fullmatch(recording.name):
+            raise ValueError(
+                f"recording name: got {recording.name!r}, allowed are letters, digits, '.', '_' and '-', "
+                "beginning with a letter or digit; give it another name"
+            )
+        # Some file systems do not tell capitals from small letters.
+        if recording.name.casefold() in seen:
+            raise ValueError(f"recording name: got {recording.name!r} twice; give one of them another name")
+        seen.add(recording.name.casefold())
+
+
+def _make_parts_folder(folder: Path) -> Path:
+    """Make the folder of unfinished work, and clear away files that a killed build was writing."""
+    parts = folder / PARTS
+    parts.mkdir(parents=True, exist_ok=True)
+    for unfinished in [*folder.glob(".*.part"), *parts.glob(".*.part")]:
+        unfinished.unlink(missing_ok=True)
+    return parts
+
+
+def _place_orders(
+    wanted: Mapping[str, Sequence[Candidate]], measured: Mapping[str, Measured], recipe: Recipe
+) -> dict[str, list[_Order]]:
+    keys = {candidate.key for candidates in wanted.values() for candidate in candidates}
+    gains = choose_gains({key: measured[key] for key in keys}, recipe)
+    return {
+        name: [
+            _Order(candidate, measured[candidate.key], level, gains[level, candidate.key])
+            for level in recipe.levels
+            for candidate in candidates
+        ]
+        for name, candidates in wanted.items()
+    }
+
+
+def _write_recording(
+    recording: Recording, orders: Sequence[_Order], *, recipe: Recipe, folder: Path, before: _Before
+) -> list[Stimulus]:
+    """Write the files of one recording that are not there already, and give all their rows."""
+    kept = {order.stimulus_id: before.rows[order.stimulus_id] for order in orders if _is_there(order, folder, before)}
+    changed = [order for order in orders if order.stimulus_id not in kept]
+    render_recording(recording, [order.candidate for order in changed], recipe=recipe, parts=folder / PARTS)
+    kept.update((order.stimulus_id, _write(order, recording, recipe=recipe, folder=folder)) for order in changed)
+    return list(kept.values())
+
+
+def _is_there(order: _Order, folder: Path, before: _Before) -> bool:
+    """Whether the earlier build made just this, and its file still holds it."""
+    row = before.rows.get(order.stimulus_id)
+    if row is None or before.keys.get(order.stimulus_id) != order.candidate.key or row.gain != order.gain:
+        return False
+    path = folder / row.file
+    return path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() == row.sha256
+
+
+def _write(order: _Order, recording: Recording, *, recipe: Recipe, folder: Path) -> Stimulus:
+    samples, _ = read_wav(part_path(folder / PARTS, order.candidate.key))
+    samples *= order.gain / recipe.full_scale_m_s2
+    clipped = int(np.count_nonzero(np.abs(samples) > 1.0))
+    np.clip(samples, -1.0, 1.0, out=samples)
+    path = folder / f"{order.stimulus_id}.wav"
+    write_wav(path, samples, recipe.rate_hz)
+    mean_square = np.einsum("...n,...n->...", samples, samples).sum() / samples.shape[-1]
+    return Stimulus(
+        stimulus_id=order.stimulus_id,
+        recording=recording.name,
+        reducer=order.candidate.reducer,
+        level=order.level,
+        role=order.candidate.role,
+        file=path.name,
+        rate_hz=recipe.rate_hz,
+        n_samples=int(samples.shape[-1]),
+        duration_s=samples.shape[-1] / recipe.rate_hz,
+        peak=largest(samples),
+        rms_m_s2=float(np.sqrt(mean_square)) * recipe.full_scale_m_s2,
+        gain=order.gain,
+        spectral_match=order.measured.spectral_match,
+        temporal_match=order.measured.temporal_match,
+        clipped=clipped,
+        sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
+        recording_sha256=recording.sha256,
+    )
+
+
+def _details(orders: Sequence[_Order], recipe: Recipe) -> dict[str, Any]:
+    """Tell what `manifest.json` holds beside the rows: enough to rebuild the set and to tell what has changed."""
+    return {
+        "recipe": asdict(recipe),
+        "versions": {"feel321": __version__, **versions()},
+        "keys": {order.stimulus_id: order.candidate.key for order in orders},
+        "measured": {order.candidate.key: asdict(order.measured) for order in orders},
+    }
+
+
+class _Counter:
+    """Reports progress over several passes as one count."""
+
+    def __init__(self, progress: Progress | None, *, total: int) -> None:
+        self._progress, self._total, self._done = progress, total, 0
+
+    def count(self, results: Iterator[Any]) -> Iterator[Any]:
+        for result in results:
+            self._done += 1
+            if self._progress:
+                self._progress(self._done, self._total)
+            yield result
+
+
+def _in_parallel(jobs: Sequence[Job], *, workers: int) -> Iterator[Any]:
+    """Give results as they are done; in this process where one worker is enough."""
+    if workers == 1 or len(jobs) <= 1:
+        for function, arguments, named in jobs:
+            yield function(*arguments, **named)
+        return
+    from joblib import Parallel
+
+    yield from Parallel(n_jobs=workers, return_as="generator_unordered")(jobs)
