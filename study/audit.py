@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
+from stimuli.inspection import check_stimuli
 from stimuli.manifest import read_stimuli
-from stimuli.sets import check_stimuli
 from study.journal import read_journal
 from study.plan import require_plan
 from study.session import PLAN_FILE, find_header, name_journal

@@ -19,6 +19,7 @@ from study.tables import (
     Settings,
     StimuliTable,
     StudyTable,
+    Table,
 )
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 
     from pydantic_core import ErrorDetails
 
-TABLES = {
+TABLES: dict[tuple[str, ...], type[Table]] = {
     (): Settings,
     ("analysis",): AnalysisTable,
     ("observer",): ObserverTable,

@@ -89,8 +89,8 @@ def make_recipe(settings: Settings) -> Recipe:
     return Recipe(
         conditioning=Conditioning(
             remove_offset=steps.remove_offset,
-            high_pass_hz=None if steps.high_pass_hz == "off" else steps.high_pass_hz,
-            low_pass_hz=None if steps.low_pass_hz == "off" else steps.low_pass_hz,
+            high_pass_hz=steps.high_pass_hz,
+            low_pass_hz=steps.low_pass_hz,
             crop_s=steps.crop_s,
         ),
         reducers=stimuli.reducers,

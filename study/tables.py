@@ -7,14 +7,14 @@ the registries; none is written down here again.
 from __future__ import annotations
 
 from pathlib import PurePath
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag, model_validator
 
 from protocols.registry import PROTOCOLS
 from protocols.texts import list_languages
-from stimuli.recording import UNITS
 from stimuli.recipe import LEVELS, NO_REFERENCE, ORIGINAL
+from stimuli.recording import UNITS
 from stimuli.reduce import REDUCERS
 from stimuli.synthesis import SCENES
 
@@ -42,8 +42,8 @@ Some = (Field(min_length=1), AfterValidator(_check_distinct))
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-CutOff = Positive | Literal["off"]
-"""A corner frequency in Hz, or none: TOML has no null."""
+Corner = Annotated[Positive | None, BeforeValidator(lambda value: None if value == "off" else value)]
+"""A corner frequency in Hz, or "off": TOML has no null."""
 
 
 class Table(BaseModel):
@@ -91,7 +91,7 @@ class FileTable(Table):
         return self.name or PurePath(self.file).stem
 
 
-def _tell_kind(entry: Any) -> str:
+def _tell_kind(entry: object) -> str:
     is_scene = isinstance(entry, SceneTable) or (isinstance(entry, dict) and "scene" in entry)
     return "scene" if is_scene else "file"
 
@@ -105,8 +105,8 @@ class ConditioningTable(Table):
     """`[stimuli.conditioning]`: what is done to a recording before it is reduced."""
 
     remove_offset: bool = True
-    high_pass_hz: CutOff = 20.0
-    low_pass_hz: CutOff = 1000.0
+    high_pass_hz: Corner = 20.0
+    low_pass_hz: Corner = 1000.0
     crop_s: tuple[NotNegative, Positive] | None = None
 
 

@@ -1,0 +1,67 @@
+"""Verbs that run sessions and look after them."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+import click
+
+from study.commands.shared import json_option, now, print_json, show_progress, study_argument
+
+if TYPE_CHECKING:
+    from study.folder import StudyFolder
+
+
+@click.command(epilog="Example: feel321 simulate my-study --participants 16 --seed 1")
+@study_argument
+@click.option(
+    "--participants", type=click.IntRange(min=1), default=16, show_default=True, help="How many take part."
+)
+@click.option("--seed", type=click.IntRange(min=0), help="Seed of the participants.  [default: the study's]")
+@json_option
+def simulate(*, study: StudyFolder, participants: int, seed: int | None, as_json: bool) -> None:
+    """Run sessions with simulated participants, or resume them."""
+    from study.workflow import simulate_study
+
+    with show_progress("simulate") as progress:
+        rows = simulate_study(study, participants=participants, seed=seed, now=now, progress=progress)
+    if as_json:
+        print_json({"participants": participants, "ratings": rows, "file": str(study.ratings)})
+    else:
+        click.echo(f"{study.ratings}: {rows} ratings")
+
+
+@click.command(epilog="Example: feel321 status my-study")
+@study_argument
+@json_option
+def status(*, study: StudyFolder, as_json: bool) -> None:
+    """Show how far every participant has come."""
+    from study.status import read_status
+
+    progress = read_status(study)
+    if as_json:
+        print_json([asdict(entry) for entry in progress])
+        return
+    click.echo(f"{'participant':<16}{'done':>6}{'left':>6}  last activity")
+    for entry in progress:
+        mark = " (simulated)" if entry.simulated else ""
+        torn = f" ({entry.torn_bytes} torn bytes, mended on resuming)" if entry.torn_bytes else ""
+        click.echo(f"{entry.participant:<16}{entry.done:>6}{entry.left:>6}  {entry.last_activity}{mark}{torn}")
+
+
+@click.command(epilog="Example: feel321 audit my-study")
+@study_argument
+@json_option
+@click.pass_context
+def audit(context: click.Context, *, study: StudyFolder, as_json: bool) -> None:
+    """Verify that plans, journals and stimuli are as they were written."""
+    from study.audit import audit_study
+
+    findings = audit_study(study)
+    if as_json:
+        print_json({"findings": findings})
+    else:
+        count = len(study.journals)
+        click.echo("\n".join(findings) or f"{study.path}: {count} journals, all as they were written")
+    context.exit(1 if findings else 0)

@@ -1,0 +1,140 @@
+"""What several verbs share: arguments, progress, output, the clock."""
+
+from __future__ import annotations
+
+import json
+import sys
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from study.folder import StudyFolder, require_study
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from stimuli.recording import Recording
+
+    Verb = Callable[..., None]
+
+FILE = click.Path(path_type=Path)
+
+json_option = click.option("--json", "as_json", is_flag=True, help="Print figures as JSON.")
+
+
+def study_argument(verb: Verb) -> Verb:
+    """Give a verb the argument STUDY; it receives `study`, a StudyFolder that is there.
+
+    Parameters
+    ----------
+    verb : callable
+        The verb.
+
+    Returns
+    -------
+    callable
+        The verb with the argument.
+    """
+
+    def find(_context: click.Context, _parameter: click.Parameter, value: Path) -> StudyFolder:
+        return require_study(value)
+
+    return click.argument("study", metavar="[STUDY]", default=Path(), type=FILE, callback=find)(verb)
+
+
+def recording_argument(verb: Verb) -> Verb:
+    """Give a verb the argument RECORDING and the options that say how to read it; it receives `recording`.
+
+    Parameters
+    ----------
+    verb : callable
+        The verb.
+
+    Returns
+    -------
+    callable
+        The verb with the argument and options.
+    """
+
+    @click.argument("recording", type=FILE)
+    @click.option("--unit", help="Unit of the samples: m/s^2, g or mg.  [default: what the file says]")
+    @click.option("--rate-hz", type=float, help="Sampling rate in Hz.  [default: what the file says]")
+    @click.option("--columns", help="Names or numbers (from 0), such as time,x,y,z.  [default: by name]")
+    @click.option("--full-scale", type=float, help="Full scale of integer samples, in the unit.")
+    @click.option("--resample", is_flag=True, help="Mend irregular sampling.")
+    @click.pass_context
+    @wraps(verb)
+    def read_then_do(context: click.Context, *, recording: Path, columns: str | None, **own: object) -> None:
+        from stimuli.formats import read_recording
+
+        options = {name: own.pop(name) for name in ("unit", "rate_hz", "full_scale", "resample")}
+        names = columns and [int(name) if name.isdigit() else name for name in columns.split(",")]
+        source = read_recording(recording, columns=names, **options)
+        report_warnings([source])
+        context.invoke(verb, recording=source, **own)
+
+    return read_then_do
+
+
+def report_warnings(recordings: Iterable[Recording]) -> None:
+    """Print what was noticed in recordings, one line each, to stderr.
+
+    Parameters
+    ----------
+    recordings : iterable of Recording
+        The recordings.
+    """
+    for recording in recordings:
+        for warning in recording.warnings:
+            click.echo(f"feel321: warning: {recording.name}: {warning}", err=True)
+
+
+def print_json(entry: object) -> None:
+    """Print figures as JSON.
+
+    Parameters
+    ----------
+    entry : object
+        What JSON can hold.
+    """
+    click.echo(json.dumps(entry, indent=2, ensure_ascii=False))
+
+
+@contextmanager
+def show_progress(what: str) -> Iterator[Callable[[int, int], None]]:
+    """Show a progress bar on stderr, if that is a terminal.
+
+    Parameters
+    ----------
+    what : str
+        What is going on.
+
+    Yields
+    ------
+    callable
+        To be called with the numbers of steps done and to do.
+    """
+    from tqdm import tqdm
+
+    with tqdm(desc=what, file=sys.stderr, disable=not sys.stderr.isatty(), leave=False) as bar:
+
+        def move(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        yield move
+
+
+def now() -> datetime:
+    """Tell the time of day.
+
+    Returns
+    -------
+    datetime
+        In UTC.
+    """
+    return datetime.now(UTC)
