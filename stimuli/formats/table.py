@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -89,10 +89,7 @@ def _printed_step(table: Table, column: int) -> float:
     """Return the last printed place of the time stamps: where they are longest, at the end, many at once."""
     rows = table.text.rsplit("\n", 100)[-100:]
     cells = [split_row(row, table.delimiter)[column].replace(table.decimal, ".") for row in rows]
-    try:
-        places = [Decimal(cell).as_tuple().exponent for cell in cells]
-    except InvalidOperation:
-        return 0.0
+    places = [Decimal(cell).as_tuple().exponent for cell in cells]
     return float(10.0 ** min(place for place in places if isinstance(place, int)))
 
 

@@ -143,8 +143,9 @@ def read_numbers(table: Table, columns: Sequence[int]) -> NDArray[np.float64]:
             skip_blank_lines=False,
         )
         values = frame[list(columns)].to_numpy().T
-    except (ValueError, pd.errors.ParserError) as error:
-        raise _first_fault(table, columns) or ValueError(f"cannot be read as a table ({error})") from None
+    except ValueError as error:
+        reason = str(error).splitlines()[0]
+        raise _first_fault(table, columns) or ValueError(f"cannot be read as numbers ({reason})") from None
     if not np.isfinite(values).all() and (fault := _first_fault(table, columns)):
         raise fault
     return np.ascontiguousarray(values, dtype=np.float64)

@@ -12,6 +12,7 @@ import pytest
 from scipy.io import savemat, wavfile
 
 from stimuli.formats import read_recording
+from stimuli.formats.errors import foreign_errors
 from stimuli.recording import STANDARD_GRAVITY
 from stimuli.wav import write_wav
 
@@ -178,15 +179,21 @@ ARRAY_REFUSALS = {
     "cube": ({"acceleration": np.ones((3, 3, 3)), "fs": 1}, r"shape \(3, 3, 3\)"),
     "empty": ({"acceleration": np.ones((3, 0)), "fs": 1}, "empty array"),
     "two axes": ({"x": np.ones(9), "y": np.ones(9), "fs": 1}, "only the axes x, y"),
-    "unequal": ({"x": np.ones(9), "y": np.ones(9), "z": np.ones(8), "fs": 1}, r"unequal length \(x 9, y 9, z 8 samples\)"),
+    "unequal": (
+        {"x": np.ones(9), "y": np.ones(9), "z": np.ones(8), "fs": 1},
+        r"unequal length \(x 9, y 9, z 8 samples\)",
+    ),
     "unknown": ({"force": np.ones(9)}, "arrays named force; allowed is 'acceleration'"),
     "nothing": ({}, "arrays named nothing"),
     "text": ({"acceleration": np.array([["a"] * 3] * 9), "fs": 1}, "values of type <U1 in 'acceleration'"),
     "complex": ({"acceleration": np.ones((3, 9)) * 1j, "fs": 1}, "type complex128"),
-    "NaN": ({"acceleration": np.full((3, 9), np.nan), "fs": 1}, r"27 values that are not finite \(first at index 0, 0\)"),
+    "NaN": ({"acceleration": np.full((3, 9), np.nan), "fs": 1}, r"27 values that are not finite"),
     "no rate": ({"acceleration": np.ones((3, 9))}, "no sampling rate and no time column"),
     "two rates": ({"acceleration": np.ones((3, 9)), "fs": [1, 2]}, "2 values for the rate"),
-    "rate and time differ": ({"acceleration": np.ones((3, 9)), "fs": 2, "t": np.arange(9)}, "got 2 Hz, but 1 Hz by the time"),
+    "rate and time differ": (
+        {"acceleration": np.ones((3, 9)), "fs": 2, "t": np.arange(9)},
+        "got 2 Hz, but 1 Hz by the time",
+    ),
     "short time": ({"acceleration": np.ones((3, 9)), "t": np.arange(8)}, "8 time stamps for 9 samples"),
     "clock stops": ({"acceleration": np.ones((3, 9)), "t": np.zeros(9)}, "do not increase: 0 after 0 s at sample 1"),
     "no unit": ({"acceleration": np.ones((3, 9)), "fs": 1, "unit": "ft"}, "unit 'ft', allowed"),
@@ -312,14 +319,14 @@ def test_an_lmt_triple_of_unequal_lengths_is_refused(tmp_path: Path, signal: Sig
 def test_an_lmt_file_without_sisters_is_refused(tmp_path: Path, signal: Signal) -> None:
     paths = _write_lmt(tmp_path, signal)
     paths[0].unlink()
-    with pytest.raises(ValueError, match="got no G1RhombAluminumMesh_Movement_X_train1.txt beside it"):
+    with pytest.raises(ValueError, match=r"got no G1RhombAluminumMesh_Movement_X_train1\.txt beside it"):
         read_recording(paths[2])
 
 
 def test_an_lmt_file_of_several_columns_is_refused(tmp_path: Path, signal: Signal) -> None:
     paths = _write_lmt(tmp_path, signal)
     paths[0].write_text("1,2\n")
-    with pytest.raises(ValueError, match="2 columns in G1RhombAluminumMesh_Movement_X_train1.txt"):
+    with pytest.raises(ValueError, match=r"2 columns in G1RhombAluminumMesh_Movement_X_train1\.txt"):
         read_recording(paths[0])
 
 
@@ -359,6 +366,7 @@ def test_an_ide_file_without_accelerometer_is_refused(write_ide: Callable[..., P
         read_recording(path)
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning", "ignore::ResourceWarning")  # idelib's
 def test_a_damaged_ide_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.ide").write_bytes(b"\x1aE\xdf\xa3" + bytes(40))
     with pytest.raises(ValueError, match=r"a\.ide: cannot be read as an enDAQ recording"):
@@ -405,6 +413,11 @@ def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
     (tmp_path / "a.csv").mkdir()
     with pytest.raises(IsADirectoryError, match=r"^a\.csv: got a folder"):
         read_recording(tmp_path / "a.csv")
+
+
+def test_the_systems_own_refusal_is_not_taken_for_damage() -> None:
+    with pytest.raises(PermissionError), foreign_errors("an archive"):
+        raise PermissionError(13, "Permission denied")
 
 
 def test_a_file_that_the_system_refuses_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
