@@ -6,11 +6,12 @@ import re
 import stat
 import subprocess
 import sys
-from importlib.metadata import version
+from importlib.metadata import distributions, version
 from typing import TYPE_CHECKING, Any
 
 import pytest
 from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
 from packaging.utils import canonicalize_name
 
 if TYPE_CHECKING:
@@ -45,6 +46,15 @@ def test_every_command_is_a_target(root: Path, command: str) -> None:
 def test_everything_required_is_pinned(root: Path, pyproject: Any) -> None:
     pinned = pins((root / "constraints.txt").read_text(encoding="utf-8"))
     assert requirements(pyproject["project"]) - pinned == set()
+
+
+@pytest.mark.parametrize("python", ["3.11.0", "3.12.0"])
+def test_no_pin_asks_for_a_later_python(root: Path, python: str) -> None:
+    """Debian keeps a Python's first patch releases for years; a pin that wants a later one cannot install there."""
+    pinned = pins((root / "constraints.txt").read_text(encoding="utf-8"))
+    wanted = {canonicalize_name(each.metadata["Name"]): each.metadata["Requires-Python"] for each in distributions()}
+    refusing = {name: asked for name, asked in wanted.items() if not SpecifierSet(asked or "").contains(python)}
+    assert {name: asked for name, asked in refusing.items() if name in pinned} == {}
 
 
 def test_every_dependency_has_its_reason(root: Path, pyproject: Any) -> None:
