@@ -55,7 +55,7 @@ def status(*, study: StudyFolder, as_json: bool) -> None:
 @json_option
 @click.pass_context
 def audit(context: click.Context, *, study: StudyFolder, as_json: bool) -> None:
-    """Verify that plans, journals and stimuli are as they were written."""
+    """Verify plans, journals and stimuli; name every change."""
     from study.audit import audit_study
 
     findings = audit_study(study)

@@ -66,16 +66,29 @@ def recording_argument(verb: Verb) -> Verb:
     @click.option("--columns", help="Names or numbers (from 0), such as time,x,y,z.  [default: by name]")
     @click.option("--full-scale", type=float, help="Full scale of integer samples, in the unit.")
     @click.option("--resample", is_flag=True, help="Mend irregular sampling.")
-    @click.pass_context
     @wraps(verb)
-    def read_then_do(context: click.Context, *, recording: Path, columns: str | None, **own: object) -> None:
+    def read_then_do(
+        *,
+        recording: Path,
+        unit: str | None,
+        rate_hz: float | None,
+        columns: str | None,
+        full_scale: float | None,
+        resample: bool,
+        **own: object,
+    ) -> None:
         from stimuli.formats import read_recording
 
-        options = {name: own.pop(name) for name in ("unit", "rate_hz", "full_scale", "resample")}
-        names = columns and [int(name) if name.isdigit() else name for name in columns.split(",")]
-        source = read_recording(recording, columns=names, **options)
+        source = read_recording(
+            recording,
+            rate_hz=rate_hz,
+            unit=unit,
+            columns=None if columns is None else [_name_column(name) for name in columns.split(",")],
+            full_scale=full_scale,
+            resample=resample,
+        )
         report_warnings([source])
-        context.invoke(verb, recording=source, **own)
+        verb(recording=source, **own)
 
     return read_then_do
 
@@ -138,3 +151,7 @@ def now() -> datetime:
         In UTC.
     """
     return datetime.now(UTC)
+
+
+def _name_column(text: str) -> str | int:
+    return int(text) if text.strip().isdigit() else text

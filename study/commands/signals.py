@@ -58,7 +58,9 @@ class ReducerName(click.ParamType[str]):
 
 @click.command(epilog="Example: feel321 reduce oak.csv --reducer dft321 -o oak-dft321.wav")
 @recording_argument
-@click.option("--reducer", type=ReducerName(), required=True, help="Name of a 321 transform; a wrong one, such as ?, lists them all.")
+@click.option(
+    "--reducer", type=ReducerName(), required=True, help="A 321 transform; any wrong name, such as ?, lists them."
+)
 @click.option("-o", "--output", type=FILE, required=True, help="The WAV file to write; a JSON file goes beside it.")
 @click.option("--window-ms", type=float, help="Window of the reducers that have one.  [default: 35]")
 @click.option("--force", is_flag=True, help="Replace the output if it is there.")

@@ -68,7 +68,7 @@ def build(*, study: StudyFolder, workers: int, as_json: bool) -> None:
     "--dir", "folder", type=FILE, default=Path("demo-study"), show_default=True, help="Where it goes."
 )
 def demo(folder: Path) -> None:
-    """Run the whole chain on bundled scenes and simulated participants."""
+    """Run the whole chain with simulated participants."""
     from study.workflow import analyze_study, build_study, simulate_study
 
     study = _open_demo(folder)

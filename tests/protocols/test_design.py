@@ -4,6 +4,7 @@ import json
 from collections import Counter
 from itertools import pairwise
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -14,33 +15,45 @@ from protocols.design import make_order, williams_square
 from protocols.registry import PROTOCOLS
 from protocols.trial import Item
 
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from protocols.trial import Protocol, Trial
+
 ORACLE = Path(__file__).parents[3] / "shared" / "oracles" / "williams_design" / "expected.json"
 BOTH = tuple(PROTOCOLS.values())
 REALISM = (PROTOCOLS["realism"],)
 
 
-def order(items, number=1, repeats=1, *, protocols=BOTH, seed=1):
+def order(
+    items: list[Item],
+    number: int = 1,
+    repeats: int = 1,
+    *,
+    protocols: tuple[Protocol, ...] = BOTH,
+    seed: int = 1,
+) -> tuple[Trial, ...]:
     return make_order(items, protocols, number=number, repeats=repeats, rng=np.random.default_rng(seed))
 
 
-def count_neighbours(rows):
+def count_neighbours(rows: Iterable[Sequence[Any]]) -> Counter[tuple[Any, Any]]:
     return Counter(pair for row in rows for pair in pairwise(row))
 
 
 @pytest.fixture(scope="module")
-def oracle():
+def oracle() -> dict[str, Any]:
     if not ORACLE.is_file():
         pytest.skip(f"the oracle williams_design is not beside the project ({ORACLE})")
     return json.loads(ORACLE.read_text(encoding="utf-8"))
 
 
 @pytest.mark.parametrize("n", [5, 6])
-def test_square_is_the_published_table(oracle, n):
+def test_square_is_the_published_table(oracle: dict[str, Any], n: int) -> None:
     assert [list(row) for row in williams_square(n)] == oracle[f"example_n{n}"]
 
 
 @pytest.mark.parametrize("n", range(2, 13))
-def test_square_has_the_counts_of_the_oracle(oracle, n):
+def test_square_has_the_counts_of_the_oracle(oracle: dict[str, Any], n: int) -> None:
     square, expected = williams_square(n), oracle["properties"][str(n)]
     assert len(square) == expected["n_sequences"]
     places = Counter((place, condition) for row in square for place, condition in enumerate(row))
@@ -52,16 +65,16 @@ def test_square_has_the_counts_of_the_oracle(oracle, n):
 
 
 @given(st.integers(1, 40))
-def test_every_row_of_a_square_is_a_permutation(n):
+def test_every_row_of_a_square_is_a_permutation(n: int) -> None:
     assert all(sorted(row) == list(range(n)) for row in williams_square(n))
 
 
-def test_square_of_nothing_is_refused():
+def test_square_of_nothing_is_refused() -> None:
     with pytest.raises(ValueError, match="n: got 0, allowed is a number of conditions of at least 1"):
         williams_square(0)
 
 
-def test_everything_is_judged_once_per_repeat_and_protocol(items):
+def test_everything_is_judged_once_per_repeat_and_protocol(items: list[Item]) -> None:
     trials = order(items, repeats=3)
     counts = Counter((t.protocol, t.repeat, t.stimulus_id) for t in trials)
     assert set(counts.values()) == {1}
@@ -69,7 +82,7 @@ def test_everything_is_judged_once_per_repeat_and_protocol(items):
     assert [t.number for t in trials] == list(range(1, len(trials) + 1))
 
 
-def test_a_block_is_one_recording_of_one_protocol_and_repeat(items):
+def test_a_block_is_one_recording_of_one_protocol_and_repeat(items: list[Item]) -> None:
     recording = {item.stimulus_id: item.recording for item in items}
     trials = order(items, repeats=2)
     blocks: dict[int, set[tuple[str, int, str]]] = {}
@@ -80,7 +93,7 @@ def test_a_block_is_one_recording_of_one_protocol_and_repeat(items):
     assert [t.protocol for t in trials] == ["realism"] * 36 + ["similarity"] * 36
 
 
-def test_a_full_cycle_of_participants_balances_place_and_carry_over_in_every_recording(items):
+def test_a_full_cycle_of_participants_balances_place_and_carry_over_in_every_recording(items: list[Item]) -> None:
     orders = [order(items, number, protocols=REALISM) for number in range(1, 7)]
     for recording in ("bumps", "drag", "taps"):
         rows = [[t.stimulus_id for t in trials if t.stimulus_id.startswith(recording)] for trials in orders]
@@ -90,7 +103,7 @@ def test_a_full_cycle_of_participants_balances_place_and_carry_over_in_every_rec
         assert all(len({row[place] for row in rows}) == 6 for place in range(6))
 
 
-def test_a_full_cycle_of_participants_balances_the_recordings(items):
+def test_a_full_cycle_of_participants_balances_the_recordings(items: list[Item]) -> None:
     recording = {item.stimulus_id: item.recording for item in items}
     rows = [
         list(dict.fromkeys(recording[t.stimulus_id] for t in order(items, number, protocols=REALISM)))
@@ -100,18 +113,20 @@ def test_a_full_cycle_of_participants_balances_the_recordings(items):
 
 
 @given(st.integers(1, 30), st.integers(1, 4), st.integers(1, 3), st.integers(2, 5), st.integers(0, 9))
-def test_no_stimulus_twice_in_a_row_across_any_border(number, repeats, n_recordings, n_stimuli, seed):
+def test_no_stimulus_twice_in_a_row_across_any_border(
+    number: int, repeats: int, n_recordings: int, n_stimuli: int, seed: int
+) -> None:
     items = [Item(f"{r}-{s}", str(r), "as_is", "test") for r in range(n_recordings) for s in range(n_stimuli)]
     trials = order(items, number, repeats, protocols=REALISM, seed=seed)
     assert all(a.stimulus_id != b.stimulus_id for a, b in pairwise(trials))
 
 
-def test_a_lone_stimulus_may_follow_itself():
+def test_a_lone_stimulus_may_follow_itself() -> None:
     trials = order([Item("tap", "tap", "as_is", "test")], repeats=2, protocols=REALISM)
     assert [t.stimulus_id for t in trials] == ["tap", "tap"]
 
 
-def test_order_depends_on_seed_and_participant_and_on_nothing_else(items):
+def test_order_depends_on_seed_and_participant_and_on_nothing_else(items: list[Item]) -> None:
     assert order(items, 3) == order(items, 3)
     assert order(items, 3) != order(items, 4)
     assert len({order(items, 3, seed=seed) for seed in range(5)}) == 5
@@ -125,11 +140,11 @@ def test_order_depends_on_seed_and_participant_and_on_nothing_else(items):
         ({"protocols": ()}, "protocols: got none"),
     ],
 )
-def test_orders_of_nothing_are_refused(items, changes, message):
+def test_orders_of_nothing_are_refused(items: list[Item], changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         order(items, **changes)
 
 
-def test_no_items_are_refused():
+def test_no_items_are_refused() -> None:
     with pytest.raises(ValueError, match="items: got none, an order needs at least one"):
         order([])
