@@ -19,6 +19,11 @@ def file_named(path: Path) -> Iterator[None]:
     path : Path
         The file that is read.
 
+    Yields
+    ------
+    None
+        Nothing; whatever is raised inside is named.
+
     Raises
     ------
     ValueError
@@ -44,6 +49,11 @@ def foreign_errors(what: str) -> Iterator[None]:
     ----------
     what : str
         What the file should have been, with its article.
+
+    Yields
+    ------
+    None
+        Nothing; whatever is raised inside is translated.
 
     Raises
     ------
