@@ -37,7 +37,7 @@ def function(signature: str, body: str) -> str:
     [
         (function("a: list[int], c: int", NESTED), "PLR1702"),
         (function("a: int, b: int", BRANCHES), "C901"),
-        (function("a: int, b: int, c: int", "    return a + b + c\n"), "PLR0917"),
+        (function("a: int, b: int, c: int, d: int", "    return a\n"), "PLR0917"),
         (function("a: int, *, b: int, c: int, d: int, e: int, f: int, g: int", "    return a\n"), "PLR0913"),
         (function("a: bool", "    return int(a)\n"), "FBT001"),
         (function("a: int", "    print(a)\n    return a\n"), "T201"),
