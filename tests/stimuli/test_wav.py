@@ -11,6 +11,7 @@ from stimuli.wav import read_wav, read_wav_header, write_wav
 
 if TYPE_CHECKING:
     from pathlib import Path
+    from typing import BinaryIO
 
 
 @pytest.mark.parametrize("shape", [(1,), (7,), (3, 500), (1, 4), (2, 3)])
@@ -38,8 +39,8 @@ def test_a_write_that_fails_leaves_the_old_file_alone(tmp_path: Path, monkeypatc
     write_wav(tmp_path / "a.wav", [1.0], 8000)
     before = (tmp_path / "a.wav").read_bytes()
 
-    def fail(file: object, *_: object) -> None:
-        file.write(b"half")  # type: ignore[attr-defined]
+    def fail(file: BinaryIO, *_: object) -> None:
+        file.write(b"half")
         raise KeyboardInterrupt
 
     monkeypatch.setattr(wavfile, "write", fail)
@@ -139,7 +140,7 @@ def test_what_is_not_a_wav_file_is_refused(tmp_path: Path, content: bytes, messa
         ([1.0], 0, "above 0"),
     ],
 )
-def test_what_a_wav_cannot_hold_is_refused(tmp_path: Path, samples: object, rate: float, message: str) -> None:
+def test_what_a_wav_cannot_hold_is_refused(tmp_path: Path, samples: list[float], rate: float, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        write_wav(tmp_path / "a.wav", samples, rate)  # type: ignore[arg-type]
+        write_wav(tmp_path / "a.wav", samples, rate)
     assert not list(tmp_path.iterdir())

@@ -5,7 +5,7 @@ import json
 import struct
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -93,12 +93,12 @@ def test_extensible_float_wav_is_float(tmp_path: Path, signal: Signal) -> None:
     ],
 )
 def test_a_wav_that_contradicts_what_is_said_of_it_is_refused(
-    tmp_path: Path, signal: Signal, sidecar: object, arguments: dict[str, object], message: str
+    tmp_path: Path, signal: Signal, sidecar: object, arguments: dict[str, Any], message: str
 ) -> None:
     write_wav(tmp_path / "a.wav", signal, 8000)
     (tmp_path / "a.json").write_text(json.dumps(sidecar))
     with pytest.raises(ValueError, match=rf"^a\.wav: .*{message}"):
-        read_recording(tmp_path / "a.wav", **arguments)  # type: ignore[arg-type]
+        read_recording(tmp_path / "a.wav", **arguments)
 
 
 @pytest.mark.parametrize("text", ["{", "\xff"])
