@@ -196,7 +196,7 @@ def correlate(
     )  # fmt: skip
 
 
-def compare_metrics(  # noqa: PLR0917 - the contract's calling form; a comparison has two sides
+def compare_metrics(
     ratings: DataFrame,
     first: str,
     second: str,

@@ -131,11 +131,12 @@ def _mark_clipped(axes: Axes, metric: NDArray[np.float64]) -> None:
 
 
 def _tell_association(result: Association) -> str:
-    size = f"{result.n_items} stimuli, {result.n_participants} participants, {result.n_recordings} recordings"
+    size = f"{result.n_items} stimuli, {result.n_recordings} recordings"
+    narrow = tell_range(result.participants_low, result.participants_high)
     return (
-        f"{result.method.capitalize()} r = {tell_number(result.value)}; {size}\n"
-        f"95 % interval: two-way {tell_range(result.low, result.high)};\n"
-        f"over participants only {tell_range(result.participants_low, result.participants_high)}"
+        f"{result.method.capitalize()} r = {tell_number(result.value)}, {size}\n"
+        f"95 % two-way interval {tell_range(result.low, result.high)}\n"
+        f"over {result.n_participants} participants only {narrow}"
     )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import platform
 import shutil
 import tempfile
@@ -16,20 +15,19 @@ import numpy as np
 from analysis.findings import Findings, analyse, make_tables
 from analysis.how import tell_how
 from analysis.page import render_page
-from analysis.pictures import draw_pictures
+from analysis.pictures import Picture, draw_pictures
 from analysis.results import Results, collect_notes, collect_numbers
 from analysis.style import save_figure
-from analysis.table import Table, read_table
+from analysis.table import read_table
 from analysis.verdict import write_verdict
-from stimuli.version import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
 COMPUTED_WITH = ("numpy", "scipy", "pandas", "matplotlib")
 
 
-def write_report(  # noqa: PLR0917 - two files in, one folder out: the order cannot be mistaken
+def write_report(
     ratings_path: Path | str, manifest_path: Path | str, folder: Path | str, *, draws: int = 2000, seed: int
 ) -> Results:
     """Analyse ratings against the match metrics and write the report.
@@ -62,9 +60,11 @@ def write_report(  # noqa: PLR0917 - two files in, one folder out: the order can
     ratings, manifest, target = Path(ratings_path), Path(manifest_path), Path(folder)
     table = read_table(ratings, manifest)
     findings = analyse(table, draws=draws, rng=np.random.default_rng(seed))
+    pictures = draw_pictures(table, findings)
     results = Results(
         verdict=write_verdict(findings),
         numbers=collect_numbers(table, findings),
+        figures={picture.name: picture.caption for picture in pictures},
         notes=collect_notes(table, findings),
         how=tell_how(draws),
         simulated=bool(table.rows["simulated"].any()),
@@ -74,18 +74,17 @@ def write_report(  # noqa: PLR0917 - two files in, one folder out: the order can
     target.parent.mkdir(parents=True, exist_ok=True)
     # Everything is written beside its place first: an interrupted run leaves the former report as it was.
     with tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}-") as place:
-        _write_parts(Path(place), table, findings=findings, results=results)
+        _write_parts(Path(place), findings, results=results, pictures=pictures)
         _move_parts(Path(place), target)
     return results
 
 
-def _write_parts(place: Path, table: Table, *, findings: Findings, results: Results) -> None:
+def _write_parts(place: Path, findings: Findings, *, results: Results, pictures: Sequence[Picture]) -> None:
     (place / "tables").mkdir()
     for name, frame in make_tables(findings).items():
         text = frame.to_csv(index=False, float_format="%.10g", lineterminator="\n")
         (place / "tables" / f"{name}.csv").write_text(text, encoding="utf-8", newline="")
     (place / "figures").mkdir()
-    pictures = draw_pictures(table, findings)
     for picture in pictures:
         save_figure(picture.figure, place / "figures" / picture.name)
     (place / "results.json").write_text(results.to_json(), encoding="utf-8", newline="")
@@ -98,7 +97,7 @@ def _move_parts(place: Path, target: Path) -> None:
     for part in ("tables", "figures"):
         shutil.rmtree(target / part, ignore_errors=True)
     for part in ("tables", "figures", "results.json", "index.html"):
-        os.replace(place / part, target / part)
+        (place / part).replace(target / part)
 
 
 def _describe_file(role: str, path: Path) -> Mapping[str, str]:
@@ -107,5 +106,7 @@ def _describe_file(role: str, path: Path) -> Mapping[str, str]:
 
 
 def _list_versions() -> dict[str, str]:
+    from stimuli.version import __version__
+
     libraries = {name: version(name) for name in COMPUTED_WITH}
     return {"feel321": __version__, "python": platform.python_version(), **libraries}

@@ -7,6 +7,9 @@ import math
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
+from analysis.figures import count_clipped
+from analysis.verdict import LEADING
+
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterator, Mapping
 
@@ -62,6 +65,8 @@ class Results:
         The answer in words.
     numbers : tuple of Number
         Every number shown.
+    figures : Mapping of str to str
+        Caption of each figure, by file name without suffix.
     notes : tuple of str
         What was left out or assumed.
     how : tuple of str
@@ -76,6 +81,7 @@ class Results:
 
     verdict: tuple[str, ...]
     numbers: tuple[Number, ...]
+    figures: Mapping[str, str]
     notes: tuple[str, ...]
     how: tuple[str, ...]
     simulated: bool
@@ -94,6 +100,7 @@ class Results:
             "verdict": self.verdict,
             "simulated": self.simulated,
             "numbers": [_without_nan(asdict(number)) for number in self.numbers],
+            "figures": dict(self.figures),
             "notes": self.notes,
             "how": self.how,
             "inputs": dict(self.inputs),
@@ -140,7 +147,8 @@ def collect_notes(table: Table, findings: Findings) -> tuple[str, ...]:
     """
     notes = list(table.notes)
     roles = table.rows.loc[table.rows["role"] != "test", "role"].value_counts().sort_index()
-    notes += [f"Associations leave out {count} judgements of stimuli with role '{role}'." for role, count in roles.items()]
+    left_out = "judgements of stimuli with role"
+    notes += [f"Associations leave out {count} {left_out} '{role}'." for role, count in roles.items()]
     for panel in findings.panels:
         lead = f"{panel.scale}, {panel.level}"
         found: tuple[Association | Difference, ...] = (*panel.associations, *panel.differences)
@@ -176,6 +184,9 @@ def _collect_panel(panel: Panel) -> Iterator[Number]:
     path = panel_path(panel.scale, panel.level)
     for association in panel.associations:
         yield from _name_association(association, path)
+        if association.method == LEADING:
+            metric = panel.stimuli[association.metric].to_numpy()
+            yield _count(f"scatter.{path}.{association.metric}.n_below_edge", count_clipped(metric), n=len(metric))
     for difference in panel.differences:
         yield from _name_difference(difference, path)
     for row in panel.stimuli.to_dict("records"):

@@ -32,7 +32,8 @@ PRINT: Any = {
     "font.family": "DejaVu Sans", "font.size": 7, "axes.labelsize": 7.5, "axes.titlesize": 7,
     "xtick.labelsize": 7, "ytick.labelsize": 7, "legend.fontsize": 7, "axes.linewidth": 0.6,
     "axes.spines.top": False, "axes.spines.right": False, "axes.titlelocation": "left",
-    "lines.markersize": 4, "lines.linewidth": 0.8, "text.parse_math": False, "svg.fonttype": "path", "svg.hashsalt": "feel321",
+    "lines.markersize": 4, "lines.linewidth": 0.8, "text.parse_math": False,
+    "svg.fonttype": "path", "svg.hashsalt": "feel321",
 }  # fmt: skip
 
 
@@ -120,5 +121,6 @@ def save_figure(figure: Figure, stem: Path) -> None:
         If a file cannot be written.
     """
     with print_style():
-        figure.savefig(stem.with_suffix(".svg"), metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
+        nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+        figure.savefig(stem.with_suffix(".svg"), metadata=nothing)
         figure.savefig(stem.with_suffix(".png"), dpi=PNG_DPI, metadata={"Software": None})

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from analysis.association import Association, Difference
     from analysis.findings import Findings, Panel
 
-LEADING = "pearson"
-"""The method that the verdict speaks of; the others stand in the tables."""
+LEADING, RANKED = "pearson", "spearman"
+"""The method that the verdict rests on, and the one it is checked against."""
 
 
 def write_verdict(findings: Findings) -> tuple[str, ...]:
@@ -38,12 +38,17 @@ def write_verdict(findings: Findings) -> tuple[str, ...]:
 
 def _judge_panel(panel: Panel, *, several: bool) -> list[str]:
     subject = tell_name(panel.scale) + (f" (level {tell_name(panel.level)})" if several else "")
-    alone = [judge_association(result, subject) for result in panel.associations if result.method == LEADING]
+    by_method = {(result.metric, result.method): result for result in panel.associations}
+    alone = [
+        judge_association(result, subject, ranked=by_method[metric, RANKED])
+        for (metric, method), result in by_method.items()
+        if method == LEADING
+    ]
     paired = [judge_difference(result, subject) for result in panel.differences if result.method == LEADING]
     return alone + paired
 
 
-def judge_association(result: Association, subject: str) -> str:
+def judge_association(result: Association, subject: str, *, ranked: Association) -> str:
     """Say whether ratings go with a metric.
 
     Parameters
@@ -52,6 +57,8 @@ def judge_association(result: Association, subject: str) -> str:
         The correlation and its two-way interval.
     subject : str
         What was rated.
+    ranked : Association
+        The same by ranks: outlying values of the metric do not sway it.
 
     Returns
     -------
@@ -61,16 +68,16 @@ def judge_association(result: Association, subject: str) -> str:
     metric, size = tell_name(result.metric), _tell_size(result)
     if math.isnan(result.value):
         return f"{_start(subject)} and {metric}: {' '.join(result.notes)}"
-    evidence = f"r = {tell_number(result.value)}"
+    evidence = f"r\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}{tell_number(result.value)}"
     if math.isnan(result.low):
         return f"{_start(subject)} and {metric}: {evidence}, {size}; without an interval nothing follows."
     evidence += f", 95 % two-way interval {tell_range(result.low, result.high)}; {size}"
-    if result.low <= 0 <= result.high:
+    if _covers_zero(result):
         claim = f"Whether {subject} ratings go with {metric} is undecided: the interval covers zero"
     else:
         direction = "higher" if result.value > 0 else "lower"
         claim = f"Stimuli with a higher {metric} got {direction} {subject} ratings"
-    return f"{claim} ({evidence})."
+    return f"{claim} ({evidence}). {_tell_ranks(result, ranked)}"
 
 
 def judge_difference(result: Difference, subject: str) -> str:
@@ -93,10 +100,21 @@ def judge_difference(result: Difference, subject: str) -> str:
     if math.isnan(result.low):
         return f"{_start(pair)} cannot be compared by an interval here."
     evidence = f"{tell_number(result.value)}, 95 % two-way interval {tell_range(result.low, result.high)}"
-    if result.low <= 0 <= result.high:
+    if _covers_zero(result):
         undecided = f"Neither metric is shown to predict {subject} better"
         return f"{undecided}: {pair} differ by {evidence}, which covers zero."
     return f"{_start(pair)} differ by {evidence}, which leaves zero out: {_name_better(result)}."
+
+
+def _covers_zero(result: Association | Difference) -> bool:
+    return result.low <= 0 <= result.high
+
+
+def _tell_ranks(result: Association, ranked: Association) -> str:
+    agrees = _covers_zero(result) == _covers_zero(ranked)
+    verb = "agrees" if agrees else "disagrees: a few stimuli or a bent relation make the difference"
+    ranks = f"{tell_number(ranked.value)}, {tell_range(ranked.low, ranked.high)}"
+    return f"Spearman's rank correlation ({ranks}) {verb}."
 
 
 def _name_better(result: Difference) -> str:

@@ -13,7 +13,7 @@ PLACES = {"correlation": 2, "rating": 1, "count": 0}
 
 METRIC_AXES = {
     "spectral_match": "Spectral match (1 = identical energy)",
-    "temporal_match": "Temporal match (1 = identical waveform)",
+    "temporal_match": "Temporal match (1 = same waveform as all axes)",
 }
 """Axis label of each metric; another metric is labelled by its name."""
 

@@ -1,0 +1,124 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from analysis.bootstrap import (
+    METHODS,
+    bootstrap_margin,
+    correlate_draws,
+    draw_counts,
+    fisher_z,
+    weighted_pearson,
+    weighted_ranks,
+    weighted_spearman,
+)
+from analysis.items import Items
+
+REFERENCE = {"pearson": stats.pearsonr, "spearman": stats.spearmanr}
+
+
+def make_items(rng: np.random.Generator, *, missing: float = 0.0) -> Items:
+    ratings = rng.integers(0, 11, (5, 12)).astype(float) * 10  # coarse, so that ties occur
+    ratings[rng.random(ratings.shape) < missing] = np.nan
+    metrics = np.round(rng.normal(size=(2, 12)), 1)
+    return Items(tuple(map(str, range(12))), ratings, metrics, np.repeat(np.arange(4), 3))
+
+
+def correlate_slowly(items: Items, method: str, people: np.ndarray, scenes: np.ndarray) -> np.ndarray:
+    """Write every drawn participant and item out, then ask scipy."""
+    drawn_people = np.repeat(np.arange(len(people)), people.astype(int))
+    means = {}
+    for item in range(items.n_items):
+        given = items.ratings[drawn_people, item]
+        if np.isfinite(given).any():
+            means[item] = np.nanmean(given)
+    drawn = [
+        item
+        for scene, times in enumerate(scenes.astype(int))
+        for _ in range(times)
+        for item in np.flatnonzero(items.recordings == scene)
+        if item in means
+    ]
+    y = np.array([means[item] for item in drawn])
+    return np.array([REFERENCE[method](metric[drawn], y).statistic for metric in items.metrics])
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("missing", [0.0, 0.4])
+def test_draws_equal_a_loop_over_the_written_out_samples(method: str, missing: float) -> None:
+    rng = np.random.default_rng(11)
+    items = make_items(rng, missing=missing)
+    people, scenes = draw_counts(5, 60, rng=rng), draw_counts(4, 60, rng=rng)
+    fast = correlate_draws(items, method, participants=people, recordings=scenes)
+    slow = np.array([correlate_slowly(items, method, *pair) for pair in zip(people, scenes, strict=True)]).T
+    np.testing.assert_allclose(fast, slow, rtol=0, atol=1e-12)
+
+
+@given(seed=st.integers(0, 10_000))
+def test_weights_mean_repetition(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    x, y = rng.integers(0, 5, 8).astype(float), rng.integers(0, 5, 8).astype(float)
+    weights = rng.integers(0, 4, 8)
+    many_x, many_y = np.repeat(x, weights), np.repeat(y, weights)
+    if len(many_x) == 0 or np.ptp(many_x) == 0 or np.ptp(many_y) == 0:
+        assert math.isnan(weighted_pearson(x, y, weights=weights.astype(float)))
+        return
+    ranks = np.repeat(weighted_ranks(x, weights.astype(float)), weights)
+    np.testing.assert_array_equal(ranks, stats.rankdata(many_x))
+    for name, function in METHODS.items():
+        expected = REFERENCE[name](many_x, many_y).statistic
+        assert function(x, y, weights=weights.astype(float)) == pytest.approx(expected, abs=1e-12)
+
+
+@given(seed=st.integers(0, 10_000))
+def test_monotone_transforms_leave_spearman_alone(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    x, y, weights = rng.normal(size=9), rng.normal(size=9), rng.integers(1, 3, 9).astype(float)
+    plain = weighted_spearman(x, y, weights=weights)
+    assert weighted_spearman(np.exp(x), y**3, weights=weights) == plain
+    assert weighted_spearman(-x, y, weights=weights) == pytest.approx(-plain, abs=1e-12)
+
+
+@pytest.mark.parametrize("constant", [0.0, 0.1, 1e6, -3.3e-7])
+def test_a_constant_is_undefined_whatever_its_rounding(constant: float) -> None:
+    x = np.full(7, constant)
+    y, weights = np.arange(7.0), np.array([1.0, 2, 3, 1, 2, 3, 1])
+    assert math.isnan(weighted_pearson(x, y, weights=weights))
+    assert math.isnan(weighted_pearson(y, x, weights=weights))
+
+
+def test_draws_without_spread_are_undefined() -> None:
+    items = make_items(np.random.default_rng(2))
+    nobody, everything = np.zeros((1, 5)), np.ones((1, 4))
+    drawn = correlate_draws(items, "pearson", participants=nobody, recordings=everything)
+    assert np.isnan(drawn).all()
+
+
+def test_counts_are_samples_with_replacement() -> None:
+    counts = draw_counts(6, 5000, rng=np.random.default_rng(0))
+    assert (counts.sum(axis=1) == 6).all()
+    np.testing.assert_allclose(counts.mean(axis=0), 1, atol=0.06)
+    np.testing.assert_allclose(counts.var(axis=0), 5 / 6, atol=0.06)
+
+
+def test_margin_is_the_corrected_t_interval() -> None:
+    drawn = np.array([1.0, 2.0, 4.0, np.nan])
+    expected = stats.t.ppf(0.975, 7) * math.sqrt(8 / 7) * np.std([1, 2, 4], ddof=1)
+    assert bootstrap_margin(drawn, 8) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("drawn", "units"), [([1.0, 2.0], 1), ([1.0, np.nan], 5), ([], 5)])
+def test_no_spread_gives_no_margin(drawn: list[float], units: int) -> None:
+    assert math.isnan(bootstrap_margin(np.array(drawn), units))
+
+
+def test_fisher_z_of_a_perfect_correlation_is_finite() -> None:
+    z = fisher_z(np.array([-1.0, 0.0, 0.5, 1.0]))
+    assert np.isfinite(z).all()
+    assert z[2] == pytest.approx(math.atanh(0.5))
