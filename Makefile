@@ -6,7 +6,7 @@ PIP := $(PYTHON) -m pip install --disable-pip-version-check -q -c constraints.tx
 ROOMS := stimuli protocols study analysis
 
 .DELETE_ON_ERROR:
-.PHONY: help demo test check bench soak constraints clean
+.PHONY: help demo test check lint types floors duplicates guards bench soak constraints clean
 
 help: ## list the commands
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile | expand -t 20
@@ -17,11 +17,21 @@ demo: .venv/.runs ## set up, run the whole chain on the bundled study, say where
 test: .venv/.tests ## set up, run every test with branch coverage
 	$(PYTHON) -m pytest --cov --cov-report=term $(ARGS)
 
-check: .venv/.tests ## every guard rail: lint, types, floors, duplicates, wheel, house rules
+check: lint types floors duplicates guards ## every guard rail; `make -k check` goes on after a failure
+
+lint: .venv/.tests
 	.venv/bin/ruff check .
+
+types: .venv/.tests
 	.venv/bin/mypy
+
+floors: .venv/.tests
 	.venv/bin/lint-imports --no-logo
+
+duplicates: .venv/.tests
 	.venv/bin/pylint $(ROOMS)
+
+guards: .venv/.tests # sizes, docstrings, faces, wheel, pins, exclusions
 	$(PYTHON) -m pytest tests/house
 
 bench: .venv/.tests ## speed against the floor of the FFTs, memory, real-time factor

@@ -18,14 +18,18 @@ DEFINITIONS = (ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
 
 
 class HouseValidator(Validator):
-    """Ports are never called; records may list their fields as attributes; what starts with _ is private."""
+    """Numpydoc's rules, with the house's view of what a caller passes.
+
+    Ports are never called; a table of study.toml is explained in study.toml; a record may list its fields as
+    attributes; what starts with _ is private.
+    """
 
     def __init__(self, obj_name: str) -> None:
         super().__init__(get_doc_object(Validator._load_obj(obj_name)))
 
     @property
     def signature_parameters(self) -> tuple[str, ...]:
-        if getattr(self.obj, "_is_protocol", False):
+        if getattr(self.obj, "_is_protocol", False) or hasattr(self.obj, "model_fields"):
             return ()
         told = {name for name, _, _ in NumpyDocString(self.clean_doc)["Attributes"]}
         return tuple(name for name in super().signature_parameters if name[0] != "_" and name not in told)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -87,6 +88,13 @@ def test_floors(files: dict[str, str], broken: int, root: Path, tmp_path: Path) 
     done = tool("lint-imports", "--no-cache", "--no-logo", cwd=copy_with(tmp_path, root, files))
     assert f"{broken} broken" in done.stdout
     assert done.returncode == int(broken > 0)
+
+
+def test_only_device_adapters_go_uncovered(pyproject: Any) -> None:
+    contracts = pyproject["tool"]["importlinter"]["contracts"]
+    edges = [edge for contract in contracts for edge in contract.get("ignore_imports", ())]
+    adapters = {edge.split(" -> ")[0].replace(".", "/") + ".py" for edge in edges}
+    assert set(pyproject["tool"]["coverage"]["run"]["omit"]) == adapters
 
 
 @pytest.mark.parametrize(("lines", "code"), [(6, 0), (9, 8)])
