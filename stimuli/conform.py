@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     Form = Literal["whole", "windowed"]
 
 RATE_HZ = 1000
+SQRT_2, SQRT_3, SQRT_14 = 2**0.5, 3**0.5, 14**0.5
 TOLERANCE = 1e-9
 """Largest deviation allowed, relative to the largest expected value, in float64."""
 WAV_TOLERANCE = 1e-5
@@ -36,7 +37,7 @@ WAV_TOLERANCE = 1e-5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GoldenVector:
-    """Three axes and the output that equations 3 and 4 give; off by `slack` of its peak, beside rounding, still passes."""
+    """Three axes and the output that equations 3 and 4 give; off by `slack` of its peak still passes."""
 
     name: str
     acceleration: NDArray[np.float64]
@@ -182,7 +183,7 @@ def _everywhere() -> Iterator[GoldenVector]:
     rng = np.random.default_rng(321)
     for n in (1, 2, 3, 64, 97):
         wave = rng.standard_normal(n)
-        yield GoldenVector(f"equal_axes_{n}", np.array([wave, wave, wave]), float(np.sqrt(3.0)) * wave)
+        yield GoldenVector(f"equal_axes_{n}", np.array([wave, wave, wave]), SQRT_3 * wave)
         # One axis at a time, so that an implementation cannot pass by looking at one of them only.
         axis = n % 3
         single = np.zeros((3, n))
@@ -198,12 +199,12 @@ def _whole_only() -> Iterator[GoldenVector]:
     """Vectors for the whole-signal form: closed forms, and the defining sums evaluated term by term."""
     for n in (50, 51):
         angle = 2 * np.pi * 5 * np.arange(n, dtype=np.float64) / n
-        circle = np.array([np.cos(angle), np.sin(angle), np.zeros(n)])
-        yield GoldenVector(f"circular_motion_{n}", circle, float(np.sqrt(2.0)) * np.cos(angle - np.pi / 4))
-        wave = np.cos(angle) + 0.5 * np.cos(3 * angle + 1.0)
-        # The sum vanishes: the strongest axis, x among equals, gives the phase.
-        yield GoldenVector(f"anti_phase_{n}", np.array([wave, -wave, np.zeros(n)]), float(np.sqrt(2.0)) * wave)
-        yield GoldenVector(f"anti_phase_strongest_{n}", np.outer((1.0, -3.0, 2.0), wave), -float(np.sqrt(14.0)) * wave)
+        circle = np.array([np.cos(angle), np.sin(angle), np.zeros(n)], dtype=np.float64)
+        yield GoldenVector(f"circular_motion_{n}", circle, SQRT_2 * np.cos(angle - np.pi / 4))
+        # Rounded to ten bits, so that the axes cancel in float32 too; the strongest, x among equals, gives the phase.
+        wave = np.round(1024 * (np.cos(angle) + 0.5 * np.cos(3 * angle + 1.0))) / 1024
+        yield GoldenVector(f"anti_phase_{n}", np.array([wave, -wave, np.zeros(n)], dtype=np.float64), SQRT_2 * wave)
+        yield GoldenVector(f"anti_phase_strongest_{n}", np.outer((1.0, -3.0, 2.0), wave), -SQRT_14 * wave)
     alternating = np.cos(np.pi * np.arange(48, dtype=np.float64))
     yield GoldenVector("nyquist", np.outer((2.0, -6.0, 3.0), alternating), -7.0 * alternating)
     rng = np.random.default_rng(2010)
@@ -215,8 +216,8 @@ def _whole_only() -> Iterator[GoldenVector]:
 def _windowed_only() -> Iterator[GoldenVector]:
     """Cut a circle into frames: its energy must survive, its shape suffers where it is cut (25 % of the peak)."""
     angle = 2 * np.pi * 0.2 * np.arange(200, dtype=np.float64)
-    circle = np.array([np.cos(angle), np.sin(angle), np.zeros(200)])
-    yield GoldenVector("circular_motion_in_frames", circle, float(np.sqrt(2.0)) * np.cos(angle - np.pi / 4), slack=0.35)
+    circle = np.array([np.cos(angle), np.sin(angle), np.zeros(200)], dtype=np.float64)
+    yield GoldenVector("circular_motion_in_frames", circle, SQRT_2 * np.cos(angle - np.pi / 4), slack=0.35)
 
 
 def _by_definition(acceleration: NDArray[np.float64]) -> NDArray[np.float64]:

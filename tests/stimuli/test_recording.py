@@ -1,0 +1,68 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stimuli.recording import STANDARD_GRAVITY, UNITS, Recording, check_acceleration, check_rate
+
+
+def test_samples_are_copied_and_cannot_be_changed() -> None:
+    source = np.ones((3, 4))
+    recording = Recording(source, rate_hz=100, name="one")
+    source[:] = 7.0
+    assert np.all(recording.acceleration == 1.0)
+    with pytest.raises(ValueError, match="read-only"):
+        recording.acceleration[0, 0] = 2.0
+
+
+def test_duration_is_samples_over_rate() -> None:
+    recording = Recording(np.zeros((3, 50)), rate_hz=200, name="quarter")
+    assert recording.duration_s == 0.25
+    assert recording.n_samples == 50
+
+
+def test_digest_tells_samples_and_rate_apart() -> None:
+    base = Recording(np.ones((3, 4)), 100, "a")
+    assert base.sha256 == Recording(np.ones((3, 4)), 100, "b").sha256
+    assert base.sha256 != Recording(np.ones((3, 4)), 101, "a").sha256
+    assert base.sha256 != Recording(2 * np.ones((3, 4)), 100, "a").sha256
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_values_that_are_not_finite_are_counted_and_placed(bad: float) -> None:
+    samples = np.zeros((3, 5))
+    samples[1, 3] = samples[2, 0] = bad
+    with pytest.raises(ValueError, match=r"2 values that are not finite \(first at 1, 3\)"):
+        check_acceleration(samples)
+
+
+def test_a_sum_that_overflows_is_not_taken_for_a_value_that_is_not_finite() -> None:
+    assert check_acceleration(np.full((3, 5), 1e308)).max() == 1e308
+
+
+@pytest.mark.parametrize("shape", [(3,), (2, 5), (5, 3), (4, 5)])
+def test_anything_but_three_axes_is_refused(shape: tuple[int, ...]) -> None:
+    with pytest.raises(ValueError, match="three axes"):
+        check_acceleration(np.zeros(shape))
+
+
+@pytest.mark.parametrize("shape", [(3, 0), (2, 3, 5)])
+def test_a_recording_is_one_and_not_empty(shape: tuple[int, ...]) -> None:
+    with pytest.raises(ValueError, match="n >= 1"):
+        Recording(np.zeros(shape), 100, "odd")
+
+
+def test_text_is_not_acceleration() -> None:
+    with pytest.raises(ValueError, match="not real numbers"):
+        check_acceleration([["a"], ["b"], ["c"]])
+
+
+@pytest.mark.parametrize("rate", [0, -1, np.nan, np.inf, None, "fast"])
+def test_a_rate_is_a_finite_number_above_zero(rate: float) -> None:
+    with pytest.raises(ValueError, match="above 0"):
+        check_rate(rate)
+
+
+def test_units_are_multiples_of_metres_per_second_squared() -> None:
+    assert UNITS["g"] == STANDARD_GRAVITY == 9.80665
+    assert UNITS["mg"] * 1000 == pytest.approx(UNITS["g"])
