@@ -1,0 +1,262 @@
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats
+
+from analysis.association import compare_metrics, correlate
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+SPECTRAL, TEMPORAL = "spectral_match", "temporal_match"
+
+
+def rng(seed: int = 1) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+def item_means(table: pd.DataFrame) -> pd.DataFrame:
+    tests = table[table["role"] == "test"]
+    cells = tests.groupby(["stimulus_id", "participant"])["rating"].mean().groupby("stimulus_id").mean()
+    return tests.drop_duplicates("stimulus_id").set_index("stimulus_id")[[SPECTRAL, TEMPORAL]].assign(mean=cells)
+
+
+@pytest.mark.parametrize(("method", "reference"), [("pearson", stats.pearsonr), ("spearman", stats.spearmanr)])
+def test_value_is_the_correlation_of_item_means(
+    tidy: Callable[..., pd.DataFrame], method: str, reference: Callable[..., object]
+) -> None:
+    table = tidy()
+    means = item_means(table)
+    found = correlate(table, SPECTRAL, method=method, draws=20, rng=rng())
+    assert found.value == pytest.approx(reference(means[SPECTRAL], means["mean"]).statistic, abs=1e-12)
+    assert (found.n_items, found.n_participants, found.n_recordings) == (36, 6, 4)
+
+
+def test_planted_metric_wins_either_way(tidy: Callable[..., pd.DataFrame]) -> None:
+    spectral = tidy(spectral=30, temporal=0, recordings=8)
+    temporal = tidy(spectral=0, temporal=30, recordings=8)
+    first = compare_metrics(spectral, SPECTRAL, TEMPORAL, draws=400, rng=rng())
+    second = compare_metrics(temporal, SPECTRAL, TEMPORAL, draws=400, rng=rng())
+    assert first.low > 0
+    assert second.high < 0
+
+
+def test_two_way_interval_is_wider_on_clustered_data(tidy: Callable[..., pd.DataFrame]) -> None:
+    found = correlate(tidy(recording_sd=12, participants=20), SPECTRAL, rng=rng())
+    assert found.low < found.participants_low < found.value < found.participants_high < found.high
+    assert found.high - found.low > 2 * (found.participants_high - found.participants_low)
+
+
+def simulate(generator: np.random.Generator, *, people: int = 12, scenes: int = 8, reducers: int = 6) -> pd.DataFrame:
+    """Make a study whose metric predicts nothing, though metric and ratings both cluster in recordings."""
+    scene = np.repeat(np.arange(scenes), reducers)
+    metric = generator.normal(size=scenes)[scene] + generator.normal(size=scene.size)
+    item = generator.normal(size=scenes)[scene] * 8 + generator.normal(size=scene.size) * 8
+    rating = 50 + item + generator.normal(0, 5, (people, 1)) + generator.normal(0, 8, (people, scene.size))
+    return pd.DataFrame(
+        {
+            "participant": np.repeat(np.arange(people), scene.size),
+            "recording": np.tile(scene, people),
+            "reducer": np.tile(np.tile(np.arange(reducers), scenes), people),
+            "metric": np.tile(metric, people),
+            "rating": rating.ravel(),
+        }
+    )
+
+
+def test_two_way_interval_covers_and_the_narrow_one_does_not() -> None:
+    generator, studies = rng(2024), 60
+    found = [correlate(simulate(generator), "metric", draws=300, rng=generator) for _ in range(studies)]
+    two_way = sum(result.low <= 0 <= result.high for result in found)
+    narrow = sum(result.participants_low <= 0 <= result.participants_high for result in found)
+    # Binomial limits at 0.1 %: of 60 studies a true 95 % interval covers 50 or more; one of .60 covers 48 or fewer.
+    assert two_way >= stats.binom.ppf(0.001, studies, 0.95)
+    assert narrow <= stats.binom.ppf(0.999, studies, 0.60)
+
+
+def test_interval_follows_its_formula(tidy: Callable[..., pd.DataFrame]) -> None:
+    found = correlate(tidy(), SPECTRAL, draws=500, rng=rng())
+    middle = (math.atanh(found.low) + math.atanh(found.high)) / 2
+    assert middle == pytest.approx(math.atanh(found.value))
+    assert found.draws == 500
+
+
+def test_unit_of_ratings_and_order_of_rows_do_not_matter(tidy: Callable[..., pd.DataFrame]) -> None:
+    table = tidy()
+    plain = correlate(table, SPECTRAL, draws=100, rng=rng())
+    assert correlate(table.sample(frac=1, random_state=3), SPECTRAL, draws=100, rng=rng()) == plain
+    scaled = correlate(table.assign(rating=table["rating"] * 0.07 - 3), SPECTRAL, draws=100, rng=rng())
+    for name in ("value", "low", "high", "ceiling", "disattenuated"):
+        assert getattr(scaled, name) == pytest.approx(getattr(plain, name), abs=1e-10)
+
+
+def test_ratings_turned_round_turn_the_sign(tidy: Callable[..., pd.DataFrame]) -> None:
+    table = tidy()
+    plain = correlate(table, SPECTRAL, draws=100, rng=rng())
+    turned = correlate(table.assign(rating=100 - table["rating"]), SPECTRAL, draws=100, rng=rng())
+    assert (turned.value, turned.low, turned.high) == pytest.approx((-plain.value, -plain.high, -plain.low))
+
+
+def test_reference_and_anchors_do_not_count(tidy: Callable[..., pd.DataFrame]) -> None:
+    table = tidy()
+    tests = table[table["role"] == "test"]
+    assert correlate(table, SPECTRAL, draws=50, rng=rng()) == correlate(tests, SPECTRAL, draws=50, rng=rng())
+
+
+def test_items_may_be_named_by_recording_and_reducer(tidy: Callable[..., pd.DataFrame]) -> None:
+    table = tidy()
+    bare = table[table["role"] == "test"][["participant", "recording", "reducer", "rating", SPECTRAL]]
+    assert correlate(bare, SPECTRAL, draws=50, rng=rng()).n_items == 36
+
+
+def test_repeats_do_not_make_a_participant_count_twice(tidy: Callable[..., pd.DataFrame]) -> None:
+    table = tidy()
+    doubled = pd.concat([table, table[table["participant"] == "p01"]])
+    plain, same = (correlate(data, SPECTRAL, draws=50, rng=rng()) for data in (table, doubled))
+    assert same.value == pytest.approx(plain.value, abs=1e-12)
+
+
+def test_ceiling_and_disattenuation_recover_a_perfect_metric() -> None:
+    generator = rng(4)
+    table = simulate(generator, people=10, scenes=20)
+    truth = table["metric"] * 6
+    table["rating"] = 50 + truth + generator.normal(0, 20, len(table))
+    found = correlate(table, "metric", draws=50, rng=generator)
+    assert found.value < 0.9
+    assert found.disattenuated == pytest.approx(1, abs=0.08)
+    assert found.ceiling == pytest.approx(found.value / found.disattenuated)
+
+
+def test_missing_cells_are_allowed_and_reported(tidy: Callable[..., pd.DataFrame]) -> None:
+    table = tidy()
+    gone = (table["participant"] == "p00") & (table["recording"] == "rec0")
+    found = correlate(table[~gone], SPECTRAL, draws=50, rng=rng())
+    assert found.n_missing == 9
+    assert found.notes[0] == "9 of 216 participant x stimulus cells hold no rating."
+    assert "27 stimuli that every participant rated" in found.notes[1]
+    assert math.isfinite(found.low)
+
+
+def test_no_shared_stimuli_no_ceiling(tidy: Callable[..., pd.DataFrame]) -> None:
+    table = tidy(participants=4)
+    own = table["participant"].str[-1] == table["recording"].str[-1]
+    found = correlate(table[own], SPECTRAL, draws=50, rng=rng())
+    assert math.isnan(found.ceiling)
+    assert any("No noise ceiling: it needs two participants" in note for note in found.notes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "note", "narrow_defined"),
+    [
+        ({"participants": 1}, "One participant only: no interval", False),
+        ({"recordings": 1}, "One recording only: no two-way interval", True),
+    ],
+)
+def test_one_of_a_kind_is_a_stated_reduced_analysis(
+    tidy: Callable[..., pd.DataFrame], changes: dict[str, int], note: str, narrow_defined: bool
+) -> None:
+    found = correlate(tidy(**changes), SPECTRAL, draws=50, rng=rng())
+    assert math.isfinite(found.value)
+    assert math.isnan(found.low)
+    assert math.isfinite(found.participants_low) == narrow_defined
+    assert any(line.startswith(note) for line in found.notes)
+    compared = compare_metrics(tidy(**changes), SPECTRAL, TEMPORAL, draws=50, rng=rng())
+    assert math.isfinite(compared.value)
+    assert math.isnan(compared.low)
+
+
+@pytest.mark.parametrize(
+    ("column", "note"),
+    [
+        ("rating", "No correlation: the mean rating is the same for every stimulus."),
+        (SPECTRAL, "No correlation: 'spectral_match' is the same for every stimulus."),
+    ],
+)
+def test_constants_have_no_correlation(tidy: Callable[..., pd.DataFrame], column: str, note: str) -> None:
+    table = tidy().assign(**{column: 0.1})
+    found = correlate(table, SPECTRAL, draws=20, rng=rng())
+    assert math.isnan(found.value)
+    assert math.isnan(found.low)
+    assert note in found.notes
+    assert found.draws == 0
+    assert note in compare_metrics(table, TEMPORAL, SPECTRAL, draws=20, rng=rng()).notes
+
+
+def test_contradicting_raters_leave_no_ceiling() -> None:
+    table = pd.DataFrame(
+        {
+            "participant": list("aaabbb"), "recording": list("xyzxyz"), "reducer": ["r"] * 6,
+            "metric": [1.0, 2, 3] * 2, "rating": [0.0, 10, 0, 10, 0.5, 10],
+        }
+    )  # fmt: skip
+    found = correlate(table, "metric", draws=20, rng=rng())
+    assert "No noise ceiling: mean ratings do not differ between stimuli beyond noise." in found.notes
+
+
+def test_two_items_are_no_correlation(tidy: Callable[..., pd.DataFrame]) -> None:
+    table = tidy(recordings=2)
+    found = correlate(table[table["reducer"] == "dft321"], SPECTRAL, draws=20, rng=rng())
+    assert math.isnan(found.value)
+    assert "No correlation: it needs 3 test stimuli, got 2." in found.notes
+
+
+def test_difference_is_told_in_both_units(tidy: Callable[..., pd.DataFrame]) -> None:
+    table = tidy()
+    one, two = (correlate(table, name, draws=20, rng=rng()).value for name in (SPECTRAL, TEMPORAL))
+    found = compare_metrics(table, SPECTRAL, TEMPORAL, draws=200, rng=rng())
+    turned = compare_metrics(table, TEMPORAL, SPECTRAL, draws=200, rng=rng())
+    assert found.value == pytest.approx(one - two)
+    assert (found.first_value, found.second_value) == pytest.approx((one, two))
+    assert found.z_value == pytest.approx(math.atanh(one) - math.atanh(two))
+    assert np.sign(found.low) == np.sign(found.z_low)
+    assert (turned.value, turned.low, turned.high) == pytest.approx((-found.value, -found.high, -found.low))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"method": "kendal"}, "method: got 'kendal', allowed is one of pearson, spearman"),
+        ({"draws": 1}, "draws: got 1, allowed is 2 or more"),
+        ({"metric": "loudness"}, "column loudness is missing; got participant, .*"),
+    ],
+)
+def test_requests_that_cannot_be_met(tidy: Callable[..., pd.DataFrame], change: dict[str, object], message: str) -> None:
+    request = {"metric": SPECTRAL, "draws": 5, **change}
+    with pytest.raises(ValueError, match=message):
+        correlate(tidy(), rng=rng(), **request)
+
+
+def test_a_metric_is_not_compared_with_itself(tidy: Callable[..., pd.DataFrame]) -> None:
+    with pytest.raises(ValueError, match="second: got 'spectral_match' twice"):
+        compare_metrics(tidy(), SPECTRAL, SPECTRAL, rng=rng())
+
+
+def spoil(table: pd.DataFrame, what: str) -> pd.DataFrame:
+    first = table.index == table.index[0]
+    return {
+        "scales": lambda: table.assign(scale=np.where(first, "similarity", "realism")),
+        "roles": lambda: table[table["role"] != "test"],
+        "rating": lambda: table.assign(rating=table["rating"].where(~first)),
+        "metric": lambda: table.assign(spectral_match=table[SPECTRAL].where(~first, 0.123)),
+        "columns": lambda: table[["participant", "recording", "rating", SPECTRAL]],
+    }[what]()
+
+
+@pytest.mark.parametrize(
+    ("what", "message"),
+    [
+        ("scales", "got the scales realism, similarity, allowed is one"),
+        ("roles", "got no row with role 'test'"),
+        ("rating", "got 1 values of 'rating' that are not finite"),
+        ("metric", "'spectral_match' differs between rows of stimulus rec0_sax321_as_is"),
+        ("columns", "column reducer is missing"),
+    ],
+)
+def test_tables_that_cannot_be_used(tidy: Callable[..., pd.DataFrame], what: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        correlate(spoil(tidy(), what), SPECTRAL, draws=5, rng=rng())
