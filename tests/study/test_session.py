@@ -1,0 +1,155 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from study.lock import hold_lock
+from study.plan import Plan, make_plan
+from study.session import find_completed, find_elapsed, find_header, is_finished, open_session
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from datetime import datetime
+    from pathlib import Path
+
+    from stimuli.manifest import StimulusSet
+
+    Present = Callable[..., list[Any]]
+
+
+def test_a_realism_trial_is_shown_played_and_rated(present: Present, scripted: type, plan: Plan) -> None:
+    presenter = scripted()
+    present(presenter)
+    first = plan.trials[0]
+    assert presenter.log[:3] == ["show 1 realism", f"play {first.stimulus_id}", "ask realism"]
+
+
+def test_a_similarity_trial_plays_the_reference_first(present: Present, scripted: type, plan: Plan) -> None:
+    presenter = scripted()
+    present(presenter)
+    last = plan.trials[-1]
+    assert presenter.log[-4:] == [
+        f"show {last.number} similarity",
+        f"play {last.reference_id}",
+        f"play {last.stimulus_id}",
+        "ask similarity",
+    ]
+
+
+def test_the_journal_tells_everything_in_order(present: Present, scripted: type, plan: Plan) -> None:
+    records = present(scripted())
+    realism, similarity = ["shown", "played", "rated"], ["shown", "played", "played", "rated"]
+    assert [r.event for r in records] == ["begun", *realism * 10, *similarity * 10, "finished"]
+    header = find_header(records)
+    assert header is not None
+    assert header["plan_sha256"] == plan.sha256
+    assert header["stimuli_sha256"] == "5" * 64
+    assert header["presenter"] == {"simulated": True}
+    assert set(header["versions"]) == {"feel321", "numpy"}
+    assert find_completed(records) == list(range(1, 21))
+    assert find_elapsed(records) == 200.0
+    assert is_finished(records)
+
+
+def test_what_played_well_is_not_marked(present: Present, scripted: type) -> None:
+    assert not any(r.data["rejected"] for r in present(scripted()) if r.event == "rated")
+
+
+def test_a_replay_plays_the_trial_again_and_is_recorded(present: Present, scripted: type) -> None:
+    events = [r.event for r in present(scripted(replays=2))]
+    assert events[1:8] == ["shown", "played", "replayed", "played", "replayed", "played", "rated"]
+
+
+def test_what_ran_dry_is_marked_and_kept(present: Present, scripted: type) -> None:
+    rated = [r.data for r in present(scripted(underruns=1)) if r.event == "rated"]
+    assert len(rated) == 20
+    assert all(entry["rejected"] for entry in rated)
+
+
+@pytest.mark.parametrize("stop_after", [0, 1, 9, 10, 11, 19])
+def test_a_session_broken_off_anywhere_goes_on_where_it_was(
+    present: Present, scripted: type, plan: Plan, stop_after: int
+) -> None:
+    broken = scripted(stop_after=stop_after)
+    with pytest.raises(KeyboardInterrupt):
+        present(broken)
+    again = scripted()
+    records = present(again)
+    assert find_completed(records) == [trial.number for trial in plan.trials]
+    shown = [line.split()[1] for line in (*broken.log, *again.log) if line.startswith("show")]
+    assert shown == [str(trial.number) for trial in plan.trials]
+
+
+def test_a_finished_session_is_left_alone(present: Present, scripted: type) -> None:
+    first = present(scripted())
+    silent = scripted()
+    assert present(silent) == first
+    assert silent.log == []
+
+
+def test_a_session_whose_header_was_torn_begins_again(present: Present, scripted: type, tmp_path: Path) -> None:
+    folder = tmp_path / "sessions" / "p01"
+    with pytest.raises(KeyboardInterrupt):
+        present(scripted(stop_after=0))
+    journal = folder / "session-01.jsonl"
+    journal.write_bytes(journal.read_bytes()[:40])
+    records = present(scripted())
+    assert [r.event for r in records][:2] == ["recovered", "begun"]
+    assert len(find_completed(records)) == 20
+
+
+def test_another_plan_is_refused_and_the_difference_named(
+    present: Present, scripted: type, stimuli: StimulusSet
+) -> None:
+    present(scripted())
+    other = make_plan(stimuli, "p01", number=1, seed=7, protocols=("realism", "similarity"), repeats=2)
+    with pytest.raises(ValueError, match=r"plan\.json: the study was changed .*repeats 1 -> 2; 20 trials -> 40"):
+        present(scripted(), plan=other)
+
+
+def test_another_presenter_is_refused_and_the_difference_named(
+    present: Present, scripted: type, plan: Plan, tmp_path: Path, now: Callable[[], datetime]
+) -> None:
+    present(scripted())
+    message = r"begun otherwise \(presenter {'simulated': True} -> {'simulated': False}\)"
+    with (
+        pytest.raises(ValueError, match=message),
+        open_session(tmp_path / "sessions" / "p01", plan, identity={"simulated": False}, now=now),
+    ):
+        pytest.fail("the session was opened")
+
+
+HOLD = """
+import sys
+from pathlib import Path
+from study.lock import hold_lock
+with hold_lock(Path(sys.argv[1])):
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_two_writers_cannot_share_a_session(tmp_path: Path) -> None:
+    lock = tmp_path / ".lock"
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLD, lock], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == "held\n"
+        with pytest.raises(BlockingIOError, match="another session is writing here"), hold_lock(lock):
+            pytest.fail("the lock was held twice")
+        other.kill()
+    with hold_lock(lock):
+        pass  # the lock of a killed process is free at once
+
+
+def test_one_process_cannot_hold_a_lock_twice(tmp_path: Path) -> None:
+    with (
+        hold_lock(tmp_path / ".lock"),
+        pytest.raises(BlockingIOError, match="another session"),
+        hold_lock(tmp_path / ".lock"),
+    ):
+        pytest.fail("the lock was held twice")

@@ -1,0 +1,183 @@
+from __future__ import annotations
+
+import re
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from pydantic import ValidationError
+
+from stimuli.condition import Conditioning
+from stimuli.recipe import Recipe
+from stimuli.recording import Recording
+from stimuli.synthesis import SCENES
+from stimuli.wav import write_wav
+from study.folder import create_study, read_template, require_study
+from study.settings import TABLES, read_settings
+from study.sources import make_recipe, open_recordings
+from study.tables import Settings, Table
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from study.folder import StudyFolder
+
+SHORTEST = '[[recordings]]\nscene = "bumps"\n'
+
+
+@pytest.fixture
+def read(tmp_path: Path) -> Callable[[str], Settings]:
+    def read_text(text: str) -> Settings:
+        (tmp_path / "study.toml").write_text(text, encoding="utf-8")
+        return read_settings(tmp_path / "study.toml")
+
+    return read_text
+
+
+def test_the_template_states_every_default_and_names_every_scene(read: Callable[[str], Settings]) -> None:
+    template = read(read_template())
+    scenes = [{"scene": name} for name in SCENES]
+    assert template == Settings.model_validate({"recordings": scenes})
+
+
+def test_the_template_names_every_key_in_its_table(read: Callable[[str], Settings]) -> None:
+    # Keys without a default stand there as comments.
+    text = re.sub(r"^# (\w+ = )", r"\1", read_template(), flags=re.MULTILINE)
+    text = text.replace("# [[recordings]]", "[[recordings]]")
+    content = tomllib.loads(text)
+    assert set(content) == set(Settings.model_fields)
+    for place, table in TABLES.items():
+        if place and place[0] != "recordings":
+            entry: Any = content
+            for name in place:
+                entry = entry[name]
+            assert set(entry) == set(table.model_fields)
+    assert set(content["recordings"][0]) == set(TABLES["recordings", "file"].model_fields)
+    read(text)
+
+
+def test_every_table_is_known_to_the_suggestions() -> None:
+    assert set(TABLES.values()) == {Settings, *Table.__subclasses__()}
+
+
+def test_the_shortest_study_gives_the_recipe_of_the_stimuli_room(read: Callable[[str], Settings]) -> None:
+    assert make_recipe(read(SHORTEST)) == Recipe()
+
+
+def test_every_setting_of_the_stimuli_reaches_the_recipe(read: Callable[[str], Settings]) -> None:
+    recipe = make_recipe(
+        read(
+            SHORTEST
+            + """
+            [stimuli]
+            reducers = ["pca321"]
+            levels = ["equal_intensity"]
+            anchors = false
+            reference = "dft321"
+            gain = 2.0
+            fade_s = 0.02
+            [stimuli.conditioning]
+            remove_offset = false
+            high_pass_hz = "off"
+            low_pass_hz = 500
+            crop_s = [0.1, 0.4]
+            [rig]
+            rate_hz = 44100
+            full_scale_m_s2 = 60
+            headroom = 0.5
+            """
+        )
+    )
+    assert recipe == Recipe(
+        conditioning=Conditioning(remove_offset=False, high_pass_hz=None, low_pass_hz=500.0, crop_s=(0.1, 0.4)),
+        reducers=("pca321",),
+        levels=("equal_intensity",),
+        anchors=False,
+        reference="dft321",
+        gain=2.0,
+        fade_s=0.02,
+        rate_hz=44100.0,
+        full_scale_m_s2=60.0,
+        headroom=0.5,
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "recordings: is missing; add it"),
+        ("recordings = []", "recordings: got [], allowed: "),
+        ("a = ", "got no TOML (Invalid value"),
+        (SHORTEST + "[stimli]", "stimli: is no setting; did you mean stimuli?"),
+        (SHORTEST + "[rig]\nzzz = 1", "rig.zzz: is no setting; allowed: rate_hz, full_scale_m_s2, headroom"),
+        (SHORTEST + "unit = 'g'", "recordings[1].unit: is no setting; allowed: scene, name,"),
+        (SHORTEST + "[[recordings]]\nfile = 'a.csv'\nunti = 'g'", "recordings[2].unti: is no setting; did you mean unit?"),
+        (SHORTEST + "[[recordings]]\nname = 'a'", "recordings[2].file: is missing; add it"),
+        (SHORTEST * 2, "recordings: allowed is each name once; more than once: bumps"),
+        ("[[recordings]]\nscene = 'bumsp'", "recordings[1].scene: got 'bumsp', allowed: bumps, texture_drag,"),
+        ("[[recordings]]\nfile = 'a'\nunit = 'kg'", "recordings[1].unit: got 'kg', allowed: m/s^2, g, mg"),
+        (SHORTEST + "[stimuli]\nreducers = ['dft3211']", "stimuli.reducers[1]: got 'dft3211', allowed: sax321, say321"),
+        (SHORTEST + "[stimuli]\nreducers = ['dft321', 'dft321']", "stimuli.reducers: got ('dft321', 'dft321'), allowed is"),
+        (SHORTEST + "[stimuli]\nreference = 'x'", "stimuli.reference: got 'x', allowed: original, none, sax321"),
+        (SHORTEST + "[stimuli]\nlevels = ['loud']", "stimuli.levels[1]: got 'loud', allowed: as_is, equal_intensity"),
+        (SHORTEST + "[session]\nprotocols = ['x']", "session.protocols[1]: got 'x', allowed: realism, similarity"),
+        (SHORTEST + "[session]\nlanguage = 'xx'", "session.language: got 'xx', allowed: en"),
+        (SHORTEST + "[session]\nrepeats = 0", "session.repeats: got 0, allowed: greater than or equal to 1"),
+        (SHORTEST + "[study]\nseed = -1", "study.seed: got -1, allowed: greater than or equal to 0"),
+        (SHORTEST + "[rig]\nrate_hz = nan", "rig.rate_hz: got nan, allowed: "),
+        (SHORTEST + "[stimuli.conditioning]\nhigh_pass_hz = 0", "stimuli.conditioning.high_pass_hz: got 0, allowed: "),
+        (SHORTEST + "[analysis]\ndraws = 3", "analysis.draws: got 3, allowed: greater than or equal to 100"),
+    ],
+)
+def test_every_mistake_is_one_line_that_says_where_what_and_what_is_allowed(
+    read: Callable[[str], Settings], text: str, message: str
+) -> None:
+    with pytest.raises(ValueError, match="^[^\n]*" + re.escape(message) + "[^\n]*$"):
+        read(text)
+
+
+def test_all_mistakes_are_told_at_once(read: Callable[[str], Settings]) -> None:
+    with pytest.raises(ValueError, match="is no setting") as caught:
+        read(SHORTEST + "[rig]\nzzz = 1\nheadroom = 2\n[study]\nseed = 'a'")
+    assert [line.split(":")[1] for line in str(caught.value).splitlines()] == [
+        " study.seed",
+        " rig.headroom",
+        " rig.zzz",
+    ]
+
+
+def test_settings_cannot_be_changed_after_reading(read: Callable[[str], Settings]) -> None:
+    settings = read(SHORTEST)
+    with pytest.raises(ValidationError, match="frozen"):
+        settings.study.seed = 4  # type: ignore[misc]
+
+
+def test_recordings_come_in_order_under_their_names(study: StudyFolder) -> None:
+    write_wav(study.path / "tap.two.wav", [[0.0, 1.0]] * 3, 8000)
+    text = '[[recordings]]\nfile = "tap.two.wav"\nunit = "g"\n[[recordings]]\nscene = "bumps"\nname = "b"\nduration_s = 0.1'
+    study.settings.write_text(text, encoding="utf-8")
+    tap, bumps = open_recordings(read_settings(study.settings), study.path)
+    assert (tap.name, tap.rate_hz, tap.acceleration[1, 1]) == ("tap.two", 8000.0, 9.80665)
+    assert (bumps.name, bumps.n_samples) == ("b", 1000)
+    assert isinstance(replace(tap, name="x"), Recording)
+
+
+def test_recordings_that_cannot_be_read_are_all_named(study: StudyFolder) -> None:
+    study.settings.write_text('[[recordings]]\nfile = "a.csv"\n[[recordings]]\nfile = "b.csv"', encoding="utf-8")
+    with pytest.raises(ValueError, match="recording 'a': .*\nrecording 'b': "):
+        open_recordings(read_settings(study.settings), study.path)
+
+
+def test_a_new_study_is_never_made_over_an_old_one(tmp_path: Path) -> None:
+    study = create_study(tmp_path / "new")
+    study.settings.write_text(SHORTEST, encoding="utf-8")
+    with pytest.raises(FileExistsError, match=r"study\.toml: is there already, nothing is overwritten"):
+        create_study(tmp_path / "new")
+    assert study.settings.read_text(encoding="utf-8") == SHORTEST
+
+
+def test_a_folder_without_settings_is_no_study(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"got a folder without study\.toml"):
+        require_study(tmp_path)
