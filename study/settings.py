@@ -84,9 +84,9 @@ def _translate(detail: ErrorDetails) -> str:
         reason = str(detail["ctx"]["error"])
     else:
         reason = f"allowed: {detail['msg'].removeprefix('Input should be ')}"
-    # The whole file is no answer to what was got where.
-    got = f"got {detail['input']!r}, " if names else ""
-    return f"{place or 'recordings'}: {got}{reason}"
+    # Whole tables are too long an answer to what was got.
+    got = "" if "{" in repr(detail["input"]) else f"got {detail['input']!r}, "
+    return f"{place}: {got}{reason}"
 
 
 def _write_place(location: tuple[int | str, ...]) -> str:

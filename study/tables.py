@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Annotated
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag
 
 from protocols.registry import PROTOCOLS
 from protocols.texts import list_languages
@@ -20,7 +20,6 @@ from stimuli.synthesis import SCENES
 
 if TYPE_CHECKING:
     from collections.abc import Collection
-    from typing import Self
 
 
 def _one_of(names: Collection[str]) -> AfterValidator:
@@ -33,12 +32,14 @@ def _one_of(names: Collection[str]) -> AfterValidator:
 
 
 def _check_distinct(names: tuple[str, ...]) -> tuple[str, ...]:
+    if not names:
+        raise ValueError("allowed is one name or more")
     if doubled := sorted({name for name in names if names.count(name) > 1}):
         raise ValueError(f"allowed is each name once; more than once: {', '.join(doubled)}")
     return names
 
 
-Some = (Field(min_length=1), AfterValidator(_check_distinct))
+Some = AfterValidator(_check_distinct)
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -101,6 +102,11 @@ RecordingTable = Annotated[
 ]
 
 
+def _check_titles(recordings: tuple[SceneTable | FileTable, ...]) -> tuple[SceneTable | FileTable, ...]:
+    _check_distinct(tuple(recording.title for recording in recordings))
+    return recordings
+
+
 class ConditioningTable(Table):
     """`[stimuli.conditioning]`: what is done to a recording before it is reduced."""
 
@@ -113,8 +119,8 @@ class ConditioningTable(Table):
 class StimuliTable(Table):
     """`[stimuli]`: what is made of each recording."""
 
-    reducers: Annotated[tuple[Annotated[str, _one_of(REDUCERS)], ...], *Some] = tuple(REDUCERS)
-    levels: Annotated[tuple[Annotated[str, _one_of(LEVELS)], ...], *Some] = LEVELS[:1]
+    reducers: Annotated[tuple[Annotated[str, _one_of(REDUCERS)], ...], Some] = tuple(REDUCERS)
+    levels: Annotated[tuple[Annotated[str, _one_of(LEVELS)], ...], Some] = LEVELS[:1]
     anchors: bool = True
     reference: Annotated[str, _one_of((ORIGINAL, NO_REFERENCE, *REDUCERS))] = ORIGINAL
     gain: Positive | None = None
@@ -133,7 +139,7 @@ class RigTable(Table):
 class SessionTable(Table):
     """`[session]`: what participants do."""
 
-    protocols: Annotated[tuple[Annotated[str, _one_of(PROTOCOLS)], ...], *Some] = tuple(PROTOCOLS)
+    protocols: Annotated[tuple[Annotated[str, _one_of(PROTOCOLS)], ...], Some] = tuple(PROTOCOLS)
     repeats: Annotated[int, Field(ge=1)] = 1
     language: Annotated[str, _one_of(list_languages())] = "en"
 
@@ -159,15 +165,10 @@ class AnalysisTable(Table):
 class Settings(Table):
     """The whole of `study.toml`."""
 
-    recordings: Annotated[tuple[RecordingTable, ...], Field(min_length=1)]
+    recordings: Annotated[tuple[RecordingTable, ...], AfterValidator(_check_titles)]
     study: StudyTable = StudyTable()
     stimuli: StimuliTable = StimuliTable()
     rig: RigTable = RigTable()
     session: SessionTable = SessionTable()
     observer: ObserverTable = ObserverTable()
     analysis: AnalysisTable = AnalysisTable()
-
-    @model_validator(mode="after")
-    def _check_titles(self) -> Self:
-        _check_distinct(tuple(recording.title for recording in self.recordings))
-        return self
