@@ -191,8 +191,8 @@ def _everywhere() -> Iterator[GoldenVector]:
         yield GoldenVector(f"silent_axes_{n}", single, wave)
     edge = np.zeros(97)
     edge[[0, 17, 18, 35, 36, 96]] = (1.0, -2.0, 3.0, -1.0, 2.0, 1.5)
-    yield GoldenVector("impulses_at_window_edges", np.outer((1.0, 2.0, 2.0), edge), 3.0 * edge)
-    yield GoldenVector("offset", np.outer((2.0, 3.0, 6.0), np.ones(50)), np.full(50, 7.0))
+    yield GoldenVector("impulses_at_window_edges", _along((1.0, 2.0, 2.0), edge), 3.0 * edge)
+    yield GoldenVector("offset", _along((2.0, 3.0, 6.0), np.ones(50)), np.full(50, 7.0))
 
 
 def _whole_only() -> Iterator[GoldenVector]:
@@ -204,9 +204,9 @@ def _whole_only() -> Iterator[GoldenVector]:
         # Rounded to ten bits, so that the axes cancel in float32 too; the strongest, x among equals, gives the phase.
         wave = np.round(1024 * (np.cos(angle) + 0.5 * np.cos(3 * angle + 1.0))) / 1024
         yield GoldenVector(f"anti_phase_{n}", np.array([wave, -wave, np.zeros(n)], dtype=np.float64), SQRT_2 * wave)
-        yield GoldenVector(f"anti_phase_strongest_{n}", np.outer((1.0, -3.0, 2.0), wave), -SQRT_14 * wave)
+        yield GoldenVector(f"anti_phase_strongest_{n}", _along((1.0, -3.0, 2.0), wave), -SQRT_14 * wave)
     alternating = np.cos(np.pi * np.arange(48, dtype=np.float64))
-    yield GoldenVector("nyquist", np.outer((2.0, -6.0, 3.0), alternating), -7.0 * alternating)
+    yield GoldenVector("nyquist", _along((2.0, -6.0, 3.0), alternating), -7.0 * alternating)
     rng = np.random.default_rng(2010)
     for n in (1, 2, 3, 30, 31):
         acceleration = rng.standard_normal((3, n)) * np.array([[1.0], [2.0], [0.5]])
@@ -218,6 +218,10 @@ def _windowed_only() -> Iterator[GoldenVector]:
     angle = 2 * np.pi * 0.2 * np.arange(200, dtype=np.float64)
     circle = np.array([np.cos(angle), np.sin(angle), np.zeros(200)], dtype=np.float64)
     yield GoldenVector("circular_motion_in_frames", circle, SQRT_2 * np.cos(angle - np.pi / 4), slack=0.35)
+
+
+def _along(direction: tuple[float, float, float], wave: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.array(direction)[:, None] * wave
 
 
 def _by_definition(acceleration: NDArray[np.float64]) -> NDArray[np.float64]:

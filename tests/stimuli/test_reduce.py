@@ -6,11 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from stimuli.fourier import dft321_windowed
 from stimuli.match import spectral_match
 from stimuli.principal import pca321_adaptive
 from stimuli.reduce import REDUCERS, get_reducer
 
-CONTRACT = ("sax321 say321 saz321 soc321 mag321 pca321 pca321_adaptive dft321 dft321_windowed").split()
+CONTRACT = ["sax321", "say321", "saz321", "soc321", "mag321", "pca321", "pca321_adaptive", "dft321", "dft321_windowed"]
 RATE = 1000.0
 LENGTHS = st.integers(1, 200)
 
@@ -195,23 +196,16 @@ def test_dft_takes_the_strongest_axis_where_the_sum_vanishes() -> None:
     np.testing.assert_allclose(reduced, -np.sqrt(14) * wave, atol=1e-9)
 
 
-# --- DFT321, windowed --------------------------------------------------------------------------------------------------
+# --- DFT321, windowed ----------------------------------------------------------------------------------------------
 
 
 @settings(max_examples=150, deadline=None)
 @given(n=st.integers(1, 300), window=st.integers(2, 500), seed=st.integers(0, 1000))
 def test_three_equal_axes_give_sqrt_three_up_to_both_ends(n: int, window: int, seed: int) -> None:
     wave = noise(n, seed=seed)
-    for name in ("dft321_windowed", "pca321_adaptive"):
-        reducer = {"dft321_windowed": dft_windowed, "pca321_adaptive": pca321_adaptive}[name]
+    for reducer in (dft321_windowed, pca321_adaptive):
         reduced = reducer(np.array([wave, wave, wave]), RATE, window_s=window / RATE)
         np.testing.assert_allclose(reduced, np.sqrt(3) * wave, rtol=0, atol=1e-12 * np.abs(wave).max())
-
-
-def dft_windowed(acceleration: np.ndarray, rate_hz: float, *, window_s: float) -> np.ndarray:
-    from stimuli.fourier import dft321_windowed
-
-    return dft321_windowed(acceleration, rate_hz, window_s=window_s)
 
 
 def test_windowed_dft_against_a_loop_over_frames() -> None:
@@ -222,18 +216,18 @@ def test_windowed_dft_against_a_loop_over_frames() -> None:
     total = np.zeros(padded.shape[1])
     for start in range(0, n + hop, hop):
         total[start : start + 2 * hop] += window * brute_dft321(window * padded[:, start : start + 2 * hop])
-    reduced = dft_windowed(acceleration, RATE, window_s=0.036)
+    reduced = dft321_windowed(acceleration, RATE, window_s=0.036)
     np.testing.assert_allclose(reduced, total[hop : hop + n], atol=1e-12)
 
 
 def test_default_window_is_35_ms() -> None:
     acceleration = noise(3, 4000)
     default = REDUCERS["dft321_windowed"](acceleration, 10000.0)
-    np.testing.assert_array_equal(default, dft_windowed(acceleration, 10000.0, window_s=0.035))
-    assert not np.allclose(default, dft_windowed(acceleration, 10000.0, window_s=0.030))
+    np.testing.assert_array_equal(default, dft321_windowed(acceleration, 10000.0, window_s=0.035))
+    assert not np.allclose(default, dft321_windowed(acceleration, 10000.0, window_s=0.030))
 
 
 @pytest.mark.parametrize("window", [0.0, -0.01, np.nan, np.inf])
 def test_a_window_is_a_time_above_zero(window: float) -> None:
     with pytest.raises(ValueError, match="window_s"):
-        dft_windowed(noise(3, 50), RATE, window_s=window)
+        dft321_windowed(noise(3, 50), RATE, window_s=window)

@@ -1,0 +1,64 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stimuli.match import spectral_match, temporal_match
+from stimuli.reduce import REDUCERS
+from stimuli.rotation import random_rotations, rotation_statistics
+
+RATE = 2000.0
+
+
+def rng() -> np.random.Generator:
+    return np.random.default_rng(20)
+
+
+def test_rotations_are_proper_and_uniform() -> None:
+    turns = random_rotations(4000, rng())
+    np.testing.assert_allclose(turns @ turns.transpose(0, 2, 1), np.broadcast_to(np.eye(3), turns.shape), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(turns), 1.0)
+    # Of a uniform rotation every entry has mean 0 and mean square 1/3.
+    np.testing.assert_allclose(turns.mean(axis=0), 0.0, atol=0.04)
+    np.testing.assert_allclose((turns**2).mean(axis=0), 1 / 3, atol=0.03)
+
+
+@pytest.mark.parametrize("name", ["say321", "dft321_windowed", "pca321"])
+def test_against_one_rotation_after_the_other(name: str) -> None:
+    acceleration = np.random.default_rng(0).standard_normal((3, 700)) * np.array([[1.0], [4.0], [0.2]])
+    found = rotation_statistics(acceleration, RATE, reducer=name, rotations=200, rng=rng())
+    turned = [turn @ acceleration for turn in random_rotations(200, rng())]
+    reduced = [REDUCERS[name](one, RATE) for one in turned]
+    spectral = [spectral_match(a, s, RATE) for a, s in zip(turned, reduced, strict=True)]
+    temporal = [temporal_match(a, s) for a, s in zip(turned, reduced, strict=True)]
+    expected = (np.mean(spectral), np.std(spectral, ddof=1), np.mean(temporal), np.std(temporal, ddof=1))
+    got = (found.spectral_mean, found.spectral_sd, found.temporal_mean, found.temporal_sd)
+    np.testing.assert_allclose(got, expected, atol=1e-9)
+
+
+def test_what_turning_the_sensor_cannot_change() -> None:
+    acceleration = np.random.default_rng(1).standard_normal((3, 900))
+    for name in ("dft321", "mag321", "pca321"):
+        found = rotation_statistics(acceleration, RATE, reducer=name, rng=rng())
+        assert found.spectral_sd < 1e-9
+        assert found.rotations == 200
+    assert rotation_statistics(acceleration, RATE, reducer="dft321", rng=rng()).spectral_mean == pytest.approx(1.0)
+
+
+def test_a_single_axis_of_one_line_of_motion() -> None:
+    """Of motion along one line the x axis keeps the share cos^2, uniform orientation: mean 1/3, sd sqrt(4/45)."""
+    acceleration = np.outer((0.6, 0.0, 0.8), np.random.default_rng(2).standard_normal(300))
+    found = rotation_statistics(acceleration, RATE, reducer="sax321", rotations=5000, rng=rng())
+    assert found.spectral_mean == pytest.approx(1 / 3, abs=0.015)
+    assert found.spectral_sd == pytest.approx(np.sqrt(4 / 45), abs=0.01)
+    assert found.temporal_mean == pytest.approx(1.0)
+
+
+def test_bad_calls_are_refused() -> None:
+    acceleration = np.ones((3, 50))
+    with pytest.raises(ValueError, match="200 or more"):
+        rotation_statistics(acceleration, RATE, reducer="dft321", rotations=199, rng=rng())
+    with pytest.raises(ValueError, match="allowed is one of"):
+        rotation_statistics(acceleration, RATE, reducer="none", rng=rng())
+    with pytest.raises(ValueError, match="one recording at a time"):
+        rotation_statistics(np.ones((2, 3, 50)), RATE, reducer="dft321", rng=rng())

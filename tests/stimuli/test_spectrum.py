@@ -1,0 +1,67 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stimuli.spectrum import WeberSmoothing, energy_spectrum, linear_grid, log_grid
+
+
+def test_a_flat_spectrum_stays_flat() -> None:
+    frequencies = linear_grid(4000, 4000.0)
+    smooth = WeberSmoothing(frequencies, 1.0, 2001)
+    np.testing.assert_allclose(smooth(np.full(2001, 3.5)), 3.5, rtol=1e-12)
+
+
+def test_one_line_becomes_a_rectangle_as_wide_as_the_weber_fraction() -> None:
+    line = np.zeros(2001)
+    line[500] = 1.0
+    frequencies = linear_grid(4000, 4000.0)
+    smoothed = WeberSmoothing(frequencies, 1.0, 2001)(line)
+    lit = frequencies[smoothed > 0]
+    # 0.22 f wide around f: seen from f when 500 Hz lies within 0.11 f, one bin of slack at either edge.
+    assert lit[0] == pytest.approx(500 / 1.11, abs=1)
+    assert lit[-1] == pytest.approx(500 / 0.89, abs=1)
+    assert smoothed[frequencies == 500] == pytest.approx(1 / 110)
+
+
+def test_a_window_narrower_than_a_bin_is_the_bin() -> None:
+    frequencies = np.array([20.0, 25.0, 30.0])
+    spectrum = np.random.default_rng(0).random(201)
+    np.testing.assert_allclose(WeberSmoothing(frequencies, 10.0, 201)(spectrum)[[0, 2]], spectrum[[2, 3]], rtol=1e-12)
+
+
+def test_the_window_is_cut_off_at_the_last_bin() -> None:
+    frequencies = linear_grid(1000, 1000.0)
+    assert frequencies[-1] == 500
+    ramp = np.arange(501.0)
+    last = WeberSmoothing(frequencies, 1.0, 501)(ramp)[-1]
+    # From 500.5 - 55 = 445.5 to 501 in bin edges: half of bin 445, then all to the end.
+    assert last == pytest.approx((0.5 * 445 + ramp[446:].sum()) / 55.5)
+
+
+@pytest.mark.parametrize(("n", "rate"), [(1000, 1601.57), (134636, 26927.2), (10, 300.0), (3, 1e4)])
+def test_the_linear_grid_is_the_dfts_between_20_and_1000_hz(n: int, rate: float) -> None:
+    grid = np.fft.rfftfreq(n, 1 / rate)
+    np.testing.assert_allclose(linear_grid(n, rate), grid[(grid >= 20) & (grid <= 1000)], rtol=1e-12)
+
+
+def test_limits_on_the_grid_survive_a_rate_that_is_rounded() -> None:
+    grid = linear_grid(30000, 3 * 9999.999999999998)
+    assert grid[0] == pytest.approx(20)
+    assert grid[-1] == pytest.approx(1000)
+
+
+def test_the_log_grid_is_even_in_octaves_and_stays_inside() -> None:
+    grid = log_grid(100_000, 10_000.0)
+    np.testing.assert_allclose(np.diff(np.log2(grid)), 1 / 24)
+    assert grid[0] == 20
+    assert 970 < grid[-1] <= 1000
+    assert log_grid(100_000, 600.0)[-1] <= 300
+    assert len(log_grid(3, 30.0)) + len(log_grid(100, 30.0)) == 0
+
+
+def test_energy_is_parsevals() -> None:
+    samples = np.random.default_rng(1).standard_normal((2, 64))
+    energy = energy_spectrum(samples)
+    energy[:, 1:-1] *= 2
+    np.testing.assert_allclose(energy.sum(axis=1) / 64, (samples**2).sum(axis=1))

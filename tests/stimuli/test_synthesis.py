@@ -1,0 +1,77 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stimuli.condition import Conditioning, condition
+from stimuli.fourier import dft321_windowed
+from stimuli.match import spectral_match, temporal_match
+from stimuli.recording import Recording
+from stimuli.reduce import REDUCERS
+from stimuli.synthesis import SCENES, make_scene
+
+
+def shares(recording: Recording) -> np.ndarray:
+    """Eigenvalues of the covariance, largest first, as shares of their sum."""
+    values = np.linalg.eigvalsh(np.cov(recording.acceleration))[::-1]
+    return values / values.sum()
+
+
+def test_at_least_the_six_scenes_of_the_contract() -> None:
+    contract = {"bumps", "texture_drag", "hard_taps", "constrained_drag", "isotropic_rumble", "circular_motion"}
+    assert contract <= set(SCENES)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_scenes_are_seeded_and_of_the_size_of_tool_use(name: str) -> None:
+    first, again, other = make_scene(name), make_scene(name), make_scene(name, seed=1)
+    np.testing.assert_array_equal(first.acceleration, again.acceleration)
+    assert not np.allclose(first.acceleration, other.acceleration)
+    assert 5 < np.abs(first.acceleration).max() < 80
+    assert first.name == name
+
+
+def test_scenes_move_as_their_names_say() -> None:
+    assert shares(make_scene("constrained_drag"))[0] > 0.95
+    isotropic = shares(make_scene("isotropic_rumble"))
+    assert isotropic[0] / isotropic[2] < 1.2
+    circular = shares(make_scene("circular_motion"))
+    assert circular[0] / circular[1] < 1.01
+    assert circular[2] < 0.05
+    x, y, _ = make_scene("circular_motion").acceleration
+    assert abs(np.corrcoef(x, y)[0, 1]) < 0.01
+    taps = make_scene("hard_taps").acceleration
+    assert np.abs(taps).max() / taps.std() > 10  # short contacts in long rest
+
+
+@pytest.mark.parametrize("name", ["bumps", "texture_drag"])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_the_pattern_of_the_papers_table_1(name: str, seed: int) -> None:
+    recording = condition(make_scene(name, seed=seed), Conditioning())
+    acceleration, rate = recording.acceleration, recording.rate_hz
+    spectral = {r: spectral_match(acceleration, f(acceleration, rate), rate) for r, f in REDUCERS.items()}
+    assert spectral["dft321"] == pytest.approx(1.0, abs=1e-9)
+    windowed = [
+        spectral_match(acceleration, dft321_windowed(acceleration, rate, window_s=ms / 1000), rate)
+        for ms in (25, 30, 35, 40, 45, 50)
+    ]
+    assert min(windowed) > 0.93
+    assert np.std(windowed) < 0.03
+    assert max(windowed) - min(windowed) < 0.04
+    others = set(REDUCERS) - {"dft321", "dft321_windowed"}
+    assert all(spectral[r] < 0.9 for r in others)
+    assert temporal_match(acceleration, REDUCERS["mag321"](acceleration, rate)) < 0.15
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "message"),
+    [
+        ("bump", {}, "allowed is one of bumps"),
+        ("bumps", {"rate_hz": 1000.0}, "4000 Hz or more"),
+        ("bumps", {"duration_s": 0.01}, "0.1 s or more"),
+        ("bumps", {"rate_hz": -1.0}, "rate_hz"),
+    ],
+)
+def test_bad_scenes_are_refused(name: str, changes: dict[str, float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make_scene(name, **changes)  # type: ignore[arg-type]
