@@ -143,7 +143,9 @@ def refuse_lines(bad: Series, what: str, *, why: str) -> None:
     named = ", ".join(str(line) for line in bad.index[:BLAMED_LINES])
     more = f" and {len(bad) - BLAMED_LINES} more" if len(bad) > BLAMED_LINES else ""
     lines = "line" if len(bad) == 1 else "lines"
-    raise ValueError(f"{what}, {lines} {named}{more}: got {bad.iloc[0]!r} {why}")
+    first = bad.iloc[0]
+    got = repr(first) if isinstance(first, str) else f"{first:g}"
+    raise ValueError(f"{what}, {lines} {named}{more}: got {got} {why}")
 
 
 def _read_header(path: Path) -> list[str]:

@@ -225,7 +225,7 @@ def test_difference_is_told_in_both_units(tidy: Callable[..., pd.DataFrame]) -> 
         ({"metric": "loudness"}, "column loudness is missing; got participant, .*"),
     ],
 )
-def test_requests_that_cannot_be_met(tidy: Callable[..., pd.DataFrame], change: dict[str, object], message: str) -> None:
+def test_requests_not_met(tidy: Callable[..., pd.DataFrame], change: dict[str, object], message: str) -> None:
     request = {"metric": SPECTRAL, "draws": 5, **change}
     with pytest.raises(ValueError, match=message):
         correlate(tidy(), rng=rng(), **request)

@@ -1,0 +1,18 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import analysis
+
+HEAVY = ("pandas", "scipy", "matplotlib", "statsmodels", "jinja2", "stimuli")
+
+
+def test_face_is_flat_and_sorted() -> None:
+    assert analysis.__all__ == sorted(analysis.__all__)
+    assert all(hasattr(analysis, name) for name in analysis.__all__)
+
+
+def test_import_loads_nothing_heavy() -> None:
+    code = f"import sys, analysis; print([name for name in {HEAVY} if name in sys.modules])"
+    assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "[]"

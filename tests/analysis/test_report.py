@@ -1,0 +1,264 @@
+from __future__ import annotations
+
+import csv
+import json
+import math
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats
+
+from analysis.report import write_report
+from analysis.words import PLACES, tell_number
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+NUMBER = re.compile(r"(?<![\w.])[−-]?\d+(?:\.\d+)?(?![\w])")
+"""A number that stands alone: neither the 321 of dft321 nor a version's parts."""
+
+
+class Page(HTMLParser):
+    """What a page says outside its drawings and style, and which tags and ids it has."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.words, self.tags, self.ids, self.hidden = [], [], [], 0
+        self.feed(path.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        self.ids += [value for name, value in attrs if name == "id"]
+        self.hidden += tag in {"svg", "style"}
+
+    def handle_endtag(self, tag: str) -> None:
+        self.hidden -= tag in {"svg", "style"}
+
+    def handle_data(self, data: str) -> None:
+        if not self.hidden:
+            self.words.append(data)
+
+    def find(self, tag: str) -> list[dict[str, str | None]]:
+        return [attrs for name, attrs in self.tags if name == tag]
+
+
+@pytest.fixture
+def report(files: Callable[..., object], tmp_path: Path) -> Path:
+    study = files()
+    write_report(study.ratings, study.manifest, tmp_path / "report", draws=50, seed=3)
+    return tmp_path / "report"
+
+
+def load(report: Path) -> dict[str, object]:
+    def refuse(name: str) -> None:
+        raise ValueError(f"{name} is no JSON")
+
+    return json.loads((report / "results.json").read_text(encoding="utf-8"), parse_constant=refuse)
+
+
+def gather_strings(content: object) -> list[str]:
+    if isinstance(content, str):
+        return [content]
+    parts = content.values() if isinstance(content, dict) else content if isinstance(content, list) else ()
+    return [text for part in parts for text in gather_strings(part)]
+
+
+def gather_numbers(results: dict[str, object]) -> set[str]:
+    """List every way in which a number of the results may be written."""
+    values = [entry[key] for entry in results["numbers"] for key in ("value", "low", "high")]
+    return {tell_number(value, kind=kind) for value in values if value is not None for kind in PLACES}
+
+
+def test_the_page_shows_no_number_that_is_not_in_the_results(report: Path) -> None:
+    results = load(report)
+    spoken = [results[key] for key in ("how", "figures", "notes", "inputs", "versions")]
+    allowed = gather_numbers(results) | set(NUMBER.findall(" ".join(gather_strings(spoken))))
+    shown = set(NUMBER.findall(" ".join(Page(report / "index.html").words)))
+    assert len(shown) > 100
+    assert shown - allowed == set()
+
+
+def test_the_verdict_speaks_in_numbers_of_the_results(report: Path) -> None:
+    results = load(report)
+    spoken = set(NUMBER.findall(" ".join(results["verdict"])))
+    assert spoken - gather_numbers(results) == {"95"}
+
+
+def test_every_number_says_what_it_is(report: Path) -> None:
+    numbers = load(report)["numbers"]
+    names = [entry["name"] for entry in numbers]
+    assert len(names) == len(set(names))
+    for entry in numbers:
+        assert list(entry) == ["name", "value", "low", "high", "uncertainty", "method", "n"]
+        assert entry["method"]
+        assert isinstance(entry["n"], int)
+        assert bool(entry["uncertainty"]) == (entry["low"] is not None)
+
+
+def test_numbers_are_those_of_the_files(files: Callable[..., object], tmp_path: Path) -> None:
+    study = files()
+    write_report(study.ratings, study.manifest, tmp_path / "report", draws=50, seed=3)
+    manifest = pd.read_csv(study.manifest, index_col="stimulus_id")
+    manifest = manifest[manifest["role"] == "test"]
+    ratings = pd.read_csv(study.ratings).query("scale == 'similarity'")
+    means = ratings.groupby("stimulus_id")["rating"].mean()[manifest.index]
+    found = {entry["name"]: entry for entry in load(tmp_path / "report")["numbers"]}
+    r = found["association.similarity.as_is.temporal_match.spearman"]["value"]
+    assert r == pytest.approx(stats.spearmanr(means, manifest["temporal_match"]).statistic)
+    assert found["stimulus.similarity.as_is.rec0_dft321_as_is"]["value"] == pytest.approx(means["rec0_dft321_as_is"])
+    assert found["size.judgements"]["value"] == 1152
+
+
+def test_the_same_seed_gives_the_same_bytes(report: Path, files: Callable[..., object], tmp_path: Path) -> None:
+    study = files()
+    write_report(study.ratings, study.manifest, tmp_path / "again", draws=50, seed=3)
+    paths = [path.relative_to(report) for path in sorted(report.rglob("*")) if path.is_file()]
+    assert len(paths) == 2 + 5 + 2 * 6
+    for path in paths:
+        assert (report / path).read_bytes() == (tmp_path / "again" / path).read_bytes(), path
+
+
+def test_another_seed_moves_intervals_only(report: Path, files: Callable[..., object], tmp_path: Path) -> None:
+    study = files()
+    write_report(study.ratings, study.manifest, tmp_path / "other", draws=50, seed=4)
+    first, second = load(report)["numbers"], load(tmp_path / "other")["numbers"]
+    assert [entry["value"] for entry in first] == [entry["value"] for entry in second]
+    assert [entry["low"] for entry in first] != [entry["low"] for entry in second]
+
+
+def test_the_page_stands_alone(report: Path) -> None:
+    page = Page(report / "index.html")
+    text = (report / "index.html").read_text(encoding="utf-8")
+    namespaces = {"http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"}
+    assert set(re.findall(r"https?://[^\s\"'<>]+", text)) <= namespaces
+    assert not page.find("script")
+    assert not page.find("link")
+    assert not page.find("img")
+    assert len(page.ids) == len(set(page.ids))
+
+
+def test_the_page_reads_well_without_eyes(report: Path) -> None:
+    page = Page(report / "index.html")
+    assert page.find("html")[0]["lang"] == "en"
+    assert len(page.find("svg")) == len(page.find("figcaption")) == 6
+    assert all(svg["role"] == "img" and svg["aria-label"] for svg in page.find("svg"))
+    assert len(page.find("table")) == len(page.find("caption")) == 3
+    assert all(cell.get("scope") for cell in page.find("th"))
+    assert [tag for tag, _ in page.tags if tag in {"h1", "h2"}] == ["h1", *["h2"] * 6]
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+def test_simulated_ratings_carry_a_banner(files: Callable[..., object], tmp_path: Path, simulated: bool) -> None:
+    study = files(simulated=simulated, scales=("realism",))
+    results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
+    text = (tmp_path / "report" / "index.html").read_text(encoding="utf-8")
+    assert results.simulated == simulated
+    assert ("Simulated ratings" in text) == simulated
+
+
+def test_levels_are_kept_apart(files: Callable[..., object], tmp_path: Path) -> None:
+    study = files(levels=("as_is", "equal_intensity"), scales=("realism",), anchors=False)
+    results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
+    assert sum("level equal intensity" in line for line in results.verdict) == 3
+    assert {path.name.split("_")[0] for path in (tmp_path / "report" / "figures").iterdir()} == {"scatter", "profile"}
+    assert len(list((tmp_path / "report" / "figures").glob("*.svg"))) == 6
+
+
+def test_left_out_judgements_are_counted(report: Path) -> None:
+    assert load(report)["notes"] == [
+        "Associations leave out 192 judgements of stimuli with role 'anchor'.",
+        "Associations leave out 96 judgements of stimuli with role 'reference'.",
+    ]
+
+
+def test_a_reduced_analysis_is_a_report_too(files: Callable[..., object], tmp_path: Path) -> None:
+    study = files(participants=1, recordings=1, scales=("realism",), anchors=False)
+    results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
+    assert any("One participant only" in note for note in results.notes)
+    lows = [number.low for number in results.numbers if number.name.startswith("association")]
+    assert all(math.isnan(low) for low in lows)
+    assert '"low": null' in (tmp_path / "report" / "results.json").read_text(encoding="utf-8")
+    text = (tmp_path / "report" / "index.html").read_text(encoding="utf-8")
+    assert "nan" not in re.sub(r"<svg.*?</svg>", "", text, flags=re.DOTALL)
+    assert "Nothing." not in text
+
+
+def test_nothing_left_out_is_said_too(files: Callable[..., object], tmp_path: Path) -> None:
+    study = files(anchors=False, scales=("realism",))
+    write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
+    assert "<p>Nothing.</p>" in (tmp_path / "report" / "index.html").read_text(encoding="utf-8")
+
+
+def test_constant_ratings_are_a_report_too(files: Callable[..., object], tmp_path: Path) -> None:
+    study = files(scales=("realism",))
+    pd.read_csv(study.ratings).assign(rating=50).to_csv(study.ratings, index=False)
+    results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
+    assert "the mean rating is the same for every stimulus" in results.verdict[0]
+
+
+def test_ratings_of_anchors_alone_are_refused(files: Callable[..., object], tmp_path: Path) -> None:
+    study = files()
+    ratings = pd.read_csv(study.ratings)
+    ratings[ratings["reducer"] == "anchor_low"].to_csv(study.ratings, index=False)
+    with pytest.raises(ValueError, match="got none of a stimulus with role 'test'"):
+        write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
+    assert not (tmp_path / "report").exists()
+
+
+def test_names_cannot_break_the_page(files: Callable[..., object], tmp_path: Path) -> None:
+    study = files(scales=("<script>alert(1)</script>--><b>",), anchors=False)
+    write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
+    assert not Page(tmp_path / "report" / "index.html").find("script")
+
+
+def test_an_old_report_is_replaced_whole_and_other_files_stay(report: Path, files: Callable[..., object]) -> None:
+    (report / "notes.txt").write_text("mine", encoding="utf-8")
+    study = files(scales=("realism",))
+    write_report(study.ratings, study.manifest, report, draws=20, seed=0)
+    assert not list((report / "figures").glob("*similarity*"))
+    assert (report / "notes.txt").read_text(encoding="utf-8") == "mine"
+
+
+def test_a_failed_run_leaves_the_old_report(report: Path, files: Callable[..., object], monkeypatch: object) -> None:
+    before = {path: path.read_bytes() for path in report.rglob("*") if path.is_file()}
+    study = files(seed=9)
+    monkeypatch.setattr("analysis.report.render_page", lambda *_, **__: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        write_report(study.ratings, study.manifest, report, draws=20, seed=0)
+    assert before == {path: path.read_bytes() for path in report.rglob("*") if path.is_file()}
+    assert [path.name for path in report.parent.iterdir() if path.name.startswith(".report-")] == []
+
+
+def test_tables_hold_the_same_numbers(report: Path) -> None:
+    with (report / "tables" / "associations.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    found = {entry["name"]: entry for entry in load(report)["numbers"]}
+    assert len(rows) == 2 * 2 * 2
+    for row in rows:
+        entry = found[f"association.{row['scale']}.{row['level']}.{row['metric']}.{row['method']}"]
+        assert np.allclose([float(row[key]) for key in ("value", "low", "high")], [entry["value"], entry["low"], entry["high"]])
+
+
+@pytest.mark.skipif(not shutil.which("chromium"), reason="PAGE NOT RENDERED: chromium is not installed")
+@pytest.mark.parametrize("width", [500, 1400])
+def test_a_browser_shows_it_without_overflow(report: Path, tmp_path: Path, width: int) -> None:
+    probe = "document.title = document.documentElement.scrollWidth + ' of ' + innerWidth"
+    page = (report / "index.html").read_text(encoding="utf-8").replace("</body>", f"<script>{probe}</script></body>")
+    (tmp_path / "probe.html").write_text(page, encoding="utf-8")
+    quiet = [
+        "--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-sync",
+        "--disable-component-update", "--no-first-run", f"--user-data-dir={tmp_path / 'profile'}",
+    ]  # fmt: skip
+    address = (tmp_path / "probe.html").as_uri()
+    command = ["chromium", *quiet, f"--window-size={width},900", "--dump-dom", address]
+    shown = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout
+    wide, window = map(int, re.search(r"<title>(\d+) of (\d+)</title>", shown).groups())
+    assert wide <= window
+    assert window <= width

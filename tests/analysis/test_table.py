@@ -1,0 +1,161 @@
+from __future__ import annotations
+
+import os
+import re
+from typing import TYPE_CHECKING
+
+import pandas as pd
+import pytest
+
+from analysis.table import order_reducers, read_table
+from stimuli.reduce import REDUCERS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from analysis.table import Table
+
+
+def read(files: object) -> Table:
+    return read_table(files.ratings, files.manifest)
+
+
+def edit(path: Path, change: Callable[[pd.DataFrame], pd.DataFrame]) -> None:
+    change(pd.read_csv(path)).to_csv(path, index=False)
+
+
+def set_cell(column: str, value: object, row: int = 0) -> Callable[[pd.DataFrame], pd.DataFrame]:
+    def change(frame: pd.DataFrame) -> pd.DataFrame:
+        frame[column] = frame[column].astype(object)
+        frame.loc[row, column] = value
+        return frame
+
+    return change
+
+
+def test_ratings_and_metrics_come_together(files: Callable[..., object]) -> None:
+    study = files()
+    table = read(study)
+    ratings, manifest = pd.read_csv(study.ratings), pd.read_csv(study.manifest, index_col="stimulus_id")
+    assert list(table.rows["rating"]) == list(ratings["rating"])
+    expected = manifest.loc[ratings["stimulus_id"]]
+    for name in ("spectral_match", "temporal_match"):
+        pd.testing.assert_series_equal(table.rows[name], expected[name].reset_index(drop=True))
+    for name in ("recording", "reducer", "level", "role"):
+        assert list(table.rows[name]) == list(expected[name])
+    assert table.metrics == ("spectral_match", "temporal_match")
+    assert table.rows["simulated"].all()
+    assert table.notes == ()
+
+
+def test_four_columns_from_elsewhere_are_enough(files: Callable[..., object]) -> None:
+    study = files()
+    edit(study.ratings, lambda frame: frame[["participant", "stimulus_id", "scale", "rating"]])
+    edit(study.manifest, lambda frame: frame[["stimulus_id", "recording", "reducer", "spectral_match"]].fillna(0))
+    table = read(study)
+    assert table.metrics == ("spectral_match",)
+    assert not table.rows["simulated"].any()
+    assert set(table.rows["repeat"]) == {"1", "2"}
+    assert [note.split(":")[0] for note in table.notes] == [
+        "manifest.csv has no column 'temporal_match', so that metric is not reported.",
+        "manifest.csv has no column 'level'",
+        "manifest.csv has no column 'role'",
+        "Reducers unknown to feel321, analysed as named",
+        "ratings.csv has no column 'trial'",
+    ]
+
+
+def test_names_stay_as_written(files: Callable[..., object]) -> None:
+    study = files(participants=3)
+    edit(study.ratings, lambda frame: frame.replace({"p00": "NA", "p01": "007", "p02": "1e5"}))
+    assert set(read(study).rows["participant"]) == {"NA", "007", "1e5"}
+
+
+def test_rejected_judgements_are_left_out_and_said_so(files: Callable[..., object]) -> None:
+    study = files()
+    edit(study.ratings, lambda frame: frame.assign(rejected=frame.index < 7))
+    table = read(study)
+    assert len(table.rows) == 6 * 2 * 2 * 48 - 7
+    assert table.notes == ("7 judgements marked as rejected are left out.",)
+
+
+def test_a_page_with_many_stimuli_is_one_trial(files: Callable[..., object]) -> None:
+    study = files()
+    edit(study.ratings, lambda frame: frame.assign(trial=frame["block"]))
+    assert len(read(study).rows) == 6 * 2 * 2 * 48
+
+
+def test_blank_lines_and_byte_order_mark_are_no_trouble(files: Callable[..., object]) -> None:
+    study = files()
+    lines = study.ratings.read_text().splitlines()
+    plain = read(study)
+    study.ratings.write_text("\ufeff" + "\r\n".join([*lines[:5], "", *lines[5:], "", ""]), encoding="utf-8")
+    assert read(study).rows.equals(plain.rows)
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "message"),
+    [
+        ("ratings", lambda f: f.drop(columns=["scale", "rating"]), "ratings.csv: column scale, rating is missing; got"),
+        ("ratings", lambda f: f.iloc[:0], "ratings.csv: got no rows below the header"),
+        ("ratings", set_cell("rating", "high"), "ratings.csv, line 2: got 'high' in column 'rating', allowed"),
+        ("ratings", set_cell("rating", "inf"), "ratings.csv, line 2: got 'inf' in column 'rating'"),
+        ("ratings", set_cell("rating", ""), "ratings.csv, line 2: got '' in column 'rating'"),
+        ("ratings", set_cell("rating", 100.5, row=3), "ratings.csv, line 5: got 100.5 in column 'rating', allowed is 0"),
+        ("ratings", lambda f: f.assign(rating=-1), r"lines 2, 3, 4 and \d+ more: got -1 in"),
+        ("ratings", set_cell("participant", ""), "line 2: got '' in column 'participant', which must not be empty"),
+        ("ratings", set_cell("scale", "", row=1), "line 3: got '' in column 'scale', which must not be empty"),
+        ("ratings", set_cell("stimulus_id", "ghost"), "got 'ghost' in column 'stimulus_id', which manifest"),
+        ("ratings", set_cell("reducer", "dft321"), "got 'dft321' in column 'reducer', but manifest.csv says"),
+        ("ratings", set_cell("rejected", "perhaps"), "got 'perhaps' in column 'rejected', allowed is true, false"),
+        ("ratings", lambda f: f.assign(rejected=True), "all 1152 judgements are marked as rejected"),
+        ("ratings", lambda f: pd.concat([f, f.iloc[[4]]]), "line 1154: got '5' in column 'trial', but an"),
+        ("manifest", lambda f: f.drop(columns="reducer"), "manifest.csv: column reducer is missing"),
+        ("manifest", lambda f: f.drop(columns=["spectral_match", "temporal_match"]), "manifest.csv: got no metric"),
+        ("manifest", set_cell("role", "distractor"), "got 'distractor' in column 'role', allowed is test, ref"),
+        ("manifest", set_cell("spectral_match", "", row=1), "manifest.csv, line 3: got '' in column 'spectral_match'"),
+        ("manifest", set_cell("recording", ""), "manifest.csv, line 2: got '' in column 'recording'"),
+        ("manifest", lambda f: pd.concat([f, f.iloc[[0]]]), "in column 'stimulus_id', but an earlier line lists"),
+    ],
+)
+def test_every_fault_gets_one_clear_line(
+    files: Callable[..., object], file: str, change: Callable[[pd.DataFrame], pd.DataFrame], message: str
+) -> None:
+    study = files()
+    edit(getattr(study, file), change)
+    with pytest.raises(ValueError, match=message) as caught:
+        read(study)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "ratings.csv: the file is empty; its first line must name the columns participant"),
+        (b"participant;stimulus_id;scale;rating\na;b;c;5\n", "separate the columns by commas"),
+        (b"participant,stimulus_id,scale,rating,rating\n", "column rating appears more than once"),
+        (b"participant,stimulus_id,scale,rating\na,b,c,5,6\n", "not a regular CSV file, mend lines or quotes"),
+        (b"participant,stimulus_id,scale,rating\na,b,c,5\na,b,c,5,6\n", "not a regular CSV file, .*line 3"),
+        (b'participant,stimulus_id,scale,rating\na,"b,c,5\n', "not a regular CSV file"),
+        (b"participant,stimulus_id,scale,rating\nJ\xf6rg,b,c,5\n", "not UTF-8 text .* at byte"),
+        (b"participant,stimulus_id,scale,rating\na,rec0_sax321_as_is,realism\n", "got '' in column 'rating'"),
+    ],
+)
+def test_files_that_are_no_tables(files: Callable[..., object], content: bytes, message: str) -> None:
+    study = files()
+    study.ratings.write_bytes(content)
+    with pytest.raises(ValueError, match=message) as caught:
+        read(study)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_file_is_an_oserror_that_names_it(files: Callable[..., object]) -> None:
+    study = files()
+    study.manifest.unlink()
+    with pytest.raises(OSError, match=re.escape(os.fspath(study.manifest))):
+        read(study)
+
+
+def test_reducers_keep_the_one_order() -> None:
+    assert order_reducers(["zebra", *reversed(REDUCERS), "ape"]) == [*REDUCERS, "ape", "zebra"]

@@ -1,0 +1,80 @@
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import pytest
+
+from analysis.association import Association, Difference
+from analysis.verdict import judge_association, judge_difference
+
+CLEAR = Association(
+    value=0.7, low=0.4, high=0.9, n_items=36, ceiling=0.9, disattenuated=0.78, draws=2000, participants_low=0.6,
+    participants_high=0.8, n_participants=12, n_recordings=4, n_missing=0, metric="spectral_match", method="pearson",
+)  # fmt: skip
+
+BETTER = Difference(
+    value=0.5, low=0.2, high=0.8, z_value=0.6, z_low=0.2, z_high=1.0, first_value=0.7, second_value=0.2, n_items=36,
+    n_participants=12, n_recordings=4, draws=2000, first="spectral_match", second="temporal_match", method="pearson",
+)  # fmt: skip
+
+
+def judge(**changes: object) -> str:
+    return judge_association(dataclasses.replace(CLEAR, **changes), "realism", ranked=CLEAR)
+
+
+def compare(**changes: object) -> str:
+    return judge_difference(dataclasses.replace(BETTER, **changes), "realism")
+
+
+def test_a_clear_association_is_claimed_with_its_evidence() -> None:
+    said = judge().replace("\N{NO-BREAK SPACE}", " ")
+    assert said.startswith("Stimuli with a higher spectral match got higher realism ratings")
+    assert "r = 0.70, 95 % two-way interval 0.40 to 0.90; 12 participants, 4 recordings, 36 stimuli" in said
+    assert said.endswith("agrees.")
+
+
+def test_direction_follows_the_sign() -> None:
+    assert "got lower realism ratings" in judge(value=-0.7, low=-0.9, high=-0.4)
+
+
+@pytest.mark.parametrize(("low", "high"), [(-0.1, 0.9), (0.0, 0.9), (-0.9, 0.0)])
+def test_an_interval_over_zero_claims_nothing(low: float, high: float) -> None:
+    said = judge(low=low, high=high)
+    assert "undecided" in said
+    assert "got higher" not in said
+    assert "disagrees" in said
+
+
+def test_no_interval_no_conclusion() -> None:
+    assert "nothing follows" in judge(low=math.nan, high=math.nan, n_recordings=1)
+    assert "1 recording," in judge(low=math.nan, high=math.nan, n_recordings=1)
+
+
+def test_no_correlation_gives_the_reason() -> None:
+    assert judge(value=math.nan, low=math.nan, high=math.nan, notes=("No correlation: why.",)).endswith("why.")
+
+
+def test_the_better_metric_is_named() -> None:
+    assert compare().endswith("spectral match is the better predictor.")
+    turned = compare(value=-0.5, low=-0.8, high=-0.2, first_value=0.2, second_value=0.7)
+    assert turned.endswith("temporal match is the better predictor.")
+
+
+def test_better_means_stronger_where_both_are_negative() -> None:
+    said = compare(first_value=-0.2, second_value=-0.7)
+    assert said.endswith("temporal match is the better predictor.")
+
+
+def test_opposite_signs_are_not_ranked() -> None:
+    assert compare(first_value=0.4, second_value=-0.1).endswith("they do not point in the same direction.")
+
+
+def test_a_difference_over_zero_ranks_nothing() -> None:
+    said = compare(low=-0.1)
+    assert said.startswith("Neither metric is shown to predict realism better")
+    assert "is the better predictor" not in said
+
+
+def test_a_difference_without_interval_says_so() -> None:
+    assert compare(low=math.nan).endswith("cannot be compared by an interval here.")
