@@ -149,10 +149,10 @@ def fade(samples: NDArray[np.float64], rate_hz: float, *, fade_s: float) -> NDAr
     ValueError
         If the fades are negative or longer than the signal.
     """
-    length = round(fade_s * rate_hz)
     n = samples.shape[-1]
-    if not 0 <= 2 * length <= n:
+    if not 0 <= 2 * fade_s * rate_hz <= n:
         raise ValueError(f"fade_s: got {fade_s}, allowed is 0 to half the signal's {n / rate_hz:g} s")
+    length = int(fade_s * rate_hz)
     ramp = 0.5 - 0.5 * np.cos(np.pi * (np.arange(length) + 0.5) / max(length, 1))
     faded = samples.copy()
     faded[..., :length] *= ramp

@@ -130,7 +130,7 @@ def render_recording(
         for candidate in missing:
             samples = _make(candidate.reducer, conditioned)
             rendered = _for_the_rig(samples, conditioned.rate_hz, recipe)
-            note = _measure(samples, rendered, recording=conditioned, original=original)
+            note = _measure(samples, rendered, recording=conditioned, original=original, rate_hz=recipe.rate_hz)
             write_wav(part_path(parts, candidate.key), rendered, recipe.rate_hz)
             write_bytes(parts / f"{candidate.key}.json", json.dumps(asdict(note)).encode())
             measured[candidate.key] = note
@@ -171,9 +171,10 @@ def _for_the_rig(samples: Samples, rate_hz: float, recipe: Recipe) -> Samples:
 
 
 def _measure(
-    samples: Samples, rendered: Samples, *, recording: Recording, original: OriginalSpectrum
+    samples: Samples, rendered: Samples, *, recording: Recording, original: OriginalSpectrum, rate_hz: float
 ) -> Measured:
-    level = felt_level(samples, recording.rate_hz)
+    # The level is that of what is played: fades and a removed offset change it. The metrics are those of the reduction.
+    level = felt_level(rendered, rate_hz)
     if samples.ndim > 1:  # the original itself, matched channel by channel
         return Measured(largest(rendered), level, 1.0, 1.0)
     correlations = axis_correlations(recording.acceleration, samples)

@@ -1,14 +1,18 @@
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import pytest
 
 from stimuli.condition import Conditioning, condition
 from stimuli.fourier import dft321_windowed
 from stimuli.match import spectral_match, temporal_match
-from stimuli.recording import Recording
 from stimuli.reduce import REDUCERS
 from stimuli.synthesis import SCENES, make_scene
+
+if TYPE_CHECKING:
+    from stimuli.recording import Recording
 
 
 def shares(recording: Recording) -> np.ndarray:

@@ -1,0 +1,123 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stimuli.condition import Conditioning, condition, fade, filter_zero_phase, resample
+from stimuli.recording import Recording
+
+RATE = 8000.0
+NOTHING = Conditioning(remove_offset=False, high_pass_hz=None, low_pass_hz=None)
+
+
+def tones(*frequencies: float, n: int = 16000, rate: float = RATE) -> np.ndarray:
+    return np.sum([np.sin(2 * np.pi * f * np.arange(n) / rate) for f in frequencies], axis=0)
+
+
+def recording(wave: np.ndarray, rate: float = RATE) -> Recording:
+    return Recording(np.array([wave, 2 * wave, -wave]), rate, "wave")
+
+
+def amplitude(wave: np.ndarray, frequency: float, rate: float = RATE) -> float:
+    middle = slice(len(wave) // 4, 3 * len(wave) // 4)
+    turning = np.exp(-2j * np.pi * frequency * np.arange(len(wave)) / rate)
+    return 2 * abs(np.mean((wave * turning)[middle]))
+
+
+def test_without_steps_nothing_changes() -> None:
+    original = recording(tones(100) + 3)
+    np.testing.assert_array_equal(condition(original, NOTHING).acceleration, original.acceleration)
+
+
+def test_the_offset_goes_and_the_rest_stays() -> None:
+    conditioned = condition(recording(tones(100) + 3), Conditioning(high_pass_hz=None, low_pass_hz=None))
+    np.testing.assert_allclose(conditioned.acceleration[0], tones(100), atol=1e-12)
+
+
+def test_default_corners_halve_the_amplitude_and_do_not_shift() -> None:
+    conditioned = condition(recording(tones(2, 20, 150, 1000, 3000)), Conditioning())
+    got = [amplitude(conditioned.acceleration[0], f) for f in (2, 20, 150, 1000, 3000)]
+    # Forwards and backwards: the Butterworth gain squared, 1/2 at the corner, (f/f_c)^8 below the high pass's.
+    np.testing.assert_allclose(got, [1e-8, 0.5, 1.0, 0.5, 0.0], atol=2e-3)
+    band = condition(recording(tones(150)), Conditioning()).acceleration[0]
+    np.testing.assert_allclose(band[2000:-2000], tones(150)[2000:-2000], atol=1e-3)
+
+
+def test_a_sensor_slower_than_the_low_pass_keeps_what_it_has() -> None:
+    slow = recording(tones(150, rate=1600.0), 1600.0)
+    passed = condition(slow, Conditioning(remove_offset=False, high_pass_hz=None))
+    np.testing.assert_array_equal(passed.acceleration, slow.acceleration)
+
+
+def test_crop_keeps_the_named_part() -> None:
+    original = recording(np.arange(16000.0))
+    part = condition(original, replace(NOTHING, crop_s=(0.5, 1.25)))
+    np.testing.assert_array_equal(part.acceleration[0], np.arange(4000.0, 10000.0))
+    assert part.sha256 != original.sha256
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"high_pass_hz": 0.0}, "high_pass_hz: got 0.0"),
+        ({"low_pass_hz": -5.0}, "low_pass_hz: got -5.0"),
+        ({"high_pass_hz": 900.0, "low_pass_hz": 500.0}, "allowed is below low_pass_hz"),
+        ({"crop_s": (1.0, 0.5)}, "0 <= start < end"),
+        ({"crop_s": (-1.0, 0.5)}, "0 <= start < end"),
+    ],
+)
+def test_steps_that_make_no_sense_are_refused(changes: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Conditioning(**changes)  # type: ignore[arg-type]
+
+
+def test_recordings_that_cannot_take_a_step_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"up to 2.0000 s, its duration"):
+        condition(recording(tones(100)), Conditioning(crop_s=(0.0, 2.1)))
+    with pytest.raises(ValueError, match="holds no sample"):
+        condition(recording(tones(100)), Conditioning(crop_s=(0.0, 1e-5)))
+    with pytest.raises(ValueError, match="below the Nyquist frequency of 15 Hz"):
+        condition(recording(tones(5, rate=30.0), 30.0), Conditioning())
+    with pytest.raises(ValueError, match="2 or more; switch the filter off"):
+        condition(recording(np.ones(1)), Conditioning())
+
+
+def test_the_filter_is_linear_and_looks_both_ways_alike() -> None:
+    wave = np.random.default_rng(0).standard_normal((2, 4000))
+    kwargs = {"corner_hz": 200.0, "kind": "highpass"}
+    one, two = (filter_zero_phase(w, RATE, **kwargs) for w in wave)  # type: ignore[arg-type]
+    both = filter_zero_phase(wave[0] - 2 * wave[1], RATE, **kwargs)  # type: ignore[arg-type]
+    np.testing.assert_allclose(both, one - 2 * two, atol=1e-9)
+    reversed_ = filter_zero_phase(wave[0, ::-1], RATE, **kwargs)[::-1]  # type: ignore[arg-type]
+    np.testing.assert_allclose(reversed_[500:-500], one[500:-500], atol=1e-6)
+
+
+def test_fades_are_raised_cosines_at_both_ends() -> None:
+    faded = fade(np.ones((2, 1000)), 1000.0, fade_s=0.1)
+    np.testing.assert_allclose(faded[:, 100:900], 1.0)
+    np.testing.assert_allclose(faded[0, :100], 0.5 - 0.5 * np.cos(np.pi * (np.arange(100) + 0.5) / 100))
+    np.testing.assert_allclose(faded, faded[:, ::-1])
+    np.testing.assert_array_equal(fade(np.ones(10), 1000.0, fade_s=0.0), 1.0)
+
+
+@pytest.mark.parametrize("fade_s", [-0.1, 0.6, float("nan")])
+def test_fades_fit_into_the_signal(fade_s: float) -> None:
+    with pytest.raises(ValueError, match="half the signal's 1 s"):
+        fade(np.ones(1000), 1000.0, fade_s=fade_s)
+
+
+@pytest.mark.parametrize("rate", [1601.57, 6898.24, 26927.2, 48000.0])
+def test_resampling_keeps_tones_in_place_at_fractional_rates(rate: float) -> None:
+    n = int(rate)
+    wave = tones(50, 300, n=n, rate=rate) * np.hanning(n)
+    resampled = resample(np.array([wave, -wave]), rate, to_hz=48000.0)
+    m = resampled.shape[1]
+    assert abs(m - n * 48000 / rate) <= 1
+    time = np.arange(m) / 48000.0
+    expected = (np.sin(2 * np.pi * 50 * time) + np.sin(2 * np.pi * 300 * time)) * np.interp(
+        time, np.arange(n) / rate, np.hanning(n)
+    )
+    np.testing.assert_allclose(resampled[0], expected, atol=2e-5)
+    np.testing.assert_array_equal(resampled[1], -resampled[0])

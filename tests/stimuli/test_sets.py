@@ -1,0 +1,368 @@
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import fields, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from stimuli.anchors import ANCHORS, quietest_hz
+from stimuli.condition import Conditioning, condition
+from stimuli.inspection import check_stimuli
+from stimuli.manifest import COLUMN_UNITS, Stimulus, read_stimuli
+from stimuli.match import spectral_match, temporal_match
+from stimuli.perception import felt_level
+from stimuli.recipe import Recipe
+from stimuli.recording import Recording
+from stimuli.reduce import REDUCERS
+from stimuli.sets import PARTS, build_stimuli
+from stimuli.synthesis import SCENES, make_scene
+from stimuli.wav import read_wav, write_wav
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from stimuli.manifest import StimulusSet
+
+CONTRACT = ["stimulus_id", "recording", "reducer", "level", "role", "file", "rate_hz", "n_samples", "duration_s", "peak", "rms_m_s2", "gain", "spectral_match", "temporal_match", "clipped", "sha256", "recording_sha256"]
+BOTH = ("as_is", "equal_intensity")
+
+
+@pytest.fixture(scope="module")
+def scenes() -> list[Recording]:
+    return [make_scene(name, duration_s=0.6) for name in ("bumps", "texture_drag", "circular_motion")]
+
+
+@pytest.fixture(scope="module")
+def built(scenes: list[Recording], tmp_path_factory: pytest.TempPathFactory) -> StimulusSet:
+    return build_stimuli(scenes, tmp_path_factory.mktemp("set"), recipe=Recipe(levels=BOTH))
+
+
+def contents(folder: Path) -> dict[str, str]:
+    return {p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in folder.iterdir() if p.is_file()}
+
+
+def stamps(folder: Path) -> dict[str, int]:
+    return {p.name: p.stat().st_mtime_ns for p in folder.glob("*.wav")}
+
+
+def test_every_recording_reducer_level_and_role_is_there(built: StimulusSet, scenes: list[Recording]) -> None:
+    assert len(built.stimuli) == len(scenes) * len(BOTH) * (len(REDUCERS) + 1 + len(ANCHORS))
+    roles = [stimulus.role for stimulus in built.stimuli]
+    assert roles.count("reference") == 6
+    assert roles.count("anchor") == 12
+    assert len({stimulus.stimulus_id for stimulus in built.stimuli}) == len(roles)
+    assert check_stimuli(built.folder) == []
+
+
+def test_the_manifest_keeps_the_contract(built: StimulusSet) -> None:
+    header = (built.folder / "manifest.csv").read_text().splitlines()[0]
+    assert header.split(",") == CONTRACT == [field.name for field in fields(Stimulus)] == list(COLUMN_UNITS)
+    assert read_stimuli(built.folder) == built
+    details = json.loads((built.folder / "manifest.json").read_text())
+    assert details["columns"] == COLUMN_UNITS
+    assert set(details["versions"]) == {"feel321", "numpy", "scipy", "soxr"}
+    assert details["recipe"]["conditioning"]["high_pass_hz"] == 20.0
+    assert [row["stimulus_id"] for row in details["stimuli"]] == [s.stimulus_id for s in built.stimuli]
+
+
+def test_rows_tell_what_the_files_hold(built: StimulusSet) -> None:
+    full_scale = Recipe().full_scale_m_s2
+    for row in built.stimuli:
+        samples, rate = read_wav(built.folder / row.file)
+        assert (rate, samples.shape[-1]) == (row.rate_hz, row.n_samples) == (48000, 28800)
+        assert samples.ndim == (2 if row.role == "reference" else 1)
+        assert np.abs(samples).max() == pytest.approx(row.peak, rel=1e-6)
+        rms = np.sqrt((samples**2).sum() / row.n_samples) * full_scale
+        assert rms == pytest.approx(row.rms_m_s2, rel=1e-5)
+        assert np.abs(samples[..., [0, -1]]).max() < 1e-4  # faded
+
+
+def test_as_is_has_one_gain_and_lets_lost_energy_be_felt(built: StimulusSet) -> None:
+    rows = [row for row in built.stimuli if row.level == "as_is"]
+    assert len({row.gain for row in rows}) == 1
+    assert max(row.peak for row in rows) == pytest.approx(Recipe().headroom, rel=1e-6)
+    by_name = {(row.recording, row.reducer): row for row in rows}
+    lost = by_name["circular_motion", "sax321"].rms_m_s2 / by_name["circular_motion", "dft321"].rms_m_s2
+    assert lost == pytest.approx(np.sqrt(0.49), abs=0.02)
+
+
+def test_equal_intensity_is_felt_alike(built: StimulusSet) -> None:
+    rows = [row for row in built.stimuli if row.level == "equal_intensity"]
+    levels = [felt_level(read_wav(built.folder / row.file)[0], 48000.0) for row in rows]
+    assert max(levels) / min(levels) == pytest.approx(1.0, abs=1e-5)
+    assert max(row.peak for row in rows) == pytest.approx(Recipe().headroom, rel=1e-6)
+
+
+def test_scores_are_those_of_the_conditioned_recording(built: StimulusSet, scenes: list[Recording]) -> None:
+    conditioned = {r.name: condition(r, Conditioning()) for r in scenes}
+    for row in built.stimuli:
+        if row.role == "test":
+            acceleration, rate = conditioned[row.recording].acceleration, conditioned[row.recording].rate_hz
+            reduced = REDUCERS[row.reducer](acceleration, rate)
+            assert row.spectral_match == pytest.approx(spectral_match(acceleration, reduced, rate), abs=1e-12)
+            assert row.temporal_match == pytest.approx(temporal_match(acceleration, reduced), abs=1e-12)
+
+
+def test_the_file_is_the_reduced_signal_at_the_rigs_rate(built: StimulusSet, scenes: list[Recording]) -> None:
+    row = next(s for s in built.stimuli if (s.recording, s.reducer, s.level) == ("bumps", "dft321", "as_is"))
+    bumps = condition(scenes[0], Conditioning())
+    reduced = REDUCERS["dft321"](bumps.acceleration, bumps.rate_hz) * row.gain / Recipe().full_scale_m_s2
+    samples, _ = read_wav(built.folder / row.file)
+    at = np.arange(1000, 5000)  # 10 kHz, away from the fades; band-limited to 1 kHz, so interpolation is exact enough
+    at_rig = np.interp(at / bumps.rate_hz, np.arange(len(samples)) / 48000, samples)
+    np.testing.assert_allclose(at_rig, reduced[at] - reduced.mean(), atol=2e-3 * np.abs(reduced).max())
+
+
+def test_a_second_build_writes_no_stimulus(scenes: list[Recording], tmp_path: Path) -> None:
+    recipe = Recipe(reducers=("sax321", "dft321"))
+    first = build_stimuli(scenes, tmp_path, recipe=recipe)
+    before = stamps(tmp_path)
+    assert build_stimuli(scenes, tmp_path, recipe=recipe) == first
+    assert stamps(tmp_path) == before
+
+
+def test_two_builds_and_two_workers_give_the_same_bytes(scenes: list[Recording], tmp_path: Path) -> None:
+    steps: list[tuple[int, int]] = []
+    recipe = Recipe(levels=BOTH)
+    for name, workers in (("one", 1), ("again", 1), ("two", 2)):
+        build_stimuli(scenes, tmp_path / name, recipe=recipe, workers=workers, progress=lambda *s: steps.append(s))
+    assert contents(tmp_path / "one") == contents(tmp_path / "again") == contents(tmp_path / "two")
+    assert steps == [(done, 6) for done in range(1, 7)] * 3
+
+
+def test_a_new_recording_is_added_and_an_old_one_removed(scenes: list[Recording], tmp_path: Path) -> None:
+    recipe = Recipe(reducers=("sax321",), gain=1.0)
+    build_stimuli(scenes[:2], tmp_path, recipe=recipe)
+    before = stamps(tmp_path)
+    build_stimuli(scenes[1:], tmp_path, recipe=recipe)
+    after = stamps(tmp_path)
+    kept = {name for name in before if name.startswith("texture_drag")}
+    assert {name: after[name] for name in kept} == {name: before[name] for name in kept}
+    assert not any(name.startswith("bumps") for name in after)
+    assert check_stimuli(tmp_path) == []
+
+
+def test_what_went_in_decides_what_is_made_again(scenes: list[Recording], tmp_path: Path) -> None:
+    base = Recipe(reducers=("sax321",), reference="none", anchors=False, gain=1.0)
+    build_stimuli(scenes, tmp_path, recipe=base)
+    for changed in (
+        replace(base, gain=2.0),
+        replace(base, conditioning=Conditioning(high_pass_hz=30.0)),
+        replace(base, fade_s=0.02),
+        replace(base, full_scale_m_s2=50.0),
+    ):
+        before = contents(tmp_path)
+        build_stimuli(scenes, tmp_path, recipe=changed)
+        assert not set(before.values()) & set(contents(tmp_path).values())
+        fresh = tmp_path.parent / f"{tmp_path.name}-fresh"
+        build_stimuli(scenes, fresh, recipe=changed)
+        assert contents(fresh) == contents(tmp_path)
+        for path in fresh.iterdir():
+            path.unlink()
+
+
+def test_a_damaged_file_is_found_and_mended(scenes: list[Recording], tmp_path: Path) -> None:
+    recipe = Recipe(reducers=("sax321", "dft321"))
+    build_stimuli(scenes, tmp_path, recipe=recipe)
+    good = contents(tmp_path)
+    victim = tmp_path / "bumps__sax321__as_is.wav"
+    samples, rate = read_wav(victim)
+    samples[100] += 1e-3
+    write_wav(victim, samples, rate)
+    (tmp_path / "bumps__dft321__as_is.wav").unlink()
+    write_wav(tmp_path / "stray.wav", samples, rate)
+    problems = check_stimuli(tmp_path)
+    assert [p.split(";")[0] for p in problems] == [
+        "bumps__sax321__as_is.wav: was changed after it was built (its SHA-256 differs)",
+        "bumps__dft321__as_is.wav: missing",
+        "stray.wav: not in the manifest",
+    ]
+    (tmp_path / "stray.wav").unlink()
+    build_stimuli(scenes, tmp_path, recipe=recipe)
+    assert contents(tmp_path) == good
+
+
+def test_a_damaged_manifest_costs_only_a_new_build(scenes: list[Recording], tmp_path: Path) -> None:
+    recipe = Recipe(reducers=("sax321",))
+    build_stimuli(scenes, tmp_path, recipe=recipe)
+    good = contents(tmp_path)
+    for damage in ("{", "[]", '{"stimuli": [{"stimulus_id": "x"}]}', '{"stimuli": [], "measured": {"k": {"y": 1}}}'):
+        (tmp_path / "manifest.json").write_text(damage)
+        build_stimuli(scenes, tmp_path, recipe=recipe)
+        assert contents(tmp_path) == good
+
+
+KILLED = """
+import sys
+from stimuli.recipe import Recipe
+from stimuli.sets import build_stimuli
+from stimuli.synthesis import SCENES, make_scene
+scenes = [make_scene(name, duration_s=1.0) for name in SCENES]
+print("ready", flush=True)
+build_stimuli(scenes, sys.argv[1], recipe=Recipe(levels=("as_is", "equal_intensity")), workers=int(sys.argv[2]))
+"""
+
+
+@pytest.mark.parametrize(("delay_s", "workers"), [(0.05, 1), (0.2, 1), (0.5, 1), (1.5, 2)])
+def test_a_killed_build_leaves_no_half_file_and_is_continued(tmp_path: Path, delay_s: float, workers: int) -> None:
+    folder = tmp_path / "killed"
+    process = subprocess.Popen(
+        [sys.executable, "-c", KILLED, str(folder), str(workers)], stdout=subprocess.PIPE, start_new_session=True
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == b"ready\n"
+    time.sleep(delay_s)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.communicate()
+    for path in [*folder.glob("*.wav"), *(folder / PARTS).glob("*.wav")]:
+        read_wav(path)  # refuses a file that is shorter than its header says
+    scenes = [make_scene(name, duration_s=1.0) for name in SCENES]
+    recipe = Recipe(levels=BOTH)
+    build_stimuli(scenes, folder, recipe=recipe)
+    build_stimuli(scenes, tmp_path / "fresh", recipe=recipe)
+    assert contents(folder) == contents(tmp_path / "fresh")
+    assert not (folder / PARTS).exists()
+
+
+# --- anchors ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_anchors_have_the_recordings_energy_and_the_lowest_scores(name: str) -> None:
+    recording = condition(make_scene(name), Conditioning())
+    acceleration, rate = recording.acceleration, recording.rate_hz
+    scores = [spectral_match(acceleration, f(acceleration, rate), rate) for f in REDUCERS.values()]
+    for make in ANCHORS.values():
+        anchor = make(recording, np.random.default_rng(0))
+        assert (anchor**2).sum() == pytest.approx((acceleration**2).sum(), rel=1e-9)
+        assert temporal_match(acceleration, anchor) < 1e-9
+        assert spectral_match(acceleration, anchor, rate) < min(scores)
+
+
+def test_the_mid_anchor_keeps_the_envelope_and_the_low_one_does_not() -> None:
+    taps = condition(make_scene("hard_taps"), Conditioning())
+    blocks = np.sqrt((taps.acceleration**2).sum(axis=0).reshape(-1, 400).mean(axis=1))
+    follows = {}
+    for name, make in ANCHORS.items():
+        hum = make(taps, np.random.default_rng(0))
+        follows[name] = np.corrcoef(blocks, np.sqrt((hum**2).reshape(-1, 400).mean(axis=1)))[0, 1]
+    assert follows["anchor_mid"] > 0.8
+    assert abs(follows["anchor_low"]) < 0.3
+
+
+def test_anchors_hum_where_the_recording_is_quiet() -> None:
+    time_s = np.arange(20000) / 5000
+    noise = np.random.default_rng(0).standard_normal((3, 20000))
+    spectrum = np.fft.rfft(noise)
+    frequency = np.fft.rfftfreq(20000, 1 / 5000)
+    spectrum[:, abs(frequency - 150) < 20] *= 0.01
+    spectrum[:, abs(frequency - 700) < 90] *= 0.001
+    quiet = Recording(np.fft.irfft(spectrum, len(time_s)), 5000.0, "gaps")
+    assert quietest_hz(quiet) == (pytest.approx(700, abs=30), pytest.approx(150, abs=5))
+
+
+def test_a_set_whose_anchor_is_no_anchor_is_refused(scenes: list[Recording], tmp_path: Path) -> None:
+    build_stimuli(scenes[:1], tmp_path, recipe=Recipe(reducers=("sax321",)))
+    table = (tmp_path / "manifest.csv").read_text()
+    line = next(row for row in table.splitlines() if "anchor_mid" in row)
+    row = line.split(",")
+    row[CONTRACT.index("spectral_match")] = "0.99"
+    (tmp_path / "manifest.csv").write_text(table.replace(line, ",".join(row)))
+    (problem,) = check_stimuli(tmp_path)
+    assert "anchor_mid" in problem
+    assert "must be worse than every test" in problem
+
+
+# --- refusals ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"reducers": ("dft",)}, "allowed is one of sax321"),
+        ({"reducers": ()}, "one or more names, each once"),
+        ({"reducers": ("dft321", "dft321")}, "each once"),
+        ({"levels": ("loud",)}, "allowed is one of as_is, equal_intensity"),
+        ({"reference": "best"}, "allowed is one of original, none, sax321"),
+        ({"rate_hz": 44100.5}, "whole number of Hz"),
+        ({"headroom": 1.5}, "up to 1"),
+        ({"full_scale_m_s2": 0.0}, "full_scale_m_s2: got 0.0"),
+        ({"gain": float("inf")}, "gain: got inf"),
+        ({"fade_s": -1.0}, "fade_s: got -1.0"),
+    ],
+)
+def test_recipes_that_cannot_be_cooked_are_refused(changes: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Recipe(**changes)  # type: ignore[arg-type]
+
+
+def test_names_must_be_file_names_and_differ(scenes: list[Recording], tmp_path: Path) -> None:
+    for recordings, message in (
+        ([], "got none"),
+        ([replace(scenes[0], name="a/b")], "letters, digits"),
+        ([scenes[0], replace(scenes[1], name="BUMPS")], "'BUMPS' twice"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            build_stimuli(recordings, tmp_path, recipe=Recipe())
+
+
+def test_silence_cannot_be_made_equally_strong(scenes: list[Recording], tmp_path: Path) -> None:
+    silent = Recording(np.zeros((3, 6000)), 10000.0, "silence")
+    with pytest.raises(ValueError, match=r"'silence' is silent .* leave it out"):
+        build_stimuli([*scenes, silent], tmp_path, recipe=Recipe())
+    recipe = Recipe(levels=("equal_intensity",), anchors=False)
+    with pytest.raises(ValueError, match="10 stimuli are silent"):
+        build_stimuli([*scenes, silent], tmp_path, recipe=recipe)
+    as_is = build_stimuli([silent], tmp_path, recipe=Recipe(anchors=False))
+    assert {row.peak for row in as_is.stimuli} == {0.0}
+
+
+def test_a_gain_that_clips_is_counted_and_reported(scenes: list[Recording], tmp_path: Path) -> None:
+    recipe = Recipe(reducers=("dft321",), anchors=False, reference="none", gain=10.0)
+    (row,) = build_stimuli(scenes[:1], tmp_path, recipe=recipe).stimuli
+    samples, _ = read_wav(tmp_path / row.file)
+    assert row.clipped == np.count_nonzero(np.abs(samples) == 1.0) > 0
+    (problem,) = check_stimuli(tmp_path)
+    assert problem == f"{row.file}: {row.clipped} samples clipped; lower the gain or raise full_scale_m_s2"
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ("", "holds no stimulus"),
+        ("a,b\n1,2\n", "line 2: wrong or missing columns stimulus_id"),
+        (",".join(CONTRACT) + "\n" + "x," * 6 + "fast" + ",1" * 10 + "\n", "line 2: could not convert string to float"),
+        (b"\xff\xfe", "UTF-8"),
+    ],
+)
+def test_a_manifest_that_is_none_is_refused(table: str | bytes, message: str, tmp_path: Path) -> None:
+    (tmp_path / "manifest.csv").write_bytes(table if isinstance(table, bytes) else table.encode())
+    with pytest.raises(ValueError, match=message):
+        read_stimuli(tmp_path)
+    (problem,) = check_stimuli(tmp_path)
+    assert message.rsplit(":", maxsplit=1)[-1].strip() in problem
+
+
+def test_a_set_that_was_not_built_says_so(tmp_path: Path) -> None:
+    assert "feel321 build" in check_stimuli(tmp_path)[0]
+
+
+def test_real_recordings_build_and_pass(shared_recordings: Path, tmp_path: Path) -> None:
+    from stimuli.formats import read_recording
+
+    files = [path for path in sorted(shared_recordings.iterdir()) if path.suffix in {".csv", ".npz", ".wav"}]
+    recordings = [read_recording(path) for path in files]
+    assert len(recordings) == 11
+    built = build_stimuli(recordings, tmp_path, recipe=Recipe(levels=BOTH), workers=2)
+    assert len(built.stimuli) == 11 * 2 * 12
+    assert check_stimuli(tmp_path) == []
+    exact = [row.spectral_match for row in built.stimuli if row.reducer == "dft321"]
+    np.testing.assert_allclose(exact, 1.0, atol=1e-9)
