@@ -142,7 +142,7 @@ def digest(text: str | bytes) -> str:
     Examples
     --------
     >>> digest("tap")[:12]
-    '56d40f4d9a1a'
+    '729cd87c6329'
     """
     return hashlib.sha256(text.encode() if isinstance(text, str) else text).hexdigest()
 

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from typing import TYPE_CHECKING
 
@@ -44,15 +43,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     try:
         code = feel321.main(args=arguments, prog_name="feel321", standalone_mode=False)
-        sys.stdout.flush()
     except click.UsageError as error:
         return _complain(_hint(error), code=WRONG_USE)
     except click.Abort:
         return _complain("interrupted; what is done is kept, the same command goes on", code=INTERRUPTED)
-    except BrokenPipeError:
-        # Whoever read has gone: send the rest nowhere, so that Python does not complain when it flushes.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return COULD_NOT
     except (OSError, TypeError, ValueError) as error:
         if "--traceback" in arguments:
             raise

@@ -31,6 +31,8 @@ scene = "hard_taps"
 duration_s = 0.5
 [stimuli]
 reducers = ["sax321", "mag321", "dft321"]
+[analysis]
+draws = 200
 """
 
 # Spectral and temporal match of the made-up reducers: not collinear, so that planted effects can be told apart.

@@ -115,7 +115,7 @@ def test_a_wrong_sequence_number_is_named() -> None:
 def test_a_file_cut_at_any_byte_is_recovered_without_losing_a_whole_line(journal: Journal, now: Now) -> None:
     whole = journal.path.read_bytes()
     ends = [i + 1 for i, byte in enumerate(whole) if byte == ord("\n")]
-    for cut in range(ends[2], len(whole) + 1):
+    for cut in range(ends[3], len(whole) + 1):
         journal.path.write_bytes(whole[:cut])
         kept = sum(end <= cut for end in ends)
         again = require_journal(journal.path, now=now)

@@ -1,0 +1,258 @@
+"""The command line in one process: what each verb prints, and how each refuses."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from stimuli.reduce import REDUCERS
+from stimuli.synthesis import make_scene
+from stimuli.wav import read_wav, write_wav
+from study import cli, commands
+from study.cli import main
+from study.commands import shared
+from study.folder import read_template
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from study.folder import StudyFolder
+
+    Capture = pytest.CaptureFixture[str]
+
+VERBS = commands.__all__
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    bumps = make_scene("bumps", duration_s=0.5)
+    path = tmp_path / "bumps.csv"
+    table = np.column_stack([np.arange(bumps.n_samples) / bumps.rate_hz, bumps.acceleration.T])
+    np.savetxt(path, table, delimiter=",", header="time_s,x_m/s^2,y_m/s^2,z_m/s^2", comments="")
+    return path
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_verb_explains_itself_with_an_example(verb: str, capsys: Capture) -> None:
+    assert main([verb, "--help"]) == 0
+    assert re.search(rf"Example: feel321 {verb} ", capsys.readouterr().out)
+
+
+def test_help_lists_every_verb_and_version_answers(capsys: Capture) -> None:
+    assert main(["--help"]) == 0
+    listed = re.findall(r"^  (\w+)  ", capsys.readouterr().out, flags=re.MULTILINE)
+    assert listed == sorted(VERBS)
+    assert main(["--version"]) == 0
+    assert re.fullmatch(r"feel321, version \d+\.\d+\.\d+\S*\n", capsys.readouterr().out)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["biuld"], "No such command 'biuld'. Did you mean 'build'?; see: feel321 --help"),
+        (["match"], "Missing argument 'RECORDING'; see: feel321 match --help"),
+        (["build", "--wrokers", "2"], "No such option '--wrokers'. Did you mean"),
+        (["build", "--workers", "0"], "Invalid value for '--workers': 0 is not in the range x>=1"),
+        (["analyze", "--manifest", "m.csv"], "--manifest: got it without --ratings; give both"),
+        (["reduce", "{recording}", "--reducer", "dft", "-o", "a.wav"], f"got 'dft', allowed: {', '.join(REDUCERS)}"),
+        (
+            ["reduce", "{recording}", "--reducer", "sax321", "-o", "a.wav", "--window-ms", "20"],
+            "--window-ms: sax321 has no window, allowed with: pca321_adaptive, dft321_windowed",
+        ),
+    ],
+)
+def test_wrong_use_is_one_line_and_exit_2(
+    arguments: list[str], message: str, recording: Path, capsys: Capture
+) -> None:
+    assert main([argument.format(recording=recording) for argument in arguments]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert len(err.splitlines()) == 1
+    assert err.startswith("feel321: ")
+    assert message in err
+
+
+@pytest.mark.parametrize("verb", ["check", "build", "simulate", "status", "audit", "analyze"])
+def test_verbs_on_a_folder_that_is_no_study_say_so(verb: str, tmp_path: Path, capsys: Capture) -> None:
+    assert main([verb, str(tmp_path)]) == 1
+    message = f"feel321: {tmp_path}: got a folder without study.toml; name a study, or begin one with: feel321 new"
+    assert capsys.readouterr().err.startswith(message)
+
+
+def test_the_hidden_switch_shows_where_an_error_comes_from(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="got a folder without"):
+        main(["--traceback", "status", str(tmp_path)])
+
+
+@pytest.mark.parametrize("name", REDUCERS)
+def test_reduce_writes_what_the_reducer_gives_and_match_reads_it(
+    name: str, recording: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    output = tmp_path / "out.wav"
+    assert main(["reduce", str(recording), "--reducer", name, "-o", str(output), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    samples, rate_hz = read_wav(output)
+    bumps = make_scene("bumps", duration_s=0.5)
+    assert rate_hz == 10000
+    np.testing.assert_allclose(samples, REDUCERS[name](bumps.acceleration, 10000.0), atol=1e-4)
+    assert facts == json.loads(output.with_suffix(".json").read_text(encoding="utf-8"))
+    assert (facts["reducer"], facts["unit"], facts["recording"]) == (name, "m/s^2", "bumps")
+    assert main(["match", str(recording), str(output), "--json"]) == 0
+    matches = json.loads(capsys.readouterr().out)
+    assert matches["spectral_match"] == pytest.approx(facts["spectral_match"], abs=1e-4)
+    assert matches["temporal_match"] == pytest.approx(facts["temporal_match"], abs=1e-4)
+    details = {"n_frequencies", "n_left_out", "lowest_hz", "highest_hz", "silent_axes", "n_samples", "rate_hz"}
+    assert details <= set(matches)
+
+
+def test_reduce_and_match_speak_in_words_too(recording: Path, tmp_path: Path, capsys: Capture) -> None:
+    output = str(tmp_path / "out.wav")
+    assert main(["reduce", str(recording), "--reducer", "dft321", "-o", output]) == 0
+    words = capsys.readouterr().out
+    assert "bumps through dft321, 5000 samples, m/s^2" in words
+    assert "spectral match 1.0000" in words
+    assert main(["match", str(recording), output]) == 0
+    assert "temporal match" in capsys.readouterr().out
+
+
+def test_the_window_is_that_of_the_option(recording: Path, tmp_path: Path) -> None:
+    for window in ("20", "50"):
+        options = ["--reducer", "dft321_windowed", "--window-ms", window, "-o", str(tmp_path / f"{window}.wav")]
+        assert main(["reduce", str(recording), *options]) == 0
+    short, long = (read_wav(tmp_path / f"{window}.wav")[0] for window in ("20", "50"))
+    assert np.abs(short - long).max() > 0.01
+    bumps = make_scene("bumps", duration_s=0.5)
+    expected = REDUCERS["dft321_windowed"](bumps.acceleration, 10000.0, window_s=0.02)  # type: ignore[call-arg]
+    np.testing.assert_allclose(short, expected, atol=1e-4)
+
+
+def test_reduce_overwrites_only_when_told(recording: Path, tmp_path: Path, capsys: Capture) -> None:
+    output = tmp_path / "out.wav"
+    output.write_bytes(b"mine")
+    arguments = ["reduce", str(recording), "--reducer", "sax321", "-o", str(output)]
+    assert main(arguments) == 1
+    assert "out.wav: is there already; name another file or add --force" in capsys.readouterr().err
+    assert output.read_bytes() == b"mine"
+    assert main([*arguments, "--force"]) == 0
+    assert len(read_wav(output)[0]) == 5000
+
+
+def test_reading_options_reach_the_reader_and_warnings_go_to_stderr(tmp_path: Path, capsys: Capture) -> None:
+    path = tmp_path / "plain.csv"
+    np.savetxt(path, np.random.default_rng(1).normal(size=(500, 3)), delimiter=",", header="a,b,c", comments="")
+    options = ["--rate-hz", "5000", "--columns", "2,b,0", "--reducer", "sax321", "-o", str(tmp_path / "o.wav")]
+    assert main(["reduce", str(path), *options]) == 0
+    assert "feel321: warning: plain: " in capsys.readouterr().err
+    third = np.loadtxt(path, delimiter=",", skiprows=1)[:, 2]
+    np.testing.assert_allclose(read_wav(tmp_path / "o.wav")[0], third, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("samples", "rate_hz", "message"),
+    [
+        (np.ones(4999), 10000, "got 4999 samples, bumps has 5000; both must cover the same samples, nothing is cut"),
+        (np.ones((3, 5000)), 10000, "got 3 channels, a reduced signal has 1; reduce it first"),
+        (np.ones(5000), 8000, "got 8000 Hz, bumps has 10000 Hz; both must have one rate"),
+    ],
+)
+def test_match_refuses_what_does_not_belong_together(
+    samples: np.ndarray, rate_hz: int, message: str, recording: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    write_wav(tmp_path / "r.wav", samples, rate_hz)
+    assert main(["match", str(recording), str(tmp_path / "r.wav")]) == 1
+    assert capsys.readouterr().err == f"feel321: r.wav: {message}\n"
+
+
+def test_a_study_from_new_to_report(study: StudyFolder, tmp_path: Path, capsys: Capture) -> None:
+    folder = str(study.path)
+    assert main(["check", folder]) == 0
+    assert capsys.readouterr().out == f"{folder}: nothing to mend\n"
+    assert main(["build", folder, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["stimuli"] == 2 * (3 + 1 + 2)
+    assert main(["build", folder]) == 0
+    assert "12 stimuli, set " in capsys.readouterr().out
+    assert main(["simulate", folder, "--participants", "4", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"participants": 4, "ratings": 96, "file": str(study.ratings)}
+    assert main(["simulate", folder, "--participants", "4"]) == 0
+    assert capsys.readouterr().out == f"{study.ratings}: 96 ratings\n"
+    assert main(["status", folder, "--json"]) == 0
+    assert [entry["done"] for entry in json.loads(capsys.readouterr().out)] == [24] * 4
+    with study.journals[0].open("ab") as file:
+        file.write(b"{}")
+    assert main(["status", folder]) == 0
+    assert "(2 torn bytes, mended on resuming)" in (table := capsys.readouterr().out)
+    assert len(re.findall(r"^sim00\d +24 +0 .*\(simulated\)", table, flags=re.MULTILINE)) == 4
+    assert main(["simulate", folder, "--participants", "4"]) == 0
+    capsys.readouterr()
+    assert main(["audit", folder]) == 0
+    assert capsys.readouterr().out == f"{folder}: 4 journals, all as they were written\n"
+    assert main(["analyze", folder]) == 0
+    assert capsys.readouterr().out == f"{study.report / 'index.html'}\n"
+    assert (study.report / "index.html").stat().st_size > 1000
+    tables = ["--ratings", str(study.ratings), "--manifest", str(study.manifest), "--out", str(tmp_path / "else")]
+    assert main(["analyze", *tables, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == json.loads((tmp_path / "else" / "results.json").read_text())
+    assert main(["analyze", folder, "--ratings", str(study.ratings)]) == 0
+
+
+def test_findings_are_printed_and_the_exit_code_is_1(study: StudyFolder, capsys: Capture) -> None:
+    folder = str(study.path)
+    main(["build", folder])
+    main(["simulate", folder, "--participants", "1"])
+    with study.journals[0].open("ab") as file:
+        file.write(b"{}\n")
+    study.settings.write_text("[rig]\nzzz = 1\n[[recordings]]\nscene = 'x'\n", encoding="utf-8")
+    capsys.readouterr()
+    assert main(["audit", folder]) == 1
+    assert "line 87: was changed after it was written" in capsys.readouterr().out
+    assert main(["audit", folder, "--json"]) == 1
+    assert len(json.loads(capsys.readouterr().out)["findings"]) == 1
+    assert main(["check", folder]) == 1
+    assert len(capsys.readouterr().out.splitlines()) == 2
+    assert main(["check", folder, "--json"]) == 1
+    assert len(json.loads(capsys.readouterr().out)["problems"]) == 2
+
+
+def test_new_begins_a_study_and_refuses_to_begin_it_twice(tmp_path: Path, capsys: Capture) -> None:
+    assert main(["new", str(tmp_path / "a")]) == 0
+    assert (tmp_path / "a" / "study.toml").read_text(encoding="utf-8") == read_template()
+    assert main(["new", str(tmp_path / "a")]) == 1
+    assert "nothing is overwritten" in capsys.readouterr().err
+
+
+def test_demo_leaves_other_peoples_folders_alone(tmp_path: Path, capsys: Capture) -> None:
+    (tmp_path / "thesis.txt").write_text("dear", encoding="utf-8")
+    assert main(["demo", "--dir", str(tmp_path)]) == 1
+    assert "holds files that demo did not write; name another folder with --dir" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
+
+
+def test_ctrl_c_is_one_line_and_exit_130(
+    study: StudyFolder, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    def stop(_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("study.status.read_status", stop)
+    assert main(["status", str(study.path)]) == 130
+    assert capsys.readouterr().err.strip() == "feel321: interrupted; what is done is kept, the same command goes on"
+
+
+def test_progress_is_drawn_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+    for terminal in (True, False):
+        monkeypatch.setattr(sys.stderr, "isatty", lambda terminal=terminal: terminal)
+        with shared.show_progress("build") as progress:
+            progress(1, 2)
+            progress(2, 2)
+        assert ("build: " in capsys.readouterr().err) == terminal
+
+
+def test_every_exit_code_is_documented() -> None:
+    assert cli.__doc__ is not None
+    codes = (cli.DONE, cli.COULD_NOT, cli.WRONG_USE, cli.INTERRUPTED)
+    assert all(str(code) in cli.__doc__ for code in codes)

@@ -1,0 +1,144 @@
+"""The command line as a real process: start-up, pipes, and sudden death."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from study.audit import audit_study
+from study.folder import StudyFolder
+from study.status import read_status
+from study.workflow import build_study
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+FEEL321 = Path(sys.executable).with_name("feel321")
+HEAVY = {"scipy", "pandas", "matplotlib", "statsmodels", "joblib", "soxr", "psychopy", "sounddevice", "pydantic"}
+STUDY = """
+[[recordings]]
+scene = "bumps"
+duration_s = 0.3
+[[recordings]]
+scene = "hard_taps"
+duration_s = 0.3
+[stimuli]
+reducers = ["sax321", "dft321"]
+[session]
+repeats = 3
+"""
+
+
+def run(*arguments: object, **options: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([FEEL321, *map(str, arguments)], capture_output=True, text=True, check=False, **options)  # type: ignore[call-overload, no-any-return]
+
+
+@pytest.mark.parametrize("module", ["study", "study.cli"])
+def test_nothing_heavy_is_imported_at_start_up(module: str) -> None:
+    code = f"import sys, {module}; print(*{{name.partition('.')[0] for name in sys.modules}})"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "study" in done.stdout.split()
+    assert HEAVY & set(done.stdout.split()) == set()
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["reduce", "--help"], ["analyze", "--help"]])
+def test_help_comes_within_half_a_second(arguments: Sequence[str]) -> None:
+    def measure() -> float:
+        start = time.perf_counter()
+        assert run(*arguments).returncode == 0
+        return time.perf_counter() - start
+
+    # The best of several: the machine may be busy with other things.
+    assert min(measure() for _ in range(5)) < 0.5
+
+
+def test_wrong_use_and_errors_set_the_exit_code_of_the_process(tmp_path: Path) -> None:
+    wrong, failed = run("biuld"), run("status", tmp_path)
+    assert (wrong.returncode, failed.returncode) == (2, 1)
+    assert [len(done.stderr.splitlines()) for done in (wrong, failed)] == [1, 1]
+    assert "Traceback" not in wrong.stderr + failed.stderr
+
+
+def test_a_reader_who_goes_away_is_no_error(tmp_path: Path) -> None:
+    read, write = os.pipe()
+    os.close(read)
+    command = [FEEL321, "new", tmp_path / "a"]
+    done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(write)
+    assert (done.returncode, done.stderr) == (1, "")
+    assert (tmp_path / "a" / "study.toml").is_file()
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> StudyFolder:
+    study = StudyFolder(tmp_path_factory.mktemp("uninterrupted"))
+    study.settings.write_text(STUDY, encoding="utf-8")
+    build_study(study)
+    assert run("simulate", study.path, "--participants", 3).returncode == 0
+    return study
+
+
+def make_copy(study: StudyFolder, folder: Path) -> StudyFolder:
+    copy = StudyFolder(folder)
+    folder.mkdir()
+    copy.settings.write_text(STUDY, encoding="utf-8")
+    copy.stimuli.symlink_to(study.stimuli)
+    return copy
+
+
+def stop_when(study: StudyFolder, n_bytes: int, sent: signal.Signals) -> int:
+    """Simulate in a process of its own and send it a signal once its journals hold so many bytes."""
+    command = [FEEL321, "simulate", study.path, "--participants", "3"]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
+        while process.poll() is None and sum(path.stat().st_size for path in study.journals) < n_bytes:
+            time.sleep(0.0005)
+        process.send_signal(sent)
+        assert process.stderr is not None
+        stderr = process.stderr.read()
+    assert "Traceback" not in stderr
+    return process.returncode
+
+
+@pytest.mark.parametrize("n_bytes", [1, 9_000, 40_000, 75_000])
+def test_a_killed_simulation_goes_on_without_loss_or_doubling(
+    uninterrupted: StudyFolder, tmp_path: Path, n_bytes: int
+) -> None:
+    study = make_copy(uninterrupted, tmp_path / "killed")
+    assert stop_when(study, n_bytes, signal.SIGKILL) == -signal.SIGKILL
+    # A kill between plan and journal, or inside a record, is a state that status can read.
+    done = sum(entry.done for entry in read_status(study))
+    assert done < 3 * 60
+    assert run("simulate", study.path, "--participants", 3).returncode == 0
+    assert study.ratings.read_bytes() == uninterrupted.ratings.read_bytes()
+    assert audit_study(study) == []
+
+
+def test_ctrl_c_is_answered_in_one_line_and_the_simulation_goes_on(uninterrupted: StudyFolder, tmp_path: Path) -> None:
+    study = make_copy(uninterrupted, tmp_path / "interrupted")
+    assert stop_when(study, 20_000, signal.SIGINT) == 130
+    assert audit_study(study) == []
+    assert run("simulate", study.path, "--participants", 3).returncode == 0
+    assert study.ratings.read_bytes() == uninterrupted.ratings.read_bytes()
+
+
+def test_demo_runs_the_whole_chain_and_goes_on_where_it_was(tmp_path: Path) -> None:
+    before = os.times()
+    first = run("demo", "--dir", "demo", cwd=tmp_path)
+    assert first.returncode == 0, first.stderr
+    after = os.times()
+    # Of the processor, not of the clock on the wall: the machine may be busy with other things.
+    assert after.children_user + after.children_system - before.children_user - before.children_system < 60
+    report = tmp_path / first.stdout.splitlines()[-1]
+    assert report == tmp_path / "demo" / "report" / "index.html"
+    assert "simulated" in report.read_text(encoding="utf-8").lower()
+    ratings = (tmp_path / "demo" / "ratings.csv").read_bytes()
+    assert ratings.count(b"\n") == 1 + 16 * 144
+    assert run("demo", "--dir", "demo", cwd=tmp_path).stdout == first.stdout
+    assert (tmp_path / "demo" / "ratings.csv").read_bytes() == ratings
