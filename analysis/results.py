@@ -236,4 +236,4 @@ def _count(name: str, value: int, *, n: int) -> Number:
 
 
 def _without_nan(fields: dict[str, object]) -> dict[str, object]:
-    return {key: None if value != value else value for key, value in fields.items()}  # noqa: PLR0124 - NaN
+    return {key: None if isinstance(value, float) and math.isnan(value) else value for key, value in fields.items()}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -97,17 +98,23 @@ def tidy() -> Callable[..., pd.DataFrame]:
     return make
 
 
+def write_files(folder: Path, *, seed: int = 0, **changes: object) -> Files:
+    rng = np.random.default_rng(seed)
+    design = Design(**changes)
+    manifest = make_manifest(design, rng)
+    written = Files(folder / "ratings.csv", folder / "manifest.csv")
+    manifest.to_csv(written.manifest, index=False)
+    make_ratings(design, manifest, rng).to_csv(written.ratings, index=False)
+    return written
+
+
 @pytest.fixture
 def files(tmp_path: Path) -> Callable[..., Files]:
     """Write ratings.csv and manifest.csv of a synthetic study."""
+    return partial(write_files, tmp_path)
 
-    def write(seed: int = 0, **changes: object) -> Files:
-        rng = np.random.default_rng(seed)
-        design = Design(**changes)
-        manifest = make_manifest(design, rng)
-        written = Files(tmp_path / "ratings.csv", tmp_path / "manifest.csv")
-        manifest.to_csv(written.manifest, index=False)
-        make_ratings(design, manifest, rng).to_csv(written.ratings, index=False)
-        return written
 
-    return write
+@pytest.fixture(scope="session")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Files:
+    """Files of the default study; not to be changed."""
+    return write_files(tmp_path_factory.mktemp("study"))

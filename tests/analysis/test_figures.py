@@ -51,7 +51,7 @@ def list_texts(figure: Figure) -> list[Text]:
     axes = figure.axes[0]
     legend = [text for legend in figure.legends for text in legend.get_texts()]
     titles = [axes.title, axes._left_title, axes.xaxis.label, axes.yaxis.label]
-    return [*titles, *axes.texts, *axes.get_yticklabels(), *legend]
+    return [text for text in (*titles, *axes.texts, *axes.get_yticklabels(), *legend) if text.get_text()]
 
 
 def test_no_two_reducers_look_alike() -> None:
