@@ -90,15 +90,13 @@ def _translate(detail: ErrorDetails) -> str:
 
 
 def _write_place(location: tuple[int | str, ...]) -> str:
-    """Write a place as the file's author counts: `recordings[1].unit`; the kind of a recording is no key."""
+    """Write a place as the file's author counts, `recordings[1].unit`; what follows a number is a kind, no key."""
     place = ""
     for before, part in zip((None, *location), location, strict=False):
         if isinstance(part, int):
             place += f"[{part + 1}]"
         elif not isinstance(before, int):
             place += f".{part}" if place else part
-        elif location[0] != "recordings":
-            place += f".{part}"
     return place
 
 

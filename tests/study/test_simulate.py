@@ -13,6 +13,7 @@ from stimuli.manifest import read_stimuli
 from study.audit import audit_study
 from study.check import check_study
 from study.folder import StudyFolder
+from study.journal import create_journal, read_journal
 from study.ratings import write_ratings
 from study.status import read_status
 from study.workflow import analyze_study, build_study, simulate_study
@@ -152,6 +153,31 @@ def test_audit_finds_a_changed_or_missing_plan_and_wav(copy: StudyFolder) -> Non
     assert any("sim001/plan.json: was changed after it was stored" in line for line in findings)
     assert any("sim002/plan.json" in line for line in findings)
     assert any(wav.name in line for line in findings)
+
+
+@pytest.mark.parametrize(
+    ("events", "finding"),
+    [
+        ([("rated", {"trial": 1})], ": has no header"),
+        ([("begun", None), ("rated", {"trial": 1}), ("rated", {"trial": 1})], ", line 3: rates trial 1, expected 2"),
+        ([("begun", None), ("rated", {"trial": 2})], ", line 2: rates trial 2, expected 1"),
+        ([("begun", None), ("finished", {})], ", line 2: finished after 0 of 20 trials"),
+    ],
+)
+def test_audit_finds_gaps_and_doubles_in_a_chain_that_holds(
+    copy: StudyFolder, events: list[tuple[str, Any]], finding: str
+) -> None:
+    header = read_journal(copy.journals[0]).records[0].data
+    copy.journals[0].unlink()
+    journal = create_journal(copy.sessions / "sim001" / "session-01.jsonl", now=lambda: datetime.now(UTC))
+    for event, data in events:
+        journal.write(event, header if data is None else data)
+    assert audit_study(copy) == [f"{journal.path}{finding}"]
+
+
+def test_a_journal_that_never_got_its_header_is_no_finding(copy: StudyFolder) -> None:
+    copy.journals[0].write_bytes(b"")
+    assert audit_study(copy) == []
 
 
 def test_a_session_that_never_got_its_journal_is_shown_as_not_begun(copy: StudyFolder) -> None:
