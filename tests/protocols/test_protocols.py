@@ -13,7 +13,7 @@ def test_registry_lists_every_protocol_under_its_own_name() -> None:
     assert list(PROTOCOLS) == ["realism", "similarity"]
     assert all(name == protocol.name for name, protocol in PROTOCOLS.items())
     with pytest.raises(TypeError, match="does not support item assignment"):
-        PROTOCOLS["realism"] = SIMILARITY  # type: ignore[index]
+        PROTOCOLS["realism"] = SIMILARITY  # type: ignore[index] - that it is refused is the point
 
 
 def test_realism_judges_every_item_without_reference(items: list[Item]) -> None:

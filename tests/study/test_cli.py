@@ -127,7 +127,7 @@ def test_the_window_is_that_of_the_option(recording: Path, tmp_path: Path) -> No
     short, long = (read_wav(tmp_path / f"{window}.wav")[0] for window in ("20", "50"))
     assert np.abs(short - long).max() > 0.01
     bumps = make_scene("bumps", duration_s=0.5)
-    expected = REDUCERS["dft321_windowed"](bumps.acceleration, 10000.0, window_s=0.02)  # type: ignore[call-arg]
+    expected = REDUCERS["dft321_windowed"](bumps.acceleration, 10000.0, window_s=0.02)  # type: ignore[call-arg] - not in the common calling form
     np.testing.assert_allclose(short, expected, atol=1e-4)
 
 

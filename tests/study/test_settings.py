@@ -152,7 +152,7 @@ def test_all_mistakes_are_told_at_once(read: Callable[[str], Settings]) -> None:
 def test_settings_cannot_be_changed_after_reading(read: Callable[[str], Settings]) -> None:
     settings = read(SHORTEST)
     with pytest.raises(ValidationError, match="frozen"):
-        settings.study.seed = 4  # type: ignore[misc]
+        settings.study.seed = 4  # type: ignore[misc] - that it is refused is the point
 
 
 def test_recordings_come_in_order_under_their_names(study: StudyFolder) -> None:
