@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from stimuli.recording import check_acceleration, check_finite, check_rate
+from stimuli.recording import check_finite, check_rate, coerce_acceleration
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -51,8 +51,10 @@ def admit(acceleration: ArrayLike, rate_hz: float) -> Admitted:
         If the input is not three axes of finite numbers, or the rate is not above 0.
     """
     check_rate(rate_hz)
-    samples = check_acceleration(acceleration)
+    samples = coerce_acceleration(acceleration)
     peak = largest(samples)
+    if not np.isfinite(peak):
+        check_finite(samples, "acceleration")
     if peak == 0.0 or SAFE_PEAK[0] <= peak <= SAFE_PEAK[1]:
         return Admitted(samples, 1.0)
     exponent = int(np.frexp(peak)[1])
@@ -65,7 +67,7 @@ def largest(samples: NDArray[np.float64]) -> float:
     Parameters
     ----------
     samples : ndarray
-        Any shape, finite.
+        Any shape; not finite if a value is not.
 
     Returns
     -------

@@ -163,10 +163,12 @@ class OriginalSpectrum:
     def __init__(self, samples: NDArray[np.float64], rate_hz: float, *, grid: Grid = "linear") -> None:
         n = samples.shape[-1]
         frequencies = {"linear": linear_grid, "log": log_grid}[grid](n, rate_hz)
-        self._energy = energy_spectrum(samples).sum(axis=-2)
         self._smooth = WeberSmoothing(frequencies, rate_hz / n, n // 2 + 1)
-        smoothed = self._smooth(self._energy)
-        self._used = smoothed > NUMERICAL_FLOOR * self._energy.mean()
+        self._spectrum = energy_spectrum(samples, self._smooth.bins).sum(axis=-2)
+        # By Parseval's theorem the mean energy per bin of the two-sided spectrum is the energy in time.
+        self._energy = float(np.einsum("in,in->", samples, samples))
+        smoothed = self._smooth(self._spectrum)
+        self._used = smoothed > NUMERICAL_FLOOR * self._energy
         self.smoothed = smoothed[self._used]
         self.frequencies_hz = frequencies[self._used]
         self.n_left_out = int(np.count_nonzero(~self._used))
@@ -189,18 +191,19 @@ class OriginalSpectrum:
         ValueError
             If no frequency can be compared and the energies differ.
         """
-        # The difference is taken before it is smoothed: what two equal spectra share cancels without rounding.
-        difference = energy_spectrum(reduced)
-        np.subtract(self._energy, difference, out=difference)
         if not len(self.smoothed):
-            return self._match_nothing(difference)
+            return self._match_nothing(reduced)
+        # The difference is taken before it is smoothed: what two equal spectra share cancels without rounding.
+        difference = energy_spectrum(reduced, self._smooth.bins)
+        np.subtract(self._spectrum, difference, out=difference)
         deviation = np.abs(self._smooth(difference)[..., self._used])
         return np.asarray(1.0 - (deviation / self.smoothed).mean(axis=-1))
 
-    def _match_nothing(self, difference: NDArray[np.float64]) -> NDArray[np.float64]:
-        # Silence, or too short for one DFT frequency from 20 to 1000 Hz: only equality can still be told.
-        if np.all(np.abs(difference) <= NUMERICAL_FLOOR * self._energy.max(initial=0.0)):
-            return np.ones(difference.shape[:-1])
+    def _match_nothing(self, reduced: NDArray[np.float64]) -> NDArray[np.float64]:
+        # Silence, or too short for one DFT frequency from 20 to 1000 Hz: only equal energy can still be told.
+        energy = np.einsum("...n,...n->...", reduced, reduced)
+        if np.all(np.abs(energy - self._energy) <= NUMERICAL_FLOOR * self._energy):
+            return np.ones(energy.shape)
         raise ValueError(
             "spectral match: the recording has no frequency with energy between 20 and 1000 Hz; "
             "record longer, or at a higher rate"

@@ -99,13 +99,35 @@ def check_acceleration(acceleration: ArrayLike) -> NDArray[np.float64]:
     ValueError
         If the values are not numbers, not finite, or not three axes.
     """
+    samples = coerce_acceleration(acceleration)
+    check_finite(samples, "acceleration")
+    return samples
+
+
+def coerce_acceleration(acceleration: ArrayLike) -> NDArray[np.float64]:
+    """Coerce to float64 of shape (..., 3, n); whether the values are finite is left to the caller.
+
+    Parameters
+    ----------
+    acceleration : array_like, shape (..., 3, n_samples)
+        Acceleration of the three axes, any unit.
+
+    Returns
+    -------
+    ndarray of float64, shape (..., 3, n_samples)
+        The same values, not copied if they already were float64.
+
+    Raises
+    ------
+    ValueError
+        If the values are not numbers, or not three axes.
+    """
     try:
         samples = np.asarray(acceleration, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ValueError(f"acceleration: got values that are not real numbers ({error})") from None
     if samples.ndim < 2 or samples.shape[-2] != AXES:  # noqa: PLR2004 - axes x samples
         raise ValueError(f"acceleration: got shape {samples.shape}, allowed is (..., 3, n): three axes, then samples")
-    check_finite(samples, "acceleration")
     return samples
 
 

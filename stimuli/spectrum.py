@@ -33,20 +33,22 @@ HIGHEST_HZ = 1000.0
 """Range in which Pacinian corpuscles, and so the metrics, are sensitive."""
 
 
-def energy_spectrum(samples: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Energy of a signal at every DFT frequency.
+def energy_spectrum(samples: NDArray[np.float64], bins: slice = slice(None)) -> NDArray[np.float64]:
+    """Compute the energy of a signal at every DFT frequency, or at some of them.
 
     Parameters
     ----------
     samples : ndarray, shape (..., n_samples)
         Real signals.
+    bins : slice
+        Which of the n_samples // 2 + 1 bins of the one-sided spectrum.
 
     Returns
     -------
-    ndarray of float64, shape (..., n_samples // 2 + 1)
+    ndarray of float64, shape (..., n_bins)
         Squared magnitude of the one-sided spectrum.
     """
-    spectrum = fft.rfft(samples)
+    spectrum = fft.rfft(samples)[..., bins]
     energy = np.square(spectrum.real)
     energy += np.square(spectrum.imag)
     return energy
@@ -115,6 +117,11 @@ class WeberSmoothing:
     n_bins : int
         Number of bins of the one-sided spectrum.
 
+    Attributes
+    ----------
+    bins : slice
+        The bins that the smoothing reads; it is to be called with these.
+
     Notes ----- Each bin's energy is spread evenly over one spacing, so the window's edges may cut bins. A window
     narrower than one spacing gives the bin itself; one that reaches beyond the last bin is cut off there and averaged
     over what is left. Bins far below the lowest frequency, the offset among them, never enter the running sum: a large
@@ -125,9 +132,10 @@ class WeberSmoothing:
         centre = frequencies_hz / spacing_hz + 0.5
         half = np.maximum(WEBER_FRACTION / 2 * frequencies_hz / spacing_hz, 0.5)
         low, high = np.maximum(centre - half, 0.0), np.minimum(centre + half, float(n_bins))
-        self._first = int(low[0]) if len(low) else 0
-        self._last = min(int(np.ceil(high[-1])) + 1, n_bins) if len(high) else 0
-        self._edges = [_Edge.at(edge - self._first, self._last - self._first) for edge in (low, high)]
+        first = int(low[0]) if len(low) else 0
+        last = min(int(np.ceil(high[-1])) + 1, n_bins) if len(high) else 0
+        self.bins = slice(first, last)
+        self._edges = [_Edge.at(edge - first, last - first) for edge in (low, high)]
         self._width = high - low
 
     def __call__(self, spectrum: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -135,18 +143,17 @@ class WeberSmoothing:
 
         Parameters
         ----------
-        spectrum : ndarray, shape (..., n_bins)
-            Energy per bin (or any difference of energies).
+        spectrum : ndarray, shape (..., number of `bins`)
+            Energy per bin (or any difference of energies), at `bins`.
 
         Returns
         -------
         ndarray of float64, shape (..., n_frequencies)
             Mean energy per bin around each frequency.
         """
-        part = spectrum[..., self._first : self._last]
-        running = np.zeros((*part.shape[:-1], part.shape[-1] + 1))
-        np.cumsum(part, axis=-1, out=running[..., 1:])
-        low, high = (edge.read(running, part) for edge in self._edges)
+        running = np.zeros((*spectrum.shape[:-1], spectrum.shape[-1] + 1))
+        np.cumsum(spectrum, axis=-1, out=running[..., 1:])
+        low, high = (edge.read(running, spectrum) for edge in self._edges)
         return np.asarray((high - low) / self._width)
 
 
@@ -161,5 +168,5 @@ class _Edge:
         whole = np.clip(position.astype(np.intp), 0, max(n_bins - 1, 0))
         return cls(whole, position - whole)
 
-    def read(self, running: NDArray[np.float64], part: NDArray[np.float64]) -> NDArray[np.float64]:
-        return running[..., self._whole] + self._share * part[..., self._whole]
+    def read(self, running: NDArray[np.float64], spectrum: NDArray[np.float64]) -> NDArray[np.float64]:
+        return running[..., self._whole] + self._share * spectrum[..., self._whole]

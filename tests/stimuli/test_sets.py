@@ -31,7 +31,10 @@ if TYPE_CHECKING:
 
     from stimuli.manifest import StimulusSet
 
-CONTRACT = ["stimulus_id", "recording", "reducer", "level", "role", "file", "rate_hz", "n_samples", "duration_s", "peak", "rms_m_s2", "gain", "spectral_match", "temporal_match", "clipped", "sha256", "recording_sha256"]
+CONTRACT = [
+    "stimulus_id", "recording", "reducer", "level", "role", "file", "rate_hz", "n_samples", "duration_s", "peak",
+    "rms_m_s2", "gain", "spectral_match", "temporal_match", "clipped", "sha256", "recording_sha256",
+]
 BOTH = ("as_is", "equal_intensity")
 
 
