@@ -177,7 +177,8 @@ def constrained_drag(time_s: Samples, rng: np.random.Generator) -> Samples:
     ndarray of float64, shape (3, n)
         Acceleration in m/s².
     """
-    along = _roughness(time_s, _strokes(time_s, rng), rng)
+    # Micro-contacts fill the band above the grain's own frequencies, as in the free drag.
+    along = _roughness(time_s, _strokes(time_s, rng), rng) + 0.3 * _coloured(time_s, rng, low_hz=30.0, high_hz=1500.0)
     across = np.array([_roughness(time_s, _strokes(time_s, rng), rng) for _ in range(3)])
     line = np.array([0.5, 0.7, 0.51])
     return 8.0 * line[:, None] / np.linalg.norm(line) * along + 0.4 * across + _sensor_noise(time_s, rng)
