@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from concurrent.futures import CancelledError, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from threading import Event, Lock
 from typing import TYPE_CHECKING
 
 from protocols.texts import read_scales
@@ -22,6 +24,9 @@ if TYPE_CHECKING:
     from study.tables import Settings
 
     Progress = Callable[[int, int], None]
+
+SIDE_BY_SIDE = 8
+"""Sessions at a time: each waits for the disk after every record, and a disk syncs several files at once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,10 +73,28 @@ def run_simulation(simulation: Simulation, participants: int, *, progress: Progr
     """
     plans = [plan_session(simulation, number) for number in range(1, participants + 1)]
     total = sum(len(plan.trials) for plan in plans)
-    before = 0
-    for plan in plans:
-        _run(plan, simulation, on_rated=partial(_count, progress, before=before, total=total))
-        before += len(plan.trials)
+    rated = [0] * len(plans)
+    counting, stop = Lock(), Event()
+
+    def count(place: int, trial: Trial) -> None:
+        if stop.is_set():
+            raise CancelledError
+        with counting:
+            rated[place] = trial.number
+            if progress is not None:
+                progress(sum(rated), total)
+
+    pool = ThreadPoolExecutor(SIDE_BY_SIDE)
+    try:
+        sessions = [
+            pool.submit(_run, plan, simulation, on_rated=partial(count, place)) for place, plan in enumerate(plans)
+        ]
+        for session in sessions:
+            session.result()
+    finally:
+        # After an error or Ctrl-C the other sessions end with the trial that they are in.
+        stop.set()
+        pool.shutdown(cancel_futures=True)
 
 
 def plan_session(simulation: Simulation, number: int) -> Plan:
@@ -115,7 +138,3 @@ def _run(plan: Plan, simulation: Simulation, *, on_rated: Callable[[Trial], None
         )
         run_session(plan, stage, on_rated=on_rated)
 
-
-def _count(progress: Progress | None, trial: Trial, *, before: int, total: int) -> None:
-    if progress is not None:
-        progress(before + trial.number, total)

@@ -15,6 +15,7 @@ from study.check import check_study
 from study.folder import StudyFolder
 from study.journal import create_journal, read_journal
 from study.ratings import write_ratings
+from study.simulate import SIDE_BY_SIDE
 from study.status import read_status
 from study.workflow import analyze_study, build_study, simulate_study
 
@@ -63,6 +64,19 @@ def test_progress_counts_every_trial_up_to_the_last(copy: StudyFolder) -> None:
     shutil.rmtree(copy.sessions)
     simulate(copy, progress=lambda done, total: steps.append((done, total)))
     assert steps == [(done, 60) for done in range(1, 61)]
+
+
+def test_an_error_in_one_session_ends_the_others_with_the_trial_that_they_are_in(copy: StudyFolder) -> None:
+    shutil.rmtree(copy.sessions)
+
+    def fail(done: int, total: int) -> None:
+        raise RuntimeError(f"{done} of {total}")
+
+    with pytest.raises(RuntimeError, match=r"\d of 240"):
+        simulate(copy, participants=12, progress=fail)
+    assert sum(entry.done for entry in read_status(copy)) <= 2 * SIDE_BY_SIDE
+    assert audit_study(copy) == []
+    assert simulate(copy, participants=12) == 240
 
 
 def test_more_participants_can_join_and_the_first_are_kept(copy: StudyFolder) -> None:
