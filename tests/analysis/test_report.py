@@ -15,7 +15,7 @@ import pytest
 from scipy import stats
 
 from analysis.report import write_report
-from analysis.words import PLACES, tell_number
+from analysis.words import tell_number
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -76,10 +76,16 @@ def gather_strings(content: object) -> list[str]:
     return [text for part in parts for text in gather_strings(part)]
 
 
+def name_kind(entry: dict[str, object]) -> str:
+    if entry["method"] == "count":
+        return "count"
+    return "rating" if entry["method"].startswith("rating") else "correlation"
+
+
 def gather_numbers(results: dict[str, object]) -> set[str]:
-    """List every way in which a number of the results may be written."""
-    values = [entry[key] for entry in results["numbers"] for key in ("value", "low", "high")]
-    return {tell_number(value, kind=kind) for value in values if value is not None for kind in PLACES}
+    """List every number of the results as it is to be written."""
+    told = [(entry[key], name_kind(entry)) for entry in results["numbers"] for key in ("value", "low", "high")]
+    return {tell_number(value, kind=kind) for value, kind in told if value is not None}
 
 
 def test_the_page_shows_no_number_that_is_not_in_the_results(report: Path) -> None:
@@ -260,6 +266,10 @@ def test_tables_hold_the_same_numbers(report: Path) -> None:
         entry = found[f"association.{row['scale']}.{row['level']}.{row['metric']}.{row['method']}"]
         for key in ("value", "low", "high"):
             assert float(row[key]) == pytest.approx(entry[key], rel=1e-9)
+        narrow = found[f"{entry['name']}.participants_only"]
+        assert (float(row["participants_low"]), float(row["participants_high"])) == pytest.approx(
+            (narrow["low"], narrow["high"]), rel=1e-9
+        )
 
 
 @pytest.mark.skipif(not shutil.which("chromium"), reason="PAGE NOT RENDERED: chromium is not installed")
