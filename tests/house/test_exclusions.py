@@ -35,12 +35,10 @@ def unexplained_entries(text: str) -> list[str]:
 def listed_lines(text: str) -> Iterator[str]:
     inside = False
     for line in text.splitlines():
-        if LISTS.match(line) and not line.rstrip().endswith("]"):
-            inside = True
-        elif line.startswith("]"):
-            inside = False
-        elif inside:
+        opens = LISTS.match(line) is not None
+        if inside or (opens and "]" in line):
             yield line
+        inside = (inside or opens) and "]" not in line.partition("#")[0]
 
 
 def test_switches_in_code(sources: Any, test_sources: Any) -> None:
@@ -81,6 +79,8 @@ def test_a_bare_switch_is_found(line: str, found: int) -> None:
         ('ignore = [\n    "S101",\n]\n', ['"S101",']),
         ('ignore = [\n    "S101",  # tests\n]\n', []),
         ('"tests/**" = [\n    "D",\n]\n', ['"D",']),
+        ('ignore = ["S101"]\n', ['ignore = ["S101"]']),
+        ('ignore = ["S101"]  # tests\nmarkers = ["soak"]\n', []),
         ('select = [\n    "D",\n]\n', []),
     ],
 )
