@@ -26,6 +26,8 @@ CUT = -1.0
 
 LEGEND_COLUMNS = 3
 ROW_CM = 0.55
+TWO_LINES = 1.4
+"""Rows that the label of a reference or an anchor takes."""
 
 
 def draw_scatter(panel: Panel, association: Association, *, looks: Mapping[str, Look]) -> Figure:
@@ -96,7 +98,7 @@ def draw_profile(profile: DataFrame, participants: DataFrame, *, looks: Mapping[
     """
     places = _place_rows(profile, list(looks))
     with print_style():
-        figure, axes = new_figure(height_cm=2.4 + ROW_CM * (len(places) + 1))
+        figure, axes = new_figure(height_cm=3.0 - ROW_CM * min(places.values()))
         _draw_people(axes, participants, places=places)
         for row in profile.to_dict("records"):
             _draw_mean(axes, row, height=places[row["role"], row["reducer"]], look=looks[row["reducer"]])
@@ -143,8 +145,10 @@ def _tell_association(result: Association) -> str:
 def _place_rows(profile: DataFrame, order: list[str]) -> dict[tuple[str, str], float]:
     """Height of each (role, reducer), tests on top and a free row below them."""
     found = set(zip(profile["role"], profile["reducer"], strict=True))
-    rows = [(role, name) for role in ROLES for name in order if (role, name) in found]
-    return {key: -float(number + (key[0] != ROLES[0])) for number, key in enumerate(rows)}
+    tests, *others = [[(role, name) for name in order if (role, name) in found] for role in ROLES]
+    apart = [key for keys in others for key in keys]
+    places = {key: -float(number) for number, key in enumerate(tests)}
+    return places | {key: -len(tests) - 1 - TWO_LINES * number for number, key in enumerate(apart)}
 
 
 def _draw_people(axes: Axes, participants: DataFrame, *, places: Mapping[tuple[str, str], float]) -> None:
