@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from concurrent.futures import CancelledError, ThreadPoolExecutor
+from concurrent.futures import CancelledError, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import partial
 from threading import Event, Lock
@@ -89,7 +89,7 @@ def run_simulation(simulation: Simulation, participants: int, *, progress: Progr
         sessions = [
             pool.submit(_run, plan, simulation, on_rated=partial(count, place)) for place, plan in enumerate(plans)
         ]
-        for session in sessions:
+        for session in as_completed(sessions):
             session.result()
     finally:
         # After an error or Ctrl-C the other sessions end with the trial that they are in.
