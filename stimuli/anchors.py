@@ -24,7 +24,6 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import fft
 
 from stimuli.match import OriginalSpectrum
 from stimuli.perception import acceleration_threshold
@@ -132,6 +131,8 @@ def _quietest(original: OriginalSpectrum, allowed: NDArray[np.bool_]) -> float:
 
 
 def _hum(recording: Recording, rng: np.random.Generator) -> Samples:
+    from scipy import fft
+
     n = recording.n_samples
     frequency = fft.rfftfreq(n, 1 / recording.rate_hz)
     hum = np.zeros(n)

@@ -15,7 +15,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import fft
 
 from stimuli.door import admit
 from stimuli.frames import DEFAULT_WINDOW_S, run_offline, sqrt_hann, window_samples
@@ -64,6 +63,8 @@ def dft321(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.float64]:
     >>> np.round(dft321([u, u, u], 1000) / np.sqrt(3), 12)
     array([ 1.  , -2.  ,  0.5 ,  0.25])
     """
+    from scipy import fft
+
     admitted = admit(acceleration, rate_hz)
     n = admitted.samples.shape[-1]
     if n == 0:
@@ -138,6 +139,8 @@ class FourierFrames:
         ndarray of float64, shape (..., m, hop)
             Finished blocks.
         """
+        from scipy import fft
+
         del valid
         hop = self.hop
         frames = np.empty((*blocks.shape[:-1], 2 * hop))

@@ -18,7 +18,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import fft
 
 from stimuli.spectrum import HIGHEST_HZ, LOWEST_HZ
 
@@ -83,6 +82,8 @@ def felt_level(acceleration: NDArray[np.float64], rate_hz: float) -> float:
     float
         Level as a multiple of the threshold's root mean square; 0 for silence.
     """
+    from scipy import fft
+
     n = acceleration.shape[-1]
     # Silence at the end adds no energy, and lengths with large prime factors cost ten times as much.
     padded = fft.next_fast_len(n, real=True)

@@ -20,7 +20,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import fft
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -48,6 +47,8 @@ def energy_spectrum(samples: NDArray[np.float64], bins: slice = slice(None)) -> 
     ndarray of float64, shape (..., n_bins)
         Squared magnitude of the one-sided spectrum.
     """
+    from scipy import fft
+
     spectrum = fft.rfft(samples)[..., bins]
     energy = np.square(spectrum.real)
     energy += np.square(spectrum.imag)
