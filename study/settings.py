@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import tomllib
 from difflib import get_close_matches
 from typing import TYPE_CHECKING
@@ -67,7 +68,8 @@ def read_settings(path: Path) -> Settings:
     except ValueError as error:  # TOML's own errors and those of the encoding
         raise ValueError(f"{path}: got no TOML ({error}); mend that place") from None
     try:
-        return Settings.model_validate(content, strict=False)
+        # By way of JSON, where strict reading takes an array for a tuple, but no "5" or true for a number.
+        return Settings.model_validate_json(json.dumps(content, default=str), strict=True)
     except ValidationError as error:
         lines = [f"{path.name}: {_translate(detail)}" for detail in error.errors(include_url=False)]
         raise ValueError("\n".join(lines)) from None

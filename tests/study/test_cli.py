@@ -110,6 +110,19 @@ def test_reduce_writes_what_the_reducer_gives_and_match_reads_it(
     assert details <= set(matches)
 
 
+def test_every_real_recording_goes_through_reduce_and_match(
+    shared_recordings: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    sources = [path for path in sorted(shared_recordings.iterdir()) if path.suffix in {".csv", ".npz", ".wav"}]
+    assert len(sources) == 11
+    for source in sources:
+        output = tmp_path / f"{source.stem}.wav"
+        assert main(["reduce", str(source), "--reducer", "dft321", "-o", str(output)]) == 0
+        capsys.readouterr()
+        assert main(["match", str(source), str(output), "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["spectral_match"] == pytest.approx(1.0, abs=1e-4)
+
+
 def test_reduce_and_match_speak_in_words_too(recording: Path, tmp_path: Path, capsys: Capture) -> None:
     output = str(tmp_path / "out.wav")
     assert main(["reduce", str(recording), "--reducer", "dft321", "-o", output]) == 0
