@@ -53,7 +53,7 @@ def draw_scatter(panel: Panel, association: Association, *, looks: Mapping[str, 
         for name, look in looks.items():
             stimuli = panel.stimuli[panel.stimuli["reducer"] == name]
             _scatter_reducer(axes, stimuli, metric=association.metric, look=look)
-        _mark_clipped(axes, panel.stimuli[association.metric].to_numpy(np.float64))
+        _mark_clipped(axes, panel.stimuli[association.metric].to_numpy(np.float64), falling=association.value < 0)
         scale = f"Mean {tell_name(panel.scale)} rating ({LOWEST:.0f}–{HIGHEST:.0f})"
         axes.set(xlabel=tell_axis(association.metric), ylabel=scale, ylim=(LOWEST - 3, HIGHEST + 3))
         axes.locator_params(axis="x", nbins=5)
@@ -123,13 +123,15 @@ def _scatter_reducer(axes: Axes, stimuli: DataFrame, *, metric: str, look: Look)
     axes.plot(shown[~inside], mean[~inside], markerfacecolor="white", markeredgewidth=THIN, **style)
 
 
-def _mark_clipped(axes: Axes, metric: NDArray[np.float64]) -> None:
+def _mark_clipped(axes: Axes, metric: NDArray[np.float64], *, falling: bool) -> None:
+    # The corner that a rising (or falling) cloud of points leaves free.
+    height, side = (0.01, "bottom") if falling else (0.99, "top")
     number = count_clipped(metric)
     if number:
         edge, lowest = tell_number(CUT, kind="count"), tell_number(float(metric.min()))
         count = f"{number} of {len(metric)} stimuli"
         text = f"← hollow: {count} below {edge}\n    (lowest {lowest}), drawn at {edge}"
-        axes.text(0.02, 0.01, text, transform=axes.transAxes, va="bottom")
+        axes.text(0.02, height, text, transform=axes.transAxes, va=side)
 
 
 def _tell_association(result: Association) -> str:

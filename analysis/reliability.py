@@ -124,7 +124,7 @@ def noise_ceiling(table: ArrayLike) -> float:
     Examples
     --------
     >>> round(noise_ceiling([[1, 2], [3, 5], [6, 6]]), 3)
-    0.98
+    0.975
     """
     reliability = intraclass(table).icc_c_k
     return float(np.sqrt(reliability)) if reliability > 0 else float("nan")

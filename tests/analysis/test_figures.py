@@ -96,6 +96,13 @@ def test_far_outliers_stand_hollow_at_the_edge_and_are_counted(table: pd.DataFra
     assert "1 of 36 stimuli below −1\n    (lowest −31.40)" in axes.texts[0].get_text()
 
 
+@pytest.mark.parametrize(("sign", "side"), [(1, "top"), (-1, "bottom")])
+def test_the_count_stands_where_the_cloud_is_not(table: pd.DataFrame, sign: int, side: str) -> None:
+    table.loc[table["stimulus_id"] == "rec1_say321_as_is", "spectral_match"] = -1.2
+    table["rating"] = 50 + sign * (table["rating"] - 50)
+    assert scatter(table).axes[0].texts[0].get_verticalalignment() == side
+
+
 def test_scatter_without_outliers_says_nothing_of_them(table: pd.DataFrame) -> None:
     assert not scatter(table).axes[0].texts
 
