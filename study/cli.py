@@ -19,7 +19,9 @@ DONE, COULD_NOT, WRONG_USE, INTERRUPTED = 0, 1, 2, 130
 
 
 @click.group(
-    epilog="Begin with: feel321 demo", commands=[getattr(commands, name) for name in commands.__all__]
+    epilog="Begin with: feel321 demo",
+    commands=[getattr(commands, name) for name in commands.__all__],
+    no_args_is_help=False,
 )
 @click.version_option(package_name="feel321", prog_name="feel321")
 @click.option("--traceback", is_flag=True, hidden=True, expose_value=False, help="Show where an error comes from.")
@@ -50,13 +52,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (OSError, TypeError, ValueError) as error:
         if "--traceback" in arguments:
             raise
-        return _complain(str(error), code=COULD_NOT)
+        return _complain(_describe(error), code=COULD_NOT)
     return int(code or DONE)
 
 
 def _hint(error: click.UsageError) -> str:
     path = error.ctx.command_path if error.ctx else "feel321"
     return f"{error.format_message().rstrip('.')}; see: {path} --help"
+
+
+def _describe(error: Exception) -> str:
+    # The system's own errors say what happened to which file, but not in our words.
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {error.strerror}; check the name, and whether you may write there"
+    return str(error)
 
 
 def _complain(message: str, *, code: int) -> int:

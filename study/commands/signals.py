@@ -81,6 +81,8 @@ def reduce(
     taken = [str(path) for path in (output, sidecar) if path.exists()]
     if taken and not force:
         raise FileExistsError(f"{', '.join(taken)}: is there already; name another file or add --force")
+    if not output.parent.is_dir():
+        raise FileNotFoundError(f"{output.parent}: there is no such folder; make it first")
     reduced = _choose(reducer, window_ms)(recording.acceleration, recording.rate_hz)
     facts = _describe(recording, reducer, window_ms) | _match(recording, reduced)
     write_wav(output, reduced, round(recording.rate_hz))

@@ -55,6 +55,7 @@ def test_help_lists_every_verb_and_version_answers(capsys: Capture) -> None:
     ("arguments", "message"),
     [
         (["biuld"], "No such command 'biuld'. Did you mean 'build'?; see: feel321 --help"),
+        ([], "Missing command; see: feel321 --help"),
         (["match"], "Missing argument 'RECORDING'; see: feel321 match --help"),
         (["build", "--wrokers", "2"], "No such option '--wrokers'. Did you mean"),
         (["build", "--workers", "0"], "Invalid value for '--workers': 0 is not in the range x>=1"),
@@ -163,6 +164,18 @@ def test_reading_options_reach_the_reader_and_warnings_go_to_stderr(tmp_path: Pa
     assert "feel321: warning: plain: " in capsys.readouterr().err
     third = np.loadtxt(path, delimiter=",", skiprows=1)[:, 2]
     np.testing.assert_allclose(read_wav(tmp_path / "o.wav")[0], third, atol=1e-6)
+
+
+def test_reduce_into_a_folder_that_is_not_there_says_so(recording: Path, tmp_path: Path, capsys: Capture) -> None:
+    output = tmp_path / "no" / "out.wav"
+    assert main(["reduce", str(recording), "--reducer", "sax321", "-o", str(output)]) == 1
+    assert capsys.readouterr().err == f"feel321: {output.parent}: there is no such folder; make it first\n"
+
+
+def test_an_error_of_the_system_names_the_file(tmp_path: Path, capsys: Capture) -> None:
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    assert main(["new", str(tmp_path / "file" / "study")]) == 1
+    assert capsys.readouterr().err.startswith(f"feel321: {tmp_path / 'file' / 'study' / 'recordings'}: Not a directory;")
 
 
 @pytest.mark.parametrize(
