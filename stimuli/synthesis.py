@@ -131,7 +131,7 @@ def texture_drag(time_s: Samples, rng: np.random.Generator) -> Samples:
     """
     speed = _strokes(time_s, rng)
     normal, friction, lateral = (_roughness(time_s, speed, rng) for _ in range(3))
-    forces = (normal, 0.4 * normal + 0.35 * friction, 0.2 * lateral)
+    forces = (normal, 0.4 * normal + 0.5 * friction, 0.3 * lateral)
     turned = ([0, 1, 2], [1, 2, 0], [2, 0, 1])
     moved = np.sum([_ring(force, time_s, size=3.0)[order] for force, order in zip(forces, turned, strict=True)], axis=0)
     return np.asarray(moved) + _scrape(time_s, 2.0 * speed / speed.max(), rng)
@@ -292,5 +292,5 @@ def _coloured(time_s: Samples, rng: np.random.Generator, *, low_hz: float, high_
 
 
 def _sensor_noise(time_s: Samples, rng: np.random.Generator) -> Samples:
-    """White noise of 0.03 m/s² RMS on every axis, as of a good accelerometer."""
-    return 0.03 * rng.standard_normal((3, len(time_s)))
+    """White noise of 0.1 m/s² RMS on every axis: 10 mg, as of the MEMS accelerometers that fit on a stylus."""
+    return 0.1 * rng.standard_normal((3, len(time_s)))
