@@ -175,7 +175,8 @@ def test_reduce_into_a_folder_that_is_not_there_says_so(recording: Path, tmp_pat
 def test_an_error_of_the_system_names_the_file(tmp_path: Path, capsys: Capture) -> None:
     (tmp_path / "file").write_text("", encoding="utf-8")
     assert main(["new", str(tmp_path / "file" / "study")]) == 1
-    assert capsys.readouterr().err.startswith(f"feel321: {tmp_path / 'file' / 'study' / 'recordings'}: Not a directory;")
+    place = tmp_path / "file" / "study" / "recordings"
+    assert capsys.readouterr().err.startswith(f"feel321: {place}: Not a directory;")
 
 
 @pytest.mark.parametrize(
