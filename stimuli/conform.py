@@ -14,7 +14,7 @@ import argparse
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TextIO
 
 import numpy as np
 
@@ -37,7 +37,19 @@ WAV_TOLERANCE = 1e-5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GoldenVector:
-    """Three axes and the output that equations 3 and 4 give; off by `slack` of its peak still passes."""
+    """Three axes and the output that equations 3 and 4 give.
+
+    Parameters
+    ----------
+    name : str
+        What the vector tries.
+    acceleration : ndarray, shape (3, n_samples)
+        The input.
+    expected : ndarray, shape (n_samples,)
+        The output.
+    slack : float
+        Deviation, as a share of the largest expected value, that still passes; 0 where the output is exact.
+    """
 
     name: str
     acceleration: NDArray[np.float64]
@@ -167,15 +179,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = parser.parse_args(arguments)
     if chosen.verb == "write":
         count = len(write_vectors(chosen.folder, form=chosen.form))
-        print(f"{count} inputs in {chosen.folder}; answer each NAME.wav with NAME.out.wav, then: check")  # noqa: T201
+        _say(f"{count} inputs in {chosen.folder}; answer each NAME.wav with NAME.out.wav, then: check")
         return 0
     try:
         check_outputs(chosen.folder, form=chosen.form)
     except ValueError as error:
-        print(error, file=sys.stderr)  # noqa: T201 - this module's own command line
+        _say(str(error), to=sys.stderr)
         return 1
-    print(f"conforms: {len(golden_vectors(chosen.form))} vectors")  # noqa: T201
+    _say(f"conforms: {len(golden_vectors(chosen.form))} vectors")
     return 0
+
+
+def _say(text: str, *, to: TextIO | None = None) -> None:
+    print(text, file=to)
 
 
 def _everywhere() -> Iterator[GoldenVector]:

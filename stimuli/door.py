@@ -20,13 +20,32 @@ SAFE_PEAK = (1e-60, 1e60)
 
 
 class Admitted(NamedTuple):
-    """Samples in a safe range, and the factor that gives back the caller's unit."""
+    """Samples in a safe range, and the way back.
+
+    Parameters
+    ----------
+    samples : ndarray, shape (..., 3, n_samples)
+        The caller's samples, possibly scaled by a power of two.
+    unit : float
+        Factor that gives back the caller's unit.
+    """
 
     samples: NDArray[np.float64]
     unit: float
 
     def restore(self, reduced: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Give a reduced signal back in the caller's unit."""
+        """Give a reduced signal back in the caller's unit.
+
+        Parameters
+        ----------
+        reduced : ndarray, shape (..., n_samples)
+            What was made of `samples`.
+
+        Returns
+        -------
+        ndarray of float64, shape (..., n_samples)
+            The same in the caller's unit.
+        """
         return reduced if self.unit == 1.0 else reduced * self.unit
 
 

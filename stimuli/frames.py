@@ -29,14 +29,30 @@ _SAMPLES_AT_A_TIME = 16384
 
 
 class BlockProcessor(Protocol):
-    """What turns blocks of three axes into finished blocks of one, one hop late."""
+    """What turns blocks of three axes into finished blocks of one, one hop late.
+
+    Attributes
+    ----------
+    hop : int
+        Length of a block in samples.
+    """
 
     hop: int
 
     def push(self, blocks: NDArray[np.float64], valid: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Take m blocks, shape (..., 3, m, hop), `valid` (m, hop) false on padding; give m finished ones (..., m, hop).
+        """Take the next blocks and give as many finished ones; the first is the one before the first that is pushed.
 
-        The first answered block is the one before the first that is pushed.
+        Parameters
+        ----------
+        blocks : ndarray, shape (..., 3, m, hop)
+            The next blocks of the signal.
+        valid : ndarray of bool, shape (m, hop)
+            False where a block was filled up with silence.
+
+        Returns
+        -------
+        ndarray of float64, shape (..., m, hop)
+            Finished blocks.
         """
 
 

@@ -43,7 +43,23 @@ COLUMN_UNITS = {
 
 @dataclass(frozen=True, slots=True)
 class Stimulus:
-    """One row of the manifest; units as in `COLUMN_UNITS`."""
+    """One row of the manifest; what each field means, and its unit, stands in `COLUMN_UNITS`.
+
+    Parameters
+    ----------
+    stimulus_id, recording, reducer, level, role, file : str
+        What it is, and where.
+    rate_hz, n_samples, duration_s : float, int, float
+        How long it is.
+    peak, rms_m_s2, gain : float
+        How strong it is.
+    spectral_match, temporal_match : float
+        How well it matches its recording.
+    clipped : int
+        How many samples were limited.
+    sha256, recording_sha256 : str
+        Digests of the file and of its source.
+    """
 
     stimulus_id: str
     recording: str
@@ -66,7 +82,17 @@ class Stimulus:
 
 @dataclass(frozen=True, slots=True)
 class StimulusSet:
-    """A built set: its folder, its stimuli in the manifest's order, and the digest of `manifest.csv`."""
+    """A built set.
+
+    Parameters
+    ----------
+    folder : Path
+        Where it is.
+    stimuli : tuple of Stimulus
+        Its stimuli, in the manifest's order.
+    sha256 : str
+        Digest of `manifest.csv`.
+    """
 
     folder: Path
     stimuli: tuple[Stimulus, ...]

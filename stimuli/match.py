@@ -43,7 +43,19 @@ _SILENT = 1e-12
 
 @dataclass(frozen=True, slots=True)
 class SpectralMatch:
-    """A spectral match and what it rests on; frequencies in Hz."""
+    """A spectral match and what it rests on.
+
+    Parameters
+    ----------
+    value : float
+        The match.
+    lowest_hz, highest_hz : float
+        Lowest and highest frequency compared in Hz; NaN if none could be.
+    n_frequencies : int
+        Number of frequencies compared.
+    n_left_out : int
+        Number of frequencies left out below the numerical floor.
+    """
 
     value: float
     lowest_hz: float
@@ -54,7 +66,19 @@ class SpectralMatch:
 
 @dataclass(frozen=True, slots=True)
 class TemporalMatch:
-    """A temporal match and what it rests on; axes are numbered 0, 1, 2."""
+    """A temporal match and what it rests on.
+
+    Parameters
+    ----------
+    value : float
+        The match.
+    correlations : tuple of float
+        Absolute correlation with x, y and z; NaN for a silent axis.
+    silent_axes : tuple of int
+        Axes left out: 0, 1, 2 for x, y, z.
+    silent_reduced : bool
+        Whether the reduced signal is silent.
+    """
 
     value: float
     correlations: tuple[float, float, float]

@@ -39,7 +39,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One stimulus to be, before its level: which recording, made how, for which role."""
+    """One stimulus to be, before its level.
+
+    Parameters
+    ----------
+    recording, reducer, role : str
+        Made of what, how, and what for.
+    key : str
+        Digest of all that decides its samples.
+    """
 
     recording: str
     reducer: str
@@ -49,7 +57,17 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """What was measured on a rendered stimulus at unit gain: peak and level in m/s² and multiples of the threshold."""
+    """What was measured on a rendered stimulus at unit gain.
+
+    Parameters
+    ----------
+    peak : float
+        Largest magnitude in m/s².
+    felt_level : float
+        Root mean square in multiples of the vibrotactile threshold.
+    spectral_match, temporal_match : float
+        Matches of the reduced signal with the conditioned recording.
+    """
 
     peak: float
     felt_level: float

@@ -27,7 +27,15 @@ _SAMPLES_AT_A_TIME = 2_000_000
 
 @dataclass(frozen=True, slots=True)
 class RotationStatistics:
-    """Mean and standard deviation (ddof 1) of both metrics over random sensor orientations."""
+    """Both metrics over random sensor orientations.
+
+    Parameters
+    ----------
+    spectral_mean, spectral_sd, temporal_mean, temporal_sd : float
+        Means and standard deviations (ddof 1).
+    rotations : int
+        Number of orientations.
+    """
 
     spectral_mean: float
     spectral_sd: float

@@ -70,7 +70,7 @@ def test_crop_keeps_the_named_part() -> None:
 )
 def test_steps_that_make_no_sense_are_refused(changes: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        Conditioning(**changes)  # type: ignore[arg-type]
+        Conditioning(**changes)
 
 
 def test_recordings_that_cannot_take_a_step_are_refused() -> None:
@@ -87,10 +87,10 @@ def test_recordings_that_cannot_take_a_step_are_refused() -> None:
 def test_the_filter_is_linear_and_looks_both_ways_alike() -> None:
     wave = np.random.default_rng(0).standard_normal((2, 4000))
     kwargs = {"corner_hz": 200.0, "kind": "highpass"}
-    one, two = (filter_zero_phase(w, RATE, **kwargs) for w in wave)  # type: ignore[arg-type]
-    both = filter_zero_phase(wave[0] - 2 * wave[1], RATE, **kwargs)  # type: ignore[arg-type]
+    one, two = (filter_zero_phase(w, RATE, **kwargs) for w in wave)
+    both = filter_zero_phase(wave[0] - 2 * wave[1], RATE, **kwargs)
     np.testing.assert_allclose(both, one - 2 * two, atol=1e-9)
-    reversed_ = filter_zero_phase(wave[0, ::-1], RATE, **kwargs)[::-1]  # type: ignore[arg-type]
+    reversed_ = filter_zero_phase(wave[0, ::-1], RATE, **kwargs)[::-1]
     np.testing.assert_allclose(reversed_[500:-500], one[500:-500], atol=1e-6)
 
 

@@ -93,7 +93,7 @@ def answer(folder: Path, port: object) -> None:
     for path in folder.glob("*.wav"):
         if not path.name.endswith(".out.wav"):
             samples, rate = read_wav(path)
-            write_wav(path.with_suffix(".out.wav"), port(samples.reshape(3, -1), rate), rate)  # type: ignore[operator]
+            write_wav(path.with_suffix(".out.wav"), port(samples.reshape(3, -1), rate), rate)
 
 
 def test_a_port_in_another_language_is_judged_by_its_files(tmp_path: Path) -> None:

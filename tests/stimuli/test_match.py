@@ -186,4 +186,4 @@ def test_every_metric_is_called_alike() -> None:
 )
 def test_bad_pairs_are_refused(metric: object, acceleration: np.ndarray, reduced: np.ndarray, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        metric(acceleration, reduced, RATE)  # type: ignore[operator]
+        metric(acceleration, reduced, RATE)

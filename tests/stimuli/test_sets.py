@@ -304,7 +304,7 @@ def test_a_set_whose_anchor_is_no_anchor_is_refused(scenes: list[Recording], tmp
 )
 def test_recipes_that_cannot_be_cooked_are_refused(changes: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        Recipe(**changes)  # type: ignore[arg-type]
+        Recipe(**changes)
 
 
 def test_names_must_be_file_names_and_differ(scenes: list[Recording], tmp_path: Path) -> None:

@@ -77,4 +77,4 @@ def test_the_pattern_of_the_papers_table_1(name: str, seed: int) -> None:
 )
 def test_bad_scenes_are_refused(name: str, changes: dict[str, float], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        make_scene(name, **changes)  # type: ignore[arg-type]
+        make_scene(name, **changes)
