@@ -27,9 +27,28 @@ RATE_TOLERANCE_HZ = 1.0
 
 
 class ReducerName(click.ParamType[str]):
-    """The name of a reducer; the registry, which is slow to load, is read when a name is given only."""
+    """The name of a reducer; the registry, which takes numpy, is read only where the names are wanted."""
 
     name = "reducer"
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:  # noqa: ARG002 - click's form
+        """List the names, for the help.
+
+        Parameters
+        ----------
+        param : click.Parameter
+            The option.
+        ctx : click.Context
+            The call.
+
+        Returns
+        -------
+        str
+            The names as click writes choices.
+        """
+        from stimuli.reduce import REDUCERS
+
+        return f"[{'|'.join(REDUCERS)}]"
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
         """Check a name.
@@ -58,9 +77,7 @@ class ReducerName(click.ParamType[str]):
 
 @click.command(epilog="Example: feel321 reduce oak.csv --reducer dft321 -o oak-dft321.wav")
 @recording_argument
-@click.option(
-    "--reducer", type=ReducerName(), required=True, help="A 321 transform; any wrong name, such as ?, lists them."
-)
+@click.option("--reducer", type=ReducerName(), required=True, help="The 321 transform.")
 @click.option("-o", "--output", type=FILE, required=True, help="The WAV file to write; a JSON file goes beside it.")
 @click.option("--window-ms", type=float, help="Window of the reducers that have one.  [default: 35]")
 @click.option("--force", is_flag=True, help="Replace the output if it is there.")
