@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import subprocess
+import sys
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -105,6 +107,14 @@ def test_a_port_in_another_language_is_judged_by_its_files(tmp_path: Path) -> No
     answer(tmp_path, full_wave_rectified)
     with pytest.raises(ValueError, match="off by"):
         check_outputs(tmp_path)
+
+
+def test_the_module_is_a_program(tmp_path: Path) -> None:
+    program = [sys.executable, "-m", "stimuli.conform"]
+    assert subprocess.run([*program, "write", str(tmp_path)], check=False).returncode == 0
+    refused = subprocess.run([*program, "check", str(tmp_path)], check=False, capture_output=True, text=True)
+    assert refused.returncode == 1
+    assert refused.stderr.startswith("dft321 does not conform: equal_axes_1: equal_axes_1.out.wav is missing")
 
 
 def test_the_module_runs_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

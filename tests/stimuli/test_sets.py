@@ -193,6 +193,25 @@ def test_a_damaged_file_is_found_and_mended(scenes: list[Recording], tmp_path: P
     assert contents(tmp_path) == good
 
 
+def test_a_manifest_that_contradicts_its_files_is_found(scenes: list[Recording], tmp_path: Path) -> None:
+    recipe = Recipe(reducers=("dft321",), anchors=False, reference="none")
+    build_stimuli(scenes[:1], tmp_path, recipe=recipe)
+    manifest = tmp_path / "manifest.csv"
+    manifest.write_text(manifest.read_text().replace(",28800,", ",28801,"))
+    (problem,) = check_stimuli(tmp_path)
+    assert problem.startswith("bumps__dft321__as_is.wav: 28800 samples at 48000 Hz, but the manifest says otherwise")
+
+
+def test_what_a_killed_build_was_writing_is_cleared_away(scenes: list[Recording], tmp_path: Path) -> None:
+    recipe = Recipe(reducers=("dft321",), anchors=False)
+    unfinished = [tmp_path / ".bumps__dft321__as_is.wav.77.part", tmp_path / PARTS / ".abc.wav.77.part"]
+    for path in unfinished:
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(b"half")
+    build_stimuli(scenes[:1], tmp_path, recipe=recipe)
+    assert not any(path.exists() for path in unfinished)
+
+
 def test_a_damaged_manifest_costs_only_a_new_build(scenes: list[Recording], tmp_path: Path) -> None:
     recipe = Recipe(reducers=("sax321",))
     build_stimuli(scenes, tmp_path, recipe=recipe)
