@@ -1,7 +1,7 @@
 """Golden vectors for DFT321: a test of any implementation, in any language, against the paper.
 
-`check_dft321` tries a Python callable; `python -m stimuli.conform write FOLDER` writes the same vectors as
-three-channel WAV files, and `python -m stimuli.conform check FOLDER` judges the one-channel files `NAME.out.wav` that
+`check_dft321` tries a Python callable; `python -m stimuli write-vectors FOLDER` writes the same vectors as
+three-channel WAV files, and `python -m stimuli check-vectors FOLDER` judges the one-channel files `NAME.out.wav` that
 a MATLAB or C++ port put beside them. Expected outputs are closed forms or come from the defining sums, never from this
 package's own reducers. The vectors were chosen so that the faults seen in public code all fail: a full-wave rectified
 output, a half spectrum mirrored wrongly for even lengths, squares without conjugates, and a division by a vanishing
@@ -10,18 +10,16 @@ sum of windows.
 
 from __future__ import annotations
 
-import argparse
-import sys
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TextIO
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from stimuli.wav import read_wav, write_wav
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -159,41 +157,6 @@ def check_outputs(folder: Path, *, form: Form = "whole") -> None:
     _raise(faults)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Write the vectors as WAV files, or judge a port's answers.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        Command line; the process's own if left out.
-
-    Returns
-    -------
-    int
-        0 if done or conforming, 1 if not.
-    """
-    parser = argparse.ArgumentParser(prog="python -m stimuli.conform", description=__doc__)
-    parser.add_argument("verb", choices=("write", "check"))
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--form", choices=("whole", "windowed"), default="whole")
-    chosen = parser.parse_args(arguments)
-    if chosen.verb == "write":
-        count = len(write_vectors(chosen.folder, form=chosen.form))
-        _say(f"{count} inputs in {chosen.folder}; answer each NAME.wav with NAME.out.wav, then: check")
-        return 0
-    try:
-        check_outputs(chosen.folder, form=chosen.form)
-    except ValueError as error:
-        _say(str(error), to=sys.stderr)
-        return 1
-    _say(f"conforms: {len(golden_vectors(chosen.form))} vectors")
-    return 0
-
-
-def _say(text: str, *, to: TextIO | None = None) -> None:
-    print(text, file=to)
-
-
 def _everywhere() -> Iterator[GoldenVector]:
     """Vectors that every form reproduces: axes that share one waveform keep it, first and last sample included."""
     rng = np.random.default_rng(321)
@@ -269,7 +232,3 @@ def _faults(vector: GoldenVector, output: object, tolerance: float) -> Iterator[
 def _raise(faults: list[str]) -> None:
     if faults:
         raise ValueError(f"dft321 does not conform: {'; '.join(faults)}")
-
-
-if __name__ == "__main__":
-    sys.exit(main())

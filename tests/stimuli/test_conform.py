@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from stimuli.conform import check_dft321, check_outputs, golden_vectors, main, write_vectors
+from stimuli.__main__ import main
+from stimuli.conform import check_dft321, check_outputs, golden_vectors, write_vectors
 from stimuli.fourier import dft321, dft321_windowed
 from stimuli.wav import read_wav, write_wav
 
@@ -110,17 +111,17 @@ def test_a_port_in_another_language_is_judged_by_its_files(tmp_path: Path) -> No
 
 
 def test_the_module_is_a_program(tmp_path: Path) -> None:
-    program = [sys.executable, "-m", "stimuli.conform"]
-    assert subprocess.run([*program, "write", str(tmp_path)], check=False).returncode == 0
-    refused = subprocess.run([*program, "check", str(tmp_path)], check=False, capture_output=True, text=True)
+    program = [sys.executable, "-m", "stimuli"]
+    assert subprocess.run([*program, "write-vectors", str(tmp_path)], check=False).returncode == 0
+    refused = subprocess.run([*program, "check-vectors", str(tmp_path)], check=False, capture_output=True, text=True)
     assert refused.returncode == 1
     assert refused.stderr.startswith("dft321 does not conform: equal_axes_1: equal_axes_1.out.wav is missing")
 
 
 def test_the_module_runs_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["write", str(tmp_path), "--form", "windowed"]) == 0
-    assert main(["check", str(tmp_path), "--form", "windowed"]) == 1
+    assert main(["write-vectors", str(tmp_path), "--form", "windowed"]) == 0
+    assert main(["check-vectors", str(tmp_path), "--form", "windowed"]) == 1
     assert "is missing" in capsys.readouterr().err
     answer(tmp_path, dft321_windowed)
-    assert main(["check", str(tmp_path), "--form", "windowed"]) == 0
+    assert main(["check-vectors", str(tmp_path), "--form", "windowed"]) == 0
     assert "conforms" in capsys.readouterr().out
