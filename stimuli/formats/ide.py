@@ -43,10 +43,13 @@ def read_ide(path: Path, _: Request) -> Decoded:
         If idelib is not installed, the file is damaged, or no accelerometer has three axes.
     """
     try:
-        import idelib
+        from idelib import importer
     except ImportError:
         raise ValueError("got an enDAQ recording, which idelib reads; install it: pip install 'feel321[ide]'") from None
-    with foreign_errors("an enDAQ recording"), idelib.importFile(str(path), quiet=True) as dataset:
+    # Opened here, because idelib leaves a file that it cannot read open.
+    with foreign_errors("an enDAQ recording"), path.open("rb") as stream:
+        dataset = importer.openFile(stream, quiet=True)
+        importer.readData(dataset)
         triaxial = [c for c in dataset.channels.values() if c.sessions and len(_axes(c)) == AXES]
         found = [_read_channel(channel) for channel in triaxial]
     measured = [(samples, unit) for samples, unit in found if samples.shape[1] > 1]

@@ -366,7 +366,6 @@ def test_an_ide_file_without_accelerometer_is_refused(write_ide: Callable[..., P
         read_recording(path)
 
 
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning", "ignore::ResourceWarning")  # idelib's
 def test_a_damaged_ide_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.ide").write_bytes(b"\x1aE\xdf\xa3" + bytes(40))
     with pytest.raises(ValueError, match=r"a\.ide: cannot be read as an enDAQ recording"):
