@@ -53,7 +53,8 @@ class Conditioning:
                 raise ValueError(f"{name}: got {corner}, allowed is a frequency above 0 Hz, or nothing for no filter")
         if self.high_pass_hz and self.low_pass_hz and self.high_pass_hz >= self.low_pass_hz:
             raise ValueError(f"high_pass_hz: got {self.high_pass_hz}, allowed is below low_pass_hz, {self.low_pass_hz}")
-        if self.crop_s is not None and not 0 <= self.crop_s[0] < self.crop_s[1] < np.inf:
+        crop = (0.0, 1.0) if self.crop_s is None else self.crop_s
+        if len(crop) != 2 or not 0 <= crop[0] < crop[1] < np.inf:  # noqa: PLR2004 - a pair
             raise ValueError(f"crop_s: got {self.crop_s}, allowed is (start, end) in s with 0 <= start < end")
 
 
@@ -83,10 +84,45 @@ def condition(recording: Recording, steps: Conditioning) -> Recording:
         samples = samples - samples.mean(axis=-1, keepdims=True)
     if steps.high_pass_hz is not None:
         samples = filter_zero_phase(samples, recording.rate_hz, corner_hz=steps.high_pass_hz, kind="highpass")
-    # A sensor whose Nyquist frequency is below the corner has nothing there to remove.
-    if steps.low_pass_hz is not None and steps.low_pass_hz < recording.rate_hz / 2:
+    if steps.low_pass_hz is not None and _has_low_pass(steps, recording.rate_hz):
         samples = filter_zero_phase(samples, recording.rate_hz, corner_hz=steps.low_pass_hz, kind="lowpass")
     return replace(recording, acceleration=samples, sha256="")
+
+
+def list_steps(steps: Conditioning, rate_hz: float) -> list[str]:
+    """Name the steps that a recording of a given rate really goes through, for the manifest.
+
+    Parameters
+    ----------
+    steps : Conditioning
+        Which steps are wanted.
+    rate_hz : float
+        The recording's sampling rate in Hz.
+
+    Returns
+    -------
+    list of str
+        The steps in their order; one that the rate makes void says so.
+
+    Examples
+    --------
+    >>> list_steps(Conditioning(), 1600.0)
+    ['offset removed', 'high-pass 20 Hz', 'low-pass 1000 Hz left out: not below the Nyquist frequency of 800 Hz']
+    """
+    done = [] if steps.crop_s is None else [f"cropped to {steps.crop_s[0]:g}..{steps.crop_s[1]:g} s"]
+    if steps.remove_offset:
+        done.append("offset removed")
+    if steps.high_pass_hz is not None:
+        done.append(f"high-pass {steps.high_pass_hz:g} Hz")
+    if steps.low_pass_hz is not None:
+        void = f" left out: not below the Nyquist frequency of {rate_hz / 2:g} Hz"
+        done.append(f"low-pass {steps.low_pass_hz:g} Hz" + ("" if _has_low_pass(steps, rate_hz) else void))
+    return done
+
+
+def _has_low_pass(steps: Conditioning, rate_hz: float) -> bool:
+    """Whether there is anything to remove: a sensor whose Nyquist frequency is below the corner has nothing there."""
+    return steps.low_pass_hz is not None and steps.low_pass_hz < rate_hz / 2
 
 
 def filter_zero_phase(
@@ -151,7 +187,7 @@ def fade(samples: NDArray[np.float64], rate_hz: float, *, fade_s: float) -> NDAr
     """
     n = samples.shape[-1]
     if not 0 <= 2 * fade_s * rate_hz <= n:
-        raise ValueError(f"fade_s: got {fade_s}, allowed is 0 to half the signal's {n / rate_hz:g} s")
+        raise ValueError(f"fade_s: got {fade_s}, allowed is 0 to {n / rate_hz / 2:.6g} s, half the signal")
     length = int(fade_s * rate_hz)
     ramp = 0.5 - 0.5 * np.cos(np.pi * (np.arange(length) + 0.5) / max(length, 1))
     faded = samples.copy()
@@ -181,9 +217,8 @@ def resample(samples: NDArray[np.float64], rate_hz: float, *, to_hz: float) -> N
 
     if rate_hz == to_hz:
         return samples
-    flat = np.ascontiguousarray(samples.reshape(-1, samples.shape[-1]).T)
-    resampled = soxr.resample(flat, rate_hz, to_hz, quality="VHQ")
-    return np.ascontiguousarray(np.asarray(resampled, dtype=np.float64).T).reshape(*samples.shape[:-1], -1)
+    channels = [soxr.resample(one, rate_hz, to_hz, quality="VHQ") for one in samples.reshape(-1, samples.shape[-1])]
+    return np.asarray(channels, dtype=np.float64).reshape(*samples.shape[:-1], -1)
 
 
 def _cropped(recording: Recording, crop_s: tuple[float, float] | None) -> NDArray[np.float64]:

@@ -25,12 +25,15 @@ if TYPE_CHECKING:
 
     Form = Literal["whole", "windowed"]
 
+FORMS = ("whole", "windowed")
 RATE_HZ = 1000
 SQRT_2, SQRT_3, SQRT_14 = 2**0.5, 3**0.5, 14**0.5
 TOLERANCE = 1e-9
 """Largest deviation allowed, relative to the largest expected value, in float64."""
 WAV_TOLERANCE = 1e-5
 """The same for float32 files."""
+ENERGY_TOLERANCE = 0.005
+"""Largest relative deviation of the energy, also where the shape has slack."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,7 +71,14 @@ def golden_vectors(form: Form = "whole") -> tuple[GoldenVector, ...]:
     -------
     tuple of GoldenVector
         Inputs of shape (3, n) and expected outputs of shape (n,), at 1000 Hz.
+
+    Raises
+    ------
+    ValueError
+        If the form is unknown.
     """
+    if form not in FORMS:
+        raise ValueError(f"form: got {form!r}, allowed is one of {', '.join(FORMS)}")
     return (*_everywhere(), *(_whole_only() if form == "whole" else _windowed_only()))
 
 
@@ -168,6 +178,14 @@ def _everywhere() -> Iterator[GoldenVector]:
         single = np.zeros((3, n))
         single[axis] = wave
         yield GoldenVector(f"silent_axes_{n}", single, wave)
+        # Few bits, so that the axes cancel in float32 too; the strongest, x among equals, then gives the phase.
+        coarse = np.round(8 * wave) / 8 + (n < 4)  # noqa: PLR2004 - the shortest ones must not be silent
+        yield GoldenVector(f"anti_phase_{n}", _along((1.0, -1.0, 0.0), coarse), SQRT_2 * coarse)
+        yield GoldenVector(f"anti_phase_strongest_{n}", _along((1.0, -3.0, 2.0), coarse), -SQRT_14 * coarse)
+        yield GoldenVector(f"anti_phase_close_{n}", _along((1.0, -1.25, 0.25), coarse), -(2.625**0.5) * coarse)
+        # A sum that is small, but far above rounding, is still what equation 4 asks for.
+        almost = (1.0, -3.0, 2.0 + 2.0**-16)
+        yield GoldenVector(f"almost_anti_phase_{n}", _along(almost, coarse), np.linalg.norm(almost) * coarse)
     edge = np.zeros(97)
     edge[[0, 17, 18, 35, 36, 96]] = (1.0, -2.0, 3.0, -1.0, 2.0, 1.5)
     yield GoldenVector("impulses_at_window_edges", _along((1.0, 2.0, 2.0), edge), 3.0 * edge)
@@ -180,10 +198,6 @@ def _whole_only() -> Iterator[GoldenVector]:
         angle = 2 * np.pi * 5 * np.arange(n, dtype=np.float64) / n
         circle = np.array([np.cos(angle), np.sin(angle), np.zeros(n)], dtype=np.float64)
         yield GoldenVector(f"circular_motion_{n}", circle, SQRT_2 * np.cos(angle - np.pi / 4))
-        # Rounded to ten bits, so that the axes cancel in float32 too; the strongest, x among equals, gives the phase.
-        wave = np.round(1024 * (np.cos(angle) + 0.5 * np.cos(3 * angle + 1.0))) / 1024
-        yield GoldenVector(f"anti_phase_{n}", np.array([wave, -wave, np.zeros(n)], dtype=np.float64), SQRT_2 * wave)
-        yield GoldenVector(f"anti_phase_strongest_{n}", _along((1.0, -3.0, 2.0), wave), -SQRT_14 * wave)
     alternating = np.cos(np.pi * np.arange(48, dtype=np.float64))
     yield GoldenVector("nyquist", _along((2.0, -6.0, 3.0), alternating), -7.0 * alternating)
     rng = np.random.default_rng(2010)
@@ -196,7 +210,7 @@ def _windowed_only() -> Iterator[GoldenVector]:
     """Cut a circle into frames: its energy must survive, its shape suffers where it is cut (25 % of the peak)."""
     angle = 2 * np.pi * 0.2 * np.arange(200, dtype=np.float64)
     circle = np.array([np.cos(angle), np.sin(angle), np.zeros(200)], dtype=np.float64)
-    yield GoldenVector("circular_motion_in_frames", circle, SQRT_2 * np.cos(angle - np.pi / 4), slack=0.35)
+    yield GoldenVector("circular_motion_in_frames", circle, SQRT_2 * np.cos(angle - np.pi / 4), slack=0.3)
 
 
 def _along(direction: tuple[float, float, float], wave: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -227,6 +241,9 @@ def _faults(vector: GoldenVector, output: object, tolerance: float) -> Iterator[
         allowed = max(tolerance, vector.slack)
         if off > allowed:
             yield f"{vector.name}: off by {off:.2g} of the peak, allowed is {allowed:g}"
+        energy = float(np.vdot(got, got) / np.vdot(vector.expected, vector.expected))
+        if abs(energy - 1) > ENERGY_TOLERANCE:
+            yield f"{vector.name}: holds {energy:.3g} times the energy, allowed is 1 +- {ENERGY_TOLERANCE:g}"
 
 
 def _raise(faults: list[str]) -> None:

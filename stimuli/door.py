@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from stimuli.recording import check_finite, check_rate, coerce_acceleration
+from stimuli.recording import check_finite, check_rate, coerce_acceleration, coerce_real
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -25,13 +25,13 @@ class Admitted(NamedTuple):
     Parameters
     ----------
     samples : ndarray, shape (..., 3, n_samples)
-        The caller's samples, possibly scaled by a power of two.
-    unit : float
-        Factor that gives back the caller's unit.
+        The caller's samples, each recording divided by a power of two where that is needed.
+    exponents : ndarray of int, shape (..., 1), or None
+        The powers; None where nothing was scaled.
     """
 
     samples: NDArray[np.float64]
-    unit: float
+    exponents: NDArray[np.intc] | None
 
     def restore(self, reduced: NDArray[np.float64]) -> NDArray[np.float64]:
         """Give a reduced signal back in the caller's unit.
@@ -46,7 +46,7 @@ class Admitted(NamedTuple):
         ndarray of float64, shape (..., n_samples)
             The same in the caller's unit.
         """
-        return reduced if self.unit == 1.0 else reduced * self.unit
+        return reduced if self.exponents is None else np.ldexp(reduced, self.exponents)
 
 
 def admit(acceleration: ArrayLike, rate_hz: float) -> Admitted:
@@ -62,7 +62,7 @@ def admit(acceleration: ArrayLike, rate_hz: float) -> Admitted:
     Returns
     -------
     Admitted
-        The samples, float64 of the same shape, and the factor back to the caller's unit.
+        The samples, float64 of the same shape, and the way back to the caller's unit.
 
     Raises
     ------
@@ -71,13 +71,32 @@ def admit(acceleration: ArrayLike, rate_hz: float) -> Admitted:
     """
     check_rate(rate_hz)
     samples = coerce_acceleration(acceleration)
-    peak = largest(samples)
-    if not np.isfinite(peak):
+    if not samples.size:
+        return Admitted(samples, None)
+    peaks = np.maximum(samples.max(axis=(-2, -1)), -samples.min(axis=(-2, -1)))
+    if not np.all(np.isfinite(peaks)):
         check_finite(samples, "acceleration")
-    if peak == 0.0 or SAFE_PEAK[0] <= peak <= SAFE_PEAK[1]:
-        return Admitted(samples, 1.0)
-    exponent = int(np.frexp(peak)[1])
-    return Admitted(np.ldexp(samples, -exponent), float(np.ldexp(1.0, exponent - 1)) * 2.0)
+    if np.all(is_safe(peaks)):
+        return Admitted(samples, None)
+    exponents = np.where(is_safe(peaks), 0, np.frexp(peaks)[1])[..., None]
+    return Admitted(np.ldexp(samples, -exponents[..., None]), exponents)
+
+
+def is_safe(peaks: ArrayLike) -> NDArray[np.bool_]:
+    """Tell which peaks need no scaling.
+
+    Parameters
+    ----------
+    peaks : array_like
+        Largest magnitudes.
+
+    Returns
+    -------
+    ndarray of bool
+        True where squares neither overflow nor vanish, and for silence.
+    """
+    peaks = np.asarray(peaks)
+    return np.asarray((peaks == 0.0) | ((peaks >= SAFE_PEAK[0]) & (peaks <= SAFE_PEAK[1])))
 
 
 def largest(samples: NDArray[np.float64]) -> float:
@@ -118,7 +137,7 @@ def check_reduced(reduced: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.floa
     """
     if len(shape) != 2 or shape[-1] == 0:  # noqa: PLR2004 - axes x samples
         raise ValueError(f"acceleration: got shape {shape}, allowed is (3, n) with n >= 1: one recording at a time")
-    signal = np.asarray(reduced, dtype=np.float64)
+    signal = coerce_real(reduced, "reduced")
     if signal.shape != shape[-1:]:
         raise ValueError(
             f"reduced: got shape {signal.shape}, allowed is {shape[-1:]}: as many samples as the recording, one axis"

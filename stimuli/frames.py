@@ -123,6 +123,8 @@ def run_offline(
         The reduced signal.
     """
     *batch, _, n = samples.shape
+    if not samples.size:
+        return np.zeros((*batch, n))
     processor = processor_for(tuple(batch), hop)
     reduced = np.empty((*batch, n))
     written = -hop  # the first finished block is the silent one before the signal

@@ -45,7 +45,7 @@ def choose_gains(measured: Mapping[str, Measured], recipe: Recipe) -> dict[tuple
         common = recipe.gain or (room / loudest if loudest else 1.0)
         gains.update((("as_is", key), common) for key in measured)
     if "equal_intensity" in recipe.levels:
-        silent = sum(note.felt_level == 0 for note in measured.values())
+        silent = sum(note.felt_level == 0.0 for note in measured.values())
         if silent:
             raise ValueError(
                 f"equal_intensity: {silent} stimuli are silent between 20 and 1000 Hz and cannot be made as strong as "

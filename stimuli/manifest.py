@@ -166,26 +166,6 @@ def read_stimuli(folder: str | Path) -> StimulusSet:
     return StimulusSet(Path(folder), stimuli, hashlib.sha256(table).hexdigest())
 
 
-def read_details(folder: Path) -> dict[str, Any]:
-    """Read `manifest.json` of an earlier build, or give an empty one where there is none that can be used.
-
-    Parameters
-    ----------
-    folder : Path
-        The set's folder.
-
-    Returns
-    -------
-    dict
-        What the file holds; empty if it is missing or damaged, which only costs building anew.
-    """
-    try:
-        details = json.loads((folder / "manifest.json").read_bytes())
-    except (OSError, ValueError):
-        return {}
-    return details if isinstance(details, dict) else {}
-
-
 def write_bytes(path: Path, content: bytes) -> None:
     """Write a file whole or not at all.
 
@@ -198,7 +178,10 @@ def write_bytes(path: Path, content: bytes) -> None:
     """
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        part.write_bytes(content)
+        with part.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())  # or a power cut could leave the name without the content
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)
@@ -212,4 +195,6 @@ def _row(row: dict[str, str], place: str) -> Stimulus:
         values = {name: _READ_AS[name](row[name]) for name in COLUMNS}
     except ValueError as error:
         raise ValueError(f"{place}: {error}; build the set again") from None
+    if Path(values["file"]).name != values["file"]:
+        raise ValueError(f"{place}: got file {values['file']!r}, allowed is a name in the set's own folder")
     return Stimulus(**values)

@@ -23,12 +23,12 @@ from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
 
-from stimuli.door import admit, check_reduced
+from stimuli.door import SAFE_PEAK, admit, check_reduced, is_safe, largest
 from stimuli.recording import check_rate
 from stimuli.spectrum import WeberSmoothing, energy_spectrum, linear_grid, log_grid
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -38,7 +38,13 @@ NUMERICAL_FLOOR = 1e-12
 """Frequencies whose smoothed energy is below this share of the recording's mean energy per bin are left out: there the
 spectrum is the rounding error of the transforms, not a vibration."""
 
+GRIDS: Mapping[str, Callable[[int, float], NDArray[np.float64]]] = MappingProxyType(
+    {"linear": linear_grid, "log": log_grid}
+)
+"""Name -> frequencies that the spectral match averages over."""
+
 _SILENT = 1e-12
+_BEYOND_COMPARISON = 1e80
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +166,11 @@ def spectral_match_details(
     ValueError
         If shapes or values are wrong, or no frequency can be compared and the energies differ.
     """
+    if grid not in GRIDS:
+        raise ValueError(f"grid: got {grid!r}, allowed is one of {', '.join(GRIDS)}")
     samples, signal = _admit_pair(acceleration, reduced, rate_hz)
+    if largest(signal) > _BEYOND_COMPARISON * SAFE_PEAK[1]:
+        raise ValueError("reduced: is more than 1e80 times as strong as the recording; are they in the same unit?")
     original = OriginalSpectrum(samples, check_rate(rate_hz), grid=grid)
     used = original.frequencies_hz
     value = float(original.match(signal))
@@ -186,7 +196,7 @@ class OriginalSpectrum:
 
     def __init__(self, samples: NDArray[np.float64], rate_hz: float, *, grid: Grid = "linear") -> None:
         n = samples.shape[-1]
-        frequencies = {"linear": linear_grid, "log": log_grid}[grid](n, rate_hz)
+        frequencies = GRIDS[grid](n, rate_hz)
         self._smooth = WeberSmoothing(frequencies, rate_hz / n, n // 2 + 1)
         self._spectrum = energy_spectrum(samples, self._smooth.bins).sum(axis=-2)
         # By Parseval's theorem the mean energy per bin of the two-sided spectrum is the energy in time.
@@ -229,8 +239,8 @@ class OriginalSpectrum:
         if np.all(np.abs(energy - self._energy) <= NUMERICAL_FLOOR * self._energy):
             return np.ones(energy.shape)
         raise ValueError(
-            "spectral match: the recording has no frequency with energy between 20 and 1000 Hz; "
-            "record longer, or at a higher rate"
+            "spectral match: the recording has no frequency with energy between 20 and 1000 Hz; record longer or at "
+            "a higher rate, and remove its offset"
         )
 
 
@@ -297,13 +307,31 @@ def temporal_match_details(
     ValueError
         If shapes or values are wrong.
     """
-    samples, signal = _admit_pair(acceleration, reduced, 1.0 if rate_hz is None else rate_hz)
+    samples = admit(acceleration, 1.0 if rate_hz is None else rate_hz).samples
+    signal = check_reduced(reduced, samples.shape)
+    if not is_safe(largest(signal)):  # the reduced signal's strength does not matter, so it gets a scale of its own
+        signal = np.ldexp(signal, -np.frexp(largest(signal))[1])
     correlations = axis_correlations(samples, signal)
-    heard = ~np.isnan(correlations)
-    value = float(correlations[heard].mean()) if heard.any() else 0.0
     x, y, z = (float(r) for r in correlations)
-    silent = tuple(int(axis) for axis in np.flatnonzero(~heard))
-    return TemporalMatch(value, (x, y, z), silent, not signal.any())
+    silent = tuple(int(axis) for axis in np.flatnonzero(np.isnan(correlations)))
+    return TemporalMatch(float(mean_heard(correlations)), (x, y, z), silent, not signal.any())
+
+
+def mean_heard(correlations: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mean over the axes that are not silent.
+
+    Parameters
+    ----------
+    correlations : ndarray, shape (..., 3)
+        From `axis_correlations`.
+
+    Returns
+    -------
+    ndarray of float64, shape (...)
+        Temporal matches; 0 where all axes are silent.
+    """
+    heard = ~np.isnan(correlations)
+    return np.asarray(np.where(heard, correlations, 0.0).sum(axis=-1) / np.maximum(heard.sum(axis=-1), 1))
 
 
 def axis_correlations(samples: NDArray[np.float64], reduced: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -344,6 +372,6 @@ def _admit_pair(
     acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Check both signals and scale them by one power of two into a safe range."""
-    samples, unit = admit(acceleration, rate_hz)
-    signal = check_reduced(reduced, samples.shape)
-    return samples, signal / unit
+    admitted = admit(acceleration, rate_hz)
+    signal = check_reduced(reduced, admitted.samples.shape)
+    return admitted.samples, signal if admitted.exponents is None else np.ldexp(signal, -admitted.exponents)

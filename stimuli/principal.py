@@ -176,12 +176,13 @@ class PrincipalFrames:
 
     def _turned(self, axes: NDArray[np.float64], constant: NDArray[np.bool_]) -> NDArray[np.float64]:
         """Let constant segments keep the axis before them, and turn each axis to point along the one before."""
-        axes = np.concatenate([self._axis, axes], axis=-2)
+        axes = np.concatenate([self._axis, with_sign(axes)], axis=-2)
         own = np.where(constant, 0, np.arange(1, axes.shape[-2]))
         own = np.concatenate([np.zeros_like(own[..., :1]), np.maximum.accumulate(own, axis=-1)], axis=-1)
         axes = np.take_along_axis(axes, own[..., None], axis=-2)
         along = np.einsum("...mi,...mi->...m", axes[..., 1:, :], axes[..., :-1, :])
-        signs = np.cumprod(np.where(along < 0, -1.0, 1.0), axis=-1)
+        # An axis across the one before it keeps the sign that it has by itself: rounding must not choose.
+        signs = np.cumprod(np.where(along < -_NO_SIGN, -1.0, 1.0), axis=-1)
         return np.asarray(axes[..., 1:, :] * signs[..., None])
 
 

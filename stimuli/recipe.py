@@ -18,6 +18,9 @@ ORIGINAL = "original"
 
 NO_REFERENCE = "none"
 
+RIG_RATES_HZ = (2000, 384_000)
+"""Rates at which 1000 Hz can be played and sound devices run."""
+
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
@@ -76,8 +79,9 @@ class Recipe:
         if self.reference not in {ORIGINAL, NO_REFERENCE, *REDUCERS}:
             allowed = ", ".join((ORIGINAL, NO_REFERENCE, *REDUCERS))
             raise ValueError(f"reference: got {self.reference!r}, allowed is one of {allowed}")
-        if check_rate(self.rate_hz) != int(self.rate_hz):
-            raise ValueError(f"rate_hz: got {self.rate_hz}, allowed is a whole number of Hz, as sound devices have")
+        low, high = RIG_RATES_HZ
+        if check_rate(self.rate_hz) != int(self.rate_hz) or not low <= self.rate_hz <= high:
+            raise ValueError(f"rate_hz: got {self.rate_hz}, allowed is a whole number of Hz from {low} to {high}")
         self._check_levels()
 
     def _check_levels(self) -> None:
@@ -90,12 +94,12 @@ class Recipe:
             raise ValueError(f"fade_s: got {self.fade_s}, allowed is 0 s or more")
 
     def rendering(self) -> dict[str, Any]:
-        """Tell what decides the samples before any gain, for the key under which a rendered stimulus is remembered.
+        """Tell what decides a file besides its gain, for the key under which it is remembered.
 
         Returns
         -------
         dict
-            Conditioning, rate and fade, ready for JSON.
+            Conditioning, rate, fade and full scale, ready for JSON.
         """
         steps = self.conditioning
         return {
@@ -105,4 +109,5 @@ class Recipe:
             "low_pass_hz": steps.low_pass_hz,
             "rate_hz": self.rate_hz,
             "fade_s": self.fade_s,
+            "full_scale_m_s2": self.full_scale_m_s2,
         }

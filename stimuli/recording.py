@@ -67,8 +67,7 @@ class Recording:
         object.__setattr__(self, "acceleration", samples)
         object.__setattr__(self, "rate_hz", check_rate(self.rate_hz))
         if not self.sha256:
-            digest = hashlib.sha256(np.float64(self.rate_hz).tobytes() + samples.tobytes())
-            object.__setattr__(self, "sha256", digest.hexdigest())
+            object.__setattr__(self, "sha256", digest_samples(self))
 
     @property
     def n_samples(self) -> int:
@@ -79,6 +78,24 @@ class Recording:
     def duration_s(self) -> float:
         """Duration in s."""
         return self.n_samples / self.rate_hz
+
+
+def digest_samples(recording: Recording) -> str:
+    """Digest what a recording holds, however it was stored: two readings of one file in different units differ.
+
+    Parameters
+    ----------
+    recording : Recording
+        The recording.
+
+    Returns
+    -------
+    str
+        SHA-256 of rate and samples, in hexadecimal digits.
+    """
+    digest = hashlib.sha256(np.float64(recording.rate_hz).tobytes())
+    digest.update(recording.acceleration.tobytes())
+    return digest.hexdigest()
 
 
 def check_acceleration(acceleration: ArrayLike) -> NDArray[np.float64]:
@@ -122,13 +139,41 @@ def coerce_acceleration(acceleration: ArrayLike) -> NDArray[np.float64]:
     ValueError
         If the values are not numbers, or not three axes.
     """
-    try:
-        samples = np.asarray(acceleration, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"acceleration: got values that are not real numbers ({error})") from None
+    samples = coerce_real(acceleration, "acceleration")
     if samples.ndim < 2 or samples.shape[-2] != AXES:  # noqa: PLR2004 - axes x samples
         raise ValueError(f"acceleration: got shape {samples.shape}, allowed is (..., 3, n): three axes, then samples")
     return samples
+
+
+def coerce_real(values: ArrayLike, what: str) -> NDArray[np.float64]:
+    """Coerce real numbers to float64, or say what they are instead.
+
+    Parameters
+    ----------
+    values : array_like
+        Any shape.
+    what : str
+        What the values are, for the message.
+
+    Returns
+    -------
+    ndarray of float64
+        The same values, not copied if they already were float64.
+
+    Raises
+    ------
+    ValueError
+        If they are text, complex, times, masked or of unequal lengths.
+    """
+    try:
+        given = np.asarray(values)
+    except ValueError as error:
+        raise ValueError(f"{what}: got rows of unequal lengths ({error}); allowed is one array") from None
+    if given.dtype.kind not in "biuf":
+        raise ValueError(f"{what}: got values of type {given.dtype}, allowed are real numbers")
+    if np.ma.is_masked(values):
+        raise ValueError(f"{what}: got masked values; fill or cut them out first")
+    return given.astype(np.float64, copy=False)
 
 
 def check_finite(samples: NDArray[np.float64], what: str) -> None:

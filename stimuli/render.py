@@ -18,9 +18,10 @@ from stimuli.anchors import ANCHORS
 from stimuli.condition import condition, fade, resample
 from stimuli.door import largest
 from stimuli.manifest import write_bytes
-from stimuli.match import OriginalSpectrum, axis_correlations
+from stimuli.match import OriginalSpectrum, axis_correlations, mean_heard
 from stimuli.perception import felt_level
 from stimuli.recipe import NO_REFERENCE, ORIGINAL
+from stimuli.recording import digest_samples
 from stimuli.reduce import REDUCERS
 from stimuli.version import __version__
 from stimuli.wav import write_wav
@@ -35,6 +36,9 @@ if TYPE_CHECKING:
     from stimuli.recording import Recording
 
     Samples = NDArray[np.float64]
+
+ROUNDING = 1e-9
+"""A stimulus below this share of its recording's felt level is what rounding left of axes that cancelled: silence."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +79,15 @@ class Measured:
     temporal_match: float
 
 
+@dataclass(frozen=True, slots=True)
+class _Scale:
+    """What the stimuli of one recording are measured against."""
+
+    recording: Recording
+    spectrum: OriginalSpectrum
+    level: float
+
+
 def list_candidates(recording: Recording, recipe: Recipe) -> tuple[Candidate, ...]:
     """List what a recipe makes of one recording: tests, the hidden reference, anchors.
 
@@ -95,7 +108,8 @@ def list_candidates(recording: Recording, recipe: Recipe) -> tuple[Candidate, ..
         wanted.append((recipe.reference, "reference"))
     if recipe.anchors:
         wanted += [(name, "anchor") for name in ANCHORS]
-    basis = {"version": __version__, "recording": recording.sha256, **versions(), **recipe.rendering()}
+    # The samples, not the file: the same file read in another unit or at another rate is another recording.
+    basis = {"version": __version__, "recording": digest_samples(recording), **versions(), **recipe.rendering()}
     return tuple(
         Candidate(recording.name, reducer, role, _digest({**basis, "reducer": reducer})) for reducer, role in wanted
     )
@@ -142,16 +156,10 @@ def render_recording(
     """
     measured = {c.key: found for c in candidates if (found := _read_part(parts, c.key)) is not None}
     missing = [c for c in candidates if c.key not in measured]
-    if missing:
-        conditioned = condition(recording, recipe.conditioning)
-        original = OriginalSpectrum(conditioned.acceleration, conditioned.rate_hz)
-        for candidate in missing:
-            samples = _make(candidate.reducer, conditioned)
-            rendered = _for_the_rig(samples, conditioned.rate_hz, recipe)
-            note = _measure(samples, rendered, recording=conditioned, original=original, rate_hz=recipe.rate_hz)
-            write_wav(part_path(parts, candidate.key), rendered, recipe.rate_hz)
-            write_bytes(parts / f"{candidate.key}.json", json.dumps(asdict(note)).encode())
-            measured[candidate.key] = note
+    try:
+        measured.update(_render(recording, missing, recipe=recipe, parts=parts) if missing else {})
+    except ValueError as error:
+        raise ValueError(f"recording {recording.name!r}: {error}") from None
     return measured
 
 
@@ -173,6 +181,25 @@ def part_path(parts: Path, key: str) -> Path:
     return parts / f"{key}.wav"
 
 
+def _render(recording: Recording, missing: Sequence[Candidate], *, recipe: Recipe, parts: Path) -> dict[str, Measured]:
+    conditioned = condition(recording, recipe.conditioning)
+    scale = _Scale(
+        conditioned,
+        OriginalSpectrum(conditioned.acceleration, conditioned.rate_hz),
+        felt_level(conditioned.acceleration, conditioned.rate_hz),
+    )
+    measured = {}
+    for candidate in missing:
+        samples = _make(candidate.reducer, conditioned)
+        rendered = _for_the_rig(samples, conditioned.rate_hz, recipe)
+        note = _measure(samples, rendered, scale=scale, rate_hz=recipe.rate_hz)
+        path = part_path(parts, candidate.key)
+        write_wav(path, rendered, recipe.rate_hz)
+        write_bytes(_note_path(path), json.dumps({"bytes": path.stat().st_size, **asdict(note)}).encode())
+        measured[candidate.key] = note
+    return measured
+
+
 def _make(reducer: str, recording: Recording) -> Samples:
     if reducer == ORIGINAL:
         return recording.acceleration
@@ -188,25 +215,28 @@ def _for_the_rig(samples: Samples, rate_hz: float, recipe: Recipe) -> Samples:
     return fade(resample(vibration, rate_hz, to_hz=recipe.rate_hz), recipe.rate_hz, fade_s=recipe.fade_s)
 
 
-def _measure(
-    samples: Samples, rendered: Samples, *, recording: Recording, original: OriginalSpectrum, rate_hz: float
-) -> Measured:
+def _measure(samples: Samples, rendered: Samples, *, scale: _Scale, rate_hz: float) -> Measured:
     # The level is that of what is played: fades and a removed offset change it. The metrics are those of the reduction.
     level = felt_level(rendered, rate_hz)
+    level = level if level > ROUNDING * scale.level else 0.0
     if samples.ndim > 1:  # the original itself, matched channel by channel
         return Measured(largest(rendered), level, 1.0, 1.0)
-    correlations = axis_correlations(recording.acceleration, samples)
-    heard = correlations[~np.isnan(correlations)]
-    temporal = float(heard.mean()) if heard.size else 0.0
-    return Measured(largest(rendered), level, float(original.match(samples)), temporal)
+    temporal = mean_heard(axis_correlations(scale.recording.acceleration, samples))
+    return Measured(largest(rendered), level, float(scale.spectrum.match(samples)), float(temporal))
 
 
 def _read_part(parts: Path, key: str) -> Measured | None:
-    """Read a part's note, which is written after its samples: a part without one does not count."""
-    note = parts / f"{key}.json"
-    if not (note.is_file() and part_path(parts, key).is_file()):
+    """Read a part's note, which is written after its samples; a part that is damaged or has none does not count."""
+    path = part_path(parts, key)
+    try:
+        note = json.loads(_note_path(path).read_bytes())
+        return Measured(**note) if path.stat().st_size == note.pop("bytes") else None
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return None
-    return Measured(**json.loads(note.read_bytes()))
+
+
+def _note_path(part: Path) -> Path:
+    return part.with_suffix(".json")
 
 
 def _digest(what: object) -> str:

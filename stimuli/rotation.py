@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stimuli.door import admit
-from stimuli.match import OriginalSpectrum, axis_correlations
+from stimuli.match import OriginalSpectrum, axis_correlations, mean_heard
 from stimuli.reduce import get_reducer
 
 if TYPE_CHECKING:
@@ -84,8 +84,8 @@ def rotation_statistics(
     samples = admit(acceleration, rate_hz).samples
     if samples.ndim != 2 or samples.shape[1] == 0:  # noqa: PLR2004 - axes x samples
         raise ValueError(f"acceleration: got shape {samples.shape}, allowed is (3, n), n >= 1: one recording at a time")
-    if rotations < LEAST_ROTATIONS:
-        raise ValueError(f"rotations: got {rotations}, allowed is {LEAST_ROTATIONS} or more")
+    if rotations != int(rotations) or rotations < LEAST_ROTATIONS:
+        raise ValueError(f"rotations: got {rotations}, allowed is a whole number of {LEAST_ROTATIONS} or more")
     reduce = get_reducer(reducer)
     original = OriginalSpectrum(samples, rate_hz)
     spectral, temporal = [], []
@@ -95,7 +95,7 @@ def rotation_statistics(
         turned = np.einsum("rij,jn->rin", turns[start : start + per_batch], samples)
         reduced = reduce(turned, rate_hz)
         spectral.append(original.match(reduced))
-        temporal.append(np.nan_to_num(np.nanmean(axis_correlations(turned, reduced), axis=-1)))
+        temporal.append(mean_heard(axis_correlations(turned, reduced)))
     both = np.concatenate(spectral), np.concatenate(temporal)
     (s_mean, t_mean), (s_sd, t_sd) = (np.mean(both, axis=1), np.std(both, axis=1, ddof=1))
     return RotationStatistics(float(s_mean), float(s_sd), float(t_mean), float(t_sd), rotations)

@@ -2,8 +2,9 @@
 
 A build runs in two passes over the recordings, each in parallel: *measure* renders what is not remembered and measures
 it at unit gain, *write* gives every stimulus the gain of its level arm. Between them stands the only thing that needs
-the whole set: the gain. Each file is replaced in one step and the manifest comes last, so a killed build leaves no
-half file and is continued by the next.
+the whole set: the gain. Finished files wait in a folder of their own until all are there; then the old manifest goes,
+the files move in, and the new manifest comes last. So a set that has a manifest is complete, and a build that was
+killed, or found the disk full, is continued by the next.
 """
 
 from __future__ import annotations
@@ -17,9 +18,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from stimuli.condition import list_steps
 from stimuli.door import largest
+from stimuli.history import History, read_history
 from stimuli.levels import choose_gains
-from stimuli.manifest import Stimulus, StimulusSet, read_details, write_manifest
+from stimuli.lock import hold_lock
+from stimuli.manifest import Stimulus, StimulusSet, write_manifest
 from stimuli.render import Candidate, Measured, list_candidates, part_path, render_recording, versions
 from stimuli.version import __version__
 from stimuli.wav import read_wav, write_wav
@@ -34,6 +38,7 @@ if TYPE_CHECKING:
     Job = tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]
 
 PARTS = ".parts"
+FINISHED = "finished"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
@@ -50,25 +55,6 @@ class _Order:
     def stimulus_id(self) -> str:
         made = "reference" if self.candidate.role == "reference" else self.candidate.reducer
         return f"{self.candidate.recording}__{made}__{self.level}"
-
-
-@dataclass(frozen=True, slots=True)
-class _Before:
-    """What an earlier build left: its rows, the keys they were made under, and what was measured."""
-
-    rows: dict[str, Stimulus]
-    keys: dict[str, str]
-    measured: dict[str, Measured]
-
-    @classmethod
-    def read(cls, folder: Path) -> _Before:
-        details = read_details(folder)
-        try:
-            rows = {row["stimulus_id"]: Stimulus(**row) for row in details.get("stimuli", [])}
-            measured = {key: Measured(**note) for key, note in details.get("measured", {}).items()}
-        except (TypeError, KeyError):  # the manifest of another version: everything is made again
-            return cls({}, {}, {})
-        return cls(rows, dict(details.get("keys", {})), measured)
 
 
 def build_stimuli(
@@ -103,29 +89,54 @@ def build_stimuli(
     ------
     ValueError
         If names clash, or a recording cannot be used; nothing already built is harmed.
+    BlockingIOError
+        If another build is running in the folder.
     """
+    if workers < 1:
+        raise ValueError(f"workers: got {workers}, allowed is 1 or more")
     _check_names(recordings)
     folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    with hold_lock(folder / ".lock", busy="another build is running here; let it finish or stop it first"):
+        return _build(recordings, folder, recipe=recipe, workers=workers, progress=progress)
+
+
+def _build(
+    recordings: Sequence[Recording], folder: Path, *, recipe: Recipe, workers: int, progress: Progress | None
+) -> StimulusSet:
     parts = _make_parts_folder(folder)
-    before = _Before.read(folder)
+    history = read_history(folder)
     wanted = {recording.name: list_candidates(recording, recipe) for recording in recordings}
-    new = [r for r in recordings if any(c.key not in before.measured for c in wanted[r.name])]
+    new = [r for r in recordings if any(c.key not in history.measured for c in wanted[r.name])]
     counter = _Counter(progress, total=len(new) + len(recordings))
     measure = [(render_recording, (r, wanted[r.name]), {"recipe": recipe, "parts": parts}) for r in new]
-    measured = dict(before.measured)
+    measured = dict(history.measured)
     for found in counter.count(_in_parallel(measure, workers=workers)):
         measured.update(found)
     orders = _place_orders(wanted, measured, recipe)
-    how = {"recipe": recipe, "folder": folder, "before": before}
+    how = {"recipe": recipe, "folder": folder, "history": history}
     write = [(_write_recording, (r, orders[r.name]), how) for r in recordings]
     written = {row.stimulus_id: row for rows in counter.count(_in_parallel(write, workers=workers)) for row in rows}
     in_order = [order for recording in recordings for order in orders[recording.name]]
-    rows = [written[order.stimulus_id] for order in in_order]
-    for stale in {row.file for row in before.rows.values()} - {row.file for row in rows}:
-        (folder / stale).unlink(missing_ok=True)
-    finished = write_manifest(folder, rows, details=_details(in_order, recipe))
-    shutil.rmtree(parts)
-    return finished
+    details = _details(in_order, recipe, recordings)
+    return _publish([written[order.stimulus_id] for order in in_order], folder, history=history, details=details)
+
+
+def _publish(
+    rows: Sequence[Stimulus], folder: Path, *, history: History, details: Mapping[str, Any]
+) -> StimulusSet:
+    """Move finished files into the set and remove what is no longer wanted, without a manifest meanwhile."""
+    finished = sorted((folder / PARTS / FINISHED).iterdir())
+    stale = {row.file for row in history.rows.values()} - {row.file for row in rows}
+    if finished or stale:
+        (folder / "manifest.csv").unlink(missing_ok=True)
+    for path in finished:
+        path.replace(folder / path.name)
+    for name in stale:
+        (folder / name).unlink(missing_ok=True)
+    published = write_manifest(folder, rows, details=details)
+    shutil.rmtree(folder / PARTS)
+    return published
 
 
 def _check_names(recordings: Sequence[Recording]) -> None:
@@ -145,9 +156,10 @@ def _check_names(recordings: Sequence[Recording]) -> None:
 
 
 def _make_parts_folder(folder: Path) -> Path:
-    """Make the folder of unfinished work, and clear away files that a killed build was writing."""
+    """Make the folder of unfinished work; what a killed build had rendered is kept, what it was writing is not."""
     parts = folder / PARTS
-    parts.mkdir(parents=True, exist_ok=True)
+    shutil.rmtree(parts / FINISHED, ignore_errors=True)
+    (parts / FINISHED).mkdir(parents=True)
     for unfinished in [*folder.glob(".*.part"), *parts.glob(".*.part")]:
         unfinished.unlink(missing_ok=True)
     return parts
@@ -169,31 +181,31 @@ def _place_orders(
 
 
 def _write_recording(
-    recording: Recording, orders: Sequence[_Order], *, recipe: Recipe, folder: Path, before: _Before
+    recording: Recording, orders: Sequence[_Order], *, recipe: Recipe, folder: Path, history: History
 ) -> list[Stimulus]:
     """Write the files of one recording that are not there already, and give all their rows."""
-    kept = {order.stimulus_id: before.rows[order.stimulus_id] for order in orders if _is_there(order, folder, before)}
+    kept = {order.stimulus_id: history.rows[order.stimulus_id] for order in orders if _is_there(order, folder, history)}
     changed = [order for order in orders if order.stimulus_id not in kept]
     render_recording(recording, [order.candidate for order in changed], recipe=recipe, parts=folder / PARTS)
-    kept.update((order.stimulus_id, _write(order, recording, recipe=recipe, folder=folder)) for order in changed)
+    kept.update((order.stimulus_id, _write(order, recording, recipe=recipe, parts=folder / PARTS)) for order in changed)
     return list(kept.values())
 
 
-def _is_there(order: _Order, folder: Path, before: _Before) -> bool:
+def _is_there(order: _Order, folder: Path, history: History) -> bool:
     """Whether the earlier build made just this, and its file still holds it."""
-    row = before.rows.get(order.stimulus_id)
-    if row is None or before.keys.get(order.stimulus_id) != order.candidate.key or row.gain != order.gain:
+    row = history.rows.get(order.stimulus_id)
+    if row is None or history.keys.get(order.stimulus_id) != order.candidate.key or row.gain != order.gain:
         return False
     path = folder / row.file
     return path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() == row.sha256
 
 
-def _write(order: _Order, recording: Recording, *, recipe: Recipe, folder: Path) -> Stimulus:
-    samples, _ = read_wav(part_path(folder / PARTS, order.candidate.key))
+def _write(order: _Order, recording: Recording, *, recipe: Recipe, parts: Path) -> Stimulus:
+    samples, _ = read_wav(part_path(parts, order.candidate.key))
     samples *= order.gain / recipe.full_scale_m_s2
     clipped = int(np.count_nonzero(np.abs(samples) > 1.0))
     np.clip(samples, -1.0, 1.0, out=samples)
-    path = folder / f"{order.stimulus_id}.wav"
+    path = parts / FINISHED / f"{order.stimulus_id}.wav"
     write_wav(path, samples, recipe.rate_hz)
     mean_square = np.einsum("...n,...n->...", samples, samples).sum() / samples.shape[-1]
     return Stimulus(
@@ -217,10 +229,11 @@ def _write(order: _Order, recording: Recording, *, recipe: Recipe, folder: Path)
     )
 
 
-def _details(orders: Sequence[_Order], recipe: Recipe) -> dict[str, Any]:
+def _details(orders: Sequence[_Order], recipe: Recipe, recordings: Sequence[Recording]) -> dict[str, Any]:
     """Tell what `manifest.json` holds beside the rows: enough to rebuild the set and to tell what has changed."""
     return {
         "recipe": asdict(recipe),
+        "conditioning": {r.name: list_steps(recipe.conditioning, r.rate_hz) for r in recordings},
         "versions": {"feel321": __version__, **versions()},
         "keys": {order.stimulus_id: order.candidate.key for order in orders},
         "measured": {order.candidate.key: asdict(order.measured) for order in orders},

@@ -123,10 +123,12 @@ class WeberSmoothing:
     bins : slice
         The bins that the smoothing reads; it is to be called with these.
 
-    Notes ----- Each bin's energy is spread evenly over one spacing, so the window's edges may cut bins. A window
-    narrower than one spacing gives the bin itself; one that reaches beyond the last bin is cut off there and averaged
-    over what is left. Bins far below the lowest frequency, the offset among them, never enter the running sum: a large
-    offset costs no accuracy.
+    Notes
+    -----
+    Each bin's energy is spread evenly over one spacing, so the window's edges may cut bins. A window narrower than one
+    spacing gives the bin itself; one that reaches beyond the last bin is cut off there and averaged over what is left.
+    Bins far below the lowest frequency, the offset among them, never enter the running sum, and the sum is kept in
+    extended precision where the platform has it: a strong tone costs its weak neighbours no accuracy.
     """
 
     def __init__(self, frequencies_hz: NDArray[np.float64], spacing_hz: float, n_bins: int) -> None:
@@ -152,10 +154,10 @@ class WeberSmoothing:
         ndarray of float64, shape (..., n_frequencies)
             Mean energy per bin around each frequency.
         """
-        running = np.zeros((*spectrum.shape[:-1], spectrum.shape[-1] + 1))
+        running = np.zeros((*spectrum.shape[:-1], spectrum.shape[-1] + 1), dtype=np.longdouble)
         np.cumsum(spectrum, axis=-1, out=running[..., 1:])
         low, high = (edge.read(running, spectrum) for edge in self._edges)
-        return np.asarray((high - low) / self._width)
+        return np.asarray((high - low) / self._width, dtype=np.float64)
 
 
 class _Edge:
@@ -169,5 +171,5 @@ class _Edge:
         whole = np.clip(position.astype(np.intp), 0, max(n_bins - 1, 0))
         return cls(whole, position - whole)
 
-    def read(self, running: NDArray[np.float64], spectrum: NDArray[np.float64]) -> NDArray[np.float64]:
+    def read(self, running: NDArray[np.longdouble], spectrum: NDArray[np.float64]) -> NDArray[np.longdouble]:
         return running[..., self._whole] + self._share * spectrum[..., self._whole]

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stimuli.axes import mag321, sax321, say321, saz321, soc321
+from stimuli.door import SAFE_PEAK, largest
 from stimuli.fourier import FourierFrames
 from stimuli.frames import DEFAULT_WINDOW_S, BlockProcessor, cut_blocks, window_samples
 from stimuli.principal import PrincipalFrames
@@ -100,7 +101,7 @@ class StreamingReducer:
         Raises
         ------
         ValueError
-            If the block is not three axes of finite numbers, or the stream was flushed.
+            If the block is not three axes of finite numbers up to 1e60, or the stream was flushed.
         """
         samples = check_acceleration(block)
         if samples.ndim != 2:  # noqa: PLR2004 - axes x samples
@@ -109,6 +110,9 @@ class StreamingReducer:
             raise ValueError("the stream was flushed, its signal has ended; make a new StreamingReducer")
         if self._processor is None:
             return _SAMPLEWISE[self._name](samples, self._rate_hz)
+        # A whole recording can be scaled by its peak; a stream cannot know the peak that is to come.
+        if largest(samples) > SAFE_PEAK[1]:
+            raise ValueError(f"block: got a peak of {largest(samples):.3g}, allowed is up to {SAFE_PEAK[1]:g}")
         self._waiting = np.concatenate([self._waiting, samples], axis=1)
         n_blocks = self._waiting.shape[1] // self._processor.hop
         if n_blocks:

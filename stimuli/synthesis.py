@@ -80,8 +80,8 @@ def make_scene(name: str, *, seed: int = 0, rate_hz: float = 10000.0, duration_s
     """
     if name not in SCENES:
         raise ValueError(f"scene: got {name!r}, allowed is one of {', '.join(SCENES)}")
-    if check_rate(rate_hz) < 4000 or not duration_s >= 0.1:  # noqa: PLR2004 - limits named in the message
-        raise ValueError(f"scene: got {rate_hz} Hz for {duration_s} s, allowed is 4000 Hz or more for 0.1 s or more")
+    if check_rate(rate_hz) < 4000 or not 0.1 <= duration_s <= 3600:  # noqa: PLR2004 - limits named in the message
+        raise ValueError(f"scene: got {rate_hz} Hz for {duration_s} s, allowed is 4000 Hz or more for 0.1 s to 3600 s")
     time_s = np.arange(round(duration_s * rate_hz)) / rate_hz
     rng = np.random.default_rng([seed, *name.encode()])
     return Recording(SCENES[name](time_s, rng), rate_hz, name)

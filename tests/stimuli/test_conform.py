@@ -49,7 +49,16 @@ def divided_by_window_sum(acceleration: np.ndarray, _rate_hz: float, *, length: 
     return (total / (weight + 1e-12))[:n]
 
 
+def silent_where_the_sum_vanishes(acceleration: np.ndarray, _rate_hz: float) -> np.ndarray:
+    spectra = np.fft.fft(acceleration)
+    total = spectra.sum(axis=0)
+    seen = np.abs(total) > 1e-9
+    phase = np.divide(total, np.abs(total), out=np.zeros_like(total), where=seen)
+    return np.fft.ifft(np.sqrt((np.abs(spectra) ** 2).sum(axis=0)) * phase).real
+
+
 FAULTS = {
+    "silent_where_the_sum_vanishes": silent_where_the_sum_vanishes,
     "full_wave_rectified": full_wave_rectified,
     "mirrored_wrongly": mirrored_wrongly,
     "without_conjugates": without_conjugates,
@@ -82,6 +91,21 @@ def test_faults_are_named_as_they_are() -> None:
         check_dft321(lambda *_: 1 / 0)
     with pytest.raises(ValueError, match="complex or not finite"):
         check_dft321(lambda acceleration, rate_hz: dft321(acceleration, rate_hz) + 0j)
+
+
+def test_energy_is_judged_where_the_shape_has_slack() -> None:
+    def weaker(acceleration: np.ndarray, rate_hz: float) -> np.ndarray:
+        reduced = dft321_windowed(acceleration, rate_hz)
+        collinear = np.linalg.matrix_rank(acceleration, tol=1e-9) <= 1
+        return reduced if collinear else 0.95 * reduced
+
+    with pytest.raises(ValueError, match=r"circular_motion_in_frames: holds 0.90\d times the energy"):
+        check_dft321(weaker, form="windowed")
+
+
+def test_an_unknown_form_is_refused() -> None:
+    with pytest.raises(ValueError, match="form: got 'windowd', allowed is one of whole, windowed"):
+        golden_vectors("windowd")
 
 
 def test_the_vectors_cover_what_the_field_got_wrong() -> None:

@@ -112,6 +112,11 @@ def test_bins_that_hold_only_rounding_are_left_out() -> None:
     assert details.n_left_out > 900
 
 
+def test_an_unknown_grid_is_refused() -> None:
+    with pytest.raises(ValueError, match="grid: got 'octave', allowed is one of linear, log"):
+        spectral_match(noise(3, 400), noise(400), RATE, grid="octave")
+
+
 def test_log_grid_weighs_octaves_alike() -> None:
     """A reduced signal that is right below 200 Hz and silent above: more than half of a log grid is right."""
     acceleration = noise(3, 20_000)
@@ -145,6 +150,24 @@ def test_temporal_match_identity_and_bounds() -> None:
     wave = noise(500)
     assert temporal_match([wave, -2 * wave, 5 * wave], 3 * wave) == pytest.approx(1.0, abs=1e-12)
     assert 0 <= temporal_match(noise(3, 500, seed=1), wave) <= 1
+
+
+@pytest.mark.parametrize("size", [1e-280, 1e-100, 1e100, 1e280])
+def test_temporal_match_takes_any_unit_of_either(size: float) -> None:
+    acceleration, reduced = noise(3, 700), noise(700, seed=9)
+    expected = temporal_match(acceleration, reduced)
+    assert temporal_match(acceleration, size * reduced) == pytest.approx(expected, rel=1e-12)
+    assert temporal_match(size * acceleration, reduced) == pytest.approx(expected, rel=1e-12)
+
+
+def test_an_absurd_reduced_signal_is_refused_not_scored() -> None:
+    with pytest.raises(ValueError, match="are they in the same unit"):
+        spectral_match(noise(3, 400), 1e200 * noise(400), RATE)
+
+
+def test_a_weak_axis_is_not_a_silent_one() -> None:
+    wave, other = noise(2, 500)
+    assert temporal_match_details([wave, 1e-9 * other, other], wave).silent_axes == ()
 
 
 def test_a_silent_axis_is_left_out_and_reported() -> None:

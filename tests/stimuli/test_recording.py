@@ -52,9 +52,23 @@ def test_a_recording_is_one_and_not_empty(shape: tuple[int, ...]) -> None:
         Recording(np.zeros(shape), 100, "odd")
 
 
-def test_text_is_not_acceleration() -> None:
-    with pytest.raises(ValueError, match="not real numbers"):
-        check_acceleration([["a"], ["b"], ["c"]])
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ([["a"], ["b"], ["c"]], "of type <U1, allowed are real numbers"),
+        (np.ones((3, 2)) * 1j, "of type complex128, allowed are real numbers"),
+        (np.ones((3, 2), dtype="m8[s]"), "allowed are real numbers"),
+        (np.ma.masked_less(np.arange(6.0).reshape(3, 2), 1), "masked values"),
+        ([[1, 2], [3], [4, 5]], "unequal lengths"),
+    ],
+)
+def test_what_is_not_a_table_of_real_numbers_is_refused(values: object, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        check_acceleration(values)
+
+
+def test_integers_and_booleans_are_numbers() -> None:
+    np.testing.assert_array_equal(check_acceleration(np.array([[1], [0], [-3]], dtype=np.int8)), [[1.0], [0.0], [-3.0]])
 
 
 @pytest.mark.parametrize("rate", [0, -1, np.nan, np.inf, None, "fast"])

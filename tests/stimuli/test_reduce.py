@@ -60,6 +60,37 @@ def test_a_batch_gives_what_its_members_give(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", CONTRACT)
+def test_members_of_a_batch_may_differ_in_size_beyond_what_squares_can_hold(name: str) -> None:
+    quiet, ordinary, loud = 1e-250, 1.0, 1e200
+    one = noise(3, 97)
+    together = REDUCERS[name](np.array([quiet * one, ordinary * one, loud * one]), RATE)
+    for reduced, size in zip(together, (quiet, ordinary, loud), strict=True):
+        np.testing.assert_allclose(reduced / size, REDUCERS[name](one, RATE), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", CONTRACT)
+def test_the_largest_finite_numbers_stay_finite(name: str) -> None:
+    acceleration = np.zeros((3, 4))
+    acceleration[0] = (1.2e308, 0.0, -1e308, 1e-5)
+    expected = REDUCERS[name](acceleration / 2**600, RATE) * 2.0**600
+    np.testing.assert_allclose(REDUCERS[name](acceleration, RATE), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", CONTRACT)
+def test_layout_and_type_do_not_matter(name: str) -> None:
+    base = np.round(100 * noise(3, 200))
+    expected = REDUCERS[name](base[:, ::2], RATE)
+    for same in (np.asfortranarray(base)[:, ::2], base[:, ::2].astype(np.int16), base[:, ::2].astype(">f4"),
+                 base[:, ::2].tolist(), base.T.copy().T[:, ::2]):
+        np.testing.assert_allclose(REDUCERS[name](same, RATE), expected, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", CONTRACT)
+def test_an_empty_batch_gives_an_empty_batch(name: str) -> None:
+    assert REDUCERS[name](np.zeros((0, 3, 10)), RATE).shape == (0, 10)
+
+
+@pytest.mark.parametrize("name", CONTRACT)
 @pytest.mark.parametrize("factor", [1e-300, 1e-80, 3.0, 1e80, 1e300])
 def test_scaling_the_recording_scales_the_output(name: str, factor: float) -> None:
     acceleration = noise(3, 97)
@@ -149,7 +180,41 @@ def test_adaptive_pca_keeps_its_axis_through_rest_and_ignores_a_constant_offset(
     np.testing.assert_allclose(pca321_adaptive(moved, RATE), wave - 9.8 * 0.6, atol=1e-6)
 
 
+def test_adaptive_pca_sign_is_not_left_to_rounding_either() -> None:
+    wave = noise(400)
+    for tiny in (0.0, 2e-16, -2e-16, 1e-15, -1e-15):
+        acceleration = np.array([wave, -wave * (1 + tiny), 0 * wave])
+        np.testing.assert_allclose(pca321_adaptive(acceleration, RATE), np.sqrt(2) * wave, atol=1e-9)
+
+
+def test_adaptive_pca_against_a_loop_over_segments() -> None:
+    n, hop = 310, 20
+    acceleration = noise(3, n) * np.array([[1.0], [3.0], [0.5]]) + 2.0
+    window = 0.5 - 0.5 * np.cos(np.pi * np.arange(2 * hop) / hop)
+    padded = np.pad(acceleration, ((0, 0), (hop, 3 * hop)))
+    inside = np.pad(np.ones(n), (hop, 3 * hop))
+    turning, before = np.zeros(padded.shape), np.ones(3)
+    for start in range(0, n + hop, hop):
+        part = slice(start, start + 2 * hop)
+        weight = window * inside[part]
+        covariance = np.cov(padded[:, part], aweights=weight, ddof=0)
+        axis = np.linalg.eigh(covariance)[1][:, -1]
+        axis *= 1 if axis @ before >= 0 else -1
+        turning[:, part] += np.outer(axis, window)
+        before = axis
+    turning /= np.maximum(np.linalg.norm(turning, axis=0), 1e-300)
+    expected = (turning * padded).sum(axis=0)[hop : hop + n]
+    np.testing.assert_allclose(pca321_adaptive(acceleration, RATE, window_s=0.04), expected, atol=1e-9)
+
+
 # --- DFT321, whole signal --------------------------------------------------------------------------------------------
+
+
+def test_dft_phase_is_the_sums_wherever_the_sum_is_more_than_rounding() -> None:
+    wave = noise(1000)
+    acceleration = np.outer((1.0, -3.0, 2.0 + 1e-9), wave)
+    expected = np.linalg.norm((1.0, -3.0, 2.0)) * wave  # the sum points with the wave, the strongest axis against it
+    np.testing.assert_allclose(REDUCERS["dft321"](acceleration, RATE), expected, atol=1e-4)
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 64, 97, 1000, 1009])

@@ -54,10 +54,17 @@ def test_a_single_axis_of_one_line_of_motion() -> None:
     assert found.temporal_mean == pytest.approx(1.0)
 
 
+def test_silence_scores_as_the_metrics_say() -> None:
+    found = rotation_statistics(np.zeros((3, 50)), RATE, reducer="dft321", rng=rng())
+    assert (found.spectral_mean, found.temporal_mean) == (1.0, 0.0)
+
+
 def test_bad_calls_are_refused() -> None:
     acceleration = np.ones((3, 50))
     with pytest.raises(ValueError, match="200 or more"):
         rotation_statistics(acceleration, RATE, reducer="dft321", rotations=199, rng=rng())
+    with pytest.raises(ValueError, match="whole number"):
+        rotation_statistics(acceleration, RATE, reducer="dft321", rotations=200.5, rng=rng())
     with pytest.raises(ValueError, match="allowed is one of"):
         rotation_statistics(acceleration, RATE, reducer="none", rng=rng())
     with pytest.raises(ValueError, match="one recording at a time"):

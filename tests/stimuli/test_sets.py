@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from dataclasses import fields, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,19 +17,19 @@ import pytest
 from stimuli.anchors import ANCHORS, quietest_hz
 from stimuli.condition import Conditioning, condition
 from stimuli.inspection import check_stimuli
-from stimuli.manifest import COLUMN_UNITS, Stimulus, read_stimuli
+from stimuli.lock import hold_lock
+from stimuli.manifest import COLUMN_UNITS, Stimulus, read_stimuli, write_bytes
 from stimuli.match import spectral_match, temporal_match
 from stimuli.perception import felt_level
 from stimuli.recipe import Recipe
 from stimuli.recording import Recording
 from stimuli.reduce import REDUCERS
+from stimuli.render import list_candidates
 from stimuli.sets import PARTS, build_stimuli
 from stimuli.synthesis import SCENES, make_scene
 from stimuli.wav import read_wav, write_wav
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from stimuli.manifest import StimulusSet
 
 CONTRACT = [
@@ -49,7 +50,8 @@ def built(scenes: list[Recording], tmp_path_factory: pytest.TempPathFactory) -> 
 
 
 def contents(folder: Path) -> dict[str, str]:
-    return {p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in folder.iterdir() if p.is_file()}
+    files = [p for p in folder.iterdir() if p.is_file() and p.name != ".lock"]
+    return {p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
 
 
 def stamps(folder: Path) -> dict[str, int]:
@@ -153,23 +155,154 @@ def test_a_new_recording_is_added_and_an_old_one_removed(scenes: list[Recording]
     assert check_stimuli(tmp_path) == []
 
 
-def test_what_went_in_decides_what_is_made_again(scenes: list[Recording], tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"gain": 2.0},
+        {"fade_s": 0.02},
+        {"full_scale_m_s2": 50.0},
+        {"rate_hz": 44100.0},
+        {"conditioning": Conditioning(high_pass_hz=30.0)},
+        {"conditioning": Conditioning(low_pass_hz=800.0)},
+        {"conditioning": Conditioning(remove_offset=False)},
+        {"conditioning": Conditioning(crop_s=(0.1, 0.5))},
+    ],
+    ids=str,
+)
+def test_every_setting_that_decides_a_file_makes_it_again(
+    changes: dict[str, object], scenes: list[Recording], tmp_path: Path
+) -> None:
+    offset = Recording(scenes[0].acceleration + 3.0, scenes[0].rate_hz, "with_offset")
     base = Recipe(reducers=("sax321",), reference="none", anchors=False, gain=1.0)
+    build_stimuli([offset], tmp_path / "set", recipe=base)
+    before = contents(tmp_path / "set")
+    changed = replace(base, **changes)
+    build_stimuli([offset], tmp_path / "set", recipe=changed)
+    assert not set(before.values()) & set(contents(tmp_path / "set").values())
+    build_stimuli([offset], tmp_path / "fresh", recipe=changed)
+    assert contents(tmp_path / "fresh") == contents(tmp_path / "set")
+
+
+def test_the_same_file_read_otherwise_is_another_recording(scenes: list[Recording], tmp_path: Path) -> None:
+    recipe = Recipe(reducers=("dft321",), gain=0.1, anchors=False, reference="none")
+    (before,) = build_stimuli(scenes[:1], tmp_path, recipe=recipe).stimuli
+    in_g = replace(scenes[0], acceleration=9.80665 * scenes[0].acceleration)
+    assert in_g.sha256 == scenes[0].sha256  # the digest of the source, given by the reader
+    (after,) = build_stimuli([in_g], tmp_path, recipe=recipe).stimuli
+    assert after.rms_m_s2 == pytest.approx(9.80665 * before.rms_m_s2, rel=1e-5)
+    slower = replace(scenes[0], rate_hz=scenes[0].rate_hz / 2)
+    (slow,) = build_stimuli([slower], tmp_path, recipe=recipe).stimuli
+    assert slow.duration_s == pytest.approx(2 * before.duration_s)
+
+
+def test_steps_that_were_taken_are_recorded(scenes: list[Recording], tmp_path: Path) -> None:
+    slow = Recording(scenes[0].acceleration, 1800.0, "slow")
+    build_stimuli([scenes[0], slow], tmp_path, recipe=Recipe(reducers=("dft321",), anchors=False))
+    steps = json.loads((tmp_path / "manifest.json").read_text())["conditioning"]
+    assert steps["bumps"] == ["offset removed", "high-pass 20 Hz", "low-pass 1000 Hz"]
+    assert steps["slow"][-1] == "low-pass 1000 Hz left out: not below the Nyquist frequency of 900 Hz"
+
+
+def test_the_actuators_get_no_offset(scenes: list[Recording], tmp_path: Path) -> None:
+    recipe = Recipe(reducers=("mag321",), anchors=False, reference="none", fade_s=0.0)
+    (row,) = build_stimuli(scenes[1:2], tmp_path, recipe=recipe).stimuli
+    samples, _ = read_wav(tmp_path / row.file)
+    assert abs(samples.mean()) < 1e-3 * np.abs(samples).max()
+
+
+def test_what_rounding_left_of_axes_that_cancelled_is_silence(tmp_path: Path) -> None:
+    x, y = make_scene("texture_drag", duration_s=0.5).acceleration[:2]
+    cancelling = Recording(np.array([x, y, -(x + y)]), 10000.0, "cancelling")
+    recipe = Recipe(reducers=("soc321", "dft321"), levels=BOTH, anchors=False)
+    with pytest.raises(ValueError, match="1 stimuli are silent"):
+        build_stimuli([cancelling], tmp_path, recipe=recipe)
+
+
+def test_two_builds_in_one_folder_do_not_meet(scenes: list[Recording], tmp_path: Path) -> None:
+    recipe = Recipe(reducers=("dft321",), anchors=False)
+    with hold_lock(tmp_path / ".lock", busy="x"), pytest.raises(BlockingIOError, match="another build is running here"):
+        build_stimuli(scenes[:1], tmp_path, recipe=recipe)
+    build_stimuli(scenes[:1], tmp_path, recipe=recipe)
+
+
+def test_a_disk_that_fills_up_leaves_the_old_set_whole(
+    scenes: list[Recording], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    base = Recipe(reducers=("sax321", "dft321"), gain=1.0)
     build_stimuli(scenes, tmp_path, recipe=base)
-    for changed in (
-        replace(base, gain=2.0),
-        replace(base, conditioning=Conditioning(high_pass_hz=30.0)),
-        replace(base, fade_s=0.02),
-        replace(base, full_scale_m_s2=50.0),
-    ):
-        before = contents(tmp_path)
-        build_stimuli(scenes, tmp_path, recipe=changed)
-        assert not set(before.values()) & set(contents(tmp_path).values())
-        fresh = tmp_path.parent / f"{tmp_path.name}-fresh"
-        build_stimuli(scenes, fresh, recipe=changed)
-        assert contents(fresh) == contents(tmp_path)
-        for path in fresh.iterdir():
-            path.unlink()
+    before = contents(tmp_path)
+    calls = iter(range(10_000))
+
+    def write_until_full(path: Path, samples: np.ndarray, rate_hz: float) -> None:
+        if next(calls) > 7:
+            raise OSError(28, "No space left on device")
+        write_wav(path, samples, rate_hz)
+
+    monkeypatch.setattr("stimuli.sets.write_wav", write_until_full)
+    with pytest.raises(OSError, match="No space left"):
+        build_stimuli(scenes, tmp_path, recipe=replace(base, gain=2.0))
+    monkeypatch.undo()
+    assert contents(tmp_path) == before
+    assert check_stimuli(tmp_path) == []
+    build_stimuli(scenes, tmp_path, recipe=replace(base, gain=2.0))
+    build_stimuli(scenes, tmp_path / "fresh", recipe=replace(base, gain=2.0))
+    assert contents(tmp_path) == contents(tmp_path / "fresh")
+
+
+def test_a_set_that_is_being_replaced_has_no_manifest(
+    scenes: list[Recording], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    base = Recipe(reducers=("sax321",), gain=1.0)
+    build_stimuli(scenes, tmp_path, recipe=base)
+
+    def stop(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("stimuli.sets.write_manifest", stop)
+    with pytest.raises(KeyboardInterrupt):
+        build_stimuli(scenes, tmp_path, recipe=replace(base, gain=2.0))
+    assert "there is no manifest" in check_stimuli(tmp_path)[0]
+
+
+def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "manifest.json"
+    write_bytes(path, b"old")
+
+    def fail(*_: object) -> None:
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(Path, "replace", fail)
+    with pytest.raises(OSError, match="Input/output"):
+        write_bytes(path, b"new")
+    assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == {"manifest.json": b"old"}
+
+
+@pytest.mark.parametrize("damage", [b"", b"{", b"[1]", b'{"bytes": 1}', b'{"bytes": "a", "peak": 1}'])
+def test_damaged_parts_are_made_again(damage: bytes, scenes: list[Recording], tmp_path: Path) -> None:
+    recipe = Recipe(reducers=("dft321",), anchors=False)
+    build_stimuli(scenes[:1], tmp_path / "good", recipe=recipe)
+    parts = tmp_path / "set" / PARTS
+    parts.mkdir(parents=True)
+    for candidate in list_candidates(scenes[0], recipe):
+        (parts / f"{candidate.key}.json").write_bytes(damage)
+        (parts / f"{candidate.key}.wav").write_bytes(b"")
+    build_stimuli(scenes[:1], tmp_path / "set", recipe=recipe)
+    assert contents(tmp_path / "set") == contents(tmp_path / "good")
+
+
+def test_an_earlier_manifest_cannot_reach_outside_its_folder(scenes: list[Recording], tmp_path: Path) -> None:
+    precious = tmp_path / "precious.txt"
+    precious.write_text("mine")
+    folder = tmp_path / "set"
+    recipe = Recipe(reducers=("dft321",), anchors=False, reference="none")
+    build_stimuli(scenes[:1], folder, recipe=recipe)
+    for name in ("manifest.json", "manifest.csv"):
+        text = (folder / name).read_text()
+        (folder / name).write_text(text.replace("bumps__dft321__as_is.wav", "../precious.txt"))
+    (problem,) = check_stimuli(folder)
+    assert "got file '../precious.txt', allowed is a name in the set's own folder" in problem
+    build_stimuli(scenes[1:2], folder, recipe=recipe)
+    assert precious.read_text() == "mine"
 
 
 def test_a_damaged_file_is_found_and_mended(scenes: list[Recording], tmp_path: Path) -> None:
@@ -216,7 +349,7 @@ def test_a_damaged_manifest_costs_only_a_new_build(scenes: list[Recording], tmp_
     recipe = Recipe(reducers=("sax321",))
     build_stimuli(scenes, tmp_path, recipe=recipe)
     good = contents(tmp_path)
-    for damage in ("{", "[]", '{"stimuli": [{"stimulus_id": "x"}]}', '{"stimuli": [], "measured": {"k": {"y": 1}}}'):
+    for damage in ("{", "[]", '{"stimuli": [{"stimulus_id": "x"}]}', '{"stimuli": [], "measured": []}', "[" * 9000):
         (tmp_path / "manifest.json").write_text(damage)
         build_stimuli(scenes, tmp_path, recipe=recipe)
         assert contents(tmp_path) == good
@@ -295,12 +428,13 @@ def test_a_set_whose_anchor_is_no_anchor_is_refused(scenes: list[Recording], tmp
     build_stimuli(scenes[:1], tmp_path, recipe=Recipe(reducers=("sax321",)))
     table = (tmp_path / "manifest.csv").read_text()
     line = next(row for row in table.splitlines() if "anchor_mid" in row)
-    row = line.split(",")
-    row[CONTRACT.index("spectral_match")] = "0.99"
-    (tmp_path / "manifest.csv").write_text(table.replace(line, ",".join(row)))
-    (problem,) = check_stimuli(tmp_path)
-    assert "anchor_mid" in problem
-    assert "must be worse than every test" in problem
+    for column, value in (("spectral_match", "0.99"), ("temporal_match", "0.99")):
+        row = line.split(",")
+        row[CONTRACT.index(column)] = value
+        (tmp_path / "manifest.csv").write_text(table.replace(line, ",".join(row)))
+        (problem,) = check_stimuli(tmp_path)
+        assert "anchor_mid" in problem
+        assert "must be worse than every test" in problem
 
 
 # --- refusals ---------------------------------------------------------------------------------------------------
@@ -315,6 +449,7 @@ def test_a_set_whose_anchor_is_no_anchor_is_refused(scenes: list[Recording], tmp
         ({"levels": ("loud",)}, "allowed is one of as_is, equal_intensity"),
         ({"reference": "best"}, "allowed is one of original, none, sax321"),
         ({"rate_hz": 44100.5}, "whole number of Hz"),
+        ({"rate_hz": 100.0}, "from 2000 to 384000"),
         ({"headroom": 1.5}, "up to 1"),
         ({"full_scale_m_s2": 0.0}, "full_scale_m_s2: got 0.0"),
         ({"gain": float("inf")}, "gain: got inf"),
@@ -334,6 +469,14 @@ def test_names_must_be_file_names_and_differ(scenes: list[Recording], tmp_path: 
     ):
         with pytest.raises(ValueError, match=message):
             build_stimuli(recordings, tmp_path, recipe=Recipe())
+
+
+def test_a_recording_that_cannot_be_used_is_named(scenes: list[Recording], tmp_path: Path) -> None:
+    short = Recording(np.random.default_rng(0).standard_normal((3, 30)), 10000.0, "short")
+    with pytest.raises(ValueError, match=r"recording 'short': fade_s: got 0.01, allowed is 0 to"):
+        build_stimuli([*scenes, short], tmp_path, recipe=Recipe())
+    with pytest.raises(ValueError, match="workers: got 0, allowed is 1 or more"):
+        build_stimuli(scenes, tmp_path, recipe=Recipe(), workers=0)
 
 
 def test_silence_cannot_be_made_equally_strong(scenes: list[Recording], tmp_path: Path) -> None:

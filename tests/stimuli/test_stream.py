@@ -85,7 +85,8 @@ def test_a_flushed_stream_has_ended() -> None:
 
 @pytest.mark.parametrize(
     ("block", "message"),
-    [(np.ones((2, 5)), "three axes"), (np.ones((4, 3, 5)), "one stream"), (np.full((3, 2), np.nan), "not finite")],
+    [(np.ones((2, 5)), "three axes"), (np.ones((4, 3, 5)), "one stream"), (np.full((3, 2), np.nan), "not finite"),
+     (np.full((3, 2), 1e160), r"got a peak of 1e\+160, allowed is up to 1e\+60")],
 )
 def test_bad_blocks_are_refused(block: np.ndarray, message: str) -> None:
     with pytest.raises(ValueError, match=message):
