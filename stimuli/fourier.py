@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 # A sum of three axes below this share of the spectrum's root mean square is the rounding error of the transforms.
 _ROUNDING = 32 * np.finfo(np.float64).eps
+# So few that what is worked on stays in the processor's cache and no memory is asked from the system.
+_BINS_AT_A_TIME = 8192
 # Axes whose strengths differ by less than this are equally strong; the first of them counts.
 _TIE = 1e-6
 
@@ -69,7 +71,8 @@ def dft321(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.float64]:
     n = admitted.samples.shape[-1]
     if n == 0:
         return np.zeros((*admitted.samples.shape[:-2], 0))
-    merged = merge_spectra(np.moveaxis(fft.rfft(admitted.samples), -2, 0))
+    energy = np.einsum("...in,...in->...", admitted.samples, admitted.samples)[..., None]
+    merged = merge_spectra(np.moveaxis(fft.rfft(admitted.samples), -2, 0), energy)
     return admitted.restore(fft.irfft(merged, n, overwrite_x=True))
 
 
@@ -148,7 +151,8 @@ class FourierFrames:
         np.multiply(blocks[..., :-1, :], self._rise, out=frames[..., 1:, :hop])
         np.multiply(blocks, self._fall, out=frames[..., hop:])
         self._previous = blocks[..., -1, :].copy()
-        merged = merge_spectra(np.moveaxis(fft.rfft(frames, overwrite_x=True), -3, 0))
+        energy = np.einsum("...imt,...imt->...m", frames, frames)[..., None]
+        merged = merge_spectra(np.moveaxis(fft.rfft(frames, overwrite_x=True), -3, 0), energy)
         reduced = fft.irfft(merged, 2 * hop, overwrite_x=True)
         finished = reduced[..., :hop] * self._rise
         reduced[..., hop:] *= self._fall
@@ -158,25 +162,33 @@ class FourierFrames:
         return finished
 
 
-def merge_spectra(spectra: NDArray[np.complex128]) -> NDArray[np.complex128]:
+def merge_spectra(spectra: NDArray[np.complex128], energy: NDArray[np.float64]) -> NDArray[np.complex128]:
     """Merge the spectra of the axes by equations 3 and 4.
 
     Parameters
     ----------
     spectra : ndarray of complex128, shape (3, ..., n_bins)
-        One-sided spectra of the axes.
+        One-sided spectra of the axes; the first is overwritten.
+    energy : ndarray, shape (..., 1)
+        Energy of the three signals in time, by Parseval's theorem the mean energy per bin of their two-sided spectra.
 
     Returns
     -------
     ndarray of complex128, shape (..., n_bins)
         Magnitude: root of the summed energies. Phase: of the sum, or of the strongest axis where the sum vanishes.
     """
+    floor = _ROUNDING**2 * energy
+    for start in range(0, spectra.shape[-1], _BINS_AT_A_TIME):
+        part = spectra[..., start : start + _BINS_AT_A_TIME]
+        part[0] = _merge(part, floor)
+    return spectra[0]
+
+
+def _merge(spectra: NDArray[np.complex128], floor: NDArray[np.float64]) -> NDArray[np.complex128]:
     merged: NDArray[np.complex128] = spectra[0] + spectra[1]
     merged += spectra[2]
     energy = _energy(spectra)
     of_sum = _energy(merged[None])
-    floor = energy.mean(axis=-1, keepdims=True)
-    floor *= _ROUNDING**2
     vanishing = of_sum <= floor
     if vanishing.any():
         _take_strongest(merged, of_sum, spectra=spectra, vanishing=vanishing)
