@@ -23,8 +23,15 @@ BYTE_ORDERS = {b"RIFF": "<", b"RIFX": ">"}
 """The container names that are read, each with its byte order in `struct` notation."""
 
 IEEE_FLOAT = 0x0003
+PCM = 0x0001
 EXTENSIBLE = 0xFFFE
-"""Codings in a format chunk; the second says that the true one stands further on."""
+"""Codings in a format chunk; the last says that the true one stands further on."""
+
+EXTENSIBLE_BYTES = 40
+"""The length of the longest format chunk."""
+
+SAMPLE_BITS = {PCM: range(1, 65), IEEE_FLOAT: (32, 64)}
+"""Codings that are read, each with the allowed bits per sample."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +97,8 @@ def write_wav(path: str | Path, samples: ArrayLike, rate_hz: float) -> None:
     try:
         with unfinished.open("wb") as file:
             wavfile.write(file, rate, frames)
+            file.flush()
+            os.fsync(file.fileno())  # else a power cut may leave the name of the new file with nothing in it
         unfinished.replace(target)
     finally:
         unfinished.unlink(missing_ok=True)
@@ -126,10 +135,12 @@ def read_wav(path: str | Path) -> tuple[NDArray[np.float64], int]:
         warnings.simplefilter("ignore", wavfile.WavFileWarning)
         try:
             rate, frames = wavfile.read(source)
-        except ValueError as error:
+        except OSError:
+            raise
+        except Exception as error:  # at damaged chunks scipy raises anything, even UnboundLocalError
             raise ValueError(
-                f"{source.name}: got a WAV coding that cannot be read ({error}); save as PCM or float"
-            ) from None
+                f"{source.name}: got a WAV file whose chunks cannot be read ({error}); save it again as PCM or float"
+            ) from error
     return np.ascontiguousarray(_as_fractions(frames).T), int(rate)
 
 
@@ -181,9 +192,10 @@ def _scan_chunks(file: BinaryIO, size: int) -> WavHeader:
         name, length = struct.unpack(f"{order}4sI", file.read(8))
         if name == b"data":
             break
-        body = file.read(length + length % 2)  # chunks start at even places
+        start = file.tell()
         if name == b"fmt ":
-            layout = _parse_format(body, order)
+            layout = _parse_format(file.read(min(length, EXTENSIBLE_BYTES)), order)
+        file.seek(start + length + length % 2)  # chunks start at even places
     if layout is None:
         raise ValueError("got samples before any format chunk; export it as WAV again")
     channels, rate, frame_bytes, is_float = layout
@@ -191,11 +203,18 @@ def _scan_chunks(file: BinaryIO, size: int) -> WavHeader:
 
 
 def _parse_format(body: bytes, order: str) -> tuple[int, int, int, bool]:
-    coding, channels, rate, _, frame_bytes, _ = struct.unpack(f"{order}HHIIHH", body[:16])
+    coding, channels, rate, _, frame_bytes, bits = struct.unpack(f"{order}HHIIHH", body[:16])
     if coding == EXTENSIBLE:
         coding = struct.unpack(f"{order}H", body[24:26])[0]
     if 0 in {channels, rate, frame_bytes}:
         raise ValueError(f"got {channels} channels at {rate} Hz in frames of {frame_bytes} bytes; all must be above 0")
+    if coding not in SAMPLE_BITS or bits not in SAMPLE_BITS[coding]:
+        raise ValueError(f"got the WAV coding 0x{coding:04x} of {bits} bits, which is not read; save as PCM or float")
+    if frame_bytes != channels * -(-bits // 8):
+        raise ValueError(
+            f"got frames of {frame_bytes} bytes for {channels} channels of {bits} bits; "
+            "the header is wrong, copy or export it again"
+        )
     return channels, rate, frame_bytes, coding == IEEE_FLOAT
 
 

@@ -126,10 +126,12 @@ def as_three_axes(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """
     if values.size == 0:
         raise ValueError(f"got an empty array of shape {values.shape}, allowed is (3, n) or (n, 3)")
-    if values.ndim == 1 or 1 in values.shape[:2]:
+    if values.ndim == 2 and values.shape[0] == AXES:  # noqa: PLR2004 - axes x samples
+        return values
+    if values.ndim < 2 or (values.ndim == 2 and 1 in values.shape):  # noqa: PLR2004 - axes x samples
         raise already_reduced(f"an array of shape {values.shape}")
-    if values.ndim == 2 and AXES in values.shape:  # noqa: PLR2004 - axes x samples
-        return values if values.shape[0] == AXES else values.T
+    if values.ndim == 2 and values.shape[1] == AXES:  # noqa: PLR2004 - axes x samples
+        return values.T
     raise ValueError(f"got an array of shape {values.shape}, allowed is (3, n) or (n, 3): exactly three axes")
 
 

@@ -27,7 +27,7 @@ def file_named(path: Path) -> Iterator[None]:
     Raises
     ------
     ValueError
-        The one raised inside, its message preceded by the name.
+        The one raised inside, its message preceded by the name, in one line.
     OSError
         If the operating system refuses the file.
     """
@@ -35,7 +35,7 @@ def file_named(path: Path) -> Iterator[None]:
     try:
         yield
     except ValueError as error:
-        raise ValueError(prefix + str(error).removeprefix(prefix)) from error
+        raise ValueError(prefix + _one_line(str(error).removeprefix(prefix))) from error
     except OSError as error:
         reason = error.strerror or str(error).removeprefix(prefix)
         raise type(error)(f"{prefix}{reason}") from error
@@ -69,3 +69,8 @@ def foreign_errors(what: str) -> Iterator[None]:
         raise ValueError(
             f"cannot be read as {what} ({reason}); the file is damaged or of another kind, copy or export it again"
         ) from error
+
+
+def _one_line(text: str) -> str:
+    """Spell out what cannot be printed: a file's own names may hold line feeds and worse."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)

@@ -5,6 +5,7 @@ The tags are known second-hand only, so ``AccelX`` and nested ``Accel/X`` are bo
 
 from __future__ import annotations
 
+import io
 import re
 from collections import defaultdict
 from typing import TYPE_CHECKING
@@ -28,7 +29,10 @@ SENSOR = r"accel(?:eration)?"
 AXIS = re.compile(rf"{SENSOR}_?([xyz])")
 UNIT = re.compile(rf"{SENSOR}_?units?")
 RATE = re.compile(rf"(?:{SENSOR}_?)?sampl(?:e|ing)_?(?:rate|frequency)")
-RATE_VALUE = re.compile(r"([\d.]+(?:e\+?\d+)?)\s*(k?)(?:hz)?", re.IGNORECASE)
+RATE_VALUE = re.compile(r"(\d+\.?\d*(?:e\+?\d+)?)\s*(k?)(?:hz)?", re.IGNORECASE | re.ASCII)
+
+DEEPEST = 64
+"""So deep may tags be nested: texts are collected at each depth, so that deeper ones cost the square."""
 
 
 def read_hatt(path: Path, _: Request) -> Decoded:
@@ -69,7 +73,14 @@ def _parse(content: bytes) -> Element:
     from xml.etree import ElementTree as ET
 
     with foreign_errors("XML"):
-        return ET.fromstring(content)  # noqa: S314 - entities were refused before
+        steps = ET.iterparse(io.BytesIO(content), events=("start", "end"))  # noqa: S314 - entities were refused before
+        root: Element = next(steps)[1]
+        depth = 1
+        for event, _ in steps:
+            depth += 1 if event == "start" else -1
+            if depth > DEEPEST:
+                raise ValueError(f"got tags nested deeper than {DEEPEST}")
+    return root
 
 
 def _collect_tags(root: Element) -> Mapping[str, list[str]]:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stimuli.formats.arrays import read_mat, read_npy, read_npz
+import numpy as np
+
+from stimuli.formats.arrays import read_npy, read_npz
 from stimuli.formats.decoded import Decoded, Request
 from stimuli.formats.detect import detect_format
 from stimuli.formats.errors import file_named
@@ -14,6 +17,7 @@ from stimuli.formats.hatt import read_hatt
 from stimuli.formats.ide import read_ide
 from stimuli.formats.inspect import inspect_samples
 from stimuli.formats.lmt import read_lmt
+from stimuli.formats.matlab import read_mat
 from stimuli.formats.sampling import settle_sampling
 from stimuli.formats.table import read_table
 from stimuli.formats.units import settle_unit
@@ -57,7 +61,8 @@ def read_recording(
     unit : {"m/s^2", "g", "mg"}, optional
         Unit of the samples, where the file does not say; must agree where it does.
     columns : sequence of str or int, optional
-        (time, x, y, z) or (x, y, z) of a table, by name or by number from 0.
+        (time, x, y, z) or (x, y, z) of a table, by name or by number from 0. Of an NPZ or MAT file also
+        (time, acceleration) or (acceleration,).
     full_scale : float, optional
         What full scale of an integer WAV means, in the unit.
     resample : bool
@@ -80,19 +85,20 @@ def read_recording(
     request = Request(rate_hz, unit, columns, full_scale, resample)
     with file_named(source):
         decoded = _decode(source, request)
-        check_finite(decoded.acceleration, "acceleration")
         unit_found, unit_notes = settle_unit(decoded.unit, unit)
-        sampled = settle_sampling(decoded, request)
-        size = UNITS[unit_found]
+        with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused in the next line
+            acceleration = decoded.acceleration * UNITS[unit_found]
+        check_finite(acceleration, "acceleration")
+        sampled = settle_sampling(replace(decoded, acceleration=acceleration), request)
         return Recording(
-            sampled.acceleration * size,
+            sampled.acceleration,
             sampled.rate_hz,
             name=decoded.name or source.stem,
             warnings=(
                 *unit_notes,
                 *decoded.notes,
                 *sampled.notes,
-                *inspect_samples(decoded.acceleration * size, sampled.rate_hz),
+                *inspect_samples(acceleration, sampled.rate_hz),
             ),
             sha256=_digest(decoded.sources or (source,)),
         )
@@ -104,8 +110,8 @@ def _decode(path: Path, request: Request) -> Decoded:
     if not path.exists():
         raise FileNotFoundError(f"got no such file in {path.parent}; check the name and the folder")
     kind = detect_format(path)
-    if request.columns is not None and kind != "table":
-        raise ValueError(f"got columns for a {kind} file, allowed is columns for CSV, TSV and TXT; leave it out")
+    if request.columns is not None and kind not in {"table", "npz", "mat"}:
+        raise ValueError(f"got columns for a {kind} file, allowed is columns for tables, NPZ and MAT; leave it out")
     if request.full_scale is not None and kind != "wav":
         raise ValueError(f"got full_scale for a {kind} file, allowed is only for integer WAV; leave it out")
     return READERS[kind](path, request)

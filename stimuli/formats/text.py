@@ -165,10 +165,18 @@ def split_row(row: str, delimiter: str) -> list[str]:
     -------
     list of str
         The cells.
+
+    Raises
+    ------
+    ValueError
+        If it has a cell that is too long for a number.
     """
     if delimiter == BLANKS:
         return row.split()
-    return [cell.strip() for cell in next(csv.reader([row], delimiter=delimiter), [])]
+    try:
+        return [cell.strip() for cell in next(csv.reader([row], delimiter=delimiter), [])]
+    except csv.Error as error:
+        raise ValueError(f"got a row that cannot be split into cells ({error}); is it a table?") from None
 
 
 def _sniff(row: str) -> tuple[str, str]:
@@ -185,6 +193,8 @@ def _is_row(row: str) -> bool:
 
 
 def _number(cell: str, decimal: str) -> float | None:
+    if "_" in cell or not cell.isascii():  # numbers to Python, not to pandas
+        return None
     try:
         return float(cell.replace(decimal, "."))
     except ValueError:
@@ -221,7 +231,11 @@ def _first_fault(table: Table, columns: Sequence[int]) -> ValueError | None:
 
 
 def _faults(row: str, *, table: Table, columns: Sequence[int]) -> Iterator[str]:
-    cells = split_row(row, table.delimiter)
+    try:
+        cells = split_row(row, table.delimiter)
+    except ValueError as error:
+        yield str(error)
+        return
     if not row.strip():
         yield "got a blank line, allowed is one row per line; remove or mend it"
     elif len(cells) != table.n_columns:

@@ -2,47 +2,19 @@
 
 from __future__ import annotations
 
-import json
-import tomllib
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from stimuli.formats.decoded import Decoded, already_reduced
-from stimuli.formats.units import parse_unit
-from stimuli.recording import AXES, check_rate
+from stimuli.formats.sidecar import check_full_scale, read_sidecar
+from stimuli.recording import AXES
 from stimuli.wav import read_wav, read_wav_header
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
 
     from stimuli.formats.decoded import Request
+    from stimuli.formats.sidecar import Sidecar
     from stimuli.wav import WavHeader
-
-
-@dataclass(frozen=True, slots=True)
-class Sidecar:
-    """What stands in ``NAME.json`` or ``NAME.toml`` beside ``NAME.wav``.
-
-    Parameters
-    ----------
-    path : Path, optional
-        The sidecar; None where there is none.
-    unit : str, optional
-        The unit, a key of `stimuli.recording.UNITS`.
-    rate_hz : float, optional
-        The true rate in Hz, which may be fractional.
-    axes : sequence of str, optional
-        What each channel is, in their order; x, y and z among them.
-    full_scale : float, optional
-        What full scale of integer samples means, in the unit.
-    """
-
-    path: Path | None = None
-    unit: str | None = None
-    rate_hz: float | None = None
-    axes: Sequence[str] | None = None
-    full_scale: float | None = None
 
 
 def read_wav_recording(path: Path, request: Request) -> Decoded:
@@ -78,86 +50,6 @@ def read_wav_recording(path: Path, request: Request) -> Decoded:
         notes=() if header.is_float else notes,
         sources=(path,) if sidecar.path is None else (path, sidecar.path),
     )
-
-
-def read_sidecar(path: Path) -> Sidecar:
-    """Read the JSON or TOML file of the same name beside a file.
-
-    Parameters
-    ----------
-    path : Path
-        The file that the sidecar belongs to.
-
-    Returns
-    -------
-    Sidecar
-        What it says; empty where there is none.
-
-    Raises
-    ------
-    ValueError
-        If there are two, or it cannot be read, or an entry is of the wrong kind.
-    """
-    beside = [path.with_suffix(suffix) for suffix in (".json", ".toml")]
-    present = [sidecar for sidecar in beside if sidecar.is_file()]
-    if not present:
-        return Sidecar()
-    if len(present) > 1:
-        names = " and ".join(sidecar.name for sidecar in present)
-        raise ValueError(f"got two sidecars, {names}, allowed is one; remove the other")
-    try:
-        return _parse_sidecar(present[0])
-    except ValueError as error:
-        raise ValueError(f"sidecar {present[0].name}: {error}") from None
-
-
-def _parse_sidecar(path: Path) -> Sidecar:
-    text = path.read_text(encoding="utf-8-sig")
-    entries: Any = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
-    if not isinstance(entries, dict):
-        allowed = "allowed is a table with unit, rate_hz, axes, full_scale"
-        raise ValueError(f"got a {type(entries).__name__}, {allowed}")  # noqa: TRY004 - a file's fault, not a caller's
-    unit, rate_hz, full_scale = (entries.get(key) for key in ("unit", "rate_hz", "full_scale"))
-    return Sidecar(
-        path,
-        None if unit is None else parse_unit(unit),
-        None if rate_hz is None else check_rate(rate_hz),
-        _parse_axes(entries.get("axes")),
-        None if full_scale is None else check_full_scale(full_scale),
-    )
-
-
-def _parse_axes(axes: Any) -> tuple[str, ...] | None:  # noqa: ANN401 - whatever a JSON file holds
-    if axes is None:
-        return None
-    names = tuple(str(axis).lower() for axis in axes) if isinstance(axes, list | str) else ()
-    if sorted(name for name in names if name in {"x", "y", "z"}) != ["x", "y", "z"]:
-        raise ValueError(f'got axes {axes!r}, allowed is a list with "x", "y" and "z" once each')
-    return names
-
-
-def check_full_scale(full_scale: float) -> float:
-    """Return the full scale as a float, or say what is wrong.
-
-    Parameters
-    ----------
-    full_scale : float
-        What full scale means, in the unit.
-
-    Returns
-    -------
-    float
-        The same number.
-
-    Raises
-    ------
-    ValueError
-        If it is not a finite number above 0.
-    """
-    try:
-        return check_rate(full_scale)
-    except ValueError:
-        raise ValueError(f"got full_scale {full_scale!r}, allowed is a finite number above 0") from None
 
 
 def _channels(n_channels: int, sidecar: Sidecar) -> list[int]:

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import os
 import struct
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,7 +12,6 @@ from scipy.io import wavfile
 from stimuli.wav import read_wav, read_wav_header, write_wav
 
 if TYPE_CHECKING:
-    from pathlib import Path
     from typing import BinaryIO
 
 
@@ -35,19 +36,64 @@ def test_same_samples_give_the_same_bytes_and_no_other_file(tmp_path: Path) -> N
     assert [p.name for p in tmp_path.iterdir()] == ["a.wav"]
 
 
-def test_a_write_that_fails_leaves_the_old_file_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _write_half(file: BinaryIO, *_: object) -> None:
+    file.write(b"half")
+    raise KeyboardInterrupt
+
+
+def _refuse(*_: object) -> None:
+    raise PermissionError(13, "Permission denied")
+
+
+@pytest.mark.parametrize(
+    ("owner", "name", "fault", "error"),
+    [
+        (wavfile, "write", _write_half, KeyboardInterrupt),
+        (os, "fsync", _refuse, PermissionError),
+        (Path, "replace", _refuse, PermissionError),
+    ],
+)
+def test_a_write_that_fails_leaves_the_old_file_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, owner: object, name: str, fault: object, error: type
+) -> None:
     write_wav(tmp_path / "a.wav", [1.0], 8000)
     before = (tmp_path / "a.wav").read_bytes()
-
-    def fail(file: BinaryIO, *_: object) -> None:
-        file.write(b"half")
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(wavfile, "write", fail)
-    with pytest.raises(KeyboardInterrupt):
+    monkeypatch.setattr(owner, name, fault)
+    with pytest.raises(error):
         write_wav(tmp_path / "a.wav", [2.0], 8000)
     assert (tmp_path / "a.wav").read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["a.wav"]
+
+
+def test_a_file_takes_its_name_when_all_of_it_is_on_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    on_disk: list[int] = []
+    monkeypatch.setattr(os, "fsync", lambda number: on_disk.append(os.fstat(number).st_size))
+    replace = Path.replace
+
+    def look(part: Path, target: Path) -> None:
+        assert on_disk == [part.stat().st_size]
+        replace(part, target)
+
+    monkeypatch.setattr(Path, "replace", look)
+    write_wav(tmp_path / "a.wav", [1.0], 8000)
+    assert on_disk == [(tmp_path / "a.wav").stat().st_size]
+
+
+def test_a_damaged_file_is_refused_in_one_way_only(tmp_path: Path) -> None:
+    write_wav(tmp_path / "a.wav", np.random.default_rng(2).normal(size=(3, 8)), 8000)
+    whole, rng = (tmp_path / "a.wav").read_bytes(), np.random.default_rng(2)
+    messages: list[str] = []
+    for _ in range(400):
+        damaged = bytearray(whole)
+        for place in rng.integers(0, 60, size=rng.integers(1, 4)):
+            damaged[place] = rng.choice([0, 1, 255, rng.integers(256)])
+        (tmp_path / "b.wav").write_bytes(damaged)
+        try:
+            read_wav(tmp_path / "b.wav")
+        except ValueError as error:
+            messages.append(str(error))
+    assert 100 < len(messages) < 400
+    assert all(message.startswith("b.wav: ") for message in messages)
 
 
 @pytest.mark.parametrize(
@@ -118,7 +164,12 @@ def test_a_header_of_two_to_the_31_samples_is_refused_without_allocating(tmp_pat
         (b"\x00garbage in the file", "allowed is RIFF/WAVE"),
         (b"RIFF\x00\x00\x00\x00WAVEdata\x00\x00\x00\x00", "before any format chunk"),
         (_header(8, channels=0, frame_bytes=0), "0 channels at 8000 Hz in frames of 0 bytes"),
-        (_header(4, coding=7) + b"abcd", "coding that cannot be read"),
+        (_header(4, coding=7) + b"abcd", "WAV coding 0x0007 of 8 bits, which is not read; save as PCM or float"),
+        (_header(4, channels=3) + b"abcd", "frames of 1 bytes for 3 channels of 8 bits"),
+        (_header(9, coding=3, channels=1, frame_bytes=5) + bytes(9), "coding 0x0003 of 40 bits"),
+        (_header(16, coding=3, channels=3, frame_bytes=8) + bytes(16), "frames of 8 bytes for 3 channels of 64 bits"),
+        (_header(4)[:34] + bytes(2) + _header(4)[36:] + b"abcd", "coding 0x0001 of 0 bits"),
+        (b"RIFF" + bytes(4) + _header(4)[8:] + b"abcd", "chunks cannot be read"),
         (_header(0), "without samples"),
     ],
 )

@@ -90,6 +90,8 @@ def test_extensible_float_wav_is_float(tmp_path: Path, signal: Signal) -> None:
         ({}, {"rate_hz": 9000}, "got 9000 Hz, but 8000 Hz by the file"),
         ({}, {"columns": (0, 1, 2)}, "columns for a wav file"),
         ([], {}, "sidecar a.json: got a list, allowed is a table"),
+        ({"unt": "g", "Fs": 8000}, {}, "sidecar a.json: got the unknown 'unt', 'Fs', allowed is unit, rate_hz, axes"),
+        ({"unit": "g", "units": "mg"}, {}, "sidecar a.json: got both unit and units, allowed is one"),
     ],
 )
 def test_a_wav_that_contradicts_what_is_said_of_it_is_refused(
@@ -101,11 +103,19 @@ def test_a_wav_that_contradicts_what_is_said_of_it_is_refused(
         read_recording(tmp_path / "a.wav", **arguments)
 
 
-@pytest.mark.parametrize("text", ["{", "\xff"])
+def test_a_sidecar_may_spell_rate_and_unit_as_an_archive_may(tmp_path: Path, signal: Signal) -> None:
+    write_wav(tmp_path / "a.wav", signal, 8000)
+    (tmp_path / "a.json").write_text('{"units": "g", "fs": 8000.4}')
+    recording = read_recording(tmp_path / "a.wav")
+    np.testing.assert_array_equal(recording.acceleration, signal.astype("f4").astype("f8") * STANDARD_GRAVITY)
+    assert recording.rate_hz == 8000.4
+
+
+@pytest.mark.parametrize("text", ["{", "\xff", "[" * 100000])
 def test_a_damaged_sidecar_is_refused(tmp_path: Path, signal: Signal, text: str) -> None:
     write_wav(tmp_path / "a.wav", signal, 8000)
     (tmp_path / "a.json").write_bytes(text.encode("latin-1"))
-    with pytest.raises(ValueError, match=r"a\.wav: sidecar a\.json: "):
+    with pytest.raises(ValueError, match=r"^a\.wav: sidecar a\.json: cannot be read as JSON"):
         read_recording(tmp_path / "a.wav")
 
 
@@ -278,6 +288,8 @@ def test_hatt_rate_is_the_accelerometers(tmp_path: Path, signal: Signal, extra: 
             "sampling rate 'fast'",
         ),
         ("<R><AccelX>1", "cannot be read as XML"),
+        ("<R><SampleRate>1.2.3</SampleRate>" + "<AccelX/><AccelY/><AccelZ/></R>", "no number"),
+        ("<a>" * 20000 + "</a>" * 20000, "cannot be read as XML .*tags nested deeper than 64"),
         ('<!DOCTYPE R [<!ENTITY a "1">]><R><AccelX>&a;</AccelX></R>', "declares a document type or entities"),
     ],
 )

@@ -28,6 +28,14 @@ def test_a_clipped_axis_is_counted_and_placed() -> None:
     assert lines[1] == f"axis x: saturated at 0.9 m/s^2 in 100 runs ({samples} samples), the first at {first:g} s"
 
 
+@pytest.mark.parametrize("samples", [2, 3])
+def test_three_equal_samples_at_the_extreme_are_saturated(samples: int) -> None:
+    axes = np.stack([_noise(1), _noise(2), _noise(3)])
+    axes[1, 4000 : 4000 + samples] = 9.0
+    line = "axis y: saturated at 9 m/s^2 in 1 runs (3 samples), the first at 0.5 s"
+    assert inspect_samples(axes, RATE_HZ) == ((line,) if samples == 3 else ())
+
+
 def test_smooth_and_quantised_crests_are_not_saturated() -> None:
     slow = np.round(40 * np.sin(2 * np.pi * 3 * TIME_S)) / 40  # crests of over 100 equal samples
     square = np.sign(np.sin(2 * np.pi * 50 * TIME_S) + 0.1)

@@ -151,7 +151,7 @@ def test_cluster_files_are_in_g_and_resampled_on_request(tmp_path: Path) -> None
         re.search(r"resampled on request to \d+ samples at 6250 Hz by cubic spline", w) for w in recording.warnings
     )
     in_metres = read_recording(path, resample=True, unit="m/s^2")
-    np.testing.assert_allclose(in_metres.acceleration * STANDARD_GRAVITY, recording.acceleration)
+    np.testing.assert_allclose(in_metres.acceleration * STANDARD_GRAVITY, recording.acceleration, atol=1e-12)
 
 
 def test_rounded_stamps_are_not_jitter_but_coarse_ones_are_reported(tmp_path: Path) -> None:
@@ -193,7 +193,12 @@ TABLE_REFUSALS = {
     "blank cell": ("x,y,z\n1,2,3\n4,,6\n", {}, r"line 3: got '' in column 1 'y'"),
     "word": ("x,y,z\n1,2,3\n4,5,6\n7,8,oops\n", {}, r"line 4: got 'oops' in column 2 'z'"),
     "NaN": ("1,2,3\n4,nan,6\n", {}, r"line 2: got 'nan' in column 1, allowed is a finite number"),
-    "underscores": ("x,y,z\n1_0,2,3\n", {"rate_hz": 1}, "cannot be read as numbers"),
+    "underscores": ("x,y,z\n1_0,2,3\n", {}, r"line 2: got '1_0' in column 0 'x'"),
+    "other digits": ("x,y,z\n1,2,3\n4,\uff15,6\n", {}, "line 3: got '\uff15' in column 1 'y'"),
+    "long cell": ("x,y,z\n1,2,3\n4," + "5" * 200000 + ",6\n1,2,x\n", {}, "line 3: got a row that cannot be split"),
+    "long first cell": ("x,y,z\n" + "5" * 200000 + ",5,6\n", {}, "row that cannot be split into cells .*field limit"),
+    "one column number": ("x,y,z\n1,2,3\n", {"columns": 5}, r"columns=5, allowed is \(x, y, z\) or"),
+    "raised column number": ("x,y,z\n1,2,3\n", {"columns": (0, 1, "\xb2")}, "column '\xb2', allowed is x, y, z"),
     "infinity": ("1,2,3\n4,inf,6\n", {}, r"line 2: got 'inf'"),
     "blank line": ("x,y,z\n1,2,3\n\n4,5,6\n", {}, r"line 3: got a blank line"),
     "short row": ("x,y,z\n1,2,3\n4,5\n", {}, r"line 3: got 2 cells, allowed is 3; is the file truncated"),
@@ -247,7 +252,7 @@ TABLE_REFUSALS = {
 @pytest.mark.parametrize("case", TABLE_REFUSALS)
 def test_what_is_no_three_axis_table_is_refused_in_one_line(tmp_path: Path, case: str) -> None:
     content, arguments, message = TABLE_REFUSALS[case]
-    (tmp_path / "bad.csv").write_text(content)
+    (tmp_path / "bad.csv").write_text(content, encoding="utf-8")
     with pytest.raises(ValueError, match=message) as refusal:
         read_recording(tmp_path / "bad.csv", **arguments)
     assert str(refusal.value).startswith("bad.csv: ")

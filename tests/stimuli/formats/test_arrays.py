@@ -1,0 +1,144 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from stimuli.formats import read_recording
+from stimuli.recording import UNITS
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+SIGNAL = np.random.default_rng(5).normal(size=(3, 40))
+AXES = dict(zip("xyz", SIGNAL, strict=True))
+OTHER = {f"acc_{axis}": 1000 * values for axis, values in AXES.items()}
+TIME = np.arange(40) / 100
+
+
+def _write(path: Path, arrays: dict[str, Any]) -> Path:
+    savemat(path, arrays) if path.suffix == ".mat" else np.savez(path, **arrays)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("arrays", "arguments", "unit"),
+    [
+        ({f"{axis}_g": values for axis, values in AXES.items()}, {}, "g"),
+        ({f"acc_{axis}_mg": values for axis, values in AXES.items()}, {"unit": "mg"}, "mg"),
+        ({"acceleration_g": SIGNAL}, {}, "g"),
+        ({"acceleration_g": SIGNAL, "unit": "g"}, {}, "g"),
+        ({"acceleration": SIGNAL, "unit": "g", "units": "mg"}, {"unit": "mg"}, "mg"),
+        ({"acceleration": SIGNAL, "unit": "g", "units": " G"}, {}, "g"),
+        ({**AXES, **OTHER}, {"columns": ("x", "y", "z"), "unit": "g"}, "g"),
+        ({"acceleration": 5 * SIGNAL, "data": SIGNAL}, {"columns": ("data",), "unit": "g"}, "g"),
+        ({"acceleration": 5 * SIGNAL, **AXES}, {"columns": ("x", "y", "z"), "unit": "g"}, "g"),
+        ({"acceleration": SIGNAL, "x": SIGNAL[0]}, {"unit": "g"}, "g"),
+        ({"recorded": SIGNAL}, {"columns": ("recorded",), "unit": "g"}, "g"),
+        ({"recorded_g": SIGNAL}, {"columns": (0,)}, "g"),
+    ],
+)
+@pytest.mark.parametrize("suffix", [".npz", ".mat"])
+def test_the_meant_arrays_are_read_in_their_unit(
+    tmp_path: Path, suffix: str, arrays: dict[str, Any], arguments: dict[str, Any], unit: str
+) -> None:
+    recording = read_recording(_write(tmp_path / f"a{suffix}", {**arrays, "rate_hz": 100.0}), **arguments)
+    np.testing.assert_array_equal(recording.acceleration, SIGNAL * UNITS[unit])
+    assert not any("no unit" in line for line in recording.warnings)
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".mat"])
+@pytest.mark.parametrize("columns", [("clock_ms", "data"), ("clock_ms", "x", "y", "z")])
+def test_the_meant_time_is_read_in_its_unit(tmp_path: Path, suffix: str, columns: tuple[str, ...]) -> None:
+    arrays = {"t": 7 * TIME, "time": 5 * TIME, "clock_ms": 1000 * TIME, "data": SIGNAL, **AXES}
+    recording = read_recording(_write(tmp_path / f"a{suffix}", arrays), columns=columns)
+    np.testing.assert_array_equal(recording.acceleration, SIGNAL)
+    assert recording.rate_hz == pytest.approx(100)
+
+
+def test_one_of_several_rates_is_chosen(tmp_path: Path) -> None:
+    path = _write(tmp_path / "a.npz", {"acceleration": SIGNAL, "rate_hz": 100.0, "fs": 200.0})
+    assert read_recording(path, rate_hz=200).rate_hz == 200
+    assert read_recording(_write(path, {"acceleration": SIGNAL, "rate": 100, "fs": 100.0})).rate_hz == 100
+
+
+def test_one_sample_of_three_axes_is_no_reduced_signal(tmp_path: Path) -> None:
+    for name in ("a.npz", "a.mat"):
+        recording = read_recording(_write(tmp_path / name, {"acceleration": SIGNAL[:, :1], "fs": 100}))
+        np.testing.assert_array_equal(recording.acceleration, SIGNAL[:, :1])
+    np.save(tmp_path / "a.npy", SIGNAL[:, :1])
+    assert read_recording(tmp_path / "a.npy", rate_hz=100).n_samples == 1
+    np.save(tmp_path / "a.npy", SIGNAL[:, :1].T)
+    with pytest.raises(ValueError, match=r"shape \(1, 3\): one channel, so already reduced"):
+        read_recording(tmp_path / "a.npy", rate_hz=100)
+
+
+REFUSALS = {
+    "axes twice": ({**AXES, **OTHER}, {}, r"several columns for x \(x, acc_x\); say which, columns=\(time, x, y, z\)"),
+    "axes twice, other order": ({**OTHER, **AXES}, {}, r"several columns for x \(acc_x, x\)"),
+    "two accelerations": (
+        {"acceleration": SIGNAL, "data": SIGNAL}, {},
+        r"several arrays for the acceleration \(acceleration, data\); say which, e.g. columns=\('acceleration',\)",
+    ),
+    "axes beside": ({"data": SIGNAL, **AXES}, {}, r"several arrays for the acceleration \(data, x, y, z\)"),
+    "two times": ({"data": SIGNAL, "t": TIME, "Time": TIME}, {}, r"several columns for time \(t, Time\); say which"),
+    "two rates": ({"data": SIGNAL, "fs": 2.0}, {}, r"that differ \(fs says 2.0, rate_hz says 100.0\).* by rate_hz="),
+    "neither rate": ({"data": SIGNAL, "fs": 2.0}, {"rate_hz": 3.0}, "choose one of them by rate_hz=..."),
+    "two units": (
+        {"data": SIGNAL, "unit": "g", "units": "mg"}, {},
+        r"that differ \(unit says 'g', units says 'mg'\); choose one of them by unit=\.\.\.",
+    ),
+    "unit of the name": ({"data_mg": SIGNAL, "unit": "g"}, {}, r"that differ \(unit says 'g', data_mg says 'mg'\)"),
+    "other unit": ({f"{a}_g": v for a, v in AXES.items()}, {"unit": "mg"}, "unit='mg', but the file says 'g'"),
+    "mixed units": ({"x_g": TIME, "y_g": TIME, "z_mg": TIME}, {}, r"different units \(x_g, y_g, z_mg\)"),
+    "volts": ({"acc (V)": SIGNAL}, {}, r"got the unit 'v', allowed"),
+    "hours": ({"acc": SIGNAL, "time [h]": TIME}, {}, "units are s, ms, us, ns"),
+    "no vector": ({"x": SIGNAL, "y": SIGNAL, "z": SIGNAL}, {}, r"shape \(3, 40\) for 'x', allowed is one value per"),
+    "no such array": ({"data": SIGNAL}, {"columns": ("p",)}, "column 'p', allowed is data, or a number from 0 to 0"),
+    "one name": ({"data": SIGNAL}, {"columns": "data"}, r"columns='data', allowed is \(acceleration,\), \(time, acc"),
+    "number": ({"data": SIGNAL}, {"columns": 0}, r"columns=0, allowed is \(acceleration,\)"),
+    "names of two lines": ({"a\nb": SIGNAL}, {}, r"arrays named a\\nb, rate_hz; allowed"),
+    "above all numbers": ({"data": SIGNAL * 3e307}, {"unit": "g"}, "values that are not finite"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", REFUSALS)
+def test_what_may_mean_two_things_is_refused_by_name(tmp_path: Path, case: str) -> None:
+    arrays, arguments, message = REFUSALS[case]
+    path = _write(tmp_path / "a.npz", {**arrays, "rate_hz": 100.0})
+    with pytest.raises(ValueError, match=rf"^a\.npz: .*{message}"):
+        read_recording(path, **arguments)
+
+
+def _stamped(path: Path, time: NDArray[np.float64], digits: int) -> Path:
+    rows = [f"{t:.{digits}f},{x:.3f},{y:.3f},{z:.3f}" for t, (x, y, z) in zip(time, SIGNAL.T, strict=True)]
+    path.write_text("time_s,x_g,y_g,z_g\n" + "\n".join(rows), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(("late", "passes"), [(0.009, True), (0.011, False)])
+def test_jitter_up_to_one_per_cent_of_the_period_passes(tmp_path: Path, late: float, passes: bool) -> None:
+    time = TIME.copy()
+    time[20:] += late * 0.01
+    path = _write(tmp_path / "a.npz", {"acceleration": SIGNAL, "time": time})
+    if passes:
+        assert read_recording(path).rate_hz == pytest.approx(100, rel=1e-3)
+    else:
+        with pytest.raises(ValueError, match=r"jitter up to 1\.1% of the 10 ms period, 1 of 39 intervals off"):
+            read_recording(path)
+
+
+@pytest.mark.parametrize(("units", "passes"), [(-1, True), (1, True), (2, False), (3, False)])
+def test_rounding_by_one_unit_in_the_last_place_passes(tmp_path: Path, units: int, passes: bool) -> None:
+    time = TIME.copy()  # a period is ten units of the third place, so that 1 % of it is a tenth of one
+    time[20:] += units * 0.001
+    path = _stamped(tmp_path / "a.csv", time, 3)
+    if passes:
+        assert any("finer jitter cannot be seen" in line for line in read_recording(path).warnings)
+    else:
+        with pytest.raises(ValueError, match=rf"jitter up to {units}0\.0% of the 10 ms period, 1 of 39"):
+            read_recording(path)
