@@ -181,7 +181,7 @@ def merge_spectra(spectra: NDArray[np.complex128], energy: NDArray[np.float64]) 
     for start in range(0, spectra.shape[-1], _BINS_AT_A_TIME):
         part = spectra[..., start : start + _BINS_AT_A_TIME]
         part[0] = _merge(part, floor)
-    return spectra[0]
+    return np.asarray(spectra[0])
 
 
 def _merge(spectra: NDArray[np.complex128], floor: NDArray[np.float64]) -> NDArray[np.complex128]:
