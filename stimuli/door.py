@@ -26,12 +26,15 @@ class Admitted(NamedTuple):
     ----------
     samples : ndarray, shape (..., 3, n_samples)
         The caller's samples, each recording divided by a power of two where that is needed.
+    energy : ndarray, shape (..., 1)
+        Sum of the squares of these samples.
     exponents : ndarray of int, shape (..., 1), or None
         The powers; None where nothing was scaled.
     """
 
     samples: NDArray[np.float64]
-    exponents: NDArray[np.intc] | None
+    energy: NDArray[np.float64]
+    exponents: NDArray[np.intc] | None = None
 
     def restore(self, reduced: NDArray[np.float64]) -> NDArray[np.float64]:
         """Give a reduced signal back in the caller's unit.
@@ -71,15 +74,20 @@ def admit(acceleration: ArrayLike, rate_hz: float) -> Admitted:
     """
     check_rate(rate_hz)
     samples = coerce_acceleration(acceleration)
-    if not samples.size:
-        return Admitted(samples, None)
-    peaks = np.maximum(samples.max(axis=(-2, -1)), -samples.min(axis=(-2, -1)))
-    if not np.all(np.isfinite(peaks)):
-        check_finite(samples, "acceleration")
-    if np.all(is_safe(peaks)):
-        return Admitted(samples, None)
-    exponents = np.where(is_safe(peaks), 0, np.frexp(peaks)[1])[..., None]
-    return Admitted(np.ldexp(samples, -exponents[..., None]), exponents)
+    energy = _energy(samples)
+    # The root of the energy is at least the peak and at most so many times it; one pass tells that all is ordinary.
+    if np.all(is_safe(np.sqrt(energy))) and (np.all(energy) or not samples.any()):
+        return Admitted(samples, energy)
+    check_finite(samples, "acceleration")
+    peaks = np.abs(samples).max(axis=(-2, -1), initial=0.0)[..., None]
+    exponents = np.where(is_safe(peaks), 0, np.frexp(peaks)[1])
+    samples = np.ldexp(samples, -exponents[..., None])
+    return Admitted(samples, _energy(samples), exponents)
+
+
+def _energy(samples: NDArray[np.float64]) -> NDArray[np.float64]:
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.asarray(np.einsum("...in,...in->...", samples, samples))[..., None]
 
 
 def is_safe(peaks: ArrayLike) -> NDArray[np.bool_]:

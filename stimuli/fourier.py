@@ -71,8 +71,7 @@ def dft321(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.float64]:
     n = admitted.samples.shape[-1]
     if n == 0:
         return np.zeros((*admitted.samples.shape[:-2], 0))
-    energy = np.einsum("...in,...in->...", admitted.samples, admitted.samples)[..., None]
-    merged = merge_spectra(np.moveaxis(fft.rfft(admitted.samples), -2, 0), energy)
+    merged = merge_spectra(np.moveaxis(fft.rfft(admitted.samples), -2, 0), admitted.energy)
     return admitted.restore(fft.irfft(merged, n, overwrite_x=True))
 
 

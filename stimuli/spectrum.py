@@ -17,7 +17,7 @@ References
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -138,7 +138,7 @@ class WeberSmoothing:
         first = int(low[0]) if len(low) else 0
         last = min(int(np.ceil(high[-1])) + 1, n_bins) if len(high) else 0
         self.bins = slice(first, last)
-        self._edges = [_Edge.at(edge - first, last - first) for edge in (low, high)]
+        self._low, self._high = (_Edges.at(edge - first, last - first) for edge in (low, high))
         self._width = high - low
 
     def __call__(self, spectrum: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -156,20 +156,19 @@ class WeberSmoothing:
         """
         running = np.zeros((*spectrum.shape[:-1], spectrum.shape[-1] + 1), dtype=np.longdouble)
         np.cumsum(spectrum, axis=-1, out=running[..., 1:])
-        low, high = (edge.read(running, spectrum) for edge in self._edges)
-        return np.asarray((high - low) / self._width, dtype=np.float64)
+        low, high = self._low, self._high
+        whole = (running[..., high.bin] - running[..., low.bin]).astype(np.float64)
+        cut = high.share * spectrum[..., high.bin] - low.share * spectrum[..., low.bin]
+        return np.asarray((whole + cut) / self._width)
 
 
-class _Edge:
-    """Where the window's edge cuts the running sum: so many whole bins, and a share of the next."""
+class _Edges(NamedTuple):
+    """Where the windows' edges cut the running sum: after so many whole bins, and a share of the next."""
 
-    def __init__(self, whole: NDArray[np.intp], share: NDArray[np.float64]) -> None:
-        self._whole, self._share = whole, share
+    bin: NDArray[np.intp]
+    share: NDArray[np.float64]
 
     @classmethod
-    def at(cls, position: NDArray[np.float64], n_bins: int) -> _Edge:
+    def at(cls, position: NDArray[np.float64], n_bins: int) -> _Edges:
         whole = np.clip(position.astype(np.intp), 0, max(n_bins - 1, 0))
         return cls(whole, position - whole)
-
-    def read(self, running: NDArray[np.longdouble], spectrum: NDArray[np.float64]) -> NDArray[np.longdouble]:
-        return running[..., self._whole] + self._share * spectrum[..., self._whole]
