@@ -50,11 +50,11 @@ def render_page(results: Results, findings: Findings, *, pictures: Sequence[Pict
     )  # fmt: skip
     environment.filters["words"] = tell_name
     cells = _Cells({number.name: number for number in results.numbers})
-    drawings = {picture.name: inline_svg(picture, figures / f"{picture.name}.svg") for picture in pictures}
+    drawings = [(picture, inline_svg(picture, figures / f"{picture.name}.svg")) for picture in pictures]
     style = (TEMPLATES / "report.css").read_text(encoding="utf-8")
     return environment.get_template("report.html").render(
         results=results, findings=findings, profile=sort_profile(findings.profile),
-        pictures=pictures, drawings=drawings, cells=cells, style=style,
+        drawings=drawings, cells=cells, style=style,
     )  # fmt: skip
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import chain
 from typing import TYPE_CHECKING
 
 from analysis.figures import CUT, count_clipped, draw_profile, draw_scatter
-from analysis.style import Look, assign_looks
+from analysis.style import Look, assign_looks, list_undrawable
 from analysis.table import order_reducers
 from analysis.verdict import LEADING
 from analysis.words import tell_name, tell_number
@@ -22,6 +23,10 @@ if TYPE_CHECKING:
     from analysis.table import Table
 
 
+SLUG_PART = 40
+"""Characters of a name that a file's name keeps."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Picture:
     """A figure of the report.
@@ -29,7 +34,7 @@ class Picture:
     Parameters
     ----------
     name : str
-        File name without suffix, unique in a report.
+        File name without suffix; ends in the figure's number, which makes it unique on any file system.
     kind : str
         ``scatter`` or ``profile``.
     caption : str
@@ -60,15 +65,35 @@ def draw_pictures(table: Table, findings: Findings) -> tuple[Picture, ...]:
         A scatter per scale, level and metric, then a profile per scale and level.
     """
     looks = assign_looks(order_reducers(table.rows["reducer"]))
-    scatters = [picture for panel in findings.panels for picture in _draw_scatters(panel, looks)]
-    return (*scatters, *_draw_profiles(findings, looks))
+    drawn = chain(_draw_scatters(findings, looks), _draw_profiles(findings, looks))
+    return tuple(replace(picture, name=f"{picture.name}_{number}") for number, picture in enumerate(drawn, start=1))
 
 
-def _draw_scatters(panel: Panel, looks: Mapping[str, Look]) -> Iterator[Picture]:
-    for association in (result for result in panel.associations if result.method == LEADING):
-        name = _name_file("scatter", panel.scale, panel.level, association.metric)
+def note_undrawable(table: Table) -> tuple[str, ...]:
+    """Say which characters of names the figures cannot show.
+
+    Parameters
+    ----------
+    table : Table
+        Its scales, levels and reducers are written in figures.
+
+    Returns
+    -------
+    tuple of str
+        One sentence, or none.
+    """
+    letters = list_undrawable(name for column in ("scale", "level", "reducer") for name in table.rows[column].unique())
+    if not letters:
+        return ()
+    return (f"The figures' font has no {' '.join(letters)}: boxes stand for them; captions and tables show them.",)
+
+
+def _draw_scatters(findings: Findings, looks: Mapping[str, Look]) -> Iterator[Picture]:
+    leading = [(panel, found) for panel in findings.panels for found in panel.associations if found.method == LEADING]
+    for panel, association in leading:
+        slug = _make_slug("scatter", panel.scale, panel.level, association.metric)
         figure = draw_scatter(panel, association, looks=looks)
-        yield Picture(name, "scatter", _caption_scatter(panel, association), figure)
+        yield Picture(slug, "scatter", _caption_scatter(panel, association), figure)
 
 
 def _draw_profiles(findings: Findings, looks: Mapping[str, Look]) -> Iterator[Picture]:
@@ -78,7 +103,8 @@ def _draw_profiles(findings: Findings, looks: Mapping[str, Look]) -> Iterator[Pi
             for table in (findings.profile, findings.participants)
         )
         figure = draw_profile(profile, chosen, looks=looks)
-        yield Picture(_name_file("profile", panel.scale, panel.level), "profile", _caption_profile(panel), figure)
+        slug = _make_slug("profile", panel.scale, panel.level)
+        yield Picture(slug, "profile", _caption_profile(panel), figure)
 
 
 def _caption_scatter(panel: Panel, association: Association) -> str:
@@ -102,5 +128,6 @@ def _caption_profile(panel: Panel) -> str:
     )
 
 
-def _name_file(*parts: str) -> str:
-    return "_".join(re.sub(r"[^A-Za-z0-9_-]+", "-", part) for part in parts)
+def _make_slug(*parts: str) -> str:
+    """Make names readable in a file's name; the number that follows it tells those apart that become alike."""
+    return "_".join(re.sub(r"[^A-Za-z0-9_-]+", "-", part)[:SLUG_PART] for part in parts)

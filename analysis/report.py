@@ -15,7 +15,7 @@ import numpy as np
 from analysis.findings import Findings, analyse, make_tables
 from analysis.how import tell_how
 from analysis.page import render_page
-from analysis.pictures import Picture, draw_pictures
+from analysis.pictures import Picture, draw_pictures, note_undrawable
 from analysis.results import Results, collect_notes, collect_numbers
 from analysis.style import save_figure
 from analysis.table import read_table
@@ -65,7 +65,7 @@ def write_report(
         verdict=write_verdict(findings),
         numbers=collect_numbers(table, findings),
         figures={picture.name: picture.caption for picture in pictures},
-        notes=collect_notes(table, findings),
+        notes=(*collect_notes(table, findings), *note_undrawable(table)),
         how=tell_how(draws),
         simulated=bool(table.rows["simulated"].any()),
         inputs={**_describe_file("ratings", ratings), **_describe_file("manifest", manifest), "seed": str(seed)},

@@ -6,12 +6,13 @@ reducer has a colour and a marker of its own, the same in all figures, so that c
 
 from __future__ import annotations
 
+import warnings
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from contextlib import AbstractContextManager
+    from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
     from matplotlib.axes import Axes
@@ -70,17 +71,36 @@ def assign_looks(reducers: Sequence[str]) -> dict[str, Look]:
     return {name: Look(OKABE_ITO[i % colours], MARKERS[i % markers]) for i, name in enumerate(reducers)}
 
 
-def print_style() -> AbstractContextManager[None]:
-    """Set fonts and lines for print while figures are drawn or saved.
+@contextmanager
+def print_style() -> Iterator[None]:
+    """Set fonts and lines for print while figures are drawn or saved; restore matplotlib's settings when left."""
+    from matplotlib import rc_context, rcParamsDefault
+
+    # All settings but the window's start from the library's own: a matplotlibrc in the working folder must not
+    # change a byte.
+    plain = {name: value for name, value in rcParamsDefault.items() if not name.startswith(("backend", "_"))}
+    with rc_context({**plain, **PRINT}), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font")  # `list_undrawable` tells of them once
+        yield
+
+
+def list_undrawable(names: Iterable[str]) -> str:
+    """List the characters that the figures' font does not have.
+
+    Parameters
+    ----------
+    names : iterable of str
+        What is to be written.
 
     Returns
     -------
-    AbstractContextManager
-        Restores matplotlib's settings when left.
+    str
+        Each such character once, in order; figures show a box for them.
     """
-    from matplotlib import rc_context
+    from matplotlib.font_manager import findfont, get_font
 
-    return rc_context(PRINT)
+    known = get_font(findfont(PRINT["font.family"])).get_charmap()
+    return "".join(sorted({letter for name in names for letter in name if ord(letter) not in known}))
 
 
 def new_figure(height_cm: float) -> tuple[Figure, Axes]:

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from matplotlib import rcParams
+from matplotlib import rc_context, rcParams
 from matplotlib.image import imread
 
 from analysis.figures import draw_profile, draw_scatter
@@ -142,3 +142,10 @@ def test_files_are_made_for_print_and_repeat_to_the_byte(table: pd.DataFrame, tm
     width = imread(tmp_path / "one.png").shape[1]
     assert width == pytest.approx(COLUMN_CM / CM_PER_INCH * PNG_DPI, abs=1)
     assert dict(rcParams) == before
+
+
+def test_a_setting_of_the_working_folder_changes_no_byte(table: pd.DataFrame, tmp_path: Path) -> None:
+    save_figure(scatter(table), tmp_path / "one")
+    with rc_context({"axes.grid": True, "savefig.bbox": "tight", "axes.facecolor": "yellow"}):
+        save_figure(scatter(table), tmp_path / "two")
+    assert (tmp_path / "one.svg").read_bytes() == (tmp_path / "two.svg").read_bytes()

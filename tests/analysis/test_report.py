@@ -134,6 +134,21 @@ def test_the_same_seed_gives_the_same_bytes(report: Path, study: object, tmp_pat
         assert (report / path).read_bytes() == (tmp_path / "again" / path).read_bytes(), path
 
 
+@pytest.mark.parametrize(
+    "scales", [("粗さ", "硬さ"), ("very rough", "very-rough"), ("Realism", "realism"), ("x" * 300, "x" * 300 + "y")]
+)
+def test_every_figure_has_a_file_of_its_own(
+    files: Callable[..., object], tmp_path: Path, scales: tuple[str, ...]
+) -> None:
+    study = files(scales=scales, recordings=3, anchors=False)
+    results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
+    drawn = {path.stem.casefold() for path in (tmp_path / "report" / "figures").glob("*.svg")}
+    assert len(drawn) == len(results.figures) == len(set(results.figures.values())) == 6
+    unknown = [note for note in results.notes if "font has no" in note]
+    assert len(unknown) == (scales[0] == "粗さ")
+    assert all("さ 硬 粗" in note for note in unknown)
+
+
 def test_another_seed_moves_intervals_only(report: Path, study: object, tmp_path: Path) -> None:
     write_report(study.ratings, study.manifest, tmp_path / "other", draws=50, seed=4)
     first, second = load(report)["numbers"], load(tmp_path / "other")["numbers"]
@@ -168,7 +183,7 @@ def test_far_outliers_are_told_in_the_caption(files: Callable[..., object], tmp_
     manifest.loc[[3, 11], "spectral_match"] = [-1.5, -40.0]
     manifest.to_csv(study.manifest, index=False)
     results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
-    caption = results.figures["scatter_realism_as_is_spectral_match"]
+    caption = results.figures["scatter_realism_as_is_spectral_match_1"]
     assert "left edge: 2 with a spectral match below −1, counted in full" in caption
     found = {number.name: number.value for number in results.numbers}
     assert found["scatter.realism.as_is.spectral_match.n_below_edge"] == 2
