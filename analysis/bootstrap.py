@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 Values = NDArray[np.float64]
 
+
 class Correlation(Protocol):
     """A correlation of weighted items."""
 
@@ -32,7 +33,13 @@ FLAT = 1e-24
 """Share of a sum of squares below which its centred part is rounding error: the values are all the same."""
 
 PERFECT = 1 - 1e-12
-"""Largest correlation told from 1, so that its Fisher transform stays finite."""
+"""From here on a correlation is perfect to rounding error."""
+
+FEWEST_ITEMS = 3
+"""Two points always lie on a line."""
+
+MOST_UNDEFINED = 0.1
+"""Share of draws that may be undefined; with more, those left over are not a fair sample of what could be."""
 
 CONFIDENCE = 0.95
 
@@ -58,7 +65,7 @@ def weighted_pearson(x: Values, y: Values, *, weights: Values) -> Values:
     >>> weighted_pearson(x, y, weights=np.ones(3)).round(3)
     np.float64(0.5)
     """
-    x, y, weights = np.broadcast_arrays(x, y, weights)
+    x, y, weights = np.broadcast_arrays(_scale_down(x), _scale_down(y), weights)
     total = weights.sum(axis=-1, keepdims=True)
     with np.errstate(invalid="ignore", divide="ignore"):
         from_mean_x = x - (weights * x).sum(axis=-1, keepdims=True) / total
@@ -68,6 +75,13 @@ def weighted_pearson(x: Values, y: Values, *, weights: Values) -> Values:
         flat_y = yy <= FLAT * (weights * y**2).sum(axis=-1)
         r = (weights * from_mean_x * from_mean_y).sum(axis=-1) / (np.sqrt(xx) * np.sqrt(yy))
     return np.where(flat_x | flat_y, np.nan, np.clip(r, -1, 1))
+
+
+def _scale_down(values: Values) -> Values:
+    """Divide by a power of two, which is exact, so that no square overflows."""
+    exponent = np.frexp(np.abs(values).max(axis=-1, keepdims=True))[1]
+    scaled: Values = np.ldexp(values, -exponent)
+    return scaled
 
 
 def weighted_spearman(x: Values, y: Values, *, weights: Values) -> Values:
@@ -114,7 +128,7 @@ def weighted_ranks(values: Values, weights: Values) -> Values:
     upto = np.cumsum(np.take_along_axis(weights, order, axis=-1), axis=-1)
     before = np.concatenate([np.zeros_like(upto[..., :1]), upto[..., :-1]], axis=-1)
     rises = np.diff(ordered, axis=-1) > 0
-    ends = np.ones_like(rises[..., :1])
+    ends = np.ones((*rises.shape[:-1], 1), dtype=bool)
     # Both counts only grow, so a running maximum carries a tie's start forward and a running minimum its end
     # back.
     start = np.maximum.accumulate(np.where(np.concatenate([ends, rises], axis=-1), before, 0), axis=-1)
@@ -168,18 +182,19 @@ def correlate_draws(items: Items, method: str, *, participants: Values, recordin
     Returns
     -------
     ndarray, shape (n_metrics, draws)
-        NaN where a draw leaves the metric or the means constant.
+        NaN where a draw leaves the metric or the means constant, or fewer than three different items.
     """
     seen = np.isfinite(items.ratings)
     votes = participants @ seen.astype(np.float64)
     sums = participants @ np.where(seen, items.ratings, 0.0)
     means = np.divide(sums, votes, out=np.zeros_like(sums), where=votes > 0)
     weights = recordings[:, items.recordings] * (votes > 0)
-    return np.array([METHODS[method](metric, means, weights=weights) for metric in items.metrics])
+    drawn = np.array([METHODS[method](metric, means, weights=weights) for metric in items.metrics])
+    return np.where((weights > 0).sum(axis=-1) < FEWEST_ITEMS, np.nan, drawn)
 
 
 def fisher_z(correlation: Values) -> Values:
-    """Fisher's transform, finite even for a perfect correlation.
+    """Fisher's transform; NaN for a perfect correlation, which has none.
 
     Parameters
     ----------
@@ -191,7 +206,8 @@ def fisher_z(correlation: Values) -> Values:
     ndarray
         The inverse hyperbolic tangent.
     """
-    return np.arctanh(np.clip(correlation, -PERFECT, PERFECT))
+    z: Values = np.arctanh(np.where(np.abs(correlation) < PERFECT, correlation, np.nan))
+    return z
 
 
 def bootstrap_margin(drawn: Values, n_units: int) -> float:
@@ -207,7 +223,8 @@ def bootstrap_margin(drawn: Values, n_units: int) -> float:
     Returns
     -------
     float
-        t(.975, U - 1) sqrt(U / (U - 1)) SD; NaN if there is one unit only or fewer than two defined draws.
+        t(.975, U - 1) sqrt(U / (U - 1)) SD; NaN if there is one unit only, or more than a tenth of the draws
+        are undefined.
 
     Notes
     -----
@@ -217,7 +234,8 @@ def bootstrap_margin(drawn: Values, n_units: int) -> float:
     from scipy.stats import t
 
     defined = drawn[np.isfinite(drawn)]
-    if min(n_units, len(defined)) < 2:  # noqa: PLR2004 - a spread needs two
+    too_many = len(drawn) - len(defined) > MOST_UNDEFINED * len(drawn)
+    if too_many or min(n_units, len(defined)) < 2:  # noqa: PLR2004 - a spread needs two
         return float("nan")
     quantile = float(t.ppf((1 + CONFIDENCE) / 2, n_units - 1))
     return quantile * float(np.sqrt(n_units / (n_units - 1)) * defined.std(ddof=1))

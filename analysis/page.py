@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from analysis.results import name_path
 from analysis.table import ROLES, order_reducers
 from analysis.words import tell_name, tell_number, tell_range
 
@@ -49,6 +50,7 @@ def render_page(results: Results, findings: Findings, *, pictures: Sequence[Pict
         trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
     )  # fmt: skip
     environment.filters["words"] = tell_name
+    environment.filters["path"] = lambda parts: name_path(*parts)
     cells = _Cells({number.name: number for number in results.numbers})
     drawings = [(picture, inline_svg(picture, figures / f"{picture.name}.svg")) for picture in pictures]
     style = (TEMPLATES / "report.css").read_text(encoding="utf-8")

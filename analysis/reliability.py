@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.bootstrap import FLAT
+
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
@@ -146,11 +148,17 @@ def _mean_squares(ratings: NDArray[np.float64]) -> _MeanSquares:
     of_raters = ratings.mean(axis=0, keepdims=True)
     grand = ratings.mean()
     residual = ratings - of_targets - of_raters + grand
+    rounding = FLAT * float((ratings**2).sum())
+
+    def square(deviations: NDArray[np.float64]) -> float:
+        total = float((deviations**2).sum())
+        return total if total > rounding else 0.0
+
     return _MeanSquares(
-        targets=k * float(((of_targets - grand) ** 2).sum()) / (n - 1),
-        raters=n * float(((of_raters - grand) ** 2).sum()) / (k - 1),
-        error=float((residual**2).sum()) / ((n - 1) * (k - 1)),
-        within=float(((ratings - of_targets) ** 2).sum()) / (n * (k - 1)),
+        targets=k * square(of_targets - grand) / (n - 1),
+        raters=n * square(of_raters - grand) / (k - 1),
+        error=square(residual) / ((n - 1) * (k - 1)),
+        within=square(ratings - of_targets) / (n * (k - 1)),
     )
 
 

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import json
 import math
+from collections import Counter
 from dataclasses import asdict, dataclass
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 from analysis.figures import count_clipped
+from analysis.profile import GROUP
+from analysis.reliability import SMALLEST
 from analysis.verdict import LEADING
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Iterator, Mapping
+    from collections.abc import Hashable, Iterable, Iterator, Mapping
 
     from analysis.association import Association, Difference
     from analysis.findings import Findings, Panel
@@ -123,11 +127,16 @@ def collect_numbers(table: Table, findings: Findings) -> tuple[Number, ...]:
     -------
     tuple of Number
         Sizes first, then per scale and level associations, differences and stimuli, then profiles.
+
+    Raises
+    ------
+    ValueError
+        If two numbers would bear the same name.
     """
-    numbers = [*_count_table(table)]
-    for panel in findings.panels:
-        numbers += _collect_panel(panel)
-    return (*numbers, *_collect_profile(findings))
+    of_panels = chain.from_iterable(_collect_panel(panel) for panel in findings.panels)
+    numbers = (*_count_table(table), *of_panels, *_collect_profile(findings))
+    _refuse_doubles(number.name for number in numbers)
+    return numbers
 
 
 def collect_notes(table: Table, findings: Findings) -> tuple[str, ...]:
@@ -156,20 +165,31 @@ def collect_notes(table: Table, findings: Findings) -> tuple[str, ...]:
     return tuple(dict.fromkeys(notes))
 
 
-def panel_path(scale: str, level: str) -> str:
-    """Name a scale and level the way the numbers do.
+def name_path(*parts: str) -> str:
+    """Join names to the dotted path of a number.
 
     Parameters
     ----------
-    scale, level : str
-        Which panel.
+    *parts : str
+        Names, some of them chosen by users.
 
     Returns
     -------
     str
-        Their dotted path.
+        The path; a dot in a name is written ``%2E``, so that no two lists of names give the same path.
+
+    Examples
+    --------
+    >>> name_path("profile", "v1.0", "as_is")
+    'profile.v1%2E0.as_is'
     """
-    return f"{scale}.{level}"
+    return ".".join(part.replace("%", "%25").replace(".", "%2E") for part in parts)
+
+
+def _refuse_doubles(names: Iterable[str]) -> None:
+    doubled = [name for name, times in Counter(names).items() if times > 1]
+    if doubled:
+        raise ValueError(f"results: got {len(doubled)} names twice, first {doubled[0]}; every number needs its own")
 
 
 def _count_table(table: Table) -> Iterator[Number]:
@@ -181,20 +201,22 @@ def _count_table(table: Table) -> Iterator[Number]:
 
 
 def _collect_panel(panel: Panel) -> Iterator[Number]:
-    path = panel_path(panel.scale, panel.level)
+    place = panel.scale, panel.level
     for association in panel.associations:
-        yield from _name_association(association, path)
+        yield from _name_association(association, place)
         if association.method == LEADING:
-            metric = panel.stimuli[association.metric].to_numpy()
-            yield _count(f"scatter.{path}.{association.metric}.n_below_edge", count_clipped(metric), n=len(metric))
+            name, metric = name_path("scatter", *place, association.metric), panel.stimuli[association.metric]
+            yield _count(f"{name}.n_below_edge", count_clipped(metric.to_numpy()), n=len(metric))
+            lowest = f"smallest {association.metric} of the test stimuli"
+            yield Number(f"{name}.lowest", float(metric.min()), math.nan, math.nan, NONE, lowest, len(metric))
     for difference in panel.differences:
-        yield from _name_difference(difference, path)
+        yield from _name_difference(difference, place)
     for row in panel.stimuli.to_dict("records"):
-        yield _name_mean(f"stimulus.{path}.{row['stimulus_id']}", row)
+        yield _name_mean(name_path("stimulus", *place, row["stimulus_id"]), row)
 
 
-def _name_association(result: Association, path: str) -> Iterator[Number]:
-    name = f"association.{path}.{result.metric}.{result.method}"
+def _name_association(result: Association, place: tuple[str, str]) -> Iterator[Number]:
+    name = name_path("association", *place, result.metric, result.method)
     method = f"{result.method} correlation of mean ratings of test stimuli with {result.metric}"
     nan, n = math.nan, result.n_items
     yield Number(name, result.value, result.low, result.high, TWO_WAY, method, n)
@@ -202,24 +224,31 @@ def _name_association(result: Association, path: str) -> Iterator[Number]:
     yield Number(f"{name}.participants_only", result.value, *narrow, ONE_WAY, method, n)
     yield Number(f"{name}.ceiling", result.ceiling, nan, nan, NONE, "sqrt(ICC(C,k)), k participants", n)
     yield Number(f"{name}.disattenuated", result.disattenuated, nan, nan, NONE, "correlation / ceiling", n)
-    yield _count(f"{name}.draws", result.draws, n=result.draws)
-    yield _count(f"{name}.n_participants", result.n_participants, n=n)
-    yield _count(f"{name}.n_recordings", result.n_recordings, n=n)
-    yield _count(f"{name}.n_items", n, n=n)
+    yield from _count_data(name, result)
 
 
-def _name_difference(result: Difference, path: str) -> Iterator[Number]:
-    name = f"difference.{path}.{result.first}.{result.second}.{result.method}"
+def _name_difference(result: Difference, place: tuple[str, str]) -> Iterator[Number]:
+    name, nan, n = name_path("difference", *place, result.first, result.second, result.method), math.nan, result.n_items
     method = f"{result.method} correlation with {result.first} minus that with {result.second}"
-    yield Number(name, result.value, result.low, result.high, TWO_WAY, method, result.n_items)
+    yield Number(name, result.value, result.low, result.high, TWO_WAY, method, n)
     scale = f"{TWO_WAY}, on Fisher's z"
     z_method = f"{method}, as a difference of Fisher's z"
-    yield Number(f"{name}.z", result.z_value, result.z_low, result.z_high, scale, z_method, result.n_items)
+    yield Number(f"{name}.z", result.z_value, result.z_low, result.z_high, scale, z_method, n)
+    one, two = (f"{result.method} correlation with {metric}" for metric in (result.first, result.second))
+    yield Number(f"{name}.first_value", result.first_value, nan, nan, NONE, one, n)
+    yield Number(f"{name}.second_value", result.second_value, nan, nan, NONE, two, n)
+    yield from _count_data(name, result)
+
+
+def _count_data(name: str, result: Association | Difference) -> Iterator[Number]:
+    yield _count(f"{name}.draws", result.draws, n=result.draws)
+    for what in ("n_participants", "n_recordings", "n_items", "n_missing"):
+        yield _count(f"{name}.{what}", getattr(result, what), n=result.n_items)
 
 
 def _collect_profile(findings: Findings) -> Iterator[Number]:
     for row in findings.profile.to_dict("records"):
-        name = f"profile.{panel_path(row['scale'], row['level'])}.{row['role']}.{row['reducer']}"
+        name = name_path("profile", *(row[key] for key in GROUP))
         yield _name_mean(name, row)
         yield _count(f"{name}.n_participants", row["n_participants"], n=row["n_ratings"])
         yield _count(f"{name}.n_stimuli", row["n_stimuli"], n=row["n_ratings"])
@@ -227,8 +256,9 @@ def _collect_profile(findings: Findings) -> Iterator[Number]:
 
 
 def _name_mean(name: str, row: Mapping[Hashable, Any]) -> Number:
-    interval = row["low"], row["high"]
-    return Number(name, row["mean"], *interval, STUDENT, f"rating, {MEAN}", int(row["n_participants"]))
+    n = int(row["n_participants"])
+    kind = STUDENT if n >= SMALLEST else NONE
+    return Number(name, row["mean"], row["low"], row["high"], kind, f"rating, {MEAN}", n)
 
 
 def _count(name: str, value: int, *, n: int) -> Number:

@@ -9,6 +9,8 @@ import pytest
 from scipy import stats
 
 from analysis.association import compare_metrics, correlate
+from analysis.bootstrap import correlate_draws, draw_counts
+from analysis.items import make_items
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -79,6 +81,67 @@ def test_two_way_interval_covers_and_the_narrow_one_does_not() -> None:
     assert narrow <= stats.binom.ppf(0.999, studies, 0.60)
 
 
+def test_the_interval_of_few_participants_covers_too() -> None:
+    generator, studies = rng(2025), 60
+    covered = 0
+    for _ in range(studies):
+        table = simulate(generator, people=3, scenes=10)
+        slope = generator.normal(0, 6, 3)[table["participant"]]  # people differ in what the metric means to them
+        table["rating"] += slope * table["metric"]
+        found = correlate(table, "metric", draws=200, rng=generator)
+        covered += found.low <= 0 <= found.high
+    assert covered >= stats.binom.ppf(0.001, studies, 0.95)
+
+
+@pytest.mark.parametrize(("people", "scenes"), [(3, 6), (6, 3), (4, 4)])
+def test_intervals_are_rebuilt_from_the_draws(tidy: Callable[..., pd.DataFrame], people: int, scenes: int) -> None:
+    table = tidy(participants=people, recordings=scenes)
+    found = correlate(table, SPECTRAL, draws=200, rng=rng())
+    same, items = rng(), make_items(table, [SPECTRAL])
+    drawn = draw_counts(people, 200, rng=same), draw_counts(scenes, 200, rng=same)
+    intervals = (found.low, found.high), (found.participants_low, found.participants_high)
+    counted = (drawn[1], np.ones((200, scenes)))
+    for counts, units, interval in zip(counted, (min(people, scenes), people), intervals, strict=True):
+        z = np.arctanh(correlate_draws(items, "pearson", participants=drawn[0], recordings=counts)[0])
+        margin = stats.t.ppf(0.975, units - 1) * math.sqrt(units / (units - 1)) * z.std(ddof=1)
+        assert np.arctanh(interval) == pytest.approx(math.atanh(found.value) + margin * np.array([-1, 1]))
+
+
+def test_a_small_study_whose_draws_are_undefined_has_no_interval(tidy: Callable[..., pd.DataFrame]) -> None:
+    table = tidy(recordings=4)
+    found = correlate(table[table["reducer"] == "dft321"], SPECTRAL, draws=400, rng=rng())
+    assert math.isfinite(found.value)
+    assert math.isnan(found.low)
+    assert found.draws < 360
+    left_out = f"{400 - found.draws} of 400 two-way draws gave no correlation"
+    assert any(note.startswith(left_out) and note.endswith("too many for an interval.") for note in found.notes)
+
+
+def test_a_few_undefined_draws_are_counted(tidy: Callable[..., pd.DataFrame]) -> None:
+    table = tidy(recordings=7)
+    found = correlate(table[table["reducer"] == "dft321"], SPECTRAL, draws=2000, rng=rng())
+    assert 1800 < found.draws < 2000
+    assert math.isfinite(found.low)
+    assert any(note.endswith("are left out.") for note in found.notes)
+    compared = compare_metrics(table[table["reducer"] == "dft321"], SPECTRAL, TEMPORAL, draws=2000, rng=rng())
+    assert 1800 < compared.draws < 2000
+    assert any(note.startswith(f"{2000 - compared.draws} of 2000 two-way draws") for note in compared.notes)
+
+
+def test_a_perfect_line_has_no_interval(tidy: Callable[..., pd.DataFrame]) -> None:
+    table = tidy()
+    found = correlate(table.assign(rating=table[SPECTRAL]), SPECTRAL, draws=50, rng=rng())
+    assert found.value == pytest.approx(1)
+    assert math.isnan(found.low)
+    assert found.draws == 0
+
+
+def test_a_huge_metric_is_not_taken_for_constant_ratings(tidy: Callable[..., pd.DataFrame]) -> None:
+    table = tidy()
+    table.loc[table["stimulus_id"] == "rec1_say321_as_is", SPECTRAL] = -1e200
+    assert math.isfinite(correlate(table, SPECTRAL, draws=50, rng=rng()).value)
+
+
 def test_interval_follows_its_formula(tidy: Callable[..., pd.DataFrame]) -> None:
     found = correlate(tidy(), SPECTRAL, draws=500, rng=rng())
     middle = (math.atanh(found.low) + math.atanh(found.high)) / 2
@@ -141,8 +204,24 @@ def test_missing_cells_are_allowed_and_reported(tidy: Callable[..., pd.DataFrame
     found = correlate(table[~gone], SPECTRAL, draws=50, rng=rng())
     assert found.n_missing == 9
     assert found.notes[0] == "9 of 216 participant x stimulus cells hold no rating."
-    assert "27 stimuli that every participant rated" in found.notes[1]
+    assert "27 stimuli that every participant rated, r on all 36; r / ceiling is left out." in found.notes[1]
+    assert math.isfinite(found.ceiling)
+    assert math.isnan(found.disattenuated)
     assert math.isfinite(found.low)
+
+
+def test_half_the_stimuli_make_no_ceiling(tidy: Callable[..., pd.DataFrame]) -> None:
+    table = tidy()
+    gone = (table["participant"] == "p00") & table["recording"].isin(["rec0", "rec1", "rec2"])
+    found = correlate(table[~gone], SPECTRAL, draws=50, rng=rng())
+    assert math.isnan(found.ceiling)
+    assert "No noise ceiling: only 9 of 36 stimuli were rated by everyone." in found.notes
+
+
+def test_ranks_are_not_divided_by_the_ceiling_of_straight_relations(tidy: Callable[..., pd.DataFrame]) -> None:
+    found = correlate(tidy(), SPECTRAL, method="spearman", draws=50, rng=rng())
+    assert math.isfinite(found.ceiling)
+    assert math.isnan(found.disattenuated)
 
 
 def test_no_shared_stimuli_no_ceiling(tidy: Callable[..., pd.DataFrame]) -> None:
@@ -206,6 +285,14 @@ def test_two_items_are_no_correlation(tidy: Callable[..., pd.DataFrame]) -> None
     found = correlate(table[table["reducer"] == "dft321"], SPECTRAL, draws=20, rng=rng())
     assert math.isnan(found.value)
     assert "No correlation: it needs 3 test stimuli, got 2." in found.notes
+
+
+@pytest.mark.parametrize("method", ["pearson", "spearman"])
+def test_one_item_is_no_correlation(tidy: Callable[..., pd.DataFrame], method: str) -> None:
+    table = tidy(recordings=1)
+    found = correlate(table[table["reducer"] == "dft321"], SPECTRAL, method=method, draws=20, rng=rng())
+    assert math.isnan(found.value)
+    assert "No correlation: it needs 3 test stimuli, got 1." in found.notes
 
 
 def test_difference_is_told_in_both_units(tidy: Callable[..., pd.DataFrame]) -> None:

@@ -108,9 +108,12 @@ def test_counts_are_samples_with_replacement() -> None:
 
 
 def test_margin_is_the_corrected_t_interval() -> None:
-    drawn = np.array([1.0, 2.0, 4.0, np.nan])
-    expected = stats.t.ppf(0.975, 7) * math.sqrt(8 / 7) * np.std([1, 2, 4], ddof=1)
+    drawn = np.arange(20.0) ** 2
+    expected = stats.t.ppf(0.975, 7) * math.sqrt(8 / 7) * np.std(drawn[2:], ddof=1)
+    drawn[:2] = np.nan
     assert bootstrap_margin(drawn, 8) == pytest.approx(expected)
+    drawn[2] = np.nan  # more than a tenth is too many
+    assert math.isnan(bootstrap_margin(drawn, 8))
 
 
 @pytest.mark.parametrize(("drawn", "units"), [([1.0, 2.0], 1), ([1.0, np.nan], 5), ([], 5)])
@@ -118,7 +121,30 @@ def test_no_spread_gives_no_margin(drawn: list[float], units: int) -> None:
     assert math.isnan(bootstrap_margin(np.array(drawn), units))
 
 
-def test_fisher_z_of_a_perfect_correlation_is_finite() -> None:
-    z = fisher_z(np.array([-1.0, 0.0, 0.5, 1.0]))
-    assert np.isfinite(z).all()
+def test_a_perfect_correlation_has_no_fisher_z() -> None:
+    z = fisher_z(np.array([-1.0, 0.0, 0.5, 1.0, 1 - 1e-13]))
+    assert np.isnan(z).tolist() == [True, False, False, True, True]
     assert z[2] == pytest.approx(math.atanh(0.5))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_draws_of_fewer_than_three_stimuli_are_undefined(method: str) -> None:
+    rng = np.random.default_rng(3)
+    items = Items(tuple("abcd"), rng.normal(size=(5, 4)), rng.normal(size=(1, 4)), np.arange(4))
+    scenes = np.array([[2.0, 2, 0, 0], [2.0, 1, 1, 0]])
+    drawn = correlate_draws(items, method, participants=np.ones((2, 5)), recordings=scenes)
+    assert np.isnan(drawn).tolist() == [[True, False]]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_one_item_has_no_correlation(method: str) -> None:
+    items = Items(("a",), np.ones((3, 1)), np.ones((1, 1)), np.zeros(1, int))
+    assert np.isnan(correlate_draws(items, method, participants=np.ones((1, 3)), recordings=np.ones((1, 1)))).all()
+
+
+@pytest.mark.parametrize("scale", [1e200, 1e-200])
+def test_huge_and_tiny_values_neither_overflow_nor_vanish(scale: float) -> None:
+    x, y, weights = np.array([-1.0, 0.3, 0.7, 0.2]), np.array([10.0, 20, 60, 20]), np.ones(4)
+    expected = weighted_pearson(x, y, weights=weights)
+    assert weighted_pearson(x * scale, y, weights=weights) == pytest.approx(expected)
+    assert np.isfinite(weighted_pearson(np.array([-1e200, 0.3, 0.7, 0.2]), y, weights=weights))

@@ -39,8 +39,13 @@ def test_noise_alone_has_no_ceiling() -> None:
     assert math.isnan(noise_ceiling([[0, 10], [10, 0.5], [0, 10]]))
 
 
-def test_equal_ratings_are_undefined_not_perfect() -> None:
-    assert math.isnan(intraclass(np.full((3, 3), 50.0)).icc_c_k)
+@pytest.mark.parametrize("rating", [50.0, 33.3, 71.7, 99.9])
+@pytest.mark.parametrize("offset", [0.0, -11.1])
+def test_equal_ratings_are_undefined_not_perfect(rating: float, offset: float) -> None:
+    for shape in ((3, 3), (36, 6), (48, 7)):
+        table = np.full(shape, rating) + offset * np.arange(shape[1]) / 3
+        assert math.isnan(intraclass(table).icc_c_k)
+        assert math.isnan(noise_ceiling(table))
 
 
 @pytest.mark.parametrize("table", [[[1, 2]], [[1], [2]], [1, 2, 3]])

@@ -199,6 +199,26 @@ def test_simulated_ratings_carry_a_banner(files: Callable[..., object], tmp_path
     assert ("Simulated ratings" in text) == simulated
 
 
+def test_dots_in_names_make_no_two_numbers_one(files: Callable[..., object], tmp_path: Path) -> None:
+    study = files(scales=("a", "a.b"), recordings=3, anchors=False)
+    manifest, ratings = pd.read_csv(study.manifest), pd.read_csv(study.ratings)
+    manifest["reducer"] = manifest["reducer"].replace("mag321", "dft321.n_stimuli")
+    level = dict(zip(["rec0", "rec1", "rec2"], ["c", "b.c", "b.c"], strict=True))
+    manifest["level"] = manifest["recording"].map(level)
+    manifest.to_csv(study.manifest, index=False)
+    ratings.drop(columns=["reducer", "level"]).to_csv(study.ratings, index=False)
+    results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
+    names = [number.name for number in results.numbers]
+    assert len(names) == len(set(names))
+    assert {"profile.a%2Eb.c.test.dft321%2En_stimuli", "profile.a.b%2Ec.test.dft321.n_stimuli"} <= set(names)
+
+
+def test_two_numbers_of_one_name_are_refused(study: object, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr("analysis.results.name_path", lambda *parts: ".".join(parts[:1]))
+    with pytest.raises(ValueError, match="results: got .* names twice, first association"):
+        write_report(study.ratings, study.manifest, tmp_path / "report", draws=5, seed=0)
+
+
 def test_levels_are_kept_apart(files: Callable[..., object], tmp_path: Path) -> None:
     study = files(levels=("as_is", "equal_intensity"), scales=("realism",), anchors=False)
     results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
