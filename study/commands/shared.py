@@ -7,6 +7,7 @@ import sys
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from functools import wraps
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -114,7 +115,28 @@ def print_json(entry: object) -> None:
     entry : object
         What JSON can hold.
     """
-    click.echo(json.dumps(entry, indent=2, ensure_ascii=False))
+    click.echo(dump_json(entry))
+
+
+def dump_json(entry: object) -> str:
+    """Write figures as JSON, which knows no NaN and no infinity: both become null.
+
+    Parameters
+    ----------
+    entry : object
+        What JSON can hold, or would but for such numbers.
+
+    Returns
+    -------
+    str
+        The text.
+
+    Examples
+    --------
+    >>> dump_json([1.5, float("nan")]).split()
+    ['[', '1.5,', 'null', ']']
+    """
+    return json.dumps(_replace_undefined(entry), indent=2, ensure_ascii=False, allow_nan=False)
 
 
 @contextmanager
@@ -155,3 +177,11 @@ def now() -> datetime:
 
 def _name_column(text: str) -> str | int:
     return int(text) if text.strip().isdigit() else text
+
+
+def _replace_undefined(entry: object) -> object:
+    if isinstance(entry, dict):
+        return {key: _replace_undefined(value) for key, value in entry.items()}
+    if isinstance(entry, list | tuple):
+        return [_replace_undefined(value) for value in entry]
+    return None if isinstance(entry, float) and not isfinite(entry) else entry

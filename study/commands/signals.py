@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from study.commands.shared import FILE, json_option, print_json, recording_argument
+from study.commands.shared import FILE, dump_json, json_option, print_json, recording_argument
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -75,10 +75,23 @@ class ReducerName(click.ParamType[str]):
         return name
 
 
+def _check_wav(_context: click.Context, _parameter: click.Parameter, path: Path) -> Path:
+    if path.suffix.lower() != ".wav":
+        raise click.BadParameter(f"got {str(path)!r}, allowed is a name that ends in .wav; give it that ending")
+    return path
+
+
 @click.command(epilog="Example: feel321 reduce oak.csv --reducer dft321 -o oak-dft321.wav")
 @recording_argument
 @click.option("--reducer", type=ReducerName(), required=True, help="The 321 transform.")
-@click.option("-o", "--output", type=FILE, required=True, help="The WAV file to write; a JSON file goes beside it.")
+@click.option(
+    "-o",
+    "--output",
+    type=FILE,
+    callback=_check_wav,
+    required=True,
+    help="The .wav file to write; a JSON file goes beside it.",
+)
 @click.option("--window-ms", type=float, help="Window of the reducers that have one.  [default: 35]")
 @click.option("--force", is_flag=True, help="Replace the output if it is there.")
 @json_option
@@ -89,12 +102,11 @@ def reduce(
 
     The result is a float32 WAV file in m/s^2, unconditioned, with a JSON file that says how it was made.
     """
-    import json
-
     from stimuli.wav import write_wav
     from study.files import write_text
 
     sidecar = output.with_suffix(".json")
+    _spare_source(click.get_current_context().params["recording"], output, sidecar)
     taken = [str(path) for path in (output, sidecar) if path.exists()]
     if taken and not force:
         raise FileExistsError(f"{', '.join(taken)}: is there already; name another file or add --force")
@@ -103,7 +115,7 @@ def reduce(
     reduced = _choose(reducer, window_ms)(recording.acceleration, recording.rate_hz)
     facts = _describe(recording, reducer, window_ms) | _match(recording, reduced)
     write_wav(output, reduced, round(recording.rate_hz))
-    write_text(sidecar, json.dumps(facts, indent=1) + "\n")
+    write_text(sidecar, dump_json(facts) + "\n")
     if as_json:
         print_json(facts)
     else:
@@ -126,6 +138,14 @@ def match(*, recording: Recording, reduced: Path, as_json: bool) -> None:
         print_json(facts)
     else:
         _print_matches(facts)
+
+
+def _spare_source(source: Path, *targets: Path) -> None:
+    """Refuse to write over a recording or what is read beside it, by whatever name."""
+    own = [path for path in (source, *map(source.with_suffix, (".json", ".toml"))) if path.exists()]
+    for target in targets:
+        if target.exists() and any(target.samefile(path) for path in own):
+            raise click.UsageError(f"--output: got {target}, which belongs to the recording; name another file")
 
 
 def _choose(name: str, window_ms: float | None) -> Callable[..., Samples]:

@@ -156,6 +156,39 @@ def test_reduce_overwrites_only_when_told(recording: Path, tmp_path: Path, capsy
     assert len(read_wav(output)[0]) == 5000
 
 
+@pytest.mark.parametrize("name", ["out.json", "out.csv", "out", "bumps.csv"])
+def test_reduce_writes_nothing_but_wav(name: str, recording: Path, tmp_path: Path, capsys: Capture) -> None:
+    before = recording.read_bytes()
+    arguments = ["reduce", "-o", str(tmp_path / name), str(recording), "--reducer", "sax321", "--force"]
+    assert main(arguments) == 2
+    assert "allowed is a name that ends in .wav; give it that ending" in capsys.readouterr().err
+    assert recording.read_bytes() == before
+    assert [path.name for path in tmp_path.iterdir()] == ["bumps.csv"]
+
+
+@pytest.mark.parametrize("output", ["raw.wav", "link.wav", "other.wav"])
+def test_reduce_never_writes_over_the_recording_or_its_sidecar(output: str, tmp_path: Path, capsys: Capture) -> None:
+    write_wav(tmp_path / "raw.wav", np.ones((3, 500)), 1000)
+    (tmp_path / "raw.json").write_text('{"unit": "g"}', encoding="utf-8")
+    (tmp_path / "link.wav").symlink_to("raw.wav")
+    (tmp_path / "other.json").hardlink_to(tmp_path / "raw.json")
+    before = (tmp_path / "raw.wav").read_bytes()
+    arguments = ["reduce", str(tmp_path / "raw.wav"), "--reducer", "sax321", "-o", str(tmp_path / output), "--force"]
+    assert main(arguments) == 2
+    assert "belongs to the recording; name another file" in capsys.readouterr().err
+    assert (tmp_path / "raw.wav").read_bytes() == before
+    assert (tmp_path / "raw.json").read_text(encoding="utf-8") == '{"unit": "g"}'
+
+
+def test_what_is_undefined_is_null_in_json(tmp_path: Path, capsys: Capture) -> None:
+    path, output = tmp_path / "silent.csv", tmp_path / "o.wav"
+    np.savetxt(path, np.zeros((500, 3)), delimiter=",", header="x_g,y_g,z_g", comments="")
+    arguments = [str(path), "--rate-hz", "1000", "--json"]
+    assert main(["reduce", *arguments, "--reducer", "sax321", "-o", str(output)]) == 0
+    for text in (capsys.readouterr().out, output.with_suffix(".json").read_text(encoding="utf-8")):
+        assert json.loads(text, parse_constant=pytest.fail)["lowest_hz"] is None
+
+
 def test_reading_options_reach_the_reader_and_warnings_go_to_stderr(tmp_path: Path, capsys: Capture) -> None:
     path = tmp_path / "plain.csv"
     np.savetxt(path, np.random.default_rng(1).normal(size=(500, 3)), delimiter=",", header="a,b,c", comments="")
