@@ -44,6 +44,7 @@ class Journal:
     now: Clock
     records: list[Record] = field(default_factory=list)
     _tip: str = START
+    _is_open: bool = True
 
     def write(self, event: str, data: Mapping[str, Any]) -> None:
         """Append one record; it is on the disk when this returns.
@@ -58,13 +59,18 @@ class Journal:
         Raises
         ------
         OSError
-            If the disk takes no more; the journal then ends with its last whole record.
+            If the disk takes no more. Whatever breaks off a write closes the journal, for the file may hold
+            all of the line, some or none: only reading it again tells where the chain goes on.
         """
+        if not self._is_open:
+            raise OSError(f"{self.path}: an earlier write was broken off, the journal is closed; reopen it to resume")
         record = Record(len(self.records), self.now().isoformat(timespec="milliseconds"), event, data)
         line = write_line(record, self._tip)
+        self._is_open = False
         _append(self.path, line)
         self.records.append(record)
         self._tip = digest(line.rstrip(b"\n"))
+        self._is_open = True
 
 
 def create_journal(path: Path, *, now: Clock) -> Journal:
@@ -151,6 +157,17 @@ def read_journal(path: Path) -> Chain:
 
 
 def _append(path: Path, line: bytes) -> None:
+    try:
+        written = _write_through(path, line)
+    except OSError as error:
+        raise OSError(
+            f"{path}: the disk took no record ({error.strerror or error}); make room or mend the disk, then resume"
+        ) from error
+    if written != len(line):
+        raise OSError(f"{path}: the disk took {written} of {len(line)} bytes; make room, then resume")
+
+
+def _write_through(path: Path, line: bytes) -> int:
     descriptor = os.open(path, _APPEND)
     try:
         before = os.fstat(descriptor).st_size
@@ -158,10 +175,10 @@ def _append(path: Path, line: bytes) -> None:
         if written != len(line):
             # A full disk takes the beginning of a line and says so by a short count only.
             os.ftruncate(descriptor, before)
-            raise OSError(f"{path}: the disk took {written} of {len(line)} bytes; make room, then resume")
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+    return written
 
 
 def _cut_torn_line(path: Path, torn: bytes) -> Path:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import errno
 import json
 import os
 from typing import TYPE_CHECKING, Any
@@ -148,8 +149,38 @@ def test_a_full_disk_leaves_the_last_whole_record(journal: Journal, now: Now, mo
         with pytest.raises(OSError, match=r"the disk took 20 of \d+ bytes; make room, then resume"):
             journal.write("rated", {"trial": 6})
     assert journal.path.read_bytes() == before
-    journal.write("rated", {"trial": 6})
+    again = require_journal(journal.path, now=now)
+    again.write("rated", {"trial": 6})
     assert len(require_journal(journal.path, now=now).records) == 6
+
+
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        (OSError(errno.EIO, "I/O error"), r"session-01\.jsonl: the disk took no record \(I/O error\); make room"),
+        (KeyboardInterrupt(), "^$"),
+    ],
+)
+@pytest.mark.parametrize("call", ["fsync", "write"])
+def test_a_write_that_was_broken_off_closes_the_journal_and_the_chain_holds(
+    journal: Journal, now: Now, monkeypatch: pytest.MonkeyPatch, call: str, error: BaseException, message: str
+) -> None:
+    kept, real = len(journal.records), getattr(os, call)
+
+    def do_it_then_fail(*arguments: Any) -> None:
+        real(*arguments)
+        raise error
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, call, do_it_then_fail)
+        with pytest.raises(type(error), match=message):
+            journal.write("rated", {"trial": 6})
+    with pytest.raises(OSError, match=r"session-01\.jsonl: an earlier write was broken off, .* reopen it to resume"):
+        journal.write("rated", {"trial": 6})
+    again = require_journal(journal.path, now=now)
+    assert again.records[:kept] == journal.records
+    again.write("finished", {})
+    assert read_journal(journal.path).records == tuple(again.records)
 
 
 def test_every_record_is_synced_before_write_returns(journal: Journal, monkeypatch: pytest.MonkeyPatch) -> None:
