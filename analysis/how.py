@@ -28,7 +28,8 @@ def tell_how(draws: int) -> tuple[str, ...]:
         "participants, whichever is smaller: the fewer there are, the less is known of how they differ. Draws that "
         "give no correlation are left out and counted; with more than a tenth of them there is no interval. They say "
         "what other people and other recordings might give. Intervals over participants only treat these very stimuli "
-        "as the only ones; they are far too narrow for a claim about the metric and are shown for comparison with the literature.",
+        "as the only ones; they are far too narrow for a claim about the metric and are shown for comparison with the "
+        "literature.",
         "Differences between metrics: both correlations are recomputed in every draw; the interval of the difference "
         "of Fisher's z is told as a difference of correlations about their mean z.",
         "Noise ceiling: sqrt(ICC(C,k)) from a two-way analysis of variance, the correlation that a perfect metric "

@@ -83,13 +83,14 @@ def make_items(ratings: DataFrame, metrics: Sequence[str]) -> Items:
     Raises
     ------
     ValueError
-        If a column is missing, several scales are mixed, no test stimulus is left, a number is not finite, or
-        a metric or the recording differs between ratings of the same item.
+        If a column is missing, several scales are mixed, no test stimulus is left, a name is missing, a number
+        is not finite, or a metric or the recording differs between ratings of the same item.
     """
     keys = _check_columns(ratings, metrics)
     rows = ratings[ratings["role"] == "test"] if "role" in ratings else ratings
     if rows.empty:
         raise ValueError("ratings: got no row with role 'test'; an association needs rated test stimuli")
+    _check_names(rows, ["participant", "recording"])
     _check_values(rows, ["rating", *metrics])
     # Sorting by rating too makes the sums below, and so the last digit of every result, independent of row
     # order.
@@ -117,6 +118,13 @@ def _check_columns(ratings: DataFrame, metrics: Sequence[str]) -> list[str]:
     if len(scales) > 1:
         raise ValueError(f"ratings: got the scales {', '.join(scales)}, allowed is one; select it first")
     return keys
+
+
+def _check_names(rows: DataFrame, names: Sequence[str]) -> None:
+    for name in names:
+        missing = int(rows[name].isna().sum())
+        if missing:
+            raise ValueError(f"ratings: got {missing} rows without a {name}; name it or leave them out")
 
 
 def _check_values(rows: DataFrame, names: Sequence[str]) -> None:

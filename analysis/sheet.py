@@ -42,7 +42,8 @@ def read_sheet(path: Path, *, required: Sequence[str], optional: Sequence[str] =
     Raises
     ------
     ValueError
-        If the file is empty or not UTF-8, a column is missing or doubled, or a line has too many cells.
+        If the file is empty or not UTF-8, a column is missing or doubled, or a line has too few or too
+        many cells.
     OSError
         If the file cannot be opened.
     """
@@ -52,6 +53,7 @@ def read_sheet(path: Path, *, required: Sequence[str], optional: Sequence[str] =
         header = _read_header(path)
         wanted = [name for name in (*required, *optional) if name in header]
         _check_header(header, path, required=required)
+        _refuse_cut_lines(path, width=len(header))
         sheet = _read_cells(path)
     except UnicodeDecodeError as error:
         place = f"{error.reason} at byte {error.start}"
@@ -153,6 +155,16 @@ def _read_header(path: Path) -> list[str]:
         return next(csv.reader(file), [])
 
 
+def _refuse_cut_lines(path: Path, *, width: int) -> None:
+    # pandas takes missing cells for empty ones: a file cut off while it was written would pass for a whole one.
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        reader = csv.reader(file, strict=True)
+        for row in reader:
+            if 0 < len(row) < width:
+                cells = f"got {len(row)} cells, but the header has {width}"
+                raise ValueError(f"{path.name}, line {reader.line_num}: {cells}; is the file cut off?")
+
+
 def _read_cells(path: Path) -> DataFrame:
     import pandas as pd
 
@@ -165,8 +177,9 @@ def _read_cells(path: Path) -> DataFrame:
 
 def _check_header(header: Sequence[str], path: Path, *, required: Sequence[str]) -> None:
     if not header:
+        state = "line 1 is blank" if path.stat().st_size else "the file is empty"
         names = ", ".join(required)
-        raise ValueError(f"{path.name}: the file is empty; its first line must name the columns {names}")
+        raise ValueError(f"{path.name}: {state}; its first line must name the columns {names}")
     doubled = sorted({name for name in header if header.count(name) > 1})
     if doubled:
         raise ValueError(f"{path.name}: column {', '.join(doubled)} appears more than once; keep one")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.gaps import note_gaps, note_lookalikes
 from analysis.sheet import read_flags, read_numbers, read_sheet, refuse_lines
 
 if TYPE_CHECKING:
@@ -25,8 +26,8 @@ LOWEST, HIGHEST = 0.0, 100.0
 
 ROLES = ("test", "reference", "anchor")
 NEEDED = ("participant", "stimulus_id", "scale", "rating")
-TRIAL_KEY = ("participant", "session", "protocol", "scale", "block", "trial", "stimulus_id")
-"""What may occur once only. The stimulus belongs to it: a multi-stimulus page is one trial, many ratings."""
+JUDGEMENT = ("participant", "session", "protocol", "scale", "block", "stimulus_id")
+"""What, with its trial, may occur once only. The stimulus belongs to it: a page of stimuli is one trial."""
 
 IDENTITY = ("stimulus_id", "recording", "reducer")
 ECHOED = ("recording", "reducer", "level")
@@ -85,9 +86,10 @@ def read_table(ratings_path: Path, manifest_path: Path) -> Table:
         otherwise = f"in column '{name}', but {manifest_path.name} says otherwise of that stimulus"
         refuse_lines(differing, ratings_path.name, why=otherwise)
     rows = ratings.drop(columns=list(ECHOED), errors="ignore").join(manifest, on="stimulus_id")
+    notes = [*notes, *more_notes, *note_gaps(rows, manifest), *note_lookalikes(rows)]
     judged = ["role", "scale", "repeat", "rating", "simulated"]
     order = ["participant", "stimulus_id", *ECHOED, *judged, *metrics]
-    return Table(rows[order].reset_index(drop=True), metrics, (*notes, *more_notes))
+    return Table(rows[order].reset_index(drop=True), metrics, tuple(notes))
 
 
 def read_manifest(path: Path) -> tuple[DataFrame, tuple[str, ...], list[str]]:
@@ -125,6 +127,7 @@ def read_manifest(path: Path) -> tuple[DataFrame, tuple[str, ...], list[str]]:
     _check_identity(sheet, path.name)
     for name in metrics:
         sheet[name] = _read_metric(sheet, name, what=path.name)
+    notes += [note for name in metrics for note in _note_excess(sheet, name)]
     return sheet.set_index("stimulus_id"), metrics, notes + _name_strangers(sheet)
 
 
@@ -155,18 +158,20 @@ def order_reducers(names: Iterable[str]) -> list[str]:
 def _read_ratings(path: Path) -> tuple[DataFrame, list[str]]:
     optional = ("session", "protocol", "block", "trial", "repeat", "rejected", "simulated", *ECHOED)
     sheet = read_sheet(path, required=NEEDED, optional=optional)
-    for name in ("participant", "scale"):
-        _refuse_blanks(sheet, name, what=path.name)
+    sheet, notes = _leave_rejected(sheet, path.name)
+    for name in ("participant", "stimulus_id", "scale"):
+        _check_names(sheet, name, what=path.name)
     sheet["rating"] = read_numbers(sheet["rating"], path.name)
     outside = sheet.loc[~sheet["rating"].between(LOWEST, HIGHEST), "rating"]
     refuse_lines(outside, path.name, why="in column 'rating', allowed is 0 to 100")
     sheet["simulated"] = read_flags(sheet["simulated"], path.name) if "simulated" in sheet else False
-    sheet, notes = _leave_rejected(sheet, path.name)
-    if "trial" in sheet:
-        _refuse_doubles(sheet, path.name)
+    # A trial names a judgement; without trials its repeat does, and without either nothing can be told apart.
+    counted = next((name for name in ("trial", "repeat") if name in sheet), None)
+    if counted:
+        _refuse_doubles(sheet, counted, what=path.name)
     else:
         alike = "rows alike in participant, stimulus and scale are taken as repeats"
-        notes.append(f"{path.name} has no column 'trial': {alike}.")
+        notes.append(f"{path.name} has no column 'trial' or 'repeat': {alike}.")
     if "repeat" not in sheet:
         sheet["repeat"] = (sheet.groupby(["participant", "stimulus_id", "scale"]).cumcount() + 1).astype(str)
     return sheet, notes
@@ -183,22 +188,24 @@ def _leave_rejected(sheet: DataFrame, what: str) -> tuple[DataFrame, list[str]]:
     return sheet[~rejected].copy(), [f"{int(rejected.sum())} judgements marked as rejected are left out."]
 
 
-def _refuse_doubles(sheet: DataFrame, what: str) -> None:
-    key = [name for name in TRIAL_KEY if name in sheet]
-    doubled = sheet.loc[sheet.duplicated(key), "trial"]
-    refuse_lines(doubled, what, why=f"in column 'trial', but an earlier line has the same {', '.join(key)}")
+def _refuse_doubles(sheet: DataFrame, counted: str, *, what: str) -> None:
+    key = [name for name in (*JUDGEMENT, counted) if name in sheet]
+    doubled = sheet.loc[sheet.duplicated(key), counted]
+    refuse_lines(doubled, what, why=f"in column '{counted}', but an earlier line has the same {', '.join(key)}")
 
 
 def _check_identity(sheet: DataFrame, what: str) -> None:
     for name in IDENTITY:
-        _refuse_blanks(sheet, name, what=what)
+        _check_names(sheet, name, what=what)
     odd = sheet.loc[~sheet["role"].isin(ROLES), "role"]
     refuse_lines(odd, what, why=f"in column 'role', allowed is {', '.join(ROLES)}")
     doubled = sheet.loc[sheet["stimulus_id"].duplicated(), "stimulus_id"]
     refuse_lines(doubled, what, why="in column 'stimulus_id', but an earlier line lists it already")
 
 
-def _refuse_blanks(sheet: DataFrame, name: str, *, what: str) -> None:
+def _check_names(sheet: DataFrame, name: str, *, what: str) -> None:
+    padded = sheet.loc[sheet[name] != sheet[name].str.strip(), name]
+    refuse_lines(padded, what, why=f"in column '{name}', which must not begin or end with a blank")
     refuse_lines(sheet.loc[sheet[name] == "", name], what, why=f"in column '{name}', which must not be empty")
 
 
@@ -215,6 +222,13 @@ def _read_metric(sheet: DataFrame, name: str, *, what: str) -> np.ndarray:
     values = np.full(len(sheet), np.nan)
     values[~blank] = read_numbers(sheet.loc[~blank, name], what)
     return values
+
+
+def _note_excess(sheet: DataFrame, name: str) -> list[str]:
+    above = sheet.loc[sheet[name] > 1, "stimulus_id"]
+    if above.empty:
+        return []
+    return [f"'{name}' is above 1, which no match can be, for {len(above)} stimuli, first '{above.iloc[0]}'."]
 
 
 def _name_strangers(sheet: DataFrame) -> list[str]:

@@ -1,7 +1,7 @@
 """The answer in words, generated from the numbers and never stronger than they are.
 
-A direction is claimed only where the two-way interval leaves zero out; everything else is said to be
-undecided, not absent.
+A direction is claimed only where the two-way interval leaves zero out, and a better predictor only where its
+own correlation has a direction; everything else is said to be undecided, not absent.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from analysis.association import Association, Difference
     from analysis.findings import Findings, Panel
 
+UNADJUSTED = "Each 95 % interval stands for itself; none is adjusted for how many there are."
 LEADING, RANKED = "pearson", "spearman"
 """The method that the verdict rests on, and the one it is checked against."""
 
@@ -30,10 +31,12 @@ def write_verdict(findings: Findings) -> tuple[str, ...]:
     Returns
     -------
     tuple of str
-        One sentence or two per scale, level and metric, and per pair of metrics.
+        One sentence or two per scale, level and metric, and per pair of metrics; last, how to read the
+        intervals.
     """
     several = len({panel.level for panel in findings.panels}) > 1
-    return tuple(line for panel in findings.panels for line in _judge_panel(panel, several=several))
+    lines = [line for panel in findings.panels for line in _judge_panel(panel, several=several)]
+    return (*lines, UNADJUSTED)
 
 
 def _judge_panel(panel: Panel, *, several: bool) -> list[str]:
@@ -44,7 +47,12 @@ def _judge_panel(panel: Panel, *, several: bool) -> list[str]:
         for (metric, method), result in by_method.items()
         if method == LEADING
     ]
-    paired = [judge_difference(result, subject) for result in panel.differences if result.method == LEADING]
+    leading = {metric: result for (metric, method), result in by_method.items() if method == LEADING}
+    paired = [
+        judge_difference(result, subject, first=leading[result.first], second=leading[result.second])
+        for result in panel.differences
+        if result.method == LEADING
+    ]
     return alone + paired
 
 
@@ -80,7 +88,7 @@ def judge_association(result: Association, subject: str, *, ranked: Association)
     return f"{claim} ({evidence}). {_tell_ranks(result, ranked)}"
 
 
-def judge_difference(result: Difference, subject: str) -> str:
+def judge_difference(result: Difference, subject: str, *, first: Association, second: Association) -> str:
     """Say whether ratings go with one metric more than with another.
 
     Parameters
@@ -89,21 +97,22 @@ def judge_difference(result: Difference, subject: str) -> str:
         The difference of the correlations and its two-way interval.
     subject : str
         What was rated.
+    first, second : Association
+        The two correlations, each with its own interval.
 
     Returns
     -------
     str
         A claim with its evidence, or that there is none.
     """
-    first, second = tell_name(result.first), tell_name(result.second)
-    pair = f"the correlations of {subject} ratings with {first} and with {second}"
+    pair = f"the correlations of {subject} ratings with {tell_name(result.first)} and with {tell_name(result.second)}"
     if math.isnan(result.low):
         return f"{_start(pair)} cannot be compared by an interval here."
     evidence = f"{tell_number(result.value)}, 95 % two-way interval {tell_range(result.low, result.high)}"
     if _covers_zero(result):
         undecided = f"Neither metric is shown to predict {subject} better"
         return f"{undecided}: {pair} differ by {evidence}, which covers zero."
-    return f"{_start(pair)} differ by {evidence}, which leaves zero out: {_name_better(result)}."
+    return f"{_start(pair)} differ by {evidence}, which leaves zero out: {_name_better(first, second)}."
 
 
 def _covers_zero(result: Association | Difference) -> bool:
@@ -111,17 +120,31 @@ def _covers_zero(result: Association | Difference) -> bool:
 
 
 def _tell_ranks(result: Association, ranked: Association) -> str:
-    agrees = _covers_zero(result) == _covers_zero(ranked)
-    verb = "agrees" if agrees else "disagrees: a few stimuli or a bent relation make the difference"
-    ranks = f"{tell_number(ranked.value)}, {tell_range(ranked.low, ranked.high)}"
-    return f"Spearman's rank correlation ({ranks}) {verb}."
+    ranks = f"Spearman's rank correlation ({tell_number(ranked.value)}, {tell_range(ranked.low, ranked.high)})"
+    if math.isnan(ranked.low):
+        return f"{ranks} has no interval to compare."
+    departures = []
+    if _covers_zero(result) != _covers_zero(ranked):
+        departures.append("covers zero" if _covers_zero(ranked) else "leaves zero out")
+    if result.value * ranked.value < 0:
+        departures.append("has the opposite direction")
+    return f"{ranks} {' and '.join(departures) or 'agrees'}."
 
 
-def _name_better(result: Difference) -> str:
-    if result.first_value * result.second_value <= 0:
-        return "they do not point in the same direction"
-    stronger = result.first if abs(result.first_value) > abs(result.second_value) else result.second
-    return f"{tell_name(stronger)} is the better predictor"
+def _name_better(first: Association, second: Association) -> str:
+    stronger = max(first, second, key=lambda result: abs(result.value))
+    unclear = [tell_name(result.metric) for result in (first, second) if not _has_direction(result)]
+    if first.value * second.value < 0:
+        if not unclear:
+            return "they point in opposite directions"
+        return f"the interval with {' and that with '.join(unclear)} covers zero, so neither is named the better"
+    if not _has_direction(stronger):
+        return f"the interval with {tell_name(stronger.metric)} covers zero, so neither is named the better"
+    return f"{tell_name(stronger.metric)} is the better predictor"
+
+
+def _has_direction(result: Association) -> bool:
+    return result.low > 0 or result.high < 0
 
 
 def _tell_size(result: Association) -> str:

@@ -332,6 +332,8 @@ def spoil(table: pd.DataFrame, what: str) -> pd.DataFrame:
         "scales": lambda: table.assign(scale=np.where(first, "similarity", "realism")),
         "roles": lambda: table[table["role"] != "test"],
         "rating": lambda: table.assign(rating=table["rating"].where(~first)),
+        "participant": lambda: table.assign(participant=table["participant"].where(~first)),
+        "recording": lambda: table.assign(recording=table["recording"].where(~first)),
         "metric": lambda: table.assign(spectral_match=table[SPECTRAL].where(~first, 0.123)),
         "columns": lambda: table[["participant", "recording", "rating", SPECTRAL]],
     }[what]()
@@ -343,6 +345,8 @@ def spoil(table: pd.DataFrame, what: str) -> pd.DataFrame:
         ("scales", "got the scales realism, similarity, allowed is one"),
         ("roles", "got no row with role 'test'"),
         ("rating", "got 1 values of 'rating' that are not finite"),
+        ("participant", "got 1 rows without a participant"),
+        ("recording", "got 1 rows without a recording"),
         ("metric", "'spectral_match' differs between rows of stimulus rec0_sax321_as_is"),
         ("columns", "column reducer is missing"),
     ],

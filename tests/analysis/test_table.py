@@ -62,7 +62,7 @@ def test_four_columns_from_elsewhere_are_enough(files: Callable[..., object]) ->
         "manifest.csv has no column 'level'",
         "manifest.csv has no column 'role'",
         "Reducers unknown to feel321, analysed as named",
-        "ratings.csv has no column 'trial'",
+        "ratings.csv has no column 'trial' or 'repeat'",
     ]
 
 
@@ -94,6 +94,48 @@ def test_blank_lines_and_byte_order_mark_are_no_trouble(files: Callable[..., obj
     assert read(study).rows.equals(plain.rows)
 
 
+def test_a_rejected_judgement_needs_no_rating(files: Callable[..., object]) -> None:
+    study = files()
+    edit(study.ratings, lambda frame: frame.assign(rejected=frame.index < 1, rating=frame["rating"].where(frame.index > 0)))
+    assert len(read(study).rows) == 6 * 2 * 2 * 48 - 1
+
+
+def test_without_trials_the_repeat_tells_judgements_apart(files: Callable[..., object]) -> None:
+    study = files()
+    edit(study.ratings, lambda frame: frame.drop(columns=["trial", "block"]))
+    assert read(study).notes == ()
+    edit(study.ratings, lambda frame: pd.concat([frame, frame.iloc[[4]]]))
+    with pytest.raises(ValueError, match="line 1154: got '1' in column 'repeat', but an earlier line has the same"):
+        read(study)
+
+
+def test_unrated_stimuli_and_scales_without_tests_are_noted(files: Callable[..., object]) -> None:
+    study = files()
+    unrated = ["rec0_dft321_as_is", "rec1_pca321_as_is", "rec2_mag321_as_is", "rec3_mag321_as_is"]
+    edit(study.ratings, lambda frame: frame[~frame["stimulus_id"].isin(unrated)])
+    tested = lambda frame: frame["reducer"].isin(REDUCERS)  # noqa: E731 - read as part of the line below
+    edit(study.ratings, lambda frame: frame[(frame["scale"] == "realism") | ~tested(frame)])
+    assert read(study).notes == (
+        "4 of 48 stimuli of the manifest were rated by nobody: 'rec0_dft321_as_is', 'rec1_pca321_as_is', "
+        "'rec2_mag321_as_is' and 1 more.",
+        "Scale 'similarity' was rated on references and anchors only: it has no association.",
+    )
+
+
+def test_names_that_differ_in_capitals_only_are_noted(files: Callable[..., object]) -> None:
+    study = files()
+    edit(study.ratings, lambda frame: frame.replace({"p01": "P00"}))
+    note = "Names in column 'participant' that differ in capitals only are taken as different: 'P00', 'p00'."
+    assert read(study).notes == (note,)
+
+
+def test_a_match_above_one_is_noted(files: Callable[..., object]) -> None:
+    study = files()
+    edit(study.manifest, set_cell("spectral_match", 1.5, row=2))
+    (note,) = read(study).notes
+    assert note.startswith("'spectral_match' is above 1, which no match can be, for 1 stimuli, first 'rec0_")
+
+
 @pytest.mark.parametrize(
     ("file", "change", "message"),
     [
@@ -105,6 +147,8 @@ def test_blank_lines_and_byte_order_mark_are_no_trouble(files: Callable[..., obj
         ("ratings", set_cell("rating", 100.5, row=3), "line 5: got 100.5 in column 'rating', allowed is 0"),
         ("ratings", lambda f: f.assign(rating=-1), r"lines 2, 3, 4 and \d+ more: got -1 in"),
         ("ratings", set_cell("participant", ""), "line 2: got '' in column 'participant', which must not be empty"),
+        ("ratings", set_cell("participant", "p00 "), "got 'p00 ' in column 'participant', which must not begin"),
+        ("manifest", set_cell("recording", " rec0"), "line 2: got ' rec0' in column 'recording', which must not begin"),
         ("ratings", set_cell("scale", "", row=1), "line 3: got '' in column 'scale', which must not be empty"),
         ("ratings", set_cell("stimulus_id", "ghost"), "got 'ghost' in column 'stimulus_id', which manifest"),
         ("ratings", set_cell("reducer", "dft321"), "got 'dft321' in column 'reducer', but manifest.csv says"),
@@ -139,7 +183,9 @@ def test_every_fault_gets_one_clear_line(
         (b"participant,stimulus_id,scale,rating\na,b,c,5\na,b,c,5,6\n", "not a regular CSV file, .*line 3"),
         (b'participant,stimulus_id,scale,rating\na,"b,c,5\n', "not a regular CSV file"),
         (b"participant,stimulus_id,scale,rating\nJ\xf6rg,b,c,5\n", "not UTF-8 text .* at byte"),
-        (b"participant,stimulus_id,scale,rating\na,rec0_sax321_as_is,realism\n", "got '' in column 'rating'"),
+        (b"participant,stimulus_id,scale,rating\na,b,c\n", "ratings.csv, line 2: got 3 cells, but the header has 4"),
+        (b"participant,stimulus_id,scale,rating,protocol\na,b,c,5,d\na,b,c,6", "line 3: got 4 cells, but the header"),
+        (b"\nparticipant,stimulus_id,scale,rating\na,b,c,5\n", "ratings.csv: line 1 is blank; its first line must"),
     ],
 )
 def test_files_that_are_no_tables(files: Callable[..., object], content: bytes, message: str) -> None:

@@ -15,7 +15,8 @@ CLEAR = Association(
 
 BETTER = Difference(
     value=0.5, low=0.2, high=0.8, z_value=0.6, z_low=0.2, z_high=1.0, first_value=0.7, second_value=0.2, n_items=36,
-    n_participants=12, n_recordings=4, draws=2000, first="spectral_match", second="temporal_match", method="pearson",
+    n_participants=12, n_recordings=4, n_missing=0, draws=2000, first="spectral_match", second="temporal_match",
+    method="pearson",
 )  # fmt: skip
 
 
@@ -23,8 +24,13 @@ def judge(**changes: object) -> str:
     return judge_association(dataclasses.replace(CLEAR, **changes), "realism", ranked=CLEAR)
 
 
-def compare(**changes: object) -> str:
-    return judge_difference(dataclasses.replace(BETTER, **changes), "realism")
+def compare(*, spread: float = 0.05, **changes: object) -> str:
+    result = dataclasses.replace(BETTER, **changes)
+    first, second = (
+        dataclasses.replace(CLEAR, metric=metric, value=value, low=value - spread, high=value + spread)
+        for metric, value in ((result.first, result.first_value), (result.second, result.second_value))
+    )
+    return judge_difference(result, "realism", first=first, second=second)
 
 
 def test_a_clear_association_is_claimed_with_its_evidence() -> None:
@@ -43,7 +49,34 @@ def test_an_interval_over_zero_claims_nothing(low: float, high: float) -> None:
     said = judge(low=low, high=high)
     assert "undecided" in said
     assert "got higher" not in said
-    assert "disagrees" in said
+    assert said.endswith("(0.70, 0.40 to 0.90) leaves zero out.")
+
+
+@pytest.mark.parametrize(
+    ("ranks", "said"),
+    [
+        ({"value": 0.6, "low": 0.2, "high": 0.8}, "agrees."),
+        ({"value": 0.3, "low": -0.2, "high": 0.7}, "covers zero."),
+        ({"value": -0.6, "low": -0.8, "high": -0.3}, "has the opposite direction."),
+        ({"value": -0.1, "low": -0.5, "high": 0.3}, "covers zero and has the opposite direction."),
+        ({"low": math.nan, "high": math.nan}, "has no interval to compare."),
+    ],
+)
+def test_ranks_agree_only_in_verdict_and_direction(ranks: dict[str, float], said: str) -> None:
+    ranked = dataclasses.replace(CLEAR, method="spearman", **ranks)
+    assert judge_association(CLEAR, "realism", ranked=ranked).endswith(f") {said}")
+
+
+@pytest.mark.parametrize("second_value", [0.2, -0.2])
+def test_no_metric_is_better_whose_own_interval_covers_zero(second_value: float) -> None:
+    said = compare(spread=0.75, second_value=second_value)
+    assert "spectral match" in said.split("leaves zero out")[1]
+    assert said.endswith("covers zero, so neither is named the better.")
+
+
+def test_an_unclear_weaker_metric_of_opposite_sign_has_no_direction() -> None:
+    said = compare(second_value=-0.1, spread=0.2)
+    assert said.endswith("the interval with temporal match covers zero, so neither is named the better.")
 
 
 def test_no_interval_no_conclusion() -> None:
@@ -67,7 +100,7 @@ def test_better_means_stronger_where_both_are_negative() -> None:
 
 
 def test_opposite_signs_are_not_ranked() -> None:
-    assert compare(first_value=0.4, second_value=-0.1).endswith("they do not point in the same direction.")
+    assert compare(first_value=0.4, second_value=-0.1).endswith("they point in opposite directions.")
 
 
 def test_a_difference_over_zero_ranks_nothing() -> None:

@@ -1,0 +1,63 @@
+"""What a table of ratings lacks or may have confused: said in a note, never repaired."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from pandas import DataFrame
+
+NAMED = 3
+"""How many names a note lists before it only counts."""
+
+
+def note_gaps(rows: DataFrame, manifest: DataFrame) -> Iterator[str]:
+    """Say which stimuli nobody rated, and which scales have no test stimulus.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        Judgements: stimulus_id, scale, role.
+    manifest : DataFrame
+        Stimuli, indexed by stimulus_id.
+
+    Yields
+    ------
+    str
+        One sentence each.
+    """
+    rated = set(rows["stimulus_id"])
+    unrated = [str(name) for name in manifest.index if name not in rated]
+    if unrated:
+        yield f"{len(unrated)} of {len(manifest)} stimuli of the manifest were rated by nobody: {_list(unrated)}."
+    tested = set(rows.loc[rows["role"] == "test", "scale"])
+    for scale in sorted(set(rows["scale"]) - tested):
+        yield f"Scale '{scale}' was rated on references and anchors only: it has no association."
+
+
+def note_lookalikes(rows: DataFrame) -> Iterator[str]:
+    """Say which names differ in capitals only.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        Judgements: participant, stimulus_id, recording, reducer, level, scale.
+
+    Yields
+    ------
+    str
+        One sentence per column that has such names.
+    """
+    for column in ("participant", "stimulus_id", "recording", "reducer", "level", "scale"):
+        names = sorted(rows[column].unique())
+        folded = [name.casefold() for name in names]
+        alike = [name for name, fold in zip(names, folded, strict=True) if folded.count(fold) > 1]
+        if alike:
+            yield f"Names in column '{column}' that differ in capitals only are taken as different: {_list(alike)}."
+
+
+def _list(names: Sequence[str]) -> str:
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return ", ".join(f"'{name}'" for name in names[:NAMED]) + more
