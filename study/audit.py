@@ -5,6 +5,7 @@ Every finding names the file, and the line where there is one.
 
 from __future__ import annotations
 
+import json
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ from stimuli.inspection import check_stimuli
 from stimuli.manifest import read_stimuli
 from study.journal import read_journal
 from study.plan import require_plan
+from study.provenance import read_origin
 from study.session import PLAN_FILE, find_header, name_journal
 
 if TYPE_CHECKING:
@@ -36,11 +38,36 @@ def audit_study(study: StudyFolder) -> list[str]:
     list of str
         Everything that is not as it was written, one line each; empty if all is well.
     """
-    findings = check_stimuli(study.stimuli) if study.manifest.exists() else []
-    stimuli_sha256 = read_stimuli(study.stimuli).sha256 if study.manifest.exists() else None
-    for folder in study.participants:
+    begun = [folder for folder in study.participants if _has_begun(folder)]
+    if not begun and not study.stimuli.exists():
+        return []
+    findings, stimuli_sha256 = _audit_stimuli(study.stimuli)
+    for folder in begun:
         findings += _audit_participant(folder, stimuli_sha256)
     return findings
+
+
+def _has_begun(folder: Path) -> bool:
+    """Tell a session from what a crash before the plan leaves: a folder with nothing but a lock."""
+    return (folder / PLAN_FILE).exists() or any(folder.glob("session-*.jsonl"))
+
+
+def _audit_stimuli(folder: Path) -> tuple[list[str], str | None]:
+    """Verify the set; its digest comes too, where the manifest can be read."""
+    findings = check_stimuli(folder)
+    try:
+        stimuli = read_stimuli(folder)
+    except (OSError, ValueError):
+        return findings, None  # Among the findings already.
+    try:
+        rows = read_origin(folder).rows
+    except ValueError as error:
+        return [*findings, str(error)], stimuli.sha256
+    # As text, in which a figure that is NaN equals itself.
+    same = json.dumps(rows, sort_keys=True) == json.dumps([asdict(row) for row in stimuli.stimuli], sort_keys=True)
+    if not same:
+        findings.append(f"{folder}: manifest.csv and manifest.json differ; one was changed, build the set again")
+    return findings, stimuli.sha256
 
 
 def _audit_participant(folder: Path, stimuli_sha256: str | None) -> list[str]:
@@ -56,7 +83,7 @@ def _audit_participant(folder: Path, stimuli_sha256: str | None) -> list[str]:
     for path in sorted(folder.glob("session-*.jsonl")):
         try:
             chain = read_journal(path)
-        except ValueError as error:
+        except (OSError, ValueError) as error:
             findings.append(str(error))
         else:
             findings += [f"{path}{finding}" for finding in _audit_journal(chain, plan, name=path.stem)]

@@ -7,10 +7,14 @@ from typing import TYPE_CHECKING
 from stimuli.inspection import check_stimuli
 from stimuli.manifest import read_stimuli
 from study.plan import make_plan
+from study.provenance import find_changes
 from study.settings import read_settings
 from study.sources import make_recipe, try_recordings
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from stimuli.recipe import Recipe
     from stimuli.recording import Recording
     from study.folder import StudyFolder
     from study.tables import Settings
@@ -36,13 +40,28 @@ def check_study(study: StudyFolder) -> tuple[list[Recording], list[str]]:
     except ValueError as error:
         return [], str(error).splitlines()
     recordings, problems = try_recordings(settings, study.path)
+    recipe = None
     try:
-        make_recipe(settings)
+        recipe = make_recipe(settings)
     except ValueError as error:
         problems.append(f"{study.settings.name}: {error}")
     if study.stimuli.exists():
         problems += check_stimuli(study.stimuli) or _check_plan(study, settings)
+        if recipe is not None:
+            sources = {recording.name: recording.sha256 for recording in recordings}
+            named = {entry.title: sources.get(entry.title) for entry in settings.recordings}
+            problems += _check_origin(study, recipe, named)
+    elif study.participants:
+        problems.append(f"{study.stimuli}: is missing, but sessions were run with it; put it back or build it again")
     return recordings, problems
+
+
+def _check_origin(study: StudyFolder, recipe: Recipe, recordings: Mapping[str, str | None]) -> list[str]:
+    """Check that the set that is there is the one that the settings ask for."""
+    try:
+        return [f"{change}; run feel321 build" for change in find_changes(study.stimuli, recipe, recordings)]
+    except ValueError as error:
+        return [str(error)]
 
 
 def _check_plan(study: StudyFolder, settings: Settings) -> list[str]:

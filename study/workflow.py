@@ -7,19 +7,22 @@ from typing import TYPE_CHECKING
 from analysis.report import write_report
 from stimuli.manifest import read_stimuli
 from stimuli.sets import build_stimuli
+from study.provenance import find_changes, is_in_use
 from study.ratings import write_ratings
 from study.settings import read_settings
 from study.simulate import Simulation, run_simulation
 from study.sources import make_recipe, open_recordings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from stimuli.manifest import StimulusSet
+    from stimuli.recipe import Recipe
     from stimuli.recording import Recording
     from study.folder import StudyFolder
     from study.journal import Clock
+    from study.tables import Settings
 
     Progress = Callable[[int, int], None]
 
@@ -44,12 +47,17 @@ def build_study(
         What was read; each with its warnings.
     stimuli : StimulusSet
         What was built.
+
+    Raises
+    ------
+    ValueError
+        If a recording cannot be read, or another set would take the place of one that sessions were run with.
     """
     settings = read_settings(study.settings)
     recordings = open_recordings(settings, study.path)
-    stimuli = build_stimuli(
-        recordings, study.stimuli, recipe=make_recipe(settings), workers=workers, progress=progress
-    )
+    recipe = make_recipe(settings)
+    _spare_used_set(study, recipe, recordings)
+    stimuli = build_stimuli(recordings, study.stimuli, recipe=recipe, workers=workers, progress=progress)
     return recordings, stimuli
 
 
@@ -80,9 +88,15 @@ def simulate_study(
     -------
     int
         Rows of the table.
+
+    Raises
+    ------
+    ValueError
+        If the set is not the one that the settings ask for, or a session was begun in another way.
     """
     settings = read_settings(study.settings)
     stimuli = read_stimuli(study.stimuli)
+    _require_current_set(study, settings)
     seed = settings.study.seed if seed is None else seed
     run_simulation(Simulation(study, settings, stimuli, seed, now), participants, progress=progress)
     return write_ratings(study, stimuli)
@@ -116,3 +130,21 @@ def analyze_study(study: StudyFolder, *, out: Path | None = None) -> Path:
         study.ratings, study.manifest, folder, draws=settings.analysis.draws, seed=settings.study.seed
     )
     return folder
+
+
+def _require_current_set(study: StudyFolder, settings: Settings) -> None:
+    named = dict.fromkeys(entry.title for entry in settings.recordings)
+    if changes := find_changes(study.stimuli, make_recipe(settings), named):
+        raise ValueError("\n".join(f"{change}; run feel321 build {study.path}" for change in changes))
+
+
+def _spare_used_set(study: StudyFolder, recipe: Recipe, recordings: Sequence[Recording]) -> None:
+    """Refuse to replace a set that sessions were run with; a damaged one can only gain."""
+    try:
+        sha256 = read_stimuli(study.stimuli).sha256
+        changes = find_changes(study.stimuli, recipe, {recording.name: recording.sha256 for recording in recordings})
+    except (OSError, ValueError):
+        return
+    if changes and is_in_use(study, sha256):
+        remedy = f"sessions were run with this set; make a new study, or move {study.sessions} away"
+        raise ValueError("\n".join(f"{change}; {remedy}" for change in changes))

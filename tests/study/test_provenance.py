@@ -1,0 +1,154 @@
+"""A set that is not the one that the settings ask for is named, never used, and never lost while sessions need it."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING
+
+import pytest
+
+from stimuli.manifest import read_stimuli
+from study.audit import audit_study
+from study.check import check_study
+from study.provenance import find_changes
+from study.settings import read_settings
+from study.sources import make_recipe
+from study.workflow import build_study, simulate_study
+
+if TYPE_CHECKING:
+    from study.folder import StudyFolder
+
+
+@pytest.fixture
+def built(study: StudyFolder) -> StudyFolder:
+    build_study(study)
+    return study
+
+
+def change(study: StudyFolder, old: str, new: str) -> None:
+    text = study.settings.read_text(encoding="utf-8")
+    assert old in text
+    study.settings.write_text(text.replace(old, new), encoding="utf-8")
+
+
+def simulate(study: StudyFolder) -> int:
+    return simulate_study(study, participants=1, seed=None, now=lambda: datetime(2026, 1, 1, tzinfo=UTC))
+
+
+def use(study: StudyFolder) -> None:
+    """Leave what a session leaves: a file that names the set."""
+    folder = study.sessions / "p01"
+    folder.mkdir(parents=True)
+    (folder / "plan.json").write_text(json.dumps({"stimuli_sha256": read_stimuli(study.stimuli).sha256}))
+
+
+def test_a_set_that_was_just_built_is_the_one_that_the_settings_ask_for(built: StudyFolder) -> None:
+    settings = read_settings(built.settings)
+    assert find_changes(built.stimuli, make_recipe(settings), {"bumps": None, "hard_taps": None}) == []
+    assert check_study(built)[1] == []
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("[analysis]", "[rig]\nrate_hz = 44100.0\n[analysis]", "rate_hz: built with 48000.0; the settings say 44100.0"),
+        (
+            "[analysis]",
+            "[stimuli.conditioning]\nlow_pass_hz = 500.0\n[analysis]",
+            "conditioning.low_pass_hz: built with 1000.0; the settings say 500.0",
+        ),
+        (
+            '"hard_taps"',
+            '"circular_motion"',
+            "recordings: built from bumps, hard_taps; the settings name bumps, circular_motion",
+        ),
+    ],
+)
+def test_a_stale_set_is_listed_by_check_and_refused_by_simulate(
+    old: str, new: str, message: str, built: StudyFolder
+) -> None:
+    change(built, old, new)
+    assert check_study(built)[1] == [f"{built.stimuli}: {message}; run feel321 build"]
+    with pytest.raises(ValueError, match=message) as caught:
+        simulate(built)
+    assert str(caught.value).endswith(f"; run feel321 build {built.path}")
+    assert built.participants == []
+    build_study(built)
+    assert check_study(built)[1] == []
+
+
+def test_check_knows_a_recording_by_its_content(built: StudyFolder) -> None:
+    change(built, 'scene = "bumps"', 'scene = "bumps"\nseed = 9')
+    message = "recording 'bumps': is not the one that the set was built from; run feel321 build"
+    assert check_study(built)[1] == [f"{built.stimuli}: {message}"]
+
+
+@pytest.mark.parametrize(("old", "new"), [("sax321", "say321"), ('scene = "bumps"', 'scene = "bumps"\nseed = 9')])
+def test_a_set_that_sessions_were_run_with_is_not_replaced(old: str, new: str, built: StudyFolder) -> None:
+    use(built)
+    before = {path.name: path.read_bytes() for path in built.stimuli.iterdir()}
+    change(built, old, new)
+    with pytest.raises(ValueError, match=r"sessions were run with this set; make a new study, or move .*sessions away"):
+        build_study(built)
+    assert {path.name: path.read_bytes() for path in built.stimuli.iterdir()} == before
+    built.sessions.rename(built.path / "earlier")
+    build_study(built)
+
+
+def test_a_set_in_use_may_be_built_again_and_another_one_replaced(built: StudyFolder) -> None:
+    use(built)
+    sha256 = read_stimuli(built.stimuli).sha256
+    (built.stimuli / "bumps__sax321__as_is.wav").unlink()
+    assert build_study(built)[1].sha256 == sha256
+    (built.sessions / "p01" / "plan.json").write_text("{}", encoding="utf-8")
+    change(built, "sax321", "say321")
+    assert build_study(built)[1].sha256 != sha256
+
+
+@pytest.mark.parametrize(
+    "content", [None, b"", b"null", b"[]", b"{}", b"\xff", b'{"stimuli": [1], "recipe": {}}', b"[" * 99999]
+)
+def test_a_manifest_json_that_is_none_is_said_and_mended(content: bytes | None, built: StudyFolder) -> None:
+    path = built.stimuli / "manifest.json"
+    path.unlink()
+    if content is not None:
+        path.write_bytes(content)
+    for problems in (check_study(built)[1], audit_study(built)):
+        assert len(problems) == 1
+        assert problems[0].startswith(f"{path}: is missing or damaged (")
+        assert problems[0].endswith("; write it anew with: feel321 build")
+    with pytest.raises(ValueError, match="is missing or damaged"):
+        simulate(built)
+    build_study(built)
+    assert check_study(built)[1] == audit_study(built) == []
+
+
+def test_a_missing_set_is_a_finding_once_sessions_have_begun(study: StudyFolder) -> None:
+    assert check_study(study)[1] == audit_study(study) == []
+    use_folder = study.sessions / "p01"
+    use_folder.mkdir(parents=True)
+    (use_folder / ".lock").touch()
+    assert audit_study(study) == []
+    (use_folder / "plan.json").write_text("{}", encoding="utf-8")
+    assert any("there is no manifest" in finding for finding in audit_study(study))
+    assert check_study(study)[1] == [
+        f"{study.stimuli}: is missing, but sessions were run with it; put it back or build it again"
+    ]
+
+
+def test_audit_names_a_manifest_that_cannot_be_read(built: StudyFolder) -> None:
+    (built.stimuli / "manifest.csv").write_bytes(b"\xff")
+    findings = audit_study(built)
+    assert len(findings) == 1
+    assert "not a CSV table in UTF-8" in findings[0]
+
+
+def test_audit_compares_both_forms_of_the_manifest(built: StudyFolder) -> None:
+    path = built.stimuli / "manifest.json"
+    details = json.loads(path.read_bytes())
+    details["stimuli"][0]["temporal_match"] = 0.5
+    path.write_text(json.dumps(details), encoding="utf-8")
+    assert audit_study(built) == [
+        f"{built.stimuli}: manifest.csv and manifest.json differ; one was changed, build the set again"
+    ]
