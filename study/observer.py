@@ -156,7 +156,7 @@ def identify_observer(model: ObserverModel, *, seed: int) -> dict[str, Any]:
     dict
         Everything, as JSON can hold it.
     """
-    return {"simulated": True, "seed": seed, "model": asdict(model)}
+    return {"simulated": True, "seed": seed, "observer": asdict(model)}
 
 
 def feel(stimulus: Stimulus, model: ObserverModel) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING
 
 from protocols.design import make_order
@@ -21,6 +21,14 @@ if TYPE_CHECKING:
 
 PARTICIPANT_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 """What a participant may be called: it names a folder."""
+
+FORMAT = 1
+"""Form of the stored plan; a file says which one it has."""
+
+INPUTS = ("participant", "number", "seed", "protocols", "repeats", "stimuli_sha256")
+"""What the trials follow from."""
+
+_SEAL = b',\n "sha256": "'
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +51,8 @@ class Plan:
         The stimulus set that the trials name.
     trials : tuple of Trial
         The trials, in order.
+    sha256 : str
+        Digest of the plan as it was stored; empty before that.
     """
 
     participant: str
@@ -52,11 +62,7 @@ class Plan:
     repeats: int
     stimuli_sha256: str
     trials: tuple[Trial, ...]
-
-    @property
-    def sha256(self) -> str:
-        """Digest of all the fields."""
-        return digest(json.dumps(asdict(self), sort_keys=True))
+    sha256: str = field(default="", compare=False)
 
 
 def make_plan(
@@ -120,7 +126,9 @@ def create_plan(path: Path, plan: Plan) -> None:
     FileExistsError
         If there is a file already.
     """
-    create_text(path, json.dumps({**asdict(plan), "sha256": plan.sha256}, indent=1) + "\n")
+    entry = {"format": FORMAT, **asdict(plan)}
+    del entry["sha256"]
+    create_text(path, _seal(json.dumps(entry, indent=1).encode()).decode())
 
 
 def require_plan(path: Path) -> Plan:
@@ -143,21 +151,22 @@ def require_plan(path: Path) -> Plan:
     ValueError
         If it is not what was once stored.
     """
-    try:
-        entry = json.loads(path.read_text(encoding="utf-8"))
-        sha256 = entry.pop("sha256")
-        entry["trials"] = tuple(Trial(**trial) for trial in entry["trials"])
-        entry["protocols"] = tuple(entry["protocols"])
-        plan = Plan(**entry)
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path}: got no plan ({error}); restore the file from a copy") from None
-    if plan.sha256 != sha256:
-        raise ValueError(f"{path}: was changed after it was stored; restore the file from a copy")
-    return plan
+    content = path.read_bytes()
+    # The digest is of the bytes on the disk, so that a plan stays what it was when later versions know more fields.
+    body = content.rpartition(_SEAL)[0] + b"\n}"
+    if content != _seal(body):
+        raise ValueError(
+            f"{path}: got no plan, or one that was changed after it was stored; restore the file from a copy"
+        )
+    entry = json.loads(body)
+    if (stored := entry.pop("format")) != FORMAT:
+        raise ValueError(f"{path}: got a plan of format {stored}, allowed is {FORMAT}; use the feel321 that wrote it")
+    trials = tuple(Trial(**trial) for trial in entry.pop("trials"))
+    return Plan(**entry | {"protocols": tuple(entry["protocols"])}, trials=trials, sha256=digest(body))
 
 
 def find_differences(plan: Plan, other: Plan) -> list[str]:
-    """Say in which fields two plans differ.
+    """Say in which inputs two plans differ.
 
     Parameters
     ----------
@@ -167,15 +176,15 @@ def find_differences(plan: Plan, other: Plan) -> list[str]:
     Returns
     -------
     list of str
-        One entry per field; of the trials, the first that differs. Empty if the plans are equal.
+        One entry per input. The trials themselves are not compared: the stored ones are those that count.
     """
-    found = [
+    return [
         f"{name} {getattr(plan, name)!r} -> {getattr(other, name)!r}"
-        for name in (field.name for field in fields(Plan) if field.name != "trials")
+        for name in INPUTS
         if getattr(plan, name) != getattr(other, name)
     ]
-    if len(plan.trials) != len(other.trials):
-        found.append(f"{len(plan.trials)} trials -> {len(other.trials)}")
-    pairs = zip(plan.trials, other.trials, strict=False)
-    changed = next((number for number, (a, b) in enumerate(pairs, start=1) if a != b), None)
-    return found + ([f"order of trials, first at trial {changed}"] if changed else [])
+
+
+def _seal(body: bytes) -> bytes:
+    """Put the digest of a JSON object into it as its last entry."""
+    return body.removesuffix(b"\n}") + _SEAL + digest(body).encode() + b'"\n}\n'

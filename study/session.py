@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 from protocols.queue import TrialQueue
 from study.journal import create_journal, require_journal
-from study.lock import hold_lock
 from study.plan import create_plan, find_differences, require_plan
 from study.ports import Replay
 
@@ -55,7 +54,9 @@ class Stage:
 
 
 @contextmanager
-def open_session(folder: Path, plan: Plan, *, identity: Mapping[str, Any], now: Clock) -> Iterator[Journal]:
+def open_session(
+    folder: Path, plan: Plan, *, identity: Mapping[str, Any], now: Clock
+) -> Iterator[tuple[Plan, Journal]]:
     """Begin or resume the session of one participant, and keep everybody else from writing to it.
 
     Parameters
@@ -63,7 +64,7 @@ def open_session(folder: Path, plan: Plan, *, identity: Mapping[str, Any], now: 
     folder : Path
         The participant's folder; created if missing.
     plan : Plan
-        The plan that today's settings give.
+        The plan that today's settings give; stored if none is yet.
     identity : mapping
         What must not change within the session besides the plan: the kind of presenter and its settings, as
         JSON can hold them; `simulated` (bool) among them.
@@ -72,7 +73,9 @@ def open_session(folder: Path, plan: Plan, *, identity: Mapping[str, Any], now: 
 
     Yields
     ------
-    Journal
+    plan : Plan
+        The plan as it is stored; its trials are those to present.
+    journal : Journal
         With a header and all that was done before.
 
     Raises
@@ -82,17 +85,15 @@ def open_session(folder: Path, plan: Plan, *, identity: Mapping[str, Any], now: 
     BlockingIOError
         If the session is running elsewhere.
     """
+    from stimuli.lock import hold_lock
+
     folder.mkdir(parents=True, exist_ok=True)
-    with hold_lock(folder / ".lock"):
-        _store_plan(folder / PLAN_FILE, plan)
+    with hold_lock(folder / ".lock", busy="another session is writing here; let it finish or stop it first"):
+        stored = _settle_plan(folder / PLAN_FILE, plan)
         path = folder / name_journal(SESSION)
         journal = require_journal(path, now=now) if path.exists() else create_journal(path, now=now)
-        header = _make_header(plan, identity)
-        if (begun := find_header(journal.records)) is None:
-            journal.write("begun", header)
-        else:
-            _check_header(begun, header, path=path)
-        yield journal
+        _write_opening(journal, _make_header(stored, identity))
+        yield stored, journal
 
 
 def run_session(plan: Plan, stage: Stage, *, on_rated: Callable[[Trial], None] | None = None) -> None:
@@ -204,14 +205,16 @@ def is_finished(records: Iterable[Record]) -> bool:
     return any(record.event == "finished" for record in records)
 
 
-def _store_plan(path: Path, plan: Plan) -> None:
+def _settle_plan(path: Path, plan: Plan) -> Plan:
     if not path.exists():
         create_plan(path, plan)
-    elif differences := find_differences(require_plan(path), plan):
+    stored = require_plan(path)
+    if differences := find_differences(stored, plan):
         raise ValueError(
             f"{path}: the study was changed since this plan was stored ({'; '.join(differences)}); "
-            "change it back, or begin with another participant"
+            "change it back, begin with another participant, or move sessions/ away"
         )
+    return stored
 
 
 def _make_header(plan: Plan, identity: Mapping[str, Any]) -> dict[str, Any]:
@@ -222,19 +225,38 @@ def _make_header(plan: Plan, identity: Mapping[str, Any]) -> dict[str, Any]:
         "stimuli_sha256": plan.stimuli_sha256,
         "seed": plan.seed,
         "presenter": dict(identity),
-        "versions": {name: version(name) for name in ("feel321", "numpy")},
     }
 
 
-def _check_header(begun: Mapping[str, Any], header: Mapping[str, Any], *, path: Path) -> None:
+def _write_opening(journal: Journal, header: Mapping[str, Any]) -> None:
     # Other versions of the software may go on with a session; another plan, set or presenter may not.
-    names = [name for name in header if name != "versions" and begun.get(name) != header[name]]
+    versions = {name: version(name) for name in ("feel321", "numpy")}
+    if (begun := find_header(journal.records)) is None:
+        journal.write("begun", {**header, "versions": versions})
+        return
+    _check_header(begun, header, path=journal.path)
+    if not is_finished(journal.records):
+        journal.write("resumed", {"versions": versions})
+
+
+def _check_header(begun: Mapping[str, Any], header: Mapping[str, Any], *, path: Path) -> None:
+    old, new = _flatten(begun), _flatten(header)
+    # What only one of them knows is a difference as well.
+    names = [name for name in old | new if not name.startswith("versions.") and old.get(name) != new.get(name)]
     if names:
-        differences = "; ".join(f"{name} {begun.get(name)!r} -> {header[name]!r}" for name in names)
+        differences = "; ".join(f"{name} {old.get(name)!r} -> {new.get(name)!r}" for name in names)
         raise ValueError(
             f"{path}: the session was begun otherwise ({differences}); "
-            "change that back, or begin with another participant"
+            "change that back, begin with another participant, or move sessions/ away"
         )
+
+
+def _flatten(entry: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Name every value of nested mappings by its keys, joined with dots."""
+    flat: dict[str, Any] = {}
+    for name, value in entry.items():
+        flat |= _flatten(value, f"{prefix}{name}.") if isinstance(value, dict) else {f"{prefix}{name}": value}
+    return flat
 
 
 def _run_trial(trial: Trial, stage: Stage) -> None:

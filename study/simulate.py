@@ -126,9 +126,9 @@ def _run(plan: Plan, simulation: Simulation, *, on_rated: Callable[[Trial], None
     model = ObserverModel(**simulation.settings.observer.model_dump())
     identity = identify_observer(model, seed=simulation.seed)
     folder = simulation.study.sessions / plan.participant
-    with open_session(folder, plan, identity=identity, now=simulation.now) as journal:
+    with open_session(folder, plan, identity=identity, now=simulation.now) as (stored, journal):
         observer = SimulatedObserver(
-            model, seed=simulation.seed, number=plan.number, elapsed_s=find_elapsed(journal.records)
+            model, seed=simulation.seed, number=stored.number, elapsed_s=find_elapsed(journal.records)
         )
         stage = Stage(
             presenter=observer,
@@ -136,5 +136,5 @@ def _run(plan: Plan, simulation: Simulation, *, on_rated: Callable[[Trial], None
             scales=read_scales(simulation.settings.session.language),
             journal=journal,
         )
-        run_session(plan, stage, on_rated=on_rated)
+        run_session(stored, stage, on_rated=on_rated)
 

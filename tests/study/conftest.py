@@ -135,9 +135,10 @@ def present(
     """Run or resume the session of p01 with a presenter; gives the journal's records."""
 
     def run(presenter: ScriptedPresenter, *, plan: Plan = plan) -> list[Any]:
-        with open_session(tmp_path / "sessions" / "p01", plan, identity={"simulated": True}, now=now) as journal:
+        folder = tmp_path / "sessions" / "p01"
+        with open_session(folder, plan, identity={"simulated": True}, now=now) as (stored, journal):
             by_id = {stimulus.stimulus_id: stimulus for stimulus in stimuli.stimuli}
-            run_session(plan, Stage(presenter, by_id, read_scales(), journal))
+            run_session(stored, Stage(presenter, by_id, read_scales(), journal))
             return list(journal.records)
 
     return run

@@ -109,5 +109,5 @@ def test_an_observer_who_felt_nothing_cannot_rate() -> None:
 
 def test_identity_names_everything_that_ratings_depend_on() -> None:
     assert identify_observer(MODEL, seed=3)["seed"] == 3
-    assert identify_observer(MODEL, seed=3)["model"]["noise_sd"] == 8.0
+    assert identify_observer(MODEL, seed=3)["observer"]["noise_sd"] == 8.0
     assert identify_observer(MODEL, seed=3)["simulated"] is True

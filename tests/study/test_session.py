@@ -2,12 +2,13 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from study.lock import hold_lock
-from study.plan import Plan, make_plan
+from study.journal import create_journal
+from study.plan import Plan, make_plan, require_plan
 from study.session import find_completed, find_elapsed, find_header, is_finished, open_session
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from stimuli.manifest import StimulusSet
 
     Present = Callable[..., list[Any]]
+    Now = Callable[[], datetime]
 
 
 def test_a_realism_trial_is_shown_played_and_rated(present: Present, scripted: type, plan: Plan) -> None:
@@ -39,13 +41,13 @@ def test_a_similarity_trial_plays_the_reference_first(present: Present, scripted
     ]
 
 
-def test_the_journal_tells_everything_in_order(present: Present, scripted: type, plan: Plan) -> None:
+def test_the_journal_tells_everything_in_order(present: Present, scripted: type, tmp_path: Path) -> None:
     records = present(scripted())
     realism, similarity = ["shown", "played", "rated"], ["shown", "played", "played", "rated"]
     assert [r.event for r in records] == ["begun", *realism * 10, *similarity * 10, "finished"]
     header = find_header(records)
     assert header is not None
-    assert header["plan_sha256"] == plan.sha256
+    assert header["plan_sha256"] == require_plan(tmp_path / "sessions" / "p01" / "plan.json").sha256 != ""
     assert header["stimuli_sha256"] == "5" * 64
     assert header["presenter"] == {"simulated": True}
     assert set(header["versions"]) == {"feel321", "numpy"}
@@ -106,15 +108,16 @@ def test_another_plan_is_refused_and_the_difference_named(
 ) -> None:
     present(scripted())
     other = make_plan(stimuli, "p01", number=1, seed=7, protocols=("realism", "similarity"), repeats=2)
-    with pytest.raises(ValueError, match=r"plan\.json: the study was changed .*repeats 1 -> 2; 20 trials -> 40"):
+    message = r"plan\.json: the study was changed .*\(repeats 1 -> 2\); .* or move sessions/ away"
+    with pytest.raises(ValueError, match=message):
         present(scripted(), plan=other)
 
 
 def test_another_presenter_is_refused_and_the_difference_named(
-    present: Present, scripted: type, plan: Plan, tmp_path: Path, now: Callable[[], datetime]
+    present: Present, scripted: type, plan: Plan, tmp_path: Path, now: Now
 ) -> None:
     present(scripted())
-    message = r"begun otherwise \(presenter {'simulated': True} -> {'simulated': False}\)"
+    message = r"begun otherwise \(presenter.simulated True -> False\)"
     with (
         pytest.raises(ValueError, match=message),
         open_session(tmp_path / "sessions" / "p01", plan, identity={"simulated": False}, now=now),
@@ -122,34 +125,58 @@ def test_another_presenter_is_refused_and_the_difference_named(
         pytest.fail("the session was opened")
 
 
+def test_a_later_version_runs_the_stored_plan_and_not_the_order_that_it_would_make(
+    present: Present, scripted: type, plan: Plan
+) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        present(scripted(stop_after=3))
+    records = present(scripted(), plan=replace(plan, trials=plan.trials[::-1]))
+    shown = [r.data["stimulus_id"] for r in records if r.event == "shown"]
+    assert shown == [trial.stimulus_id for trial in plan.trials]
+
+
+def test_resuming_leaves_a_record_with_the_versions(present: Present, scripted: type) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        present(scripted(stop_after=3))
+    records = present(scripted())
+    assert [r.data for r in records if r.event == "resumed"] == [{"versions": records[0].data["versions"]}]
+
+
+@pytest.mark.parametrize(
+    ("change", "difference"),
+    [({"seed": 8}, "seed 8 -> 7"), ({"stimuli_sha256": "6"}, f"stimuli_sha256 '6' -> '{'5' * 64}'")],
+)
+def test_a_header_that_does_not_fit_the_plan_is_refused_and_the_difference_named(
+    present: Present, scripted: type, tmp_path: Path, now: Now, change: dict[str, Any], difference: str
+) -> None:
+    header = {**present(scripted())[0].data, **change}
+    path = tmp_path / "sessions" / "p01" / "session-01.jsonl"
+    path.unlink()
+    create_journal(path, now=now).write("begun", header)
+    with pytest.raises(ValueError, match=rf"begun otherwise \({difference}\); .* or move sessions/ away"):
+        present(scripted())
+
+
 HOLD = """
 import sys
 from pathlib import Path
-from study.lock import hold_lock
-with hold_lock(Path(sys.argv[1])):
+from stimuli.lock import hold_lock
+with hold_lock(Path(sys.argv[1]), busy="x"):
     print("held", flush=True)
     sys.stdin.read()
 """
 
 
-def test_two_writers_cannot_share_a_session(tmp_path: Path) -> None:
-    lock = tmp_path / ".lock"
+def test_two_writers_cannot_share_a_session(present: Present, scripted: type, tmp_path: Path) -> None:
+    folder = tmp_path / "sessions" / "p01"
+    folder.mkdir(parents=True)
     with subprocess.Popen(
-        [sys.executable, "-c", HOLD, lock], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", HOLD, folder / ".lock"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as other:
         assert other.stdout is not None
         assert other.stdout.readline() == "held\n"
-        with pytest.raises(BlockingIOError, match="another session is writing here"), hold_lock(lock):
-            pytest.fail("the lock was held twice")
+        with pytest.raises(BlockingIOError, match="p01: another session is writing here; let it finish"):
+            present(scripted())
+        assert [path.name for path in folder.iterdir()] == [".lock"]
         other.kill()
-    with hold_lock(lock):
-        pass  # the lock of a killed process is free at once
-
-
-def test_one_process_cannot_hold_a_lock_twice(tmp_path: Path) -> None:
-    with (
-        hold_lock(tmp_path / ".lock"),
-        pytest.raises(BlockingIOError, match="another session"),
-        hold_lock(tmp_path / ".lock"),
-    ):
-        pytest.fail("the lock was held twice")
+    assert present(scripted())[-1].event == "finished"  # the lock of a killed process is free at once

@@ -101,20 +101,30 @@ def test_resuming_from_any_record_gives_the_same_table(whole: StudyFolder, copy:
 
 
 def test_another_seed_for_the_same_participants_is_refused(copy: StudyFolder) -> None:
-    with pytest.raises(ValueError, match=r"begun otherwise .*'seed': 321.* -> .*'seed': 4"):
+    with pytest.raises(ValueError, match=r"begun otherwise \(presenter.seed 321 -> 4\)"):
         simulate(copy, seed=4)
 
 
 def test_changed_settings_are_refused_for_sessions_that_began(copy: StudyFolder) -> None:
     copy.settings.write_text(copy.settings.read_text(encoding="utf-8") + "[study]\nseed = 9\n", encoding="utf-8")
-    with pytest.raises(ValueError, match=r"the study was changed since this plan was stored \(seed 321 -> 9; order of"):
+    with pytest.raises(ValueError, match=r"the study was changed since this plan was stored \(seed 321 -> 9\)"):
+        simulate(copy)
+
+
+def test_another_observer_is_refused_and_only_what_differs_is_named(copy: StudyFolder) -> None:
+    copy.settings.write_text(copy.settings.read_text(encoding="utf-8") + "[observer]\nnoise_sd = 9\n", encoding="utf-8")
+    message = r"begun otherwise \(presenter\.observer\.noise_sd 8\.0 -> 9\.0\); .* or move sessions/ away"
+    with pytest.raises(ValueError, match=message):
         simulate(copy)
 
 
 def test_a_set_built_anew_from_other_reducers_is_refused(copy: StudyFolder) -> None:
     text = copy.settings.read_text(encoding="utf-8").replace("sax321", "say321")
     copy.settings.write_text(text, encoding="utf-8")
+    # A build refuses to replace a set that was judged, so the sessions come back after it.
+    copy.sessions.rename(copy.path / "aside")
     build_study(copy)
+    (copy.path / "aside").rename(copy.sessions)
     with pytest.raises(ValueError, match=r"stimuli_sha256 '.*' -> '.*'"):
         simulate(copy)
     assert any("names another stimulus set than the one that is built" in line for line in audit_study(copy))
@@ -168,7 +178,7 @@ def test_audit_finds_a_changed_or_missing_plan_and_wav(copy: StudyFolder) -> Non
     content[-5] ^= 1
     wav.write_bytes(content)
     findings = audit_study(copy)
-    assert any("sim001/plan.json: was changed after it was stored" in line for line in findings)
+    assert any("sim001/plan.json: got no plan, or one that was changed" in line for line in findings)
     assert any("sim002/plan.json" in line for line in findings)
     assert any(wav.name in line for line in findings)
 
@@ -214,6 +224,7 @@ def test_check_finds_every_problem_at_once(copy: StudyFolder) -> None:
 
 
 def test_check_finds_that_a_protocol_lacks_its_reference(copy: StudyFolder) -> None:
+    shutil.rmtree(copy.sessions)
     text = copy.settings.read_text(encoding="utf-8") + 'reference = "none"\n'
     copy.settings.write_text(text, encoding="utf-8")
     build_study(copy)
