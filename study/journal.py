@@ -38,11 +38,14 @@ class Journal:
         Gives the time of day, with its zone.
     records : list of Record
         All events so far, in order.
+    notice : str
+        What had to be mended when it was opened, for whoever leads the session; mostly empty.
     """
 
     path: Path
     now: Clock
     records: list[Record] = field(default_factory=list)
+    notice: str = ""
     _tip: str = START
     _is_open: bool = True
 
@@ -114,7 +117,7 @@ def require_journal(path: Path, *, now: Clock) -> Journal:
     Returns
     -------
     Journal
-        With all its records. If the last line was torn, a record `recovered` says so.
+        With all its records. If the last line was torn, a record `recovered` and the notice say so.
 
     Raises
     ------
@@ -124,10 +127,11 @@ def require_journal(path: Path, *, now: Clock) -> Journal:
         If the chain is broken, naming the line.
     """
     chain = read_journal(path)
-    journal = Journal(path, now, list(chain.records), chain.tip)
+    journal = Journal(path, now, list(chain.records), _tip=chain.tip)
     if chain.torn:
         torn = _cut_torn_line(path, chain.torn)
         journal.write("recovered", {"torn_bytes": len(chain.torn), "moved_to": torn.name})
+        journal.notice = f"{path}: {len(chain.torn)} bytes of a line that was never finished were moved to {torn.name}"
     return journal
 
 

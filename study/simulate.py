@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING
 from protocols.texts import read_scales
 from study.observer import ObserverModel, SimulatedObserver, identify_observer
 from study.plan import make_plan
-from study.session import Stage, find_elapsed, open_session, run_session
+from study.session import Stage, find_completed, find_elapsed, open_session, run_session
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from protocols.trial import Trial
     from stimuli.manifest import StimulusSet
     from study.folder import StudyFolder
     from study.journal import Clock
@@ -54,7 +53,7 @@ class Simulation:
     now: Clock
 
 
-def run_simulation(simulation: Simulation, participants: int, *, progress: Progress | None = None) -> None:
+def run_simulation(simulation: Simulation, participants: int, *, progress: Progress | None = None) -> list[str]:
     """Lead simulated participants through their sessions; finished ones are kept, broken ones resumed.
 
     Parameters
@@ -64,7 +63,12 @@ def run_simulation(simulation: Simulation, participants: int, *, progress: Progr
     participants : int
         How many; they are called sim001, sim002, ...
     progress : callable, optional
-        Called with the numbers of trials done and to do, after each trial.
+        Called with the numbers of trials done, by earlier runs too, and to do.
+
+    Returns
+    -------
+    list of str
+        What had to be mended when sessions were resumed, one line each; mostly empty.
 
     Raises
     ------
@@ -76,21 +80,20 @@ def run_simulation(simulation: Simulation, participants: int, *, progress: Progr
     rated = [0] * len(plans)
     counting, stop = Lock(), Event()
 
-    def count(place: int, trial: Trial) -> None:
+    def count(place: int, done: int) -> None:
         if stop.is_set():
             raise CancelledError
         with counting:
-            rated[place] = trial.number
+            rated[place] = done
             if progress is not None:
                 progress(sum(rated), total)
 
     pool = ThreadPoolExecutor(SIDE_BY_SIDE)
     try:
         sessions = [
-            pool.submit(_run, plan, simulation, on_rated=partial(count, place)) for place, plan in enumerate(plans)
+            pool.submit(_run, plan, simulation, count=partial(count, place)) for place, plan in enumerate(plans)
         ]
-        for session in as_completed(sessions):
-            session.result()
+        return sorted(notice for session in as_completed(sessions) if (notice := session.result()))
     finally:
         # After an error or Ctrl-C the other sessions end with the trial that they are in.
         stop.set()
@@ -122,7 +125,7 @@ def plan_session(simulation: Simulation, number: int) -> Plan:
     )
 
 
-def _run(plan: Plan, simulation: Simulation, *, on_rated: Callable[[Trial], None]) -> None:
+def _run(plan: Plan, simulation: Simulation, *, count: Callable[[int], None]) -> str:
     model = ObserverModel(**simulation.settings.observer.model_dump())
     identity = identify_observer(model, seed=simulation.seed)
     folder = simulation.study.sessions / plan.participant
@@ -136,5 +139,8 @@ def _run(plan: Plan, simulation: Simulation, *, on_rated: Callable[[Trial], None
             scales=read_scales(simulation.settings.session.language),
             journal=journal,
         )
-        run_session(stored, stage, on_rated=on_rated)
+        if done := len(find_completed(journal.records)):
+            count(done)
+        run_session(stored, stage, on_rated=lambda trial: count(trial.number))
+        return journal.notice
 

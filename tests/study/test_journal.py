@@ -128,6 +128,9 @@ def test_a_file_cut_at_any_byte_is_recovered_without_losing_a_whole_line(journal
             aside = journal.path.with_name(again.records[-1].data["moved_to"])
             assert aside.read_bytes() == whole[cut - torn : cut]
             assert again.records[-1].data["torn_bytes"] == torn
+            assert again.notice == (
+                f"{journal.path}: {torn} bytes of a line that was never finished were moved to {aside.name}"
+            )
             aside.unlink()
 
 

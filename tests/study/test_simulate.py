@@ -15,7 +15,8 @@ from study.check import check_study
 from study.folder import StudyFolder
 from study.journal import create_journal, read_journal
 from study.ratings import write_ratings
-from study.simulate import SIDE_BY_SIDE
+from study.settings import read_settings
+from study.simulate import SIDE_BY_SIDE, Simulation, run_simulation
 from study.status import read_status
 from study.workflow import analyze_study, build_study, simulate_study
 
@@ -64,6 +65,29 @@ def test_progress_counts_every_trial_up_to_the_last(copy: StudyFolder) -> None:
     shutil.rmtree(copy.sessions)
     simulate(copy, progress=lambda done, total: steps.append((done, total)))
     assert steps == [(done, 60) for done in range(1, 61)]
+
+
+def test_progress_counts_what_earlier_runs_did(copy: StudyFolder) -> None:
+    lines = copy.journals[0].read_bytes().splitlines(keepends=True)
+    rated = [number for number, line in enumerate(lines, start=1) if b'"event": "rated"' in line]
+    copy.journals[0].write_bytes(b"".join(lines[: rated[4]]))
+    steps: list[tuple[int, int]] = []
+    simulate(copy, participants=4, progress=lambda done, total: steps.append((done, total)))
+    assert steps[-1] == (80, 80)
+    # Two were finished and one was rated to its fifth trial: 15 and 20 trials are left, three sessions are found.
+    assert len(steps) == 15 + 20 + 3
+
+
+def test_what_was_mended_on_resuming_is_reported(copy: StudyFolder) -> None:
+    torn = copy.journals[1]
+    torn.write_bytes(torn.read_bytes()[:-9])
+    settings, stimuli = read_settings(copy.settings), read_stimuli(copy.stimuli)
+    simulation = Simulation(copy, settings, stimuli, settings.study.seed, lambda: datetime.now(UTC))
+    notices = run_simulation(simulation, 3)
+    assert len(notices) == 1
+    assert notices[0].startswith(f"{torn}: ")
+    assert notices[0].endswith("were moved to session-01.jsonl.torn1")
+    assert run_simulation(simulation, 3) == []
 
 
 def test_an_error_in_one_session_ends_the_others_with_the_trial_that_they_are_in(copy: StudyFolder) -> None:
