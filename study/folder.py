@@ -63,8 +63,8 @@ class StudyFolder:
 
     @property
     def journals(self) -> list[Path]:
-        """All journals, sorted by participant, then session."""
-        return sorted(self.sessions.glob("*/session-*.jsonl"))
+        """All journals, sorted by participant, then session; copies under other names are none."""
+        return sorted(self.sessions.glob("*/session-[0-9][0-9].jsonl"))
 
 
 def create_study(path: Path) -> StudyFolder:

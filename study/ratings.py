@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from study.files import write_text
 from study.journal import read_journal
-from study.session import find_header
+from study.session import find_header, name_journal
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -94,7 +94,7 @@ def read_judgements(path: Path, stimuli: StimulusSet) -> list[dict[str, Any]]:
     Raises
     ------
     ValueError
-        If the journal is broken or was written with another stimulus set.
+        If the journal is broken, lies elsewhere than it was written, or was written with another stimulus set.
     """
     records = read_journal(path).records
     header = find_header(records)
@@ -104,6 +104,11 @@ def read_judgements(path: Path, stimuli: StimulusSet) -> list[dict[str, Any]]:
         raise ValueError(
             f"{path}: was written with stimulus set {header['stimuli_sha256'][:12]}, the folder holds "
             f"{stimuli.sha256[:12]}; build the set of that session again"
+        )
+    if (header["participant"], name_journal(header["session"])) != (path.parent.name, path.name):
+        raise ValueError(
+            f"{path}: is session {header['session']} of {header['participant']!r}, it was copied here; "
+            "move the copy out of sessions/"
         )
     by_id = {stimulus.stimulus_id: stimulus for stimulus in stimuli.stimuli}
     rows = []

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import csv
+import shutil
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -90,3 +91,25 @@ def test_a_journal_of_another_stimulus_set_is_refused(
     present(scripted())
     with pytest.raises(ValueError, match="was written with stimulus set 555555555555, the folder holds 666666666666"):
         write_ratings(StudyFolder(tmp_path), replace(stimuli, sha256="6" * 64))
+
+
+@pytest.mark.parametrize("name", ["session-01.old.jsonl", "session-01 (copy).jsonl", "session-01a.jsonl"])
+def test_copies_of_a_journal_under_other_names_do_not_count(
+    present: Present, scripted: type, stimuli: StimulusSet, tmp_path: Path, name: str
+) -> None:
+    present(scripted())
+    folder = tmp_path / "sessions" / "p01"
+    shutil.copy(folder / "session-01.jsonl", folder / name)
+    assert write_ratings(StudyFolder(tmp_path), stimuli) == 20
+
+
+@pytest.mark.parametrize("copy", ["p01 backup/session-01.jsonl", "p01/session-02.jsonl"])
+def test_a_journal_that_lies_elsewhere_than_it_was_written_is_refused(
+    present: Present, scripted: type, stimuli: StimulusSet, tmp_path: Path, copy: str
+) -> None:
+    present(scripted())
+    target = tmp_path / "sessions" / copy
+    target.parent.mkdir(exist_ok=True)
+    shutil.copy(tmp_path / "sessions" / "p01" / "session-01.jsonl", target)
+    with pytest.raises(ValueError, match=f"{copy}: is session 1 of 'p01', it was copied here; move the copy out"):
+        write_ratings(StudyFolder(tmp_path), stimuli)
