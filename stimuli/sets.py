@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 PARTS = ".parts"
 FINISHED = "finished"
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +94,7 @@ def build_stimuli(
     """
     if workers < 1:
         raise ValueError(f"workers: got {workers}, allowed is 1 or more")
-    _check_names(recordings)
+    check_names([recording.name for recording in recordings])
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     with hold_lock(folder / ".lock", busy="another build is running here; let it finish or stop it first"):
@@ -139,20 +139,32 @@ def _publish(
     return published
 
 
-def _check_names(recordings: Sequence[Recording]) -> None:
-    if not recordings:
+def check_names(names: Sequence[str]) -> None:
+    """Demand that every recording has a name of its own that can stand in a file name on any system.
+
+    Parameters
+    ----------
+    names : sequence of str
+        The recordings' names.
+
+    Raises
+    ------
+    ValueError
+        If there is none, or one cannot be used; the message says what is allowed.
+    """
+    if not names:
         raise ValueError("recordings: got none, allowed is one or more; name them in study.toml")
     seen: set[str] = set()
-    for recording in recordings:
-        if not _NAME.fullmatch(recording.name):
+    for name in names:
+        if not _NAME.fullmatch(name):
             raise ValueError(
-                f"recording name: got {recording.name!r}, allowed are letters, digits, '.', '_' and '-', "
+                f"recording name: got {name!r}, allowed are up to 100 letters (A-Z), digits, '.', '_' and '-', "
                 "beginning with a letter or digit; give it another name"
             )
         # Some file systems do not tell capitals from small letters.
-        if recording.name.casefold() in seen:
-            raise ValueError(f"recording name: got {recording.name!r} twice; give one of them another name")
-        seen.add(recording.name.casefold())
+        if name.casefold() in seen:
+            raise ValueError(f"recording name: got {name!r} twice; give one of them another name")
+        seen.add(name.casefold())
 
 
 def _make_parts_folder(folder: Path) -> Path:

@@ -67,6 +67,8 @@ def read_settings(path: Path) -> Settings:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:  # TOML's own errors and those of the encoding
         raise ValueError(f"{path}: got no TOML ({error}); mend that place") from None
+    except RecursionError:
+        raise ValueError(f"{path}: got no TOML (nested too deeply); mend that place") from None
     try:
         # By way of JSON, where strict reading takes an array for a tuple, but no "5" or true for a number.
         return Settings.model_validate_json(json.dumps(content, default=str), strict=True)

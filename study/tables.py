@@ -16,6 +16,7 @@ from protocols.texts import list_languages
 from stimuli.recipe import LEVELS, NO_REFERENCE, ORIGINAL
 from stimuli.recording import UNITS
 from stimuli.reduce import REDUCERS
+from stimuli.sets import check_names
 from stimuli.synthesis import SCENES
 
 if TYPE_CHECKING:
@@ -103,7 +104,8 @@ RecordingTable = Annotated[
 
 
 def _check_titles(recordings: tuple[SceneTable | FileTable, ...]) -> tuple[SceneTable | FileTable, ...]:
-    _check_distinct(tuple(recording.title for recording in recordings))
+    titles = _check_distinct(tuple(recording.title for recording in recordings))
+    check_names(titles)
     return recordings
 
 
@@ -140,7 +142,7 @@ class SessionTable(Table):
     """`[session]`: what participants do."""
 
     protocols: Annotated[tuple[Annotated[str, _one_of(PROTOCOLS)], ...], Some] = tuple(PROTOCOLS)
-    repeats: Annotated[int, Field(ge=1)] = 1
+    repeats: Annotated[int, Field(ge=1, le=1000)] = 1
     language: Annotated[str, _one_of(list_languages())] = "en"
 
 

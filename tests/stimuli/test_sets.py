@@ -464,7 +464,8 @@ def test_recipes_that_cannot_be_cooked_are_refused(changes: dict[str, object], m
 def test_names_must_be_file_names_and_differ(scenes: list[Recording], tmp_path: Path) -> None:
     for recordings, message in (
         ([], "got none"),
-        ([replace(scenes[0], name="a/b")], "letters, digits"),
+        ([replace(scenes[0], name="a/b")], r"letters \(A-Z\), digits"),
+        ([replace(scenes[0], name="a" * 101)], "up to 100 letters"),
         ([scenes[0], replace(scenes[1], name="BUMPS")], "'BUMPS' twice"),
     ):
         with pytest.raises(ValueError, match=message):
