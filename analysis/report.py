@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import platform
-import shutil
 import tempfile
 from importlib.metadata import version
 from pathlib import Path
@@ -12,10 +11,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.findings import Findings, analyse, make_tables
+from analysis.findings import analyse, make_tables
 from analysis.how import tell_how
 from analysis.page import render_page
 from analysis.pictures import Picture, draw_pictures, note_undrawable
+from analysis.replacing import list_files, replace_report
 from analysis.results import Results, collect_notes, collect_numbers
 from analysis.style import save_figure
 from analysis.table import read_table
@@ -24,7 +24,9 @@ from analysis.verdict import write_verdict
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-COMPUTED_WITH = ("numpy", "scipy", "pandas", "matplotlib")
+    from pandas import DataFrame
+
+COMPUTED_WITH = ("numpy", "scipy", "pandas", "matplotlib", "jinja2")
 
 
 def write_report(
@@ -39,7 +41,8 @@ def write_report(
     manifest_path : Path or str
         ``manifest.csv`` of the stimuli that were rated.
     folder : Path or str
-        The report's folder: ``index.html``, ``results.json``, ``tables`` and ``figures`` in it are replaced.
+        The report's folder. The files of a former report, which its ``results.json`` lists, are replaced;
+        all others stay.
     draws : int
         Bootstrap draws per interval, at least 2.
     seed : int
@@ -55,49 +58,47 @@ def write_report(
     ValueError
         If the tables cannot be analysed; names the file and the lines.
     OSError
-        If a file cannot be read or written.
+        If a file cannot be read or written, or would replace one that is not of a former report.
     """
     ratings, manifest, target = Path(ratings_path), Path(manifest_path), Path(folder)
     table = read_table(ratings, manifest)
     findings = analyse(table, draws=draws, rng=np.random.default_rng(seed))
-    pictures = draw_pictures(table, findings)
+    pictures, tables = draw_pictures(table, findings), make_tables(findings)
     results = Results(
         verdict=write_verdict(findings),
         numbers=collect_numbers(table, findings),
         figures={picture.name: picture.caption for picture in pictures},
         notes=(*collect_notes(table, findings), *note_undrawable(table)),
         how=tell_how(draws),
+        files=list_files([picture.name for picture in pictures], tables),
         simulated=bool(table.rows["simulated"].any()),
-        inputs={**_describe_file("ratings", ratings), **_describe_file("manifest", manifest), "seed": str(seed)},
+        inputs={
+            **_describe_file("ratings", ratings), **_describe_file("manifest", manifest),
+            "seed": str(seed), "draws": str(draws),
+        },
         versions=_list_versions(),
     )
     target.parent.mkdir(parents=True, exist_ok=True)
     # Everything is written beside its place first: an interrupted run leaves the former report as it was.
     with tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}-") as place:
-        _write_parts(Path(place), findings, results=results, pictures=pictures)
-        _move_parts(Path(place), target)
+        _write_parts(Path(place), results=results, pictures=pictures, tables=tables)
+        page = render_page(results, findings, pictures=pictures, figures=Path(place) / "figures")
+        (Path(place) / "index.html").write_text(page, encoding="utf-8", newline="")
+        replace_report(Path(place), target, files=results.files)
     return results
 
 
-def _write_parts(place: Path, findings: Findings, *, results: Results, pictures: Sequence[Picture]) -> None:
+def _write_parts(
+    place: Path, *, results: Results, pictures: Sequence[Picture], tables: Mapping[str, DataFrame]
+) -> None:
     (place / "tables").mkdir()
-    for name, frame in make_tables(findings).items():
+    for name, frame in tables.items():
         text = frame.to_csv(index=False, float_format="%.10g", lineterminator="\n")
         (place / "tables" / f"{name}.csv").write_text(text, encoding="utf-8", newline="")
     (place / "figures").mkdir()
     for picture in pictures:
         save_figure(picture.figure, place / "figures" / picture.name)
     (place / "results.json").write_text(results.to_json(), encoding="utf-8", newline="")
-    page = render_page(results, findings, pictures=pictures, figures=place / "figures")
-    (place / "index.html").write_text(page, encoding="utf-8", newline="")
-
-
-def _move_parts(place: Path, target: Path) -> None:
-    target.mkdir(exist_ok=True)
-    for part in ("tables", "figures"):
-        shutil.rmtree(target / part, ignore_errors=True)
-    for part in ("tables", "figures", "results.json", "index.html"):
-        (place / part).replace(target / part)
 
 
 def _describe_file(role: str, path: Path) -> Mapping[str, str]:

@@ -75,6 +75,8 @@ class Results:
         What was left out or assumed.
     how : tuple of str
         How it was computed.
+    files : tuple of str
+        Every file of the report, relative to its folder: what a later report may replace.
     simulated : bool
         Whether any rating came from a simulated participant.
     inputs : Mapping of str to str
@@ -88,6 +90,7 @@ class Results:
     figures: Mapping[str, str]
     notes: tuple[str, ...]
     how: tuple[str, ...]
+    files: tuple[str, ...]
     simulated: bool
     inputs: Mapping[str, str]
     versions: Mapping[str, str]
@@ -107,6 +110,7 @@ class Results:
             "figures": dict(self.figures),
             "notes": self.notes,
             "how": self.how,
+            "files": self.files,
             "inputs": dict(self.inputs),
             "versions": dict(self.versions),
         }

@@ -282,6 +282,36 @@ def test_an_old_report_is_replaced_and_other_files_stay(own_report: Path, files:
     assert (own_report / "notes.txt").read_text(encoding="utf-8") == "mine"
 
 
+def test_files_of_the_same_folders_that_are_not_ours_stay(study: object, tmp_path: Path) -> None:
+    for name in ("figures/photo.png", "tables/mine.csv", "thesis.txt"):
+        (tmp_path / "mine" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "mine" / name).write_text("mine", encoding="utf-8")
+    for _ in range(2):
+        write_report(study.ratings, study.manifest, tmp_path / "mine", draws=5, seed=0)
+        for name in ("figures/photo.png", "tables/mine.csv", "thesis.txt"):
+            assert (tmp_path / "mine" / name).read_text(encoding="utf-8") == "mine"
+
+
+@pytest.mark.parametrize("results", [None, "no JSON", "[]", '{"files": ["figures/../../precious.csv"]}'])
+def test_a_file_in_the_way_is_never_replaced(study: object, tmp_path: Path, results: str | None) -> None:
+    page = tmp_path / "mine" / "index.html"
+    page.parent.mkdir()
+    page.write_text("mine", encoding="utf-8")
+    if results:
+        (page.parent / "results.json").write_text(results, encoding="utf-8")
+    (tmp_path / "precious.csv").write_text("1", encoding="utf-8")
+    with pytest.raises(FileExistsError, match="is not of a former report; move it away or choose another folder"):
+        write_report(study.ratings, study.manifest, page.parent, draws=5, seed=0)
+    assert page.read_text(encoding="utf-8") == "mine"
+    assert not (page.parent / "figures").exists()
+    assert (tmp_path / "precious.csv").exists()
+
+
+def test_every_file_is_listed(report: Path) -> None:
+    found = {path.relative_to(report).as_posix() for path in report.rglob("*") if path.is_file()}
+    assert found == set(load(report)["files"])
+
+
 def test_a_failed_run_changes_nothing(own_report: Path, files: Callable[..., object], monkeypatch: object) -> None:
     before = {path: path.read_bytes() for path in own_report.rglob("*") if path.is_file()}
     study = files(seed=9, scales=("realism",))

@@ -96,7 +96,8 @@ def test_blank_lines_and_byte_order_mark_are_no_trouble(files: Callable[..., obj
 
 def test_a_rejected_judgement_needs_no_rating(files: Callable[..., object]) -> None:
     study = files()
-    edit(study.ratings, lambda frame: frame.assign(rejected=frame.index < 1, rating=frame["rating"].where(frame.index > 0)))
+    edit(study.ratings, lambda frame: frame.assign(rejected=frame.index < 1))
+    edit(study.ratings, set_cell("rating", ""))
     assert len(read(study).rows) == 6 * 2 * 2 * 48 - 1
 
 
