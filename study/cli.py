@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 from typing import TYPE_CHECKING
 
@@ -17,8 +18,43 @@ if TYPE_CHECKING:
 
 DONE, COULD_NOT, WRONG_USE, INTERRUPTED = 0, 1, 2, 130
 
+RESUMED = {"build", "demo", "simulate"}
+"""Verbs that go on, when called again, where they were interrupted."""
+
+
+class Interrupted(Exception):  # noqa: N818 - nothing went wrong
+    """Ctrl-C came while a verb ran; its name is the argument."""
+
+
+class Verbs(click.Group):
+    """The verbs; what click says about Ctrl-C takes two lines, and it cannot know what goes on."""
+
+    def invoke(self, ctx: click.Context) -> object:
+        """Run a verb.
+
+        Parameters
+        ----------
+        ctx : click.Context
+            The call.
+
+        Returns
+        -------
+        object
+            What the verb returns.
+
+        Raises
+        ------
+        Interrupted
+            On Ctrl-C.
+        """
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            raise Interrupted(ctx.invoked_subcommand) from None
+
 
 @click.group(
+    cls=Verbs,
     epilog="Begin with: feel321 demo",
     commands=[getattr(commands, name) for name in commands.__all__],
     no_args_is_help=False,
@@ -47,9 +83,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         code = feel321.main(args=arguments, prog_name="feel321", standalone_mode=False)
     except click.UsageError as error:
         return _complain(_hint(error), code=WRONG_USE)
-    except click.Abort:
-        return _complain("interrupted; what is done is kept, the same command goes on", code=INTERRUPTED)
-    except (OSError, TypeError, ValueError) as error:
+    except (Interrupted, click.Abort) as stop:
+        goes_on = "; what is done is kept, the same command goes on" if RESUMED.intersection(stop.args) else ""
+        return _complain(f"interrupted{goes_on}", code=INTERRUPTED)
+    except Exception as error:  # the last door: whatever it is, it is one line
         if "--traceback" in arguments:
             raise
         return _complain(_describe(error), code=COULD_NOT)
@@ -62,9 +99,15 @@ def _hint(error: click.UsageError) -> str:
 
 
 def _describe(error: Exception) -> str:
+    if not isinstance(error, (OSError, TypeError, ValueError)):
+        reason = " ".join(str(error).split())
+        return f"unexpected {type(error).__name__}: {reason}; run again with feel321 --traceback and report it"
     # The system's own errors say what happened to which file, but not in our words.
-    if isinstance(error, OSError) and error.filename is not None:
-        return f"{error.filename}: {error.strerror}; check the name, and whether you may write there"
+    if isinstance(error, OSError) and error.errno is not None:
+        place = "" if error.filename is None else f"{error.filename}: "
+        full = error.errno in {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+        remedy = "make room there and run again" if full else "check the name, and whether you may write there"
+        return f"{place}{error.strerror}; {remedy}"
     return str(error)
 
 

@@ -18,18 +18,17 @@ def write_text(path: Path, text: str) -> None:
         Where to write; its folder must exist.
     text : str
         The whole content; written as UTF-8 with the line ends that it has.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written, naming the file; one that was there is as it was.
     """
-    # Beside the target, so that the replacement stays on one file system and is atomic.
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        with unfinished.open("w", encoding="utf-8", newline="") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)
-    sync_folder(path.parent)
+        _replace(path, text)
+    except OSError as error:
+        # A full disk is reported without a name, most else with that of the unfinished file.
+        raise OSError(error.errno, error.strerror, str(path)) from error
 
 
 def create_text(path: Path, text: str) -> None:
@@ -67,3 +66,17 @@ def sync_folder(folder: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def _replace(path: Path, text: str) -> None:
+    # Beside the target, so that the replacement stays on one file system and is atomic.
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with unfinished.open("w", encoding="utf-8", newline="") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        unfinished.replace(path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+    sync_folder(path.parent)

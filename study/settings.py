@@ -64,14 +64,14 @@ def read_settings(path: Path) -> Settings:
         If the file cannot be read.
     """
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        # By way of JSON, where strict reading takes an array for a tuple, but no "5" or true for a number.
+        content = json.dumps(tomllib.loads(path.read_text(encoding="utf-8")), default=str)
     except ValueError as error:  # TOML's own errors and those of the encoding
         raise ValueError(f"{path}: got no TOML ({error}); mend that place") from None
     except RecursionError:
         raise ValueError(f"{path}: got no TOML (nested too deeply); mend that place") from None
     try:
-        # By way of JSON, where strict reading takes an array for a tuple, but no "5" or true for a number.
-        return Settings.model_validate_json(json.dumps(content, default=str), strict=True)
+        return Settings.model_validate_json(content, strict=True)
     except ValidationError as error:
         lines = [f"{path.name}: {_translate(detail)}" for detail in error.errors(include_url=False)]
         raise ValueError("\n".join(lines)) from None
@@ -80,6 +80,8 @@ def read_settings(path: Path) -> Settings:
 def _translate(detail: ErrorDetails) -> str:
     names = tuple(part for part in detail["loc"] if isinstance(part, str))
     place = _write_place(detail["loc"])
+    if detail["type"] == "json_invalid":  # We wrote the JSON: only its depth can be wrong.
+        return "got no settings (nested too deeply); mend that place"
     if detail["type"] == "extra_forbidden":
         return f"{place}: is no setting; {_suggest(names)}"
     if detail["type"] == "missing":

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 @click.command(epilog="Example: feel321 simulate my-study --participants 16 --seed 1")
 @study_argument
 @click.option(
-    "--participants", type=click.IntRange(min=1), default=16, show_default=True, help="How many take part."
+    "--participants", type=click.IntRange(1, 10_000), default=16, show_default=True, help="How many take part."
 )
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the participants.  [default: the study's]")
 @json_option

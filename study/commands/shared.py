@@ -155,7 +155,9 @@ def show_progress(what: str) -> Iterator[Callable[[int, int], None]]:
     """
     from tqdm import tqdm
 
-    with tqdm(desc=what, file=sys.stderr, disable=not sys.stderr.isatty(), leave=False) as bar:
+    # Where stderr is closed (2>&-), Python has none.
+    hidden = sys.stderr is None or not sys.stderr.isatty()
+    with tqdm(desc=what, file=sys.stderr, disable=hidden, leave=False) as bar:
 
         def move(done: int, total: int) -> None:
             bar.total = total

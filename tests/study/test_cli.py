@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import re
 import sys
@@ -19,6 +20,7 @@ from study.commands import shared
 from study.folder import read_template
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from study.folder import StudyFolder
@@ -59,6 +61,7 @@ def test_help_lists_every_verb_and_version_answers(capsys: Capture) -> None:
         (["match"], "Missing argument 'RECORDING'; see: feel321 match --help"),
         (["build", "--wrokers", "2"], "No such option '--wrokers'. Did you mean"),
         (["build", "--workers", "0"], "Invalid value for '--workers': 0 is not in the range x>=1"),
+        (["simulate", "--participants", "10001"], "10001 is not in the range 1<=x<=10000"),
         (["analyze", "--manifest", "m.csv"], "--manifest: got it without --ratings; give both"),
         (["reduce", "{recording}", "--reducer", "dft", "-o", "a.wav"], f"got 'dft', allowed: {', '.join(REDUCERS)}"),
         (
@@ -292,15 +295,63 @@ def test_demo_leaves_other_peoples_folders_alone(tmp_path: Path, capsys: Capture
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
 
 
+def fail_with(error: BaseException) -> Callable[..., None]:
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    return fail
+
+
 def test_ctrl_c_is_one_line_and_exit_130(
     study: StudyFolder, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
-    def stop(_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("study.status.read_status", stop)
+    monkeypatch.setattr("study.status.read_status", fail_with(KeyboardInterrupt()))
     assert main(["status", str(study.path)]) == 130
-    assert capsys.readouterr().err.strip() == "feel321: interrupted; what is done is kept, the same command goes on"
+    assert capsys.readouterr().err == "feel321: interrupted\n"
+    monkeypatch.setattr("study.workflow.build_study", fail_with(KeyboardInterrupt()))
+    assert main(["build", str(study.path)]) == 130
+    assert capsys.readouterr().err == "feel321: interrupted; what is done is kept, the same command goes on\n"
+
+
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        (
+            KeyError("no\nway"),
+            "unexpected KeyError: 'no\\nway'; run again with feel321 --traceback and report it",
+        ),
+        (RecursionError("deep\ndown"), "unexpected RecursionError: deep down; run again with feel321 --traceback"),
+        (OSError(errno.ENOSPC, "No space left on device"), "No space left on device; make room there and run again"),
+        (OSError(errno.EIO, "Input/output error", "a.csv"), "a.csv: Input/output error; check the name"),
+    ],
+)
+def test_whatever_goes_wrong_is_one_line_and_exit_1(
+    error: Exception, message: str, study: StudyFolder, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    monkeypatch.setattr("study.status.read_status", fail_with(error))
+    assert main(["status", str(study.path)]) == 1
+    err = capsys.readouterr().err
+    assert err.startswith(f"feel321: {message}")
+    assert err.count("\n") == 1
+    with pytest.raises(type(error)):
+        main(["--traceback", "status", str(study.path)])
+
+
+def test_a_full_disk_names_the_file_that_was_to_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    folder = tmp_path / "new"
+    monkeypatch.setattr("study.files.os.fsync", fail_with(OSError(errno.ENOSPC, "No space left on device")))
+    assert main(["new", str(folder)]) == 1
+    message = f"feel321: {folder / 'study.toml'}: No space left on device; make room there and run again\n"
+    assert capsys.readouterr().err == message
+    assert [path.name for path in folder.iterdir()] == ["recordings"]
+
+
+def test_progress_needs_no_stderr(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stderr", None)
+    with shared.show_progress("build") as progress:
+        progress(1, 2)
 
 
 def test_progress_is_drawn_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:

@@ -132,6 +132,8 @@ def test_every_setting_of_the_stimuli_reaches_the_recipe(read: Callable[[str], S
         (SHORTEST + "[session]\nrepeats = 0", "session.repeats: got 0, allowed: greater than or equal to 1"),
         (SHORTEST + "[session]\nrepeats = 1001", "session.repeats: got 1001, allowed: less than or equal to 1000"),
         ("a = " + "[" * 99999, "got no TOML (nested too deeply); mend that place"),
+        (f"[{'.'.join('a' * 3000)}]", "got no TOML (nested too deeply); mend that place"),
+        (f"a = {'[' * 250}{']' * 250}", "got no settings (nested too deeply); mend that place"),
         (SHORTEST + "[study]\nseed = '5'", "study.seed: got '5', allowed: a valid integer"),
         (SHORTEST + "[study]\nseed = true", "study.seed: got True, allowed: a valid integer"),
         (SHORTEST + "[study]\nname = 2026-01-01T00:00:00\nseed = 1.5", "study.seed: got 1.5, allowed: a valid integer"),
