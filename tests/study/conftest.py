@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from itertools import count
@@ -84,6 +85,15 @@ def now() -> Callable[[], datetime]:
     """A clock that moves one second per look."""
     ticks = count()
     return lambda: datetime(2026, 1, 1, tzinfo=UTC) + timedelta(seconds=next(ticks))
+
+
+@pytest.fixture
+def synced(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Inodes of the files and folders that were synced, in order."""
+    inodes: list[int] = []
+    fsync = os.fsync
+    monkeypatch.setattr(os, "fsync", lambda d: (fsync(d), inodes.append(os.fstat(d).st_ino))[0])
+    return inodes
 
 
 @pytest.fixture

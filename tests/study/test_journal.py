@@ -193,3 +193,17 @@ def test_every_record_is_synced_before_write_returns(journal: Journal, monkeypat
     monkeypatch.setattr(os, "fsync", lambda d: (calls.append("fsync"), fsync(d))[1])
     journal.write("rated", {"trial": 6})
     assert calls == ["write", "fsync"]
+
+
+def test_a_new_journal_survives_a_power_cut(tmp_path: Path, now: Now, synced: list[int]) -> None:
+    create_journal(tmp_path / "session-01.jsonl", now=now)
+    assert synced == [tmp_path.stat().st_ino]
+
+
+def test_a_torn_piece_is_safe_before_the_journal_loses_it(journal: Journal, now: Now, synced: list[int]) -> None:
+    with journal.path.open("ab") as file:
+        file.write(b'{"sequence')
+    require_journal(journal.path, now=now)
+    aside = journal.path.with_name("session-01.jsonl.torn1")
+    own = journal.path.stat().st_ino
+    assert synced == [aside.stat().st_ino, own, journal.path.parent.stat().st_ino, own]

@@ -56,6 +56,11 @@ def test_a_stored_plan_is_read_back_and_never_overwritten(plan: Plan, tmp_path: 
         create_plan(tmp_path / "plan.json", plan)
 
 
+def test_a_stored_plan_survives_a_power_cut(plan: Plan, tmp_path: Path, synced: list[int]) -> None:
+    create_plan(tmp_path / "plan.json", plan)
+    assert synced == [(tmp_path / "plan.json").stat().st_ino, tmp_path.stat().st_ino]
+
+
 def test_the_digest_is_that_of_the_bytes_before_it(plan: Plan, tmp_path: Path) -> None:
     path = tmp_path / "plan.json"
     create_plan(path, plan)
