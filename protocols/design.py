@@ -8,7 +8,9 @@ References
 
 from __future__ import annotations
 
+from collections import Counter
 from itertools import product
+from math import lcm
 from typing import TYPE_CHECKING
 
 from protocols.trial import Trial
@@ -111,6 +113,29 @@ def make_order(
         Trial(place, block, repeat, protocol.name, protocol.scale, pair.stimulus_id, pair.reference_id)
         for place, (block, protocol, repeat, pair) in enumerate(judgements, start=1)
     )
+
+
+def count_cycle(trials: Sequence[Trial]) -> int:
+    """Count the participants over whom an order comes full circle.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        The trials of one of them.
+
+    Returns
+    -------
+    int
+        Successive participants, this many or a multiple, take each row of all squares equally often.
+
+    Examples
+    --------
+    >>> count_cycle([Trial(n, 1, 1, "realism", "realism", f"s{n}") for n in (1, 2, 3)])
+    6
+    """
+    comparisons = Counter(trial.block for trial in trials)
+    rounds = Counter((protocol, repeat) for _, protocol, repeat in {(t.block, t.protocol, t.repeat) for t in trials})
+    return lcm(*(len(williams_square(size)) for size in {*comparisons.values(), *rounds.values()}))
 
 
 def _order_blocks(

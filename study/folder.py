@@ -58,8 +58,8 @@ class StudyFolder:
 
     @property
     def participants(self) -> list[Path]:
-        """The participants' folders, sorted."""
-        return sorted(entry for entry in self.sessions.glob("*") if entry.is_dir())
+        """The participants' folders, sorted; one that a crash left with nothing but its lock was not begun."""
+        return sorted({entry.parent for entry in self.sessions.glob("*/[!.]*")})
 
     @property
     def journals(self) -> list[Path]:

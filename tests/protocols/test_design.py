@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocols.design import make_order, williams_square
+from protocols.design import count_cycle, make_order, williams_square
 from protocols.registry import PROTOCOLS
 from protocols.trial import Item
 
@@ -115,6 +115,14 @@ def list_blocks(items: list[Item], trials: Iterable[Trial]) -> dict[tuple[str, i
         name = recording[t.stimulus_id]
         blocks.setdefault((t.protocol, t.repeat, name), []).append(t.stimulus_id.removeprefix(f"{name}-"))
     return blocks
+
+
+@pytest.mark.parametrize(("n_recordings", "n_stimuli", "cycle"), [(3, 4, 12), (2, 6, 6), (1, 5, 10), (1, 1, 1)])
+def test_a_cycle_is_the_smallest_number_that_completes_every_square(
+    n_recordings: int, n_stimuli: int, cycle: int
+) -> None:
+    items = [Item(f"{r}-{s}", str(r), "as_is", "test") for r in range(n_recordings) for s in range(n_stimuli)]
+    assert count_cycle(order(items, repeats=2, protocols=REALISM)) == cycle
 
 
 @pytest.mark.parametrize("number", range(1, 7))
