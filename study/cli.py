@@ -19,34 +19,17 @@ if TYPE_CHECKING:
 DONE, COULD_NOT, WRONG_USE, INTERRUPTED = 0, 1, 2, 130
 
 RESUMED = {"build", "demo", "simulate"}
-"""Verbs that go on, when called again, where they were interrupted."""
+"""_Verbs that go on, when called again, where they were interrupted."""
 
 
 class Interrupted(Exception):  # noqa: N818 - nothing went wrong
     """Ctrl-C came while a verb ran; its name is the argument."""
 
 
-class Verbs(click.Group):
+class _Verbs(click.Group):
     """The verbs; what click says about Ctrl-C takes two lines, and it cannot know what goes on."""
 
     def invoke(self, ctx: click.Context) -> object:
-        """Run a verb.
-
-        Parameters
-        ----------
-        ctx : click.Context
-            The call.
-
-        Returns
-        -------
-        object
-            What the verb returns.
-
-        Raises
-        ------
-        Interrupted
-            On Ctrl-C.
-        """
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
@@ -54,7 +37,7 @@ class Verbs(click.Group):
 
 
 @click.group(
-    cls=Verbs,
+    cls=_Verbs,
     epilog="Begin with: feel321 demo",
     commands=[getattr(commands, name) for name in commands.__all__],
     no_args_is_help=False,

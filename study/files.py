@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file in one step, replacing the one that is there.
+    """Write a text file in one step, replacing the one that is there unless it holds just that.
 
     Parameters
     ----------
@@ -25,7 +25,8 @@ def write_text(path: Path, text: str) -> None:
         If it cannot be written, naming the file; one that was there is as it was.
     """
     try:
-        _replace(path, text)
+        if not (path.is_file() and path.read_bytes() == text.encode()):
+            _replace(path, text)
     except OSError as error:
         # A full disk is reported without a name, most else with that of the unfinished file.
         raise OSError(error.errno, error.strerror, str(path)) from error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from shlex import quote
 from typing import TYPE_CHECKING
 
 from analysis.report import write_report
@@ -124,7 +125,8 @@ def analyze_study(study: StudyFolder, *, out: Path | None = None) -> Path:
     """
     settings = read_settings(study.settings)
     if not write_ratings(study, read_stimuli(study.stimuli)):
-        raise ValueError(f"{study.path}: holds no ratings yet; run sessions first, or feel321 simulate {study.path}")
+        simulate = f"feel321 simulate {quote(str(study.path))}"
+        raise ValueError(f"{study.path}: holds no ratings yet; run sessions first, or {simulate}")
     folder = out or study.report
     write_report(
         study.ratings, study.manifest, folder, draws=settings.analysis.draws, seed=settings.study.seed
@@ -135,7 +137,7 @@ def analyze_study(study: StudyFolder, *, out: Path | None = None) -> Path:
 def _require_current_set(study: StudyFolder, settings: Settings) -> None:
     named = dict.fromkeys(entry.title for entry in settings.recordings)
     if changes := find_changes(study.stimuli, make_recipe(settings), named):
-        raise ValueError("\n".join(f"{change}; run feel321 build {study.path}" for change in changes))
+        raise ValueError("\n".join(f"{change}; run feel321 build {quote(str(study.path))}" for change in changes))
 
 
 def _spare_used_set(study: StudyFolder, recipe: Recipe, recordings: Sequence[Recording]) -> None:

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import click
 
-from study.commands.shared import FILE, json_option
-from study.folder import require_study
+from study.commands.shared import FILE, find_study, json_option
+from study.folder import StudyFolder
 
 
 @click.command(epilog="Example: feel321 analyze my-study")
@@ -23,7 +23,7 @@ def analyze(
     if ratings is None and manifest is None:
         from study.workflow import analyze_study
 
-        report = analyze_study(require_study(folder), out=out)
+        report = analyze_study(find_study(folder), out=out)
     else:
         report = _analyze_tables(folder, ratings=ratings, manifest=manifest, out=out)
     if as_json:
@@ -38,7 +38,19 @@ def _analyze_tables(folder: Path, *, ratings: Path | None, manifest: Path | None
     if ratings is None:
         raise click.UsageError("--manifest: got it without --ratings; give both, or --ratings alone in a study")
     if manifest is None:
-        manifest = require_study(folder).manifest
+        manifest = find_study(folder).manifest
     report = out or folder / "report"
-    write_report(ratings, manifest, report, seed=0)
+    write_report(ratings, manifest, report, **_read_choices(folder))
     return report
+
+
+def _read_choices(folder: Path) -> dict[str, int]:
+    """Read how a study is analysed; tables from elsewhere are analysed with the defaults."""
+    from study.settings import read_settings
+    from study.tables import AnalysisTable
+
+    study = StudyFolder(folder)
+    if not study.settings.is_file():
+        return {"draws": AnalysisTable().draws, "seed": 0}
+    settings = read_settings(study.settings)
+    return {"draws": settings.analysis.draws, "seed": settings.study.seed}

@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from functools import wraps
 from math import isfinite
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING
 
 import click
@@ -17,12 +18,25 @@ from study.folder import StudyFolder, require_study
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
+    from os import PathLike
 
     from stimuli.recording import Recording
 
     Verb = Callable[..., None]
 
-FILE = click.Path(path_type=Path)
+
+class _Place(click.Path):
+    """A path that was given: the empty name would be the working directory."""
+
+    def convert(
+        self, value: str | PathLike[str], param: click.Parameter | None, ctx: click.Context | None
+    ) -> str | bytes | PathLike[str]:
+        if value == "":
+            self.fail("got an empty name, allowed is that of a file or folder ('.' is this one)", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+FILE = _Place(path_type=Path)
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print figures as JSON.")
 
@@ -42,9 +56,34 @@ def study_argument(verb: Verb) -> Verb:
     """
 
     def find(_context: click.Context, _parameter: click.Parameter, value: Path) -> StudyFolder:
-        return require_study(value)
+        return find_study(value)
 
     return click.argument("study", metavar="[STUDY]", default=Path(), type=FILE, callback=find)(verb)
+
+
+def find_study(path: Path) -> StudyFolder:
+    """Find the study that a user means, or say what the name stands for instead.
+
+    Parameters
+    ----------
+    path : Path
+        What the user named.
+
+    Returns
+    -------
+    StudyFolder
+        A study that is there.
+
+    Raises
+    ------
+    OSError
+        If there is no such folder, or it is no study's.
+    """
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: there is no such folder; begin a study with: feel321 new {quote(str(path))}")
+    if not path.is_dir():
+        raise NotADirectoryError(f"{path}: got a file, allowed is a study's folder; try {quote(str(path.parent))}")
+    return require_study(path)
 
 
 def recording_argument(verb: Verb) -> Verb:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from shlex import quote
 
 import click
 
@@ -25,7 +26,7 @@ DEMO_PARTICIPANTS = 16
 def new(folder: Path) -> None:
     """Begin a study: a commented study.toml that works as it is."""
     study = create_study(folder)
-    click.echo(f"{study.settings}: edit it, then: feel321 check {folder}")
+    click.echo(f"{study.settings}: edit it, then: feel321 check {quote(str(folder))}")
 
 
 @click.command(epilog="Example: feel321 check my-study")

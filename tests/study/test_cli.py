@@ -17,6 +17,7 @@ from stimuli.wav import read_wav, write_wav
 from study import cli, commands
 from study.cli import main
 from study.commands import shared
+from study.files import write_text
 from study.folder import read_template
 
 if TYPE_CHECKING:
@@ -286,6 +287,59 @@ def test_new_begins_a_study_and_refuses_to_begin_it_twice(tmp_path: Path, capsys
     assert (tmp_path / "a" / "study.toml").read_text(encoding="utf-8") == read_template()
     assert main(["new", str(tmp_path / "a")]) == 1
     assert "nothing is overwritten" in capsys.readouterr().err
+
+
+def test_the_next_command_can_be_pasted(tmp_path: Path, capsys: Capture) -> None:
+    folder = tmp_path / "my study"
+    assert main(["new", str(folder)]) == 0
+    assert capsys.readouterr().out.endswith(f"then: feel321 check '{folder}'\n")
+
+
+def test_an_empty_name_is_not_this_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", ""]) == 2
+    assert "got an empty name, allowed is that of a file or folder" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_study_that_is_not_there_or_a_file_is_told_from_a_folder(study: StudyFolder, capsys: Capture) -> None:
+    nowhere = study.path / "no where"
+    assert main(["check", str(nowhere)]) == 1
+    message = f"{nowhere}: there is no such folder; begin a study with: feel321 new '{nowhere}'"
+    assert capsys.readouterr().err == f"feel321: {message}\n"
+    assert main(["analyze", str(study.settings)]) == 1
+    message = f"{study.settings}: got a file, allowed is a study's folder; try {study.path}"
+    assert capsys.readouterr().err == f"feel321: {message}\n"
+
+
+def test_draws_and_seed_of_a_study_reach_its_report(study: StudyFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[dict[str, int]] = []
+
+    def write_report(_ratings: Path, _manifest: Path, folder: Path, *, draws: int, seed: int) -> None:
+        calls.append({"draws": draws, "seed": seed})
+        folder.mkdir(exist_ok=True)
+
+    monkeypatch.setattr("analysis.report.write_report", write_report)
+    monkeypatch.setattr("study.workflow.write_report", write_report)
+    monkeypatch.setattr("study.workflow.read_stimuli", lambda _: None)
+    monkeypatch.setattr("study.workflow.write_ratings", lambda *_: 1)
+    elsewhere = study.path / "else"
+    elsewhere.mkdir()
+    tables = ["--ratings", "r.csv", "--manifest", "m.csv"]
+    assert main(["analyze", str(study.path)]) == 0
+    assert main(["analyze", str(study.path), *tables[:2]]) == 0
+    assert main(["analyze", str(elsewhere), *tables]) == 0
+    assert calls == [{"draws": 200, "seed": 5}, {"draws": 200, "seed": 5}, {"draws": 2000, "seed": 0}]
+
+
+def test_a_table_that_would_be_the_same_is_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "ratings.csv"
+    write_text(path, "ä\r\n")
+    before = path.stat()
+    write_text(path, "ä\r\n")
+    assert (path.stat().st_ino, path.stat().st_mtime_ns) == (before.st_ino, before.st_mtime_ns)
+    write_text(path, "b\n")
+    assert path.read_bytes() == b"b\n"
 
 
 def test_demo_leaves_other_peoples_folders_alone(tmp_path: Path, capsys: Capture) -> None:

@@ -5,6 +5,7 @@ import tomllib
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 from pydantic import ValidationError
 
@@ -194,3 +195,20 @@ def test_a_new_study_is_never_made_over_an_old_one(tmp_path: Path) -> None:
 def test_a_folder_without_settings_is_no_study(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"got a folder without study\.toml"):
         require_study(tmp_path)
+
+
+def test_every_reading_option_reaches_the_reader(
+    read: Callable[[str], Settings], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: list[tuple[Path, dict[str, Any]]] = []
+
+    def read_recording(path: Path, **options: Any) -> Recording:
+        calls.append((path, options))
+        return Recording(np.ones((3, 9)), 1000.0, "x")
+
+    monkeypatch.setattr("study.sources.read_recording", read_recording)
+    options = {"rate_hz": 50.0, "unit": "g", "columns": ("x", 1, 2), "full_scale": 16.0, "resample": True}
+    text = "unit = 'g'\nrate_hz = 50.0\ncolumns = ['x', 1, 2]\nfull_scale = 16.0\nresample = true"
+    recordings = open_recordings(read(f"[[recordings]]\nfile = 'a.wav'\nname = 'oak'\n{text}"), tmp_path)
+    assert calls == [(tmp_path / "a.wav", options)]
+    assert [recording.name for recording in recordings] == ["oak"]
