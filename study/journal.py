@@ -8,6 +8,7 @@ reported.
 from __future__ import annotations
 
 import os
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +16,7 @@ from study.chain import START, Record, digest, read_chain, write_line
 from study.files import sync_folder
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping
     from datetime import datetime
     from pathlib import Path
 
@@ -129,7 +130,8 @@ def require_journal(path: Path, *, now: Clock) -> Journal:
     chain = read_journal(path)
     journal = Journal(path, now, list(chain.records), _tip=chain.tip)
     if chain.torn:
-        torn = _cut_torn_line(path, chain.torn)
+        with _naming(path):
+            torn = _cut_torn_line(path, chain.torn)
         journal.write("recovered", {"torn_bytes": len(chain.torn), "moved_to": torn.name})
         journal.notice = f"{path}: {len(chain.torn)} bytes of a line that was never finished were moved to {torn.name}"
     return journal
@@ -161,14 +163,21 @@ def read_journal(path: Path) -> Chain:
 
 
 def _append(path: Path, line: bytes) -> None:
-    try:
+    with _naming(path):
         written = _write_through(path, line)
+    if written != len(line):
+        raise OSError(f"{path}: the disk took {written} of {len(line)} bytes; make room, then resume")
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Say which file it was: a full or broken disk does not."""
+    try:
+        yield
     except OSError as error:
         raise OSError(
             f"{path}: the disk took no record ({error.strerror or error}); make room or mend the disk, then resume"
         ) from error
-    if written != len(line):
-        raise OSError(f"{path}: the disk took {written} of {len(line)} bytes; make room, then resume")
 
 
 def _write_through(path: Path, line: bytes) -> int:

@@ -158,7 +158,7 @@ def find_header(records: Iterable[Record]) -> Mapping[str, Any] | None:
 
 
 def find_completed(records: Iterable[Record]) -> list[int]:
-    """Find the trials that were rated.
+    """Find the trials that were rated and not put back into the queue since (`requeued`).
 
     Parameters
     ----------
@@ -170,7 +170,13 @@ def find_completed(records: Iterable[Record]) -> list[int]:
     list of int
         Their numbers, in the order in which they were rated.
     """
-    return [record.data["trial"] for record in records if record.event == "rated"]
+    completed: dict[int, None] = {}
+    for record in records:
+        if record.event == "rated":
+            completed[record.data["trial"]] = None
+        elif record.event == "requeued":
+            completed.pop(record.data["trial"], None)
+    return list(completed)
 
 
 def find_elapsed(records: Iterable[Record]) -> float:

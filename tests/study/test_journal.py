@@ -207,3 +207,19 @@ def test_a_torn_piece_is_safe_before_the_journal_loses_it(journal: Journal, now:
     aside = journal.path.with_name("session-01.jsonl.torn1")
     own = journal.path.stat().st_ino
     assert synced == [aside.stat().st_ino, own, journal.path.parent.stat().st_ino, own]
+
+
+def test_a_full_disk_on_resuming_names_the_journal_and_loses_nothing(
+    journal: Journal, now: Now, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with journal.path.open("ab") as file:
+        file.write(b'{"sequence')
+    before = journal.path.read_bytes()
+
+    def refuse(_descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left")
+
+    monkeypatch.setattr(os, "fsync", refuse)
+    with pytest.raises(OSError, match=r"session-01\.jsonl: the disk took no record \(No space left\); make room"):
+        require_journal(journal.path, now=now)
+    assert journal.path.read_bytes() == before

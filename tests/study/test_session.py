@@ -3,17 +3,17 @@ from __future__ import annotations
 import subprocess
 import sys
 from dataclasses import replace
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from study.journal import create_journal
+from study.journal import create_journal, read_journal, require_journal
 from study.plan import Plan, make_plan, require_plan
 from study.session import find_completed, find_elapsed, find_header, is_finished, open_session
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from datetime import datetime
     from pathlib import Path
 
     from stimuli.manifest import StimulusSet
@@ -69,6 +69,17 @@ def test_what_ran_dry_is_marked_and_kept(present: Present, scripted: type) -> No
     rated = [r.data for r in present(scripted(underruns=1)) if r.event == "rated"]
     assert len(rated) == 20
     assert all(entry["rejected"] for entry in rated)
+
+
+def test_a_trial_that_was_put_back_is_asked_again(present: Present, scripted: type, tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        present(scripted(stop_after=3))
+    path = tmp_path / "sessions" / "p01" / "session-01.jsonl"
+    require_journal(path, now=lambda: datetime(2026, 1, 1, tzinfo=UTC)).write("requeued", {"trial": 2})
+    assert find_completed(read_journal(path).records) == [1, 3]
+    again = scripted()
+    assert sorted(find_completed(present(again))) == list(range(1, 21))
+    assert again.log[0] == "show 2 realism"
 
 
 @pytest.mark.parametrize("stop_after", [0, 1, 9, 10, 11, 19])
