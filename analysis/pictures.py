@@ -8,21 +8,24 @@ from itertools import chain
 from typing import TYPE_CHECKING
 
 from analysis.figures import CUT, count_clipped, draw_profile, draw_scatter
+from analysis.reliability import SMALLEST
 from analysis.style import Look, assign_looks, list_undrawable
 from analysis.table import order_reducers
 from analysis.verdict import LEADING
-from analysis.words import tell_name, tell_number
+from analysis.words import tell_name, tell_number, tell_span
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from matplotlib.figure import Figure
+    from pandas import DataFrame
 
     from analysis.association import Association
     from analysis.findings import Findings, Panel
     from analysis.table import Table
 
 
+APART = {"reference": "the hidden reference", "anchor": "anchors"}
 SLUG_PART = 40
 """Characters of a name that a file's name keeps."""
 
@@ -104,14 +107,14 @@ def _draw_profiles(findings: Findings, looks: Mapping[str, Look]) -> Iterator[Pi
         )
         figure = draw_profile(profile, chosen, looks=looks)
         slug = _make_slug("profile", panel.scale, panel.level)
-        yield Picture(slug, "profile", _caption_profile(panel), figure)
+        yield Picture(slug, "profile", _caption_profile(panel, profile), figure)
 
 
 def _caption_scatter(panel: Panel, association: Association) -> str:
     metric = tell_name(association.metric)
     caption = (
         f"Mean {tell_name(panel.scale)} rating of each test stimulus against its {metric} "
-        f"(level {tell_name(panel.level)}). Thin grey bars: 95 % t intervals over participants."
+        f"(level {tell_name(panel.level)}). {_tell_bars(panel)}"
     )
     clipped = count_clipped(panel.stimuli[association.metric].to_numpy())
     if not clipped:
@@ -120,12 +123,25 @@ def _caption_scatter(panel: Panel, association: Association) -> str:
     return f"{caption} Hollow symbols at the left edge: {clipped} with a {metric} below {edge}, counted in full in r."
 
 
-def _caption_profile(panel: Panel) -> str:
-    return (
-        f"Mean {tell_name(panel.scale)} rating per reducer (level {tell_name(panel.level)}) with 95 % t intervals over "
-        "participants: other people, these recordings. Grey: each participant's mean. The hidden reference and the "
-        "anchors stand below the dotted line."
-    )
+def _tell_bars(panel: Panel) -> str:
+    counts = panel.stimuli["n_participants"]
+    if counts.max() < SMALLEST:
+        return "One participant each, so no intervals."
+    return f"Thin grey bars: 95 % t intervals over the {tell_span(counts)} participants who rated it."
+
+
+def _caption_profile(panel: Panel, profile: DataFrame) -> str:
+    caption = f"Mean {tell_name(panel.scale)} rating per reducer (level {tell_name(panel.level)})"
+    if profile["n_participants"].max() < SMALLEST:
+        caption += "; one participant each, so no intervals."
+    else:
+        caption += " with 95 % t intervals over participants: other people, these recordings."
+    caption += " Grey: each participant's mean."
+    # A manifest may have any of these roles, or none.
+    apart = [name for role, name in APART.items() if (profile["role"] == role).any()]
+    if apart:
+        caption += f" Below the dotted line: {' and '.join(apart)}."
+    return caption
 
 
 def _make_slug(*parts: str) -> str:

@@ -31,6 +31,7 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*", "p")
 
 PRINT: Any = {
     "font.family": "DejaVu Sans", "font.size": 7, "axes.labelsize": 7.5, "axes.titlesize": 7,
+    "figure.titlesize": 7, "figure.labelsize": 7.5,
     "xtick.labelsize": 7, "ytick.labelsize": 7, "legend.fontsize": 7, "axes.linewidth": 0.6,
     "axes.spines.top": False, "axes.spines.right": False, "axes.titlelocation": "left",
     "lines.markersize": 4, "lines.linewidth": 0.8, "text.parse_math": False,

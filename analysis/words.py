@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import math
+import textwrap
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 MINUS = "\N{MINUS SIGN}"
 ABSENT = "\N{EN DASH}"
@@ -10,6 +15,9 @@ ABSENT = "\N{EN DASH}"
 
 PLACES = {"correlation": 2, "rating": 1, "count": 0}
 """Digits behind the point, per kind of number."""
+
+UNWIELDY = 1e6
+"""From here on a number is told by its power of ten."""
 
 METRIC_AXES = {
     "spectral_match": "Spectral match (1 = identical energy)",
@@ -39,6 +47,34 @@ def tell_name(name: str) -> str:
     return name.replace("_", " ")
 
 
+def wrap_name(name: str, width: int, *, lines: int = 2) -> str:
+    """Break a name into lines for a figure, where it must not run off.
+
+    Parameters
+    ----------
+    name : str
+        Any text.
+    width : int
+        Letters per line.
+    lines : int
+        How many lines at most; what does not fit is cut out of the last, whose end stays: it tells names apart.
+
+    Returns
+    -------
+    str
+        Lines parted by a line break; an ellipsis stands for what was cut.
+
+    Examples
+    --------
+    >>> wrap_name("a rather long name of a reducer", 12).splitlines()
+    ['a rather', 'long…educer']
+    """
+    found, half = textwrap.wrap(name, width), width // 2
+    if len(found) > lines:
+        found[lines - 1 :] = [f"{found[lines - 1][: half - 1].rstrip()}…{name[-half:].lstrip()}"]
+    return "\n".join(found)
+
+
 def tell_axis(metric: str) -> str:
     """Label an axis by its metric.
 
@@ -54,6 +90,28 @@ def tell_axis(metric: str) -> str:
     """
     words = tell_name(metric)
     return METRIC_AXES.get(metric, words[:1].upper() + words[1:])
+
+
+def tell_span(counts: Iterable[int]) -> str:
+    """Write how many there are where that differs from case to case.
+
+    Parameters
+    ----------
+    counts : iterable of int
+        At least one.
+
+    Returns
+    -------
+    str
+        The number, or the smallest and the largest.
+
+    Examples
+    --------
+    >>> tell_span([6, 6]), tell_span([6, 4, 5])
+    ('6', '4–6')
+    """
+    found = sorted(set(counts))
+    return f"{found[0]}" if len(found) == 1 else f"{found[0]}–{found[-1]}"
 
 
 def tell_number(value: float, *, kind: str = "correlation") -> str:
@@ -73,12 +131,14 @@ def tell_number(value: float, *, kind: str = "correlation") -> str:
 
     Examples
     --------
-    >>> tell_number(-0.256), tell_number(-0.001), tell_number(71.26, kind="rating"), tell_number(float("nan"))
-    ('−0.26', '0.00', '71.3', '–')
+    >>> tell_number(-0.256), tell_number(-0.001), tell_number(71.26, kind="rating"), tell_number(-1e200)
+    ('−0.26', '0.00', '71.3', '−1.0e+200')
     """
     if not math.isfinite(value):
         return ABSENT
     places = PLACES[kind]
+    if kind != "count" and abs(value) >= UNWIELDY:
+        return f"{value:.1e}".replace("-", MINUS)
     text = f"{round(value, places) + 0.0:.{places}f}"
     return text.replace("-", MINUS)
 

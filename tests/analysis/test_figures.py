@@ -1,22 +1,23 @@
 from __future__ import annotations
 
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib import rc_context, rcParams
 from matplotlib.image import imread
 
 from analysis.figures import draw_profile, draw_scatter
 from analysis.findings import analyse
-from analysis.style import CM_PER_INCH, COLUMN_CM, PNG_DPI, assign_looks, save_figure
+from analysis.style import CM_PER_INCH, COLUMN_CM, PNG_DPI, Look, assign_looks, save_figure
 from analysis.table import Table, order_reducers
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    import pandas as pd
     from matplotlib.figure import Figure
     from matplotlib.text import Text
 
@@ -45,12 +46,24 @@ def profile(table: pd.DataFrame) -> Figure:
     return draw_profile(found.profile, found.participants, looks=assign_looks(order_reducers(table["reducer"])))
 
 
+def name_at_length(table: pd.DataFrame, stem: str) -> pd.DataFrame:
+    """Give 17 reducers and the scale long names."""
+    tests = table[table["role"] == "test"]
+    more = tests[tests["reducer"] != "dft321"].assign(
+        reducer=lambda rows: rows["reducer"] + "b", stimulus_id=lambda rows: rows["stimulus_id"] + "b"
+    )
+    whole = pd.concat([table, more], ignore_index=True)
+    names = {name: f"{stem}{number}" for number, name in enumerate(whole["reducer"].unique())}
+    return whole.assign(reducer=whole["reducer"].map(names), scale=stem)
+
+
 def list_texts(figure: Figure) -> list[Text]:
     """List what is written for certain; tick labels along x may exist without being drawn."""
     figure.draw_without_rendering()
     axes = figure.axes[0]
     legend = [text for legend in figure.legends for text in legend.get_texts()]
-    titles = [axes.title, axes._left_title, axes.xaxis.label, axes.yaxis.label]
+    of_figure = filter(None, [figure._suptitle, figure._supxlabel])
+    titles = [*of_figure, axes.title, axes._left_title, axes.xaxis.label, axes.yaxis.label]
     return [text for text in (*titles, *axes.texts, *axes.get_yticklabels(), *legend) if text.get_text()]
 
 
@@ -70,6 +83,37 @@ def test_text_is_readable_and_inside_the_figure(draw: Callable[..., Figure], tab
         assert box.x1 <= figure.bbox.x1, text.get_text()
 
 
+LONG = "a reducer named by its authors, its year, its variant and what not "
+
+
+@pytest.mark.parametrize("draw", [scatter, profile])
+@pytest.mark.parametrize("stem", [LONG, LONG.replace(" ", "_"), "W" * 70, "short"])
+def test_long_names_stay_inside_and_apart(
+    draw: Callable[..., Figure], tidy: Callable[..., pd.DataFrame], stem: str
+) -> None:
+    table = name_at_length(tidy(recordings=3), stem)
+    figure = draw(table)
+    for text in list_texts(figure):
+        box = text.get_window_extent()
+        assert figure.bbox.x0 <= box.x0 < box.x1 <= figure.bbox.x1, text.get_text()
+        assert figure.bbox.y0 <= box.y0 < box.y1 <= figure.bbox.y1, text.get_text()
+    axes = figure.axes[0]
+    legend = [text for legend in figure.legends for text in legend.get_texts()]
+    boxes = [text.get_window_extent() for text in legend or axes.get_yticklabels()]
+    assert len(boxes) >= 17
+    assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
+    assert axes.bbox.height > 100
+
+
+@pytest.mark.parametrize("name", ["_mine", "__", "dft321"])
+def test_the_legend_shows_every_reducer(table: pd.DataFrame, name: str) -> None:
+    table["reducer"] = table["reducer"].replace("mag321", name)
+    tests = set(table.loc[table["role"] == "test", "reducer"])
+    (legend,) = scatter(table).legends
+    assert {text.get_text() for text in legend.get_texts()} == tests
+    assert len(legend.legend_handles) == len(tests)
+
+
 def test_scatter_tells_n_and_both_intervals(table: pd.DataFrame) -> None:
     axes = scatter(table).axes[0]
     title = axes.get_title(loc="left")
@@ -85,6 +129,37 @@ def test_every_stimulus_is_drawn_once(table: pd.DataFrame) -> None:
     assert sum(len(bars.get_segments()) for bars in axes.collections) == 36
 
 
+@pytest.mark.parametrize("number", [0, 2])
+def test_points_and_bars_stand_where_the_numbers_say(table: pd.DataFrame, number: int) -> None:
+    panel = find(table).panels[0]
+    association, looks = panel.associations[number], assign_looks(order_reducers(table["reducer"]))
+    axes = draw_scatter(panel, association, looks=looks).axes[0]
+    drawn = [tuple(point) for line in axes.lines for point in line.get_xydata()]
+    bars = [tuple(segment.ravel()) for part in axes.collections for segment in part.get_segments()]
+    stimuli = panel.stimuli
+    assert sorted(drawn) == sorted(zip(stimuli[association.metric], stimuli["mean"], strict=True))
+    x = stimuli[association.metric]
+    assert sorted(bars) == sorted(zip(x, stimuli["low"], x, stimuli["high"], strict=True))
+    by_look = {Look(line.get_color(), line.get_marker()): line for line in axes.lines if len(line.get_xdata())}
+    for name, part in stimuli.groupby("reducer"):
+        assert set(by_look[looks[name]].get_xdata()) == set(part[association.metric])
+
+
+def test_profile_rows_stand_where_the_numbers_say(table: pd.DataFrame) -> None:
+    found = find(table).profile
+    axes = profile(table).axes[0]
+    labels = [label.get_text().split("\n")[0] for label in axes.get_yticklabels()]
+    heights = dict(zip(labels, axes.get_yticks(), strict=True))
+    drawn = {float(bar.lines[0].get_ydata()[0]): bar for bar in axes.containers}
+    assert len(drawn) == len(found) == 12
+    for row in found.to_dict("records"):
+        height = heights[row["reducer"]]
+        point, _, (bars,) = drawn[height].lines
+        assert point.get_xdata()[0] == row["mean"]
+        (segment,) = bars.get_segments()
+        np.testing.assert_allclose(segment, [[row["low"], height], [row["high"], height]])
+
+
 def test_far_outliers_stand_hollow_at_the_edge_and_are_counted(table: pd.DataFrame) -> None:
     outlying = table["stimulus_id"] == "rec1_say321_as_is"
     table.loc[outlying, "spectral_match"] = -31.4
@@ -94,6 +169,8 @@ def test_far_outliers_stand_hollow_at_the_edge_and_are_counted(table: pd.DataFra
     hollow = [line for line in axes.lines if line.get_markerfacecolor() == "white" and len(line.get_xdata())]
     assert [list(line.get_xdata()) for line in hollow] == [[-1]]
     assert "1 of 36 stimuli below −1\n    (lowest −31.40)" in axes.texts[0].get_text()
+    table.loc[outlying, "spectral_match"] = -1e200
+    assert "(lowest −1.0e+200)" in scatter(table).axes[0].texts[0].get_text()
 
 
 @pytest.mark.parametrize(("sign", "side"), [(1, "top"), (-1, "bottom")])
@@ -113,8 +190,8 @@ def test_profile_sets_reference_and_anchors_apart(table: pd.DataFrame) -> None:
     heights = dict(zip(labels, axes.get_yticks(), strict=True))
     assert labels[:9] == order_reducers(labels[:9])
     assert labels[9:] == ["original\n(reference)", "anchor_low\n(anchor)", "anchor_mid\n(anchor)"]
-    assert heights["dft321_windowed"] - heights["original\n(reference)"] == 2
-    assert "over 6 participants" in axes.get_title(loc="left")
+    assert heights["dft321_windowed"] - heights["original\n(reference)"] == pytest.approx(2)
+    assert "over 6 participants;" in axes.figure.get_suptitle()
 
 
 def test_profile_of_tests_alone_has_no_dividing_line(table: pd.DataFrame) -> None:
@@ -123,7 +200,14 @@ def test_profile_of_tests_alone_has_no_dividing_line(table: pd.DataFrame) -> Non
 
 
 def test_profile_of_one_participant_has_no_bars(tidy: Callable[..., pd.DataFrame]) -> None:
-    assert not profile(tidy(participants=1)).axes[0].collections
+    axes = profile(tidy(participants=1)).axes[0]
+    assert not axes.collections
+    assert axes.figure.get_suptitle().startswith("Mean of 1 participant, no interval")
+
+
+def test_a_row_of_fewer_participants_is_told(table: pd.DataFrame) -> None:
+    gone = (table["reducer"] == "mag321") & table["participant"].isin(["p00", "p01"])
+    assert "over 4–6 participants" in profile(table[~gone]).get_suptitle()
 
 
 def test_names_are_never_read_as_formulas(table: pd.DataFrame, tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import csv
+import html
 import json
 import math
 import re
@@ -15,7 +16,7 @@ import pytest
 from scipy import stats
 
 from analysis.report import write_report
-from analysis.words import tell_number
+from analysis.words import tell_number, tell_range
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -225,6 +226,97 @@ def test_levels_are_kept_apart(files: Callable[..., object], tmp_path: Path) -> 
     assert sum("level equal intensity" in line for line in results.verdict) == 3
     assert {path.name.split("_")[0] for path in (tmp_path / "report" / "figures").iterdir()} == {"scatter", "profile"}
     assert len(list((tmp_path / "report" / "figures").glob("*.svg"))) == 6
+
+
+def test_captions_speak_of_what_is_there(files: Callable[..., object], report: Path, tmp_path: Path) -> None:
+    whole = load(report)["figures"]
+    assert "over the 6 participants who rated it" in whole["scatter_realism_as_is_spectral_match_1"]
+    assert "Below the dotted line: the hidden reference and anchors." in whole["profile_realism_as_is_5"]
+    study = files(participants=1, scales=("realism",), anchors=False)
+    results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=5, seed=0)
+    for caption in results.figures.values():
+        assert "no intervals" in caption
+        assert "t intervals" not in caption
+        assert "dotted line" not in caption
+    assert not any("t interval" in number.uncertainty for number in results.numbers)
+
+
+def gather_rows(report: Path) -> list[list[dict[str, str]]]:
+    """Read the page's tables: per table, per row, cell by column; what came twice is told apart by its place."""
+    text = re.sub(r"<svg.*?</svg>", "", (report / "index.html").read_text(encoding="utf-8"), flags=re.DOTALL)
+    tables = []
+    for table in re.findall(r"<table>.*?</table>", text, flags=re.DOTALL):
+        header, *rows = [
+            [" ".join(html.unescape(cell).split()) for cell in re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row, re.DOTALL)]
+            for row in re.findall(r"<tr>(.*?)</tr>", table, flags=re.DOTALL)
+        ]
+        header = [f"{name} of z" if name in header[:place] else name for place, name in enumerate(header)]
+        tables.append([dict(zip(header, row, strict=True)) for row in rows])
+    return tables
+
+
+def pair(entry: dict[str, object], kind: str = "correlation") -> str:
+    return tell_range(*(math.nan if entry[key] is None else entry[key] for key in ("low", "high")), kind=kind)
+
+
+def single(entry: dict[str, object], kind: str = "correlation") -> str:
+    return tell_number(math.nan if entry["value"] is None else entry["value"], kind=kind)
+
+
+def test_every_cell_stands_under_its_header(report: Path) -> None:
+    found = {entry["name"]: entry for entry in load(report)["numbers"]}
+    correlations, differences, profiles = gather_rows(report)
+    assert (len(correlations), len(differences), len(profiles)) == (8, 4, 24)
+    for row in correlations:
+        scale, metric = row["Ratings"].split(",")[0], row["Metric"].replace(" ", "_")
+        name = f"association.{scale}.as_is.{metric}.{row['Method']}"
+        assert row["r"] == single(found[name])
+        assert row["Two-way interval"] == pair(found[name])
+        assert row["Participants only"] == pair(found[f"{name}.participants_only"])
+        assert row["Noise ceiling"] == single(found[f"{name}.ceiling"])
+        assert row["r / ceiling"] == single(found[f"{name}.disattenuated"])
+        counts = [f"{found[f'{name}.n_{what}']['value']}" for what in ("items", "participants", "recordings")]
+        assert row["Stimuli, participants, recordings"] == ", ".join(counts)
+        assert row["Draws"] == f"{found[f'{name}.draws']['value']}"
+    for row in differences:
+        scale, *pairs = row["Ratings"].split(",")[0], row["First"], row["Second"]
+        name = f"difference.{scale}.as_is.{'.'.join(pairs).replace(' ', '_')}.{row['Method']}"
+        assert row["Difference of r"] == single(found[name])
+        assert row["Two-way interval"] == pair(found[name])
+        assert row["Difference of Fisher’s z"] == single(found[f"{name}.z"])
+        assert row["Two-way interval of z"] == pair(found[f"{name}.z"])
+    for row in profiles:
+        name = f"profile.{row['Ratings'].split(',')[0]}.as_is.{row['Role']}.{row['Reducer']}"
+        assert row["Mean"] == single(found[name], "rating")
+        assert row["Interval"] == pair(found[name], "rating")
+        for column, what in (("Participants", "participants"), ("Stimuli", "stimuli"), ("Judgements", "ratings")):
+            assert row[column] == f"{found[f'{name}.n_{what}']['value']}"
+
+
+def test_every_caption_has_its_own_drawing(report: Path) -> None:
+    figures = load(report)["figures"]
+    text = (report / "index.html").read_text(encoding="utf-8")
+    shown = re.findall(r"<figure>.*?<svg(.*?)</svg>.*?<figcaption>(.*?)</figcaption>", text, flags=re.DOTALL)
+    drawings = {html.unescape(caption): re.findall(r' d="([^"]*)"', drawing) for drawing, caption in shown}
+    assert set(drawings) == set(figures.values())
+    for name, caption in figures.items():
+        drawn = (report / "figures" / f"{name}.svg").read_text(encoding="utf-8")
+        assert drawings[caption] == re.findall(r' d="([^"]*)"', drawn)
+    assert len({tuple(paths) for paths in drawings.values()}) == 6
+
+
+def test_differences_and_clipped_values_are_in_the_results(report: Path, study: object) -> None:
+    results = load(report)
+    found = {entry["name"]: entry["value"] for entry in results["numbers"]}
+    name = "difference.realism.as_is.spectral_match.temporal_match.pearson"
+    assert found[f"{name}.first_value"] == found["association.realism.as_is.spectral_match.pearson"]
+    assert found[f"{name}.second_value"] == found["association.realism.as_is.temporal_match.pearson"]
+    assert found[name] == found[f"{name}.first_value"] - found[f"{name}.second_value"]
+    assert (found[f"{name}.draws"], found[f"{name}.n_missing"]) == (50, 0)
+    lowest = pd.read_csv(study.manifest).query("role == 'test'")["spectral_match"].min()
+    assert found["scatter.realism.as_is.spectral_match.lowest"] == lowest
+    assert "jinja2" in results["versions"]
+    assert results["inputs"]["draws"] == "50"
 
 
 def test_left_out_judgements_are_counted(report: Path) -> None:
