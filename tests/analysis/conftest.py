@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from analysis.report import write_report
 from stimuli.reduce import REDUCERS
 
 if TYPE_CHECKING:
@@ -118,3 +119,11 @@ def files(tmp_path: Path) -> Callable[..., Files]:
 def study(tmp_path_factory: pytest.TempPathFactory) -> Files:
     """Files of the default study; not to be changed."""
     return write_files(tmp_path_factory.mktemp("study"))
+
+
+@pytest.fixture(scope="session")
+def report(study: Files, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Write a report to be read only."""
+    folder = tmp_path_factory.mktemp("reports") / "report"
+    write_report(study.ratings, study.manifest, folder, draws=50, seed=3)
+    return folder

@@ -1,0 +1,117 @@
+from __future__ import annotations
+
+import html
+import json
+import math
+import re
+import shutil
+import subprocess
+from typing import TYPE_CHECKING
+
+import pandas as pd
+import pytest
+
+from analysis.words import tell_number, tell_range
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def load(report: Path) -> dict[str, object]:
+    return json.loads((report / "results.json").read_text(encoding="utf-8"))
+
+
+def gather_rows(report: Path) -> list[list[dict[str, str]]]:
+    """Read the page's tables: per table, per row, cell by column; what came twice is told apart by its place."""
+    text = re.sub(r"<svg.*?</svg>", "", (report / "index.html").read_text(encoding="utf-8"), flags=re.DOTALL)
+    tables = []
+    for table in re.findall(r"<table>.*?</table>", text, flags=re.DOTALL):
+        header, *rows = [
+            [" ".join(html.unescape(cell).split()) for cell in re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row, re.DOTALL)]
+            for row in re.findall(r"<tr>(.*?)</tr>", table, flags=re.DOTALL)
+        ]
+        header = [f"{name} of z" if name in header[:place] else name for place, name in enumerate(header)]
+        tables.append([dict(zip(header, row, strict=True)) for row in rows])
+    return tables
+
+
+def pair(entry: dict[str, object], kind: str = "correlation") -> str:
+    return tell_range(*(math.nan if entry[key] is None else entry[key] for key in ("low", "high")), kind=kind)
+
+
+def single(entry: dict[str, object], kind: str = "correlation") -> str:
+    return tell_number(math.nan if entry["value"] is None else entry["value"], kind=kind)
+
+
+def test_every_cell_stands_under_its_header(report: Path) -> None:
+    found = {entry["name"]: entry for entry in load(report)["numbers"]}
+    correlations, differences, profiles = gather_rows(report)
+    assert (len(correlations), len(differences), len(profiles)) == (8, 4, 24)
+    for row in correlations:
+        scale, metric = row["Ratings"].split(",")[0], row["Metric"].replace(" ", "_")
+        name = f"association.{scale}.as_is.{metric}.{row['Method']}"
+        assert row["r"] == single(found[name])
+        assert row["Two-way interval"] == pair(found[name])
+        assert row["Participants only"] == pair(found[f"{name}.participants_only"])
+        assert row["Noise ceiling"] == single(found[f"{name}.ceiling"])
+        assert row["r / ceiling"] == single(found[f"{name}.disattenuated"])
+        counts = [f"{found[f'{name}.n_{what}']['value']}" for what in ("items", "participants", "recordings")]
+        assert row["Stimuli, participants, recordings"] == ", ".join(counts)
+        assert row["Draws"] == f"{found[f'{name}.draws']['value']}"
+    for row in differences:
+        scale, *pairs = row["Ratings"].split(",")[0], row["First"], row["Second"]
+        name = f"difference.{scale}.as_is.{'.'.join(pairs).replace(' ', '_')}.{row['Method']}"
+        assert row["Difference of r"] == single(found[name])
+        assert row["Two-way interval"] == pair(found[name])
+        assert row["Difference of Fisher’s z"] == single(found[f"{name}.z"])
+        assert row["Two-way interval of z"] == pair(found[f"{name}.z"])
+    for row in profiles:
+        name = f"profile.{row['Ratings'].split(',')[0]}.as_is.{row['Role']}.{row['Reducer']}"
+        assert row["Mean"] == single(found[name], "rating")
+        assert row["Interval"] == pair(found[name], "rating")
+        for column, what in (("Participants", "participants"), ("Stimuli", "stimuli"), ("Judgements", "ratings")):
+            assert row[column] == f"{found[f'{name}.n_{what}']['value']}"
+
+
+def test_every_caption_has_its_own_drawing(report: Path) -> None:
+    figures = load(report)["figures"]
+    text = (report / "index.html").read_text(encoding="utf-8")
+    shown = re.findall(r"<figure>.*?<svg(.*?)</svg>.*?<figcaption>(.*?)</figcaption>", text, flags=re.DOTALL)
+    drawings = {html.unescape(caption): re.findall(r' d="([^"]*)"', drawing) for drawing, caption in shown}
+    assert set(drawings) == set(figures.values())
+    for name, caption in figures.items():
+        drawn = (report / "figures" / f"{name}.svg").read_text(encoding="utf-8")
+        assert drawings[caption] == re.findall(r' d="([^"]*)"', drawn)
+    assert len({tuple(paths) for paths in drawings.values()}) == 6
+
+
+def test_differences_and_clipped_values_are_in_the_results(report: Path, study: object) -> None:
+    results = load(report)
+    found = {entry["name"]: entry["value"] for entry in results["numbers"]}
+    name = "difference.realism.as_is.spectral_match.temporal_match.pearson"
+    assert found[f"{name}.first_value"] == found["association.realism.as_is.spectral_match.pearson"]
+    assert found[f"{name}.second_value"] == found["association.realism.as_is.temporal_match.pearson"]
+    assert found[name] == found[f"{name}.first_value"] - found[f"{name}.second_value"]
+    assert (found[f"{name}.draws"], found[f"{name}.n_missing"]) == (50, 0)
+    lowest = pd.read_csv(study.manifest).query("role == 'test'")["spectral_match"].min()
+    assert found["scatter.realism.as_is.spectral_match.lowest"] == lowest
+    assert "jinja2" in results["versions"]
+    assert results["inputs"]["draws"] == "50"
+
+
+@pytest.mark.skipif(not shutil.which("chromium"), reason="PAGE NOT RENDERED: chromium is not installed")
+@pytest.mark.parametrize("width", [500, 1400])
+def test_a_browser_shows_it_without_overflow(report: Path, tmp_path: Path, width: int) -> None:
+    probe = "document.title = document.documentElement.scrollWidth + ' of ' + innerWidth"
+    page = (report / "index.html").read_text(encoding="utf-8").replace("</body>", f"<script>{probe}</script></body>")
+    (tmp_path / "probe.html").write_text(page, encoding="utf-8")
+    quiet = [
+        "--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-sync",
+        "--disable-component-update", "--no-first-run", f"--user-data-dir={tmp_path / 'profile'}",
+    ]  # fmt: skip
+    address = (tmp_path / "probe.html").as_uri()
+    command = ["chromium", *quiet, f"--window-size={width},900", "--dump-dom", address]
+    shown = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout
+    wide, window = map(int, re.search(r"<title>(\d+) of (\d+)</title>", shown).groups())
+    assert wide <= window
+    assert window <= width
