@@ -74,7 +74,13 @@ def assign_looks(reducers: Sequence[str]) -> dict[str, Look]:
 
 @contextmanager
 def print_style() -> Iterator[None]:
-    """Set fonts and lines for print while figures are drawn or saved; restore matplotlib's settings when left."""
+    """Set fonts and lines for print while figures are drawn or saved.
+
+    Yields
+    ------
+    None
+        matplotlib's own settings come back at the end.
+    """
     from matplotlib import rc_context, rcParamsDefault
 
     # All settings but the window's start from the library's own: a matplotlibrc in the working folder must not
