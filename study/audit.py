@@ -38,18 +38,12 @@ def audit_study(study: StudyFolder) -> list[str]:
     list of str
         Everything that is not as it was written, one line each; empty if all is well.
     """
-    begun = [folder for folder in study.participants if _has_begun(folder)]
-    if not begun and not study.stimuli.exists():
+    if not study.participants and not study.stimuli.exists():
         return []
     findings, stimuli_sha256 = _audit_stimuli(study.stimuli)
-    for folder in begun:
+    for folder in study.participants:
         findings += _audit_participant(folder, stimuli_sha256)
     return findings
-
-
-def _has_begun(folder: Path) -> bool:
-    """Tell a session from what a crash before the plan leaves: a folder with nothing but a lock."""
-    return (folder / PLAN_FILE).exists() or any(folder.glob("session-*.jsonl"))
 
 
 def _audit_stimuli(folder: Path) -> tuple[list[str], str | None]:

@@ -69,6 +69,7 @@ def simulate_study(
     seed: int | None,
     now: Clock,
     progress: Progress | None = None,
+    warn: Callable[[str], None] | None = None,
 ) -> int:
     """Lead simulated participants through a study and derive the table of ratings.
 
@@ -84,6 +85,8 @@ def simulate_study(
         Gives the time of day, with its zone.
     progress : callable, optional
         Called with the numbers of trials done and to do.
+    warn : callable, optional
+        Called with each line on what was mended in resuming.
 
     Returns
     -------
@@ -99,7 +102,10 @@ def simulate_study(
     stimuli = read_stimuli(study.stimuli)
     _require_current_set(study, settings)
     seed = settings.study.seed if seed is None else seed
-    run_simulation(Simulation(study, settings, stimuli, seed, now), participants, progress=progress)
+    notices = run_simulation(Simulation(study, settings, stimuli, seed, now), participants, progress=progress)
+    if warn is not None:
+        for notice in notices:
+            warn(notice)
     return write_ratings(study, stimuli)
 
 

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from study.commands.shared import json_option, now, print_json, show_progress, study_argument
+from study.commands.shared import json_option, now, print_json, show_progress, study_argument, warn
 
 if TYPE_CHECKING:
     from study.folder import StudyFolder
+    from study.status import Progress
 
 
 @click.command(epilog="Example: feel321 simulate my-study --participants 16 --seed 1")
@@ -25,7 +26,9 @@ def simulate(*, study: StudyFolder, participants: int, seed: int | None, as_json
     from study.workflow import simulate_study
 
     with show_progress("simulate") as progress:
-        rows = simulate_study(study, participants=participants, seed=seed, now=now, progress=progress)
+        rows = simulate_study(
+            study, participants=participants, seed=seed, now=now, progress=progress, warn=warn
+        )
     if as_json:
         print_json({"participants": participants, "ratings": rows, "file": str(study.ratings)})
     else:
@@ -37,7 +40,7 @@ def simulate(*, study: StudyFolder, participants: int, seed: int | None, as_json
 @json_option
 def status(*, study: StudyFolder, as_json: bool) -> None:
     """Show how far every participant has come."""
-    from study.status import read_status
+    from study.status import describe_balance, read_status
 
     progress = read_status(study)
     if as_json:
@@ -45,9 +48,16 @@ def status(*, study: StudyFolder, as_json: bool) -> None:
         return
     click.echo(f"{'participant':<16}{'done':>6}{'left':>6}  last activity")
     for entry in progress:
-        mark = " (simulated)" if entry.simulated else ""
-        torn = f" ({entry.torn_bytes} torn bytes, mended on resuming)" if entry.torn_bytes else ""
-        click.echo(f"{entry.participant:<16}{entry.done:>6}{entry.left:>6}  {entry.last_activity}{mark}{torn}")
+        click.echo(_describe(entry))
+    click.echo(describe_balance(progress))
+
+
+def _describe(entry: Progress) -> str:
+    if entry.problem:
+        return f"{entry.participant:<16}{'?':>6}{'?':>6}  {entry.problem}"
+    mark = " (simulated)" if entry.simulated else ""
+    torn = f" ({entry.torn_bytes} torn bytes, mended on resuming)" if entry.torn_bytes else ""
+    return f"{entry.participant:<16}{entry.done:>6}{entry.left:>6}  {entry.last_activity}{mark}{torn}"
 
 
 @click.command(epilog="Example: feel321 audit my-study")

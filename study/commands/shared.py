@@ -143,7 +143,18 @@ def report_warnings(recordings: Iterable[Recording]) -> None:
     """
     for recording in recordings:
         for warning in recording.warnings:
-            click.echo(f"feel321: warning: {recording.name}: {warning}", err=True)
+            warn(f"{recording.name}: {warning}")
+
+
+def warn(message: str) -> None:
+    """Print a warning to stderr.
+
+    Parameters
+    ----------
+    message : str
+        One line.
+    """
+    click.echo(f"feel321: warning: {message}", err=True)
 
 
 def print_json(entry: object) -> None:

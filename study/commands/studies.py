@@ -15,6 +15,7 @@ from study.commands.shared import (
     report_warnings,
     show_progress,
     study_argument,
+    warn,
 )
 from study.folder import StudyFolder, create_study, read_template
 
@@ -77,7 +78,9 @@ def demo(folder: Path) -> None:
         _, stimuli = build_study(study, progress=progress)
     click.echo(f"{stimuli.folder}: {len(stimuli.stimuli)} stimuli")
     with show_progress("simulate") as progress:
-        rows = simulate_study(study, participants=DEMO_PARTICIPANTS, seed=None, now=now, progress=progress)
+        rows = simulate_study(
+            study, participants=DEMO_PARTICIPANTS, seed=None, now=now, progress=progress, warn=warn
+        )
     click.echo(f"{study.ratings}: {rows} ratings of {DEMO_PARTICIPANTS} simulated participants")
     click.echo(analyze_study(study) / "index.html")
 

@@ -252,7 +252,8 @@ def test_a_study_from_new_to_report(study: StudyFolder, tmp_path: Path, capsys: 
     assert "(2 torn bytes, mended on resuming)" in (table := capsys.readouterr().out)
     assert len(re.findall(r"^sim00\d +24 +0 .*\(simulated\)", table, flags=re.MULTILINE)) == 4
     assert main(["simulate", folder, "--participants", "4"]) == 0
-    capsys.readouterr()
+    assert "feel321: warning: " in (err := capsys.readouterr().err)
+    assert "2 bytes of a line that was never finished were moved to" in err
     assert main(["audit", folder]) == 0
     assert capsys.readouterr().out == f"{folder}: 4 journals, all as they were written\n"
     assert main(["analyze", folder]) == 0
@@ -280,6 +281,17 @@ def test_findings_are_printed_and_the_exit_code_is_1(study: StudyFolder, capsys:
     assert len(capsys.readouterr().out.splitlines()) == 2
     assert main(["check", folder, "--json"]) == 1
     assert len(json.loads(capsys.readouterr().out)["problems"]) == 2
+
+
+def test_status_shows_a_broken_participant_beside_the_others_and_the_balance(
+    study: StudyFolder, capsys: Capture
+) -> None:
+    (study.sessions / "p01").mkdir(parents=True)
+    (study.sessions / "p01" / "plan.json").write_text("null", encoding="utf-8")
+    assert main(["status", str(study.path)]) == 0
+    _, broken, balance = capsys.readouterr().out.splitlines()
+    assert re.match(r"p01 +\? +\?  .*plan\.json", broken)
+    assert balance == "balance: nobody has begun"
 
 
 def test_new_begins_a_study_and_refuses_to_begin_it_twice(tmp_path: Path, capsys: Capture) -> None:
