@@ -134,9 +134,7 @@ def analyze_study(study: StudyFolder, *, out: Path | None = None) -> Path:
         simulate = f"feel321 simulate {quote(str(study.path))}"
         raise ValueError(f"{study.path}: holds no ratings yet; run sessions first, or {simulate}")
     folder = out or study.report
-    write_report(
-        study.ratings, study.manifest, folder, draws=settings.analysis.draws, seed=settings.study.seed
-    )
+    write_report(study.ratings, study.manifest, folder, draws=settings.analysis.draws, seed=settings.study.seed)
     return folder
 
 

@@ -16,9 +16,7 @@ from study.folder import StudyFolder
 @click.option("--manifest", type=FILE, help="The stimuli that were rated.  [default: the study's]")
 @click.option("--out", type=FILE, help="Folder of the report.  [default: report/ in the study]")
 @json_option
-def analyze(
-    folder: Path, *, ratings: Path | None, manifest: Path | None, out: Path | None, as_json: bool
-) -> None:
+def analyze(folder: Path, *, ratings: Path | None, manifest: Path | None, out: Path | None, as_json: bool) -> None:
     """Set the ratings against both match metrics and write the report."""
     if ratings is None and manifest is None:
         from study.workflow import analyze_study

@@ -26,9 +26,7 @@ def simulate(*, study: StudyFolder, participants: int, seed: int | None, as_json
     from study.workflow import simulate_study
 
     with show_progress("simulate") as progress:
-        rows = simulate_study(
-            study, participants=participants, seed=seed, now=now, progress=progress, warn=warn
-        )
+        rows = simulate_study(study, participants=participants, seed=seed, now=now, progress=progress, warn=warn)
     if as_json:
         print_json({"participants": participants, "ratings": rows, "file": str(study.ratings)})
     else:

@@ -66,9 +66,7 @@ def build(*, study: StudyFolder, workers: int, as_json: bool) -> None:
 
 
 @click.command(epilog="Example: feel321 demo --dir demo-study")
-@click.option(
-    "--dir", "folder", type=FILE, default=Path("demo-study"), show_default=True, help="Where it goes."
-)
+@click.option("--dir", "folder", type=FILE, default=Path("demo-study"), show_default=True, help="Where it goes.")
 def demo(folder: Path) -> None:
     """Run the whole chain with simulated participants."""
     from study.workflow import analyze_study, build_study, simulate_study
@@ -78,9 +76,7 @@ def demo(folder: Path) -> None:
         _, stimuli = build_study(study, progress=progress)
     click.echo(f"{stimuli.folder}: {len(stimuli.stimuli)} stimuli")
     with show_progress("simulate") as progress:
-        rows = simulate_study(
-            study, participants=DEMO_PARTICIPANTS, seed=None, now=now, progress=progress, warn=warn
-        )
+        rows = simulate_study(study, participants=DEMO_PARTICIPANTS, seed=None, now=now, progress=progress, warn=warn)
     click.echo(f"{study.ratings}: {rows} ratings of {DEMO_PARTICIPANTS} simulated participants")
     click.echo(analyze_study(study) / "index.html")
 
