@@ -69,7 +69,7 @@ def read_settings(path: Path) -> Settings:
     except ValueError as error:  # TOML's own errors and those of the encoding
         raise ValueError(f"{path}: got no TOML ({error}); mend that place") from None
     except RecursionError:
-        raise ValueError(f"{path}: got no TOML (nested too deeply); mend that place") from None
+        raise ValueError(f"{path}: got TOML that is nested too deeply; mend that place") from None
     try:
         return Settings.model_validate_json(content, strict=True)
     except ValidationError as error:
@@ -81,7 +81,7 @@ def _translate(detail: ErrorDetails) -> str:
     names = tuple(part for part in detail["loc"] if isinstance(part, str))
     place = _write_place(detail["loc"])
     if detail["type"] == "json_invalid":  # We wrote the JSON: only its depth can be wrong.
-        return "got no settings (nested too deeply); mend that place"
+        return "got TOML that is nested too deeply; mend that place"
     if detail["type"] == "extra_forbidden":
         return f"{place}: is no setting; {_suggest(names)}"
     if detail["type"] == "missing":
