@@ -1,0 +1,250 @@
+"""What comes next in a session: ask for a page or a trial, tell what became of it.
+
+Pages, training with feedback, practice, breaks, and what is tried again all follow from the plan and from what
+was told so far, and from nothing else. A session that is resumed therefore tells an agenda what its journal
+holds, and goes on as if it had never been broken off.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from itertools import groupby
+from typing import TYPE_CHECKING
+
+from protocols.flow import Page
+from protocols.trial import Trial
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from protocols.flow import Flow
+
+    Step = Page | Trial
+
+SECONDS = 60.0
+RELAXING = frozenset({"main", "break", "rest", "warm_up"})
+"""Pages after which the time to the next break starts anew."""
+
+
+class Agenda:
+    """The steps of a session that are still to be done, in order.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        All trials of the plan: those of the main phase in their order, training and practice anywhere.
+    flow : Flow
+        The rules of the session.
+
+    Examples
+    --------
+    >>> from protocols.flow import Flow
+    >>> agenda = Agenda([], Flow())
+    >>> agenda.ask()
+    Page(key='welcome', least_s=0.0)
+    >>> agenda.tell_page("welcome", time_s=2.5)
+    >>> agenda.ask().key
+    'consent'
+    """
+
+    def __init__(self, trials: Sequence[Trial], flow: Flow) -> None:
+        self._flow = flow
+        self._trials = {trial.number: trial for trial in trials}
+        self._steps: deque[Step] = deque(lay_out(trials, flow))
+        self._bad: Counter[int] = Counter()
+        self._rounds: Counter[str] = Counter()
+        self._understood: list[bool] = []
+        self._trials_since_break = 0
+        self._break_ended_s = 0.0
+        self.total = sum(trial.phase == "main" for trial in trials)
+        """Trials of the main phase."""
+        self.done = 0
+        """Those of them that need no further attempt, rated or given up."""
+
+    def ask(self) -> Step | None:
+        """Name the next step.
+
+        Returns
+        -------
+        Page, Trial or None
+            The same one until it is told as done; None when all are.
+        """
+        return self._steps[0] if self._steps else None
+
+    def attempt(self, number: int) -> int:
+        """Count which attempt at a trial is next.
+
+        Parameters
+        ----------
+        number : int
+            The trial's number.
+
+        Returns
+        -------
+        int
+            From 1.
+        """
+        return self._bad[number] + 1
+
+    def tell_page(self, key: str, *, time_s: float) -> None:
+        """Take a page as read.
+
+        Parameters
+        ----------
+        key : str
+            Its key.
+        time_s : float
+            When, in s since the session began.
+
+        Raises
+        ------
+        ValueError
+            If another step is next.
+        """
+        self._take(key)
+        if key in RELAXING:
+            self._trials_since_break, self._break_ended_s = 0, time_s
+
+    def tell_trial(self, number: int, *, accepted: bool, as_expected: bool | None, time_s: float) -> None:
+        """Take an attempt at a trial as made.
+
+        Parameters
+        ----------
+        number : int
+            The trial's number.
+        accepted : bool
+            False if the attempt was a bad one; the trial then comes again, unless it came too often already.
+        as_expected : bool or None
+            Whether the answer was one of those expected; None where any will do.
+        time_s : float
+            When, in s since the session began.
+
+        Raises
+        ------
+        ValueError
+            If another step is next.
+        """
+        self._take(number)
+        trial = self._trials[number]
+        if not accepted:
+            self._bad[number] += 1
+            if self._bad[number] < self._flow.max_attempts:
+                self._try_again(trial)
+                return
+        if trial.phase == "training":
+            self._give_feedback(trial, understood=as_expected)
+        elif trial.phase == "main":
+            self.done += 1
+            self._trials_since_break += 1
+            if self._is_break_due(time_s):
+                self._steps.appendleft(Page("break", self._flow.break_s))
+
+    def warm_up(self) -> None:
+        """Put the practice of the current task before all else, for someone who comes back after a long while."""
+        ahead = next((step for step in self._steps if isinstance(step, Trial)), None)
+        if ahead is None or ahead.phase != "main" or self._steps[0] == Page("warm_up"):
+            return  # Nothing is left, or they are warming up anyway.
+        again = [t for t in self._trials.values() if t.phase == "practice" and t.protocol == ahead.protocol]
+        for trial in again:
+            self._bad.pop(trial.number, None)
+        self._steps.extendleft(reversed([Page("warm_up"), *again]))
+
+    def _take(self, name: str | int) -> None:
+        step = self.ask()
+        expected = step.key if isinstance(step, Page) else step.number if step else "the end"
+        if name != expected:
+            raise ValueError(f"got {_describe(name)}, expected {_describe(expected)}")
+        self._steps.popleft()
+
+    def _try_again(self, trial: Trial) -> None:
+        """Put a trial behind what is left of its block, else of its section, else right here."""
+        for likeness in (lambda t: (t.phase, t.protocol, t.block), lambda t: (t.phase, t.protocol)):
+            alike = [
+                place
+                for place, step in enumerate(self._steps)
+                if isinstance(step, Trial) and likeness(step) == likeness(trial)
+            ]
+            if alike:
+                self._steps.insert(alike[-1] + 1, trial)
+                return
+        self._steps.appendleft(trial)
+
+    def _give_feedback(self, trial: Trial, *, understood: bool | None) -> None:
+        if understood is not None:
+            self._understood.append(understood)
+        is_last = not any(step.protocol == trial.protocol for step in self._pending("training"))
+        coming: list[Step] = [] if understood is None else [Page("expected" if understood else "unexpected")]
+        if is_last and self._understood:
+            coming += self._end_round(trial.protocol)
+        self._steps.extendleft(reversed(coming))
+
+    def _end_round(self, protocol: str) -> Iterator[Step]:
+        share = sum(self._understood) / len(self._understood)
+        self._understood = []
+        self._rounds[protocol] += 1
+        if share >= self._flow.training_pass:
+            yield Page("training_passed")
+        elif self._rounds[protocol] >= self._flow.training_rounds:
+            yield Page("training_failed")
+        else:
+            yield Page("training_again")
+            for trial in self._trials.values():
+                if trial.phase == "training" and trial.protocol == protocol:
+                    self._bad.pop(trial.number, None)
+                    yield trial
+
+    def _pending(self, phase: str) -> Iterator[Trial]:
+        return (step for step in self._steps if isinstance(step, Trial) and step.phase == phase)
+
+    def _is_break_due(self, time_s: float) -> bool:
+        ahead = self.ask()
+        if not isinstance(ahead, Trial):
+            return False  # A page comes anyway, or nothing does.
+        trials, minutes = self._flow.break_trials, self._flow.break_min
+        by_count = trials is not None and self._trials_since_break >= trials
+        return by_count or (minutes is not None and time_s - self._break_ended_s >= minutes * SECONDS)
+
+
+def lay_out(trials: Sequence[Trial], flow: Flow) -> Iterator[Step]:
+    """Lay out a session in which nothing goes wrong and no break is due.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        All trials of the plan.
+    flow : Flow
+        The rules of the session.
+
+    Yields
+    ------
+    Page or Trial
+        The steps, in order. There is a rest between two tasks, and one half-way through a single one.
+    """
+    yield from (Page("welcome"), Page("consent"))
+    main = [trial for trial in trials if trial.phase == "main"]
+    sections = [list(section) for _, section in groupby(main, key=lambda trial: trial.protocol)]
+    for place, section in enumerate(sections):
+        protocol = section[0].protocol
+        if place:
+            yield Page("rest", flow.rest_s)
+        yield Page(f"instructions.{protocol}")
+        yield from _lead_in("training", (t for t in trials if t.protocol == protocol))
+        yield from _lead_in("practice", (t for t in trials if t.protocol == protocol))
+        yield Page("main")
+        half = (len(section) + 1) // 2 if len(sections) == 1 else len(section)
+        yield from section[:half]
+        if section[half:]:
+            yield Page("rest", flow.rest_s)
+        yield from section[half:]
+    yield Page("end")
+
+
+def _lead_in(phase: str, trials: Iterable[Trial]) -> Iterator[Step]:
+    own = [trial for trial in trials if trial.phase == phase]
+    if own:
+        yield Page(phase)
+    yield from own
+
+
+def _describe(step: str | int) -> str:
+    return f"trial {step}" if isinstance(step, int) else f"page {step!r}" if step != "the end" else step
