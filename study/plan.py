@@ -18,6 +18,7 @@ from protocols.rehearsal import make_rehearsal
 from protocols.trial import Item, Judgement, Part, Trial
 from study.blinding import make_codes
 from study.chain import digest
+from study.differences import find_differences
 from study.files import create_text
 
 if TYPE_CHECKING:
@@ -258,7 +259,7 @@ def require_plan(path: Path) -> Plan:
     return _restore(entry, sha256=digest(body))
 
 
-def find_differences(plan: Plan, other: Plan) -> list[str]:
+def compare_plans(plan: Plan, other: Plan) -> list[str]:
     """Say in which inputs two plans differ.
 
     Parameters
@@ -271,9 +272,9 @@ def find_differences(plan: Plan, other: Plan) -> list[str]:
     list of str
         One entry per input. The trials themselves are not compared: the stored ones are those that count.
     """
-    old, new = (asdict(p) for p in (plan, other))
-    inputs = [name for name in old if name not in {"trials", "sha256"}]
-    return [f"{name} {old[name]!r} -> {new[name]!r}" for name in inputs if old[name] != new[name]]
+    # By way of JSON, which knows lists only, so that what was stored and what was made anew look alike.
+    old, new = (json.loads(json.dumps(asdict(entry))) for entry in (plan, other))
+    return find_differences(old, new, ignore={"trials", "sha256"})
 
 
 def _restore(entry: dict[str, Any], *, sha256: str) -> Plan:
