@@ -1,38 +1,60 @@
-"""Realism: one stimulus is felt and rated by itself.
+"""Realism: the participant feels one stimulus and says how real it felt, from not at all to like the real surface.
 
-Every stimulus of a recording is judged once, the hidden reference and the anchors among them.
+Where the lab has the real surface at hand, it is stroked before each stimulus. Every stimulus of a recording is judged
+by itself, the recording's own vibration and the anchors among them.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from protocols.trial import Comparison, Item, Protocol
+from protocols.catch import EXPECTED, find_catch
+from protocols.protocol import Protocol, keep_arrangement, score_slider
+from protocols.trial import SURFACE, Comparison, Judgement, Part
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from protocols.protocol import Task
+    from protocols.trial import Item
 
-def compare(items: Sequence[Item]) -> tuple[Comparison, ...]:
-    """Every item of a recording, judged without a reference.
+
+def compare(items: Sequence[Item], task: Task) -> tuple[Comparison, ...]:
+    """Judge every stimulus of a recording by itself.
 
     Parameters
     ----------
     items : sequence of Item
         All stimuli of one recording.
+    task : Task
+        Whether the real surface is felt first.
 
     Returns
     -------
     tuple of Comparison
-        One per item, in the same order.
-
-    Examples
-    --------
-    >>> compare([Item("tap-dft321", "tap", "as_is", "test")])
-    (Comparison(stimulus_id='tap-dft321', reference_id=None),)
+        One per stimulus, in the same order.
     """
-    return tuple(Comparison(item.stimulus_id) for item in items)
+    return tuple(_compare_one(item, surface=task.surface) for item in items)
 
 
-REALISM = Protocol(name="realism", scale="realism", compare=compare)
+def _compare_one(item: Item, *, surface: bool) -> Comparison:
+    felt_first = (Part(SURFACE, surface=item.recording),) if surface else ()
+    catch = find_catch(item, None)
+    return Comparison(
+        parts=(*felt_first, Part("test", item.stimulus_id)),
+        judgements=(Judgement("test", item.stimulus_id, expected=EXPECTED.get(catch)),),
+        catch=catch,
+    )
+
+
+REALISM = Protocol(
+    name="realism",
+    scale="realism",
+    factors=("recording", "reducer", "level"),
+    timings=("replay", "strict"),
+    references=(),
+    compare=compare,
+    arrange=keep_arrangement,
+    score=score_slider,
+)
 """The protocol as it stands in the registry."""

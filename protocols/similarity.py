@@ -1,56 +1,74 @@
-"""Similarity: the reference of a recording is felt first, then a stimulus that is rated against it.
+"""Similarity: the participant feels a reference, then a stimulus, and says how similar the second was to the first.
 
-The reference is judged against itself too: a rater who hears a difference there gives themselves away.
+100 points mean identical. The reference is the recording itself, the real surface, or what a reducer made of the
+recording, as in the study of seven reducers by Park and Kuchenbecker [1]_. The reference is judged against itself too:
+a participant who feels a difference there gives themselves away. Nothing is identical to the real surface; there the
+recording itself takes the place of the hidden reference.
+
+Parts may be felt again unless a study asks for strict timing, in which Muschter et al. [2]_ presented theirs.
+
+References
+----------
+.. [1] Park, G., & Kuchenbecker, K. J. (2019). Objective and subjective assessment of algorithms for reducing
+   three-axis vibrations to one-axis vibrations. IEEE World Haptics Conference. doi:10.1109/WHC.2019.8816148
+.. [2] Muschter, E., et al. (2021). Perceptual quality assessment of compressed vibrotactile signals through comparative
+   judgment. IEEE Transactions on Haptics, 14(2). doi:10.1109/TOH.2021.3077191
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from protocols.trial import Comparison, Item, Protocol
+from protocols.catch import EXPECTED, find_catch
+from protocols.protocol import ORIGINAL, Protocol, find_reference, keep_arrangement, score_slider
+from protocols.trial import SURFACE, Comparison, Judgement, Part
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from protocols.protocol import Task
+    from protocols.trial import Item
 
-def compare(items: Sequence[Item]) -> tuple[Comparison, ...]:
-    """Every item of a recording, judged against the recording's reference of the same level arm.
+
+def compare(items: Sequence[Item], task: Task) -> tuple[Comparison, ...]:
+    """Judge every stimulus of a recording against the recording's reference of the same level arm.
 
     Parameters
     ----------
     items : sequence of Item
         All stimuli of one recording.
+    task : Task
+        What is the reference.
 
     Returns
     -------
     tuple of Comparison
-        One per item, in the same order.
+        One per stimulus, in the same order.
 
     Raises
     ------
     ValueError
-        If an item's recording has no reference, or several that could be meant.
-
-    Examples
-    --------
-    >>> reference = Item("tap-original", "tap", "as_is", "reference")
-    >>> compare([Item("tap-dft321", "tap", "as_is", "test"), reference])[0]
-    Comparison(stimulus_id='tap-dft321', reference_id='tap-original')
+        If a stimulus has no such reference, or several that could be meant.
     """
-    return tuple(Comparison(item.stimulus_id, _find_reference(item, items)) for item in items)
+    return tuple(_compare_one(item, items, reference=task.reference) for item in items)
 
 
-def _find_reference(item: Item, items: Sequence[Item]) -> str:
-    references = [other for other in items if other.role == "reference"]
-    # A set may render its references once, or once per level arm; the arm's own comes first.
-    own = [other for other in references if other.level == item.level] or references
-    if len(own) != 1:
-        raise ValueError(
-            f"recording {item.recording!r}, level {item.level!r}: got {len(own)} reference stimuli, "
-            "similarity needs exactly one; build the stimulus set with a reference"
-        )
-    return own[0].stimulus_id
+def _compare_one(item: Item, items: Sequence[Item], *, reference: str) -> Comparison:
+    found = None if reference == SURFACE else find_reference(item, items, reference=reference)
+    catch = find_catch(item, found)
+    first = Part("reference", found.stimulus_id) if found else Part("reference", surface=item.recording)
+    judgement = Judgement("test", item.stimulus_id, first.stimulus_id or SURFACE, EXPECTED.get(catch))
+    return Comparison((first, Part("test", item.stimulus_id)), (judgement,), catch)
 
 
-SIMILARITY = Protocol(name="similarity", scale="similarity", compare=compare)
+SIMILARITY = Protocol(
+    name="similarity",
+    scale="similarity",
+    factors=("recording", "reducer", "level"),
+    timings=("replay", "strict"),
+    references=(ORIGINAL, SURFACE, "reducer"),
+    compare=compare,
+    arrange=keep_arrangement,
+    score=score_slider,
+)
 """The protocol as it stands in the registry."""

@@ -1,0 +1,102 @@
+"""Dissimilarity: the participant feels two stimuli and says how different they were; 0 points mean identical.
+
+All pairs of the reducers and the recording itself are judged, so that multidimensional scaling can draw the space in
+which they differ, as Lee et al. did [1]_. One more pair holds the recording itself twice: a participant who feels a
+difference there gives themselves away. Anchors would stretch the space, and take no part. Which of the two comes first
+changes with every turn.
+
+References
+----------
+.. [1] Lee, H., Tombak, G. I., Park, G., & Kuchenbecker, K. J. (2022). Perceptual space of algorithms for three-to-one
+   dimensional reduction of realistic vibrations. IEEE Transactions on Haptics, 15(3). doi:10.1109/TOH.2022.3174229
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+from protocols.arms import split_arms
+from protocols.protocol import ORIGINAL, Protocol, find_reference, score_slider
+from protocols.trial import Comparison, Judgement, Part
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from protocols.protocol import Task
+    from protocols.trial import Item
+
+NO_DIFFERENCE = (0.0, 10.0)
+"""What to expect of an identical pair: the limit of BS.1534-3 for a hidden reference, turned round."""
+
+
+def compare(items: Sequence[Item], task: Task) -> tuple[Comparison, ...]:  # noqa: ARG001 - every task has this form
+    """Judge all pairs of the reducers and the original of a recording, within each level arm.
+
+    Parameters
+    ----------
+    items : sequence of Item
+        All stimuli of one recording.
+    task : Task
+        Leaves nothing to decide here.
+
+    Returns
+    -------
+    tuple of Comparison
+        Per level arm, each unordered pair once, and the original against itself.
+
+    Raises
+    ------
+    ValueError
+        If there is nothing to test, or not exactly one original.
+    """
+    return tuple(comparison for arm in split_arms(items) for comparison in _compare_arm(arm))
+
+
+def arrange(comparison: Comparison, turn: int) -> Comparison:
+    """Let the other stimulus come first on every odd turn.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        A pair.
+    turn : int
+        Whose turn it is.
+
+    Returns
+    -------
+    Comparison
+        The pair; what comes second is judged against what comes first.
+    """
+    first, second = (str(part.stimulus_id) for part in comparison.parts)
+    return _compare_pair(second, first) if turn % 2 else comparison
+
+
+def _compare_arm(arm: Sequence[Item]) -> Iterator[Comparison]:
+    original = find_reference(arm[0], arm, reference=ORIGINAL)
+    compared = [original, *(item for item in arm if item.role == "test")]
+    for first, second in combinations(compared, 2):
+        yield _compare_pair(first.stimulus_id, second.stimulus_id)
+    yield _compare_pair(original.stimulus_id, original.stimulus_id)
+
+
+def _compare_pair(first: str, second: str) -> Comparison:
+    is_identical = first == second
+    return Comparison(
+        parts=(Part("first", first), Part("second", second)),
+        judgements=(Judgement("second", second, first, NO_DIFFERENCE if is_identical else None),),
+        catch="identical" if is_identical else "",
+    )
+
+
+DISSIMILARITY = Protocol(
+    name="dissimilarity",
+    scale="dissimilarity",
+    factors=("recording", "pair", "level"),
+    timings=("replay", "strict"),
+    references=(ORIGINAL,),
+    compare=compare,
+    arrange=arrange,
+    score=score_slider,
+)
+"""The protocol as it stands in the registry."""
