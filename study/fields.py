@@ -1,0 +1,115 @@
+"""What the tables of `study.toml` are made of: the closed table, and kinds of values.
+
+Each kind refuses by saying what is allowed; `settings` adds the place and what was got.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, WrapValidator
+from pydantic_core import PydanticCustomError
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+    from pydantic import ValidatorFunctionWrapHandler
+
+OFF = "off"
+"""What switches something off: TOML has no null."""
+
+
+class Table(BaseModel):
+    """A table of `study.toml`: no unknown keys, no guessing of types, no changes after reading."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+def one_of(names: Collection[str]) -> AfterValidator:
+    """Make the rule that a name is one of a registry's.
+
+    Parameters
+    ----------
+    names : collection of str
+        The registry, or its names.
+
+    Returns
+    -------
+    AfterValidator
+        The rule, for an annotation.
+    """
+
+    def check(name: str) -> str:
+        if name not in names:
+            raise ValueError(f"allowed: {', '.join(names)}")
+        return name
+
+    return AfterValidator(check)
+
+
+def check_distinct(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Demand each name once.
+
+    Parameters
+    ----------
+    names : tuple of str
+        The names.
+
+    Returns
+    -------
+    tuple of str
+        The same.
+
+    Raises
+    ------
+    ValueError
+        If one stands there more than once.
+    """
+    if doubled := sorted({name for name in names if names.count(name) > 1}):
+        raise ValueError(f"allowed is each name once; more than once: {', '.join(doubled)}")
+    return names
+
+
+def check_some(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Demand one name or more, each once.
+
+    Parameters
+    ----------
+    names : tuple of str
+        The names.
+
+    Returns
+    -------
+    tuple of str
+        The same.
+
+    Raises
+    ------
+    ValueError
+        If there is none, or one stands there more than once.
+    """
+    if not names:
+        raise ValueError("allowed is one name or more")
+    return check_distinct(names)
+
+
+def _take_off(value: object, read: ValidatorFunctionWrapHandler) -> object:
+    if value == OFF:
+        return None
+    try:
+        return read(value)
+    except ValidationError as error:
+        reason = {"reason": error.errors()[0]["msg"]}
+        raise PydanticCustomError("off_or", '{reason}, or "off"', reason) from None
+
+
+Distinct = AfterValidator(check_distinct)
+Some = AfterValidator(check_some)
+OrOff = WrapValidator(_take_off)
+Words = Annotated[str, Field(min_length=1)]
+Count = Annotated[int, Field(ge=0)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Share = Annotated[float, Field(ge=0, le=1)]
+PositiveOrOff = Annotated[Positive | None, OrOff]
