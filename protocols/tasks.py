@@ -67,8 +67,9 @@ def make_task(
     for key, count in {"training": training, "practice": practice}.items():
         if count < 0:
             raise ValueError(f"tasks.{name}.{key}: got {count}, allowed is a whole number of at least 0")
-    first = next(iter(protocol.references), ORIGINAL)
-    return Task(name, timing, reference or first, surface, training, practice)
+    if reference is None:
+        reference = next(iter(protocol.references), ORIGINAL)
+    return Task(name, timing, reference, surface, training, practice)
 
 
 def _check_reference(protocol: Protocol, reference: str) -> None:
@@ -76,6 +77,6 @@ def _check_reference(protocol: Protocol, reference: str) -> None:
     if not protocol.references:
         raise ValueError(f"{key}: got {reference!r}, allowed is none: each stimulus is judged by itself; leave it out")
     kind = reference if reference in {ORIGINAL, SURFACE} else "reducer"
-    if kind not in protocol.references:
+    if not reference or kind not in protocol.references:
         allowed = ["the name of a reducer" if kind == "reducer" else kind for kind in protocol.references]
         raise ValueError(f"{key}: got {reference!r}, allowed: {', '.join(allowed)}")

@@ -1,51 +1,204 @@
+"""What holds for every rating task, whatever it asks."""
+
 from __future__ import annotations
 
-import pytest
+import importlib
+import inspect
+from collections import Counter
+from typing import TYPE_CHECKING
 
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from protocols.catch import EXPECTED
 from protocols.realism import REALISM
 from protocols.registry import PROTOCOLS
-from protocols.similarity import SIMILARITY
+from protocols.tasks import make_task
 from protocols.texts import list_languages, read_scales
-from protocols.trial import Item
+from protocols.trial import RATING_RANGE, SURFACE, TIMINGS, Judgement
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from protocols.protocol import Task
+    from protocols.trial import Comparison, Item
+
+    Drawn = dict[str, tuple[str, ...]]
+    MakeItems = Callable[..., list[Item]]
+
+REDUCERS = tuple(f"reducer{n}" for n in range(9))
+SETS = st.fixed_dictionaries({
+    "reducers": st.integers(1, 9).map(lambda n: REDUCERS[:n]),
+    "anchors": st.sampled_from([(), ("low",), ("low", "mid")]),
+    "levels": st.sampled_from([("as_is",), ("as_is", "equal_intensity")]),
+})
+
+
+def all_tasks() -> list[Task]:
+    """Every form of every protocol."""
+    return [
+        make_task(name, timing=timing, reference=reference, surface=surface)
+        for name, protocol in PROTOCOLS.items()
+        for timing in protocol.timings
+        for reference in [kind if kind != "reducer" else REDUCERS[0] for kind in protocol.references] or [None]
+        for surface in ([False] if protocol.references else [False, True])
+    ]
+
+
+def describe(task: Task) -> str:
+    return f"{task.protocol}-{task.timing}-{task.reference}" + "-surface" * task.surface
+
+
+def draw_comparisons(task: Task, drawn: Drawn, make_items: MakeItems) -> tuple[Comparison, ...]:
+    names = (*drawn["reducers"], "original", *drawn["anchors"])
+    return PROTOCOLS[task.protocol].compare(make_items("tap", names, drawn["levels"]), task)
+
+
+every_task = pytest.mark.parametrize("task", all_tasks(), ids=describe)
+few = settings(max_examples=25)  # there are 54 sets
 
 
 def test_registry_lists_every_protocol_under_its_own_name() -> None:
-    assert list(PROTOCOLS) == ["realism", "similarity"]
-    assert all(name == protocol.name for name, protocol in PROTOCOLS.items())
+    assert list(PROTOCOLS) == ["realism", "similarity", "dissimilarity", "mushra", "abx"]
+    assert all(name == protocol.name == protocol.scale for name, protocol in PROTOCOLS.items())
     with pytest.raises(TypeError, match="does not support item assignment"):
-        PROTOCOLS["realism"] = SIMILARITY  # type: ignore[index] - that it is refused is the point
+        PROTOCOLS["realism"] = REALISM  # type: ignore[index] - that it is refused is the point
 
 
-def test_realism_judges_every_item_without_reference(items: list[Item]) -> None:
-    pairs = REALISM.compare(items)
-    assert [pair.stimulus_id for pair in pairs] == [item.stimulus_id for item in items]
-    assert {pair.reference_id for pair in pairs} == {None}
+@pytest.mark.parametrize("name", PROTOCOLS)
+def test_each_is_one_module_of_one_shape(name: str) -> None:
+    module = importlib.import_module(f"protocols.{name}")
+    protocol = vars(module)[name.upper()]
+    assert protocol is PROTOCOLS[name]
+    assert protocol.compare is module.compare
+    assert list(inspect.signature(protocol.compare).parameters) == ["items", "task"]
+    assert list(inspect.signature(protocol.arrange).parameters) == ["comparison", "turn"]
+    assert list(inspect.signature(protocol.score).parameters) == ["judgement", "answer", "parts"]
+    assert str(module.__doc__).startswith((f"{name.capitalize()}: the participant", f"{name.upper()}: "))
+    assert set(protocol.timings) <= set(TIMINGS)
+    assert {"recording", "level"} <= set(protocol.factors)
 
 
-def test_similarity_judges_every_item_against_the_reference_and_the_reference_against_itself(items: list[Item]) -> None:
-    bumps = [item for item in items if item.recording == "bumps"]
-    pairs = SIMILARITY.compare(bumps)
-    assert [pair.stimulus_id for pair in pairs] == [item.stimulus_id for item in bumps]
-    assert {pair.reference_id for pair in pairs} == {"bumps-original"}
+@every_task
+@few
+@given(drawn=SETS, turn=st.integers(0, 50))
+def test_every_part_and_every_judgement_is_whole(task: Task, drawn: Drawn, turn: int, make_items: MakeItems) -> None:
+    for comparison in draw_comparisons(task, drawn, make_items):
+        arranged = PROTOCOLS[task.protocol].arrange(comparison, turn)
+        parts = {part.name: part for part in arranged.parts}
+        assert len(parts) == len(arranged.parts)
+        assert all((part.stimulus_id is None) != (part.surface is None) for part in arranged.parts)
+        felt = {part.stimulus_id for part in arranged.parts}
+        about = {SURFACE if part.surface else part.stimulus_id for part in arranged.parts} | {None}
+        assert arranged.judgements
+        for judgement in arranged.judgements:
+            assert judgement.part in parts
+            assert judgement.stimulus_id in felt
+            assert judgement.reference_id in about
 
 
-def test_similarity_takes_the_reference_of_the_items_own_level() -> None:
-    levels = ("as_is", "equal_intensity")
-    own = [Item(f"{role}-{level}", "tap", level, role) for level in levels for role in ("test", "reference")]
-    assert {pair.stimulus_id: pair.reference_id for pair in SIMILARITY.compare(own)} == {
-        f"{role}-{level}": f"reference-{level}" for level in levels for role in ("test", "reference")
-    }
+@every_task
+@few
+@given(drawn=SETS)
+def test_what_is_judged_against_something_was_felt_beside_it(task: Task, drawn: Drawn, make_items: MakeItems) -> None:
+    absolute = not PROTOCOLS[task.protocol].references
+    for comparison in draw_comparisons(task, drawn, make_items):
+        assert {judgement.reference_id is None for judgement in comparison.judgements} == {absolute}
+        if task.reference == SURFACE or task.surface:
+            assert comparison.parts[0].surface == "tap"
+        else:
+            assert not any(part.surface for part in comparison.parts)
 
 
-def test_similarity_falls_back_on_the_only_reference() -> None:
-    shared = [Item("test", "tap", "equal_intensity", "test"), Item("original", "tap", "as_is", "reference")]
-    assert SIMILARITY.compare(shared)[0].reference_id == "original"
+@every_task
+@few
+@given(drawn=SETS)
+def test_names_of_parts_reveal_nothing(task: Task, drawn: Drawn, make_items: MakeItems) -> None:
+    comparisons = draw_comparisons(task, drawn, make_items)
+    assert len({tuple(part.name for part in comparison.parts) for comparison in comparisons}) == 1
+    words = {"original", "hidden", "low", "mid", "anchor", *REDUCERS}
+    assert not words & {part.name for comparison in comparisons for part in comparison.parts}
 
 
-def test_similarity_without_a_reference_is_refused(items: list[Item]) -> None:
-    alone = [item for item in items if item.role != "reference"]
-    with pytest.raises(ValueError, match="level 'as_is': got 0 reference stimuli, similarity needs exactly one"):
-        SIMILARITY.compare(alone)
+@every_task
+@few
+@given(drawn=SETS)
+def test_nothing_is_judged_across_level_arms(task: Task, drawn: Drawn, make_items: MakeItems) -> None:
+    for comparison in draw_comparisons(task, drawn, make_items):
+        assert len({part.stimulus_id.rpartition("-")[2] for part in comparison.parts if part.stimulus_id}) == 1
+
+
+@every_task
+@few
+@given(drawn=SETS)
+def test_no_comparison_comes_twice(task: Task, drawn: Drawn, make_items: MakeItems) -> None:
+    comparisons = draw_comparisons(task, drawn, make_items)
+    felt = Counter(frozenset(Counter(part.stimulus_id for part in c.parts).items()) for c in comparisons)
+    assert set(felt.values()) == {1}
+
+
+@every_task
+@few
+@given(drawn=SETS, turn=st.integers(0, 50))
+def test_arranging_moves_what_is_felt_and_changes_nothing_else(
+    task: Task, drawn: Drawn, turn: int, make_items: MakeItems
+) -> None:
+    def gist(comparison: Comparison) -> tuple[list[str], set[str | None], Counter[object], str]:
+        pairs: Counter[object] = Counter(
+            (frozenset({judgement.stimulus_id, judgement.reference_id}), judgement.expected)
+            for judgement in comparison.judgements
+        )
+        felt = {part.stimulus_id for part in comparison.parts}
+        return [part.name for part in comparison.parts], felt, pairs, comparison.catch
+
+    for comparison in draw_comparisons(task, drawn, make_items):
+        assert gist(PROTOCOLS[task.protocol].arrange(comparison, turn)) == gist(comparison)
+
+
+@every_task
+@few
+@given(drawn=SETS)
+def test_a_catch_is_where_something_is_expected(task: Task, drawn: Drawn, make_items: MakeItems) -> None:
+    for comparison in draw_comparisons(task, drawn, make_items):
+        expected = [judgement.expected for judgement in comparison.judgements if judgement.expected]
+        assert comparison.catch in {"", *EXPECTED}
+        if len(comparison.judgements) == 1:
+            assert bool(expected) == bool(comparison.catch)
+        low, high = RATING_RANGE
+        assert all(low <= least <= most <= high for least, most in expected)
+
+
+@pytest.mark.parametrize("name", [name for name in PROTOCOLS if name != "abx"])
+def test_a_slider_gives_its_points(name: str) -> None:
+    assert PROTOCOLS[name].score(Judgement("test", "tap"), 62.5, {"test": "tap"}) == 62.5
+
+
+@pytest.mark.parametrize("name", ["dissimilarity", "mushra", "abx"])
+def test_a_recording_without_anything_to_test_is_refused(name: str, make_items: MakeItems) -> None:
+    with pytest.raises(
+        ValueError, match="recording 'tap': got no stimulus to test, allowed is one or more; name reducers and build"
+    ):
+        PROTOCOLS[name].compare(make_items("tap", ["original", "low"]), make_task(name))
+
+
+@pytest.mark.parametrize("name", [name for name, protocol in PROTOCOLS.items() if protocol.references])
+def test_a_recording_without_its_reference_is_refused(name: str, make_items: MakeItems) -> None:
+    with pytest.raises(
+        ValueError,
+        match="recording 'tap', level 'as_is': got 0 stimuli for the reference 'original', allowed is exactly one; bui",
+    ):
+        PROTOCOLS[name].compare(make_items("tap", ["dft321", "low"]), make_task(name))
+
+
+@pytest.mark.parametrize("name", ["dissimilarity", "mushra", "abx"])
+def test_a_reference_that_the_set_has_once_serves_every_arm(name: str, make_items: MakeItems) -> None:
+    shared = [*make_items("tap", ["original"]), *make_items("tap", ["dft321"], ["as_is", "equal_intensity"])]
+    comparisons = PROTOCOLS[name].compare(shared, make_task(name))
+    arms = [
+        {part.stimulus_id for part in comparison.parts} for comparison in comparisons if comparison.catch != "identical"
+    ]
+    assert arms == [{"tap-original-as_is", f"tap-dft321-{level}"} for level in ("as_is", "equal_intensity")]
 
 
 @pytest.mark.parametrize("language", list_languages())
@@ -53,8 +206,3 @@ def test_every_language_has_every_scale(language: str) -> None:
     scales = read_scales(language)
     assert {protocol.scale for protocol in PROTOCOLS.values()} <= set(scales)
     assert all(scale.question and scale.low_label != scale.high_label for scale in scales.values())
-
-
-def test_unknown_language_is_refused_with_the_list() -> None:
-    with pytest.raises(ValueError, match="language: got 'xx', allowed: en"):
-        read_scales("xx")
