@@ -274,12 +274,10 @@ def _judge_similarity(experience: Experience, judgement: Judgement, *, touch: To
     return touch.feel(REAL) - _judge_dissimilarity(experience, judgement, touch=touch)
 
 
-SLIDERS: Mapping[str, Callable[..., float]] = MappingProxyType(
-    {
-        "realism": _judge_realism,
-        "similarity": _judge_similarity,
-        "dissimilarity": _judge_dissimilarity,
-        "mushra": _judge_similarity,
-    }
-)
+SLIDERS: Mapping[str, Callable[..., float]] = MappingProxyType({
+    "realism": _judge_realism,
+    "similarity": _judge_similarity,
+    "dissimilarity": _judge_dissimilarity,
+    "mushra": _judge_similarity,
+})
 """Protocol -> percept that is answered on its slider."""
