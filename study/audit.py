@@ -7,17 +7,23 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
+from datetime import datetime
+from itertools import pairwise
 from typing import TYPE_CHECKING
+
+from protocols.agenda import Agenda
+from protocols.trial import Trial
 
 from stimuli.inspection import check_stimuli
 from stimuli.manifest import read_stimuli
 from study.journal import read_journal
+from study.opening import PLAN_FILE, TOMBSTONE_FILE
 from study.plan import require_plan
 from study.provenance import read_origin
-from study.session import PLAN_FILE, find_header, name_journal
+from study.replay import find_header, name_journal, tell
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from study.chain import Chain, Record
@@ -65,6 +71,8 @@ def _audit_stimuli(folder: Path) -> tuple[list[str], str | None]:
 
 
 def _audit_participant(folder: Path, stimuli_sha256: str | None) -> list[str]:
+    if (folder / TOMBSTONE_FILE).exists():
+        return []  # Withdrawn; whether that was finished is the ledger's business.
     try:
         plan = require_plan(folder / PLAN_FILE)
     except (OSError, ValueError) as error:
@@ -96,19 +104,33 @@ def _audit_journal(chain: Chain, plan: Plan, *, name: str) -> Iterator[str]:
         yield f": is session {header['session']} of {header['participant']!r}, it was copied here"
     if header["plan_sha256"] != plan.sha256:
         yield ": was begun with another plan than the one beside it"
-    yield from _audit_trials(chain.records, plan)
+    yield from _audit_times(chain.records)
+    yield from _audit_steps(chain.records, plan)
 
 
-def _audit_trials(records: Iterable[Record], plan: Plan) -> Iterator[str]:
-    """Compare what was shown and rated, in order, with the plan."""
-    expected = {trial.number: asdict(trial) for trial in plan.trials}
-    rated = 0
+def _audit_times(records: Sequence[Record]) -> Iterator[str]:
+    for before, record in pairwise(records):
+        if datetime.fromisoformat(record.utc) < datetime.fromisoformat(before.utc) and record.event != "clock_stepped":
+            yield f", line {record.sequence + 1}: is older than the line before, and nothing says why"
+
+
+def _audit_steps(records: Sequence[Record], plan: Plan) -> Iterator[str]:
+    """Compare what was shown and rated, in order, with what the plan and the rules have in that place."""
+    agenda = Agenda(plan.trials, plan.flow)
+    trials = {trial.number: trial for trial in plan.trials}
     for record in records:
-        if record.event == "shown" and record.data != expected.get(record.data["number"]):
-            yield f", line {record.sequence + 1}: shows a trial that the plan does not hold"
-        elif record.event == "rated":
-            if record.data["trial"] != rated + 1:
-                yield f", line {record.sequence + 1}: rates trial {record.data['trial']}, expected {rated + 1}"
-            rated = record.data["trial"]
-        elif record.event == "finished" and rated != len(plan.trials):
-            yield f", line {record.sequence + 1}: finished after {rated} of {len(plan.trials)} trials"
+        try:
+            if record.event == "shown":
+                _check_shown(agenda, record)
+            elif record.event == "finished" and agenda.ask() is not None:
+                raise ValueError(f"finished after {agenda.done} of {agenda.total} trials")
+            tell(agenda, record, trials)
+        except ValueError as error:
+            yield f", line {record.sequence + 1}: {error}"
+            return  # All that follows is out of step.
+
+
+def _check_shown(agenda: Agenda, record: Record) -> None:
+    step, data = agenda.ask(), record.data
+    if not isinstance(step, Trial) or (data["trial"], data["attempt"]) != (step.number, agenda.attempt(step.number)):
+        raise ValueError(f"shows trial {data['trial']}, attempt {data['attempt']}, which was not next")

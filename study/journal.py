@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 from study.chain import START, Record, digest, read_chain, write_line
@@ -17,7 +18,6 @@ from study.files import sync_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
-    from datetime import datetime
     from pathlib import Path
 
     from study.chain import Chain
@@ -50,8 +50,20 @@ class Journal:
     _tip: str = START
     _is_open: bool = True
 
+    @property
+    def tip(self) -> str:
+        """SHA-256 of the last line, 64 zeros if there is none."""
+        return self._tip
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it takes records: after a write that was broken off it does not."""
+        return self._is_open
+
     def write(self, event: str, data: Mapping[str, Any]) -> None:
         """Append one record; it is on the disk when this returns.
+
+        If the time of day was set back since the last record, a record `clock_stepped` before it says by how much.
 
         Parameters
         ----------
@@ -66,15 +78,28 @@ class Journal:
             If the disk takes no more. Whatever breaks off a write closes the journal, for the file may hold
             all of the line, some or none: only reading it again tells where the chain goes on.
         """
+        utc = self.now().isoformat(timespec="milliseconds")
+        if (back_s := self._measure_step_back(utc)) > 0:
+            self._append(utc, "clock_stepped", {"back_s": back_s})
+        self._append(utc, event, data)
+
+    def _append(self, utc: str, event: str, data: Mapping[str, Any]) -> None:
         if not self._is_open:
             raise OSError(f"{self.path}: an earlier write was broken off, the journal is closed; reopen it to resume")
-        record = Record(len(self.records), self.now().isoformat(timespec="milliseconds"), event, data)
+        record = Record(len(self.records), utc, event, data)
         line = write_line(record, self._tip)
         self._is_open = False
         _append(self.path, line)
         self.records.append(record)
         self._tip = digest(line.rstrip(b"\n"))
         self._is_open = True
+
+    def _measure_step_back(self, utc: str) -> float:
+        """Tell by how many seconds the time of day lies before that of the last record."""
+        if not self.records:
+            return 0.0
+        last, this = (datetime.fromisoformat(text) for text in (self.records[-1].utc, utc))
+        return (last - this).total_seconds()
 
 
 def create_journal(path: Path, *, now: Clock) -> Journal:

@@ -9,17 +9,22 @@ import csv
 import io
 from typing import TYPE_CHECKING, Any
 
+from protocols.scoring import score_trial
 from study.files import write_text
 from study.journal import read_journal
-from study.session import find_header, name_journal
+from study.opening import PLAN_FILE
+from study.plan import list_codes, require_plan
+from study.replay import find_header, has_event, list_journals, name_journal
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from stimuli.manifest import StimulusSet
+    from protocols.trial import Trial
+    from stimuli.manifest import Stimulus, StimulusSet
     from study.chain import Record
     from study.folder import StudyFolder
+    from study.plan import Plan
 
 COLUMNS = (
     "participant",
@@ -43,12 +48,13 @@ COLUMNS = (
 )
 """The table's columns, in order."""
 
-TRIAL_COLUMNS = ("protocol", "block", "repeat", "stimulus_id", "reference_id", "scale")
-"""Those that stand in the plan under the same name."""
 
 
 def write_ratings(study: StudyFolder, stimuli: StimulusSet) -> int:
     """Write all completed judgements of a study, of unfinished sessions too.
+
+    Training and practice are left out; they stand in the journals. An attempt that was bad, or a session that
+    was begun anew, is there and marked as rejected.
 
     Parameters
     ----------
@@ -65,9 +71,9 @@ def write_ratings(study: StudyFolder, stimuli: StimulusSet) -> int:
     Raises
     ------
     ValueError
-        If a journal is broken or was written with another stimulus set.
+        If a plan or journal is broken or was written with another stimulus set.
     """
-    rows = [row for path in study.journals for row in read_judgements(path, stimuli)]
+    rows = [row for folder in study.participants for row in read_judgements(folder, stimuli)]
     text = io.StringIO(newline="")
     table = csv.DictWriter(text, COLUMNS)
     table.writeheader()
@@ -76,79 +82,126 @@ def write_ratings(study: StudyFolder, stimuli: StimulusSet) -> int:
     return len(rows)
 
 
-def read_judgements(path: Path, stimuli: StimulusSet) -> list[dict[str, Any]]:
-    """Read the completed judgements of one session.
+def read_judgements(folder: Path, stimuli: StimulusSet) -> list[dict[str, Any]]:
+    """Read the completed judgements of one participant.
 
     Parameters
     ----------
-    path : Path
-        The session's journal.
+    folder : Path
+        The participant's folder.
     stimuli : StimulusSet
         The set that was judged.
 
     Returns
     -------
     list of dict
-        One row of the table per judgement, in the order of the trials.
+        One row of the table per judgement, by session and trial.
 
     Raises
     ------
     ValueError
-        If the journal is broken, lies elsewhere than it was written, or was written with another stimulus set.
+        If plan or journal is broken, lies elsewhere than it was written, or was written with another set.
     """
-    records = read_journal(path).records
-    header = find_header(records)
-    if header is None:
-        return []  # Broken off before it began.
-    if header["stimuli_sha256"] != stimuli.sha256:
+    journals = list_journals(folder)
+    if not journals:
+        return []  # Withdrawn, or broken off before it began.
+    plan = require_plan(folder / PLAN_FILE)
+    if plan.stimuli_sha256 != stimuli.sha256:
         raise ValueError(
-            f"{path}: was written with stimulus set {header['stimuli_sha256'][:12]}, the folder holds "
+            f"{folder}: was planned with stimulus set {plan.stimuli_sha256[:12]}, the study holds "
             f"{stimuli.sha256[:12]}; build the set of that session again"
         )
+    names = {code: name for name, code in list_codes(stimuli, seed=plan.seed).items()}
+    by_id = {row.stimulus_id: row for row in stimuli.stimuli}
+    rows = []
+    for path in journals:
+        records = read_journal(path).records
+        if header := find_header(records):
+            require_own(path, header, plan)
+            rows += [_name_row(row, header, names, by_id) for row in _replay(plan, records)]
+    return rows
+
+
+def require_own(path: Path, header: Mapping[str, Any], plan: Plan) -> None:
+    """Refuse a journal that was written elsewhere, or to another plan than the one beside it.
+
+    Parameters
+    ----------
+    path : Path
+        The journal.
+    header : mapping
+        What it was begun with.
+    plan : Plan
+        The plan beside it.
+
+    Raises
+    ------
+    ValueError
+        If it is not this participant's.
+    """
     if (header["participant"], name_journal(header["session"])) != (path.parent.name, path.name):
         raise ValueError(
             f"{path}: is session {header['session']} of {header['participant']!r}, it was copied here; "
             "move the copy out of sessions/"
         )
-    by_id = {stimulus.stimulus_id: stimulus for stimulus in stimuli.stimuli}
-    rows = []
-    for judgement in _replay(records):
-        stimulus = by_id[judgement["stimulus_id"]]
-        rows.append(
-            {
-                "participant": header["participant"],
-                "session": header["session"],
-                "recording": stimulus.recording,
-                "reducer": stimulus.reducer,
-                "level": stimulus.level,
-                "simulated": _write_flag(header["presenter"]["simulated"]),
-                **judgement,
-            }
-        )
-    return sorted(rows, key=lambda row: row["trial"])
+    if header["plan_sha256"] != plan.sha256:
+        raise ValueError(f"{path}: was begun with another plan than the one beside it; restore that from a copy")
 
 
-def _replay(records: Iterable[Record]) -> Iterator[dict[str, Any]]:
-    """Yield what the columns of each judgement owe to its own events."""
-    trial: dict[str, Any] = {}
+def _name_row(
+    row: dict[str, Any], header: Mapping[str, Any], names: Mapping[str, str], by_id: Mapping[str, Stimulus]
+) -> dict[str, Any]:
+    """Put names for codes: what was blind is told here and nowhere before."""
+    stimulus = by_id[names[row["stimulus_id"]]]
+    return row | {
+        "participant": header["participant"],
+        "session": header["session"],
+        "stimulus_id": stimulus.stimulus_id,
+        "recording": stimulus.recording,
+        "reducer": stimulus.reducer,
+        "level": stimulus.level,
+        "reference_id": names.get(row["reference_id"], row["reference_id"]),
+        "simulated": _write_flag(header["presenter"]["simulated"]),
+    }
+
+
+def _replay(plan: Plan, records: Sequence[Record]) -> list[dict[str, Any]]:
+    """List what the columns of each judgement owe to its own events."""
+    trials = {trial.number: trial for trial in plan.trials}
+    superseded = has_event(records, "superseded")
+    rows: list[dict[str, Any]] = []
     playbacks: list[Mapping[str, Any]] = []
     for record in records:
         match record.event:
             case "shown":
-                trial, playbacks = dict(record.data), []
+                playbacks = []
             case "played":
                 playbacks.append(record.data)
-            case "rated":
-                tests = [playback for playback in playbacks if playback["part"] == "test"]
-                yield {
-                    **{name: trial[name] for name in TRIAL_COLUMNS},
-                    "trial": trial["number"],
-                    "rating": record.data["rating"],
-                    "response_time_s": record.data["response_time_s"],
-                    "onset_s": tests[-1]["onset_s"],
-                    "underruns": sum(playback["underruns"] for playback in playbacks),
-                    "rejected": _write_flag(record.data["rejected"]),
-                }
+            case "rated" if trials[record.data["trial"]].phase == "main":
+                rows += _judge(trials[record.data["trial"]], record.data, playbacks, superseded=superseded)
+    return sorted(rows, key=lambda row: row["trial"])
+
+
+def _judge(
+    trial: Trial, rated: Mapping[str, Any], playbacks: Sequence[Mapping[str, Any]], *, superseded: bool
+) -> Iterator[dict[str, Any]]:
+    points = score_trial(trial, rated["values"])
+    onsets = {playback["part"]: playback["onset_s"] for playback in playbacks}
+    for judgement in trial.judgements:
+        yield {
+            "protocol": trial.protocol,
+            "block": trial.block,
+            "trial": trial.number,
+            "repeat": trial.repeat,
+            "stimulus_id": judgement.stimulus_id,
+            "reference_id": judgement.reference_id,
+            "scale": trial.scale,
+            "rating": points[judgement.part],
+            "response_time_s": rated["response_time_s"],
+            "onset_s": onsets[judgement.part],
+            "underruns": sum(playback["underruns"] for playback in playbacks),
+            "rejected": _write_flag(rated["rejected"] or superseded),
+        }
 
 
 def _write_flag(flag: bool) -> str:  # noqa: FBT001 - the flag is the value, not an option

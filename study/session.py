@@ -14,10 +14,9 @@ from study.ports import Place
 from study.replay import has_event, replay, tell
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
     from protocols.agenda import Agenda
-    from study.chain import Record
     from study.plan import Plan
 
 DEVICE_ERRORS = 2
@@ -64,6 +63,10 @@ def run_session(plan: Plan, stage: Stage, *, on_step: Callable[[Place], None] | 
     except Stopped as stop:
         stage.journal.write("aborted", {"reason": str(stop)})
         return Outcome(agenda.done, agenda.total, str(stop))
+    except BaseException as error:
+        if stage.journal.is_open:
+            stage.journal.write("aborted", {"reason": type(error).__name__})
+        raise
     if not has_event(stage.journal.records, "finished"):
         stage.journal.write("finished", {"trials": agenda.done})
     return Outcome(agenda.done, agenda.total)
@@ -73,7 +76,7 @@ def _work_through(
     plan: Plan, agenda: Agenda, stage: Stage, *, on_step: Callable[[Place], None] | None
 ) -> None:
     trials = {trial.number: trial for trial in plan.trials}
-    opened = len(stage.journal.records)
+    failures = 0
     while True:
         if on_step is not None:
             on_step(Place(agenda.done, agenda.total))
@@ -84,12 +87,8 @@ def _work_through(
         else:
             conduct_trial(step, Place(agenda.done, agenda.total, agenda.attempt(step.number)), stage)
         # The agenda is told what is on the disk, by the same words as when a session is resumed.
-        tell(agenda, stage.journal.records[-1], trials)
-        _heed_device(stage.journal.records[opened:])
-
-
-def _heed_device(records: Sequence[Record]) -> None:
-    ended = [record for record in records[-2 * DEVICE_ERRORS * 40 :] if record.event in {"rated", "spoiled"}]
-    failed = [record for record in ended[-DEVICE_ERRORS:] if "device_error" in record.data["flags"]]
-    if len(failed) == DEVICE_ERRORS:
-        raise Stopped("the device failed twice in a row; see to it, then resume")
+        record = stage.journal.records[-1]
+        tell(agenda, record, trials)
+        failures = failures + 1 if "device_error" in record.data.get("flags", ()) else 0
+        if failures == DEVICE_ERRORS:
+            raise Stopped("the device failed twice in a row; see to it, then resume")

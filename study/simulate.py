@@ -2,23 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from concurrent.futures import CancelledError, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import partial
+from itertools import count, islice
 from threading import Event, Lock
 from typing import TYPE_CHECKING
 
 from protocols.texts import read_scales
+from study.designs import make_design, make_identity, make_stale
+from study.journal import read_journal
+from study.lead import Room, lead_session
+from study.ledger import claim_slots
 from study.observer import ObserverModel, SimulatedObserver, identify_observer
+from study.opening import TOMBSTONE_FILE
+from study.percepts import read_percepts
 from study.plan import make_plan
-from study.session import Stage, find_completed, find_elapsed, open_session, run_session
+from study.rebuilding import open_study_ledger
+from study.replay import find_elapsed, has_event, list_journals
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
 
-    from stimuli.manifest import StimulusSet
+    from stimuli.manifest import Stimulus, StimulusSet
     from study.folder import StudyFolder
-    from study.journal import Clock
+    from study.journal import Clock, Journal
+    from study.percepts import Percept
     from study.plan import Plan
     from study.tables import Settings
 
@@ -75,72 +86,131 @@ def run_simulation(simulation: Simulation, participants: int, *, progress: Progr
     ValueError
         If a session was begun with other settings, stimuli or seed, saying what differs.
     """
-    plans = [plan_session(simulation, number) for number in range(1, participants + 1)]
-    total = sum(len(plan.trials) for plan in plans)
-    rated = [0] * len(plans)
-    counting, stop = Lock(), Event()
-
-    def count(place: int, done: int) -> None:
-        if stop.is_set():
-            raise CancelledError
-        with counting:
-            rated[place] = done
-            if progress is not None:
-                progress(sum(rated), total)
-
+    room, notices = _open_room(simulation)
+    plans = plan_sessions(simulation, room, list_participants(simulation.study, participants))
+    casting = _Casting(simulation.seed, ObserverModel(**simulation.settings.observer.model_dump()), {})
+    if casting.model.uses_percepts:
+        casting.percepts.update(read_percepts(simulation.stimuli))
+    tally = _Tally(plans, progress)
     pool = ThreadPoolExecutor(SIDE_BY_SIDE)
     try:
         sessions = [
-            pool.submit(_run, plan, simulation, count=partial(count, place)) for place, plan in enumerate(plans)
+            pool.submit(_run, plan, simulation.settings, room, casting=casting, count=partial(tally.take, place))
+            for place, plan in enumerate(plans)
         ]
-        return sorted(notice for session in as_completed(sessions) if (notice := session.result()))
+        notices += [notice for session in as_completed(sessions) if (notice := session.result())]
     finally:
         # After an error or Ctrl-C the other sessions end with the trial that they are in.
-        stop.set()
+        tally.stop.set()
         pool.shutdown(cancel_futures=True)
+    return sorted(notices)
 
 
-def plan_session(simulation: Simulation, number: int) -> Plan:
-    """Plan the session of one simulated participant.
+def list_participants(study: StudyFolder, number: int) -> list[str]:
+    """Name simulated participants, passing over those who were released or withdrawn.
+
+    Parameters
+    ----------
+    study : StudyFolder
+        The study.
+    number : int
+        How many.
+
+    Returns
+    -------
+    list of str
+        Their codes.
+    """
+    names = (f"sim{place:03d}" for place in count(1))
+    return list(islice((name for name in names if not _is_gone(study.sessions / name)), number))
+
+
+def plan_sessions(simulation: Simulation, room: Room, participants: Sequence[str]) -> list[Plan]:
+    """Give simulated participants their numbers in the design, and plan their sessions.
 
     Parameters
     ----------
     simulation : Simulation
         The study.
-    number : int
-        The participant's number, from 1.
+    room : Room
+        With the ledger, where the numbers are claimed.
+    participants : sequence of str
+        Their codes.
 
     Returns
     -------
-    Plan
-        The plan.
+    list of Plan
+        One per participant.
     """
-    return make_plan(
-        simulation.stimuli,
-        f"sim{number:03d}",
-        number=number,
-        seed=simulation.settings.study.seed,
-        protocols=simulation.settings.session.protocols,
-        repeats=simulation.settings.session.repeats,
-    )
+    numbers = claim_slots(room.ledger, participants, simulated=True, now=simulation.now)
+    design = make_design(simulation.settings)
+    return [
+        make_plan(design, simulation.stimuli, name, number=numbers[name], simulated=True) for name in participants
+    ]
 
 
-def _run(plan: Plan, simulation: Simulation, *, count: Callable[[int], None]) -> str:
-    model = ObserverModel(**simulation.settings.observer.model_dump())
-    identity = identify_observer(model, seed=simulation.seed)
-    folder = simulation.study.sessions / plan.participant
-    with open_session(folder, plan, identity=identity, now=simulation.now) as (stored, journal):
+@dataclass(frozen=True, slots=True)
+class _Casting:
+    """Who the simulated participants are."""
+
+    seed: int
+    model: ObserverModel
+    percepts: dict[str, Percept]
+
+    def make_observer(self, plan: Plan, journal: Journal, stimuli: Mapping[str, Stimulus]) -> SimulatedObserver:
+        # A code belongs to one person for ever; the number in the design may have been somebody else's before.
+        person = int(plan.participant.removeprefix("sim"))
+        elapsed_s = find_elapsed(journal.records)
         observer = SimulatedObserver(
-            model, seed=simulation.seed, number=stored.number, elapsed_s=find_elapsed(journal.records)
+            self.model, seed=self.seed, number=person, percepts=self.percepts, elapsed_s=elapsed_s
         )
-        stage = Stage(
-            presenter=observer,
-            stimuli={stimulus.stimulus_id: stimulus for stimulus in simulation.stimuli.stimuli},
-            scales=read_scales(simulation.settings.session.language),
-            journal=journal,
-        )
-        if done := len(find_completed(journal.records)):
-            count(done)
-        run_session(stored, stage, on_rated=lambda trial: count(trial.number))
-        return journal.notice
+        observer.recall(journal.records, plan.trials, stimuli=stimuli)
+        return observer
 
+
+class _Tally:
+    """Counts trials over all sessions, and ends those that run when one has failed."""
+
+    def __init__(self, plans: Sequence[Plan], progress: Progress | None) -> None:
+        self.stop = Event()
+        self._progress = progress
+        self._done = [0] * len(plans)
+        self._total = sum(trial.phase == "main" for plan in plans for trial in plan.trials)
+        self._counting = Lock()
+
+    def take(self, place: int, done: int) -> None:
+        if self.stop.is_set():
+            raise CancelledError
+        with self._counting:
+            is_news, self._done[place] = done != self._done[place], done
+            if is_news and self._progress is not None:
+                self._progress(sum(self._done), self._total)
+
+
+def _open_room(simulation: Simulation) -> tuple[Room, list[str]]:
+    ledger, notice = open_study_ledger(simulation.study)
+    scales = read_scales(simulation.settings.session.language)
+    stale = make_stale(simulation.settings)
+    room = Room(simulation.study, simulation.stimuli, scales, ledger, stale, simulation.now)
+    return room, [notice] if notice else []
+
+
+def _run(
+    plan: Plan, settings: Settings, room: Room, *, casting: _Casting, count: Callable[[int], None]
+) -> str:
+    presenter = identify_observer(casting.model, seed=casting.seed)
+    _, notice = lead_session(
+        room,
+        plan,
+        identity=make_identity(settings, presenter),
+        make_presenter=casting.make_observer,
+        on_step=lambda place: count(place.done),
+    )
+    return notice
+
+
+def _is_gone(folder: Path) -> bool:
+    if (folder / TOMBSTONE_FILE).exists():
+        return True
+    journals = list_journals(folder)
+    return bool(journals) and has_event(read_journal(journals[-1]).records, "released")

@@ -1,20 +1,28 @@
-"""How far every participant of a study has come."""
+"""How far every participant of a study has come, and what the study lead should know about it. Blind."""
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from protocols.design import count_cycle
+from protocols.scoring import is_as_expected
 from study.journal import read_journal
+from study.opening import PLAN_FILE, TOMBSTONE_FILE
 from study.plan import require_plan
-from study.session import PLAN_FILE, SESSION, find_completed, find_header, is_finished, name_journal
+from study.replay import find_header, has_event, list_journals, replay
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
+    from study.chain import Chain, Record
     from study.folder import StudyFolder
+    from study.plan import Plan
+
+STATES = ("planned", "running", "finished", "released", "withdrawn")
+"""What may have become of a participant."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,30 +33,36 @@ class Progress:
     ----------
     participant : str
         The participant's code.
+    state : str
+        One of `STATES`; empty if it cannot be told.
+    number : int
+        The participant's number in the design.
+    groups : str
+        The participant's group, as `factor=level`; empty if participants do not differ.
     done, left : int
-        Trials that were rated, and those that were not.
-    finished : bool
-        Whether the session came to its end.
+        Trials of the main phase that need no further attempt, and those that do.
     simulated : bool
         Whether the participant is simulated.
     last_activity : str
         Time of the last record, ISO 8601, UTC; empty before the first.
-    torn_bytes : int
-        What a crash left of a line; mended when the session is resumed.
     cycle : int
         Number of participants over whom the design comes full circle; 0 if the plan cannot be read.
+    warnings : tuple of str
+        What the study lead should know.
     problem : str
         Why nothing is known about the participant; mostly empty.
     """
 
     participant: str
+    state: str = ""
+    number: int = 0
+    groups: str = ""
     done: int = 0
     left: int = 0
-    finished: bool = False
     simulated: bool = False
     last_activity: str = ""
-    torn_bytes: int = 0
     cycle: int = 0
+    warnings: tuple[str, ...] = ()
     problem: str = ""
 
 
@@ -68,32 +82,6 @@ def read_status(study: StudyFolder) -> list[Progress]:
     return [_try_progress(folder) for folder in study.participants]
 
 
-def describe_balance(entries: Sequence[Progress]) -> str:
-    """Say how far the participants who finished have come round the design.
-
-    Parameters
-    ----------
-    entries : sequence of Progress
-        All participants.
-
-    Returns
-    -------
-    str
-        One line.
-
-    Examples
-    --------
-    >>> describe_balance([Progress("p01", finished=True, cycle=6), Progress("p02", cycle=6)])
-    'balance: 1 finished; orders balance over 6 participants or a multiple, 5 to go'
-    """
-    finished = sum(entry.finished for entry in entries)
-    cycle = max((entry.cycle for entry in entries), default=0)
-    if not cycle:
-        return "balance: nobody has begun"
-    to_go = -finished % cycle if finished else cycle
-    return f"balance: {finished} finished; orders balance over {cycle} participants or a multiple, {to_go} to go"
-
-
 def _try_progress(folder: Path) -> Progress:
     try:
         return _read_progress(folder)
@@ -102,22 +90,68 @@ def _try_progress(folder: Path) -> Progress:
 
 
 def _read_progress(folder: Path) -> Progress:
+    if (folder / TOMBSTONE_FILE).exists():
+        return Progress(folder.name, state="withdrawn")
     plan = require_plan(folder / PLAN_FILE)
     if plan.participant != folder.name:
         raise ValueError(f"{folder / PLAN_FILE}: is the plan of {plan.participant!r}, it was copied here; move it away")
-    path = folder / name_journal(SESSION)
     # A crash between plan and journal leaves the first alone; the session then simply begins.
-    chain = read_journal(path) if path.exists() else None
+    journals = list_journals(folder)
+    chain = read_journal(journals[-1]) if journals else None
     records = chain.records if chain else ()
-    header = find_header(records)
-    done = len(find_completed(records))
+    agenda = replay(plan, records)
     return Progress(
         participant=plan.participant,
-        done=done,
-        left=len(plan.trials) - done,
-        finished=is_finished(records),
-        simulated=header is not None and header["presenter"]["simulated"],
+        state=_tell_state(records),
+        number=plan.number,
+        groups=", ".join(f"{factor}={level}" for factor, level in plan.groups.items()),
+        done=agenda.done,
+        left=agenda.total - agenda.done,
+        simulated=plan.simulated,
         last_activity=records[-1].utc if records else "",
-        torn_bytes=len(chain.torn) if chain else 0,
         cycle=count_cycle(plan.trials),
+        warnings=tuple(_find_warnings(plan, chain)) if chain else (),
     )
+
+
+def _tell_state(records: Sequence[Record]) -> str:
+    for event in ("released", "finished"):
+        if has_event(records, event):
+            return event
+    return "running" if find_header(records) else "planned"
+
+
+def _find_warnings(plan: Plan, chain: Chain) -> Iterator[str]:
+    if chain.torn:
+        yield f"{len(chain.torn)} torn bytes, mended on resuming"
+    counts = Counter(flag for record in chain.records for flag in record.data.get("flags", ()))
+    yield from (f"{count} x {flag.replace('_', ' ')}" for flag, count in counts.items())
+    if any(record.event == "page" and record.data["key"] == "training_failed" for record in chain.records):
+        yield "training not passed"
+    caught = find_catches(plan, chain.records)
+    if missed := sum(not as_expected for as_expected in caught):
+        yield f"{missed} of {len(caught)} catch trials not as expected"
+
+
+def find_catches(plan: Plan, records: Sequence[Record]) -> list[bool]:
+    """Find out how a participant did in the catch trials whose right answer is known.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+    records : sequence of Record
+        The journal's records.
+
+    Returns
+    -------
+    list of bool
+        Whether the answer was as expected, of each that counts.
+    """
+    caught = {trial.number: trial for trial in plan.trials if trial.phase == "main" and trial.catch}
+    answers = [
+        is_as_expected(caught[record.data["trial"]], record.data["values"])
+        for record in records
+        if record.event == "rated" and record.data["trial"] in caught and not record.data["rejected"]
+    ]
+    return [answer for answer in answers if answer is not None]

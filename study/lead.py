@@ -1,0 +1,167 @@
+"""Leading one participant through a session, with the ledger kept beside the journal.
+
+What simulated and real sessions have in common; only who presents differs.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from study.anchors import find_cut
+from study.conduct import Stage
+from study.ledger import note_progress, read_ledger
+from study.opening import open_session
+from study.plan import list_codes
+from study.replay import has_event
+from study.session import run_session
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from pathlib import Path
+
+    from sqlalchemy import Engine
+
+    from protocols.trial import Scale
+    from stimuli.manifest import Stimulus, StimulusSet
+    from study.folder import StudyFolder
+    from study.journal import Clock, Journal
+    from study.opening import Stale
+    from study.plan import Plan
+    from study.ports import Place, Presenter
+    from study.session import Outcome
+
+    MakePresenter = Callable[[Plan, Journal, Mapping[str, Stimulus]], Presenter]
+
+
+TRIALS_BETWEEN_NOTES = 25
+"""The journal is the truth; the ledger follows it at a distance that costs little."""
+
+
+@dataclass(frozen=True, slots=True)
+class Room:
+    """What the sessions of a study share.
+
+    Parameters
+    ----------
+    study : StudyFolder
+        Where it lies.
+    stimuli : StimulusSet
+        What is felt.
+    scales : mapping of str to Scale
+        The texts by name of scale.
+    ledger : Engine
+        Where slots and progress are kept.
+    stale : Stale
+        What becomes of a session that was left for long.
+    now : callable
+        Gives the time of day, with its zone.
+    """
+
+    study: StudyFolder
+    stimuli: StimulusSet
+    scales: Mapping[str, Scale]
+    ledger: Engine
+    stale: Stale
+    now: Clock
+
+
+def lead_session(
+    room: Room,
+    plan: Plan,
+    *,
+    identity: Mapping[str, Any],
+    make_presenter: MakePresenter,
+    on_step: Callable[[Place], None] | None = None,
+) -> tuple[Outcome, str]:
+    """Begin or resume the session of one participant and lead it as far as it goes.
+
+    Parameters
+    ----------
+    room : Room
+        What the sessions of the study share.
+    plan : Plan
+        The plan that today's settings give.
+    identity : mapping
+        What must not change within the session besides its plan.
+    make_presenter : callable
+        Takes the stored plan, the open journal and the stimuli by blind code; gives the presenter.
+    on_step : callable, optional
+        Called with how far the session has come, at its opening and after every page and trial.
+
+    Returns
+    -------
+    outcome : Outcome
+        How the session ended.
+    notice : str
+        What had to be mended when it was opened; mostly empty.
+
+    Raises
+    ------
+    ValueError
+        If the session was begun otherwise, saying what differs.
+    BlockingIOError
+        If it is running elsewhere.
+    """
+    folder = room.study.sessions / plan.participant
+    _check_whole(room, folder)
+    with open_session(folder, plan, identity=identity, now=room.now, stale=room.stale) as (stored, journal):
+        codes = list_codes(room.stimuli, seed=stored.seed)
+        by_code = {codes[row.stimulus_id]: row for row in room.stimuli.stimuli}
+        presenter = make_presenter(stored, journal, by_code)
+        stage = Stage(presenter, by_code, room.scales, journal, stored.flow)
+        keeper = _Keeper(room.ledger, plan.participant, journal)
+
+        def note(place: Place) -> None:
+            keeper.see(place)
+            if on_step is not None:
+                on_step(place)
+
+        try:
+            outcome = run_session(stored, stage, on_step=note)
+        except BaseException:
+            with suppress(OSError):  # What broke the session off is the better news.
+                keeper.write()
+            raise
+        keeper.write()
+        return outcome, journal.notice
+
+
+def _check_whole(room: Room, folder: Path) -> None:
+    """Refuse to go on with a journal of which less is there than was seen."""
+    for entry in read_ledger(room.ledger):
+        if entry.participant == folder.name:
+            for cut in filter(None, (find_cut(anchor, folder) for anchor in entry.anchors)):
+                raise ValueError(f"{cut}; restore it from a copy, or take it as it is: feel321 ledger --rebuild")
+
+
+@dataclass(slots=True)
+class _Keeper:
+    """Notes in the ledger how far a session has come: at its opening, now and then, and at its end."""
+
+    ledger: Engine
+    participant: str
+    journal: Journal
+    place: Place | None = None
+    noted: int = -TRIALS_BETWEEN_NOTES
+
+    def see(self, place: Place) -> None:
+        self.place = place
+        if place.done - self.noted >= TRIALS_BETWEEN_NOTES:
+            self.write()
+
+    def write(self) -> None:
+        if self.place is None:
+            return
+        self.noted = self.place.done
+        note_progress(
+            self.ledger,
+            self.participant,
+            journal=self.journal.path.name,
+            lines=len(self.journal.records),
+            tip=self.journal.tip,
+            done=self.place.done,
+            total=self.place.total,
+            state="finished" if has_event(self.journal.records, "finished") else "running",
+        )
