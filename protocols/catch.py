@@ -9,8 +9,8 @@ only, so it holds for the worse one all the more, and no anchor needs to be know
 
 References
 ----------
-.. [1] ITU-R BS.1534-3, "Method for the subjective assessment of intermediate quality level of audio systems", 2015,
-   section 4.1.2.
+.. [1] ITU-R BS.1534-3, "Method for the subjective assessment of intermediate quality level of audio systems", 2015
+   (post-screening of assessors).
 """
 
 from __future__ import annotations

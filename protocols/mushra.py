@@ -1,6 +1,6 @@
 """MUSHRA: many stimuli on one page, each with a slider, and a reference that is named as such.
 
-The participant switches freely between them and says how similar each is to the reference; 100 points mean identical.
+The participant switches freely between them and says how well each matches the reference; 100 points mean just like it.
 Among them are, unnamed, the reference itself and two anchors that were made to be rated badly [1]_. What is low-passed
 for audio is no anchor below 1 kHz, so a stimulus set brings haptic ones; Muschter et al. [2]_ brought the method to
 vibrations. A page holds one level arm of one recording.
