@@ -195,8 +195,8 @@ class Rater:
 
         References
         ----------
-        .. [1] N. A. Macmillan, C. D. Creelman, "Detection theory: a user's guide", 2nd ed., 2005, chapter 9.
-           doi:10.4324/9781410611147
+        .. [1] N. A. Macmillan, C. D. Creelman, "Detection theory: a user's guide", 2nd ed., Lawrence Erlbaum, 2005,
+           chapter 9. ISBN 0-8058-4230-6
         """
         names = list(distances)
         guess, lapsed = names[rng.integers(len(names))], rng.random() < self.lapse_rate
