@@ -93,6 +93,29 @@ def check_some(names: tuple[str, ...]) -> tuple[str, ...]:
     return check_distinct(names)
 
 
+def check_words(text: str) -> str:
+    """Demand a text that says something.
+
+    Parameters
+    ----------
+    text : str
+        The text.
+
+    Returns
+    -------
+    str
+        The same.
+
+    Raises
+    ------
+    ValueError
+        If it is empty.
+    """
+    if not text.strip():
+        raise ValueError("allowed is a text that is not empty")
+    return text
+
+
 def _take_off(value: object, read: ValidatorFunctionWrapHandler) -> object:
     if value == OFF:
         return None
@@ -106,7 +129,7 @@ def _take_off(value: object, read: ValidatorFunctionWrapHandler) -> object:
 Distinct = AfterValidator(check_distinct)
 Some = AfterValidator(check_some)
 OrOff = WrapValidator(_take_off)
-Words = Annotated[str, Field(min_length=1)]
+Words = Annotated[str, AfterValidator(check_words)]
 Count = Annotated[int, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]

@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING
 
 from pydantic import ValidationError
 
+from protocols.registry import PROTOCOLS
+from study.conflicts import find_conflicts
+from study.session_tables import BreaksTable, QualityTable, RehearsalTable, SessionTable, StaleTable, TaskTable
 from study.tables import (
     AnalysisTable,
     ConditioningTable,
@@ -16,17 +19,17 @@ from study.tables import (
     ObserverTable,
     RigTable,
     SceneTable,
-    SessionTable,
     Settings,
     StimuliTable,
     StudyTable,
-    Table,
 )
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from pydantic_core import ErrorDetails
+
+    from study.fields import Table
 
 TABLES: dict[tuple[str, ...], type[Table]] = {
     (): Settings,
@@ -36,11 +39,19 @@ TABLES: dict[tuple[str, ...], type[Table]] = {
     ("recordings", "scene"): SceneTable,
     ("rig",): RigTable,
     ("session",): SessionTable,
+    ("session", "breaks"): BreaksTable,
+    ("session", "quality"): QualityTable,
+    ("session", "rehearsal"): RehearsalTable,
+    ("session", "stale"): StaleTable,
     ("stimuli",): StimuliTable,
     ("stimuli", "conditioning"): ConditioningTable,
     ("study",): StudyTable,
+    **{("tasks", name): TaskTable for name in PROTOCOLS},
 }
 """Which keys are allowed where."""
+
+WRONG_KEY = "[key]"
+"""What pydantic adds to the place of a name that is not allowed; the name stands before it."""
 
 
 def read_settings(path: Path) -> Settings:
@@ -71,10 +82,13 @@ def read_settings(path: Path) -> Settings:
     except RecursionError:
         raise ValueError(f"{path}: got TOML that is nested too deeply; mend that place") from None
     try:
-        return Settings.model_validate_json(content, strict=True)
+        settings = Settings.model_validate_json(content, strict=True)
+        mistakes = find_conflicts(settings)
     except ValidationError as error:
-        lines = [f"{path.name}: {_translate(detail)}" for detail in error.errors(include_url=False)]
-        raise ValueError("\n".join(lines)) from None
+        mistakes = [_translate(detail) for detail in error.errors(include_url=False)]
+    if mistakes:
+        raise ValueError("\n".join(f"{path.name}: {mistake}" for mistake in mistakes))
+    return settings
 
 
 def _translate(detail: ErrorDetails) -> str:
@@ -89,7 +103,8 @@ def _translate(detail: ErrorDetails) -> str:
     if detail["type"] == "value_error":
         reason = str(detail["ctx"]["error"])
     else:
-        reason = f"allowed: {detail['msg'].removeprefix('Input should be ')}"
+        # What JSON calls an object is a table in TOML.
+        reason = f"allowed: {detail['msg'].removeprefix('Input should be ').replace('an object', 'a table')}"
     # Whole tables are too long an answer to what was got.
     got = "" if "{" in repr(detail["input"]) else f"got {detail['input']!r}, "
     return f"{place}: {got}{reason}"
@@ -101,7 +116,7 @@ def _write_place(location: tuple[int | str, ...]) -> str:
     for before, part in zip((None, *location), location, strict=False):
         if isinstance(part, int):
             place += f"[{part + 1}]"
-        elif not isinstance(before, int):
+        elif not isinstance(before, int) and part != WRONG_KEY:
             place += f".{part}" if place else part
     return place
 

@@ -1,7 +1,12 @@
-"""From settings to signals: the recordings that a study names, and the recipe for its stimuli."""
+"""From settings to signals: the recordings that a study names, and the recipe for its stimuli.
+
+A recording with a `rotation` is turned before anything else is done to it, as if its sensor had been glued on in another
+way. The number seeds an orientation uniform over all rotations: the same number turns every recording alike.
+"""
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -105,6 +110,33 @@ def make_recipe(settings: Settings) -> Recipe:
     )
 
 
+def turn_recording(recording: Recording, rotation: int) -> Recording:
+    """Turn a recording into a random orientation of its sensor.
+
+    Parameters
+    ----------
+    recording : Recording
+        As it was read.
+    rotation : int
+        Seed of the orientation.
+
+    Returns
+    -------
+    Recording
+        Turned; its digest is of its source's and of the seed, so that a stimulus set of another orientation is told.
+    """
+    import numpy as np
+
+    from stimuli.rotation import random_rotations
+
+    turn = random_rotations(1, np.random.default_rng(rotation))[0]
+    return replace(
+        recording,
+        acceleration=np.einsum("ij,jn->in", turn, recording.acceleration),
+        sha256=hashlib.sha256(f"{recording.sha256} rotation {rotation}".encode()).hexdigest(),
+    )
+
+
 def _open_recording(entry: SceneTable | FileTable, folder: Path) -> Recording:
     if isinstance(entry, SceneTable):
         recording = make_scene(
@@ -119,4 +151,6 @@ def _open_recording(entry: SceneTable | FileTable, folder: Path) -> Recording:
             full_scale=entry.full_scale,
             resample=entry.resample,
         )
+    if entry.rotation is not None:
+        recording = turn_recording(recording, entry.rotation)
     return replace(recording, name=entry.title)
