@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 from protocols.arms import split_arms
 from protocols.catch import EXPECTED, find_catch
 from protocols.protocol import ORIGINAL, Protocol, find_reference, score_slider
+from protocols.square import williams_square
 from protocols.trial import Comparison, Judgement, Part
 
 if TYPE_CHECKING:
@@ -70,8 +71,6 @@ def arrange(comparison: Comparison, turn: int) -> Comparison:
     Comparison
         The page, its numbered places taken by other stimuli.
     """
-    from protocols.design import williams_square  # lazy until the squares have a module of their own
-
     square = williams_square(len(comparison.judgements))
     return _fill_page(comparison.parts[0], [comparison.judgements[i] for i in square[turn % len(square)]])
 
