@@ -84,12 +84,7 @@ def read_scales(language: str | Path = MODEL) -> dict[str, Scale]:
     >>> read_scales()["similarity"].high_label
     'Identical'
     """
-    scales = read_texts(language)["scales"]
-    return {
-        # TOML has lists where a scale has tuples.
-        name: Scale(name, **{key: tuple(text) if isinstance(text, list) else text for key, text in entry.items()})
-        for name, entry in scales.items()
-    }
+    return {name: _make_scale(name, entry) for name, entry in read_texts(language)["scales"].items()}
 
 
 def read_pages(language: str | Path = MODEL) -> dict[str, PageText]:
@@ -205,6 +200,12 @@ def find_gaps(texts: dict[str, Any], model: dict[str, Any]) -> list[str]:
     gaps = [f"{key}: {fault}" for key, fault in faults.items() if fault]
     gaps += [f"{key}: is missing" for key in wanted if key not in own]
     return gaps + [f"{key}: is no known text" for key in own if key not in wanted]
+
+
+def _make_scale(name: str, entry: dict[str, Any]) -> Scale:
+    """Make a scale of what TOML holds, which has lists for tuples."""
+    texts: dict[str, Any] = {key: tuple(text) if isinstance(text, list) else text for key, text in entry.items()}
+    return Scale(name, **texts)
 
 
 def _read_own(path: Path) -> dict[str, Any]:

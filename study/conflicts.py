@@ -85,7 +85,7 @@ def _check_comparisons(settings: Settings, tasks: tuple[Task, ...]) -> Iterator[
 
 
 def _list_items(settings: Settings) -> list[Item]:
-    """What will be built from the first recording, as protocols see it; the others fare alike."""
+    """List what will be built from the first recording, as protocols see it; the others fare alike."""
     from stimuli.anchors import ANCHORS
 
     stimuli, recording = settings.stimuli, settings.recordings[0].title

@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 
 SETTINGS_FILE = "study.toml"
 
+BUNDLED = files("study") / "bundled"
+
 
 @dataclass(frozen=True, slots=True)
 class StudyFolder:
@@ -67,13 +69,31 @@ class StudyFolder:
         return sorted(self.sessions.glob("*/session-[0-9][0-9].jsonl"))
 
 
-def create_study(path: Path) -> StudyFolder:
+def list_bundled() -> tuple[str, ...]:
+    """Name the published studies that are ready to be run again.
+
+    Returns
+    -------
+    tuple of str
+        Their names, sorted.
+
+    Examples
+    --------
+    >>> list_bundled()
+    ('landin2010', 'lee2022', 'park2019')
+    """
+    return tuple(sorted(entry.name.removesuffix(".toml") for entry in BUNDLED.iterdir()))
+
+
+def create_study(path: Path, *, bundled: str | None = None) -> StudyFolder:
     """Begin a study: its folder, and a commented `study.toml` that names the bundled scenes.
 
     Parameters
     ----------
     path : Path
         The folder; created if missing.
+    bundled : str, optional
+        Which published study it is to be; one with every setting at its default if left out.
 
     Returns
     -------
@@ -84,10 +104,13 @@ def create_study(path: Path) -> StudyFolder:
     ------
     FileExistsError
         If the folder holds a `study.toml` already.
+    ValueError
+        If there is no such published study.
     """
+    text = read_template() if bundled is None else read_bundled(bundled)
     study = StudyFolder(path)
     (path / "recordings").mkdir(parents=True, exist_ok=True)
-    create_text(study.settings, read_template())
+    create_text(study.settings, text)
     return study
 
 
@@ -126,3 +149,26 @@ def read_template() -> str:
         Its text.
     """
     return (files("study") / "template.toml").read_text(encoding="utf-8")
+
+
+def read_bundled(name: str) -> str:
+    """Read the `study.toml` of a published study.
+
+    Parameters
+    ----------
+    name : str
+        Its name.
+
+    Returns
+    -------
+    str
+        Its text.
+
+    Raises
+    ------
+    ValueError
+        If there is none of that name.
+    """
+    if name not in list_bundled():
+        raise ValueError(f"study: got {name!r}, allowed: {', '.join(list_bundled())}")
+    return (BUNDLED / f"{name}.toml").read_text(encoding="utf-8")

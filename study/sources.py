@@ -1,7 +1,7 @@
 """From settings to signals: the recordings that a study names, and the recipe for its stimuli.
 
-A recording with a `rotation` is turned before anything else is done to it, as if its sensor had been glued on in another
-way. The number seeds an orientation uniform over all rotations: the same number turns every recording alike.
+A recording with a `rotation` is turned before anything else is done to it, as if its sensor had been glued on
+otherwise. The number seeds an orientation uniform over all rotations: the same number turns every recording alike.
 """
 
 from __future__ import annotations

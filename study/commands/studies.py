@@ -17,16 +17,17 @@ from study.commands.shared import (
     study_argument,
     warn,
 )
-from study.folder import StudyFolder, create_study, read_template
+from study.folder import StudyFolder, create_study, list_bundled, read_template
 
 DEMO_PARTICIPANTS = 16
 
 
-@click.command(epilog="Example: feel321 new my-study")
+@click.command(epilog="Example: feel321 new my-study --study park2019")
 @click.argument("folder", metavar="DIR", type=FILE)
-def new(folder: Path) -> None:
+@click.option("--study", "bundled", type=click.Choice(list_bundled()), help="A published study to run again.")
+def new(folder: Path, *, bundled: str | None) -> None:
     """Begin a study: a commented study.toml that works as it is."""
-    study = create_study(folder)
+    study = create_study(folder, bundled=bundled)
     click.echo(f"{study.settings}: edit it, then: feel321 check {quote(str(folder))}")
 
 
