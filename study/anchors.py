@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from study.chain import START, digest
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
     from pathlib import Path
 
 
@@ -74,6 +75,26 @@ def find_cut(anchor: Anchor, folder: Path) -> str:
     if anchor.lines and digest(lines[anchor.lines - 1]) != anchor.tip:
         return f"{path}, line {anchor.lines}: is not the line that was seen there"
     return ""
+
+
+def check_anchors(anchors: Iterable[Anchor], folder: Path) -> None:
+    """Refuse to go on with journals of which less is there than was seen.
+
+    Parameters
+    ----------
+    anchors : iterable of Anchor
+        What was seen.
+    folder : Path
+        The participant's folder.
+
+    Raises
+    ------
+    ValueError
+        If anything is missing, naming the first of it.
+    """
+    for anchor in anchors:
+        if cut := find_cut(anchor, folder):
+            raise ValueError(f"{cut}; restore it from a copy, or take it as it is: feel321 ledger --rebuild")
 
 
 def _read_lines(path: Path) -> list[bytes]:
