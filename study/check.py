@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from math import prod
 from typing import TYPE_CHECKING
 
 from stimuli.inspection import check_stimuli
 from stimuli.manifest import read_stimuli
+from study.designs import make_design
 from study.plan import make_plan
 from study.provenance import find_changes
 from study.settings import read_settings
 from study.sources import make_recipe, try_recordings
+from study.wording import read_study_pages
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -21,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def check_study(study: StudyFolder) -> tuple[list[Recording], list[str]]:
-    """Check settings, recordings and, once it is built, the stimulus set of a study.
+    """Check settings, recordings, pictures, texts and, once it is built, the stimulus set of a study.
 
     Parameters
     ----------
@@ -40,6 +43,7 @@ def check_study(study: StudyFolder) -> tuple[list[Recording], list[str]]:
     except ValueError as error:
         return [], str(error).splitlines()
     recordings, problems = try_recordings(settings, study.path)
+    problems += [*_check_pictures(study, settings), *_check_texts(study, settings)]
     recipe = None
     try:
         recipe = make_recipe(settings)
@@ -64,17 +68,32 @@ def _check_origin(study: StudyFolder, recipe: Recipe, recordings: Mapping[str, s
         return [str(error)]
 
 
-def _check_plan(study: StudyFolder, settings: Settings) -> list[str]:
-    """Check that the protocols find the stimuli that they need."""
+def _check_pictures(study: StudyFolder, settings: Settings) -> list[str]:
+    return [
+        f"recording {entry.title!r}: {study.path / entry.picture}: there is no such picture; put it there"
+        for entry in settings.recordings
+        if entry.picture and not (study.path / entry.picture).is_file()
+    ]
+
+
+def _check_texts(study: StudyFolder, settings: Settings) -> list[str]:
     try:
-        make_plan(
-            read_stimuli(study.stimuli),
-            "check",
-            number=1,
-            seed=settings.study.seed,
-            protocols=settings.session.protocols,
-            repeats=settings.session.repeats,
-        )
+        read_study_pages(settings, study.path)
+    except OSError as error:
+        return [f"{error.filename}: {error.strerror}; put your texts there, or name a language of the catalogue"]
     except ValueError as error:
-        return [str(error)]
+        return str(error).splitlines()
     return []
+
+
+def _check_plan(study: StudyFolder, settings: Settings) -> list[str]:
+    """Check that the tasks of every group find the stimuli that they need."""
+    design, stimuli = make_design(settings), read_stimuli(study.stimuli)
+    groups = prod(len(levels) for levels in design.between.values())
+    problems: dict[str, None] = {}
+    for number in range(1, groups + 1):
+        try:
+            make_plan(design, stimuli, "check", number=number, simulated=False)
+        except ValueError as error:
+            problems[str(error)] = None
+    return list(problems)

@@ -1,0 +1,135 @@
+from __future__ import annotations
+
+import re
+import tomllib
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from protocols.abx import CHOICES
+from protocols.flow import PAGES
+from protocols.registry import PROTOCOLS
+from protocols.texts import (
+    CATALOG,
+    MODEL,
+    find_gaps,
+    list_languages,
+    read_pages,
+    read_refusals,
+    read_scales,
+    read_texts,
+)
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+MOST_CHARACTERS = 400  # what can be read at a glance from 1 m
+
+
+@pytest.fixture
+def english() -> str:
+    return (CATALOG / f"{MODEL}.toml").read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def own(tmp_path: Path, english: str) -> Path:
+    """A file of the lab's own, complete."""
+    path = tmp_path / "fr.toml"
+    path.write_text(english.replace("Thank you", "Merci"), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("language", list_languages())
+def test_every_language_is_complete(language: str) -> None:
+    assert find_gaps(read_texts(language), read_texts(MODEL)) == []
+
+
+@pytest.mark.parametrize("language", list_languages())
+def test_every_language_has_the_scale_of_every_protocol(language: str) -> None:
+    scales = read_scales(language)
+    assert set(scales) == {protocol.scale for protocol in PROTOCOLS.values()}
+    assert all(name == scale.name for name, scale in scales.items())
+    assert all(scale.question.endswith("?") and scale.low_label != scale.high_label for scale in scales.values())
+    assert {name: scale.choices for name, scale in scales.items() if scale.choices} == {"abx": CHOICES}
+    assert {name: len(scale.anchors) for name, scale in scales.items() if scale.anchors} == {"mushra": 5}
+
+
+@pytest.mark.parametrize("language", list_languages())
+def test_every_language_has_every_page(language: str) -> None:
+    wanted = {*PAGES, *(f"instructions.{name}" for name in PROTOCOLS)} - {"instructions"}
+    pages = read_pages(language)
+    assert set(pages) == wanted
+    assert all(key == page.key for key, page in pages.items())
+
+
+@pytest.mark.parametrize("language", list_languages())
+def test_every_text_can_be_read_at_a_glance(language: str) -> None:
+    too_long = [key for key, page in read_pages(language).items() if len(page.text) > MOST_CHARACTERS]
+    assert too_long == []
+    assert all(len(page.title) <= 40 for page in read_pages(language).values())
+    assert all(len(text) <= 120 for text in read_refusals(language).values())
+
+
+def test_languages_do_not_share_their_texts() -> None:
+    english, german = (read_pages(language) for language in ("en", "de"))
+    assert [key for key in english if english[key].text == german[key].text] == []
+
+
+def test_unknown_language_is_refused_with_the_list() -> None:
+    for read in (read_scales, read_pages, read_refusals):
+        with pytest.raises(ValueError, match="^language: got 'xx', allowed: de, en$"):
+            read("xx")
+
+
+def test_a_lab_can_bring_a_file_of_its_own(own: Path) -> None:
+    assert read_pages(own)["end"].title == "Merci"
+    assert read_scales(own) == read_scales(MODEL)
+    assert read_refusals(own) == read_refusals(MODEL)
+
+
+def test_all_gaps_of_an_own_file_are_told_at_once(own: Path, english: str) -> None:
+    text = re.sub(r"(?s)\[pages\.rest\].*?(?=\[pages)", "", english)
+    text = text.replace('"Fair", ', "").replace('choices = ["a", "b"]', 'choices = ["a", "c"]')
+    text = text.replace("Still to feel: {parts}", "{part}").replace("[keys]", '[keys]\nfly = "F"')
+    own.write_text(text.replace('title = "Just so"', "title = 5"), encoding="utf-8")
+    with pytest.raises(ValueError, match="is missing") as caught:
+        read_pages(own)
+    told = [line.removeprefix(f"{own}: ").partition("; compare ") for line in str(caught.value).splitlines()]
+    assert {remedy for _, _, remedy in told} == {"protocols/catalog/en.toml"}
+    assert [gap for gap, _, _ in told] == [
+        "scales.abx.choices[2]: got 'c', allowed is 'b': choices are names of parts, the same in every language",
+        "pages.expected.title: got 5, allowed is a text",
+        "refusals.not_felt: got {part}, allowed is {parts}",
+        "scales.mushra.anchors[5]: is missing",
+        "pages.rest.title: is missing",
+        "pages.rest.text: is missing",
+        "keys.fly: is no known text",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("texts", "gap"),
+    [
+        ({"a": "one"}, "a: got no placeholders, allowed is {n}"),
+        ({"a": "{n} {m}"}, "a: got {m}, {n}, allowed is {n}"),
+        ({"a": "{n"}, "a: got expected '}' before end of string, allowed is {n}"),
+        ({"a": "  "}, "a: got '  ', allowed is a text"),
+        ({"a": {"b": "{n}"}}, "a: is missing"),
+    ],
+)
+def test_a_gap_says_what_was_got_and_what_is_allowed(texts: dict[str, Any], gap: str) -> None:
+    assert find_gaps(texts, {"a": "{n} times"})[0] == gap
+
+
+@pytest.mark.parametrize("text", [b"a = ", b"\xff", b"a = " + b"[" * 99999])
+def test_an_own_file_that_is_no_toml_is_one_line(text: bytes, own: Path) -> None:
+    own.write_bytes(text)
+    with pytest.raises(ValueError, match=r"^[^\n]*fr\.toml: got no TOML \([^\n]*\); mend that place$"):
+        read_scales(own)
+
+
+def test_texts_of_the_screen_are_in_the_same_file(own: Path) -> None:
+    texts = read_texts(own)
+    assert set(texts["keys"]) == {"move", "choose", "confirm", "again", "pause"}
+    assert "{sample}" in texts["prompts"]["surface"]
+    assert texts == tomllib.loads(own.read_text(encoding="utf-8"))
