@@ -1,0 +1,150 @@
+"""The random order: all recordings mixed, none twice in a row, catch trials spread over the whole."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from itertools import groupby, pairwise
+from typing import TYPE_CHECKING
+
+from protocols.shuffled import make_generator
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from numpy.random import Generator
+
+    from protocols.section import Groups, Spot
+    from protocols.trial import Trial
+
+DRAWS = 100
+"""How often an order is drawn until it keeps the rules; if none does, the one that breaks them least stands."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Card:
+    recording: str
+    index: int
+    is_catch: bool
+
+
+def order_random(
+    rounds: Sequence[Groups], *, number: int, rng: Generator
+) -> Iterator[tuple[tuple[Spot, ...], ...]]:
+    """Mix all recordings anew for every participant and round.
+
+    Parameters
+    ----------
+    rounds : sequence of mapping of str to sequence of Comparison
+        What is judged of each recording, in each round.
+    number : int
+        The participant's number, from 1.
+    rng : numpy.random.Generator
+        Source of randomness, together with the number.
+
+    Yields
+    ------
+    tuple of tuple of tuple of str and int
+        The one block of a round, with the comparisons of all recordings in order.
+
+    Notes
+    -----
+    A round is cut into as many equal stretches as it has catch trials, and each stretch gets one, at a place
+    drawn from those that do not touch the last. Then the places are filled from left to right, at random from
+    the recordings that did not come just before; a recording that would be left over takes precedence.
+
+    Where the rules cannot be kept, such as with a single recording, they are broken as rarely as possible,
+    for a pilot must be able to run; `find_crowding` says how often.
+    """
+    own = make_generator(rng, number)
+    last = _Card("", 0, is_catch=False)
+    for groups in rounds:
+        cards = [
+            _Card(recording, index, bool(comparison.catch))
+            for recording, comparisons in groups.items()
+            for index, comparison in enumerate(comparisons)
+        ]
+        order = _draw_best(cards, after=last, rng=own)
+        last = order[-1]
+        yield (tuple((card.recording, card.index) for card in order),)
+
+
+def find_crowding(trials: Iterable[Trial]) -> list[str]:
+    """Find where a mixed order could not keep its rules.
+
+    Parameters
+    ----------
+    trials : iterable of Trial
+        The trials of one participant, ordered by `order_random`.
+
+    Returns
+    -------
+    list of str
+        Per protocol and rule that was broken, one line on how often; none if all is well.
+    """
+    found = []
+    main = (trial for trial in trials if trial.block)
+    for protocol, group in groupby(main, key=lambda trial: trial.protocol):
+        cards = [_Card(trial.recording, 0, bool(trial.catch)) for trial in group]
+        same, catches = _count_crowding(cards)
+        if same:
+            found.append(f"{protocol}: {same} of {len(cards)} trials follow one of the same recording")
+        if catches:
+            found.append(f"{protocol}: {catches} of {len(cards)} trials are catch trials right after another")
+    return found
+
+
+def _draw_best(cards: Sequence[_Card], *, after: _Card, rng: Generator) -> list[_Card]:
+    best = _draw_order(cards, after=after, rng=rng)
+    for _ in range(DRAWS - 1):
+        if sum(_count_crowding([after, *best])) <= _count_unavoidable(cards):
+            break
+        other = _draw_order(cards, after=after, rng=rng)
+        best = min(best, other, key=lambda order: sum(_count_crowding([after, *order])))
+    return best
+
+
+def _draw_order(cards: Sequence[_Card], *, after: _Card, rng: Generator) -> list[_Card]:
+    left, order = list(cards), [after]
+    catch_places = _draw_places(sum(card.is_catch for card in cards), len(cards), after=after, rng=rng)
+    for place in range(len(cards)):
+        pool = _list_choices(left, order[-1], is_catch=place in catch_places)
+        card = pool[int(rng.integers(len(pool)))]
+        left.remove(card)
+        order.append(card)
+    return order[1:]
+
+
+def _draw_places(count: int, n: int, *, after: _Card, rng: Generator) -> set[int]:
+    """Draw a place for each catch trial, one in each stretch of the round and none next to another if there is room."""
+    places: set[int] = set()
+    last = -1 if after.is_catch else -2
+    for stretch in range(count):
+        start, end = stretch * n // count, (stretch + 1) * n // count
+        start = min(max(start, last + 2), end - 1)
+        last = int(rng.integers(start, end))
+        places.add(last)
+    return places
+
+
+def _list_choices(left: Sequence[_Card], last: _Card, *, is_catch: bool) -> list[_Card]:
+    """List what may come next, by the strictest rule that leaves anything."""
+    of_kind = [card for card in left if card.is_catch == is_catch]
+    fresh = [card for card in of_kind if card.recording != last.recording]
+    (most, count), = Counter(card.recording for card in left).most_common(1)
+    # With more than half of what is left, a recording must come at every other place from here on.
+    urgent = [card for card in fresh if card.recording == most] if count > len(left) // 2 else []
+    return urgent or fresh or [card for card in of_kind if card != last] or of_kind
+
+
+def _count_crowding(order: Iterable[_Card]) -> tuple[int, int]:
+    """Count how often a recording follows itself, and how often a catch trial follows one."""
+    pairs = list(pairwise(order))
+    same = sum(this.recording == after.recording for this, after in pairs)
+    return same, sum(this.is_catch and after.is_catch for this, after in pairs)
+
+
+def _count_unavoidable(cards: Sequence[_Card]) -> int:
+    largest = max(Counter(card.recording for card in cards).values())
+    catches = sum(card.is_catch for card in cards)
+    return sum(max(0, 2 * count - 1 - len(cards)) for count in (largest, catches))
