@@ -1,8 +1,23 @@
 """The verbs of the command line; every one imports what it needs when it is called, so that help comes at once."""
 
+from study.commands.participants import ledger, release, withdraw
 from study.commands.results import analyze
 from study.commands.sessions import audit, simulate, status
 from study.commands.signals import match, reduce
 from study.commands.studies import build, check, demo, new
 
-__all__ = ["analyze", "audit", "build", "check", "demo", "match", "new", "reduce", "simulate", "status"]
+__all__ = [
+    "analyze",
+    "audit",
+    "build",
+    "check",
+    "demo",
+    "ledger",
+    "match",
+    "new",
+    "reduce",
+    "release",
+    "simulate",
+    "status",
+    "withdraw",
+]
