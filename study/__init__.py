@@ -3,21 +3,30 @@
 Imports nothing heavy. The steps of a whole study are in `study.workflow`, its settings in `study.settings`.
 """
 
+from study.conduct import Stage
 from study.folder import StudyFolder, create_study, require_study
 from study.journal import Journal, create_journal, read_journal, require_journal
-from study.plan import Plan, create_plan, make_plan, require_plan
-from study.ports import Answer, Playback, Presenter, Replay
+from study.opening import Stale, open_session
+from study.plan import Design, Plan, create_plan, make_plan, require_plan
+from study.ports import Abort, Confirm, Feel, Move, Pause, Place, Playback, Presenter
 from study.ratings import write_ratings
-from study.session import Stage, open_session, run_session
+from study.session import Outcome, run_session
 
 __all__ = [
-    "Answer",
+    "Abort",
+    "Confirm",
+    "Design",
+    "Feel",
     "Journal",
+    "Move",
+    "Outcome",
+    "Pause",
+    "Place",
     "Plan",
     "Playback",
     "Presenter",
-    "Replay",
     "Stage",
+    "Stale",
     "StudyFolder",
     "create_journal",
     "create_plan",

@@ -21,6 +21,7 @@ from study.percepts import read_percepts
 from study.plan import make_plan
 from study.rebuilding import open_study_ledger
 from study.replay import find_elapsed, has_event, list_journals
+from study.wording import find_language
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -189,7 +190,7 @@ class _Tally:
 
 def _open_room(simulation: Simulation) -> tuple[Room, list[str]]:
     ledger, notice = open_study_ledger(simulation.study)
-    scales = read_scales(simulation.settings.session.language)
+    scales = read_scales(find_language(simulation.settings, simulation.study.path))
     stale = make_stale(simulation.settings)
     room = Room(simulation.study, simulation.stimuli, scales, ledger, stale, simulation.now)
     return room, [notice] if notice else []

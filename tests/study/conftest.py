@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from itertools import count
 from pathlib import Path
@@ -9,17 +9,25 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from protocols.flow import Flow
+from protocols.tasks import make_task
 from protocols.texts import read_scales
 from stimuli.manifest import Stimulus, StimulusSet
+from study.conduct import Stage
 from study.folder import StudyFolder
-from study.plan import Plan, make_plan
-from study.ports import Answer, Playback, Replay
-from study.session import Stage, open_session, run_session
+from study.opening import Stale, open_session
+from study.plan import Design, Plan, list_codes, make_plan
+from study.ports import Abort, Act, Confirm, Feel, Pause, Playback
+from study.replay import find_elapsed
+from study.session import run_session
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from protocols.trial import Scale, Trial
+    from protocols.flow import Page
+    from protocols.trial import Part, Scale, Trial
+    from study.journal import Clock
+    from study.ports import Place
 
 SMALL_STUDY = """
 [study]
@@ -76,8 +84,15 @@ def stimuli() -> StimulusSet:
 
 
 @pytest.fixture
-def plan(stimuli: StimulusSet) -> Plan:
-    return make_plan(stimuli, "p01", number=1, seed=7, protocols=("realism", "similarity"), repeats=1)
+def design() -> Design:
+    """Realism and similarity without rehearsal: ten trials each, a rest in between."""
+    tasks = (make_task("realism"), make_task("similarity"))
+    return Design(seed=7, order="williams", repeats=1, tasks=tasks, between={}, flow=Flow())
+
+
+@pytest.fixture
+def plan(design: Design, stimuli: StimulusSet) -> Plan:
+    return make_plan(design, stimuli, "p01", number=1, simulated=True)
 
 
 @pytest.fixture
@@ -105,32 +120,58 @@ def study(tmp_path: Path) -> StudyFolder:
 
 @dataclass
 class ScriptedPresenter:
-    """Answers by script and keeps a log; stops like a participant who pulls the plug."""
+    """Does by script what a participant may do, and keeps a log; without a script it answers 50 points, or `a`.
 
-    replays: int = 0
-    underruns: int = 0
+    `acts` and `playbacks` hold what is done, and what becomes of stimuli, in each attempt at a trial; what they do not
+    name goes well. Its clock moves one second per call. It pulls the plug when so many trials were shown.
+    """
+
+    acts: dict[tuple[int, int], list[Act]] = field(default_factory=dict)
+    playbacks: dict[tuple[int, int], list[Playback]] = field(default_factory=dict)
+    pages: dict[str, list[Act]] = field(default_factory=dict)
     stop_after: float = float("inf")
+    log: list[str] = field(default_factory=list)
+    time_s: float = 0.0
 
     def __post_init__(self) -> None:
-        self.log: list[str] = []
-        self.rated = 0
+        self.shown = 0
 
-    def show(self, trial: Trial, scale: Scale) -> None:
-        if self.rated >= self.stop_after:
+    def pass_time(self) -> float:
+        self.time_s += 1.0
+        return self.time_s
+
+    def show_page(self, page: Page, place: Place) -> Confirm | Pause | Abort:
+        self.log.append(f"page {page.key} {place.done}/{place.total}")
+        waiting = self.pages.get(page.key)
+        return waiting.pop(0) if waiting else Confirm(self.pass_time(), {})
+
+    def show_trial(self, trial: Trial, scale: Scale, place: Place) -> None:
+        if self.shown >= self.stop_after:
             raise KeyboardInterrupt
-        self.log.append(f"show {trial.number} {scale.name}")
+        self.shown += 1
+        self.log.append(f"show {trial.number}.{place.attempt} {scale.name}")
+        key = (trial.number, place.attempt)
+        usual = Confirm(0.0, {judgement.part: "a" if scale.choices else 50.0 for judgement in trial.judgements}, 1.5)
+        free: list[Act] = [Feel(0.0, "")] if trial.timing == "free" else []
+        self._waiting = self.acts.get(key, [*free, usual])
+        self._playbacks = self.playbacks.get(key, [])
 
-    def play(self, stimulus: Stimulus) -> Playback:
-        self.log.append(f"play {stimulus.stimulus_id}")
-        return Playback(requested_s=1.0, onset_s=1.0 + len(self.log), underruns=self.underruns)
+    def play(self, part: Part, stimulus: Stimulus, *, gap_s: float) -> Playback:
+        assert gap_s > 0
+        self.log.append(f"play {part.name} {stimulus.stimulus_id}")
+        time_s = self.pass_time()
+        return self._playbacks.pop(0) if self._playbacks else Playback(time_s, time_s + 0.25)
 
-    def ask(self, scale: Scale) -> Answer | Replay:
-        if self.replays:
-            self.replays -= 1
-            return Replay()
-        self.rated += 1
-        self.log.append(f"ask {scale.name}")
-        return Answer(rating=50.0, response_time_s=2.0, time_s=10.0 * self.rated)
+    def prompt(self, part: Part) -> Playback:
+        self.log.append(f"prompt {part.name} {part.surface}")
+        time_s = self.pass_time()
+        return self._playbacks.pop(0) if self._playbacks else Playback(time_s, time_s)
+
+    def wait(self) -> Act:
+        return replace(self._waiting.pop(0), time_s=self.pass_time())
+
+    def refuse(self, reason: str, parts: tuple[str, ...]) -> None:
+        self.log.append(" ".join(["refuse", reason, *parts]))
 
 
 @pytest.fixture
@@ -142,13 +183,18 @@ def scripted() -> type[ScriptedPresenter]:
 def present(
     tmp_path: Path, plan: Plan, stimuli: StimulusSet, now: Callable[[], datetime]
 ) -> Callable[..., list[Any]]:
-    """Run or resume the session of p01 with a presenter; gives the journal's records."""
+    """Run or resume the session of p01 with a presenter; gives the records of the newest journal."""
 
-    def run(presenter: ScriptedPresenter, *, plan: Plan = plan) -> list[Any]:
+    def run(
+        presenter: ScriptedPresenter, *, plan: Plan = plan, stale: Stale | None = None, now: Clock = now
+    ) -> list[Any]:
         folder = tmp_path / "sessions" / "p01"
-        with open_session(folder, plan, identity={"simulated": True}, now=now) as (stored, journal):
-            by_id = {stimulus.stimulus_id: stimulus for stimulus in stimuli.stimuli}
-            run_session(stored, Stage(presenter, by_id, read_scales(), journal))
+        identity = {"presenter": {"simulated": True}}
+        with open_session(folder, plan, identity=identity, now=now, stale=stale or Stale()) as (stored, journal):
+            codes = list_codes(stimuli, seed=stored.seed)
+            by_code = {codes[stimulus.stimulus_id]: stimulus for stimulus in stimuli.stimuli}
+            presenter.time_s = find_elapsed(journal.records)
+            run_session(stored, Stage(presenter, by_code, read_scales(), journal, stored.flow))
             return list(journal.records)
 
     return run

@@ -1,99 +1,73 @@
+"""The loop: what a session consists of, how it is broken off, and how it goes on."""
+
 from __future__ import annotations
 
-import subprocess
-import sys
-from dataclasses import replace
-from datetime import UTC, datetime
+from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from study.journal import create_journal, read_journal, require_journal
-from study.plan import Plan, make_plan, require_plan
-from study.session import find_completed, find_elapsed, find_header, is_finished, open_session
+from study.ports import Abort, Playback
+from study.replay import find_elapsed, replay
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
-    from stimuli.manifest import StimulusSet
+    from study.plan import Plan
 
     Present = Callable[..., list[Any]]
-    Now = Callable[[], datetime]
 
 
-def test_a_realism_trial_is_shown_played_and_rated(present: Present, scripted: type, plan: Plan) -> None:
-    presenter = scripted()
-    present(presenter)
-    first = plan.trials[0]
-    assert presenter.log[:3] == ["show 1 realism", f"play {first.stimulus_id}", "ask realism"]
+def list_events(records: list[Any], *wanted: str) -> list[Any]:
+    return [record.data for record in records if record.event in wanted]
 
 
-def test_a_similarity_trial_plays_the_reference_first(present: Present, scripted: type, plan: Plan) -> None:
-    presenter = scripted()
-    present(presenter)
-    last = plan.trials[-1]
-    assert presenter.log[-4:] == [
-        f"show {last.number} similarity",
-        f"play {last.reference_id}",
-        f"play {last.stimulus_id}",
-        "ask similarity",
-    ]
-
-
-def test_the_journal_tells_everything_in_order(present: Present, scripted: type, tmp_path: Path) -> None:
+def test_the_journal_tells_everything_in_order(present: Present, scripted: type) -> None:
     records = present(scripted())
     realism, similarity = ["shown", "played", "rated"], ["shown", "played", "played", "rated"]
-    assert [r.event for r in records] == ["begun", *realism * 10, *similarity * 10, "finished"]
-    header = find_header(records)
-    assert header is not None
-    assert header["plan_sha256"] == require_plan(tmp_path / "sessions" / "p01" / "plan.json").sha256 != ""
-    assert header["stimuli_sha256"] == "5" * 64
-    assert header["presenter"] == {"simulated": True}
-    assert set(header["versions"]) == {"feel321", "numpy"}
-    assert find_completed(records) == list(range(1, 21))
-    assert find_elapsed(records) == 200.0
-    assert is_finished(records)
+    assert [r.event for r in records] == [
+        "begun", *["page"] * 4, *realism * 10, *["page"] * 3, *similarity * 10, "page", "finished",
+    ]  # fmt: skip
+    assert [page["key"] for page in list_events(records, "page")] == [
+        "welcome", "consent", "instructions.realism", "main", "rest", "instructions.similarity", "main", "end",
+    ]  # fmt: skip
+    assert [r["trial"] for r in list_events(records, "rated")] == list(range(1, 21))
+    assert list_events(records, "rated")[0] == {
+        "trial": 1, "attempt": 1, "values": {"test": 50.0}, "response_time_s": 1.5, "time_s": 6.0, "flags": [],
+        "rejected": False,
+    }  # fmt: skip
+    assert records[-1].data == {"trials": 20}
 
 
-def test_what_played_well_is_not_marked(present: Present, scripted: type) -> None:
-    assert not any(r.data["rejected"] for r in present(scripted()) if r.event == "rated")
-
-
-def test_a_replay_plays_the_trial_again_and_is_recorded(present: Present, scripted: type) -> None:
-    events = [r.event for r in present(scripted(replays=2))]
-    assert events[1:8] == ["shown", "played", "replayed", "played", "replayed", "played", "rated"]
-
-
-def test_what_ran_dry_is_marked_and_kept(present: Present, scripted: type) -> None:
-    rated = [r.data for r in present(scripted(underruns=1)) if r.event == "rated"]
-    assert len(rated) == 20
-    assert all(entry["rejected"] for entry in rated)
-
-
-def test_a_trial_that_was_put_back_is_asked_again(present: Present, scripted: type, tmp_path: Path) -> None:
-    with pytest.raises(KeyboardInterrupt):
-        present(scripted(stop_after=3))
-    path = tmp_path / "sessions" / "p01" / "session-01.jsonl"
-    require_journal(path, now=lambda: datetime(2026, 1, 1, tzinfo=UTC)).write("requeued", {"trial": 2})
-    assert find_completed(read_journal(path).records) == [1, 3]
-    again = scripted()
-    assert sorted(find_completed(present(again))) == list(range(1, 21))
-    assert again.log[0] == "show 2 realism"
+def test_the_participant_meets_the_steps_in_the_order_of_the_plan(present: Present, scripted: type) -> None:
+    presenter = scripted()
+    present(presenter)
+    assert presenter.log[:5] == [
+        "page welcome 0/20", "page consent 0/20", "page instructions.realism 0/20", "page main 0/20", "show 1.1 realism",
+    ]  # fmt: skip
+    assert [line.split()[1] for line in presenter.log if line.startswith("show")] == [f"{n}.1" for n in range(1, 21)]
+    last = [line.rpartition("-")[0] for line in presenter.log[-3:-1]]
+    assert presenter.log[-4] == "show 20.1 similarity"
+    assert last[0].startswith("play reference ")
+    assert last[1].startswith("play test ")
+    assert presenter.log[-1] == "page end 20/20"
 
 
 @pytest.mark.parametrize("stop_after", [0, 1, 9, 10, 11, 19])
 def test_a_session_broken_off_anywhere_goes_on_where_it_was(
-    present: Present, scripted: type, plan: Plan, stop_after: int
+    present: Present, scripted: type, stop_after: int
 ) -> None:
     broken = scripted(stop_after=stop_after)
     with pytest.raises(KeyboardInterrupt):
         present(broken)
     again = scripted()
     records = present(again)
-    assert find_completed(records) == [trial.number for trial in plan.trials]
     shown = [line.split()[1] for line in (*broken.log, *again.log) if line.startswith("show")]
-    assert shown == [str(trial.number) for trial in plan.trials]
+    assert shown == [f"{number}.1" for number in range(1, 21)]
+    assert [data["trial"] for data in list_events(records, "rated")] == list(range(1, 21))
+    assert list_events(records, "aborted") == [{"reason": "KeyboardInterrupt"}]
+    assert len(list_events(records, "resumed")) == 1
+    assert [line for line in again.log if line.startswith("page welcome")] == []
 
 
 def test_a_finished_session_is_left_alone(present: Present, scripted: type) -> None:
@@ -103,91 +77,63 @@ def test_a_finished_session_is_left_alone(present: Present, scripted: type) -> N
     assert silent.log == []
 
 
-def test_a_session_whose_header_was_torn_begins_again(present: Present, scripted: type, tmp_path: Path) -> None:
-    folder = tmp_path / "sessions" / "p01"
-    with pytest.raises(KeyboardInterrupt):
-        present(scripted(stop_after=0))
-    journal = folder / "session-01.jsonl"
-    journal.write_bytes(journal.read_bytes()[:40])
+@pytest.mark.parametrize("page", ["consent", "rest", "end"])
+def test_who_does_not_go_on_ends_the_session_for_today(present: Present, scripted: type, page: str) -> None:
+    records = present(scripted(pages={page: [Abort(1.0, "does not agree")]}))
+    assert (records[-1].event, records[-1].data) == ("aborted", {"reason": "does not agree"})
+    again = scripted()
+    assert present(again)[-1].event == "finished"
+    assert again.log[0].startswith(f"page {page} ")
+
+
+def fail(count: int = 1) -> list[Playback]:
+    return [Playback(1.0, 1.0, error="device is gone")] * count
+
+
+def test_a_device_that_fails_once_costs_one_attempt(present: Present, scripted: type) -> None:
+    records = present(scripted(playbacks={(3, 1): fail()}))
+    assert [(r["trial"], r["attempt"], r["flags"]) for r in list_events(records, "spoiled")] == [
+        (3, 1, ["device_error"])
+    ]
+    rated = Counter(r["trial"] for r in list_events(records, "rated"))
+    assert rated == dict.fromkeys(range(1, 21), 1)
+    assert [r["attempt"] for r in list_events(records, "rated") if r["trial"] == 3] == [2]
+
+
+def test_a_device_that_fails_twice_in_a_row_ends_the_session(present: Present, scripted: type) -> None:
+    records = present(scripted(playbacks={(3, 1): fail(), (4, 1): fail()}))
+    assert records[-1].data == {"reason": "the device failed twice in a row; see to it, then resume"}
+    assert len(list_events(records, "rated")) == 2
     records = present(scripted())
-    assert [r.event for r in records][:2] == ["recovered", "begun"]
-    assert len(find_completed(records)) == 20
+    assert sorted(r["trial"] for r in list_events(records, "rated")) == list(range(1, 21))
 
 
-def test_another_plan_is_refused_and_the_difference_named(
-    present: Present, scripted: type, stimuli: StimulusSet
-) -> None:
-    present(scripted())
-    other = make_plan(stimuli, "p01", number=1, seed=7, protocols=("realism", "similarity"), repeats=2)
-    message = r"plan\.json: the study was changed .*\(repeats 1 -> 2\); .* or move sessions/ away"
-    with pytest.raises(ValueError, match=message):
-        present(scripted(), plan=other)
+def test_the_clock_goes_on_where_it_stopped(present: Present, scripted: type) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        present(scripted(stop_after=5))
+    records = present(scripted())
+    times = [record.data["time_s"] for record in records if "time_s" in record.data]
+    assert times == sorted(times)
+    (resumed,) = list_events(records, "resumed")
+    assert resumed["clock"]["presenter_s"] == find_elapsed(records[: records.index(next(
+        record for record in records if record.event == "resumed"
+    ))]) > 0  # fmt: skip
 
 
-def test_another_presenter_is_refused_and_the_difference_named(
-    present: Present, scripted: type, plan: Plan, tmp_path: Path, now: Now
-) -> None:
-    present(scripted())
-    message = r"begun otherwise \(presenter.simulated True -> False\)"
-    with (
-        pytest.raises(ValueError, match=message),
-        open_session(tmp_path / "sessions" / "p01", plan, identity={"simulated": False}, now=now),
-    ):
-        pytest.fail("the session was opened")
-
-
-def test_a_later_version_runs_the_stored_plan_and_not_the_order_that_it_would_make(
+def test_replaying_a_journal_cut_after_any_record_never_contradicts_the_plan(
     present: Present, scripted: type, plan: Plan
 ) -> None:
-    with pytest.raises(KeyboardInterrupt):
-        present(scripted(stop_after=3))
-    records = present(scripted(), plan=replace(plan, trials=plan.trials[::-1]))
-    shown = [r.data["stimulus_id"] for r in records if r.event == "shown"]
-    assert shown == [trial.stimulus_id for trial in plan.trials]
+    records = present(scripted(playbacks={(3, 1): fail(), (7, 1): [Playback(1.0, 1.0, underruns=2)]}))
+    done = [replay(plan, records[:kept]).done for kept in range(len(records) + 1)]
+    assert done == sorted(done)
+    assert (done[0], done[-1]) == (0, 20)
 
 
-def test_resuming_leaves_a_record_with_the_versions(present: Present, scripted: type) -> None:
-    with pytest.raises(KeyboardInterrupt):
-        present(scripted(stop_after=3))
-    records = present(scripted())
-    assert [r.data for r in records if r.event == "resumed"] == [{"versions": records[0].data["versions"]}]
-
-
-@pytest.mark.parametrize(
-    ("change", "difference"),
-    [({"seed": 8}, "seed 8 -> 7"), ({"stimuli_sha256": "6"}, f"stimuli_sha256 '6' -> '{'5' * 64}'")],
-)
-def test_a_header_that_does_not_fit_the_plan_is_refused_and_the_difference_named(
-    present: Present, scripted: type, tmp_path: Path, now: Now, change: dict[str, Any], difference: str
+def test_a_journal_that_tells_of_another_order_is_refused_with_its_line(
+    present: Present, scripted: type, plan: Plan
 ) -> None:
-    header = {**present(scripted())[0].data, **change}
-    path = tmp_path / "sessions" / "p01" / "session-01.jsonl"
-    path.unlink()
-    create_journal(path, now=now).write("begun", header)
-    with pytest.raises(ValueError, match=rf"begun otherwise \({difference}\); .* or move sessions/ away"):
-        present(scripted())
-
-
-HOLD = """
-import sys
-from pathlib import Path
-from stimuli.lock import hold_lock
-with hold_lock(Path(sys.argv[1]), busy="x"):
-    print("held", flush=True)
-    sys.stdin.read()
-"""
-
-
-def test_two_writers_cannot_share_a_session(present: Present, scripted: type, tmp_path: Path) -> None:
-    folder = tmp_path / "sessions" / "p01"
-    folder.mkdir(parents=True)
-    with subprocess.Popen(
-        [sys.executable, "-c", HOLD, folder / ".lock"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as other:
-        assert other.stdout is not None
-        assert other.stdout.readline() == "held\n"
-        with pytest.raises(BlockingIOError, match="p01: another session is writing here; let it finish"):
-            present(scripted())
-        assert [path.name for path in folder.iterdir()] == [".lock"]
-        other.kill()
-    assert present(scripted())[-1].event == "finished"  # the lock of a killed process is free at once
+    records = present(scripted())
+    rated = [place for place, record in enumerate(records) if record.event == "rated"]
+    swapped = [*records[: rated[4]], records[rated[5]]]
+    with pytest.raises(ValueError, match=r"line 23: got trial 6, expected trial 5"):
+        replay(plan, swapped)

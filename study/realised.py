@@ -1,0 +1,151 @@
+"""Balance of a design as it was actually run, drop-outs and second attempts included. Blind."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+from itertools import groupby
+from typing import TYPE_CHECKING
+
+from protocols.balance import measure_balance, pool_balances
+from protocols.design import count_cycle
+from study.journal import read_journal
+from study.opening import PLAN_FILE
+from study.plan import require_plan
+from study.replay import has_event, list_journals
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+    from protocols.trial import Trial
+    from study.folder import StudyFolder
+
+    Run = tuple[str, list[str]]
+
+
+@dataclass(frozen=True, slots=True)
+class Realised:
+    """How evenly conditions met places, and each other, in all sessions so far.
+
+    Parameters
+    ----------
+    participants, finished : int
+        Those of whom a trial counts, and those of them who came to their end.
+    cycle : int
+        Number of participants over whom the orders come full circle.
+    position_index, carry_over_index : float
+        Coefficient of variation of the counts, 0 for perfect balance.
+    position_range, carry_over_range : int
+        Largest count minus smallest.
+    """
+
+    participants: int
+    finished: int
+    cycle: int
+    position_index: float
+    carry_over_index: float
+    position_range: int
+    carry_over_range: int
+
+
+def measure_realised(study: StudyFolder) -> Realised | None:
+    """Measure the balance of all that was run.
+
+    Parameters
+    ----------
+    study : StudyFolder
+        The study.
+
+    Returns
+    -------
+    Realised or None
+        Places and neighbours are counted within each block of comparisons, such as those of one recording; on a page
+        of sliders, along its slots. None if no trial counts yet. Participants whose plan or journal is broken are
+        left out; `audit` names them.
+    """
+    groups: dict[str, list[list[str]]] = defaultdict(list)
+    participants, finished, cycle = 0, 0, 0
+    for folder in study.participants:
+        try:
+            runs, is_finished, own_cycle = _read_runs(folder)
+        except (OSError, ValueError):
+            continue
+        participants, finished = participants + bool(runs), finished + is_finished
+        cycle = max(cycle, own_cycle)
+        for group, conditions in runs:
+            groups[group].append(conditions)
+    if not groups:
+        return None
+    balance = pool_balances(measure_balance(sequences) for sequences in groups.values())
+    return Realised(
+        participants=participants,
+        finished=finished,
+        cycle=cycle,
+        position_index=balance.position_index,
+        carry_over_index=balance.carry_over_index,
+        position_range=balance.position_range,
+        carry_over_range=balance.carry_over_range,
+    )
+
+
+def describe_balance(realised: Realised | None) -> str:
+    """Say how balanced a study is so far.
+
+    Parameters
+    ----------
+    realised : Realised or None
+        What was measured.
+
+    Returns
+    -------
+    str
+        One line.
+
+    Examples
+    --------
+    >>> describe_balance(Realised(4, 4, 6, 0.25, 0.5, 1, 2))
+    'balance: 4 finished, 2 more for full circle; places vary by 25 % (counts differ by up to 1), neighbours by 50 % (2)'
+    """
+    if realised is None:
+        return "balance: no trial was run yet"
+    to_go = -realised.finished % realised.cycle
+    return (
+        f"balance: {realised.finished} finished, {to_go} more for full circle; "
+        f"places vary by {realised.position_index:.0%} (counts differ by up to {realised.position_range}), "
+        f"neighbours by {realised.carry_over_index:.0%} ({realised.carry_over_range})"
+    ).replace("%", " %")
+
+
+def _read_runs(folder: Path) -> tuple[list[Run], bool, int]:
+    """Read what one participant went through: blocks with their conditions, in the order in which they counted."""
+    journals = list_journals(folder)
+    if not journals:
+        return [], False, 0
+    plan = require_plan(folder / PLAN_FILE)
+    records = read_journal(journals[-1]).records
+    trials = {trial.number: trial for trial in plan.trials if trial.phase == "main"}
+    counted = [
+        trials[record.data["trial"]]
+        for record in records
+        if record.event == "rated" and record.data["trial"] in trials and not record.data["rejected"]
+    ]
+    finished = has_event(records, "finished") and not has_event(records, "released")
+    return list(_split_runs(counted)), finished, count_cycle(plan.trials)
+
+
+def _split_runs(trials: Sequence[Trial]) -> Iterator[Run]:
+    for _, block in groupby(trials, key=lambda trial: trial.block):
+        run = list(block)
+        recordings = sorted({trial.recording for trial in run})
+        pages = [trial for trial in run if len(trial.judgements) > 1]
+        for page in pages:
+            yield f"{page.protocol} {page.recording} slots", [j.stimulus_id for j in page.judgements]
+        if not pages:
+            yield f"{run[0].protocol} {recordings}", [_name_condition(trial) for trial in run]
+
+
+def _name_condition(trial: Trial) -> str:
+    """Name what is judged against what, whichever of the two comes first."""
+    judgement = trial.judgements[0]
+    return " ".join(sorted({judgement.stimulus_id, judgement.reference_id or judgement.stimulus_id}))
