@@ -139,9 +139,7 @@ def turn_recording(recording: Recording, rotation: int) -> Recording:
 
 def _open_recording(entry: SceneTable | FileTable, folder: Path) -> Recording:
     if isinstance(entry, SceneTable):
-        recording = make_scene(
-            entry.scene, seed=entry.seed, rate_hz=entry.rate_hz, duration_s=entry.duration_s
-        )
+        recording = make_scene(entry.scene, seed=entry.seed, rate_hz=entry.rate_hz, duration_s=entry.duration_s)
     else:
         recording = read_recording(
             folder / entry.file,

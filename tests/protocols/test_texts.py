@@ -77,7 +77,7 @@ def test_languages_do_not_share_their_texts() -> None:
 
 def test_unknown_language_is_refused_with_the_list() -> None:
     for read in (read_scales, read_pages, read_refusals):
-        with pytest.raises(ValueError, match="^language: got 'xx', allowed: de, en$"):
+        with pytest.raises(ValueError, match=r"^language: got 'xx', allowed: de, en$"):
             read("xx")
 
 

@@ -2,22 +2,31 @@ from __future__ import annotations
 
 import re
 import tomllib
-from dataclasses import replace
+from dataclasses import MISSING, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from protocols.flow import Flow
+from protocols.registry import PROTOCOLS
+from protocols.tasks import make_task
 from stimuli.condition import Conditioning
 from stimuli.recipe import Recipe
 from stimuli.recording import Recording
 from stimuli.synthesis import SCENES
 from stimuli.wav import write_wav
+from study.designs import make_design, make_stale
+from study.fields import Table
 from study.folder import create_study, read_template, require_study
+from study.opening import Stale
+from study.plan import Design
+from study.raters import ObserverModel
+from study.session_tables import TaskTable
 from study.settings import TABLES, read_settings
 from study.sources import make_recipe, open_recordings
-from study.tables import Settings, Table
+from study.tables import FileTable, ObserverTable, SceneTable, Settings, SourceTable
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -45,12 +54,12 @@ def test_the_template_states_every_default_and_names_every_scene(read: Callable[
 
 def test_the_template_names_every_key_in_its_table(read: Callable[[str], Settings]) -> None:
     # Keys without a default stand there as comments.
-    text = re.sub(r"^# (\w+ = )", r"\1", read_template(), flags=re.MULTILINE)
-    text = text.replace("# [[recordings]]", "[[recordings]]")
+    text = re.sub(r"^# (\w+ = |\[)", r"\1", read_template(), flags=re.MULTILINE)
     content = tomllib.loads(text)
     assert set(content) == set(Settings.model_fields)
+    assert set(content["tasks"]["similarity"]) == set(TaskTable.model_fields)
     for place, table in TABLES.items():
-        if place and place[0] != "recordings":
+        if place and place[0] not in {"recordings", "tasks"}:
             entry: Any = content
             for name in place:
                 entry = entry[name]
@@ -60,7 +69,86 @@ def test_the_template_names_every_key_in_its_table(read: Callable[[str], Setting
 
 
 def test_every_table_is_known_to_the_suggestions() -> None:
-    assert set(TABLES.values()) == {Settings, *Table.__subclasses__()}
+    known = {Settings, SceneTable, FileTable, *Table.__subclasses__()} - {SourceTable}
+    assert set(TABLES.values()) == known
+    assert {place[1] for place in TABLES if place[:1] == ("tasks",)} == set(PROTOCOLS)
+
+
+def test_defaults_are_those_of_the_rules_and_the_observer(read: Callable[[str], Settings]) -> None:
+    settings = read(SHORTEST)
+    design = make_design(settings)
+    assert (design.flow, make_stale(settings)) == (Flow(), Stale())
+    assert design.tasks == tuple(make_task(name, training=4, practice=2) for name in ("realism", "similarity"))
+    defaults = {field.name: field.default for field in fields(ObserverModel) if field.default is not MISSING}
+    assert settings.observer.model_dump().items() >= defaults.items()
+    assert set(ObserverTable.model_fields) == {field.name for field in fields(ObserverModel)}
+
+
+def test_every_setting_of_the_session_reaches_the_design(read: Callable[[str], Settings]) -> None:
+    settings = read(
+        SHORTEST
+        + """
+        sample = "ridges"
+        [study]
+        seed = 9
+        [stimuli]
+        reducers = ["pca321", "dft321"]
+        levels = ["as_is", "equal_intensity"]
+        [session]
+        protocols = ["abx", "similarity"]
+        repeats = 2
+        order = "blocked"
+        [session.rehearsal]
+        training = 1
+        practice = 0
+        pass_share = 1
+        rounds = 2
+        [session.breaks]
+        every_trials = "off"
+        every_min = "off"
+        break_s = 1
+        rest_s = 2
+        [session.quality]
+        min_response_s = 0
+        max_attempts = 1
+        reject = []
+        gap_s = 0.1
+        [session.stale]
+        after_h = "off"
+        policy = "restart"
+        [tasks.abx]
+        timing = "strict"
+        reference = "dft321"
+        [tasks.similarity]
+        reference = "surface"
+        [between]
+        grip = ["pen", "power"]
+        level = ["equal_intensity"]
+        """
+    )
+    assert make_design(settings) == Design(
+        seed=9,
+        order="blocked",
+        repeats=2,
+        tasks=(
+            make_task("abx", timing="strict", reference="dft321", training=1),
+            make_task("similarity", reference="surface", training=1),
+        ),
+        between={"grip": ("pen", "power"), "level": ("equal_intensity",)},
+        flow=Flow(
+            break_trials=None,
+            break_min=None,
+            break_s=1.0,
+            rest_s=2.0,
+            training_pass=1.0,
+            training_rounds=2,
+            min_response_s=0.0,
+            max_attempts=1,
+            reject=(),
+            gap_s=0.1,
+        ),
+    )
+    assert make_stale(settings) == Stale(after_h=None, policy="restart")
 
 
 def test_the_shortest_study_gives_the_recipe_of_the_stimuli_room(read: Callable[[str], Settings]) -> None:
@@ -113,7 +201,7 @@ def test_every_setting_of_the_stimuli_reaches_the_recipe(read: Callable[[str], S
         ("a = ", "got no TOML (Invalid value"),
         (SHORTEST + "[stimli]", "stimli: is no setting; did you mean stimuli?"),
         (SHORTEST + "[rig]\nzzz = 1", "rig.zzz: is no setting; allowed: rate_hz, full_scale_m_s2, headroom"),
-        (SHORTEST + "unit = 'g'", "recordings[1].unit: is no setting; allowed: scene, name,"),
+        (SHORTEST + "unit = 'g'", "recordings[1].unit: is no setting; allowed: name, sample,"),
         (SHORTEST + "[[recordings]]\nfile = 'a'\nunti = 'g'", "recordings[2].unti: is no setting; did you mean"),
         (SHORTEST + "[[recordings]]\nname = 'a'", "recordings[2].file: is missing; add it"),
         (SHORTEST * 2, "recordings: allowed is each name once; more than once: bumps"),
@@ -129,7 +217,21 @@ def test_every_setting_of_the_stimuli_reaches_the_recipe(read: Callable[[str], S
         (SHORTEST + "[stimuli]\nreference = 'x'", "stimuli.reference: got 'x', allowed: original, none, sax321"),
         (SHORTEST + "[stimuli]\nlevels = ['loud']", "stimuli.levels[1]: got 'loud', allowed: as_is, equal_intensity"),
         (SHORTEST + "[session]\nprotocols = ['x']", "session.protocols[1]: got 'x', allowed: realism, similarity"),
-        (SHORTEST + "[session]\nlanguage = 'xx'", "session.language: got 'xx', allowed: en"),
+        (SHORTEST + "[session]\nlanguage = 'xx'", "session.language: got 'xx', allowed: de, en, or a file beside"),
+        (SHORTEST + "[session]\nconsent = ' '", "session.consent: got ' ', allowed is a text that is not empty"),
+        (SHORTEST + "[session]\norder = 'latin'", "session.order: got 'latin', allowed: williams, blocked, random"),
+        (SHORTEST + "[session.rehersal]", "session.rehersal: is no setting; did you mean rehearsal?"),
+        (SHORTEST + "[session.breaks]\nevery_trials = 0", 'got 0, allowed: greater than or equal to 1, or "off"'),
+        (SHORTEST + "[session.breaks]\nevery_min = 'never'", "got 'never', allowed: a valid number, or \"off\""),
+        (SHORTEST + "[session.quality]\nreject = ['late']", "reject[1]: got 'late', allowed: underrun, clipped,"),
+        (SHORTEST + "[session.quality]\nreject = ['clipped', 'clipped']", "more than once: clipped"),
+        (SHORTEST + "[session.stale]\npolicy = 'x'", "policy: got 'x', allowed: warm_up, continue, restart"),
+        (SHORTEST + "[tasks.mushr]", "tasks.mushr: got 'mushr', allowed: realism, similarity,"),
+        (SHORTEST + "[tasks.abx]\ntimming = 'strict'", "tasks.abx.timming: is no setting; did you mean timing?"),
+        (SHORTEST + "[tasks]\nabx = 3", "tasks.abx: got 3, allowed: a table"),
+        (SHORTEST + "[between]\ngrip = []", "between.grip: got [], allowed is one name or more"),
+        (SHORTEST + "[observer]\nlapse_rate = 2", "observer.lapse_rate: got 2, allowed: less than or equal to 1"),
+        (SHORTEST + "rotation = -1", "recordings[1].rotation: got -1, allowed: greater than or equal to 0"),
         (SHORTEST + "[session]\nrepeats = 0", "session.repeats: got 0, allowed: greater than or equal to 1"),
         (SHORTEST + "[session]\nrepeats = 1001", "session.repeats: got 1001, allowed: less than or equal to 1000"),
         ("a = " + "[" * 99999, "got TOML that is nested too deeply; mend that place"),

@@ -1,0 +1,66 @@
+"""What `check` finds besides the settings' own mistakes; origins of sets are tested with the provenance."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from protocols.texts import CATALOG
+from study.check import check_study
+from study.workflow import build_study
+
+if TYPE_CHECKING:
+    from study.folder import StudyFolder
+
+
+@pytest.fixture
+def ask(study: StudyFolder) -> list[str]:
+    """Settings of the small study that ask for what is not there: a picture, and texts."""
+    text = study.settings.read_text(encoding="utf-8")
+    text = text.replace('scene = "bumps"', 'scene = "bumps"\npicture = "pictures/oak.png"')
+    study.settings.write_text(f'{text}[session]\nlanguage = "fr.toml"\n', encoding="utf-8")
+    return check_study(study)[1]
+
+
+def test_pictures_and_texts_that_are_missing_are_named(study: StudyFolder, ask: list[str]) -> None:
+    assert ask == [
+        f"recording 'bumps': {study.path / 'pictures' / 'oak.png'}: there is no such picture; put it there",
+        f"{study.path / 'fr.toml'}: No such file or directory; "
+        "put your texts there, or name a language of the catalogue",
+    ]
+
+
+def test_gaps_in_texts_are_all_named(study: StudyFolder, ask: list[str]) -> None:
+    assert len(ask) == 2
+    english = (CATALOG / "en.toml").read_text(encoding="utf-8")
+    (study.path / "fr.toml").write_text(english.replace("again =", "agian ="), encoding="utf-8")
+    assert [line.split(": ", 1)[1] for line in check_study(study)[1][1:]] == [
+        "keys.again: is missing; compare protocols/catalog/en.toml",
+        "keys.agian: is no known text; compare protocols/catalog/en.toml",
+    ]
+
+
+def test_once_they_are_there_nothing_is_left_to_mend(study: StudyFolder, ask: list[str]) -> None:
+    assert ask
+    (study.path / "pictures").mkdir()
+    (study.path / "pictures" / "oak.png").touch()
+    (study.path / "fr.toml").write_bytes((CATALOG / "en.toml").read_bytes())
+    assert check_study(study)[1] == []
+
+
+def test_every_group_is_planned(study: StudyFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = study.settings.read_text(encoding="utf-8")
+    text += '[between]\nprotocol = ["realism", "similarity"]\ngrip = ["pen", "power"]\n'
+    study.settings.write_text(text, encoding="utf-8")
+    build_study(study)
+    assert check_study(study)[1] == []
+    planned: list[int] = []
+
+    def refuse(*_: object, number: int, **__: object) -> None:
+        planned.append(number)
+        raise ValueError(f"group {number % 2} has nothing to feel")
+
+    monkeypatch.setattr("study.check.make_plan", refuse)
+    assert check_study(study)[1] == ["group 1 has nothing to feel", "group 0 has nothing to feel"]
+    assert planned == [1, 2, 3, 4]
