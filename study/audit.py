@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING
 
 from protocols.agenda import Agenda
 from protocols.trial import Trial
-
 from stimuli.inspection import check_stimuli
 from stimuli.manifest import read_stimuli
 from study.journal import read_journal
 from study.opening import PLAN_FILE, TOMBSTONE_FILE
 from study.plan import require_plan
 from study.provenance import read_origin
+from study.rebuilding import find_lost
 from study.replay import find_header, name_journal, tell
 
 if TYPE_CHECKING:
@@ -45,11 +45,11 @@ def audit_study(study: StudyFolder) -> list[str]:
         Everything that is not as it was written, one line each; empty if all is well.
     """
     if not study.participants and not study.stimuli.exists():
-        return []
+        return find_lost(study)
     findings, stimuli_sha256 = _audit_stimuli(study.stimuli)
     for folder in study.participants:
         findings += _audit_participant(folder, stimuli_sha256)
-    return findings
+    return findings + find_lost(study)
 
 
 def _audit_stimuli(folder: Path) -> tuple[list[str], str | None]:

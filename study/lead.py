@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from study.anchors import find_cut
+from study.anchors import check_anchors
 from study.conduct import Stage
 from study.ledger import note_progress, read_ledger
 from study.opening import open_session
@@ -132,8 +132,7 @@ def _check_whole(room: Room, folder: Path) -> None:
     """Refuse to go on with a journal of which less is there than was seen."""
     for entry in read_ledger(room.ledger):
         if entry.participant == folder.name:
-            for cut in filter(None, (find_cut(anchor, folder) for anchor in entry.anchors)):
-                raise ValueError(f"{cut}; restore it from a copy, or take it as it is: feel321 ledger --rebuild")
+            check_anchors(entry.anchors, folder)
 
 
 @dataclass(slots=True)

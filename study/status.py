@@ -6,12 +6,12 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from protocols.design import count_cycle
 from protocols.scoring import is_as_expected
 from study.journal import read_journal
 from study.opening import PLAN_FILE, TOMBSTONE_FILE
 from study.plan import require_plan
-from study.replay import find_header, has_event, list_journals, replay
+from study.replay import list_journals
+from study.standing import read_standing
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -20,9 +20,6 @@ if TYPE_CHECKING:
     from study.chain import Chain, Record
     from study.folder import StudyFolder
     from study.plan import Plan
-
-STATES = ("planned", "running", "finished", "released", "withdrawn")
-"""What may have become of a participant."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,9 +31,10 @@ class Progress:
     participant : str
         The participant's code.
     state : str
-        One of `STATES`; empty if it cannot be told.
+        `claimed` (planned, nothing recorded yet), `running`, `finished`, `released` or `withdrawn`; empty if it
+        cannot be told.
     number : int
-        The participant's number in the design.
+        The participant's number in the design; 0 if it cannot be told.
     groups : str
         The participant's group, as `factor=level`; empty if participants do not differ.
     done, left : int
@@ -45,8 +43,6 @@ class Progress:
         Whether the participant is simulated.
     last_activity : str
         Time of the last record, ISO 8601, UTC; empty before the first.
-    cycle : int
-        Number of participants over whom the design comes full circle; 0 if the plan cannot be read.
     warnings : tuple of str
         What the study lead should know.
     problem : str
@@ -61,7 +57,6 @@ class Progress:
     left: int = 0
     simulated: bool = False
     last_activity: str = ""
-    cycle: int = 0
     warnings: tuple[str, ...] = ()
     problem: str = ""
 
@@ -92,33 +87,21 @@ def _try_progress(folder: Path) -> Progress:
 def _read_progress(folder: Path) -> Progress:
     if (folder / TOMBSTONE_FILE).exists():
         return Progress(folder.name, state="withdrawn")
-    plan = require_plan(folder / PLAN_FILE)
-    if plan.participant != folder.name:
-        raise ValueError(f"{folder / PLAN_FILE}: is the plan of {plan.participant!r}, it was copied here; move it away")
-    # A crash between plan and journal leaves the first alone; the session then simply begins.
+    standing = read_standing(folder)
+    if standing.problem:
+        return Progress(folder.name, problem=standing.problem)
     journals = list_journals(folder)
-    chain = read_journal(journals[-1]) if journals else None
-    records = chain.records if chain else ()
-    agenda = replay(plan, records)
     return Progress(
-        participant=plan.participant,
-        state=_tell_state(records),
-        number=plan.number,
-        groups=", ".join(f"{factor}={level}" for factor, level in plan.groups.items()),
-        done=agenda.done,
-        left=agenda.total - agenda.done,
-        simulated=plan.simulated,
-        last_activity=records[-1].utc if records else "",
-        cycle=count_cycle(plan.trials),
-        warnings=tuple(_find_warnings(plan, chain)) if chain else (),
+        participant=standing.participant,
+        state=standing.state,
+        number=standing.number,
+        groups=", ".join(f"{factor}={level}" for factor, level in standing.groups.items()),
+        done=standing.done,
+        left=standing.total - standing.done,
+        simulated=standing.simulated,
+        last_activity=standing.last_utc,
+        warnings=tuple(_find_warnings(require_plan(folder / PLAN_FILE), read_journal(journals[-1])) if journals else ()),
     )
-
-
-def _tell_state(records: Sequence[Record]) -> str:
-    for event in ("released", "finished"):
-        if has_event(records, event):
-            return event
-    return "running" if find_header(records) else "planned"
 
 
 def _find_warnings(plan: Plan, chain: Chain) -> Iterator[str]:

@@ -10,6 +10,7 @@ from stimuli.manifest import read_stimuli
 from stimuli.sets import build_stimuli
 from study.provenance import find_changes, is_in_use
 from study.ratings import write_ratings
+from study.roster import write_roster
 from study.settings import read_settings
 from study.simulate import Simulation, run_simulation
 from study.sources import make_recipe, open_recordings
@@ -106,6 +107,7 @@ def simulate_study(
     if warn is not None:
         for notice in notices:
             warn(notice)
+    write_roster(study)
     return write_ratings(study, stimuli)
 
 
@@ -130,6 +132,7 @@ def analyze_study(study: StudyFolder, *, out: Path | None = None) -> Path:
         If nobody has rated anything yet.
     """
     settings = read_settings(study.settings)
+    write_roster(study)
     if not write_ratings(study, read_stimuli(study.stimuli)):
         simulate = f"feel321 simulate {quote(str(study.path))}"
         raise ValueError(f"{study.path}: holds no ratings yet; run sessions first, or {simulate}")

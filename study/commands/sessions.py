@@ -38,24 +38,32 @@ def simulate(*, study: StudyFolder, participants: int, seed: int | None, as_json
 @json_option
 def status(*, study: StudyFolder, as_json: bool) -> None:
     """Show how far every participant has come."""
-    from study.status import describe_balance, read_status
+    from study.realised import describe_balance, measure_realised
+    from study.status import read_status
 
-    progress = read_status(study)
+    progress, balance = read_status(study), measure_realised(study)
     if as_json:
-        print_json([asdict(entry) for entry in progress])
+        print_json(
+            {
+                "participants": [asdict(entry) for entry in progress],
+                "balance": None if balance is None else asdict(balance),
+            }
+        )
         return
-    click.echo(f"{'participant':<16}{'done':>6}{'left':>6}  last activity")
+    click.echo(f"{'participant':<14}{'state':<11}{'done':>5}{'left':>6}  last activity")
     for entry in progress:
         click.echo(_describe(entry))
-    click.echo(describe_balance(progress))
+        for warning in entry.warnings:
+            click.echo(f"{'':<14}{warning}")
+    click.echo(describe_balance(balance))
 
 
 def _describe(entry: Progress) -> str:
     if entry.problem:
-        return f"{entry.participant:<16}{'?':>6}{'?':>6}  {entry.problem}"
-    mark = " (simulated)" if entry.simulated else ""
-    torn = f" ({entry.torn_bytes} torn bytes, mended on resuming)" if entry.torn_bytes else ""
-    return f"{entry.participant:<16}{entry.done:>6}{entry.left:>6}  {entry.last_activity}{mark}{torn}"
+        return f"{entry.participant:<14}{'?':<11}{'?':>5}{'?':>6}  {entry.problem}"
+    notes = "; ".join(filter(None, ("simulated" if entry.simulated else "", entry.groups)))
+    tail = f"  {entry.last_activity}{f' ({notes})' if notes else ''}".rstrip()
+    return f"{entry.participant:<14}{entry.state:<11}{entry.done:>5}{entry.left:>6}{tail}"
 
 
 @click.command(epilog="Example: feel321 audit my-study")
