@@ -10,6 +10,7 @@ from protocols.tasks import make_task
 from protocols.trial import SURFACE, Item
 from stimuli.recipe import NO_REFERENCE
 from study.designs import make_design
+from study.raters import ObserverModel
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -40,7 +41,7 @@ def find_conflicts(settings: Settings) -> list[str]:
 
 def _check_tasks(settings: Settings) -> Iterator[str]:
     for name, table in settings.tasks.items():
-        for key, value in table.model_dump(exclude_unset=True).items():
+        for key, value in table.model_dump().items():
             try:
                 make_task(name, **{key: value})
             except ValueError as error:
@@ -57,9 +58,10 @@ def _check_between(settings: Settings) -> Iterator[str]:
 
 
 def _check_observer(settings: Settings) -> Iterator[str]:
-    shares = ("straight_liners", "random_clickers", "scale_reversers")
-    if (total := sum(getattr(settings.observer, name) for name in shares)) > 1:
-        yield f"observer: got {' + '.join(shares)} = {total:g}, allowed is at most 1 together; lower one"
+    try:
+        ObserverModel(**settings.observer.model_dump())
+    except ValueError as error:
+        yield f"observer: {error}"
 
 
 def _check_samples(settings: Settings, tasks: tuple[Task, ...]) -> Iterator[str]:
