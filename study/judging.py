@@ -112,11 +112,11 @@ class Experience:
         if judgement.reference_id == SURFACE:
             return REAL
         for part in self.trial.parts:
-            if part.stimulus_id == judgement.reference_id and part.name != judgement.part:
+            if part.stimulus_id == judgement.reference_id:
                 return self.find(part.name)
         raise ValueError(
             f"simulated observer: trial {self.trial.number}: got reference {judgement.reference_id!r}, allowed is "
-            "what another part of the trial holds; a reference must be felt"
+            "what a part of the trial holds; a reference must be felt"
         )
 
 

@@ -54,9 +54,10 @@ def test_distance_is_the_stated_sum() -> None:
     assert TOUCH.measure_distance(WEAK, STRONG) == pytest.approx(16 + 12 + 6 + 5 + 9)
 
 
-@given(points, points, points)
-def test_distance_is_a_metric(a: Point, b: Point, c: Point) -> None:
-    measure = TOUCH.measure_distance
+@pytest.mark.parametrize("level", [3.0, -3.0])
+@given(a=points, b=points, c=points)
+def test_distance_is_a_metric(level: float, a: Point, b: Point, c: Point) -> None:
+    measure = Touch(replace(MODEL, level=level), {}).measure_distance
     assert measure(a, a) == 0
     assert measure(a, b) == measure(b, a) >= 0
     assert measure(a, c) <= measure(a, b) + measure(b, c) + 1e-9
@@ -118,7 +119,7 @@ def test_what_was_not_felt_cannot_be_judged() -> None:
 
 def test_a_reference_that_no_part_holds_is_refused() -> None:
     experience = make_experience("similarity", {"test": WEAK}, reference="elsewhere")
-    with pytest.raises(ValueError, match=r"trial 1: got reference 'code-elsewhere', allowed is what another part"):
+    with pytest.raises(ValueError, match=r"trial 1: got reference 'code-elsewhere', allowed is what a part"):
         ask(experience)
 
 

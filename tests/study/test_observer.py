@@ -293,6 +293,15 @@ def test_every_slider_of_a_page_is_answered_by_itself() -> None:
     assert len(set(answer(noisy, trial).values.values())) == 4
 
 
+def test_every_slider_takes_its_time() -> None:
+    observer = SimulatedObserver(MODEL, seed=1, number=1)
+    one, four = (
+        np.median([answer(observer, make_mushra(n, codes)).response_time_s for n in range(1, 401)])
+        for codes in (["code1"], ["code1", "code2", "code3", "code4"])
+    )
+    assert four / one == pytest.approx(4.0, rel=0.15)
+
+
 def test_the_real_surface_is_stroked_and_stands_for_the_original() -> None:
     parts = (Part("reference", surface="oak"), Part("test", "far"))
     trial = Trial(1, 1, 1, "similarity", "similarity", "replay", "oak", parts, (Judgement("test", "far", SURFACE),))
@@ -354,14 +363,12 @@ def test_time_goes_on_by_what_is_felt_and_answered() -> None:
 def test_seed_number_trial_and_attempt_decide_and_nothing_else() -> None:
     trial = make_realism(5, "code1")
 
-    def ask(
-        *, seed: int = 1, number: int = 1, trial: Trial = trial, attempt: int = 1, elapsed_s: float = 0.0
-    ) -> object:
-        observer = SimulatedObserver(replace(FLAT, noise_sd=9.0), seed=seed, number=number, elapsed_s=elapsed_s)
+    def ask(*, seed: int = 1, number: int = 1, trial: Trial = trial, attempt: int = 1, late_s: float = 0.0) -> object:
+        observer = SimulatedObserver(replace(FLAT, noise_sd=9.0), seed=seed, number=number, elapsed_s=late_s)
         answer(observer, make_realism(2, "code2"))
         return answer(observer, trial, attempt=attempt).values
 
-    assert ask() == ask() == ask(elapsed_s=99.0)
+    assert ask() == ask() == ask(late_s=99.0)
     others = [ask(seed=2), ask(number=2), ask(trial=replace(trial, number=6)), ask(attempt=2)]
     assert all(other != ask() for other in others)
 
@@ -378,10 +385,11 @@ def test_a_resumed_session_gives_the_answers_and_times_of_an_unbroken_one(broken
     whole = [answer(unbroken, trial, done=done) for done, trial in enumerate(trials)]
     before = whole[:broken_after]
     records = [record(trial, act) for trial, act in zip(trials, before, strict=False)]
-    # A trial that was shown and never answered, and practice after the break, leave no trace.
-    records.append(Record(0, "", "shown", {"trial": broken_after + 1, "attempt": 1}))
+    # Practice, and a trial that was shown and never answered, leave no trace.
+    practice = make_realism(99, "far", phase="practice")
+    records += [record(practice, whole[0]), Record(0, "", "shown", {"trial": broken_after + 1, "attempt": 1})]
     resumed = SimulatedObserver(model, seed=3, number=2, elapsed_s=before[-1].time_s if before else 0.0)
-    resumed.recall(records, trials, stimuli=STIMULI | OTHERS)
+    resumed.recall(records, [*trials, practice], stimuli=STIMULI | OTHERS)
     rest = [answer(resumed, trial, done=done) for done, trial in enumerate(trials) if done >= broken_after]
     assert before + rest == whole
 

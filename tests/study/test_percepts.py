@@ -130,9 +130,9 @@ def test_roughness_is_not_envelope() -> None:
     assert measure(buzzing, steady).envelope < 0.05
 
 
-@pytest.mark.parametrize("silence", [np.zeros(TIME_S.size), make_tone(100.0, 1e-3)])
-def test_silence_is_finite_and_shares_nothing(silence: NDArray[np.float64]) -> None:
-    original = make_noise()
+@pytest.mark.parametrize("share_of_threshold", [0.0, 0.01, 0.9])
+def test_silence_is_finite_and_shares_nothing(share_of_threshold: float) -> None:
+    original, silence = make_noise(), make_tone(100.0, share_of_threshold * float(acceleration_threshold(100.0)))
     lost = measure(silence, original)
     sensed = sense(original, RATE_HZ)
     assert lost.envelope == 1.0
