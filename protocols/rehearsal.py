@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from protocols.section import Section, Spot
     from protocols.trial import Comparison, Item, Trial
 
+TURNS = 2**16
+"""So many turns to draw from: more than any trial has arrangements, so that all are about equally likely."""
+
 
 def make_rehearsal(
     items: Sequence[Item], tasks: Sequence[Task], *, first_number: int, rng: Generator
@@ -65,8 +68,8 @@ def _rehearse(section: Section, rng: Generator) -> Iterator[Trial]:
     # Chosen turn about; shuffled, so that nobody can count on a low answer after a high one.
     known_first = sorted(_shuffle(training, rng), key=lambda spot: not sides[spot])
     phases = [("training", spot) for spot in known_first] + [("practice", spot) for spot in _shuffle(practice, rng)]
-    for turn, (phase, spot) in enumerate(phases):
-        yield replace(section.draft_trial(spot, turn=turn), phase=phase)
+    for phase, spot in phases:
+        yield replace(section.draft_trial(spot, turn=int(rng.integers(TURNS))), phase=phase)
 
 
 def _find_side(comparison: Comparison) -> str:

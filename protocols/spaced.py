@@ -85,22 +85,21 @@ def find_crowding(trials: Iterable[Trial]) -> list[str]:
     found = []
     main = (trial for trial in trials if trial.block)
     for protocol, group in groupby(main, key=lambda trial: trial.protocol):
-        cards = [_Card(trial.recording, 0, bool(trial.catch)) for trial in group]
-        same, catches = _count_crowding(cards)
-        if same:
-            found.append(f"{protocol}: {same} of {len(cards)} trials follow one of the same recording")
-        if catches:
-            found.append(f"{protocol}: {catches} of {len(cards)} trials are catch trials right after another")
+        pairs = list(pairwise(group))
+        if same := sum(this.recording == after.recording for this, after in pairs):
+            found.append(f"{protocol}: {same} of {len(pairs) + 1} trials follow one of the same recording")
+        if catches := sum(bool(this.catch and after.catch) for this, after in pairs):
+            found.append(f"{protocol}: {catches} of {len(pairs) + 1} trials are catch trials right after another")
     return found
 
 
 def _draw_best(cards: Sequence[_Card], *, after: _Card, rng: Generator) -> list[_Card]:
     best = _draw_order(cards, after=after, rng=rng)
     for _ in range(DRAWS - 1):
-        if sum(_count_crowding([after, *best])) <= _count_unavoidable(cards):
+        if _count_crowding([after, *best]) <= _count_unavoidable(cards):
             break
         other = _draw_order(cards, after=after, rng=rng)
-        best = min(best, other, key=lambda order: sum(_count_crowding([after, *order])))
+        best = min(best, other, key=lambda order: _count_crowding([after, *order]))
     return best
 
 
@@ -137,14 +136,16 @@ def _list_choices(left: Sequence[_Card], last: _Card, *, is_catch: bool) -> list
     return urgent or fresh or [card for card in of_kind if card != last] or of_kind
 
 
-def _count_crowding(order: Iterable[_Card]) -> tuple[int, int]:
-    """Count how often a recording follows itself, and how often a catch trial follows one."""
-    pairs = list(pairwise(order))
-    same = sum(this.recording == after.recording for this, after in pairs)
-    return same, sum(this.is_catch and after.is_catch for this, after in pairs)
+def _count_crowding(order: Iterable[_Card]) -> int:
+    """Count how often a recording, a catch trial and one and the same comparison follow themselves."""
+    return sum(
+        (this.recording == after.recording) + (this.is_catch and after.is_catch) + (this == after)
+        for this, after in pairwise(order)
+    )
 
 
 def _count_unavoidable(cards: Sequence[_Card]) -> int:
+    """Count what no order can avoid, or less, for what came before the round is left out."""
     largest = max(Counter(card.recording for card in cards).values())
     catches = sum(card.is_catch for card in cards)
     return sum(max(0, 2 * count - 1 - len(cards)) for count in (largest, catches))

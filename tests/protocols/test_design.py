@@ -1,8 +1,8 @@
 from __future__ import annotations
 
-import json
-from collections import Counter
-from itertools import combinations, pairwise
+from collections import Counter, defaultdict
+from itertools import combinations, pairwise, product
+from math import gcd
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,154 +10,239 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocols.design import count_cycle, make_order, williams_square
+from protocols.design import ORDERS, count_cycle, make_order
 from protocols.registry import PROTOCOLS
+from protocols.square import williams_square
+from protocols.tasks import make_task
 from protocols.trial import Item
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-    from pathlib import Path
+    from collections.abc import Callable, Iterable, Sequence
 
-    from protocols.trial import Protocol, Trial
+    from protocols.trial import Trial
 
-BOTH = tuple(PROTOCOLS.values())
-REALISM = (PROTOCOLS["realism"],)
+REALISM = ("realism",)
+BOTH = ("realism", "similarity")
+
+numbers, seeds, repeat_counts = st.integers(1, 60), st.integers(0, 2**32), st.integers(1, 3)
+orders = st.sampled_from(list(ORDERS))
 
 
 def order(
-    items: list[Item],
-    number: int = 1,
-    repeats: int = 1,
-    *,
-    protocols: tuple[Protocol, ...] = BOTH,
-    seed: int = 1,
+    items: Sequence[Item], number: int = 1, repeats: int = 1, *, tasks: Iterable[str] = REALISM, **more: Any
 ) -> tuple[Trial, ...]:
-    return make_order(items, protocols, number=number, repeats=repeats, rng=np.random.default_rng(seed))
+    rng = np.random.default_rng(more.pop("seed", 1))
+    return make_order(items, [make_task(name) for name in tasks], number=number, repeats=repeats, rng=rng, **more)
 
 
-def count_neighbours(rows: Iterable[Sequence[Any]]) -> Counter[tuple[Any, Any]]:
+def list_items(n_recordings: int, n_stimuli: int) -> list[Item]:
+    """Original first; the rest are reducers."""
+    return [
+        Item(f"{r}-{s}", str(r), str(s), "as_is", "test" if s else "reference")
+        for r in range(n_recordings)
+        for s in range(n_stimuli)
+    ]
+
+
+def name_comparison(trial: Trial) -> tuple[str, str, tuple[str, ...]]:
+    """What is compared, whatever its arrangement."""
+    about = {name for j in trial.judgements for name in (j.stimulus_id, j.reference_id) if name}
+    return trial.protocol, trial.recording, tuple(sorted(about))
+
+
+def get_stimulus(trial: Trial) -> str:
+    (judgement,) = trial.judgements
+    return judgement.stimulus_id
+
+
+def list_blocks(trials: Iterable[Trial]) -> dict[tuple[str, int, str], list[str]]:
+    """Order of the reducers, per protocol, repeat and recording."""
+    blocks: dict[tuple[str, int, str], list[str]] = defaultdict(list)
+    for t in trials:
+        blocks[t.protocol, t.repeat, t.recording].append(get_stimulus(t).removeprefix(f"{t.recording}-"))
+    return blocks
+
+
+def count_neighbours(rows: Iterable[Sequence[str]]) -> Counter[tuple[str, str]]:
     return Counter(pair for row in rows for pair in pairwise(row))
 
 
-@pytest.mark.parametrize("n", [5, 6])
-def test_square_is_the_reference_table(n: int, shared_recordings: Path) -> None:
-    oracle = shared_recordings.parent / "oracles" / "williams_design" / "expected.json"
-    assert [list(row) for row in williams_square(n)] == json.loads(oracle.read_text())[f"example_n{n}"]
-
-
-@pytest.mark.parametrize("n", range(2, 13))
-def test_every_place_and_every_ordered_pair_comes_once_for_even_and_twice_for_odd_n(n: int) -> None:
-    square, times = williams_square(n), 1 + n % 2
-    assert len(square) == times * n
-    places = Counter((place, condition) for row in square for place, condition in enumerate(row))
-    assert set(places.values()) == {times}
-    assert len(places) == n * n
-    neighbours = count_neighbours(square)
-    assert set(neighbours.values()) == {times}
-    assert len(neighbours) == n * (n - 1)
-
-
-@given(st.integers(1, 40))
-def test_every_row_of_a_square_is_a_permutation(n: int) -> None:
-    assert all(sorted(row) == list(range(n)) for row in williams_square(n))
-
-
-def test_square_of_nothing_is_refused() -> None:
-    with pytest.raises(ValueError, match="n: got 0, allowed is a number of conditions of at least 1"):
-        williams_square(0)
-
-
-def test_everything_is_judged_once_per_repeat_and_protocol(items: list[Item]) -> None:
-    trials = order(items, repeats=3)
-    counts = Counter((t.protocol, t.repeat, t.stimulus_id) for t in trials)
-    assert set(counts.values()) == {1}
-    assert len(counts) == 2 * 3 * len(items)
+@given(orders, numbers, repeat_counts, st.integers(1, 4), st.integers(2, 5), seeds)
+def test_every_order_is_a_permutation_of_what_is_to_be_judged(
+    name: str, number: int, repeats: int, n_recordings: int, n_stimuli: int, seed: int
+) -> None:
+    items = list_items(n_recordings, n_stimuli)
+    trials = order(items, number, repeats, tasks=PROTOCOLS, order=name, seed=seed)
     assert [t.number for t in trials] == list(range(1, len(trials) + 1))
+    assert [t.protocol for t in trials] == sorted((t.protocol for t in trials), key=list(PROTOCOLS).index)
+    counts = Counter((name_comparison(t), t.repeat) for t in trials)
+    per_recording = 2 * n_stimuli + n_stimuli * (n_stimuli - 1) // 2 + 1 + 1 + n_stimuli - 1
+    assert set(counts.values()) == {1}
+    assert len(counts) == repeats * n_recordings * per_recording
+    assert {repeat for _, repeat in counts} == set(range(1, repeats + 1))
+    assert {t.phase for t in trials} == {"main"}
 
 
-def test_a_block_is_one_recording_of_one_protocol_and_repeat(items: list[Item]) -> None:
-    recording = {item.stimulus_id: item.recording for item in items}
-    trials = order(items, repeats=2)
-    blocks: dict[int, set[tuple[str, int, str]]] = {}
+@given(orders, numbers, st.integers(1, 4), st.integers(2, 4), st.integers(2, 5), seeds)
+def test_no_recording_follows_itself_across_blocks_and_rounds(
+    name: str, number: int, repeats: int, n_recordings: int, n_stimuli: int, seed: int
+) -> None:
+    trials = order(list_items(n_recordings, n_stimuli), number, repeats, order=name, seed=seed)
+    assert all(a.recording != b.recording for a, b in pairwise(trials) if a.block != b.block)
+
+
+@given(orders, numbers, st.integers(1, 5), st.integers(2, 7), seeds)
+def test_no_stimulus_of_a_lone_recording_follows_itself(
+    name: str, number: int, repeats: int, n_stimuli: int, seed: int
+) -> None:
+    trials = order(list_items(1, n_stimuli), number, repeats, order=name, seed=seed)
+    assert all(get_stimulus(a) != get_stimulus(b) for a, b in pairwise(trials))
+
+
+@pytest.mark.parametrize("name", ORDERS)
+def test_a_lone_stimulus_may_follow_itself(name: str) -> None:
+    trials = order([Item("tap", "tap", "dft321", "as_is", "test")], repeats=2, order=name)
+    assert [get_stimulus(t) for t in trials] == ["tap", "tap"]
+
+
+@pytest.mark.parametrize("name", ORDERS)
+def test_order_depends_on_seed_and_participant_and_on_nothing_else(items: list[Item], name: str) -> None:
+    assert order(items, 3, order=name) == order(items, 3, order=name)
+    assert order(items, 3, order=name) != order(items, 4, order=name)
+    assert len({order(items, 3, seed=seed, order=name) for seed in range(5)}) == 5
+
+
+@pytest.mark.parametrize("name", ["blocked", "random"])
+def test_shuffled_orders_are_the_participants_own(items: list[Item], name: str) -> None:
+    assert len({tuple(map(get_stimulus, order(items, number, order=name))) for number in range(1, 101)}) == 100
+
+
+@pytest.mark.parametrize("name", ["williams", "blocked"])
+def test_a_block_is_one_recording_of_one_protocol_and_repeat(items: list[Item], name: str) -> None:
+    trials = order(items, repeats=2, tasks=BOTH, order=name)
+    blocks: dict[int, set[tuple[str, int, str]]] = defaultdict(set)
     for t in trials:
-        blocks.setdefault(t.block, set()).add((t.protocol, t.repeat, recording[t.stimulus_id]))
+        blocks[t.block].add((t.protocol, t.repeat, t.recording))
     assert list(blocks) == list(range(1, 2 * 2 * 3 + 1))
     assert all(len(block) == 1 for block in blocks.values())
-    assert [t.protocol for t in trials] == ["realism"] * 36 + ["similarity"] * 36
 
 
-def test_a_full_cycle_of_participants_balances_place_and_carry_over_in_every_recording(items: list[Item]) -> None:
-    orders = [order(items, number, protocols=REALISM) for number in range(1, 7)]
+def test_a_random_block_is_a_round_of_all_recordings(items: list[Item]) -> None:
+    trials = order(items, repeats=2, tasks=BOTH, order="random")
+    assert Counter(t.block for t in trials) == dict.fromkeys(range(1, 5), len(items))
+
+
+@pytest.mark.parametrize("repeat", [1, 2, 3])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_full_cycle_balances_place_and_carry_over_in_every_recording_and_round(
+    items: list[Item], repeat: int, seed: int
+) -> None:
+    sessions = [list_blocks(order(items, number, 3, seed=seed)) for number in range(1, 7)]
     for recording in ("bumps", "drag", "taps"):
-        rows = [[t.stimulus_id for t in trials if t.stimulus_id.startswith(recording)] for trials in orders]
+        rows = [blocks["realism", repeat, recording] for blocks in sessions]
         neighbours = count_neighbours(rows)
         assert set(neighbours.values()) == {1}
         assert len(neighbours) == 6 * 5
         assert all(len({row[place] for row in rows}) == 6 for place in range(6))
 
 
-def test_a_full_cycle_of_participants_balances_the_recordings(items: list[Item]) -> None:
-    recording = {item.stimulus_id: item.recording for item in items}
-    rows = [
-        list(dict.fromkeys(recording[t.stimulus_id] for t in order(items, number, protocols=REALISM)))
-        for number in range(1, 7)
-    ]
-    assert set(count_neighbours(rows).values()) == {2}
+@pytest.mark.parametrize("repeat", [1, 2, 3])
+@pytest.mark.parametrize("n_recordings", [2, 3, 4, 5, 8])
+def test_a_full_cycle_balances_the_recordings_in_every_round(n_recordings: int, repeat: int) -> None:
+    cycle = len(williams_square(n_recordings))
+    sessions = [order(list_items(n_recordings, 2), number, 3, seed=n_recordings) for number in range(1, cycle + 1)]
+    rows = [list(dict.fromkeys(t.recording for t in trials if t.repeat == repeat)) for trials in sessions]
+    neighbours = count_neighbours(rows)
+    assert len(neighbours) == n_recordings * (n_recordings - 1)
+    assert len(set(neighbours.values())) == 1
+    assert all(len({row[place] for row in rows}) == n_recordings for place in range(n_recordings))
 
 
-def list_blocks(items: list[Item], trials: Iterable[Trial]) -> dict[tuple[str, int, str], list[str]]:
-    """Order of the stimuli, by what made them, per protocol, repeat and recording."""
-    recording = {item.stimulus_id: item.recording for item in items}
-    blocks: dict[tuple[str, int, str], list[str]] = {}
-    for t in trials:
-        name = recording[t.stimulus_id]
-        blocks.setdefault((t.protocol, t.repeat, name), []).append(t.stimulus_id.removeprefix(f"{name}-"))
-    return blocks
+@pytest.mark.parametrize("n_participants", range(1, 13))
+def test_places_of_reducers_pooled_over_recordings_are_near_balance_after_any_number_of_participants(
+    n_participants: int,
+) -> None:
+    items = list_items(8, 12)
+    rows = [row for number in range(1, n_participants + 1) for row in list_blocks(order(items, number)).values()]
+    places = Counter((name, place) for row in rows for place, name in enumerate(row))
+    counts = [places[str(s), place] for s in range(12) for place in range(12)]
+    # Rows that moved on by one per participant would give a range of up to 5.
+    assert max(counts) - min(counts) <= 2
+
+
+@pytest.mark.parametrize("number", range(1, 7))
+def test_no_two_recordings_or_repeats_of_one_participant_share_an_order(items: list[Item], number: int) -> None:
+    blocks = list_blocks(order(items, number, repeats=2, tasks=BOTH))
+    for this, that in combinations(blocks, 2):
+        if sum(a != b for a, b in zip(this, that, strict=True)) == 1:
+            assert blocks[this] != blocks[that], (this, that)
+
+
+def test_two_conditions_change_their_order_from_repeat_to_repeat_where_other_recordings_stand_between() -> None:
+    blocks = list_blocks(order(list_items(3, 2), repeats=2))
+    assert all(blocks["realism", 1, str(r)] == blocks["realism", 2, str(r)][::-1] for r in range(3))
 
 
 @pytest.mark.parametrize(("n_recordings", "n_stimuli", "cycle"), [(3, 4, 12), (2, 6, 6), (1, 5, 10), (1, 1, 1)])
 def test_a_cycle_is_the_smallest_number_that_completes_every_square(
     n_recordings: int, n_stimuli: int, cycle: int
 ) -> None:
-    items = [Item(f"{r}-{s}", str(r), "as_is", "test") for r in range(n_recordings) for s in range(n_stimuli)]
-    assert count_cycle(order(items, repeats=2, protocols=REALISM)) == cycle
+    trials = order(list_items(n_recordings, n_stimuli), repeats=2)
+    assert count_cycle(trials) == cycle
+    assert all(gcd(cycle, len(williams_square(n))) == len(williams_square(n)) for n in (n_recordings, n_stimuli))
 
 
-@pytest.mark.parametrize("number", range(1, 7))
-def test_no_two_recordings_protocols_or_repeats_of_one_participant_share_an_order(
-    items: list[Item], number: int
-) -> None:
-    blocks = list_blocks(items, order(items, number, repeats=2))
-    for this, that in combinations(blocks, 2):
-        if sum(a != b for a, b in zip(this, that, strict=True)) == 1:
-            assert blocks[this] != blocks[that], (this, that)
+@given(st.integers(0, 40), st.integers(2, 5))
+def test_either_of_a_pair_comes_first_equally_often_over_participants_and_over_repeats(start: int, n: int) -> None:
+    items = list_items(2, n)
+    two_participants = [t for k in (1, 2) for t in order(items, start + k, tasks=["dissimilarity"])]
+    for trials in (two_participants, order(items, start + 1, 2, tasks=["dissimilarity"])):
+        came_first = defaultdict(set)
+        for t in trials:
+            came_first[name_comparison(t)].add(t.parts[0].stimulus_id)
+        assert all(first == set(stimuli) for (_, _, stimuli), first in came_first.items())
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_no_recording_twice_in_a_row_across_rounds(items: list[Item], seed: int) -> None:
-    for number in range(1, 7):
-        blocks = list_blocks(items, order(items, number, repeats=3, seed=seed))
-        assert all(a[2] != b[2] for a, b in pairwise(blocks))
+@given(st.integers(0, 40))
+def test_four_participants_meet_every_arrangement_of_abx_once(start: int) -> None:
+    met = defaultdict(list)
+    for number in range(start + 1, start + 5):
+        for t in order(list_items(3, 5), number, tasks=["abx"]):
+            a, b, x = (part.stimulus_id for part in t.parts)
+            met[name_comparison(t)].append((a, x == a))
+            assert x in {a, b}
+    assert all(sorted(found) == sorted(product(stimuli, (False, True))) for (_, _, stimuli), found in met.items())
 
 
-@given(st.integers(1, 30), st.integers(1, 4), st.integers(1, 3), st.integers(2, 5), st.integers(0, 9))
-def test_no_stimulus_twice_in_a_row_across_any_border(
-    number: int, repeats: int, n_recordings: int, n_stimuli: int, seed: int
-) -> None:
-    items = [Item(f"{r}-{s}", str(r), "as_is", "test") for r in range(n_recordings) for s in range(n_stimuli)]
-    trials = order(items, number, repeats, protocols=REALISM, seed=seed)
-    assert all(a.stimulus_id != b.stimulus_id for a, b in pairwise(trials))
+@given(st.integers(0, 40), st.integers(2, 7))
+def test_every_stimulus_stands_in_every_slot_of_a_page_equally_often(start: int, n: int) -> None:
+    cycle = len(williams_square(n))
+    slots = Counter(
+        (j.stimulus_id, j.part)
+        for number in range(start + 1, start + 1 + cycle)
+        for t in order(list_items(2, n), number, tasks=["mushra"])
+        for j in t.judgements
+    )
+    assert len(slots) == 2 * n * n
+    assert set(slots.values()) == {cycle // n}
 
 
-def test_a_lone_stimulus_may_follow_itself() -> None:
-    trials = order([Item("tap", "tap", "as_is", "test")], repeats=2, protocols=REALISM)
-    assert [t.stimulus_id for t in trials] == ["tap", "tap"]
+def test_the_slots_of_a_page_change_from_recording_to_recording() -> None:
+    trials = order(list_items(6, 6), tasks=["mushra"])
+    slots = {tuple(j.stimulus_id.split("-")[1] for j in t.judgements) for t in trials}
+    assert len(slots) == 6
 
 
-def test_order_depends_on_seed_and_participant_and_on_nothing_else(items: list[Item]) -> None:
-    assert order(items, 3) == order(items, 3)
-    assert order(items, 3) != order(items, 4)
-    assert len({order(items, 3, seed=seed) for seed in range(5)}) == 5
+def test_trials_carry_what_the_protocol_and_the_task_say(make_items: Callable[..., list[Item]]) -> None:
+    task = make_task("similarity", timing="strict")
+    items = make_items("tap", ("original", "dft321", "low"))
+    trials = make_order(items, [task], number=1, repeats=1, rng=np.random.default_rng(1))
+    assert {(t.protocol, t.scale, t.timing, t.recording) for t in trials} == {
+        ("similarity", "similarity", "strict", "tap")
+    }
+    assert {get_stimulus(t).split("-")[1]: t.catch for t in trials} == {
+        "original": "identical", "dft321": "", "low": "anchor"
+    }
 
 
 @pytest.mark.parametrize(
@@ -165,7 +250,8 @@ def test_order_depends_on_seed_and_participant_and_on_nothing_else(items: list[I
     [
         ({"number": 0}, "number: got 0, allowed is a whole number of at least 1"),
         ({"repeats": 0}, "repeats: got 0, allowed"),
-        ({"protocols": ()}, "protocols: got none"),
+        ({"tasks": ()}, "tasks: got none, an order needs at least one"),
+        ({"order": "latin"}, "order: got 'latin', allowed: williams, blocked, random"),
     ],
 )
 def test_orders_of_nothing_are_refused(items: list[Item], changes: dict[str, Any], message: str) -> None:
