@@ -12,6 +12,7 @@ from itertools import groupby
 from typing import TYPE_CHECKING
 
 from protocols.flow import Page
+from protocols.training import Training
 from protocols.trial import Trial
 
 if TYPE_CHECKING:
@@ -52,8 +53,7 @@ class Agenda:
         self._trials = {trial.number: trial for trial in trials}
         self._steps: deque[Step] = deque(lay_out(trials, flow))
         self._bad: Counter[int] = Counter()
-        self._rounds: Counter[str] = Counter()
-        self._understood: list[bool] = []
+        self._training = Training(trials, flow)
         self._trials_since_break = 0
         self._break_ended_s = 0.0
         self.total = sum(trial.phase == "main" for trial in trials)
@@ -129,10 +129,10 @@ class Agenda:
         if not accepted:
             self._bad[number] += 1
             if self._bad[number] < self._flow.max_attempts:
-                self._try_again(trial)
+                self._steps.insert(find_place(self._steps, trial), trial)
                 return
         if trial.phase == "training":
-            self._give_feedback(trial, understood=as_expected)
+            self._go_on_training(trial, understood=as_expected)
         elif trial.phase == "main":
             self.done += 1
             self._trials_since_break += 1
@@ -145,9 +145,7 @@ class Agenda:
         if ahead is None or ahead.phase != "main" or self._steps[0] == Page("warm_up"):
             return  # Nothing is left, or they are warming up anyway.
         again = [t for t in self._trials.values() if t.phase == "practice" and t.protocol == ahead.protocol]
-        for trial in again:
-            self._bad.pop(trial.number, None)
-        self._steps.extendleft(reversed([Page("warm_up"), *again]))
+        self._put_first([Page("warm_up"), *again])
 
     def _take(self, name: str | int) -> None:
         step = self.ask()
@@ -156,45 +154,19 @@ class Agenda:
             raise ValueError(f"got {_describe(name)}, expected {_describe(expected)}")
         self._steps.popleft()
 
-    def _try_again(self, trial: Trial) -> None:
-        """Put a trial behind what is left of its block, else of its section, else right here."""
-        for likeness in (lambda t: (t.phase, t.protocol, t.block), lambda t: (t.phase, t.protocol)):
-            alike = [
-                place
-                for place, step in enumerate(self._steps)
-                if isinstance(step, Trial) and likeness(step) == likeness(trial)
-            ]
-            if alike:
-                self._steps.insert(alike[-1] + 1, trial)
-                return
-        self._steps.appendleft(trial)
+    def _go_on_training(self, trial: Trial, *, understood: bool | None) -> None:
+        is_last = not any(
+            isinstance(step, Trial) and (step.phase, step.protocol) == ("training", trial.protocol)
+            for step in self._steps
+        )
+        self._put_first(list(self._training.tell(trial.protocol, understood=understood, is_last=is_last)))
 
-    def _give_feedback(self, trial: Trial, *, understood: bool | None) -> None:
-        if understood is not None:
-            self._understood.append(understood)
-        is_last = not any(step.protocol == trial.protocol for step in self._pending("training"))
-        coming: list[Step] = [] if understood is None else [Page("expected" if understood else "unexpected")]
-        if is_last and self._understood:
-            coming += self._end_round(trial.protocol)
-        self._steps.extendleft(reversed(coming))
-
-    def _end_round(self, protocol: str) -> Iterator[Step]:
-        share = sum(self._understood) / len(self._understood)
-        self._understood = []
-        self._rounds[protocol] += 1
-        if share >= self._flow.training_pass:
-            yield Page("training_passed")
-        elif self._rounds[protocol] >= self._flow.training_rounds:
-            yield Page("training_failed")
-        else:
-            yield Page("training_again")
-            for trial in self._trials.values():
-                if trial.phase == "training" and trial.protocol == protocol:
-                    self._bad.pop(trial.number, None)
-                    yield trial
-
-    def _pending(self, phase: str) -> Iterator[Trial]:
-        return (step for step in self._steps if isinstance(step, Trial) and step.phase == phase)
+    def _put_first(self, steps: Sequence[Step]) -> None:
+        """Put steps before all others; what was done before and comes again has all its attempts again."""
+        for step in steps:
+            if isinstance(step, Trial):
+                self._bad.pop(step.number, None)
+        self._steps.extendleft(reversed(steps))
 
     def _is_break_due(self, time_s: float) -> bool:
         ahead = self.ask()
@@ -203,6 +175,29 @@ class Agenda:
         trials, minutes = self._flow.break_trials, self._flow.break_min
         by_count = trials is not None and self._trials_since_break >= trials
         return by_count or (minutes is not None and time_s - self._break_ended_s >= minutes * SECONDS)
+
+
+def find_place(steps: Iterable[Step], trial: Trial) -> int:
+    """Find where a trial comes again: behind what is left of its block, else of its section, else at once.
+
+    Parameters
+    ----------
+    steps : iterable of Page or Trial
+        The steps that are left.
+    trial : Trial
+        The trial.
+
+    Returns
+    -------
+    int
+        Its place among them.
+    """
+    in_block, in_section = 0, 0
+    for place, step in enumerate(steps, start=1):
+        if isinstance(step, Trial) and (step.phase, step.protocol) == (trial.phase, trial.protocol):
+            in_section = place
+            in_block = place if step.block == trial.block else in_block
+    return in_block or in_section
 
 
 def lay_out(trials: Sequence[Trial], flow: Flow) -> Iterator[Step]:

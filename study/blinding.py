@@ -35,7 +35,7 @@ def make_codes(stimulus_ids: Iterable[str], key: str) -> dict[str, str]:
     Examples
     --------
     >>> make_codes(["oak-dft321"], "study 321")
-    {'oak-dft321': '3ZXAP6'}
+    {'oak-dft321': '7K6ZGV'}
     """
     digests = {name: _write_letters(f"{key}\n{name}") for name in stimulus_ids}
     letters = LEAST_LETTERS

@@ -15,7 +15,7 @@ from study.plan import require_plan
 from study.replay import has_event, list_journals
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Collection, Iterator, Sequence
     from pathlib import Path
 
     from protocols.trial import Trial
@@ -34,19 +34,19 @@ class Realised:
         Those of whom a trial counts, and those of them who came to their end.
     cycle : int
         Number of participants over whom the orders come full circle.
+    positions, carry_over : tuple of int
+        Smallest and largest count: how often a condition stood at a place, and next after another one.
     position_index, carry_over_index : float
         Coefficient of variation of the counts, 0 for perfect balance.
-    position_range, carry_over_range : int
-        Largest count minus smallest.
     """
 
     participants: int
     finished: int
     cycle: int
+    positions: tuple[int, int]
+    carry_over: tuple[int, int]
     position_index: float
     carry_over_index: float
-    position_range: int
-    carry_over_range: int
 
 
 def measure_realised(study: StudyFolder) -> Realised | None:
@@ -82,10 +82,10 @@ def measure_realised(study: StudyFolder) -> Realised | None:
         participants=participants,
         finished=finished,
         cycle=cycle,
+        positions=_find_ends(balance.positions.values()),
+        carry_over=_find_ends(balance.carry_over.values()),
         position_index=balance.position_index,
         carry_over_index=balance.carry_over_index,
-        position_range=balance.position_range,
-        carry_over_range=balance.carry_over_range,
     )
 
 
@@ -104,17 +104,20 @@ def describe_balance(realised: Realised | None) -> str:
 
     Examples
     --------
-    >>> describe_balance(Realised(4, 4, 6, 0.25, 0.5, 1, 2))
-    'balance: 4 finished, 2 more for full circle; places vary by 25 % (counts differ by up to 1), neighbours by 50 % (2)'
+    >>> describe_balance(Realised(4, 4, 6, (0, 1), (0, 2), 0.5, 0.75))
+    'balance: 4 finished, 2 more for full circle; so far 0 to 1 times at each place, 0 to 2 times after each other'
     """
     if realised is None:
         return "balance: no trial was run yet"
-    to_go = -realised.finished % realised.cycle
+    places, neighbours = (" to ".join(map(str, counts)) for counts in (realised.positions, realised.carry_over))
     return (
-        f"balance: {realised.finished} finished, {to_go} more for full circle; "
-        f"places vary by {realised.position_index:.0%} (counts differ by up to {realised.position_range}), "
-        f"neighbours by {realised.carry_over_index:.0%} ({realised.carry_over_range})"
-    ).replace("%", " %")
+        f"balance: {realised.finished} finished, {-realised.finished % realised.cycle} more for full circle; "
+        f"so far {places} times at each place, {neighbours} times after each other"
+    )
+
+
+def _find_ends(counts: Collection[int]) -> tuple[int, int]:
+    return min(counts, default=0), max(counts, default=0)
 
 
 def _read_runs(folder: Path) -> tuple[list[Run], bool, int]:

@@ -28,7 +28,7 @@ def test_the_recording_itself_is_more_real_than_not_and_an_anchor_not_perfect(it
     comparisons = REALISM.compare(items[:6], make_task("realism"))
     assert [(c.catch, c.judgements[0].expected) for c in comparisons] == [("", None)] * 4 + [
         ("hidden_reference", (50, 100)),
-        ("anchor", (0, 90)),
+        ("anchor", (0, 75)),
     ]
 
 

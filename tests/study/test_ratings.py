@@ -3,21 +3,25 @@ from __future__ import annotations
 import csv
 import shutil
 from dataclasses import replace
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from protocols.tasks import make_task
 from study.folder import StudyFolder
 from study.journal import create_journal
+from study.opening import Stale
+from study.plan import create_plan, list_codes, make_plan
+from study.ports import Confirm, Feel, Playback
 from study.ratings import COLUMNS, read_judgements, write_ratings
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from datetime import datetime
     from pathlib import Path
 
     from stimuli.manifest import StimulusSet
-    from study.plan import Plan
+    from study.plan import Design, Plan
 
     Present = Callable[..., list[Any]]
 
@@ -43,25 +47,81 @@ def test_one_row_per_judgement_with_what_the_plan_and_the_set_say(
     rows = read(study.ratings)
     assert [int(row["trial"]) for row in rows] == list(range(1, 21))
     by_id = {stimulus.stimulus_id: stimulus for stimulus in stimuli.stimuli}
+    codes = list_codes(stimuli, seed=plan.seed)
     for row, trial in zip(rows, plan.trials, strict=True):
-        assert (row["stimulus_id"], row["protocol"]) == (trial.stimulus_id, trial.protocol)
-        assert row["reference_id"] == (trial.reference_id or "")
-        assert row["reducer"] == by_id[trial.stimulus_id].reducer
-    constant = {"participant": "p01", "session": "1", "level": "as_is", "rating": "50.0", "response_time_s": "2.0"}
+        (judgement,) = trial.judgements
+        assert (codes[row["stimulus_id"]], row["protocol"]) == (judgement.stimulus_id, trial.protocol)
+        assert codes.get(row["reference_id"]) == judgement.reference_id
+        assert row["reducer"] == by_id[row["stimulus_id"]].reducer
+    constant = {"participant": "p01", "session": "1", "level": "as_is", "rating": "50.0", "response_time_s": "1.5"}
     constant |= {"underruns": "0", "rejected": "false", "simulated": "true", "repeat": "1"}
     assert all(row | constant == row for row in rows)
 
 
-def test_onset_is_that_of_the_test_as_felt_last_and_underruns_add_up(
+def test_onset_is_that_of_what_is_judged_as_felt_last_and_underruns_add_up(
     present: Present, scripted: type, stimuli: StimulusSet, tmp_path: Path
 ) -> None:
-    records = present(scripted(replays=1, underruns=2))
-    played = [r.data for r in records if r.event == "played"]
-    rows = read_judgements(tmp_path / "sessions" / "p01" / "session-01.jsonl", stimuli)
-    assert [row["underruns"] for row in rows] == [4] + [2] * 9 + [4] * 10
-    assert rows[0]["onset_s"] == played[1]["onset_s"]
-    assert rows[-1]["onset_s"] == played[-1]["onset_s"] != played[-2]["onset_s"]
-    assert all(row["rejected"] == "true" for row in rows)
+    again = [Feel(0.0), Confirm(0.0, {"test": 50.0}, 1.5)]
+    dry = [Playback(1.0, 1.0, underruns=2), Playback(2.0, 2.5), Playback(3.0, 3.5, underruns=1), Playback(4.0, 4.5)]
+    present(scripted(acts={(11, 1): again}, playbacks={(11, 1): dry}))
+    rows = read_judgements(tmp_path / "sessions" / "p01", stimuli)
+    bad, good = (row for row in rows if row["trial"] == 11)
+    assert (bad["onset_s"], bad["underruns"], bad["rejected"]) == (4.5, 3, "true")
+    assert (good["underruns"], good["rejected"]) == (0, "false")
+    assert len(rows) == 21
+
+
+def test_a_session_that_was_begun_anew_counts_no_more_and_is_kept(
+    present: Present, scripted: type, stimuli: StimulusSet, tmp_path: Path
+) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        present(scripted(stop_after=3))
+    later = datetime(2027, 1, 1, tzinfo=UTC)
+    present(scripted(), stale=Stale(policy="restart"), now=lambda: later)
+    rows = read_judgements(tmp_path / "sessions" / "p01", stimuli)
+    assert [(row["session"], row["trial"]) for row in rows if row["rejected"] == "true"] == [(1, 1), (1, 2), (1, 3)]
+    assert [row["trial"] for row in rows if row["rejected"] == "false"] == list(range(1, 21))
+
+
+@pytest.mark.parametrize(
+    ("task", "scale", "answer", "rating"),
+    [("abx", "abx", None, {0.0, 100.0}), ("dissimilarity", "dissimilarity", 50.0, {50.0}), ("mushra", "mushra", 50.0, {50.0})],
+)
+def test_every_judgement_of_a_trial_is_a_row(
+    present: Present, scripted: type, design: Design, stimuli: StimulusSet, tmp_path: Path, *,
+    task: str, scale: str, answer: float | None, rating: set[float],
+) -> None:  # fmt: skip
+    plan = make_plan(replace(design, tasks=(make_task(task),)), stimuli, "p01", number=1, simulated=True)
+    present(scripted(), plan=plan)
+    rows = read_judgements(tmp_path / "sessions" / "p01", stimuli)
+    assert len(rows) == sum(len(trial.judgements) for trial in plan.trials)
+    assert {row["rating"] for row in rows} == rating
+    assert {row["scale"] for row in rows} == {scale}
+    names = {stimulus.stimulus_id for stimulus in stimuli.stimuli}
+    assert {row["stimulus_id"] for row in rows} | {row["reference_id"] for row in rows} <= names
+    # An answer of `a` is right exactly where X repeats A: the score is checked against the parts, not against itself.
+    if answer is None:
+        right = {t.number: t.parts[2].stimulus_id == t.parts[0].stimulus_id for t in plan.trials}
+        assert [row["rating"] == 100.0 for row in rows] == [right[row["trial"]] for row in rows]
+
+
+def test_the_real_surface_is_a_reference_of_its_own_name(
+    present: Present, scripted: type, design: Design, stimuli: StimulusSet, tmp_path: Path
+) -> None:
+    task = make_task("similarity", reference="surface")
+    present(scripted(), plan=make_plan(replace(design, tasks=(task,)), stimuli, "p01", number=1, simulated=True))
+    assert {row["reference_id"] for row in read_judgements(tmp_path / "sessions" / "p01", stimuli)} == {"surface"}
+
+
+def test_training_and_practice_stay_in_the_journal(
+    present: Present, scripted: type, design: Design, stimuli: StimulusSet, tmp_path: Path
+) -> None:
+    tasks = tuple(replace(task, training=3, practice=1) for task in design.tasks)
+    records = present(scripted(), plan=make_plan(replace(design, tasks=tasks), stimuli, "p01", number=1, simulated=True))
+    rated = [record for record in records if record.event == "rated"]
+    rows = read_judgements(tmp_path / "sessions" / "p01", stimuli)
+    assert [row["trial"] for row in rows] == list(range(1, 21))
+    assert len(rated) > 20
 
 
 def test_unfinished_sessions_count_and_the_table_is_the_same_every_time(
@@ -78,19 +138,32 @@ def test_unfinished_sessions_count_and_the_table_is_the_same_every_time(
     assert not list(tmp_path.glob(".*.part"))
 
 
-def test_a_journal_that_never_began_gives_no_rows(
-    tmp_path: Path, stimuli: StimulusSet, now: Callable[[], datetime]
+def test_a_participant_who_never_began_gives_no_rows(
+    plan: Plan, tmp_path: Path, stimuli: StimulusSet, now: Callable[[], datetime]
 ) -> None:
+    create_plan(tmp_path / "plan.json", plan)
+    assert read_judgements(tmp_path, stimuli) == []
     create_journal(tmp_path / "session-01.jsonl", now=now)
-    assert read_judgements(tmp_path / "session-01.jsonl", stimuli) == []
+    assert read_judgements(tmp_path, stimuli) == []
 
 
 def test_a_journal_of_another_stimulus_set_is_refused(
     present: Present, scripted: type, stimuli: StimulusSet, tmp_path: Path
 ) -> None:
     present(scripted())
-    with pytest.raises(ValueError, match="was written with stimulus set 555555555555, the folder holds 666666666666"):
+    with pytest.raises(ValueError, match="was planned with stimulus set 555555555555, the study holds 666666666666"):
         write_ratings(StudyFolder(tmp_path), replace(stimuli, sha256="6" * 64))
+
+
+def test_a_journal_beside_another_plan_is_refused(
+    present: Present, scripted: type, design: Design, stimuli: StimulusSet, tmp_path: Path
+) -> None:
+    present(scripted())
+    path = tmp_path / "sessions" / "p01" / "plan.json"
+    path.unlink()
+    create_plan(path, make_plan(design, stimuli, "p01", number=2, simulated=True))
+    with pytest.raises(ValueError, match=r"session-01\.jsonl: was begun with another plan than the one beside it"):
+        write_ratings(StudyFolder(tmp_path), stimuli)
 
 
 @pytest.mark.parametrize("name", ["session-01.old.jsonl", "session-01 (copy).jsonl", "session-01a.jsonl"])
@@ -110,6 +183,8 @@ def test_a_journal_that_lies_elsewhere_than_it_was_written_is_refused(
     present(scripted())
     target = tmp_path / "sessions" / copy
     target.parent.mkdir(exist_ok=True)
+    if not (target.parent / "plan.json").exists():
+        shutil.copy(tmp_path / "sessions" / "p01" / "plan.json", target.parent)
     shutil.copy(tmp_path / "sessions" / "p01" / "session-01.jsonl", target)
     with pytest.raises(ValueError, match=f"{copy}: is session 1 of 'p01', it was copied here; move the copy out"):
         write_ratings(StudyFolder(tmp_path), stimuli)
