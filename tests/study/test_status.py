@@ -1,16 +1,26 @@
 from __future__ import annotations
 
+import json
 import shutil
+from dataclasses import replace
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from study.folder import StudyFolder
-from study.status import Progress, describe_balance, read_status
+from study.journal import require_journal
+from study.plan import make_plan
+from study.ports import Abort, Confirm, Pause, Playback
+from study.realised import describe_balance, measure_realised
+from study.status import read_status
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
+
+    from stimuli.manifest import StimulusSet
+    from study.plan import Design
 
     Present = Callable[..., list[Any]]
 
@@ -22,10 +32,11 @@ def begun(present: Present, scripted: type, tmp_path: Path) -> StudyFolder:
     return StudyFolder(tmp_path)
 
 
-def test_a_participant_who_finished_is_shown_with_the_cycle_of_the_design(begun: StudyFolder) -> None:
+def test_who_finished_has_nothing_left(begun: StudyFolder) -> None:
     (entry,) = read_status(begun)
-    assert (entry.participant, entry.done, entry.left, entry.finished, entry.problem) == ("p01", 20, 0, True, "")
-    assert entry.cycle == 10  # Two recordings take 2 orders, five stimuli 10.
+    assert (entry.participant, entry.state, entry.number) == ("p01", "finished", 1)
+    assert (entry.done, entry.left, entry.simulated, entry.problem) == (20, 0, True, "")
+    assert entry.last_activity > "2026"
 
 
 @pytest.mark.parametrize(
@@ -39,9 +50,10 @@ def test_what_is_broken_hides_nobody_else(begun: StudyFolder, name: str, content
     shutil.copytree(begun.sessions / "p01", begun.sessions / "p02")
     (begun.sessions / "p01" / name).write_bytes(content)
     broken, copied = read_status(begun)
-    assert (broken.participant, broken.done, broken.finished) == ("p01", 0, False)
+    assert (broken.participant, broken.done, broken.state) == ("p01", 0, "")
     assert problem in broken.problem
     assert "p02/plan.json: is the plan of 'p01', it was copied here; move it away" in copied.problem
+    assert measure_realised(begun) is None or measure_realised(begun).participants == 1  # type: ignore[union-attr]
 
 
 def test_a_journal_without_its_plan_is_a_problem(begun: StudyFolder) -> None:
@@ -55,16 +67,83 @@ def test_a_folder_that_holds_only_a_lock_was_not_begun(begun: StudyFolder) -> No
     assert [entry.participant for entry in read_status(begun)] == ["p01"]
 
 
-@pytest.mark.parametrize(
-    ("finished", "left_over", "line"),
-    [
-        (0, 2, "balance: 0 finished; orders balance over 6 participants or a multiple, 6 to go"),
-        (4, 3, "balance: 4 finished; orders balance over 6 participants or a multiple, 2 to go"),
-        (12, 0, "balance: 12 finished; orders balance over 6 participants or a multiple, 0 to go"),
-        (7, 0, "balance: 7 finished; orders balance over 6 participants or a multiple, 5 to go"),
-        (0, 0, "balance: nobody has begun"),
-    ],
-)
-def test_balance_says_how_many_complete_the_design(finished: int, left_over: int, line: str) -> None:
-    entries = [Progress("done", finished=True, cycle=6)] * finished + [Progress("under way", cycle=6)] * left_over
-    assert describe_balance([*entries, Progress("broken", problem="x")]) == line
+def test_states_follow_the_journal(present: Present, scripted: type, tmp_path: Path) -> None:
+    study, folder = StudyFolder(tmp_path), tmp_path / "sessions" / "p01"
+    with pytest.raises(KeyboardInterrupt):
+        present(scripted(stop_after=3))
+    assert [(entry.state, entry.done, entry.left) for entry in read_status(study)] == [("running", 3, 17)]
+    require_journal(folder / "session-01.jsonl", now=lambda: datetime(2027, 1, 1, tzinfo=UTC)).write("released", {})
+    assert [entry.state for entry in read_status(study)] == ["released"]
+    (folder / "session-01.jsonl").unlink()
+    assert [entry.state for entry in read_status(study)] == ["claimed"]
+    (folder / "withdrawn.json").write_text("{}", encoding="utf-8")
+    assert [entry.state for entry in read_status(study)] == ["withdrawn"]
+
+
+def test_what_the_study_lead_should_know_is_counted(
+    present: Present, scripted: type, tmp_path: Path, stimuli: StimulusSet, design: Design
+) -> None:
+    tasks = (replace(design.tasks[1], training=2),)
+    plan = make_plan(replace(design, tasks=tasks), stimuli, "p01", number=1, simulated=True)
+    dry, broken = Playback(1.0, 1.0, underruns=1), Playback(1.0, 1.0, error="gone")
+    wrong = Confirm(0.0, {"test": 10.0}, 1.5)
+    training = [trial.number for trial in plan.trials if trial.phase == "training"]
+    presenter = scripted(
+        playbacks={(1, 1): [dry], (3, 1): [broken], (5, 1): [dry]}, acts={(n, 1): [wrong] for n in training}
+    )
+    for number in training:
+        presenter.acts[number, 1] = [wrong] * 9
+    present(presenter, plan=plan)
+    journal = tmp_path / "sessions" / "p01" / "session-01.jsonl"
+    journal.write_bytes(journal.read_bytes() + b"torn")
+    (entry,) = read_status(StudyFolder(tmp_path))
+    # The reference against itself got 50 points, twice, for there are two recordings.
+    assert entry.warnings == (
+        "4 torn bytes, mended on resuming",
+        "2 x underrun",
+        "1 x device error",
+        "training not passed",
+        "2 of 2 catch trials not as expected",
+    )
+
+
+def test_status_is_blind(begun: StudyFolder, stimuli: StimulusSet) -> None:
+    shown = json.dumps([str(entry) for entry in read_status(begun)]) + describe_balance(measure_realised(begun))
+    shown += (begun.sessions / "p01" / "session-01.jsonl").read_text(encoding="utf-8")
+    assert not [stimulus.reducer for stimulus in stimuli.stimuli if stimulus.reducer in shown]
+
+
+def test_balance_of_one_full_circle_is_perfect_and_a_drop_out_shows(
+    present: Present, scripted: type, tmp_path: Path, stimuli: StimulusSet, design: Design
+) -> None:
+    study = StudyFolder(tmp_path)
+    assert measure_realised(study) is None
+    assert describe_balance(None) == "balance: no trial was run yet"
+    for number in range(1, 11):  # Two recordings take 2 orders, five stimuli 10.
+        plan = make_plan(design, stimuli, "p01", number=number, simulated=True)
+        present(scripted(), plan=plan)
+        (tmp_path / "sessions" / "p01").rename(tmp_path / f"aside-{number}")
+    for number in range(1, 11):
+        (tmp_path / f"aside-{number}").rename(tmp_path / "sessions" / f"n{number:02}")
+    realised = measure_realised(study)
+    assert realised is not None
+    assert (realised.participants, realised.finished, realised.cycle) == (10, 10, 10)
+    assert (realised.position_index, realised.carry_over_index) == (0.0, 0.0)
+    assert realised.positions == (2, 2)
+    shutil.rmtree(tmp_path / "sessions" / "n04")
+    realised = measure_realised(study)
+    assert realised is not None
+    assert realised.positions == (1, 2)
+    assert describe_balance(realised).startswith("balance: 9 finished, 1 more for full circle; so far 1 to 2 times")
+
+
+def test_a_second_attempt_counts_where_it_was_run(present: Present, scripted: type, tmp_path: Path) -> None:
+    present(scripted(playbacks={(1, 1): [Playback(1.0, 1.0, underruns=1)]}))
+    realised = measure_realised(StudyFolder(tmp_path))
+    assert realised is not None
+    assert (realised.participants, sum(realised.positions)) == (1, 1)
+
+
+def test_pages_and_pauses_do_not_count(present: Present, scripted: type, tmp_path: Path) -> None:
+    present(scripted(acts={(1, 1): [Pause(0.0)]}, pages={"pause": [Abort(1.0, "tired")]}))
+    assert measure_realised(StudyFolder(tmp_path)) is None
