@@ -96,7 +96,7 @@ def find_crowding(trials: Iterable[Trial]) -> list[str]:
 def _draw_best(cards: Sequence[_Card], *, after: _Card, rng: Generator) -> list[_Card]:
     best = _draw_order(cards, after=after, rng=rng)
     for _ in range(DRAWS - 1):
-        if _count_crowding([after, *best]) <= _count_unavoidable(cards):
+        if _count_crowding([after, *best]) <= _count_unavoidable(cards, after=after):
             break
         other = _draw_order(cards, after=after, rng=rng)
         best = min(best, other, key=lambda order: _count_crowding([after, *order]))
@@ -144,8 +144,9 @@ def _count_crowding(order: Iterable[_Card]) -> int:
     )
 
 
-def _count_unavoidable(cards: Sequence[_Card]) -> int:
-    """Count what no order can avoid, or less, for what came before the round is left out."""
-    largest = max(Counter(card.recording for card in cards).values())
-    catches = sum(card.is_catch for card in cards)
-    return sum(max(0, 2 * count - 1 - len(cards)) for count in (largest, catches))
+def _count_unavoidable(cards: Sequence[_Card], *, after: _Card) -> int:
+    """Count what each rule alone cannot avoid: n things hold at most (n + 1) / 2 of a kind apart."""
+    per_recording = Counter(card.recording for card in cards)
+    same = max(2 * count + (recording == after.recording) for recording, count in per_recording.items())
+    catches = 2 * sum(card.is_catch for card in cards) + after.is_catch
+    return sum(max(0, doubled - 1 - len(cards)) for doubled in (same, catches))

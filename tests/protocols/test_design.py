@@ -262,3 +262,16 @@ def test_orders_of_nothing_are_refused(items: list[Item], changes: dict[str, Any
 def test_no_items_are_refused() -> None:
     with pytest.raises(ValueError, match="items: got none, an order needs at least one"):
         order([])
+
+
+def test_a_recording_without_anything_to_judge_is_left_out_and_a_task_without_any_is_refused() -> None:
+    def order_abx(items: list[Item]) -> tuple[Trial, ...]:
+        task = make_task("abx", reference="1")
+        return make_order(items, [task], number=1, repeats=1, rng=np.random.default_rng(1))
+
+    lone, pair = list_items(1, 2), [Item(f"tap-{s}", "tap", s, "as_is", "test") for s in "12"]
+    assert {t.recording for t in order_abx(lone + pair)} == {"tap", "0"}
+    only = [item for item in lone if item.role == "test"]
+    assert {t.recording for t in order_abx(only + pair)} == {"tap"}
+    with pytest.raises(ValueError, match="abx: got stimuli of which none is to be judged; build a set with reducers"):
+        order_abx(only)

@@ -1,0 +1,155 @@
+from __future__ import annotations
+
+from collections import defaultdict
+from functools import cache
+from math import sqrt
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from protocols.balance import measure_balance, pool_balances
+from protocols.design import make_order
+from protocols.square import williams_square
+from protocols.tasks import make_task
+from protocols.trial import Item
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from protocols.balance import Balance
+
+N_RECORDINGS, N_STIMULI, CYCLE = 8, 12, 24
+ITEMS = [
+    Item(f"{r}-{s}", str(r), str(s), "as_is", "anchor" if s in {1, 2} else "test" if s else "reference")
+    for r in range(N_RECORDINGS)
+    for s in range(N_STIMULI)
+]
+
+letters = st.lists(st.text("ABCDE", max_size=8), min_size=1, max_size=6)
+
+
+@cache
+def list_sequences(number: int, order: str, seed: int) -> dict[str, list[str]]:
+    """Order of the stimuli of each recording in the session of a participant."""
+    own: dict[str, list[str]] = defaultdict(list)
+    rng = np.random.default_rng(seed)
+    for t in make_order(ITEMS, [make_task("realism")], number=number, repeats=1, order=order, rng=rng):
+        own[t.recording].append(t.judgements[0].stimulus_id)
+    return own
+
+
+def run(numbers: Iterable[int], order: str = "williams", seed: int = 1) -> Balance:
+    """Balance inside the recordings, after the sessions of these participants."""
+    sessions = [list_sequences(number, order, seed) for number in numbers]
+    return pool_balances(measure_balance([own[recording] for own in sessions]) for recording in sessions[0])
+
+
+def test_counts_by_hand() -> None:
+    balance = measure_balance(["ABC", "BA", "AAC"])
+    assert balance.positions == {
+        ("A", 1): 2, ("A", 2): 2, ("A", 3): 0,
+        ("B", 1): 1, ("B", 2): 1, ("B", 3): 0,
+        ("C", 1): 0, ("C", 2): 0, ("C", 3): 2,
+    }  # fmt: skip
+    assert balance.carry_over == {
+        ("A", "B"): 1, ("A", "C"): 1, ("B", "A"): 1, ("B", "C"): 1, ("C", "A"): 0, ("C", "B"): 0
+    }  # fmt: skip
+    assert (balance.repeats, balance.position_range, balance.carry_over_range) == (1, 2, 1)
+    # Positions: mean 8/9, squares sum to 14, so the variance is 14/9 - 64/81.
+    assert balance.position_index == pytest.approx(sqrt(14 / 9 - 64 / 81) / (8 / 9))
+    assert balance.carry_over_index == pytest.approx(sqrt(4 / 6 - 16 / 36) / (4 / 6))
+
+
+@given(letters)
+def test_every_condition_that_was_run_is_counted_once_at_its_place_and_once_with_its_neighbour(rows: list[str]) -> None:
+    assume(any(rows))
+    balance = measure_balance(rows)
+    assert sum(balance.positions.values()) == sum(map(len, rows))
+    assert sum(balance.carry_over.values()) + balance.repeats == sum(max(0, len(row) - 1) for row in rows)
+
+
+@given(letters, st.integers(2, 4))
+def test_the_same_again_scales_counts_and_leaves_indices(rows: list[str], times: int) -> None:
+    assume(any(rows))
+    once, often = measure_balance(rows), measure_balance(rows * times)
+    assert often.position_range == times * once.position_range
+    assert often.carry_over_range == times * once.carry_over_range
+    assert often.position_index == pytest.approx(once.position_index)
+    assert often.carry_over_index == pytest.approx(once.carry_over_index)
+
+
+@pytest.mark.parametrize("n", range(2, 13))
+def test_a_square_is_in_perfect_balance_and_no_longer_without_a_row(n: int) -> None:
+    square = [[str(i) for i in row] for row in williams_square(n)]
+    whole, less = measure_balance(square), measure_balance(square[1:])
+    assert (whole.position_index, whole.carry_over_index) == (0.0, 0.0)
+    assert (whole.position_range, whole.carry_over_range) == (0, 0)
+    assert less.position_index > 0
+    assert less.carry_over_index > 0
+
+
+def test_one_condition_alone_has_no_carry_over() -> None:
+    balance = measure_balance(["A", "A"])
+    assert (balance.carry_over_range, balance.carry_over_index, balance.position_index) == (0, 0.0, 0.0)
+
+
+def test_pooled_groups_add_up_and_are_not_held_against_each_other() -> None:
+    pooled = pool_balances([measure_balance(["AB", "BA"]), measure_balance(["CD", "DC", "CC"])])
+    assert ("A", "C") not in pooled.carry_over
+    assert pooled.positions["A", 1] == 1
+    assert pooled.positions["C", 1] == 2
+    assert pooled.repeats == 1
+    again = pool_balances([measure_balance(["AB"]), measure_balance(["BA"])])
+    assert again == measure_balance(["AB", "BA"])
+
+
+def test_nothing_run_is_refused() -> None:
+    with pytest.raises(ValueError, match="sequences: got no condition, balance needs at least one that was run"):
+        measure_balance([[], []])
+    with pytest.raises(ValueError, match="balances: got none, a pool needs at least one"):
+        pool_balances([])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_williams_is_in_perfect_balance_after_full_cycles_from_any_participant(seed: int) -> None:
+    for start in (1, 6):
+        balance = run(range(start, start + CYCLE), seed=seed)
+        assert (balance.position_index, balance.carry_over_index) == (0.0, 0.0)
+
+
+@given(st.sets(st.integers(1, 15), max_size=5))
+def test_slots_that_are_issued_again_restore_the_balance(starts_that_drop_out: set[int]) -> None:
+    free, completed, start = set(range(1, N_STIMULI + 1)), [], 0
+    while free:
+        start += 1
+        slot = min(free)  # the ledger's rule: the lowest free slot
+        if start not in starts_that_drop_out:
+            free.remove(slot)
+            completed.append(slot)
+    balance = run(completed)
+    assert (balance.position_index, balance.carry_over_index) == (0.0, 0.0)
+
+
+@given(st.sets(st.integers(1, N_STIMULI), min_size=1, max_size=6))
+def test_slots_that_stay_empty_cost_as_much_as_counts_of_none_and_one_can(lost: set[int]) -> None:
+    balance = run(set(range(1, N_STIMULI + 1)) - lost)
+    share = 1 - len(lost) / N_STIMULI
+    assert (balance.position_range, balance.carry_over_range) == (1, 1)
+    assert balance.position_index == pytest.approx(sqrt((1 - share) / share))
+    assert balance.carry_over_index == pytest.approx(sqrt((1 - share) / share))
+
+
+@pytest.mark.parametrize("n_participants", [6, 12, 15, 16, 24])
+@pytest.mark.parametrize("order", ["blocked", "random"])
+def test_shuffled_orders_are_worse_than_williams_and_as_good_as_chance(order: str, n_participants: int) -> None:
+    numbers = range(1, n_participants + 1)
+    shuffled, williams = run(numbers, order), run(numbers)
+    chance = sqrt((N_STIMULI - 1) / n_participants)
+    assert shuffled.position_index > williams.position_index
+    assert shuffled.position_index == pytest.approx(chance, rel=0.1)
+    if order == "blocked":  # in a mixed order, neighbours within a recording did not follow each other
+        assert shuffled.carry_over_index > williams.carry_over_index
+        assert shuffled.carry_over_index == pytest.approx(chance, rel=0.1)

@@ -1,0 +1,111 @@
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from protocols.design import make_order
+from protocols.registry import PROTOCOLS
+from protocols.rehearsal import make_rehearsal
+from protocols.tasks import make_task
+from protocols.trial import Item
+
+if TYPE_CHECKING:
+    from protocols.trial import Trial
+
+ROLES = {"original": "reference", "low": "anchor", "mid": "anchor"}
+ITEMS = [
+    Item(f"{recording}-{name}", recording, name, "as_is", ROLES.get(name, "test"))
+    for recording in ("bumps", "drag", "taps")
+    for name in ("sax321", "soc321", "dft321", "original", "low", "mid")
+]
+
+
+def rehearse(*names: str, seed: int = 1, items: list[Item] = ITEMS, **counts: Any) -> tuple[Trial, ...]:
+    tasks = [make_task(name, **counts) for name in names]
+    return make_rehearsal(items, tasks, first_number=50, rng=np.random.default_rng(seed))
+
+
+def get_side(trial: Trial) -> str:
+    (judgement,) = trial.judgements
+    return "" if judgement.expected is None else "high" if sum(judgement.expected) > 100 else "low"
+
+
+@given(st.integers(0, 30), st.integers(0, 30), st.integers(0, 999))
+def test_each_task_has_its_training_then_its_practice_and_never_more_than_there_is(
+    training: int, practice: int, seed: int
+) -> None:
+    trials = rehearse(*PROTOCOLS, training=training, practice=practice, seed=seed)
+    n_comparisons = {"realism": 18, "similarity": 18, "dissimilarity": 21, "mushra": 3, "abx": 15}
+    asked = {"training": training, "practice": practice}
+    expected = {(name, phase): min(n, asked[phase]) for name, n in n_comparisons.items() for phase in asked}
+    assert Counter((t.protocol, t.phase) for t in trials) == Counter(expected)
+    assert list(dict.fromkeys((t.protocol, t.phase) for t in trials)) == [key for key, n in expected.items() if n]
+    assert [t.number for t in trials] == list(range(50, 50 + len(trials)))
+    assert {(t.block, t.repeat) for t in trials} <= {(0, 0)}
+
+
+@given(st.integers(0, 18), st.integers(0, 18), st.integers(0, 999))
+def test_nothing_comes_twice_in_a_phase_and_practice_takes_what_training_left(
+    training: int, practice: int, seed: int
+) -> None:
+    trials = rehearse("realism", training=training, practice=practice, seed=seed)
+    chosen = {phase: [t.judgements for t in trials if t.phase == phase] for phase in ("training", "practice")}
+    assert all(len(set(judgements)) == len(judgements) for judgements in chosen.values())
+    assert len(set(chosen["training"]) & set(chosen["practice"])) == max(0, training + practice - 18)
+
+
+@given(st.integers(1, 18), st.integers(0, 999))
+def test_trials_with_a_known_answer_come_first(training: int, seed: int) -> None:
+    known = [bool(get_side(t)) for t in rehearse("similarity", training=training, seed=seed)]
+    assert known == [True] * min(training, 9) + [False] * max(0, training - 9)
+
+
+@given(st.integers(1, 6), st.integers(0, 999))
+def test_high_and_low_answers_are_mixed_as_evenly_as_they_exist(training: int, seed: int) -> None:
+    sides = Counter(get_side(t) for t in rehearse("similarity", training=training, seed=seed))
+    assert abs(sides["high"] - sides["low"]) <= 1
+
+
+@given(st.integers(1, 9), st.integers(0, 999))
+def test_training_and_practice_are_spread_over_recordings(count: int, seed: int) -> None:
+    trials = rehearse("dissimilarity", training=count, practice=count, seed=seed)
+    for phase in ("training", "practice"):
+        per_recording = Counter(t.recording for t in trials if t.phase == phase)
+        counts = [per_recording[recording] for recording in ("bumps", "drag", "taps")]
+        assert max(counts) - min(counts) <= 1
+
+
+def test_sides_do_not_alternate_predictably_and_arrangements_differ() -> None:
+    rounds = [rehearse("similarity", training=4, seed=seed) for seed in range(60)]
+    assert len({tuple(map(get_side, trials)) for trials in rounds}) == 6
+    triples = [[part.stimulus_id for part in t.parts] for s in range(60) for t in rehearse("abx", training=4, seed=s)]
+    assert 0.35 < np.mean([x == a for a, _, x in triples]) < 0.65
+
+
+def test_pages_know_high_and_low_answers_at_once() -> None:
+    (page, *_) = rehearse("mushra", training=3)
+    assert {j.stimulus_id.partition("-")[2] for j in page.judgements if j.expected} == set(ROLES)
+
+
+@pytest.mark.parametrize("name", ["williams", "blocked", "random"])
+def test_rehearsal_leaves_the_main_order_as_it_is(name: str) -> None:
+    task = make_task("realism", training=4, practice=2)
+    undisturbed, rng = np.random.default_rng(3), np.random.default_rng(3)
+    make_rehearsal(ITEMS, [task], first_number=1, rng=rng)
+    arguments = {"number": 2, "repeats": 2, "order": name}
+    assert make_order(ITEMS, [task], rng=rng, **arguments) == make_order(ITEMS, [task], rng=undisturbed, **arguments)
+
+
+def test_rehearsal_depends_on_the_generator_alone() -> None:
+    assert rehearse("realism", training=4, seed=2) == rehearse("realism", training=4, seed=2)
+    assert len({rehearse("realism", training=4, seed=seed) for seed in range(10)}) == 10
+
+
+def test_rehearsal_of_nothing_is_refused() -> None:
+    with pytest.raises(ValueError, match="items: got none, an order needs at least one"):
+        rehearse("realism", items=[])
