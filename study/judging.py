@@ -6,8 +6,7 @@ A stimulus is a point with five coordinates: spectral match (cut to 0..1), tempo
 - *Realism* is the weighted sum of the coordinates.
 - *Distance* is the weighted sum of their absolute differences (city block). Level counts in both directions: what is
   stronger than the reference is as different as what is weaker by the same number of dB.
-- *Similarity* is the realism of the original less the distance from the reference. Where that is the original, and the
-  stimulus is not the stronger of the two, this is the stimulus's realism.
+- *Similarity* is the top of the scale less the distance from the reference: what is identical is worth full marks.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from protocols.trial import SURFACE
+from protocols.trial import RATING_RANGE, SURFACE
 from study.percepts import Percept
 
 if TYPE_CHECKING:
@@ -226,12 +225,33 @@ def judge(experience: Experience, judgement: Judgement, *, touch: Touch) -> floa
     ValueError
         If the protocol is unknown, or something was not felt.
     """
-    protocol = experience.trial.protocol
-    if protocol not in SLIDERS:
+    return find_slider(experience.trial).judge(experience, judgement, touch=touch)
+
+
+def find_slider(trial: Trial) -> Slider:
+    """Find how a trial's slider is understood.
+
+    Parameters
+    ----------
+    trial : Trial
+        A trial that is answered on a slider.
+
+    Returns
+    -------
+    Slider
+        What is felt of it, and which end is sure.
+
+    Raises
+    ------
+    ValueError
+        If the protocol is unknown.
+    """
+    if trial.protocol not in SLIDERS:
+        allowed = ", ".join(SLIDERS)
         raise ValueError(
-            f"simulated observer: got protocol {protocol!r}, allowed with a slider is one of {', '.join(SLIDERS)}"
+            f"simulated observer: got protocol {trial.protocol!r}, allowed with a slider is one of {allowed}"
         )
-    return SLIDERS[protocol](experience, judgement, touch=touch)
+    return SLIDERS[trial.protocol]
 
 
 def compare(experience: Experience, judgement: Judgement, choices: Sequence[str], *, touch: Touch) -> dict[str, float]:
@@ -271,13 +291,31 @@ def _judge_dissimilarity(experience: Experience, judgement: Judgement, *, touch:
 
 
 def _judge_similarity(experience: Experience, judgement: Judgement, *, touch: Touch) -> float:
-    return touch.feel(REAL) - _judge_dissimilarity(experience, judgement, touch=touch)
+    return RATING_RANGE[1] - _judge_dissimilarity(experience, judgement, touch=touch)
 
 
-SLIDERS: Mapping[str, Callable[..., float]] = MappingProxyType({
-    "realism": _judge_realism,
-    "similarity": _judge_similarity,
-    "dissimilarity": _judge_dissimilarity,
-    "mushra": _judge_similarity,
+@dataclass(frozen=True, slots=True)
+class Slider:
+    """How a slider is understood.
+
+    Parameters
+    ----------
+    judge : callable
+        Takes an experience, a judgement and a sense of touch; gives the percept in points.
+    sure : float
+        The points that mean the same to everybody, about which their gains stretch the scale.
+    """
+
+    judge: Callable[..., float]
+    sure: float
+
+
+_LOW, _HIGH = RATING_RANGE
+
+SLIDERS: Mapping[str, Slider] = MappingProxyType({
+    "realism": Slider(_judge_realism, sure=_LOW),
+    "similarity": Slider(_judge_similarity, sure=_HIGH),
+    "dissimilarity": Slider(_judge_dissimilarity, sure=_LOW),
+    "mushra": Slider(_judge_similarity, sure=_HIGH),
 })
-"""Protocol -> percept that is answered on its slider."""
+"""Protocol -> how its slider is understood."""

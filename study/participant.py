@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from protocols.trial import RATING_RANGE
-from study.judging import Experience, Touch, compare, judge
+from study.judging import Experience, Touch, compare, find_slider, judge
 from study.raters import draw_rater
 
 if TYPE_CHECKING:
@@ -117,10 +117,11 @@ class Participant:
                 distances = compare(experience, judgement, scale.choices, touch=self.touch)
                 values[judgement.part] = self.rater.choose(distances, growth=growth, rng=rng)
         else:
+            sure = find_slider(trial).sure
             shift = self.touch.model.fatigue * tired - self._contrast(trial)
             for judgement in trial.judgements:
                 percept = judge(experience, judgement, touch=self.touch)
-                values[judgement.part] = self.rater.rate(percept, shift=shift, growth=growth, rng=rng)
+                values[judgement.part] = self.rater.rate(percept, sure=sure, shift=shift, growth=growth, rng=rng)
         return values, len(values) * self.rater.take_time(rng)
 
     def _contrast(self, trial: Trial) -> float:

@@ -1,7 +1,10 @@
 """Who takes part in a simulated study: careful participants, each with a slider hand of their own, and bad raters.
 
-Answer of a careful one: bias + gain * percept + shift + noise, cut to 0..100, where the shift is what order and
-fatigue do; bias, gain and size of the noise are the participant's own. In a lapse any answer is as likely as another.
+Answer of a careful one: sure + gain * (percept - sure) + bias + shift + noise, cut to 0..100. Sure is the end of the
+slider that means the same to everybody: the bottom, or the top (identical) where similarity is asked for. The shift is
+what order and fatigue do; bias, gain and size of the noise are the participant's own. In a lapse any answer is as
+likely as another.
+
 Of the bad raters,
 
 - a *straight-liner* leaves the marker about where they like it, or always makes the same choice;
@@ -140,13 +143,17 @@ class Rater:
     lapse_rate: float
     favourite: float
 
-    def rate(self, percept: float, *, shift: float, growth: float, rng: np.random.Generator) -> float:
+    def rate(
+        self, percept: float, *, sure: float = RATING_RANGE[0], shift: float, growth: float, rng: np.random.Generator
+    ) -> float:
         """Set a slider.
 
         Parameters
         ----------
         percept : float
             What was felt, in points.
+        sure : float
+            The points that mean the same to everybody.
         shift : float
             What order and fatigue add, in points.
         growth : float
@@ -161,7 +168,7 @@ class Rater:
         """
         low, high = RATING_RANGE
         guess, lapsed = rng.uniform(low, high), rng.random() < self.lapse_rate
-        points = self.bias + self.gain * percept + shift + rng.normal(0, self.noise_sd * growth)
+        points = sure + self.gain * (percept - sure) + self.bias + shift + rng.normal(0, self.noise_sd * growth)
         if self.kind == STRAIGHT_LINER:
             points = low + (high - low) * self.favourite + rng.normal(0, STRAIGHT_SD)
         elif self.kind == RANDOM_CLICKER or lapsed:

@@ -64,17 +64,18 @@ def test_distance_is_a_metric(level: float, a: Point, b: Point, c: Point) -> Non
 
 
 @given(points)
-def test_similarity_to_the_original_is_realism_unless_stronger(point: Point) -> None:
+def test_similarity_to_the_original_loses_what_realism_loses_unless_stronger(point: Point) -> None:
     similarity = ask(make_experience("similarity", {"reference": REAL, "test": point}, reference="reference"))
     louder = max(point.percept.level_db, 0.0)
-    assert similarity == pytest.approx(TOUCH.feel(point) - 2 * MODEL.level * louder)
+    lost = TOUCH.feel(REAL) - TOUCH.feel(point)
+    assert similarity == pytest.approx(100 - lost - 2 * MODEL.level * louder)
 
 
 @pytest.mark.parametrize("protocol", ["similarity", "mushra"])
 def test_the_reference_is_as_similar_to_itself_as_anything_can_be(protocol: str) -> None:
-    assert ask(make_experience(protocol, {"reference": WEAK, "test": WEAK}, reference="reference")) == pytest.approx(80)
+    assert ask(make_experience(protocol, {"reference": WEAK, "test": WEAK}, reference="reference")) == 100
     assert ask(make_experience(protocol, {"reference": WEAK, "test": STRONG}, reference="reference")) == pytest.approx(
-        80 - TOUCH.measure_distance(WEAK, STRONG)
+        100 - TOUCH.measure_distance(WEAK, STRONG)
     )
 
 
@@ -90,7 +91,7 @@ def test_an_explicit_reference_may_be_judged_hidden_too() -> None:
     judgement = Judgement("1", "code", "code")
     trial = Trial(1, 1, 1, "mushra", "mushra", "free", "oak", parts, (judgement,))
     experience = Experience(trial, {"reference": WEAK, "1": WEAK})
-    assert judge(experience, judgement, touch=TOUCH) == pytest.approx(80)
+    assert judge(experience, judgement, touch=TOUCH) == 100
 
 
 def test_the_real_surface_is_where_the_original_is() -> None:
@@ -98,7 +99,7 @@ def test_the_real_surface_is_where_the_original_is() -> None:
     judgement = Judgement("test", "code", SURFACE)
     trial = Trial(1, 1, 1, "similarity", "similarity", "replay", "oak", parts, (judgement,))
     experience = Experience(trial, {"reference": TOUCH.locate(None), "test": WEAK})
-    assert judge(experience, judgement, touch=TOUCH) == pytest.approx(TOUCH.feel(WEAK))
+    assert judge(experience, judgement, touch=TOUCH) == pytest.approx(20 + TOUCH.feel(WEAK))
 
 
 def test_candidates_are_as_far_as_they_feel_from_what_is_asked() -> None:

@@ -280,7 +280,7 @@ def test_every_slider_of_a_page_is_answered_by_itself() -> None:
     trial = make_mushra(1, ["code1", "original", "far", "code2"])
     values = answer(SimulatedObserver(EXACT, seed=1, number=1), trial).values
     expected = {
-        slot: 10 + 45 * s.spectral_match + 35 * s.temporal_match
+        slot: 20 + 45 * s.spectral_match + 35 * s.temporal_match
         for slot, s in (
             ("1", STIMULI["code1"]),
             ("2", OTHERS["original"]),
@@ -289,8 +289,16 @@ def test_every_slider_of_a_page_is_answered_by_itself() -> None:
         )
     }
     assert values == pytest.approx(expected, abs=0.051)
-    noisy = SimulatedObserver(replace(FLAT, noise_sd=5.0), seed=1, number=1)
-    assert len(set(answer(noisy, trial).values.values())) == 4
+    noisy = SimulatedObserver(replace(EXACT, noise_sd=5.0), seed=1, number=1)
+    assert len(set(answer(noisy, make_mushra(1, ["far"] * 4)).values.values())) == 4
+
+
+def test_participants_agree_on_what_is_identical_and_not_on_how_much_less_the_rest_is() -> None:
+    trial = make_mushra(1, ["original", "code1"])
+    stretched = replace(EXACT, gain_sd=0.3)
+    answers = [answer(SimulatedObserver(stretched, seed=1, number=n), trial).values for n in range(1, 51)]
+    assert {values["1"] for values in answers} == {100.0}
+    assert len({values["2"] for values in answers}) > 40
 
 
 def test_every_slider_takes_its_time() -> None:
@@ -306,7 +314,7 @@ def test_the_real_surface_is_stroked_and_stands_for_the_original() -> None:
     parts = (Part("reference", surface="oak"), Part("test", "far"))
     trial = Trial(1, 1, 1, "similarity", "similarity", "replay", "oak", parts, (Judgement("test", "far", SURFACE),))
     observer = SimulatedObserver(EXACT, seed=1, number=1)
-    assert answer(observer, trial).values["test"] == 10.0
+    assert answer(observer, trial).values["test"] == 20.0
     assert observer.prompt(parts[0]).completed
 
 

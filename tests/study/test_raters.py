@@ -82,6 +82,7 @@ def test_only_weights_on_distances_ask_for_files() -> None:
 def test_a_rating_is_bias_gain_percept_shift_and_noise() -> None:
     exact = replace(CAREFUL, bias=-4.0, gain=1.5, noise_sd=0.0)
     assert rate_many(exact, 40.0, shift=7.0, n=2).tolist() == [63.0, 63.0]
+    assert exact.rate(40.0, sure=100.0, shift=7.0, growth=1.0, rng=np.random.default_rng()) == 100 - 90 - 4 + 7
     ratings = rate_many(CAREFUL, 50.0, growth=1.5)
     assert (ratings.mean(), ratings.std()) == (pytest.approx(50, abs=0.6), pytest.approx(12, rel=0.04))
 
