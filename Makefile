@@ -34,8 +34,9 @@ duplicates: .venv/.tests
 guards: .venv/.tests # sizes, docstrings, faces, wheel, pins, exclusions
 	$(PYTHON) -m pytest tests/house
 
-bench: .venv/.tests ## speed against the floor of the FFTs, memory, real-time factor
+bench: .venv/.tests ## speed against the floor of the FFTs, memory, real-time factor, cost of the session engine
 	$(PYTHON) tests/bench/bench.py
+	$(PYTHON) tests/bench/engine.py
 
 soak: .venv/.tests ## the tests that take minutes
 	$(PYTHON) -m pytest -m soak $(ARGS) || [ $$? -eq 5 ]  # pytest's 5: there is none

@@ -143,7 +143,7 @@ def _split_runs(trials: Sequence[Trial]) -> Iterator[Run]:
         recordings = sorted({trial.recording for trial in run})
         pages = [trial for trial in run if len(trial.judgements) > 1]
         for page in pages:
-            yield f"{page.protocol} {page.recording} slots", [j.stimulus_id for j in page.judgements]
+            yield f"{page.protocol} {page.recording}", [f"slot {j.stimulus_id}" for j in page.judgements]
         if not pages:
             yield f"{run[0].protocol} {recordings}", [_name_condition(trial) for trial in run]
 
@@ -151,4 +151,4 @@ def _split_runs(trials: Sequence[Trial]) -> Iterator[Run]:
 def _name_condition(trial: Trial) -> str:
     """Name what is judged against what, whichever of the two comes first."""
     judgement = trial.judgements[0]
-    return " ".join(sorted({judgement.stimulus_id, judgement.reference_id or judgement.stimulus_id}))
+    return " ".join([trial.protocol, *sorted({judgement.stimulus_id, judgement.reference_id or judgement.stimulus_id})])
