@@ -72,6 +72,8 @@ def withdraw_participant(
     ledger, notice = open_study_ledger(study)
     entry = _require_entry(ledger, participant)
     folder = study.sessions / participant
+    if (found := read_tombstone(folder)) and found.state == REMOVED and entry.state == "withdrawn":
+        raise ValueError(f"participant {participant}: withdrew at {found.utc}, all data are gone")
     folder.mkdir(parents=True, exist_ok=True)
     with _hold(folder):
         tombstone = _settle_tombstone(folder, entry, reason=reason, now=now)
@@ -80,8 +82,8 @@ def withdraw_participant(
         _enter(ledger, Entry(participant, entry.simulated, entry.number, "withdrawn"))
         write_tombstone(folder, replace(tombstone, state=REMOVED))
     (folder / LOCK_FILE).unlink(missing_ok=True)
-    for warning in filter(None, warnings):
-        if warn is not None:
+    if warn is not None:
+        for warning in filter(None, warnings):
             warn(warning)
     return removed
 
@@ -116,7 +118,7 @@ def release_participant(study: StudyFolder, participant: str, *, now: Clock) -> 
     entry = _require_entry(ledger, participant)
     folder = study.sessions / participant
     if read_tombstone(folder) is not None:
-        raise ValueError(f"participant {participant}: has withdrawn, there is nothing to release")
+        raise ValueError(f"participant {participant}: withdrew, there is nothing to release")
     if entry.state == "released":
         raise ValueError(f"participant {participant}: was released before; number {entry.number} is free")
     folder.mkdir(parents=True, exist_ok=True)
@@ -156,8 +158,6 @@ def _settle_tombstone(folder: Path, entry: Entry, *, reason: str, now: Clock) ->
         utc = now().isoformat(timespec="seconds")
         tombstone = Tombstone(entry.participant, entry.number, entry.simulated, utc, reason, journals, REMOVING)
         write_tombstone(folder, tombstone)
-    elif tombstone.state == REMOVED and entry.state == "withdrawn":
-        raise ValueError(f"participant {entry.participant}: has withdrawn at {tombstone.utc}, the data are gone")
     return tombstone
 
 

@@ -1,0 +1,141 @@
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from itertools import count
+from typing import TYPE_CHECKING
+
+import pytest
+
+from protocols.flow import Flow, Page
+from protocols.protocol import Task
+from protocols.trial import Judgement, Part, Trial
+from study.folder import StudyFolder
+from study.journal import Journal, create_journal, require_journal
+from study.ledger import claim_slots, note_progress
+from study.opening import PLAN_FILE
+from study.plan import Plan, create_plan, require_plan
+from study.rebuilding import open_study_ledger
+from study.replay import has_event, list_journals, name_journal, replay
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+TRIALS = 4
+
+
+def tell_time() -> datetime:
+    return datetime(2026, 1, 1, 12, tzinfo=UTC)
+
+
+def make_trial(number: int) -> Trial:
+    return Trial(
+        number=number,
+        block=1,
+        repeat=1,
+        protocol="realism",
+        scale="realism",
+        timing="strict",
+        recording="bumps",
+        parts=(Part("test", f"code{number}"),),
+        judgements=(Judgement("test", f"code{number}"),),
+    )
+
+
+def make_small_plan(participant: str, *, number: int, simulated: bool) -> Plan:
+    return Plan(
+        participant=participant,
+        number=number,
+        simulated=simulated,
+        seed=7,
+        groups={"grip": "pen" if number % 2 else "power"},
+        order="williams",
+        repeats=1,
+        tasks=(Task("realism", "strict"),),
+        flow=Flow(max_attempts=2),
+        stimuli_sha256="5" * 64,
+        trials=tuple(make_trial(number) for number in range(1, TRIALS + 1)),
+    )
+
+
+@dataclass(frozen=True)
+class Lab:
+    """A study whose sessions are written as the engine writes them, trial by trial."""
+
+    study: StudyFolder
+
+    def claim(self, participant: str, *, simulated: bool = False) -> int:
+        ledger, _ = open_study_ledger(self.study)
+        return claim_slots(ledger, [participant], simulated=simulated, now=tell_time)[participant]
+
+    def begin(self, participant: str, *, simulated: bool = False, session: int = 1) -> Path:
+        number = self.claim(participant, simulated=simulated)
+        folder = self.study.sessions / participant
+        folder.mkdir(parents=True, exist_ok=True)
+        if session == 1:
+            create_plan(folder / PLAN_FILE, make_small_plan(participant, number=number, simulated=simulated))
+        journal = create_journal(folder / name_journal(session), now=tell_time)
+        sha256 = require_plan(folder / PLAN_FILE).sha256
+        header = {"participant": participant, "session": session, "plan_sha256": sha256}
+        journal.write("begun", header | {"presenter": {"simulated": simulated}})
+        self.note(journal)
+        return folder
+
+    def work(self, participant: str, trials: int = TRIALS, *, rejected: bool = False) -> Path:
+        """Rate so many trials, and finish after the last; gives the journal."""
+        plan = require_plan(self.study.sessions / participant / PLAN_FILE)
+        self.claim(participant, simulated=plan.simulated)  # As the engine does; who was released gets no further.
+        journal = require_journal(list_journals(self.study.sessions / participant)[-1], now=tell_time)
+        agenda = replay(plan, journal.records)
+        for _ in range(trials):
+            while isinstance(step := agenda.ask(), Page):
+                journal.write("page", {"key": step.key, "time_s": 1.0})
+                agenda.tell_page(step.key, time_s=1.0)
+            if step is None:
+                break
+            rated = {"trial": step.number, "values": {"test": 50.0}, "time_s": 1.0, "rejected": rejected}
+            journal.write("rated", rated)
+            agenda.tell_trial(step.number, accepted=not rejected, as_expected=None, time_s=1.0)
+        if agenda.done == TRIALS and not has_event(journal.records, "finished"):
+            journal.write("finished", {"trials": TRIALS})
+        self.note(journal)
+        return journal.path
+
+    def note(self, journal: Journal) -> None:
+        ledger, _ = open_study_ledger(self.study)
+        plan = require_plan(journal.path.parent / PLAN_FILE)
+        note_progress(
+            ledger,
+            plan.participant,
+            journal=journal.path.name,
+            lines=len(journal.records),
+            tip=journal.tip,
+            done=replay(plan, journal.records).done,
+            total=TRIALS,
+            state="finished" if has_event(journal.records, "finished") else "running",
+        )
+
+
+@pytest.fixture
+def make_lab(tmp_path: Path) -> Callable[[], Lab]:
+    """Begin studies beside one another."""
+    numbers = count()
+
+    def make() -> Lab:
+        folder = tmp_path / f"study{next(numbers)}"
+        folder.mkdir()
+        (folder / "study.toml").touch()
+        return Lab(StudyFolder(folder))
+
+    return make
+
+
+@pytest.fixture
+def lab(make_lab: Callable[[], Lab]) -> Lab:
+    return make_lab()
+
+
+@pytest.fixture
+def now() -> Callable[[], datetime]:
+    return tell_time

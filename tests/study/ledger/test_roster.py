@@ -1,0 +1,83 @@
+from __future__ import annotations
+
+import csv
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from protocols.agenda import Agenda
+from study.journal import require_journal
+from study.roster import write_roster
+from study.withdrawal import release_participant, withdraw_participant
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def read(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def test_one_row_per_participant_by_plan_and_journals(lab: Any, now: Any) -> None:
+    for name in ("p01", "p02", "p03"):
+        lab.begin(name)
+    lab.begin("sim001", simulated=True)
+    lab.work("sim001")
+    lab.work("p02", 2)
+    lab.begin("p02", session=2)
+    release_participant(lab.study, "p02", now=now)
+    withdraw_participant(lab.study, "p03", now=now)
+    path = write_roster(lab.study)
+    utc = "2026-01-01T12:00:00.000+00:00"
+    columns = "participant,number,simulated,state,sessions,done,total,grip,first_utc,last_utc,training_passed"
+    assert path.read_bytes().decode().split("\r\n") == [
+        columns,
+        f"p01,1,false,running,1,0,4,pen,{utc},{utc},",
+        f"p02,2,false,released,2,0,4,power,{utc},{utc},",
+        f"sim001,1,true,finished,1,4,4,pen,{utc},{utc},",
+        "",
+    ]
+
+
+def test_who_is_planned_and_no_more_has_no_times(lab: Any) -> None:
+    (lab.begin("p01") / "session-01.jsonl").unlink()
+    (row,) = read(write_roster(lab.study))
+    assert (row["state"], row["sessions"], row["done"], row["total"]) == ("claimed", "0", "0", "4")
+    assert (row["first_utc"], row["last_utc"]) == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("pages", "passed"),
+    [
+        ([], ""),
+        (["training_again"], ""),
+        (["training_passed"], "true"),
+        (["training_failed"], "false"),
+        (["training_passed", "training_failed"], "false"),  # Of two tasks, each with training of its own.
+    ],
+)
+def test_training_is_passed_if_no_part_of_it_failed(
+    lab: Any, now: Any, monkeypatch: pytest.MonkeyPatch, pages: list[str], passed: str
+) -> None:
+    journal = require_journal(lab.begin("p01") / "session-01.jsonl", now=now)
+    for key in pages:
+        journal.write("page", {"key": key, "time_s": 1.0})
+    # These pages would not come one after another; what matters here is which were read.
+    monkeypatch.setattr("study.standing.replay", lambda plan, _records: Agenda(plan.trials, plan.flow))
+    (row,) = read(write_roster(lab.study))
+    assert row["training_passed"] == passed
+
+
+def test_a_broken_journal_is_named_and_the_old_table_stays(lab: Any) -> None:
+    journal = lab.begin("p01") / "session-01.jsonl"
+    path = write_roster(lab.study)
+    before = path.read_bytes()
+    journal.write_bytes(b"{}\n")
+    with pytest.raises(ValueError, match=r"session-01\.jsonl, line 1: was changed after it was written"):
+        write_roster(lab.study)
+    assert path.read_bytes() == before
+
+
+def test_a_study_without_participants_has_an_empty_roster(lab: Any) -> None:
+    assert read(write_roster(lab.study)) == []

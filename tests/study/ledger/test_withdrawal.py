@@ -1,0 +1,299 @@
+from __future__ import annotations
+
+import csv
+import json
+import subprocess
+import sys
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from stimuli.lock import hold_lock
+from study.chain import digest
+from study.journal import create_journal, read_journal
+from study.ledger import read_ledger
+from study.opening import PLAN_FILE
+from study.rebuilding import find_lost, open_study_ledger
+from study.roster import write_roster
+from study.tombstone import read_tombstone
+from study.withdrawal import release_participant, withdraw_participant
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from study.entries import Entry
+    from study.folder import StudyFolder
+
+DYING = """
+import os, signal, sys
+from datetime import UTC, datetime
+from pathlib import Path
+from study.folder import StudyFolder
+from study.rebuilding import find_lost
+from study.withdrawal import withdraw_participant
+import stimuli.lock, stimuli.manifest, study.ratings, filelock
+root, steps = Path(sys.argv[1]), {"open", "os.remove", "os.rename", "os.rmdir", "os.truncate", "sqlite3.connect"}
+def now():
+    return datetime(2026, 1, 1, 12, tzinfo=UTC)
+def die_at(last):
+    left = last
+    def count(event, arguments):
+        nonlocal left
+        if event in steps and root.name in str(arguments[0]):
+            left -= 1
+            if left < 0:
+                os.kill(os.getpid(), signal.SIGKILL)
+    sys.addaudithook(count)
+for step in range(1000):
+    study = StudyFolder(root / str(step))
+    if not study.path.exists():
+        break
+    child = os.fork()
+    if not child:
+        die_at(step)
+        withdraw_participant(study, "p01", now=now)
+        os._exit(0)
+    _, status = os.waitpid(child, 0)
+    print(step, "whole" if os.WIFEXITED(status) else "killed", flush=True)
+"""
+
+
+def entries(study: StudyFolder) -> dict[str, Entry]:
+    return {entry.participant: entry for entry in read_ledger(open_study_ledger(study)[0])}
+
+
+def read_files(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.fixture
+def two(lab: Any) -> Any:
+    """A study in which p01 and p02 have finished."""
+    for name in ("p01", "p02"):
+        lab.begin(name)
+        lab.work(name)
+    return lab
+
+
+def test_all_data_go_and_a_tombstone_stays(two: Any, now: Any) -> None:
+    folder = two.study.sessions / "p01"
+    last = (folder / "session-01.jsonl").read_bytes().splitlines()[-1]
+    (folder / "session-01.jsonl.torn1").write_bytes(b"{")
+    (folder / "notes").mkdir()
+    (folder / "notes" / "age.txt").write_text("44")
+    others = read_files(two.study.sessions / "p02")
+    removed = withdraw_participant(two.study, "p01", now=now, reason="moved away")
+    assert removed == ["notes", "notes/age.txt", "plan.json", "session-01.jsonl", "session-01.jsonl.torn1"]
+    assert [path.name for path in folder.iterdir()] == ["withdrawn.json"]
+    assert json.loads((folder / "withdrawn.json").read_bytes()) == {
+        "participant": "p01",
+        "number": 1,
+        "simulated": False,
+        "utc": "2026-01-01T12:00:00+00:00",
+        "reason": "moved away",
+        "journals": [{"journal": "session-01.jsonl", "lines": 11, "tip": digest(last)}],
+        "state": "removed",
+    }
+    assert read_files(two.study.sessions / "p02") == others
+    assert read_journal(two.study.sessions / "p02" / "session-01.jsonl").torn == b""
+    assert find_lost(two.study) == []
+
+
+def test_the_slot_is_free_and_the_code_is_not(two: Any, now: Any) -> None:
+    withdraw_participant(two.study, "p01", now=now)
+    entry = entries(two.study)["p01"]
+    assert (entry.state, entry.number, entry.done, entry.total, entry.anchors) == ("withdrawn", 1, 0, 0, ())
+    with pytest.raises(ValueError, match="participant p01: was withdrawn; no code is used twice, take another"):
+        two.claim("p01")
+    assert two.claim("p03") == 1
+
+
+def test_a_broken_journal_does_not_keep_anybody_from_withdrawing(two: Any, now: Any) -> None:
+    (two.study.sessions / "p01" / "session-01.jsonl").write_bytes(b"nonsense\nand more")
+    (two.study.sessions / "p01" / "plan.json").write_bytes(b"nonsense")
+    withdraw_participant(two.study, "p01", now=now)
+    tombstone = read_tombstone(two.study.sessions / "p01")
+    assert [(a.lines, a.tip) for a in tombstone.journals] == [(1, digest(b"nonsense"))]
+
+
+def test_someone_who_only_has_a_slot_can_withdraw(lab: Any, now: Any) -> None:
+    lab.claim("p01")
+    assert withdraw_participant(lab.study, "p01", now=now) == []
+    assert entries(lab.study)["p01"].state == "withdrawn"
+
+
+def test_a_running_session_is_not_pulled_away(two: Any, now: Any) -> None:
+    before = read_files(two.study.path)
+    message = "p01: a session is running here; let it finish or stop it first"
+    with hold_lock(two.study.sessions / "p01" / ".lock", busy=""):
+        for leave in (withdraw_participant, release_participant):
+            with pytest.raises(BlockingIOError, match=message):
+                leave(two.study, "p01", now=now)
+    after = read_files(two.study.path)
+    assert {name: after[name] for name in before} == before
+
+
+@pytest.mark.parametrize("leave", [withdraw_participant, release_participant])
+@pytest.mark.parametrize("name", ["p09", "../sessions/p01", ""])
+def test_nobody_else_can_leave(two: Any, now: Any, leave: Callable[..., Any], name: str) -> None:
+    before = read_files(two.study.path)
+    with pytest.raises(ValueError, match=f"participant: got '{name}', the ledger knows: p01, p02"):
+        leave(two.study, name, now=now)
+    assert read_files(two.study.path) == before
+
+
+def test_nobody_withdraws_twice(two: Any, now: Any) -> None:
+    withdraw_participant(two.study, "p01", now=now)
+    before = read_files(two.study.sessions)
+    with pytest.raises(ValueError, match=r"participant p01: withdrew at 2026-01-01T12:00:00\+00:00, all data are gone"):
+        withdraw_participant(two.study, "p01", now=now)
+    assert read_files(two.study.sessions) == before
+
+
+def test_derived_tables_are_written_anew_and_a_stale_report_is_named(
+    two: Any, now: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_roster(two.study)
+    two.study.ratings.write_text("participant\np01\np02\n")
+    two.study.report.mkdir()
+    monkeypatch.setattr("stimuli.manifest.read_stimuli", lambda folder: folder)
+    monkeypatch.setattr(
+        "study.ratings.write_ratings",
+        lambda study, _stimuli: study.ratings.write_text("\n".join(path.parent.name for path in study.journals)),
+    )
+    warnings: list[str] = []
+    withdraw_participant(two.study, "p01", now=now, warn=warnings.append)
+    assert two.study.ratings.read_text() == "p02"
+    with (two.study.path / "participants.csv").open() as file:
+        assert [row["participant"] for row in csv.DictReader(file)] == ["p02"]
+    assert warnings == [f"{two.study.report}: still holds the participant's data; write it anew: feel321 analyze"]
+
+
+def test_a_table_that_cannot_be_written_anew_is_removed(two: Any, now: Any) -> None:
+    write_roster(two.study)
+    (two.study.sessions / "p02" / "plan.json").write_bytes(b"{}")
+    two.study.ratings.write_text("participant\np01\n")  # And no stimulus set is built.
+    warnings: list[str] = []
+    withdraw_participant(two.study, "p01", now=now, warn=warnings.append)
+    assert [line.partition(" (")[0] for line in warnings] == [
+        f"{two.study.ratings}: was removed, for it could not be written anew",
+        f"{two.study.path / 'participants.csv'}: was removed, for it could not be written anew",
+    ]
+    assert not two.study.ratings.exists()
+    withdraw_participant(two.study, "p02", now=now)  # Nobody has to listen.
+
+
+def test_a_kill_at_any_step_leaves_everything_or_a_tombstone_and_the_same_call_finishes(
+    make_lab: Any, now: Any, tmp_path: Path
+) -> None:
+    (root := tmp_path / "kills").mkdir()
+    for step in range(40):
+        lab = make_lab()
+        for name in ("p01", "p02"):
+            lab.begin(name)
+            lab.work(name, 2)
+        write_roster(lab.study)
+        lab.study.path.rename(root / str(step))
+    folder = type(lab.study)
+    before = read_files(root / "0")
+    done = subprocess.run([sys.executable, "-c", DYING, root], capture_output=True, text=True, check=True)
+    ends = [line.split()[1] for line in done.stdout.splitlines()]
+    assert len(ends) == 40
+    assert ends[-1] == "whole"
+    assert ends.count("killed") > 12
+    for step, end in enumerate(ends):
+        study = folder(root / str(step))
+        check_after_kill(study, before, is_whole=end == "whole")
+        with suppress(ValueError):  # Had it finished, but for its last breath.
+            withdraw_participant(study, "p01", now=now)
+        assert read_tombstone(study.sessions / "p01").state == "removed"
+        assert {path.name for path in (study.sessions / "p01").iterdir()} - {".lock"} == {"withdrawn.json"}
+        assert {name: e.state for name, e in entries(study).items()} == {"p01": "withdrawn", "p02": "running"}
+        assert "p01" not in (study.path / "participants.csv").read_text()
+        assert find_lost(study) == []
+
+
+def check_after_kill(study: StudyFolder, before: dict[str, bytes], *, is_whole: bool) -> None:
+    after = read_files(study.path)
+    assert all(after[name] == content for name, content in before.items() if "/p02/" in name)
+    tombstone = read_tombstone(study.sessions / "p01")
+    if tombstone is None:
+        assert not is_whole
+        assert all(after[name] == content for name, content in before.items() if "/p01/" in name)
+        return
+    assert [anchor.lines for anchor in tombstone.journals] == [7]
+    if tombstone.state == "removing":
+        (line,) = find_lost(study)
+        finish = f"feel321 withdraw {study.path} --participant p01 --yes"
+        assert line.endswith(f"the withdrawal was broken off; finish it: {finish}")
+
+
+def test_release_keeps_the_data_and_frees_the_slot(lab: Any, now: Any) -> None:
+    lab.begin("p01")
+    journal = lab.work("p01", 2)
+    before = journal.read_bytes()
+    assert release_participant(lab.study, "p01", now=now) == 1
+    assert journal.read_bytes().startswith(before)
+    assert read_journal(journal).records[-1].event == "released"
+    entry = entries(lab.study)["p01"]
+    assert (entry.state, entry.done, entry.total, entry.anchors[0].lines) == ("released", 2, 4, 8)
+    assert lab.claim("p02") == 1
+    with pytest.raises(ValueError, match="participant p01: was released before; number 1 is free"):
+        release_participant(lab.study, "p01", now=now)
+    withdraw_participant(lab.study, "p01", now=now)  # That is still possible.
+    with pytest.raises(ValueError, match="participant p01: withdrew, there is nothing to release"):
+        release_participant(lab.study, "p01", now=now)
+
+
+def test_who_has_finished_is_not_released(two: Any, now: Any) -> None:
+    before = read_files(two.study.sessions)
+    with pytest.raises(ValueError, match="participant p01: has finished, the slot is used up; to remove the data"):
+        release_participant(two.study, "p01", now=now)
+    after = read_files(two.study.sessions)
+    assert {name: after[name] for name in before} == before
+
+
+def test_a_release_that_was_killed_before_the_ledger_knew_is_finished_by_the_next(
+    lab: Any, now: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    journal = lab.begin("p01") / "session-01.jsonl"
+
+    def die(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("study.withdrawal.rewrite_ledger", die)
+        with pytest.raises(KeyboardInterrupt):
+            release_participant(lab.study, "p01", now=now)
+    assert entries(lab.study)["p01"].state == "running"
+    release_participant(lab.study, "p01", now=now)
+    assert [record.event for record in read_journal(journal).records] == ["begun", "released"]
+    assert entries(lab.study)["p01"].state == "released"
+
+
+def test_a_journal_that_was_cut_is_not_released(lab: Any, now: Any) -> None:
+    lab.begin("p01")
+    journal = lab.work("p01", 2)
+    journal.write_bytes(b"".join(journal.read_bytes().splitlines(keepends=True)[:-1]))
+    with pytest.raises(ValueError, match="ends with line 6, 7 lines of it were seen; restore it from a copy"):
+        release_participant(lab.study, "p01", now=now)
+
+
+@pytest.mark.parametrize("left", ["nothing", "plan", "empty journal"])
+def test_of_someone_who_never_began_nothing_is_kept(lab: Any, now: Any, left: str) -> None:
+    folder = lab.study.sessions / "p01"
+    if left == "nothing":
+        lab.claim("p01")
+    else:
+        lab.begin("p01")
+        (folder / "session-01.jsonl").unlink()
+        # As after a crash: the ledger has seen no line yet.
+        (lab.study.path / "ledger.sqlite").unlink()
+    if left == "empty journal":
+        create_journal(folder / "session-01.jsonl", now=now)
+    assert release_participant(lab.study, "p01", now=now) == 1
+    assert not folder.exists()
+    assert entries(lab.study) == {}
+    assert (lab.begin("p01") / PLAN_FILE).exists()  # The code may be used again.
