@@ -227,6 +227,15 @@ def test_every_stimulus_stands_in_every_slot_of_a_page_equally_often(start: int,
     assert set(slots.values()) == {cycle // n}
 
 
+def test_arrangements_of_abx_are_even_within_each_recording() -> None:
+    met = defaultdict(set)
+    for t in order(list_items(3, 5), tasks=["abx"]):
+        a, b, x = (part.stimulus_id for part in t.parts)
+        met[t.recording].add((str(a).endswith("-0"), x == a))
+        assert a != b
+    assert all(len(arrangements) == 4 for arrangements in met.values())
+
+
 def test_the_slots_of_a_page_change_from_recording_to_recording() -> None:
     trials = order(list_items(6, 6), tasks=["mushra"])
     slots = {tuple(j.stimulus_id.split("-")[1] for j in t.judgements) for t in trials}
