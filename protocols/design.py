@@ -23,9 +23,11 @@ if TYPE_CHECKING:
     from protocols.section import Spot
     from protocols.trial import Item, Trial
 
-ORDERS: Mapping[str, Callable[..., Iterable[tuple[tuple[Spot, ...], ...]]]] = MappingProxyType(
-    {"williams": order_williams, "blocked": order_blocked, "random": order_random}
-)
+ORDERS: Mapping[str, Callable[..., Iterable[tuple[tuple[Spot, ...], ...]]]] = MappingProxyType({
+    "williams": order_williams,
+    "blocked": order_blocked,
+    "random": order_random,
+})
 """Name -> order, the only list of names: called with the rounds of a session, `number` and `rng`, it gives the blocks
 of each round."""
 
@@ -96,20 +98,22 @@ def count_cycle(trials: Sequence[Trial]) -> int:
     Returns
     -------
     int
-        Successive participants, this many or a multiple, take each row of all squares equally often. Means
-        nothing for other orders.
+        Successive participants, this many or a multiple, take each row of all squares equally often: of those
+        over recordings, over comparisons, and over the slots of a page. Means nothing for other orders.
 
     Examples
     --------
-    >>> from protocols.trial import Trial
-    >>> place = {"protocol": "realism", "scale": "realism", "timing": "strict", "parts": (), "judgements": ()}
-    >>> count_cycle([Trial(n, 1, 1, recording="tap", **place) for n in (1, 2, 3)])
+    >>> from protocols.trial import Judgement, Trial
+    >>> task = {"protocol": "realism", "scale": "realism", "timing": "strict", "recording": "tap"}
+    >>> judged = [(Judgement("test", name),) for name in ("sax321", "pca321", "dft321")]
+    >>> count_cycle([Trial(n, 1, 1, **task, parts=(), judgements=own) for n, own in enumerate(judged, start=1)])
     6
     """
     main = [trial for trial in trials if trial.block]
     comparisons = Counter(trial.block for trial in main)
     rounds = Counter((protocol, repeat) for _, protocol, repeat in {(t.block, t.protocol, t.repeat) for t in main})
-    return lcm(*(len(williams_square(size)) for size in {*comparisons.values(), *rounds.values()}))
+    slots = {len(trial.judgements) for trial in main}
+    return lcm(*(len(williams_square(size)) for size in {*comparisons.values(), *rounds.values(), *slots}))
 
 
 def _check_choice(order: str, *, number: int, repeats: int) -> None:

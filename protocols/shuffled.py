@@ -34,9 +34,7 @@ def make_generator(rng: Generator, number: int) -> Generator:
     return np.random.default_rng([int(rng.integers(2**63)), number])
 
 
-def order_blocked(
-    rounds: Sequence[Groups], *, number: int, rng: Generator
-) -> Iterator[tuple[tuple[Spot, ...], ...]]:
+def order_blocked(rounds: Sequence[Groups], *, number: int, rng: Generator) -> Iterator[tuple[tuple[Spot, ...], ...]]:
     """Shuffle the recordings, and what is judged of each, anew for every participant and round.
 
     Parameters

@@ -28,9 +28,7 @@ class _Card:
     is_catch: bool
 
 
-def order_random(
-    rounds: Sequence[Groups], *, number: int, rng: Generator
-) -> Iterator[tuple[tuple[Spot, ...], ...]]:
+def order_random(rounds: Sequence[Groups], *, number: int, rng: Generator) -> Iterator[tuple[tuple[Spot, ...], ...]]:
     """Mix all recordings anew for every participant and round.
 
     Parameters
@@ -130,7 +128,7 @@ def _list_choices(left: Sequence[_Card], last: _Card, *, is_catch: bool) -> list
     """List what may come next, by the strictest rule that leaves anything."""
     of_kind = [card for card in left if card.is_catch == is_catch]
     fresh = [card for card in of_kind if card.recording != last.recording]
-    (most, count), = Counter(card.recording for card in left).most_common(1)
+    ((most, count),) = Counter(card.recording for card in left).most_common(1)
     # With more than half of what is left, a recording must come at every other place from here on.
     urgent = [card for card in fresh if card.recording == most] if count > len(left) // 2 else []
     return urgent or fresh or [card for card in of_kind if card != last] or of_kind

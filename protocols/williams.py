@@ -16,9 +16,7 @@ if TYPE_CHECKING:
     from protocols.square import Square
 
 
-def order_williams(
-    rounds: Sequence[Groups], *, number: int, rng: Generator
-) -> Iterator[tuple[tuple[Spot, ...], ...]]:
+def order_williams(rounds: Sequence[Groups], *, number: int, rng: Generator) -> Iterator[tuple[tuple[Spot, ...], ...]]:
     """Order recordings, and what is judged of each, by rows of Williams squares.
 
     Parameters

@@ -192,6 +192,10 @@ def test_a_cycle_is_the_smallest_number_that_completes_every_square(
     assert all(gcd(cycle, len(williams_square(n))) == len(williams_square(n)) for n in (n_recordings, n_stimuli))
 
 
+def test_the_slots_of_a_page_take_part_in_the_cycle() -> None:
+    assert count_cycle(order(list_items(2, 5), tasks=["mushra"])) == 10
+
+
 @given(st.integers(0, 40), st.integers(2, 5))
 def test_either_of_a_pair_comes_first_equally_often_over_participants_and_over_repeats(start: int, n: int) -> None:
     items = list_items(2, n)
@@ -250,7 +254,9 @@ def test_trials_carry_what_the_protocol_and_the_task_say(make_items: Callable[..
         ("similarity", "similarity", "strict", "tap")
     }
     assert {get_stimulus(t).split("-")[1]: t.catch for t in trials} == {
-        "original": "identical", "dft321": "", "low": "anchor"
+        "original": "identical",
+        "dft321": "",
+        "low": "anchor",
     }
 
 
