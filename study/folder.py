@@ -44,6 +44,11 @@ class StudyFolder:
         return self.path / "sessions"
 
     @property
+    def ledger(self) -> Path:
+        """Who takes part under which number; beside what it speaks of, so that both are moved or copied as one."""
+        return self.sessions / "ledger.sqlite"
+
+    @property
     def ratings(self) -> Path:
         """The table of ratings, derived from the journals."""
         return self.path / "ratings.csv"

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
     from study.journal import Clock
 
-LEDGER_FILE = "ledger.sqlite"
-
 
 def open_ledger(path: Path) -> Engine:
     """Open a ledger, or begin an empty one.

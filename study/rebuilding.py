@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from study.anchors import find_cut
 from study.entries import LIVE, Entry
-from study.ledger import LEDGER_FILE, open_ledger, read_ledger, rewrite_ledger
+from study.ledger import open_ledger, read_ledger, rewrite_ledger
 from study.standing import Standing, read_standings
 from study.tombstone import REMOVED, Tombstone, read_tombstone
 
@@ -42,7 +42,8 @@ def open_study_ledger(study: StudyFolder) -> tuple[Engine, str]:
     OSError
         If it cannot be read or written.
     """
-    path = study.path / LEDGER_FILE
+    path = study.ledger
+    path.parent.mkdir(parents=True, exist_ok=True)
     ledger = open_ledger(path)
     if read_ledger(ledger):
         return ledger, ""
@@ -73,7 +74,7 @@ def rebuild_ledger(study: StudyFolder) -> list[str]:
     ValueError
         If the ledger or a plan is damaged, or two participants hold one number.
     """
-    lost = find_lost(study) if (study.path / LEDGER_FILE).exists() else []
+    lost = find_lost(study) if study.ledger.exists() else []
     problems: list[str] = []
 
     def change(known: list[Entry]) -> list[Entry]:
@@ -84,7 +85,7 @@ def rebuild_ledger(study: StudyFolder) -> list[str]:
         _check_slots(entries + waiting)
         return entries + waiting
 
-    rewrite_ledger(open_ledger(study.path / LEDGER_FILE), change)
+    rewrite_ledger(open_ledger(study.ledger), change)
     return lost + problems
 
 
@@ -101,7 +102,7 @@ def find_lost(study: StudyFolder) -> list[str]:
     list of str
         One line each; empty if all is there.
     """
-    path = study.path / LEDGER_FILE
+    path = study.ledger
     rebuild = f"feel321 ledger {quote(str(study.path))} --rebuild"
     if not path.exists():
         begun = [folder for folder in study.participants if _is_begun(folder)]

@@ -245,7 +245,7 @@ def test_a_study_from_new_to_report(study: StudyFolder, tmp_path: Path, capsys: 
     assert main(["simulate", folder, "--participants", "4"]) == 0
     assert capsys.readouterr().out == f"{study.ratings}: 96 ratings\n"
     assert main(["status", folder, "--json"]) == 0
-    assert [entry["done"] for entry in json.loads(capsys.readouterr().out)] == [24] * 4
+    assert [entry["done"] for entry in json.loads(capsys.readouterr().out)["participants"]] == [24] * 4
     with study.journals[0].open("ab") as file:
         file.write(b"{}")
     assert main(["status", folder]) == 0
@@ -269,12 +269,13 @@ def test_findings_are_printed_and_the_exit_code_is_1(study: StudyFolder, capsys:
     folder = str(study.path)
     main(["build", folder])
     main(["simulate", folder, "--participants", "1"])
+    last = len(study.journals[0].read_bytes().splitlines()) + 1
     with study.journals[0].open("ab") as file:
         file.write(b"{}\n")
     study.settings.write_text("[rig]\nzzz = 1\n[[recordings]]\nscene = 'x'\n", encoding="utf-8")
     capsys.readouterr()
     assert main(["audit", folder]) == 1
-    assert "line 87: was changed after it was written" in capsys.readouterr().out
+    assert f"line {last}: was changed after it was written" in capsys.readouterr().out
     assert main(["audit", folder, "--json"]) == 1
     assert len(json.loads(capsys.readouterr().out)["findings"]) == 1
     assert main(["check", folder]) == 1
@@ -291,7 +292,7 @@ def test_status_shows_a_broken_participant_beside_the_others_and_the_balance(
     assert main(["status", str(study.path)]) == 0
     _, broken, balance = capsys.readouterr().out.splitlines()
     assert re.match(r"p01 +\? +\?  .*plan\.json", broken)
-    assert balance == "balance: nobody has begun"
+    assert balance == "balance: no trial was run yet"
 
 
 def test_new_begins_a_study_and_refuses_to_begin_it_twice(tmp_path: Path, capsys: Capture) -> None:
