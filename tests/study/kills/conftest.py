@@ -1,0 +1,436 @@
+"""Sessions of every protocol in processes that die; a laboratory, two presenters, and what counts as a loss."""
+
+from __future__ import annotations
+
+import csv
+import os
+import signal
+import sys
+import time
+import traceback
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime, timedelta
+from functools import partial
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import numpy as np
+import pytest
+
+from protocols.flow import FLAGS, Flow
+from protocols.tasks import make_task
+from protocols.texts import read_scales
+from stimuli.manifest import StimulusSet, read_stimuli
+from study.audit import audit_study
+from study.folder import StudyFolder
+from study.journal import read_journal
+from study.lead import Room, lead_session
+from study.ledger import claim_slots
+from study.observer import ObserverModel, SimulatedObserver, identify_observer
+from study.opening import Stale
+from study.plan import Design, make_plan, require_plan
+from study.ports import Abort, Confirm, Feel, Move, Pause, Playback
+from study.ratings import write_ratings
+from study.rebuilding import open_study_ledger
+from study.replay import find_elapsed
+from study.roster import write_roster
+from study.tables import ObserverTable
+from study.workflow import build_study
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from protocols.flow import Page
+    from protocols.protocol import Task
+    from protocols.trial import Part, Scale, Trial
+    from stimuli.manifest import Stimulus
+    from study.chain import Record
+    from study.journal import Journal
+    from study.plan import Plan
+    from study.ports import Act, Place, Presenter
+
+STUDY = """
+[[recordings]]
+scene = "bumps"
+duration_s = 0.1
+[[recordings]]
+scene = "hard_taps"
+duration_s = 0.1
+[stimuli]
+reducers = ["sax321", "dft321"]
+"""
+
+TASKS: Mapping[str, tuple[Task, ...]] = {
+    name: (replace(task, training=2, practice=1),)
+    for name, task in {
+        "realism": make_task("realism", surface=True),
+        "similarity-strict": make_task("similarity", timing="strict", reference="surface"),
+        "similarity-replay": make_task("similarity", timing="replay"),
+        "dissimilarity": make_task("dissimilarity"),
+        "mushra": make_task("mushra"),
+        "abx": make_task("abx"),
+    }.items()
+}
+"""What each session consists of: every protocol, every timing, surfaces to stroke."""
+
+FLOW = Flow(break_trials=3, break_min=None, training_rounds=2, reject=("underrun", "device_error", "too_fast", "not_felt"))
+
+MODEL = ObserverModel(**{**ObserverTable().model_dump(), "order": 0.2, "fatigue": 3.0, "lapse_rate": 0.1})
+"""With a memory of the trial before, so that a session that forgets it gives other answers."""
+
+MOODS = ("calm", "dry", "pausing", "rash", "dead", "replaying", "cut", "hasty", "dead")
+"""What a scripted participant and device do in an attempt; each trial and attempt has its own."""
+
+
+class Scripted:
+    """Does by trial and attempt all that participants and devices do to a session; answers are drawn likewise."""
+
+    def __init__(self, elapsed_s: float, memory: set[str]) -> None:
+        self.time_s, self._memory = elapsed_s, memory
+
+    def show_page(self, page: Page, place: Place) -> Confirm | Abort:  # noqa: ARG002 - the port's form
+        if page.key == "break" and self._is_first("tired"):
+            return Abort(self._pass(), "tired")
+        return Confirm(self._pass(), {})
+
+    def show_trial(self, trial: Trial, scale: Scale, place: Place) -> None:
+        self._mood = MOODS[(trial.number + 2 * place.attempt) % len(MOODS)]
+        self._faults = {"dry": {"underruns": 2}, "dead": {"error": "gone"}, "cut": {"completed": False}}.get(self._mood)
+        self._acts = self._act(trial, self._answer(trial, scale, place), key=f"{trial.number}.{place.attempt}")
+
+    def play(self, part: Part, stimulus: Stimulus, *, gap_s: float) -> Playback:  # noqa: ARG002 - the port's form
+        return self.prompt(part)
+
+    def prompt(self, part: Part) -> Playback:  # noqa: ARG002 - the port's form
+        faults, self._faults = self._faults or {}, None
+        return Playback(self.time_s, self._pass(), **faults)
+
+    def wait(self) -> Act:
+        return replace(next(self._acts), time_s=self._pass())
+
+    def refuse(self, reason: str, parts: tuple[str, ...]) -> None:
+        pass
+
+    def _act(self, trial: Trial, answer: Confirm, *, key: str) -> Iterator[Act]:
+        if trial.timing == "free":
+            yield from (Feel(0.0, part.name) for part in trial.parts)
+        yield Move(0.0, trial.judgements[0].part, 12.5)
+        if self._mood == "pausing" and self._is_first(key):
+            yield Pause(0.0)
+        if self._mood == "hasty":
+            yield from (replace(answer, values={}), Feel(0.0, "nobody"))
+        if self._mood == "replaying":
+            yield Feel(0.0, "")
+        while True:
+            yield answer
+            yield Feel(0.0, "")
+
+    def _answer(self, trial: Trial, scale: Scale, place: Place) -> Confirm:
+        rng = np.random.default_rng([trial.number, place.attempt])
+        draw = partial(rng.choice, scale.choices) if scale.choices else partial(rng.uniform, 0, 100)
+        values = {judgement.part: draw() for judgement in trial.judgements}
+        plain = {part: str(value) if scale.choices else round(float(value), 1) for part, value in values.items()}
+        return Confirm(0.0, plain, 0.1 if self._mood == "rash" else 1.5)
+
+    def _is_first(self, key: str) -> bool:
+        is_news = key not in self._memory
+        self._memory.add(key)
+        return is_news
+
+    def _pass(self) -> float:
+        self.time_s = round(self.time_s + 0.5, 3)
+        return self.time_s
+
+
+@dataclass(frozen=True)
+class Session:
+    """One participant's session, from slot to table, as the command line leads it."""
+
+    task: str
+    presenter: str
+    stimuli: StimulusSet
+    policy: str = "continue"
+
+    @property
+    def design(self) -> Design:
+        repeats = 3 if self.task == "mushra" else 1
+        return Design(seed=7, order="williams", repeats=repeats, tasks=TASKS[self.task], between={}, flow=FLOW)
+
+    def make_study(self, path: Path) -> StudyFolder:
+        study = StudyFolder(path)
+        path.mkdir(parents=True)
+        study.settings.write_text(STUDY, encoding="utf-8")
+        study.stimuli.symlink_to(self.stimuli.folder)
+        return study
+
+    def lead(self, study: StudyFolder, *, later_h: float = 0.0) -> None:
+        """Lead it to its end, however often the participant has enough for today."""
+
+        def now() -> datetime:
+            return datetime.now(UTC) + timedelta(hours=later_h)
+
+        ledger, _ = open_study_ledger(study)
+        number = claim_slots(ledger, ["sim001"], simulated=True, now=now)["sim001"]
+        plan = make_plan(self.design, self.stimuli, "sim001", number=number, simulated=True)
+        room = Room(study, self.stimuli, read_scales("en"), ledger, Stale(6.0, self.policy), now)
+        make_presenter = partial(self._make_presenter, memory=set())
+        identity = {"presenter": identify_observer(MODEL, seed=3)}
+        while lead_session(room, plan, identity=identity, make_presenter=make_presenter)[0].stopped:
+            pass
+        write_roster(study)
+        write_ratings(study, self.stimuli)
+
+    def _make_presenter(
+        self, plan: Plan, journal: Journal, stimuli: Mapping[str, Stimulus], *, memory: set[str]
+    ) -> Presenter:
+        elapsed_s = find_elapsed(journal.records)
+        if self.presenter == "scripted":
+            return Scripted(elapsed_s, memory)
+        observer = SimulatedObserver(MODEL, seed=3, number=1, elapsed_s=elapsed_s)
+        observer.recall(journal.records, plan.trials, stimuli=stimuli)
+        return observer
+
+
+TRACES = frozenset(
+    {"open", "write", "fsync", "ftruncate", "truncate", "replace", "unlink", "mkdir", "rmdir", "execute", "executemany",
+     "commit"}
+)  # fmt: skip
+"""Calls into the system that may leave a trace on the disk; the ledger's are SQLite's."""
+
+
+def die() -> NoReturn:
+    os.kill(os.getpid(), signal.SIGKILL)
+    raise SystemExit("outlived SIGKILL")
+
+
+@dataclass(frozen=True)
+class Kill:
+    """When a process dies: before its k-th call that leaves a trace, or inside its k-th record after j bytes of it.
+
+    `j` is a share of the record, of which a byte is missing at least and there at least.
+    """
+
+    k: int
+    j: float | None = None
+
+    def arm(self) -> None:
+        if self.j is None:
+            calls = 0
+
+            def count(_frame: object, event: str, function: Any) -> None:
+                nonlocal calls
+                if event == "c_call" and function.__name__ in TRACES:
+                    calls += 1
+                    if calls == self.k:
+                        die()
+
+            sys.setprofile(count)
+        else:
+            write, writes, share = os.write, 0, self.j
+
+            def tear(descriptor: int, line: bytes) -> int:
+                nonlocal writes
+                writes += 1
+                if writes < self.k:
+                    return write(descriptor, line)
+                write(descriptor, line[: min(max(1, round(share * len(line))), len(line) - 1)])
+                die()
+
+            os.write = tear
+
+
+def count_traces(run: Callable[[], None]) -> tuple[int, int]:
+    """Count the calls that leave a trace, and the records among them, in a process that comes to its end."""
+    calls: Counter[str] = Counter()
+
+    def count(_frame: object, event: str, function: Any) -> None:
+        if event == "c_call" and function.__name__ in TRACES:
+            calls["all"] += 1
+            calls["records"] += function is os.write
+
+    sys.setprofile(count)
+    try:
+        run()
+    finally:
+        sys.setprofile(None)
+    return calls["all"], calls["records"]
+
+
+def fork(run: Callable[[], object], *, kill: Kill | None = None, after_s: float | None = None) -> int:
+    """Run in a process of its own and tell how it ended; `after_s` is when it is killed from outside."""
+    child = os.fork()
+    if child == 0:
+        try:
+            if kill is not None:
+                kill.arm()
+            run()
+            os._exit(0)
+        except BaseException:  # noqa: BLE001 - the fork may not come back into pytest
+            sys.setprofile(None)
+            traceback.print_exc()
+            sys.stderr.flush()
+            os._exit(1)
+    if after_s is not None:
+        time.sleep(after_s)
+        os.kill(child, signal.SIGKILL)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+def read_rated(study: StudyFolder) -> dict[str, list[bytes]]:
+    """Read the whole lines of completed ratings, as they are on the disk."""
+    return {
+        path.name: [line for line in path.read_bytes().split(b"\n")[:-1] if b'"event": "rated"' in line]
+        for path in study.journals
+    }
+
+
+@dataclass
+class Toll:
+    """What sudden deaths cost, counted over all tests, by protocol and presenter."""
+
+    kills: Counter[tuple[str, str]] = field(default_factory=Counter)
+    lost: Counter[tuple[str, str]] = field(default_factory=Counter)
+    doubled: Counter[tuple[str, str]] = field(default_factory=Counter)
+
+
+@dataclass(frozen=True)
+class End:
+    """What a session left behind."""
+
+    rated: tuple[Any, ...]
+    """Trial, attempt, values and flags of each rating of the newest session, in order; of the main phase only
+    where the session was warmed up."""
+    table: list[dict[str, str]]
+    """The accepted rows of ratings.csv, without what a pause changes."""
+
+
+@dataclass(frozen=True)
+class Lab:
+    """Leads sessions in processes that die, leads them to their end, and sets them against one that never died."""
+
+    path: Path
+    stimuli: StimulusSet
+    toll: Toll
+    ends: dict[tuple[str, str], tuple[End, tuple[int, int]]] = field(default_factory=dict)
+
+    def count(self, task: str, presenter: str) -> tuple[int, int]:
+        """Count the calls and the records of a session that is not interrupted."""
+        return self._lead_whole(task, presenter)[1]
+
+    def place(self, instant: float, *, task: str, presenter: str, j: float | None = None) -> Kill:
+        """Choose the kill at some share of a session."""
+        calls, records = self.count(task, presenter)
+        return Kill(1 + int(instant * ((calls if j is None else records) - 1)), j)
+
+    def endure(
+        self, task: str, presenter: str, kills: Sequence[Kill | float], path: Path, *, policy: str = "continue"
+    ) -> StudyFolder:
+        """Die so many times (at a Kill, or after so many seconds), then check that nothing is missing or too much.
+
+        With another policy than `continue`, whoever goes on comes back the next day.
+        """
+        session = Session(task, presenter, self.stimuli, policy)
+        study, key = session.make_study(path), (task, presenter)
+        later_h = 0.0
+        seen: list[dict[str, list[bytes]]] = []
+        for kill in kills:
+            sudden = {"after_s": kill} if isinstance(kill, float) else {"kill": kill}
+            code = fork(partial(session.lead, study, later_h=later_h), **sudden)
+            self.toll.kills[key] += code == -signal.SIGKILL
+            assert code == -signal.SIGKILL, f"{task} {presenter} {kill} of {kills}: ended with {code}"
+            seen.append(read_rated(study))
+            later_h += 0.0 if policy == "continue" else 24.0
+        session.lead(study, later_h=later_h)
+        told = f"{task} {presenter} {policy} {kills}"
+        now = read_rated(study)
+        lost = sum(lines != now.get(name, [])[: len(lines)] for before in seen for name, lines in before.items())
+        doubled = sum(count_doubles(study))
+        self.toll.lost[key] += lost
+        self.toll.doubled[key] += doubled
+        assert (lost, doubled) == (0, 0), told
+        whole, _ = self._lead_whole(task, presenter)
+        end = read_end(study, presenter, policy=policy)
+        if policy == "warm_up":
+            whole = replace(whole, rated=tuple(entry for entry in whole.rated if entry[0] in list_main(study)))
+        assert end.rated == whole.rated, told
+        assert end.table == (strip(whole.table, "onset_s") if policy == "warm_up" else whole.table), told
+        assert audit_study(study) == [], told
+        return study
+
+    def _lead_whole(self, task: str, presenter: str) -> tuple[End, tuple[int, int]]:
+        key = (task, presenter)
+        if key not in self.ends:
+            session = Session(task, presenter, self.stimuli)
+            study = session.make_study(self.path / f"{task}-{presenter}")
+            counts = count_traces(partial(session.lead, study))
+            self.ends[key] = (read_end(study, presenter), counts)
+        return self.ends[key]
+
+
+def list_main(study: StudyFolder) -> set[int]:
+    plan = require_plan(study.sessions / "sim001" / "plan.json")
+    return {trial.number for trial in plan.trials if trial.phase == "main"}
+
+
+def count_doubles(study: StudyFolder) -> Iterator[int]:
+    """Count ratings of the main phase that were given twice in one session."""
+    main = list_main(study)
+    for path in study.journals:
+        rated = Counter((r.data["trial"], r.data["attempt"]) for r in list_rated(read_journal(path).records))
+        accepted = Counter(r.data["trial"] for r in list_rated(read_journal(path).records) if not r.data["rejected"])
+        yield sum(n - 1 for (trial, _), n in rated.items() if trial in main)
+        yield sum(n - 1 for trial, n in accepted.items() if trial in main)
+
+
+def list_rated(records: Sequence[Record]) -> list[Record]:
+    return [record for record in records if record.event == "rated"]
+
+
+def read_end(study: StudyFolder, presenter: str, *, policy: str = "continue") -> End:
+    main = list_main(study)
+    rated = [record.data for record in list_rated(read_journal(study.journals[-1]).records)]
+    with study.ratings.open(encoding="utf-8", newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["rejected"] == "false"]
+    # The simulated clock stands still while nobody is there; another goes on through a trial that is begun again.
+    changed = {"session", *(() if presenter == "observer" and policy != "warm_up" else ("onset_s",))}
+    return End(
+        tuple(
+            (data["trial"], data["attempt"], data["values"], data["flags"])
+            for data in rated
+            if policy != "warm_up" or data["trial"] in main
+        ),
+        strip(rows, *changed),
+    )
+
+
+def strip(rows: list[dict[str, str]], *columns: str) -> list[dict[str, str]]:
+    return [{key: value for key, value in row.items() if key not in columns} for row in rows]
+
+
+TOLL = pytest.StashKey[Toll]()
+
+
+@pytest.fixture(scope="session")
+def lab(tmp_path_factory: pytest.TempPathFactory, pytestconfig: pytest.Config) -> Iterator[Lab]:
+    study = StudyFolder(tmp_path_factory.mktemp("lab"))
+    study.settings.write_text(STUDY, encoding="utf-8")
+    build_study(study)
+    pytestconfig.stash[TOLL] = Toll()
+    with pytest.MonkeyPatch.context() as patch:
+        # Small sessions, noted as often as long ones are.
+        patch.setattr("study.lead.TRIALS_BETWEEN_NOTES", 3)
+        yield Lab(study.path, read_stimuli(study.stimuli), pytestconfig.stash[TOLL])
+
+
+def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+    """Say what was endured, and what it cost."""
+    toll = config.stash.get(TOLL, Toll())
+    if not toll.kills:
+        return
+    terminalreporter.section("sudden deaths")
+    for key in sorted(toll.kills):
+        name = f"{key[0]}, {key[1]}"
+        terminalreporter.line(f"{name:32}{toll.kills[key]:6} kills, {toll.lost[key]} lost, {toll.doubled[key]} doubled")
+    totals = (sum(counts.values()) for counts in (toll.kills, toll.lost, toll.doubled))
+    terminalreporter.line("{:32}{:6} kills, {} lost, {} doubled".format("all", *totals))
