@@ -249,8 +249,8 @@ def test_a_study_from_new_to_report(study: StudyFolder, tmp_path: Path, capsys: 
     with study.journals[0].open("ab") as file:
         file.write(b"{}")
     assert main(["status", folder]) == 0
-    assert "(2 torn bytes, mended on resuming)" in (table := capsys.readouterr().out)
-    assert len(re.findall(r"^sim00\d +24 +0 .*\(simulated\)", table, flags=re.MULTILINE)) == 4
+    assert "2 torn bytes, mended on resuming" in (table := capsys.readouterr().out)
+    assert len(re.findall(r"^sim00\d +finished +24 +0 .*\(simulated\)", table, flags=re.MULTILINE)) == 4
     assert main(["simulate", folder, "--participants", "4"]) == 0
     assert "feel321: warning: " in (err := capsys.readouterr().err)
     assert "2 bytes of a line that was never finished were moved to" in err
