@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import prod
 from typing import TYPE_CHECKING
 
+from protocols.spaced import find_crowding
 from stimuli.inspection import check_stimuli
 from stimuli.manifest import read_stimuli
 from study.designs import make_design
@@ -84,6 +85,27 @@ def _check_texts(study: StudyFolder, settings: Settings) -> list[str]:
     except ValueError as error:
         return str(error).splitlines()
     return []
+
+
+def find_warnings(study: StudyFolder) -> list[str]:
+    """Find what is allowed in a study and still worth knowing.
+
+    Parameters
+    ----------
+    study : StudyFolder
+        A study without problems.
+
+    Returns
+    -------
+    list of str
+        Rules of the order that the first participant's trials could not keep, one line each; empty before the
+        stimulus set is built.
+    """
+    if not study.stimuli.exists():
+        return []
+    design = make_design(read_settings(study.settings))
+    plan = make_plan(design, read_stimuli(study.stimuli), "check", number=1, simulated=False)
+    return [f"order {design.order!r}: {line}" for line in find_crowding(plan.trials)] if design.order == "random" else []
 
 
 def _check_plan(study: StudyFolder, settings: Settings) -> list[str]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass
-from itertools import groupby
 from typing import TYPE_CHECKING
 
 from protocols.balance import measure_balance, pool_balances
@@ -15,7 +14,7 @@ from study.plan import require_plan
 from study.replay import has_event, list_journals
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
+    from collections.abc import Collection, Iterable, Iterator
     from pathlib import Path
 
     from protocols.trial import Trial
@@ -33,7 +32,7 @@ class Realised:
     participants, finished : int
         Those of whom a trial counts, and those of them who came to their end.
     cycle : int
-        Number of participants over whom the orders come full circle.
+        Number of participants over whom the orders come full circle; 0 for orders by chance.
     positions, carry_over : tuple of int
         Smallest and largest count: how often a condition stood at a place, and next after another one.
     position_index, carry_over_index : float
@@ -110,9 +109,10 @@ def describe_balance(realised: Realised | None) -> str:
     if realised is None:
         return "balance: no trial was run yet"
     places, neighbours = (" to ".join(map(str, counts)) for counts in (realised.positions, realised.carry_over))
+    to_go = f", {-realised.finished % realised.cycle} more for full circle" if realised.cycle else ""
     return (
-        f"balance: {realised.finished} finished, {-realised.finished % realised.cycle} more for full circle; "
-        f"so far {places} times at each place, {neighbours} times after each other"
+        f"balance: {realised.finished} finished{to_go}; so far {places} times at each place, "
+        f"{neighbours} times after each other"
     )
 
 
@@ -134,12 +134,15 @@ def _read_runs(folder: Path) -> tuple[list[Run], bool, int]:
         if record.event == "rated" and record.data["trial"] in trials and not record.data["rejected"]
     ]
     finished = has_event(records, "finished") and not has_event(records, "released")
-    return list(_split_runs(counted)), finished, count_cycle(plan.trials)
+    cycle = count_cycle(plan.trials) if plan.order == "williams" else 0
+    return list(_split_runs(counted)), finished, cycle
 
 
-def _split_runs(trials: Sequence[Trial]) -> Iterator[Run]:
-    for _, block in groupby(trials, key=lambda trial: trial.block):
-        run = list(block)
+def _split_runs(trials: Iterable[Trial]) -> Iterator[Run]:
+    blocks: dict[int, list[Trial]] = defaultdict(list)
+    for trial in trials:  # A second attempt may come after other blocks; it is the last of its own.
+        blocks[trial.block].append(trial)
+    for run in blocks.values():
         recordings = sorted({trial.recording for trial in run})
         pages = [trial for trial in run if len(trial.judgements) > 1]
         for page in pages:

@@ -37,10 +37,12 @@ def new(folder: Path, *, bundled: str | None) -> None:
 @click.pass_context
 def check(context: click.Context, *, study: StudyFolder, as_json: bool) -> None:
     """Check settings, recordings and stimuli, all at once."""
-    from study.check import check_study
+    from study.check import check_study, find_warnings
 
     recordings, problems = check_study(study)
     report_warnings(recordings)
+    for warning in [] if problems else find_warnings(study):
+        warn(warning)
     if as_json:
         print_json({"problems": problems})
     else:

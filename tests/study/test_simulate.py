@@ -11,7 +11,7 @@ import pytest
 
 from stimuli.manifest import read_stimuli
 from study.audit import audit_study
-from study.check import check_study
+from study.check import check_study, find_warnings
 from study.folder import StudyFolder
 from study.journal import create_journal, read_journal
 from study.ratings import write_ratings
@@ -182,6 +182,18 @@ def test_check_finds_that_a_protocol_lacks_its_reference(copy: StudyFolder) -> N
     text = copy.settings.read_text(encoding="utf-8") + 'reference = "none"\n'
     copy.settings.write_text(text, encoding="utf-8")
     assert any("got 0 stimuli for the reference 'original'" in problem for problem in check_study(copy)[1])
+
+
+def test_check_warns_of_an_order_that_cannot_be_kept(copy: StudyFolder) -> None:
+    assert find_warnings(copy) == []  # Squares have no such rule.
+    text = copy.settings.read_text(encoding="utf-8") + '[session]\norder = "random"\n'
+    copy.settings.write_text(text, encoding="utf-8")
+    # Of the five stimuli of each recording three are catch trials, so that some meet.
+    warnings = find_warnings(copy)
+    assert warnings
+    assert all(line.startswith("order 'random': ") and "of 10 trials" in line for line in warnings)
+    shutil.rmtree(copy.stimuli)
+    assert find_warnings(copy) == []
 
 
 def test_check_reports_mistakes_in_the_settings_alone(copy: StudyFolder) -> None:
