@@ -42,16 +42,14 @@ def open_study_ledger(study: StudyFolder) -> tuple[Engine, str]:
     OSError
         If it cannot be read or written.
     """
-    path = study.ledger
-    path.parent.mkdir(parents=True, exist_ok=True)
-    ledger = open_ledger(path)
+    ledger = _open(study)
     if read_ledger(ledger):
         return ledger, ""
     entries, _ = _read_disk(study)
     # Whoever else found it missing may have been quicker, and claimed slots since.
     if not entries or rewrite_ledger(ledger, lambda known: known or entries):
         return ledger, ""
-    return ledger, f"{path}: was missing; {len(entries)} participants were entered from their plans and journals"
+    return ledger, f"{study.ledger}: was missing; {len(entries)} participants were entered from their plans and journals"
 
 
 def rebuild_ledger(study: StudyFolder) -> list[str]:
@@ -85,7 +83,7 @@ def rebuild_ledger(study: StudyFolder) -> list[str]:
         _check_slots(entries + waiting)
         return entries + waiting
 
-    rewrite_ledger(open_ledger(study.ledger), change)
+    rewrite_ledger(_open(study), change)
     return lost + problems
 
 
@@ -140,6 +138,11 @@ def make_entry(standing: Standing) -> Entry:
         anchors=standing.anchors,
         claimed_utc=standing.first_utc,
     )
+
+
+def _open(study: StudyFolder) -> Engine:
+    study.sessions.mkdir(exist_ok=True)
+    return open_ledger(study.ledger)
 
 
 def _read_disk(study: StudyFolder) -> tuple[list[Entry], list[str]]:

@@ -56,14 +56,15 @@ def test_ledger_as_json_holds_the_anchors(begun: Any, say: Say) -> None:
 
 
 def test_ledger_of_a_study_without_participants_has_no_rows(lab: Any, say: Say) -> None:
-    code, out, err = say("ledger", lab.study.path)
-    assert (code, len(out.splitlines()), err) == (0, 1, "")
+    for arguments in (["--rebuild"], []):
+        code, out, err = say("ledger", lab.study.path, *arguments)
+        assert (code, len(out.splitlines()), err) == (0, 1, "")
 
 
 def test_a_missing_ledger_is_told_and_a_rebuild_tells_what_it_forgets(begun: Any, say: Say) -> None:
-    (begun.study.path / "ledger.sqlite").unlink()
+    begun.study.ledger.unlink()
     _, _, err = say("ledger", begun.study.path)
-    assert err.startswith(f"feel321: warning: {begun.study.path / 'ledger.sqlite'}: was missing; 3 participants were")
+    assert err.startswith(f"feel321: warning: {begun.study.ledger}: was missing; 3 participants were")
     (begun.study.sessions / "p02" / "session-01.jsonl").unlink()
     code, out, err = say("ledger", begun.study.path, "--rebuild")
     assert code == 0
@@ -73,7 +74,7 @@ def test_a_missing_ledger_is_told_and_a_rebuild_tells_what_it_forgets(begun: Any
 
 
 def test_a_damaged_ledger_is_one_line(begun: Any, say: Say) -> None:
-    path = begun.study.path / "ledger.sqlite"
+    path = begun.study.ledger
     path.write_bytes(b"x" * 1000)
     for arguments in (["ledger"], ["ledger", "--rebuild"], ["release", "--participant", "p01"]):
         code, out, err = say(*arguments, begun.study.path)

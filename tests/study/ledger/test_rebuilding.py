@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 import study.rebuilding
 from study.anchors import check_anchors
 from study.chain import digest
-from study.ledger import LEDGER_FILE, read_ledger
+from study.ledger import read_ledger
 from study.rebuilding import find_lost, open_study_ledger, rebuild_ledger
 from study.withdrawal import release_participant, withdraw_participant
 
@@ -58,7 +58,7 @@ def test_after_any_history_the_files_alone_give_the_same_ledger(
         act(lab, name, deed, now)
     kept = entries(lab)
     assert find_lost(lab.study) == []
-    (lab.study.path / LEDGER_FILE).unlink()
+    lab.study.ledger.unlink()
     assert entries(lab) == kept
     assert rebuild_ledger(lab.study) == []
     assert entries(lab) == kept
@@ -69,7 +69,7 @@ def test_a_missing_ledger_is_rebuilt_with_one_line(lab: Any) -> None:
     lab.begin("p01")
     lab.begin("p02")
     lab.work("p02", 2)
-    path = lab.study.path / LEDGER_FILE
+    path = lab.study.ledger
     path.unlink()
     ledger, notice = open_study_ledger(lab.study)
     assert notice == f"{path}: was missing; 2 participants were entered from their plans and journals"
@@ -82,7 +82,7 @@ def test_a_missing_ledger_is_rebuilt_with_one_line(lab: Any) -> None:
 
 def test_who_finds_it_missing_second_leaves_what_was_claimed_since(lab: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     lab.begin("p01")
-    (lab.study.path / LEDGER_FILE).unlink()
+    lab.study.ledger.unlink()
     read = study.rebuilding._read_disk
 
     def be_slow(folder: Any) -> Any:
@@ -152,11 +152,11 @@ def remove_all(journal: Path) -> None:
 
 
 def remove_ledger(journal: Path) -> None:
-    (journal.parent.parent.parent / LEDGER_FILE).unlink()
+    (journal.parent.parent / "ledger.sqlite").unlink()
 
 
 def damage_ledger(journal: Path) -> None:
-    (journal.parent.parent.parent / LEDGER_FILE).write_bytes(b"x" * 500)
+    (journal.parent.parent / "ledger.sqlite").write_bytes(b"x" * 500)
 
 
 def remove_tombstone(journal: Path) -> None:
@@ -183,8 +183,8 @@ def bring_stranger(journal: Path) -> None:
         (remake_last_line, "sessions/p01/session-01.jsonl, line 11: is not the line that was seen there"),
         (Path.unlink, "sessions/p01/session-01.jsonl: is gone, 11 lines of it were seen"),
         (remove_all, "sessions/p01: is gone without a tombstone, 11 lines of its journals were seen; restore it"),
-        (remove_ledger, "ledger.sqlite: is missing, so nobody can tell what else is; rebuild it: feel321 ledger"),
-        (damage_ledger, "ledger.sqlite: got a damaged file (file is not a database); move it away, then rebuild it"),
+        (remove_ledger, "sessions/ledger.sqlite: is missing, so nobody can tell what else is; rebuild it: feel321 ledger"),
+        (damage_ledger, "sessions/ledger.sqlite: got a damaged file (file is not a database); move it away"),
         (remove_tombstone, "sessions/gone: the participant was withdrawn, the tombstone is gone; restore it"),
         (damage_tombstone, "sessions/gone/withdrawn.json: got no tombstone, or a damaged one; restore"),
         (reopen_tombstone, "sessions/gone: the withdrawal was broken off; finish it: feel321 withdraw"),
@@ -229,5 +229,5 @@ def test_a_ledger_alone_is_no_study(lab: Any) -> None:
     assert find_lost(lab.study) == []
     lab.claim("p01")
     assert find_lost(lab.study) == []
-    (lab.study.path / LEDGER_FILE).unlink()
+    lab.study.ledger.unlink()
     assert find_lost(lab.study) == []

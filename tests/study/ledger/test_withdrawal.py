@@ -290,7 +290,7 @@ def test_of_someone_who_never_began_nothing_is_kept(lab: Any, now: Any, left: st
         lab.begin("p01")
         (folder / "session-01.jsonl").unlink()
         # As after a crash: the ledger has seen no line yet.
-        (lab.study.path / "ledger.sqlite").unlink()
+        lab.study.ledger.unlink()
     if left == "empty journal":
         create_journal(folder / "session-01.jsonl", now=now)
     assert release_participant(lab.study, "p01", now=now) == 1
