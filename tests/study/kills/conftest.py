@@ -6,7 +6,6 @@ import csv
 import os
 import signal
 import sys
-import time
 import traceback
 from collections import Counter
 from dataclasses import dataclass, field, replace
@@ -240,8 +239,17 @@ class Kill:
             os.write = tear
 
 
+@dataclass(frozen=True)
+class Size:
+    """How many calls leave a trace, how many records and bytes there are in a session that comes to its end."""
+
+    calls: int
+    records: int
+    n_bytes: int
+
+
 def count_traces(run: Callable[[], None]) -> tuple[int, int]:
-    """Count the calls that leave a trace, and the records among them, in a process that comes to its end."""
+    """Count the calls that leave a trace, and the records among them."""
     calls: Counter[str] = Counter()
 
     def count(_frame: object, event: str, function: Any) -> None:
@@ -257,8 +265,8 @@ def count_traces(run: Callable[[], None]) -> tuple[int, int]:
     return calls["all"], calls["records"]
 
 
-def fork(run: Callable[[], object], *, kill: Kill | None = None, after_s: float | None = None) -> int:
-    """Run in a process of its own and tell how it ended; `after_s` is when it is killed from outside."""
+def fork(run: Callable[[], object], *, kill: Kill | None = None, until: Callable[[], bool] | None = None) -> int:
+    """Run in a process of its own and tell how it ended; with `until`, it is killed from outside as soon as that is."""
     child = os.fork()
     if child == 0:
         try:
@@ -271,10 +279,15 @@ def fork(run: Callable[[], object], *, kill: Kill | None = None, after_s: float 
             traceback.print_exc()
             sys.stderr.flush()
             os._exit(1)
-    if after_s is not None:
-        time.sleep(after_s)
+    if until is not None:
+        while not until() and os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
+            pass
         os.kill(child, signal.SIGKILL)
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+def measure(study: StudyFolder) -> int:
+    return sum(path.stat().st_size for path in study.journals)
 
 
 def read_rated(study: StudyFolder) -> dict[str, list[bytes]]:
@@ -312,37 +325,54 @@ class Lab:
     path: Path
     stimuli: StimulusSet
     toll: Toll
-    ends: dict[tuple[str, str], tuple[End, tuple[int, int]]] = field(default_factory=dict)
+    ends: dict[tuple[str, str], tuple[End, Size]] = field(default_factory=dict)
 
-    def count(self, task: str, presenter: str) -> tuple[int, int]:
-        """Count the calls and the records of a session that is not interrupted."""
+    def count(self, task: str, presenter: str) -> Size:
+        """Measure a session that is not interrupted."""
         return self._lead_whole(task, presenter)[1]
+
+    @staticmethod
+    def at(k: int) -> Kill:
+        """Choose the kill before the k-th call."""
+        return Kill(k)
+
+    @staticmethod
+    def draw(seed: int, n: int) -> list[float]:
+        """Draw shares of a session."""
+        return list(np.random.default_rng(seed).uniform(0.02, 0.98, n))
 
     def place(self, instant: float, *, task: str, presenter: str, j: float | None = None) -> Kill:
         """Choose the kill at some share of a session."""
-        calls, records = self.count(task, presenter)
-        return Kill(1 + int(instant * ((calls if j is None else records) - 1)), j)
+        size = self.count(task, presenter)
+        return Kill(1 + int(instant * ((size.calls if j is None else size.records) - 1)), j)
 
     def endure(
         self, task: str, presenter: str, kills: Sequence[Kill | float], path: Path, *, policy: str = "continue"
     ) -> StudyFolder:
-        """Die so many times (at a Kill, or after so many seconds), then check that nothing is missing or too much.
+        """Die so many times, then check that nothing is missing or too much.
+
+        A number instead of a Kill is a share of the journal's length: once that is there, the kill comes from outside.
 
         With another policy than `continue`, whoever goes on comes back the next day.
         """
         session = Session(task, presenter, self.stimuli, policy)
         study, key = session.make_study(path), (task, presenter)
+        told = f"{task} {presenter} {policy} {kills}"
         later_h = 0.0
         seen: list[dict[str, list[bytes]]] = []
         for kill in kills:
-            sudden = {"after_s": kill} if isinstance(kill, float) else {"kill": kill}
-            code = fork(partial(session.lead, study, later_h=later_h), **sudden)
+            lead = partial(session.lead, study, later_h=later_h)
+            if isinstance(kill, Kill):
+                code = fork(lead, kill=kill)
+            else:
+                n_bytes = kill * self.count(task, presenter).n_bytes
+                code = fork(lead, until=lambda n_bytes=n_bytes: measure(study) >= n_bytes)
             self.toll.kills[key] += code == -signal.SIGKILL
-            assert code == -signal.SIGKILL, f"{task} {presenter} {kill} of {kills}: ended with {code}"
+            # From outside, the kill may come too late.
+            assert code == -signal.SIGKILL or (code, type(kill)) == (0, float), f"{told}: ended with {code}"
             seen.append(read_rated(study))
             later_h += 0.0 if policy == "continue" else 24.0
         session.lead(study, later_h=later_h)
-        told = f"{task} {presenter} {policy} {kills}"
         now = read_rated(study)
         lost = sum(lines != now.get(name, [])[: len(lines)] for before in seen for name, lines in before.items())
         doubled = sum(count_doubles(study))
@@ -358,13 +388,13 @@ class Lab:
         assert audit_study(study) == [], told
         return study
 
-    def _lead_whole(self, task: str, presenter: str) -> tuple[End, tuple[int, int]]:
+    def _lead_whole(self, task: str, presenter: str) -> tuple[End, Size]:
         key = (task, presenter)
         if key not in self.ends:
             session = Session(task, presenter, self.stimuli)
             study = session.make_study(self.path / f"{task}-{presenter}")
             counts = count_traces(partial(session.lead, study))
-            self.ends[key] = (read_end(study, presenter), counts)
+            self.ends[key] = (read_end(study, presenter), Size(*counts, measure(study)))
         return self.ends[key]
 
 

@@ -1,4 +1,7 @@
-"""Sudden death: SIGKILL between and inside the records of every protocol, and again while going on."""
+"""Sudden death: SIGKILL between and inside the records of every protocol, and again while going on.
+
+`k` counts the calls that leave a trace on the disk (or, with `j`, the records); an instant is a share of a session.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +9,95 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from study.journal import read_journal
+
 if TYPE_CHECKING:
     from pathlib import Path
 
 TASKS = ("realism", "similarity-strict", "similarity-replay", "dissimilarity", "mushra", "abx")
 PRESENTERS = ("observer", "scripted")
+OPENING = 45
+"""Calls until a session is open: the ledger, the slot, the plan, the journal or its mending, the header."""
+
+every_session = pytest.mark.parametrize(
+    ("task", "presenter"), [(task, presenter) for task in TASKS for presenter in PRESENTERS]
+)
 
 
-@pytest.mark.parametrize("presenter", PRESENTERS)
-@pytest.mark.parametrize("task", TASKS)
 @pytest.mark.parametrize("instant", [0.3, 0.8])
-def test_killed_between_two_calls(lab: Any, tmp_path: Path, task: str, presenter: str, instant: float) -> None:
-    kill = lab.place(instant, task=task, presenter=presenter)
-    lab.endure(task, presenter, [kill], tmp_path / "killed")
+@every_session
+def test_between_two_calls(lab: Any, task: str, presenter: str, instant: float, tmp_path: Path) -> None:
+    lab.endure(task, presenter, [lab.place(instant, task=task, presenter=presenter)], tmp_path / "killed")
+
+
+@pytest.mark.parametrize(("instant", "j"), [(0.1, 0.0), (0.5, 0.5), (0.9, 1.0)])
+@every_session
+def test_inside_a_record(lab: Any, task: str, presenter: str, instant: float, j: float, tmp_path: Path) -> None:
+    lab.endure(task, presenter, [lab.place(instant, task=task, presenter=presenter, j=j)], tmp_path / "killed")
+
+
+@pytest.mark.parametrize("k", range(1, OPENING, 6))
+def test_before_the_first_record(lab: Any, k: int, tmp_path: Path) -> None:
+    lab.endure("similarity-replay", "scripted", [lab.at(k)], tmp_path / "killed")
+
+
+@pytest.mark.parametrize("k", range(2, OPENING, 4))
+def test_again_while_a_torn_line_is_mended(lab: Any, k: int, tmp_path: Path) -> None:
+    torn = lab.place(0.6, task="dissimilarity", presenter="observer", j=0.5)
+    lab.endure("dissimilarity", "observer", [torn, lab.at(k), lab.at(k + 1)], tmp_path / "killed")
+
+
+@pytest.mark.parametrize("policy", ["warm_up", "restart"])
+@pytest.mark.parametrize("k", range(14, OPENING, 5))
+def test_again_the_next_day(lab: Any, k: int, policy: str, tmp_path: Path) -> None:
+    first = lab.place(0.6, task="abx", presenter="observer")
+    study = lab.endure("abx", "observer", [first, lab.at(k)], tmp_path / "killed", policy=policy)
+    events = [record.event for path in study.journals for record in read_journal(path).records]
+    assert {"warm_up": "warm_up", "restart": "superseded"}[policy] in events
+
+
+@pytest.mark.parametrize("instant", [0.2, 0.6])
+@pytest.mark.parametrize("task", ["realism", "mushra"])
+def test_from_outside(lab: Any, task: str, instant: float, tmp_path: Path) -> None:
+    lab.endure(task, "scripted", [instant], tmp_path / "killed")
+
+
+@pytest.mark.soak
+class TestSoak:
+    """The same, so often that no instant is left out by luck."""
+
+    @pytest.mark.parametrize("instant", [n / 100 for n in range(100)])
+    @every_session
+    def test_between_two_calls(self, lab: Any, task: str, presenter: str, instant: float, tmp_path: Path) -> None:
+        lab.endure(task, presenter, [lab.place(instant, task=task, presenter=presenter)], tmp_path / "killed")
+
+    @pytest.mark.parametrize("j", [0.0, 0.3, 1.0])
+    @pytest.mark.parametrize("instant", [n / 16 for n in range(16)])
+    @every_session
+    def test_inside_a_record(
+        self, lab: Any, task: str, presenter: str, instant: float, j: float, tmp_path: Path
+    ) -> None:
+        lab.endure(task, presenter, [lab.place(instant, task=task, presenter=presenter, j=j)], tmp_path / "killed")
+
+    @pytest.mark.parametrize("k", range(1, OPENING + 20))
+    @pytest.mark.parametrize("presenter", PRESENTERS)
+    def test_every_call_of_the_first_opening(self, lab: Any, presenter: str, k: int, tmp_path: Path) -> None:
+        lab.endure("realism", presenter, [lab.at(k)], tmp_path / "killed")
+
+    @pytest.mark.parametrize("k", range(1, OPENING + 20))
+    @pytest.mark.parametrize("presenter", PRESENTERS)
+    def test_every_call_of_mending(self, lab: Any, presenter: str, k: int, tmp_path: Path) -> None:
+        torn = lab.place(0.6, task="mushra", presenter=presenter, j=0.5)
+        lab.endure("mushra", presenter, [torn, lab.at(k), lab.at(k + 1)], tmp_path / "killed")
+
+    @pytest.mark.parametrize("policy", ["warm_up", "restart"])
+    @pytest.mark.parametrize("k", range(1, OPENING + 20))
+    def test_every_call_of_the_next_day(self, lab: Any, k: int, policy: str, tmp_path: Path) -> None:
+        first = lab.place(0.6, task="abx", presenter="observer")
+        lab.endure("abx", "observer", [first, lab.at(k)], tmp_path / "killed", policy=policy)
+
+    @pytest.mark.parametrize("seed", range(10))
+    @every_session
+    def test_from_outside(self, lab: Any, task: str, presenter: str, seed: int, tmp_path: Path) -> None:
+        instants = sorted(lab.draw(seed, 3))
+        lab.endure(task, presenter, instants, tmp_path / "killed")
