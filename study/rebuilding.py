@@ -49,7 +49,8 @@ def open_study_ledger(study: StudyFolder) -> tuple[Engine, str]:
     # Whoever else found it missing may have been quicker, and claimed slots since.
     if not entries or rewrite_ledger(ledger, lambda known: known or entries):
         return ledger, ""
-    return ledger, f"{study.ledger}: was missing; {len(entries)} participants were entered from their plans and journals"
+    count = len(entries)
+    return ledger, f"{study.ledger}: was missing; {count} participants were entered from their plans and journals"
 
 
 def rebuild_ledger(study: StudyFolder) -> list[str]:

@@ -183,7 +183,7 @@ def bring_stranger(journal: Path) -> None:
         (remake_last_line, "sessions/p01/session-01.jsonl, line 11: is not the line that was seen there"),
         (Path.unlink, "sessions/p01/session-01.jsonl: is gone, 11 lines of it were seen"),
         (remove_all, "sessions/p01: is gone without a tombstone, 11 lines of its journals were seen; restore it"),
-        (remove_ledger, "sessions/ledger.sqlite: is missing, so nobody can tell what else is; rebuild it: feel321 ledger"),
+        (remove_ledger, "sessions/ledger.sqlite: is missing, so nobody can tell what else is; rebuild it: feel321"),
         (damage_ledger, "sessions/ledger.sqlite: got a damaged file (file is not a database); move it away"),
         (remove_tombstone, "sessions/gone: the participant was withdrawn, the tombstone is gone; restore it"),
         (damage_tombstone, "sessions/gone/withdrawn.json: got no tombstone, or a damaged one; restore"),
