@@ -28,6 +28,9 @@ POLICIES = ("warm_up", "continue", "restart")
 UNCOMPARED = ("session", "versions", "clock")
 """What may differ between a header and a later opening: other versions may go on with a session."""
 
+OPENING_EVENTS = ("clock_stepped", "recovered", "resumed")
+"""What an opening records before anybody has come back to work."""
+
 
 @dataclass(frozen=True, slots=True)
 class Stale:
@@ -173,4 +176,6 @@ def _check_header(begun: Mapping[str, Any], header: Mapping[str, Any], *, path: 
 def _is_stale(journal: Journal, *, now: Clock, stale: Stale) -> bool:
     if stale.after_h is None:
         return False
-    return now() - datetime.fromisoformat(journal.records[-1].utc) > timedelta(hours=stale.after_h)
+    # An opening that was itself broken off leaves fresh records of an old session.
+    last = next(record for record in reversed(journal.records) if record.event not in OPENING_EVENTS)
+    return now() - datetime.fromisoformat(last.utc) > timedelta(hours=stale.after_h)

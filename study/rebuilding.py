@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from study.anchors import find_cut
 from study.entries import LIVE, Entry
 from study.ledger import open_ledger, read_ledger, rewrite_ledger
-from study.standing import Standing, read_standings
+from study.standing import Standing, read_standing, read_standings
 from study.tombstone import REMOVED, Tombstone, read_tombstone
 
 if TYPE_CHECKING:
@@ -191,5 +191,25 @@ def _find_lost_of(entry: Entry, study: StudyFolder) -> Iterator[str]:
     elif entry.anchors and not _is_begun(folder):
         lines = sum(anchor.lines for anchor in entry.anchors)
         yield f"{folder}: is gone without a tombstone, {lines} lines of its journals were seen; restore it from a copy"
-    else:
-        yield from filter(None, (find_cut(anchor, folder) for anchor in entry.anchors))
+    elif cuts := [cut for anchor in entry.anchors if (cut := find_cut(anchor, folder))]:
+        yield from cuts
+    elif _is_begun(folder):
+        yield from _find_edited(entry, study)
+
+
+def _find_edited(entry: Entry, study: StudyFolder) -> Iterator[str]:
+    """Find what the ledger says of a participant and neither plan nor journals ever said."""
+    try:
+        standing = read_standing(study.sessions / entry.participant)
+    except (OSError, ValueError):
+        return  # Whatever is wrong with plan or journals is for those to say who read them.
+    pairs = [("number", entry.number, standing.number), ("simulated", entry.simulated, standing.simulated)]
+    # The ledger may lag behind a journal, but what ends a session it only knows from there.
+    if not standing.problem and (entry.anchors == standing.anchors or entry.state in {"finished", "released"}):
+        pairs.append(("state", entry.state, standing.state))
+    for name, got, expected in pairs:
+        if got != expected:
+            yield (
+                f"{study.ledger}: {entry.participant} has {name} {got}, plan and journals say {expected}; "
+                f"rebuild it: feel321 ledger {quote(str(study.path))} --rebuild"
+            )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import os
 import signal
 import sys
@@ -198,6 +199,13 @@ TRACES = frozenset(
 """Calls into the system that may leave a trace on the disk; the ledger's are SQLite's."""
 
 
+def leaves_trace(event: str, function: Any) -> bool:
+    """Tell whether a profiled event is such a call; strings and files in memory have methods of these names too."""
+    if event != "c_call" or function.__name__ not in TRACES:
+        return False
+    return not isinstance(function.__self__, str | io.StringIO)
+
+
 def die() -> NoReturn:
     os.kill(os.getpid(), signal.SIGKILL)
     raise SystemExit("outlived SIGKILL")
@@ -219,7 +227,7 @@ class Kill:
 
             def count(_frame: object, event: str, function: Any) -> None:
                 nonlocal calls
-                if event == "c_call" and function.__name__ in TRACES:
+                if leaves_trace(event, function):
                     calls += 1
                     if calls == self.k:
                         die()
@@ -253,7 +261,7 @@ def count_traces(run: Callable[[], None]) -> tuple[int, int]:
     calls: Counter[str] = Counter()
 
     def count(_frame: object, event: str, function: Any) -> None:
-        if event == "c_call" and function.__name__ in TRACES:
+        if leaves_trace(event, function):
             calls["all"] += 1
             calls["records"] += function is os.write
 
@@ -353,7 +361,7 @@ class Lab:
 
         A number instead of a Kill is a share of the journal's length: once that is there, the kill comes from outside.
 
-        With another policy than `continue`, whoever goes on comes back the next day.
+        With another policy than `continue`, all later ones come back the next day.
         """
         session = Session(task, presenter, self.stimuli, policy)
         study, key = session.make_study(path), (task, presenter)
@@ -371,7 +379,7 @@ class Lab:
             # From outside, the kill may come too late.
             assert code == -signal.SIGKILL or (code, type(kill)) == (0, float), f"{told}: ended with {code}"
             seen.append(read_rated(study))
-            later_h += 0.0 if policy == "continue" else 24.0
+            later_h = 0.0 if policy == "continue" else 24.0
         session.lead(study, later_h=later_h)
         now = read_rated(study)
         lost = sum(lines != now.get(name, [])[: len(lines)] for before in seen for name, lines in before.items())

@@ -1,0 +1,284 @@
+"""What was once written and is no longer so: audit finds it, names the file, and the line where there is one."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sqlite3
+from contextlib import closing
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from study.audit import audit_study
+from study.chain import START, digest, read_chain, write_line
+from study.folder import StudyFolder
+from study.journal import create_journal, read_journal, require_journal
+from study.rebuilding import rebuild_ledger
+from study.workflow import build_study, simulate_study
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from study.chain import Record
+
+    Edit = Callable[[list[bytes]], list[bytes]]
+
+STUDY = """
+[[recordings]]
+scene = "bumps"
+duration_s = 0.1
+[stimuli]
+reducers = ["sax321", "dft321"]
+[session]
+protocols = ["similarity"]
+[session.rehearsal]
+training = 0
+practice = 0
+"""
+
+
+def tell_time() -> datetime:
+    return datetime.now(UTC)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> StudyFolder:
+    """A study that three participants have finished; to be copied, not touched."""
+    study = StudyFolder(tmp_path_factory.mktemp("whole"))
+    study.settings.write_text(STUDY, encoding="utf-8")
+    build_study(study)
+    simulate_study(study, participants=3, seed=None, now=tell_time)
+    return study
+
+
+@pytest.fixture
+def copy(whole: StudyFolder, tmp_path: Path) -> StudyFolder:
+    shutil.copytree(whole.path, tmp_path / "copy")
+    return StudyFolder(tmp_path / "copy")
+
+
+def find_only(study: StudyFolder) -> str:
+    (finding,) = audit_study(study)
+    return finding
+
+
+def find_rated(lines: list[bytes]) -> int:
+    return next(place for place, line in enumerate(lines) if b'"event": "rated"' in line)
+
+
+def chain_anew(records: list[Record]) -> bytes:
+    """Write records as a chain that holds, whatever they say."""
+    content, tip = b"", START
+    for sequence, record in enumerate(records):
+        line = write_line(replace(record, sequence=sequence), tip)
+        content, tip = content + line, digest(line.rstrip(b"\n"))
+    return content
+
+
+def test_a_study_as_it_was_written_gives_no_finding(copy: StudyFolder) -> None:
+    assert audit_study(copy) == []
+
+
+@pytest.mark.parametrize(
+    ("edit", "finding"),
+    [
+        (lambda lines: [*lines[:8], lines[8].replace(b'"test": ', b'"test": 1'), *lines[9:]], ", line 9: was changed"),
+        (lambda lines: lines[:5] + lines[6:], ", line 6: does not follow the line before"),
+        (lambda lines: [*lines[:5], lines[6], lines[5], *lines[7:]], ", line 6: does not follow the line before"),
+        (lambda lines: [*lines, lines[-1]], ": does not follow the line before"),
+        (lambda lines: lines[1:], ", line 1: does not follow the line before"),
+        (lambda lines: [*lines, b'{"torn'], ": ends in 6 bytes of a line that was never finished"),
+    ],
+    ids=["a changed rating", "a deleted line", "swapped lines", "a doubled line", "a lost header", "a torn line"],
+)
+def test_an_edited_journal_is_named_with_its_line(copy: StudyFolder, edit: Edit, finding: str) -> None:
+    journal = copy.journals[0]
+    lines = journal.read_bytes().splitlines(keepends=True)
+    assert find_rated(lines) == 8, "the changed line is the first rating"
+    journal.write_bytes(b"".join(edit(lines)))
+    findings = [line for line in audit_study(copy) if str(journal) in line]
+    assert finding in findings[0]
+
+
+@pytest.mark.parametrize("kept", [0, 1, 6, -1])
+def test_lines_cut_off_at_the_end_are_missed_by_the_ledger(copy: StudyFolder, kept: int) -> None:
+    journal = copy.journals[0]
+    lines = journal.read_bytes().splitlines(keepends=True)
+    journal.write_bytes(b"".join(lines[:kept]))
+    left = len(lines[:kept])
+    assert find_only(copy) == f"{journal}: ends with line {left}, {len(lines)} lines of it were seen"
+    # Once it was said, it can be taken as it is.
+    assert rebuild_ledger(copy) == [f"{journal}: ends with line {left}, {len(lines)} lines of it were seen"]
+    assert audit_study(copy) == []
+
+
+def test_a_chain_forged_as_a_whole_is_betrayed_by_the_ledger(copy: StudyFolder) -> None:
+    journal = copy.journals[0]
+    records = list(read_journal(journal).records)
+    place = find_rated(journal.read_bytes().splitlines())
+    better = {**records[place].data, "values": {"test": 100.0}}
+    journal.write_bytes(chain_anew([*records[:place], replace(records[place], data=better), *records[place + 1 :]]))
+    assert find_only(copy) == f"{journal}, line {len(records)}: is not the line that was seen there"
+
+
+def test_a_changed_wav_is_found(copy: StudyFolder) -> None:
+    wav = next(copy.stimuli.glob("*.wav"))
+    content = bytearray(wav.read_bytes())
+    content[-5] ^= 1
+    wav.write_bytes(content)
+    assert wav.name in find_only(copy)
+
+
+def test_a_changed_or_missing_plan_is_found(copy: StudyFolder) -> None:
+    changed, missing = (copy.sessions / name / "plan.json" for name in ("sim001", "sim002"))
+    changed.write_bytes(changed.read_bytes().replace(b'"seed": 321', b'"seed": 322'))
+    missing.unlink()
+    findings = audit_study(copy)
+    assert len(findings) == 2
+    assert findings[0].startswith(f"{changed}: got no plan, or one that was changed after it was stored")
+    assert str(missing) in findings[1]
+
+
+def test_a_plan_forged_with_its_digest_is_betrayed_by_the_journal(copy: StudyFolder) -> None:
+    path = copy.sessions / "sim001" / "plan.json"
+    body = path.read_bytes().replace(b'"seed": 321', b'"seed": 322').rpartition(b',\n "sha256"')[0]
+    path.write_bytes(body + b',\n "sha256": "' + digest(body + b"\n}").encode() + b'"\n}\n')
+    assert find_only(copy) == f"{copy.journals[0]}: was begun with another plan than the one beside it"
+
+
+def test_a_copied_journal_is_found(copy: StudyFolder) -> None:
+    target = copy.sessions / "sim001" / "session-02.jsonl"
+    shutil.copy(copy.journals[0], target)
+    assert f"{target}: is session 1 of 'sim001', it was copied here" in audit_study(copy)
+
+
+def test_a_journal_put_into_the_place_of_another_is_found(copy: StudyFolder) -> None:
+    shutil.copy(copy.journals[0], copy.journals[1])
+    findings = audit_study(copy)
+    assert f"{copy.journals[1]}: is session 1 of 'sim001', it was copied here" in findings
+    assert f"{copy.journals[1]}: was begun with another plan than the one beside it" in findings
+
+
+def test_a_copied_participant_is_found(copy: StudyFolder) -> None:
+    shutil.copytree(copy.sessions / "sim002", copy.sessions / "sim009")
+    findings = audit_study(copy)
+    assert f"{copy.sessions / 'sim009' / 'plan.json'}: is the plan of 'sim002', it was copied here" in findings
+    assert any(line.startswith(f"{copy.sessions / 'sim009'}: is not in the ledger") for line in findings)
+
+
+def test_a_deleted_participant_is_missed_by_the_ledger(copy: StudyFolder) -> None:
+    lines = len(read_journal(copy.journals[1]).records)
+    folder = copy.sessions / "sim002"
+    shutil.rmtree(folder)
+    assert find_only(copy) == (
+        f"{folder}: is gone without a tombstone, {lines} lines of its journals were seen; restore it from a copy"
+    )
+
+
+def test_a_deleted_journal_is_missed_by_the_ledger(copy: StudyFolder) -> None:
+    lines = len(read_journal(copy.journals[1]).records)
+    journal = copy.journals[1]
+    journal.unlink()
+    assert find_only(copy) == f"{journal}: is gone, {lines} lines of it were seen"
+
+
+def test_a_changed_manifest_is_found(copy: StudyFolder) -> None:
+    path = copy.stimuli / "manifest.json"
+    entry = json.loads(path.read_text(encoding="utf-8"))
+    entry["stimuli"][0]["spectral_match"] = 0.99
+    path.write_text(json.dumps(entry), encoding="utf-8")
+    assert find_only(copy) == (
+        f"{copy.stimuli}: manifest.csv and manifest.json differ; one was changed, build the set again"
+    )
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "finding"),
+    [
+        ("number", 7, "sim002 has number 7, plan and journals say 2"),
+        ("state", "released", "sim002 has state released, plan and journals say finished"),
+        ("state", "running", "sim002 has state running, plan and journals say finished"),
+        ("simulated", 0, "sim002 has simulated False, plan and journals say True"),
+    ],
+)
+def test_an_edited_row_of_the_ledger_is_found(copy: StudyFolder, column: str, value: Any, finding: str) -> None:
+    with closing(sqlite3.connect(copy.ledger)) as ledger, ledger:
+        ledger.execute(f"UPDATE participants SET {column} = ? WHERE participant = 'sim002'", (value,))  # noqa: S608
+    assert find_only(copy) == f"{copy.ledger}: {finding}; rebuild it: feel321 ledger {copy.path} --rebuild"
+    rebuild_ledger(copy)
+    assert audit_study(copy) == []
+
+
+def test_a_ledger_that_is_gone_is_missed(copy: StudyFolder) -> None:
+    copy.ledger.unlink()
+    assert find_only(copy).startswith(f"{copy.ledger}: is missing, so nobody can tell what else is; rebuild it: ")
+
+
+def test_a_ledger_that_lags_behind_the_journals_is_no_finding(whole: StudyFolder, copy: StudyFolder) -> None:
+    """After a kill the journals know more than the ledger does; they are the truth."""
+    lines = whole.journals[1].read_bytes().splitlines(keepends=True)
+    copy.journals[1].write_bytes(b"".join(lines[:7]))
+    rebuild_ledger(copy)
+    copy.journals[1].write_bytes(b"".join(lines))
+    assert audit_study(copy) == []
+
+
+@pytest.mark.parametrize(
+    ("events", "finding"),
+    [
+        ([("page", {"key": "welcome", "time_s": 0.0})], ": has no header"),
+        ([("begun", None), ("shown", {"trial": 1, "attempt": 1})], ", line 2: shows trial 1, attempt 1, which was not next"),
+        ([("begun", None), ("page", {"key": "end", "time_s": 0.0})], ", line 2: got page 'end', expected page 'welcome'"),
+        ([("begun", None), ("finished", {})], ", line 2: finished after 0 of 5 trials"),
+    ],
+)
+def test_gaps_in_a_chain_that_holds_are_found(
+    copy: StudyFolder, events: list[tuple[str, Any]], finding: str
+) -> None:
+    header = read_journal(copy.journals[0]).records[0].data
+    path = copy.journals[0]
+    path.unlink()
+    journal = create_journal(path, now=tell_time)
+    for event, data in events:
+        journal.write(event, header if data is None else data)
+    rebuild_ledger(copy)
+    assert find_only(copy) == f"{path}{finding}"
+
+
+def test_a_rating_given_twice_in_a_chain_that_holds_is_found(copy: StudyFolder) -> None:
+    path = copy.journals[0]
+    records = list(read_journal(path).records)
+    place = find_rated(path.read_bytes().splitlines())
+    path.write_bytes(chain_anew([*records[: place + 1], *records[place:]]))
+    rebuild_ledger(copy)
+    assert find_only(copy) == f"{path}, line {place + 2}: got trial 1, expected trial 2"
+
+
+def test_a_journal_that_never_got_its_header_is_no_finding(copy: StudyFolder) -> None:
+    copy.journals[0].write_bytes(b"")
+    rebuild_ledger(copy)
+    assert audit_study(copy) == []
+
+
+def test_a_clock_set_back_is_recorded_and_explained(copy: StudyFolder) -> None:
+    path = copy.journals[0]
+    hour_ago = tell_time() - timedelta(hours=1)
+    require_journal(path, now=lambda: hour_ago).write("resumed", {"versions": {}, "clock": {}})
+    stepped, resumed = read_journal(path).records[-2:]
+    assert (stepped.event, resumed.event) == ("clock_stepped", "resumed")
+    assert stepped.data["back_s"] == pytest.approx(3600, abs=60)
+    assert audit_study(copy) == []
+
+
+def test_time_that_runs_backwards_without_a_word_is_found(copy: StudyFolder) -> None:
+    path = copy.journals[0]
+    records = list(read_journal(path).records)
+    records[4] = replace(records[4], utc="2001-01-01T00:00:00.000+00:00")
+    path.write_bytes(chain_anew(records))
+    rebuild_ledger(copy)
+    assert len(read_chain(path.read_bytes(), "").records) == len(records)
+    assert find_only(copy) == f"{path}, line 5: is older than the line before, and nothing says why"
