@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 DONE, COULD_NOT, WRONG_USE, INTERRUPTED = 0, 1, 2, 130
 
-RESUMED = {"build", "demo", "simulate"}
-"""_Verbs that go on, when called again, where they were interrupted."""
+RESUMED = {"build", "demo", "simulate", "withdraw"}
+"""Verbs that go on, when called again, where they were interrupted."""
 
 
 class Interrupted(Exception):  # noqa: N818 - nothing went wrong

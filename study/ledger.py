@@ -85,6 +85,7 @@ def claim_slots(ledger: Engine, participants: Sequence[str], *, simulated: bool,
         kept = {name: _keep_slot(known[name], simulated=simulated) for name in participants if name in known}
         free = _list_free_numbers(known.values(), simulated=simulated)
         claimed = {name: next(free) for name in dict.fromkeys(participants) if name not in known}
+        _check_apart([*known, *claimed])
         write_entries(
             connection, [Entry(name, simulated, slot, "claimed", claimed_utc=utc) for name, slot in claimed.items()]
         )
@@ -183,6 +184,14 @@ def _keep_slot(entry: Entry, *, simulated: bool) -> int:
         )
     _check_live(entry)
     return entry.number
+
+
+def _check_apart(participants: Sequence[str]) -> None:
+    """Refuse codes that differ in capitals only: on many systems they name one folder."""
+    named: dict[str, str] = {}
+    for name in participants:
+        if (other := named.setdefault(name.lower(), name)) != name:
+            raise ValueError(f"participant {name}: differs from {other} in capitals only; take another code")
 
 
 def _check_live(entry: Entry) -> None:

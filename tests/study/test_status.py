@@ -53,7 +53,9 @@ def test_what_is_broken_hides_nobody_else(begun: StudyFolder, name: str, content
     assert (broken.participant, broken.done, broken.state) == ("p01", 0, "")
     assert problem in broken.problem
     assert "p02/plan.json: is the plan of 'p01', it was copied here; move it away" in copied.problem
-    assert measure_realised(begun) is None or measure_realised(begun).participants == 1  # type: ignore[union-attr]
+    realised = measure_realised(begun)
+    assert realised is not None
+    assert realised.participants == 1  # The copy; what is broken is left out.
 
 
 def test_a_journal_without_its_plan_is_a_problem(begun: StudyFolder) -> None:

@@ -57,6 +57,14 @@ def test_slots_are_claimed_in_order_and_kept(ledger: Engine, now: Now) -> None:
     assert (entry.state, entry.claimed_utc, entry.anchors) == ("claimed", "2026-01-01T12:00:00+00:00", ())
 
 
+@pytest.mark.parametrize("names", [["P01"], ["p02", "P02"]])
+def test_codes_that_name_one_folder_elsewhere_are_refused(ledger: Engine, now: Now, names: list[str]) -> None:
+    claim_slots(ledger, ["p01"], simulated=False, now=now)
+    with pytest.raises(ValueError, match=r"participant P0\d: differs from p0\d in capitals only; take another code"):
+        claim_slots(ledger, names, simulated=False, now=now)
+    assert list(slots(ledger)) == ["p01"]
+
+
 def test_simulated_and_real_people_are_counted_apart(ledger: Engine, now: Now) -> None:
     claim_slots(ledger, ["p01", "p02"], simulated=False, now=now)
     assert claim_slots(ledger, ["sim001"], simulated=True, now=now) == {"sim001": 1}
