@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from analysis.reliability import SMALLEST
+from analysis.scales import tell_measure
 from analysis.style import GREY, THIN, Look, new_figure, print_style
 from analysis.table import HIGHEST, LOWEST, ROLES
 from analysis.words import tell_axis, tell_name, tell_number, tell_range, tell_span, wrap_name
@@ -120,7 +121,7 @@ def draw_profile(profile: DataFrame, participants: DataFrame, *, looks: Mapping[
 
 def _tell_scale(scale: str) -> str:
     name = wrap_name(tell_name(scale), SCALE_LETTERS, lines=1)
-    return wrap_name(f"Mean {name} rating ({LOWEST:.0f}–{HIGHEST:.0f})", AXIS_LETTERS, lines=3)
+    return wrap_name(f"Mean {tell_measure(name)} ({LOWEST:.0f}–{HIGHEST:.0f})", AXIS_LETTERS, lines=3)
 
 
 def _tell_profile(n_participants: Series) -> str:

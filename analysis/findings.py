@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from analysis.association import Association, Difference, compare_metrics, correlate
 from analysis.bootstrap import METHODS
 from analysis.profile import participant_means, profile_reducers, stimulus_means
+from analysis.scales import APART, PAIR
 
 if TYPE_CHECKING:
     import numpy as np
@@ -48,16 +49,20 @@ class Findings:
     Parameters
     ----------
     panels : tuple of Panel
-        Per scale and level. Levels are kept apart because a louder arm may be rated higher for being louder.
+        Per scale and level, without the scales of `APART`. Levels are kept apart because a louder arm may be
+        rated higher for being louder.
     profile : DataFrame
-        What `profile_reducers` returns, all roles.
+        What `profile_reducers` returns, all roles; pairs of two test stimuli left out.
     participants : DataFrame
-        What `participant_means` returns, all roles.
+        What `participant_means` returns, of the same.
+    scales : tuple of str
+        All that were rated, by alphabet.
     """
 
     panels: tuple[Panel, ...]
     profile: DataFrame
     participants: DataFrame
+    scales: tuple[str, ...]
 
 
 def analyse(table: Table, *, draws: int, rng: np.random.Generator) -> Findings:
@@ -82,12 +87,14 @@ def analyse(table: Table, *, draws: int, rng: np.random.Generator) -> Findings:
     ValueError
         If no test stimulus was rated.
     """
-    tests = table.rows[table.rows["role"] == "test"]
-    if tests.empty:
+    rows = table.rows
+    if not rows["role"].isin(["test", PAIR]).any():
         raise ValueError("ratings: got none of a stimulus with role 'test'; at least one is needed")
-    groups = tests.groupby(["scale", "level"], observed=True)
+    rated = rows[(rows["role"] == "test") & ~rows["scale"].isin(APART)]
+    groups = rated.groupby(["scale", "level"], observed=True)
     panels = tuple(_make_panel(part, table.metrics, draws=draws, rng=rng) for _, part in groups)
-    return Findings(panels, profile_reducers(table.rows), participant_means(table.rows))
+    single = rows[rows["role"] != PAIR]
+    return Findings(panels, profile_reducers(single), participant_means(single), tuple(sorted(rows["scale"].unique())))
 
 
 def _make_panel(part: DataFrame, metrics: tuple[str, ...], *, draws: int, rng: np.random.Generator) -> Panel:
@@ -122,17 +129,16 @@ def make_tables(findings: Findings) -> dict[str, DataFrame]:
     Returns
     -------
     dict of str to DataFrame
-        By file name without suffix.
+        By file name without suffix; none without rows.
     """
-    import pandas as pd
-
-    return {
+    tables = {
         "associations": _stack_records(findings, "associations"),
         "differences": _stack_records(findings, "differences"),
         "profiles": findings.profile,
         "participants": findings.participants,
-        "stimuli": pd.concat([panel.stimuli for panel in findings.panels]),
+        "stimuli": _stack_stimuli(findings),
     }
+    return {name: table for name, table in tables.items() if len(table)}
 
 
 def _stack_records(findings: Findings, kind: str) -> DataFrame:
@@ -145,3 +151,9 @@ def _stack_records(findings: Findings, kind: str) -> DataFrame:
             for record in getattr(panel, kind)
         ]
     )
+
+
+def _stack_stimuli(findings: Findings) -> DataFrame:
+    import pandas as pd
+
+    return pd.concat([pd.DataFrame(), *(panel.stimuli for panel in findings.panels)])

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from analysis.scales import APART
+
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from pandas import DataFrame
+    from pandas import DataFrame, Series
 
 NAMED = 3
 """How many names a note lists before it only counts."""
@@ -19,7 +21,7 @@ def note_gaps(rows: DataFrame, manifest: DataFrame) -> Iterator[str]:
     Parameters
     ----------
     rows : DataFrame
-        Judgements: stimulus_id, scale, role.
+        Judgements: stimulus_id, reference_id, scale, role.
     manifest : DataFrame
         Stimuli, indexed by stimulus_id.
 
@@ -28,13 +30,33 @@ def note_gaps(rows: DataFrame, manifest: DataFrame) -> Iterator[str]:
     str
         One sentence each.
     """
-    rated = set(rows["stimulus_id"])
+    rated = set(rows["stimulus_id"]) | set(rows.loc[rows["scale"].isin(APART), "reference_id"])
     unrated = [str(name) for name in manifest.index if name not in rated]
     if unrated:
         yield f"{len(unrated)} of {len(manifest)} stimuli of the manifest were rated by nobody: {_list(unrated)}."
     tested = set(rows.loc[rows["role"] == "test", "scale"])
-    for scale in sorted(set(rows["scale"]) - tested):
+    for scale in sorted(set(rows["scale"]) - tested - set(APART)):
         yield f"Scale '{scale}' was rated on references and anchors only: it has no association."
+
+
+def note_lost(participants: Series, rejected: Series) -> Iterator[str]:
+    """Say of whom nothing is left.
+
+    Parameters
+    ----------
+    participants : Series of str
+        Who judged.
+    rejected : Series of bool
+        Whether that judgement is rejected.
+
+    Yields
+    ------
+    str
+        One sentence, or none.
+    """
+    lost = sorted(set(participants) - set(participants[~rejected]))
+    if lost:
+        yield f"Participants without a valid judgement, who do not count: {_list(lost)}."
 
 
 def note_lookalikes(rows: DataFrame) -> Iterator[str]:

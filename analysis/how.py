@@ -2,20 +2,32 @@
 
 from __future__ import annotations
 
+PROFILES = (
+    "Profiles: mean over participants of each participant's mean over stimuli, on a scale from 0 to 100; 95 % t "
+    "intervals over participants, cut off at the ends of the scale, which speak of other people judging these "
+    "recordings. Where all participants' means are alike there is no interval: they do not tell how people differ."
+)
 
-def tell_how(draws: int) -> tuple[str, ...]:
+
+def tell_how(draws: int, *, associated: bool) -> tuple[str, ...]:
     """Describe the analysis.
 
     Parameters
     ----------
     draws : int
         Bootstrap draws per interval.
+    associated : bool
+        Whether there are associations to tell of.
 
     Returns
     -------
     tuple of str
         One paragraph each.
     """
+    return (*(_tell_associations(draws) if associated else ()), PROFILES)
+
+
+def _tell_associations(draws: int) -> tuple[str, ...]:
     return (
         "Ratings run from 0 to 100. A stimulus's rating is the mean over participants of each participant's mean "
         "over repeats. The hidden reference and the anchors are left out of every association, because stimuli "
@@ -36,6 +48,4 @@ def tell_how(draws: int) -> tuple[str, ...]:
         "would be expected to reach with ratings as noisy as these; it rests on the stimuli that everyone rated and "
         "needs half of them. r / ceiling is for Pearson's r only, because the ceiling is that of a straight relation, "
         "and is left out where the ceiling rests on fewer stimuli than r; it may exceed 1 by chance.",
-        "Profiles: mean over participants of each participant's mean; 95 % t intervals over participants, which "
-        "speak of other people judging these recordings.",
     )

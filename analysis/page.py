@@ -56,7 +56,7 @@ def render_page(results: Results, findings: Findings, *, pictures: Sequence[Pict
     style = (TEMPLATES / "report.css").read_text(encoding="utf-8")
     return environment.get_template("report.html").render(
         results=results, findings=findings, profile=sort_profile(findings.profile),
-        drawings=drawings, cells=cells, style=style,
+        drawings=drawings, cells=cells, style=style, differ=any(panel.differences for panel in findings.panels),
     )  # fmt: skip
 
 

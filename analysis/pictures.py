@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 from analysis.figures import CUT, count_clipped, draw_profile, draw_scatter
 from analysis.reliability import SMALLEST
+from analysis.scales import ANSWERED, tell_measure
 from analysis.style import Look, assign_looks, list_undrawable
-from analysis.table import order_reducers
+from analysis.table import ROLES, order_reducers
 from analysis.verdict import LEADING
 from analysis.words import tell_name, tell_number, tell_span
 
@@ -65,7 +66,7 @@ def draw_pictures(table: Table, findings: Findings) -> tuple[Picture, ...]:
     Returns
     -------
     tuple of Picture
-        A scatter per scale, level and metric, then a profile per scale and level.
+        A scatter per association by the leading method, then a profile per scale and level with test stimuli.
     """
     looks = assign_looks(order_reducers(table.rows["reducer"]))
     drawn = chain(_draw_scatters(findings, looks), _draw_profiles(findings, looks))
@@ -100,14 +101,14 @@ def _draw_scatters(findings: Findings, looks: Mapping[str, Look]) -> Iterator[Pi
 
 
 def _draw_profiles(findings: Findings, looks: Mapping[str, Look]) -> Iterator[Picture]:
-    for panel in findings.panels:
+    tests = findings.profile[findings.profile["role"] == ROLES[0]]
+    for scale, level in sorted(set(zip(tests["scale"], tests["level"], strict=True))):
         profile, chosen = (
-            table[(table["scale"] == panel.scale) & (table["level"] == panel.level)]
+            table[(table["scale"] == scale) & (table["level"] == level)]
             for table in (findings.profile, findings.participants)
         )
         figure = draw_profile(profile, chosen, looks=looks)
-        slug = _make_slug("profile", panel.scale, panel.level)
-        yield Picture(slug, "profile", _caption_profile(panel, profile), figure)
+        yield Picture(_make_slug("profile", scale, level), "profile", _caption_profile(scale, level, profile), figure)
 
 
 def _caption_scatter(panel: Panel, association: Association) -> str:
@@ -130,13 +131,15 @@ def _tell_bars(panel: Panel) -> str:
     return f"Thin grey bars: 95 % t intervals over the {tell_span(counts)} participants who rated it."
 
 
-def _caption_profile(panel: Panel, profile: DataFrame) -> str:
-    caption = f"Mean {tell_name(panel.scale)} rating per reducer (level {tell_name(panel.level)})"
+def _caption_profile(scale: str, level: str, profile: DataFrame) -> str:
+    caption = f"Mean {tell_measure(scale)} per reducer (level {tell_name(level)})"
     if profile["n_participants"].max() < SMALLEST:
         caption += "; one participant each, so no intervals."
     else:
         caption += " with 95 % t intervals over participants: other people, these recordings."
     caption += " Grey: each participant's mean."
+    if scale == ANSWERED:
+        caption += " Guessing gives 50."
     # A manifest may have any of these roles, or none.
     apart = [name for role, name in APART.items() if (profile["role"] == role).any()]
     if apart:

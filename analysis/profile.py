@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.bootstrap import CONFIDENCE
+from analysis.table import HIGHEST, LOWEST
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -52,7 +53,8 @@ def profile_reducers(ratings: DataFrame) -> DataFrame:
     Notes
     -----
     The interval is mean ± t(.975, P - 1) SD / sqrt(P) over the P participants' means: it speaks of other
-    participants judging these recordings, not of other recordings. NaN for a single participant.
+    participants judging these recordings, not of other recordings. It ends where the scale ends. NaN for a single
+    participant, and where all means are alike, as at an end of the scale: that tells nothing of how people differ.
     """
     profile = _summarise(participant_means(ratings), GROUP)
     rows = ratings.groupby(GROUP, observed=True)
@@ -82,10 +84,12 @@ def _summarise(means: DataFrame, key: list[str]) -> DataFrame:
     """Average participants' means; t interval over participants."""
     from scipy.stats import t
 
-    table = means.groupby(key, observed=True)["rating"].agg(["mean", "std", "size"])
+    table = means.groupby(key, observed=True)["rating"].agg(["mean", "std", "size", "nunique"])
     n = table["size"].to_numpy(np.float64)
+    spread = table["std"].where(table["nunique"] > 1).to_numpy(np.float64)
     with np.errstate(invalid="ignore"):
-        margin = t.ppf((1 + CONFIDENCE) / 2, n - 1) * table["std"].to_numpy(np.float64) / np.sqrt(n)
+        margin = t.ppf((1 + CONFIDENCE) / 2, n - 1) * spread / np.sqrt(n)
     table = table.rename(columns={"size": "n_participants"})
-    table = table.assign(low=table["mean"] - margin, high=table["mean"] + margin)
+    low, high = (table["mean"] - margin).clip(lower=LOWEST), (table["mean"] + margin).clip(upper=HIGHEST)
+    table = table.assign(low=low, high=high)
     return table[["mean", "low", "high", "n_participants"]]

@@ -69,7 +69,7 @@ def write_report(
         numbers=collect_numbers(table, findings),
         figures={picture.name: picture.caption for picture in pictures},
         notes=(*collect_notes(table, findings), *note_undrawable(table)),
-        how=tell_how(draws),
+        how=tell_how(draws, associated=bool(findings.panels)),
         files=list_files([picture.name for picture in pictures], tables),
         simulated=bool(table.rows["simulated"].any()),
         inputs={

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from analysis.figures import count_clipped
 from analysis.profile import GROUP
-from analysis.reliability import SMALLEST
+from analysis.scales import APART, note_apart
 from analysis.verdict import LEADING
 
 if TYPE_CHECKING:
@@ -158,8 +158,9 @@ def collect_notes(table: Table, findings: Findings) -> tuple[str, ...]:
     tuple of str
         Each sentence once, those on one scale led by its name.
     """
-    notes = list(table.notes)
-    roles = table.rows.loc[table.rows["role"] != "test", "role"].value_counts().sort_index()
+    rows = table.rows
+    notes = [*table.notes, *note_apart(rows)]
+    roles = rows.loc[(rows["role"] != "test") & ~rows["scale"].isin(APART), "role"].value_counts().sort_index()
     left_out = "judgements of stimuli with role"
     notes += [f"Associations leave out {count} {left_out} '{role}'." for role, count in roles.items()]
     for panel in findings.panels:
@@ -261,7 +262,7 @@ def _collect_profile(findings: Findings) -> Iterator[Number]:
 
 def _name_mean(name: str, row: Mapping[Hashable, Any]) -> Number:
     n = int(row["n_participants"])
-    kind = STUDENT if n >= SMALLEST else NONE
+    kind = STUDENT if math.isfinite(row["low"]) else NONE
     return Number(name, row["mean"], row["low"], row["high"], kind, f"rating, {MEAN}", n)
 
 

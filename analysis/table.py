@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.gaps import note_gaps, note_lookalikes
+from analysis.gaps import note_gaps, note_lookalikes, note_lost
+from analysis.pairs import find_roles, note_references, turn_pairs
 from analysis.sheet import read_flags, read_numbers, read_sheet, refuse_lines
 
 if TYPE_CHECKING:
@@ -26,8 +27,9 @@ LOWEST, HIGHEST = 0.0, 100.0
 
 ROLES = ("test", "reference", "anchor")
 NEEDED = ("participant", "stimulus_id", "scale", "rating")
-JUDGEMENT = ("participant", "session", "protocol", "scale", "block", "stimulus_id")
-"""What, with its trial, may occur once only. The stimulus belongs to it: a page of stimuli is one trial."""
+JUDGEMENT = ("participant", "session", "protocol", "scale", "block", "stimulus_id", "reference_id")
+"""What, with its trial, may occur once only. The stimulus belongs to it: a page of stimuli is one trial; and where
+repeats are counted instead, so does what it was judged against."""
 
 IDENTITY = ("stimulus_id", "recording", "reducer")
 ECHOED = ("recording", "reducer", "level")
@@ -42,7 +44,8 @@ class Table:
     ----------
     rows : DataFrame
         One row per judgement: participant, stimulus_id, recording, reducer, level, role, scale, repeat,
-        rating, simulated, then one column per metric.
+        rating, simulated, then one column per metric. The role is the one that the stimulus had in that
+        judgement (`find_roles`), and a dissimilarity is about the stimulus compared with the reference.
     metrics : tuple of str
         The metric columns, in the order of `stimuli.match.METRICS`.
     notes : tuple of str
@@ -85,8 +88,10 @@ def read_table(ratings_path: Path, manifest_path: Path) -> Table:
         differing = ratings.loc[ratings[name] != ratings["stimulus_id"].map(manifest[name]), name]
         otherwise = f"in column '{name}', but {manifest_path.name} says otherwise of that stimulus"
         refuse_lines(differing, ratings_path.name, why=otherwise)
-    rows = ratings.drop(columns=list(ECHOED), errors="ignore").join(manifest, on="stimulus_id")
-    notes = [*notes, *more_notes, *note_gaps(rows, manifest), *note_lookalikes(rows)]
+    turned = turn_pairs(ratings, manifest, what=ratings_path.name)
+    rows = turned.drop(columns=list(ECHOED), errors="ignore").join(manifest, on="stimulus_id")
+    rows["role"] = find_roles(rows, manifest)
+    notes += [*more_notes, *note_gaps(rows, manifest), *note_references(rows, manifest), *note_lookalikes(rows)]
     judged = ["role", "scale", "repeat", "rating", "simulated"]
     order = ["participant", "stimulus_id", *ECHOED, *judged, *metrics]
     return Table(rows[order].reset_index(drop=True), metrics, tuple(notes))
@@ -156,8 +161,8 @@ def order_reducers(names: Iterable[str]) -> list[str]:
 
 
 def _read_ratings(path: Path) -> tuple[DataFrame, list[str]]:
-    optional = ("session", "protocol", "block", "trial", "repeat", "rejected", "simulated", *ECHOED)
-    sheet = read_sheet(path, required=NEEDED, optional=optional)
+    judged = ("session", "protocol", "block", "trial", "repeat", "reference_id", "rejected", "simulated")
+    sheet = read_sheet(path, required=NEEDED, optional=(*judged, *ECHOED))
     sheet, notes = _leave_rejected(sheet, path.name)
     for name in ("participant", "stimulus_id", "scale"):
         _check_names(sheet, name, what=path.name)
@@ -165,15 +170,18 @@ def _read_ratings(path: Path) -> tuple[DataFrame, list[str]]:
     outside = sheet.loc[~sheet["rating"].between(LOWEST, HIGHEST), "rating"]
     refuse_lines(outside, path.name, why="in column 'rating', allowed is 0 to 100")
     sheet["simulated"] = read_flags(sheet["simulated"], path.name) if "simulated" in sheet else False
+    if "reference_id" not in sheet:
+        sheet["reference_id"] = ""
     # A trial names a judgement; without trials its repeat does, and without either nothing can be told apart.
     counted = next((name for name in ("trial", "repeat") if name in sheet), None)
     if counted:
         _refuse_doubles(sheet, counted, what=path.name)
     else:
-        alike = "rows alike in participant, stimulus and scale are taken as repeats"
-        notes.append(f"{path.name} has no column 'trial' or 'repeat': {alike}.")
+        repeats = "rows alike in participant, stimulus, reference and scale are taken as repeats"
+        notes.append(f"{path.name} has no column 'trial' or 'repeat': {repeats}.")
     if "repeat" not in sheet:
-        sheet["repeat"] = (sheet.groupby(["participant", "stimulus_id", "scale"]).cumcount() + 1).astype(str)
+        alike = ["participant", "stimulus_id", "reference_id", "scale"]
+        sheet["repeat"] = (sheet.groupby(alike).cumcount() + 1).astype(str)
     return sheet, notes
 
 
@@ -185,7 +193,8 @@ def _leave_rejected(sheet: DataFrame, what: str) -> tuple[DataFrame, list[str]]:
         raise ValueError(f"{what}: all {len(sheet)} judgements are marked as rejected; one must be valid")
     if not rejected.any():
         return sheet, []
-    return sheet[~rejected].copy(), [f"{int(rejected.sum())} judgements marked as rejected are left out."]
+    notes = [f"{int(rejected.sum())} judgements marked as rejected are left out."]
+    return sheet[~rejected].copy(), [*notes, *note_lost(sheet["participant"], rejected)]
 
 
 def _refuse_doubles(sheet: DataFrame, counted: str, *, what: str) -> None:

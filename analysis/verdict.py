@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from analysis.scales import PAIRED, SPACE
 from analysis.words import tell_name, tell_number, tell_range
 
 if TYPE_CHECKING:
@@ -16,6 +17,10 @@ if TYPE_CHECKING:
     from analysis.findings import Findings, Panel
 
 UNADJUSTED = "Each 95 % interval stands for itself; none is adjusted for how many there are."
+UNANSWERED = (
+    "These ratings do not tell whether the metrics predict what people feel: on no scale were single test stimuli "
+    "rated. What there is stands in the profile; why there is no more stands under What was left out or assumed."
+)
 LEADING, RANKED = "pearson", "spearman"
 """The method that the verdict rests on, and the one it is checked against."""
 
@@ -32,8 +37,10 @@ def write_verdict(findings: Findings) -> tuple[str, ...]:
     -------
     tuple of str
         One sentence or two per scale, level and metric, and per pair of metrics; last, how to read the
-        intervals.
+        intervals. Without associations, that there is no answer.
     """
+    if not findings.panels:
+        return (UNANSWERED, SPACE) if PAIRED in findings.scales else (UNANSWERED,)
     several = len({panel.level for panel in findings.panels}) > 1
     lines = [line for panel in findings.panels for line in _judge_panel(panel, several=several)]
     return (*lines, UNADJUSTED)
