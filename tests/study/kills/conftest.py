@@ -277,21 +277,48 @@ def fork(run: Callable[[], object], *, kill: Kill | None = None, until: Callable
     """Run in a process of its own and tell how it ended; with `until`, it is killed from outside as soon as that is."""
     child = os.fork()
     if child == 0:
-        try:
+        code = 1
+        try:  # The fork may not come back into pytest, whatever happens.
             if kill is not None:
                 kill.arm()
             run()
-            os._exit(0)
-        except BaseException:  # noqa: BLE001 - the fork may not come back into pytest
+            code = 0
+        except BaseException:  # noqa: BLE001 - told to whoever reads the test's output
             sys.setprofile(None)
             traceback.print_exc()
             sys.stderr.flush()
-            os._exit(1)
+        finally:
+            os._exit(code)
     if until is not None:
         while not until() and os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
             pass
         os.kill(child, signal.SIGKILL)
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+@dataclass(frozen=True)
+class Said:
+    """What a command said before it ended, and how."""
+
+    code: int
+    out: str
+    err: str
+
+
+def speak(*commands: Callable[[], object], path: Path) -> Said:
+    """Run commands one after the other in one process of their own and tell what they said; the last code counts."""
+    out, err = path.with_suffix(".out"), path.with_suffix(".err")
+
+    def run() -> None:
+        for number, file in ((1, out), (2, err)):
+            os.dup2(os.open(file, os.O_CREAT | os.O_TRUNC | os.O_WRONLY), number)
+        sys.stdout, sys.stderr = (os.fdopen(number, "w", encoding="utf-8", closefd=False) for number in (1, 2))
+        codes = [command() for command in commands]
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(int(codes[-1] or 0))
+
+    return Said(fork(run), out.read_text(encoding="utf-8"), err.read_text(encoding="utf-8"))
 
 
 def measure(study: StudyFolder) -> int:
@@ -354,6 +381,24 @@ class Lab:
         size = self.count(task, presenter)
         return Kill(1 + int(instant * ((size.calls if j is None else size.records) - 1)), j)
 
+    def make_study(self, path: Path) -> StudyFolder:
+        """Make a study for the command line."""
+        return Session("realism", "observer", self.stimuli).make_study(path)
+
+    @staticmethod
+    def speak(*commands: Callable[[], object], path: Path) -> Said:
+        """Run commands in a process of their own."""
+        return speak(*commands, path=path)
+
+    @staticmethod
+    def fork(run: Callable[[], object], *, kill: Kill | None = None) -> int:
+        """Run in a process of its own."""
+        return fork(run, kill=kill)
+
+    def session(self, task: str, presenter: str) -> Session:
+        """Make a session to be led by hand."""
+        return Session(task, presenter, self.stimuli)
+
     def endure(
         self, task: str, presenter: str, kills: Sequence[Kill | float], path: Path, *, policy: str = "continue"
     ) -> StudyFolder:
@@ -387,6 +432,11 @@ class Lab:
         self.toll.lost[key] += lost
         self.toll.doubled[key] += doubled
         assert (lost, doubled) == (0, 0), told
+        self.compare(study, task, presenter, policy=policy, told=told)
+        return study
+
+    def compare(self, study: StudyFolder, task: str, presenter: str, *, policy: str = "continue", told: str) -> None:
+        """Check that a study ended as the one that was never interrupted."""
         whole, _ = self._lead_whole(task, presenter)
         end = read_end(study, presenter, policy=policy)
         if policy == "warm_up":
@@ -394,7 +444,11 @@ class Lab:
         assert end.rated == whole.rated, told
         assert end.table == (strip(whole.table, "onset_s") if policy == "warm_up" else whole.table), told
         assert audit_study(study) == [], told
-        return study
+
+    def find_whole(self, task: str, presenter: str) -> StudyFolder:
+        """Find the study that was never interrupted; not to be touched."""
+        self._lead_whole(task, presenter)
+        return StudyFolder(self.path / f"{task}-{presenter}")
 
     def _lead_whole(self, task: str, presenter: str) -> tuple[End, Size]:
         key = (task, presenter)

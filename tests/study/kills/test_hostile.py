@@ -1,0 +1,235 @@
+"""Hostile machines: what the user is told in one line, what is kept, and that the same command then goes on."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import resource
+import shutil
+import subprocess
+import sys
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from stimuli.lock import hold_lock
+from study.audit import audit_study
+from study.cli import main
+from study.journal import read_journal
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from study.folder import StudyFolder
+
+CLONE_NEWNS = 0x00020000
+
+
+def simulate(study: StudyFolder, *, participants: int = 2) -> int:
+    return main(["simulate", str(study.path), "--participants", str(participants)])
+
+
+@pytest.fixture(scope="module")
+def whole(lab: Any, tmp_path_factory: pytest.TempPathFactory) -> StudyFolder:
+    """A study that nothing happened to; not to be touched."""
+    study = lab.make_study(tmp_path_factory.mktemp("whole") / "study")
+    assert lab.fork(partial(simulate, study)) == 0
+    return study
+
+
+@pytest.fixture
+def study(lab: Any, tmp_path: Path) -> StudyFolder:
+    return lab.make_study(tmp_path / "study")
+
+
+@pytest.fixture
+def finished(whole: StudyFolder, study: StudyFolder) -> StudyFolder:
+    shutil.copytree(whole.sessions, study.sessions)
+    shutil.copy(whole.ratings, study.ratings)
+    return study
+
+
+def mount(*arguments: object) -> None:
+    subprocess.run(["mount", *map(str, arguments)], check=True, capture_output=True)
+
+
+def leave_mounts() -> None:
+    """Mount for this process only: what it mounts is gone with it."""
+    if ctypes.CDLL(None, use_errno=True).unshare(CLONE_NEWNS) != 0:
+        raise OSError(ctypes.get_errno(), "unshare")
+    mount("--make-rprivate", "/")
+
+
+@pytest.fixture(scope="module")
+def may_mount(lab: Any) -> None:
+    if sys.platform != "linux" or lab.fork(leave_mounts) != 0:
+        pytest.skip("NO MOUNTS: small and read-only disks need the right to mount (root, CAP_SYS_ADMIN)")
+
+
+def limit_files(n_bytes: int) -> None:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (n_bytes, n_bytes))
+
+
+def check_all_there(lab: Any, study: StudyFolder, whole: StudyFolder) -> None:
+    """The same command goes on, and nothing is missing."""
+    said = lab.speak(partial(simulate, study), path=study.path)
+    assert said.code == 0, said.err
+    assert study.ratings.read_bytes() == whole.ratings.read_bytes()
+    assert audit_study(study) == []
+
+
+@pytest.mark.parametrize("n_bytes", [30_000, 30_123, 41_000])
+def test_a_full_disk_under_a_journal(
+    lab: Any, study: StudyFolder, whole: StudyFolder, n_bytes: int, tmp_path: Path
+) -> None:
+    said = lab.speak(partial(limit_files, n_bytes), partial(simulate, study), path=tmp_path / "said")
+    assert said.code == 1
+    assert said.err.splitlines()[-1:] == said.err.splitlines(), said.err
+    assert said.err.startswith(f"feel321: {study.sessions}/sim00")
+    assert said.err.endswith(("bytes; make room, then resume\n", "make room or mend the disk, then resume\n"))
+    # What was rated before is whole and in its place.
+    for path in study.journals:
+        lines = path.read_bytes().split(b"\n")[:-1]
+        assert len(lines) > 50
+        assert [r.data for r in read_journal(path).records[1:50]] == [
+            r.data for r in read_journal(whole.sessions / path.relative_to(study.sessions)).records[1:50]
+        ]
+    assert audit_study(study) == []
+    check_all_there(lab, study, whole)
+
+
+@pytest.mark.parametrize("n_bytes", [2_000, 9_000, 25_000])
+def test_a_full_disk_under_the_ledger_or_a_plan(
+    lab: Any, study: StudyFolder, whole: StudyFolder, n_bytes: int, tmp_path: Path
+) -> None:
+    said = lab.speak(partial(limit_files, n_bytes), partial(simulate, study), path=tmp_path / "said")
+    assert (said.code, said.err.count("\n")) == (1, 1), said.err
+    assert said.err.startswith(f"feel321: {study.sessions}")
+    assert "see that the folder may be written to, the disk has room" in said.err or "File too large" in said.err
+    check_all_there(lab, study, whole)
+
+
+@pytest.mark.usefixtures("may_mount")
+@pytest.mark.parametrize("size", ["72k", "112k", "160k"])
+def test_a_small_disk_that_is_given_more_room(
+    lab: Any, study: StudyFolder, whole: StudyFolder, size: str, tmp_path: Path
+) -> None:
+    settings = study.settings.read_text(encoding="utf-8")
+
+    def insert_small_disk() -> None:
+        leave_mounts()
+        mount("-t", "tmpfs", "-o", f"size={size}", "none", study.path)
+        study.settings.write_text(settings, encoding="utf-8")
+        study.stimuli.symlink_to(whole.stimuli.resolve())
+
+    def save() -> int:
+        shutil.copy(study.ratings, tmp_path / "ratings.csv")
+        return main(["audit", str(study.path)])
+
+    commands = [partial(simulate, study), lambda: mount("-o", "remount,size=9m", study.path), partial(simulate, study)]
+    said = lab.speak(insert_small_disk, *commands, save, path=tmp_path / "said")
+    assert said.code == 0, said.err
+    assert "make room" in said.err.splitlines()[0] or "the disk has room" in said.err.splitlines()[0]
+    assert (tmp_path / "ratings.csv").read_bytes() == whole.ratings.read_bytes()
+
+
+@pytest.mark.usefixtures("may_mount")
+def test_a_read_only_folder_can_be_looked_at(lab: Any, finished: StudyFolder, tmp_path: Path) -> None:
+    def lock_folder() -> None:
+        leave_mounts()
+        mount("--bind", finished.path, finished.path)
+        mount("-o", "remount,ro,bind", finished.path)
+
+    before = {path: path.read_bytes() for path in finished.sessions.rglob("*") if path.is_file()}
+    refused = lab.speak(lock_folder, partial(simulate, finished, participants=3), path=tmp_path / "refused")
+    assert (refused.code, refused.err.count("\n")) == (1, 1), refused.err
+    assert refused.err.startswith(f"feel321: {finished.ledger}: could not be used (attempt to write a readonly database)")
+    for verb in ("status", "audit"):
+        looked = lab.speak(lock_folder, partial(main, [verb, str(finished.path)]), path=tmp_path / verb)
+        assert (looked.code, looked.err) == (0, "")
+    assert {path: path.read_bytes() for path in finished.sessions.rglob("*") if path.is_file()} == before
+
+
+@pytest.mark.usefixtures("may_mount")
+def test_a_read_only_folder_in_which_nothing_was_begun(lab: Any, study: StudyFolder, tmp_path: Path) -> None:
+    def lock_folder() -> None:
+        leave_mounts()
+        mount("--bind", study.path, study.path)
+        mount("-o", "remount,ro,bind", study.path)
+
+    said = lab.speak(lock_folder, partial(simulate, study), path=tmp_path / "said")
+    assert (said.code, said.err.count("\n")) == (1, 1), said.err
+    assert said.err.startswith(f"feel321: {study.sessions}")
+    assert "Read-only file system" in said.err
+
+
+def test_a_second_writer_is_sent_away(lab: Any, finished: StudyFolder, tmp_path: Path) -> None:
+    busy = hold_lock(finished.sessions / "sim001" / ".lock", busy="")
+    with busy:
+        simulated = lab.speak(partial(simulate, finished), path=tmp_path / "simulated")
+        arguments = ["withdraw", str(finished.path), "--participant", "sim001", "--yes"]
+        withdrawn = lab.speak(partial(main, arguments), path=tmp_path / "withdrawn")
+    folder = finished.sessions / "sim001"
+    assert simulated.err == f"feel321: {folder}: another session is writing here; let it finish or stop it first\n"
+    assert withdrawn.err == f"feel321: {folder}: a session is running here; let it finish or stop it first\n"
+    assert (simulated.code, withdrawn.code) == (1, 1)
+    assert audit_study(finished) == []
+
+
+def start(command: partial[int], path: Path) -> int:
+    """Start a command beside this process, its words into a file."""
+    child = os.fork()
+    if child == 0:
+        os.dup2(os.open(path, os.O_CREAT | os.O_WRONLY), 2)
+        sys.stderr = os.fdopen(2, "w", encoding="utf-8", closefd=False)
+        code = 70
+        try:
+            code = command()
+            sys.stderr.flush()
+        finally:
+            os._exit(code)
+    return child
+
+
+def wait(child: int) -> int:
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+def test_two_simulations_at_once_share_no_journal(
+    lab: Any, study: StudyFolder, whole: StudyFolder, tmp_path: Path
+) -> None:
+    children = [start(partial(simulate, study), tmp_path / f"said{n}") for n in range(2)]
+    codes = [wait(child) for child in children]
+    for code, n in zip(codes, range(2), strict=True):
+        said = (tmp_path / f"said{n}").read_text(encoding="utf-8")
+        assert (code, said.count("\n")) in {(0, 0), (1, 1)}, said
+        assert code == 0 or "another session is writing here; let it finish or stop it first" in said
+    check_all_there(lab, study, whole)
+
+
+def test_a_withdrawal_while_others_are_simulated(lab: Any, finished: StudyFolder, tmp_path: Path) -> None:
+    child = start(partial(simulate, finished, participants=6), tmp_path / "simulated")
+    arguments = ["withdraw", str(finished.path), "--participant", "sim002", "--yes"]
+    withdrawn = lab.speak(partial(main, arguments), path=tmp_path / "withdrawn")
+    code = wait(child)
+    simulated = (tmp_path / "simulated").read_text(encoding="utf-8")
+    assert (code, withdrawn.code) in {(0, 0), (0, 1), (1, 0)}, simulated + withdrawn.err
+    assert (simulated + withdrawn.err).count("\n") <= 1 + withdrawn.code
+    again = lab.speak(partial(main, arguments), path=tmp_path / "again")
+    assert again.code == int(withdrawn.code == 0)
+    assert lab.speak(partial(simulate, finished, participants=6), path=tmp_path / "last").code == 0
+    assert audit_study(finished) == []
+    assert b"sim002" not in finished.ratings.read_bytes()
+
+
+def test_a_clock_that_is_set_back_while_nobody_is_there(lab: Any, tmp_path: Path) -> None:
+    session = lab.session("abx", "observer")
+    study = session.make_study(tmp_path / "study")
+    kill = lab.place(0.5, task="abx", presenter="observer")
+    assert lab.fork(partial(session.lead, study), kill=kill) < 0
+    session.lead(study, later_h=-2.0)
+    (journal,) = study.journals
+    stepped = [record.data["back_s"] for record in read_journal(journal).records if record.event == "clock_stepped"]
+    assert stepped == [pytest.approx(7200, abs=60)]
+    assert audit_study(study) == []
