@@ -1,0 +1,234 @@
+"""Judgements of two stimuli at once: whose they are, what they leave out, and what they may not claim."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from analysis.findings import analyse, make_tables
+from analysis.profile import profile_reducers
+from analysis.report import write_report
+from analysis.table import Table, read_table
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+STIMULI = {"orig": "reference", "mag321": "test", "dft321": "test", "anchor_low": "anchor"}
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Callable[..., tuple[Path, Path]]:
+    """Write judgements (participant, scale, stimulus, reference, rating) of one recording, and its manifest."""
+
+    def save(
+        judgements: Sequence[tuple[object, ...]], *, more: dict[str, Sequence[object]] | None = None
+    ) -> tuple[Path, Path]:
+        names = ["participant", "scale", "stimulus_id", "reference_id", "rating"]
+        ratings, manifest = tmp_path / "ratings.csv", tmp_path / "manifest.csv"
+        table = pd.DataFrame(judgements, columns=names)
+        table.assign(**{"trial": range(1, len(judgements) + 1), **(more or {})}).to_csv(ratings, index=False)
+        rows = [(name, "rec", name, "as_is", role, 0.5, 0.5) for name, role in STIMULI.items()]
+        columns = ["stimulus_id", "recording", "reducer", "level", "role", "spectral_match", "temporal_match"]
+        pd.DataFrame(rows, columns=columns).to_csv(manifest, index=False)
+        return ratings, manifest
+
+    return save
+
+
+def list_judged(table: Table) -> list[tuple[str, str]]:
+    return list(zip(table.rows["stimulus_id"], table.rows["role"], strict=True))
+
+
+PAIRS = [
+    ("p", "dissimilarity", "mag321", "orig", 60),
+    ("p", "dissimilarity", "orig", "dft321", 20),
+    ("p", "dissimilarity", "orig", "orig", 0),
+    ("p", "dissimilarity", "dft321", "mag321", 50),
+    ("p", "dissimilarity", "dft321", "dft321", 5),
+    ("p", "dissimilarity", "anchor_low", "orig", 90),
+    ("p", "dissimilarity", "orig", "anchor_low", 80),
+    ("p", "dissimilarity", "mag321", "anchor_low", 70),
+]
+
+
+def test_a_dissimilarity_is_about_what_was_compared_with_the_reference(write: Callable[..., tuple[Path, Path]]) -> None:
+    table = read_table(*write(PAIRS))
+    assert list_judged(table) == [
+        ("mag321", "test"), ("dft321", "test"), ("orig", "reference"), ("dft321", "pair"),
+        ("dft321", "reference"), ("anchor_low", "anchor"), ("anchor_low", "anchor"), ("mag321", "pair"),
+    ]  # fmt: skip
+    assert list(table.rows["reducer"]) == list(table.rows["stimulus_id"])
+    assert list(table.rows["rating"]) == [row[-1] for row in PAIRS]
+
+
+def test_other_scales_keep_their_direction(write: Callable[..., tuple[Path, Path]]) -> None:
+    judgements = [("p", "similarity", "orig", "dft321", 80), ("p", "similarity", "dft321", "mag321", 30)]
+    assert list_judged(read_table(*write(judgements))) == [("orig", "reference"), ("dft321", "test")]
+
+
+def test_a_reducer_judged_against_itself_is_the_hidden_reference(write: Callable[..., tuple[Path, Path]]) -> None:
+    judgements = [("p", "mushra", name, "dft321", 50) for name in STIMULI]
+    table = read_table(*write(judgements))
+    assert list_judged(table) == list((STIMULI | {"dft321": "reference"}).items())
+
+
+def test_profiles_leave_out_pairs_of_two_reducers(write: Callable[..., tuple[Path, Path]]) -> None:
+    table = read_table(*write([*PAIRS, *(("q", *row[1:]) for row in PAIRS)]))
+    profile = analyse(table, draws=5, rng=np.random.default_rng(0)).profile
+    found = {(row["role"], row["reducer"]): row["mean"] for row in profile.to_dict("records")}
+    assert found == {
+        ("test", "mag321"): 60, ("test", "dft321"): 20, ("reference", "orig"): 0,
+        ("reference", "dft321"): 5, ("anchor", "anchor_low"): 85,
+    }  # fmt: skip
+
+
+def test_without_reference_every_dissimilarity_is_from_the_reference(write: Callable[..., tuple[Path, Path]]) -> None:
+    table = read_table(*write([("p", "dissimilarity", "mag321", "", 60), ("p", "dissimilarity", "orig", "", 3)]))
+    assert list_judged(table) == [("mag321", "test"), ("orig", "reference")]
+    note = "2 judgements of scale 'dissimilarity' name no reference_id: they are taken as from the reference."
+    assert note in table.notes
+
+
+def test_an_unknown_partner_is_refused(write: Callable[..., tuple[Path, Path]]) -> None:
+    message = "ratings.csv, line 3: got 'ghost' in column 'reference_id' of a dissimilarity, which must be empty or"
+    with pytest.raises(ValueError, match=message):
+        read_table(*write([PAIRS[0], ("p", "dissimilarity", "mag321", "ghost", 60)]))
+
+
+def test_pairs_are_told_apart_by_both_where_repeats_count(write: Callable[..., tuple[Path, Path]]) -> None:
+    judgements = [("p", "dissimilarity", "mag321", "orig", 60), ("p", "dissimilarity", "mag321", "dft321", 40)]
+    paths = write(judgements)
+    frame = pd.read_csv(paths[0]).drop(columns="trial")
+    frame.to_csv(paths[0], index=False)
+    assert list(read_table(*paths).rows["repeat"]) == ["1", "1"]
+    frame.assign(repeat=1).to_csv(paths[0], index=False)
+    assert len(read_table(*paths).rows) == 2
+    pd.concat([frame, frame]).assign(repeat=1).to_csv(paths[0], index=False)
+    with pytest.raises(ValueError, match=r"an earlier line has the same .*reference_id, repeat"):
+        read_table(*paths)
+
+
+def test_other_references_than_the_recording_are_noted(write: Callable[..., tuple[Path, Path]]) -> None:
+    references = ["surface", "surface", "dft321", "ghost", "orig", ""]
+    table = read_table(*write([("p", "similarity", "mag321", name, 40) for name in references]))
+    assert [note for note in table.notes if note.startswith("Scale")] == [
+        "Scale 'similarity': 2 judgements were made against the real surface; the metrics compare with the recording.",
+        "Scale 'similarity': 1 judgements were made against what 'dft321' made of the recording; the metrics compare "
+        "with the recording.",
+        "Scale 'similarity': 1 judgements were made against what the manifest does not list; the metrics compare with "
+        "the recording.",
+    ]
+
+
+def test_both_stimuli_of_a_pair_count_as_rated(write: Callable[..., tuple[Path, Path]]) -> None:
+    notes = read_table(*write([("p", "dissimilarity", "mag321", "dft321", 40)])).notes
+    assert "2 of 4 stimuli of the manifest were rated by nobody: 'orig', 'anchor_low'." in notes
+    notes = read_table(*write([("p", "similarity", "mag321", "dft321", 40)])).notes
+    assert any(note.startswith("3 of 4 stimuli of the manifest were rated by nobody") for note in notes)
+
+
+def test_a_bad_attempt_and_the_good_one_share_a_trial(write: Callable[..., tuple[Path, Path]]) -> None:
+    page = [("p", "mushra", name, "orig", 50) for name in STIMULI]
+    more = {"trial": [1] * 12, "session": [1] * 8 + [2] * 4, "rejected": [True] * 4 + [False] * 8}
+    table = read_table(*write([*page, *page, *page], more=more))
+    assert len(table.rows) == 8
+    assert "4 judgements marked as rejected are left out." in table.notes
+    with pytest.raises(ValueError, match="lines 6, 7, 8 and 1 more: got '1' in column 'trial', but an earlier line"):
+        read_table(*write([*page, *page, *page], more=more | {"rejected": [False] * 12}))
+
+
+def test_who_has_no_valid_judgement_is_named(write: Callable[..., tuple[Path, Path]]) -> None:
+    judgements = [(name, "realism", "mag321", "", 50) for name in ("p", "q", "q", "r")]
+    table = read_table(*write(judgements, more={"rejected": [True, True, False, True]}))
+    assert "Participants without a valid judgement, who do not count: 'p', 'r'." in table.notes
+    assert set(table.rows["participant"]) == {"q"}
+
+
+@pytest.mark.parametrize("scale", ["dissimilarity", "abx"])
+def test_no_metric_is_set_against_comparisons(tidy: Callable[..., pd.DataFrame], scale: str) -> None:
+    rated = tidy()
+    whole = Table(pd.concat([rated, tidy(scales=(scale,))]), ("spectral_match",), ())
+    findings = analyse(whole, draws=20, rng=np.random.default_rng(0))
+    assert [panel.scale for panel in findings.panels] == ["realism"]
+    assert set(findings.profile["scale"]) == {"realism", scale}
+    alone = analyse(Table(rated, ("spectral_match",), ()), draws=20, rng=np.random.default_rng(0))
+    assert make_tables(findings)["associations"].equals(make_tables(alone)["associations"])
+
+
+def test_everybody_right_is_no_interval(tidy: Callable[..., pd.DataFrame]) -> None:
+    table = tidy(scales=("abx",))
+    answers = np.where(table["reducer"] == "dft321", 100.0 * (table["repeat"] == 1), 100.0)
+    everyone = profile_reducers(table.assign(rating=answers))
+    assert everyone["low"].isna().all()
+    missed = (table["reducer"] == "mag321") & (table["participant"] == "p01") & (table["recording"] == "rec0")
+    row = profile_reducers(table.assign(rating=np.where(missed, 0.0, 100.0))).set_index("reducer").loc["mag321"]
+    means = np.array([100, 75, 100, 100, 100, 100.0])
+    assert row["mean"] == pytest.approx(means.mean())
+    assert row["high"] == 100
+    assert row["mean"] - row["low"] == pytest.approx(2.570582 * means.std(ddof=1) / math.sqrt(6))
+
+
+def read_page(folder: Path) -> str:
+    return re.sub(r"<svg.*?</svg>", "", (folder / "index.html").read_text(encoding="utf-8"), flags=re.DOTALL)
+
+
+@pytest.mark.parametrize(
+    ("scale", "reason", "measure"),
+    [
+        ("dissimilarity", "a metric speaks of one stimulus and they compare two", "Mean dissimilarity from the refer"),
+        ("abx", "they are right (100) or wrong (0)", "Mean percentage correct per reducer"),
+    ],
+)
+def test_comparisons_alone_are_a_page_without_a_claim(
+    files: Callable[..., object], tmp_path: Path, scale: str, reason: str, measure: str
+) -> None:
+    study = files(scales=(scale,))
+    ratings = pd.read_csv(study.ratings)
+    ratings.assign(reference_id=ratings["recording"] + "_original_as_is").to_csv(study.ratings, index=False)
+    results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
+    assert results.verdict[0].startswith("These ratings do not tell whether the metrics predict what people feel")
+    assert ("The perceptual space" in results.verdict[-1]) == (scale == "dissimilarity")
+    (note,) = results.notes
+    assert note.startswith(f"Scale '{scale}': none of its 576 judgements enters an association, because {reason}")
+    assert not [number for number in results.numbers if number.name.startswith(("association", "difference"))]
+    assert len([number for number in results.numbers if number.name.startswith("profile")]) == 12 * 4
+    page = read_page(tmp_path / "report")
+    assert page.count("<table>") == 1
+    assert measure in page
+    assert "bootstrap" not in page
+    assert ("Guessing gives 50." in page) == (scale == "abx")
+    assert sorted(name for name in results.files if "tables/" in name) == [
+        "tables/participants.csv", "tables/profiles.csv",
+    ]  # fmt: skip
+    json.loads((tmp_path / "report" / "results.json").read_text(encoding="utf-8"))
+
+
+def test_pairs_of_reducers_alone_are_a_page_too(write: Callable[..., tuple[Path, Path]], tmp_path: Path) -> None:
+    paths = write([("p", "dissimilarity", "mag321", "dft321", 40), ("q", "dissimilarity", "dft321", "mag321", 50)])
+    results = write_report(*paths, tmp_path / "report", draws=5, seed=0)
+    assert results.figures == {}
+    assert any("holds the 0 that compare with the reference, and leaves out 2." in note for note in results.notes)
+    assert "Ratings per reducer" not in read_page(tmp_path / "report")
+
+
+def test_groups_that_felt_different_levels_are_counted_apart(files: Callable[..., object], tmp_path: Path) -> None:
+    study = files(levels=("as_is", "equal_intensity"), scales=("realism", "mushra"), anchors=False)
+    ratings = pd.read_csv(study.ratings)
+    is_odd = ratings["participant"].isin(["p01", "p03"])
+    own = (ratings["level"] == "equal_intensity") == is_odd
+    ratings[own & ((ratings["scale"] == "mushra") == is_odd)].to_csv(study.ratings, index=False)
+    results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
+    found = {number.name: number.value for number in results.numbers}
+    people = {name: value for name, value in found.items() if name.endswith("spectral_match.pearson.n_participants")}
+    assert people == {
+        "association.mushra.equal_intensity.spectral_match.pearson.n_participants": 2,
+        "association.realism.as_is.spectral_match.pearson.n_participants": 4,
+    }
+    assert found["association.realism.as_is.spectral_match.pearson.n_missing"] == 0

@@ -1,0 +1,82 @@
+"""What the session engine writes is what the analysis reads: every task at once."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+from itertools import count
+from typing import TYPE_CHECKING
+
+import pandas as pd
+import pytest
+
+from analysis.table import read_table
+from protocols.registry import PROTOCOLS
+from study.folder import StudyFolder
+from study.workflow import analyze_study, build_study, simulate_study
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+STUDY = """
+[study]
+seed = 6
+[[recordings]]
+scene = "bumps"
+duration_s = 0.5
+sample = "the board"
+[[recordings]]
+scene = "hard_taps"
+duration_s = 0.5
+sample = "the plastic"
+[stimuli]
+reducers = ["saz321", "mag321", "dft321"]
+[session]
+protocols = ["realism", "similarity", "dissimilarity", "mushra", "abx"]
+[tasks.similarity]
+reference = "surface"
+[tasks.mushra]
+reference = "dft321"
+[analysis]
+draws = 100
+"""
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> StudyFolder:
+    """Three simulated participants did every task."""
+    folder: Path = tmp_path_factory.mktemp("lab")
+    (folder / "study.toml").write_text(STUDY, encoding="utf-8")
+    study, ticks = StudyFolder(folder), count()
+    build_study(study)
+    now = lambda: datetime(2026, 1, 1, tzinfo=UTC) + timedelta(seconds=next(ticks))  # noqa: E731 - one line, one use
+    simulate_study(study, participants=3, seed=None, now=now)
+    return study
+
+
+def test_every_task_loads(lab: StudyFolder) -> None:
+    table = read_table(lab.ratings, lab.manifest)
+    assert len(table.rows) == len(pd.read_csv(lab.ratings))
+    assert set(table.rows["scale"]) == {protocol.scale for protocol in PROTOCOLS.values()}
+    counts = table.rows.groupby(["scale", "role"]).size()
+    # Three people, two recordings, three reducers.
+    assert counts["realism"].to_dict() == {"anchor": 12, "reference": 6, "test": 18}
+    assert counts["mushra"].to_dict() == {"anchor": 12, "reference": 12, "test": 12}
+    assert counts["dissimilarity"].to_dict() == {"pair": 18, "reference": 6, "test": 18}
+    assert counts["abx"].to_dict() == {"anchor": 12, "test": 18}
+    assert table.notes == (
+        "Scale 'mushra': 36 judgements were made against what 'dft321' made of the recording; the metrics compare with "
+        "the recording.",
+        "Scale 'similarity': 36 judgements were made against the real surface; the metrics compare with the recording.",
+    )
+
+
+def test_every_task_has_its_place_in_the_report(lab: StudyFolder) -> None:
+    folder = analyze_study(lab)
+    associations = pd.read_csv(folder / "tables" / "associations.csv")
+    assert set(associations["scale"]) == {"realism", "similarity", "mushra"}
+    assert dict(zip(associations["scale"], associations["n_items"], strict=True)) == {
+        "realism": 6, "similarity": 6, "mushra": 4,
+    }  # fmt: skip
+    profiles = pd.read_csv(folder / "tables" / "profiles.csv")
+    assert set(profiles["scale"]) == set(PROTOCOLS)
+    assert set(profiles.query("role == 'test'")["n_participants"]) == {3}
