@@ -123,7 +123,9 @@ def _open_newest(folder: Path, header: Mapping[str, Any], *, now: Clock, stale: 
         return _begin(folder, header, session=1, now=now)
     journal = require_journal(journals[-1], now=now)
     if has_event(journal.records, "released"):
-        raise ValueError(f"{journal.path}: {folder.name} was released, the place in the design is free; take another code")
+        raise ValueError(
+            f"{journal.path}: {folder.name} was released, the place in the design is free; take another code"
+        )
     begun = find_header(journal.records)
     if begun is None:
         _write_header(journal, header, session=len(journals))

@@ -203,7 +203,10 @@ def _find_edited(entry: Entry, study: StudyFolder) -> Iterator[str]:
         standing = read_standing(study.sessions / entry.participant)
     except (OSError, ValueError):
         return  # Whatever is wrong with plan or journals is for those to say who read them.
-    pairs = [("number", entry.number, standing.number), ("simulated", entry.simulated, standing.simulated)]
+    pairs: list[tuple[str, object, object]] = [
+        ("number", entry.number, standing.number),
+        ("simulated", entry.simulated, standing.simulated),
+    ]
     # The ledger may lag behind a journal, but what ends a session it only knows from there.
     if not standing.problem and (entry.anchors == standing.anchors or entry.state in {"finished", "released"}):
         pairs.append(("state", entry.state, standing.state))

@@ -231,14 +231,18 @@ def test_a_ledger_that_lags_behind_the_journals_is_no_finding(whole: StudyFolder
     ("events", "finding"),
     [
         ([("page", {"key": "welcome", "time_s": 0.0})], ": has no header"),
-        ([("begun", None), ("shown", {"trial": 1, "attempt": 1})], ", line 2: shows trial 1, attempt 1, which was not next"),
-        ([("begun", None), ("page", {"key": "end", "time_s": 0.0})], ", line 2: got page 'end', expected page 'welcome'"),
+        (
+            [("begun", None), ("shown", {"trial": 1, "attempt": 1})],
+            ", line 2: shows trial 1, attempt 1, which was not next",
+        ),
+        (
+            [("begun", None), ("page", {"key": "end", "time_s": 0.0})],
+            ", line 2: got page 'end', expected page 'welcome'",
+        ),
         ([("begun", None), ("finished", {})], ", line 2: finished after 0 of 5 trials"),
     ],
 )
-def test_gaps_in_a_chain_that_holds_are_found(
-    copy: StudyFolder, events: list[tuple[str, Any]], finding: str
-) -> None:
+def test_gaps_in_a_chain_that_holds_are_found(copy: StudyFolder, events: list[tuple[str, Any]], finding: str) -> None:
     header = read_journal(copy.journals[0]).records[0].data
     path = copy.journals[0]
     path.unlink()

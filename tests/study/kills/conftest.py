@@ -1,196 +1,25 @@
-"""Sessions of every protocol in processes that die; a laboratory, two presenters, and what counts as a loss."""
+"""Processes that die, or run where little is allowed, and the count of what that cost."""
 
 from __future__ import annotations
 
-import csv
 import io
 import os
 import signal
 import sys
 import traceback
+import warnings
 from collections import Counter
-from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime, timedelta
-from functools import partial
+from dataclasses import dataclass, field
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NoReturn
 
-import numpy as np
 import pytest
 
-from protocols.flow import FLAGS, Flow
-from protocols.tasks import make_task
-from protocols.texts import read_scales
-from stimuli.manifest import StimulusSet, read_stimuli
-from study.audit import audit_study
-from study.folder import StudyFolder
-from study.journal import read_journal
-from study.lead import Room, lead_session
-from study.ledger import claim_slots
-from study.observer import ObserverModel, SimulatedObserver, identify_observer
-from study.opening import Stale
-from study.plan import Design, make_plan, require_plan
-from study.ports import Abort, Confirm, Feel, Move, Pause, Playback
-from study.ratings import write_ratings
-from study.rebuilding import open_study_ledger
-from study.replay import find_elapsed
-from study.roster import write_roster
-from study.tables import ObserverTable
-from study.workflow import build_study
-
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable
     from pathlib import Path
 
-    from protocols.flow import Page
-    from protocols.protocol import Task
-    from protocols.trial import Part, Scale, Trial
-    from stimuli.manifest import Stimulus
-    from study.chain import Record
-    from study.journal import Journal
-    from study.plan import Plan
-    from study.ports import Act, Place, Presenter
-
-STUDY = """
-[[recordings]]
-scene = "bumps"
-duration_s = 0.1
-[[recordings]]
-scene = "hard_taps"
-duration_s = 0.1
-[stimuli]
-reducers = ["sax321", "dft321"]
-"""
-
-TASKS: Mapping[str, tuple[Task, ...]] = {
-    name: (replace(task, training=2, practice=1),)
-    for name, task in {
-        "realism": make_task("realism", surface=True),
-        "similarity-strict": make_task("similarity", timing="strict", reference="surface"),
-        "similarity-replay": make_task("similarity", timing="replay"),
-        "dissimilarity": make_task("dissimilarity"),
-        "mushra": make_task("mushra"),
-        "abx": make_task("abx"),
-    }.items()
-}
-"""What each session consists of: every protocol, every timing, surfaces to stroke."""
-
-FLOW = Flow(break_trials=3, break_min=None, training_rounds=2, reject=("underrun", "device_error", "too_fast", "not_felt"))
-
-MODEL = ObserverModel(**{**ObserverTable().model_dump(), "order": 0.2, "fatigue": 3.0, "lapse_rate": 0.1})
-"""With a memory of the trial before, so that a session that forgets it gives other answers."""
-
-MOODS = ("calm", "dry", "pausing", "rash", "dead", "replaying", "cut", "hasty", "dead")
-"""What a scripted participant and device do in an attempt; each trial and attempt has its own."""
-
-
-class Scripted:
-    """Does by trial and attempt all that participants and devices do to a session; answers are drawn likewise."""
-
-    def __init__(self, elapsed_s: float, memory: set[str]) -> None:
-        self.time_s, self._memory = elapsed_s, memory
-
-    def show_page(self, page: Page, place: Place) -> Confirm | Abort:  # noqa: ARG002 - the port's form
-        if page.key == "break" and self._is_first("tired"):
-            return Abort(self._pass(), "tired")
-        return Confirm(self._pass(), {})
-
-    def show_trial(self, trial: Trial, scale: Scale, place: Place) -> None:
-        self._mood = MOODS[(trial.number + 2 * place.attempt) % len(MOODS)]
-        self._faults = {"dry": {"underruns": 2}, "dead": {"error": "gone"}, "cut": {"completed": False}}.get(self._mood)
-        self._acts = self._act(trial, self._answer(trial, scale, place), key=f"{trial.number}.{place.attempt}")
-
-    def play(self, part: Part, stimulus: Stimulus, *, gap_s: float) -> Playback:  # noqa: ARG002 - the port's form
-        return self.prompt(part)
-
-    def prompt(self, part: Part) -> Playback:  # noqa: ARG002 - the port's form
-        faults, self._faults = self._faults or {}, None
-        return Playback(self.time_s, self._pass(), **faults)
-
-    def wait(self) -> Act:
-        return replace(next(self._acts), time_s=self._pass())
-
-    def refuse(self, reason: str, parts: tuple[str, ...]) -> None:
-        pass
-
-    def _act(self, trial: Trial, answer: Confirm, *, key: str) -> Iterator[Act]:
-        if trial.timing == "free":
-            yield from (Feel(0.0, part.name) for part in trial.parts)
-        yield Move(0.0, trial.judgements[0].part, 12.5)
-        if self._mood == "pausing" and self._is_first(key):
-            yield Pause(0.0)
-        if self._mood == "hasty":
-            yield from (replace(answer, values={}), Feel(0.0, "nobody"))
-        if self._mood == "replaying":
-            yield Feel(0.0, "")
-        while True:
-            yield answer
-            yield Feel(0.0, "")
-
-    def _answer(self, trial: Trial, scale: Scale, place: Place) -> Confirm:
-        rng = np.random.default_rng([trial.number, place.attempt])
-        draw = partial(rng.choice, scale.choices) if scale.choices else partial(rng.uniform, 0, 100)
-        values = {judgement.part: draw() for judgement in trial.judgements}
-        plain = {part: str(value) if scale.choices else round(float(value), 1) for part, value in values.items()}
-        return Confirm(0.0, plain, 0.1 if self._mood == "rash" else 1.5)
-
-    def _is_first(self, key: str) -> bool:
-        is_news = key not in self._memory
-        self._memory.add(key)
-        return is_news
-
-    def _pass(self) -> float:
-        self.time_s = round(self.time_s + 0.5, 3)
-        return self.time_s
-
-
-@dataclass(frozen=True)
-class Session:
-    """One participant's session, from slot to table, as the command line leads it."""
-
-    task: str
-    presenter: str
-    stimuli: StimulusSet
-    policy: str = "continue"
-
-    @property
-    def design(self) -> Design:
-        repeats = 3 if self.task == "mushra" else 1
-        return Design(seed=7, order="williams", repeats=repeats, tasks=TASKS[self.task], between={}, flow=FLOW)
-
-    def make_study(self, path: Path) -> StudyFolder:
-        study = StudyFolder(path)
-        path.mkdir(parents=True)
-        study.settings.write_text(STUDY, encoding="utf-8")
-        study.stimuli.symlink_to(self.stimuli.folder)
-        return study
-
-    def lead(self, study: StudyFolder, *, later_h: float = 0.0) -> None:
-        """Lead it to its end, however often the participant has enough for today."""
-
-        def now() -> datetime:
-            return datetime.now(UTC) + timedelta(hours=later_h)
-
-        ledger, _ = open_study_ledger(study)
-        number = claim_slots(ledger, ["sim001"], simulated=True, now=now)["sim001"]
-        plan = make_plan(self.design, self.stimuli, "sim001", number=number, simulated=True)
-        room = Room(study, self.stimuli, read_scales("en"), ledger, Stale(6.0, self.policy), now)
-        make_presenter = partial(self._make_presenter, memory=set())
-        identity = {"presenter": identify_observer(MODEL, seed=3)}
-        while lead_session(room, plan, identity=identity, make_presenter=make_presenter)[0].stopped:
-            pass
-        write_roster(study)
-        write_ratings(study, self.stimuli)
-
-    def _make_presenter(
-        self, plan: Plan, journal: Journal, stimuli: Mapping[str, Stimulus], *, memory: set[str]
-    ) -> Presenter:
-        elapsed_s = find_elapsed(journal.records)
-        if self.presenter == "scripted":
-            return Scripted(elapsed_s, memory)
-        observer = SimulatedObserver(MODEL, seed=3, number=1, elapsed_s=elapsed_s)
-        observer.recall(journal.records, plan.trials, stimuli=stimuli)
-        return observer
-
+collect_ignore_glob = ["sessions/*"] if os.name == "nt" else []  # Windows has neither forks nor SIGKILL.
 
 TRACES = frozenset(
     {"open", "write", "fsync", "ftruncate", "truncate", "replace", "unlink", "mkdir", "rmdir", "execute", "executemany",
@@ -247,15 +76,6 @@ class Kill:
             os.write = tear
 
 
-@dataclass(frozen=True)
-class Size:
-    """How many calls leave a trace, how many records and bytes there are in a session that comes to its end."""
-
-    calls: int
-    records: int
-    n_bytes: int
-
-
 def count_traces(run: Callable[[], None]) -> tuple[int, int]:
     """Count the calls that leave a trace, and the records among them."""
     calls: Counter[str] = Counter()
@@ -273,26 +93,39 @@ def count_traces(run: Callable[[], None]) -> tuple[int, int]:
     return calls["all"], calls["records"]
 
 
+def split(run: Callable[[], object], *, kill: Kill | None = None) -> int:
+    """Start a process that runs beside this one; what it returns is its code."""
+    with warnings.catch_warnings():
+        # Later Pythons warn that threads do not come along; those of the linear algebra are not missed.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        child = os.fork()
+    if child:
+        return child
+    code = 1
+    try:  # The fork may not come back into pytest, whatever happens.
+        if kill is not None:
+            kill.arm()
+        code = int(run() or 0)
+    except BaseException:  # noqa: BLE001 - told to whoever reads the test's output
+        sys.setprofile(None)
+        traceback.print_exc()
+    finally:
+        sys.stderr.flush()
+        os._exit(code)
+
+
 def fork(run: Callable[[], object], *, kill: Kill | None = None, until: Callable[[], bool] | None = None) -> int:
     """Run in a process of its own and tell how it ended; with `until`, it is killed from outside as soon as that is."""
-    child = os.fork()
-    if child == 0:
-        code = 1
-        try:  # The fork may not come back into pytest, whatever happens.
-            if kill is not None:
-                kill.arm()
-            run()
-            code = 0
-        except BaseException:  # noqa: BLE001 - told to whoever reads the test's output
-            sys.setprofile(None)
-            traceback.print_exc()
-            sys.stderr.flush()
-        finally:
-            os._exit(code)
+    child = split(run, kill=kill)
     if until is not None:
         while not until() and os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
             pass
         os.kill(child, signal.SIGKILL)
+    return wait(child)
+
+
+def wait(child: int) -> int:
+    """Wait for a process to end and tell how."""
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 
 
@@ -307,30 +140,24 @@ class Said:
 
 def speak(*commands: Callable[[], object], path: Path) -> Said:
     """Run commands one after the other in one process of their own and tell what they said; the last code counts."""
-    out, err = path.with_suffix(".out"), path.with_suffix(".err")
+    child, said = whisper(*commands, path=path)
+    code = wait(child)
+    return Said(code, *(file.read_text(encoding="utf-8") for file in said))
 
-    def run() -> None:
-        for number, file in ((1, out), (2, err)):
+
+def whisper(*commands: Callable[[], object], path: Path) -> tuple[int, tuple[Path, Path]]:
+    """Start commands beside this process, their words into files."""
+    files = path.with_suffix(".out"), path.with_suffix(".err")
+
+    def run() -> int:
+        for number, file in enumerate(files, start=1):
             os.dup2(os.open(file, os.O_CREAT | os.O_TRUNC | os.O_WRONLY), number)
         sys.stdout, sys.stderr = (os.fdopen(number, "w", encoding="utf-8", closefd=False) for number in (1, 2))
         codes = [command() for command in commands]
         sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(int(codes[-1] or 0))
+        return codes[-1]
 
-    return Said(fork(run), out.read_text(encoding="utf-8"), err.read_text(encoding="utf-8"))
-
-
-def measure(study: StudyFolder) -> int:
-    return sum(path.stat().st_size for path in study.journals)
-
-
-def read_rated(study: StudyFolder) -> dict[str, list[bytes]]:
-    """Read the whole lines of completed ratings, as they are on the disk."""
-    return {
-        path.name: [line for line in path.read_bytes().split(b"\n")[:-1] if b'"event": "rated"' in line]
-        for path in study.journals
-    }
+    return split(run), files
 
 
 @dataclass
@@ -342,177 +169,16 @@ class Toll:
     doubled: Counter[tuple[str, str]] = field(default_factory=Counter)
 
 
-@dataclass(frozen=True)
-class End:
-    """What a session left behind."""
-
-    rated: tuple[Any, ...]
-    """Trial, attempt, values and flags of each rating of the newest session, in order; of the main phase only
-    where the session was warmed up."""
-    table: list[dict[str, str]]
-    """The accepted rows of ratings.csv, without what a pause changes."""
-
-
-@dataclass(frozen=True)
-class Lab:
-    """Leads sessions in processes that die, leads them to their end, and sets them against one that never died."""
-
-    path: Path
-    stimuli: StimulusSet
-    toll: Toll
-    ends: dict[tuple[str, str], tuple[End, Size]] = field(default_factory=dict)
-
-    def count(self, task: str, presenter: str) -> Size:
-        """Measure a session that is not interrupted."""
-        return self._lead_whole(task, presenter)[1]
-
-    @staticmethod
-    def at(k: int) -> Kill:
-        """Choose the kill before the k-th call."""
-        return Kill(k)
-
-    @staticmethod
-    def draw(seed: int, n: int) -> list[float]:
-        """Draw shares of a session."""
-        return list(np.random.default_rng(seed).uniform(0.02, 0.98, n))
-
-    def place(self, instant: float, *, task: str, presenter: str, j: float | None = None) -> Kill:
-        """Choose the kill at some share of a session."""
-        size = self.count(task, presenter)
-        return Kill(1 + int(instant * ((size.calls if j is None else size.records) - 1)), j)
-
-    def make_study(self, path: Path) -> StudyFolder:
-        """Make a study for the command line."""
-        return Session("realism", "observer", self.stimuli).make_study(path)
-
-    @staticmethod
-    def speak(*commands: Callable[[], object], path: Path) -> Said:
-        """Run commands in a process of their own."""
-        return speak(*commands, path=path)
-
-    @staticmethod
-    def fork(run: Callable[[], object], *, kill: Kill | None = None) -> int:
-        """Run in a process of its own."""
-        return fork(run, kill=kill)
-
-    def session(self, task: str, presenter: str) -> Session:
-        """Make a session to be led by hand."""
-        return Session(task, presenter, self.stimuli)
-
-    def endure(
-        self, task: str, presenter: str, kills: Sequence[Kill | float], path: Path, *, policy: str = "continue"
-    ) -> StudyFolder:
-        """Die so many times, then check that nothing is missing or too much.
-
-        A number instead of a Kill is a share of the journal's length: once that is there, the kill comes from outside.
-
-        With another policy than `continue`, all later ones come back the next day.
-        """
-        session = Session(task, presenter, self.stimuli, policy)
-        study, key = session.make_study(path), (task, presenter)
-        told = f"{task} {presenter} {policy} {kills}"
-        later_h = 0.0
-        seen: list[dict[str, list[bytes]]] = []
-        for kill in kills:
-            lead = partial(session.lead, study, later_h=later_h)
-            if isinstance(kill, Kill):
-                code = fork(lead, kill=kill)
-            else:
-                n_bytes = kill * self.count(task, presenter).n_bytes
-                code = fork(lead, until=lambda n_bytes=n_bytes: measure(study) >= n_bytes)
-            self.toll.kills[key] += code == -signal.SIGKILL
-            # From outside, the kill may come too late.
-            assert code == -signal.SIGKILL or (code, type(kill)) == (0, float), f"{told}: ended with {code}"
-            seen.append(read_rated(study))
-            later_h = 0.0 if policy == "continue" else 24.0
-        session.lead(study, later_h=later_h)
-        now = read_rated(study)
-        lost = sum(lines != now.get(name, [])[: len(lines)] for before in seen for name, lines in before.items())
-        doubled = sum(count_doubles(study))
-        self.toll.lost[key] += lost
-        self.toll.doubled[key] += doubled
-        assert (lost, doubled) == (0, 0), told
-        self.compare(study, task, presenter, policy=policy, told=told)
-        return study
-
-    def compare(self, study: StudyFolder, task: str, presenter: str, *, policy: str = "continue", told: str) -> None:
-        """Check that a study ended as the one that was never interrupted."""
-        whole, _ = self._lead_whole(task, presenter)
-        end = read_end(study, presenter, policy=policy)
-        if policy == "warm_up":
-            whole = replace(whole, rated=tuple(entry for entry in whole.rated if entry[0] in list_main(study)))
-        assert end.rated == whole.rated, told
-        assert end.table == (strip(whole.table, "onset_s") if policy == "warm_up" else whole.table), told
-        assert audit_study(study) == [], told
-
-    def find_whole(self, task: str, presenter: str) -> StudyFolder:
-        """Find the study that was never interrupted; not to be touched."""
-        self._lead_whole(task, presenter)
-        return StudyFolder(self.path / f"{task}-{presenter}")
-
-    def _lead_whole(self, task: str, presenter: str) -> tuple[End, Size]:
-        key = (task, presenter)
-        if key not in self.ends:
-            session = Session(task, presenter, self.stimuli)
-            study = session.make_study(self.path / f"{task}-{presenter}")
-            counts = count_traces(partial(session.lead, study))
-            self.ends[key] = (read_end(study, presenter), Size(*counts, measure(study)))
-        return self.ends[key]
-
-
-def list_main(study: StudyFolder) -> set[int]:
-    plan = require_plan(study.sessions / "sim001" / "plan.json")
-    return {trial.number for trial in plan.trials if trial.phase == "main"}
-
-
-def count_doubles(study: StudyFolder) -> Iterator[int]:
-    """Count ratings of the main phase that were given twice in one session."""
-    main = list_main(study)
-    for path in study.journals:
-        rated = Counter((r.data["trial"], r.data["attempt"]) for r in list_rated(read_journal(path).records))
-        accepted = Counter(r.data["trial"] for r in list_rated(read_journal(path).records) if not r.data["rejected"])
-        yield sum(n - 1 for (trial, _), n in rated.items() if trial in main)
-        yield sum(n - 1 for trial, n in accepted.items() if trial in main)
-
-
-def list_rated(records: Sequence[Record]) -> list[Record]:
-    return [record for record in records if record.event == "rated"]
-
-
-def read_end(study: StudyFolder, presenter: str, *, policy: str = "continue") -> End:
-    main = list_main(study)
-    rated = [record.data for record in list_rated(read_journal(study.journals[-1]).records)]
-    with study.ratings.open(encoding="utf-8", newline="") as file:
-        rows = [row for row in csv.DictReader(file) if row["rejected"] == "false"]
-    # The simulated clock stands still while nobody is there; another goes on through a trial that is begun again.
-    changed = {"session", *(() if presenter == "observer" and policy != "warm_up" else ("onset_s",))}
-    return End(
-        tuple(
-            (data["trial"], data["attempt"], data["values"], data["flags"])
-            for data in rated
-            if policy != "warm_up" or data["trial"] in main
-        ),
-        strip(rows, *changed),
-    )
-
-
-def strip(rows: list[dict[str, str]], *columns: str) -> list[dict[str, str]]:
-    return [{key: value for key, value in row.items() if key not in columns} for row in rows]
-
-
 TOLL = pytest.StashKey[Toll]()
 
 
 @pytest.fixture(scope="session")
-def lab(tmp_path_factory: pytest.TempPathFactory, pytestconfig: pytest.Config) -> Iterator[Lab]:
-    study = StudyFolder(tmp_path_factory.mktemp("lab"))
-    study.settings.write_text(STUDY, encoding="utf-8")
-    build_study(study)
-    pytestconfig.stash[TOLL] = Toll()
-    with pytest.MonkeyPatch.context() as patch:
-        # Small sessions, noted as often as long ones are.
-        patch.setattr("study.lead.TRIALS_BETWEEN_NOTES", 3)
-        yield Lab(study.path, read_stimuli(study.stimuli), pytestconfig.stash[TOLL])
+def processes(pytestconfig: pytest.Config) -> SimpleNamespace:
+    """What there is to start processes and to end them."""
+    toll = pytestconfig.stash[TOLL] = Toll()
+    return SimpleNamespace(
+        Kill=Kill, fork=fork, speak=speak, whisper=whisper, wait=wait, count_traces=count_traces, toll=toll
+    )
 
 
 def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:

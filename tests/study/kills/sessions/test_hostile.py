@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import os
 import resource
 import shutil
 import subprocess
@@ -34,7 +33,7 @@ def simulate(study: StudyFolder, *, participants: int = 2) -> int:
 def whole(lab: Any, tmp_path_factory: pytest.TempPathFactory) -> StudyFolder:
     """A study that nothing happened to; not to be touched."""
     study = lab.make_study(tmp_path_factory.mktemp("whole") / "study")
-    assert lab.fork(partial(simulate, study)) == 0
+    assert lab.processes.fork(partial(simulate, study)) == 0
     return study
 
 
@@ -63,7 +62,7 @@ def leave_mounts() -> None:
 
 @pytest.fixture(scope="module")
 def may_mount(lab: Any) -> None:
-    if sys.platform != "linux" or lab.fork(leave_mounts) != 0:
+    if sys.platform != "linux" or lab.processes.fork(leave_mounts) != 0:
         pytest.skip("NO MOUNTS: small and read-only disks need the right to mount (root, CAP_SYS_ADMIN)")
 
 
@@ -73,7 +72,7 @@ def limit_files(n_bytes: int) -> None:
 
 def check_all_there(lab: Any, study: StudyFolder, whole: StudyFolder) -> None:
     """The same command goes on, and nothing is missing."""
-    said = lab.speak(partial(simulate, study), path=study.path)
+    said = lab.processes.speak(partial(simulate, study), path=study.path)
     assert said.code == 0, said.err
     assert study.ratings.read_bytes() == whole.ratings.read_bytes()
     assert audit_study(study) == []
@@ -83,7 +82,7 @@ def check_all_there(lab: Any, study: StudyFolder, whole: StudyFolder) -> None:
 def test_a_full_disk_under_a_journal(
     lab: Any, study: StudyFolder, whole: StudyFolder, n_bytes: int, tmp_path: Path
 ) -> None:
-    said = lab.speak(partial(limit_files, n_bytes), partial(simulate, study), path=tmp_path / "said")
+    said = lab.processes.speak(partial(limit_files, n_bytes), partial(simulate, study), path=tmp_path / "said")
     assert said.code == 1
     assert said.err.splitlines()[-1:] == said.err.splitlines(), said.err
     assert said.err.startswith(f"feel321: {study.sessions}/sim00")
@@ -103,7 +102,7 @@ def test_a_full_disk_under_a_journal(
 def test_a_full_disk_under_the_ledger_or_a_plan(
     lab: Any, study: StudyFolder, whole: StudyFolder, n_bytes: int, tmp_path: Path
 ) -> None:
-    said = lab.speak(partial(limit_files, n_bytes), partial(simulate, study), path=tmp_path / "said")
+    said = lab.processes.speak(partial(limit_files, n_bytes), partial(simulate, study), path=tmp_path / "said")
     assert (said.code, said.err.count("\n")) == (1, 1), said.err
     assert said.err.startswith(f"feel321: {study.sessions}")
     assert "see that the folder may be written to, the disk has room" in said.err or "File too large" in said.err
@@ -128,7 +127,7 @@ def test_a_small_disk_that_is_given_more_room(
         return main(["audit", str(study.path)])
 
     commands = [partial(simulate, study), lambda: mount("-o", "remount,size=9m", study.path), partial(simulate, study)]
-    said = lab.speak(insert_small_disk, *commands, save, path=tmp_path / "said")
+    said = lab.processes.speak(insert_small_disk, *commands, save, path=tmp_path / "said")
     assert said.code == 0, said.err
     assert "make room" in said.err.splitlines()[0] or "the disk has room" in said.err.splitlines()[0]
     assert (tmp_path / "ratings.csv").read_bytes() == whole.ratings.read_bytes()
@@ -142,11 +141,12 @@ def test_a_read_only_folder_can_be_looked_at(lab: Any, finished: StudyFolder, tm
         mount("-o", "remount,ro,bind", finished.path)
 
     before = {path: path.read_bytes() for path in finished.sessions.rglob("*") if path.is_file()}
-    refused = lab.speak(lock_folder, partial(simulate, finished, participants=3), path=tmp_path / "refused")
+    refused = lab.processes.speak(lock_folder, partial(simulate, finished, participants=3), path=tmp_path / "refused")
     assert (refused.code, refused.err.count("\n")) == (1, 1), refused.err
-    assert refused.err.startswith(f"feel321: {finished.ledger}: could not be used (attempt to write a readonly database)")
+    reason = "could not be used (attempt to write a readonly database)"
+    assert refused.err.startswith(f"feel321: {finished.ledger}: {reason}; see that the folder may be written to")
     for verb in ("status", "audit"):
-        looked = lab.speak(lock_folder, partial(main, [verb, str(finished.path)]), path=tmp_path / verb)
+        looked = lab.processes.speak(lock_folder, partial(main, [verb, str(finished.path)]), path=tmp_path / verb)
         assert (looked.code, looked.err) == (0, "")
     assert {path: path.read_bytes() for path in finished.sessions.rglob("*") if path.is_file()} == before
 
@@ -158,7 +158,7 @@ def test_a_read_only_folder_in_which_nothing_was_begun(lab: Any, study: StudyFol
         mount("--bind", study.path, study.path)
         mount("-o", "remount,ro,bind", study.path)
 
-    said = lab.speak(lock_folder, partial(simulate, study), path=tmp_path / "said")
+    said = lab.processes.speak(lock_folder, partial(simulate, study), path=tmp_path / "said")
     assert (said.code, said.err.count("\n")) == (1, 1), said.err
     assert said.err.startswith(f"feel321: {study.sessions}")
     assert "Read-only file system" in said.err
@@ -167,9 +167,9 @@ def test_a_read_only_folder_in_which_nothing_was_begun(lab: Any, study: StudyFol
 def test_a_second_writer_is_sent_away(lab: Any, finished: StudyFolder, tmp_path: Path) -> None:
     busy = hold_lock(finished.sessions / "sim001" / ".lock", busy="")
     with busy:
-        simulated = lab.speak(partial(simulate, finished), path=tmp_path / "simulated")
+        simulated = lab.processes.speak(partial(simulate, finished), path=tmp_path / "simulated")
         arguments = ["withdraw", str(finished.path), "--participant", "sim001", "--yes"]
-        withdrawn = lab.speak(partial(main, arguments), path=tmp_path / "withdrawn")
+        withdrawn = lab.processes.speak(partial(main, arguments), path=tmp_path / "withdrawn")
     folder = finished.sessions / "sim001"
     assert simulated.err == f"feel321: {folder}: another session is writing here; let it finish or stop it first\n"
     assert withdrawn.err == f"feel321: {folder}: a session is running here; let it finish or stop it first\n"
@@ -177,48 +177,28 @@ def test_a_second_writer_is_sent_away(lab: Any, finished: StudyFolder, tmp_path:
     assert audit_study(finished) == []
 
 
-def start(command: partial[int], path: Path) -> int:
-    """Start a command beside this process, its words into a file."""
-    child = os.fork()
-    if child == 0:
-        os.dup2(os.open(path, os.O_CREAT | os.O_WRONLY), 2)
-        sys.stderr = os.fdopen(2, "w", encoding="utf-8", closefd=False)
-        code = 70
-        try:
-            code = command()
-            sys.stderr.flush()
-        finally:
-            os._exit(code)
-    return child
-
-
-def wait(child: int) -> int:
-    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-
-
 def test_two_simulations_at_once_share_no_journal(
     lab: Any, study: StudyFolder, whole: StudyFolder, tmp_path: Path
 ) -> None:
-    children = [start(partial(simulate, study), tmp_path / f"said{n}") for n in range(2)]
-    codes = [wait(child) for child in children]
-    for code, n in zip(codes, range(2), strict=True):
-        said = (tmp_path / f"said{n}").read_text(encoding="utf-8")
+    started = [lab.processes.whisper(partial(simulate, study), path=tmp_path / f"said{n}") for n in range(2)]
+    ended = [(lab.processes.wait(child), err.read_text(encoding="utf-8")) for child, (_, err) in started]
+    for code, said in ended:
         assert (code, said.count("\n")) in {(0, 0), (1, 1)}, said
         assert code == 0 or "another session is writing here; let it finish or stop it first" in said
     check_all_there(lab, study, whole)
 
 
 def test_a_withdrawal_while_others_are_simulated(lab: Any, finished: StudyFolder, tmp_path: Path) -> None:
-    child = start(partial(simulate, finished, participants=6), tmp_path / "simulated")
+    child, (_, err) = lab.processes.whisper(partial(simulate, finished, participants=6), path=tmp_path / "simulated")
     arguments = ["withdraw", str(finished.path), "--participant", "sim002", "--yes"]
-    withdrawn = lab.speak(partial(main, arguments), path=tmp_path / "withdrawn")
-    code = wait(child)
-    simulated = (tmp_path / "simulated").read_text(encoding="utf-8")
+    withdrawn = lab.processes.speak(partial(main, arguments), path=tmp_path / "withdrawn")
+    code = lab.processes.wait(child)
+    simulated = err.read_text(encoding="utf-8")
     assert (code, withdrawn.code) in {(0, 0), (0, 1), (1, 0)}, simulated + withdrawn.err
     assert (simulated + withdrawn.err).count("\n") <= 1 + withdrawn.code
-    again = lab.speak(partial(main, arguments), path=tmp_path / "again")
+    again = lab.processes.speak(partial(main, arguments), path=tmp_path / "again")
     assert again.code == int(withdrawn.code == 0)
-    assert lab.speak(partial(simulate, finished, participants=6), path=tmp_path / "last").code == 0
+    assert lab.processes.speak(partial(simulate, finished, participants=6), path=tmp_path / "last").code == 0
     assert audit_study(finished) == []
     assert b"sim002" not in finished.ratings.read_bytes()
 
@@ -227,7 +207,7 @@ def test_a_clock_that_is_set_back_while_nobody_is_there(lab: Any, tmp_path: Path
     session = lab.session("abx", "observer")
     study = session.make_study(tmp_path / "study")
     kill = lab.place(0.5, task="abx", presenter="observer")
-    assert lab.fork(partial(session.lead, study), kill=kill) < 0
+    assert lab.processes.fork(partial(session.lead, study), kill=kill) < 0
     session.lead(study, later_h=-2.0)
     (journal,) = study.journals
     stepped = [record.data["back_s"] for record in read_journal(journal).records if record.event == "clock_stepped"]
