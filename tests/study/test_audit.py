@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import sqlite3
-from contextlib import closing
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Any
@@ -16,6 +14,7 @@ from study.audit import audit_study
 from study.chain import START, digest, read_chain, write_line
 from study.folder import StudyFolder
 from study.journal import create_journal, read_journal, require_journal
+from study.ledger import open_ledger, rewrite_ledger
 from study.rebuilding import rebuild_ledger
 from study.workflow import build_study, simulate_study
 
@@ -197,17 +196,19 @@ def test_a_changed_manifest_is_found(copy: StudyFolder) -> None:
 
 
 @pytest.mark.parametrize(
-    ("column", "value", "finding"),
+    ("edit", "finding"),
     [
-        ("number", 7, "sim002 has number 7, plan and journals say 2"),
-        ("state", "released", "sim002 has state released, plan and journals say finished"),
-        ("state", "running", "sim002 has state running, plan and journals say finished"),
-        ("simulated", 0, "sim002 has simulated False, plan and journals say True"),
+        ({"number": 7}, "sim002 has number 7, plan and journals say 2"),
+        ({"state": "released"}, "sim002 has state released, plan and journals say finished"),
+        ({"state": "running"}, "sim002 has state running, plan and journals say finished"),
+        ({"simulated": False}, "sim002 has simulated False, plan and journals say True"),
     ],
 )
-def test_an_edited_row_of_the_ledger_is_found(copy: StudyFolder, column: str, value: Any, finding: str) -> None:
-    with closing(sqlite3.connect(copy.ledger)) as ledger, ledger:
-        ledger.execute(f"UPDATE participants SET {column} = ? WHERE participant = 'sim002'", (value,))  # noqa: S608
+def test_an_edited_row_of_the_ledger_is_found(copy: StudyFolder, edit: dict[str, Any], finding: str) -> None:
+    rewrite_ledger(
+        open_ledger(copy.ledger),
+        lambda known: [replace(e, **(edit if e.participant == "sim002" else {})) for e in known],
+    )
     assert find_only(copy) == f"{copy.ledger}: {finding}; rebuild it: feel321 ledger {copy.path} --rebuild"
     rebuild_ledger(copy)
     assert audit_study(copy) == []

@@ -42,9 +42,9 @@ def die() -> NoReturn:
 
 @dataclass(frozen=True)
 class Kill:
-    """When a process dies: before its k-th call that leaves a trace, or inside its k-th record after j bytes of it.
+    """When a process dies: before its k-th call that leaves a trace, or inside its k-th record.
 
-    `j` is a share of the record, of which a byte is missing at least and there at least.
+    `j` is the share of that record that is written, at least a byte and never all of it.
     """
 
     k: int
