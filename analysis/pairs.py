@@ -33,7 +33,7 @@ def turn_pairs(ratings: DataFrame, manifest: DataFrame, *, what: str) -> DataFra
     Returns
     -------
     DataFrame
-        The same, both stimuli of a pair exchanged where the second was the reference.
+        The same, both stimuli of a pair exchanged where the one called stimulus_id was the reference.
 
     Raises
     ------
@@ -44,9 +44,7 @@ def turn_pairs(ratings: DataFrame, manifest: DataFrame, *, what: str) -> DataFra
     others = ratings.loc[is_paired, "reference_id"]
     unknown = f"in column 'reference_id' of a {PAIRED}, which must be empty or a stimulus of the manifest"
     refuse_lines(others[~others.isin(manifest.index)], what, why=unknown)
-    roles = manifest["role"]
-    backward = is_paired & (ratings["stimulus_id"].map(roles) == "reference")
-    backward &= ratings["reference_id"].map(roles) != "reference"
+    backward = is_paired & (ratings["stimulus_id"].map(manifest["role"]) == "reference")
     ids = ["stimulus_id", "reference_id"]
     turned = ratings.copy()
     turned.loc[backward, ids] = ratings.loc[backward, ids[::-1]].to_numpy()
