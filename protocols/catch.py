@@ -6,7 +6,7 @@
 
 The limits say whether a task was understood, no more: the upper quarter of the scale is for what is as good as the
 reference. Raters are screened in the analysis, by the stricter limits of BS.1534-3 (90 points) [1]_. Like those, the
-limit for anchors holds for the better of two and all the more for the worse, so no anchor needs to be known by its name.
+limit for anchors holds for the better of two and all the more for the worse, so none needs to be known by its name.
 
 References
 ----------

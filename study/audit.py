@@ -120,17 +120,21 @@ def _audit_steps(records: Sequence[Record], plan: Plan) -> Iterator[str]:
     trials = {trial.number: trial for trial in plan.trials}
     for record in records:
         try:
-            if record.event == "shown":
-                _check_shown(agenda, record)
-            elif record.event == "finished" and agenda.ask() is not None:
-                raise ValueError(f"finished after {agenda.done} of {agenda.total} trials")
+            _check_step(agenda, record)
             tell(agenda, record, trials)
         except ValueError as error:
             yield f", line {record.sequence + 1}: {error}"
             return  # All that follows is out of step.
+        except (KeyError, TypeError):
+            yield f", line {record.sequence + 1}: is no {record.event!r} record as feel321 writes them"
+            return
 
 
-def _check_shown(agenda: Agenda, record: Record) -> None:
+def _check_step(agenda: Agenda, record: Record) -> None:
     step, data = agenda.ask(), record.data
+    if record.event == "finished" and step is not None:
+        raise ValueError(f"finished after {agenda.done} of {agenda.total} trials")
+    if record.event != "shown":
+        return
     if not isinstance(step, Trial) or (data["trial"], data["attempt"]) != (step.number, agenda.attempt(step.number)):
         raise ValueError(f"shows trial {data['trial']}, attempt {data['attempt']}, which was not next")

@@ -104,8 +104,10 @@ def find_warnings(study: StudyFolder) -> list[str]:
     if not study.stimuli.exists():
         return []
     design = make_design(read_settings(study.settings))
+    if design.order != "random":
+        return []
     plan = make_plan(design, read_stimuli(study.stimuli), "check", number=1, simulated=False)
-    return [f"order {design.order!r}: {line}" for line in find_crowding(plan.trials)] if design.order == "random" else []
+    return [f"order 'random': {line}" for line in find_crowding(plan.trials)]
 
 
 def _check_plan(study: StudyFolder, settings: Settings) -> list[str]:

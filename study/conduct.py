@@ -57,6 +57,7 @@ class _Attempt:
 
     trial: Trial
     number: int
+    stage: Stage
     felt: set[str] = field(default_factory=set)
     flags: dict[str, None] = field(default_factory=dict)
     time_s: float = 0.0
@@ -121,14 +122,13 @@ def conduct_trial(trial: Trial, place: Place, stage: Stage) -> None:
     Stopped
         If the participant does not go on; the attempt then never was.
     """
-    scale = stage.scales[trial.scale]
     while True:
-        attempt = _Attempt(trial, place.attempt)
-        stage.presenter.show_trial(trial, scale, place)
+        attempt = _Attempt(trial, place.attempt, stage)
+        stage.presenter.show_trial(trial, stage.scales[trial.scale], place)
         stage.journal.write("shown", attempt.key)
         if trial.timing != "free":
-            _feel(attempt, trial.parts, stage)
-        if _is_spoiled(attempt, stage) or _answer(attempt, scale, stage):
+            _feel(attempt, trial.parts)
+        if _is_spoiled(attempt) or _answer(attempt):
             return
         conduct_pause(trial, place, stage)
 
@@ -157,27 +157,30 @@ def conduct_pause(trial: Trial, place: Place, stage: Stage) -> None:
     stage.journal.write("continued", {"trial": trial.number, "time_s": act.time_s})
 
 
-def _answer(attempt: _Attempt, scale: Scale, stage: Stage) -> bool:
+def _answer(attempt: _Attempt) -> bool:
     """Wait for the answer; False if the participant paused instead."""
+    stage, number = attempt.stage, attempt.trial.number
     while True:
         act = stage.presenter.wait()
         _heed(act)
         match act:
             case Feel():
-                _feel_again(attempt, act, stage)
-                if _is_spoiled(attempt, stage):
+                _feel_again(attempt, act)
+                if _is_spoiled(attempt):
                     return True
             case Move():
-                stage.journal.write("moved", {"trial": attempt.trial.number, **asdict(act)})
+                stage.journal.write("moved", {"trial": number, **asdict(act)})
             case Confirm():
-                if _accept(attempt, act, scale, stage):
+                if _accept(attempt, act):
                     return True
             case Pause():
-                stage.journal.write("paused", {"trial": attempt.trial.number, "time_s": act.time_s})
+                stage.journal.write("paused", {"trial": number, "time_s": act.time_s})
                 return False
 
 
-def _feel(attempt: _Attempt, parts: Iterable[Part], stage: Stage) -> None:
+def _feel(attempt: _Attempt, parts: Iterable[Part]) -> None:
+    """Play the parts in order, until one is cut short."""
+    stage = attempt.stage
     for part in parts:
         if part.stimulus_id is None:
             playback, event = stage.presenter.prompt(part), "prompted"
@@ -190,39 +193,42 @@ def _feel(attempt: _Attempt, parts: Iterable[Part], stage: Stage) -> None:
             return
 
 
-def _feel_again(attempt: _Attempt, act: Feel, stage: Stage) -> None:
-    trial = attempt.trial
-    parts = [part for part in trial.parts if act.part in {"", part.name}]
-    if trial.timing == "strict":
-        _refuse("no_replay", (), attempt, act, stage)
+def _feel_again(attempt: _Attempt, act: Feel) -> None:
+    parts = [part for part in attempt.trial.parts if act.part in {"", part.name}]
+    if attempt.trial.timing == "strict":
+        _refuse(attempt, act, reason="no_replay")
     elif not parts:
-        _refuse("unknown_part", (act.part,), attempt, act, stage)
+        _refuse(attempt, act, reason="unknown_part", parts=(act.part,))
     else:
         if attempt.felt.issuperset(part.name for part in parts):
-            stage.journal.write("replayed", {"trial": trial.number, "part": act.part, "time_s": act.time_s})
-        _feel(attempt, parts, stage)
+            again = {"trial": attempt.trial.number, "part": act.part, "time_s": act.time_s}
+            attempt.stage.journal.write("replayed", again)
+        _feel(attempt, parts)
 
 
-def _is_spoiled(attempt: _Attempt, stage: Stage) -> bool:
+def _is_spoiled(attempt: _Attempt) -> bool:
     """End an attempt that can no longer be answered: the device failed, or what is felt only once was cut short."""
     if attempt.trial.timing == "strict" and attempt.list_unfelt():
         attempt.flags["not_felt"] = None
     if not {"device_error", "not_felt"} & attempt.flags.keys():
         return False
-    stage.journal.write("spoiled", {**attempt.key, "flags": list(attempt.flags), "time_s": attempt.time_s})
+    spoiled = {**attempt.key, "flags": list(attempt.flags), "time_s": attempt.time_s}
+    attempt.stage.journal.write("spoiled", spoiled)
     return True
 
 
-def _accept(attempt: _Attempt, act: Confirm, scale: Scale, stage: Stage) -> bool:
+def _accept(attempt: _Attempt, act: Confirm) -> bool:
+    """Record the answer, unless something was not felt or not answered."""
+    stage, trial = attempt.stage, attempt.trial
     if unfelt := attempt.list_unfelt():
-        return _refuse("not_felt", unfelt, attempt, act, stage)
-    if missing := find_missing(attempt.trial, _find_valid(act.values, scale)):
-        return _refuse("not_answered", tuple(missing), attempt, act, stage)
+        return _refuse(attempt, act, reason="not_felt", parts=unfelt)
+    if missing := find_missing(trial, _find_valid(act.values, stage.scales[trial.scale])):
+        return _refuse(attempt, act, reason="not_answered", parts=tuple(missing))
     if act.response_time_s < stage.flow.min_response_s:
         attempt.flags["too_fast"] = None
     rated: dict[str, Any] = {
         **attempt.key,
-        "values": {judgement.part: act.values[judgement.part] for judgement in attempt.trial.judgements},
+        "values": {judgement.part: act.values[judgement.part] for judgement in trial.judgements},
         "response_time_s": act.response_time_s,
         "time_s": act.time_s,
         "flags": list(attempt.flags),
@@ -241,11 +247,10 @@ def _find_valid(values: Mapping[str, float | str], scale: Scale) -> set[str]:
     }
 
 
-def _refuse(reason: str, parts: tuple[str, ...], attempt: _Attempt, act: Feel | Confirm, stage: Stage) -> bool:
-    stage.journal.write(
-        "refused", {"trial": attempt.trial.number, "reason": reason, "parts": list(parts), "time_s": act.time_s}
-    )
-    stage.presenter.refuse(reason, parts)
+def _refuse(attempt: _Attempt, act: Feel | Confirm, *, reason: str, parts: tuple[str, ...] = ()) -> bool:
+    refused = {"trial": attempt.trial.number, "reason": reason, "parts": list(parts), "time_s": act.time_s}
+    attempt.stage.journal.write("refused", refused)
+    attempt.stage.presenter.refuse(reason, parts)
     return False
 
 

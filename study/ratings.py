@@ -111,14 +111,14 @@ def read_judgements(folder: Path, stimuli: StimulusSet) -> list[dict[str, Any]]:
             f"{folder}: was planned with stimulus set {plan.stimuli_sha256[:12]}, the study holds "
             f"{stimuli.sha256[:12]}; build the set of that session again"
         )
-    names = {code: name for name, code in list_codes(stimuli, seed=plan.seed).items()}
-    by_id = {row.stimulus_id: row for row in stimuli.stimuli}
+    codes = list_codes(stimuli, seed=plan.seed)
+    by_code = {codes[row.stimulus_id]: row for row in stimuli.stimuli}
     rows = []
     for path in journals:
         records = read_journal(path).records
         if header := find_header(records):
             require_own(path, header, plan)
-            rows += [_name_row(row, header, names, by_id) for row in _replay(plan, records)]
+            rows += [_name_row(row, header, by_code) for row in _replay(plan, records)]
     return rows
 
 
@@ -148,11 +148,9 @@ def require_own(path: Path, header: Mapping[str, Any], plan: Plan) -> None:
         raise ValueError(f"{path}: was begun with another plan than the one beside it; restore that from a copy")
 
 
-def _name_row(
-    row: dict[str, Any], header: Mapping[str, Any], names: Mapping[str, str], by_id: Mapping[str, Stimulus]
-) -> dict[str, Any]:
+def _name_row(row: dict[str, Any], header: Mapping[str, Any], by_code: Mapping[str, Stimulus]) -> dict[str, Any]:
     """Put names for codes: what was blind is told here and nowhere before."""
-    stimulus = by_id[names[row["stimulus_id"]]]
+    stimulus, reference = by_code[row["stimulus_id"]], by_code.get(row["reference_id"])
     return row | {
         "participant": header["participant"],
         "session": header["session"],
@@ -160,7 +158,7 @@ def _name_row(
         "recording": stimulus.recording,
         "reducer": stimulus.reducer,
         "level": stimulus.level,
-        "reference_id": names.get(row["reference_id"], row["reference_id"]),
+        "reference_id": reference.stimulus_id if reference else row["reference_id"],
         "simulated": _write_flag(header["presenter"]["simulated"]),
     }
 

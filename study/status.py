@@ -90,7 +90,8 @@ def _read_progress(folder: Path) -> Progress:
     standing = read_standing(folder)
     if standing.problem:
         return Progress(folder.name, problem=standing.problem)
-    journals = list_journals(folder)
+    newest = list_journals(folder)[-1:]
+    plan = require_plan(folder / PLAN_FILE)
     return Progress(
         participant=standing.participant,
         state=standing.state,
@@ -100,7 +101,7 @@ def _read_progress(folder: Path) -> Progress:
         left=standing.total - standing.done,
         simulated=standing.simulated,
         last_activity=standing.last_utc,
-        warnings=tuple(_find_warnings(require_plan(folder / PLAN_FILE), read_journal(journals[-1])) if journals else ()),
+        warnings=tuple(warning for path in newest for warning in _find_warnings(plan, read_journal(path))),
     )
 
 

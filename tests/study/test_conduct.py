@@ -82,14 +82,16 @@ def test_what_is_felt_once_and_cut_short_is_tried_again_later(
     presenter = scripted(playbacks={(1, 1): [stopped]})
     records = present(presenter, plan=plan_task("similarity", timing="strict"))
     # The test was not even begun, for nobody could have judged it.
-    assert [event for event, _ in tell_first(records)] == ["shown", "played", "spoiled", "shown", "played", "played", "rated"]
+    events = [event for event, _ in tell_first(records)]
+    assert events == ["shown", "played", "spoiled", "shown", "played", "played", "rated"]
     assert list_events(records, "spoiled")[0]["flags"] == ["not_felt"]
     shown = [line.split()[1] for line in presenter.log if line.startswith("show")]
     assert shown[:6] == ["1.1", "2.1", "3.1", "4.1", "5.1", "1.2"]
 
 
 @pytest.mark.parametrize(
-    "values", [{}, {"test": None}, {"test": 101.0}, {"test": -1}, {"test": "50"}, {"other": 50.0}, {"test": float("nan")}]
+    "values",
+    [{}, {"test": None}, {"test": 101.0}, {"test": -1}, {"test": "50"}, {"other": 50.0}, {"test": float("nan")}],
 )
 def test_an_answer_that_is_none_is_refused(present: Present, scripted: type, values: dict[str, Any]) -> None:
     presenter = scripted(acts={(1, 1): [Confirm(0.0, values, 1.0), DONE]})
@@ -110,12 +112,11 @@ def test_on_a_page_of_sliders_everything_is_felt_and_moved(
 ) -> None:
     plan = plan_task("mushra")
     parts = [part.name for part in plan.trials[0].parts]
-    half: dict[str, float | str] = {name: 10.0 for name in parts[1:3]}
+    half: dict[str, float | str] = dict.fromkeys(parts[1:3], 10.0)
     whole: dict[str, float | str] = {name: 10.0 * place for place, name in enumerate(parts[1:])}
     felt = [Feel(0.0, name) for name in parts[:0:-1]]
-    presenter = scripted(
-        acts={(1, 1): [*felt, Confirm(0.0, whole, 9.0), Feel(0.0, "reference"), Confirm(0.0, half, 9.0), Confirm(0.0, whole, 9.0)]}
-    )
+    answer, half_answer = Confirm(0.0, whole, 9.0), Confirm(0.0, half, 9.0)
+    presenter = scripted(acts={(1, 1): [*felt, answer, Feel(0.0, "reference"), half_answer, answer]})
     records = present(presenter, plan=plan)
     assert "refuse not_felt reference" in presenter.log
     assert f"refuse not_answered {' '.join(parts[3:])}" in presenter.log

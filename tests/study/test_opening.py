@@ -146,7 +146,9 @@ def test_who_comes_back_late_warms_up(leave: Callable[..., list[Any]], practised
     assert rated_trials(records)[:6] == [*practice, 1, *practice, 2]
 
 
-@pytest.mark.parametrize(("policy", "hours", "after_h"), [("warm_up", 5.9, 6.0), ("continue", 99, 6.0), ("restart", 99, None)])
+@pytest.mark.parametrize(
+    ("policy", "hours", "after_h"), [("warm_up", 5.9, 6.0), ("continue", 99, 6.0), ("restart", 99, None)]
+)
 def test_who_comes_back_in_time_or_may_go_on_goes_on(
     leave: Callable[..., list[Any]], practised: Plan, policy: str, hours: float, after_h: float | None
 ) -> None:

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 FEEL321 = Path(sys.executable).with_name("feel321")
-HEAVY = {"scipy", "pandas", "matplotlib", "statsmodels", "joblib", "soxr", "psychopy", "sounddevice", "pydantic", "sqlalchemy"}
+HEAVY = {"scipy", "pandas", "matplotlib", "statsmodels", "joblib", "soxr", "psychopy", "sounddevice"}
+HEAVY |= {"pydantic", "sqlalchemy"}
 STUDY = """
 [[recordings]]
 scene = "bumps"

@@ -43,7 +43,8 @@ def test_the_participant_meets_the_steps_in_the_order_of_the_plan(present: Prese
     presenter = scripted()
     present(presenter)
     assert presenter.log[:5] == [
-        "page welcome 0/20", "page consent 0/20", "page instructions.realism 0/20", "page main 0/20", "show 1.1 realism",
+        "page welcome 0/20", "page consent 0/20", "page instructions.realism 0/20", "page main 0/20",
+        "show 1.1 realism",
     ]  # fmt: skip
     assert [line.split()[1] for line in presenter.log if line.startswith("show")] == [f"{n}.1" for n in range(1, 21)]
     last = [line.rpartition("-")[0] for line in presenter.log[-3:-1]]

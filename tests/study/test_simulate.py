@@ -13,7 +13,6 @@ from stimuli.manifest import read_stimuli
 from study.audit import audit_study
 from study.check import check_study, find_warnings
 from study.folder import StudyFolder
-from study.journal import create_journal, read_journal
 from study.ratings import write_ratings
 from study.settings import read_settings
 from study.simulate import SIDE_BY_SIDE, Simulation, run_simulation
