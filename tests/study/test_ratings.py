@@ -87,7 +87,7 @@ def test_a_session_that_was_begun_anew_counts_no_more_and_is_kept(
     ("task", "rating"), [("abx", {0.0, 100.0}), ("dissimilarity", {50.0}), ("mushra", {50.0})]
 )
 def test_every_judgement_of_a_trial_is_a_row(
-    present: Present, scripted: type, design: Design, stimuli: StimulusSet, tmp_path: Path, task: str, rating: set[float]
+    present: Present, scripted: type, design: Design, stimuli: StimulusSet, tmp_path: Path, task: str, rating: set[Any]
 ) -> None:
     plan = make_plan(replace(design, tasks=(make_task(task),)), stimuli, "p01", number=1, simulated=True)
     present(scripted(), plan=plan)
