@@ -295,6 +295,7 @@ class Lab:
         """Check that a study ended as the one that was never interrupted."""
         whole, _ = self._lead_whole(task, presenter)
         end = read_end(study, presenter, policy=policy)
+        assert [r.event for r in read_journal(study.journals[-1]).records].count("finished") == 1, told
         if policy == "warm_up":
             whole = replace(whole, rated=tuple(entry for entry in whole.rated if entry[0] in list_main(study)))
         assert end.rated == whole.rated, told

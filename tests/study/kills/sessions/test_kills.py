@@ -37,6 +37,11 @@ def test_inside_a_record(lab: Any, task: str, presenter: str, j: float, tmp_path
     lab.endure(task, presenter, [lab.place(0.6, task=task, presenter=presenter, j=j)], tmp_path / "killed")
 
 
+@pytest.mark.parametrize("instant", [0.96, 0.98])
+def test_after_the_last_record(lab: Any, instant: float, tmp_path: Path) -> None:
+    lab.endure("abx", "observer", [lab.place(instant, task="abx", presenter="observer")], tmp_path / "killed")
+
+
 @pytest.mark.parametrize("k", [6, 15, 26, *range(35, 54, 4)])
 def test_before_the_first_record(lab: Any, k: int, tmp_path: Path) -> None:
     lab.endure("similarity-replay", "scripted", [lab.at(k)], tmp_path / "killed")
@@ -49,7 +54,7 @@ def test_again_while_a_torn_line_is_mended(lab: Any, k: int, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("policy", ["warm_up", "restart"])
-@pytest.mark.parametrize(("k", "torn"), [*((k, None) for k in range(29, 44, 3)), (39, 0.5), (42, 0.5)])
+@pytest.mark.parametrize(("k", "torn"), [*((k, None) for k in (29, 32, 35, 38, 41, 53)), (39, 0.5), (42, 0.5)])
 def test_again_the_next_day(lab: Any, k: int, torn: float | None, policy: str, tmp_path: Path) -> None:
     first = lab.place(0.6, task="abx", presenter="observer", j=torn)
     assert_one_day(lab.endure("abx", "observer", [first, lab.at(k)], tmp_path / "killed", policy=policy), policy)
