@@ -13,7 +13,7 @@ from study.plan import make_plan
 from study.provenance import find_changes
 from study.settings import read_settings
 from study.sources import make_recipe, try_recordings
-from study.wording import read_study_pages
+from study.wording import read_study_texts
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -79,7 +79,7 @@ def _check_pictures(study: StudyFolder, settings: Settings) -> list[str]:
 
 def _check_texts(study: StudyFolder, settings: Settings) -> list[str]:
     try:
-        read_study_pages(settings, study.path)
+        read_study_texts(settings, study.path)
     except OSError as error:
         return [f"{error.filename}: {error.strerror}; put your texts there, or name a language of the catalogue"]
     except ValueError as error:

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import json
 from typing import TYPE_CHECKING, Any
 
 from protocols.flow import Flow
 from protocols.tasks import make_task
+from study.chain import digest
 from study.opening import Stale
 from study.plan import Design
+from study.wording import read_study_texts
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from study.tables import Settings
 
 
@@ -58,23 +63,29 @@ def make_design(settings: Settings) -> Design:
     )
 
 
-def make_identity(settings: Settings, presenter: dict[str, Any]) -> dict[str, Any]:
+def make_identity(settings: Settings, folder: Path, presenter: dict[str, Any]) -> dict[str, Any]:
     """Say what must not change within a session besides its plan, for the header of its journal.
 
     Parameters
     ----------
     settings : Settings
         The study's settings.
+    folder : Path
+        The study's folder.
     presenter : dict
         The kind of presenter and its own settings; `simulated` among them.
 
     Returns
     -------
     dict
-        Language, rig, calibration and presenter. No rig is calibrated yet, and the header says so.
+        Language, digest of all texts, the consent in full, rig, calibration and presenter. No rig is calibrated yet,
+        and the header says so.
     """
+    texts = read_study_texts(settings, folder)
     return {
         "locale": settings.session.language,
+        "texts_sha256": digest(json.dumps(texts, sort_keys=True)),
+        "consent": texts["pages"]["consent"]["text"],
         "rig": settings.rig.model_dump(),
         "calibration": None,
         "presenter": presenter,

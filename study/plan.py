@@ -78,8 +78,10 @@ class Plan:
         Whether the participant is simulated.
     seed : int
         The study's seed.
+    between : mapping of str to tuple of str
+        Levels of each factor in which participants differ.
     groups : dict of str to str
-        The participant's level of each factor in which participants differ.
+        The participant's level of each of them.
     order : str
         How the trials were ordered.
     repeats : int
@@ -100,6 +102,7 @@ class Plan:
     number: int
     simulated: bool
     seed: int
+    between: Mapping[str, tuple[str, ...]]
     groups: Mapping[str, str]
     order: str
     repeats: int
@@ -157,6 +160,7 @@ def make_plan(
         number=number,
         simulated=simulated,
         seed=design.seed,
+        between=design.between,
         groups=groups,
         order=design.order,
         repeats=design.repeats,

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass
+from itertools import groupby
+from math import prod
 from typing import TYPE_CHECKING
 
 from protocols.balance import measure_balance, pool_balances
@@ -14,38 +16,70 @@ from study.plan import require_plan
 from study.replay import has_event, list_journals
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator
+    from collections.abc import Collection, Iterable, Iterator, Sequence
     from pathlib import Path
 
     from protocols.trial import Trial
     from study.folder import StudyFolder
+    from study.plan import Plan
 
-    Run = tuple[str, list[str]]
+    Sequences = dict[str, list[list[str]]]
 
 
 @dataclass(frozen=True, slots=True)
-class Realised:
-    """How evenly conditions met places, and each other, in all sessions so far.
+class Evenness:
+    """How evenly conditions met places, and each other.
 
     Parameters
     ----------
-    participants, finished : int
-        Those of whom a trial counts, and those of them who came to their end.
-    cycle : int
-        Number of participants over whom the orders come full circle; 0 for orders by chance.
+    task : str
+        The protocol.
+    what : str
+        What was put in order: `stimuli` within their block, `slots` on a page of sliders, or `recordings` as blocks.
     positions, carry_over : tuple of int
-        Smallest and largest count: how often a condition stood at a place, and next after another one.
+        Smallest and largest count: how often each stood at each place, and right after each other one.
     position_index, carry_over_index : float
         Coefficient of variation of the counts, 0 for perfect balance.
     """
 
-    participants: int
-    finished: int
-    cycle: int
+    task: str
+    what: str
     positions: tuple[int, int]
     carry_over: tuple[int, int]
     position_index: float
     carry_over_index: float
+
+
+@dataclass(frozen=True, slots=True)
+class Realised:
+    """Balance of all sessions so far.
+
+    Parameters
+    ----------
+    simulated : bool
+        Whether it is that of simulated participants; once there are real ones, it is theirs alone.
+    participants, finished : int
+        Those of whom a trial counts, and those of them who came to their end.
+    cycle : int
+        Number of participants over whom the orders come full circle; 0 for orders by chance.
+    evenness : tuple of Evenness
+        Per task, and what was put in order there.
+    """
+
+    simulated: bool
+    participants: int
+    finished: int
+    cycle: int
+    evenness: tuple[Evenness, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Session:
+    """What one participant went through."""
+
+    plan: Plan
+    trials: Sequence[Trial]
+    is_finished: bool
 
 
 def measure_realised(study: StudyFolder) -> Realised | None:
@@ -59,36 +93,27 @@ def measure_realised(study: StudyFolder) -> Realised | None:
     Returns
     -------
     Realised or None
-        Places and neighbours are counted within each block of comparisons, such as those of one recording; on a page
-        of sliders, along its slots. None if no trial counts yet. Participants whose plan or journal is broken are
-        left out; `audit` names them.
+        None if no trial counts yet. Participants whose plan or journal is broken are left out; `audit` names them.
     """
-    groups: dict[str, list[list[str]]] = defaultdict(list)
-    participants, finished, cycle = 0, 0, 0
-    for folder in study.participants:
-        try:
-            runs, is_finished, own_cycle = _read_runs(folder)
-        except (OSError, ValueError):
-            continue
-        participants, finished = participants + bool(runs), finished + is_finished
-        cycle = max(cycle, own_cycle)
-        for group, conditions in runs:
-            groups[group].append(conditions)
-    if not groups:
+    sessions = list(_read_sessions(study))
+    simulated = all(session.plan.simulated for session in sessions)
+    sessions = [session for session in sessions if session.plan.simulated == simulated]
+    if not sessions:
         return None
-    balance = pool_balances(measure_balance(sequences) for sequences in groups.values())
+    groups: dict[tuple[str, str], Sequences] = defaultdict(lambda: defaultdict(list))
+    for session in sessions:
+        for task, what, group, conditions in _split(session):
+            groups[task, what][group].append(conditions)
     return Realised(
-        participants=participants,
-        finished=finished,
-        cycle=cycle,
-        positions=_find_ends(balance.positions.values()),
-        carry_over=_find_ends(balance.carry_over.values()),
-        position_index=balance.position_index,
-        carry_over_index=balance.carry_over_index,
+        simulated=simulated,
+        participants=len(sessions),
+        finished=sum(session.is_finished for session in sessions),
+        cycle=max(_count_cycle(session.plan) for session in sessions),
+        evenness=tuple(_measure(*name, sequences) for name, sequences in groups.items()),
     )
 
 
-def describe_balance(realised: Realised | None) -> str:
+def describe_balance(realised: Realised | None) -> list[str]:
     """Say how balanced a study is so far.
 
     Parameters
@@ -98,33 +123,40 @@ def describe_balance(realised: Realised | None) -> str:
 
     Returns
     -------
-    str
-        One line.
+    list of str
+        One line on the participants, one per task and what was put in order there.
 
     Examples
     --------
-    >>> describe_balance(Realised(4, 4, 6, (0, 1), (0, 2), 0.5, 0.75))
-    'balance: 4 finished, 2 more for full circle; so far 0 to 1 times at each place, 0 to 2 times after each other'
+    >>> evenness = Evenness("abx", "stimuli", (0, 1), (0, 2), 0.5, 0.75)
+    >>> describe_balance(Realised(False, 4, 4, 6, (evenness,)))
+    ['balance: 4 finished, 2 more for full circle', '  abx, stimuli: 0 to 1 at each place, 0 to 2 after each other']
     """
     if realised is None:
-        return "balance: no trial was run yet"
-    places, neighbours = (" to ".join(map(str, counts)) for counts in (realised.positions, realised.carry_over))
+        return ["balance: no trial was run yet"]
     to_go = f", {-realised.finished % realised.cycle} more for full circle" if realised.cycle else ""
-    return (
-        f"balance: {realised.finished} finished{to_go}; so far {places} times at each place, "
-        f"{neighbours} times after each other"
-    )
+    lines = [f"balance: {realised.finished} finished{to_go}{' (simulated)' if realised.simulated else ''}"]
+    for entry in realised.evenness:
+        places, neighbours = (" to ".join(map(str, ends)) for ends in (entry.positions, entry.carry_over))
+        lines.append(f"  {entry.task}, {entry.what}: {places} at each place, {neighbours} after each other")
+    return lines
 
 
-def _find_ends(counts: Collection[int]) -> tuple[int, int]:
-    return min(counts, default=0), max(counts, default=0)
+def _read_sessions(study: StudyFolder) -> Iterator[_Session]:
+    for folder in study.participants:
+        try:
+            session = _read_session(folder)
+        except (OSError, ValueError):
+            continue
+        if session is not None and session.trials:
+            yield session
 
 
-def _read_runs(folder: Path) -> tuple[list[Run], bool, int]:
-    """Read what one participant went through: blocks with their conditions, in the order in which they counted."""
+def _read_session(folder: Path) -> _Session | None:
+    """Read what one participant went through: trials of the main phase, in the order in which they counted."""
     journals = list_journals(folder)
     if not journals:
-        return [], False, 0
+        return None
     plan = require_plan(folder / PLAN_FILE)
     records = read_journal(journals[-1]).records
     trials = {trial.number: trial for trial in plan.trials if trial.phase == "main"}
@@ -133,25 +165,58 @@ def _read_runs(folder: Path) -> tuple[list[Run], bool, int]:
         for record in records
         if record.event == "rated" and record.data["trial"] in trials and not record.data["rejected"]
     ]
-    finished = has_event(records, "finished") and not has_event(records, "released")
-    cycle = count_cycle(plan.trials) if plan.order == "williams" else 0
-    return list(_split_runs(counted)), finished, cycle
+    return _Session(plan, counted, has_event(records, "finished") and not has_event(records, "released"))
 
 
-def _split_runs(trials: Iterable[Trial]) -> Iterator[Run]:
-    blocks: dict[int, list[Trial]] = defaultdict(list)
-    for trial in trials:  # A second attempt may come after other blocks; it is the last of its own.
-        blocks[trial.block].append(trial)
-    for run in blocks.values():
-        recordings = sorted({trial.recording for trial in run})
-        pages = [trial for trial in run if len(trial.judgements) > 1]
+def _count_cycle(plan: Plan) -> int:
+    # Successive participants belong to successive groups, and each group has its own circle.
+    return count_cycle(plan.trials) * prod(map(len, plan.between.values())) if plan.order == "williams" else 0
+
+
+def _split(session: _Session) -> Iterator[tuple[str, str, str, list[str]]]:
+    """Yield task, what was put in order, among which, and the order that it was run in."""
+    planned = _gather_blocks(trial for trial in session.plan.trials if trial.phase == "main")
+    run = _gather_blocks(session.trials)
+    for block, trials in run.items():
+        task = trials[0].protocol
+        pages = [trial for trial in trials if len(trial.judgements) > 1]
         for page in pages:
-            yield f"{page.protocol} {page.recording}", [f"slot {j.stimulus_id}" for j in page.judgements]
+            slots = [judgement.stimulus_id for judgement in page.judgements]
+            yield task, "slots", " ".join(sorted(slots)), slots
         if not pages:
-            yield f"{run[0].protocol} {recordings}", [_name_condition(trial) for trial in run]
+            # Only what was planned together can meet.
+            group = " ".join(sorted(map(_name_condition, planned[block])))
+            yield task, "stimuli", group, [_name_condition(trial) for trial in trials]
+    blocks = [trials[0] for trials in run.values() if len({trial.recording for trial in trials}) == 1]
+    for (task, _), heads in groupby(blocks, key=lambda trial: (trial.protocol, trial.repeat)):
+        yield task, "recordings", "", [head.recording for head in heads]
+
+
+def _gather_blocks(trials: Iterable[Trial]) -> dict[int, list[Trial]]:
+    """Gather trials by block; a second attempt may come after other blocks, it is the last of its own."""
+    blocks: dict[int, list[Trial]] = defaultdict(list)
+    for trial in trials:
+        blocks[trial.block].append(trial)
+    return blocks
+
+
+def _measure(task: str, what: str, sequences: Sequences) -> Evenness:
+    balance = pool_balances(measure_balance(group) for group in sequences.values())
+    return Evenness(
+        task=task,
+        what=what,
+        positions=_find_ends(balance.positions.values()),
+        carry_over=_find_ends(balance.carry_over.values()),
+        position_index=balance.position_index,
+        carry_over_index=balance.carry_over_index,
+    )
+
+
+def _find_ends(counts: Collection[int]) -> tuple[int, int]:
+    return min(counts, default=0), max(counts, default=0)
 
 
 def _name_condition(trial: Trial) -> str:
     """Name what is judged against what, whichever of the two comes first."""
     judgement = trial.judgements[0]
-    return " ".join([trial.protocol, *sorted({judgement.stimulus_id, judgement.reference_id or judgement.stimulus_id})])
+    return "|".join(sorted({judgement.stimulus_id, judgement.reference_id or judgement.stimulus_id}))

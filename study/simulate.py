@@ -202,7 +202,7 @@ def _run(
     _, notice = lead_session(
         room,
         plan,
-        identity=make_identity(settings, presenter),
+        identity=make_identity(settings, room.study.path, presenter),
         make_presenter=casting.make_observer,
         on_step=lambda place: count(place.done),
     )

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from protocols.texts import read_pages
+from protocols.texts import read_texts
 from study.session_tables import LANGUAGE_FILE
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from protocols.texts import PageText
     from study.tables import Settings
 
 CONSENT = "consent"
@@ -37,8 +35,8 @@ def find_language(settings: Settings, folder: Path) -> str | Path:
     return folder / language if language.endswith(LANGUAGE_FILE) else language
 
 
-def read_study_pages(settings: Settings, folder: Path) -> dict[str, PageText]:
-    """Read the pages of a study, the lab's own consent among them.
+def read_study_texts(settings: Settings, folder: Path) -> dict[str, Any]:
+    """Read all texts of a study, the lab's own consent among them.
 
     Parameters
     ----------
@@ -49,8 +47,8 @@ def read_study_pages(settings: Settings, folder: Path) -> dict[str, PageText]:
 
     Returns
     -------
-    dict of str to PageText
-        The pages by key.
+    dict
+        The tables of the catalogue's file.
 
     Raises
     ------
@@ -59,7 +57,7 @@ def read_study_pages(settings: Settings, folder: Path) -> dict[str, PageText]:
     OSError
         If they cannot be read.
     """
-    pages = read_pages(find_language(settings, folder))
+    texts = read_texts(find_language(settings, folder))
     if own := settings.session.consent:
-        pages[CONSENT] = replace(pages[CONSENT], text=own)
-    return pages
+        texts["pages"][CONSENT]["text"] = own
+    return texts

@@ -55,7 +55,7 @@ def status(*, study: StudyFolder, as_json: bool) -> None:
         click.echo(_describe(entry))
         for warning in entry.warnings:
             click.echo(f"{'':<14}{warning}")
-    click.echo(describe_balance(balance))
+    click.echo("\n".join(describe_balance(balance)))
 
 
 def _describe(entry: Progress) -> str:

@@ -186,7 +186,12 @@ def present(
     """Run or resume the session of p01 with a presenter; gives the records of the newest journal."""
 
     def run(
-        presenter: ScriptedPresenter, *, plan: Plan = plan, stale: Stale | None = None, now: Clock = now
+        presenter: ScriptedPresenter,
+        *,
+        plan: Plan = plan,
+        stimuli: StimulusSet = stimuli,
+        stale: Stale | None = None,
+        now: Clock = now,
     ) -> list[Any]:
         folder = tmp_path / "sessions" / "p01"
         identity = {"presenter": {"simulated": True}}

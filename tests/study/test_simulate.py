@@ -13,7 +13,9 @@ from stimuli.manifest import read_stimuli
 from study.audit import audit_study
 from study.check import check_study, find_warnings
 from study.folder import StudyFolder
+from study.journal import read_journal
 from study.ratings import write_ratings
+from study.replay import find_header
 from study.settings import read_settings
 from study.simulate import SIDE_BY_SIDE, Simulation, run_simulation
 from study.status import read_status
@@ -22,8 +24,6 @@ from study.workflow import analyze_study, build_study, simulate_study
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
-
-    Edit = Callable[[list[bytes]], list[bytes]]
 
 
 def simulate(study: StudyFolder, *, participants: int = 3, seed: int | None = None, **options: Any) -> int:
@@ -138,6 +138,17 @@ def test_changed_settings_are_refused_for_sessions_that_began(copy: StudyFolder)
     copy.settings.write_text(copy.settings.read_text(encoding="utf-8") + "[study]\nseed = 9\n", encoding="utf-8")
     with pytest.raises(ValueError, match=r"the study was changed since this plan was stored \(seed 321 -> 9\)"):
         simulate(copy)
+
+
+def test_other_words_are_refused_for_sessions_that_began(copy: StudyFolder) -> None:
+    settings = copy.settings.read_text(encoding="utf-8")
+    copy.settings.write_text(f"{settings}[session]\nconsent = 'We record nothing.'\n", encoding="utf-8")
+    message = r"(?s)begun otherwise \(texts_sha256 '.*' -> '.*'; consent 'Taking part.*' -> 'We record nothing.'\)"
+    with pytest.raises(ValueError, match=message):
+        simulate(copy)
+    header = find_header(read_journal(copy.journals[0]).records)
+    assert header is not None
+    assert header["consent"].startswith("Taking part is voluntary.")
 
 
 def test_another_observer_is_refused_and_only_what_differs_is_named(copy: StudyFolder) -> None:

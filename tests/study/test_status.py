@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from protocols.tasks import make_task
 from study.folder import StudyFolder
 from study.journal import require_journal
 from study.plan import make_plan
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from stimuli.manifest import StimulusSet
-    from study.plan import Design
+    from study.plan import Design, Plan
 
     Present = Callable[..., list[Any]]
 
@@ -110,7 +111,7 @@ def test_what_the_study_lead_should_know_is_counted(
 
 
 def test_status_is_blind(begun: StudyFolder, stimuli: StimulusSet) -> None:
-    shown = json.dumps([str(entry) for entry in read_status(begun)]) + describe_balance(measure_realised(begun))
+    shown = json.dumps([str(entry) for entry in read_status(begun)]) + str(describe_balance(measure_realised(begun)))
     shown += (begun.sessions / "p01" / "session-01.jsonl").read_text(encoding="utf-8")
     assert not [stimulus.reducer for stimulus in stimuli.stimuli if stimulus.reducer in shown]
 
@@ -120,7 +121,7 @@ def test_balance_of_one_full_circle_is_perfect_and_a_drop_out_shows(
 ) -> None:
     study = StudyFolder(tmp_path)
     assert measure_realised(study) is None
-    assert describe_balance(None) == "balance: no trial was run yet"
+    assert describe_balance(None) == ["balance: no trial was run yet"]
     for number in range(1, 11):  # Two recordings take 2 orders, five stimuli 10.
         plan = make_plan(design, stimuli, "p01", number=number, simulated=True)
         present(scripted(), plan=plan)
@@ -130,20 +131,69 @@ def test_balance_of_one_full_circle_is_perfect_and_a_drop_out_shows(
     realised = measure_realised(study)
     assert realised is not None
     assert (realised.participants, realised.finished, realised.cycle) == (10, 10, 10)
-    assert (realised.position_index, realised.carry_over_index) == (0.0, 0.0)
-    assert realised.positions == (2, 2)
+    assert {(e.task, e.what): e.positions for e in realised.evenness} == {
+        ("realism", "stimuli"): (2, 2), ("realism", "recordings"): (5, 5),
+        ("similarity", "stimuli"): (2, 2), ("similarity", "recordings"): (5, 5),
+    }  # fmt: skip
+    assert {(e.position_index, e.carry_over_index) for e in realised.evenness} == {(0.0, 0.0)}
     shutil.rmtree(tmp_path / "sessions" / "n04")
-    realised = measure_realised(study)
+    lines = describe_balance(measure_realised(study))
+    assert lines[0] == "balance: 9 finished, 1 more for full circle (simulated)"
+    assert lines[1].startswith("  realism, stimuli: 1 to 2 at each place, ")
+
+
+def run_all(present: Present, scripted: type, plans: list[Plan], tmp_path: Path, **options: Any) -> StudyFolder:
+    """Lead participants through their plans, each in a folder of its own."""
+    for place, plan in enumerate(plans):
+        present(scripted(), plan=plan, **options)
+        (tmp_path / "sessions" / "p01").rename(tmp_path / f"aside-{place}")
+    for place in range(len(plans)):
+        (tmp_path / f"aside-{place}").rename(tmp_path / "sessions" / f"n{place:02}")
+    return StudyFolder(tmp_path)
+
+
+def test_groups_go_round_their_own_circles(
+    present: Present, scripted: type, tmp_path: Path, stimuli: StimulusSet, design: Design
+) -> None:
+    grips = replace(design, between={"grip": ("pen", "power")})
+    plans = [make_plan(grips, stimuli, "p01", number=number, simulated=True) for number in range(1, 11)]
+    realised = measure_realised(run_all(present, scripted, plans, tmp_path))
     assert realised is not None
-    assert realised.positions == (1, 2)
-    assert describe_balance(realised).startswith("balance: 9 finished, 1 more for full circle; so far 1 to 2 times")
+    assert realised.cycle == 20
+    assert describe_balance(realised)[0] == "balance: 10 finished, 10 more for full circle (simulated)"
 
 
-def test_a_second_attempt_counts_where_it_was_run(present: Present, scripted: type, tmp_path: Path) -> None:
-    present(scripted(playbacks={(1, 1): [Playback(1.0, 1.0, underruns=1)]}))
+def test_simulated_participants_do_not_fill_the_places_of_real_ones(
+    present: Present, scripted: type, tmp_path: Path, stimuli: StimulusSet, design: Design
+) -> None:
+    plans = [make_plan(design, stimuli, "p01", number=1, simulated=simulated) for simulated in (True, False, True)]
+    realised = measure_realised(run_all(present, scripted, plans, tmp_path))
+    assert realised is not None
+    assert (realised.simulated, realised.participants) == (False, 1)
+
+
+def test_pages_of_two_arms_can_never_meet_and_are_not_missed(
+    present: Present, scripted: type, tmp_path: Path, stimuli: StimulusSet, design: Design
+) -> None:
+    louder = tuple(replace(s, stimulus_id=f"{s.stimulus_id}-loud", level="equal") for s in stimuli.stimuli)
+    both = replace(stimuli, stimuli=stimuli.stimuli + louder)
+    pages = replace(design, tasks=(make_task("mushra"),))
+    plans = [make_plan(pages, both, "p01", number=number, simulated=True) for number in range(1, 11)]
+    realised = measure_realised(run_all(present, scripted, plans, tmp_path, stimuli=both))
+    assert realised is not None
+    (slots,) = (entry for entry in realised.evenness if entry.what == "slots")
+    assert (slots.position_index, slots.carry_over_index) == (0.0, 0.0)
+
+
+def test_a_second_attempt_counts_where_it_was_run_and_the_bad_one_does_not(
+    present: Present, scripted: type, tmp_path: Path
+) -> None:
+    present(scripted(playbacks={(1, 1): [Playback(1.0, 1.0, underruns=1)], (5, 1): [Playback(1.0, 1.0, underruns=1)]}))
     realised = measure_realised(StudyFolder(tmp_path))
     assert realised is not None
-    assert (realised.participants, sum(realised.positions)) == (1, 1)
+    # Each of five stimuli stands at one place of five, also the one that came again after the other block.
+    assert [entry.positions for entry in realised.evenness] == [(0, 1)] * 4
+    assert realised.evenness[0].position_index == pytest.approx(2.0)
 
 
 def test_pages_and_pauses_do_not_count(present: Present, scripted: type, tmp_path: Path) -> None:

@@ -4,10 +4,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from protocols.texts import CATALOG, read_pages, read_refusals
+from protocols.texts import CATALOG, read_refusals, read_texts
 from study.ports import REFUSALS
 from study.settings import read_settings
-from study.wording import find_language, read_study_pages
+from study.wording import find_language, read_study_texts
 
 if TYPE_CHECKING:
     from study.folder import StudyFolder
@@ -22,8 +22,8 @@ def test_every_refusal_has_its_text(language: str) -> None:
 
 def test_consent_is_the_labs_own_where_it_has_one(study: StudyFolder) -> None:
     study.settings.write_text(f"{SHORTEST}language = 'de'\nconsent = 'Vorhaben 7'", encoding="utf-8")
-    pages, usual = read_study_pages(read_settings(study.settings), study.path), read_pages("de")
-    assert (pages["consent"].title, pages["consent"].text) == (usual["consent"].title, "Vorhaben 7")
+    pages, usual = read_study_texts(read_settings(study.settings), study.path)["pages"], read_texts("de")["pages"]
+    assert pages["consent"] == {"title": usual["consent"]["title"], "text": "Vorhaben 7"}
     assert {key for key in usual if pages[key] != usual[key]} == {"consent"}
 
 
@@ -34,4 +34,4 @@ def test_a_language_of_the_labs_own_lies_beside_the_settings(study: StudyFolder)
     (study.path / "texts").mkdir()
     english = (CATALOG / "en.toml").read_text(encoding="utf-8")
     (study.path / "texts" / "fr.toml").write_text(english.replace("Welcome", "Bienvenue"), encoding="utf-8")
-    assert read_study_pages(settings, study.path)["welcome"].title == "Bienvenue"
+    assert read_study_texts(settings, study.path)["pages"]["welcome"]["title"] == "Bienvenue"
