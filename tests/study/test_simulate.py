@@ -22,7 +22,6 @@ from study.status import read_status
 from study.workflow import analyze_study, build_study, simulate_study
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
 
