@@ -1,16 +1,16 @@
 """Sessions: plans, journals, the engine that presents trials, and the command line.
 
-Imports nothing heavy. The steps of a whole study are in `study.workflow`, its settings in `study.settings`.
+Imports nothing heavy. The steps of a whole study are in `study.workflow`, its settings in `study.settings.reading`.
 """
 
-from study.conduct import Stage
 from study.folder import StudyFolder, create_study, require_study
-from study.journal import Journal, create_journal, read_journal, require_journal
-from study.opening import Stale, open_session
-from study.plan import Design, Plan, create_plan, make_plan, require_plan
-from study.ports import Abort, Confirm, Feel, Move, Pause, Place, Playback, Presenter
 from study.ratings import write_ratings
-from study.session import Outcome, run_session
+from study.session.conduct import Stage
+from study.session.engine import Outcome, run_session
+from study.session.journal import Journal, create_journal, read_journal, require_journal
+from study.session.opening import Stale, open_session
+from study.session.plan import Design, Plan, create_plan, make_plan, require_plan
+from study.session.ports import Abort, Confirm, Feel, Move, Pause, Place, Playback, Presenter
 
 __all__ = [
     "Abort",

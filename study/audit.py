@@ -15,20 +15,20 @@ from protocols.agenda import Agenda
 from protocols.trial import Trial
 from stimuli.inspection import check_stimuli
 from stimuli.manifest import read_stimuli
-from study.journal import read_journal
-from study.opening import PLAN_FILE, TOMBSTONE_FILE
-from study.plan import require_plan
+from study.ledger.rebuilding import find_lost
 from study.provenance import read_origin
-from study.rebuilding import find_lost
-from study.replay import find_header, name_journal, tell
+from study.session.journal import read_journal
+from study.session.opening import PLAN_FILE, TOMBSTONE_FILE
+from study.session.plan import require_plan
+from study.session.replay import find_header, name_journal, tell
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from study.chain import Chain, Record
     from study.folder import StudyFolder
-    from study.plan import Plan
+    from study.session.chain import Chain, Record
+    from study.session.plan import Plan
 
 
 def audit_study(study: StudyFolder) -> list[str]:

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 from protocols.spaced import find_crowding
 from stimuli.inspection import check_stimuli
 from stimuli.manifest import read_stimuli
-from study.designs import make_design
-from study.plan import make_plan
 from study.provenance import find_changes
-from study.settings import read_settings
-from study.sources import make_recipe, try_recordings
-from study.wording import read_study_texts
+from study.session.plan import make_plan
+from study.settings.designs import make_design
+from study.settings.reading import read_settings
+from study.settings.sources import make_recipe, try_recordings
+from study.settings.wording import read_study_texts
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from stimuli.recipe import Recipe
     from stimuli.recording import Recording
     from study.folder import StudyFolder
-    from study.tables import Settings
+    from study.settings.tables import Settings
 
 
 def check_study(study: StudyFolder) -> tuple[list[Recording], list[str]]:

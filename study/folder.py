@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 SETTINGS_FILE = "study.toml"
 
-BUNDLED = files("study") / "bundled"
+BUNDLED = files("study") / "settings" / "bundled"
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +153,7 @@ def read_template() -> str:
     str
         Its text.
     """
-    return (files("study") / "template.toml").read_text(encoding="utf-8")
+    return (files("study") / "settings" / "template.toml").read_text(encoding="utf-8")
 
 
 def read_bundled(name: str) -> str:

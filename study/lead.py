@@ -9,13 +9,13 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from study.anchors import check_anchors
-from study.conduct import Stage
-from study.ledger import note_progress, read_ledger
-from study.opening import open_session
-from study.plan import list_codes
-from study.replay import has_event
-from study.session import run_session
+from study.ledger.sightings import check_anchors
+from study.ledger.slots import note_progress, read_ledger
+from study.session.conduct import Stage
+from study.session.engine import run_session
+from study.session.opening import open_session
+from study.session.plan import list_codes
+from study.session.replay import has_event
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -26,11 +26,11 @@ if TYPE_CHECKING:
     from protocols.trial import Scale
     from stimuli.manifest import Stimulus, StimulusSet
     from study.folder import StudyFolder
-    from study.journal import Clock, Journal
-    from study.opening import Stale
-    from study.plan import Plan
-    from study.ports import Place, Presenter
-    from study.session import Outcome
+    from study.session.engine import Outcome
+    from study.session.journal import Clock, Journal
+    from study.session.opening import Stale
+    from study.session.plan import Plan
+    from study.session.ports import Place, Presenter
 
     MakePresenter = Callable[[Plan, Journal, Mapping[str, Stimulus]], Presenter]
 

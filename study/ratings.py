@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 from protocols.scoring import score_trial
 from study.files import write_text
-from study.journal import read_journal
-from study.opening import PLAN_FILE
-from study.plan import list_codes, require_plan
-from study.replay import find_header, has_event, list_journals, name_journal
+from study.session.journal import read_journal
+from study.session.opening import PLAN_FILE
+from study.session.plan import list_codes, require_plan
+from study.session.replay import find_header, has_event, list_journals, name_journal
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
     from protocols.trial import Trial
     from stimuli.manifest import Stimulus, StimulusSet
-    from study.chain import Record
     from study.folder import StudyFolder
-    from study.plan import Plan
+    from study.session.chain import Record
+    from study.session.plan import Plan
 
 COLUMNS = (
     "participant",

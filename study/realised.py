@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 
 from protocols.balance import measure_balance, pool_balances
 from protocols.design import count_cycle
-from study.journal import read_journal
-from study.opening import PLAN_FILE
-from study.plan import require_plan
-from study.replay import has_event, list_journals
+from study.session.journal import read_journal
+from study.session.opening import PLAN_FILE
+from study.session.plan import require_plan
+from study.session.replay import has_event, list_journals
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Sequence
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from protocols.trial import Trial
     from study.folder import StudyFolder
-    from study.plan import Plan
+    from study.session.plan import Plan
 
     Sequences = dict[str, list[list[str]]]
 

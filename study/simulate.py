@@ -10,17 +10,17 @@ from threading import Event, Lock
 from typing import TYPE_CHECKING
 
 from protocols.texts import read_scales
-from study.designs import make_design, make_identity, make_stale
-from study.journal import read_journal
 from study.lead import Room, lead_session
-from study.ledger import claim_slots
-from study.observer import ObserverModel, SimulatedObserver, identify_observer
-from study.opening import TOMBSTONE_FILE
-from study.percepts import read_percepts
-from study.plan import make_plan
-from study.rebuilding import open_study_ledger
-from study.replay import find_elapsed, has_event, list_journals
-from study.wording import find_language
+from study.ledger.rebuilding import open_study_ledger
+from study.ledger.slots import claim_slots
+from study.observer.percepts import read_percepts
+from study.observer.simulated import ObserverModel, SimulatedObserver, identify_observer
+from study.session.journal import read_journal
+from study.session.opening import TOMBSTONE_FILE
+from study.session.plan import make_plan
+from study.session.replay import find_elapsed, has_event, list_journals
+from study.settings.designs import make_design, make_identity, make_stale
+from study.settings.wording import find_language
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -28,10 +28,10 @@ if TYPE_CHECKING:
 
     from stimuli.manifest import Stimulus, StimulusSet
     from study.folder import StudyFolder
-    from study.journal import Clock, Journal
-    from study.percepts import Percept
-    from study.plan import Plan
-    from study.tables import Settings
+    from study.observer.percepts import Percept
+    from study.session.journal import Clock, Journal
+    from study.session.plan import Plan
+    from study.settings.tables import Settings
 
     Progress = Callable[[int, int], None]
 

@@ -7,19 +7,19 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from protocols.scoring import is_as_expected
-from study.journal import read_journal
-from study.opening import PLAN_FILE, TOMBSTONE_FILE
-from study.plan import require_plan
-from study.replay import list_journals
-from study.standing import read_standing
+from study.ledger.standing import read_standing
+from study.session.journal import read_journal
+from study.session.opening import PLAN_FILE, TOMBSTONE_FILE
+from study.session.plan import require_plan
+from study.session.replay import list_journals
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from study.chain import Chain, Record
     from study.folder import StudyFolder
-    from study.plan import Plan
+    from study.session.chain import Chain, Record
+    from study.session.plan import Plan
 
 
 @dataclass(frozen=True, slots=True)

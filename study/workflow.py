@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 from analysis.report import write_report
 from stimuli.manifest import read_stimuli
 from stimuli.sets import build_stimuli
+from study.ledger.roster import write_roster
 from study.provenance import find_changes, is_in_use
 from study.ratings import write_ratings
-from study.roster import write_roster
-from study.settings import read_settings
+from study.settings.reading import read_settings
+from study.settings.sources import make_recipe, open_recordings
 from study.simulate import Simulation, run_simulation
-from study.sources import make_recipe, open_recordings
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from stimuli.recipe import Recipe
     from stimuli.recording import Recording
     from study.folder import StudyFolder
-    from study.journal import Clock
-    from study.tables import Settings
+    from study.session.journal import Clock
+    from study.settings.tables import Settings
 
     Progress = Callable[[int, int], None]
 

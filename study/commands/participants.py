@@ -24,7 +24,7 @@ participant_option = click.option("--participant", metavar="ID", required=True, 
 @click.pass_context
 def withdraw(context: click.Context, *, study: StudyFolder, participant: str, reason: str, is_sure: bool) -> None:
     """Remove the data of one participant for good; the code stays taken, the slot is free."""
-    from study.withdrawal import withdraw_participant
+    from study.ledger.withdrawal import withdraw_participant
 
     if not is_sure and not _ask(f"Remove all data of {participant} in {study.path} for good?"):
         click.echo(f"{study.path}: nothing was removed")
@@ -38,7 +38,7 @@ def withdraw(context: click.Context, *, study: StudyFolder, participant: str, re
 @participant_option
 def release(*, study: StudyFolder, participant: str) -> None:
     """Give up one participant who will not come back: data stay, the next one gets the slot."""
-    from study.withdrawal import release_participant
+    from study.ledger.withdrawal import release_participant
 
     number = release_participant(study, participant, now=now)
     click.echo(f"{study.path}: {participant} is released, number {number} is free")
@@ -50,8 +50,8 @@ def release(*, study: StudyFolder, participant: str) -> None:
 @json_option
 def ledger(*, study: StudyFolder, rebuild: bool, as_json: bool) -> None:
     """Show who takes part under which number; rebuild the ledger."""
-    from study.ledger import read_ledger
-    from study.rebuilding import open_study_ledger, rebuild_ledger
+    from study.ledger.rebuilding import open_study_ledger, rebuild_ledger
+    from study.ledger.slots import read_ledger
 
     notices = rebuild_ledger(study) if rebuild else []
     opened, notice = open_study_ledger(study)

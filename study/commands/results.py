@@ -44,8 +44,8 @@ def _analyze_tables(folder: Path, *, ratings: Path | None, manifest: Path | None
 
 def _read_choices(folder: Path) -> dict[str, int]:
     """Read how a study is analysed; tables from elsewhere are analysed with the defaults."""
-    from study.settings import read_settings
-    from study.tables import AnalysisTable
+    from study.settings.reading import read_settings
+    from study.settings.tables import AnalysisTable
 
     study = StudyFolder(folder)
     if not study.settings.is_file():

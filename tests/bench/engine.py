@@ -19,11 +19,11 @@ from protocols.tasks import make_task
 from protocols.texts import read_scales
 from stimuli.manifest import Stimulus, StimulusSet
 from stimuli.reduce import REDUCERS
-from study.conduct import Stage
-from study.observer import ObserverModel, SimulatedObserver
-from study.opening import Stale, open_session
-from study.plan import Design, list_codes, make_plan
-from study.session import run_session
+from study.observer.simulated import ObserverModel, SimulatedObserver
+from study.session.conduct import Stage
+from study.session.engine import run_session
+from study.session.opening import Stale, open_session
+from study.session.plan import Design, list_codes, make_plan
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

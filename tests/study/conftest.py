@@ -13,21 +13,21 @@ from protocols.flow import Flow
 from protocols.tasks import make_task
 from protocols.texts import read_scales
 from stimuli.manifest import Stimulus, StimulusSet
-from study.conduct import Stage
 from study.folder import StudyFolder
-from study.opening import Stale, open_session
-from study.plan import Design, Plan, list_codes, make_plan
-from study.ports import Abort, Act, Confirm, Feel, Pause, Playback
-from study.replay import find_elapsed
-from study.session import run_session
+from study.session.conduct import Stage
+from study.session.engine import run_session
+from study.session.opening import Stale, open_session
+from study.session.plan import Design, Plan, list_codes, make_plan
+from study.session.ports import Abort, Act, Confirm, Feel, Pause, Playback
+from study.session.replay import find_elapsed
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from protocols.flow import Page
     from protocols.trial import Part, Scale, Trial
-    from study.journal import Clock
-    from study.ports import Place
+    from study.session.journal import Clock
+    from study.session.ports import Place
 
 SMALL_STUDY = """
 [study]

@@ -11,18 +11,18 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from study.audit import audit_study
-from study.chain import START, digest, read_chain, write_line
 from study.folder import StudyFolder
-from study.journal import create_journal, read_journal, require_journal
-from study.ledger import open_ledger, rewrite_ledger
-from study.rebuilding import rebuild_ledger
+from study.ledger.rebuilding import rebuild_ledger
+from study.ledger.slots import open_ledger, rewrite_ledger
+from study.session.chain import START, digest, read_chain, write_line
+from study.session.journal import create_journal, read_journal, require_journal
 from study.workflow import build_study, simulate_study
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from study.chain import Record
+    from study.session.chain import Record
 
     Edit = Callable[[list[bytes]], list[bytes]]
 

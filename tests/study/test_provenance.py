@@ -12,8 +12,8 @@ from stimuli.manifest import read_stimuli
 from study.audit import audit_study
 from study.check import check_study
 from study.provenance import find_changes
-from study.settings import read_settings
-from study.sources import make_recipe
+from study.settings.reading import read_settings
+from study.settings.sources import make_recipe
 from study.workflow import build_study, simulate_study
 
 if TYPE_CHECKING:

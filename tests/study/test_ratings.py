@@ -10,18 +10,18 @@ import pytest
 
 from protocols.tasks import make_task
 from study.folder import StudyFolder
-from study.journal import create_journal
-from study.opening import Stale
-from study.plan import create_plan, list_codes, make_plan
-from study.ports import Confirm, Feel, Playback
 from study.ratings import COLUMNS, read_judgements, write_ratings
+from study.session.journal import create_journal
+from study.session.opening import Stale
+from study.session.plan import create_plan, list_codes, make_plan
+from study.session.ports import Confirm, Feel, Playback
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
     from stimuli.manifest import StimulusSet
-    from study.plan import Design, Plan
+    from study.session.plan import Design, Plan
 
     Present = Callable[..., list[Any]]
 

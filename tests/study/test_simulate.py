@@ -13,10 +13,10 @@ from stimuli.manifest import read_stimuli
 from study.audit import audit_study
 from study.check import check_study, find_warnings
 from study.folder import StudyFolder
-from study.journal import read_journal
 from study.ratings import write_ratings
-from study.replay import find_header
-from study.settings import read_settings
+from study.session.journal import read_journal
+from study.session.replay import find_header
+from study.settings.reading import read_settings
 from study.simulate import SIDE_BY_SIDE, Simulation, run_simulation
 from study.status import read_status
 from study.workflow import analyze_study, build_study, simulate_study

@@ -10,10 +10,10 @@ import pytest
 
 from protocols.tasks import make_task
 from study.folder import StudyFolder
-from study.journal import require_journal
-from study.plan import make_plan
-from study.ports import Abort, Confirm, Pause, Playback
 from study.realised import describe_balance, measure_realised
+from study.session.journal import require_journal
+from study.session.plan import make_plan
+from study.session.ports import Abort, Confirm, Pause, Playback
 from study.status import read_status
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from stimuli.manifest import StimulusSet
-    from study.plan import Design, Plan
+    from study.session.plan import Design, Plan
 
     Present = Callable[..., list[Any]]
 

@@ -11,12 +11,12 @@ from protocols.flow import Flow, Page
 from protocols.protocol import Task
 from protocols.trial import Judgement, Part, Trial
 from study.folder import StudyFolder
-from study.journal import Journal, create_journal, require_journal
-from study.ledger import claim_slots, note_progress
-from study.opening import PLAN_FILE
-from study.plan import Plan, create_plan, require_plan
-from study.rebuilding import open_study_ledger
-from study.replay import has_event, list_journals, name_journal, replay
+from study.ledger.rebuilding import open_study_ledger
+from study.ledger.slots import claim_slots, note_progress
+from study.session.journal import Journal, create_journal, require_journal
+from study.session.opening import PLAN_FILE
+from study.session.plan import Plan, create_plan, require_plan
+from study.session.replay import has_event, list_journals, name_journal, replay
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -49,6 +49,7 @@ def make_small_plan(participant: str, *, number: int, simulated: bool) -> Plan:
         number=number,
         simulated=simulated,
         seed=7,
+        between={"grip": ("pen", "power")},
         groups={"grip": "pen" if number % 2 else "power"},
         order="williams",
         repeats=1,

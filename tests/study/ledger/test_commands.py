@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from study.cli import main
-from study.rebuilding import find_lost
+from study.ledger.rebuilding import find_lost
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-import study.database
-from study.ledger import claim_slots, note_progress, open_ledger, read_ledger
+import study.ledger.database
+from study.ledger.slots import claim_slots, note_progress, open_ledger, read_ledger
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -27,7 +27,7 @@ CLAIM = """
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
-from study.ledger import claim_slots, open_ledger
+from study.ledger.slots import claim_slots, open_ledger
 path, name, count = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
 sys.stdin.readline()
 for place in range(count):
@@ -232,7 +232,7 @@ def test_a_ledger_that_another_program_holds_is_given_up_after_a_while(
     tmp_path: Path, now: Now, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     open_ledger(tmp_path / "ledger.sqlite")
-    monkeypatch.setattr(study.database, "PATIENCE_S", 0.05)
+    monkeypatch.setattr(study.ledger.database, "PATIENCE_S", 0.05)
     with closing(sqlite3.connect(tmp_path / "ledger.sqlite", isolation_level=None)) as other:
         other.execute("BEGIN IMMEDIATE")
         hurried = open_ledger(tmp_path / "ledger.sqlite")

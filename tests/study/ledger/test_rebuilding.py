@@ -9,17 +9,17 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-import study.rebuilding
-from study.anchors import check_anchors
-from study.chain import digest
-from study.ledger import read_ledger
-from study.rebuilding import find_lost, open_study_ledger, rebuild_ledger
-from study.withdrawal import release_participant, withdraw_participant
+import study.ledger.rebuilding
+from study.ledger.rebuilding import find_lost, open_study_ledger, rebuild_ledger
+from study.ledger.sightings import check_anchors
+from study.ledger.slots import read_ledger
+from study.ledger.withdrawal import release_participant, withdraw_participant
+from study.session.chain import digest
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from study.entries import Entry
+    from study.ledger.entries import Entry
 
 NAMES = ("p01", "p02", "p03", "sim001", "sim002")
 DEEDS = ("work", "finish", "spoil", "again", "release", "withdraw")
@@ -83,7 +83,7 @@ def test_a_missing_ledger_is_rebuilt_with_one_line(lab: Any) -> None:
 def test_who_finds_it_missing_second_leaves_what_was_claimed_since(lab: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     lab.begin("p01")
     lab.study.ledger.unlink()
-    read = study.rebuilding._read_disk
+    read = study.ledger.rebuilding._read_disk
 
     def be_slow(folder: Any) -> Any:
         found = read(folder)
@@ -91,7 +91,7 @@ def test_who_finds_it_missing_second_leaves_what_was_claimed_since(lab: Any, mon
         lab.claim("p02")
         return found
 
-    monkeypatch.setattr(study.rebuilding, "_read_disk", be_slow)
+    monkeypatch.setattr(study.ledger.rebuilding, "_read_disk", be_slow)
     assert open_study_ledger(lab.study)[1] == ""
     assert [entry.participant for entry in entries(lab)] == ["p01", "p02"]
 

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from protocols.agenda import Agenda
-from study.journal import require_journal
-from study.roster import write_roster
-from study.withdrawal import release_participant, withdraw_participant
+from study.ledger.roster import write_roster
+from study.ledger.withdrawal import release_participant, withdraw_participant
+from study.session.journal import require_journal
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -64,7 +64,7 @@ def test_training_is_passed_if_no_part_of_it_failed(
     for key in pages:
         journal.write("page", {"key": key, "time_s": 1.0})
     # These pages would not come one after another; what matters here is which were read.
-    monkeypatch.setattr("study.standing.replay", lambda plan, _records: Agenda(plan.trials, plan.flow))
+    monkeypatch.setattr("study.ledger.standing.replay", lambda plan, _records: Agenda(plan.trials, plan.flow))
     (row,) = read(write_roster(lab.study))
     assert row["training_passed"] == passed
 

@@ -10,29 +10,29 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from stimuli.lock import hold_lock
-from study.chain import digest
-from study.journal import create_journal, read_journal
-from study.ledger import read_ledger
-from study.opening import PLAN_FILE
-from study.rebuilding import find_lost, open_study_ledger
-from study.roster import write_roster
-from study.tombstone import read_tombstone
-from study.withdrawal import release_participant, withdraw_participant
+from study.ledger.rebuilding import find_lost, open_study_ledger
+from study.ledger.roster import write_roster
+from study.ledger.slots import read_ledger
+from study.ledger.tombstone import read_tombstone
+from study.ledger.withdrawal import release_participant, withdraw_participant
+from study.session.chain import digest
+from study.session.journal import create_journal, read_journal
+from study.session.opening import PLAN_FILE
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from study.entries import Entry
     from study.folder import StudyFolder
+    from study.ledger.entries import Entry
 
 DYING = """
 import os, signal, sys
 from datetime import UTC, datetime
 from pathlib import Path
 from study.folder import StudyFolder
-from study.rebuilding import find_lost
-from study.withdrawal import withdraw_participant
+from study.ledger.rebuilding import find_lost
+from study.ledger.withdrawal import withdraw_participant
 import stimuli.lock, stimuli.manifest, study.ratings, filelock
 root, steps = Path(sys.argv[1]), {"open", "os.remove", "os.rename", "os.rmdir", "os.truncate", "sqlite3.connect"}
 def now():
@@ -264,7 +264,7 @@ def test_a_release_that_was_killed_before_the_ledger_knew_is_finished_by_the_nex
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("study.withdrawal.rewrite_ledger", die)
+        patch.setattr("study.ledger.withdrawal.rewrite_ledger", die)
         with pytest.raises(KeyboardInterrupt):
             release_participant(lab.study, "p01", now=now)
     assert entries(lab.study)["p01"].state == "running"

@@ -19,18 +19,18 @@ from protocols.texts import read_scales
 from stimuli.manifest import StimulusSet, read_stimuli
 from study.audit import audit_study
 from study.folder import StudyFolder
-from study.journal import read_journal
 from study.lead import Room, lead_session
-from study.ledger import claim_slots
-from study.observer import ObserverModel, SimulatedObserver, identify_observer
-from study.opening import Stale
-from study.plan import Design, make_plan, require_plan
-from study.ports import Abort, Confirm, Feel, Move, Pause, Playback
+from study.ledger.rebuilding import open_study_ledger
+from study.ledger.roster import write_roster
+from study.ledger.slots import claim_slots
+from study.observer.simulated import ObserverModel, SimulatedObserver, identify_observer
 from study.ratings import write_ratings
-from study.rebuilding import open_study_ledger
-from study.replay import find_elapsed
-from study.roster import write_roster
-from study.tables import ObserverTable
+from study.session.journal import read_journal
+from study.session.opening import Stale
+from study.session.plan import Design, make_plan, require_plan
+from study.session.ports import Abort, Confirm, Feel, Move, Pause, Playback
+from study.session.replay import find_elapsed
+from study.settings.tables import ObserverTable
 from study.workflow import build_study
 
 if TYPE_CHECKING:
@@ -41,10 +41,10 @@ if TYPE_CHECKING:
     from protocols.protocol import Task
     from protocols.trial import Part, Scale, Trial
     from stimuli.manifest import Stimulus
-    from study.chain import Record
-    from study.journal import Journal
-    from study.plan import Plan
-    from study.ports import Act, Place, Presenter
+    from study.session.chain import Record
+    from study.session.journal import Journal
+    from study.session.plan import Plan
+    from study.session.ports import Act, Place, Presenter
 
 STUDY = """
 [[recordings]]

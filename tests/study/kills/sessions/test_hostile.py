@@ -15,7 +15,7 @@ import pytest
 from stimuli.lock import hold_lock
 from study.audit import audit_study
 from study.cli import main
-from study.journal import read_journal
+from study.session.journal import read_journal
 
 if TYPE_CHECKING:
     from pathlib import Path

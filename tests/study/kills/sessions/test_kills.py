@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from study.journal import read_journal
+from study.session.journal import read_journal
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from study.audit import audit_study
-from study.journal import read_journal
-from study.rebuilding import rebuild_ledger
+from study.ledger.rebuilding import rebuild_ledger
+from study.session.journal import read_journal
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -1,0 +1,218 @@
+"""The ledger against what lies on the disk: rebuilt from it, and asked what is missing there."""
+
+from __future__ import annotations
+
+from shlex import quote
+from typing import TYPE_CHECKING
+
+from study.ledger.entries import LIVE, Entry
+from study.ledger.sightings import find_cut
+from study.ledger.slots import open_ledger, read_ledger, rewrite_ledger
+from study.ledger.standing import Standing, read_standing, read_standings
+from study.ledger.tombstone import REMOVED, Tombstone, read_tombstone
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+    from pathlib import Path
+
+    from sqlalchemy import Engine
+
+    from study.folder import StudyFolder
+
+
+def open_study_ledger(study: StudyFolder) -> tuple[Engine, str]:
+    """Open the ledger of a study; one that is missing is rebuilt.
+
+    Parameters
+    ----------
+    study : StudyFolder
+        The study.
+
+    Returns
+    -------
+    ledger : Engine
+        The ledger.
+    notice : str
+        One line if it was rebuilt; mostly empty.
+
+    Raises
+    ------
+    ValueError
+        If the ledger is damaged, or missing and cannot be rebuilt.
+    OSError
+        If it cannot be read or written.
+    """
+    ledger = _open(study)
+    if read_ledger(ledger):
+        return ledger, ""
+    entries, _ = _read_disk(study)
+    # Whoever else found it missing may have been quicker, and claimed slots since.
+    if not entries or rewrite_ledger(ledger, lambda known: known or entries):
+        return ledger, ""
+    count = len(entries)
+    return ledger, f"{study.ledger}: was missing; {count} participants were entered from their plans and journals"
+
+
+def rebuild_ledger(study: StudyFolder) -> list[str]:
+    """Make the ledger of a study anew from plans, journals and tombstones.
+
+    Slots that were claimed by participants without a plan so far are kept: they stand nowhere else.
+
+    Parameters
+    ----------
+    study : StudyFolder
+        The study.
+
+    Returns
+    -------
+    list of str
+        What the ledger saw and now forgets because it is gone, and what could not be read, one line each.
+
+    Raises
+    ------
+    ValueError
+        If the ledger or a plan is damaged, or two participants hold one number.
+    """
+    lost = find_lost(study) if study.ledger.exists() else []
+    problems: list[str] = []
+
+    def change(known: list[Entry]) -> list[Entry]:
+        entries, found = _read_disk(study)
+        problems.extend(found)
+        names = {entry.participant for entry in entries}
+        waiting = [e for e in known if e.state == "claimed" and not e.anchors and e.participant not in names]
+        _check_slots(entries + waiting)
+        return entries + waiting
+
+    rewrite_ledger(_open(study), change)
+    return lost + problems
+
+
+def find_lost(study: StudyFolder) -> list[str]:
+    """Find what the ledger once saw and the disk no longer holds, and the other way round.
+
+    Parameters
+    ----------
+    study : StudyFolder
+        The study.
+
+    Returns
+    -------
+    list of str
+        One line each; empty if all is there.
+    """
+    path = study.ledger
+    rebuild = f"feel321 ledger {quote(str(study.path))} --rebuild"
+    if not path.exists():
+        begun = [folder for folder in study.participants if _is_begun(folder)]
+        return [f"{path}: is missing, so nobody can tell what else is; rebuild it: {rebuild}"] if begun else []
+    try:
+        entries = {entry.participant: entry for entry in read_ledger(open_ledger(path))}
+    except (OSError, ValueError) as error:
+        return [str(error)]
+    findings = [line for entry in entries.values() for line in _find_lost_of(entry, study)]
+    strangers = [folder for folder in study.participants if folder.name not in entries and _is_begun(folder)]
+    return findings + [f"{folder}: is not in the ledger; enter it: {rebuild}" for folder in strangers]
+
+
+def make_entry(standing: Standing) -> Entry:
+    """Make the entry of a participant from where they stand.
+
+    Parameters
+    ----------
+    standing : Standing
+        By plan and journals.
+
+    Returns
+    -------
+    Entry
+        As the ledger would hold it, had it been kept.
+    """
+    return Entry(
+        participant=standing.participant,
+        simulated=standing.simulated,
+        number=standing.number,
+        state=standing.state,
+        done=standing.done,
+        # The ledger learns the total with the first line that it sees.
+        total=standing.total if standing.anchors else 0,
+        anchors=standing.anchors,
+        claimed_utc=standing.first_utc,
+    )
+
+
+def _open(study: StudyFolder) -> Engine:
+    study.sessions.mkdir(exist_ok=True)
+    return open_ledger(study.ledger)
+
+
+def _read_disk(study: StudyFolder) -> tuple[list[Entry], list[str]]:
+    """Read the entries of all participants, and what is wrong with their journals."""
+    standings = read_standings(study)
+    tombstones = filter(None, (read_tombstone(folder) for folder in study.participants))
+    entries = [*map(make_entry, standings), *map(_make_withdrawn, tombstones)]
+    _check_slots(entries)
+    return entries, [standing.problem for standing in standings if standing.problem]
+
+
+def _make_withdrawn(tombstone: Tombstone) -> Entry:
+    return Entry(tombstone.participant, tombstone.simulated, tombstone.number, "withdrawn")
+
+
+def _check_slots(entries: Iterable[Entry]) -> None:
+    holders: dict[tuple[bool, int], str] = {}
+    for entry in entries:
+        if entry.state in LIVE:
+            holder = holders.setdefault((entry.simulated, entry.number), entry.participant)
+            if holder != entry.participant:
+                raise ValueError(
+                    f"number {entry.number}: is held by {holder} and by {entry.participant}, allowed is one of them; "
+                    "release one, or move one's folder out of sessions/"
+                )
+
+
+def _is_begun(folder: Path) -> bool:
+    return any(folder.glob("*.json*"))
+
+
+def _find_lost_of(entry: Entry, study: StudyFolder) -> Iterator[str]:
+    folder = study.sessions / entry.participant
+    try:
+        tombstone = read_tombstone(folder)
+    except ValueError as error:
+        yield str(error)
+        return
+    if tombstone is not None:
+        if (tombstone.state, entry.state) != (REMOVED, "withdrawn"):
+            again = f"feel321 withdraw {quote(str(study.path))} --participant {entry.participant} --yes"
+            yield f"{folder}: the withdrawal was broken off; finish it: {again}"
+    elif entry.state == "withdrawn":
+        yield f"{folder}: the participant was withdrawn, the tombstone is gone; restore it from a copy"
+    elif entry.anchors and not _is_begun(folder):
+        lines = sum(anchor.lines for anchor in entry.anchors)
+        yield f"{folder}: is gone without a tombstone, {lines} lines of its journals were seen; restore it from a copy"
+    elif cuts := [cut for anchor in entry.anchors if (cut := find_cut(anchor, folder))]:
+        yield from cuts
+    elif _is_begun(folder):
+        yield from _find_edited(entry, study)
+
+
+def _find_edited(entry: Entry, study: StudyFolder) -> Iterator[str]:
+    """Find what the ledger says of a participant and neither plan nor journals ever said."""
+    try:
+        standing = read_standing(study.sessions / entry.participant)
+    except (OSError, ValueError):
+        return  # Whatever is wrong with plan or journals is for those to say who read them.
+    pairs: list[tuple[str, object, object]] = [
+        ("number", entry.number, standing.number),
+        ("simulated", entry.simulated, standing.simulated),
+    ]
+    # The ledger may lag behind a journal, but what ends a session it only knows from there.
+    if not standing.problem and (entry.anchors == standing.anchors or entry.state in {"finished", "released"}):
+        pairs.append(("state", entry.state, standing.state))
+    for name, got, expected in pairs:
+        if got != expected:
+            yield (
+                f"{study.ledger}: {entry.participant} has {name} {got}, plan and journals say {expected}; "
+                f"rebuild it: feel321 ledger {quote(str(study.path))} --rebuild"
+            )

@@ -1,0 +1,131 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from protocols.registry import PROTOCOLS
+from protocols.texts import read_scales
+from protocols.trial import SURFACE, Judgement, Part, Trial
+from study.observer.judging import REAL, SLIDERS, Experience, Point, Touch, compare, judge
+from study.observer.percepts import Percept
+from study.observer.raters import ObserverModel
+
+MODEL = ObserverModel(
+    intercept=10.0,
+    spectral=40.0,
+    temporal=30.0,
+    bias_sd=0.0,
+    gain_sd=0.0,
+    noise_sd=0.0,
+    noise_spread=0.0,
+    threshold_spectral=2.0,
+    envelope=50.0,
+    level=3.0,
+)
+TOUCH = Touch(MODEL, {})
+WEAK = Point(0.6, 0.5, Percept(4.0, 0.2, -1.0))
+STRONG = Point(0.2, 0.9, Percept(1.0, 0.1, 2.0))
+
+shares = st.floats(0, 1)
+points = st.builds(Point, shares, shares, st.builds(Percept, st.floats(0, 40), shares, st.floats(-30, 30)))
+
+
+def make_experience(protocol: str, felt: dict[str, Point], *, reference: str | None = None) -> Experience:
+    parts = tuple(Part(name, f"code-{name}") for name in felt)
+    judgement = Judgement("test", "code-test", reference and f"code-{reference}")
+    trial = Trial(1, 1, 1, protocol, protocol, "replay", "oak", parts, (judgement,))
+    return Experience(trial, felt)
+
+
+def ask(experience: Experience, *, touch: Touch = TOUCH) -> float:
+    return judge(experience, experience.trial.judgements[0], touch=touch)
+
+
+def test_realism_is_the_stated_sum() -> None:
+    assert TOUCH.feel(WEAK) == pytest.approx(10 + 24 + 15 - 8 - 10 - 3)
+    assert TOUCH.feel(REAL) == pytest.approx(80)
+    assert ask(make_experience("realism", {"test": WEAK})) == TOUCH.feel(WEAK)
+
+
+def test_distance_is_the_stated_sum() -> None:
+    assert TOUCH.measure_distance(WEAK, STRONG) == pytest.approx(16 + 12 + 6 + 5 + 9)
+
+
+@pytest.mark.parametrize("level", [3.0, -3.0])
+@given(a=points, b=points, c=points)
+def test_distance_is_a_metric(level: float, a: Point, b: Point, c: Point) -> None:
+    measure = Touch(replace(MODEL, level=level), {}).measure_distance
+    assert measure(a, a) == 0
+    assert measure(a, b) == measure(b, a) >= 0
+    assert measure(a, c) <= measure(a, b) + measure(b, c) + 1e-9
+
+
+@given(points)
+def test_similarity_to_the_original_loses_what_realism_loses_unless_stronger(point: Point) -> None:
+    similarity = ask(make_experience("similarity", {"reference": REAL, "test": point}, reference="reference"))
+    louder = max(point.percept.level_db, 0.0)
+    lost = TOUCH.feel(REAL) - TOUCH.feel(point)
+    assert similarity == pytest.approx(100 - lost - 2 * MODEL.level * louder)
+
+
+@pytest.mark.parametrize("protocol", ["similarity", "mushra"])
+def test_the_reference_is_as_similar_to_itself_as_anything_can_be(protocol: str) -> None:
+    assert ask(make_experience(protocol, {"reference": WEAK, "test": WEAK}, reference="reference")) == 100
+    assert ask(make_experience(protocol, {"reference": WEAK, "test": STRONG}, reference="reference")) == pytest.approx(
+        100 - TOUCH.measure_distance(WEAK, STRONG)
+    )
+
+
+def test_dissimilarity_is_the_distance() -> None:
+    assert ask(make_experience("dissimilarity", {"first": WEAK, "test": STRONG}, reference="first")) == pytest.approx(
+        48
+    )
+    assert ask(make_experience("dissimilarity", {"first": WEAK, "test": WEAK}, reference="first")) == 0.0
+
+
+def test_an_explicit_reference_may_be_judged_hidden_too() -> None:
+    parts = (Part("reference", "code"), Part("1", "code"))
+    judgement = Judgement("1", "code", "code")
+    trial = Trial(1, 1, 1, "mushra", "mushra", "free", "oak", parts, (judgement,))
+    experience = Experience(trial, {"reference": WEAK, "1": WEAK})
+    assert judge(experience, judgement, touch=TOUCH) == 100
+
+
+def test_the_real_surface_is_where_the_original_is() -> None:
+    parts = (Part("reference", surface="oak"), Part("test", "code"))
+    judgement = Judgement("test", "code", SURFACE)
+    trial = Trial(1, 1, 1, "similarity", "similarity", "replay", "oak", parts, (judgement,))
+    experience = Experience(trial, {"reference": TOUCH.locate(None), "test": WEAK})
+    assert judge(experience, judgement, touch=TOUCH) == pytest.approx(20 + TOUCH.feel(WEAK))
+
+
+def test_candidates_are_as_far_as_they_feel_from_what_is_asked() -> None:
+    experience = make_experience("abx", {"a": WEAK, "b": STRONG, "x": STRONG})
+    assert compare(experience, Judgement("x", "?"), ("a", "b"), touch=TOUCH) == {"a": pytest.approx(48), "b": 0.0}
+
+
+def test_every_protocol_with_a_slider_can_be_judged() -> None:
+    scales = read_scales("en")
+    assert set(SLIDERS) == {name for name, protocol in PROTOCOLS.items() if not scales[protocol.scale].choices}
+
+
+def test_what_was_not_felt_cannot_be_judged() -> None:
+    experience = make_experience("realism", {"test": WEAK})
+    with pytest.raises(ValueError, match=r"asked about part 'test' of trial 1 before it was felt; play it first"):
+        ask(replace(experience, points={}))
+
+
+def test_a_reference_that_no_part_holds_is_refused() -> None:
+    experience = make_experience("similarity", {"test": WEAK}, reference="elsewhere")
+    with pytest.raises(ValueError, match=r"trial 1: got reference 'code-elsewhere', allowed is what a part"):
+        ask(experience)
+
+
+def test_an_unknown_protocol_is_refused() -> None:
+    with pytest.raises(
+        ValueError, match=r"got protocol 'pinching', allowed with a slider is one of realism, similarity"
+    ):
+        ask(make_experience("pinching", {"test": WEAK}))

@@ -1,0 +1,165 @@
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.stats import kstest, norm
+
+from study.observer.raters import KINDS, ObserverModel, Rater, draw_rater
+
+MODEL = ObserverModel(
+    intercept=10.0, spectral=45.0, temporal=35.0, bias_sd=6.0, gain_sd=0.15, noise_sd=8.0, noise_spread=0.25
+)
+CAREFUL = Rater(kind="normal", bias=0.0, gain=1.0, noise_sd=8.0, lapse_rate=0.0, favourite=0.3)
+
+
+def draw_many(model: ObserverModel, n: int = 2000) -> list[Rater]:
+    return [draw_rater(model, np.random.default_rng([7, number])) for number in range(n)]
+
+
+def rate_many(rater: Rater, percept: float, *, n: int = 4000, shift: float = 0.0, growth: float = 1.0) -> np.ndarray:
+    rng = np.random.default_rng(3)
+    return np.array([rater.rate(percept, shift=shift, growth=growth, rng=rng) for _ in range(n)])
+
+
+def share_correct(rater: Rater, distance: float, *, n: int = 20_000) -> float:
+    rng = np.random.default_rng(11)
+    chosen = [rater.choose({"a": distance, "b": 0.0}, growth=1.0, rng=rng) for _ in range(n)]
+    return chosen.count("b") / n
+
+
+def test_participants_differ_as_the_model_says() -> None:
+    raters = draw_many(MODEL)
+    assert np.std([r.bias for r in raters]) == pytest.approx(6.0, rel=0.05)
+    assert np.std(np.log([r.gain for r in raters])) == pytest.approx(0.15, rel=0.05)
+    noise = np.log([r.noise_sd for r in raters])
+    assert np.exp(np.median(noise)) == pytest.approx(8.0, rel=0.03)
+    assert np.std(noise) == pytest.approx(0.25, rel=0.05)
+
+
+def test_bad_raters_come_in_the_shares_that_were_asked_for() -> None:
+    model = replace(MODEL, straight_liners=0.1, random_clickers=0.2, scale_reversers=0.3)
+    kinds = Counter(rater.kind for rater in draw_many(model))
+    shares = [kinds[kind] / 2000 for kind in KINDS]
+    assert shares == pytest.approx([0.4, 0.1, 0.2, 0.3], abs=0.03)
+    assert {rater.kind for rater in draw_many(MODEL)} == {"normal"}
+    everyone = replace(MODEL, straight_liners=0.7, random_clickers=0.2, scale_reversers=0.1)
+    assert "normal" not in {rater.kind for rater in draw_many(everyone)}
+
+
+def test_bad_raters_change_nothing_about_the_hands_of_the_others() -> None:
+    hands = [(r.bias, r.gain, r.noise_sd) for r in draw_many(MODEL, 50)]
+    assert [(r.bias, r.gain, r.noise_sd) for r in draw_many(replace(MODEL, random_clickers=0.5), 50)] == hands
+
+
+@pytest.mark.parametrize("name", ["lapse_rate", "straight_liners", "random_clickers", "scale_reversers"])
+@pytest.mark.parametrize("value", [-0.1, 1.1, float("nan")])
+def test_a_share_out_of_range_is_refused(name: str, value: float) -> None:
+    with pytest.raises(ValueError, match=f"^{name}: got {value}, allowed is a share from 0 to 1$"):
+        replace(MODEL, **{name: value})
+
+
+@pytest.mark.parametrize("name", ["bias_sd", "gain_sd", "noise_sd", "noise_spread", "fatigue_noise"])
+def test_a_negative_size_is_refused(name: str) -> None:
+    with pytest.raises(ValueError, match=f"^{name}: got -1.0, allowed is 0 or more$"):
+        replace(MODEL, **{name: -1.0})
+
+
+def test_more_bad_raters_than_participants_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"scale_reversers: got 1.2 together, allowed is up to 1$"):
+        replace(MODEL, straight_liners=0.4, random_clickers=0.4, scale_reversers=0.4)
+
+
+def test_only_weights_on_distances_ask_for_files() -> None:
+    assert not replace(MODEL, fatigue=3.0, order=0.2).uses_percepts
+    for name in ("threshold_spectral", "envelope", "level"):
+        assert replace(MODEL, **{name: -0.5}).uses_percepts
+
+
+def test_a_rating_is_bias_gain_percept_shift_and_noise() -> None:
+    exact = replace(CAREFUL, bias=-4.0, gain=1.5, noise_sd=0.0)
+    assert rate_many(exact, 40.0, shift=7.0, n=2).tolist() == [63.0, 63.0]
+    assert exact.rate(40.0, sure=100.0, shift=7.0, growth=1.0, rng=np.random.default_rng()) == 100 - 90 - 4 + 7
+    ratings = rate_many(CAREFUL, 50.0, growth=1.5)
+    assert (ratings.mean(), ratings.std()) == (pytest.approx(50, abs=0.6), pytest.approx(12, rel=0.04))
+
+
+def test_ratings_stay_on_the_scale_and_in_tenths() -> None:
+    ratings = rate_many(replace(CAREFUL, noise_sd=500.0), 50.0)
+    assert (ratings.min(), ratings.max()) == (0.0, 100.0)
+    assert np.array_equal(ratings, ratings.round(1))
+
+
+@pytest.mark.parametrize("lapse_rate", [0.0, 0.05, 0.3])
+def test_lapses_are_as_frequent_as_planted_and_uniform(lapse_rate: float) -> None:
+    ratings = rate_many(replace(CAREFUL, noise_sd=0.0, lapse_rate=lapse_rate), 50.0, n=20_000)
+    lapses = ratings[ratings != 50.0]
+    # One uniform rating in a thousand hits 50.0 itself.
+    assert lapses.size / ratings.size == pytest.approx(lapse_rate * 0.999, abs=0.006)
+    if lapse_rate:
+        assert kstest(lapses, "uniform", args=(0, 100)).pvalue > 0.001
+
+
+def test_a_straight_liner_stays_in_place_whatever_is_felt() -> None:
+    ratings = np.concatenate([rate_many(replace(CAREFUL, kind="straight_liner"), p, n=500) for p in (0.0, 50.0, 100.0)])
+    assert ratings.mean() == pytest.approx(30.0, abs=0.1)
+    assert ratings.std() == pytest.approx(1.0, rel=0.1)
+
+
+def test_a_random_clicker_answers_anything_and_fast() -> None:
+    clicker = replace(CAREFUL, kind="random_clicker")
+    assert kstest(rate_many(clicker, 90.0), "uniform", args=(0, 100)).pvalue > 0.001
+    rng = np.random.default_rng(1)
+    fast, slow = (np.median([r.take_time(rng) for _ in range(2000)]) for r in (clicker, CAREFUL))
+    assert (fast, slow) == (pytest.approx(0.5, rel=0.05), pytest.approx(2.0, rel=0.05))
+
+
+def test_a_scale_reverser_mirrors_what_the_same_hand_would_rate() -> None:
+    straight, reversed_ = (rate_many(replace(CAREFUL, kind=kind), 70.0) for kind in ("normal", "scale_reverser"))
+    assert reversed_ == pytest.approx(100.0 - straight, abs=0.051)
+
+
+def differencing(d_prime: float) -> float:
+    two, six = d_prime / np.sqrt(2), d_prime / np.sqrt(6)
+    return float(norm.cdf(two) * norm.cdf(six) + norm.cdf(-two) * norm.cdf(-six))
+
+
+@pytest.mark.parametrize("distance", [0.0, 4.0, 8.0, 16.0, 32.0])
+@pytest.mark.parametrize("gain", [1.0, 1.4])
+def test_choices_follow_the_differencing_model(distance: float, gain: float) -> None:
+    measured = share_correct(replace(CAREFUL, gain=gain), distance)
+    assert measured == pytest.approx(differencing(gain * distance / 8.0), abs=0.012)
+
+
+def test_the_psychometric_function_rises_from_chance_to_certainty() -> None:
+    shares = [share_correct(CAREFUL, distance, n=4000) for distance in (0.0, 6.0, 12.0, 24.0, 80.0)]
+    assert all(lower < higher for lower, higher in pairwise(shares))
+    assert (shares[0], shares[-1]) == (pytest.approx(0.5, abs=0.025), 1.0)
+
+
+def test_without_noise_any_difference_decides_and_none_is_a_coin() -> None:
+    exact = replace(CAREFUL, noise_sd=0.0)
+    assert share_correct(exact, 0.1, n=100) == 1.0
+    assert share_correct(exact, 0.0, n=4000) == pytest.approx(0.5, abs=0.025)
+    # A weight below 0 can make a distance so; nothing is nearer than what is the same.
+    assert share_correct(exact, -5.0, n=4000) == pytest.approx(0.5, abs=0.025)
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"lapse_rate": 0.2}, 0.9),
+        ({"kind": "random_clicker"}, 0.5),
+        ({"kind": "scale_reverser"}, 1.0),  # a choice has no ends
+    ],
+)
+def test_who_chooses_how_when_the_difference_is_plain(change: dict[str, str | float], expected: float) -> None:
+    assert share_correct(replace(CAREFUL, **change), 200.0) == pytest.approx(expected, abs=0.01)
+
+
+@pytest.mark.parametrize(("favourite", "share"), [(0.3, 0.0), (0.7, 1.0)])
+def test_a_straight_liner_always_makes_the_same_choice(favourite: float, share: float) -> None:
+    assert share_correct(replace(CAREFUL, kind="straight_liner", favourite=favourite), 200.0, n=50) == share

@@ -1,0 +1,140 @@
+"""The loop: what a session consists of, how it is broken off, and how it goes on."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from study.session.ports import Abort, Playback
+from study.session.replay import find_elapsed, replay
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from study.session.plan import Plan
+
+    Present = Callable[..., list[Any]]
+
+
+def list_events(records: list[Any], *wanted: str) -> list[Any]:
+    return [record.data for record in records if record.event in wanted]
+
+
+def test_the_journal_tells_everything_in_order(present: Present, scripted: type) -> None:
+    records = present(scripted())
+    realism, similarity = ["shown", "played", "rated"], ["shown", "played", "played", "rated"]
+    assert [r.event for r in records] == [
+        "begun", *["page"] * 4, *realism * 10, *["page"] * 3, *similarity * 10, "page", "finished",
+    ]  # fmt: skip
+    assert [page["key"] for page in list_events(records, "page")] == [
+        "welcome", "consent", "instructions.realism", "main", "rest", "instructions.similarity", "main", "end",
+    ]  # fmt: skip
+    assert [r["trial"] for r in list_events(records, "rated")] == list(range(1, 21))
+    assert list_events(records, "rated")[0] == {
+        "trial": 1, "attempt": 1, "values": {"test": 50.0}, "response_time_s": 1.5, "time_s": 6.0, "flags": [],
+        "rejected": False,
+    }  # fmt: skip
+    assert records[-1].data == {"trials": 20}
+
+
+def test_the_participant_meets_the_steps_in_the_order_of_the_plan(present: Present, scripted: type) -> None:
+    presenter = scripted()
+    present(presenter)
+    assert presenter.log[:5] == [
+        "page welcome 0/20", "page consent 0/20", "page instructions.realism 0/20", "page main 0/20",
+        "show 1.1 realism",
+    ]  # fmt: skip
+    assert [line.split()[1] for line in presenter.log if line.startswith("show")] == [f"{n}.1" for n in range(1, 21)]
+    last = [line.rpartition("-")[0] for line in presenter.log[-3:-1]]
+    assert presenter.log[-4] == "show 20.1 similarity"
+    assert last[0].startswith("play reference ")
+    assert last[1].startswith("play test ")
+    assert presenter.log[-1] == "page end 20/20"
+
+
+@pytest.mark.parametrize("stop_after", [0, 1, 9, 10, 11, 19])
+def test_a_session_broken_off_anywhere_goes_on_where_it_was(
+    present: Present, scripted: type, stop_after: int
+) -> None:
+    broken = scripted(stop_after=stop_after)
+    with pytest.raises(KeyboardInterrupt):
+        present(broken)
+    again = scripted()
+    records = present(again)
+    shown = [line.split()[1] for line in (*broken.log, *again.log) if line.startswith("show")]
+    assert shown == [f"{number}.1" for number in range(1, 21)]
+    assert [data["trial"] for data in list_events(records, "rated")] == list(range(1, 21))
+    assert list_events(records, "aborted") == [{"reason": "KeyboardInterrupt"}]
+    assert len(list_events(records, "resumed")) == 1
+    assert [line for line in again.log if line.startswith("page welcome")] == []
+
+
+def test_a_finished_session_is_left_alone(present: Present, scripted: type) -> None:
+    first = present(scripted())
+    silent = scripted()
+    assert present(silent) == first
+    assert silent.log == []
+
+
+@pytest.mark.parametrize("page", ["consent", "rest", "end"])
+def test_who_does_not_go_on_ends_the_session_for_today(present: Present, scripted: type, page: str) -> None:
+    records = present(scripted(pages={page: [Abort(1.0, "does not agree")]}))
+    assert (records[-1].event, records[-1].data) == ("aborted", {"reason": "does not agree"})
+    again = scripted()
+    assert present(again)[-1].event == "finished"
+    assert again.log[0].startswith(f"page {page} ")
+
+
+def fail(count: int = 1) -> list[Playback]:
+    return [Playback(1.0, 1.0, error="device is gone")] * count
+
+
+def test_a_device_that_fails_once_costs_one_attempt(present: Present, scripted: type) -> None:
+    records = present(scripted(playbacks={(3, 1): fail()}))
+    assert [(r["trial"], r["attempt"], r["flags"]) for r in list_events(records, "spoiled")] == [
+        (3, 1, ["device_error"])
+    ]
+    rated = Counter(r["trial"] for r in list_events(records, "rated"))
+    assert rated == dict.fromkeys(range(1, 21), 1)
+    assert [r["attempt"] for r in list_events(records, "rated") if r["trial"] == 3] == [2]
+
+
+def test_a_device_that_fails_twice_in_a_row_ends_the_session(present: Present, scripted: type) -> None:
+    records = present(scripted(playbacks={(3, 1): fail(), (4, 1): fail()}))
+    assert records[-1].data == {"reason": "the device failed twice in a row; see to it, then resume"}
+    assert len(list_events(records, "rated")) == 2
+    records = present(scripted())
+    assert sorted(r["trial"] for r in list_events(records, "rated")) == list(range(1, 21))
+
+
+def test_the_clock_goes_on_where_it_stopped(present: Present, scripted: type) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        present(scripted(stop_after=5))
+    records = present(scripted())
+    times = [record.data["time_s"] for record in records if "time_s" in record.data]
+    assert times == sorted(times)
+    (resumed,) = list_events(records, "resumed")
+    assert resumed["clock"]["presenter_s"] == find_elapsed(records[: records.index(next(
+        record for record in records if record.event == "resumed"
+    ))]) > 0  # fmt: skip
+
+
+def test_replaying_a_journal_cut_after_any_record_never_contradicts_the_plan(
+    present: Present, scripted: type, plan: Plan
+) -> None:
+    records = present(scripted(playbacks={(3, 1): fail(), (7, 1): [Playback(1.0, 1.0, underruns=2)]}))
+    done = [replay(plan, records[:kept]).done for kept in range(len(records) + 1)]
+    assert done == sorted(done)
+    assert (done[0], done[-1]) == (0, 20)
+
+
+def test_a_journal_that_tells_of_another_order_is_refused_with_its_line(
+    present: Present, scripted: type, plan: Plan
+) -> None:
+    records = present(scripted())
+    rated = [place for place, record in enumerate(records) if record.event == "rated"]
+    swapped = [*records[: rated[4]], records[rated[5]]]
+    with pytest.raises(ValueError, match=r"line 23: got trial 6, expected trial 5"):
+        replay(plan, swapped)

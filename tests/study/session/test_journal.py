@@ -1,0 +1,225 @@
+from __future__ import annotations
+
+import errno
+import json
+import os
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from study.session.chain import START, Record, digest, read_chain, write_line
+from study.session.journal import create_journal, read_journal, require_journal
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from datetime import datetime
+    from pathlib import Path
+
+    from study.session.journal import Journal
+
+    Now = Callable[[], datetime]
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
+    max_leaves=5,
+)
+
+
+@pytest.fixture
+def journal(tmp_path: Path, now: Now) -> Journal:
+    journal = create_journal(tmp_path / "session-01.jsonl", now=now)
+    for number in range(1, 6):
+        journal.write("rated", {"trial": number, "rating": number * 10.5})
+    return journal
+
+
+def test_every_line_is_json_with_number_time_and_digest_of_the_line_before(journal: Journal) -> None:
+    lines = journal.path.read_bytes().splitlines()
+    entries = [json.loads(line) for line in lines]
+    assert [entry["sequence"] for entry in entries] == [0, 1, 2, 3, 4]
+    assert [entry["previous"] for entry in entries] == [START, *(digest(line) for line in lines[:-1])]
+    assert entries[2]["utc"] == "2026-01-01T00:00:02.000+00:00"
+    assert entries[4]["data"] == {"trial": 5, "rating": 52.5}
+
+
+def test_what_is_written_is_read_and_can_be_gone_on_with(journal: Journal, now: Now) -> None:
+    again = require_journal(journal.path, now=now)
+    assert again.records == journal.records
+    again.write("finished", {})
+    assert [record.event for record in read_journal(journal.path).records] == ["rated"] * 5 + ["finished"]
+
+
+@given(st.lists(st.tuples(st.text(), st.dictionaries(st.text(), JSON, max_size=4)), max_size=6))
+def test_any_events_make_the_round_trip(events: list[tuple[str, dict[str, Any]]]) -> None:
+    content, tip = b"", START
+    records = [Record(number, "now", event, data) for number, (event, data) in enumerate(events)]
+    for record in records:
+        line = write_line(record, tip)
+        content, tip = content + line, digest(line[:-1])
+    chain = read_chain(content, "any")
+    assert list(chain.records) == records
+    assert (chain.tip, chain.torn) == (tip, b"")
+
+
+def test_a_journal_is_never_begun_twice(journal: Journal, now: Now) -> None:
+    before = journal.path.read_bytes()
+    with pytest.raises(FileExistsError, match="is there already, nothing is overwritten; resume it"):
+        create_journal(journal.path, now=now)
+    assert journal.path.read_bytes() == before
+
+
+@pytest.mark.parametrize("read", [read_journal, lambda path: require_journal(path, now=lambda: None)])
+def test_a_journal_that_is_not_there_is_refused(tmp_path: Path, read: Callable[[Path], Any]) -> None:
+    with pytest.raises(FileNotFoundError, match="there is no such journal; begin the session first"):
+        read(tmp_path / "session-01.jsonl")
+
+
+def test_numbers_that_json_cannot_hold_are_refused_and_nothing_is_written(journal: Journal) -> None:
+    before = journal.path.read_bytes()
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        journal.write("rated", {"rating": float("nan")})
+    with pytest.raises(TypeError, match="not JSON serializable"):
+        journal.write("rated", {"rating": {1}})
+    assert journal.path.read_bytes() == before
+    journal.write("rated", {"trial": 6})
+    assert len(read_journal(journal.path).records) == 6
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(data=st.data())
+def test_a_changed_byte_in_any_line_is_named(journal: Journal, data: st.DataObject) -> None:
+    content = journal.path.read_bytes()
+    place = data.draw(st.integers(0, len(content) - 2).filter(lambda i: content[i] != ord("\n")))
+    byte = data.draw(st.integers(0, 255).filter(lambda b: b not in {content[place], ord("\n")}))
+    changed = content[:place] + bytes([byte]) + content[place + 1 :]
+    line = content[:place].count(b"\n") + 1
+    with pytest.raises(ValueError, match=f"^j, line {line}: was changed after it was written"):
+        read_chain(changed, "j")
+
+
+def test_lines_taken_out_put_in_or_moved_are_named(journal: Journal) -> None:
+    a, b, c, d, e = journal.path.read_bytes().splitlines(keepends=True)
+    for lines, line in (([a, c, d, e], 2), ([a, b, b, c], 3), ([a, c, b], 2), ([b, c], 1), ([a, b, e], 3)):
+        with pytest.raises(ValueError, match=f"line {line}: does not follow the line before"):
+            read_chain(b"".join(lines), "j")
+
+
+def test_a_wrong_sequence_number_is_named() -> None:
+    line = write_line(Record(1, "now", "rated", {}), START)
+    with pytest.raises(ValueError, match="line 1: got sequence number 1, expected 0"):
+        read_chain(line, "j")
+
+
+def test_a_file_cut_at_any_byte_is_recovered_without_losing_a_whole_line(journal: Journal, now: Now) -> None:
+    whole = journal.path.read_bytes()
+    ends = [i + 1 for i, byte in enumerate(whole) if byte == ord("\n")]
+    for cut in range(ends[3], len(whole) + 1):
+        journal.path.write_bytes(whole[:cut])
+        kept = sum(end <= cut for end in ends)
+        again = require_journal(journal.path, now=now)
+        torn = cut - ([0, *ends][kept])
+        assert again.records[:kept] == journal.records[:kept]
+        assert [r.event for r in again.records[kept:]] == (["recovered"] if torn else [])
+        assert read_journal(journal.path).records == tuple(again.records)
+        if torn:
+            aside = journal.path.with_name(again.records[-1].data["moved_to"])
+            assert aside.read_bytes() == whole[cut - torn : cut]
+            assert again.records[-1].data["torn_bytes"] == torn
+            assert again.notice == (
+                f"{journal.path}: {torn} bytes of a line that was never finished were moved to {aside.name}"
+            )
+            aside.unlink()
+
+
+def test_torn_pieces_of_several_crashes_are_all_kept(journal: Journal, now: Now) -> None:
+    for _ in range(2):
+        with journal.path.open("ab") as file:
+            file.write(b'{"sequence')
+        require_journal(journal.path, now=now)
+    assert sorted(p.name for p in journal.path.parent.glob("*.torn*")) == [
+        "session-01.jsonl.torn1",
+        "session-01.jsonl.torn2",
+    ]
+
+
+def test_a_full_disk_leaves_the_last_whole_record(journal: Journal, now: Now, monkeypatch: pytest.MonkeyPatch) -> None:
+    before, write = journal.path.read_bytes(), os.write
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "write", lambda descriptor, data: write(descriptor, data[:20]))
+        with pytest.raises(OSError, match=r"the disk took 20 of \d+ bytes; make room, then resume"):
+            journal.write("rated", {"trial": 6})
+    assert journal.path.read_bytes() == before
+    again = require_journal(journal.path, now=now)
+    again.write("rated", {"trial": 6})
+    assert len(require_journal(journal.path, now=now).records) == 6
+
+
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        (OSError(errno.EIO, "I/O error"), r"session-01\.jsonl: the disk took no record \(I/O error\); make room"),
+        (KeyboardInterrupt(), "^$"),
+    ],
+)
+@pytest.mark.parametrize("call", ["fsync", "write"])
+def test_a_write_that_was_broken_off_closes_the_journal_and_the_chain_holds(
+    journal: Journal, now: Now, monkeypatch: pytest.MonkeyPatch, call: str, error: BaseException, message: str
+) -> None:
+    kept, real = len(journal.records), getattr(os, call)
+
+    def do_it_then_fail(*arguments: Any) -> None:
+        real(*arguments)
+        raise error
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, call, do_it_then_fail)
+        with pytest.raises(type(error), match=message):
+            journal.write("rated", {"trial": 6})
+    with pytest.raises(OSError, match=r"session-01\.jsonl: an earlier write was broken off, .* reopen it to resume"):
+        journal.write("rated", {"trial": 6})
+    again = require_journal(journal.path, now=now)
+    assert again.records[:kept] == journal.records
+    again.write("finished", {})
+    assert read_journal(journal.path).records == tuple(again.records)
+
+
+def test_every_record_is_synced_before_write_returns(journal: Journal, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[str] = []
+    write, fsync = os.write, os.fsync
+    monkeypatch.setattr(os, "write", lambda d, data: (calls.append("write"), write(d, data))[1])
+    monkeypatch.setattr(os, "fsync", lambda d: (calls.append("fsync"), fsync(d))[1])
+    journal.write("rated", {"trial": 6})
+    assert calls == ["write", "fsync"]
+
+
+def test_a_new_journal_survives_a_power_cut(tmp_path: Path, now: Now, synced: list[int]) -> None:
+    create_journal(tmp_path / "session-01.jsonl", now=now)
+    assert synced == [tmp_path.stat().st_ino]
+
+
+def test_a_torn_piece_is_safe_before_the_journal_loses_it(journal: Journal, now: Now, synced: list[int]) -> None:
+    with journal.path.open("ab") as file:
+        file.write(b'{"sequence')
+    require_journal(journal.path, now=now)
+    aside = journal.path.with_name("session-01.jsonl.torn1")
+    own = journal.path.stat().st_ino
+    assert synced == [aside.stat().st_ino, own, journal.path.parent.stat().st_ino, own]
+
+
+def test_a_full_disk_on_resuming_names_the_journal_and_loses_nothing(
+    journal: Journal, now: Now, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with journal.path.open("ab") as file:
+        file.write(b'{"sequence')
+    before = journal.path.read_bytes()
+
+    def refuse(_descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left")
+
+    monkeypatch.setattr(os, "fsync", refuse)
+    with pytest.raises(OSError, match=r"session-01\.jsonl: the disk took no record \(No space left\); make room"):
+        require_journal(journal.path, now=now)
+    assert journal.path.read_bytes() == before

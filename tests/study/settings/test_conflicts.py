@@ -1,0 +1,91 @@
+"""Settings that are allowed one by one, but not together."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from study.settings.conflicts import find_conflicts
+from study.settings.reading import read_settings
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+TWO = '[[recordings]]\nscene = "bumps"\nsample = "ridges"\n[[recordings]]\nscene = "hard_taps"\n'
+ANY = "tasks.similarity: recording 'bumps', level 'as_is': "
+
+
+def tell(path: Path, text: str) -> list[str]:
+    """What reading the settings says, one entry per line."""
+    (path / "study.toml").write_text(TWO + text, encoding="utf-8")
+    try:
+        assert find_conflicts(read_settings(path / "study.toml")) == []
+    except ValueError as error:
+        return [line.removeprefix("study.toml: ") for line in str(error).splitlines()]
+    return []
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[session]\nprotocols = ['realism', 'similarity', 'dissimilarity', 'mushra', 'abx']",
+        "[stimuli]\nreference = 'none'\n[session]\nprotocols = ['realism']",
+        "[tasks.similarity]\nreference = 'dft321'",
+        # A task that no session has may be set to anything its protocol knows.
+        "[tasks.mushra]\ntiming = 'free'\n[session]\nprotocols = ['realism']",
+        "[stimuli]\nlevels = ['as_is', 'equal_intensity']\n[between]\nlevel = ['as_is', 'equal_intensity']",
+        "[between]\nprotocol = ['realism', 'similarity']\ngrip = ['pen', 'power']",
+        "[observer]\nstraight_liners = 0.5\nscale_reversers = 0.5",
+    ],
+)
+def test_settings_that_go_together_pass(text: str, tmp_path: Path) -> None:
+    assert tell(tmp_path, text) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[tasks.mushra]\ntiming = 'strict'", "tasks.mushra.timing: got 'strict', allowed: free"),
+        ("[tasks.realism]\nreference = 'original'", "tasks.realism.reference: got 'original', allowed is none"),
+        ("[tasks.abx]\nsurface = true", "tasks.abx.surface: got true, allowed is false"),
+        ("[tasks.realism]\nsurface = true", "recordings[2].sample: is missing, but realism let the real surface be"),
+        ("[tasks.similarity]\nreference = 'surface'", "recordings[2].sample: is missing, but similarity let the real"),
+        ("[between]\nlevel = ['equal_intensity']", "between.level: got 'equal_intensity', allowed: as_is; or add it"),
+        ("[between]\nprotocol = ['abx']", "between.protocol: got 'abx', allowed: realism, similarity; or add it to"),
+        (
+            "[observer]\nrandom_clickers = 0.6\nscale_reversers = 0.6",
+            "observer: straight_liners, random_clickers, scale",
+        ),
+        ("[tasks.similarity]\nreference = 'dft'", ANY + "got 0 stimuli for the reference 'dft', allowed is"),
+        ("[stimuli]\nreference = 'none'", ANY + "got 0 stimuli for the reference 'original', allowed is exactly one"),
+    ],
+)
+def test_each_conflict_is_one_line(text: str, message: str, tmp_path: Path) -> None:
+    (told,) = tell(tmp_path, text)
+    assert told.startswith(message)
+
+
+def test_a_page_of_mushra_has_its_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = "[session]\nprotocols = ['mushra']"
+    assert tell(tmp_path, text) == []
+    # There are just as many reducers as a page holds: one place less, and it is too full.
+    monkeypatch.setattr("protocols.mushra.MOST", 11)
+    (told,) = tell(tmp_path, text)
+    assert told.startswith("tasks.mushra: recording 'bumps', level 'as_is': got 12 stimuli for a page of mushra,")
+
+
+def test_what_follows_from_a_conflict_is_not_told_as_well(tmp_path: Path) -> None:
+    told = tell(
+        tmp_path,
+        "[tasks.realism]\ntiming = 'free'\nsurface = true\n[tasks.mushra]\nreference = 'surface'\n"
+        "[between]\nlevel = ['as_is', 'equal_intensity']\nprotocol = ['abx', 'mushra']\n",
+    )
+    assert [line.split(":")[0] for line in told] == [
+        "tasks.realism.timing",
+        "tasks.mushra.reference",
+        "between.level",
+        "between.protocol",
+        "between.protocol",
+    ]
