@@ -6,6 +6,7 @@ The chain inside a journal cannot tell that whole lines are missing at its end; 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from shlex import quote
 from typing import TYPE_CHECKING
 
 from study.session.chain import START, digest
@@ -94,7 +95,8 @@ def check_anchors(anchors: Iterable[Anchor], folder: Path) -> None:
     """
     for anchor in anchors:
         if cut := find_cut(anchor, folder):
-            raise ValueError(f"{cut}; restore it from a copy, or take it as it is: feel321 ledger --rebuild")
+            rebuild = f"feel321 ledger {quote(str(folder.parent.parent))} --rebuild"
+            raise ValueError(f"{cut}; restore it from a copy, or take it as it is: {rebuild}")
 
 
 def _read_lines(path: Path) -> list[bytes]:

@@ -171,6 +171,13 @@ def test_derived_tables_are_written_anew_and_a_stale_report_is_named(
     assert warnings == [f"{two.study.report}: still holds the participant's data; write it anew: feel321 analyze"]
 
 
+def test_what_a_kill_left_of_a_table_goes_too(two: Any, now: Any) -> None:
+    left = two.study.path / ".ratings.csv.4711.part"
+    left.write_text("p01", encoding="utf-8")
+    withdraw_participant(two.study, "p01", now=now)
+    assert not left.exists()
+
+
 def test_a_table_that_cannot_be_written_anew_is_removed(two: Any, now: Any) -> None:
     write_roster(two.study)
     (two.study.sessions / "p02" / "plan.json").write_bytes(b"{}")
