@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, TypeVar
 
-import numpy as np
-
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
@@ -31,6 +29,8 @@ def make_generator(rng: Generator, number: int) -> Generator:
     numpy.random.Generator
         Another one for every number, the same one for the same number and state.
     """
+    import numpy as np
+
     return np.random.default_rng([int(rng.integers(2**63)), number])
 
 

@@ -10,17 +10,13 @@ from typing import TYPE_CHECKING
 
 from protocols.balance import measure_balance, pool_balances
 from protocols.design import count_cycle
-from study.session.journal import read_journal
-from study.session.opening import PLAN_FILE
-from study.session.plan import require_plan
-from study.session.replay import has_event, list_journals
+from study.session.replay import has_event
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Sequence
-    from pathlib import Path
 
     from protocols.trial import Trial
-    from study.folder import StudyFolder
+    from study.session.dossier import Dossier
     from study.session.plan import Plan
 
     Sequences = dict[str, list[list[str]]]
@@ -82,20 +78,20 @@ class _Session:
     is_finished: bool
 
 
-def measure_realised(study: StudyFolder) -> Realised | None:
+def measure_realised(dossiers: Iterable[Dossier]) -> Realised | None:
     """Measure the balance of all that was run.
 
     Parameters
     ----------
-    study : StudyFolder
-        The study.
+    dossiers : iterable of Dossier
+        Plans and journals of all participants.
 
     Returns
     -------
     Realised or None
-        None if no trial counts yet. Participants whose plan or journal is broken are left out; `audit` names them.
+        None if no trial counts yet.
     """
-    sessions = list(_read_sessions(study))
+    sessions = [session for session in map(_gather_session, dossiers) if session.trials]
     simulated = all(session.plan.simulated for session in sessions)
     sessions = [session for session in sessions if session.plan.simulated == simulated]
     if not sessions:
@@ -142,23 +138,9 @@ def describe_balance(realised: Realised | None) -> list[str]:
     return lines
 
 
-def _read_sessions(study: StudyFolder) -> Iterator[_Session]:
-    for folder in study.participants:
-        try:
-            session = _read_session(folder)
-        except (OSError, ValueError):
-            continue
-        if session is not None and session.trials:
-            yield session
-
-
-def _read_session(folder: Path) -> _Session | None:
-    """Read what one participant went through: trials of the main phase, in the order in which they counted."""
-    journals = list_journals(folder)
-    if not journals:
-        return None
-    plan = require_plan(folder / PLAN_FILE)
-    records = read_journal(journals[-1]).records
+def _gather_session(dossier: Dossier) -> _Session:
+    """Gather what one participant went through: trials of the main phase, in the order in which they counted."""
+    plan, records = dossier.plan, dossier.records
     trials = {trial.number: trial for trial in plan.trials if trial.phase == "main"}
     counted = [
         trials[record.data["trial"]]

@@ -7,18 +7,18 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from protocols.scoring import is_as_expected
-from study.ledger.standing import read_standing
-from study.session.journal import read_journal
-from study.session.opening import PLAN_FILE, TOMBSTONE_FILE
-from study.session.plan import require_plan
-from study.session.replay import list_journals
+from study.ledger.standing import make_standing
+from study.realised import measure_realised
+from study.session.dossier import read_dossier
+from study.session.opening import TOMBSTONE_FILE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
-    from pathlib import Path
 
     from study.folder import StudyFolder
+    from study.realised import Realised
     from study.session.chain import Chain, Record
+    from study.session.dossier import Dossier
     from study.session.plan import Plan
 
 
@@ -61,8 +61,24 @@ class Progress:
     problem: str = ""
 
 
-def read_status(study: StudyFolder) -> list[Progress]:
-    """Read how far every participant has come, also while sessions run.
+@dataclass(frozen=True, slots=True)
+class Status:
+    """How far a study has come.
+
+    Parameters
+    ----------
+    participants : tuple of Progress
+        One per participant, sorted by code.
+    balance : Realised or None
+        Balance of what was run so far; None if no trial counts yet.
+    """
+
+    participants: tuple[Progress, ...]
+    balance: Realised | None
+
+
+def read_status(study: StudyFolder) -> Status:
+    """Read how far a study has come, also while sessions run.
 
     Parameters
     ----------
@@ -71,27 +87,25 @@ def read_status(study: StudyFolder) -> list[Progress]:
 
     Returns
     -------
-    list of Progress
-        One per participant, sorted by code; a broken plan or journal is the problem of its own entry.
+    Status
+        A broken plan or journal is the problem of its own participant, who is left out of the balance.
     """
-    return [_try_progress(folder) for folder in study.participants]
+    entries, dossiers = [], []
+    for folder in study.participants:
+        try:
+            if (folder / TOMBSTONE_FILE).exists():
+                entries.append(Progress(folder.name, state="withdrawn"))
+                continue
+            dossier = read_dossier(folder)
+            entries.append(_make_progress(dossier))
+            dossiers.append(dossier)
+        except (OSError, ValueError) as error:
+            entries.append(Progress(folder.name, problem=str(error)))
+    return Status(tuple(entries), measure_realised(dossiers))
 
 
-def _try_progress(folder: Path) -> Progress:
-    try:
-        return _read_progress(folder)
-    except (OSError, ValueError) as error:
-        return Progress(folder.name, problem=str(error))
-
-
-def _read_progress(folder: Path) -> Progress:
-    if (folder / TOMBSTONE_FILE).exists():
-        return Progress(folder.name, state="withdrawn")
-    standing = read_standing(folder)
-    if standing.problem:
-        return Progress(folder.name, problem=standing.problem)
-    newest = list_journals(folder)[-1:]
-    plan = require_plan(folder / PLAN_FILE)
+def _make_progress(dossier: Dossier) -> Progress:
+    standing = make_standing(dossier)
     return Progress(
         participant=standing.participant,
         state=standing.state,
@@ -101,7 +115,7 @@ def _read_progress(folder: Path) -> Progress:
         left=standing.total - standing.done,
         simulated=standing.simulated,
         last_activity=standing.last_utc,
-        warnings=tuple(warning for path in newest for warning in _find_warnings(plan, read_journal(path))),
+        warnings=tuple(warning for chain in dossier.chains[-1:] for warning in _find_warnings(dossier.plan, chain)),
     )
 
 

@@ -38,24 +38,19 @@ def simulate(*, study: StudyFolder, participants: int, seed: int | None, as_json
 @json_option
 def status(*, study: StudyFolder, as_json: bool) -> None:
     """Show how far every participant has come."""
-    from study.realised import describe_balance, measure_realised
+    from study.realised import describe_balance
     from study.status import read_status
 
-    progress, balance = read_status(study), measure_realised(study)
+    state = read_status(study)
     if as_json:
-        print_json(
-            {
-                "participants": [asdict(entry) for entry in progress],
-                "balance": None if balance is None else asdict(balance),
-            }
-        )
+        print_json(asdict(state))
         return
     click.echo(f"{'participant':<14}{'state':<11}{'done':>5}{'left':>6}  last activity")
-    for entry in progress:
+    for entry in state.participants:
         click.echo(_describe(entry))
         for warning in entry.warnings:
             click.echo(f"{'':<14}{warning}")
-    click.echo("\n".join(describe_balance(balance)))
+    click.echo("\n".join(describe_balance(state.balance)))
 
 
 def _describe(entry: Progress) -> str:

@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from study.ledger.sightings import Anchor, read_anchor
-from study.session.journal import read_journal
+from study.session.dossier import Dossier, read_dossier, require_own_plan
 from study.session.opening import PLAN_FILE, TOMBSTONE_FILE
-from study.session.plan import require_plan
 from study.session.replay import find_header, has_event, list_journals, replay
 
 if TYPE_CHECKING:
@@ -17,7 +16,6 @@ if TYPE_CHECKING:
 
     from study.folder import StudyFolder
     from study.session.chain import Record
-    from study.session.plan import Plan
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,41 +103,53 @@ def read_standing(folder: Path) -> Standing:
     ValueError
         If the plan is broken or lies elsewhere than it was stored.
     """
-    plan = require_plan(folder / PLAN_FILE)
-    if plan.participant != folder.name:
-        raise ValueError(f"{folder / PLAN_FILE}: is the plan of {plan.participant!r}, it was copied here; move it away")
-    journals = list_journals(folder)
-    planned = Standing(
+    try:
+        return make_standing(read_dossier(folder))
+    except ValueError as error:
+        # A broken plan raises again; of a broken journal the plan still says who it is.
+        planned = make_standing(Dossier(folder, require_own_plan(folder), ()))
+        return replace(planned, state="running", problem=str(error))
+
+
+def make_standing(dossier: Dossier) -> Standing:
+    """Read off where one participant stands.
+
+    Parameters
+    ----------
+    dossier : Dossier
+        Plan and journals.
+
+    Returns
+    -------
+    Standing
+        By them.
+
+    Raises
+    ------
+    ValueError
+        If the newest journal contradicts the plan.
+    """
+    plan, newest = dossier.plan, dossier.records
+    times = [record.utc for chain in dossier.chains for record in chain.records]
+    return Standing(
         participant=plan.participant,
         simulated=plan.simulated,
         number=plan.number,
         groups=plan.groups,
         total=sum(trial.phase == "main" for trial in plan.trials),
-        anchors=tuple(read_anchor(path) for path in journals),
+        done=replay(plan, newest).done,
+        state=_tell_state(newest),
+        anchors=tuple(read_anchor(path) for path in list_journals(dossier.folder)),
+        first_utc=times[0] if times else "",
+        last_utc=times[-1] if times else "",
+        training_passed=_tell_training(newest),
     )
-    try:
-        return _add_sessions(planned, plan, [read_journal(path).records for path in journals])
-    except ValueError as error:
-        return replace(planned, state="running", problem=str(error))
 
 
 def _takes_part(folder: Path) -> bool:
     if (folder / TOMBSTONE_FILE).exists():
         return False
     return (folder / PLAN_FILE).exists() or bool(list_journals(folder))
-
-
-def _add_sessions(planned: Standing, plan: Plan, sessions: Sequence[Sequence[Record]]) -> Standing:
-    times = [record.utc for records in sessions for record in records]
-    newest = sessions[-1] if sessions else ()
-    return replace(
-        planned,
-        done=replay(plan, newest).done,
-        state=_tell_state(newest),
-        first_utc=times[0] if times else "",
-        last_utc=times[-1] if times else "",
-        training_passed=_tell_training(newest),
-    )
 
 
 def _tell_state(records: Sequence[Record]) -> str:

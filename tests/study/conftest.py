@@ -183,7 +183,7 @@ def scripted() -> type[ScriptedPresenter]:
 def present(
     tmp_path: Path, plan: Plan, stimuli: StimulusSet, now: Callable[[], datetime]
 ) -> Callable[..., list[Any]]:
-    """Run or resume the session of p01 with a presenter; gives the records of the newest journal."""
+    """Run or resume a session, p01's, with a presenter; gives the records of the newest journal."""
 
     def run(
         presenter: ScriptedPresenter,
@@ -193,7 +193,7 @@ def present(
         stale: Stale | None = None,
         now: Clock = now,
     ) -> list[Any]:
-        folder = tmp_path / "sessions" / "p01"
+        folder = tmp_path / "sessions" / plan.participant
         identity = {"presenter": {"simulated": True}}
         with open_session(folder, plan, identity=identity, now=now, stale=stale or Stale()) as (stored, journal):
             codes = list_codes(stimuli, seed=stored.seed)

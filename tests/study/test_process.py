@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 FEEL321 = Path(sys.executable).with_name("feel321")
-HEAVY = {"scipy", "pandas", "matplotlib", "statsmodels", "joblib", "soxr", "psychopy", "sounddevice"}
+HEAVY = {"scipy", "pandas", "matplotlib", "statsmodels", "joblib", "soxr", "psychopy", "sounddevice", "numpy"}
 HEAVY |= {"pydantic", "sqlalchemy"}
 STUDY = """
 [[recordings]]
@@ -121,7 +121,7 @@ def test_a_killed_simulation_goes_on_without_loss_or_doubling(
     study = make_copy(uninterrupted, tmp_path / "killed")
     assert stop_when(study, n_bytes, signal.SIGKILL) == (-signal.SIGKILL, "")
     # A kill between plan and journal, or inside a record, is a state that status can read.
-    done = sum(entry.done for entry in read_status(study))
+    done = sum(entry.done for entry in read_status(study).participants)
     assert done < 3 * 60
     assert run("simulate", study.path, "--participants", 3).returncode == 0
     assert study.ratings.read_bytes() == uninterrupted.ratings.read_bytes()

@@ -49,7 +49,7 @@ def copy(whole: StudyFolder, tmp_path: Path) -> StudyFolder:
 def test_three_participants_judge_everything_twice(whole: StudyFolder) -> None:
     n_stimuli = len(read_stimuli(whole.stimuli).stimuli)
     assert n_stimuli == 2 * (2 + 1 + 2)
-    status = read_status(whole)
+    status = read_status(whole).participants
     assert [(s.participant, s.done, s.left) for s in status] == [
         (f"sim00{n}", 2 * n_stimuli, 0) for n in (1, 2, 3)
     ]
@@ -105,7 +105,7 @@ def test_an_error_in_one_session_ends_the_others_with_the_trial_that_they_are_in
 
     with pytest.raises(RuntimeError, match="a fault in one of them"):
         simulate(copy, participants=12, progress=fail_once)
-    assert sum(entry.done for entry in read_status(copy)) <= 4 * SIDE_BY_SIDE
+    assert sum(entry.done for entry in read_status(copy).participants) <= 4 * SIDE_BY_SIDE
     assert audit_study(copy) == []
     assert simulate(copy, participants=12) == 240
 
@@ -122,7 +122,7 @@ def test_resuming_from_any_record_gives_the_same_table(whole: StudyFolder, copy:
     for kept in range(0, len(lines), 5):
         copy.ledger.unlink()  # A crash keeps what the ledger saw; here it shall have seen nothing.
         journal.write_bytes(b"".join(lines[:kept]) + lines[kept][:9])
-        assert read_status(copy)[1].warnings[0] == "9 torn bytes, mended on resuming"
+        assert read_status(copy).participants[1].warnings[0] == "9 torn bytes, mended on resuming"
         simulate(copy)
         assert copy.ratings.read_bytes() == whole.ratings.read_bytes()
         assert audit_study(copy) == []
@@ -173,7 +173,7 @@ def test_a_set_built_anew_from_other_reducers_is_refused(copy: StudyFolder) -> N
 
 def test_a_session_that_never_got_its_journal_is_shown_as_not_begun(copy: StudyFolder) -> None:
     copy.journals[0].unlink()
-    first = read_status(copy)[0]
+    first = read_status(copy).participants[0]
     assert (first.done, first.left, first.state, first.simulated, first.last_activity) == (0, 20, "claimed", True, "")
 
 

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import json
 import shutil
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -10,7 +9,7 @@ import pytest
 
 from protocols.tasks import make_task
 from study.folder import StudyFolder
-from study.realised import describe_balance, measure_realised
+from study.realised import describe_balance
 from study.session.journal import require_journal
 from study.session.plan import make_plan
 from study.session.ports import Abort, Confirm, Pause, Playback
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from stimuli.manifest import StimulusSet
-    from study.session.plan import Design, Plan
+    from study.session.plan import Design
 
     Present = Callable[..., list[Any]]
 
@@ -34,7 +33,7 @@ def begun(present: Present, scripted: type, tmp_path: Path) -> StudyFolder:
 
 
 def test_who_finished_has_nothing_left(begun: StudyFolder) -> None:
-    (entry,) = read_status(begun)
+    (entry,) = read_status(begun).participants
     assert (entry.participant, entry.state, entry.number) == ("p01", "finished", 1)
     assert (entry.done, entry.left, entry.simulated, entry.problem) == (20, 0, True, "")
     assert entry.last_activity > "2026"
@@ -50,37 +49,35 @@ def test_who_finished_has_nothing_left(begun: StudyFolder) -> None:
 def test_what_is_broken_hides_nobody_else(begun: StudyFolder, name: str, content: bytes, problem: str) -> None:
     shutil.copytree(begun.sessions / "p01", begun.sessions / "p02")
     (begun.sessions / "p01" / name).write_bytes(content)
-    broken, copied = read_status(begun)
+    broken, copied = read_status(begun).participants
     assert (broken.participant, broken.done, broken.state) == ("p01", 0, "")
     assert problem in broken.problem
     assert "p02/plan.json: is the plan of 'p01', it was copied here; move it away" in copied.problem
-    realised = measure_realised(begun)
-    assert realised is not None
-    assert realised.participants == 1  # The copy; what is broken is left out.
+    assert read_status(begun).balance is None  # Nobody is left to count.
 
 
 def test_a_journal_without_its_plan_is_a_problem(begun: StudyFolder) -> None:
     (begun.sessions / "p01" / "plan.json").unlink()
-    assert "plan.json" in read_status(begun)[0].problem
+    assert "plan.json" in read_status(begun).participants[0].problem
 
 
 def test_a_folder_that_holds_only_a_lock_was_not_begun(begun: StudyFolder) -> None:
     (begun.sessions / "p02").mkdir()
     (begun.sessions / "p02" / ".lock").touch()
-    assert [entry.participant for entry in read_status(begun)] == ["p01"]
+    assert [entry.participant for entry in read_status(begun).participants] == ["p01"]
 
 
 def test_states_follow_the_journal(present: Present, scripted: type, tmp_path: Path) -> None:
     study, folder = StudyFolder(tmp_path), tmp_path / "sessions" / "p01"
     with pytest.raises(KeyboardInterrupt):
         present(scripted(stop_after=3))
-    assert [(entry.state, entry.done, entry.left) for entry in read_status(study)] == [("running", 3, 17)]
+    assert [(entry.state, entry.done, entry.left) for entry in read_status(study).participants] == [("running", 3, 17)]
     require_journal(folder / "session-01.jsonl", now=lambda: datetime(2027, 1, 1, tzinfo=UTC)).write("released", {})
-    assert [entry.state for entry in read_status(study)] == ["released"]
+    assert [entry.state for entry in read_status(study).participants] == ["released"]
     (folder / "session-01.jsonl").unlink()
-    assert [entry.state for entry in read_status(study)] == ["claimed"]
+    assert [entry.state for entry in read_status(study).participants] == ["claimed"]
     (folder / "withdrawn.json").write_text("{}", encoding="utf-8")
-    assert [entry.state for entry in read_status(study)] == ["withdrawn"]
+    assert [entry.state for entry in read_status(study).participants] == ["withdrawn"]
 
 
 def test_what_the_study_lead_should_know_is_counted(
@@ -99,7 +96,7 @@ def test_what_the_study_lead_should_know_is_counted(
     present(presenter, plan=plan)
     journal = tmp_path / "sessions" / "p01" / "session-01.jsonl"
     journal.write_bytes(journal.read_bytes() + b"torn")
-    (entry,) = read_status(StudyFolder(tmp_path))
+    (entry,) = read_status(StudyFolder(tmp_path)).participants
     # The reference against itself got 50 points, twice, for there are two recordings.
     assert entry.warnings == (
         "4 torn bytes, mended on resuming",
@@ -111,7 +108,8 @@ def test_what_the_study_lead_should_know_is_counted(
 
 
 def test_status_is_blind(begun: StudyFolder, stimuli: StimulusSet) -> None:
-    shown = json.dumps([str(entry) for entry in read_status(begun)]) + str(describe_balance(measure_realised(begun)))
+    state = read_status(begun)
+    shown = "\n".join([str(state), *describe_balance(state.balance)])
     shown += (begun.sessions / "p01" / "session-01.jsonl").read_text(encoding="utf-8")
     assert not [stimulus.reducer for stimulus in stimuli.stimuli if stimulus.reducer in shown]
 
@@ -120,15 +118,11 @@ def test_balance_of_one_full_circle_is_perfect_and_a_drop_out_shows(
     present: Present, scripted: type, tmp_path: Path, stimuli: StimulusSet, design: Design
 ) -> None:
     study = StudyFolder(tmp_path)
-    assert measure_realised(study) is None
+    assert read_status(study).balance is None
     assert describe_balance(None) == ["balance: no trial was run yet"]
     for number in range(1, 11):  # Two recordings take 2 orders, five stimuli 10.
-        plan = make_plan(design, stimuli, "p01", number=number, simulated=True)
-        present(scripted(), plan=plan)
-        (tmp_path / "sessions" / "p01").rename(tmp_path / f"aside-{number}")
-    for number in range(1, 11):
-        (tmp_path / f"aside-{number}").rename(tmp_path / "sessions" / f"n{number:02}")
-    realised = measure_realised(study)
+        present(scripted(), plan=make_plan(design, stimuli, f"n{number:02}", number=number, simulated=True))
+    realised = read_status(study).balance
     assert realised is not None
     assert (realised.participants, realised.finished, realised.cycle) == (10, 10, 10)
     assert {(e.task, e.what): e.positions for e in realised.evenness} == {
@@ -137,27 +131,18 @@ def test_balance_of_one_full_circle_is_perfect_and_a_drop_out_shows(
     }  # fmt: skip
     assert {(e.position_index, e.carry_over_index) for e in realised.evenness} == {(0.0, 0.0)}
     shutil.rmtree(tmp_path / "sessions" / "n04")
-    lines = describe_balance(measure_realised(study))
+    lines = describe_balance(read_status(study).balance)
     assert lines[0] == "balance: 9 finished, 1 more for full circle (simulated)"
     assert lines[1].startswith("  realism, stimuli: 1 to 2 at each place, ")
-
-
-def run_all(present: Present, scripted: type, plans: list[Plan], tmp_path: Path, **options: Any) -> StudyFolder:
-    """Lead participants through their plans, each in a folder of its own."""
-    for place, plan in enumerate(plans):
-        present(scripted(), plan=plan, **options)
-        (tmp_path / "sessions" / "p01").rename(tmp_path / f"aside-{place}")
-    for place in range(len(plans)):
-        (tmp_path / f"aside-{place}").rename(tmp_path / "sessions" / f"n{place:02}")
-    return StudyFolder(tmp_path)
 
 
 def test_groups_go_round_their_own_circles(
     present: Present, scripted: type, tmp_path: Path, stimuli: StimulusSet, design: Design
 ) -> None:
     grips = replace(design, between={"grip": ("pen", "power")})
-    plans = [make_plan(grips, stimuli, "p01", number=number, simulated=True) for number in range(1, 11)]
-    realised = measure_realised(run_all(present, scripted, plans, tmp_path))
+    for number in range(1, 11):
+        present(scripted(), plan=make_plan(grips, stimuli, f"n{number}", number=number, simulated=True))
+    realised = read_status(StudyFolder(tmp_path)).balance
     assert realised is not None
     assert realised.cycle == 20
     assert describe_balance(realised)[0] == "balance: 10 finished, 10 more for full circle (simulated)"
@@ -166,8 +151,9 @@ def test_groups_go_round_their_own_circles(
 def test_simulated_participants_do_not_fill_the_places_of_real_ones(
     present: Present, scripted: type, tmp_path: Path, stimuli: StimulusSet, design: Design
 ) -> None:
-    plans = [make_plan(design, stimuli, "p01", number=1, simulated=simulated) for simulated in (True, False, True)]
-    realised = measure_realised(run_all(present, scripted, plans, tmp_path))
+    for name in ("sim001", "sim002", "real"):
+        present(scripted(), plan=make_plan(design, stimuli, name, number=1, simulated=name != "real"))
+    realised = read_status(StudyFolder(tmp_path)).balance
     assert realised is not None
     assert (realised.simulated, realised.participants) == (False, 1)
 
@@ -178,8 +164,9 @@ def test_pages_of_two_arms_can_never_meet_and_are_not_missed(
     louder = tuple(replace(s, stimulus_id=f"{s.stimulus_id}-loud", level="equal") for s in stimuli.stimuli)
     both = replace(stimuli, stimuli=stimuli.stimuli + louder)
     pages = replace(design, tasks=(make_task("mushra"),))
-    plans = [make_plan(pages, both, "p01", number=number, simulated=True) for number in range(1, 11)]
-    realised = measure_realised(run_all(present, scripted, plans, tmp_path, stimuli=both))
+    for number in range(1, 11):
+        present(scripted(), plan=make_plan(pages, both, f"n{number}", number=number, simulated=True), stimuli=both)
+    realised = read_status(StudyFolder(tmp_path)).balance
     assert realised is not None
     (slots,) = (entry for entry in realised.evenness if entry.what == "slots")
     assert (slots.position_index, slots.carry_over_index) == (0.0, 0.0)
@@ -189,7 +176,7 @@ def test_a_second_attempt_counts_where_it_was_run_and_the_bad_one_does_not(
     present: Present, scripted: type, tmp_path: Path
 ) -> None:
     present(scripted(playbacks={(1, 1): [Playback(1.0, 1.0, underruns=1)], (5, 1): [Playback(1.0, 1.0, underruns=1)]}))
-    realised = measure_realised(StudyFolder(tmp_path))
+    realised = read_status(StudyFolder(tmp_path)).balance
     assert realised is not None
     # Each of five stimuli stands at one place of five, also the one that came again after the other block.
     assert [entry.positions for entry in realised.evenness] == [(0, 1)] * 4
@@ -198,4 +185,4 @@ def test_a_second_attempt_counts_where_it_was_run_and_the_bad_one_does_not(
 
 def test_pages_and_pauses_do_not_count(present: Present, scripted: type, tmp_path: Path) -> None:
     present(scripted(acts={(1, 1): [Pause(0.0)]}, pages={"pause": [Abort(1.0, "tired")]}))
-    assert measure_realised(StudyFolder(tmp_path)) is None
+    assert read_status(StudyFolder(tmp_path)).balance is None

@@ -1,0 +1,91 @@
+"""Everything that lies in a participant's folder, read once: the plan and the journals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from study.session.journal import read_journal
+from study.session.opening import PLAN_FILE
+from study.session.plan import require_plan
+from study.session.replay import list_journals
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from study.session.chain import Chain, Record
+    from study.session.plan import Plan
+
+
+@dataclass(frozen=True, slots=True)
+class Dossier:
+    """A participant's plan and journals.
+
+    Parameters
+    ----------
+    folder : Path
+        Where they lie.
+    plan : Plan
+        The plan.
+    chains : tuple of Chain
+        What each journal holds, oldest first; none before the session was begun.
+    """
+
+    folder: Path
+    plan: Plan
+    chains: tuple[Chain, ...]
+
+    @property
+    def records(self) -> tuple[Record, ...]:
+        """The records of the newest journal."""
+        return self.chains[-1].records if self.chains else ()
+
+
+def read_dossier(folder: Path) -> Dossier:
+    """Read what lies in a participant's folder, also while a session runs.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder.
+
+    Returns
+    -------
+    Dossier
+        Plan and journals.
+
+    Raises
+    ------
+    OSError
+        If the plan is missing.
+    ValueError
+        If the plan or a journal is broken, or the plan was copied here.
+    """
+    plan = require_own_plan(folder)
+    return Dossier(folder, plan, tuple(read_journal(path) for path in list_journals(folder)))
+
+
+def require_own_plan(folder: Path) -> Plan:
+    """Read a participant's plan.
+
+    Parameters
+    ----------
+    folder : Path
+        The participant's folder.
+
+    Returns
+    -------
+    Plan
+        The plan.
+
+    Raises
+    ------
+    OSError
+        If it is missing.
+    ValueError
+        If it is broken or lies elsewhere than it was stored.
+    """
+    plan = require_plan(folder / PLAN_FILE)
+    if plan.participant != folder.name:
+        raise ValueError(f"{folder / PLAN_FILE}: is the plan of {plan.participant!r}, it was copied here; move it away")
+    return plan
