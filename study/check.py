@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from math import prod
 from typing import TYPE_CHECKING
 
 from protocols.spaced import find_crowding
+from stimuli.anchors import quietest_hz
+from stimuli.condition import condition, fade
 from stimuli.inspection import check_stimuli
 from stimuli.manifest import read_stimuli
 from study.provenance import find_changes
 from study.session.plan import make_plan
 from study.settings.designs import make_design
+from study.settings.factors import count_groups
 from study.settings.reading import read_settings
+from study.settings.remarks import list_remarks
 from study.settings.sources import make_recipe, try_recordings
 from study.settings.wording import read_study_texts
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
     from stimuli.recipe import Recipe
     from stimuli.recording import Recording
@@ -48,6 +51,7 @@ def check_study(study: StudyFolder) -> tuple[list[Recording], list[str]]:
     recipe = None
     try:
         recipe = make_recipe(settings)
+        problems += _check_recordings(recordings, recipe)
     except ValueError as error:
         problems.append(f"{study.settings.name}: {error}")
     if study.stimuli.exists():
@@ -67,6 +71,18 @@ def _check_origin(study: StudyFolder, recipe: Recipe, recordings: Mapping[str, s
         return [f"{change}; run feel321 build" for change in find_changes(study.stimuli, recipe, recordings)]
     except ValueError as error:
         return [str(error)]
+
+
+def _check_recordings(recordings: Sequence[Recording], recipe: Recipe) -> Iterator[str]:
+    """Try out what a build does to every recording, but for what takes long."""
+    for recording in recordings:
+        try:
+            ready = condition(recording, recipe.conditioning)
+            fade(ready.acceleration, ready.rate_hz, fade_s=recipe.fade_s)
+            if recipe.anchors:
+                quietest_hz(ready)
+        except ValueError as error:
+            yield f"recording {recording.name!r}: {error}"
 
 
 def _check_pictures(study: StudyFolder, settings: Settings) -> list[str]:
@@ -98,24 +114,22 @@ def find_warnings(study: StudyFolder) -> list[str]:
     Returns
     -------
     list of str
-        Rules of the order that the first participant's trials could not keep, one line each; empty before the
-        stimulus set is built.
+        Settings that may not be meant, and, once the stimulus set is built, rules of the order that the first
+        participant's trials could not keep: one line each.
     """
-    if not study.stimuli.exists():
-        return []
-    design = make_design(read_settings(study.settings))
-    if design.order != "random":
-        return []
-    plan = make_plan(design, read_stimuli(study.stimuli), "check", number=1, simulated=False)
-    return [f"order 'random': {line}" for line in find_crowding(plan.trials)]
+    settings = read_settings(study.settings)
+    remarks = [f"{study.settings.name}: {remark}" for remark in list_remarks(settings)]
+    if settings.session.order != "random" or not study.stimuli.exists():
+        return remarks
+    plan = make_plan(make_design(settings), read_stimuli(study.stimuli), "check", number=1, simulated=False)
+    return remarks + [f"order 'random': {line}" for line in find_crowding(plan.trials)]
 
 
 def _check_plan(study: StudyFolder, settings: Settings) -> list[str]:
     """Check that the tasks of every group find the stimuli that they need."""
     design, stimuli = make_design(settings), read_stimuli(study.stimuli)
-    groups = prod(len(levels) for levels in design.between.values())
     problems: dict[str, None] = {}
-    for number in range(1, groups + 1):
+    for number in range(1, count_groups(design.between) + 1):
         try:
             make_plan(design, stimuli, "check", number=number, simulated=False)
         except ValueError as error:

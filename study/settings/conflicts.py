@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from itertools import product
 from typing import TYPE_CHECKING
 
-from protocols.groups import select_items
+from protocols.groups import CHOOSING, select_items, select_tasks
 from protocols.registry import PROTOCOLS
 from protocols.tasks import make_task
 from protocols.trial import SURFACE, Item
@@ -17,6 +18,10 @@ if TYPE_CHECKING:
 
     from protocols.protocol import Task
     from study.settings.tables import Settings
+
+
+MOST_TRIALS = 10_000
+"""Trials in a session; people do a few hundred, simulated ones somewhat more."""
 
 
 def find_conflicts(settings: Settings) -> list[str]:
@@ -33,10 +38,20 @@ def find_conflicts(settings: Settings) -> list[str]:
         Every conflict in one line; empty if there is none.
     """
     # What is wrong here would only be said again, and less clearly, by what follows from it.
-    if found := [*_check_tasks(settings), *_check_between(settings), *_check_observer(settings)]:
+    checks = (_check_reference, _check_tasks, _check_between, _check_observer)
+    if found := [line for check in checks for line in check(settings)]:
         return found
     tasks = make_design(settings).tasks
-    return [*_check_samples(settings, tasks), *_check_comparisons(settings, tasks)]
+    found = [*_check_samples(settings, tasks), *dict.fromkeys(_check_comparisons(settings, tasks))]
+    return found or list(_check_length(settings, tasks))
+
+
+def _check_reference(settings: Settings) -> Iterator[str]:
+    if (reference := settings.stimuli.reference) in settings.stimuli.reducers:
+        yield (
+            f"stimuli.reference: got {reference!r}, which is one of stimuli.reducers: it would go by two names; "
+            "take it out of the reducers"
+        )
 
 
 def _check_tasks(settings: Settings) -> Iterator[str]:
@@ -77,13 +92,32 @@ def _check_samples(settings: Settings, tasks: tuple[Task, ...]) -> Iterator[str]
 
 def _check_comparisons(settings: Settings, tasks: tuple[Task, ...]) -> Iterator[str]:
     """Try out whether the stimuli to be built are what the tasks need."""
-    for level in settings.between.get("level", (None,)):
-        items = select_items(_list_items(settings), {} if level is None else {"level": level})
-        for task in tasks:
+    for items, own in _list_groups(settings, tasks):
+        for task in own:
             try:
                 PROTOCOLS[task.protocol].compare(items, task)
             except ValueError as error:
                 yield f"tasks.{task.protocol}: {error}"
+
+
+def _check_length(settings: Settings, tasks: tuple[Task, ...]) -> Iterator[str]:
+    """Count the trials of each group, which are as many for each recording."""
+    each = len(settings.recordings) * settings.session.repeats
+    groups = _list_groups(settings, tasks)
+    trials = max(each * sum(len(PROTOCOLS[t.protocol].compare(items, t)) for t in own) for items, own in groups)
+    if trials > MOST_TRIALS:
+        yield (
+            f"session.repeats: got {settings.session.repeats}, which makes {trials} trials in a session, allowed are "
+            f"at most {MOST_TRIALS}; ask for fewer repeats, reducers or recordings"
+        )
+
+
+def _list_groups(settings: Settings, tasks: tuple[Task, ...]) -> Iterator[tuple[tuple[Item, ...], tuple[Task, ...]]]:
+    """List what is felt and done in the groups that differ in that."""
+    factors = {name: settings.between[name] for name in CHOOSING if name in settings.between}
+    for levels in product(*factors.values()):
+        groups = dict(zip(factors, levels, strict=True))
+        yield select_items(_list_items(settings), groups), select_tasks(tasks, groups)
 
 
 def _list_items(settings: Settings) -> list[Item]:

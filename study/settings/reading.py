@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import tomllib
 from difflib import get_close_matches
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 from pydantic import ValidationError
 
@@ -76,7 +76,9 @@ def read_settings(path: Path) -> Settings:
     """
     try:
         # By way of JSON, where strict reading takes an array for a tuple, but no "5" or true for a number.
-        content = json.dumps(tomllib.loads(path.read_text(encoding="utf-8")), default=str)
+        content = json.dumps(tomllib.loads(path.read_text(encoding="utf-8-sig")), default=_refuse_time)
+    except TypeError as error:
+        raise ValueError(f"{path.name}: {error}") from None
     except ValueError as error:  # TOML's own errors and those of the encoding
         raise ValueError(f"{path}: got no TOML ({error}); mend that place") from None
     except RecursionError:
@@ -89,6 +91,11 @@ def read_settings(path: Path) -> Settings:
     if mistakes:
         raise ValueError("\n".join(f"{path.name}: {mistake}" for mistake in mistakes))
     return settings
+
+
+def _refuse_time(value: object) -> NoReturn:
+    # A TypeError is how `json` wants to be told.
+    raise TypeError(f"got the date or time {value}, allowed are texts, numbers, true and false; put it in quotes")
 
 
 def _translate(detail: ErrorDetails) -> str:
@@ -123,6 +130,7 @@ def _write_place(location: tuple[int | str, ...]) -> str:
 
 def _suggest(names: tuple[str, ...]) -> str:
     *table, key = names
-    allowed = list(TABLES[tuple(table)].model_fields)
+    # The only tables that are not known are tasks of no protocol, whose names are refused themselves.
+    allowed = list(TABLES.get(tuple(table), TaskTable).model_fields)
     near = get_close_matches(key, allowed, n=1)
     return f"did you mean {near[0]}?" if near else f"allowed: {', '.join(allowed)}"

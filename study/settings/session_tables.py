@@ -11,12 +11,13 @@ from protocols.flow import FLAGS
 from protocols.registry import PROTOCOLS
 from protocols.texts import list_languages
 from study.session.opening import POLICIES
+from study.settings.factors import check_factor, check_groups
 from study.settings.fields import (
     Count,
     Distinct,
     NotNegative,
     OrOff,
-    PositiveOrOff,
+    Positive,
     Share,
     Some,
     Table,
@@ -37,39 +38,39 @@ def _check_language(language: str) -> str:
 class RehearsalTable(Table):
     """`[session.rehearsal]`: what comes before the trials that count."""
 
-    training: Count = 4
-    practice: Count = 2
+    training: Annotated[Count, Field(le=100)] = 4
+    practice: Annotated[Count, Field(le=100)] = 2
     pass_share: Share = 0.75
-    rounds: Annotated[int, Field(ge=1)] = 3
+    rounds: Annotated[int, Field(ge=1, le=100)] = 3
 
 
 class BreaksTable(Table):
     """`[session.breaks]`: when the hand rests."""
 
     every_trials: Annotated[Annotated[int, Field(ge=1)] | None, OrOff] = 60
-    every_min: PositiveOrOff = 10.0
-    break_s: NotNegative = 30.0
-    rest_s: NotNegative = 60.0
+    every_min: Annotated[Annotated[Positive, Field(le=1440)] | None, OrOff] = 10.0
+    break_s: Annotated[NotNegative, Field(le=3600)] = 30.0
+    rest_s: Annotated[NotNegative, Field(le=3600)] = 60.0
 
 
 class QualityTable(Table):
     """`[session.quality]`: which trials are tried again."""
 
-    min_response_s: NotNegative = 0.2
-    max_attempts: Annotated[int, Field(ge=1)] = 3
+    min_response_s: Annotated[NotNegative, Field(le=5)] = 0.2
+    max_attempts: Annotated[int, Field(ge=1, le=100)] = 3
     reject: Annotated[tuple[Annotated[str, one_of(FLAGS)], ...], Distinct] = (
         "underrun",
         "device_error",
         "too_fast",
         "not_felt",
     )
-    gap_s: NotNegative = 0.5
+    gap_s: Annotated[NotNegative, Field(le=30)] = 0.5
 
 
 class StaleTable(Table):
     """`[session.stale]`: what becomes of a session that is resumed late."""
 
-    after_h: PositiveOrOff = 6.0
+    after_h: Annotated[Annotated[Positive, Field(le=8760)] | None, OrOff] = 6.0
     policy: Annotated[str, one_of(POLICIES)] = "warm_up"
 
 
@@ -96,4 +97,6 @@ class TaskTable(Table):
 
 
 Tasks = dict[Annotated[str, one_of(PROTOCOLS)], TaskTable]
-Between = dict[Words, Annotated[tuple[Words, ...], Some]]
+Between = Annotated[
+    dict[Annotated[str, AfterValidator(check_factor)], Annotated[tuple[Words, ...], Some]], AfterValidator(check_groups)
+]

@@ -7,7 +7,7 @@ otherwise. The number seeds an orientation uniform over all rotations: the same 
 from __future__ import annotations
 
 import hashlib
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from stimuli.condition import Conditioning
@@ -21,6 +21,43 @@ if TYPE_CHECKING:
 
     from stimuli.recording import Recording
     from study.settings.tables import FileTable, Settings
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """The real surface that a recording was taken from.
+
+    Parameters
+    ----------
+    sample : str or None
+        What it is called in the lab; None where it is not at hand.
+    picture : Path or None
+        A picture of it; None where there is none.
+    """
+
+    sample: str | None
+    picture: Path | None
+
+
+def list_surfaces(settings: Settings, folder: Path) -> dict[str, Surface]:
+    """Look up the surfaces that participants stroke or see; a trial names them by their recordings.
+
+    Parameters
+    ----------
+    settings : Settings
+        The study's settings.
+    folder : Path
+        The study's folder; file names are relative to it.
+
+    Returns
+    -------
+    dict of str to Surface
+        The surface of every recording, by the recording's name.
+    """
+    return {
+        entry.title: Surface(entry.sample, folder / entry.picture if entry.picture else None)
+        for entry in settings.recordings
+    }
 
 
 def open_recordings(settings: Settings, folder: Path) -> list[Recording]:

@@ -43,8 +43,8 @@ class SourceTable(Table):
     """`[[recordings]]`: what every entry may say."""
 
     name: str = ""
-    sample: str = ""
-    picture: str = ""
+    sample: Words | None = None
+    picture: Words | None = None
     rotation: Count | None = None
 
     def entitle(self, source: str) -> str:
@@ -125,7 +125,7 @@ class StimuliTable(Table):
     levels: Annotated[tuple[Annotated[str, one_of(LEVELS)], ...], Some] = LEVELS[:1]
     anchors: bool = True
     reference: Annotated[str, one_of((ORIGINAL, NO_REFERENCE, *REDUCERS))] = ORIGINAL
-    gain: Positive | None = None
+    gain: Annotated[float, Field(ge=1e-6, le=1e6)] | None = None
     fade_s: NotNegative = 0.01
     conditioning: ConditioningTable = ConditioningTable()
 
@@ -134,7 +134,7 @@ class RigTable(Table):
     """`[rig]`: what the stimuli are rendered for."""
 
     rate_hz: Positive = 48000.0
-    full_scale_m_s2: Positive = 100.0
+    full_scale_m_s2: Annotated[Positive, Field(le=1e6)] = 100.0
     headroom: Annotated[float, Field(gt=0, le=1)] = 0.9
 
 

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from protocols.texts import CATALOG
-from study.check import check_study
+from stimuli.wav import write_wav
+from study.check import check_study, find_warnings
 from study.workflow import build_study
 
 if TYPE_CHECKING:
@@ -64,3 +65,40 @@ def test_every_group_is_planned(study: StudyFolder, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr("study.check.make_plan", refuse)
     assert check_study(study)[1] == ["group 1 has nothing to feel", "group 0 has nothing to feel"]
     assert planned == [1, 2, 3, 4]
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("fade_s = 0.3", "recording 'bumps': fade_s: got 0.3, allowed is 0 to 0.25 s, half the signal"),
+        ("conditioning.crop_s = [0.1, 0.6]", "recording 'bumps': crop_s: got (0.1, 0.6), allowed for 'bumps' is up to"),
+        ("conditioning.high_pass_hz = 6000\nconditioning.low_pass_hz = 'off'", "recording 'bumps': highpass: got 6000"),
+    ],
+)
+def test_what_a_build_would_refuse_is_found_for_every_recording(study: StudyFolder, text: str, problem: str) -> None:
+    settings = study.settings.read_text(encoding="utf-8").replace("[stimuli]", f"[stimuli]\n{text}")
+    study.settings.write_text(settings, encoding="utf-8")
+    first, second = check_study(study)[1]
+    assert first.startswith(problem)
+    assert second.startswith("recording 'hard_taps': ")
+    with pytest.raises(ValueError, match=r"^recording 'bumps': ") as caught:
+        build_study(study)
+    assert str(caught.value) == first
+
+
+def test_a_silent_recording_is_found_where_it_shall_have_anchors(study: StudyFolder) -> None:
+    write_wav(study.path / "still.wav", [[0.0] * 8000] * 3, 8000)
+    text = '[[recordings]]\nfile = "still.wav"\nunit = "g"\n[stimuli]\nreducers = ["sax321"]\n'
+    study.settings.write_text(text, encoding="utf-8")
+    (problem,) = check_study(study)[1]
+    assert problem.startswith("recording 'still': 'still' is silent between 20 and 1000 Hz: it can have no anchors")
+    study.settings.write_text(f"{text}anchors = false", encoding="utf-8")
+    assert check_study(study)[1] == []
+    build_study(study)
+
+
+def test_remarks_on_settings_need_no_stimuli(study: StudyFolder) -> None:
+    assert find_warnings(study) == []
+    text = study.settings.read_text(encoding="utf-8") + "[session.breaks]\nrest_s = 0\n"
+    study.settings.write_text(text, encoding="utf-8")
+    assert [line.split(": ")[:2] for line in find_warnings(study)] == [["study.toml", "session.breaks.rest_s"]]

@@ -38,6 +38,10 @@ def tell(path: Path, text: str) -> list[str]:
         "[stimuli]\nlevels = ['as_is', 'equal_intensity']\n[between]\nlevel = ['as_is', 'equal_intensity']",
         "[between]\nprotocol = ['realism', 'similarity']\ngrip = ['pen', 'power']",
         "[observer]\nstraight_liners = 0.5\nscale_reversers = 0.5",
+        "[stimuli]\nreference = 'dft321'\nreducers = ['sax321']",
+        "[session]\nrepeats = 208",
+        # Each participant has one of the tasks, and the limit is on sessions.
+        "[session]\nrepeats = 400\n[between]\nprotocol = ['realism', 'similarity']",
     ],
 )
 def test_settings_that_go_together_pass(text: str, tmp_path: Path) -> None:
@@ -52,6 +56,8 @@ def test_settings_that_go_together_pass(text: str, tmp_path: Path) -> None:
         ("[tasks.abx]\nsurface = true", "tasks.abx.surface: got true, allowed is false"),
         ("[tasks.realism]\nsurface = true", "recordings[2].sample: is missing, but realism let the real surface be"),
         ("[tasks.similarity]\nreference = 'surface'", "recordings[2].sample: is missing, but similarity let the real"),
+        ("[stimuli]\nreference = 'dft321'", "stimuli.reference: got 'dft321', which is one of stimuli.reducers: it"),
+        ("[session]\nrepeats = 400", "session.repeats: got 400, which makes 19200 trials in a session, allowed are at"),
         ("[between]\nlevel = ['equal_intensity']", "between.level: got 'equal_intensity', allowed: as_is; or add it"),
         ("[between]\nprotocol = ['abx']", "between.protocol: got 'abx', allowed: realism, similarity; or add it to"),
         (
@@ -74,6 +80,12 @@ def test_a_page_of_mushra_has_its_limit(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr("protocols.mushra.MOST", 11)
     (told,) = tell(tmp_path, text)
     assert told.startswith("tasks.mushra: recording 'bumps', level 'as_is': got 12 stimuli for a page of mushra,")
+
+
+def test_a_task_that_no_group_has_wants_nothing(tmp_path: Path) -> None:
+    text = "[stimuli]\nreference = 'none'\n"
+    assert len(tell(tmp_path, text)) == 1
+    assert tell(tmp_path, f"{text}[between]\nprotocol = ['realism']") == []
 
 
 def test_what_follows_from_a_conflict_is_not_told_as_well(tmp_path: Path) -> None:

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from study.folder import StudyFolder
 
 SHORTEST = '[[recordings]]\nscene = "bumps"\n'
+TEN = list("abcdefghij")
 
 
 @pytest.fixture
@@ -239,7 +240,30 @@ def test_every_setting_of_the_stimuli_reaches_the_recipe(read: Callable[[str], S
         (f"a = {'[' * 250}{']' * 250}", "got TOML that is nested too deeply; mend that place"),
         (SHORTEST + "[study]\nseed = '5'", "study.seed: got '5', allowed: a valid integer"),
         (SHORTEST + "[study]\nseed = true", "study.seed: got True, allowed: a valid integer"),
-        (SHORTEST + "[study]\nname = 2026-01-01T00:00:00\nseed = 1.5", "study.seed: got 1.5, allowed: a valid integer"),
+        (SHORTEST + "[study]\nname = 2026-01-01", "study.toml: got the date or time 2026-01-01, allowed are texts,"),
+        (SHORTEST + "sample = ' '", "recordings[1].sample: got ' ', allowed is a text that is not empty"),
+        (SHORTEST + "picture = ''", "recordings[1].picture: got '', allowed is a text that is not empty"),
+        (SHORTEST + "[between]\nLevels = ['as_is']", "between.Levels: got 'Levels', did you mean level? Allowed is"),
+        (SHORTEST + "[between]\nPROTOCOL = ['abx']", "between.PROTOCOL: got 'PROTOCOL', did you mean protocol?"),
+        (SHORTEST + "[between]\n'my grip' = ['a']", "between.my grip: got 'my grip', allowed are up to 40 letters"),
+        (SHORTEST + "[between]\n2nd = ['a']", "between.2nd: got '2nd', allowed are up to 40 letters (A-Z), digits"),
+        (SHORTEST + "[between]\nRating = ['a']", "got 'Rating', is a column of participants.csv or ratings.csv"),
+        (SHORTEST + "[between]\nstate = ['a']", "got 'state', is a column of participants.csv or ratings.csv already"),
+        (SHORTEST + "[between]\nlast_utc = ['a']", "got 'last_utc', is a column of participants.csv or ratings.csv"),
+        (SHORTEST + f"[between]\na = {TEN}\nb = {TEN}", "between: got 100 groups, allowed are at most 64; use fewer"),
+        (SHORTEST + "[session.quality]\nmin_response_s = 6", "got 6, allowed: less than or equal to 5"),
+        (SHORTEST + "[session.quality]\ngap_s = 31", "got 31, allowed: less than or equal to 30"),
+        (SHORTEST + "[session.quality]\nmax_attempts = 101", "got 101, allowed: less than or equal to 100"),
+        (SHORTEST + "[session.breaks]\nevery_min = 1441", 'got 1441, allowed: less than or equal to 1440, or "off"'),
+        (SHORTEST + "[session.breaks]\nbreak_s = 3601", "got 3601, allowed: less than or equal to 3600"),
+        (SHORTEST + "[session.breaks]\nrest_s = 3601", "got 3601, allowed: less than or equal to 3600"),
+        (SHORTEST + "[session.rehearsal]\ntraining = 101", "got 101, allowed: less than or equal to 100"),
+        (SHORTEST + "[session.rehearsal]\npractice = 101", "got 101, allowed: less than or equal to 100"),
+        (SHORTEST + "[session.rehearsal]\nrounds = 101", "got 101, allowed: less than or equal to 100"),
+        (SHORTEST + "[session.stale]\nafter_h = 1e300", 'got 1e+300, allowed: less than or equal to 8760, or "off"'),
+        (SHORTEST + "[stimuli]\ngain = 1e300", "stimuli.gain: got 1e+300, allowed: less than or equal to 1000000"),
+        (SHORTEST + "[stimuli]\ngain = 1e-300", "stimuli.gain: got 1e-300, allowed: greater than or equal to 0.000001"),
+        (SHORTEST + "[rig]\nfull_scale_m_s2 = 1e7", "got 10000000.0, allowed: less than or equal to 1000000"),
         (SHORTEST + "[study]\nseed = -1", "study.seed: got -1, allowed: greater than or equal to 0"),
         (SHORTEST + "[rig]\nrate_hz = nan", "rig.rate_hz: got nan, allowed: "),
         (SHORTEST + "[stimuli.conditioning]\nhigh_pass_hz = 0", "stimuli.conditioning.high_pass_hz: got 0, allowed: "),
@@ -261,6 +285,23 @@ def test_all_mistakes_are_told_at_once(read: Callable[[str], Settings]) -> None:
         " rig.headroom",
         " rig.zzz",
     ]
+
+
+def test_a_task_of_no_protocol_is_told_with_its_wrong_keys(read: Callable[[str], Settings]) -> None:
+    with pytest.raises(ValueError, match="is no setting") as caught:
+        read(SHORTEST + "[tasks.foo]\ntimming = 1")
+    assert [line.split(" ")[1] for line in str(caught.value).splitlines()] == ["tasks.foo:", "tasks.foo.timming:"]
+
+
+def test_the_mark_that_some_editors_put_first_is_no_mistake(tmp_path: Path) -> None:
+    (tmp_path / "study.toml").write_text(SHORTEST, encoding="utf-8-sig")
+    assert read_settings(tmp_path / "study.toml").recordings[0].title == "bumps"
+
+
+def test_factors_may_be_labels_of_any_kind(read: Callable[[str], Settings]) -> None:
+    text = "[between]\ngrip_2 = ['pen', 'mit Öl']\nlevel = ['as_is']\nprotocol = ['realism']\nHand = ['l', 'r']"
+    assert list(read(SHORTEST + text).between) == ["grip_2", "level", "protocol", "Hand"]
+    assert len(read(f"{SHORTEST}[between]\na = {TEN[:8]}\nb = {TEN[:8]}").between) == 2
 
 
 def test_settings_cannot_be_changed_after_reading(read: Callable[[str], Settings]) -> None:

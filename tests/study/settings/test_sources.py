@@ -12,7 +12,7 @@ from stimuli.manifest import read_stimuli
 from stimuli.synthesis import make_scene
 from study.check import check_study
 from study.settings.reading import read_settings
-from study.settings.sources import open_recordings, turn_recording
+from study.settings.sources import Surface, list_surfaces, open_recordings, turn_recording
 from study.workflow import build_study
 
 if TYPE_CHECKING:
@@ -70,3 +70,12 @@ def test_another_orientation_makes_the_set_stale_until_it_is_built_again(study: 
     second = read_stimuli(study.stimuli)
     assert second.sha256 != first.sha256
     assert {row.sha256 for row in first.stimuli}.isdisjoint(row.sha256 for row in second.stimuli)
+
+
+def test_surfaces_are_found_by_the_names_that_trials_know_them_by(study: StudyFolder) -> None:
+    text = f'{SCENE}name = "oak"\nsample = "the oak board"\npicture = "pictures/oak.png"\n{SCENE}rotation = 2\n'
+    study.settings.write_text(text, encoding="utf-8")
+    assert list_surfaces(read_settings(study.settings), study.path) == {
+        "oak": Surface("the oak board", study.path / "pictures" / "oak.png"),
+        "bumps-r2": Surface(None, None),
+    }
