@@ -18,6 +18,8 @@ from protocols.trial import Scale
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    Place = tuple[str | int, ...]
+
 CATALOG = files("protocols") / "catalog"
 
 MODEL = "en"
@@ -143,8 +145,36 @@ def read_refusals(language: str | Path = MODEL) -> dict[str, str]:
     return dict(read_texts(language)["refusals"])
 
 
+def read_part_names(language: str | Path = MODEL) -> dict[str, str]:
+    """Read what the parts of trials are called; those that are numbered are called by their numbers.
+
+    Parameters
+    ----------
+    language : str or Path
+        Language code of the catalogue, or a file of the same form.
+
+    Returns
+    -------
+    dict of str to str
+        What people read, by the part's name.
+
+    Raises
+    ------
+    ValueError
+        If there is no such language, or the file is not complete.
+    OSError
+        If the file cannot be read.
+
+    Examples
+    --------
+    >>> read_part_names("de")["surface"]
+    'Echte Oberfläche'
+    """
+    return dict(read_texts(language)["parts"])
+
+
 def read_texts(language: str | Path = MODEL) -> dict[str, Any]:
-    """Read all texts of a language; those besides scales, pages and refusals are `prompts` and `keys` of the screen.
+    """Read all texts of a language; those that no other function gives are `prompts` and `keys` of the screen.
 
     Parameters
     ----------
@@ -166,7 +196,7 @@ def read_texts(language: str | Path = MODEL) -> dict[str, Any]:
     Examples
     --------
     >>> list(read_texts())
-    ['scales', 'pages', 'refusals', 'prompts', 'keys']
+    ['scales', 'pages', 'refusals', 'prompts', 'parts', 'keys']
     """
     if isinstance(language, Path):
         return _read_own(language)
@@ -188,7 +218,8 @@ def find_gaps(texts: dict[str, Any], model: dict[str, Any]) -> list[str]:
     Returns
     -------
     list of str
-        Every difference in one line: a key that is missing or unknown, and other placeholders.
+        Every difference in one line: a key that is missing or unknown, even if it holds nothing, and other
+        placeholders.
 
     Examples
     --------
@@ -196,10 +227,10 @@ def find_gaps(texts: dict[str, Any], model: dict[str, Any]) -> list[str]:
     ['a: got no placeholders, allowed is {n}', 'b[1]: is missing', 'b[2]: is missing', 'c: is no known text']
     """
     own, wanted = dict(_flatten(texts)), dict(_flatten(model))
-    faults = {key: _find_fault(key, own[key], wanted[key]) for key in wanted if key in own}
-    gaps = [f"{key}: {fault}" for key, fault in faults.items() if fault]
-    gaps += [f"{key}: is missing" for key in wanted if key not in own]
-    return gaps + [f"{key}: is no known text" for key in own if key not in wanted]
+    faults = {place: _find_fault(place, own[place], wanted[place]) for place in wanted if place in own}
+    gaps = [f"{_write_place(place)}: {fault}" for place, fault in faults.items() if fault]
+    gaps += [f"{_write_place(place)}: is missing" for place in wanted if place not in own]
+    return gaps + [f"{_write_place(place)}: is no known text" for place in own if place not in wanted]
 
 
 def _make_scale(name: str, entry: dict[str, Any]) -> Scale:
@@ -210,7 +241,7 @@ def _make_scale(name: str, entry: dict[str, Any]) -> Scale:
 
 def _read_own(path: Path) -> dict[str, Any]:
     try:
-        texts = tomllib.loads(path.read_text(encoding="utf-8"))
+        texts = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (ValueError, RecursionError) as error:  # TOML's own errors and those of the encoding
         raise ValueError(f"{path}: got no TOML ({error}); mend that place") from None
     if gaps := find_gaps(texts, read_texts()):
@@ -218,22 +249,28 @@ def _read_own(path: Path) -> dict[str, Any]:
     return texts
 
 
-def _flatten(texts: object, place: str = "") -> Iterator[tuple[str, object]]:
-    """Name every text by its keys; lists are counted from 1."""
-    if isinstance(texts, dict):
+def _flatten(texts: object, place: Place = ()) -> Iterator[tuple[Place, object]]:
+    """Name every text by its keys, and lists and tables that are empty; lists are counted from 1."""
+    if isinstance(texts, dict) and texts:
         for key, entry in texts.items():
-            yield from _flatten(entry, f"{place}.{key}" if place else key)
-    elif isinstance(texts, list):
+            yield from _flatten(entry, (*place, key))
+    elif isinstance(texts, list) and texts:
         for number, entry in enumerate(texts, start=1):
-            yield from _flatten(entry, f"{place}[{number}]")
+            yield from _flatten(entry, (*place, number))
     else:
         yield place, texts
 
 
-def _find_fault(key: str, text: object, model: object) -> str:
+def _write_place(place: Place) -> str:
+    """Write a place as it stands in TOML, where a key that holds dots is quoted."""
+    keys = (f"[{key}]" if isinstance(key, int) else f'."{key}"' if "." in key else f".{key}" for key in place)
+    return "".join(keys).removeprefix(".")
+
+
+def _find_fault(place: Place, text: object, model: object) -> str:
     if not isinstance(text, str) or not text.strip():
         return f"got {text!r}, allowed is a text"
-    if ".choices[" in key and text != model:
+    if "choices" in place and text != model:
         return f"got {text!r}, allowed is {model!r}: choices are names of parts, the same in every language"
     got, allowed = _list_placeholders(text), _list_placeholders(str(model))
     return "" if got == allowed else f"got {got or 'no placeholders'}, allowed is {allowed or 'none'}"

@@ -9,19 +9,44 @@ import pytest
 from protocols.abx import CHOICES
 from protocols.flow import PAGES
 from protocols.registry import PROTOCOLS
+from protocols.tasks import make_task
 from protocols.texts import (
     CATALOG,
     MODEL,
     find_gaps,
     list_languages,
     read_pages,
+    read_part_names,
     read_refusals,
     read_scales,
     read_texts,
 )
+from protocols.trial import SURFACE, Item
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+# Which words stand at 0 and at 100 points, and along the slider: swapped, they would turn every rating round.
+ENDS = {
+    "en": {
+        "realism": ("Not at all real", "Like touching the real surface"),
+        "similarity": ("Completely different", "Identical"),
+        "dissimilarity": ("Identical", "Completely different"),
+        "mushra": ("Not at all", "Just like the reference"),
+        "abx": ("Wrong", "Right"),
+    },
+    "de": {
+        "realism": ("Überhaupt nicht echt", "Wie die echte Oberfläche"),
+        "similarity": ("Völlig verschieden", "Identisch"),
+        "dissimilarity": ("Identisch", "Völlig verschieden"),
+        "mushra": ("Überhaupt nicht", "Genau wie die Referenz"),
+        "abx": ("Falsch", "Richtig"),
+    },
+}
+ALONG = {
+    "en": ("Bad", "Poor", "Fair", "Good", "Excellent"),
+    "de": ("Schlecht", "Dürftig", "Ordentlich", "Gut", "Ausgezeichnet"),
+}
 
 MOST_CHARACTERS = 400  # what can be read at a glance from 1 m
 
@@ -55,6 +80,34 @@ def test_every_language_has_the_scale_of_every_protocol(language: str) -> None:
 
 
 @pytest.mark.parametrize("language", list_languages())
+def test_both_ends_of_every_scale_are_where_they_belong(language: str) -> None:
+    scales = read_scales(language)
+    assert {name: (scale.low_label, scale.high_label) for name, scale in scales.items()} == ENDS[language]
+    assert scales["mushra"].anchors == ALONG[language]
+
+
+@pytest.mark.parametrize("language", list_languages())
+def test_every_part_that_is_not_numbered_has_a_name(language: str) -> None:
+    made = (("low", "anchor"), ("mid", "anchor"), ("sax321", "test"), ("dft321", "test"), ("original", "reference"))
+    items = [Item(reducer, "oak", reducer, "as_is", role) for reducer, role in made]
+    tasks = [make_task(name) for name in PROTOCOLS]
+    tasks += [make_task("realism", surface=True), make_task("similarity", reference=SURFACE)]
+    compared = [comparison for task in tasks for comparison in PROTOCOLS[task.protocol].compare(items, task)]
+    parts = {part.name for comparison in compared for part in comparison.parts if not part.name.isdigit()}
+    assert set(read_part_names(language)) == parts
+
+
+@pytest.mark.parametrize(
+    ("language", "slider"), [("en", "markers?|slider|ends|left|right"), ("de", "Marken?|Regler|Enden|links|rechts")]
+)
+def test_pages_of_all_tasks_speak_of_no_slider(language: str, slider: str) -> None:
+    texts = {key: page.text for key, page in read_pages(language).items() if not key.startswith("instructions.")}
+    texts |= read_refusals(language)
+    assert [key for key, text in texts.items() if re.search(rf"\b({slider})\b", text)] == []
+    assert re.search(slider, read_pages(language)["instructions.realism"].text)
+
+
+@pytest.mark.parametrize("language", list_languages())
 def test_every_language_has_every_page(language: str) -> None:
     wanted = {*PAGES, *(f"instructions.{name}" for name in PROTOCOLS)} - {"instructions"}
     pages = read_pages(language)
@@ -85,6 +138,47 @@ def test_a_lab_can_bring_a_file_of_its_own(own: Path) -> None:
     assert read_pages(own)["end"].title == "Merci"
     assert read_scales(own) == read_scales(MODEL)
     assert read_refusals(own) == read_refusals(MODEL)
+
+
+def test_keys_with_dots_want_quotes(own: Path, english: str) -> None:
+    own.write_text(english.replace('[pages."instructions.realism"]', "[pages.instructions.realism]"), encoding="utf-8")
+    with pytest.raises(ValueError, match="is missing") as caught:
+        read_pages(own)
+    assert [line.split(": ", 1)[1].partition(";")[0] for line in str(caught.value).splitlines()] == [
+        'pages."instructions.realism".title: is missing',
+        'pages."instructions.realism".text: is missing',
+        "pages.instructions.realism.title: is no known text",
+        "pages.instructions.realism.text: is no known text",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("extra", "place"),
+    [
+        ("[extra]", "extra"),
+        ("[pages.coffee]", "pages.coffee"),
+        ("[scales.realism.anchors]", "scales.realism.anchors"),
+        ("[[pages.end.more]]", "pages.end.more[1]"),
+    ],
+)
+def test_tables_that_nobody_reads_are_told_though_they_are_empty(
+    extra: str, place: str, own: Path, english: str
+) -> None:
+    own.write_text(f"{english}\n{extra}\n", encoding="utf-8")
+    with pytest.raises(ValueError, match=rf": {re.escape(place)}: is no known text; compare"):
+        read_texts(own)
+
+
+def test_a_table_is_no_list(own: Path, english: str) -> None:
+    text = re.sub(r"(?m)^anchors = .*$", 'anchors = {1 = "a", 2 = "b", 3 = "c", 4 = "d", 5 = "e"}', english)
+    own.write_text(text, encoding="utf-8")
+    with pytest.raises(ValueError, match=r"scales\.mushra\.anchors\[5\]: is missing"):
+        read_scales(own)
+
+
+def test_the_mark_that_some_editors_put_first_is_no_mistake(own: Path, english: str) -> None:
+    own.write_text(english, encoding="utf-8-sig")
+    assert read_texts(own) == read_texts()
 
 
 def test_all_gaps_of_an_own_file_are_told_at_once(own: Path, english: str) -> None:
