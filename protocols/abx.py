@@ -12,6 +12,7 @@ References
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from protocols.arms import split_arms
@@ -57,6 +58,32 @@ def compare(items: Sequence[Item], task: Task) -> tuple[Comparison, ...]:
         for reference in [find_reference(arm[0], arm, reference=task.reference)]
         for item in arm
         if item != reference
+    )
+
+
+def teach(items: Sequence[Item], task: Task) -> tuple[Comparison, ...]:
+    """Say of every comparison what is right: x was one of the two, however hard they are to tell apart.
+
+    Parameters
+    ----------
+    items : sequence of Item
+        All stimuli of one recording.
+    task : Task
+        What is the reference.
+
+    Returns
+    -------
+    tuple of Comparison
+        One per stimulus but the reference.
+
+    Raises
+    ------
+    ValueError
+        If there is nothing to test, or not exactly one such reference.
+    """
+    return tuple(
+        replace(comparison, judgements=tuple(replace(j, expected=(RIGHT, RIGHT)) for j in comparison.judgements))
+        for comparison in compare(items, task)
     )
 
 
@@ -123,7 +150,9 @@ ABX = Protocol(
     timings=("replay", "strict"),
     references=(ORIGINAL, "reducer"),
     compare=compare,
+    teach=teach,
     arrange=arrange,
     score=score,
+    choices=CHOICES,
 )
 """The protocol as it stands in the registry."""

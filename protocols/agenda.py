@@ -140,12 +140,13 @@ class Agenda:
                 self._steps.appendleft(Page("break", self._flow.break_s))
 
     def warm_up(self) -> None:
-        """Put the practice of the current task before all else, for someone who comes back after a long while."""
+        """Put the practice of the current task, if any, before all else: for who comes back after a long while."""
         ahead = next((step for step in self._steps if isinstance(step, Trial)), None)
         if ahead is None or ahead.phase != "main" or self._steps[0] == Page("warm_up"):
             return  # Nothing is left, or they are warming up anyway.
         again = [t for t in self._trials.values() if t.phase == "practice" and t.protocol == ahead.protocol]
-        self._put_first([Page("warm_up"), *again])
+        if again:
+            self._put_first([Page("warm_up"), *again])
 
     def _take(self, name: str | int) -> None:
         step = self.ask()
@@ -159,7 +160,7 @@ class Agenda:
             isinstance(step, Trial) and (step.phase, step.protocol) == ("training", trial.protocol)
             for step in self._steps
         )
-        self._put_first(list(self._training.tell(trial.protocol, understood=understood, is_last=is_last)))
+        self._put_first(list(self._training.tell(trial, understood=understood, is_last=is_last)))
 
     def _put_first(self, steps: Sequence[Step]) -> None:
         """Put steps before all others; what was done before and comes again has all its attempts again."""

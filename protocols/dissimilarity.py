@@ -2,8 +2,8 @@
 
 All pairs of the reducers and the recording itself are judged, so that multidimensional scaling can draw the space in
 which they differ, as Lee et al. did [1]_. One more pair holds the recording itself twice: a participant who feels a
-difference there gives themselves away. Anchors would stretch the space, and take no part. Which of the two comes first
-changes with every turn.
+difference there gives themselves away. Anchors would stretch the space, and take no part but in training, where they
+are what certainly differs from the recording. Which of the two comes first changes with every turn.
 
 References
 ----------
@@ -17,17 +17,15 @@ from itertools import combinations
 from typing import TYPE_CHECKING
 
 from protocols.arms import split_arms
+from protocols.catch import EXPECTED
 from protocols.protocol import ORIGINAL, Protocol, find_reference, score_slider
-from protocols.trial import Comparison, Judgement, Part
+from protocols.trial import RATING_RANGE, Comparison, Judgement, Part
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from protocols.protocol import Task
     from protocols.trial import Item
-
-NO_DIFFERENCE = (0.0, 10.0)
-"""What to expect of an identical pair: the limit of BS.1534-3 for a hidden reference, turned round."""
 
 
 def compare(items: Sequence[Item], task: Task) -> tuple[Comparison, ...]:  # noqa: ARG001 - every task has this form
@@ -53,6 +51,35 @@ def compare(items: Sequence[Item], task: Task) -> tuple[Comparison, ...]:  # noq
     return tuple(comparison for arm in split_arms(items) for comparison in _compare_arm(arm))
 
 
+def teach(items: Sequence[Item], task: Task) -> tuple[Comparison, ...]:
+    """Show also how the anchors differ from the original.
+
+    Parameters
+    ----------
+    items : sequence of Item
+        All stimuli of one recording.
+    task : Task
+        Leaves nothing to decide here.
+
+    Returns
+    -------
+    tuple of Comparison
+        What is judged, then per level arm the original against each anchor.
+
+    Raises
+    ------
+    ValueError
+        If there is nothing to test, or not exactly one original.
+    """
+    obvious = (
+        _compare_pair(find_reference(item, arm, reference=ORIGINAL).stimulus_id, item.stimulus_id, catch="anchor")
+        for arm in split_arms(items)
+        for item in arm
+        if item.role == "anchor"
+    )
+    return (*compare(items, task), *obvious)
+
+
 def arrange(comparison: Comparison, turn: int) -> Comparison:
     """Let the other stimulus come first on every odd turn.
 
@@ -69,7 +96,7 @@ def arrange(comparison: Comparison, turn: int) -> Comparison:
         The pair; what comes second is judged against what comes first.
     """
     first, second = (str(part.stimulus_id) for part in comparison.parts)
-    return _compare_pair(second, first) if turn % 2 else comparison
+    return _compare_pair(second, first, catch=comparison.catch) if turn % 2 else comparison
 
 
 def _compare_arm(arm: Sequence[Item]) -> Iterator[Comparison]:
@@ -77,16 +104,21 @@ def _compare_arm(arm: Sequence[Item]) -> Iterator[Comparison]:
     compared = [original, *(item for item in arm if item.role == "test")]
     for first, second in combinations(compared, 2):
         yield _compare_pair(first.stimulus_id, second.stimulus_id)
-    yield _compare_pair(original.stimulus_id, original.stimulus_id)
+    yield _compare_pair(original.stimulus_id, original.stimulus_id, catch="identical")
 
 
-def _compare_pair(first: str, second: str) -> Comparison:
-    is_identical = first == second
+def _compare_pair(first: str, second: str, *, catch: str = "") -> Comparison:
     return Comparison(
         parts=(Part("first", first), Part("second", second)),
-        judgements=(Judgement("second", second, first, NO_DIFFERENCE if is_identical else None),),
-        catch="identical" if is_identical else "",
+        judgements=(Judgement("second", second, first, _turn_round(EXPECTED[catch]) if catch else None),),
+        catch=catch,
     )
+
+
+def _turn_round(expected: tuple[float, float]) -> tuple[float, float]:
+    """Say in points of difference what is expected in points of likeness."""
+    lowest, highest = expected
+    return sum(RATING_RANGE) - highest, sum(RATING_RANGE) - lowest
 
 
 DISSIMILARITY = Protocol(
@@ -96,6 +128,7 @@ DISSIMILARITY = Protocol(
     timings=("replay", "strict"),
     references=(ORIGINAL,),
     compare=compare,
+    teach=teach,
     arrange=arrange,
     score=score_slider,
 )

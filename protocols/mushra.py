@@ -101,6 +101,7 @@ MUSHRA = Protocol(
     timings=("free",),
     references=(ORIGINAL, "reducer"),
     compare=compare,
+    teach=compare,
     arrange=arrange,
     score=score_slider,
 )

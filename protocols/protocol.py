@@ -32,11 +32,16 @@ class Protocol:
         What it can be judged against: `original`, `surface`, `reducer` (any by name); none where it is absolute.
     compare : callable
         Takes all items of one recording and the task; gives the comparisons to judge, one trial each.
+    teach : callable
+        Takes the same; gives what training may show: the same comparisons in the same order, perhaps with more of
+        the right answers known, then perhaps others.
     arrange : callable
         Takes a comparison and a turn, a whole number; gives the comparison in the arrangement whose turn it is,
         so that successive turns balance what stands where.
     score : callable
         Takes a judgement and the answer to it, with the ids of the parts by name; gives points, 0 to 100.
+    choices : tuple of str
+        Names of the parts between which the participant chooses; none where there is a slider.
     """
 
     name: str
@@ -45,8 +50,10 @@ class Protocol:
     timings: tuple[str, ...]
     references: tuple[str, ...]
     compare: Callable[[Sequence[Item], Task], tuple[Comparison, ...]]
+    teach: Callable[[Sequence[Item], Task], tuple[Comparison, ...]]
     arrange: Callable[[Comparison, int], Comparison]
     score: Callable[[Judgement, float | str, Mapping[str, str | None]], float]
+    choices: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -54,6 +54,7 @@ REALISM = Protocol(
     timings=("replay", "strict"),
     references=(),
     compare=compare,
+    teach=compare,
     arrange=keep_arrangement,
     score=score_slider,
 )

@@ -6,6 +6,7 @@ from collections import Counter
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from protocols.registry import PROTOCOLS
 from protocols.section import make_sections
 from protocols.trial import RATING_RANGE
 
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from numpy.random import Generator
 
     from protocols.protocol import Task
-    from protocols.section import Section, Spot
+    from protocols.section import Groups, Section, Spot
     from protocols.trial import Comparison, Item, Trial
 
 TURNS = 2**16
@@ -27,16 +28,20 @@ def make_rehearsal(
 ) -> tuple[Trial, ...]:
     """Choose the trials of training and practice of each task.
 
-    Training takes comparisons whose right answer is known, those for high and for low answers in equal parts
-    as far as there are any, and others only when these run out. Practice takes what training left. Both are
-    spread over recordings, and neither takes a comparison twice.
+    Training takes comparisons whose right answer is known, and others only when these run out, or when those
+    for high or for low answers would be more than half: nobody is to learn that one answer is right for all.
+    Practice takes what training left. Both are spread over recordings, and neither takes a comparison twice.
+
+    Where only one kind of answer is known, as without anchors, training shows that the task is understood at that
+    end of the scale; whoever always answers there passes. Anchors in the stimulus set are what prevents it.
 
     Parameters
     ----------
     items : sequence of Item
         All stimuli of the set.
     tasks : sequence of Task
-        The sections of the session, in order, with their numbers of training and practice trials.
+        The sections of the session, in order, with their numbers of training and practice trials. Training has
+        twice as many where the answer is a choice, for half of the guesses are right.
     first_number : int
         Number of the first trial.
     rng : numpy.random.Generator
@@ -46,7 +51,7 @@ def make_rehearsal(
     Returns
     -------
     tuple of Trial
-        Training and practice of the first task, then of the next, numbered on; those of training with a known
+        Training and practice of the first task, then of the next, numbered on; those of training with a plain
         answer come first. Fewer than asked for where there are fewer comparisons.
 
     Raises
@@ -60,38 +65,55 @@ def make_rehearsal(
 
 
 def _rehearse(section: Section, rng: Generator) -> Iterator[Trial]:
-    spots = [(recording, index) for recording, own in section.groups.items() for index in range(len(own))]
-    sides = {(name, index): _find_side(section.groups[name][index]) for name, index in spots}
-    unknown = {spot for spot in spots if not sides[spot]}
-    training = _choose(spots, section.task.training, late=unknown, sides=sides, rng=rng)
-    practice = _choose(spots, section.task.practice, late=set(training), sides={}, rng=rng)
+    lessons = {spot: section.lessons[spot[0]][spot[1]] for spot in _list_spots(section.lessons)}
+    unclear = {spot for spot, comparison in lessons.items() if not _is_clear(comparison)}
+    sides = {spot: _find_side(comparison) for spot, comparison in lessons.items()}
+    training = _choose(list(lessons), _count_training(section.task), late=unclear, sides=sides, rng=rng)
+    practice = _choose(_list_spots(section.groups), section.task.practice, late=set(training), sides={}, rng=rng)
     # Chosen turn about; shuffled, so that nobody can count on a low answer after a high one.
-    known_first = sorted(_shuffle(training, rng), key=lambda spot: not sides[spot])
-    phases = [("training", spot) for spot in known_first] + [("practice", spot) for spot in _shuffle(practice, rng)]
-    for phase, spot in phases:
-        yield replace(section.draft_trial(spot, turn=int(rng.integers(TURNS))), phase=phase)
+    clear_first = sorted(_shuffle(training, rng), key=lambda spot: spot in unclear)
+    for phase, chosen in {"training": clear_first, "practice": _shuffle(practice, rng)}.items():
+        for spot in chosen:
+            yield section.draft_trial(spot, turn=int(rng.integers(TURNS)), phase=phase)
+
+
+def _count_training(task: Task) -> int:
+    return task.training * (2 if PROTOCOLS[task.protocol].choices else 1)
+
+
+def _list_spots(groups: Groups) -> list[Spot]:
+    return [(recording, index) for recording, own in groups.items() for index in range(len(own))]
+
+
+def _is_clear(comparison: Comparison) -> bool:
+    """Tell whether the right answer is known, and plain to anybody."""
+    is_page = len(comparison.judgements) > 1  # no catch trial as a whole
+    return bool(comparison.catch) or (is_page and any(judgement.expected for judgement in comparison.judgements))
 
 
 def _find_side(comparison: Comparison) -> str:
-    """Tell whether the right answers are high, low or both; empty where none is known."""
+    """Tell whether the right answer is high or low; empty where none is known, or both are asked for."""
     middle = sum(RATING_RANGE) / 2
     known = [judgement.expected for judgement in comparison.judgements if judgement.expected]
-    return "+".join(sorted({"high" if sum(expected) / 2 > middle else "low" for expected in known}))
+    sides = {"high" if sum(expected) / 2 > middle else "low" for expected in known}
+    return sides.pop() if len(sides) == 1 else ""
 
 
 def _choose(
     spots: Sequence[Spot], number: int, *, late: set[Spot], sides: Mapping[Spot, str], rng: Generator
 ) -> list[Spot]:
-    """Choose so many, each time one whose side and recording came up least so far; late ones only after all others."""
+    """Choose so many: none of a side that leads if there is any other, then none that is late, then by recording."""
     left = _shuffle(spots, rng)
     chosen: list[Spot] = []
-    used: Counter[tuple[str, str]] = Counter()
+    sides_used: Counter[str] = Counter()
+    recordings_used: Counter[str] = Counter()
     while left and len(chosen) < number:
-        marks = {spot: (("side", sides.get(spot, "")), ("recording", spot[0])) for spot in left}
-        best = min(left, key=lambda spot: (spot in late, *(used[mark] for mark in marks[spot])))
+        leading = {side for side, count in sides_used.items() if side and 2 * count > len(chosen)}
+        best = min(left, key=lambda spot: (sides.get(spot) in leading, spot in late, recordings_used[spot[0]]))
         left.remove(best)
         chosen.append(best)
-        used.update(marks[best])
+        sides_used[sides.get(best, "")] += 1
+        recordings_used[best[0]] += 1
     return chosen
 
 

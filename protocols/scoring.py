@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from math import prod
 from typing import TYPE_CHECKING
 
 from protocols.registry import PROTOCOLS
+from protocols.trial import RATING_RANGE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -59,3 +61,23 @@ def is_as_expected(trial: Trial, values: Mapping[str, float | str]) -> bool | No
         if judgement.expected is not None
     ]
     return all(met) if met else None
+
+
+def measure_chance(trial: Trial) -> float:
+    """Tell how often someone who guesses answers as expected.
+
+    Parameters
+    ----------
+    trial : Trial
+        A trial of which something is expected.
+
+    Returns
+    -------
+    float
+        Share of guesses: one of the choices, or anywhere on each slider of which something is expected.
+    """
+    if choices := PROTOCOLS[trial.protocol].choices:
+        return 1 / len(choices)
+    low, high = RATING_RANGE
+    known = [judgement.expected for judgement in trial.judgements if judgement.expected]
+    return prod((most - least) / (high - low) for least, most in known)

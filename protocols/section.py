@@ -31,12 +31,15 @@ class Section:
         The task.
     groups : mapping of str to sequence of Comparison
         The comparisons of each recording. A recording without any is left out.
+    lessons : mapping of str to sequence of Comparison
+        The same, with what is known of them in training, then what comes in training only.
     """
 
     task: Task
     groups: Groups
+    lessons: Groups
 
-    def draft_trial(self, spot: Spot, *, turn: int) -> Trial:
+    def draft_trial(self, spot: Spot, *, turn: int, phase: str = "main") -> Trial:
         """Make a trial of a comparison, before it has a number, a block and a repeat.
 
         Parameters
@@ -46,6 +49,8 @@ class Section:
         turn : int
             Turn of the participant. The arrangement also moves on from comparison to comparison and from
             recording to recording, so that none keeps its arrangement throughout a session.
+        phase : str
+            What it is for: `training`, `practice` or `main`.
 
         Returns
         -------
@@ -54,7 +59,8 @@ class Section:
         """
         recording, index = spot
         protocol = PROTOCOLS[self.task.protocol]
-        chosen = protocol.arrange(self.groups[recording][index], turn + index + list(self.groups).index(recording))
+        comparisons = self.lessons if phase == "training" else self.groups
+        chosen = protocol.arrange(comparisons[recording][index], turn + index + list(self.groups).index(recording))
         return Trial(
             number=0,
             block=0,
@@ -65,6 +71,7 @@ class Section:
             recording=recording,
             parts=chosen.parts,
             judgements=chosen.judgements,
+            phase=phase,
             catch=chosen.catch,
         )
 
@@ -99,7 +106,8 @@ def make_sections(items: Sequence[Item], tasks: Sequence[Task]) -> tuple[Section
 
 
 def _make_section(by_recording: Mapping[str, Sequence[Item]], task: Task) -> Section:
-    compared = {name: PROTOCOLS[task.protocol].compare(own, task) for name, own in by_recording.items()}
+    protocol = PROTOCOLS[task.protocol]
+    compared = {name: protocol.compare(own, task) for name, own in by_recording.items()}
     if groups := {name: comparisons for name, comparisons in compared.items() if comparisons}:
-        return Section(task, groups)
+        return Section(task, groups, {name: protocol.teach(by_recording[name], task) for name in groups})
     raise ValueError(f"{task.protocol}: got stimuli of which none is to be judged; build a set with reducers to test")

@@ -68,6 +68,7 @@ SIMILARITY = Protocol(
     timings=("replay", "strict"),
     references=(ORIGINAL, SURFACE, "reducer"),
     compare=compare,
+    teach=compare,
     arrange=keep_arrangement,
     score=score_slider,
 )

@@ -22,7 +22,8 @@ Answer = tuple[bool, bool | None]
 
 
 def make_trial(number: int, *, protocol: str = "realism", phase: str = "main", block: int = 1) -> Trial:
-    part, judgement = Part("test", f"s{number}"), Judgement("test", f"s{number}")
+    expected = (100.0, 100.0) if phase == "training" else None  # which nobody hits by guessing
+    part, judgement = Part("test", f"s{number}"), Judgement("test", f"s{number}", expected=expected)
     at = block if phase == "main" else 0
     return Trial(number, at, 1, protocol, protocol, "replay", "oak", (part,), (judgement,), phase)
 
@@ -98,6 +99,33 @@ def test_training_ends_after_its_last_round_whatever_the_answers() -> None:
     steps = walk(Agenda(trials, CALM), lambda t, _: (True, False if t.phase == "training" else None))
     assert trials_of(steps) == [2, 2, 2, 1]
     assert [steps.count(f"training_{key}") for key in ("again", "failed", "passed")] == [2, 1, 0]
+
+
+@pytest.mark.parametrize(
+    ("protocol", "expected", "n", "needed"),
+    [
+        ("realism", (100.0, 100.0), 4, 3),  # no guess hits a point
+        ("realism", (50.0, 100.0), 4, 4),  # half of them hit half of the scale
+        ("realism", (50.0, 100.0), 8, 7),
+        ("abx", (100.0, 100.0), 4, 4),  # half of them hit one of two
+        ("abx", (100.0, 100.0), 8, 7),
+    ],
+)
+def test_who_guesses_does_not_pass_training(protocol: str, expected: tuple[float, float], n: int, needed: int) -> None:
+    known = (Judgement("test", "s", expected=expected),)
+    training = [replace(make_trial(k, protocol=protocol, phase="training"), judgements=known) for k in range(2, n + 2)]
+    trials = [make_trial(1, protocol=protocol), *training]
+    for right in range(n + 1):
+        agenda = Agenda(trials, replace(CALM, training_rounds=1))
+        steps = walk(agenda, lambda t, _, right=right: (True, t.number < right + 2 if t.phase == "training" else None))
+        assert ("training_passed" in steps) == (right >= needed)
+
+
+def test_a_share_of_nothing_lets_everybody_pass() -> None:
+    known = (Judgement("x", "s", expected=(100.0, 100.0)),)
+    training = [replace(make_trial(k, protocol="abx", phase="training"), judgements=known) for k in (2, 3)]
+    agenda = Agenda([make_trial(1, protocol="abx"), *training], replace(CALM, training_pass=0.0))
+    assert "training_passed" in walk(agenda, lambda t, _: (True, False if t.phase == "training" else None))
 
 
 def test_training_in_which_nothing_is_right_or_wrong_is_neither_passed_nor_failed() -> None:
@@ -176,6 +204,33 @@ def test_nobody_warms_up_before_or_during_practice_or_for_nothing() -> None:
     assert walk(agenda)[0] == "welcome"
     agenda.warm_up()
     assert agenda.ask() is None
+
+
+def test_who_has_no_practice_to_repeat_is_not_asked_to_warm_up() -> None:
+    agenda = Agenda([make_trial(1), make_trial(2, protocol="similarity"), make_trial(3, phase="practice")], CALM)
+    while agenda.ask() != make_trial(2, protocol="similarity"):
+        step = agenda.ask()
+        if isinstance(step, Page):
+            agenda.tell_page(step.key, time_s=0)
+        else:
+            agenda.tell_trial(step.number if step else 0, accepted=True, as_expected=None, time_s=0)
+    agenda.warm_up()
+    assert walk(agenda) == [2, "end"]
+
+
+def test_the_time_to_the_next_break_starts_anew_after_warming_up() -> None:
+    trials = [make_trial(n) for n in range(1, 7)] + [make_trial(7, phase="practice")]
+    agenda = Agenda(trials, replace(CALM, break_min=1.0))
+    for key in ("welcome", "consent", "instructions.realism", "practice"):
+        agenda.tell_page(key, time_s=0)
+    agenda.tell_trial(7, accepted=True, as_expected=None, time_s=0)
+    agenda.tell_page("main", time_s=0)
+    agenda.tell_trial(1, accepted=True, as_expected=None, time_s=10)
+    agenda.warm_up()
+    agenda.tell_page("warm_up", time_s=3600)
+    agenda.tell_trial(7, accepted=True, as_expected=None, time_s=3610)
+    agenda.tell_trial(2, accepted=True, as_expected=None, time_s=3620)
+    assert agenda.ask() == trials[2]
 
 
 def test_a_step_that_was_not_next_is_refused() -> None:

@@ -43,7 +43,7 @@ def test_every_unordered_pair_comes_once_in_each_arm_and_one_identical_pair(
 def test_lee_2022_has_fifteen_pairs_and_the_catch(make_items: MakeItems) -> None:
     comparisons = DISSIMILARITY.compare(make_items("tap", LEE_2022), TASK)
     assert Counter(c.catch for c in comparisons) == {"": 15, "identical": 1}
-    assert {c.catch: c.judgements[0].expected for c in comparisons} == {"": None, "identical": (0, 10)}
+    assert {c.catch: c.judgements[0].expected for c in comparisons} == {"": None, "identical": (0, 25)}
 
 
 def test_anchors_take_no_part(make_items: MakeItems) -> None:

@@ -41,13 +41,13 @@ def test_a_page_holds_one_arm_of_one_recording_and_names_its_reference(make_item
 
 def test_the_hidden_reference_and_the_anchors_are_expected_where_the_standard_puts_them(make_items: MakeItems) -> None:
     (page,) = MUSHRA.compare(make_items("tap", NAMES), make_task("mushra"))
-    assert [j.expected for j in page.judgements] == [None, None, (75, 100), (0, 75), (0, 75)]
+    assert [j.expected for j in page.judgements] == [None, None, (75, 100), (0, 50), (0, 50)]
 
 
 def test_what_a_reducer_made_can_be_the_reference(make_items: MakeItems) -> None:
     (page,) = MUSHRA.compare(make_items("tap", NAMES), make_task("mushra", reference="dft321"))
     assert page.parts[0] == Part("reference", "tap-dft321-as_is")
-    assert [j.expected for j in page.judgements] == [None, (75, 100), None, (0, 75), (0, 75)]
+    assert [j.expected for j in page.judgements] == [None, (75, 100), None, (0, 50), (0, 50)]
 
 
 @pytest.mark.parametrize("n", [5, 6, 12])

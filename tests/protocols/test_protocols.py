@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import inspect
 from collections import Counter
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
@@ -14,9 +15,10 @@ from hypothesis import strategies as st
 from protocols.catch import EXPECTED
 from protocols.realism import REALISM
 from protocols.registry import PROTOCOLS
+from protocols.scoring import measure_chance
 from protocols.tasks import make_task
 from protocols.texts import list_languages, read_scales
-from protocols.trial import RATING_RANGE, SURFACE, TIMINGS, Judgement
+from protocols.trial import RATING_RANGE, SURFACE, TIMINGS, Judgement, Trial
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -167,6 +169,34 @@ def test_a_catch_is_where_something_is_expected(task: Task, drawn: Drawn, make_i
             assert bool(expected) == bool(comparison.catch)
         low, high = RATING_RANGE
         assert all(low <= least <= most <= high for least, most in expected)
+
+
+@every_task
+@few
+@given(drawn=SETS)
+def test_training_shows_what_is_judged_and_all_that_is_known_of_it(
+    task: Task, drawn: Drawn, make_items: MakeItems
+) -> None:
+    names = (*drawn["reducers"], "original", *drawn["anchors"])
+    judged = draw_comparisons(task, drawn, make_items)
+    taught = PROTOCOLS[task.protocol].teach(make_items("tap", names, drawn["levels"]), task)
+    for comparison, lesson in zip(judged, taught, strict=False):
+        assert (lesson.parts, lesson.catch) == (comparison.parts, comparison.catch)
+        for judgement, told in zip(comparison.judgements, lesson.judgements, strict=True):
+            assert told == replace(judgement, expected=told.expected)
+            assert judgement.expected in {None, told.expected}
+    assert len(taught) >= len(judged)
+    assert all(lesson.judgements[0].expected for lesson in taught[len(judged) :])
+
+
+def test_a_guess_is_right_on_every_slider_or_by_one_choice_of_all(make_items: MakeItems) -> None:
+    chances = {}
+    for name, protocol in PROTOCOLS.items():
+        *_, last = protocol.compare(make_items("tap", ("dft321", "original", "low", "mid")), make_task(name))
+        chances[name] = measure_chance(
+            Trial(1, 0, 0, name, name, "replay", "tap", last.parts, last.judgements, "training")
+        )
+    assert chances == {"realism": 0.5, "similarity": 0.5, "dissimilarity": 0.25, "mushra": 0.25 * 0.5**2, "abx": 0.5}
 
 
 @pytest.mark.parametrize("name", [name for name in PROTOCOLS if name != "abx"])

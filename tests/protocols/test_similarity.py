@@ -40,7 +40,7 @@ def test_every_stimulus_is_felt_after_the_original_and_judged_against_it(make_it
 def test_catches_follow_from_the_reference(reference: str, catches: list[str], make_items: MakeItems) -> None:
     comparisons = SIMILARITY.compare(make_items("tap", NAMES), make_task("similarity", reference=reference))
     assert [c.catch for c in comparisons] == catches
-    expected = {"": None, "identical": (75, 100), "hidden_reference": (50, 100), "anchor": (0, 75)}
+    expected = {"": None, "identical": (75, 100), "hidden_reference": (55, 100), "anchor": (0, 50)}
     assert [c.judgements[0].expected for c in comparisons] == [expected[catch] for catch in catches]
 
 
