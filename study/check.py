@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from protocols.groups import CHOOSING
 from protocols.spaced import find_crowding
 from stimuli.anchors import quietest_hz
 from stimuli.condition import condition, fade
@@ -126,10 +128,12 @@ def find_warnings(study: StudyFolder) -> list[str]:
 
 
 def _check_plan(study: StudyFolder, settings: Settings) -> list[str]:
-    """Check that the tasks of every group find the stimuli that they need."""
+    """Check that the tasks of every group find the stimuli that they need; labels make no difference to that."""
     design, stimuli = make_design(settings), read_stimuli(study.stimuli)
+    choosing = {factor: levels for factor, levels in design.between.items() if factor in CHOOSING}
+    design = replace(design, between=choosing)
     problems: dict[str, None] = {}
-    for number in range(1, count_groups(design.between) + 1):
+    for number in range(1, count_groups(choosing) + 1):
         try:
             make_plan(design, stimuli, "check", number=number, simulated=False)
         except ValueError as error:
