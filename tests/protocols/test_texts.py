@@ -158,6 +158,7 @@ def test_keys_with_dots_want_quotes(own: Path, english: str) -> None:
         ("[extra]", "extra"),
         ("[pages.coffee]", "pages.coffee"),
         ("[scales.realism.anchors]", "scales.realism.anchors"),
+        ("more = []", "keys.more"),  # `[keys]` is the last table.
         ("[[pages.end.more]]", "pages.end.more[1]"),
     ],
 )

@@ -43,6 +43,7 @@ def test_each_remark_is_one_line(text: str, remark: str, tmp_path: Path) -> None
     "text",
     [
         "[stimuli]\nanchors = false",
+        "[session]\nprotocols = ['mushra']",
         "[session.rehearsal]\npractice = 0\n[session.stale]\npolicy = 'continue'",
         "[session.rehearsal]\npractice = 0\n[session.stale]\nafter_h = 'off'",
         "[tasks.similarity]\ntiming = 'strict'",
