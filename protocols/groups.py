@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import product
+from math import prod
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -37,9 +37,12 @@ def place_in_groups(between: Mapping[str, Sequence[str]], number: int) -> tuple[
     >>> place_in_groups({"grip": ["pen", "power"]}, 4)
     ({'grip': 'power'}, 2)
     """
-    combinations = list(product(*between.values()))
-    turn, place = (number - 1) % len(combinations), (number - 1) // len(combinations)
-    return dict(zip(between, combinations[turn], strict=True)), place + 1
+    place, turn = divmod(number - 1, prod(len(levels) for levels in between.values()))
+    groups: dict[str, str] = {}
+    for factor, levels in reversed(list(between.items())):  # the last factor changes fastest
+        turn, level = divmod(turn, len(levels))
+        groups[factor] = levels[level]
+    return {factor: groups[factor] for factor in between}, place + 1
 
 
 def select_items(items: Sequence[Item], groups: Mapping[str, str]) -> tuple[Item, ...]:

@@ -197,8 +197,8 @@ class Rater:
         Notes
         -----
         All are felt once and remembered with noise, and the nearest is chosen: the differencing model of ABX, with
-        proportion correct Φ(d'/√2) Φ(d'/√6) + Φ(-d'/√2) Φ(-d'/√6) for d' = gain * distance / noise [1]_. A
-        comparison's noise is that of a rating.
+        proportion correct Φ(d'/√2) Φ(d'/√6) + Φ(-d'/√2) Φ(-d'/√6) for d' = distance / noise [1]_. A comparison's
+        noise is that of a rating; bias and gain are habits with a slider, and make nobody feel more.
 
         References
         ----------
@@ -213,7 +213,7 @@ class Rater:
             return guess
         asked, *felt = rng.normal(0, self.noise_sd * growth, len(names) + 1)
         away = {
-            name: abs(self.gain * max(distances[name], 0.0) + noise - asked)
+            name: abs(max(distances[name], 0.0) + noise - asked)
             for name, noise in zip(names, felt, strict=True)
         }
         nearest = min(away.values())

@@ -128,10 +128,12 @@ def differencing(d_prime: float) -> float:
 
 
 @pytest.mark.parametrize("distance", [0.0, 4.0, 8.0, 16.0, 32.0])
-@pytest.mark.parametrize("gain", [1.0, 1.4])
-def test_choices_follow_the_differencing_model(distance: float, gain: float) -> None:
-    measured = share_correct(replace(CAREFUL, gain=gain), distance)
-    assert measured == pytest.approx(differencing(gain * distance / 8.0), abs=0.012)
+@pytest.mark.parametrize(("bias", "gain"), [(0.0, 1.0), (9.0, 1.4)])
+def test_choices_follow_the_differencing_model_whatever_the_hand_does_on_a_slider(
+    distance: float, bias: float, gain: float
+) -> None:
+    measured = share_correct(replace(CAREFUL, bias=bias, gain=gain), distance)
+    assert measured == pytest.approx(differencing(distance / 8.0), abs=0.012)
 
 
 def test_the_psychometric_function_rises_from_chance_to_certainty() -> None:
