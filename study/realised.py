@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass
 from itertools import groupby
-from math import prod
+from math import lcm, prod
 from typing import TYPE_CHECKING
 
 from protocols.balance import measure_balance, pool_balances
-from protocols.design import count_cycle
+from protocols.square import williams_square
 from study.session.replay import has_event
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from study.session.dossier import Dossier
     from study.session.plan import Plan
 
-    Sequences = dict[str, list[list[str]]]
+    Sequences = dict[tuple[str, ...], list[list[str]]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +32,8 @@ class Evenness:
         The protocol.
     what : str
         What was put in order: `stimuli` within their block, `slots` on a page of sliders, or `recordings` as blocks.
+    cycle : int
+        Number of participants over whom the order comes full circle; 0 for orders by chance.
     positions, carry_over : tuple of int
         Smallest and largest count: how often each stood at each place, and right after each other one.
     position_index, carry_over_index : float
@@ -40,6 +42,7 @@ class Evenness:
 
     task: str
     what: str
+    cycle: int
     positions: tuple[int, int]
     carry_over: tuple[int, int]
     position_index: float
@@ -56,8 +59,6 @@ class Realised:
         Whether it is that of simulated participants; once there are real ones, it is theirs alone.
     participants, finished : int
         Those of whom a trial counts, and those of them who came to their end.
-    cycle : int
-        Number of participants over whom the orders come full circle; 0 for orders by chance.
     evenness : tuple of Evenness
         Per task, and what was put in order there.
     """
@@ -65,7 +66,6 @@ class Realised:
     simulated: bool
     participants: int
     finished: int
-    cycle: int
     evenness: tuple[Evenness, ...]
 
 
@@ -98,14 +98,17 @@ def measure_realised(dossiers: Iterable[Dossier]) -> Realised | None:
         return None
     groups: dict[tuple[str, str], Sequences] = defaultdict(lambda: defaultdict(list))
     for session in sessions:
-        for task, what, group, conditions in _split(session):
-            groups[task, what][group].append(conditions)
+        for task, what, among, conditions in _split(session):
+            groups[task, what][among].append(conditions)
+    # Successive participants belong to successive groups, and each group has its own circle.
+    circles = max(_count_circles(session.plan) for session in sessions)
     return Realised(
         simulated=simulated,
         participants=len(sessions),
         finished=sum(session.is_finished for session in sessions),
-        cycle=max(_count_cycle(session.plan) for session in sessions),
-        evenness=tuple(_measure(*name, sequences) for name, sequences in groups.items()),
+        evenness=tuple(
+            _measure(task, what, sequences, circles=circles) for (task, what), sequences in groups.items()
+        ),
     )
 
 
@@ -124,17 +127,17 @@ def describe_balance(realised: Realised | None) -> list[str]:
 
     Examples
     --------
-    >>> evenness = Evenness("abx", "stimuli", (0, 1), (0, 2), 0.5, 0.75)
-    >>> describe_balance(Realised(False, 4, 4, 6, (evenness,)))
-    ['balance: 4 finished, 2 more for full circle', '  abx, stimuli: 0 to 1 at each place, 0 to 2 after each other']
+    >>> evenness = Evenness("abx", "stimuli", 6, (0, 1), (0, 2), 0.5, 0.75)
+    >>> describe_balance(Realised(False, 4, 4, (evenness,)))[1]
+    '  abx, stimuli: 0 to 1 at each place, 0 to 2 after each other; even over 6, 2 to go'
     """
     if realised is None:
         return ["balance: no trial was run yet"]
-    to_go = f", {-realised.finished % realised.cycle} more for full circle" if realised.cycle else ""
-    lines = [f"balance: {realised.finished} finished{to_go}{' (simulated)' if realised.simulated else ''}"]
+    lines = [f"balance: {realised.finished} finished{' (simulated)' if realised.simulated else ''}"]
     for entry in realised.evenness:
         places, neighbours = (" to ".join(map(str, ends)) for ends in (entry.positions, entry.carry_over))
-        lines.append(f"  {entry.task}, {entry.what}: {places} at each place, {neighbours} after each other")
+        circle = f"; even over {entry.cycle}, {-realised.finished % entry.cycle} to go" if entry.cycle else ""
+        lines.append(f"  {entry.task}, {entry.what}: {places} at each place, {neighbours} after each other{circle}")
     return lines
 
 
@@ -150,12 +153,11 @@ def _gather_session(dossier: Dossier) -> _Session:
     return _Session(plan, counted, has_event(records, "finished") and not has_event(records, "released"))
 
 
-def _count_cycle(plan: Plan) -> int:
-    # Successive participants belong to successive groups, and each group has its own circle.
-    return count_cycle(plan.trials) * prod(map(len, plan.between.values())) if plan.order == "williams" else 0
+def _count_circles(plan: Plan) -> int:
+    return prod(map(len, plan.between.values())) if plan.order == "williams" else 0
 
 
-def _split(session: _Session) -> Iterator[tuple[str, str, str, list[str]]]:
+def _split(session: _Session) -> Iterator[tuple[str, str, tuple[str, ...], list[str]]]:
     """Yield task, what was put in order, among which, and the order that it was run in."""
     planned = _gather_blocks(trial for trial in session.plan.trials if trial.phase == "main")
     run = _gather_blocks(session.trials)
@@ -164,14 +166,17 @@ def _split(session: _Session) -> Iterator[tuple[str, str, str, list[str]]]:
         pages = [trial for trial in trials if len(trial.judgements) > 1]
         for page in pages:
             slots = [judgement.stimulus_id for judgement in page.judgements]
-            yield task, "slots", " ".join(sorted(slots)), slots
+            yield task, "slots", tuple(sorted(slots)), slots
         if not pages:
             # Only what was planned together can meet.
-            group = " ".join(sorted(map(_name_condition, planned[block])))
-            yield task, "stimuli", group, [_name_condition(trial) for trial in trials]
+            among = tuple(sorted(map(_name_condition, planned[block])))
+            yield task, "stimuli", among, [_name_condition(trial) for trial in trials]
+    recordings = {trial.protocol: set[str]() for trial in session.plan.trials}
+    for trial in session.plan.trials:
+        recordings[trial.protocol].add(trial.recording)
     blocks = [trials[0] for trials in run.values() if len({trial.recording for trial in trials}) == 1]
     for (task, _), heads in groupby(blocks, key=lambda trial: (trial.protocol, trial.repeat)):
-        yield task, "recordings", "", [head.recording for head in heads]
+        yield task, "recordings", tuple(sorted(recordings[task])), [head.recording for head in heads]
 
 
 def _gather_blocks(trials: Iterable[Trial]) -> dict[int, list[Trial]]:
@@ -182,11 +187,12 @@ def _gather_blocks(trials: Iterable[Trial]) -> dict[int, list[Trial]]:
     return blocks
 
 
-def _measure(task: str, what: str, sequences: Sequences) -> Evenness:
+def _measure(task: str, what: str, sequences: Sequences, *, circles: int) -> Evenness:
     balance = pool_balances(measure_balance(group) for group in sequences.values())
     return Evenness(
         task=task,
         what=what,
+        cycle=circles * lcm(*(len(williams_square(len(among))) for among in sequences)),
         positions=_find_ends(balance.positions.values()),
         carry_over=_find_ends(balance.carry_over.values()),
         position_index=balance.position_index,

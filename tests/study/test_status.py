@@ -124,16 +124,17 @@ def test_balance_of_one_full_circle_is_perfect_and_a_drop_out_shows(
         present(scripted(), plan=make_plan(design, stimuli, f"n{number:02}", number=number, simulated=True))
     realised = read_status(study).balance
     assert realised is not None
-    assert (realised.participants, realised.finished, realised.cycle) == (10, 10, 10)
-    assert {(e.task, e.what): e.positions for e in realised.evenness} == {
-        ("realism", "stimuli"): (2, 2), ("realism", "recordings"): (5, 5),
-        ("similarity", "stimuli"): (2, 2), ("similarity", "recordings"): (5, 5),
+    assert (realised.participants, realised.finished) == (10, 10)
+    assert {(e.task, e.what): (e.cycle, e.positions) for e in realised.evenness} == {
+        ("realism", "stimuli"): (10, (2, 2)), ("realism", "recordings"): (2, (5, 5)),
+        ("similarity", "stimuli"): (10, (2, 2)), ("similarity", "recordings"): (2, (5, 5)),
     }  # fmt: skip
     assert {(e.position_index, e.carry_over_index) for e in realised.evenness} == {(0.0, 0.0)}
     shutil.rmtree(tmp_path / "sessions" / "n04")
     lines = describe_balance(read_status(study).balance)
-    assert lines[0] == "balance: 9 finished, 1 more for full circle (simulated)"
+    assert lines[0] == "balance: 9 finished (simulated)"
     assert lines[1].startswith("  realism, stimuli: 1 to 2 at each place, ")
+    assert lines[1].endswith("; even over 10, 1 to go")
 
 
 def test_groups_go_round_their_own_circles(
@@ -144,8 +145,7 @@ def test_groups_go_round_their_own_circles(
         present(scripted(), plan=make_plan(grips, stimuli, f"n{number}", number=number, simulated=True))
     realised = read_status(StudyFolder(tmp_path)).balance
     assert realised is not None
-    assert realised.cycle == 20
-    assert describe_balance(realised)[0] == "balance: 10 finished, 10 more for full circle (simulated)"
+    assert [entry.cycle for entry in realised.evenness] == [20, 20, 4, 4]
 
 
 def test_simulated_participants_do_not_fill_the_places_of_real_ones(
