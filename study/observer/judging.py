@@ -4,8 +4,10 @@ A stimulus is a point with five coordinates: spectral match (cut to 0..1), tempo
 `Percept`. The original and the real surface are the point where nothing is lost.
 
 - *Realism* is the weighted sum of the coordinates.
-- *Distance* is the weighted sum of their absolute differences (city block). Level counts in both directions: what is
-  stronger than the reference is as different as what is weaker by the same number of dB.
+- *Distance* is the weighted sum of five differences (city block). Those of a percept are between the two vibrations
+  themselves, as they differ from each other. Level counts in both directions: what is stronger than the reference is as
+  different as what is weaker by the same number of dB. A match is known to the original only: by its weight, stimuli
+  lie on a line, not in a space, and two that match equally well feel the same.
 - *Similarity* is the top of the scale less the distance from the reference: what is identical is worth full marks.
 """
 
@@ -16,7 +18,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from protocols.trial import RATING_RANGE, SURFACE
-from study.observer.percepts import Percept
+from study.observer.percepts import Percept, compare_percepts
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -193,13 +195,13 @@ class Touch:
         float
             Distance in points; not negative unless a weight is.
         """
-        model, one, other = self.model, first.percept, second.percept
+        model, apart = self.model, compare_percepts(first.percept, second.percept)
         return (
             model.spectral * abs(first.spectral - second.spectral)
             + model.temporal * abs(first.temporal - second.temporal)
-            + model.threshold_spectral * abs(one.spectral_db - other.spectral_db)
-            + model.envelope * abs(one.envelope - other.envelope)
-            + abs(model.level) * abs(one.level_db - other.level_db)
+            + model.threshold_spectral * apart.spectral_db
+            + model.envelope * apart.envelope
+            + abs(model.level * apart.level_db)
         )
 
 

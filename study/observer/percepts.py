@@ -12,6 +12,8 @@ energy, because the hand does not tell directions of vibration apart [1]_. Three
 
 A factor on a stimulus changes the level alone. What is below threshold as a whole is as good as silence.
 
+Two stimuli of a recording are compared with each other in the same way: equally far from the original is not the same.
+
 References
 ----------
 .. [1] N. Landin, J. M. Romano, W. McMahan, K. J. Kuchenbecker, "Dimensional reduction of high-frequency accelerations
@@ -21,7 +23,7 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -53,11 +55,14 @@ class Percept:
         Distance of the envelopes, at any level; 0 for the original, 1 for nothing in common.
     level_db : float
         Felt level above that of the original in dB.
+    sensation : Sensation or None
+        What the hand gets of the stimulus itself; None where only the distances are known.
     """
 
     spectral_db: float
     envelope: float
     level_db: float
+    sensation: Sensation | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -178,6 +183,31 @@ def compare_sensations(stimulus: Sensation, original: Sensation) -> Percept:
         spectral_db=float(np.sqrt(np.mean((felt - meant) ** 2))),
         envelope=_measure_residue(stimulus.envelope, original.envelope),
         level_db=float(20 * np.log10(ratio)),
+        sensation=stimulus,
+    )
+
+
+def compare_percepts(first: Percept, second: Percept) -> Percept:
+    """Tell how two stimuli of a recording differ from each other, in whichever order.
+
+    Parameters
+    ----------
+    first, second : Percept
+        How each differs from the original.
+
+    Returns
+    -------
+    Percept
+        How the one that is farther from the original differs from the nearer one. The original is the nearest, so
+        that what differs from it does so as its percept says. Differences of the distances where nothing else is known.
+    """
+    near, far = sorted((first, second), key=lambda lost: (lost.spectral_db, lost.envelope, lost.level_db))
+    if near.sensation and far.sensation:
+        return compare_sensations(far.sensation, near.sensation)
+    return Percept(
+        spectral_db=far.spectral_db - near.spectral_db,
+        envelope=abs(far.envelope - near.envelope),
+        level_db=far.level_db - near.level_db,
     )
 
 

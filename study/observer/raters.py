@@ -50,7 +50,8 @@ class ObserverModel:
     intercept : float
         Percept of a stimulus that matches in nothing, in points.
     spectral, temporal : float
-        What a perfect spectral or temporal match adds, in points.
+        What a perfect spectral or temporal match adds, in points. Matches put stimuli on a line, not in a space:
+        two that match equally well feel the same, however they differ; the next three weights tell them apart.
     bias_sd : float
         Standard deviation of the participants' biases, in points.
     gain_sd : float
@@ -60,11 +61,11 @@ class ObserverModel:
     noise_spread : float
         Standard deviation of the logarithms of its size.
     threshold_spectral : float
-        Points lost per dB of threshold-weighted spectral distance from the original.
+        Points lost per dB of threshold-weighted spectral distance from the original, or whatever the reference is.
     envelope : float
         Points lost per unit of distance between the envelopes.
     level : float
-        Points per dB of felt level above that of the original.
+        Points per dB of felt level above that of the original; lost in either direction where two are compared.
     lapse_rate : float
         Share of answers that have nothing to do with what was felt, 0 to 1.
     order : float

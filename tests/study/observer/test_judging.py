@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -10,7 +11,7 @@ from protocols.registry import PROTOCOLS
 from protocols.texts import read_scales
 from protocols.trial import SURFACE, Judgement, Part, Trial
 from study.observer.judging import REAL, SLIDERS, Experience, Point, Touch, compare, judge
-from study.observer.percepts import Percept
+from study.observer.percepts import Percept, Sensation
 from study.observer.raters import ObserverModel
 
 MODEL = ObserverModel(
@@ -61,6 +62,21 @@ def test_distance_is_a_metric(level: float, a: Point, b: Point, c: Point) -> Non
     assert measure(a, a) == 0
     assert measure(a, b) == measure(b, a) >= 0
     assert measure(a, c) <= measure(a, b) + measure(b, c) + 1e-9
+
+
+@pytest.mark.parametrize("protocol", ["dissimilarity", "similarity", "abx"])
+def test_two_that_lose_as_much_in_different_ways_are_apart(protocol: str) -> None:
+    low, high = Sensation(2.0, np.array([100.0, 1.0]), np.ones(4)), Sensation(2.0, np.array([1.0, 100.0]), np.ones(4))
+    one, other = (Point(0.5, 0.5, Percept(14.0, 0.1, 0.0, sensed)) for sensed in (low, high))
+    experience = make_experience(protocol, {"first": one, "test": other, "x": other}, reference="first")
+    expected = MODEL.threshold_spectral * 20.0  # dB, in both bands
+    if protocol == "abx":
+        assert compare(experience, Judgement("x", "?"), ("first", "test"), touch=TOUCH) == pytest.approx(
+            {"first": expected, "test": 0.0}
+        )
+    else:
+        answer = ask(experience)
+        assert (100 - answer if protocol == "similarity" else answer) == pytest.approx(expected)
 
 
 @given(points)

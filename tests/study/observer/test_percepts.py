@@ -13,7 +13,14 @@ from stimuli.recipe import Recipe
 from stimuli.reduce import REDUCERS
 from stimuli.sets import build_stimuli
 from stimuli.synthesis import make_scene
-from study.observer.percepts import Percept, Sensation, compare_sensations, read_percepts, sense
+from study.observer.percepts import (
+    Percept,
+    Sensation,
+    compare_percepts,
+    compare_sensations,
+    read_percepts,
+    sense,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -140,6 +147,44 @@ def test_silence_is_finite_and_shares_nothing(share_of_threshold: float) -> None
     above = 10 * np.log10(np.maximum(sensed.bands, 1.0))
     assert lost.spectral_db == pytest.approx(np.sqrt(np.mean(above**2)))
     assert measure(silence, silence) == Percept(0.0, 0.0, 0.0)
+
+
+def test_two_that_are_equally_far_from_the_original_are_not_the_same() -> None:
+    original = make_tone(100.0)
+    low, high, again = (measure(make_tone(f), original) for f in (60.0, 250.0, 250.0))
+    assert low.spectral_db == pytest.approx(high.spectral_db, rel=0.2)
+    assert compare_percepts(low, high).spectral_db > 0.8 * low.spectral_db
+    same = compare_percepts(high, again)
+    assert (same.spectral_db, same.envelope, same.level_db) == pytest.approx((0, 0, 0), abs=1e-9)
+
+
+def test_a_pair_differs_as_much_in_either_order() -> None:
+    one, other = (measure(tone, make_noise()) for tone in (make_tone(120.0), make_bursts(0.3, 0.5)))
+    assert compare_percepts(one, other) == compare_percepts(other, one)
+
+
+def test_what_is_compared_with_the_original_differs_from_it_as_its_percept_says() -> None:
+    original, lost = measure(make_noise(), make_noise()), measure(0.4 * make_tone(120.0), make_noise())
+    for pair in [(original, lost), (lost, original)]:
+        assert compare_percepts(*pair) == lost
+
+
+def test_without_the_vibrations_the_distances_are_compared() -> None:
+    apart = compare_percepts(Percept(4.0, 0.2, -1.0), Percept(1.0, 0.5, 2.0))
+    assert (apart.spectral_db, apart.envelope, apart.level_db) == pytest.approx((3, 0.3, -3))
+
+
+def test_envelopes_are_smoothed_to_below_50_hz() -> None:
+    # A beat at the limit is left with half its power, one well above it with next to none.
+    steady = make_tone(400.0)
+    depths = [sense(make_tone(400.0) + make_tone(400.0 + beat), RATE_HZ).envelope[100:-100] for beat in (50.0, 150.0)]
+    energies = [depth**2 for depth in depths]
+    swings = [(energy.max() - energy.min()) / (energy.max() + energy.min()) for energy in energies]
+    thresholds = acceleration_threshold(np.array([400.0, 450.0, 550.0]))
+    full = [2 * (t / thresholds[0]) / (1 + (t / thresholds[0]) ** 2) for t in thresholds[1:]]
+    assert swings[0] / full[0] == pytest.approx(np.sqrt(0.5), abs=0.03)
+    assert swings[1] < 0.1 * full[1]
+    assert np.ptp(sense(steady, RATE_HZ).envelope[100:-100]) < 0.05 * sense(steady, RATE_HZ).envelope[500]
 
 
 def test_another_length_is_refused() -> None:
