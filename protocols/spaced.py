@@ -20,11 +20,8 @@ if TYPE_CHECKING:
 SPACED = frozenset({"identical", "hidden_reference"})
 """Catch trials that are spaced. Anchors are a third of some rounds: spacing them would let everybody foresee them."""
 
-DRAWS = 100
-"""How often an order is drawn until it keeps the rules; if none does, the one that breaks them least stands."""
-
 PATIENCE = 30
-"""After so many draws that were no better there will hardly be a better one."""
+"""An order is drawn until it keeps the rules, or until so many draws were no better than the best."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,9 +99,7 @@ def _draw_best(cards: Sequence[_Card], *, after: _Card, rng: Generator) -> list[
     unavoidable = _count_unavoidable(cards, after=after)
     best = _draw_order(cards, after=after, rng=rng)
     fewest, in_vain = _count_crowding([after, *best]), 0
-    for _ in range(DRAWS):
-        if fewest <= unavoidable or in_vain == PATIENCE:
-            break
+    while fewest > unavoidable and in_vain < PATIENCE:
         other = _draw_order(cards, after=after, rng=rng)
         crowding, in_vain = _count_crowding([after, *other]), in_vain + 1
         if crowding < fewest:

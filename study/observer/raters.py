@@ -213,10 +213,7 @@ class Rater:
         if self.kind == RANDOM_CLICKER or lapsed:
             return guess
         asked, *felt = rng.normal(0, self.noise_sd * growth, len(names) + 1)
-        away = {
-            name: abs(max(distances[name], 0.0) + noise - asked)
-            for name, noise in zip(names, felt, strict=True)
-        }
+        away = {name: abs(max(distances[name], 0.0) + noise - asked) for name, noise in zip(names, felt, strict=True)}
         nearest = min(away.values())
         # Where two are exactly as near, nothing was felt of a difference.
         return guess if away[guess] == nearest else min(names, key=away.__getitem__)

@@ -71,9 +71,10 @@ def test_two_that_lose_as_much_in_different_ways_are_apart(protocol: str) -> Non
     experience = make_experience(protocol, {"first": one, "test": other, "x": other}, reference="first")
     expected = MODEL.threshold_spectral * 20.0  # dB, in both bands
     if protocol == "abx":
-        assert compare(experience, Judgement("x", "?"), ("first", "test"), touch=TOUCH) == pytest.approx(
-            {"first": expected, "test": 0.0}
-        )
+        assert compare(experience, Judgement("x", "?"), ("first", "test"), touch=TOUCH) == pytest.approx({
+            "first": expected,
+            "test": 0.0,
+        })
     else:
         answer = ask(experience)
         assert (100 - answer if protocol == "similarity" else answer) == pytest.approx(expected)
