@@ -27,8 +27,6 @@ class Balance:
         How often each condition was followed at once by each other one.
     repeats : int
         How often a condition followed itself.
-    position_range, carry_over_range : int
-        Largest count minus smallest.
     position_index, carry_over_index : float
         Coefficient of variation of the counts: 0 for perfect balance; about sqrt((m - 1) / k) for k random orders of
         m conditions.
@@ -37,8 +35,6 @@ class Balance:
     positions: Mapping[tuple[str, int], int]
     carry_over: Mapping[tuple[str, str], int]
     repeats: int
-    position_range: int
-    carry_over_range: int
     position_index: float
     carry_over_index: float
 
@@ -66,7 +62,7 @@ def measure_balance(sequences: Sequence[Sequence[str]]) -> Balance:
     >>> balance = measure_balance(["ABDC", "BCAD", "CDBA", "DACB"])
     >>> balance.position_index, balance.carry_over_index
     (0.0, 0.0)
-    >>> measure_balance(["ABCD", "ABDC"]).carry_over_range
+    >>> measure_balance(["ABCD", "ABDC"]).carry_over["A", "B"]
     2
     """
     conditions = sorted(set(chain.from_iterable(sequences)))
@@ -119,15 +115,9 @@ def _summarise(
         positions=dict(positions),
         carry_over=dict(carry_over),
         repeats=repeats,
-        position_range=_measure_range(positions.values()),
-        carry_over_range=_measure_range(carry_over.values()),
         position_index=_measure_variation(positions.values()),
         carry_over_index=_measure_variation(carry_over.values()),
     )
-
-
-def _measure_range(counts: Collection[int]) -> int:
-    return max(counts, default=0) - min(counts, default=0)
 
 
 def _measure_variation(counts: Collection[int]) -> float:

@@ -10,9 +10,6 @@ from dataclasses import dataclass
 RATING_RANGE = (0.0, 100.0)
 """Lowest and highest rating of every scale, in points."""
 
-PHASES = ("training", "practice", "main")
-"""What a trial is for: only those of the last are results."""
-
 TIMINGS = ("strict", "replay", "free")
 """How the parts of a trial are felt: once in order; in order and again at will; at will from the start."""
 
@@ -156,7 +153,7 @@ class Trial:
     judgements : tuple of Judgement
         What is judged.
     phase : str
-        What it is for, one of `PHASES`.
+        What it is for: `training`, `practice` or `main`; only trials of the last are results.
     catch : str
         As in `Comparison`.
     """

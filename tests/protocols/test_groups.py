@@ -5,7 +5,9 @@ from itertools import product
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocols.groups import place_in_groups
+from protocols.groups import place_in_groups, select_items, select_tasks
+from protocols.tasks import make_task
+from protocols.trial import Item
 
 
 @given(st.lists(st.integers(1, 4), max_size=4), st.integers(1, 600))
@@ -22,3 +24,13 @@ def test_combinations_are_counted_and_not_listed() -> None:
     between = {f"factor{n}": ["off", "on"] for n in range(80)}
     groups, place = place_in_groups(between, 2**80 + 2)
     assert (place, groups["factor79"], groups["factor78"]) == (2, "on", "off")
+
+
+def test_a_group_has_its_own_levels_and_tasks_and_shared_references() -> None:
+    items = [Item("t-x", "t", "dft321", "x", "test"), Item("t-y", "t", "dft321", "y", "test")]
+    shared = Item("t-o", "t", "original", "x", "reference")
+    tasks = [make_task("realism"), make_task("abx")]
+    assert select_items([*items, shared], {"level": "y"}) == (items[1], shared)
+    assert select_items([*items, shared], {"grip": "pen"}) == (*items, shared)
+    assert select_tasks(tasks, {"protocol": "abx"}) == (tasks[1],)
+    assert select_tasks(tasks, {}) == tuple(tasks)
