@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from study.observer.judging import REAL, Experience, Point
 from study.observer.participant import Participant
 from study.observer.raters import ObserverModel
-from study.session.ports import Confirm, Feel, Move, Playback
+from study.session.ports import Confirm, Feel, Playback
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -45,11 +45,6 @@ class SimulatedObserver(Participant):
         Percept of each stimulus by its id; needed where the model uses them.
     elapsed_s : float
         Where the participant's clock stands: 0, or where a session that is resumed was broken off.
-
-    Attributes
-    ----------
-    reports_moves : bool
-        Whether it says where it left each slider before it confirms; every report is one more record on the disk.
     """
 
     def __init__(
@@ -62,7 +57,6 @@ class SimulatedObserver(Participant):
         elapsed_s: float = 0.0,
     ) -> None:
         super().__init__(model, seed=seed, number=number, percepts=percepts)
-        self.reports_moves = False
         self._clock = _Clock(elapsed_s)
         self._confirmed: Experience | None = None
         self._missed: tuple[str, ...] = ()
@@ -138,11 +132,11 @@ class SimulatedObserver(Participant):
         return self._clock.play(0.0, STROKE_S)
 
     def wait(self) -> Act:
-        """Do the next thing: feel what can be felt at will, move the sliders, confirm.
+        """Do the next thing: feel what can be felt at will, confirm.
 
         Returns
         -------
-        Feel, Move or Confirm
+        Feel or Confirm
             What was done.
         """
         return next(self._acts)
@@ -167,11 +161,7 @@ class SimulatedObserver(Participant):
                 yield Feel(self._clock.time_s, part.name)
         values, response_s = self.answer(experience, scale, place)
         asked_s = self._clock.time_s
-        moves = [(name, value) for name, value in values.items() if self.reports_moves and isinstance(value, float)]
-        for name, points in moves:
-            self._clock.spend(response_s / (len(moves) + 1))
-            yield Move(self._clock.time_s, name, points)
-        self._clock.spend(response_s / (len(moves) + 1))
+        self._clock.spend(response_s)
         while True:
             if trial.phase == "main":
                 self._confirmed = experience

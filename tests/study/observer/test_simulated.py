@@ -12,7 +12,7 @@ from stimuli.manifest import Stimulus
 from study.observer.percepts import Percept
 from study.observer.simulated import ObserverModel, SimulatedObserver, identify_observer
 from study.session.chain import Record
-from study.session.ports import Confirm, Feel, Move, Place
+from study.session.ports import Confirm, Feel, Place
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -323,19 +323,6 @@ def test_what_is_felt_at_will_is_felt_in_order_before_the_answer() -> None:
     assert [act.part for act in acts[:-1] if isinstance(act, Feel)] == ["reference", "1", "2"]
     assert isinstance(acts[-1], Confirm)
     assert len(lead(SimulatedObserver(MODEL, seed=1, number=1), make_mushra(1, ["code1"], timing="replay"))) == 1
-
-
-def test_moves_are_told_on_demand_and_change_no_answer() -> None:
-    trial = make_mushra(1, ["code1", "code2"], timing="strict")
-    quiet, telling = (SimulatedObserver(MODEL, seed=1, number=1) for _ in range(2))
-    telling.reports_moves = True
-    [confirmed], [*moves, confirmed_too] = lead(quiet, trial), lead(telling, trial)
-    assert {move.part: move.value for move in moves if isinstance(move, Move)} == confirmed.values
-    assert confirmed_too.values == confirmed.values
-    times = [act.time_s for act in [*moves, confirmed_too]]
-    assert times == sorted(set(times))
-    assert confirmed_too.response_time_s == pytest.approx(confirmed.response_time_s, abs=0.002)
-    assert [type(act) for act in lead(telling, make_abx(2, "code1"))] == [Confirm]
 
 
 def test_what_was_not_felt_is_felt_before_the_same_answer_is_given_again() -> None:
