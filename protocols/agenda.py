@@ -52,7 +52,8 @@ class Agenda:
         self._flow = flow
         self._trials = {trial.number: trial for trial in trials}
         self._steps: deque[Step] = deque(lay_out(trials, flow))
-        self._bad: Counter[int] = Counter()
+        self._attempts: Counter[int] = Counter()
+        self._spent: Counter[int] = Counter()
         self._training = Training(trials, flow)
         self._trials_since_break = 0
         self._break_ended_s = 0.0
@@ -60,6 +61,8 @@ class Agenda:
         """Trials of the main phase."""
         self.done = 0
         """Those of them that need no further attempt, rated or given up."""
+        self.given_up = 0
+        """Those of them that were tried too often without success."""
 
     def ask(self) -> Step | None:
         """Name the next step.
@@ -84,7 +87,7 @@ class Agenda:
         int
             From 1.
         """
-        return self._bad[number] + 1
+        return self._attempts[number] + 1
 
     def tell_page(self, key: str, *, time_s: float) -> None:
         """Take a page as read.
@@ -105,7 +108,9 @@ class Agenda:
         if key in RELAXING:
             self._trials_since_break, self._break_ended_s = 0, time_s
 
-    def tell_trial(self, number: int, *, accepted: bool, as_expected: bool | None, time_s: float) -> None:
+    def tell_trial(
+        self, number: int, *, accepted: bool, as_expected: bool | None, time_s: float, spent: bool = True
+    ) -> None:
         """Take an attempt at a trial as made.
 
         Parameters
@@ -118,6 +123,8 @@ class Agenda:
             Whether the answer was one of those expected; None where any will do.
         time_s : float
             When, in s since the session began.
+        spent : bool
+            Whether a bad attempt is one of those that a trial has: a device that fails may not use them up.
 
         Raises
         ------
@@ -127,14 +134,16 @@ class Agenda:
         self._take(number)
         trial = self._trials[number]
         if not accepted:
-            self._bad[number] += 1
-            if self._bad[number] < self._flow.max_attempts:
+            self._attempts[number] += 1
+            self._spent[number] += spent
+            if self._spent[number] < self._flow.max_attempts:
                 self._steps.insert(find_place(self._steps, trial), trial)
                 return
         if trial.phase == "training":
             self._go_on_training(trial, understood=as_expected)
         elif trial.phase == "main":
             self.done += 1
+            self.given_up += not accepted
             self._trials_since_break += 1
             if self._is_break_due(time_s):
                 self._steps.appendleft(Page("break", self._flow.break_s))
@@ -166,7 +175,8 @@ class Agenda:
         """Put steps before all others; what was done before and comes again has all its attempts again."""
         for step in steps:
             if isinstance(step, Trial):
-                self._bad.pop(step.number, None)
+                self._attempts.pop(step.number, None)
+                self._spent.pop(step.number, None)
         self._steps.extendleft(reversed(steps))
 
     def _is_break_due(self, time_s: float) -> bool:

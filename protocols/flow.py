@@ -21,15 +21,16 @@ class Flow:
     break_s, rest_s : float
         Least duration in s of a break, and of the rest without any stimulus that every session has.
     training_pass : float
-        Share of expected answers at which training is passed, 0 to 1.
+        Share of expected answers at which training is passed, 0 to 1; what guessing gives does not count.
     training_rounds : int
         Rounds of training before the session goes on without.
     min_response_s : float
         Faster answers, in s, are too fast.
     max_attempts : int
-        How often a trial is tried before it is given up.
+        How often a trial is tried before it is given up; attempts that the device spoiled are not counted.
     reject : tuple of str
-        The flags, of `FLAGS`, that make a trial bad: its rating does not count, and it is tried again.
+        The flags, of `FLAGS`, that make a trial bad: its rating does not count, and it is tried again. Where no
+        answer could be given, because the device failed or what is felt once was cut short, it always is.
     gap_s : float
         Silence in s before each part of a trial.
     """
@@ -56,10 +57,13 @@ class Page:
         Its text in the catalogue.
     least_s : float
         How long, in s, it stands at least.
+    by : str
+        Who goes on from it: `participant` or `experimenter`.
     """
 
     key: str
     least_s: float = 0.0
+    by: str = "participant"
 
 
 PAGES = (

@@ -72,7 +72,7 @@ class Training:
         if max(sum(self._understood) - self._guessed, 0.0) >= self._flow.training_pass * not_guessed:
             yield Page("training_passed")
         elif self._rounds[protocol] >= self._flow.training_rounds:
-            yield Page("training_failed")
+            yield Page("training_failed", by="experimenter")
         else:
             yield Page("training_again")
             yield from (trial for trial in self._trials if trial.protocol == protocol)

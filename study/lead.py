@@ -5,7 +5,7 @@ What simulated and real sessions have in common; only who presents differs.
 
 from __future__ import annotations
 
-from contextlib import suppress
+from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +19,7 @@ from study.session.replay import has_event
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
+    from contextlib import AbstractContextManager
     from pathlib import Path
 
     from sqlalchemy import Engine
@@ -32,11 +33,11 @@ if TYPE_CHECKING:
     from study.session.plan import Plan
     from study.session.ports import Place, Presenter
 
-    MakePresenter = Callable[[Plan, Journal, Mapping[str, Stimulus]], Presenter]
+    MakePresenter = Callable[[Plan, Journal, Mapping[str, Stimulus]], AbstractContextManager[Presenter]]
 
 
 TRIALS_BETWEEN_NOTES = 25
-"""The journal is the truth; the ledger follows it at a distance that costs little."""
+"""How far the ledger may be behind the journals of simulated participants; it follows real ones trial by trial."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +87,8 @@ def lead_session(
     identity : mapping
         What must not change within the session besides its plan.
     make_presenter : callable
-        Takes the stored plan, the open journal and the stimuli by blind code; gives the presenter.
+        Takes the stored plan, the open journal and the stimuli by blind code; gives a context manager that opens the
+        presenter, and closes it whatever happens.
     on_step : callable, optional
         Called with how far the session has come, at its opening and after every page and trial.
 
@@ -95,7 +97,7 @@ def lead_session(
     outcome : Outcome
         How the session ended.
     notice : str
-        What had to be mended when it was opened; mostly empty.
+        What had to be mended when it was opened, and whether the ledger could not follow; mostly empty.
 
     Raises
     ------
@@ -109,58 +111,65 @@ def lead_session(
     with open_session(folder, plan, identity=identity, now=room.now, stale=room.stale) as (stored, journal):
         codes = list_codes(room.stimuli, seed=stored.seed)
         by_code = {codes[row.stimulus_id]: row for row in room.stimuli.stimuli}
-        presenter = make_presenter(stored, journal, by_code)
-        stage = Stage(presenter, by_code, room.scales, journal, stored.flow)
-        keeper = _Keeper(room.ledger, plan.participant, journal)
+        keeper = _Keeper(room.ledger, journal, every=TRIALS_BETWEEN_NOTES if stored.simulated else 1)
 
         def note(place: Place) -> None:
             keeper.see(place)
             if on_step is not None:
                 on_step(place)
 
-        try:
+        with ExitStack() as stack:
+            stack.callback(keeper.write)
+            presenter = stack.enter_context(make_presenter(stored, journal, by_code))
+            stage = Stage(presenter, by_code, room.scales, journal, stored.flow)
             outcome = run_session(stored, stage, on_step=note)
-        except BaseException:
-            with suppress(OSError):  # What broke the session off is the better news.
-                keeper.write()
-            raise
-        keeper.write()
-        return outcome, journal.notice
+        return outcome, "; ".join(filter(None, (journal.notice, keeper.notice)))
 
 
 def _check_whole(room: Room, folder: Path) -> None:
     """Refuse to go on with a journal of which less is there than was seen."""
-    for entry in read_ledger(room.ledger):
-        if entry.participant == folder.name:
-            check_anchors(entry.anchors, folder)
+    for entry in read_ledger(room.ledger, folder.name):
+        check_anchors(entry.anchors, folder)
 
 
 @dataclass(slots=True)
 class _Keeper:
-    """Notes in the ledger how far a session has come: at its opening, now and then, and at its end."""
+    """Notes in the ledger how far a session has come: at its opening, now and then, and at its end.
+
+    The journal is the truth: a ledger that cannot be written is told, and ends nobody's session.
+    """
 
     ledger: Engine
-    participant: str
     journal: Journal
+    every: int
     place: Place | None = None
-    noted: int = -TRIALS_BETWEEN_NOTES
+    noted: int | None = None
+    notice: str = ""
 
     def see(self, place: Place) -> None:
         self.place = place
-        if place.done - self.noted >= TRIALS_BETWEEN_NOTES:
+        if self.noted is None or place.done - self.noted >= self.every:
             self.write()
 
     def write(self) -> None:
         if self.place is None:
             return
         self.noted = self.place.done
+        try:
+            self._note(self.place)
+        except (OSError, ValueError) as error:
+            self.notice = str(error)
+        else:
+            self.notice = ""
+
+    def _note(self, place: Place) -> None:
         note_progress(
             self.ledger,
-            self.participant,
+            self.journal.path.parent.name,
             journal=self.journal.path.name,
             lines=len(self.journal.records),
             tip=self.journal.tip,
-            done=self.place.done,
-            total=self.place.total,
+            done=place.done,
+            total=place.total,
             state="finished" if has_event(self.journal.records, "finished") else "running",
         )

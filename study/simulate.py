@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import CancelledError, ThreadPoolExecutor, as_completed
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from itertools import count, islice
@@ -23,7 +24,7 @@ from study.settings.designs import make_design, make_identity, make_stale
 from study.settings.wording import find_language
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from stimuli.manifest import Stimulus, StimulusSet
@@ -157,7 +158,10 @@ class _Casting:
     model: ObserverModel
     percepts: dict[str, Percept]
 
-    def make_observer(self, plan: Plan, journal: Journal, stimuli: Mapping[str, Stimulus]) -> SimulatedObserver:
+    @contextmanager
+    def make_observer(
+        self, plan: Plan, journal: Journal, stimuli: Mapping[str, Stimulus]
+    ) -> Iterator[SimulatedObserver]:
         # A code belongs to one person for ever; the number in the design may have been somebody else's before.
         person = int(plan.participant.removeprefix("sim"))
         elapsed_s = find_elapsed(journal.records)
@@ -165,7 +169,7 @@ class _Casting:
             self.model, seed=self.seed, number=person, percepts=self.percepts, elapsed_s=elapsed_s
         )
         observer.recall(journal.records, plan.trials, stimuli=stimuli)
-        return observer
+        yield observer
 
 
 class _Tally:

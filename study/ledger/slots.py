@@ -133,13 +133,15 @@ def note_progress(  # noqa: PLR0913 - a row of the ledger, each of its cells by 
         write_entries(connection, [noted], instead_of=[participant])
 
 
-def read_ledger(ledger: Engine) -> list[Entry]:
+def read_ledger(ledger: Engine, participant: str | None = None) -> list[Entry]:
     """Read everything that the ledger knows.
 
     Parameters
     ----------
     ledger : Engine
         The ledger.
+    participant : str, optional
+        Whom to read about; all if left out.
 
     Returns
     -------
@@ -147,7 +149,7 @@ def read_ledger(ledger: Engine) -> list[Entry]:
         One per participant: real people before simulated ones, by number, of one number the holder of the slot last.
     """
     with begin_reading(ledger) as connection:
-        return read_entries(connection)
+        return read_entries(connection, participant)
 
 
 def rewrite_ledger(ledger: Engine, change: Callable[[list[Entry]], list[Entry]]) -> list[Entry]:

@@ -77,7 +77,7 @@ class SimulatedObserver(Participant):
             At the first moment at which that can be done.
         """
         self._clock.spend(page.least_s)
-        return Confirm(self._clock.time_s, {})
+        return Confirm(self._clock.time_s, {}, page.least_s)
 
     def show_trial(self, trial: Trial, scale: Scale, place: Place) -> None:
         """Take note of the trial.

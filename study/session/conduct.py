@@ -5,7 +5,9 @@ Every event is in the journal before the next one may happen.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
+from math import isfinite
+from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 from protocols.flow import Page
@@ -48,7 +50,11 @@ class Stage:
 
 
 class Stopped(Exception):  # noqa: N818 - nothing went wrong
-    """The session ends here for today; the reason is the argument."""
+    """The session ends here for today; reason and time are the arguments."""
+
+
+class _Paused(Exception):  # noqa: N818 - nothing went wrong
+    """The participant paused; the time is the argument."""
 
 
 @dataclass(slots=True)
@@ -58,8 +64,7 @@ class _Attempt:
     trial: Trial
     number: int
     stage: Stage
-    felt: set[str] = field(default_factory=set)
-    flags: dict[str, None] = field(default_factory=dict)
+    playbacks: dict[str, Playback] = field(default_factory=dict)
     time_s: float = 0.0
 
     @property
@@ -67,22 +72,28 @@ class _Attempt:
         return {"trial": self.trial.number, "attempt": self.number}
 
     def take(self, part: Part, playback: Playback) -> None:
-        self.time_s = playback.onset_s
-        if playback.completed and not playback.error:
-            self.felt.add(part.name)
-        faults = {
-            "underrun": playback.underruns,
-            "clipped": playback.clipped,
-            "device_error": playback.error,
-        }
-        self.flags |= dict.fromkeys(name for name, fault in faults.items() if fault)
+        self.playbacks[part.name] = playback
+        self.time_s = playback.requested_s if playback.onset_s is None else playback.onset_s
 
     def list_unfelt(self) -> tuple[str, ...]:
-        return tuple(part.name for part in self.trial.parts if part.name not in self.felt)
+        felt = {name for name, playback in self.playbacks.items() if playback.completed and not playback.error}
+        return tuple(part.name for part in self.trial.parts if part.name not in felt)
+
+    def list_flags(self) -> list[str]:
+        """List what was wrong with the parts, each as it was felt last."""
+        faults = {
+            "underrun": any(playback.underruns for playback in self.playbacks.values()),
+            "clipped": any(playback.clipped for playback in self.playbacks.values()),
+            "device_error": any(playback.error for playback in self.playbacks.values()),
+        }
+        return [name for name, fault in faults.items() if fault]
+
+    def write(self, event: str, data: Mapping[str, Any]) -> None:
+        self.stage.journal.write(event, {**self.key, **data})
 
 
 def conduct_page(page: Page, place: Place, stage: Stage) -> None:
-    """Show a page until the participant goes on.
+    """Show a page until whoever it is for goes on, and at least as long as it is to stand.
 
     Parameters
     ----------
@@ -98,11 +109,8 @@ def conduct_page(page: Page, place: Place, stage: Stage) -> None:
     Stopped
         If the participant does not go on.
     """
-    act = stage.presenter.show_page(page, place)
-    while isinstance(act, Pause):  # Nothing is felt on a page, so there is nothing to pause.
-        act = stage.presenter.show_page(page, place)
-    _heed(act)
-    stage.journal.write("page", {"key": page.key, "time_s": act.time_s})
+    act = _read_page(page, place, stage)
+    stage.journal.write("page", {"key": page.key, "time_s": act.time_s, "stood_s": act.response_time_s})
 
 
 def conduct_trial(trial: Trial, place: Place, stage: Stage) -> None:
@@ -125,72 +133,77 @@ def conduct_trial(trial: Trial, place: Place, stage: Stage) -> None:
     while True:
         attempt = _Attempt(trial, place.attempt, stage)
         stage.presenter.show_trial(trial, stage.scales[trial.scale], place)
-        stage.journal.write("shown", attempt.key)
-        if trial.timing != "free":
-            _feel(attempt, trial.parts)
-        if _is_spoiled(attempt) or _answer(attempt):
+        attempt.write("shown", {})
+        try:
+            if trial.timing != "free":
+                _feel(attempt, trial.parts)
+            if not _is_spoiled(attempt):
+                _answer(attempt)
+        except _Paused as pause:
+            attempt.write("paused", {"time_s": pause.args[0]})
+            attempt.write("continued", {"time_s": _read_page(Page("pause"), place, stage).time_s})
+        else:
             return
-        conduct_pause(trial, place, stage)
 
 
-def conduct_pause(trial: Trial, place: Place, stage: Stage) -> None:
-    """Wait until a participant who paused goes on.
-
-    Parameters
-    ----------
-    trial : Trial
-        The trial that was broken off; it is shown from its beginning afterwards.
-    place : Place
-        How far the session has come.
-    stage : Stage
-        Who shows the page, and where it is recorded.
-
-    Raises
-    ------
-    Stopped
-        If the participant does not go on.
-    """
-    act = stage.presenter.show_page(Page("pause"), place)
-    while isinstance(act, Pause):
-        act = stage.presenter.show_page(Page("pause"), place)
-    _heed(act)
-    stage.journal.write("continued", {"trial": trial.number, "time_s": act.time_s})
-
-
-def _answer(attempt: _Attempt) -> bool:
-    """Wait for the answer; False if the participant paused instead."""
-    stage, number = attempt.stage, attempt.trial.number
+def _read_page(page: Page, place: Place, stage: Stage) -> Confirm:
     while True:
-        act = stage.presenter.wait()
-        _heed(act)
+        act = stage.presenter.show_page(page, place)
+        if isinstance(act, Abort):
+            raise Stopped(act.reason, act.time_s)
+        if isinstance(act, Pause):
+            continue  # Nothing is felt on a page, so there is nothing to pause.
+        if act.response_time_s >= page.least_s:
+            return act
+        stage.presenter.refuse("too_early", ())
+
+
+def _answer(attempt: _Attempt) -> None:
+    """Wait for the answer, or for what ends the attempt otherwise."""
+    while True:
+        act = attempt.stage.presenter.wait()
         match act:
             case Feel():
                 _feel_again(attempt, act)
                 if _is_spoiled(attempt):
-                    return True
+                    return
             case Move():
-                stage.journal.write("moved", {"trial": number, **asdict(act)})
+                _move(attempt, act)
             case Confirm():
                 if _accept(attempt, act):
-                    return True
-            case Pause():
-                stage.journal.write("paused", {"trial": number, "time_s": act.time_s})
-                return False
+                    return
+            case _:
+                _heed(act)
 
 
 def _feel(attempt: _Attempt, parts: Iterable[Part]) -> None:
     """Play the parts in order, until one is cut short."""
     stage = attempt.stage
+    gap_s = 0.0 if attempt.trial.timing == "free" else stage.flow.gap_s
     for part in parts:
         if part.stimulus_id is None:
             playback, event = stage.presenter.prompt(part), "prompted"
         else:
-            stimulus = stage.stimuli[part.stimulus_id]
-            playback, event = stage.presenter.play(part, stimulus, gap_s=stage.flow.gap_s), "played"
-        stage.journal.write(event, {**attempt.key, "part": part.name, **asdict(playback)})
+            playback = stage.presenter.play(part, stage.stimuli[part.stimulus_id], gap_s=gap_s)
+            event = "played"
+        attempt.write(event, {"part": part.name, **_describe_playback(playback)})
         attempt.take(part, playback)
+        _heed(playback.act)
         if playback.error or not playback.completed:
             return
+
+
+def _describe_playback(playback: Playback) -> dict[str, Any]:
+    """Write a playback as JSON can hold it: devices report numbers of many kinds, and some that are none."""
+    onset_s = playback.onset_s
+    return {
+        "requested_s": float(playback.requested_s),
+        "onset_s": float(onset_s) if onset_s is not None and isfinite(onset_s) else None,
+        "underruns": int(playback.underruns),
+        "clipped": int(playback.clipped),
+        "completed": bool(playback.completed),
+        "error": playback.error,
+    }
 
 
 def _feel_again(attempt: _Attempt, act: Feel) -> None:
@@ -200,20 +213,27 @@ def _feel_again(attempt: _Attempt, act: Feel) -> None:
     elif not parts:
         _refuse(attempt, act, reason="unknown_part", parts=(act.part,))
     else:
-        if attempt.felt.issuperset(part.name for part in parts):
-            again = {"trial": attempt.trial.number, "part": act.part, "time_s": act.time_s}
-            attempt.stage.journal.write("replayed", again)
+        if not {part.name for part in parts} & set(attempt.list_unfelt()):
+            attempt.write("replayed", {"part": act.part, "time_s": act.time_s})
         _feel(attempt, parts)
+
+
+def _move(attempt: _Attempt, act: Move) -> None:
+    scale = attempt.stage.scales[attempt.trial.scale]
+    if act.part in find_missing(attempt.trial, set()) and act.part in _find_valid({act.part: act.value}, scale):
+        attempt.write("moved", {"part": act.part, "value": float(act.value), "time_s": act.time_s})
+    else:
+        _refuse(attempt, act, reason="unknown_part", parts=(act.part,))
 
 
 def _is_spoiled(attempt: _Attempt) -> bool:
     """End an attempt that can no longer be answered: the device failed, or what is felt only once was cut short."""
+    flags = attempt.list_flags()
     if attempt.trial.timing == "strict" and attempt.list_unfelt():
-        attempt.flags["not_felt"] = None
-    if not {"device_error", "not_felt"} & attempt.flags.keys():
+        flags.append("not_felt")
+    if not {"device_error", "not_felt"} & set(flags):
         return False
-    spoiled = {**attempt.key, "flags": list(attempt.flags), "time_s": attempt.time_s}
-    attempt.stage.journal.write("spoiled", spoiled)
+    attempt.write("spoiled", {"flags": flags, "time_s": attempt.time_s})
     return True
 
 
@@ -224,17 +244,20 @@ def _accept(attempt: _Attempt, act: Confirm) -> bool:
         return _refuse(attempt, act, reason="not_felt", parts=unfelt)
     if missing := find_missing(trial, _find_valid(act.values, stage.scales[trial.scale])):
         return _refuse(attempt, act, reason="not_answered", parts=tuple(missing))
+    flags = attempt.list_flags()
     if act.response_time_s < stage.flow.min_response_s:
-        attempt.flags["too_fast"] = None
-    rated: dict[str, Any] = {
-        **attempt.key,
-        "values": {judgement.part: act.values[judgement.part] for judgement in trial.judgements},
-        "response_time_s": act.response_time_s,
-        "time_s": act.time_s,
-        "flags": list(attempt.flags),
-        "rejected": not attempt.flags.keys().isdisjoint(stage.flow.reject),
-    }
-    stage.journal.write("rated", rated)
+        flags.append("too_fast")
+    values = {part: act.values[part] for part in find_missing(trial, set())}
+    attempt.write(
+        "rated",
+        {
+            "values": {part: value if isinstance(value, str) else float(value) for part, value in values.items()},
+            "response_time_s": act.response_time_s,
+            "time_s": act.time_s,
+            "flags": flags,
+            "rejected": not set(stage.flow.reject).isdisjoint(flags),
+        },
+    )
     return True
 
 
@@ -243,17 +266,19 @@ def _find_valid(values: Mapping[str, float | str], scale: Scale) -> set[str]:
     return {
         part
         for part, value in values.items()
-        if (value in scale.choices if scale.choices else isinstance(value, int | float) and low <= value <= high)
+        if (value in scale.choices if scale.choices else isinstance(value, Real) and low <= value <= high)
     }
 
 
-def _refuse(attempt: _Attempt, act: Feel | Confirm, *, reason: str, parts: tuple[str, ...] = ()) -> bool:
-    refused = {"trial": attempt.trial.number, "reason": reason, "parts": list(parts), "time_s": act.time_s}
-    attempt.stage.journal.write("refused", refused)
+def _refuse(attempt: _Attempt, act: Feel | Move | Confirm, *, reason: str, parts: tuple[str, ...] = ()) -> bool:
+    attempt.write("refused", {"reason": reason, "parts": list(parts), "time_s": act.time_s})
     attempt.stage.presenter.refuse(reason, parts)
     return False
 
 
 def _heed(act: object) -> None:
+    """Let a pause or an abort end the attempt."""
     if isinstance(act, Abort):
-        raise Stopped(act.reason)
+        raise Stopped(act.reason, act.time_s)
+    if isinstance(act, Pause):
+        raise _Paused(act.time_s)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from protocols.flow import Page
 from study.session.conduct import Stage, Stopped, conduct_page, conduct_trial
 from study.session.ports import Place
-from study.session.replay import has_event, replay, tell
+from study.session.replay import find_elapsed, has_event, replay, tell
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -61,14 +61,16 @@ def run_session(plan: Plan, stage: Stage, *, on_step: Callable[[Place], None] | 
     try:
         _work_through(plan, agenda, stage, on_step=on_step)
     except Stopped as stop:
-        stage.journal.write("aborted", {"reason": str(stop)})
-        return Outcome(agenda.done, agenda.total, str(stop))
+        reason, time_s = stop.args
+        stage.journal.write("aborted", {"reason": reason, "time_s": time_s})
+        return Outcome(agenda.done, agenda.total, reason)
     except BaseException as error:
         if stage.journal.is_open:
-            stage.journal.write("aborted", {"reason": type(error).__name__})
+            words = f"{type(error).__name__}: {error}".removesuffix(": ")
+            stage.journal.write("aborted", {"reason": words, "time_s": find_elapsed(stage.journal.records)})
         raise
     if not has_event(stage.journal.records, "finished"):
-        stage.journal.write("finished", {"trials": agenda.done})
+        stage.journal.write("finished", {"trials": agenda.done, "given_up": agenda.given_up})
     return Outcome(agenda.done, agenda.total)
 
 
@@ -91,4 +93,4 @@ def _work_through(
         tell(agenda, record, trials)
         failures = failures + 1 if "device_error" in record.data.get("flags", ()) else 0
         if failures == DEVICE_ERRORS:
-            raise Stopped("the device failed twice in a row; see to it, then resume")
+            raise Stopped("the device failed twice in a row; see to it, then resume", record.data["time_s"])

@@ -6,10 +6,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from importlib.metadata import version
+from platform import platform, python_version
 from typing import TYPE_CHECKING, Any
 
 from study.session.differences import find_differences
-from study.session.journal import create_journal, require_journal
+from study.session.journal import create_journal, read_journal, require_journal
 from study.session.plan import compare_plans, create_plan, require_plan
 from study.session.replay import find_elapsed, find_header, has_event, list_journals, name_journal
 
@@ -25,7 +26,10 @@ TOMBSTONE_FILE = "withdrawn.json"
 POLICIES = ("warm_up", "continue", "restart")
 """What becomes of a session that was left for long: practice first, go on at once, or begin anew beside it."""
 
-UNCOMPARED = ("session", "versions", "clock")
+FORMAT = 1
+"""Form of the journal; its header says which one it has."""
+
+UNCOMPARED = ("format", "session", "versions", "system", "clock")
 """What may differ between a header and a later opening: other versions may go on with a session."""
 
 OPENING_EVENTS = ("clock_stepped", "recovered", "resumed")
@@ -89,21 +93,28 @@ def open_session(
     with hold_lock(folder / ".lock", busy="another session is writing here; let it finish or stop it first"):
         if (folder / TOMBSTONE_FILE).exists():
             raise ValueError(f"{folder}: {folder.name} was withdrawn; take another code")
-        stored = _settle_plan(folder / PLAN_FILE, plan)
+        stored = _settle_plan(folder / PLAN_FILE, plan, is_begun=_is_begun(folder))
         header = _make_header(stored, identity)
         journal = _open_newest(folder, header, now=now, stale=stale)
         yield stored, journal
 
 
-def _settle_plan(path: Path, plan: Plan) -> Plan:
+def _is_begun(folder: Path) -> bool:
+    return any(find_header(read_journal(path).records) for path in list_journals(folder))
+
+
+def _settle_plan(path: Path, plan: Plan, *, is_begun: bool) -> Plan:
     if not path.exists():
         create_plan(path, plan)
     stored = require_plan(path)
+    remedy = "change it back, begin with another participant, or move sessions/ away"
     if differences := compare_plans(stored, plan):
         raise ValueError(
-            f"{path}: the study was changed since this plan was stored ({'; '.join(differences)}); "
-            "change it back, begin with another participant, or move sessions/ away"
+            f"{path}: the study was changed since this plan was stored ({'; '.join(differences)}); {remedy}"
         )
+    # A session that was begun keeps its trials, whatever a later version would make of the same inputs.
+    if not is_begun and stored.trials != plan.trials:
+        raise ValueError(f"{path}: holds other trials than the study gives; remove the file, or {remedy}")
     return stored
 
 
@@ -156,13 +167,14 @@ def _supersede(journal: Journal, header: Mapping[str, Any], *, session: int, now
 
 
 def _write_header(journal: Journal, header: Mapping[str, Any], *, session: int) -> None:
-    journal.write("begun", {**header, "session": session, **_describe_opening(journal)})
+    journal.write("begun", {"format": FORMAT, **header, "session": session, **_describe_opening(journal)})
 
 
 def _describe_opening(journal: Journal) -> dict[str, Any]:
     # The record's own time of day beside that of the presenter: the offset between both clocks.
     return {
-        "versions": {name: version(name) for name in ("feel321", "numpy")},
+        "versions": {"python": python_version(), **{name: version(name) for name in ("feel321", "numpy", "scipy")}},
+        "system": platform(),
         "clock": {"presenter_s": find_elapsed(journal.records)},
     }
 

@@ -260,7 +260,10 @@ def require_plan(path: Path) -> Plan:
     entry = json.loads(body)
     if (stored := entry.pop("format")) != FORMAT:
         raise ValueError(f"{path}: got a plan of format {stored}, allowed is {FORMAT}; use the feel321 that wrote it")
-    return _restore(entry, sha256=digest(body))
+    try:
+        return _restore(entry, sha256=digest(body))
+    except (TypeError, KeyError, AttributeError) as error:
+        raise ValueError(f"{path}: got a plan of another make ({error}); use the feel321 that wrote it") from None
 
 
 def compare_plans(plan: Plan, other: Plan) -> list[str]:

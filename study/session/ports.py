@@ -20,12 +20,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Playback:
-    """What became of a stimulus on its way to the hand.
+    """What became of a stimulus on its way to the hand, or of a stroke over the real surface.
 
     Parameters
     ----------
-    requested_s, onset_s : float
-        When it was to begin and when it did.
+    requested_s : float
+        When it was to begin.
+    onset_s : float or None
+        When it did; None if it never did.
     underruns : int
         How often the device ran dry.
     clipped : int
@@ -34,14 +36,17 @@ class Playback:
         Whether it was felt to its end: the participant may have stopped it.
     error : str
         What the device reported; empty if all went well.
+    act : Pause, Abort or None
+        What the participant did that ended it before its time, beyond stopping it.
     """
 
     requested_s: float
-    onset_s: float
+    onset_s: float | None
     underruns: int = 0
     clipped: int = 0
     completed: bool = True
     error: str = ""
+    act: Pause | Abort | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +95,7 @@ class Confirm:
     values : mapping of str to float or str
         Points, or the part that was chosen, by the part that is judged; empty for a page.
     response_time_s : float
-        Since the answer became possible.
+        Since the answer became possible, or since the page appeared.
     """
 
     time_s: float
@@ -151,7 +156,7 @@ class Presenter(Protocol):
     """Whoever presents a session to a participant."""
 
     def show_page(self, page: Page, place: Place) -> Confirm | Pause | Abort:
-        """Show a page until the participant is done with it, at least as long as it is to stand.
+        """Show a page until whoever it is for is done with it, at least as long as it is to stand.
 
         Parameters
         ----------
@@ -189,7 +194,7 @@ class Presenter(Protocol):
         stimulus : Stimulus
             What to play.
         gap_s : float
-            Silence before it, in s.
+            Silence before it, in s; none where the participant switches freely.
 
         Returns
         -------
@@ -232,5 +237,5 @@ class Presenter(Protocol):
         """
 
 
-REFUSALS = ("not_felt", "not_answered", "no_replay", "unknown_part")
+REFUSALS = ("not_felt", "not_answered", "no_replay", "unknown_part", "too_early")
 """Why an act can be refused; the texts are in the catalogue."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, Any
 
 from protocols.agenda import Agenda
@@ -15,8 +16,8 @@ if TYPE_CHECKING:
     from study.session.chain import Record
     from study.session.plan import Plan
 
-SESSION_FILES = "session-[0-9][0-9].jsonl"
-"""Pattern of the journals in a participant's folder; copies under other names are none."""
+SESSION_FILE = re.compile(r"session-(\d{2,})\.jsonl")
+"""Names of the journals in a participant's folder; copies under other names are none."""
 
 
 def name_journal(session: int) -> str:
@@ -53,7 +54,8 @@ def list_journals(folder: Path) -> list[Path]:
     list of Path
         Oldest first.
     """
-    return sorted(folder.glob(SESSION_FILES))
+    found = {path: SESSION_FILE.fullmatch(path.name) for path in folder.glob("session-*.jsonl")}
+    return sorted((path for path, match in found.items() if match), key=lambda path: int(path.stem.rpartition("-")[2]))
 
 
 def find_header(records: Iterable[Record]) -> Mapping[str, Any] | None:
@@ -85,6 +87,7 @@ def find_elapsed(records: Iterable[Record]) -> float:
     float
         Seconds since the session began; 0 before the first record that tells.
     """
+    # Onsets do not count: an attempt that was broken off never was, and comes again in its own time.
     return max((record.data["time_s"] for record in records if "time_s" in record.data), default=0.0)
 
 
@@ -162,6 +165,7 @@ def tell(agenda: Agenda, record: Record, trials: Mapping[int, Trial]) -> None:
             accepted = not data["rejected"]
             agenda.tell_trial(data["trial"], accepted=accepted, as_expected=understood, time_s=data["time_s"])
         case "spoiled":
-            agenda.tell_trial(data["trial"], accepted=False, as_expected=None, time_s=data["time_s"])
+            spent = "device_error" not in data["flags"]
+            agenda.tell_trial(data["trial"], accepted=False, as_expected=None, time_s=data["time_s"], spent=spent)
         case "warm_up":
             agenda.warm_up()

@@ -143,7 +143,7 @@ class ScriptedPresenter:
     def show_page(self, page: Page, place: Place) -> Confirm | Pause | Abort:
         self.log.append(f"page {page.key} {place.done}/{place.total}")
         waiting = self.pages.get(page.key)
-        return waiting.pop(0) if waiting else Confirm(self.pass_time(), {})
+        return waiting.pop(0) if waiting else Confirm(self.pass_time(), {}, page.least_s)
 
     def show_trial(self, trial: Trial, scale: Scale, place: Place) -> None:
         if self.shown >= self.stop_after:
@@ -155,9 +155,10 @@ class ScriptedPresenter:
         free: list[Act] = [Feel(0.0, "")] if trial.timing == "free" else []
         self._waiting = self.acts.get(key, [*free, usual])
         self._playbacks = self.playbacks.get(key, [])
+        self._timing = trial.timing
 
     def play(self, part: Part, stimulus: Stimulus, *, gap_s: float) -> Playback:
-        assert gap_s > 0
+        assert (gap_s == 0) == (self._timing == "free")
         self.log.append(f"play {part.name} {stimulus.stimulus_id}")
         time_s = self.pass_time()
         return self._playbacks.pop(0) if self._playbacks else Playback(time_s, time_s + 0.25)

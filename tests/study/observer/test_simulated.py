@@ -341,7 +341,7 @@ def test_what_was_not_felt_is_felt_before_the_same_answer_is_given_again() -> No
 def test_pages_stand_as_long_as_they_must() -> None:
     observer = SimulatedObserver(MODEL, seed=1, number=1, elapsed_s=100.0)
     assert observer.show_page(Page("welcome"), Place(0, TOTAL)) == Confirm(100.0, {})
-    assert observer.show_page(Page("rest", 60.0), Place(0, TOTAL)) == Confirm(160.0, {})
+    assert observer.show_page(Page("rest", 60.0), Place(0, TOTAL)) == Confirm(160.0, {}, 60.0)
 
 
 def test_time_goes_on_by_what_is_felt_and_answered() -> None:

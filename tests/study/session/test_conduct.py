@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 
 from protocols.tasks import make_task
@@ -183,11 +184,69 @@ def test_after_a_pause_the_trial_begins_anew(present: Present, scripted: type) -
 @pytest.mark.parametrize("acts", [[Abort(0.0, "window closed")], [Move(0.0, "test", 3.0), Abort(0.0, "window closed")]])
 def test_who_leaves_within_a_trial_meets_it_again(present: Present, scripted: type, acts: list[Any]) -> None:
     records = present(scripted(acts={(1, 1): acts}))
-    assert records[-1].data == {"reason": "window closed"}
+    assert records[-1].data["reason"] == "window closed"
     again = scripted()
     records = present(again)
     assert again.log[0] == "show 1.1 realism"
     assert sum(r["trial"] == 1 for r in list_events(records, "rated")) == 1
+
+
+@pytest.mark.parametrize("timing", ["strict", "replay"])
+def test_who_wants_out_while_something_plays_meets_nothing_more(
+    present: Present, scripted: type, plan_task: Callable[..., Plan], timing: str
+) -> None:
+    plan = plan_task("similarity", timing=timing)
+    stopped = Playback(1.0, 1.0, completed=False, act=Abort(1.5, "Esc twice"))
+    presenter = scripted(playbacks={(1, 1): [stopped]})
+    records = present(presenter, plan=plan)
+    assert [r.event for r in records[-2:]] == ["played", "aborted"]
+    assert records[-1].data == {"reason": "Esc twice", "time_s": 1.5}
+    again = scripted()
+    records = present(again, plan=plan)
+    # No attempt was used up: the same trial comes again, as the first attempt.
+    assert again.log[0] == "show 1.1 similarity"
+    assert list_events(records, "spoiled") == []
+
+
+def test_a_pause_while_something_plays_is_a_pause(present: Present, scripted: type) -> None:
+    paused = Playback(1.0, 1.0, completed=False, act=Pause(1.5))
+    records = present(scripted(playbacks={(1, 1): [paused]}))
+    events = [event for event, _ in tell_first(records)]
+    assert events == ["shown", "played", "paused", "continued", "shown", "played", "rated"]
+
+
+def test_a_clean_replay_makes_up_for_an_underrun(
+    present: Present, scripted: type, plan_task: Callable[..., Plan]
+) -> None:
+    plan = plan_task("mushra")
+    parts = [part.name for part in plan.trials[0].parts]
+    answer = Confirm(0.0, dict.fromkeys(parts[1:], 50.0), 9.0)
+    dry = [Playback(1.0, 1.0, underruns=1)] + [Playback(2.0, 2.0)] * len(parts)
+    for again, rejected in ((parts[0], False), (parts[1], True)):
+        acts = [Feel(0.0), Feel(0.0, again), answer]
+        plan = replace(plan, participant=f"felt-{again}")
+        records = present(scripted(acts={(1, 1): acts}, playbacks={(1, 1): list(dry)}), plan=plan)
+        assert list_events(records, "rated")[0]["rejected"] == rejected
+
+
+def test_numbers_of_devices_and_screens_are_taken_as_what_they_are(present: Present, scripted: type) -> None:
+    odd = Playback(np.float32(1.0), float("nan"), underruns=np.int64(0), clipped=np.int64(2))  # type: ignore[arg-type]
+    records = present(
+        scripted(playbacks={(1, 1): [odd]}, acts={(1, 1): [Confirm(0.0, {"test": np.float32(12.5)}, 1.5)]})
+    )
+    assert list_events(records, "played")[0] == {
+        "trial": 1, "attempt": 1, "part": "test", "requested_s": 1.0, "onset_s": None, "underruns": 0, "clipped": 2,
+        "completed": True, "error": "",
+    }  # fmt: skip
+    assert list_events(records, "rated")[0]["values"] == {"test": 12.5}
+
+
+@pytest.mark.parametrize("move", [Move(0.0, "nonsense", 50.0), Move(0.0, "test", 1e9), Move(0.0, "test", float("nan"))])
+def test_a_move_that_cannot_be_is_refused(present: Present, scripted: type, move: Move) -> None:
+    presenter = scripted(acts={(1, 1): [move, DONE]})
+    records = present(presenter)
+    assert list_events(records, "moved") == []
+    assert f"refuse unknown_part {move.part}" in presenter.log
 
 
 def test_who_leaves_within_a_pause_goes_on_with_the_trial(present: Present, scripted: type) -> None:
@@ -196,10 +255,20 @@ def test_who_leaves_within_a_pause_goes_on_with_the_trial(present: Present, scri
     assert present(scripted())[-1].event == "finished"
 
 
-def test_a_page_cannot_be_paused(present: Present, scripted: type) -> None:
-    presenter = scripted(pages={"welcome": [Pause(0.0)]})
-    present(presenter)
-    assert presenter.log[:2] == ["page welcome 0/20"] * 2
+@pytest.mark.parametrize("page", ["welcome", "pause"])
+def test_a_page_cannot_be_paused(present: Present, scripted: type, page: str) -> None:
+    presenter = scripted(pages={page: [Pause(0.0), Pause(0.0)]}, acts={(1, 1): [Pause(0.0)]})
+    with pytest.raises(IndexError):  # The script of the trial that is shown again is used up.
+        present(presenter)
+    assert presenter.log.count(f"page {page} 0/20") == 3
+
+
+def test_a_rest_stands_as_long_as_it_must(present: Present, scripted: type) -> None:
+    presenter = scripted(pages={"rest": [Confirm(1.0, {}, 59.9), Confirm(2.0, {}, 60.0)]})
+    records = present(presenter)
+    assert "refuse too_early" in presenter.log
+    (rest,) = (page for page in list_events(records, "page") if page["key"] == "rest")
+    assert rest == {"key": "rest", "time_s": 2.0, "stood_s": 60.0}
 
 
 def test_the_real_surface_is_stroked_and_not_played(

@@ -36,7 +36,7 @@ def test_the_journal_tells_everything_in_order(present: Present, scripted: type)
         "trial": 1, "attempt": 1, "values": {"test": 50.0}, "response_time_s": 1.5, "time_s": 6.0, "flags": [],
         "rejected": False,
     }  # fmt: skip
-    assert records[-1].data == {"trials": 20}
+    assert records[-1].data == {"trials": 20, "given_up": 0}
 
 
 def test_the_participant_meets_the_steps_in_the_order_of_the_plan(present: Present, scripted: type) -> None:
@@ -66,7 +66,7 @@ def test_a_session_broken_off_anywhere_goes_on_where_it_was(
     shown = [line.split()[1] for line in (*broken.log, *again.log) if line.startswith("show")]
     assert shown == [f"{number}.1" for number in range(1, 21)]
     assert [data["trial"] for data in list_events(records, "rated")] == list(range(1, 21))
-    assert list_events(records, "aborted") == [{"reason": "KeyboardInterrupt"}]
+    assert [data["reason"] for data in list_events(records, "aborted")] == ["KeyboardInterrupt"]
     assert len(list_events(records, "resumed")) == 1
     assert [line for line in again.log if line.startswith("page welcome")] == []
 
@@ -81,7 +81,7 @@ def test_a_finished_session_is_left_alone(present: Present, scripted: type) -> N
 @pytest.mark.parametrize("page", ["consent", "rest", "end"])
 def test_who_does_not_go_on_ends_the_session_for_today(present: Present, scripted: type, page: str) -> None:
     records = present(scripted(pages={page: [Abort(1.0, "does not agree")]}))
-    assert (records[-1].event, records[-1].data) == ("aborted", {"reason": "does not agree"})
+    assert (records[-1].event, records[-1].data) == ("aborted", {"reason": "does not agree", "time_s": 1.0})
     again = scripted()
     assert present(again)[-1].event == "finished"
     assert again.log[0].startswith(f"page {page} ")
@@ -103,10 +103,35 @@ def test_a_device_that_fails_once_costs_one_attempt(present: Present, scripted: 
 
 def test_a_device_that_fails_twice_in_a_row_ends_the_session(present: Present, scripted: type) -> None:
     records = present(scripted(playbacks={(3, 1): fail(), (4, 1): fail()}))
-    assert records[-1].data == {"reason": "the device failed twice in a row; see to it, then resume"}
+    assert records[-1].data["reason"] == "the device failed twice in a row; see to it, then resume"
     assert len(list_events(records, "rated")) == 2
     records = present(scripted())
     assert sorted(r["trial"] for r in list_events(records, "rated")) == list(range(1, 21))
+
+
+def test_a_dead_device_uses_no_trial_up(present: Present, scripted: type) -> None:
+    dead = {(number, attempt): fail() for number in range(1, 21) for attempt in range(1, 60)}
+    for _ in range(12):
+        assert present(scripted(playbacks=dead))[-1].event == "aborted"
+    records = present(scripted())
+    assert sorted(r["trial"] for r in list_events(records, "rated")) == list(range(1, 21))
+    assert records[-1].data == {"trials": 20, "given_up": 0}
+
+
+def test_what_was_given_up_is_counted(present: Present, scripted: type) -> None:
+    dry = {(1, attempt): [Playback(1.0, 1.0, underruns=1)] for attempt in (1, 2, 3)}
+    assert present(scripted(playbacks=dry))[-1].data == {"trials": 20, "given_up": 1}
+
+
+def test_a_fault_of_the_presenter_is_recorded_in_its_own_words(present: Present, scripted: type) -> None:
+    class Broken(scripted):  # type: ignore[misc]
+        def wait(self) -> Any:
+            raise RuntimeError("device HX-1 unplugged")
+
+    with pytest.raises(RuntimeError, match="HX-1"):
+        present(Broken())
+    (aborted,) = list_events(present(scripted()), "aborted")
+    assert aborted["reason"] == "RuntimeError: device HX-1 unplugged"
 
 
 def test_the_clock_goes_on_where_it_stopped(present: Present, scripted: type) -> None:

@@ -12,8 +12,8 @@ import pytest
 
 from study.session.journal import create_journal, read_journal, require_journal
 from study.session.opening import Stale, open_session
-from study.session.plan import make_plan, require_plan
-from study.session.replay import find_header
+from study.session.plan import create_plan, make_plan, require_plan
+from study.session.replay import find_header, list_journals
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -46,7 +46,9 @@ def test_the_header_says_what_the_session_stands_on(present: Present, scripted: 
     assert {name: header[name] for name in ("participant", "session", "seed", "stimuli_sha256", "presenter")} == {
         "participant": "p01", "session": 1, "seed": 7, "stimuli_sha256": "5" * 64, "presenter": {"simulated": True},
     }  # fmt: skip
-    assert set(header["versions"]) == {"feel321", "numpy"}
+    assert set(header["versions"]) == {"python", "feel321", "numpy", "scipy"}
+    assert header["format"] == 1
+    assert header["system"]
     assert header["clock"] == {"presenter_s": 0.0}
 
 
@@ -92,6 +94,24 @@ def test_a_later_version_runs_the_stored_plan_and_not_the_order_that_it_would_ma
     present(again, plan=replace(plan, trials=plan.trials[::-1]))
     assert again.log[0] == "show 4.1 realism"
     assert "show 11.1 similarity" in again.log
+
+
+def test_a_plan_that_was_exchanged_before_its_session_is_refused(
+    present: Present, scripted: type, plan: Plan, folder: Path
+) -> None:
+    folder.mkdir(parents=True)
+    create_plan(folder / "plan.json", replace(plan, trials=plan.trials[::-1]))
+    with pytest.raises(ValueError, match=r"plan\.json: holds other trials than the study gives; remove the file, or"):
+        present(scripted(), plan=plan)
+
+
+def test_the_hundredth_session_is_a_session(present: Present, scripted: type, folder: Path) -> None:
+    present(scripted())
+    for number in (99, 100, 101):
+        (folder / f"session-{number}.jsonl").touch()
+    (folder / "session-1.jsonl").touch()  # Not a name that is ever given.
+    names = [path.name for path in list_journals(folder)]
+    assert names == ["session-01.jsonl", "session-99.jsonl", "session-100.jsonl", "session-101.jsonl"]
 
 
 def test_resuming_leaves_a_record_with_the_versions(present: Present, scripted: type) -> None:

@@ -133,6 +133,16 @@ def test_a_plan_of_another_format_is_refused(plan: Plan, tmp_path: Path, monkeyp
         require_plan(path)
 
 
+def test_a_plan_with_what_this_version_does_not_know_is_refused(plan: Plan, tmp_path: Path) -> None:
+    path = tmp_path / "plan.json"
+    create_plan(path, plan)
+    stored = path.read_text(encoding="utf-8").partition(',\n "sha256": ')[0]
+    body = stored.replace('"seed": 7', '"seed": 7, "mood": 1') + "\n}"
+    path.write_text(f'{body[:-2]},\n "sha256": "{digest(body)}"\n}}\n', encoding="utf-8")
+    with pytest.raises(ValueError, match=r"plan\.json: got a plan of another make \(.*'mood'\); use the feel321"):
+        require_plan(path)
+
+
 def test_a_changed_plan_is_refused(plan: Plan, tmp_path: Path) -> None:
     path = tmp_path / "plan.json"
     create_plan(path, plan)
