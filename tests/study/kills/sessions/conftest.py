@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import signal
 from collections import Counter
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from functools import partial
@@ -88,7 +89,7 @@ class Scripted:
     def show_page(self, page: Page, place: Place) -> Confirm | Abort:  # noqa: ARG002 - the port's form
         if page.key == "break" and self._is_first("tired"):
             return Abort(self._pass(), "tired")
-        return Confirm(self._pass(), {})
+        return Confirm(self._pass(), {}, page.least_s)
 
     def show_trial(self, trial: Trial, scale: Scale, place: Place) -> None:
         self._mood = MOODS[(trial.number + 2 * place.attempt) % len(MOODS)]
@@ -177,15 +178,17 @@ class Session:
         write_roster(study)
         write_ratings(study, self.stimuli)
 
+    @contextmanager
     def _make_presenter(
         self, plan: Plan, journal: Journal, stimuli: Mapping[str, Stimulus], *, memory: set[str]
-    ) -> Presenter:
+    ) -> Iterator[Presenter]:
         elapsed_s = find_elapsed(journal.records)
         if self.presenter == "scripted":
-            return Scripted(elapsed_s, memory)
+            yield Scripted(elapsed_s, memory)
+            return
         observer = SimulatedObserver(MODEL, seed=3, number=1, elapsed_s=elapsed_s)
         observer.recall(journal.records, plan.trials, stimuli=stimuli)
-        return observer
+        yield observer
 
 
 @dataclass(frozen=True)

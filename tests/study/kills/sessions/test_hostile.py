@@ -98,7 +98,7 @@ def test_a_full_disk_under_a_journal(
     check_all_there(lab, study, whole)
 
 
-@pytest.mark.parametrize("n_bytes", [2_000, 9_000, 25_000])
+@pytest.mark.parametrize("n_bytes", [2_000, 9_000, 16_000])
 def test_a_full_disk_under_the_ledger_or_a_plan(
     lab: Any, study: StudyFolder, whole: StudyFolder, n_bytes: int, tmp_path: Path
 ) -> None:
