@@ -184,7 +184,7 @@ def _find_lost_of(entry: Entry, study: StudyFolder) -> Iterator[str]:
         return
     if tombstone is not None:
         if (tombstone.state, entry.state) != (REMOVED, "withdrawn"):
-            again = f"feel321 withdraw {quote(str(study.path))} --participant {entry.participant} --yes"
+            again = f"feel321 withdraw {quote(str(study.path))} --participant {entry.participant}"
             yield f"{folder}: the withdrawal was broken off; finish it: {again}"
     elif entry.state == "withdrawn":
         yield f"{folder}: the participant was withdrawn, the tombstone is gone; restore it from a copy"

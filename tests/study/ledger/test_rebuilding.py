@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import shutil
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,7 @@ import study.ledger.rebuilding
 from study.ledger.rebuilding import find_lost, open_study_ledger, rebuild_ledger
 from study.ledger.sightings import check_anchors
 from study.ledger.slots import read_ledger
+from study.ledger.tombstone import REMOVING, read_tombstone, write_tombstone
 from study.ledger.withdrawal import release_participant, withdraw_participant
 from study.session.chain import digest
 
@@ -167,9 +169,14 @@ def damage_tombstone(journal: Path) -> None:
     (journal.parent.parent / "gone" / "withdrawn.json").write_text("[]")
 
 
-def reopen_tombstone(journal: Path) -> None:
+def edit_tombstone(journal: Path) -> None:
     path = journal.parent.parent / "gone" / "withdrawn.json"
-    path.write_text(path.read_text().replace("removed", "removing"))
+    path.write_text(path.read_text().replace("2026", "2025"))
+
+
+def reopen_tombstone(journal: Path) -> None:
+    folder = journal.parent.parent / "gone"
+    write_tombstone(folder, replace(read_tombstone(folder), state=REMOVING))
 
 
 def bring_stranger(journal: Path) -> None:
@@ -186,7 +193,8 @@ def bring_stranger(journal: Path) -> None:
         (remove_ledger, "sessions/ledger.sqlite: is missing, so nobody can tell what else is; rebuild it: feel321"),
         (damage_ledger, "sessions/ledger.sqlite: got a damaged file (file is not a database); move it away"),
         (remove_tombstone, "sessions/gone: the participant was withdrawn, the tombstone is gone; restore it"),
-        (damage_tombstone, "sessions/gone/withdrawn.json: got no tombstone, or a damaged one; restore"),
+        (damage_tombstone, "sessions/gone/withdrawn.json: got no tombstone, or one that was changed after it was"),
+        (edit_tombstone, "sessions/gone/withdrawn.json: got no tombstone, or one that was changed after it was"),
         (reopen_tombstone, "sessions/gone: the withdrawal was broken off; finish it: feel321 withdraw"),
         (bring_stranger, "sessions/stranger: is not in the ledger; enter it: feel321 ledger"),
     ],
