@@ -260,7 +260,7 @@ def test_a_rating_given_twice_in_a_chain_that_holds_is_found(copy: StudyFolder) 
     place = find_rated(path.read_bytes().splitlines())
     path.write_bytes(chain_anew([*records[: place + 1], *records[place:]]))
     rebuild_ledger(copy)
-    assert find_only(copy) == f"{path}, line {place + 2}: got trial 1, expected trial 2"
+    assert find_only(copy) == f"{path}, line {place + 2}: 'rated' of trial 1, attempt 1, which was not shown"
 
 
 def test_a_journal_that_never_got_its_header_is_no_finding(copy: StudyFolder) -> None:
@@ -272,9 +272,9 @@ def test_a_journal_that_never_got_its_header_is_no_finding(copy: StudyFolder) ->
 def test_a_clock_set_back_is_recorded_and_explained(copy: StudyFolder) -> None:
     path = copy.journals[0]
     hour_ago = tell_time() - timedelta(hours=1)
-    require_journal(path, now=lambda: hour_ago).write("resumed", {"versions": {}, "clock": {}})
-    stepped, resumed = read_journal(path).records[-2:]
-    assert (stepped.event, resumed.event) == ("clock_stepped", "resumed")
+    require_journal(path, now=lambda: hour_ago).write("aborted", {"reason": "KeyboardInterrupt", "time_s": 0.0})
+    stepped, aborted = read_journal(path).records[-2:]
+    assert (stepped.event, aborted.event) == ("clock_stepped", "aborted")
     assert stepped.data["back_s"] == pytest.approx(3600, abs=60)
     assert audit_study(copy) == []
 
