@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from protocols.scoring import is_as_expected
 from study.ledger.standing import make_standing
 from study.realised import measure_realised
-from study.session.dossier import read_dossier
+from study.session.dossier import read_as_written, read_dossier
 from study.session.opening import TOMBSTONE_FILE
 
 if TYPE_CHECKING:
@@ -97,7 +97,8 @@ def read_status(study: StudyFolder) -> Status:
                 entries.append(Progress(folder.name, state="withdrawn"))
                 continue
             dossier = read_dossier(folder)
-            entries.append(_make_progress(dossier))
+            with read_as_written(folder):
+                entries.append(_make_progress(dossier))
             dossiers.append(dossier)
         except (OSError, ValueError) as error:
             entries.append(Progress(folder.name, problem=str(error)))

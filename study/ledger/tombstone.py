@@ -118,8 +118,8 @@ def find_leftovers(folder: Path) -> list[str]:
     if not (folder / TOMBSTONE_FILE).exists():
         return []
     kept = {folder / TOMBSTONE_FILE, folder / LOCK_FILE}
-    found = [path for path in sorted(folder.rglob("*")) if path.is_symlink() or not path.is_dir()]
-    return [f"{path}: lies beside a tombstone, the participant withdrew; remove it" for path in found if path not in kept]
+    files = {path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir()}
+    return [f"{path}: lies beside a tombstone, the participant withdrew; remove it" for path in sorted(files - kept)]
 
 
 def _digest(entry: Mapping[str, Any]) -> str:
