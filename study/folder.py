@@ -56,6 +56,11 @@ class StudyFolder:
         return self.sessions / LEDGER_FILE
 
     @property
+    def ledger_log(self) -> Path:
+        """What the ledger forgot when it was rebuilt."""
+        return self.sessions / "ledger.log"
+
+    @property
     def ratings(self) -> Path:
         """The table of ratings, derived from the journals."""
         return self.path / "ratings.csv"

@@ -67,7 +67,7 @@ def withdraw_participant(
     BlockingIOError
         If a session of the participant is running.
     """
-    ledger, notice = open_study_ledger(study)
+    ledger, notice = open_study_ledger(study, now=now)
     entry = _require_entry(ledger, participant)
     folder = study.sessions / participant
     if (found := read_tombstone(folder)) and found.state == REMOVED and entry.state == "withdrawn":
@@ -112,7 +112,7 @@ def release_participant(study: StudyFolder, participant: str, *, now: Clock) -> 
     BlockingIOError
         If a session of the participant is running.
     """
-    ledger, _ = open_study_ledger(study)
+    ledger, _ = open_study_ledger(study, now=now)
     entry = _require_entry(ledger, participant)
     folder = study.sessions / participant
     if read_tombstone(folder) is not None:

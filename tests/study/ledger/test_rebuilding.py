@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import study.ledger.rebuilding
 from study.ledger.rebuilding import find_lost, open_study_ledger, rebuild_ledger
 from study.ledger.sightings import check_anchors
-from study.ledger.slots import read_ledger
+from study.ledger.slots import read_ledger, rewrite_ledger
 from study.ledger.tombstone import REMOVING, read_tombstone, write_tombstone
 from study.ledger.withdrawal import release_participant, withdraw_participant
 from study.session.chain import digest
@@ -220,17 +220,80 @@ def test_what_grew_since_it_was_noted_is_not_lost(lab: Any) -> None:
     check_anchors(seen, journal.parent)
 
 
-def test_a_loss_is_accepted_by_a_rebuild_that_names_it(lab: Any) -> None:
+def test_a_loss_is_accepted_by_a_rebuild_that_is_named_ever_after(lab: Any, now: Any) -> None:
     lab.begin("p01")
     journal = lab.work("p01", 2)
     remembered = entries(lab)[0].anchors
     cut(journal)
     with pytest.raises(ValueError, match=r"ends with line 6, 7 lines of it were seen; restore it from a copy, or take"):
         check_anchors(remembered, journal.parent)
-    assert rebuild_ledger(lab.study) == [f"{journal}: ends with line 6, 7 lines of it were seen"]
-    assert find_lost(lab.study) == []
+    loss = f"{journal}: ends with line 6, 7 lines of it were seen"
+    for _ in range(2):  # The second finds nothing lost, and adds nothing.
+        rebuild_ledger(lab.study, now=now)
+    trace = f"{lab.study.ledger}: was rebuilt at 2026-01-01T12:00:00.000+00:00, and forgot: {loss}"
+    assert find_lost(lab.study) == [trace]
     lab.work("p01")
     assert entries(lab)[0].state == "finished"
+    assert find_lost(lab.study) == [trace]
+
+
+@pytest.mark.parametrize("rebuild", [open_study_ledger, rebuild_ledger])
+def test_a_ledger_that_was_missing_is_remembered(lab: Any, now: Any, rebuild: Callable[..., object]) -> None:
+    lab.begin("p01")
+    lab.study.ledger.unlink()
+    rebuild(lab.study, now=now)
+    utc = "2026-01-01T12:00:00.000+00:00"
+    assert find_lost(lab.study) == [
+        f"{lab.study.ledger}: was rebuilt at {utc}, and forgot: all that it had seen, for it was missing"
+    ]
+    lab.study.ledger_log.write_bytes(b"{}\n")
+    (line,) = find_lost(lab.study)
+    assert line.startswith(f"{lab.study.ledger_log}, line 1: was changed after it was written")
+
+
+def test_entering_someone_new_forgets_nothing(lab: Any, make_lab: Any) -> None:
+    lab.begin("p01")
+    other = make_lab()
+    other.claim("p01")
+    shutil.copytree(other.begin("p02"), lab.study.sessions / "p02")
+    (line,) = rebuild_ledger(lab.study)
+    assert line.startswith(f"{lab.study.sessions / 'p02'}: is not in the ledger; enter it: ")
+    assert find_lost(lab.study) == []
+
+
+def edit(lab: Any, name: str, **values: Any) -> None:
+    def change(known: list[Entry]) -> list[Entry]:
+        return [replace(entry, **values) if entry.participant == name else entry for entry in known]
+
+    rewrite_ledger(open_study_ledger(lab.study)[0], change)
+
+
+def test_a_journal_that_the_ledger_never_saw_is_named_unless_it_is_only_begun(lab: Any) -> None:
+    lab.begin("p01")
+    edit(lab, "p01", anchors=())
+    assert find_lost(lab.study) == []  # As after a crash.
+    journal = lab.work("p01")
+    edit(lab, "p01", anchors=(), state="claimed", done=0)
+    (line,) = find_lost(lab.study)
+    assert line.startswith(f"{journal}: was never seen by the ledger; enter it: feel321 ledger")
+
+
+@pytest.mark.parametrize("values", [{"done": 3}, {"total": 5}])
+def test_more_than_the_journal_holds_is_named(lab: Any, values: dict[str, int]) -> None:
+    lab.begin("p01")
+    lab.work("p01", 2)
+    edit(lab, "p01", **values)
+    (line,) = find_lost(lab.study)
+    ((name, value),) = values.items()
+    assert line.startswith(f"{lab.study.ledger}: p01 has {name} {value}, plan and journals say {value - 1}; rebuild")
+
+
+def test_another_tombstone_than_the_ledger_saw_is_named(lab: Any, now: Any) -> None:
+    lab.begin("p01")
+    withdraw_participant(lab.study, "p01", now=now)
+    edit(lab, "p01", number=2)
+    (line,) = find_lost(lab.study)
+    assert line.startswith(f"{lab.study.sessions / 'p01'}: the tombstone is another one than the ledger saw written")
 
 
 def test_a_ledger_alone_is_no_study(lab: Any) -> None:
