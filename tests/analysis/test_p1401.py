@@ -1,0 +1,299 @@
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import least_squares
+from scipy.stats import chi2, f, norm, pearsonr, spearmanr, t
+
+from analysis.monotone import fit_monotone_cubic
+from analysis.p1401 import P1401, p1401
+from analysis.p1401_difference import compare_p1401
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Values = NDArray[np.float64]
+
+
+def make_votes(n_items: int = 40, n_raters: int = 12, *, seed: int = 0, noise: float = 8.0) -> tuple[Values, Values]:
+    rng = np.random.default_rng(seed)
+    metric = rng.uniform(0, 1, n_items)
+    return 30 + 40 * metric[:, None] + rng.normal(0, noise, (n_items, n_raters)), metric
+
+
+def misfit(u: Values, y: Values) -> float:
+    return float(((y - fit_monotone_cubic(u, y, span=(0, 1))(u)) ** 2).sum())
+
+
+def brute_misfit(u: Values, y: Values, rng: np.random.Generator) -> float:
+    """Minimise over the form of the Recommendation's slope, from many starts, without knowing its border."""
+    best = math.inf
+    for sign in (1, -1):
+
+        def residuals(p: Values, sign: int = sign) -> Values:
+            start, al, be, ga = p
+            rise = al**2 * u + al * be * u**2 + be**2 * u**3 / 3 + ga**2 * (u**2 / 2 - u**3 / 3)
+            return sign * y - start - rise
+
+        fits = [least_squares(residuals, rng.normal(0, 3, 4), xtol=1e-14, ftol=1e-14, gtol=1e-14) for _ in range(8)]
+        best = min(best, *(2 * fit.cost for fit in fits))
+    return best
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_monotone_cubic_is_the_best_of_its_form(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    u = np.concatenate([[0, 1], rng.uniform(size=10)])
+    y = rng.normal(0, (0.1, 1, 3)[seed % 3], 12) + 2 * u + 3 * (seed % 2) * (u - 0.5) ** 2
+    assert misfit(u, y) == pytest.approx(brute_misfit(u, y, rng), rel=1e-7)
+
+
+@given(seed=st.integers(0, 100_000), n=st.integers(4, 25))
+def test_mapping_never_turns_anywhere(seed: int, n: int) -> None:
+    rng = np.random.default_rng(seed)
+    x = rng.uniform(-3, 5, n)
+    mapping = fit_monotone_cubic(x, rng.normal(size=n), span=(x.min(), x.max()))
+    steps = np.diff(mapping(np.linspace(x.min(), x.max(), 4001)))
+    assert (steps >= -1e-12).all() or (steps <= 1e-12).all()
+
+
+def test_a_turn_between_two_steps_of_a_grid_is_seen() -> None:
+    # Its slope is negative between .43 and .47 only: on a grid of 0.1 the free cubic rises from step to step.
+    x = np.linspace(0, 1, 41)
+    slope = np.polynomial.Polynomial.fromroots([0.43, 0.47])
+    y = slope.integ()(x)
+    assert (np.diff(slope.integ()(np.arange(0, 1.01, 0.1))) > 0).all()
+    mapped = fit_monotone_cubic(x, y, span=(0, 1))
+    assert (np.diff(mapped(np.linspace(0, 1, 10_001))) >= -1e-13).all()
+    assert np.abs(mapped(x) - y).max() > 1e-7
+
+
+def test_a_monotone_cubic_is_recovered_exactly() -> None:
+    x = np.linspace(-2, 3, 9)
+    result = p1401(np.repeat((1 + 2 * x + 0.5 * x**3)[:, None], 3, axis=1), x)
+    assert result.coefficients == pytest.approx((1, 2, 0, 0.5), abs=1e-10)
+    assert (result.rmse, result.outlier_ratio) == (0, 0)
+    assert result.plcc == pytest.approx(1)
+    assert math.isnan(result.plcc_low)
+    assert any("perfect" in note for note in result.notes)
+
+
+@pytest.mark.parametrize("order", [0, 1, 3])
+def test_every_number_by_its_definition(order: int) -> None:
+    votes, metric = make_votes()
+    votes[::3, 0] = np.nan
+    x = 40 + 30 * metric if order == 0 else metric
+    result = p1401(votes, x, order=order)
+    mos, predicted = np.nanmean(votes, axis=1), np.polynomial.Polynomial(result.coefficients)(x)
+    if order:
+        assert predicted == pytest.approx(np.polynomial.Polynomial.fit(x, mos, order)(x))  # the constraint is idle
+    n = len(x)
+    counts = np.isfinite(votes).sum(axis=1)
+    spread = np.array([np.std(row[np.isfinite(row)], ddof=1) for row in votes])
+    ci = t.ppf(0.975, counts - 1) * spread / np.sqrt(counts)
+    error, spent = np.abs(mos - predicted), {0: 1, 1: 2, 3: 4}[order]
+    assert result.rmse == pytest.approx(math.sqrt((error**2).sum() / (n - spent)))
+    assert result.rmse_n1 == pytest.approx(math.sqrt((error**2).sum() / (n - 1)))
+    star = sum(max(0.0, e - c) ** 2 for e, c in zip(error, ci, strict=True))
+    assert result.rmse_star == pytest.approx(math.sqrt(star / (n - spent)))
+    assert result.rmse_star_n1 == pytest.approx(math.sqrt(star / (n - 1)))
+    assert result.outlier_ratio == np.mean(error > ci)
+    ratio = result.outlier_ratio
+    assert result.outlier_ratio_sd == pytest.approx(math.sqrt(ratio * (1 - ratio) / n))
+    assert result.plcc == pytest.approx(pearsonr(mos, predicted)[0])
+    assert math.atanh(result.plcc_high) - math.atanh(result.plcc) == pytest.approx(1.96 / math.sqrt(n - 3))
+    assert result.plcc_low < result.plcc
+    assert result.srocc == pytest.approx(spearmanr(mos, x)[0])
+    assert result.rmse_high == pytest.approx(result.rmse * math.sqrt((n - spent) / chi2.ppf(0.025, n - spent)))
+    assert result.rmse_low == pytest.approx(result.rmse * math.sqrt((n - spent) / chi2.ppf(0.975, n - spent)))
+
+
+def test_known_traps_give_other_numbers() -> None:
+    """Each wrong recipe seen in public code differs visibly from ours on these votes."""
+    votes, metric = make_votes(noise=4, seed=3)
+    votes += 8 * np.sin(9 * metric)[:, None]
+    result = p1401(votes, metric)
+    mos = votes.mean(axis=1)
+    error = np.abs(mos - result.mapped)
+    ci, freedom = result.interval, len(mos) - 4
+    not_squared = math.sqrt(np.maximum(0, error - ci).sum() / freedom)
+    sum_squared = math.sqrt(np.maximum(0, error - ci).sum() ** 2 / freedom)
+    twice = math.sqrt((np.maximum(0, error - 2 * ci) ** 2).sum() / freedom)
+    right = math.sqrt((np.maximum(0, error - ci) ** 2).sum() / freedom)
+    assert result.rmse_star == pytest.approx(right)
+    for wrong in (not_squared, sum_squared, twice):
+        assert abs(wrong - right) > 0.05 * right
+    assert result.outlier_ratio == np.mean(error > ci)
+    assert abs(np.mean(error > 2 * mos.std(ddof=1)) - result.outlier_ratio) > 0.1
+    assert abs(np.mean(error > 2 * ci) - result.outlier_ratio) > 0.1
+
+
+def test_from_thirty_votes_on_the_quantile_is_normal() -> None:
+    for raters, quantile in ((29, t.ppf(0.975, 28)), (30, 1.96), (31, 1.96)):
+        votes, metric = make_votes(n_raters=raters)
+        expected = quantile * votes.std(axis=1, ddof=1) / math.sqrt(raters)
+        assert p1401(votes, metric).interval == pytest.approx(expected)
+
+
+@given(seed=st.integers(0, 1000), gain=st.floats(0.01, 100), shift=st.floats(-1000, 1000))
+def test_the_metrics_unit_does_not_matter(seed: int, gain: float, shift: float) -> None:
+    votes, metric = make_votes(12, 4, seed=seed, noise=30)
+    here, there = p1401(votes, metric), p1401(votes, shift + gain * metric)
+    for name in ("plcc", "srocc", "rmse", "rmse_star", "outlier_ratio"):
+        assert getattr(there, name) == pytest.approx(getattr(here, name), abs=1e-5)
+
+
+def test_a_falling_metric_is_mapped_by_a_falling_cubic() -> None:
+    votes, metric = make_votes()
+    rising, falling = p1401(votes, metric), p1401(votes, -metric)
+    assert falling.plcc == pytest.approx(rising.plcc)
+    assert falling.srocc == pytest.approx(-rising.srocc)
+
+
+def test_an_active_constraint_fits_worse_but_monotonely() -> None:
+    metric = np.linspace(0, 1, 30)
+    votes = (50 + 30 * np.sin(5 * metric))[:, None] + np.array([-3.0, 0, 3])
+    result = p1401(votes, metric)
+    free = np.polynomial.Polynomial.fit(metric, result.mos, 3)(metric)
+    assert ((result.mos - result.mapped) ** 2).sum() > 1.5 * ((result.mos - free) ** 2).sum()
+    assert (np.diff(result.mapped) <= 1e-9).all()
+
+
+def test_out_of_fold_predicts_without_the_group() -> None:
+    votes, metric = make_votes()
+    groups = np.arange(40) % 5
+    result = p1401(votes, metric, order=1, groups=groups)
+    mos = votes.mean(axis=1)
+    line = np.polynomial.Polynomial.fit(metric[groups != 2], mos[groups != 2], 1)
+    assert result.mapped[groups == 2] == pytest.approx(line(metric[groups == 2]))
+    assert result.held_out
+    assert result.coefficients == pytest.approx(p1401(votes, metric, order=1).coefficients)
+    assert result.rmse == pytest.approx(math.sqrt(((mos - result.mapped) ** 2).sum() / 39))
+
+
+def test_out_of_fold_flatters_nobody() -> None:
+    inside, outside = [], []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        votes, metric = rng.normal(50, 10, (24, 5)), rng.uniform(size=24)
+        inside.append(p1401(votes, metric).plcc)
+        outside.append(p1401(votes, metric, groups=np.arange(24) // 4).plcc)
+    assert np.mean(inside) > 0.2
+    assert np.mean(outside) < 0
+
+
+def test_a_left_out_edge_is_not_thrown_off() -> None:
+    # One recording holds all the high values; without it a cubic, monotone or not, goes to -516 there.
+    metric = np.concatenate([np.linspace(0, 0.4, 20), np.linspace(0.9, 1, 5)])
+    votes = (50 + 20 * np.sin(9 * metric))[:, None] + np.array([-2.0, 0, 2])
+    groups = np.where(metric > 0.5, "high", (np.arange(25) % 3).astype(str))
+    result = p1401(votes, metric, groups=groups)
+    assert result.mapped[metric > 0.5] == pytest.approx(result.mapped[metric > 0.5].mean())
+    assert 40 < result.mapped.min() < result.mapped.max() < 70
+    assert any("6 items lie beyond" in note for note in result.notes)
+
+
+def test_equal_votes_have_no_correlation_but_an_error() -> None:
+    result = p1401(np.full((8, 3), 33.3), np.arange(8))
+    assert math.isnan(result.plcc)
+    assert math.isnan(result.srocc)
+    assert result.rmse == 0
+    assert any("votes of all items are the same" in note for note in result.notes)
+
+
+def test_few_items_are_told_to_take_a_line() -> None:
+    votes, metric = make_votes(20)
+    assert any("fewer than 30" in note for note in p1401(votes, metric).notes)
+    assert p1401(votes, metric, order=1).notes == ()
+
+
+GOOD = ([[1, 2], [2, 3], [4, 4], [5, 6], [6, 8]], [1, 2, 3, 4, 5])
+
+
+@pytest.mark.parametrize(
+    ("votes", "metric", "options", "message"),
+    [
+        ([1, 2, 3], [1, 2, 3], {}, r"votes: got shape \(3,\), allowed is \(items, raters\)"),
+        ([[1, np.inf]], [1], {}, "votes: got 1 infinite votes; use NaN"),
+        ([[1, 2], [3, np.nan]], [1, 2], {}, r"votes: got item 1 with 1 votes \(1 such items\), allowed is 2 or more"),
+        (GOOD[0], [[1], [2]], {}, r"metric: got shape \(2, 1\), allowed is one value per item"),
+        (GOOD[0], [1, 2, np.nan, 4, 5], {}, "metric: got 1 values that are not finite, first of item 2"),
+        (*GOOD, {"order": 2}, r"order: got 2, allowed is 3 \(monotone cubic\), 1 \(line\) or 0"),
+        (GOOD[0], [1, 2], {}, "metric: got 2 values for 5 items"),
+        (GOOD[0][:4], [1, 2, 3, 4], {}, "votes: got 4 items, order 3 needs at least 5; lower the order"),
+        (GOOD[0], [1, 1, 2, 2, 3], {}, "metric: got 3 different values over the items, order 3 needs 4"),
+        (GOOD[0], [7] * 5, {"order": 1}, "metric: got 1 different values over the items, order 1 needs 2"),
+        (*GOOD, {"groups": [1, 2]}, r"groups: got shape \(2,\) for 5 items"),
+        (*GOOD, {"groups": ["a"] * 5}, "groups: got the one group .*leave groups out"),
+        (
+            *GOOD,
+            {"groups": list("aabbb")},
+            "metric: got 3 different values over the items outside group a, order 3 needs 4",
+        ),
+    ],
+)
+def test_bad_input_is_refused_in_words(votes: object, metric: object, options: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        p1401(votes, metric, **options)
+
+
+def pair(order: int = 3, *, seed: int = 1) -> tuple[P1401, P1401]:
+    votes, metric = make_votes(seed=seed)
+    other = metric + np.random.default_rng(seed).normal(0, 0.3, len(metric))
+    return p1401(votes, metric, order=order), p1401(votes, other, order=order)
+
+
+def test_differences_by_their_definitions() -> None:
+    good, poor = pair()
+    result = compare_p1401(good, poor)
+    z = (math.atanh(good.plcc) - math.atanh(poor.plcc)) / math.sqrt(2 / 37)
+    assert (result.plcc_z, result.plcc_p) == pytest.approx((z, 2 * norm.sf(abs(z))))
+    pooled = (good.outlier_ratio + poor.outlier_ratio) / 2
+    z = (good.outlier_ratio - poor.outlier_ratio) / math.sqrt(pooled * (1 - pooled) * 2 / 40)
+    assert (result.outlier_z, result.outlier_p) == pytest.approx((z, 2 * norm.sf(abs(z))))
+    assert result.rmse_f == pytest.approx((poor.rmse / good.rmse) ** 2)
+    assert result.rmse_limit == pytest.approx(f.ppf(0.95, 36, 36))
+    assert result.rmse_p == pytest.approx(2 * f.sf(result.rmse_f, 36, 36))
+    assert result.rmse_star_limit == pytest.approx(f.ppf(0.95, 40, 40))
+    assert result.rmse_star_f == pytest.approx((poor.rmse_star / good.rmse_star) ** 2)
+
+
+def test_order_of_the_metrics_turns_the_signs_only() -> None:
+    good, poor = pair()
+    there, back = compare_p1401(good, poor), compare_p1401(poor, good)
+    assert there.plcc_z == -back.plcc_z > 0
+    assert there.outlier_z == -back.outlier_z
+    assert there.rmse_p == back.rmse_p
+
+
+def test_errors_out_of_fold_have_their_own_freedom() -> None:
+    votes, metric = make_votes()
+    folds = np.arange(40) % 4
+    here, there = p1401(votes, metric, groups=folds), p1401(votes, metric**2, groups=folds)
+    assert compare_p1401(here, there).rmse_limit == pytest.approx(f.ppf(0.95, 39, 39))
+
+
+def test_what_cannot_be_compared_is_said() -> None:
+    x = np.arange(8.0)
+    votes = np.repeat(3 * x[:, None], 3, axis=1)
+    perfect = p1401(votes, x, order=1)
+    result = compare_p1401(perfect, perfect)
+    assert math.isnan(result.plcc_p)
+    assert math.isnan(result.outlier_p)
+    assert math.isnan(result.rmse_p)
+    assert math.isnan(result.rmse_star_p)
+    assert len(result.notes) == 4
+
+
+def test_different_votes_or_mappings_are_not_compared() -> None:
+    good, poor = pair()
+    with pytest.raises(ValueError, match="second: got results on other votes"):
+        compare_p1401(good, pair(seed=2)[1])
+    with pytest.raises(ValueError, match=r"second: got order 1, held_out False, but the first has order 3.*map both"):
+        compare_p1401(good, pair(order=1)[1])
+    assert compare_p1401(good, poor).n_items == 40
