@@ -1,0 +1,82 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from analysis.repeated import repeated_measures_correlation
+
+
+def make_rows(seed: int = 0, n: int = 40, people: int = 5) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    participant = rng.permutation(np.arange(n) % people)
+    x = rng.normal(size=n)
+    return x, 0.8 * x + rng.normal(size=n) - 5 * participant, participant
+
+
+def test_it_is_the_common_slope_of_an_analysis_of_covariance() -> None:
+    import statsmodels.api as sm
+
+    x, y, participant = make_rows()
+    dummies = np.eye(5)[participant]
+    fit = sm.OLS(y, np.column_stack([x, dummies])).fit()
+    result = repeated_measures_correlation(x, y, participant)
+    assert result.df == fit.df_resid
+    assert result.p == pytest.approx(fit.pvalues[0])
+    assert result.r == pytest.approx(fit.tvalues[0] / math.sqrt(fit.tvalues[0] ** 2 + fit.df_resid))
+
+
+@given(seed=st.integers(0, 1000), gain=st.floats(0.01, 100))
+def test_levels_and_units_of_participants_do_not_matter(seed: int, gain: float) -> None:
+    x, y, participant = make_rows(seed)
+    moved = repeated_measures_correlation(gain * x + 7 * participant, 3 - y, participant)
+    assert moved.r == pytest.approx(-repeated_measures_correlation(x, y, participant).r, abs=1e-9)
+
+
+def test_one_participant_is_pearson() -> None:
+    x, y, _ = make_rows(people=1)
+    result = repeated_measures_correlation(x, y, ["only"] * 40)
+    assert (result.r, result.df) == (pytest.approx(np.corrcoef(x, y)[0, 1]), 38)
+
+
+def test_a_single_row_changes_nothing() -> None:
+    x, y, participant = make_rows()
+    more = repeated_measures_correlation(np.append(x, 99), np.append(y, -99), np.append(participant, 77))
+    here = repeated_measures_correlation(x, y, participant)
+    assert (more.r, more.p, more.df) == pytest.approx((here.r, here.p, here.df))
+
+
+@pytest.mark.parametrize(("place", "name"), [(0, "x"), (1, "y")])
+def test_no_variation_inside_is_said(place: int, name: str) -> None:
+    rows = list(make_rows())
+    rows[place] = 33.3 * rows[2]
+    result = repeated_measures_correlation(*rows)
+    assert math.isnan(result.r)
+    assert math.isnan(result.p)
+    assert result.notes == (f"No correlation: {name} does not vary within any participant.",)
+
+
+def test_a_perfect_line_has_no_interval() -> None:
+    result = repeated_measures_correlation([1, 2, 3, 1, 2, 3], [2, 4, 6, 12, 14, 16], list("aaabbb"))
+    assert (result.r, result.p) == (1, 0)
+    assert math.isnan(result.low)
+    assert len(result.notes) == 1
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        (([1, 2], [1, 2, 3], [1, 1]), r"x: got shapes \(2,\), \(3,\) and 2 names"),
+        (([1, math.nan, 3], [1, 2, 3], [1, 1, 1]), "x: got 1 values that are not finite"),
+        (([1, 2, 3], [1, math.inf, 3], [1, 1, 1]), "y: got 1 values that are not finite"),
+        (([1, 2, 3], [1, 2, 3], ["a", None, "a"]), "participant: got 1 rows without a name"),
+        (([1, 2, 3, 4], [1, 2, 3, 5], list("aabc")), "participant: got 4 rows of 3 participants"),
+        (([], [], []), "x: got no row"),
+    ],
+)
+def test_bad_input_is_refused_in_words(rows: tuple[object, object, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        repeated_measures_correlation(*rows)
