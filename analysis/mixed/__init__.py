@@ -1,0 +1,5 @@
+"""Linear mixed models with crossed and nested random effects, in lme4's notation.
+
+formula (text -> terms), design (terms -> matrices), profile (the deviance and its slope), optimum (its
+minimum), inference (Satterthwaite), model (`fit_mixed` and `contrast`, from end to end).
+"""

@@ -1,0 +1,269 @@
+"""From a formula and a table to matrices, with every refusal made here, in words."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from analysis.mixed.formula import Formula, parse_formula
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+    from pandas import DataFrame
+
+    from analysis.mixed.formula import RandomTerm
+
+DEPENDENT = 1e-9
+"""Share of a column's length left over beside the others, below which it is their sum but for rounding."""
+
+FLAT = 1e-12
+"""Share of a response's size below which what the fixed effects leave over is rounding."""
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """Effects that vary together over the levels of a grouping factor, correlated with each other.
+
+    Parameters
+    ----------
+    names : tuple of str
+        The effects, such as ``("(Intercept)", "x")``.
+    values : ndarray, shape (n_rows, n_effects)
+        Their columns.
+    """
+
+    names: tuple[str, ...]
+    values: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Factor:
+    """A grouping factor with all terms that vary over it.
+
+    Parameters
+    ----------
+    name : str
+        Such as ``participant`` or ``participant:recording``.
+    levels : tuple of str
+        Names of its levels.
+    index : ndarray of int, shape (n_rows,)
+        The level of every row.
+    terms : tuple of Term
+        What varies.
+    """
+
+    name: str
+    levels: tuple[str, ...]
+    index: NDArray[np.intp]
+    terms: tuple[Term, ...]
+
+    @property
+    def width(self) -> int:
+        """Number of effects per level."""
+        return sum(len(term.names) for term in self.terms)
+
+    @property
+    def values(self) -> NDArray[np.float64]:
+        """Columns of all its effects, shape (n_rows, width)."""
+        return np.hstack([term.values for term in self.terms])
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """A model's data.
+
+    Parameters
+    ----------
+    response : ndarray, shape (n_rows,)
+        What was measured.
+    names : tuple of str
+        Fixed effects.
+    fixed : ndarray, shape (n_rows, n_fixed)
+        Their columns.
+    factors : tuple of Factor
+        Grouping factors, in the order of the formula.
+    """
+
+    response: NDArray[np.float64]
+    names: tuple[str, ...]
+    fixed: NDArray[np.float64]
+    factors: tuple[Factor, ...]
+
+
+def build_design(formula: str, data: DataFrame) -> Design:
+    """Build a model's matrices.
+
+    Parameters
+    ----------
+    formula : str
+        In lme4's notation.
+    data : DataFrame
+        One row per observation.
+
+    Returns
+    -------
+    Design
+        Response, fixed columns and grouping factors.
+
+    Raises
+    ------
+    ValueError
+        If the formula cannot be read, a column is missing or has gaps, or the data cannot tell the effects
+        apart.
+    """
+    parsed = parse_formula(formula)
+    if data.empty:
+        raise ValueError("data: got no rows, allowed is a table with one row per observation")
+    clean = _drop_unused(data)
+    response = _read_response(parsed, clean)
+    names, fixed = _expand(parsed.fixed, clean, "the fixed part")
+    factors = _read_factors(parsed, clean)
+    design = Design(response, names, fixed, factors)
+    _check_fixed(design)
+    return design
+
+
+def _drop_unused(data: DataFrame) -> DataFrame:
+    """Forget categories that no row has: they would ask for an effect without data."""
+    unused = {name: data[name].cat.remove_unused_categories() for name in data.select_dtypes("category")}
+    return data.assign(**unused) if unused else data
+
+
+def _read_response(parsed: Formula, data: DataFrame) -> NDArray[np.float64]:
+    names, values = _expand(f"0 + {parsed.response}", data, "the response")
+    if len(names) != 1:
+        raise ValueError(f"formula: got {len(names)} columns for the response {parsed.response!r}, allowed is one of numbers")
+    return values[:, 0]
+
+
+def _expand(text: str, data: DataFrame, what: str) -> tuple[tuple[str, ...], NDArray[np.float64]]:
+    """Columns of one side of a formula, named as R names them."""
+    from formulaic import model_matrix
+    from formulaic.errors import FormulaicError
+
+    python = re.sub(r"\bfactor\(", "C(", text.replace("^", "**"))
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            matrix = model_matrix(python, data, context={"np": np}, na_action="ignore")
+    except (FormulaicError, SyntaxError, TypeError, ValueError, KeyError) as error:
+        reason = str(error).splitlines()[0]
+        raise ValueError(
+            f"formula: could not make sense of {what}, {text!r} ({reason}); allowed are columns of the table "
+            f"({', '.join(map(str, data.columns))}) and functions of them"
+        ) from error
+    # Rows whose category is missing come out as zeros, as if they were of the first one.
+    gaps = [name for name in matrix.model_spec.required_variables if name in data and data[name].isna().any()]
+    if gaps:
+        raise ValueError(f"data: got {data[gaps[0]].isna().sum()} rows without {gaps[0]!r}, allowed is a value in every row; leave such rows out yourself")
+    values = np.asarray(matrix, dtype=np.float64).reshape(len(data), -1)
+    names = tuple(_name_like_r(str(name)) for name in matrix.columns)
+    _check_finite(names, values, what)
+    return names, values
+
+
+def _name_like_r(name: str) -> str:
+    if name == "Intercept":
+        return "(Intercept)"
+    return re.sub(r"\bC\(", "factor(", re.sub(r"\[(?:T\.)?([^\]]*)\]", r"\1", name)).replace(" ** ", "^")
+
+
+def _check_finite(names: Sequence[str], values: NDArray[np.float64], what: str) -> None:
+    bad = ~np.isfinite(values)
+    if bad.any():
+        column = int(np.flatnonzero(bad.any(axis=0))[0])
+        raise ValueError(
+            f"data: got {bad[:, column].sum()} values that are missing or not finite in {what}, {names[column]!r}, "
+            f"first in row {np.flatnonzero(bad[:, column])[0]}; allowed are numbers only, leave such rows out yourself"
+        )
+
+
+def _read_factors(parsed: Formula, data: DataFrame) -> tuple[Factor, ...]:
+    """One factor per group, holding all its terms, because their levels are the same."""
+    merged: dict[str, Factor] = {}
+    for bracket in parsed.random:
+        terms = _read_terms(bracket, data)
+        name = bracket.name
+        before = merged.get(name)
+        if before is None:
+            index, levels = _read_levels(bracket, data)
+            merged[name] = Factor(name, levels, index, terms)
+        else:
+            merged[name] = Factor(name, before.levels, before.index, (*before.terms, *terms))
+    for factor in merged.values():
+        _check_factor(factor)
+    return tuple(merged.values())
+
+
+def _read_terms(bracket: RandomTerm, data: DataFrame) -> tuple[Term, ...]:
+    names, values = _expand(bracket.effects, data, f"the random effects over {bracket.name}")
+    if not names:
+        raise ValueError(f"formula: got no effect in ({bracket.effects} | {bracket.name}), allowed is 1, x or 0 + x")
+    if bracket.independent:
+        return tuple(Term((name,), values[:, [place]]) for place, name in enumerate(names))
+    return (Term(names, values),)
+
+
+def _read_levels(bracket: RandomTerm, data: DataFrame) -> tuple[NDArray[np.intp], tuple[str, ...]]:
+    import pandas as pd
+
+    if missing := [name for name in bracket.group if name not in data]:
+        raise ValueError(
+            f"formula: got the group {missing[0]!r}, allowed is a column of the table: {', '.join(map(str, data.columns))}"
+        )
+    keys = data[list(bracket.group)]
+    if keys.isna().any(axis=None):
+        raise ValueError(f"data: got rows without {bracket.name}, allowed is a level in every row; name or leave them out")
+    # A plain tuple of columns groups numbers, words and categories alike; observed levels only.
+    grouped = keys.groupby(list(bracket.group), observed=True, sort=True)
+    index = grouped.ngroup().to_numpy(dtype=np.intp)
+    first = pd.Series(np.arange(len(keys))).groupby(index).first().to_numpy()
+    levels = keys.iloc[first].astype(str).agg(":".join, axis=1)
+    return index, tuple(levels)
+
+
+def _check_factor(factor: Factor) -> None:
+    n_levels, n_rows = len(factor.levels), len(factor.index)
+    if n_levels < 2:  # noqa: PLR2004 - a spread needs two
+        raise ValueError(f"data: got one level of {factor.name}, allowed are two or more; leave ({factor.name}) out of the formula")
+    names = [name for term in factor.terms for name in term.names]
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise ValueError(f"formula: got {twice!r} twice over {factor.name}, allowed is each effect once per group")
+    for term in factor.terms:
+        if n_levels * len(term.names) >= n_rows:
+            raise ValueError(
+                f"data: got {n_rows} rows for {n_levels} levels of {factor.name} with {len(term.names)} effects each, "
+                "allowed are fewer levels x effects than rows; the effects and the residual cannot be told apart"
+            )
+        if not term.values.any(axis=0).all():
+            raise ValueError(f"data: got only zeros for an effect over {factor.name}, allowed is a column that varies")
+
+
+def _check_fixed(design: Design) -> None:
+    n_rows, n_fixed = design.fixed.shape
+    if not n_fixed:
+        raise ValueError("formula: got no fixed effect, allowed is at least an intercept (1) or a slope")
+    if n_rows <= n_fixed:
+        raise ValueError(f"data: got {n_rows} rows for {n_fixed} fixed effects, allowed are more rows than effects")
+    _check_rank(design)
+    residual = design.response - design.fixed @ np.linalg.lstsq(design.fixed, design.response, rcond=None)[0]
+    if np.linalg.norm(residual) <= FLAT * np.linalg.norm(design.response) or not np.any(design.response):
+        raise ValueError("data: got a response that the fixed effects give exactly (or that is constant), allowed is one with scatter")
+
+
+def _check_rank(design: Design) -> None:
+    lengths = np.linalg.norm(design.fixed, axis=0)
+    scaled = design.fixed / np.where(lengths > 0, lengths, 1)
+    diagonal = np.abs(np.diag(np.linalg.qr(scaled, mode="r")))
+    if (diagonal < DEPENDENT).any():
+        name = design.names[int(np.flatnonzero(diagonal < DEPENDENT)[0])]
+        raise ValueError(
+            f"data: got {name!r}, which is a sum of the fixed effects before it (or constant), "
+            "allowed are effects that the data can tell apart; leave it out of the formula"
+        )

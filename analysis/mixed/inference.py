@@ -1,0 +1,148 @@
+"""How well a combination of fixed effects is known: Satterthwaite's degrees of freedom."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from analysis.mixed.profile import Profile, State
+
+STEP = 1e-4
+FLAT = 1e-8
+"""Curvature below this carries no information: a spread at its boundary."""
+
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True, slots=True)
+class Uncertainty:
+    """What the variance of any combination of fixed effects follows from.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (n_fixed, n_fixed)
+        Of the fixed effects.
+    slopes : ndarray, shape (n_theta + 1, n_fixed, n_fixed)
+        Its derivatives with respect to the relative spreads and the residual's.
+    parameters : ndarray, shape (n_theta + 1, n_theta + 1)
+        Covariance of those spreads.
+    """
+
+    covariance: NDArray[np.float64]
+    slopes: NDArray[np.float64]
+    parameters: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A number with its t test against 0.
+
+    Parameters
+    ----------
+    estimate, se : float
+        The value and its standard error.
+    df : float
+        Satterthwaite's degrees of freedom.
+    t, p : float
+        estimate / se, and its two-sided probability.
+    low, high : float
+        95 % interval, estimate ± t(.975, df) se.
+    """
+
+    estimate: float
+    se: float
+    df: float
+    t: float
+    p: float
+    low: float
+    high: float
+
+
+def find_uncertainty(profile: Profile, best: State) -> Uncertainty:
+    """Find out how the fixed effects' covariance hangs on the spreads, and how well those are known.
+
+    Parameters
+    ----------
+    profile : Profile
+        The deviance.
+    best : State
+        Its minimum.
+
+    Returns
+    -------
+    Uncertainty
+        Covariance, its derivatives, and the covariance of the spreads.
+
+    Notes
+    -----
+    With f(theta, s) the deviance before s is profiled out, the spreads' covariance is 2 H⁻¹, H the matrix of
+    second derivatives; directions in which H is not positive carry no information and are left out, as lmerTest
+    does. Derivatives along theta are central differences of the exact slope.
+    """
+    sigma, size = profile.sigma(best), profile.n_theta
+    covariance = profile.coefficients(best)[1] * sigma**2
+    hessian = np.zeros((size + 1, size + 1))
+    slopes = np.empty((size + 1, *covariance.shape))
+    for place, shift in enumerate(np.eye(size) * STEP):
+        above, below = profile.evaluate(best.theta + shift), profile.evaluate(best.theta - shift)
+        rise = profile.slope(above, above.rss / sigma**2) - profile.slope(below, below.rss / sigma**2)
+        hessian[place, :size] = rise / (2 * STEP)
+        hessian[place, size] = hessian[size, place] = -(above.rss - below.rss) / STEP / sigma**3
+        wider = profile.coefficients(above)[1] - profile.coefficients(below)[1]
+        slopes[place] = wider * sigma**2 / (2 * STEP)
+    hessian[size, size] = 4 * profile.freedom / sigma**2
+    slopes[size] = 2 * covariance / sigma
+    return Uncertainty(covariance, slopes, 2 * _invert((hessian + hessian.T) / 2))
+
+
+def _invert(hessian: NDArray[np.float64]) -> NDArray[np.float64]:
+    values, vectors = np.linalg.eigh(hessian)
+    kept = values > FLAT
+    inverse: NDArray[np.float64] = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
+    return inverse
+
+
+def estimate_sum(
+    effects: NDArray[np.float64], weights: NDArray[np.float64], uncertainty: Uncertainty
+) -> Estimate:
+    """Estimate a weighted sum of fixed effects.
+
+    Parameters
+    ----------
+    effects : ndarray, shape (n_fixed,)
+        Fixed effects.
+    weights : ndarray, shape (n_fixed,)
+        How often each counts; not all 0.
+    uncertainty : Uncertainty
+        Of the effects.
+
+    Returns
+    -------
+    Estimate
+        Its t test and interval.
+
+    Notes
+    -----
+    With v = w' C w and g its derivatives with respect to the spreads, whose covariance is A, the degrees of
+    freedom are 2 v² / g' A g.
+
+    References
+    ----------
+    Satterthwaite (1946), doi 10.2307/3002019; Kuznetsova, Brockhoff & Christensen (2017), lmerTest, Journal
+    of Statistical Software 82(13), doi 10.18637/jss.v082.i13.
+    """
+    from scipy.stats import t as student
+
+    value = float(weights @ effects)
+    variance = float(weights @ uncertainty.covariance @ weights)
+    slope = np.einsum("i,kij,j->k", weights, uncertainty.slopes, weights)
+    df = float(2 * variance**2 / (slope @ uncertainty.parameters @ slope))
+    se = float(np.sqrt(variance))
+    margin = float(student.ppf((1 + CONFIDENCE) / 2, df)) * se
+    p = float(2 * student.sf(abs(value / se), df))
+    return Estimate(value, se, df, value / se, p, value - margin, value + margin)

@@ -1,0 +1,97 @@
+"""The minimum of the profiled deviance, at the boundary too."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from analysis.mixed.profile import Profile, State
+
+ZERO = 1e-4
+"""A relative spread below this is none: what lme4 calls singular."""
+
+LARGEST = 1e6
+"""A spread so many times the residual means that there is no residual."""
+
+PROBE, RESTART, ATTEMPTS = 0.02, 0.3, 4
+
+
+def find_optimum(profile: Profile) -> State:
+    """Minimise the deviance over theta.
+
+    Parameters
+    ----------
+    profile : Profile
+        The deviance and its slope.
+
+    Returns
+    -------
+    State
+        The equations at the best theta, spreads below 1e-4 set to 0.
+
+    Raises
+    ------
+    ValueError
+        If the random effects explain the response without residual, or no minimum is found.
+
+    Notes
+    -----
+    L-BFGS from theta = 1 (off the diagonal 0), without bounds because the deviance does not change with a
+    spread's sign. For the same reason 0 is always stationary; at every spread of 0 the deviance is therefore
+    probed at a small positive value, which shows the sign of its derivative in theta², and the search resumed
+    where that is lower.
+    """
+    start = profile.diagonal.astype(np.float64)
+    best = _descend(profile, start)
+    for _ in range(ATTEMPTS):
+        resumed = _leave_boundary(profile, best)
+        if resumed is None:
+            break
+        best = resumed
+    return best
+
+
+def _descend(profile: Profile, start: NDArray[np.float64]) -> State:
+    from scipy.optimize import minimize
+
+    def value(theta: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        state = profile.evaluate(theta)
+        return profile.deviance(state), profile.slope(state)
+
+    # Without bounds: the deviance is even in a spread, and a search that is stopped at 0 may rest there in vain.
+    options = {"ftol": 1e-15, "gtol": 1e-6, "maxiter": 1000, "maxls": 50}
+    try:
+        found = minimize(value, start, jac=True, method="L-BFGS-B", options=options)
+    except np.linalg.LinAlgError as error:
+        raise ValueError(_NO_RESIDUAL) from error
+    if np.abs(found.x).max() > LARGEST:
+        raise ValueError(_NO_RESIDUAL)
+    return _snap(profile, profile.turn(found.x))
+
+
+_NO_RESIDUAL = (
+    "data: got a response that the random effects give exactly, without residual; "
+    "allowed is one with scatter within groups, leave the finest group out of the formula"
+)
+
+
+def _snap(profile: Profile, theta: NDArray[np.float64]) -> State:
+    """Set spreads that are zero but for the search's tolerance to zero."""
+    return profile.evaluate(np.where(profile.diagonal & (theta < ZERO), 0.0, theta))
+
+
+def _leave_boundary(profile: Profile, state: State) -> State | None:
+    """A better minimum with a spread above 0 that was at 0, or None."""
+    here = profile.deviance(state)
+    for place in np.flatnonzero(profile.diagonal & (state.theta == 0)):
+        probe = state.theta.copy()
+        probe[place] = PROBE
+        if profile.deviance(profile.evaluate(probe)) < here - 1e-9:
+            probe[place] = RESTART
+            better = _descend(profile, probe)
+            return better if profile.deviance(better) < here else None
+    return None
