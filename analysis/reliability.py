@@ -11,13 +11,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.bootstrap import FLAT
+from analysis.bootstrap import CONFIDENCE, FLAT
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 SMALLEST = 2
 """Targets and raters that a variance needs at least."""
+
+UPPER = (1 + CONFIDENCE) / 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +32,12 @@ class Intraclass:
         Of one rater's rating: one-way; two-way, absolute agreement; two-way, consistency.
     icc_1_k, icc_a_k, icc_c_k : float
         The same of the mean over all raters. NaN where every rating is the same.
+    icc_1_1_low, icc_1_1_high, icc_a_1_low, icc_a_1_high, icc_c_1_low, icc_c_1_high : float
+        Their 95 % intervals, not rounded; NaN where ratings have no error, and with it no F.
+    icc_1_k_low, icc_1_k_high, icc_a_k_low, icc_a_k_high, icc_c_k_low, icc_c_k_high : float
+        The same of the mean over all raters.
+    n_targets, n_raters : int
+        Size of the table.
     """
 
     icc_1_1: float
@@ -38,6 +46,20 @@ class Intraclass:
     icc_1_k: float
     icc_a_k: float
     icc_c_k: float
+    icc_1_1_low: float
+    icc_1_1_high: float
+    icc_a_1_low: float
+    icc_a_1_high: float
+    icc_c_1_low: float
+    icc_c_1_high: float
+    icc_1_k_low: float
+    icc_1_k_high: float
+    icc_a_k_low: float
+    icc_a_k_high: float
+    icc_c_k_low: float
+    icc_c_k_high: float
+    n_targets: int
+    n_raters: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +68,8 @@ class _MeanSquares:
     raters: float
     error: float
     within: float
+    n: int
+    k: int
 
 
 def intraclass(table: ArrayLike) -> Intraclass:
@@ -68,9 +92,16 @@ def intraclass(table: ArrayLike) -> Intraclass:
 
     Notes
     -----
-    Two-way analysis of variance with n targets and k raters: mean squares of targets R, raters C, residual E,
-    and of ratings within targets W. Consistency of the mean rating is (R - E) / R; a negative value means
-    that targets do not differ beyond noise.
+    Model: rating = target + rater + error. With n targets and k raters, the mean squares of targets R, raters
+    C, residual E, and of ratings within targets W give::
+
+        ICC(1,1) = (R - W) / (R + (k-1) W)                     ICC(1,k) = (R - W) / R
+        ICC(A,1) = (R - E) / (R + (k-1) E + k (C - E)/n)       ICC(A,k) = (R - E) / (R + (C - E)/n)
+        ICC(C,1) = (R - E) / (R + (k-1) E)                     ICC(C,k) = (R - E) / R
+
+    Agreement (A) asks for the same number, consistency (C) for the same order and distances; one-way (1) is
+    for raters who differ from target to target. A negative value means that targets do not differ beyond
+    noise. Intervals are exact F intervals for (1) and (C), and Satterthwaite's approximation for (A).
 
     References
     ----------
@@ -83,19 +114,31 @@ def intraclass(table: ArrayLike) -> Intraclass:
     >>> icc = intraclass(shrout_fleiss)
     >>> round(icc.icc_a_1, 2), round(icc.icc_c_k, 2)
     (0.29, 0.91)
+    >>> round(icc.icc_a_1_low, 3), round(icc.icc_a_1_high, 3)
+    (0.019, 0.761)
     """
-    ratings = _check_table(table)
-    n, k = ratings.shape
-    ms = _mean_squares(ratings)
+    ms = _mean_squares(_check_table(table))
+    n, k = ms.n, ms.k
     bias = (ms.raters - ms.error) / n
+    agreement = _ratio(ms.targets - ms.error, ms.targets + (k - 1) * ms.error + k * bias)
+    one_way = _limits(ms.targets, ms.within, (n - 1, n * (k - 1)))
+    consistent = _limits(ms.targets, ms.error, (n - 1, (n - 1) * (k - 1)))
+    agreed = _agreement_interval(ms, agreement)
     return Intraclass(
         icc_1_1=_ratio(ms.targets - ms.within, ms.targets + (k - 1) * ms.within),
-        icc_a_1=_ratio(ms.targets - ms.error, ms.targets + (k - 1) * ms.error + k * bias),
+        icc_a_1=agreement,
         icc_c_1=_ratio(ms.targets - ms.error, ms.targets + (k - 1) * ms.error),
         icc_1_k=_ratio(ms.targets - ms.within, ms.targets),
         icc_a_k=_ratio(ms.targets - ms.error, ms.targets + bias),
         icc_c_k=_ratio(ms.targets - ms.error, ms.targets),
-    )
+        icc_1_1_low=_of_one(one_way[0], k), icc_1_1_high=_of_one(one_way[1], k),
+        icc_a_1_low=agreed[0], icc_a_1_high=agreed[1],
+        icc_c_1_low=_of_one(consistent[0], k), icc_c_1_high=_of_one(consistent[1], k),
+        icc_1_k_low=1 - 1 / one_way[0], icc_1_k_high=1 - 1 / one_way[1],
+        icc_a_k_low=_of_mean(agreed[0], k), icc_a_k_high=_of_mean(agreed[1], k),
+        icc_c_k_low=1 - 1 / consistent[0], icc_c_k_high=1 - 1 / consistent[1],
+        n_targets=n, n_raters=k,
+    )  # fmt: skip
 
 
 def noise_ceiling(table: ArrayLike) -> float:
@@ -159,6 +202,46 @@ def _mean_squares(ratings: NDArray[np.float64]) -> _MeanSquares:
         raters=n * square(of_raters - grand) / (k - 1),
         error=square(residual) / ((n - 1) * (k - 1)),
         within=square(ratings - of_targets) / (n * (k - 1)),
+        n=n,
+        k=k,
+    )
+
+
+def _limits(between: float, noise: float, freedom: tuple[int, int]) -> tuple[float, float]:
+    """Give the ends of the interval of the ratio of expected mean squares."""
+    from scipy.stats import f
+
+    if not (noise and between):
+        return float("nan"), float("nan")
+    ratio = between / noise
+    return ratio / float(f.ppf(UPPER, *freedom)), ratio * float(f.ppf(UPPER, *freedom[::-1]))
+
+
+def _of_one(limit: float, k: int) -> float:
+    return (limit - 1) / (limit + k - 1)
+
+
+def _of_mean(limit: float, k: int) -> float:
+    """Spearman and Brown's step from one rater to the mean of k; unbounded where it has a pole."""
+    below = 1 + limit * (k - 1)
+    return float("-inf") if below <= 0 else k * limit / below
+
+
+def _agreement_interval(ms: _MeanSquares, value: float) -> tuple[float, float]:
+    from scipy.stats import f
+
+    if not ms.error:
+        return float("nan"), float("nan")
+    n, k = ms.n, ms.k
+    rater_weight = k * value * ms.raters / ms.error
+    error_weight = n * (1 + (k - 1) * value) - k * value
+    spread = (n - 1) * rater_weight**2 + error_weight**2
+    df = (k - 1) * (n - 1) * (rater_weight + error_weight) ** 2 / spread
+    rest = k * ms.raters + (k * n - k - n) * ms.error
+    upper, lower = float(f.ppf(UPPER, n - 1, df)), float(f.ppf(UPPER, df, n - 1))
+    return (
+        _ratio(n * (ms.targets - upper * ms.error), upper * rest + n * ms.targets),
+        _ratio(n * (lower * ms.targets - ms.error), rest + n * lower * ms.targets),
     )
 
 

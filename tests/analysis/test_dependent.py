@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import norm, t
 
@@ -46,6 +46,7 @@ def test_cocor_output() -> None:
 correlations = st.floats(-0.95, 0.95)
 
 
+@settings(deadline=None)  # the first call imports scipy.stats
 @given(r_jk=correlations, r_jh=correlations, r_kh=correlations, n=st.integers(4, 500))
 def test_exchange_turns_every_sign(r_jk: float, r_jh: float, r_kh: float, n: int) -> None:
     if 1 - r_jk**2 - r_jh**2 - r_kh**2 + 2 * r_jk * r_jh * r_kh < 0:

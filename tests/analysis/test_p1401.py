@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.stats import chi2, f, norm, pearsonr, spearmanr, t
@@ -53,6 +53,7 @@ def test_monotone_cubic_is_the_best_of_its_form(seed: int) -> None:
     assert misfit(u, y) == pytest.approx(brute_misfit(u, y, rng), rel=1e-7)
 
 
+@settings(deadline=None)  # the first call imports scipy.stats
 @given(seed=st.integers(0, 100_000), n=st.integers(4, 25))
 def test_mapping_never_turns_anywhere(seed: int, n: int) -> None:
     rng = np.random.default_rng(seed)
@@ -140,6 +141,7 @@ def test_from_thirty_votes_on_the_quantile_is_normal() -> None:
         assert p1401(votes, metric).interval == pytest.approx(expected)
 
 
+@settings(deadline=None)  # the first call imports scipy.stats
 @given(seed=st.integers(0, 1000), gain=st.floats(0.01, 100), shift=st.floats(-1000, 1000))
 def test_the_metrics_unit_does_not_matter(seed: int, gain: float, shift: float) -> None:
     votes, metric = make_votes(12, 4, seed=seed, noise=30)

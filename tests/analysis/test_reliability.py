@@ -4,12 +4,13 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from analysis.reliability import intraclass, noise_ceiling
 
 
+@settings(deadline=None)  # the first call imports scipy.stats
 @given(seed=st.integers(0, 10_000), gain=st.floats(0.1, 50), shift=st.floats(-100, 100))
 def test_consistency_ignores_unit_and_rater_levels(seed: int, gain: float, shift: float) -> None:
     rng = np.random.default_rng(seed)
@@ -57,3 +58,42 @@ def test_tables_too_small_are_refused(table: list[object]) -> None:
 def test_holes_are_refused() -> None:
     with pytest.raises(ValueError, match="table: got 1 cells that are not finite"):
         noise_ceiling([[1, 2], [math.nan, 3]])
+
+
+def planted(n: int, k: int, rng: np.random.Generator) -> np.ndarray:
+    return rng.normal(size=(n, 1)) + rng.normal(0, 0.5, (1, k)) + rng.normal(size=(n, k))
+
+
+NAMES = ("icc_1_1", "icc_a_1", "icc_c_1", "icc_1_k", "icc_a_k", "icc_c_k")
+
+
+def test_intervals_hold_their_values_in_order() -> None:
+    icc = intraclass(planted(20, 6, np.random.default_rng(1)))
+    for name in NAMES:
+        low, value, high = getattr(icc, f"{name}_low"), getattr(icc, name), getattr(icc, f"{name}_high")
+        assert low < value < high < 1
+        assert low != round(low, 2)
+    assert (icc.n_targets, icc.n_raters) == (20, 6)
+
+
+def test_intervals_cover_the_truth() -> None:
+    # Planted: targets 1, raters .25, error 1, drawn anew in every study.
+    rng = np.random.default_rng(4)
+    studies = [intraclass(planted(15, 12, rng)) for _ in range(400)]
+    truth = {"icc_a_1": 1 / 2.25, "icc_c_1": 1 / 2, "icc_a_k": 12 / 13.25, "icc_c_k": 12 / 13}
+    for name, value in truth.items():
+        covered = [getattr(icc, f"{name}_low") <= value <= getattr(icc, f"{name}_high") for icc in studies]
+        assert 0.925 < np.mean(covered) < 0.975
+
+
+def test_ratings_without_error_have_no_interval() -> None:
+    icc = intraclass(np.arange(6.0)[:, None] + np.array([0.0, 5.0]))
+    assert icc.icc_c_1 == pytest.approx(1)
+    assert all(math.isnan(getattr(icc, f"{name}_low")) for name in ("icc_a_1", "icc_c_1", "icc_a_k", "icc_c_k"))
+    assert math.isfinite(icc.icc_1_1_low)
+
+
+def test_targets_without_spread_have_no_limit_beyond_the_pole() -> None:
+    icc = intraclass([[1, 4, 2], [3, 2, 5]])
+    assert icc.icc_a_k_low == -math.inf or icc.icc_a_k_low < 0
+    assert intraclass([[0, 2], [2, 0.1]]).icc_a_k_low == -math.inf

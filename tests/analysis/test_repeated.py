@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from analysis.repeated import repeated_measures_correlation
@@ -29,6 +29,7 @@ def test_it_is_the_common_slope_of_an_analysis_of_covariance() -> None:
     assert result.r == pytest.approx(fit.tvalues[0] / math.sqrt(fit.tvalues[0] ** 2 + fit.df_resid))
 
 
+@settings(deadline=None)  # the first call imports scipy.stats
 @given(seed=st.integers(0, 1000), gain=st.floats(0.01, 100))
 def test_levels_and_units_of_participants_do_not_matter(seed: int, gain: float) -> None:
     x, y, participant = make_rows(seed)

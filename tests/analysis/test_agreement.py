@@ -1,0 +1,127 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from analysis.agreement import LEVELS, bootstrap_alpha, krippendorff_alpha
+
+
+def make_table(seed: int = 0, *, missing: float = 0.2, targets: int = 14, raters: int = 5) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    table = np.clip(np.round(rng.uniform(0, 6, (targets, 1)) + rng.normal(0, 1, (targets, raters))), 0, 7)
+    table[rng.uniform(size=table.shape) < missing] = np.nan
+    table[0, 0] = table[0, 1] = 3
+    return table
+
+
+def brute_alpha(table: np.ndarray, level: str) -> float:
+    """Sum over all pairs, as the definition says."""
+    rows = [row[np.isfinite(row)] for row in table]
+    rows = [row for row in rows if len(row) > 1]
+    pool = np.concatenate(rows)
+
+    def distance(v: float, w: float) -> float:
+        if level == "nominal":
+            return float(v != w)
+        if level == "ordinal":
+            between = ((pool >= min(v, w)) & (pool <= max(v, w))).sum()
+            return 0.0 if v == w else float(between - ((pool == v).sum() + (pool == w).sum()) / 2) ** 2
+        return (v - w) ** 2 if level == "interval" else ((v - w) / (v + w)) ** 2 if v + w else 0.0
+
+    def pairs(values: np.ndarray) -> float:
+        return sum(distance(v, w) for i, v in enumerate(values) for j, w in enumerate(values) if i != j)
+
+    observed = sum(pairs(row) / (len(row) - 1) for row in rows) / len(pool)
+    return 1 - observed / (pairs(pool) / (len(pool) * (len(pool) - 1)))
+
+
+@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("missing", [0.0, 0.35])
+def test_alpha_by_its_definition(level: str, missing: float) -> None:
+    for seed in range(4):
+        table = make_table(seed, missing=missing)
+        assert krippendorff_alpha(table, level=level) == pytest.approx(brute_alpha(table, level), abs=1e-12)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_perfect_agreement_is_one_and_noise_is_none(level: str) -> None:
+    rng = np.random.default_rng(3)
+    assert krippendorff_alpha(np.repeat(np.arange(8.0)[:, None], 4, axis=1), level=level) == pytest.approx(1)
+    assert krippendorff_alpha(rng.integers(1, 6, (400, 4)), level=level) == pytest.approx(0, abs=0.06)
+
+
+def test_order_alone_decides_on_an_ordinal_scale() -> None:
+    table = make_table()
+    assert krippendorff_alpha(np.exp(table), level="ordinal") == pytest.approx(
+        krippendorff_alpha(table, level="ordinal")
+    )
+    assert krippendorff_alpha(40 - 3 * table) == pytest.approx(krippendorff_alpha(table))
+    assert krippendorff_alpha(9 * table, level="ratio") == pytest.approx(krippendorff_alpha(table, level="ratio"))
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_equal_ratings_have_no_alpha(level: str) -> None:
+    table = np.full((5, 3), 33.3)
+    assert math.isnan(krippendorff_alpha(table, level=level))
+    result = bootstrap_alpha(table, level=level, draws=10, rng=np.random.default_rng(0))
+    assert result.notes == ("No alpha: all ratings are the same.",)
+    assert math.isnan(result.low)
+
+
+def test_targets_with_one_rating_do_not_count() -> None:
+    table = make_table(missing=0.0)
+    more = np.vstack([table, [9, *[np.nan] * 4], [np.nan] * 5])
+    assert krippendorff_alpha(more) == krippendorff_alpha(table)
+    result = bootstrap_alpha(more, draws=5, rng=np.random.default_rng(0))
+    assert result.notes == ("2 targets with fewer than two ratings have nothing to agree on.",)
+    assert (result.n_targets, result.n_ratings) == (14, 70)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_the_interval_is_the_bootstrap_of_targets(level: str) -> None:
+    table = make_table(5, missing=0.1)
+    result = bootstrap_alpha(table, level=level, draws=200, rng=np.random.default_rng(8))
+    counts = np.random.default_rng(8).multinomial(14, np.full(14, 1 / 14), size=200)
+    drawn = [krippendorff_alpha(np.repeat(table, times, axis=0), level=level) for times in counts]
+    assert [result.low, result.high] == pytest.approx(np.quantile(drawn, [0.025, 0.975]).tolist())
+    assert result.low < result.value < result.high
+
+
+def test_a_slider_of_many_values_needs_little_memory() -> None:
+    # targets x values x values, as the textbook table has it, would be 500 x 20 000 x 20 000 cells.
+    rng = np.random.default_rng(0)
+    table = rng.uniform(0, 100, (500, 1)) + rng.normal(0, 10, (500, 40))
+    alpha = krippendorff_alpha(table)
+    assert krippendorff_alpha(table, level="ordinal") == pytest.approx(alpha, abs=0.03)
+    assert math.isfinite(krippendorff_alpha(np.abs(table[:, :6]), level="ratio"))
+
+
+def test_one_odd_target_makes_too_many_draws_undefined() -> None:
+    table = np.full((6, 3), 4.0)
+    table[0] = [4, 4, 5]
+    result = bootstrap_alpha(table, draws=200, rng=np.random.default_rng(0))
+    assert math.isfinite(result.value)
+    assert math.isnan(result.high)
+    assert any("undefined in" in note for note in result.notes)
+
+
+@pytest.mark.parametrize(
+    ("table", "level", "message"),
+    [
+        ([[1, 2]], "cardinal", "level: got 'cardinal', allowed is one of nominal, ordinal, interval, ratio"),
+        ([1, 2], "interval", r"table: got shape \(2,\), allowed is \(targets, raters\)"),
+        ([[1, math.inf]], "interval", "table: got 1 infinite ratings; use NaN"),
+        ([[1, -2]], "ratio", "table: got the negative rating -2.0 on a ratio scale"),
+        ([[1, math.nan], [math.nan, 2]], "interval", "table: got 2 targets, none with two ratings"),
+    ],
+)
+def test_bad_input_is_refused_in_words(table: list[object], level: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        krippendorff_alpha(table, level=level)
+
+
+def test_one_draw_is_no_interval() -> None:
+    with pytest.raises(ValueError, match="draws: got 1, allowed is 2 or more"):
+        bootstrap_alpha([[1, 2], [2, 3]], draws=1, rng=np.random.default_rng(0))
