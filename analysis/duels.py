@@ -1,0 +1,148 @@
+"""Paired comparisons as counts: who met whom in which order, and who won how often.
+
+Conventions: a row is a pair in the order in which it was presented. Two forms are understood: trials, with
+the columns ``first``, ``second`` and ``winner``; and counts, whose first two columns name the pair and whose
+next two count the wins of each.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+    from pandas import DataFrame
+
+    Values = NDArray[np.float64]
+
+TRIAL = ("first", "second", "winner")
+TIES = ("refuse", "half")
+COUNTED = 4
+"""Columns of the other form."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Duels:
+    """Wins by pair.
+
+    Parameters
+    ----------
+    items : tuple of str
+        What was compared, in alphabetical order.
+    first, second : ndarray of int, shape (n_rows,)
+        Number of the item presented first, and second.
+    wins : ndarray, shape (n_rows, 2)
+        How often the first won, and the second; a tie counts half for each.
+    n_ties : int
+        Trials without a winner.
+    """
+
+    items: tuple[str, ...]
+    first: NDArray[np.intp]
+    second: NDArray[np.intp]
+    wins: Values
+    n_ties: int
+
+    def contrasts(self) -> Values:
+        """Write each row as +1 for the first item and -1 for the second.
+
+        Returns
+        -------
+        ndarray, shape (n_rows, n_items)
+            The design of a Bradley-Terry model.
+        """
+        rows = np.arange(len(self.first))
+        design = np.zeros((len(rows), len(self.items)))
+        design[rows, self.first] = 1
+        design[rows, self.second] = -1
+        return design
+
+
+def count_duels(pairs: DataFrame, *, ties: str = "refuse") -> Duels:
+    """Read paired comparisons, as trials or as counts.
+
+    Parameters
+    ----------
+    pairs : DataFrame
+        One of the two forms.
+    ties : str
+        What to do with a trial whose winner is missing or ``tie``: ``refuse``, or count ``half`` a win for
+        each.
+
+    Returns
+    -------
+    Duels
+        Rows of counts as they are; trials gathered by ordered pair.
+
+    Raises
+    ------
+    ValueError
+        If a column, name or count is not as it must be, an item meets itself, or there are ties and they are
+        refused.
+    """
+    if ties not in TIES:
+        raise ValueError(f"ties: got {ties!r}, allowed is one of {', '.join(TIES)}")
+    if pairs.empty:
+        raise ValueError("pairs: got no row, allowed is at least one comparison")
+    if "winner" in pairs:
+        missing = [name for name in TRIAL if name not in pairs]
+        if missing:
+            raise ValueError(f"pairs: column {', '.join(missing)} is missing; trials need {', '.join(TRIAL)}")
+        first, second = _read_names(pairs, "first"), _read_names(pairs, "second")
+        wins, n_ties = _read_winners(pairs, first, second, ties=ties)
+    else:
+        if pairs.shape[1] < COUNTED:
+            got = ", ".join(map(str, pairs.columns))
+            raise ValueError(f"pairs: got columns {got}; allowed is {', '.join(TRIAL)}, or two names and two counts")
+        first, second = (_read_names(pairs, name) for name in pairs.columns[:2])
+        wins, n_ties = _read_counts(pairs), 0
+    if (first == second).any():
+        raise ValueError(f"pairs: got '{first[first == second][0]}' against itself; leave such rows out")
+    items, numbers = np.unique(np.concatenate([first, second]), return_inverse=True)
+    duels = Duels(tuple(items.tolist()), numbers[: len(first)], numbers[len(first) :], wins, n_ties)
+    return _gather(duels) if "winner" in pairs else duels
+
+
+def _read_names(pairs: DataFrame, column: str) -> NDArray[np.str_]:
+    missing = int(pairs[column].isna().sum())
+    if missing:
+        raise ValueError(f"pairs: got {missing} rows without a name in column '{column}'; name or leave them out")
+    return pairs[column].astype(str).to_numpy(dtype=np.str_)
+
+
+def _read_winners(
+    pairs: DataFrame, first: NDArray[np.str_], second: NDArray[np.str_], *, ties: str
+) -> tuple[Values, int]:
+    winner = pairs["winner"].astype(object).where(pairs["winner"].notna(), "tie").astype(str).to_numpy(dtype=np.str_)
+    wins = np.stack([winner == first, winner == second], axis=1).astype(np.float64)
+    undecided = ~wins.any(axis=1)
+    strangers = winner[undecided & (winner != "tie")]
+    if strangers.size:
+        raise ValueError(f"pairs: got the winner '{strangers[0]}', allowed is the row's first or second, or 'tie'")
+    if undecided.any() and ties == "refuse":
+        raise ValueError(f"pairs: got {int(undecided.sum())} ties; leave them out, or count them with ties='half'")
+    wins[undecided] = 0.5
+    return wins, int(undecided.sum())
+
+
+def _read_counts(pairs: DataFrame) -> Values:
+    try:
+        wins = pairs.iloc[:, 2:COUNTED].to_numpy(dtype=np.float64)
+    except (TypeError, ValueError):
+        names = " and ".join(map(str, pairs.columns[2:COUNTED]))
+        raise ValueError(f"pairs: got text in columns {names}, allowed is counts of wins") from None
+    if not (np.isfinite(wins) & (wins >= 0)).all():
+        raise ValueError("pairs: got a count of wins that is negative or not finite, allowed is 0 or more")
+    if (wins.sum(axis=1) == 0).any():
+        raise ValueError("pairs: got a row without a win for either; leave pairs that never met out")
+    return wins
+
+
+def _gather(duels: Duels) -> Duels:
+    codes = duels.first * len(duels.items) + duels.second
+    pairs, row = np.unique(codes, return_inverse=True)
+    wins = np.stack([np.bincount(row, duels.wins[:, side]) for side in (0, 1)], axis=1).astype(np.float64)
+    return Duels(duels.items, pairs // len(duels.items), pairs % len(duels.items), wins, duels.n_ties)

@@ -1,0 +1,225 @@
+from __future__ import annotations
+
+import itertools
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from analysis.bradley_terry import bradley_terry, bradley_terry_by_rater
+from analysis.duels import count_duels
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+ABILITIES = {"a": 0.0, "b": 0.6, "c": 1.2, "d": -0.5}
+
+
+def make_trials(
+    seed: int = 0, *, raters: int = 8, rounds: int = 3, order: float = 0.0, spread: float = 0.0
+) -> pd.DataFrame:
+    """Every rater meets every ordered pair, with abilities of their own about the planted ones."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    for rater in range(raters):
+        own = {name: ability + rng.normal(0, spread) for name, ability in ABILITIES.items()}
+        for (first, high), (second, low) in [*itertools.permutations(own.items(), 2)] * rounds:
+            chance = 1 / (1 + math.exp(-(high - low + order)))
+            rows.append((f"p{rater}", first, second, first if rng.uniform() < chance else second))
+    return pd.DataFrame(rows, columns=["participant", "first", "second", "winner"])
+
+
+def counts(*rows: Sequence[object]) -> pd.DataFrame:
+    return pd.DataFrame(rows, columns=["one", "two", "wins_one", "wins_two"])
+
+
+def test_two_items_are_one_log_odds() -> None:
+    result = bradley_terry(counts(("a", "b", 30, 10)))
+    row = result.fixed.loc["b"]
+    assert row["estimate"] == pytest.approx(-math.log(3))
+    assert row["se"] == pytest.approx(math.sqrt(1 / 30 + 1 / 10))
+    assert row["z"] == pytest.approx(row["estimate"] / row["se"])
+    assert row["high"] - row["low"] == pytest.approx(2 * 1.959964 * row["se"], rel=1e-6)
+    assert (result.deviance, result.df) == (pytest.approx(0, abs=1e-9), 0)
+
+
+def test_planted_abilities_and_order_are_recovered() -> None:
+    result = bradley_terry(make_trials(raters=150, order=0.4), order_effect=True)
+    for name, ability in {**ABILITIES, "order": 0.4}.items():
+        row = result.fixed.loc[name]
+        assert abs(row["estimate"] - ability) <= 4 * row["se"] < 0.5
+    assert list(result.fixed.index) == ["a", "b", "c", "d", "order"]
+
+
+def test_leaving_the_order_effect_out_leaves_balanced_abilities() -> None:
+    trials = make_trials(raters=30, order=1.0)
+    without, within = bradley_terry(trials), bradley_terry(trials, order_effect=True)
+    assert without.deviance > within.deviance + 50
+    assert without.df == within.df + 1
+    assert without.fixed.loc["c", "estimate"] == pytest.approx(within.fixed.loc["c", "estimate"], rel=0.25)
+
+
+def test_the_reference_shifts_all_abilities_alike() -> None:
+    trials = make_trials()
+    by_a, by_c = bradley_terry(trials), bradley_terry(trials, reference="c")
+    shift = by_a.fixed["estimate"] - by_c.fixed["estimate"]
+    assert shift.to_numpy() == pytest.approx(shift.iloc[0])
+    assert by_c.fixed.loc["c", "estimate"] == 0
+    assert by_c.deviance == pytest.approx(by_a.deviance)
+
+
+def test_trials_and_counts_are_one_table() -> None:
+    trials = make_trials()
+    duels = count_duels(trials)
+    names = np.array(duels.items)
+    table = pd.DataFrame({
+        "x": names[duels.first],
+        "y": names[duels.second],
+        "m": duels.wins[:, 0],
+        "n": duels.wins[:, 1],
+    })
+    pd.testing.assert_frame_equal(bradley_terry(table).fixed, bradley_terry(trials).fixed)
+    assert bradley_terry(trials).n_comparisons == len(trials)
+
+
+def test_swapping_a_row_changes_nothing_without_order() -> None:
+    here = bradley_terry(counts(("a", "b", 7, 3), ("b", "c", 6, 4), ("a", "c", 8, 2)))
+    there = bradley_terry(counts(("b", "a", 3, 7), ("c", "b", 4, 6), ("a", "c", 8, 2)))
+    pd.testing.assert_frame_equal(here.fixed, there.fixed)
+
+
+@pytest.mark.parametrize("tie", ["tie", None])
+def test_ties_are_refused_or_count_half(tie: str | None) -> None:
+    trials = pd.DataFrame({"first": ["a"] * 6, "second": ["b"] * 6, "winner": ["a", "a", "a", "b", tie, tie]})
+    with pytest.raises(ValueError, match="pairs: got 2 ties; leave them out, or count them with ties='half'"):
+        bradley_terry(trials)
+    result = bradley_terry(trials, ties="half")
+    assert result.fixed.loc["b", "estimate"] == pytest.approx(-math.log(4 / 2))
+    assert (result.n_ties, result.notes) == (2, ("2 ties count half a win for each.",))
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ([("a", "b", 5, 0), ("b", "c", 3, 2)], "separation, 'a' always won against all others.*use prior=0.5"),
+        (
+            [("a", "b", 5, 2), ("b", "c", 3, 0), ("a", "c", 4, 0)],
+            "separation, 'c' always lost",
+        ),
+        ([("a", "b", 5, 2), ("c", "d", 3, 1)], "'a' and 'b' never compared with 'c' and 'd', even through others"),
+    ],
+)
+def test_separation_is_named(rows: list[tuple[object, ...]], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        bradley_terry(counts(*rows))
+
+
+def test_a_prior_makes_separated_abilities_finite() -> None:
+    result = bradley_terry(counts(("a", "b", 5, 0)), prior=0.5)
+    assert result.fixed.loc["b", "estimate"] == pytest.approx(-math.log(5.5 / 0.5))
+    assert "0.5 wins are added" in result.notes[0]
+    with pytest.raises(ValueError, match="prior: got -1, allowed is 0 or more"):
+        bradley_terry(counts(("a", "b", 5, 1)), prior=-1)
+
+
+def test_an_order_that_always_decides_is_separation() -> None:
+    with pytest.raises(ValueError, match="separation, the estimate of 'order' runs away"):
+        bradley_terry(counts(("a", "b", 5, 0), ("b", "a", 5, 0)), order_effect=True)
+
+
+def test_an_order_that_never_varies_cannot_be_told() -> None:
+    with pytest.raises(ValueError, match="order_effect: got pairs always presented in one order"):
+        bradley_terry(counts(("a", "b", 5, 1)), order_effect=True)
+    with pytest.raises(ValueError, match="got an item named 'order'"):
+        bradley_terry(counts(("order", "b", 5, 1), ("b", "order", 3, 2)), order_effect=True)
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        (counts(), "pairs: got no row"),
+        (pd.DataFrame({"a": ["x"], "b": ["y"]}), "pairs: got columns a, b; allowed is first, second, winner, or two"),
+        (pd.DataFrame({"first": ["x"], "winner": ["x"]}), "pairs: column second is missing; trials need"),
+        (counts(("a", None, 1, 2)), "pairs: got 1 rows without a name in column 'two'"),
+        (counts(("a", "b", -1, 2)), "pairs: got a count of wins that is negative or not finite"),
+        (counts(("a", "b", "many", 2)), "pairs: got text in columns wins_one and wins_two"),
+        (counts(("a", "b", 0, 0)), "pairs: got a row without a win for either"),
+        (counts(("a", "a", 1, 2)), "pairs: got 'a' against itself"),
+        (pd.DataFrame({"first": ["x"], "second": ["y"], "winner": ["z"]}), "pairs: got the winner 'z'"),
+    ],
+)
+def test_bad_tables_are_refused_in_words(table: pd.DataFrame, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        bradley_terry(table)
+
+
+def test_unknown_choices_are_refused() -> None:
+    with pytest.raises(ValueError, match="ties: got 'drop', allowed is one of refuse, half"):
+        bradley_terry(make_trials(), ties="drop")
+    with pytest.raises(ValueError, match="reference: got 'z', allowed is one of a, b, c, d"):
+        bradley_terry(make_trials(), reference="z")
+
+
+def test_raters_alike_give_walds_errors_and_raters_unlike_give_larger() -> None:
+    rng = np.random.default_rng(1)
+    alike = bradley_terry_by_rater(make_trials(raters=40), draws=400, rng=rng).fixed
+    wald = bradley_terry(make_trials(raters=40)).fixed
+    assert alike["estimate"].to_numpy() == pytest.approx(wald["estimate"].to_numpy())
+    assert alike.loc["b":, "se"].to_numpy() == pytest.approx(wald.loc["b":, "se"].to_numpy(), rel=0.35)
+    unlike = make_trials(raters=40, spread=1.0)
+    assert (bradley_terry_by_rater(unlike, draws=400, rng=rng).fixed["se"] / bradley_terry(unlike).fixed["se"])[
+        "d"
+    ] > 1.5
+
+
+def test_a_draw_is_a_fit_of_the_raters_drawn() -> None:
+    trials = make_trials(raters=5, rounds=6, order=0.3)
+    result = bradley_terry_by_rater(trials, order_effect=True, reference="b", draws=40, rng=np.random.default_rng(3))
+    weights = np.random.default_rng(3).multinomial(5, np.full(5, 0.2), size=40)
+    drawn = []
+    for row in weights:
+        rows = pd.concat([trials[trials["participant"] == f"p{rater}"] for rater in np.repeat(np.arange(5), row)])
+        drawn.append(bradley_terry(rows, reference="b", order_effect=True).fixed["estimate"])
+    expected = pd.DataFrame(drawn).std(ddof=1) * math.sqrt(5 / 4)
+    assert result.fixed["se"].to_numpy() == pytest.approx(expected.to_numpy(), abs=1e-6)
+    assert result.fixed.loc["b", "se"] == 0
+
+
+def test_draws_without_an_estimate_are_counted() -> None:
+    one_sided = [("p0", "a", "b", "a"), ("p1", "a", "b", "a"), ("p2", "a", "b", "a"), ("p2", "a", "b", "b")]
+    trials = pd.DataFrame(one_sided, columns=["participant", "first", "second", "winner"])
+    result = bradley_terry_by_rater(trials, draws=300, rng=np.random.default_rng(0))
+    assert math.isnan(result.fixed.loc["b", "low"])
+    assert "an item always won or lost" in result.notes[0]
+    assert result.notes[1].startswith("No interval")
+
+
+@pytest.mark.parametrize(
+    ("change", "options", "message"),
+    [
+        ({}, {"rater": "who"}, "trials: column who is missing"),
+        ({"participant": "same"}, {}, "trials: got one rater, allowed is two or more"),
+        ({"participant": None}, {}, "trials: got 288 rows without a participant"),
+        ({}, {"draws": 1}, "draws: got 1, allowed is 2 or more"),
+    ],
+)
+def test_bad_raters_are_refused(change: dict[str, object], options: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        bradley_terry_by_rater(make_trials().assign(**change), rng=np.random.default_rng(0), **options)
+
+
+@pytest.mark.soak
+def test_intervals_over_raters_cover_and_walds_do_not() -> None:
+    truth, covered = ABILITIES["c"], []
+    for seed in range(400):
+        trials = make_trials(seed, raters=15, rounds=2, spread=0.7)
+        rows = [
+            bradley_terry_by_rater(trials, draws=300, rng=np.random.default_rng(seed)).fixed.loc["c"],
+            bradley_terry(trials).fixed.loc["c"],
+        ]
+        covered.append([row["low"] <= truth <= row["high"] for row in rows])
+    by_rater, wald = np.mean(covered, axis=0)
+    assert 0.92 < by_rater < 0.98
+    assert wald < by_rater - 0.03
