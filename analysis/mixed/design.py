@@ -34,12 +34,12 @@ class Term:
     ----------
     names : tuple of str
         The effects, such as ``("(Intercept)", "x")``.
-    values : ndarray, shape (n_rows, n_effects)
+    columns : ndarray, shape (n_rows, n_effects)
         Their columns.
     """
 
     names: tuple[str, ...]
-    values: NDArray[np.float64]
+    columns: NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,9 +69,9 @@ class Factor:
         return sum(len(term.names) for term in self.terms)
 
     @property
-    def values(self) -> NDArray[np.float64]:
+    def columns(self) -> NDArray[np.float64]:
         """Columns of all its effects, shape (n_rows, width)."""
-        return np.hstack([term.values for term in self.terms])
+        return np.hstack([term.columns for term in self.terms])
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,14 +131,16 @@ def build_design(formula: str, data: DataFrame) -> Design:
 
 def _drop_unused(data: DataFrame) -> DataFrame:
     """Forget categories that no row has: they would ask for an effect without data."""
-    unused = {name: data[name].cat.remove_unused_categories() for name in data.select_dtypes("category")}
+    unused = {str(name): data[name].cat.remove_unused_categories() for name in data.select_dtypes("category")}
     return data.assign(**unused) if unused else data
 
 
 def _read_response(parsed: Formula, data: DataFrame) -> NDArray[np.float64]:
-    names, values = _expand(f"0 + {parsed.response}", data, "the response")
+    plain = re.fullmatch(r"[\w.]+|`[^`]+`", parsed.response)
+    # Arithmetic, not formula operators: y / 10 is no nesting.
+    names, values = _expand(f"0 + {parsed.response if plain else f'I({parsed.response})'}", data, "the response")
     if len(names) != 1:
-        raise ValueError(f"formula: got {len(names)} columns for the response {parsed.response!r}, allowed is one of numbers")
+        raise ValueError(f"formula: got {len(names)} columns for {parsed.response!r}, allowed is a response of numbers")
     return values[:, 0]
 
 
@@ -151,7 +153,7 @@ def _expand(text: str, data: DataFrame, what: str) -> tuple[tuple[str, ...], NDA
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            matrix = model_matrix(python, data, context={"np": np}, na_action="ignore")
+            matrix = model_matrix(python, data, context={"np": np, "sqrt": np.sqrt}, na_action="ignore")
     except (FormulaicError, SyntaxError, TypeError, ValueError, KeyError) as error:
         reason = str(error).splitlines()[0]
         raise ValueError(
@@ -161,7 +163,10 @@ def _expand(text: str, data: DataFrame, what: str) -> tuple[tuple[str, ...], NDA
     # Rows whose category is missing come out as zeros, as if they were of the first one.
     gaps = [name for name in matrix.model_spec.required_variables if name in data and data[name].isna().any()]
     if gaps:
-        raise ValueError(f"data: got {data[gaps[0]].isna().sum()} rows without {gaps[0]!r}, allowed is a value in every row; leave such rows out yourself")
+        raise ValueError(
+            f"data: got {data[gaps[0]].isna().sum()} rows without {gaps[0]!r}, allowed is a value in every row; "
+            "leave such rows out yourself"
+        )
     values = np.asarray(matrix, dtype=np.float64).reshape(len(data), -1)
     names = tuple(_name_like_r(str(name)) for name in matrix.columns)
     _check_finite(names, values, what)
@@ -171,7 +176,7 @@ def _expand(text: str, data: DataFrame, what: str) -> tuple[tuple[str, ...], NDA
 def _name_like_r(name: str) -> str:
     if name == "Intercept":
         return "(Intercept)"
-    return re.sub(r"\bC\(", "factor(", re.sub(r"\[(?:T\.)?([^\]]*)\]", r"\1", name)).replace(" ** ", "^")
+    return re.sub(r"\bC\(", "factor(", re.sub(r"\[(?:T\.)?([^\]]*?)(?:\.0)?\]", r"\1", name)).replace(" ** ", "^")
 
 
 def _check_finite(names: Sequence[str], values: NDArray[np.float64], what: str) -> None:
@@ -215,23 +220,24 @@ def _read_levels(bracket: RandomTerm, data: DataFrame) -> tuple[NDArray[np.intp]
 
     if missing := [name for name in bracket.group if name not in data]:
         raise ValueError(
-            f"formula: got the group {missing[0]!r}, allowed is a column of the table: {', '.join(map(str, data.columns))}"
+            f"formula: got the group {missing[0]!r}, allowed is a column of the table "
+            f"({', '.join(map(str, data.columns))})"
         )
     keys = data[list(bracket.group)]
     if keys.isna().any(axis=None):
-        raise ValueError(f"data: got rows without {bracket.name}, allowed is a level in every row; name or leave them out")
+        raise ValueError(f"data: got rows without {bracket.name}, allowed is a level in every row; leave them out")
     # A plain tuple of columns groups numbers, words and categories alike; observed levels only.
     grouped = keys.groupby(list(bracket.group), observed=True, sort=True)
-    index = grouped.ngroup().to_numpy(dtype=np.intp)
+    index: NDArray[np.intp] = grouped.ngroup().to_numpy().astype(np.intp)
     first = pd.Series(np.arange(len(keys))).groupby(index).first().to_numpy()
-    levels = keys.iloc[first].astype(str).agg(":".join, axis=1)
-    return index, tuple(levels)
+    parts = [keys.iloc[first][name].astype(str) for name in bracket.group]
+    return index, tuple(":".join(level) for level in zip(*parts, strict=True))
 
 
 def _check_factor(factor: Factor) -> None:
     n_levels, n_rows = len(factor.levels), len(factor.index)
     if n_levels < 2:  # noqa: PLR2004 - a spread needs two
-        raise ValueError(f"data: got one level of {factor.name}, allowed are two or more; leave ({factor.name}) out of the formula")
+        raise ValueError(f"data: got one level of {factor.name}, allowed are two or more; leave out its brackets")
     names = [name for term in factor.terms for name in term.names]
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise ValueError(f"formula: got {twice!r} twice over {factor.name}, allowed is each effect once per group")
@@ -241,7 +247,7 @@ def _check_factor(factor: Factor) -> None:
                 f"data: got {n_rows} rows for {n_levels} levels of {factor.name} with {len(term.names)} effects each, "
                 "allowed are fewer levels x effects than rows; the effects and the residual cannot be told apart"
             )
-        if not term.values.any(axis=0).all():
+        if not term.columns.any(axis=0).all():
             raise ValueError(f"data: got only zeros for an effect over {factor.name}, allowed is a column that varies")
 
 
@@ -254,7 +260,9 @@ def _check_fixed(design: Design) -> None:
     _check_rank(design)
     residual = design.response - design.fixed @ np.linalg.lstsq(design.fixed, design.response, rcond=None)[0]
     if np.linalg.norm(residual) <= FLAT * np.linalg.norm(design.response) or not np.any(design.response):
-        raise ValueError("data: got a response that the fixed effects give exactly (or that is constant), allowed is one with scatter")
+        raise ValueError(
+            "data: got a response that is constant, or that the fixed effects give exactly, allowed is one with scatter"
+        )
 
 
 def _check_rank(design: Design) -> None:

@@ -94,17 +94,20 @@ def parse_formula(text: str) -> Formula:
     if not isinstance(text, str) or text.count("~") != 1 or not all(side.strip() for side in text.split("~")):
         raise ValueError(f"formula: got {text!r}, allowed is 'response ~ fixed + (effects | group)'")
     if found := FORBIDDEN.search(text):
-        raise ValueError(f"formula: got {found[1]}(...), which is not supported; give every row the same weight and no offset")
+        raise ValueError(f"formula: got {found[1]}(...), allowed are models without; every row counts the same here")
     response, right = (side.strip() for side in text.split("~"))
-    if right == ".":
-        raise ValueError("formula: got '.', allowed are terms by name; write out which columns predict")
     pieces = list(_split_sum(right))
     random = [term for sign, piece in pieces if _is_bar(piece) for term in _read_bar(sign, piece)]
     fixed = [(sign, piece) for sign, piece in pieces if not _is_bar(piece)]
+    if any(piece == "." for _, piece in fixed):
+        raise ValueError("formula: got '.', allowed are terms by name; write out which columns predict")
     if stray := next((piece for _, piece in fixed if "|" in piece), None):
         raise ValueError(f"formula: got {stray!r}, allowed is a bar inside brackets of its own: + (effects | group)")
     if not random:
-        raise ValueError(f"formula: got {text!r} without a random term, allowed is at least one (1 | group); for none, use ordinary regression")
+        raise ValueError(
+            f"formula: got {text!r} without a random term, allowed is at least one (1 | group); "
+            "for none, use ordinary regression"
+        )
     return Formula(text, response, _join(fixed), tuple(random))
 
 

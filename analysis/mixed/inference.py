@@ -28,9 +28,9 @@ class Uncertainty:
     covariance : ndarray, shape (n_fixed, n_fixed)
         Of the fixed effects.
     slopes : ndarray, shape (n_theta + 1, n_fixed, n_fixed)
-        Its derivatives with respect to the relative spreads and the residual's.
+        Its derivatives with respect to the relative spreads and the logarithm of the residual's.
     parameters : ndarray, shape (n_theta + 1, n_theta + 1)
-        Covariance of those spreads.
+        Covariance of those.
     """
 
     covariance: NDArray[np.float64]
@@ -80,8 +80,8 @@ def find_uncertainty(profile: Profile, best: State) -> Uncertainty:
 
     Notes
     -----
-    With f(theta, s) the deviance before s is profiled out, the spreads' covariance is 2 H⁻¹, H the matrix of
-    second derivatives; directions in which H is not positive carry no information and are left out, as lmerTest
+    With f(theta, log s) the deviance before s is profiled out, the spreads' covariance is 2 H⁻¹, H the matrix of
+    second derivatives, none of which hangs on units; directions in which H is not positive carry no information and are left out, as lmerTest
     does. Derivatives along theta are central differences of the exact slope.
     """
     sigma, size = profile.sigma(best), profile.n_theta
@@ -92,11 +92,11 @@ def find_uncertainty(profile: Profile, best: State) -> Uncertainty:
         above, below = profile.evaluate(best.theta + shift), profile.evaluate(best.theta - shift)
         rise = profile.slope(above, above.rss / sigma**2) - profile.slope(below, below.rss / sigma**2)
         hessian[place, :size] = rise / (2 * STEP)
-        hessian[place, size] = hessian[size, place] = -(above.rss - below.rss) / STEP / sigma**3
+        hessian[place, size] = hessian[size, place] = -(above.rss - below.rss) / STEP / sigma**2
         wider = profile.coefficients(above)[1] - profile.coefficients(below)[1]
         slopes[place] = wider * sigma**2 / (2 * STEP)
-    hessian[size, size] = 4 * profile.freedom / sigma**2
-    slopes[size] = 2 * covariance / sigma
+    hessian[size, size] = 4 * profile.freedom
+    slopes[size] = 2 * covariance
     return Uncertainty(covariance, slopes, 2 * _invert((hessian + hessian.T) / 2))
 
 

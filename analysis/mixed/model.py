@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
@@ -14,13 +13,14 @@ from analysis.mixed.optimum import find_optimum
 from analysis.mixed.profile import Profile
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from numpy.typing import NDArray
     from pandas import DataFrame
 
-    from analysis.mixed.design import Design
-    from analysis.mixed.profile import Block, State
+    from analysis.mixed.design import Design, Term
+    from analysis.mixed.layout import Block
+    from analysis.mixed.profile import State
 
 BOUND = 1 - 1e-6
 """A correlation beyond this is one of ±1 but for rounding."""
@@ -148,7 +148,7 @@ def fit_mixed(formula: str, data: DataFrame, *, reml: bool = True) -> MixedFit:
       group         term    sd
     0   who  (Intercept)  1.99
     >>> round(fit.residual_sd, 2), round(fit.criterion, 2), fit.singular
-    (0.44, 29.42, False)
+    (0.47, 29.83, False)
     """
     design = build_design(formula, data)
     profile = Profile(design, reml=reml)
@@ -157,7 +157,7 @@ def fit_mixed(formula: str, data: DataFrame, *, reml: bool = True) -> MixedFit:
     coefficients, _ = profile.coefficients(best)
     variances, correlations = _table_spreads(profile, best)
     fitted, effects = _predict(profile, best)
-    zero = _name_zeros(variances, correlations, bool((best.theta[profile.diagonal] == 0).any()))
+    zero = _name_zeros(variances, correlations, boundary=bool((best.theta[profile.diagonal] == 0).any()))
     marginal, conditional = _explain_variance(profile, best)
     return MixedFit(
         formula=formula, reml=reml, fixed=_table_fixed(design, coefficients, uncertainty), variances=variances,
@@ -229,27 +229,31 @@ def _in_order(profile: Profile, values: list[NDArray[np.float64]]) -> Iterator[t
 def _table_spreads(profile: Profile, best: State) -> tuple[DataFrame, DataFrame]:
     import pandas as pd
 
-    spreads, ties = [], []
     sigma = profile.sigma(best)
+    spreads, ties = [], []
     for block, covariance in _in_order(profile, profile.spreads(best)):
-        group, start = block.factor.name, 0
-        sd = sigma * np.sqrt(np.diag(covariance))
-        for term in block.factor.terms:
-            places = range(start, start + len(term.names))
-            spreads += [(group, name, sd[place]) for name, place in zip(term.names, places, strict=True)]
-            for second in places:
-                for first in range(start, second):
-                    tie = _divide(covariance[first, second] * sigma**2, sd[first] * sd[second])
-                    ties.append((group, term.names[first - start], term.names[second - start], tie))
-            start += len(term.names)
+        for term, places in _cut(block):
+            part = covariance[places, places] * sigma**2
+            names, group = term.names, block.factor.name
+            spreads += [(group, name, sd) for name, sd in zip(names, np.sqrt(np.diag(part)), strict=True)]
+            ties += [(group, names[i], names[j], _correlate(part, i, j)) for j in range(len(names)) for i in range(j)]
     return (
         pd.DataFrame(spreads, columns=["group", "term", "sd"]),
         pd.DataFrame(ties, columns=["group", "first", "second", "correlation"]).astype({"correlation": float}),
     )
 
 
-def _divide(covariance: float, spread: float) -> float:
-    return float(np.clip(covariance / spread, -1, 1)) if spread > 0 else float("nan")
+def _cut(block: Block) -> Iterator[tuple[Term, slice]]:
+    """Cut a factor's effects into its terms."""
+    start = 0
+    for term in block.factor.terms:
+        yield term, slice(start, start + len(term.names))
+        start += len(term.names)
+
+
+def _correlate(covariance: NDArray[np.float64], first: int, second: int) -> float:
+    size = float(np.sqrt(covariance[first, first] * covariance[second, second]))
+    return float(np.clip(covariance[first, second] / size, -1, 1)) if size > 0 else float("nan")
 
 
 def _predict(profile: Profile, best: State) -> tuple[NDArray[np.float64], DataFrame]:
@@ -258,11 +262,10 @@ def _predict(profile: Profile, best: State) -> tuple[NDArray[np.float64], DataFr
     fitted = profile.design.fixed @ profile.coefficients(best)[0]
     tables = []
     for block, values in _in_order(profile, profile.modes(best)):
-        fitted = fitted + np.sum(block.factor.values * values[block.factor.index], axis=1)
+        fitted = fitted + np.sum(block.factor.columns * values[block.factor.index], axis=1)
         names = [name for term in block.factor.terms for name in term.names]
-        wide = pd.DataFrame(values, columns=names, index=pd.Index(block.factor.levels, name="level"))
-        long = wide.reset_index().melt("level", var_name="term", value_name="value")
-        tables.append(long.assign(group=block.factor.name)[["group", "level", "term", "value"]])
+        effects = {"level": np.tile(block.factor.levels, len(names)), "term": np.repeat(names, block.n_levels)}
+        tables.append(pd.DataFrame({"group": block.factor.name, **effects, "value": values.T.ravel()}))
     return fitted, pd.concat(tables, ignore_index=True)
 
 
@@ -272,19 +275,20 @@ def _explain_variance(profile: Profile, best: State) -> tuple[float, float]:
     fixed = float(np.var(profile.design.fixed @ profile.coefficients(best)[0], ddof=1))
     random = 0.0
     for block, covariance in zip(profile.blocks, profile.spreads(best), strict=True):
-        values = block.factor.values
+        values = block.factor.columns
         random += residual * float(np.mean(np.einsum("ni,ij,nj->n", values, covariance, values)))
     total = fixed + random + residual
     return fixed / total, (fixed + random) / total
 
 
-def _name_zeros(variances: DataFrame, correlations: DataFrame, boundary: bool) -> list[str]:
-    """What makes a fit singular, in words; empty for a regular one."""
-    zero = [f"{row.term} over {row.group}" for row in variances.itertuples() if row.sd == 0]
-    tied = [f"{row.first} and {row.second} over {row.group}" for row in correlations.itertuples() if abs(row.correlation) > BOUND]
+def _name_zeros(variances: DataFrame, correlations: DataFrame, *, boundary: bool) -> list[str]:
+    """Say what makes a fit singular; nothing for a regular one."""
+    zero = [f"{row.term} over {row.group}" for row in variances[variances["sd"] == 0].itertuples()]
+    perfect = correlations[correlations["correlation"].abs() > BOUND]
+    tied = [f"{row.first} and {row.second} over {row.group}" for row in perfect.itertuples()]
     notes = []
     if zero:
-        notes.append(f"Singular fit: the spread of {'; '.join(zero)} is estimated as zero and kept as zero.")
+        notes.append(f"Singular fit: the spread of {'; '.join(zero)} is estimated as zero, and kept.")
     if tied:
         notes.append(f"Singular fit: the effects {'; '.join(tied)} are estimated as perfectly correlated.")
     if boundary and not notes:

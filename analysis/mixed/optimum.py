@@ -63,9 +63,11 @@ def _descend(profile: Profile, start: NDArray[np.float64]) -> State:
         return profile.deviance(state), profile.slope(state)
 
     # Without bounds: the deviance is even in a spread, and a search that is stopped at 0 may rest there in vain.
-    options = {"ftol": 1e-15, "gtol": 1e-6, "maxiter": 1000, "maxls": 50}
     try:
-        found = minimize(value, start, jac=True, method="L-BFGS-B", options=options)
+        found = minimize(
+            value, start, jac=True, method="L-BFGS-B",
+            options={"ftol": 1e-15, "gtol": 1e-6, "maxiter": 1000, "maxls": 50},
+        )  # fmt: skip
     except np.linalg.LinAlgError as error:
         raise ValueError(_NO_RESIDUAL) from error
     if np.abs(found.x).max() > LARGEST:
@@ -85,7 +87,7 @@ def _snap(profile: Profile, theta: NDArray[np.float64]) -> State:
 
 
 def _leave_boundary(profile: Profile, state: State) -> State | None:
-    """A better minimum with a spread above 0 that was at 0, or None."""
+    """Find a better minimum where a spread of 0 is above 0, or None."""
     here = profile.deviance(state)
     for place in np.flatnonzero(profile.diagonal & (state.theta == 0)):
         probe = state.theta.copy()

@@ -16,55 +16,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+from analysis.mixed.layout import lay_out, pick_blocks, spread_columns
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
-    from analysis.mixed.design import Design, Factor
-
-
-@dataclass(frozen=True)
-class Block:
-    """A grouping factor's place in the equations.
-
-    Parameters
-    ----------
-    factor : Factor
-        Its levels and effects.
-    scale : ndarray, shape (width,)
-        Root mean square of its columns, which they were divided by.
-    theta : slice
-        Its share of the parameters.
-    rows, columns : ndarray of int
-        Where each of them stands in the factor's triangle.
-    """
-
-    factor: Factor
-    scale: NDArray[np.float64]
-    theta: slice
-    rows: NDArray[np.intp]
-    columns: NDArray[np.intp]
-
-    @property
-    def n_levels(self) -> int:
-        """Number of levels."""
-        return len(self.factor.levels)
-
-    @property
-    def width(self) -> int:
-        """Effects per level."""
-        return len(self.scale)
-
-    def triangle(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Relative spreads of one level, shape (width, width)."""
-        lower = np.zeros((self.width, self.width))
-        lower[self.rows, self.columns] = theta[self.theta]
-        return lower
+    from analysis.mixed.design import Design
 
 
 @dataclass(frozen=True)
@@ -110,7 +73,7 @@ class Profile:
         self.design, self.reml = design, reml
         self.n_rows, self.n_fixed = design.fixed.shape
         self.freedom = self.n_rows - self.n_fixed if reml else self.n_rows
-        self.blocks = tuple(_lay_out(design.factors))
+        self.blocks = tuple(lay_out(design.factors))
         self._reduce_data()
 
     def _reduce_data(self) -> None:
@@ -122,17 +85,17 @@ class Profile:
         rest = self.design.response - basis @ self.offset
         self.unit = float(np.linalg.norm(rest) / np.sqrt(self.n_rows))
         dense = np.column_stack([basis, rest / self.unit])
-        first, *others = [_spread(block) for block in self.blocks]
+        first, *others = [spread_columns(block) for block in self.blocks]
         tail = hstack([*others, csr_array(dense)], format="csr")
         self.n_random = tail.shape[1] - self.n_fixed - 1
-        self.inner_products = _pick_blocks(first, self.blocks[0])
+        self.inner_products = pick_blocks(first, self.blocks[0])
         self.border = (first.T @ tail).tocsr()
         self.outer = (tail.T @ tail).toarray()
 
     @property
     def n_theta(self) -> int:
         """Number of parameters."""
-        return self.blocks[-1].theta.stop
+        return len(self.diagonal)
 
     @cached_property
     def diagonal(self) -> NDArray[np.bool_]:
@@ -176,7 +139,7 @@ class Profile:
 
         lower = self.blocks[0].triangle(theta)
         blocks = lower.T @ self.inner_products @ lower + np.eye(len(lower))
-        inner = np.linalg.inv(blocks)
+        inner = np.linalg.inv(blocks).astype(np.float64, copy=False)
         scaled = self._scale(self._eliminate(lower @ inner @ lower.T), theta)
         place = np.arange(self.n_random)
         scaled[place, place] += 1
@@ -191,7 +154,7 @@ class Profile:
         )  # fmt: skip
 
     def _eliminate(self, middle: NDArray[np.float64]) -> NDArray[np.float64]:
-        """What the first factor leaves of the others' cross products."""
+        """Take the first factor out of the others' cross products."""
         from scipy.sparse import bsr_array
 
         count = len(middle)
@@ -229,10 +192,10 @@ class Profile:
             What lme4 calls the REML criterion, or the deviance.
         """
         spread = 1 + np.log(2 * np.pi * state.rss / self.freedom)
-        return state.log_random + self.reml * state.log_fixed + self.freedom * float(spread)
+        return float(state.log_random + self.reml * state.log_fixed + self.freedom * spread)
 
     def slope(self, state: State, weight: float | None = None) -> NDArray[np.float64]:
-        """Derivative of the deviance with respect to theta.
+        """Differentiate the deviance with respect to theta.
 
         Parameters
         ----------
@@ -254,20 +217,21 @@ class Profile:
         lower = self.blocks[0].triangle(state.theta)
         outer = self._adjoint(state, self.freedom if weight is None else weight)
         # Through the dense part's own scale.
-        raw = self._eliminate(lower @ state.inner @ lower.T)
-        half = raw
+        half = self._eliminate(lower @ state.inner @ lower.T)
         for place, other in self._tail(state.theta):
             half[:, place] = _right(half[:, place], other)
-        found = [2 * _trace_blocks(half[place], outer[:, place], len(other)) for place, other in self._tail(state.theta)]
-        for place, other in self._tail(state.theta):
+        tail = list(self._tail(state.theta))
+        found = [2 * _trace_blocks(half[place], outer[:, place], len(other)) for place, other in tail]
+        for place, other in tail:
             outer[:, place] = _right(outer[:, place], other.T)
-        for place, other in self._tail(state.theta):
+        for place, other in tail:
             outer[place] = _right(outer[place].T, other.T).T
         found.insert(0, self._inner_slope(state, lower, outer))
-        return np.concatenate([matrix[block.rows, block.columns] for matrix, block in zip(found, self.blocks, strict=True)])
+        parts = zip(found, self.blocks, strict=True)
+        return np.concatenate([matrix[block.rows, block.columns] for matrix, block in parts])
 
     def _adjoint(self, state: State, weight: float) -> NDArray[np.float64]:
-        """Derivative of the deviance with respect to the dense matrix."""
+        """Differentiate the deviance with respect to the dense matrix."""
         from scipy.linalg.lapack import dpotri, dtrtrs
 
         size = self.n_random + (self.n_fixed if self.reml else 0)
@@ -281,8 +245,10 @@ class Profile:
         adjoint += weight * np.outer(direction, direction)
         return adjoint
 
-    def _inner_slope(self, state: State, lower: NDArray[np.float64], outer: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The eliminated factor's share: through its own determinant, and through what it leaves."""
+    def _inner_slope(
+        self, state: State, lower: NDArray[np.float64], outer: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Differentiate through the eliminated factor: its own determinant, and what it leaves."""
         width = self.blocks[0].width
         through = self.border @ outer
         seen = np.empty((self.blocks[0].n_levels, width, width))
@@ -291,7 +257,8 @@ class Profile:
                 seen[:, row, column] = self.border[column::width].multiply(through[row::width]).sum(axis=1)
         back = state.inner @ lower.T
         kept = np.eye(width) - lower @ back @ self.inner_products
-        return 2 * (back @ self.inner_products - back @ seen @ kept).sum(axis=0).T
+        slope: NDArray[np.float64] = 2 * (back @ self.inner_products - back @ seen @ kept).sum(axis=0).T
+        return slope
 
     def sigma(self, state: State) -> float:
         """Residual standard deviation.
@@ -309,7 +276,7 @@ class Profile:
         return float(np.sqrt(state.rss / self.freedom))
 
     def coefficients(self, state: State) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Fixed effects and their covariance in units of s².
+        """Solve for the fixed effects and their covariance in units of s².
 
         Parameters
         ----------
@@ -376,48 +343,11 @@ class Profile:
         return [lower @ lower.T for lower in lowers]
 
 
-def _lay_out(factors: tuple[Factor, ...]) -> Iterator[Block]:
-    """Most effects first; parameters follow term by term, each a lower triangle."""
-    start = 0
-    for factor in sorted(factors, key=lambda factor: -len(factor.levels) * factor.width):
-        rows, columns, corner = [], [], 0
-        for term in factor.terms:
-            row, column = np.tril_indices(len(term.names))
-            rows.append(row + corner)
-            columns.append(column + corner)
-            corner += len(term.names)
-        size = sum(map(len, rows))
-        scale = np.sqrt(np.mean(factor.values**2, axis=0))
-        yield Block(factor, scale, slice(start, start + size), np.concatenate(rows), np.concatenate(columns))
-        start += size
-
-
-def _spread(block: Block) -> Any:
-    """A factor's columns of Z, level by level, sparse."""
-    from scipy.sparse import csr_array
-
-    values, width = block.factor.values / block.scale, block.width
-    places = block.factor.index[:, None] * width + np.arange(width)
-    starts = np.arange(len(values) + 1) * width
-    return csr_array((values.ravel(), places.ravel(), starts), shape=(len(values), block.n_levels * width))
-
-
-def _pick_blocks(first: Any, block: Block) -> NDArray[np.float64]:
-    """The blocks on the diagonal of a factor's cross products, shape (n_levels, width, width)."""
-    products = (first.T @ first).tocsr()
-    starts = np.arange(block.n_levels) * block.width
-    blocks = np.empty((block.n_levels, block.width, block.width))
-    for row in range(block.width):
-        for column in range(block.width):
-            blocks[:, row, column] = products[starts + row, starts + column]
-    return blocks
-
-
 def _right(matrix: NDArray[np.float64], lower: NDArray[np.float64]) -> NDArray[np.float64]:
     """Multiply every level's columns by the triangle."""
-    if len(lower) == 1:
-        return matrix * lower[0, 0]
-    return (matrix.reshape(len(matrix), -1, len(lower)) @ lower).reshape(matrix.shape)
+    levels = matrix.reshape(len(matrix), -1, len(lower))
+    scaled: NDArray[np.float64] = levels * lower[0, 0] if len(lower) == 1 else levels @ lower
+    return scaled.reshape(matrix.shape)
 
 
 def _trace_blocks(left: NDArray[np.float64], right: NDArray[np.float64], width: int) -> NDArray[np.float64]:

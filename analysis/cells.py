@@ -1,0 +1,147 @@
+"""From rated rows to what the primary model takes: cells, and every metric in two parts.
+
+A metric's part within recordings, ``_w``, is its value minus the mean over its recording's items; the part
+between, ``_b``, is that mean. The claim that a metric predicts what is felt is about the part within: between
+recordings, anything that differs with the scene goes along. Means are over the items that the table holds,
+each counted once however often it was rated, so that nothing left out comes back through them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pandas import DataFrame
+
+WHO, SCENE, ITEM, RATING = "participant", "recording", "item", "rating"
+KEYS = (WHO, SCENE, ITEM)
+FLAT = 1e-10
+"""Share of a metric's size below which its spread is rounding."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cells:
+    """What the primary model is fitted to.
+
+    Parameters
+    ----------
+    table : DataFrame
+        participant, recording, item, rating, and two columns per metric, ``_w`` and ``_b``.
+    metrics : tuple of str
+        Their names.
+    averaged : bool
+        Whether a row is the mean over repeats; if not, it is a single rating.
+    repeated : bool
+        Whether rows are single ratings, some of which share participant and item.
+    """
+
+    table: DataFrame
+    metrics: tuple[str, ...]
+    averaged: bool
+    repeated: bool
+
+    def count(self, *columns: str) -> int:
+        """Count the combinations of columns that occur.
+
+        Parameters
+        ----------
+        *columns : str
+            Names in the table.
+
+        Returns
+        -------
+        int
+            Different rows of these columns.
+        """
+        return len(self.table[list(columns)].drop_duplicates())
+
+    def varies(self, column: str) -> bool:
+        """Tell whether a metric's part differs between items, beyond rounding.
+
+        Parameters
+        ----------
+        column : str
+            Name in the table.
+
+        Returns
+        -------
+        bool
+            False where it is constant.
+        """
+        source = column[:-2]
+        size = float(np.abs(self.table[f"{source}_w"] + self.table[f"{source}_b"]).max())
+        return float(np.ptp(self.table[column].to_numpy())) > FLAT * size
+
+
+def make_cells(rows: DataFrame, metrics: Sequence[str]) -> Cells:
+    """Average repeats where that loses nothing, and split the metrics.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        One row per rating: participant, recording, item, rating and a column per metric.
+    metrics : sequence of str
+        One or more.
+
+    Returns
+    -------
+    Cells
+        Means over repeats if every participant rated each of their items equally often, else the rows.
+
+    Raises
+    ------
+    ValueError
+        If columns are missing, values are not finite, or an item has two recordings or two values of a metric.
+
+    Notes
+    -----
+    With equally many repeats in every cell the means hold all there is to know about the slopes; otherwise
+    cells would need weights, so rows are kept and the model gets a term for the cell.
+    """
+    metrics = tuple(dict.fromkeys(metrics))
+    _check_rows(rows, metrics)
+    items = _list_items(rows, metrics)
+    sizes = rows.groupby([WHO, ITEM], observed=True).size()
+    averaged = bool(sizes.min() == sizes.max() > 1)
+    table = rows[[*KEYS, RATING]]
+    if averaged:
+        table = table.groupby(list(KEYS), observed=True)[RATING].mean().reset_index()
+    table = table.merge(_split(items, metrics), on=[SCENE, ITEM])
+    return Cells(table, metrics, averaged, repeated=bool(sizes.min() < sizes.max()))
+
+
+def _check_rows(rows: DataFrame, metrics: Sequence[str]) -> None:
+    if not metrics or isinstance(metrics, str):
+        raise ValueError(f"metrics: got {metrics!r}, allowed is one name or more, in a list")
+    wanted = [*KEYS, RATING, *metrics]
+    if missing := [name for name in wanted if name not in rows]:
+        raise ValueError(f"rows: got no column {missing[0]!r}, allowed is a table with {', '.join(wanted)}")
+    if rows.empty:
+        raise ValueError("rows: got none, allowed is one per rating")
+    for name in (RATING, *metrics):
+        bad = int((~np.isfinite(rows[name].to_numpy(dtype=np.float64))).sum())
+        if bad:
+            raise ValueError(f"rows: got {bad} values of {name!r} not finite, allowed are numbers; leave such rows out")
+    if rows[list(KEYS)].isna().any(axis=None):
+        raise ValueError("rows: got a row without participant, recording or item, allowed is each in every row")
+
+
+def _list_items(rows: DataFrame, metrics: Sequence[str]) -> DataFrame:
+    items = rows[[SCENE, ITEM, *metrics]].drop_duplicates()
+    if twice := items.loc[items[ITEM].duplicated(), ITEM].tolist():
+        raise ValueError(
+            f"rows: got item {twice[0]!r} with two recordings or two values of a metric, "
+            "allowed is one of each; an item is one stimulus"
+        )
+    return items
+
+
+def _split(items: DataFrame, metrics: Sequence[str]) -> DataFrame:
+    means = items.groupby(SCENE, observed=True)[list(metrics)].transform("mean")
+    within = (items[list(metrics)] - means).add_suffix("_w")
+    return items[[SCENE, ITEM]].join(within).join(means.add_suffix("_b"))

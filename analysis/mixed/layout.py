@@ -1,0 +1,92 @@
+"""Where each grouping factor stands in the equations, and its columns of Z."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+    from scipy.sparse import csr_array
+
+    from analysis.mixed.design import Factor
+
+
+@dataclass(frozen=True)
+class Block:
+    """A grouping factor's place in the equations.
+
+    Parameters
+    ----------
+    factor : Factor
+        Its levels and effects.
+    scale : ndarray, shape (width,)
+        Root mean square of its columns, which they were divided by.
+    theta : slice
+        Its share of the parameters.
+    rows, columns : ndarray of int
+        Where each of them stands in the factor's triangle.
+    """
+
+    factor: Factor
+    scale: NDArray[np.float64]
+    theta: slice
+    rows: NDArray[np.intp]
+    columns: NDArray[np.intp]
+
+    @property
+    def n_levels(self) -> int:
+        """Number of levels."""
+        return len(self.factor.levels)
+
+    @property
+    def width(self) -> int:
+        """Effects per level."""
+        return len(self.scale)
+
+    def triangle(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Relative spreads of one level, shape (width, width)."""
+        lower = np.zeros((self.width, self.width))
+        lower[self.rows, self.columns] = theta[self.theta]
+        return lower
+
+
+def lay_out(factors: tuple[Factor, ...]) -> Iterator[Block]:
+    """Place the factors, most effects first; parameters follow term by term, each a lower triangle."""
+    start = 0
+    for factor in sorted(factors, key=lambda factor: -len(factor.levels) * factor.width):
+        rows, columns, corner = [], [], 0
+        for term in factor.terms:
+            row, column = np.tril_indices(len(term.names))
+            rows.append(row + corner)
+            columns.append(column + corner)
+            corner += len(term.names)
+        size = sum(map(len, rows))
+        scale = np.sqrt(np.mean(factor.columns**2, axis=0))
+        yield Block(factor, scale, slice(start, start + size), np.concatenate(rows), np.concatenate(columns))
+        start += size
+
+
+def spread_columns(block: Block) -> csr_array:
+    """Build a factor's columns of Z, level by level, sparse."""
+    from scipy.sparse import csr_array
+
+    values, width = block.factor.columns / block.scale, block.width
+    places = block.factor.index[:, None] * width + np.arange(width)
+    starts = np.arange(len(values) + 1) * width
+    return csr_array((values.ravel(), places.ravel(), starts), shape=(len(values), block.n_levels * width))
+
+
+def pick_blocks(first: csr_array, block: Block) -> NDArray[np.float64]:
+    """Pick the blocks on the diagonal of a factor's cross products, shape (n_levels, width, width)."""
+    products = (first.T @ first).tocsr()
+    starts = np.arange(block.n_levels) * block.width
+    blocks = np.empty((block.n_levels, block.width, block.width))
+    for row in range(block.width):
+        for column in range(block.width):
+            blocks[:, row, column] = products[starts + row, starts + column]
+    return blocks
