@@ -81,8 +81,8 @@ def find_uncertainty(profile: Profile, best: State) -> Uncertainty:
     Notes
     -----
     With f(theta, log s) the deviance before s is profiled out, the spreads' covariance is 2 H⁻¹, H the matrix of
-    second derivatives, none of which hangs on units; directions in which H is not positive carry no information and are left out, as lmerTest
-    does. Derivatives along theta are central differences of the exact slope.
+    second derivatives, none of which hangs on units; directions in which H is not positive carry no information
+    and are left out, as lmerTest does. Derivatives along theta are central differences of the exact slope.
     """
     sigma, size = profile.sigma(best), profile.n_theta
     covariance = profile.coefficients(best)[1] * sigma**2
@@ -107,9 +107,7 @@ def _invert(hessian: NDArray[np.float64]) -> NDArray[np.float64]:
     return inverse
 
 
-def estimate_sum(
-    effects: NDArray[np.float64], weights: NDArray[np.float64], uncertainty: Uncertainty
-) -> Estimate:
+def estimate_sum(effects: NDArray[np.float64], weights: NDArray[np.float64], uncertainty: Uncertainty) -> Estimate:
     """Estimate a weighted sum of fixed effects.
 
     Parameters

@@ -245,9 +245,7 @@ class Profile:
         adjoint += weight * np.outer(direction, direction)
         return adjoint
 
-    def _inner_slope(
-        self, state: State, lower: NDArray[np.float64], outer: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def _inner_slope(self, state: State, lower: NDArray[np.float64], outer: NDArray[np.float64]) -> NDArray[np.float64]:
         """Differentiate through the eliminated factor: its own determinant, and what it leaves."""
         width = self.blocks[0].width
         through = self.border @ outer

@@ -1,0 +1,385 @@
+"""Mixed models against R, against the likelihood written out, and at their boundaries."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from analysis.mixed import optimum
+from analysis.mixed.design import build_design
+from analysis.mixed.formula import parse_formula
+from analysis.mixed.model import contrast, fit_mixed
+from analysis.mixed.optimum import find_optimum
+from analysis.mixed.profile import Profile
+
+if TYPE_CHECKING:
+    from analysis.mixed.model import MixedFit
+
+HERE = Path(__file__).parent
+ORACLES = HERE.parents[2] / "shared" / "oracles"
+CLASSIC = json.loads((HERE / "classic" / "expected.json").read_text(encoding="utf-8"))["fits"]
+FULL = "y ~ a + b + (1 + a + b || who) + (1 | scene) + (1 | scene:kind) + (1 | who:scene)"
+
+
+def find_oracle(name: str, model: str) -> tuple[pd.DataFrame, dict[str, Any], dict[str, float]]:
+    folder = ORACLES / name
+    if not folder.is_dir():
+        pytest.skip(f"NO ORACLE: {folder} is missing, this comparison with R did not run")
+    expected = json.loads((folder / "expected.json").read_text(encoding="utf-8"))
+    return pd.read_csv(folder / "data.csv"), expected[model], expected["tol"]
+
+
+def make_study(seed: int, *, spread: float = 1.0, people: int = 6, scenes: int = 5, kinds: int = 4) -> pd.DataFrame:
+    rng = np.random.default_rng(seed)
+    table = pd.MultiIndex.from_product([range(people), range(scenes), range(kinds)], names=["who", "scene", "kind"])
+    table = table.to_frame(index=False)
+    item = table["scene"] * kinds + table["kind"]
+    metrics = rng.normal(size=(2, scenes * kinds))
+    table["a"], table["b"] = metrics[0][item], metrics[1][item]
+    table["y"] = 50 + 3 * table["a"] + rng.normal(0, 5, len(table))
+    for index, sd in (
+        (table["who"], 6),
+        (table["scene"], 3),
+        (item, 2 * spread),
+        (table["who"] * scenes + table["scene"], spread),
+    ):
+        table["y"] += sd * rng.normal(size=index.max() + 1)[index]
+    table["y"] += spread * rng.normal(size=people)[table["who"]] * table["a"]
+    return table
+
+
+@pytest.fixture(scope="module")
+def fit() -> MixedFit:
+    return fit_mixed(FULL, make_study(1))
+
+
+@pytest.mark.parametrize(
+    ("name", "model"),
+    [
+        ("lmm_crossed_study", "A_intercepts_only"),
+        ("lmm_crossed_study", "B_full"),
+        ("lmm_sleepstudy", "correlated_reml"),
+        ("lmm_sleepstudy", "uncorrelated_reml"),
+        ("lmm_sleepstudy", "correlated_ml"),
+    ],
+)
+def test_shared_oracles(name: str, model: str) -> None:
+    data, expected, tolerance = find_oracle(name, model)
+    fit = fit_mixed(expected["formula"], data, reml=expected["method"] == "REML")
+    assert fit.fixed["estimate"].to_dict() == pytest.approx(expected["fixef"], rel=tolerance["fixef_rel"])
+    assert fit.fixed["se"].to_dict() == pytest.approx(expected["se"], rel=tolerance["se_rel"])
+    assert fit.fixed["df"].to_dict() == pytest.approx(expected["df_satterthwaite"], rel=tolerance["df_rel"])
+    assert fit.criterion == pytest.approx(expected["criterion"], abs=tolerance["criterion_abs"])
+    assert fit.residual_sd == pytest.approx(expected["sigma"], rel=tolerance["sd_rel"])
+    assert fit.singular is expected["singular"]
+    wanted = {
+        (row["grp"].split(".")[0], row["var1"]): row["sdcor"] for row in expected["varcomp"] if row["var2"] is None
+    }
+    wanted.pop(("Residual", "(Intercept)"), None)
+    wanted.pop(("Residual", None), None)
+    got = fit.variances.set_index(["group", "term"])["sd"].to_dict()
+    assert {key: got[key] for key in wanted if key in got} == pytest.approx(got, rel=tolerance["sd_rel"])
+    ties = [row["sdcor"] for row in expected["varcomp"] if row["var2"] is not None]
+    assert fit.correlations["correlation"].tolist() == pytest.approx(ties, rel=0.01)
+
+
+@pytest.mark.parametrize("expected", CLASSIC, ids=lambda fit: f"{fit['data']}: {fit['formula']} {fit['reml']}")
+def test_classic_data_against_lme4(expected: dict[str, Any]) -> None:
+    data = pd.read_csv(HERE / "classic" / f"{expected['data']}.csv")
+    fit = fit_mixed(expected["formula"], data, reml=expected["reml"])
+    assert fit.fixed.index.tolist() == expected["terms"]
+    assert fit.criterion <= expected["criterion"] + 1e-6
+    if fit.criterion < expected["criterion"] - 0.01:  # lme4 had not found the minimum: cake with a curve and slopes
+        assert "I(temp^2)" in expected["formula"]
+        return
+    assert fit.criterion == pytest.approx(expected["criterion"], abs=1e-4)
+    # Some effects are nought: their standard error is the yardstick.
+    errors = (fit.fixed["estimate"] - expected["estimate"]) / fit.fixed["se"]
+    assert errors.abs().max() < 1e-4
+    assert fit.fixed["se"].tolist() == pytest.approx(expected["se"], rel=5e-4)
+    assert fit.fixed["df"].tolist() == pytest.approx(expected["df"], rel=2e-3)
+    assert fit.residual_sd == pytest.approx(expected["residual_sd"], rel=1e-4)
+    assert fit.singular is expected["singular"]
+    got = fit.variances.set_index(["group", "term"])["sd"]
+    for group, term, sd in expected["spreads"]:
+        name = group if group in got.index else ":".join(reversed(group.split(":")))
+        assert got[name, term] == pytest.approx(sd, rel=2e-3, abs=5e-3)
+
+
+def deviance_written_out(profile: Profile, theta: np.ndarray) -> float:
+    """-2 log restricted likelihood by the covariance of all rows, as in any textbook."""
+    design, n = profile.design, profile.n_rows
+    covariance = np.eye(n)
+    for block in profile.blocks:
+        columns = block.factor.columns / block.scale
+        same = block.factor.index[:, None] == block.factor.index
+        lower = block.triangle(theta)
+        covariance += same * (columns @ lower @ lower.T @ columns.T)
+    inverse = np.linalg.inv(covariance)
+    information = design.fixed.T @ inverse @ design.fixed
+    rest = design.response - design.fixed @ np.linalg.solve(information, design.fixed.T @ inverse @ design.response)
+    scale = rest @ inverse @ rest / profile.freedom
+    logs = np.linalg.slogdet(covariance)[1] + profile.reml * np.linalg.slogdet(information)[1]
+    return float(logs + profile.freedom * (1 + np.log(2 * np.pi * scale)))
+
+
+@pytest.mark.parametrize("reml", [True, False])
+@pytest.mark.parametrize(
+    "formula",
+    [FULL, "y ~ a + (a + b | who) + (1 | scene)", "y ~ 1 + (1 | who)", "y ~ a + (0 + a | who) + (b || scene)"],
+)
+def test_deviance_and_slope_by_definition(formula: str, reml: bool) -> None:
+    profile = Profile(build_design(formula, make_study(2)), reml=reml)
+    theta = np.random.default_rng(3).uniform(0.2, 1.5, profile.n_theta)
+    assert profile.deviance(profile.evaluate(theta)) == pytest.approx(deviance_written_out(profile, theta), abs=1e-8)
+    steps = np.eye(profile.n_theta) * 1e-5
+    slope = [
+        (deviance_written_out(profile, theta + s) - deviance_written_out(profile, theta - s)) / 2e-5 for s in steps
+    ]
+    assert profile.slope(profile.evaluate(theta)) == pytest.approx(np.array(slope), abs=1e-4)
+
+
+def test_no_better_minimum_nearby_in_small_studies_most_of_them_singular() -> None:
+    singular = 0
+    for seed in range(12):
+        profile = Profile(build_design(FULL, make_study(seed, spread=0.3)), reml=True)
+        best = find_optimum(profile)
+        singular += bool((best.theta == 0).any())
+        lowest = profile.deviance(best)
+        rng = np.random.default_rng(seed)
+        for width in (0.01, 0.1, 1.0):
+            others = np.abs(best.theta + rng.normal(0, width, (20, profile.n_theta)))
+            assert min(profile.deviance(profile.evaluate(other)) for other in others) > lowest - 1e-7
+        free = best.theta > 0
+        assert np.abs(profile.slope(best)[free]).max() < 1e-3
+    assert singular >= 6
+
+
+def test_against_mixedlm_where_installed() -> None:
+    mixedlm = pytest.importorskip("mixedlm", reason="NO CROSS-CHECK: the package mixedlm is not installed")
+    from mixedlm.inference.ddf import satterthwaite_df
+
+    data = make_study(4)
+    control = mixedlm.lmerControl(check_singular=False)
+    other = mixedlm.lmer("y ~ a + b + (1 + a | who) + (1 | scene)", data, control=control)
+    fit = fit_mixed("y ~ a + b + (1 + a | who) + (1 | scene)", data)
+    assert fit.criterion == pytest.approx(other.deviance, abs=1e-5)
+    assert fit.fixed["se"].to_numpy() == pytest.approx(np.sqrt(np.diag(other.vcov())), rel=1e-3)
+    assert fit.fixed["df"].to_numpy() == pytest.approx(satterthwaite_df(other).df, rel=5e-3)
+
+
+def test_boundary_is_left_where_the_deviance_falls() -> None:
+    profile = Profile(build_design("y ~ a + (1 | who)", make_study(5)), reml=True)
+    stuck = profile.evaluate(np.zeros(1))
+    freed = optimum._leave_boundary(profile, stuck)
+    assert freed is not None
+    assert freed.theta[0] > 0.3
+    assert optimum._leave_boundary(profile, freed) is None
+
+
+def test_a_search_that_rests_at_zero_is_resumed(monkeypatch: pytest.MonkeyPatch) -> None:
+    profile = Profile(build_design("y ~ a + (1 | who)", make_study(5)), reml=True)
+    descend, starts = optimum._descend, []
+
+    def rest_first(profile: Profile, start: np.ndarray) -> Any:
+        starts.append(start)
+        return descend(profile, start) if len(starts) > 1 else profile.evaluate(np.zeros(1))
+
+    expected = find_optimum(profile).theta
+    monkeypatch.setattr(optimum, "_descend", rest_first)
+    assert find_optimum(profile).theta == pytest.approx(expected, rel=1e-4)
+    assert len(starts) == 2
+
+
+def test_equations_that_cannot_be_solved_are_refused_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    profile = Profile(build_design("y ~ a + (1 | who)", make_study(5)), reml=True)
+
+    def fail(_: np.ndarray) -> None:
+        raise np.linalg.LinAlgError
+
+    monkeypatch.setattr(profile, "evaluate", fail)
+    with pytest.raises(ValueError, match="without residual"):
+        find_optimum(profile)
+
+
+def test_balanced_one_way_has_the_textbook_answer() -> None:
+    """Method of moments: the spread between groups is (MSB - MSW) / n, and the mean's df is groups - 1."""
+    data = make_study(6)
+    fit = fit_mixed("y ~ 1 + (1 | who)", data)
+    groups = data.groupby("who")["y"]
+    within, between = groups.var().mean(), 20 * groups.mean().var()
+    assert fit.residual_sd**2 == pytest.approx(within, rel=1e-5)
+    assert fit.variances["sd"][0] ** 2 == pytest.approx((between - within) / 20, rel=1e-5)
+    assert fit.fixed["df"].iloc[0] == pytest.approx(5, rel=1e-4)
+    assert fit.fixed["se"].iloc[0] == pytest.approx(np.sqrt(between / 120), rel=1e-5)
+    shrunk = (groups.mean() - data["y"].mean()) * (1 - within / between)
+    assert fit.effects["value"].to_numpy() == pytest.approx(shrunk.to_numpy(), rel=1e-4)
+
+
+def test_groups_that_differ_less_than_chance_leave_ordinary_regression() -> None:
+    data = pd.DataFrame({"g": np.repeat(list("abcdef"), 5), "y": np.tile([-2.0, -1, 0, 1, 3], 6)})
+    fit = fit_mixed("y ~ 1 + (1 | g)", data)
+    assert fit.singular
+    assert fit.variances["sd"].tolist() == [0.0]
+    assert fit.notes == ("Singular fit: the spread of (Intercept) over g is estimated as zero, and kept.",)
+    assert fit.fixed.loc["(Intercept)", ["estimate", "se", "df"]].tolist() == pytest.approx([
+        data["y"].mean(),
+        data["y"].std() / np.sqrt(30),
+        29,
+    ])
+    assert (fit.marginal_r2, fit.conditional_r2) == pytest.approx((0, 0))
+
+
+def test_contrast_is_the_refitted_difference(fit: MixedFit) -> None:
+    data = make_study(1)
+    turned = fit_mixed(FULL.replace("y ~ a + b", "y ~ I(a - b) + I(a + b)"), data)
+    # With p = a - b and q = a + b, the slopes of a and b differ by twice that of p.
+    difference = contrast(fit, {"a": 1, "b": -1})
+    expected = contrast(turned, {"I(a - b)": 2})
+    assert difference.estimate == pytest.approx(expected.estimate, rel=1e-6)
+    assert difference.se == pytest.approx(expected.se, rel=1e-5)
+    assert difference.df == pytest.approx(expected.df, rel=1e-4)
+    assert difference.p == pytest.approx(expected.p, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("weights", "message"),
+    [
+        ({"c": 1}, "weights: got 'c', allowed are the model's terms: (Intercept), a, b"),
+        ({"a": 0}, "one of them other than 0"),
+        ({"a": float("nan")}, "finite"),
+    ],
+)
+def test_contrast_refuses(fit: MixedFit, weights: dict[str, float], message: str) -> None:
+    with pytest.raises(ValueError) as caught:  # noqa: PT011 - the message is compared below
+        contrast(fit, weights)
+    assert message in str(caught.value)
+
+
+def test_fit_hangs_together(fit: MixedFit) -> None:
+    data = make_study(1)
+    assert fit.fitted + fit.residuals == pytest.approx(data["y"].to_numpy())
+    assert fit.n_rows == 120
+    assert dict(fit.n_levels) == {"who": 6, "scene": 5, "scene:kind": 20, "who:scene": 30}
+    assert fit.variances["group"].tolist() == ["who", "who", "who", "scene", "scene:kind", "who:scene"]
+    assert 0 < fit.marginal_r2 < fit.conditional_r2 < 1
+    assert fit.effects.groupby("group").size().to_dict() == {"who": 18, "scene": 5, "scene:kind": 20, "who:scene": 30}
+
+
+def test_units_change_nothing_but_units() -> None:
+    data = make_study(7)
+    plain = fit_mixed("y ~ a + (a | who)", data)
+    scaled = fit_mixed("y ~ a + (a | who)", data.assign(a=data["a"] * 1e-6, y=data["y"] * 1e8))
+    assert scaled.fixed["t"].to_numpy() == pytest.approx(plain.fixed["t"].to_numpy(), rel=1e-4)
+    assert scaled.fixed["df"].to_numpy() == pytest.approx(plain.fixed["df"].to_numpy(), rel=1e-3)
+    assert scaled.variances["sd"][1] == pytest.approx(plain.variances["sd"][1] * 1e14, rel=1e-3)
+
+
+def test_double_bar_slash_and_backticks_are_short_for_what_they_say() -> None:
+    data = make_study(8).rename(columns={"a": "my a"})
+    short = fit_mixed("y ~ `my a` + (`my a` || who) + (1 | scene/kind)", data)
+    long = fit_mixed("y ~ `my a` + (1 | who) + (0 + `my a` | who) + (1 | scene) + (1 | scene:kind)", data)
+    assert short.criterion == pytest.approx(long.criterion)
+    pd.testing.assert_frame_equal(short.variances, long.variances)
+
+
+def test_response_may_be_arithmetic() -> None:
+    data = make_study(9)
+    tenth = fit_mixed("y / 10 ~ a + (1 | who)", data)
+    whole = fit_mixed("y ~ a + (1 | who)", data)
+    assert tenth.fixed["se"].to_numpy() * 10 == pytest.approx(whole.fixed["se"].to_numpy())
+
+
+@pytest.mark.parametrize(
+    ("formula", "message"),
+    [
+        ("y a", "allowed is 'response ~ fixed + (effects | group)'"),
+        ("y ~ a", "without a random term"),
+        ("y ~ a + 1 | who", "a bar inside brackets of its own"),
+        ("y ~ a + (1 | who", "brackets that do not match"),
+        ("y ~ a) + (1 | who)", "brackets that do not match"),
+        ("y ~ a + (1 | who) * 2", "a bar inside brackets"),
+        ("y ~ a + (1 | who + scene)", "a group such as a, a:b or a/b"),
+        ("y ~ a - (1 | who)", "allowed is + (effects | group)"),
+        ("y ~ a + (1 | who):(1 | scene)", "a bar inside brackets"),
+        ("y ~ a + (1 | who) +", "a sign with nothing after"),
+        ("y ~ a + offset(b) + (1 | who)", "got offset(...)"),
+        ("y ~ a + weights(b) + (1 | who)", "got weights(...)"),
+        ("y ~ . + (1 | who)", "got '.'"),
+        ("y ~ a + (0 | who)", "no effect in (0 | who)"),
+        ("y ~ 0 + (1 | who)", "no fixed effect"),
+        ("y ~ zz + (1 | who)", "columns of the table (who, scene, kind, a, b, y)"),
+        ("y ~ a + (1 | zz)", "got the group 'zz'"),
+        ("y ~ a + (1 | who) + (a | who)", "'(Intercept)' twice over who"),
+        ("y ~ a + I(2 * a) + (1 | who)", "'I(2 * a)', which is a sum"),
+        ("y ~ a + (1 | who:scene:kind)", "120 levels of who:scene:kind"),
+        ("factor(kind) ~ a + (1 | who)", "a response of numbers"),
+        ("y ~ a + (0 + I(0 * a) | who)", "only zeros for an effect over who"),
+    ],
+)
+def test_formula_refused(formula: str, message: str) -> None:
+    with pytest.raises(ValueError) as caught:  # noqa: PT011 - the message is compared below
+        fit_mixed(formula, make_study(1))
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"y": 1.0}, "a response that is constant"),
+        ({"y": 0.0}, "a response that is constant"),
+        ({"who": "me"}, "one level of who"),
+        ({"a": np.nan}, "120 rows without 'a'"),
+        ({"a": np.inf}, "not finite in the fixed part"),
+        ({"who": None}, "rows without who"),
+        ({"a": 2.0}, "'a', which is a sum"),
+    ],
+)
+def test_data_refused(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError) as caught:  # noqa: PT011 - the message is compared below
+        fit_mixed("y ~ a + (1 | who)", make_study(1).assign(**change))
+    assert message in str(caught.value)
+
+
+def test_no_rows_or_no_more_than_effects_refused() -> None:
+    data = make_study(1)
+    with pytest.raises(ValueError, match="got no rows"):
+        fit_mixed("y ~ a + (1 | who)", data.iloc[:0])
+    with pytest.raises(ValueError, match="3 rows for 3 fixed effects"):
+        fit_mixed("y ~ a + b + (1 | scene)", data.iloc[[0, 1, 4]])
+
+
+@pytest.mark.parametrize("formula", ["y ~ a + (1 | who)", "y ~ a + (a | who)"])
+def test_no_residual_refused(formula: str) -> None:
+    data = make_study(1)
+    exact = data["a"] + np.sqrt(data["who"] + 1.0)
+    with pytest.raises(ValueError, match="without residual"):
+        fit_mixed(formula, data.assign(y=exact))
+
+
+def test_categories_without_rows_are_no_effects() -> None:
+    data = make_study(1).query("kind < 3")
+    kinds = pd.Categorical(data["kind"].map({0: "x", 1: "y", 2: "z"}), categories=["y", "w", "x", "z"])
+    fit = fit_mixed("y ~ kind + (1 | who)", data.assign(kind=kinds))
+    assert fit.fixed.index.tolist() == ["(Intercept)", "kindx", "kindz"]
+
+
+def test_perfectly_tied_effects_are_singular_in_words() -> None:
+    rng = np.random.default_rng(3)
+    data = make_study(1)
+    shift = np.array([-2.0, -1, 0, 1, 2, 3])[data["who"]]
+    fit = fit_mixed("y ~ a + (a | who)", data.assign(y=0.5 * shift * (1 + data["a"]) + rng.normal(size=120)))
+    assert fit.singular
+    assert "perfectly correlated" in fit.notes[0]
+    assert fit.correlations.loc[0, "correlation"] == pytest.approx(1)
+
+
+def test_parse_keeps_the_signs_of_fixed_terms() -> None:
+    parsed = parse_formula("y ~ a + (1 | who) - 1")
+    assert (parsed.fixed, parsed.random[0].name) == ("a - 1", "who")
