@@ -1,0 +1,164 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from analysis.landmarks import align_spaces, bootstrap_space, regress_attributes
+from analysis.space import fit_space, stress_by_dimension
+
+
+def apart(place: np.ndarray) -> np.ndarray:
+    return np.sqrt(((place[:, None] - place) ** 2).sum(axis=-1))
+
+
+def make_people(n: int = 12, *, noise: float = 0.3, seed: int = 0, stimuli: int = 8) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    place = rng.normal(size=(stimuli, 2)) * [2, 1]
+    people = np.abs(apart(place) + noise * rng.normal(size=(n, stimuli, stimuli)))
+    people = (people + people.transpose(0, 2, 1)) / 2
+    people[:, np.arange(stimuli), np.arange(stimuli)] = 0
+    return place, people
+
+
+@pytest.mark.parametrize("dimensions", [1, 2, 3])
+def test_distances_are_recovered(dimensions: int) -> None:
+    rng = np.random.default_rng(dimensions)
+    place = rng.normal(size=(9, dimensions))
+    space = fit_space(apart(place), dimensions=dimensions, rng=rng)
+    assert space.stress < 1e-3
+    assert apart(space.positions) == pytest.approx(apart(place), abs=5e-3)
+    assert space.positions.mean(axis=0) == pytest.approx(0, abs=1e-9)
+
+
+def test_an_ordinal_map_uses_the_order_only() -> None:
+    place, _ = make_people()
+    distances = apart(place)
+    bent = fit_space(np.exp(distances / 2) - 1, ordinal=True, rng=np.random.default_rng(0))
+    assert bent.stress < 0.02
+    assert align_spaces(bent.positions, place, permutations=50, rng=np.random.default_rng(0)).correlation > 0.97
+
+
+def test_stress_falls_to_the_planted_number_of_dimensions() -> None:
+    place, _ = make_people(stimuli=10)
+    stress = stress_by_dimension(apart(place), most=4, rng=np.random.default_rng(0))
+    assert len(stress) == 4
+    assert stress[0] > 0.05
+    assert max(stress[1:]) < 0.01
+    assert len(stress_by_dimension(apart(place[:4]), rng=np.random.default_rng(0))) == 3
+
+
+def test_a_stack_is_averaged_over_those_who_rated() -> None:
+    _, people = make_people(5)
+    people[0, 1, 2] = people[0, 2, 1] = np.nan
+    mean = np.nanmean(people, axis=0)
+    here, there = (fit_space(given, rng=np.random.default_rng(4)).positions for given in (people, mean))
+    assert here == pytest.approx(there)
+
+
+def test_a_group_map_recovers_the_planted_one() -> None:
+    place, people = make_people()
+    result = align_spaces(
+        fit_space(people, rng=np.random.default_rng(0)).positions, place, rng=np.random.default_rng(1)
+    )
+    assert result.correlation > 0.95
+    assert result.p == pytest.approx(1 / 2001)
+    assert result.aligned == pytest.approx(place, abs=0.8)
+
+
+def test_procrustes_is_scipys() -> None:
+    from scipy.spatial import procrustes
+
+    rng = np.random.default_rng(3)
+    one, other = rng.normal(size=(9, 3)), rng.normal(size=(9, 3))
+    result = align_spaces(one, other, permutations=5, rng=rng)
+    assert result.disparity == pytest.approx(procrustes(other, one)[2])
+    assert ((result.aligned - other) ** 2).sum() == pytest.approx(
+        result.disparity * ((other - other.mean(axis=0)) ** 2).sum()
+    )
+
+
+def test_unrelated_maps_agree_by_chance_only() -> None:
+    rng = np.random.default_rng(0)
+    p = [align_spaces(rng.normal(size=(7, 2)), rng.normal(size=(7, 2)), permutations=99, rng=rng).p for _ in range(300)]
+    assert 0.02 < np.mean(np.array(p) <= 0.05) < 0.09
+
+
+def test_a_map_with_fewer_dimensions_is_filled_up() -> None:
+    rng = np.random.default_rng(0)
+    line = np.arange(6.0)[:, None]
+    flat = np.hstack([line, np.zeros((6, 1))])
+    assert align_spaces(line, flat, permutations=9, rng=rng).disparity == pytest.approx(0, abs=1e-12)
+
+
+def test_an_attributes_direction_is_found() -> None:
+    place, _ = make_people(stimuli=40)
+    rng = np.random.default_rng(0)
+    attributes = {"rough": place @ [3, 4] + rng.normal(0, 0.1, 40), "noise": rng.normal(size=40)}
+    table = regress_attributes(place, attributes)
+    assert table.loc["rough", ["axis_1", "axis_2"]].to_numpy(float) == pytest.approx([0.6, 0.8], abs=0.03)
+    assert table.loc["rough", "r2"] > 0.99
+    assert table.loc["noise", "p"] > 0.01
+    assert table.loc["noise", "df"] == 37
+
+
+def test_ellipses_shrink_with_participants_and_follow_the_movement() -> None:
+    few = bootstrap_space(make_people(6, noise=0.6)[1], draws=40, rng=np.random.default_rng(0))
+    many = bootstrap_space(make_people(48, noise=0.6)[1], draws=40, rng=np.random.default_rng(0))
+    assert many.half_axes.mean() < 0.6 * few.half_axes.mean()
+    assert (few.half_axes[:, 0] >= few.half_axes[:, 1]).all()
+    assert ((few.angle >= 0) & (few.angle < 180)).all()
+    assert (few.draws, few.n_participants) == (40, 6)
+
+
+def test_people_who_agree_have_no_ellipse() -> None:
+    place, _ = make_people()
+    result = bootstrap_space(np.stack([apart(place)] * 4), draws=10, rng=np.random.default_rng(0))
+    assert result.half_axes.max() < 0.01
+
+
+GOOD = apart(np.random.default_rng(0).normal(size=(4, 2)))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda d: d[:2, :2], r"dissimilarities: got shape \(2, 2\), allowed is \(stimuli, stimuli\)"),
+        (lambda d: d[0], r"dissimilarities: got shape \(4,\)"),
+        (lambda d: -d, "dissimilarities: got a negative or infinite value"),
+        (lambda d: d + np.eye(4), "dissimilarities: got a stimulus unlike itself"),
+        (np.triu, "dissimilarities: got a matrix that is not symmetric"),
+        (lambda d: np.where(d == d[0, 1], np.nan, d), "dissimilarities: got no rating of stimuli 0 and 1"),
+        (lambda d: 0 * d, "dissimilarities: got 0 for every pair"),
+    ],
+)
+def test_bad_dissimilarities_are_refused(change: object, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        fit_space(change(GOOD), rng=np.random.default_rng(0))
+
+
+def test_impossible_requests_are_refused() -> None:
+    rng, place = np.random.default_rng(0), np.arange(8.0).reshape(4, 2)
+    with pytest.raises(ValueError, match="dimensions: got 4, allowed is 1 to 3 for 4 stimuli"):
+        fit_space(GOOD, dimensions=4, rng=rng)
+    with pytest.raises(ValueError, match="most: got 0"):
+        stress_by_dimension(GOOD, most=0, rng=rng)
+    with pytest.raises(ValueError, match="permutations: got 0"):
+        align_spaces(place, place, permutations=0, rng=rng)
+    with pytest.raises(ValueError, match="reference: got 3 stimuli for 4 positions"):
+        align_spaces(place, place[:3], rng=rng)
+    with pytest.raises(ValueError, match=r"positions: got shape \(2, 2\)"):
+        align_spaces(place[:2], place, rng=rng)
+    with pytest.raises(ValueError, match="positions: got 1 values that are not finite"):
+        align_spaces(np.where(place == 0, np.nan, place), place, rng=rng)
+    with pytest.raises(ValueError, match="reference: got all stimuli in one place"):
+        align_spaces(place, np.full((4, 2), 33.3), rng=rng)
+    with pytest.raises(ValueError, match="positions: got 3 stimuli in 2 dimensions, a regression needs 4"):
+        regress_attributes(place[:3], {})
+    with pytest.raises(ValueError, match="attributes: 'a' is not 4 finite numbers"):
+        regress_attributes(place, {"a": [1, 2]})
+    with pytest.raises(ValueError, match="attributes: 'a' is the same for all"):
+        regress_attributes(place, {"a": [33.3] * 4})
+    with pytest.raises(ValueError, match="dissimilarities: got one participant"):
+        bootstrap_space(GOOD, rng=rng)
+    with pytest.raises(ValueError, match="draws: got 2, allowed is 3"):
+        bootstrap_space(np.stack([GOOD, GOOD]), draws=2, rng=rng)
