@@ -144,7 +144,8 @@ def _closes_last(piece: str) -> bool:
 
 
 def _read_bar(sign: str, piece: str) -> list[RandomTerm]:
-    effects, bar, group = re.fullmatch(r"(.*?)(\|\|?)(.*)", piece[1:-1], flags=re.DOTALL).groups()  # type: ignore[union-attr]
+    bar = "||" if "||" in piece else "|"
+    effects, _, group = piece[1:-1].partition(bar)
     if sign == "-" or not effects.strip() or not GROUP.fullmatch(group):
         raise ValueError(
             f"formula: got {sign} {piece}, allowed is + (effects | group) with a group such as a, a:b or a/b"

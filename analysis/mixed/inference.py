@@ -7,6 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.mixed.slope import find_slope
+from analysis.mixed.solution import find_coefficients, find_sigma
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -84,16 +87,16 @@ def find_uncertainty(profile: Profile, best: State) -> Uncertainty:
     second derivatives, none of which hangs on units; directions in which H is not positive carry no information
     and are left out, as lmerTest does. Derivatives along theta are central differences of the exact slope.
     """
-    sigma, size = profile.sigma(best), profile.n_theta
-    covariance = profile.coefficients(best)[1] * sigma**2
+    sigma, size = find_sigma(profile, best), profile.n_theta
+    covariance = find_coefficients(profile, best)[1] * sigma**2
     hessian = np.zeros((size + 1, size + 1))
     slopes = np.empty((size + 1, *covariance.shape))
     for place, shift in enumerate(np.eye(size) * STEP):
         above, below = profile.evaluate(best.theta + shift), profile.evaluate(best.theta - shift)
-        rise = profile.slope(above, above.rss / sigma**2) - profile.slope(below, below.rss / sigma**2)
+        rise = find_slope(profile, above, above.rss / sigma**2) - find_slope(profile, below, below.rss / sigma**2)
         hessian[place, :size] = rise / (2 * STEP)
         hessian[place, size] = hessian[size, place] = -(above.rss - below.rss) / STEP / sigma**2
-        wider = profile.coefficients(above)[1] - profile.coefficients(below)[1]
+        wider = find_coefficients(profile, above)[1] - find_coefficients(profile, below)[1]
         slopes[place] = wider * sigma**2 / (2 * STEP)
     hessian[size, size] = 4 * profile.freedom
     slopes[size] = 2 * covariance

@@ -49,14 +49,36 @@ class Block:
         return len(self.scale)
 
     def triangle(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Relative spreads of one level, shape (width, width)."""
+        """Write a factor's parameters as a triangle.
+
+        Parameters
+        ----------
+        theta : ndarray, shape (n_theta,)
+            Parameters of all factors.
+
+        Returns
+        -------
+        ndarray, shape (width, width)
+            Relative spreads of one level's effects.
+        """
         lower = np.zeros((self.width, self.width))
         lower[self.rows, self.columns] = theta[self.theta]
         return lower
 
 
 def lay_out(factors: tuple[Factor, ...]) -> Iterator[Block]:
-    """Place the factors, most effects first; parameters follow term by term, each a lower triangle."""
+    """Place the factors, most effects first; parameters follow term by term, each a lower triangle.
+
+    Parameters
+    ----------
+    factors : tuple of Factor
+        Grouping factors, in the order of the formula.
+
+    Yields
+    ------
+    Block
+        A factor's place.
+    """
     start = 0
     for factor in sorted(factors, key=lambda factor: -len(factor.levels) * factor.width):
         rows, columns, corner = [], [], 0
@@ -72,7 +94,18 @@ def lay_out(factors: tuple[Factor, ...]) -> Iterator[Block]:
 
 
 def spread_columns(block: Block) -> csr_array:
-    """Build a factor's columns of Z, level by level, sparse."""
+    """Build a factor's columns of Z, level by level.
+
+    Parameters
+    ----------
+    block : Block
+        The factor's place.
+
+    Returns
+    -------
+    csr_array, shape (n_rows, n_levels * width)
+        Scaled to unit mean square.
+    """
     from scipy.sparse import csr_array
 
     values, width = block.factor.columns / block.scale, block.width
@@ -82,7 +115,20 @@ def spread_columns(block: Block) -> csr_array:
 
 
 def pick_blocks(first: csr_array, block: Block) -> NDArray[np.float64]:
-    """Pick the blocks on the diagonal of a factor's cross products, shape (n_levels, width, width)."""
+    """Pick the blocks on the diagonal of a factor's cross products.
+
+    Parameters
+    ----------
+    first : csr_array, shape (n_rows, n_levels * width)
+        Its columns of Z.
+    block : Block
+        Its place.
+
+    Returns
+    -------
+    ndarray, shape (n_levels, width, width)
+        One block per level; all else is 0.
+    """
     products = (first.T @ first).tocsr()
     starts = np.arange(block.n_levels) * block.width
     blocks = np.empty((block.n_levels, block.width, block.width))
@@ -90,3 +136,23 @@ def pick_blocks(first: csr_array, block: Block) -> NDArray[np.float64]:
         for column in range(block.width):
             blocks[:, row, column] = products[starts + row, starts + column]
     return blocks
+
+
+def scale_columns(matrix: NDArray[np.float64], lower: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Multiply every level's columns by a triangle.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (n, n_levels * width)
+        Columns, level by level.
+    lower : ndarray, shape (width, width)
+        The triangle.
+
+    Returns
+    -------
+    ndarray, shape (n, n_levels * width)
+        Each level's columns times the triangle.
+    """
+    levels = matrix.reshape(len(matrix), -1, len(lower))
+    scaled: NDArray[np.float64] = levels * lower[0, 0] if len(lower) == 1 else levels @ lower
+    return scaled.reshape(matrix.shape)

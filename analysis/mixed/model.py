@@ -11,6 +11,7 @@ from analysis.mixed.design import build_design
 from analysis.mixed.inference import Estimate, Uncertainty, estimate_sum, find_uncertainty
 from analysis.mixed.optimum import find_optimum
 from analysis.mixed.profile import Profile
+from analysis.mixed.solution import find_coefficients, find_modes, find_sigma, find_spreads
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -154,14 +155,14 @@ def fit_mixed(formula: str, data: DataFrame, *, reml: bool = True) -> MixedFit:
     profile = Profile(design, reml=reml)
     best = find_optimum(profile)
     uncertainty = find_uncertainty(profile, best)
-    coefficients, _ = profile.coefficients(best)
+    coefficients, _ = find_coefficients(profile, best)
     variances, correlations = _table_spreads(profile, best)
     fitted, effects = _predict(profile, best)
     zero = _name_zeros(variances, correlations, boundary=bool((best.theta[profile.diagonal] == 0).any()))
     marginal, conditional = _explain_variance(profile, best)
     return MixedFit(
         formula=formula, reml=reml, fixed=_table_fixed(design, coefficients, uncertainty), variances=variances,
-        correlations=correlations, residual_sd=profile.sigma(best), criterion=profile.deviance(best),
+        correlations=correlations, residual_sd=find_sigma(profile, best), criterion=profile.deviance(best),
         singular=bool(zero), marginal_r2=marginal, conditional_r2=conditional, effects=effects, fitted=fitted,
         residuals=design.response - fitted, uncertainty=uncertainty, n_rows=profile.n_rows,
         n_levels={factor.name: len(factor.levels) for factor in design.factors}, notes=tuple(zero),
@@ -229,9 +230,9 @@ def _in_order(profile: Profile, values: list[NDArray[np.float64]]) -> Iterator[t
 def _table_spreads(profile: Profile, best: State) -> tuple[DataFrame, DataFrame]:
     import pandas as pd
 
-    sigma = profile.sigma(best)
+    sigma = find_sigma(profile, best)
     spreads, ties = [], []
-    for block, covariance in _in_order(profile, profile.spreads(best)):
+    for block, covariance in _in_order(profile, find_spreads(profile, best)):
         for term, places in _cut(block):
             part = covariance[places, places] * sigma**2
             names, group = term.names, block.factor.name
@@ -259,9 +260,9 @@ def _correlate(covariance: NDArray[np.float64], first: int, second: int) -> floa
 def _predict(profile: Profile, best: State) -> tuple[NDArray[np.float64], DataFrame]:
     import pandas as pd
 
-    fitted = profile.design.fixed @ profile.coefficients(best)[0]
+    fitted = profile.design.fixed @ find_coefficients(profile, best)[0]
     tables = []
-    for block, values in _in_order(profile, profile.modes(best)):
+    for block, values in _in_order(profile, find_modes(profile, best)):
         fitted = fitted + np.sum(block.factor.columns * values[block.factor.index], axis=1)
         names = [name for term in block.factor.terms for name in term.names]
         effects = {"level": np.tile(block.factor.levels, len(names)), "term": np.repeat(names, block.n_levels)}
@@ -271,10 +272,10 @@ def _predict(profile: Profile, best: State) -> tuple[NDArray[np.float64], DataFr
 
 def _explain_variance(profile: Profile, best: State) -> tuple[float, float]:
     """Nakagawa's marginal and conditional R²."""
-    residual = profile.sigma(best) ** 2
-    fixed = float(np.var(profile.design.fixed @ profile.coefficients(best)[0], ddof=1))
+    residual = find_sigma(profile, best) ** 2
+    fixed = float(np.var(profile.design.fixed @ find_coefficients(profile, best)[0], ddof=1))
     random = 0.0
-    for block, covariance in zip(profile.blocks, profile.spreads(best), strict=True):
+    for block, covariance in zip(profile.blocks, find_spreads(profile, best), strict=True):
         values = block.factor.columns
         random += residual * float(np.mean(np.einsum("ni,ij,nj->n", values, covariance, values)))
     total = fixed + random + residual

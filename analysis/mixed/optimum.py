@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.mixed.slope import find_slope
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -60,7 +62,7 @@ def _descend(profile: Profile, start: NDArray[np.float64]) -> State:
 
     def value(theta: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
         state = profile.evaluate(theta)
-        return profile.deviance(state), profile.slope(state)
+        return profile.deviance(state), find_slope(profile, state)
 
     # Without bounds: the deviance is even in a spread, and a search that is stopped at 0 may rest there in vain.
     try:
@@ -72,13 +74,23 @@ def _descend(profile: Profile, start: NDArray[np.float64]) -> State:
         raise ValueError(_NO_RESIDUAL) from error
     if np.abs(found.x).max() > LARGEST:
         raise ValueError(_NO_RESIDUAL)
-    return _snap(profile, profile.turn(found.x))
+    return _snap(profile, _turn(profile, found.x))
 
 
 _NO_RESIDUAL = (
     "data: got a response that the random effects give exactly, without residual; "
     "allowed is one with scatter within groups, leave the finest group out of the formula"
 )
+
+
+def _turn(profile: Profile, theta: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Write theta with spreads of 0 or more; turning an effect's column around changes nothing."""
+    turned = []
+    for block in profile.blocks:
+        lower = block.triangle(theta)
+        lower = lower * np.where(np.diag(lower) < 0, -1.0, 1.0)
+        turned.append(lower[block.rows, block.columns])
+    return np.concatenate(turned)
 
 
 def _snap(profile: Profile, theta: NDArray[np.float64]) -> State:

@@ -1,4 +1,4 @@
-"""The profiled deviance of a linear mixed model, and its slope.
+"""The profiled deviance of a linear mixed model.
 
 Model: y = X b + Z L u + e, with u ~ N(0, s² I), e ~ N(0, s² I) and L block-diagonal, holding for every level
 of a grouping factor the same lower triangle of relative spreads, theta. Given theta, b and s have closed forms;
@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.mixed.layout import lay_out, pick_blocks, spread_columns
+from analysis.mixed.layout import lay_out, pick_blocks, scale_columns, spread_columns
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -102,26 +102,6 @@ class Profile:
         """Which parameters are spreads, 0 or more, rather than what ties two effects together."""
         return np.concatenate([block.rows == block.columns for block in self.blocks])
 
-    def turn(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Write theta with spreads of 0 or more; turning an effect's column around changes nothing.
-
-        Parameters
-        ----------
-        theta : ndarray, shape (n_theta,)
-            Relative spreads of either sign.
-
-        Returns
-        -------
-        ndarray, shape (n_theta,)
-            The same model.
-        """
-        turned = []
-        for block in self.blocks:
-            lower = block.triangle(theta)
-            lower = lower * np.where(np.diag(lower) < 0, -1.0, 1.0)
-            turned.append(lower[block.rows, block.columns])
-        return np.concatenate(turned)
-
     def evaluate(self, theta: NDArray[np.float64]) -> State:
         """Factorise the equations at theta.
 
@@ -140,7 +120,7 @@ class Profile:
         lower = self.blocks[0].triangle(theta)
         blocks = lower.T @ self.inner_products @ lower + np.eye(len(lower))
         inner = np.linalg.inv(blocks).astype(np.float64, copy=False)
-        scaled = self._scale(self._eliminate(lower @ inner @ lower.T), theta)
+        scaled = self._scale(self.eliminate(lower @ inner @ lower.T), theta)
         place = np.arange(self.n_random)
         scaled[place, place] += 1
         factor = cholesky(scaled, lower=True, overwrite_a=True, check_finite=False)
@@ -153,8 +133,19 @@ class Profile:
             factor=factor, inner=inner,
         )  # fmt: skip
 
-    def _eliminate(self, middle: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Take the first factor out of the others' cross products."""
+    def eliminate(self, middle: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Take the first factor out of the others' cross products.
+
+        Parameters
+        ----------
+        middle : ndarray, shape (n_levels, width, width)
+            L (L'Z'ZL + I)⁻¹ L' of the first factor, level by level.
+
+        Returns
+        -------
+        ndarray
+            What is left of the dense part, before it is scaled.
+        """
         from scipy.sparse import bsr_array
 
         count = len(middle)
@@ -164,14 +155,27 @@ class Profile:
 
     def _scale(self, products: NDArray[np.float64], theta: NDArray[np.float64]) -> NDArray[np.float64]:
         """L' products L, in place."""
-        for place, lower in self._tail(theta):
-            products[:, place] = _right(products[:, place], lower)
-        for place, lower in self._tail(theta):
-            products[place] = _right(products[place].T, lower).T
+        for place, lower in self.tail(theta):
+            products[:, place] = scale_columns(products[:, place], lower)
+        for place, lower in self.tail(theta):
+            products[place] = scale_columns(products[place].T, lower).T
         return products
 
-    def _tail(self, theta: NDArray[np.float64]) -> Iterator[tuple[slice, NDArray[np.float64]]]:
-        """Places of the factors that are not eliminated, with their triangles."""
+    def tail(self, theta: NDArray[np.float64]) -> Iterator[tuple[slice, NDArray[np.float64]]]:
+        """List the factors that are not eliminated.
+
+        Parameters
+        ----------
+        theta : ndarray, shape (n_theta,)
+            Relative spreads.
+
+        Yields
+        ------
+        slice
+            A factor's place in the dense part.
+        ndarray, shape (width, width)
+            Its triangle.
+        """
         start = 0
         for block in self.blocks[1:]:
             stop = start + block.n_levels * block.width
@@ -193,164 +197,3 @@ class Profile:
         """
         spread = 1 + np.log(2 * np.pi * state.rss / self.freedom)
         return float(state.log_random + self.reml * state.log_fixed + self.freedom * spread)
-
-    def slope(self, state: State, weight: float | None = None) -> NDArray[np.float64]:
-        """Differentiate the deviance with respect to theta.
-
-        Parameters
-        ----------
-        state : State
-            The equations, factorised.
-        weight : float, optional
-            rss / s² for an s that is held; if left out, s is the best one for every theta.
-
-        Returns
-        -------
-        ndarray, shape (n_theta,)
-            The derivative.
-
-        Notes
-        -----
-        The determinants of the leading parts of the dense matrix D are all there is: d log |D_k| =
-        tr(D_k⁻¹ dD), and d log rss = z' dD z with z = (-coefficients, 1) / sqrt(rss).
-        """
-        lower = self.blocks[0].triangle(state.theta)
-        outer = self._adjoint(state, self.freedom if weight is None else weight)
-        # Through the dense part's own scale.
-        half = self._eliminate(lower @ state.inner @ lower.T)
-        for place, other in self._tail(state.theta):
-            half[:, place] = _right(half[:, place], other)
-        tail = list(self._tail(state.theta))
-        found = [2 * _trace_blocks(half[place], outer[:, place], len(other)) for place, other in tail]
-        for place, other in tail:
-            outer[:, place] = _right(outer[:, place], other.T)
-        for place, other in tail:
-            outer[place] = _right(outer[place].T, other.T).T
-        found.insert(0, self._inner_slope(state, lower, outer))
-        parts = zip(found, self.blocks, strict=True)
-        return np.concatenate([matrix[block.rows, block.columns] for matrix, block in parts])
-
-    def _adjoint(self, state: State, weight: float) -> NDArray[np.float64]:
-        """Differentiate the deviance with respect to the dense matrix."""
-        from scipy.linalg.lapack import dpotri, dtrtrs
-
-        size = self.n_random + (self.n_fixed if self.reml else 0)
-        adjoint = np.zeros_like(state.factor)
-        if size:  # the full likelihood of a single grouping factor has no determinant but the eliminated one
-            inverse = dpotri(state.factor[:size, :size], lower=1)[0]
-            adjoint[:size, :size] = np.tril(inverse) + np.tril(inverse, -1).T
-        last = np.zeros(len(state.factor))
-        last[-1] = 1
-        direction = dtrtrs(state.factor, last, lower=1, trans=1)[0]
-        adjoint += weight * np.outer(direction, direction)
-        return adjoint
-
-    def _inner_slope(self, state: State, lower: NDArray[np.float64], outer: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Differentiate through the eliminated factor: its own determinant, and what it leaves."""
-        width = self.blocks[0].width
-        through = self.border @ outer
-        seen = np.empty((self.blocks[0].n_levels, width, width))
-        for row in range(width):
-            for column in range(width):
-                seen[:, row, column] = self.border[column::width].multiply(through[row::width]).sum(axis=1)
-        back = state.inner @ lower.T
-        kept = np.eye(width) - lower @ back @ self.inner_products
-        slope: NDArray[np.float64] = 2 * (back @ self.inner_products - back @ seen @ kept).sum(axis=0).T
-        return slope
-
-    def sigma(self, state: State) -> float:
-        """Residual standard deviation.
-
-        Parameters
-        ----------
-        state : State
-            The equations, factorised.
-
-        Returns
-        -------
-        float
-            sqrt(rss / (n - p)), or rss / n for the full likelihood.
-        """
-        return float(np.sqrt(state.rss / self.freedom))
-
-    def coefficients(self, state: State) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Solve for the fixed effects and their covariance in units of s².
-
-        Parameters
-        ----------
-        state : State
-            The equations, factorised.
-
-        Returns
-        -------
-        ndarray, shape (n_fixed,)
-            Best linear unbiased estimates.
-        ndarray, shape (n_fixed, n_fixed)
-            (X'V⁻¹X)⁻¹.
-        """
-        from scipy.linalg import solve_triangular
-
-        place = slice(self.n_random, -1)
-        corner, last = state.factor[place, place], state.factor[-1, place]
-        inverse = solve_triangular(self.triangle_x, solve_triangular(corner, np.eye(self.n_fixed), lower=True).T)
-        shift = solve_triangular(self.triangle_x, self.offset)
-        return shift + inverse @ last * self.unit, inverse @ inverse.T
-
-    def modes(self, state: State) -> list[NDArray[np.float64]]:
-        """Predicted random effects of every factor, in the order of the blocks.
-
-        Parameters
-        ----------
-        state : State
-            The equations, factorised.
-
-        Returns
-        -------
-        list of ndarray, shape (n_levels, width)
-            Best linear unbiased predictions, of the columns as given.
-        """
-        from scipy.linalg import solve_triangular
-
-        factor, last = state.factor[:-1, :-1], state.factor[-1, :-1]
-        solved = solve_triangular(factor, last, lower=True, trans="T")
-        tail = np.append(-solved, 1.0)
-        found = []
-        for (place, other), block in zip(self._tail(state.theta), self.blocks[1:], strict=True):
-            effects = solved[place].reshape(-1, block.width) @ other.T
-            tail[place] = -effects.ravel()
-            found.append(effects)
-        lower = self.blocks[0].triangle(state.theta)
-        seen = (self.border @ tail).reshape(-1, self.blocks[0].width)
-        first = np.einsum("kij,kj->ki", lower @ state.inner @ lower.T, seen)
-        return [effects * self.unit / block.scale for effects, block in zip([first, *found], self.blocks, strict=True)]
-
-    def spreads(self, state: State) -> list[NDArray[np.float64]]:
-        """Covariances of the random effects in units of s², in the order of the blocks.
-
-        Parameters
-        ----------
-        state : State
-            The equations, factorised.
-
-        Returns
-        -------
-        list of ndarray, shape (width, width)
-            Of the columns as given.
-        """
-        lowers = [block.triangle(state.theta) / block.scale[:, None] for block in self.blocks]
-        return [lower @ lower.T for lower in lowers]
-
-
-def _right(matrix: NDArray[np.float64], lower: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Multiply every level's columns by the triangle."""
-    levels = matrix.reshape(len(matrix), -1, len(lower))
-    scaled: NDArray[np.float64] = levels * lower[0, 0] if len(lower) == 1 else levels @ lower
-    return scaled.reshape(matrix.shape)
-
-
-def _trace_blocks(left: NDArray[np.float64], right: NDArray[np.float64], width: int) -> NDArray[np.float64]:
-    """Sum over levels of the blocks on the diagonal of left @ right."""
-    rows = left.reshape(-1, width, left.shape[1])
-    columns = right.T.reshape(-1, width, right.shape[0])
-    found: NDArray[np.float64] = np.einsum("aik,ajk->ij", rows, columns)
-    return found
