@@ -9,28 +9,19 @@ both drawn anew; the narrower one is reported beside it, by name, for comparison
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.bootstrap import (
-    FEWEST_ITEMS,
-    METHODS,
-    MOST_UNDEFINED,
-    bootstrap_margin,
-    correlate_draws,
-    draw_counts,
-    fisher_z,
-)
-from analysis.items import Items, make_items
-from analysis.reliability import SMALLEST, noise_ceiling
+from analysis.bootstrap import METHODS, bootstrap_margin, fisher_z
+from analysis.ceiling import find_ceiling
+from analysis.draws import count_scarcest, draw_intervals
+from analysis.items import make_items
+from analysis.reasons import explain_draws, explain_size, explain_undrawn, explain_value
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
     from pandas import DataFrame
-
-COMPLETE = 0.5
-"""Share of the stimuli that everyone must have rated for a ceiling to speak of them all."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +38,9 @@ class Association:
     n_items : int
         Number of stimuli.
     ceiling : float
-        Noise ceiling, sqrt(ICC(C,k)): what a perfect metric would reach with ratings as noisy as these. NaN
-        where fewer than half of the stimuli were rated by everyone.
+        Noise ceiling, sqrt(ICC(C,k)): what a perfect metric would reach with ratings as noisy as these; for the
+        within methods, that of differences within recordings. NaN where fewer than half of the stimuli were rated
+        by everyone.
     disattenuated : float
         value / ceiling; may exceed 1 by chance. NaN for ranks, whose ceiling this is not, and where the
         ceiling rests on fewer stimuli than the value.
@@ -125,14 +117,6 @@ class Difference:
     notes: tuple[str, ...] = ()
 
 
-class _Draws(NamedTuple):
-    """The correlation with each metric, and Fisher's z of its draws."""
-
-    point: NDArray[np.float64]
-    two_way: NDArray[np.float64]
-    participants: NDArray[np.float64]
-
-
 def correlate(
     ratings: DataFrame,
     metric: str,
@@ -151,7 +135,8 @@ def correlate(
     metric : str
         Column to correlate with.
     method : str
-        ``pearson`` or ``spearman``.
+        ``pearson``, ``spearman`` or ``kendall`` (tau-b) over all stimuli; ``within``, ``within_spearman`` or
+        ``within_kendall`` within each recording, averaged over Fisher's z.
     draws : int
         Number of bootstrap draws, at least 2; 2000 or more for results to be published.
     rng : Generator
@@ -183,8 +168,17 @@ def correlate(
     A draw is undefined, and left out, if it has fewer than three different stimuli, a constant, or all points
     on one line.
 
+    Which method: ``pearson`` asks how straight the relation is, ``spearman`` and ``kendall`` how monotone. All three
+    also count that a recording with a higher metric is rated higher, whatever the reason. The within methods compare
+    stimuli of the same recording only: with z_r = atanh of the correlation in recording r, tanh(Σ z_r / R), over the
+    recordings in which it is defined (three stimuli, neither constant); that is the claim about a metric of reducers.
+    With few stimuli per recording single z_r are noisy, and by ranks perfect ones are common: see
+    `average_recordings`. The mean z leans to the far side by about r / (2 (n_r - 1)).
+
     References
     ----------
+    Silver & Dunlap (1987), Averaging correlation coefficients, Journal of Applied Psychology 72, 146-148, doi
+    10.1037/0021-9010.72.1.146.
     Owen (2007), The pigeonhole bootstrap, Annals of Applied Statistics 1, 386-411, doi 10.1214/07-AOAS122.
 
     Examples
@@ -198,19 +192,14 @@ def correlate(
     (0.99, 4)
     """
     _check_request(method, draws)
-    items = make_items(ratings, [metric])
-    notes = _explain_size(items)
-    drawn = _draw(items, method, draws=draws, rng=rng)
+    items, how = make_items(ratings, [metric]), METHODS[method]
+    drawn = draw_intervals(items, method, draws=draws, rng=rng)
     value = float(drawn.point[0])
-    if np.isnan(value):
-        notes.append(_explain_undefined(items, metric))
-    else:
-        notes += _explain_draws(drawn.two_way[0], "two-way")
-        notes += _explain_draws(drawn.participants[0], "participants-only")
-    low, high = _interval(value, drawn.two_way[0], n_units=_scarcest(items))
+    low, high = _interval(value, drawn.two_way[0], n_units=count_scarcest(items, drawn))
     narrow_low, narrow_high = _interval(value, drawn.participants[0], n_units=items.n_participants)
-    ceiling = _ceiling(items, notes)
-    divisible = method == "pearson" and not items.n_missing
+    ceiling, more_notes = find_ceiling(items, within=how.within)
+    notes = [*explain_size(items), *explain_value(items, drawn, (metric,)), *explain_draws(drawn), *more_notes]
+    divisible = not how.ranked and not items.n_missing
     return Association(
         value=value, low=low, high=high, n_items=items.n_items, ceiling=ceiling,
         disattenuated=value / ceiling if divisible else float("nan"), draws=int(np.isfinite(drawn.two_way[0]).sum()),
@@ -238,7 +227,7 @@ def compare_metrics(
     first, second : str
         Columns to compare.
     method : str
-        ``pearson`` or ``spearman``.
+        As for `correlate`.
     draws : int
         Number of bootstrap draws, at least 2.
     rng : Generator
@@ -266,15 +255,13 @@ def compare_metrics(
     if first == second:
         raise ValueError(f"second: got {second!r} twice, allowed is another metric than the first")
     items = make_items(ratings, [first, second])
-    notes = _explain_size(items)
-    drawn = _draw(items, method, draws=draws, rng=rng)
-    undefined = np.flatnonzero(np.isnan(drawn.point))
-    notes += [_explain_undefined(items, (first, second)[row], row=int(row)) for row in undefined]
+    drawn = draw_intervals(items, method, draws=draws, rng=rng)
     z_first, z_second = fisher_z(drawn.point)
     differences = np.subtract(*drawn.two_way)
-    if not undefined.size:
-        notes += _explain_draws(differences, "two-way")
-    z, margin = z_first - z_second, bootstrap_margin(differences, _scarcest(items))
+    notes = [*explain_size(items), *explain_value(items, drawn, (first, second))]
+    if np.isfinite(drawn.point).all():
+        notes += explain_undrawn(differences, "two-way")
+    z, margin = z_first - z_second, bootstrap_margin(differences, count_scarcest(items, drawn))
     z_range = np.array([z, z - margin, z + margin])
     middle = (z_first + z_second) / 2
     _, low, high = np.tanh(middle + z_range / 2) - np.tanh(middle - z_range / 2)
@@ -295,69 +282,6 @@ def _check_request(method: str, draws: int) -> None:
         raise ValueError(f"draws: got {draws}, allowed is 2 or more; use 2000 for results to be published")
 
 
-def _draw(items: Items, method: str, *, draws: int, rng: np.random.Generator) -> _Draws:
-    # Participants are drawn first and recordings second, so that both intervals share the same participants.
-    people = draw_counts(items.n_participants, draws, rng=rng)
-    scenes = draw_counts(items.n_recordings, draws, rng=rng)
-    everyone, everything = np.ones((1, items.n_participants)), np.ones((1, items.n_recordings))
-    return _Draws(
-        point=correlate_draws(items, method, participants=everyone, recordings=everything)[:, 0],
-        two_way=fisher_z(correlate_draws(items, method, participants=people, recordings=scenes)),
-        participants=fisher_z(correlate_draws(items, method, participants=people, recordings=np.ones_like(scenes))),
-    )
-
-
-def _scarcest(items: Items) -> int:
-    """Count the units that limit a two-way interval: whichever there are fewer of is known less well."""
-    return min(items.n_participants, items.n_recordings)
-
-
 def _interval(value: float, drawn: NDArray[np.float64], *, n_units: int) -> tuple[float, float]:
     z, margin = float(fisher_z(np.asarray(value))), bootstrap_margin(drawn, n_units)
     return float(np.tanh(z - margin)), float(np.tanh(z + margin))
-
-
-def _ceiling(items: Items, notes: list[str]) -> float:
-    complete = np.isfinite(items.ratings).all(axis=0)
-    if items.n_participants < SMALLEST or complete.sum() < SMALLEST:
-        notes.append("No noise ceiling: it needs two participants who rated the same two stimuli.")
-        return float("nan")
-    if complete.mean() < COMPLETE:
-        notes.append(f"No noise ceiling: only {complete.sum()} of {items.n_items} stimuli were rated by everyone.")
-        return float("nan")
-    if not complete.all():
-        rests = f"The noise ceiling rests on the {complete.sum()} stimuli that every participant rated"
-        notes.append(f"{rests}, r on all {items.n_items}; r / ceiling is left out.")
-    ceiling = noise_ceiling(items.ratings[:, complete].T)
-    if np.isnan(ceiling):
-        notes.append("No noise ceiling: mean ratings do not differ between stimuli beyond noise.")
-    return ceiling
-
-
-def _explain_size(items: Items) -> list[str]:
-    notes = []
-    if items.n_missing:
-        cells = items.ratings.size
-        notes.append(f"{items.n_missing} of {cells} participant x stimulus cells hold no rating.")
-    if items.n_participants < SMALLEST:
-        notes.append("One participant only: no interval, the spread between people is unknown.")
-    if items.n_recordings < SMALLEST:
-        notes.append("One recording only: no two-way interval, the spread between recordings is unknown.")
-    return notes
-
-
-def _explain_draws(drawn: NDArray[np.float64], kind: str) -> list[str]:
-    undefined = int(np.isnan(drawn).sum())
-    if not undefined:
-        return []
-    why = "fewer than three stimuli, a constant, or all points on a line"
-    note = f"{undefined} of {drawn.size} {kind} draws gave no correlation ({why}) and are left out"
-    return [f"{note}: too many for an interval." if undefined > MOST_UNDEFINED * drawn.size else f"{note}."]
-
-
-def _explain_undefined(items: Items, metric: str, *, row: int = 0) -> str:
-    if items.n_items < FEWEST_ITEMS:
-        return f"No correlation: it needs {FEWEST_ITEMS} test stimuli, got {items.n_items}."
-    if np.ptp(items.metrics[row]) == 0:
-        return f"No correlation: '{metric}' is the same for every stimulus."
-    return "No correlation: the mean rating is the same for every stimulus."

@@ -8,10 +8,12 @@ because stimuli of one recording resemble each other.
 from __future__ import annotations
 
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+from analysis.concordance import weighted_kendall
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -35,8 +37,14 @@ FLAT = 1e-24
 PERFECT = 1 - 1e-12
 """From here on a correlation is perfect to rounding error."""
 
+STILL = 1e-12
+"""Spread of draws up to which they are all the same but for rounding error."""
+
 FEWEST_ITEMS = 3
 """Two points always lie on a line."""
+
+TIED = 40
+"""Binary digits of a mean rating that count for its rank; the others, below 1e-12 of it, are rounding error."""
 
 MOST_UNDEFINED = 0.1
 """Share of draws that may be undefined; with more, those left over are not a fair sample of what could be."""
@@ -139,10 +147,26 @@ def weighted_ranks(values: Values, weights: Values) -> Values:
     return ranks
 
 
-METHODS: Mapping[str, Correlation] = MappingProxyType(
-    {"pearson": weighted_pearson, "spearman": weighted_spearman}
-)
-"""The one list of correlations: name -> function of x, y and weights."""
+class Method(NamedTuple):
+    """How items are correlated."""
+
+    correlation: Correlation
+    """Of which values."""
+    ranked: bool
+    """Whether only their order counts."""
+    within: bool
+    """Whether recordings are correlated one by one, and averaged."""
+
+
+METHODS: Mapping[str, Method] = MappingProxyType({
+    "pearson": Method(weighted_pearson, ranked=False, within=False),
+    "spearman": Method(weighted_spearman, ranked=True, within=False),
+    "kendall": Method(weighted_kendall, ranked=True, within=False),
+    "within": Method(weighted_pearson, ranked=False, within=True),
+    "within_spearman": Method(weighted_spearman, ranked=True, within=True),
+    "within_kendall": Method(weighted_kendall, ranked=True, within=True),
+})
+"""The one list of correlations: name -> how; ``within`` is Pearson's."""
 
 
 def draw_counts(n_units: int, draws: int, *, rng: np.random.Generator) -> Values:
@@ -184,13 +208,100 @@ def correlate_draws(items: Items, method: str, *, participants: Values, recordin
     ndarray, shape (n_metrics, draws)
         NaN where a draw leaves the metric or the means constant, or fewer than three different items.
     """
+    how = METHODS[method]
+    means, rated = _average(items, participants, how=how)
+    if how.within:
+        parts = [_correlate_recordings(items, metric, means, rated=rated, how=how) for metric in items.metrics]
+        return np.array([average_recordings(*part, counts=recordings) for part in parts])
+    weights = recordings[:, items.recordings] * rated
+    drawn = np.array([how.correlation(metric, means, weights=weights) for metric in items.metrics])
+    return np.where((weights > 0).sum(axis=-1) < FEWEST_ITEMS, np.nan, drawn)
+
+
+def _average(items: Items, participants: Values, *, how: Method) -> tuple[Values, NDArray[np.bool_]]:
+    """Average each item's ratings over the participants drawn; also tell whether it has any."""
     seen = np.isfinite(items.ratings)
     votes = participants @ seen.astype(np.float64)
     sums = participants @ np.where(seen, items.ratings, 0.0)
     means = np.divide(sums, votes, out=np.zeros_like(sums), where=votes > 0)
-    weights = recordings[:, items.recordings] * (votes > 0)
-    drawn = np.array([METHODS[method](metric, means, weights=weights) for metric in items.metrics])
-    return np.where((weights > 0).sum(axis=-1) < FEWEST_ITEMS, np.nan, drawn)
+    return _tie_rounded(means) if how.ranked else means, votes > 0
+
+
+def _tie_rounded(means: Values) -> Values:
+    """Make means that differ by rounding error only the same; whole numbers, of use for their order only."""
+    exponent = np.frexp(np.abs(means).max(axis=-1, keepdims=True))[1]
+    whole: Values = np.rint(np.ldexp(means, TIED - exponent))
+    return whole
+
+
+def _correlate_recordings(
+    items: Items, metric: Values, means: Values, *, rated: NDArray[np.bool_], how: Method
+) -> tuple[Values, Values]:
+    """Correlate within each recording; also count the items that did: both of shape (draws, n_recordings)."""
+    members = [np.flatnonzero(items.recordings == number) for number in range(items.n_recordings)]
+    sizes = np.stack([rated[:, own].sum(axis=-1) for own in members], axis=-1).astype(np.float64)
+    found = [how.correlation(metric[own], means[:, own], weights=rated[:, own].astype(np.float64)) for own in members]
+    return np.where(sizes < FEWEST_ITEMS, np.nan, np.stack(found, axis=-1)), sizes
+
+
+def correlate_each(items: Items, method: str) -> Values:
+    """Correlation of item means with every metric within each recording, no draw taken.
+
+    Parameters
+    ----------
+    items : Items
+        Ratings and metrics.
+    method : str
+        A name of `METHODS`; ``pearson`` and ``within`` are the same here.
+
+    Returns
+    -------
+    ndarray, shape (n_metrics, n_recordings)
+        NaN where a recording has fewer than three rated items, or the metric or the means are constant in it.
+    """
+    everyone = np.ones((1, items.n_participants))
+    means, rated = _average(items, everyone, how=METHODS[method])
+    each = [_correlate_recordings(items, row, means, rated=rated, how=METHODS[method])[0] for row in items.metrics]
+    return np.concatenate(each)
+
+
+def average_recordings(correlations: Values, sizes: Values, *, counts: Values) -> Values:
+    """Average the correlations of recordings over Fisher's z.
+
+    Parameters
+    ----------
+    correlations : ndarray, shape (draws, n_recordings)
+        Correlation within each recording; those that are not defined (NaN) do not count.
+    sizes : ndarray, shape (draws, n_recordings)
+        Number of items that each rests on.
+    counts : ndarray, shape (draws, n_recordings)
+        How often each recording was drawn.
+
+    Returns
+    -------
+    ndarray, shape (draws,)
+        tanh of the mean z; 1 or -1 where all recordings say so; NaN where none is defined.
+
+    Notes
+    -----
+    A perfect correlation has no z, yet among few items one by ranks is common and must neither be left out nor
+    outweigh all others. One of n items counts as 1 - 6 / (n (n² - 1)), half way to the next lower correlation of ranks.
+
+    Examples
+    --------
+    >>> one, n = np.ones((1, 2)), np.full((1, 2), 9.0)
+    >>> average_recordings(np.array([[0.2, 0.6]]), n, counts=one).round(3)
+    array([0.42])
+    """
+    defined = np.isfinite(correlations)
+    weights = counts * defined
+    total = weights.sum(axis=-1)
+    signs = np.where(np.abs(correlations) < PERFECT, 0.0, np.sign(correlations))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        held = np.where(signs == 0, correlations, signs * (1 - 6 / (sizes * (sizes**2 - 1))))
+        z = (weights * np.where(defined, np.arctanh(held), 0.0)).sum(axis=-1) / total
+        mean_sign = (weights * np.where(defined, signs, 0.0)).sum(axis=-1) / total
+    return np.where(np.abs(mean_sign) == 1, mean_sign, np.tanh(z))
 
 
 def fisher_z(correlation: Values) -> Values:
@@ -223,8 +334,8 @@ def bootstrap_margin(drawn: Values, n_units: int) -> float:
     Returns
     -------
     float
-        t(.975, U - 1) sqrt(U / (U - 1)) SD; NaN if there is one unit only, or more than a tenth of the draws
-        are undefined.
+        t(.975, U - 1) sqrt(U / (U - 1)) SD; NaN if there is one unit only, more than a tenth of the draws are
+        undefined, or all draws are the same, as ranks may be: that is no sign of certainty.
 
     Notes
     -----
@@ -236,6 +347,8 @@ def bootstrap_margin(drawn: Values, n_units: int) -> float:
     defined = drawn[np.isfinite(drawn)]
     too_many = len(drawn) - len(defined) > MOST_UNDEFINED * len(drawn)
     if too_many or min(n_units, len(defined)) < 2:  # noqa: PLR2004 - a spread needs two
+        return float("nan")
+    if np.ptp(defined) <= STILL:
         return float("nan")
     quantile = float(t.ppf((1 + CONFIDENCE) / 2, n_units - 1))
     return quantile * float(np.sqrt(n_units / (n_units - 1)) * defined.std(ddof=1))

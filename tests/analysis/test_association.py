@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -9,8 +9,10 @@ import pytest
 from scipy import stats
 
 from analysis.association import compare_metrics, correlate
-from analysis.bootstrap import correlate_draws, draw_counts
+from analysis.bootstrap import METHODS, correlate_draws, draw_counts
+from analysis.ceiling import noise_ceiling_within
 from analysis.items import make_items
+from analysis.reliability import noise_ceiling
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,7 +30,10 @@ def item_means(table: pd.DataFrame) -> pd.DataFrame:
     return tests.drop_duplicates("stimulus_id").set_index("stimulus_id")[[SPECTRAL, TEMPORAL]].assign(mean=cells)
 
 
-@pytest.mark.parametrize(("method", "reference"), [("pearson", stats.pearsonr), ("spearman", stats.spearmanr)])
+@pytest.mark.parametrize(
+    ("method", "reference"),
+    [("pearson", stats.pearsonr), ("spearman", stats.spearmanr), ("kendall", stats.kendalltau)],
+)
 def test_value_is_the_correlation_of_item_means(
     tidy: Callable[..., pd.DataFrame], method: str, reference: Callable[..., object]
 ) -> None:
@@ -37,6 +42,112 @@ def test_value_is_the_correlation_of_item_means(
     found = correlate(table, SPECTRAL, method=method, draws=20, rng=rng())
     assert found.value == pytest.approx(reference(means[SPECTRAL], means["mean"]).statistic, abs=1e-12)
     assert (found.n_items, found.n_participants, found.n_recordings) == (36, 6, 4)
+
+
+@pytest.mark.parametrize(
+    ("method", "reference"),
+    [("within", stats.pearsonr), ("within_spearman", stats.spearmanr), ("within_kendall", stats.kendalltau)],
+)
+def test_within_is_the_average_over_recordings(
+    tidy: Callable[..., pd.DataFrame], method: str, reference: Callable[..., object]
+) -> None:
+    table = tidy(noise=25)
+    groups = item_means(table).groupby(lambda name: name.split("_")[0])
+    z = [math.atanh(reference(part[SPECTRAL], part["mean"]).statistic) for _, part in groups]
+    found = correlate(table, SPECTRAL, method=method, draws=200, rng=rng())
+    assert found.value == pytest.approx(math.tanh(np.mean(z)), abs=1e-12)
+    assert found.low < found.value < found.high
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("column", ["temporal_match", "spectral_match_sd"])
+def test_every_method_takes_any_column(tidy: Callable[..., pd.DataFrame], method: str, column: str) -> None:
+    table = tidy()
+    table["spectral_match_sd"] = 0.1 - 0.05 * table[SPECTRAL]  # as the statistics over sensor orientations
+    found = correlate(table, column, method=method, draws=100, rng=rng())
+    compared = compare_metrics(table, SPECTRAL, column, method=method, draws=100, rng=rng())
+    assert compared.second_value == found.value
+    assert compared.low <= compared.value <= compared.high
+    assert compared.notes == ()
+
+
+def test_what_lifts_whole_recordings_is_not_within() -> None:
+    table = simulate(rng(3), people=8, scenes=6)
+    plain = correlate(table, "metric", method="within", draws=100, rng=rng())
+    lifted = table.assign(rating=table["rating"] + 40 * table["recording"], metric=table["metric"] + table["recording"])
+    shifted = correlate(lifted, "metric", method="within", draws=100, rng=rng())
+    for name in ("value", "low", "high", "ceiling", "disattenuated"):
+        assert getattr(shifted, name) == pytest.approx(getattr(plain, name))
+    assert correlate(lifted, "metric", draws=100, rng=rng()).value > plain.value + 0.3
+
+
+def test_ceiling_within_recovers_a_perfect_metric() -> None:
+    generator = rng(6)
+    table = simulate(generator, people=10, scenes=40, reducers=30)
+    of_recording = generator.normal(0, 40, 40)[table["recording"]]
+    table["rating"] = 50 + table["metric"] * 8 + of_recording + generator.normal(0, 20, len(table))
+    found = correlate(table, "metric", method="within", draws=50, rng=generator)
+    assert found.value < 0.9
+    assert found.disattenuated == pytest.approx(1, abs=0.06)
+
+
+def test_one_group_has_the_plain_ceiling() -> None:
+    table = rng().normal(size=(9, 5)) + np.arange(9.0)[:, None]
+    assert noise_ceiling_within(table, np.zeros(9, int)) == pytest.approx(noise_ceiling(table))
+    assert math.isnan(noise_ceiling_within(table, np.arange(9)))
+
+
+@pytest.mark.parametrize(
+    ("change", "note"),
+    [
+        (lambda table: table.assign(spectral_match=0.3), "No correlation within any of 4 recordings, where it takes"),
+        (
+            lambda table: table[(table["recording"] != "rec0") | table["reducer"].isin(["dft321", "sax321"])],
+            "1 of 4 recordings are left out where it takes three rated stimuli that differ",
+        ),
+        (
+            lambda table: table[(table["recording"] == "rec0") | (table["reducer"] == "dft321")],
+            "One recording only has a correlation within: no two-way interval.",
+        ),
+        (
+            lambda table: table.assign(
+                rating=table["rating"].where(table["recording"] != "rec0", table["spectral_match"])
+            ),
+            "In 1 of 4 recordings the correlation with 'spectral_match' is perfect: Fisher's z is held.",
+        ),
+        (lambda table: table.assign(rating=table["spectral_match"]), "No interval: the correlation with"),
+    ],
+)
+def test_within_says_what_it_rests_on(
+    tidy: Callable[..., pd.DataFrame], change: Callable[[pd.DataFrame], pd.DataFrame], note: str
+) -> None:
+    tests = tidy()[lambda table: table["role"] == "test"]
+    found = correlate(change(tests), SPECTRAL, method="within", draws=50, rng=rng())
+    assert any(line.startswith(note) for line in found.notes)
+
+
+def test_order_that_no_draw_changes_has_no_interval(tidy: Callable[..., pd.DataFrame]) -> None:
+    table = tidy(noise=0)
+    found = correlate(table, TEMPORAL, method="kendall", draws=50, rng=rng())
+    assert math.isnan(found.participants_low)
+    assert "All 50 participants-only draws gave the same: no interval without spread." in found.notes
+
+
+@pytest.mark.parametrize("block", [1, 7, 1000])
+def test_draws_in_blocks_are_as_many(tidy: Callable[..., pd.DataFrame], monkeypatch: Any, block: int) -> None:
+    monkeypatch.setattr("analysis.draws.BLOCK", 36 * block)
+    found = correlate(tidy(noise=25), SPECTRAL, draws=100, rng=rng())
+    assert found.draws == 100
+    assert found.low < found.value < found.high
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("method", METHODS)
+def test_two_way_intervals_cover_what_is_planted(method: str) -> None:
+    generator, studies = rng(77), 400
+    found = [correlate(simulate(generator), "metric", method=method, draws=400, rng=generator) for _ in range(studies)]
+    covered = sum(result.low <= 0 <= result.high for result in found)
+    assert 0.92 <= covered / studies <= 0.985
 
 
 def test_planted_metric_wins_either_way(tidy: Callable[..., pd.DataFrame]) -> None:
@@ -60,15 +171,13 @@ def simulate(generator: np.random.Generator, *, people: int = 12, scenes: int = 
     metric = generator.normal(size=scenes)[scene] + generator.normal(size=scene.size)
     item = generator.normal(size=scenes)[scene] * 8 + generator.normal(size=scene.size) * 8
     rating = 50 + item + generator.normal(0, 5, (people, 1)) + generator.normal(0, 8, (people, scene.size))
-    return pd.DataFrame(
-        {
-            "participant": np.repeat(np.arange(people), scene.size),
-            "recording": np.tile(scene, people),
-            "reducer": np.tile(np.tile(np.arange(reducers), scenes), people),
-            "metric": np.tile(metric, people),
-            "rating": rating.ravel(),
-        }
-    )
+    return pd.DataFrame({
+        "participant": np.repeat(np.arange(people), scene.size),
+        "recording": np.tile(scene, people),
+        "reducer": np.tile(np.tile(np.arange(reducers), scenes), people),
+        "metric": np.tile(metric, people),
+        "rating": rating.ravel(),
+    })
 
 
 def test_two_way_interval_covers_and_the_narrow_one_does_not() -> None:

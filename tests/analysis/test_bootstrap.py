@@ -10,6 +10,7 @@ from scipy import stats
 
 from analysis.bootstrap import (
     METHODS,
+    average_recordings,
     bootstrap_margin,
     correlate_draws,
     draw_counts,
@@ -18,9 +19,11 @@ from analysis.bootstrap import (
     weighted_ranks,
     weighted_spearman,
 )
+from analysis.concordance import weighted_kendall
 from analysis.items import Items
 
-REFERENCE = {"pearson": stats.pearsonr, "spearman": stats.spearmanr}
+REFERENCE = {"pearson": stats.pearsonr, "spearman": stats.spearmanr, "kendall": stats.kendalltau}
+WITHIN = {"within": "pearson", "within_spearman": "spearman", "within_kendall": "kendall"}
 
 
 def make_items(rng: np.random.Generator, *, missing: float = 0.0) -> Items:
@@ -49,7 +52,7 @@ def correlate_slowly(items: Items, method: str, people: np.ndarray, scenes: np.n
     return np.array([REFERENCE[method](metric[drawn], y).statistic for metric in items.metrics])
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", REFERENCE)
 @pytest.mark.parametrize("missing", [0.0, 0.4])
 def test_draws_equal_a_loop_over_the_written_out_samples(method: str, missing: float) -> None:
     rng = np.random.default_rng(11)
@@ -71,9 +74,9 @@ def test_weights_mean_repetition(seed: int) -> None:
         return
     ranks = np.repeat(weighted_ranks(x, weights.astype(float)), weights)
     np.testing.assert_array_equal(ranks, stats.rankdata(many_x))
-    for name, function in METHODS.items():
-        expected = REFERENCE[name](many_x, many_y).statistic
-        assert function(x, y, weights=weights.astype(float)) == pytest.approx(expected, abs=1e-12)
+    for name, reference in REFERENCE.items():
+        expected = reference(many_x, many_y).statistic
+        assert METHODS[name].correlation(x, y, weights=weights.astype(float)) == pytest.approx(expected, abs=1e-12)
 
 
 @given(seed=st.integers(0, 10_000))
@@ -127,7 +130,7 @@ def test_a_perfect_correlation_has_no_fisher_z() -> None:
     assert z[2] == pytest.approx(math.atanh(0.5))
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", REFERENCE)
 def test_draws_of_fewer_than_three_stimuli_are_undefined(method: str) -> None:
     rng = np.random.default_rng(3)
     items = Items(tuple("abcd"), rng.normal(size=(5, 4)), rng.normal(size=(1, 4)), np.arange(4))
@@ -148,3 +151,69 @@ def test_huge_and_tiny_values_neither_overflow_nor_vanish(scale: float) -> None:
     expected = weighted_pearson(x, y, weights=weights)
     assert weighted_pearson(x * scale, y, weights=weights) == pytest.approx(expected)
     assert np.isfinite(weighted_pearson(np.array([-1e200, 0.3, 0.7, 0.2]), y, weights=weights))
+
+
+def correlate_within_slowly(items: Items, method: str, people: np.ndarray, scenes: np.ndarray) -> float:
+    """Average Fisher's z of scipy's correlations, recording by recording, none of them perfect."""
+    drawn = np.repeat(items.ratings, people.astype(int), axis=0)
+    z = []
+    for scene, times in enumerate(scenes.astype(int)):
+        own = items.recordings == scene
+        r = REFERENCE[WITHIN[method]](items.metrics[0, own], drawn[:, own].mean(axis=0)).statistic
+        z += [math.atanh(r)] * times
+    return math.tanh(np.mean(z))
+
+
+@pytest.mark.parametrize("method", WITHIN)
+def test_within_averages_the_recordings_over_fishers_z(method: str) -> None:
+    rng = np.random.default_rng(5)
+    items = Items(
+        tuple(map(str, range(60))), rng.normal(size=(6, 60)), rng.normal(size=(1, 60)), np.repeat([0, 1, 2], 20)
+    )
+    people, scenes = draw_counts(6, 40, rng=rng), draw_counts(3, 40, rng=rng)
+    fast = correlate_draws(items, method, participants=people, recordings=scenes)[0]
+    slow = [correlate_within_slowly(items, method, *pair) for pair in zip(people, scenes, strict=True)]
+    np.testing.assert_allclose(fast, slow, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("correlations", "counts", "expected"),
+    [
+        ([0.2, 0.6], [1, 1], math.tanh((math.atanh(0.2) + math.atanh(0.6)) / 2)),
+        ([0.2, 0.6], [2, 0], 0.2),
+        ([0.2, np.nan], [1, 5], 0.2),
+        ([1.0, 1.0], [1, 1], 1.0),
+        ([-1.0, -1.0], [2, 0], -1.0),
+        ([1.0, -1.0], [1, 1], 0.0),
+        ([1.0, 0.0], [1, 1], math.tanh(math.atanh(0.9) / 2)),  # of 4 items: half way from .8 to 1
+        ([np.nan, np.nan], [1, 1], math.nan),
+        ([0.5, np.nan], [0, 2], math.nan),
+    ],
+)
+def test_average_of_recordings(correlations: list[float], counts: list[float], expected: float) -> None:
+    found = average_recordings(np.array([correlations]), np.full((1, 2), 4.0), counts=np.array([counts], float))
+    assert found == pytest.approx(np.array([expected]), nan_ok=True)
+
+
+weighted_items = st.lists(st.tuples(st.integers(0, 5), st.integers(0, 5), st.integers(0, 3)), min_size=2, max_size=25)
+
+
+@given(weighted_items)
+def test_weighted_kendall_is_scipys_of_the_written_out_sample(items: list[tuple[int, int, int]]) -> None:
+    x, y, weights = np.array(items, float).T
+    counts = weights.astype(int)
+    expected = stats.kendalltau(np.repeat(x, counts), np.repeat(y, counts)).statistic if counts.sum() > 1 else math.nan
+    assert weighted_kendall(x, y, weights=weights) == pytest.approx(expected, nan_ok=True, abs=1e-12)
+
+
+@pytest.mark.parametrize("method", ["spearman", "kendall"])
+def test_means_apart_by_rounding_only_are_ties(method: str) -> None:
+    ratings = np.array([[0.1, 0.2, 0.3, 0.7], [0.2, 0.1, 0.0, 0.1], [0.3, 0.3, 0.3, 0.4]])  # 0.6, 0.6, 0.6, 1.2
+    assert len(set(ratings.sum(axis=0).tolist())) > 2  # the sums of the first three differ in the last digit
+    items = Items(tuple("abcd"), ratings, np.array([[1.0, 2, 3, 4]]), np.zeros(4, int))
+    found = correlate_draws(items, method, participants=np.ones((1, 3)), recordings=np.ones((1, 1)))
+    assert found[0, 0] == pytest.approx(REFERENCE[method]([1, 2, 3, 4], [1, 1, 1, 2]).statistic)
+
+
+def test_draws_that_are_all_the_same_have_no_margin() -> None:
+    assert math.isnan(bootstrap_margin(np.full(50, 0.1) + 1e-16, 5))

@@ -1,0 +1,91 @@
+"""All bootstrap draws of a correlation: of participants and recordings, and of participants only."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from analysis.bootstrap import METHODS, correlate_draws, correlate_each, draw_counts, fisher_z
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from analysis.items import Items
+
+BLOCK = 4_000_000
+"""Numbers that an array of draws may hold: 32 MB, so that a million rows need no gigabytes."""
+
+
+class Draws(NamedTuple):
+    """The correlation with each metric, and Fisher's z of its draws."""
+
+    point: NDArray[np.float64]
+    two_way: NDArray[np.float64]
+    participants: NDArray[np.float64]
+    of_recordings: NDArray[np.float64]
+    """Correlations within each recording, of the methods that average them; else without columns."""
+
+
+def draw_intervals(items: Items, method: str, *, draws: int, rng: np.random.Generator) -> Draws:
+    """Draw participants and recordings with replacement, and correlate anew each time.
+
+    Parameters
+    ----------
+    items : Items
+        Ratings and metrics.
+    method : str
+        A name of `METHODS`.
+    draws : int
+        Number of draws.
+    rng : Generator
+        Source of randomness.
+
+    Returns
+    -------
+    Draws
+        For every metric of the items.
+    """
+    everyone, everything = np.ones((1, items.n_participants)), np.ones((1, items.n_recordings))
+    block = max(1, BLOCK // max(items.n_participants, items.n_items))
+    sizes = [min(block, draws - start) for start in range(0, draws, block)]
+    blocks = [_draw_block(items, method, draws=size, rng=rng) for size in sizes]
+    within = METHODS[method].within
+    return Draws(
+        point=correlate_draws(items, method, participants=everyone, recordings=everything)[:, 0],
+        two_way=fisher_z(np.concatenate([two_way for two_way, _ in blocks], axis=1)),
+        participants=fisher_z(np.concatenate([participants for _, participants in blocks], axis=1)),
+        of_recordings=correlate_each(items, method) if within else np.empty((len(items.metrics), 0)),
+    )
+
+
+def _draw_block(
+    items: Items, method: str, *, draws: int, rng: np.random.Generator
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    # Participants are drawn first and recordings second, so that both intervals share the same participants.
+    people = draw_counts(items.n_participants, draws, rng=rng)
+    scenes = draw_counts(items.n_recordings, draws, rng=rng)
+    return (
+        correlate_draws(items, method, participants=people, recordings=scenes),
+        correlate_draws(items, method, participants=people, recordings=np.ones_like(scenes)),
+    )
+
+
+def count_scarcest(items: Items, drawn: Draws) -> int:
+    """Count the units that limit a two-way interval: whichever there are fewer of is known less well.
+
+    Parameters
+    ----------
+    items : Items
+        What was drawn from.
+    drawn : Draws
+        The draws; recordings in which a within method is not defined do not count.
+
+    Returns
+    -------
+    int
+        Participants or recordings.
+    """
+    speaking = np.isfinite(drawn.of_recordings).sum(axis=1)
+    recordings = int(speaking.min()) if drawn.of_recordings.size else items.n_recordings
+    return min(items.n_participants, recordings)
