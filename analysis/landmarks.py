@@ -227,9 +227,9 @@ def bootstrap_space(
 
     Notes
     -----
-    Every draw is scaled anew, from the group's map on, and laid over the group's map by Procrustes' rotation, because maps have no
-    direction of their own; what is left is the positions' covariance C. The ellipse is {x: (x - m)ᵀ C⁻¹ (x -
-    m) <= χ²(.95, 2) P / (P - 1)} for P participants. Fitting to the group takes some of the movement away:
+    Every draw is scaled anew, from the group's map on, and laid over it by Procrustes' rotation, because maps
+    have no direction of their own; what is left is the positions' covariance C. The ellipse is {x: (x - m)ᵀ C⁻¹
+    (x - m) <= χ²(.95, 2) P / (P - 1)} for P participants. Fitting to the group takes some of the movement away:
     with few stimuli ellipses are somewhat small. Pairs that nobody in a draw has rated keep the group's mean.
 
     Examples
@@ -246,9 +246,7 @@ def bootstrap_space(
     group = check_dissimilarities(dissimilarities)
     stack = np.asarray(dissimilarities, dtype=np.float64)
     if stack.ndim == PLANE or len(stack) < PLANE:
-        raise ValueError(
-            "dissimilarities: got one participant, allowed is two or more; one map has no ellipse"
-        )
+        raise ValueError("dissimilarities: got one participant, allowed is two or more; one map has no ellipse")
     if draws <= PLANE:
         raise ValueError(f"draws: got {draws}, allowed is 3 or more; use 200")
     space = fit_space(group, ordinal=ordinal, rng=rng)

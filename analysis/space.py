@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 FEWEST = 3
 """Stimuli that make a shape."""
 
+CUBE = 3
+"""Axes of a stack of matrices."""
+
 STARTS = 8
 """Random starts beside the classical one; SMACOF finds the nearest hollow, not the deepest."""
 
@@ -180,7 +183,8 @@ def check_dissimilarities(dissimilarities: ArrayLike) -> Values:
     """
     given = np.asarray(dissimilarities, dtype=np.float64)
     stack = given[None] if given.ndim == 2 else given  # noqa: PLR2004 - one participant's matrix
-    if stack.ndim != 3 or stack.shape[1] != stack.shape[2] or stack.shape[1] < FEWEST or not len(stack):  # noqa: PLR2004
+    people, *sides = stack.shape if stack.ndim == CUBE else (0, 0, 0)
+    if not people or sides[0] != sides[1] or sides[0] < FEWEST:
         raise ValueError(
             f"dissimilarities: got shape {given.shape}, allowed is (stimuli, stimuli) or (participants, stimuli, "
             f"stimuli), with {FEWEST} stimuli or more"
