@@ -218,9 +218,10 @@ def bradley_terry_by_rater(
 def _find_reference(duels: Duels, reference: str | None) -> int:
     if reference is None:
         return 0
-    if reference not in duels.items:
+    name = str(reference)  # items are names, even where a table holds numbers
+    if name not in duels.items:
         raise ValueError(f"reference: got {reference!r}, allowed is one of {', '.join(duels.items)}")
-    return duels.items.index(reference)
+    return duels.items.index(name)
 
 
 def _check_separation(duels: Duels, wins: Values) -> None:

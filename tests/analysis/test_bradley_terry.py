@@ -155,6 +155,12 @@ def test_bad_tables_are_refused_in_words(table: pd.DataFrame, message: str) -> N
         bradley_terry(table)
 
 
+def test_numbers_are_names() -> None:
+    result = bradley_terry(counts((1, 2, 6, 3), (2, 10, 5, 4)), reference=2)
+    assert list(result.fixed.index) == ["1", "10", "2"]
+    assert result.reference == "2"
+
+
 def test_unknown_choices_are_refused() -> None:
     with pytest.raises(ValueError, match="ties: got 'drop', allowed is one of refuse, half"):
         bradley_terry(make_trials(), ties="drop")
