@@ -148,14 +148,21 @@ def weighted_ranks(values: Values, weights: Values) -> Values:
 
 
 class Method(NamedTuple):
-    """How items are correlated."""
+    """How items are correlated.
+
+    Parameters
+    ----------
+    correlation : Correlation
+        Function of x, y and weights.
+    ranked : bool
+        Whether only the order of values counts.
+    within : bool
+        Whether recordings are correlated one by one, and averaged.
+    """
 
     correlation: Correlation
-    """Of which values."""
     ranked: bool
-    """Whether only their order counts."""
     within: bool
-    """Whether recordings are correlated one by one, and averaged."""
 
 
 METHODS: Mapping[str, Method] = MappingProxyType({

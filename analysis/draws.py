@@ -18,13 +18,22 @@ BLOCK = 4_000_000
 
 
 class Draws(NamedTuple):
-    """The correlation with each metric, and Fisher's z of its draws."""
+    """The correlation with each metric, and Fisher's z of its draws.
+
+    Parameters
+    ----------
+    point : ndarray, shape (n_metrics,)
+        Correlation, no draw taken.
+    two_way, participants : ndarray, shape (n_metrics, draws)
+        Fisher's z with participants and recordings drawn, and with participants drawn only.
+    of_recordings : ndarray, shape (n_metrics, n_recordings)
+        Correlation within each recording, for the methods that average them; else without columns.
+    """
 
     point: NDArray[np.float64]
     two_way: NDArray[np.float64]
     participants: NDArray[np.float64]
     of_recordings: NDArray[np.float64]
-    """Correlations within each recording, of the methods that average them; else without columns."""
 
 
 def draw_intervals(items: Items, method: str, *, draws: int, rng: np.random.Generator) -> Draws:

@@ -1,0 +1,125 @@
+"""Rules about one participant at a time: none of them is in a standard, and each says so."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from analysis.bootstrap import FLAT
+from analysis.screening.findings import tell_shares, tell_values
+from analysis.screening.judgements import HIGHEST
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+    from analysis.screening.judgements import Judgements
+
+SAME_POINTS = 2.0
+"""Ratings of a slider that lie no farther apart than this are at the same place."""
+
+FEWEST_JUDGEMENTS = 8
+"""With fewer judgements, or pairs of them, a habit cannot be told from chance."""
+
+FASTEST_S = 0.5
+"""Nobody feels, weighs and answers in less."""
+
+
+def judge_straight_lining(judgements: Judgements, limit: float) -> DataFrame:
+    """Find raters who leave the slider at one place.
+
+    Parameters
+    ----------
+    judgements : Judgements
+        All of them; only test stimuli are looked at, as the reference belongs at one place.
+    limit : float
+        Largest share of ratings within two points of the scale of each other.
+
+    Returns
+    -------
+    DataFrame
+        As `tell_shares`; count is the largest number of ratings at one place.
+    """
+    grouped = judgements.of_kind("test").groupby("participant", observed=True)["rating"]
+    count = grouped.agg(_count_densest).reindex(judgements.participants, fill_value=0)
+    n = grouped.size().reindex(judgements.participants, fill_value=0)
+    return tell_values(count, n, count / n.where(n >= FEWEST_JUDGEMENTS), limit=limit)
+
+
+def _count_densest(ratings: object) -> int:
+    ordered = np.sort(np.asarray(ratings, dtype=np.float64))
+    return int((np.searchsorted(ordered, ordered + SAME_POINTS, side="right") - np.arange(len(ordered))).max())
+
+
+def judge_test_retest(judgements: Judgements, limit: float) -> DataFrame:
+    """Find raters whose second ratings do not go with their first: random clicking.
+
+    Parameters
+    ----------
+    judgements : Judgements
+        All of them; the first two ratings of each test stimulus are looked at.
+    limit : float
+        Smallest correlation of first and second ratings.
+
+    Returns
+    -------
+    DataFrame
+        As `tell_values`: count and n are pairs, share is Pearson's r; NaN for fewer than 8 pairs, and where a
+        participant's first or second ratings are all the same, which `judge_straight_lining` is about.
+    """
+    pairs = judgements.first_two()
+    whose, times = pairs["participant"], pairs[["first", "second"]]
+    centred = times - times.groupby(whose, observed=True).transform("mean")
+    products = centred.assign(both=centred["first"] * centred["second"], first=centred["first"] ** 2)
+    sums = products.assign(second=centred["second"] ** 2).groupby(whose, observed=True).sum()
+    sums = sums.reindex(judgements.participants)
+    n = whose.value_counts().reindex(judgements.participants, fill_value=0)
+    constant = sums[["first", "second"]].min(axis=1) <= FLAT * HIGHEST**2 * n
+    r = (sums["both"] / (sums["first"] * sums["second"]).mask(constant) ** 0.5).clip(-1, 1)
+    return tell_values(n, n, r.where(n >= FEWEST_JUDGEMENTS), limit=limit, below=True)
+
+
+def judge_repeat_sd(judgements: Judgements, limit: float) -> DataFrame:
+    """Find raters who rate the same stimulus far apart: random clicking.
+
+    Parameters
+    ----------
+    judgements : Judgements
+        All of them; the first two ratings of each test stimulus are looked at.
+    limit : float
+        Largest within-rater standard deviation, as a share of the scale's 100 points.
+
+    Returns
+    -------
+    DataFrame
+        As `tell_values`: count and n are pairs, share is sqrt(Σ d² / (2 n)) / 100, d the difference of a pair. Clicks
+        spread evenly over the scale give 0.29.
+    """
+    pairs = judgements.first_two()
+    squares = ((pairs["first"] - pairs["second"]) ** 2).groupby(pairs["participant"], observed=True)
+    n = squares.size().reindex(judgements.participants, fill_value=0)
+    share = np.sqrt(squares.mean().reindex(judgements.participants) / 2) / HIGHEST
+    return tell_values(n, n, share.where(n >= FEWEST_JUDGEMENTS), limit=limit)
+
+
+def judge_too_fast(judgements: Judgements, limit: float) -> DataFrame:
+    """Find raters who answer faster than they can have felt.
+
+    Parameters
+    ----------
+    judgements : Judgements
+        All of them.
+    limit : float
+        Largest share of answers within half a second.
+
+    Returns
+    -------
+    DataFrame
+        As `tell_shares`; answers without a time do not count.
+    """
+    rows = judgements.rows
+    timed = rows.iloc[:0].assign(response_time_s=0.0)
+    if "response_time_s" in rows:
+        timed = rows[rows["response_time_s"].notna()]
+    fast = timed["response_time_s"] < FASTEST_S
+    return tell_shares(fast, timed["participant"], participants=judgements.participants, limit=limit)

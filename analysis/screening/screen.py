@@ -1,0 +1,193 @@
+"""Screen raters from end to end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from analysis.screening.anchors import MOST_RATERS, share_undegraded
+from analysis.screening.fences import UNIMODAL, multimodality, tukey_fences
+from analysis.screening.gauge import gauge_raters, judge_expertise
+from analysis.screening.judgements import make_judgements
+from analysis.screening.panel import describe_panel
+from analysis.screening.rules import EXPERTISE, RULES, choose_limits
+
+if TYPE_CHECKING:
+    from collections.abc import Hashable, Iterable, Mapping
+
+    import numpy as np
+    from pandas import DataFrame
+
+    from analysis.screening.judgements import Judgements
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Screening:
+    """What every rule found of every rater.
+
+    Parameters
+    ----------
+    table : DataFrame
+        participant, rule, count, n, share, limit, hit; one row each. ``share`` is count / n, or the value that the
+        rule compares with its limit (a correlation, a standard deviation); NaN where the rule can say nothing.
+    excerpts : DataFrame
+        Per scale, recording and level with a mid anchor: share of raters who put it above 90, and whether the
+        excerpt counts (BS.1534-3: it does not above 25 %).
+    items : DataFrame
+        Per test stimulus: n raters, Tukey fences, outliers, multimodality coefficient, multimodal (above 5/9).
+    gauge : DataFrame
+        As `gauge_raters`; empty without the rule ``expertise``.
+    panel : DataFrame
+        As `describe_panel`: reliability of everyone, and of those whom no rule hit.
+    rules : tuple of str
+        Those that were asked.
+    notes : tuple of str
+        Which rules could say nothing, and why; one sentence each.
+    """
+
+    table: DataFrame
+    excerpts: DataFrame
+    items: DataFrame
+    gauge: DataFrame
+    panel: DataFrame
+    rules: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def hits(self) -> dict[str, tuple[Hashable, ...]]:
+        """Whom each rule hit."""
+        hit = self.table[self.table["hit"]]
+        return {rule: tuple(hit.loc[hit["rule"] == rule, "participant"]) for rule in self.rules}
+
+    @property
+    def count(self) -> DataFrame:
+        """Counts, participants x rules."""
+        return self._spread("count")
+
+    @property
+    def share(self) -> DataFrame:
+        """Shares, participants x rules."""
+        return self._spread("share")
+
+    @property
+    def limit(self) -> DataFrame:
+        """Limits, participants x rules."""
+        return self._spread("limit")
+
+    @property
+    def hit(self) -> DataFrame:
+        """Hits, participants x rules."""
+        return self._spread("hit")
+
+    def _spread(self, what: str) -> DataFrame:
+        return self.table.pivot_table(what, "participant", "rule", aggfunc="first", dropna=False)[list(self.rules)]
+
+
+def screen_raters(
+    ratings: DataFrame,
+    *,
+    rules: Iterable[str] | Mapping[str, float] | None = None,
+    rng: np.random.Generator | None = None,
+) -> Screening:
+    """Ask of every rater what every rule says. Nobody is removed.
+
+    Parameters
+    ----------
+    ratings : DataFrame
+        One row per judgement: participant, rating (0 to 100), and stimulus_id or recording and reducer (and level);
+        role, scale, repeat and response_time_s where there are any. Anchors are told by ``mid`` or ``low`` in their
+        reducer's name.
+    rules : iterable of str, mapping of str to float, or None
+        Names of `RULES`, or names with limits of one's own; None for all (``expertise`` with an rng only).
+    rng : Generator or None
+        Source of randomness for the permutations of ``expertise``.
+
+    Returns
+    -------
+    Screening
+        Per rater and rule count, share, limit and hit; hit lists; items; reliability with and without those hit.
+
+    Raises
+    ------
+    ValueError
+        If the table or a rule is not as it must be.
+
+    Notes
+    -----
+    ITU-R BS.1534-3 excludes a rater whose hidden reference is below 90 on more than 15 % of items, or whose mid anchor
+    is above 90 on more than 15 %; an item (here: scale, recording and level) whose mid anchor more than 25 % of raters
+    put above 90 does not count for either. All other rules are extensions with limits by convention: use them to find
+    whom to ask about, state the rules before the data are seen, and report results with and without
+    (`run_multiverse`). A hit is not a documented error; do not delete because of it alone.
+
+    References
+    ----------
+    Recommendation ITU-R BS.1534-3 (2015). Report ITU-R BS.2300-0 (2014).
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> table = pd.DataFrame({"participant": ["ann"] * 10 + ["bob"] * 10, "recording": list("abcdefghij") * 2,
+    ...     "reducer": "original", "role": "reference", "rating": [95] * 9 + [80] + [95] * 8 + [80] * 2})
+    >>> result = screen_raters(table, rules=["hidden_reference"])
+    >>> result.table[["participant", "count", "n", "share", "limit", "hit"]]
+      participant  count   n  share  limit    hit
+    0         ann      1  10    0.1   0.15  False
+    1         bob      2  10    0.2   0.15   True
+    """
+    import pandas as pd
+
+    limits = choose_limits(rules, random=rng is not None)
+    judgements = make_judgements(ratings)
+    gauge = pd.DataFrame(columns=["participant", "measure", "value", "floor", "p"])
+    if rng is not None and EXPERTISE in limits:
+        gauge = gauge_raters(judgements, rng=rng)
+    found = {name: _judge(name, judgements, gauge, limit=limit) for name, limit in limits.items()}
+    table = pd.concat([part.reset_index().assign(rule=name) for name, part in found.items()], ignore_index=True)
+    hit = table.loc[table["hit"], "participant"].unique()
+    return Screening(
+        table=table[["participant", "rule", "count", "n", "share", "limit", "hit"]],
+        excerpts=_describe_excerpts(judgements),
+        items=_describe_items(judgements),
+        gauge=gauge,
+        panel=describe_panel(ratings, hit),
+        rules=tuple(limits),
+        notes=tuple(_explain_rules(found)),
+    )
+
+
+def _judge(name: str, judgements: Judgements, gauge: DataFrame, *, limit: float) -> DataFrame:
+    judge = RULES[name].judge
+    return judge(judgements, limit) if judge else judge_expertise(gauge, judgements, limit)
+
+
+def _explain_rules(found: Mapping[str, DataFrame]) -> Iterable[str]:
+    for name, part in found.items():
+        silent = int(part["share"].isna().sum())
+        if silent:
+            whom = "anybody" if silent == len(part) else f"{silent} of {len(part)} participants"
+            yield f"Rule '{name}' says nothing of {whom}: it needs {RULES[name].needs}."
+
+
+def _describe_excerpts(judgements: Judgements) -> DataFrame:
+    shares = share_undegraded(judgements)
+    return judgements.excerpts.loc[shares.index].assign(mid_above_90=shares, counts=shares <= MOST_RATERS)
+
+
+def _describe_items(judgements: Judgements) -> DataFrame:
+    import pandas as pd
+
+    tests = judgements.of_kind("test")
+    rows = []
+    for item, own in tests.groupby(["item", "participant"], observed=True)["rating"].mean().groupby("item"):
+        low, high = tukey_fences(own)
+        rows.append(
+            {
+                "item": item, "n": len(own), "low_fence": low, "high_fence": high,
+                "outliers": int(((own < low) | (own > high)).sum()), "multimodality": multimodality(own),
+            }
+        )  # fmt: skip
+    columns = ["item", "n", "low_fence", "high_fence", "outliers", "multimodality"]
+    table = pd.DataFrame(rows, columns=columns)
+    table["item"] = judgements.items.reindex(table["item"]).to_numpy()
+    return table.assign(multimodal=table["multimodality"] > UNIMODAL)

@@ -1,0 +1,47 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from analysis.screening import multimodality, tukey_fences, tukey_hinges
+
+
+@pytest.mark.parametrize(
+    ("values", "hinges"),
+    [  # what R's fivenum gives
+        ([3], (3, 3)),
+        ([1, 2], (1, 2)),
+        ([1, 2, 3], (1.5, 2.5)),
+        ([7, 1, 4, 2, 9, 5, 11], (3, 8)),
+        ([0, 1, 2, 3, 4, 5, 6, 7, 8], (2, 6)),
+    ],
+)
+def test_hinges(values: list[float], hinges: tuple[float, float]) -> None:
+    assert tukey_hinges(values) == hinges
+
+
+def test_hinges_are_not_quartiles() -> None:
+    values = [1, 2, 3, 4, 5, 6]
+    assert tukey_hinges(values) == (2, 5)
+    assert tuple(np.percentile(values, [25, 75])) != (2, 5)
+    assert tukey_fences(values) == (2 - 4.5, 5 + 4.5)
+
+
+@pytest.mark.parametrize("values", [[], [1.0, np.nan]])
+def test_hinges_refuse(values: list[float]) -> None:
+    with pytest.raises(ValueError, match="allowed is one or more finite numbers"):
+        tukey_hinges(values)
+
+
+def test_multimodality_of_known_shapes() -> None:
+    grid = (np.arange(4000) + 0.5) / 4000
+    assert multimodality(grid) == pytest.approx(5 / 9, abs=0.002)
+    assert multimodality(np.repeat([0, 1], 2000)) == pytest.approx(1, abs=0.002)
+    assert multimodality(np.random.default_rng(0).normal(size=20000)) == pytest.approx(1 / 3, abs=0.01)
+
+
+@pytest.mark.parametrize("values", [[1.0, 2, 3], [5.0] * 9])
+def test_no_shape(values: list[float]) -> None:
+    assert math.isnan(multimodality(values))

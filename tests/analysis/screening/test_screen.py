@@ -1,0 +1,205 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from analysis.screening import RULES, screen_raters
+from analysis.screening.rules import EXPERTISE
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+EXCERPTS, REDUCERS, PEOPLE = 10, 4, 12
+
+
+def panel(seed: int = 0, *, people: int = PEOPLE, repeats: int = 2) -> pd.DataFrame:
+    """Make a study of good raters: reference near 100, mid anchor near 50, low anchor near 10."""
+    rng = np.random.default_rng(seed)
+    places = {"original": ("reference", 97), "anchor_mid": ("anchor", 50), "anchor_low": ("anchor", 10)}
+    places |= {f"reducer{number}": ("test", 30 + 12 * number) for number in range(REDUCERS)}
+    rows = [
+        (f"p{person:02d}", f"r{excerpt}", reducer, role, repeat, mean + 2 * (excerpt % 3), rng.uniform(2, 6))
+        for person in range(people)
+        for repeat in range(1, repeats + 1)
+        for excerpt in range(EXCERPTS)
+        for reducer, (role, mean) in places.items()
+    ]
+    columns = ["participant", "recording", "reducer", "role", "repeat", "rating", "response_time_s"]
+    table = pd.DataFrame(rows, columns=columns).assign(scale="realism", level="as_is")
+    noise = np.where(table["role"] == "reference", 0.0, rng.normal(0, 5, len(table)))
+    return table.assign(rating=(table["rating"] + noise).clip(0, 100))
+
+
+def alter(
+    table: pd.DataFrame, change: Callable[[pd.DataFrame], object], *, whose: str = "p03", **only: str
+) -> pd.DataFrame:
+    """Give one participant's rows, of one role or reducer only, other ratings."""
+    changed = table.copy()
+    mask = changed["participant"] == whose
+    for name, value in only.items():
+        mask &= changed[name] == value
+    changed.loc[mask, "rating"] = change(changed[mask])
+    return changed
+
+
+RNG = np.random.default_rng(8)
+SPOILED = {
+    "hidden_reference": lambda table: alter(table, lambda _: 80.0, role="reference"),
+    "mid_anchor": lambda table: alter(table, lambda _: 95.0, reducer="anchor_mid"),
+    "low_anchor": lambda table: alter(table, lambda _: 70.0, reducer="anchor_low"),
+    "straight_lining": lambda table: alter(table, lambda rows: 60 + RNG.uniform(0, 1.5, len(rows)), role="test"),
+    "test_retest": lambda table: alter(table, lambda rows: RNG.uniform(0, 100, len(rows)), role="test"),
+    "repeat_sd": lambda table: alter(table, lambda rows: RNG.uniform(0, 100, len(rows)), role="test"),
+    "reversed_scale": lambda table: alter(table, lambda rows: 100 - rows["rating"], role="test"),
+    "too_fast": lambda table: table.assign(
+        response_time_s=table["response_time_s"].where(table["participant"] != "p03", 0.2)
+    ),
+    "outliers": lambda table: alter(table, lambda rows: (rows["rating"] + 40).clip(0, 100), role="test"),
+    EXPERTISE: lambda table: alter(table, lambda rows: RNG.uniform(0, 100, len(rows)), role="test"),
+}
+
+
+def test_good_raters_are_left_alone() -> None:
+    found = screen_raters(panel(), rng=np.random.default_rng(1))
+    assert found.hits == dict.fromkeys(RULES, ())
+    assert found.notes == ()
+    assert found.table["share"].notna().all()
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_each_rule_hits_whom_it_is_made_for(rule: str) -> None:
+    found = screen_raters(SPOILED[rule](panel()), rng=np.random.default_rng(1))
+    assert found.hits[rule] == ("p03",)
+    assert found.hit.loc["p03", rule]
+    assert found.hit[rule].sum() == 1
+
+
+def test_table_has_one_row_per_rater_and_rule() -> None:
+    found = screen_raters(panel(), rng=np.random.default_rng(1))
+    assert list(found.table.columns) == ["participant", "rule", "count", "n", "share", "limit", "hit"]
+    assert len(found.table) == PEOPLE * len(RULES)
+    assert list(found.share.columns) == list(found.limit.columns) == list(found.count.columns) == list(RULES)
+    assert found.count.shape == (PEOPLE, len(RULES))
+
+
+@pytest.mark.parametrize(("bad", "hit"), [(3, False), (4, True)])
+def test_fifteen_per_cent_are_allowed_and_more_are_not(bad: int, hit: bool) -> None:
+    table = panel()  # 20 presentations of the reference each
+    own = table.index[(table["participant"] == "p05") & (table["role"] == "reference")]
+    table.loc[own, "rating"] = 90.0  # not below 90
+    table.loc[own[:bad], "rating"] = 89.9
+    row = screen_raters(table, rules=["hidden_reference"]).table.query("participant == 'p05'").iloc[0]
+    assert (row["count"], row["n"], row["share"], row["hit"]) == (bad, 20, bad / 20, hit)
+
+
+@pytest.mark.parametrize(("people", "counts"), [(3, True), (4, False)])
+def test_an_excerpt_that_the_anchor_did_not_degrade_does_not_count(people: int, counts: bool) -> None:
+    table = panel()  # of 12 raters 3 are 25 %, not more
+    lenient = table["participant"].isin([f"p{number:02d}" for number in range(people)])
+    table.loc[lenient & (table["reducer"] == "anchor_mid") & (table["recording"] == "r0"), "rating"] = 95.0
+    found = screen_raters(table, rules=["mid_anchor", "hidden_reference"])
+    assert found.excerpts.set_index("recording")["counts"].to_dict() == {f"r{n}": n > 0 or counts for n in range(10)}
+    assert (found.table["n"] == (20 if counts else 18)).all()
+
+
+def test_reliability_is_told_with_and_without_those_hit() -> None:
+    found = screen_raters(SPOILED["reversed_scale"](panel()))
+    everyone, without = found.panel.to_dict("records")
+    assert (everyone["panel"], without["panel"]) == ("everyone", "without hits")
+    assert (everyone["n_participants"], without["n_participants"]) == (PEOPLE, PEOPLE - 1)
+    assert (everyone["n_items"], everyone["n_complete"]) == (40, 40)
+    for name in ("icc_a_1", "icc_a_k", "icc_c_1", "icc_c_k", "alpha"):
+        assert everyone[name] < without[name] <= 1
+
+
+def test_items_tell_two_camps() -> None:
+    table = panel(people=30)
+    odd = table["participant"].str[-1].astype(int) % 2 == 1
+    table.loc[odd & (table["recording"] == "r1") & (table["reducer"] == "reducer0"), "rating"] = 90.0
+    items = screen_raters(table, rules=["outliers"]).items.set_index("item")
+    assert items.index[items["multimodal"]].tolist() == ["realism/r1/reducer0/as_is"]
+    assert (items["n"] == 30).all()
+
+
+def test_limits_of_ones_own() -> None:
+    table = SPOILED["low_anchor"](panel())
+    assert screen_raters(table, rules={"low_anchor": 1.0}).hits == {"low_anchor": ()}
+    assert screen_raters(table, rules="low_anchor").hits == {"low_anchor": ("p03",)}
+
+
+def test_rules_without_data_say_so() -> None:
+    bare = panel(repeats=1).query("role == 'test'")[["participant", "recording", "reducer", "rating"]]
+    found = screen_raters(bare)
+    silent = {"hidden_reference", "mid_anchor", "low_anchor", "test_retest", "repeat_sd", "too_fast"}
+    assert {note.split("'")[1] for note in found.notes} == silent
+    assert "Rule 'too_fast' says nothing of anybody: it needs column 'response_time_s'." in found.notes
+    assert not found.table["hit"].any()
+
+
+def test_one_rater_alone_is_screened_as_far_as_it_goes() -> None:
+    found = screen_raters(panel(people=1), rng=np.random.default_rng(0))
+    assert found.hits == dict.fromkeys(RULES, ())
+    assert found.share["hidden_reference"].tolist() == [0.0]
+    assert np.isnan(found.share["reversed_scale"]).all()
+    assert found.panel[["icc_a_1", "alpha"]].isna().all(axis=None)
+
+
+def test_references_only() -> None:
+    found = screen_raters(panel().query("role == 'reference'"), rng=np.random.default_rng(0))
+    assert found.hits == dict.fromkeys(RULES, ())
+    assert found.items.empty
+    assert found.gauge.empty
+
+
+def test_constant_ratings_are_straight_lines_and_nothing_else() -> None:
+    found = screen_raters(panel().query("role == 'test'").assign(rating=50.0), rng=np.random.default_rng(0))
+    assert [rule for rule, hit in found.hits.items() if hit] == ["straight_lining"]
+
+
+def test_missing_cells_do_not_matter() -> None:
+    table = SPOILED["reversed_scale"](panel())
+    holes = table.sample(frac=0.6, random_state=2)
+    assert screen_raters(holes, rules=["reversed_scale"]).hits == {"reversed_scale": ("p03",)}
+
+
+def test_order_of_rows_does_not_matter() -> None:
+    table = panel()
+    shuffled = table.sample(frac=1, random_state=0)
+    names = [name for name in RULES if name != EXPERTISE]
+    pd.testing.assert_frame_equal(
+        screen_raters(shuffled, rules=names).table, screen_raters(table, rules=names).table, check_exact=False
+    )
+
+
+def test_the_gauge_of_shuffled_ratings_is_uniform() -> None:
+    table = panel(people=60).query("role == 'test'")
+    random = table.assign(rating=np.random.default_rng(3).uniform(0, 100, len(table)))
+    gauge = screen_raters(random, rules=[EXPERTISE], rng=np.random.default_rng(4)).gauge
+    for _, part in gauge.groupby("measure"):
+        # Binomial limits at 0.1 %: of 60 raters 10 at most fall below 5 %.
+        assert (part["p"] <= 0.05).sum() <= 10
+        assert 0.35 < part["p"].mean() < 0.65
+    assert ((gauge["value"] > gauge["floor"]) == (gauge["p"] <= 0.05)).mean() > 0.98
+
+
+@pytest.mark.parametrize(
+    ("spoil", "rules", "message"),
+    [
+        (lambda table: table.drop(columns="rating"), None, "column rating is missing; got participant"),
+        (lambda table: table.drop(columns=["recording", "reducer", "level"]), None, "column stimulus_id is missing"),
+        (lambda table: table.iloc[:0], None, "got no row"),
+        (lambda table: table.assign(rating=table["rating"] + 1), None, "such as 10.*; allowed is 0 to 100"),
+        (lambda table: table.assign(rating=np.nan), None, "ratings such as nan"),
+        (lambda table: table.assign(participant=None), None, "rows without a participant"),
+        (lambda table: table, ["mid"], "got 'mid', allowed are hidden_reference"),
+        (lambda table: table, [], "got no rule"),
+        (lambda table: table, [EXPERTISE], "got 'expertise' without rng"),
+        (lambda table: table, {"mid_anchor": 15}, "got the limit 15 for 'mid_anchor', allowed is -1 to 1"),
+    ],
+)
+def test_refusals(spoil: Callable[[pd.DataFrame], pd.DataFrame], rules: object, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        screen_raters(spoil(panel(people=2)), rules=rules)
