@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 from itertools import chain
 from typing import TYPE_CHECKING
 
-from analysis.figures import CUT, count_clipped, draw_profile, draw_scatter
+from analysis.figures.profile import draw_profile
+from analysis.figures.scatter import CUT, count_clipped, draw_scatter
 from analysis.reliability import SMALLEST
 from analysis.scales import ANSWERED, tell_measure
-from analysis.style import Look, assign_looks, list_undrawable
+from analysis.figures.style import Look, assign_looks, list_undrawable
 from analysis.table import ROLES, order_reducers
 from analysis.verdict import LEADING
 from analysis.words import tell_name, tell_number, tell_span

@@ -17,7 +17,7 @@ from analysis.page import render_page
 from analysis.pictures import Picture, draw_pictures, note_undrawable
 from analysis.replacing import list_files, replace_report
 from analysis.results import Results, collect_notes, collect_numbers
-from analysis.style import save_figure
+from analysis.figures.files import save_figure
 from analysis.table import read_table
 from analysis.verdict import write_verdict
 

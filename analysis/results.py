@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from itertools import chain
 from typing import TYPE_CHECKING, Any
 
-from analysis.figures import count_clipped
+from analysis.figures.scatter import count_clipped
 from analysis.profile import GROUP
 from analysis.scales import APART, note_apart
 from analysis.verdict import LEADING

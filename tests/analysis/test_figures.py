@@ -9,9 +9,11 @@ import pytest
 from matplotlib import rc_context, rcParams
 from matplotlib.image import imread
 
-from analysis.figures import draw_profile, draw_scatter
+from analysis.figures.files import PNG_DPI, save_figure
+from analysis.figures.profile import draw_profile
+from analysis.figures.scatter import draw_scatter
+from analysis.figures.style import CM_PER_INCH, COLUMN_CM, Look, assign_looks
 from analysis.findings import analyse
-from analysis.style import CM_PER_INCH, COLUMN_CM, PNG_DPI, Look, assign_looks, save_figure
 from analysis.table import Table, order_reducers
 
 if TYPE_CHECKING:

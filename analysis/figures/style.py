@@ -1,4 +1,4 @@
-"""How figures look and how they are saved: made for print, the same bytes for the same data.
+"""How figures look: made for print.
 
 Conventions: one column wide (8.5 cm), so that text keeps its size in a paper and on a telephone; every
 reducer has a colour and a marker of its own, the same in all figures, so that colour is never alone.
@@ -13,14 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
-    from pathlib import Path
 
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 COLUMN_CM = 8.5
 CM_PER_INCH = 2.54
-PNG_DPI = 300
 THIN, GREY = 0.5, "#8A8A8A"
 
 OKABE_ITO = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -110,6 +108,24 @@ def list_undrawable(names: Iterable[str]) -> str:
     return "".join(sorted({letter for name in names for letter in name if ord(letter) not in known}))
 
 
+def new_canvas(height_cm: float) -> Figure:
+    """Make a figure without axes, one column wide.
+
+    Parameters
+    ----------
+    height_cm : float
+        Height in cm.
+
+    Returns
+    -------
+    Figure
+        Laid out so that nothing overlaps; belongs to no window.
+    """
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(COLUMN_CM / CM_PER_INCH, height_cm / CM_PER_INCH), layout="constrained")
+
+
 def new_figure(height_cm: float) -> tuple[Figure, Axes]:
     """Make an empty figure, one column wide.
 
@@ -121,33 +137,9 @@ def new_figure(height_cm: float) -> tuple[Figure, Axes]:
     Returns
     -------
     figure : Figure
-        Laid out so that nothing overlaps; belongs to no window.
+        As `new_canvas` makes it.
     axes : Axes
         Its only axes.
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(COLUMN_CM / CM_PER_INCH, height_cm / CM_PER_INCH), layout="constrained")
+    figure = new_canvas(height_cm)
     return figure, figure.add_subplot()
-
-
-def save_figure(figure: Figure, stem: Path) -> None:
-    """Write a figure as vector and as bitmap.
-
-    Parameters
-    ----------
-    figure : Figure
-        What to write.
-    stem : Path
-        Where, without suffix: ``.svg`` and ``.png`` (300 dpi) are added. The same figure gives the same
-        bytes.
-
-    Raises
-    ------
-    OSError
-        If a file cannot be written.
-    """
-    with print_style():
-        nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
-        figure.savefig(stem.with_suffix(".svg"), metadata=nothing)
-        figure.savefig(stem.with_suffix(".png"), dpi=PNG_DPI, metadata={"Software": None})
