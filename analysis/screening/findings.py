@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
     from pandas import DataFrame, Index, Series
 
 
@@ -35,15 +36,17 @@ def tell_shares(bad: Series, participant: Series, *, participants: Index, limit:
     return tell_values(count, n, count / n.where(n > 0), limit=limit)
 
 
-def tell_values(count: Series, n: Series, share: Series, *, limit: float, below: bool = False) -> DataFrame:
+def tell_values(
+    count: Series, n: Series, share: Series, *, limit: float | NDArray[np.float64], below: bool = False
+) -> DataFrame:
     """Compare a value of each participant with its limit.
 
     Parameters
     ----------
     count, n, share : Series
         Indexed by participant; n is what count is out of; a share that is NaN hits nobody.
-    limit : float
-        Where hits begin.
+    limit : float or ndarray, shape (n_participants,)
+        Where hits begin, for all or for each.
     below : bool
         Whether values below the limit are hits, instead of those above.
 
@@ -54,9 +57,9 @@ def tell_values(count: Series, n: Series, share: Series, *, limit: float, below:
     """
     import pandas as pd
 
-    values = share.to_numpy(np.float64)
+    values, limits = share.to_numpy(np.float64), np.broadcast_to(np.asarray(limit, dtype=np.float64), share.shape)
     # 3 of 20 is 15 %, not more; a hair of rounding must not tell otherwise.
-    clear = np.abs(values - limit) > 1e-12  # noqa: PLR2004 - rounding of one division
-    hit = clear & ((values < limit) if below else (values > limit))
-    columns = {"count": count.astype(int), "n": n.astype(int), "share": values, "limit": float(limit), "hit": hit}
+    clear = np.abs(values - limits) > 1e-12  # noqa: PLR2004 - rounding of one division
+    hit = clear & ((values < limits) if below else (values > limits))
+    columns = {"count": count.astype(int), "n": n.astype(int), "share": values, "limit": limits, "hit": hit}
     return pd.DataFrame(columns, index=share.index)

@@ -154,8 +154,9 @@ def _mean_squares(item: NDArray[np.intp], ratings: Values) -> tuple[Values, Valu
 
 def _average_items(item: NDArray[np.intp], ratings: Values) -> tuple[Values, Values, NDArray[np.intp]]:
     _, place, counts = np.unique(item, return_inverse=True, return_counts=True)
-    belongs = (place[:, None] == np.arange(len(counts))).astype(np.float64)
-    return ratings @ belongs / counts, counts.astype(np.float64), place
+    starts = np.cumsum(counts) - counts
+    sums = np.add.reduceat(ratings[:, np.argsort(place, kind="stable")], starts, axis=1)
+    return sums / counts, counts.astype(np.float64), place
 
 
 def _agree(trials: _Trials, ratings: Values) -> Values:

@@ -21,6 +21,9 @@ SAME_POINTS = 2.0
 FEWEST_JUDGEMENTS = 8
 """With fewer judgements, or pairs of them, a habit cannot be told from chance."""
 
+ONE_SIDED = 1.6448536269514722
+"""95 % point of the normal distribution."""
+
 FASTEST_S = 0.5
 """Nobody feels, weighs and answers in less."""
 
@@ -59,7 +62,9 @@ def judge_test_retest(judgements: Judgements, limit: float) -> DataFrame:
     judgements : Judgements
         All of them; the first two ratings of each test stimulus are looked at.
     limit : float
-        Smallest correlation of first and second ratings.
+        Smallest correlation of first and second ratings; where n pairs would show a smaller one to be above zero,
+        tanh(1.645 / sqrt(n - 3)) at the 5 % level, that one. Stimuli that hardly differ make small correlations of
+        careful raters, too.
 
     Returns
     -------
@@ -76,7 +81,8 @@ def judge_test_retest(judgements: Judgements, limit: float) -> DataFrame:
     n = whose.value_counts().reindex(judgements.participants, fill_value=0)
     constant = sums[["first", "second"]].min(axis=1) <= FLAT * HIGHEST**2 * n
     r = (sums["both"] / (sums["first"] * sums["second"]).mask(constant) ** 0.5).clip(-1, 1)
-    return tell_values(n, n, r.where(n >= FEWEST_JUDGEMENTS), limit=limit, below=True)
+    shown = np.tanh(ONE_SIDED / np.sqrt(n.clip(lower=FEWEST_JUDGEMENTS).to_numpy() - 3))
+    return tell_values(n, n, r.where(n >= FEWEST_JUDGEMENTS), limit=np.minimum(limit, shown), below=True)
 
 
 def judge_repeat_sd(judgements: Judgements, limit: float) -> DataFrame:

@@ -70,7 +70,7 @@ RULES: Mapping[str, Rule] = MappingProxyType(
             EXTENSION, 0.5, judge_straight_lining, "8 ratings of test stimuli",
         ),
         "test_retest": Rule(
-            "correlation of first and second ratings below {limit:g}",
+            "correlation of first and second ratings below {limit:g}, or what so many pairs show to be above zero",
             EXTENSION, 0.3, judge_test_retest, "8 test stimuli rated twice, not all alike",
         ),
         "repeat_sd": Rule(

@@ -203,3 +203,42 @@ def test_the_gauge_of_shuffled_ratings_is_uniform() -> None:
 def test_refusals(spoil: Callable[[pd.DataFrame], pd.DataFrame], rules: object, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         screen_raters(spoil(panel(people=2)), rules=rules)
+
+
+@pytest.mark.parametrize(("excerpts", "expected"), [(10, 0.3), (2, 0.3)])
+def test_many_pairs_allow_a_smaller_correlation(excerpts: int, expected: float) -> None:
+    few = panel()[lambda table: table["recording"].isin([f"r{number}" for number in range(excerpts)])]
+    limits = screen_raters(few, rules=["test_retest"]).limit["test_retest"]
+    n = excerpts * REDUCERS
+    assert limits.to_numpy() == pytest.approx(min(expected, np.tanh(1.6448536 / np.sqrt(n - 3))))
+
+
+def test_retest_is_pearsons_r_of_the_pairs() -> None:
+    table = SPOILED["test_retest"](panel())
+    tests = table[table["role"] == "test"]
+    pairs = tests.pivot_table("rating", ["participant", "recording", "reducer"], "repeat")
+    expected = [part.corr().iloc[0, 1] for _, part in pairs.groupby("participant")]
+    found = screen_raters(table, rules=["test_retest", "repeat_sd"]).share
+    assert found["test_retest"].to_numpy() == pytest.approx(np.array(expected))
+    spread = [np.sqrt(((part[1] - part[2]) ** 2).mean() / 2) / 100 for _, part in pairs.groupby("participant")]
+    assert found["repeat_sd"].to_numpy() == pytest.approx(np.array(spread))
+
+
+def test_reversal_is_pearsons_r_with_the_others() -> None:
+    table = SPOILED["reversed_scale"](panel())
+    means = table[table["role"] == "test"].pivot_table("rating", "participant", ["recording", "reducer"])
+    expected = [np.corrcoef(means.loc[who], means.drop(index=who).mean())[0, 1] for who in means.index]
+    assert screen_raters(table).share["reversed_scale"].to_numpy() == pytest.approx(np.array(expected))
+
+
+def test_gauge_is_an_analysis_of_variance() -> None:
+    from scipy.stats import f_oneway
+
+    table = panel()
+    gauge = screen_raters(table, rules=[EXPERTISE], rng=np.random.default_rng(0)).gauge
+    own = table[(table["participant"] == "p00") & (table["role"] == "test")]
+    expected = f_oneway(*(part["rating"] for _, part in own.groupby(["recording", "reducer"]))).statistic
+    found = gauge.set_index(["participant", "measure"])["value"]
+    assert found["p00", "discrimination"] == pytest.approx(expected)
+    ratio = found.xs("discrimination", level="measure") / found.xs("reliability", level="measure")
+    assert ratio.mean() == pytest.approx(1)  # each rater's items against the panel's average
