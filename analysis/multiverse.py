@@ -181,20 +181,18 @@ def _estimate(ratings: DataFrame, estimator: Callable[[DataFrame], object], who:
 
 def _read_estimate(result: object) -> Estimate:
     """Take a number, three of them, or a result with value, low and high."""
-    missing = float("nan")
+    told = [getattr(result, name, np.nan) for name in ("value", "low", "high")]
+    given = told if hasattr(result, "value") else result
     try:
-        if hasattr(result, "value"):
-            values = [result.value, getattr(result, "low", missing), getattr(result, "high", missing)]
-        else:
-            values = list(result) if isinstance(result, tuple | list) else [result]
-        estimate = Estimate(*(float(value) for value in values))  # type: ignore[arg-type]
-    except (TypeError, ValueError) as error:
-        wanted = "a number, (value, low, high), or a result with value, low and high"
-        raise TypeError(f"estimator: got {result!r}, allowed is {wanted}") from error
-    if np.isnan(estimate.value):
-        notes = getattr(result, "notes", ())
-        return estimate._replace(note=" ".join(notes) or "the estimator gave NaN")
-    return estimate
+        numbers = np.asarray(given, dtype=np.float64).ravel().tolist()
+    except (TypeError, ValueError):
+        numbers = []
+    if len(numbers) not in {1, 3} or given is None:
+        raise TypeError(f"estimator: got {result!r}, allowed is a number, (value, low, high), or a result with these")
+    if np.isnan(numbers[0]):
+        return Estimate(numbers[0], note=" ".join(getattr(result, "notes", ())) or "the estimator gave NaN")
+    low, high = numbers[1:] or (float("nan"), float("nan"))
+    return Estimate(numbers[0], low, high)
 
 
 def _describe(chosen: tuple[str, ...], rules: tuple[str, ...]) -> dict[str, object]:
