@@ -4,10 +4,11 @@ Importing this package loads numpy and nothing heavier; pandas, scipy and matplo
 """
 
 from analysis.association import Association, Difference, compare_metrics, correlate
+from analysis.numbers import Number
 from analysis.profile import profile_reducers
 from analysis.reliability import Intraclass, intraclass, noise_ceiling
 from analysis.report import write_report
-from analysis.results import Number, Results
+from analysis.results import Results
 from analysis.table import Table, read_table
 
 __all__ = [

@@ -12,6 +12,8 @@ from analysis.profile import participant_means, profile_reducers, stimulus_means
 from analysis.scales import APART, PAIR
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import numpy as np
     from pandas import DataFrame
 
@@ -88,16 +90,50 @@ def analyse(table: Table, *, draws: int, rng: np.random.Generator) -> Findings:
         If no test stimulus was rated.
     """
     rows = table.rows
-    if not rows["role"].isin(["test", PAIR]).any():
-        raise ValueError("ratings: got none of a stimulus with role 'test'; at least one is needed")
+    refuse_untested(table)
     rated = rows[(rows["role"] == "test") & ~rows["scale"].isin(APART)]
     groups = rated.groupby(["scale", "level"], observed=True)
-    panels = tuple(_make_panel(part, table.metrics, draws=draws, rng=rng) for _, part in groups)
+    panels = tuple(make_panel(part, table.metrics, draws=draws, rng=rng) for _, part in groups)
     single = rows[rows["role"] != PAIR]
     return Findings(panels, profile_reducers(single), participant_means(single), tuple(sorted(rows["scale"].unique())))
 
 
-def _make_panel(part: DataFrame, metrics: tuple[str, ...], *, draws: int, rng: np.random.Generator) -> Panel:
+def refuse_untested(table: Table) -> None:
+    """Refuse ratings of references and anchors alone.
+
+    Parameters
+    ----------
+    table : Table
+        What was rated.
+
+    Raises
+    ------
+    ValueError
+        If no test stimulus was rated, alone or in a pair.
+    """
+    if not table.rows["role"].isin(["test", PAIR]).any():
+        raise ValueError("ratings: got none of a stimulus with role 'test'; at least one is needed")
+
+
+def make_panel(part: DataFrame, metrics: tuple[str, ...], *, draws: int, rng: np.random.Generator) -> Panel:
+    """Correlate the ratings of one scale and one level with every metric, by every method.
+
+    Parameters
+    ----------
+    part : DataFrame
+        Tidy table of their test stimuli.
+    metrics : tuple of str
+        Columns to correlate with.
+    draws : int
+        Bootstrap draws per interval.
+    rng : Generator
+        Source of randomness.
+
+    Returns
+    -------
+    Panel
+        Associations, differences and stimuli.
+    """
     # Every result gets a generator of its own, so that a further metric does not change the intervals of the
     # others.
     one = [(metric, method) for metric in metrics for method in METHODS]
@@ -118,42 +154,27 @@ def _make_panel(part: DataFrame, metrics: tuple[str, ...], *, draws: int, rng: n
     )
 
 
-def make_tables(findings: Findings) -> dict[str, DataFrame]:
-    """Lay the findings out as tables to be written.
+def stack_records(panels: Sequence[Panel], kind: str) -> DataFrame:
+    """Lay associations or differences out as a table to be written.
 
     Parameters
     ----------
-    findings : Findings
-        All results.
+    panels : sequence of Panel
+        All of them.
+    kind : str
+        ``associations`` or ``differences``.
 
     Returns
     -------
-    dict of str to DataFrame
-        By file name without suffix; none without rows.
+    DataFrame
+        One row each.
     """
-    tables = {
-        "associations": _stack_records(findings, "associations"),
-        "differences": _stack_records(findings, "differences"),
-        "profiles": findings.profile,
-        "participants": findings.participants,
-        "stimuli": _stack_stimuli(findings),
-    }
-    return {name: table for name, table in tables.items() if len(table)}
-
-
-def _stack_records(findings: Findings, kind: str) -> DataFrame:
     import pandas as pd
 
     return pd.DataFrame(
         [
             {"scale": panel.scale, "level": panel.level, **asdict(record), "notes": " ".join(record.notes)}
-            for panel in findings.panels
+            for panel in panels
             for record in getattr(panel, kind)
         ]
     )
-
-
-def _stack_stimuli(findings: Findings) -> DataFrame:
-    import pandas as pd
-
-    return pd.concat([pd.DataFrame(), *(panel.stimuli for panel in findings.panels)])

@@ -9,25 +9,19 @@ PROFILES = (
 )
 
 
-def tell_how(draws: int, *, associated: bool) -> tuple[str, ...]:
-    """Describe the analysis.
+def tell_associations(draws: int) -> tuple[str, ...]:
+    """Describe how correlations were computed.
 
     Parameters
     ----------
     draws : int
         Bootstrap draws per interval.
-    associated : bool
-        Whether there are associations to tell of.
 
     Returns
     -------
     tuple of str
         One paragraph each.
     """
-    return (*(_tell_associations(draws) if associated else ()), PROFILES)
-
-
-def _tell_associations(draws: int) -> tuple[str, ...]:
     return (
         "Ratings run from 0 to 100. A stimulus's rating is the mean over participants of each participant's mean "
         "over repeats. The hidden reference and the anchors are left out of every association, because stimuli "

@@ -3,40 +3,36 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from analysis.results import name_path
-from analysis.table import ROLES, order_reducers
-from analysis.words import tell_name, tell_number, tell_range
+from analysis.numbers import COUNT
+from analysis.sections.section import Cell
+from analysis.words import tell_name
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Mapping, Sequence
+    from collections.abc import Sequence
 
     from markupsafe import Markup
-    from pandas import DataFrame
 
-    from analysis.findings import Findings
     from analysis.pictures import Picture
-    from analysis.results import Number, Results
+    from analysis.results import Results
+    from analysis.sections.section import Section
 
 TEMPLATES = Path(__file__).parent / "templates"
 
 
-def render_page(results: Results, findings: Findings, *, pictures: Sequence[Picture], figures: Path) -> str:
+def render_page(results: Results, sections: Sequence[Section], *, figures: Path) -> str:
     """Render the page.
 
     Parameters
     ----------
     results : Results
         Every number and sentence that may be shown.
-    findings : Findings
-        Which rows the tables have; their numbers are looked up in `results`.
-    pictures : sequence of Picture
-        The figures and their captions.
+    sections : sequence of Section
+        Where each is shown; figures named as their files are.
     figures : Path
-        Folder that holds the SVG file of each.
+        Folder that holds the SVG file of each figure.
 
     Returns
     -------
@@ -50,14 +46,16 @@ def render_page(results: Results, findings: Findings, *, pictures: Sequence[Pict
         trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
     )  # fmt: skip
     environment.filters["words"] = tell_name
-    environment.filters["path"] = lambda parts: name_path(*parts)
-    cells = _Cells({number.name: number for number in results.numbers})
-    drawings = [(picture, inline_svg(picture, figures / f"{picture.name}.svg")) for picture in pictures]
+    sizes = {number.name: Cell(number, COUNT) for number in results.numbers if number.name.startswith("size.")}
+    drawings = {
+        picture.name: inline_svg(picture, figures / f"{picture.name}.svg")
+        for section in sections
+        for picture in section.pictures
+    }
     style = (TEMPLATES / "report.css").read_text(encoding="utf-8")
     return environment.get_template("report.html").render(
-        results=results, findings=findings, profile=sort_profile(findings.profile),
-        drawings=drawings, cells=cells, style=style, differ=any(panel.differences for panel in findings.panels),
-    )  # fmt: skip
+        results=results, sections=sections, drawings=drawings, sizes=sizes, style=style
+    )
 
 
 def inline_svg(picture: Picture, path: Path) -> Markup:
@@ -84,40 +82,3 @@ def inline_svg(picture: Picture, path: Path) -> Markup:
     body = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", body, count=1)
     label = f'<svg role="img" aria-label="{escape(picture.caption)}"'
     return Markup(body.strip().replace("<svg", label, 1))  # noqa: S704 - our own drawing, its caption escaped
-
-
-def sort_profile(profile: DataFrame) -> list[dict[Hashable, Any]]:
-    """Put the rows of a profile into the figure's order.
-
-    Parameters
-    ----------
-    profile : DataFrame
-        What `profile_reducers` returns.
-
-    Returns
-    -------
-    list of dict
-        Per scale and level: tests, reference, anchors; reducers in the order of `REDUCERS`.
-    """
-    order = order_reducers(profile["reducer"])
-
-    def place(row: dict[Hashable, Any]) -> tuple[str, str, int, int]:
-        return row["scale"], row["level"], ROLES.index(row["role"]), order.index(row["reducer"])
-
-    return sorted(profile.to_dict("records"), key=place)
-
-
-@dataclass(frozen=True, slots=True)
-class _Cells:
-    """Numbers by name, written for a table's cell."""
-
-    numbers: Mapping[str, Number]
-
-    def value(self, name: str, kind: str) -> str:
-        """Write the value."""
-        return tell_number(self.numbers[name].value, kind=kind)
-
-    def interval(self, name: str, kind: str) -> str:
-        """Write the interval."""
-        number = self.numbers[name]
-        return tell_range(number.low, number.high, kind=kind)

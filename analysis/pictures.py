@@ -4,26 +4,24 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
-from itertools import chain
 from typing import TYPE_CHECKING
 
 from analysis.figures.profile import draw_profile
 from analysis.figures.scatter import CUT, count_clipped, draw_scatter
+from analysis.figures.style import Look, list_undrawable
 from analysis.reliability import SMALLEST
 from analysis.scales import ANSWERED, tell_measure
-from analysis.figures.style import Look, assign_looks, list_undrawable
-from analysis.table import ROLES, order_reducers
-from analysis.verdict import LEADING
+from analysis.table import ROLES
 from analysis.words import tell_name, tell_number, tell_span
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
 
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
     from analysis.association import Association
-    from analysis.findings import Findings, Panel
+    from analysis.findings import Panel
     from analysis.table import Table
 
 
@@ -41,7 +39,7 @@ class Picture:
     name : str
         File name without suffix; ends in the figure's number, which makes it unique on any file system.
     kind : str
-        ``scatter`` or ``profile``.
+        What sort of figure, such as ``scatter``.
     caption : str
         What it shows, in words; also its alternative text.
     figure : Figure
@@ -54,24 +52,20 @@ class Picture:
     figure: Figure
 
 
-def draw_pictures(table: Table, findings: Findings) -> tuple[Picture, ...]:
-    """Draw all figures of a report.
+def number_pictures(pictures: Iterable[Picture]) -> Iterator[Picture]:
+    """Let the figures' numbers end their names, which makes these unique on any file system.
 
     Parameters
     ----------
-    table : Table
-        Which reducers there are.
-    findings : Findings
-        What to draw.
+    pictures : iterable of Picture
+        In the report's order.
 
-    Returns
-    -------
-    tuple of Picture
-        A scatter per association by the leading method, then a profile per scale and level with test stimuli.
+    Yields
+    ------
+    Picture
+        The same, named anew.
     """
-    looks = assign_looks(order_reducers(table.rows["reducer"]))
-    drawn = chain(_draw_scatters(findings, looks), _draw_profiles(findings, looks))
-    return tuple(replace(picture, name=f"{picture.name}_{number}") for number, picture in enumerate(drawn, start=1))
+    return (replace(picture, name=f"{picture.name}_{number}") for number, picture in enumerate(pictures, start=1))
 
 
 def note_undrawable(table: Table) -> tuple[str, ...]:
@@ -93,23 +87,52 @@ def note_undrawable(table: Table) -> tuple[str, ...]:
     return (f"The figures' font has no {' '.join(letters)}: boxes stand for them; captions and tables show them.",)
 
 
-def _draw_scatters(findings: Findings, looks: Mapping[str, Look]) -> Iterator[Picture]:
-    leading = [(panel, found) for panel in findings.panels for found in panel.associations if found.method == LEADING]
-    for panel, association in leading:
-        slug = _make_slug("scatter", panel.scale, panel.level, association.metric)
-        figure = draw_scatter(panel, association, looks=looks)
-        yield Picture(slug, "scatter", _caption_scatter(panel, association), figure)
+def picture_scatter(panel: Panel, association: Association, *, looks: Mapping[str, Look]) -> Picture:
+    """Draw ratings against a metric.
+
+    Parameters
+    ----------
+    panel : Panel
+        Stimuli of one scale and level.
+    association : Association
+        Of the metric.
+    looks : Mapping of str to Look
+        Look per reducer.
+
+    Returns
+    -------
+    Picture
+        A scatter.
+    """
+    slug = make_slug("scatter", panel.scale, panel.level, association.metric)
+    caption = _caption_scatter(panel, association)
+    return Picture(slug, "scatter", caption, draw_scatter(panel, association, looks=looks))
 
 
-def _draw_profiles(findings: Findings, looks: Mapping[str, Look]) -> Iterator[Picture]:
-    tests = findings.profile[findings.profile["role"] == ROLES[0]]
+def picture_profiles(profile: DataFrame, participants: DataFrame, *, looks: Mapping[str, Look]) -> Iterator[Picture]:
+    """Draw ratings per reducer.
+
+    Parameters
+    ----------
+    profile : DataFrame
+        What `profile_reducers` returns.
+    participants : DataFrame
+        What `participant_means` returns.
+    looks : Mapping of str to Look
+        Look per reducer.
+
+    Yields
+    ------
+    Picture
+        A profile per scale and level with test stimuli.
+    """
+    tests = profile[profile["role"] == ROLES[0]]
     for scale, level in sorted(set(zip(tests["scale"], tests["level"], strict=True))):
-        profile, chosen = (
-            table[(table["scale"] == scale) & (table["level"] == level)]
-            for table in (findings.profile, findings.participants)
+        rows, chosen = (
+            table[(table["scale"] == scale) & (table["level"] == level)] for table in (profile, participants)
         )
-        figure = draw_profile(profile, chosen, looks=looks)
-        yield Picture(_make_slug("profile", scale, level), "profile", _caption_profile(scale, level, profile), figure)
+        figure = draw_profile(rows, chosen, looks=looks)
+        yield Picture(make_slug("profile", scale, level), "profile", _caption_profile(scale, level, rows), figure)
 
 
 def _caption_scatter(panel: Panel, association: Association) -> str:
@@ -148,6 +171,17 @@ def _caption_profile(scale: str, level: str, profile: DataFrame) -> str:
     return caption
 
 
-def _make_slug(*parts: str) -> str:
-    """Make names readable in a file's name; the number that follows it tells those apart that become alike."""
+def make_slug(*parts: str) -> str:
+    """Make names readable in a file's name; the number that follows it tells those apart that become alike.
+
+    Parameters
+    ----------
+    *parts : str
+        Names.
+
+    Returns
+    -------
+    str
+        Letters, digits, hyphens and underscores.
+    """
     return "_".join(re.sub(r"[^A-Za-z0-9_-]+", "-", part)[:SLUG_PART] for part in parts)

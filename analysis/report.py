@@ -5,32 +5,40 @@ from __future__ import annotations
 import hashlib
 import platform
 import tempfile
+from dataclasses import asdict, replace
 from importlib.metadata import version
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from analysis.findings import analyse, make_tables
-from analysis.how import tell_how
-from analysis.page import render_page
-from analysis.pictures import Picture, draw_pictures, note_undrawable
-from analysis.replacing import list_files, replace_report
-from analysis.results import Results, collect_notes, collect_numbers
 from analysis.figures.files import save_figure
+from analysis.findings import refuse_untested
+from analysis.page import render_page
+from analysis.pictures import note_undrawable, number_pictures
+from analysis.replacing import list_files, replace_report
+from analysis.results import Results, collect_numbers
+from analysis.sections.choices import Choices
+from analysis.sections.listing import SECTIONS
 from analysis.table import read_table
-from analysis.verdict import write_verdict
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
-    from pandas import DataFrame
+    from analysis.sections.section import Section
+    from analysis.table import Table
 
-COMPUTED_WITH = ("numpy", "scipy", "pandas", "matplotlib", "jinja2")
+COMPUTED_WITH = ("numpy", "scipy", "pandas", "statsmodels", "scikit-learn", "matplotlib", "jinja2")
 
 
-def write_report(
-    ratings_path: Path | str, manifest_path: Path | str, folder: Path | str, *, draws: int = 2000, seed: int
+def write_report(  # noqa: PLR0913 - every choice that changes a report has a name of its own
+    ratings_path: Path | str,
+    manifest_path: Path | str,
+    folder: Path | str,
+    *,
+    draws: int = 2000,
+    margin: float | None = None,
+    seed: int,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Results:
     """Analyse ratings against the match metrics and write the report.
 
@@ -44,9 +52,14 @@ def write_report(
         The report's folder. The files of a former report, which its ``results.json`` lists, are replaced;
         all others stay.
     draws : int
-        Bootstrap draws per interval, at least 2.
+        Bootstrap draws per interval, and random pairings per permutation test; at least 2.
+    margin : float, optional
+        Points by which reducers may differ and still count as equivalent; half the standard deviation of repeated
+        ratings if left out.
     seed : int
-        Seed of the draws; the same files and seed give the same bytes.
+        Of all randomness; the same files and choices give the same bytes.
+    progress : callable, optional
+        Called with the numbers of sections done and to do.
 
     Returns
     -------
@@ -61,42 +74,116 @@ def write_report(
         If a file cannot be read or written, or would replace one that is not of a former report.
     """
     ratings, manifest, target = Path(ratings_path), Path(manifest_path), Path(folder)
+    choices = Choices(draws=draws, margin=margin, seed=seed)
     table = read_table(ratings, manifest)
-    findings = analyse(table, draws=draws, rng=np.random.default_rng(seed))
-    pictures, tables = draw_pictures(table, findings), make_tables(findings)
-    results = Results(
-        verdict=write_verdict(findings),
-        numbers=collect_numbers(table, findings),
-        figures={picture.name: picture.caption for picture in pictures},
-        notes=(*collect_notes(table, findings), *note_undrawable(table)),
-        how=tell_how(draws, associated=bool(findings.panels)),
-        files=list_files([picture.name for picture in pictures], tables),
-        simulated=bool(table.rows["simulated"].any()),
-        inputs={
-            **_describe_file("ratings", ratings), **_describe_file("manifest", manifest),
-            "seed": str(seed), "draws": str(draws),
-        },
-        versions=_list_versions(),
-    )
+    sections = compute_sections(table, choices, progress=progress)
+    inputs = {**_describe_file("ratings", ratings), **_describe_file("manifest", manifest), **_tell_choices(choices)}
+    results = gather_results(table, sections, inputs=inputs)
     target.parent.mkdir(parents=True, exist_ok=True)
     # Everything is written beside its place first: an interrupted run leaves the former report as it was.
     with tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}-") as place:
-        _write_parts(Path(place), results=results, pictures=pictures, tables=tables)
-        page = render_page(results, findings, pictures=pictures, figures=Path(place) / "figures")
+        _write_parts(Path(place), results, sections)
+        page = render_page(results, sections, figures=Path(place) / "figures")
         (Path(place) / "index.html").write_text(page, encoding="utf-8", newline="")
         replace_report(Path(place), target, files=results.files)
     return results
 
 
-def _write_parts(
-    place: Path, *, results: Results, pictures: Sequence[Picture], tables: Mapping[str, DataFrame]
-) -> None:
+def compute_sections(
+    table: Table, choices: Choices, *, progress: Callable[[int, int], None] | None = None
+) -> tuple[Section, ...]:
+    """Run the whole analysis.
+
+    Parameters
+    ----------
+    table : Table
+        Ratings and metrics.
+    choices : Choices
+        What was chosen beforehand.
+    progress : callable, optional
+        Called with the numbers of sections done and to do.
+
+    Returns
+    -------
+    tuple of Section
+        In the report's order, figures numbered through.
+
+    Raises
+    ------
+    ValueError
+        If no test stimulus was rated.
+    """
+    refuse_untested(table)
+    done = []
+    for number, compute in enumerate(SECTIONS, start=1):
+        done.append(compute(table, choices))
+        if progress is not None:
+            progress(number, len(SECTIONS))
+    pictures = number_pictures(picture for section in done for picture in section.pictures)
+    return tuple(replace(section, pictures=tuple(islice(pictures, len(section.pictures)))) for section in done)
+
+
+def gather_results(table: Table, sections: Sequence[Section], *, inputs: Mapping[str, str]) -> Results:
+    """Gather what ``results.json`` holds.
+
+    Parameters
+    ----------
+    table : Table
+        What was analysed.
+    sections : sequence of Section
+        What came out.
+    inputs : Mapping of str to str
+        Files and choices.
+
+    Returns
+    -------
+    Results
+        Every number, sentence and file.
+    """
+    pictures = [picture for section in sections for picture in section.pictures]
+    tables = [name for section in sections for name in section.tables]
+    notes = (*table.notes, *(note for section in sections for note in section.notes), *note_undrawable(table))
+    return Results(
+        verdict=write_verdict(sections),
+        numbers=collect_numbers(table, (number for section in sections for number in section.numbers)),
+        answers={section.key: section.answers for section in sections if section.answers},
+        figures={picture.name: picture.caption for picture in pictures},
+        notes=tuple(dict.fromkeys(notes)),
+        how=tuple(dict.fromkeys(line for section in sections for line in section.how)),
+        files=list_files([picture.name for picture in pictures], tables),
+        simulated=bool(table.rows["simulated"].any()),
+        inputs=inputs,
+        versions=_list_versions(),
+    )
+
+
+def write_verdict(sections: Sequence[Section]) -> tuple[str, ...]:
+    """Gather the sentences that open the report.
+
+    Parameters
+    ----------
+    sections : sequence of Section
+        In the report's order.
+
+    Returns
+    -------
+    tuple of str
+        What each has to say in front.
+    """
+    return tuple(dict.fromkeys(line for section in sections for line in section.verdict))
+
+
+def _tell_choices(choices: Choices) -> dict[str, str]:
+    return {name: "from repeated ratings" if value is None else str(value) for name, value in asdict(choices).items()}
+
+
+def _write_parts(place: Path, results: Results, sections: Sequence[Section]) -> None:
     (place / "tables").mkdir()
-    for name, frame in tables.items():
+    for name, frame in (entry for section in sections for entry in section.tables.items()):
         text = frame.to_csv(index=False, float_format="%.10g", lineterminator="\n")
         (place / "tables" / f"{name}.csv").write_text(text, encoding="utf-8", newline="")
     (place / "figures").mkdir()
-    for picture in pictures:
+    for picture in (picture for section in sections for picture in section.pictures):
         save_figure(picture.figure, place / "figures" / picture.name)
     (place / "results.json").write_text(results.to_json(), encoding="utf-8", newline="")
 

@@ -13,8 +13,10 @@ from analysis.scales import PAIRED, SPACE
 from analysis.words import tell_name, tell_number, tell_range
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
     from analysis.association import Association, Difference
-    from analysis.findings import Findings, Panel
+    from analysis.findings import Panel
 
 UNADJUSTED = "Each 95 % interval stands for itself; none is adjusted for how many there are."
 UNANSWERED = (
@@ -25,25 +27,37 @@ LEADING, RANKED = "pearson", "spearman"
 """The method that the verdict rests on, and the one it is checked against."""
 
 
-def write_verdict(findings: Findings) -> tuple[str, ...]:
-    """Say what the ratings show about the metrics.
+def judge_absence(scales: Iterable[str]) -> tuple[str, ...]:
+    """Say that there is no answer.
 
     Parameters
     ----------
-    findings : Findings
-        All results.
+    scales : iterable of str
+        What was rated.
 
     Returns
     -------
     tuple of str
-        One sentence or two per scale, level and metric, and per pair of metrics; last, how to read the
-        intervals. Without associations, that there is no answer.
+        What is missing.
     """
-    if not findings.panels:
-        return (UNANSWERED, SPACE) if PAIRED in findings.scales else (UNANSWERED,)
-    several = len({panel.level for panel in findings.panels}) > 1
-    lines = [line for panel in findings.panels for line in _judge_panel(panel, several=several)]
-    return (*lines, UNADJUSTED)
+    return (UNANSWERED, SPACE) if PAIRED in scales else (UNANSWERED,)
+
+
+def judge_panels(panels: Sequence[Panel]) -> tuple[str, ...]:
+    """Say what the correlations show about the metrics.
+
+    Parameters
+    ----------
+    panels : sequence of Panel
+        One or more.
+
+    Returns
+    -------
+    tuple of str
+        One sentence or two per scale, level and metric, and per pair of metrics.
+    """
+    several = len({panel.level for panel in panels}) > 1
+    return tuple(line for panel in panels for line in _judge_panel(panel, several=several))
 
 
 def _judge_panel(panel: Panel, *, several: bool) -> list[str]:

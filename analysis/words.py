@@ -13,8 +13,11 @@ MINUS = "\N{MINUS SIGN}"
 ABSENT = "\N{EN DASH}"
 """What stands where a number is not defined."""
 
-PLACES = {"correlation": 2, "rating": 1, "count": 0}
+PLACES = {"correlation": 2, "slope": 2, "rating": 1, "df": 1, "count": 0, "p": 3}
 """Digits behind the point, per kind of number."""
+
+SMALLEST_P = 0.001
+"""Below this a probability is told as smaller."""
 
 UNWIELDY = 1e6
 """From here on a number is told by its power of ten."""
@@ -137,6 +140,8 @@ def tell_number(value: float, *, kind: str = "correlation") -> str:
     if not math.isfinite(value):
         return ABSENT
     places = PLACES[kind]
+    if kind == "p" and value < SMALLEST_P:
+        return f"<\N{NO-BREAK SPACE}{SMALLEST_P}"
     if kind != "count" and abs(value) >= UNWIELDY:
         return f"{value:.1e}".replace("-", MINUS)
     text = f"{round(value, places) + 0.0:.{places}f}"

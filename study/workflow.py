@@ -137,7 +137,8 @@ def analyze_study(study: StudyFolder, *, out: Path | None = None) -> Path:
         simulate = f"feel321 simulate {quote(str(study.path))}"
         raise ValueError(f"{study.path}: holds no ratings yet; run sessions first, or {simulate}")
     folder = out or study.report
-    write_report(study.ratings, study.manifest, folder, draws=settings.analysis.draws, seed=settings.study.seed)
+    chosen = settings.analysis.model_dump(exclude_none=True)
+    write_report(study.ratings, study.manifest, folder, seed=settings.study.seed, **chosen)
     return folder
 
 

@@ -161,9 +161,10 @@ class ObserverTable(Table):
 
 
 class AnalysisTable(Table):
-    """`[analysis]`: how ratings are set against metrics."""
+    """`[analysis]`: how ratings are set against metrics; chosen before they are seen."""
 
     draws: Annotated[int, Field(ge=100)] = 2000
+    margin: Annotated[float, Field(gt=0, le=100)] | None = None
 
 
 class Settings(Table):

@@ -55,8 +55,8 @@ def test_every_cell_stands_under_its_header(report: Path) -> None:
         assert row["Participants only"] == pair(found[f"{name}.participants_only"])
         assert row["Noise ceiling"] == single(found[f"{name}.ceiling"])
         assert row["r / ceiling"] == single(found[f"{name}.disattenuated"])
-        counts = [f"{found[f'{name}.n_{what}']['value']}" for what in ("items", "participants", "recordings")]
-        assert row["Stimuli, participants, recordings"] == ", ".join(counts)
+        for column, what in (("Stimuli", "items"), ("Participants", "participants"), ("Recordings", "recordings")):
+            assert row[column] == f"{found[f'{name}.n_{what}']['value']}"
         assert row["Draws"] == f"{found[f'{name}.draws']['value']}"
     for row in differences:
         scale, *pairs = row["Ratings"].split(",")[0], row["First"], row["Second"]

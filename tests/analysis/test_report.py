@@ -205,7 +205,7 @@ def test_dots_in_names_make_no_two_numbers_one(files: Callable[..., object], tmp
 
 
 def test_two_numbers_of_one_name_are_refused(study: object, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr("analysis.results.name_path", lambda *parts: ".".join(parts[:1]))
+    monkeypatch.setattr("analysis.sections.association.name_path", lambda *parts: ".".join(parts[:1]))
     with pytest.raises(ValueError, match=r"results: got \d+ names twice, first association"):
         write_report(study.ratings, study.manifest, tmp_path / "report", draws=5, seed=0)
 

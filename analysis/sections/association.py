@@ -1,0 +1,191 @@
+"""Ratings against metrics: correlations over stimuli with intervals for other people and other recordings."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from analysis.figures.scatter import count_clipped
+from analysis.figures.style import assign_looks
+from analysis.findings import make_panel, stack_records
+from analysis.how import tell_associations
+from analysis.numbers import COUNT, ONE_WAY, TWO_WAY, count_number, make_interval, make_number, name_path
+from analysis.pictures import picture_scatter
+from analysis.scales import APART, note_apart
+from analysis.sections.means import name_mean
+from analysis.sections.parts import split_parts
+from analysis.sections.section import INTERVAL, VALUE, Cell, Grid, Section
+from analysis.table import order_reducers
+from analysis.verdict import LEADING, UNADJUSTED, judge_absence, judge_panels
+from analysis.words import tell_name
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from pandas import DataFrame
+
+    from analysis.association import Association, Difference
+    from analysis.findings import Panel
+    from analysis.numbers import Number
+    from analysis.sections.choices import Choices
+    from analysis.table import Table
+
+KEY = "metrics"
+
+
+def compute(table: Table, choices: Choices) -> Section:
+    """Correlate mean ratings of stimuli with every metric.
+
+    Parameters
+    ----------
+    table : Table
+        Ratings and metrics.
+    choices : Choices
+        Draws and seed.
+
+    Returns
+    -------
+    Section
+        Correlations by every method, differences between metrics, a scatter per scale, level and metric.
+    """
+    panels = [
+        make_panel(part.rows, table.metrics, draws=choices.draws, rng=choices.make_rng(KEY, *part.place))
+        for part in split_parts(table)
+    ]
+    title = "Ratings against metrics"
+    notes = (*_note_roles(table), *_note_panels(panels))
+    if not panels:
+        return Section(KEY, title, notes=notes, verdict=judge_absence(table.rows["scale"].unique()))
+    looks = assign_looks(order_reducers(table.rows["reducer"]))
+    verdict = judge_panels(panels)
+    grids = [_lay_associations(panels), *([_lay_differences(panels)] if panels[0].differences else [])]
+    return Section(
+        key=KEY, title=title, answers=(*verdict, UNADJUSTED), verdict=verdict, grids=tuple(grids),
+        unseen=tuple(number for panel in panels for number in _collect_panel(panel)),
+        tables=_make_tables(panels),
+        pictures=tuple(
+            picture_scatter(panel, found, looks=looks)
+            for panel in panels for found in panel.associations if found.method == LEADING
+        ),
+        notes=notes, how=tell_associations(choices.draws),
+    )  # fmt: skip
+
+
+def _make_tables(panels: list[Panel]) -> dict[str, DataFrame]:
+    import pandas as pd
+
+    tables = {
+        "associations": stack_records(panels, "associations"),
+        "differences": stack_records(panels, "differences"),
+        "stimuli": pd.concat([panel.stimuli for panel in panels]),
+    }
+    return {name: rows for name, rows in tables.items() if len(rows)}
+
+
+def _note_roles(table: Table) -> Iterator[str]:
+    rows = table.rows
+    yield from note_apart(rows)
+    roles = rows.loc[(rows["role"] != "test") & ~rows["scale"].isin(APART), "role"].value_counts().sort_index()
+    for role, count in roles.items():
+        yield f"Associations leave out {count} judgements of stimuli with role '{role}'."
+
+
+def _note_panels(panels: list[Panel]) -> Iterator[str]:
+    for panel in panels:
+        found: tuple[Association | Difference, ...] = (*panel.associations, *panel.differences)
+        yield from dict.fromkeys(f"{panel.scale}, {panel.level}: {note}" for result in found for note in result.notes)
+
+
+def _lay_associations(panels: list[Panel]) -> Grid:
+    caption = (
+        "Correlation of mean ratings with each metric over test stimuli. Conclude from the two-way interval (other "
+        "people and other recordings); the interval over participants only treats these stimuli as the only ones. All "
+        "intervals are 95 % intervals."
+    )
+    head = (
+        "Ratings", "Metric", "Method", "r", "Two-way interval", "Participants only", "Noise ceiling", "r / ceiling",
+        "Stimuli", "Participants", "Recordings", "Draws",
+    )  # fmt: skip
+    rows = [_lay_association(panel, found) for panel in panels for found in panel.associations]
+    return Grid(caption, head, tuple(rows))
+
+
+def _lay_association(panel: Panel, found: Association) -> tuple[str | Cell, ...]:
+    value, narrow, ceiling, ratio, *counts = _name_association(found, (panel.scale, panel.level))
+    draws, people, recordings, items, _ = counts
+    return (
+        _tell_place(panel), tell_name(found.metric), found.method, Cell(value), Cell(value, part=INTERVAL),
+        Cell(narrow, part=INTERVAL), Cell(ceiling), Cell(ratio),
+        *(Cell(number, COUNT) for number in (items, people, recordings, draws)),
+    )  # fmt: skip
+
+
+def _lay_differences(panels: list[Panel]) -> Grid:
+    caption = (
+        "Correlation with the first metric minus correlation with the second. An interval that covers zero leaves open "
+        "which metric predicts better. All intervals are 95 % intervals."
+    )
+    head = (
+        "Ratings", "First", "Second", "Method", "Difference of r", "Two-way interval", "Difference of Fisher’s z",
+        "Two-way interval",
+    )  # fmt: skip
+    rows = [_lay_difference(panel, found) for panel in panels for found in panel.differences]
+    return Grid(caption, head, tuple(rows))
+
+
+def _lay_difference(panel: Panel, found: Difference) -> tuple[str | Cell, ...]:
+    value, z_value, *_ = _name_difference(found, (panel.scale, panel.level))
+    names = _tell_place(panel), tell_name(found.first), tell_name(found.second), found.method
+    return (*names, *(Cell(number, part=part) for number in (value, z_value) for part in (VALUE, INTERVAL)))
+
+
+def _tell_place(panel: Panel) -> str:
+    return f"{tell_name(panel.scale)}, {tell_name(panel.level)}"
+
+
+def _collect_panel(panel: Panel) -> Iterator[Number]:
+    place = panel.scale, panel.level
+    for association in panel.associations:
+        yield from _name_association(association, place)
+        if association.method == LEADING:
+            yield from _name_edge(panel, association.metric)
+    for difference in panel.differences:
+        yield from _name_difference(difference, place)
+    for row in panel.stimuli.to_dict("records"):
+        yield name_mean(name_path("stimulus", *place, row["stimulus_id"]), row)
+
+
+def _name_edge(panel: Panel, metric: str) -> Iterator[Number]:
+    name, values = name_path("scatter", panel.scale, panel.level, metric), panel.stimuli[metric]
+    yield count_number(f"{name}.n_below_edge", count_clipped(values.to_numpy()), n=len(values))
+    yield make_number(f"{name}.lowest", float(values.min()), f"smallest {metric} of the test stimuli", n=len(values))
+
+
+def _name_association(result: Association, place: tuple[str, str]) -> Iterator[Number]:
+    name, n = name_path("association", *place, result.metric, result.method), result.n_items
+    value = make_number(
+        name, result.value, f"{result.method} correlation of mean ratings of test stimuli with {result.metric}", n=n
+    )
+    yield make_interval(value, result.low, result.high, uncertainty=TWO_WAY)
+    narrow = make_number(f"{name}.participants_only", result.value, value.method, n=n)
+    yield make_interval(narrow, result.participants_low, result.participants_high, uncertainty=ONE_WAY)
+    yield make_number(f"{name}.ceiling", result.ceiling, "sqrt(ICC(C,k)), k participants", n=n)
+    yield make_number(f"{name}.disattenuated", result.disattenuated, "correlation / ceiling", n=n)
+    yield from _count_data(name, result)
+
+
+def _name_difference(result: Difference, place: tuple[str, str]) -> Iterator[Number]:
+    name, n = name_path("difference", *place, result.first, result.second, result.method), result.n_items
+    method = f"{result.method} correlation with {result.first} minus that with {result.second}"
+    yield make_interval(make_number(name, result.value, method, n=n), result.low, result.high, uncertainty=TWO_WAY)
+    of_z = make_number(f"{name}.z", result.z_value, f"{method}, as a difference of Fisher's z", n=n)
+    yield make_interval(of_z, result.z_low, result.z_high, uncertainty=f"{TWO_WAY}, on Fisher's z")
+    for which in ("first", "second"):
+        alone = f"{result.method} correlation with {getattr(result, which)}"
+        yield make_number(f"{name}.{which}_value", getattr(result, f"{which}_value"), alone, n=n)
+    yield from _count_data(name, result)
+
+
+def _count_data(name: str, result: Association | Difference) -> Iterator[Number]:
+    yield count_number(f"{name}.draws", result.draws, n=result.draws)
+    for what in ("n_participants", "n_recordings", "n_items", "n_missing"):
+        yield count_number(f"{name}.{what}", getattr(result, what), n=result.n_items)

@@ -1,0 +1,69 @@
+"""Ratings split into what one model or one correlation is about: a scale and a level."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from analysis.scales import APART
+from analysis.words import tell_name
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from pandas import DataFrame
+
+    from analysis.table import Table
+
+ITEM = "item"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """Ratings of test stimuli on one scale and one level.
+
+    Parameters
+    ----------
+    scale, level : str
+        Which.
+    rows : DataFrame
+        One row per judgement, with a column ``item``.
+    subject : str
+        How to call it: the scale, and the level where there are several.
+    """
+
+    scale: str
+    level: str
+    rows: DataFrame
+    subject: str
+
+    @property
+    def place(self) -> tuple[str, str]:
+        """What leads the path of its numbers."""
+        return self.scale, self.level
+
+    @property
+    def lead(self) -> str:
+        """What leads a note."""
+        return f"{self.scale}, {self.level}"
+
+
+def split_parts(table: Table) -> Iterator[Part]:
+    """Split the ratings of test stimuli.
+
+    Parameters
+    ----------
+    table : Table
+        What was rated.
+
+    Yields
+    ------
+    Part
+        By alphabet; without the scales that do not rate one stimulus by itself.
+    """
+    rows = table.rows
+    rated = rows[(rows["role"] == "test") & ~rows["scale"].isin(APART)]
+    several = len(rated["level"].unique()) > 1
+    for (scale, level), part in rated.groupby(["scale", "level"], observed=True):
+        subject = tell_name(str(scale)) + (f" (level {tell_name(str(level))})" if several else "")
+        yield Part(str(scale), str(level), part.assign(**{ITEM: part["stimulus_id"]}), subject)
