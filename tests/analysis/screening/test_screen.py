@@ -242,3 +242,9 @@ def test_gauge_is_an_analysis_of_variance() -> None:
     assert found["p00", "discrimination"] == pytest.approx(expected)
     ratio = found.xs("discrimination", level="measure") / found.xs("reliability", level="measure")
     assert ratio.mean() == pytest.approx(1)  # each rater's items against the panel's average
+
+
+def test_without_repeats_only_agreement_is_gauged() -> None:
+    gauge = screen_raters(panel(repeats=1), rules=[EXPERTISE], rng=np.random.default_rng(0)).gauge
+    assert gauge.loc[gauge["value"].notna(), "measure"].unique().tolist() == ["agreement"]
+    assert gauge.loc[gauge["value"].isna(), ["floor", "p"]].isna().all(axis=None)
