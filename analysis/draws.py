@@ -68,6 +68,34 @@ def draw_intervals(items: Items, method: str, *, draws: int, rng: np.random.Gene
     )
 
 
+def measure_lean(items: Items, method: str, drawn: Draws) -> NDArray[np.float64]:
+    """How far a mean of Fisher's z over recordings leans away from zero, because each rests on few stimuli.
+
+    Parameters
+    ----------
+    items : Items
+        What was drawn from.
+    method : str
+        A name of `METHODS`.
+    drawn : Draws
+        The draws.
+
+    Returns
+    -------
+    ndarray, shape (n_metrics,)
+        Mean of r / (2 (n_r - 1)) over recordings (Hotelling 1953, doi 10.1111/j.2517-6161.1953.tb00135.x) for
+        ``within``; 0 for the other methods, whose lean is small against their interval or not known.
+    """
+    how = METHODS[method]
+    if how.ranked or not how.within:
+        return np.zeros(len(items.metrics))
+    sizes = np.bincount(items.recordings)
+    leans = drawn.of_recordings / (2 * np.maximum(sizes - 1, 1))
+    defined = np.isfinite(leans)
+    mean: NDArray[np.float64] = np.where(defined, leans, 0.0).sum(axis=1) / np.maximum(defined.sum(axis=1), 1)
+    return mean
+
+
 def _draw_block(
     items: Items, method: str, *, draws: int, rng: np.random.Generator
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

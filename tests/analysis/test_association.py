@@ -141,6 +141,29 @@ def test_draws_in_blocks_are_as_many(tidy: Callable[..., pd.DataFrame], monkeypa
     assert found.low < found.value < found.high
 
 
+def test_intervals_within_allow_for_the_lean_of_few_stimuli(tidy: Callable[..., pd.DataFrame]) -> None:
+    table = tidy(noise=25)
+    groups = item_means(table).groupby(lambda name: name.split("_")[0])
+    leans = [stats.pearsonr(part[SPECTRAL], part["mean"]).statistic / (2 * (len(part) - 1)) for _, part in groups]
+    found = correlate(table, SPECTRAL, method="within", draws=100, rng=rng())
+    for low, high in ((found.low, found.high), (found.participants_low, found.participants_high)):
+        assert np.mean(np.arctanh([low, high])) == pytest.approx(math.atanh(found.value) - np.mean(leans))
+    turned = table.assign(other=-table[SPECTRAL])
+    compared = compare_metrics(turned, SPECTRAL, "other", method="within", draws=100, rng=rng())
+    assert (compared.z_low + compared.z_high) / 2 == pytest.approx(compared.z_value - 2 * np.mean(leans))
+
+
+@pytest.mark.soak
+def test_interval_within_covers_a_planted_correlation() -> None:
+    generator, studies, covered = rng(78), 400, 0
+    for _ in range(studies):
+        table = simulate(generator)
+        planted = table["rating"] + 8 * table["metric"]  # to noise of stimuli, SD 8, and of people, SD 8 / sqrt(12)
+        found = correlate(table.assign(rating=planted), "metric", method="within", draws=400, rng=generator)
+        covered += found.low <= 8 / math.sqrt(64 + 64 + 64 / 12) <= found.high
+    assert 0.92 <= covered / studies <= 0.985
+
+
 @pytest.mark.soak
 @pytest.mark.parametrize("method", METHODS)
 def test_two_way_intervals_cover_what_is_planted(method: str) -> None:
