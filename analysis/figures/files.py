@@ -15,13 +15,11 @@ if TYPE_CHECKING:
 
 PNG_DPI = 300
 
-STAMPS: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {
-        "svg": ("Date", "Creator", "Format", "Type"),
-        "png": ("Software",),
-        "pdf": ("CreationDate", "Creator", "Producer"),
-    }
-)
+STAMPS: Mapping[str, tuple[str, ...]] = MappingProxyType({
+    "svg": ("Date", "Creator", "Format", "Type"),
+    "png": ("Software",),
+    "pdf": ("CreationDate", "Creator", "Producer"),
+})
 """Format -> what matplotlib writes into its files beside the drawing: its version and the hour, which differ."""
 
 

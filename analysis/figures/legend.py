@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from analysis.figures.style import THIN
 from analysis.words import wrap_name
 
 if TYPE_CHECKING:
@@ -11,6 +12,8 @@ if TYPE_CHECKING:
 
     from matplotlib.artist import Artist
     from matplotlib.figure import Figure
+
+    from analysis.figures.style import Look
 
 COLUMNS, LETTERS = 3, 30
 
@@ -35,3 +38,25 @@ def add_legend(figure: Figure, shown: Mapping[str, Artist]) -> None:
         legend.remove()
     width, height = figure.get_size_inches()
     figure.set_size_inches(width, height + size.height / figure.dpi)
+
+
+def make_handles(looks: Mapping[str, Look]) -> dict[str, Artist]:
+    """Make what stands for each name in a legend.
+
+    Parameters
+    ----------
+    looks : Mapping of str to Look
+        Name -> its look.
+
+    Returns
+    -------
+    dict of str to Artist
+        In the same order.
+    """
+    from matplotlib.lines import Line2D
+
+    def handle(look: Look) -> Line2D:
+        return Line2D([], [], color=look.colour, marker=look.marker, linestyle="none", markeredgecolor="white",
+                      markeredgewidth=THIN)  # fmt: skip
+
+    return {name: handle(look) for name, look in looks.items()}

@@ -17,18 +17,25 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from numpy.typing import NDArray
     from pandas import DataFrame, Series
 
 LABEL_LETTERS = 20
 """Letters per line of a row's label."""
 
-ROW_CM = 0.55
+ROW_CM = 0.8
 TWO_LINES, APART = 1.4, 0.8
 """Rows that a label of two lines takes, and that part references and anchors from tests."""
 
+CLOUD, CLOUD_POINTS = 3, 201
+"""Participants that a distribution needs, and points of its outline."""
+
+CLOUD_OFF, CLOUD_ROWS, CLOUD_EDGE = 0.14, 0.5, 0.01
+"""Where a distribution starts above its row and how high it is, in rows; where it ends, as share of its height."""
+
 
 def draw_profile(profile: DataFrame, participants: DataFrame, *, looks: Mapping[str, Look]) -> Figure:
-    """Draw ratings per reducer: every participant, the mean, and its interval.
+    """Draw ratings per reducer as a raincloud: every participant, their distribution, the mean and its interval.
 
     Parameters
     ----------
@@ -49,6 +56,9 @@ def draw_profile(profile: DataFrame, participants: DataFrame, *, looks: Mapping[
     with print_style():
         figure, axes = new_figure(height_cm=3.0 - ROW_CM * min(places.values()))
         _draw_people(axes, participants, places=places)
+        for (role, name), height in places.items():
+            chosen = (participants["role"] == role) & (participants["reducer"] == name)
+            _draw_cloud(axes, participants.loc[chosen, "rating"].to_numpy(), height=height, look=looks[name])
         for row in profile.to_dict("records"):
             _draw_mean(axes, row, height=places[row["role"], row["reducer"]], look=looks[row["reducer"]])
         _mark_rows(axes, places, labels=list(labels.values()))
@@ -60,7 +70,7 @@ def draw_profile(profile: DataFrame, participants: DataFrame, *, looks: Mapping[
 
 
 def _tell_profile(n_participants: Series) -> str:
-    people = "\ngrey: each participant's mean"
+    people = "\ngrey: each participant's mean; clouds: their distribution"
     if n_participants.max() < SMALLEST:
         return f"Mean of 1 participant, no interval;{people}"
     return f"Mean and 95 % t interval over {tell_span(n_participants)} participants;{people}"
@@ -95,6 +105,23 @@ def _draw_people(axes: Axes, participants: DataFrame, *, places: Mapping[tuple[s
         axes.plot(rating[down], height[down], linestyle="-" if joined else "none", **style)
 
 
+def _draw_cloud(axes: Axes, ratings: NDArray[np.float64], *, height: float, look: Look) -> None:
+    """Draw how the participants' means are distributed, above their row."""
+    from scipy.stats import gaussian_kde
+
+    if len(np.unique(ratings)) < CLOUD:
+        return
+    place = np.linspace(LOWEST, HIGHEST, CLOUD_POINTS)
+    density = gaussian_kde(ratings)(place)
+    seen = density > CLOUD_EDGE * density.max()
+    top = height + CLOUD_OFF + CLOUD_ROWS * density / density.max()
+    axes.fill(
+        np.concatenate([place[seen], place[seen][::-1]]),
+        np.concatenate([top[seen], np.full(seen.sum(), height + CLOUD_OFF)]),
+        color=look.colour, alpha=0.3, linewidth=0, zorder=2,
+    )  # fmt: skip
+
+
 def _draw_mean(axes: Axes, row: Mapping[Hashable, Any], *, height: float, look: Look) -> None:
     spread = np.array([[row["mean"] - row["low"]], [row["high"] - row["mean"]]])
     error = None if np.isnan(spread).any() else spread
@@ -106,7 +133,7 @@ def _draw_mean(axes: Axes, row: Mapping[Hashable, Any], *, height: float, look: 
 
 def _mark_rows(axes: Axes, places: Mapping[tuple[str, str], float], *, labels: Sequence[str]) -> None:
     axes.set_yticks(list(places.values()), labels)
-    axes.set_ylim(min(places.values()) - 0.6, 0.6)
+    axes.set_ylim(min(places.values()) - 0.6, 0.8)
     apart = [height for (role, _), height in places.items() if role != ROLES[0]]
     if apart:
         line = max(apart) + (TWO_LINES + APART) / 2

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from analysis.figures.legend import add_legend
-from analysis.figures.style import GREY, THIN, Look, new_figure, print_style
+from analysis.figures.style import GREY, PRINT, THIN, Look, new_figure, print_style
 from analysis.figures.text import tell_scale
 from analysis.table import HIGHEST, LOWEST
 from analysis.words import tell_axis, tell_number, tell_range
@@ -50,7 +50,7 @@ def draw_scatter(panel: Panel, association: Association, *, looks: Mapping[str, 
     with print_style():
         figure, axes = new_figure(height_cm=8.2)
         shown = {
-            name: _scatter_reducer(axes, parts[name], metric=association.metric, look=look)
+            name: scatter_reducer(axes, parts[name], metric=association.metric, look=look)
             for name, look in looks.items()
             if name in parts
         }
@@ -61,6 +61,39 @@ def draw_scatter(panel: Panel, association: Association, *, looks: Mapping[str, 
         axes.set_title(_tell_association(association))
         add_legend(figure, shown)
     return figure
+
+
+def scatter_reducer(
+    axes: Axes, stimuli: DataFrame, *, metric: str, look: Look, size: float = PRINT["lines.markersize"]
+) -> Line2D:
+    """Draw the stimuli of one reducer.
+
+    Parameters
+    ----------
+    axes : Axes
+        Where to.
+    stimuli : DataFrame
+        One row each: mean, low, high and the metric.
+    metric : str
+        Name of the metric.
+    look : Look
+        Of the reducer.
+    size : float
+        Of the marker, in points.
+
+    Returns
+    -------
+    Line2D
+        What stands for it in a legend.
+    """
+    true = stimuli[metric].to_numpy(np.float64)
+    mean, low, high = stimuli[["mean", "low", "high"]].to_numpy(np.float64).T
+    shown, inside = np.maximum(true, CUT), true >= CUT
+    axes.vlines(shown, low, high, colors=GREY, linewidths=0.35, alpha=0.6, zorder=1)
+    style: dict[str, Any] = {"marker": look.marker, "markersize": size, "color": look.colour}
+    style |= {"linestyle": "none", "zorder": 3}
+    axes.plot(shown[~inside], mean[~inside], markerfacecolor="white", markeredgewidth=THIN, **style)
+    return axes.plot(shown[inside], mean[inside], markeredgecolor="white", markeredgewidth=THIN, **style)[0]
 
 
 def count_clipped(metric: NDArray[np.float64]) -> int:
@@ -77,16 +110,6 @@ def count_clipped(metric: NDArray[np.float64]) -> int:
         How many lie below `CUT`.
     """
     return int((metric < CUT).sum())
-
-
-def _scatter_reducer(axes: Axes, stimuli: DataFrame, *, metric: str, look: Look) -> Line2D:
-    true = stimuli[metric].to_numpy(np.float64)
-    mean, low, high = stimuli[["mean", "low", "high"]].to_numpy(np.float64).T
-    shown, inside = np.maximum(true, CUT), true >= CUT
-    axes.vlines(shown, low, high, colors=GREY, linewidths=0.35, alpha=0.6, zorder=1)
-    style: dict[str, Any] = {"marker": look.marker, "linestyle": "none", "color": look.colour, "zorder": 3}
-    axes.plot(shown[~inside], mean[~inside], markerfacecolor="white", markeredgewidth=THIN, **style)
-    return axes.plot(shown[inside], mean[inside], markeredgecolor="white", markeredgewidth=THIN, **style)[0]
 
 
 def _mark_clipped(axes: Axes, metric: NDArray[np.float64], *, falling: bool) -> None:

@@ -124,5 +124,5 @@ def _measure(text: str, size: float) -> float:
     from matplotlib.font_manager import FontProperties
     from matplotlib.textpath import text_to_path
 
-    font = FontProperties(family=PRINT["font.family"], size=size)  # type: ignore[arg-type]
+    font = FontProperties(family=PRINT["font.family"], size=size)
     return float(text_to_path.get_text_width_height_descent(text, font, ismath=False)[0])
