@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
-    from pandas import DataFrame
+    from pandas import DataFrame, Series
 
 LOWEST, HIGHEST = 0.0, 100.0
 """The ends of every rating scale."""
@@ -43,9 +43,10 @@ class Table:
     Parameters
     ----------
     rows : DataFrame
-        One row per judgement: participant, stimulus_id, recording, reducer, level, role, scale, repeat,
-        rating, simulated, then one column per metric. The role is the one that the stimulus had in that
-        judgement (`find_roles`), and a dissimilarity is about the stimulus compared with the reference.
+        One row per judgement: participant, stimulus_id, reference_id (may be empty), recording, reducer, level, role,
+        scale, repeat, rating, simulated, response_time_s if there is one, then one column per metric. The role is the
+        one that the stimulus had in that judgement (`find_roles`), and a dissimilarity is about the stimulus compared
+        with the reference.
     metrics : tuple of str
         The metric columns, in the order of `stimuli.match.METRICS`.
     notes : tuple of str
@@ -93,7 +94,8 @@ def read_table(ratings_path: Path, manifest_path: Path) -> Table:
     rows["role"] = find_roles(rows, manifest)
     notes += [*more_notes, *note_gaps(rows, manifest), *note_references(rows, manifest), *note_lookalikes(rows)]
     judged = ["role", "scale", "repeat", "rating", "simulated"]
-    order = ["participant", "stimulus_id", *ECHOED, *judged, *metrics]
+    timed = [name for name in ("response_time_s",) if name in rows]
+    order = ["participant", "stimulus_id", "reference_id", *ECHOED, *judged, *timed, *metrics]
     return Table(rows[order].reset_index(drop=True), metrics, tuple(notes))
 
 
@@ -162,7 +164,7 @@ def order_reducers(names: Iterable[str]) -> list[str]:
 
 def _read_ratings(path: Path) -> tuple[DataFrame, list[str]]:
     judged = ("session", "protocol", "block", "trial", "repeat", "reference_id", "rejected", "simulated")
-    sheet = read_sheet(path, required=NEEDED, optional=(*judged, *ECHOED))
+    sheet = read_sheet(path, required=NEEDED, optional=(*judged, "response_time_s", *ECHOED))
     sheet, notes = _leave_rejected(sheet, path.name)
     for name in ("participant", "stimulus_id", "scale"):
         _check_names(sheet, name, what=path.name)
@@ -172,6 +174,8 @@ def _read_ratings(path: Path) -> tuple[DataFrame, list[str]]:
     sheet["simulated"] = read_flags(sheet["simulated"], path.name) if "simulated" in sheet else False
     if "reference_id" not in sheet:
         sheet["reference_id"] = ""
+    if "response_time_s" in sheet:
+        sheet["response_time_s"] = _read_times(sheet["response_time_s"], path.name)
     # A trial names a judgement; without trials its repeat does, and without either nothing can be told apart.
     counted = next((name for name in ("trial", "repeat") if name in sheet), None)
     if counted:
@@ -183,6 +187,14 @@ def _read_ratings(path: Path) -> tuple[DataFrame, list[str]]:
         alike = ["participant", "stimulus_id", "reference_id", "scale"]
         sheet["repeat"] = (sheet.groupby(alike).cumcount() + 1).astype(str)
     return sheet, notes
+
+
+def _read_times(cells: Series, what: str) -> np.ndarray:
+    # A time may be unknown: it is no part of the answer.
+    times = np.full(len(cells), np.nan)
+    times[cells != ""] = read_numbers(cells[cells != ""], what)
+    refuse_lines(cells[times < 0], what, why=f"in column '{cells.name}', allowed is 0 or more, in seconds, or nothing")
+    return times
 
 
 def _leave_rejected(sheet: DataFrame, what: str) -> tuple[DataFrame, list[str]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from analysis.sections import association, profile
+from analysis.sections import association, primary, profile
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -13,5 +13,5 @@ if TYPE_CHECKING:
     from analysis.sections.section import Section
     from analysis.table import Table
 
-SECTIONS: tuple[Callable[[Table, Choices], Section], ...] = (association.compute, profile.compute)
+SECTIONS: tuple[Callable[[Table, Choices], Section], ...] = (primary.compute, association.compute, profile.compute)
 """Each takes all ratings and gives one section, or the reason why there is none."""

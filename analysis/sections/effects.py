@@ -1,0 +1,153 @@
+"""Estimates of mixed models as numbers and cells, the same in every section."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from analysis.numbers import SATTERTHWAITE, make_interval, make_number
+from analysis.sections.section import INTERVAL, Cell
+from analysis.words import tell_number, tell_range
+
+if TYPE_CHECKING:
+    from collections.abc import Hashable, Mapping
+
+    from analysis.numbers import Number
+
+SIGNIFICANCE = 0.05
+
+
+def name_estimate(name: str, row: Mapping[Hashable, Any], method: str, *, n: int, prefix: str = "") -> Number:
+    """Name an estimate with its t interval.
+
+    Parameters
+    ----------
+    name : str
+        Its path.
+    row : Mapping
+        The estimate under `prefix` (or ``estimate``), and its ends.
+    method : str
+        How it was computed.
+    n : int
+        Rows that the model rests on.
+    prefix : str
+        Of another unit's columns, such as ``tenth``.
+
+    Returns
+    -------
+    Number
+        With the interval.
+    """
+    lead = f"{prefix}_" if prefix else ""
+    number = make_number(name, row[prefix or "estimate"], method, n=n)
+    return make_interval(number, row[f"{lead}low"], row[f"{lead}high"], uncertainty=SATTERTHWAITE)
+
+
+def name_tests(name: str, row: Mapping[Hashable, Any], *, n: int) -> tuple[Number, ...]:
+    """Name the degrees of freedom and the probabilities of an estimate.
+
+    Parameters
+    ----------
+    name : str
+        Path of the estimate.
+    row : Mapping
+        df, p, and p_holm.
+    n : int
+        Rows that the model rests on.
+
+    Returns
+    -------
+    tuple of Number
+        df, p, p_holm.
+    """
+    return (
+        make_number(f"{name}.df", row["df"], "Satterthwaite's degrees of freedom", n=n),
+        make_number(f"{name}.p", row["p"], "two-sided t test", n=n),
+        make_number(f"{name}.p_holm", row["p_holm"], "two-sided t test, Holm's adjustment over its table", n=n),
+    )
+
+
+def lay_estimate(number: Number, kind: str) -> tuple[Cell, Cell]:
+    """Lay an estimate and its interval out.
+
+    Parameters
+    ----------
+    number : Number
+        The estimate.
+    kind : str
+        A name of `analysis.words.PLACES`.
+
+    Returns
+    -------
+    tuple of Cell
+        Value and interval.
+    """
+    return Cell(number, kind), Cell(number, kind, INTERVAL)
+
+
+def tell_estimate(number: Number, *, kind: str) -> str:
+    """Tell an estimate and its interval in words.
+
+    Parameters
+    ----------
+    number : Number
+        The estimate.
+    kind : str
+        A name of `analysis.words.PLACES`.
+
+    Returns
+    -------
+    str
+        Such as ``1.83 points, 95 % interval 1.75 to 1.92``.
+    """
+    value, interval = tell_number(number.value, kind=kind), tell_range(number.low, number.high, kind=kind)
+    return f"{value} points, 95 % interval {interval}"
+
+
+def tell_p(p: float) -> str:
+    """Tell a probability in words.
+
+    Parameters
+    ----------
+    p : float
+        Adjusted by Holm.
+
+    Returns
+    -------
+    str
+        Such as ``p (Holm) = 0.012``.
+    """
+    told = tell_number(p, kind="p")
+    return f"p (Holm) {told if told.startswith('<') else f'= {told}'}"
+
+
+def adjust(p: list[float]) -> list[float]:
+    """Adjust probabilities for their number by Holm's step-down method.
+
+    Parameters
+    ----------
+    p : list of float
+        NaN stays NaN and does not count.
+
+    Returns
+    -------
+    list of float
+        In the same order.
+
+    References
+    ----------
+    Holm (1979), Scandinavian Journal of Statistics 6, 65-70.
+
+    Examples
+    --------
+    >>> [round(value, 2) for value in adjust([0.01, float("nan"), 0.04, 0.03])]
+    [0.03, nan, 0.06, 0.06]
+    """
+    import numpy as np
+    from statsmodels.stats.multitest import multipletests
+
+    values = np.asarray(p, dtype=np.float64)
+    known = np.isfinite(values)
+    if known.any():
+        values[known] = multipletests(values[known], method="holm")[1]
+    adjusted: list[float] = values.tolist()
+    return adjusted
