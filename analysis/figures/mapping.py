@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from analysis.p1401 import P1401
 
 COLUMNS = 3
-ROW_CM, LABELS_CM, STRIP_CM = 2.5, 1.6, 1.5
+ROW_CM, LABELS_CM, STRIP_CM = 2.5, 1.6, 1.9
 SIZE = 3.0
 """Of markers, in points."""
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from analysis.figures.style import BLUE, GREY, PALE, RED, new_canvas, print_style
-from analysis.figures.text import add_title
+from analysis.figures.text import add_title, fit_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     Values = NDArray[np.float64]
 
-HEIGHT_CM = 4.6
+HEIGHT_CM, LABEL_CM = 4.6, 2.6
 MOST = 2000
 """Points that an eye can use; of more rows this many are drawn, evenly through their order."""
 
@@ -56,7 +56,8 @@ def draw_residuals(fit: MixedFit, *, unit: str = "points") -> Figure:
         _draw_quantiles(left, fit.residuals)
         _draw_spread(right, fit.fitted, fit.residuals)
         left.set(xlabel="Normal quantile (SD)", ylabel="Residual (SD)")
-        right.set(xlabel=f"Fitted ({unit})", ylabel=f"Residual ({unit})")
+        across, up = (fit_text(f"{what} ({unit})", LABEL_CM) for what in ("Fitted", "Residual"))
+        right.set(xlabel=across, ylabel=up)
         for axes in (left, right):
             axes.locator_params(nbins=4)
         n = len(fit.residuals)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 MOST = 3
 """Attributes whose variants fit side by side."""
 
-PANEL_CM = 4.8
+PANEL_CM = 4.3
 """What labels leave of the column."""
 
 STANDARDISED = "SD of ratings per SD of metric"
@@ -110,8 +110,8 @@ def _draw_variants(panels: list[Axes], below: Mapping[str, list[Row]]) -> None:
         axes.axvline(0, color=GREY, linewidth=0.6, zorder=1)
         draw_rows(axes, rows, limits=limits)
         axes.locator_params(axis="x", nbins=5 - len(below))
-        axes.set_title(fit_text(tell_name(attribute), PANEL_CM / len(below)), fontweight="bold")
-        axes.set_xlabel(fit_text(STANDARDISED, PANEL_CM / len(below), lines=3))
+        axes.set_title(fit_text(tell_name(attribute), PANEL_CM / len(below)))
+        axes.set_xlabel(fit_text(STANDARDISED, PANEL_CM / len(below), lines=4))
         if place:
             axes.tick_params(axis="y", labelleft=False)
 

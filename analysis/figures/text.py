@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from bisect import bisect_right
 from typing import TYPE_CHECKING
 
 from analysis.figures.style import CM_PER_INCH, COLUMN_CM, PRINT
@@ -11,8 +12,6 @@ from analysis.table import HIGHEST, LOWEST
 from analysis.words import tell_name, wrap_name
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from matplotlib.figure import Figure
 
 AXIS_LETTERS, SCALE_LETTERS = 30, 60
@@ -71,15 +70,22 @@ def fit_text(text: str, width_cm: float, *, lines: int = 2, size: float = SIZE) 
     if len(text) > 2 * LONGEST:
         text = f"{text[:LONGEST]}…{text[-LONGEST:]}"
     room = width_cm * POINTS_PER_CM
-    found: list[str] = []
-    for part in _split(text, room, size):
-        if found and not part.startswith("\n") and _measure(found[-1] + part.rstrip(), size) <= room:
+    found, parts = [""], _split(text)
+    while parts:
+        part = parts.pop(0)
+        if not part.startswith("\n") and _measure((found[-1] + part).strip(), size) <= room:
             found[-1] += part
+        elif len(found) == lines:
+            found[-1] = _cut((found[-1] + part + "".join(parts)).replace("\n", " "), room, size)
+            break
+        elif found[-1]:
+            found.append("")
+            parts.insert(0, part.strip("\n"))
         else:
-            found.append(part.lstrip())
-    if len(found) > lines:
-        found[lines - 1 :] = [_cut("".join(found[lines - 1 :]), room, size)]
-    return "\n".join(line.rstrip() for line in found)
+            fits = _count_fitting(part, room, size)
+            found[-1] = part[:fits]
+            parts.insert(0, part[fits:])
+    return "\n".join(line.strip() for line in found)
 
 
 def add_title(figure: Figure, text: str) -> None:
@@ -98,25 +104,25 @@ def add_title(figure: Figure, text: str) -> None:
     figure.set_size_inches(width, height + title.get_window_extent().height / figure.dpi)
 
 
-def _split(text: str, room: float, size: float) -> Iterator[str]:
-    """Part a text where a line may break: after spaces and underscores, and within words wider than a line."""
-    for part in re.findall(r"\n?[^\s_]*(?:_+|[^\S\n]+)?", text):
-        rest = part
-        while rest and _measure(rest.strip(), size) > room:
-            fits = max((n for n in range(1, len(rest)) if _measure(rest[:n].strip(), size) <= room), default=1)
-            yield rest[:fits]
-            rest = rest[fits:]
-        if rest:
-            yield rest
+def _split(text: str) -> list[str]:
+    """Part a text where a line may break: before line breaks, after spaces and underscores."""
+    return re.findall(r"\n[^\s_]*_*[^\S\n]*|[^\s_]+_*[^\S\n]*|_+[^\S\n]*|[^\S\n]+", text)
+
+
+def _count_fitting(text: str, room: float, size: float) -> int:
+    """Count the letters of a word that fit into a line, one at least."""
+    return max(1, bisect_right(range(1, len(text)), room, key=lambda count: _measure(text[:count], size)))
 
 
 def _cut(text: str, room: float, size: float) -> str:
-    for kept in range(len(text) - 1, 1, -1):
+    """Leave the middle out."""
+
+    def shorten(kept: int) -> str:
         tail = kept // 2
-        short = f"{text[: kept - tail].rstrip()}…{text[-tail:].lstrip()}"
-        if _measure(short, size) <= room:
-            return short
-    return "…"
+        return f"{text[: kept - tail].rstrip()}…{text[len(text) - tail :].lstrip()}"
+
+    kept = bisect_right(range(len(text)), room, key=lambda count: _measure(shorten(count), size)) - 1
+    return shorten(max(0, kept))
 
 
 def _measure(text: str, size: float) -> float:

@@ -1,0 +1,65 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from analysis.figures.quality import draw_raters
+from analysis.screening.rules import RULES
+from analysis.screening.screen import Screening, screen_raters
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+
+@pytest.fixture
+def screening(tidy: Callable[..., pd.DataFrame]) -> Screening:
+    table = tidy(participants=20, recordings=2)
+    table.loc[table["participant"] == "p03", "rating"] = 50.0
+    return screen_raters(table, rng=np.random.default_rng(1))
+
+
+def test_every_rater_stands_at_the_share_of_every_rule(screening: Screening, said: Callable[[Figure], str]) -> None:
+    figure = draw_raters(screening)
+    (axes,) = figure.axes
+    shares = screening.table["share"]
+    drawn = np.concatenate([line.get_xdata() for line in axes.lines if line.get_marker() in {"o", "X"}])
+    np.testing.assert_array_equal(np.sort(drawn[np.isfinite(drawn)]), np.sort(shares.dropna()))
+    crosses = [line.get_xdata() for line in axes.lines if line.get_marker() == "X"]
+    assert sum(map(len, crosses)) == screening.table["hit"].sum() > 0
+    limits = sorted(float(part.get_segments()[0][0, 0]) for part in axes.collections)
+    assert limits == sorted(screening.table.groupby("rule")["limit"].first())
+    assert axes.get_xlim()[0] <= min(0, shares.min())
+    words = said(figure)
+    assert "n = 20 participants" in words
+    assert "p03" in words
+    assert "more than 15 % of items (ITU-R BS.1534-3)" in words
+
+
+def test_a_rule_that_says_nothing_says_why(screening: Screening, said: Callable[[Figure], str]) -> None:
+    assert screening.share["too_fast"].isna().all()
+    assert f"Says nothing: it needs {RULES['too_fast'].needs}." in said(draw_raters(screening))
+
+
+def test_raters_without_a_share_are_counted(screening: Screening, said: Callable[[Figure], str]) -> None:
+    table = screening.table.copy()
+    table.loc[(table["rule"] == "outliers") & table["participant"].isin(["p00", "p01"]), ["share", "hit"]] = (
+        np.nan,
+        False,
+    )
+    assert "nothing to say of 2" in said(draw_raters(replace(screening, table=table)))
+
+
+def test_many_hits_are_counted_and_long_names_cut(
+    screening: Screening, names: list[str], faults: Callable[[Figure], list[str]], said: Callable[[Figure], str]
+) -> None:
+    table = screening.table.assign(hit=True)
+    table["participant"] = [names[0] + person for person in table["participant"]]
+    figure = draw_raters(replace(screening, table=table))
+    assert "and 16 more" in said(figure)
+    assert faults(figure) == []
