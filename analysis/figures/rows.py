@@ -123,8 +123,8 @@ def find_limits(rows: Iterable[Row], *include: float) -> tuple[float, float]:
 
     Returns
     -------
-    low, high : float
-        Limits of the axis.
+    tuple of float
+        Lower and upper limit of the axis.
     """
     marks = [mark for row in rows for mark in row.marks]
     values = np.array([*(mark.value for mark in marks), *include], dtype=np.float64)

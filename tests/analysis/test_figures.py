@@ -196,6 +196,25 @@ def test_profile_sets_reference_and_anchors_apart(table: pd.DataFrame) -> None:
     assert "over 6 participants;" in axes.figure.get_suptitle()
 
 
+def test_clouds_show_where_the_participants_are(table: pd.DataFrame) -> None:
+    means = find(table).participants
+    axes = profile(table).axes[0]
+    labels = [label.get_text().split("\n")[0] for label in axes.get_yticklabels()]
+    heights = dict(zip(labels, axes.get_yticks(), strict=True))
+    clouds = {round(float(patch.get_xy()[:, 1].min()), 6): patch.get_xy() for patch in axes.patches}
+    assert len(clouds) == len(heights) == 12
+    for name, part in means.groupby("reducer"):
+        outline = clouds[round(heights[name] + 0.14, 6)]
+        assert outline[:, 0].min() < part["rating"].min() < part["rating"].max() < outline[:, 0].max() <= 100
+        assert outline[:, 1].max() == pytest.approx(heights[name] + 0.64)
+    assert "clouds: their distribution" in axes.figure.get_suptitle()
+
+
+def test_participants_who_agree_have_no_cloud(table: pd.DataFrame) -> None:
+    table.loc[table["reducer"] == "mag321", "rating"] = 50.0
+    assert len(profile(table).axes[0].patches) == 11
+
+
 def test_profile_of_tests_alone_has_no_dividing_line(table: pd.DataFrame) -> None:
     axes = profile(table[table["role"] == "test"]).axes[0]
     assert all(line.get_linestyle() != ":" for line in axes.lines)
@@ -228,6 +247,16 @@ def test_files_are_made_for_print_and_repeat_to_the_byte(table: pd.DataFrame, tm
     width = imread(tmp_path / "one.png").shape[1]
     assert width == pytest.approx(COLUMN_CM / CM_PER_INCH * PNG_DPI, abs=1)
     assert dict(rcParams) == before
+
+
+def test_a_pdf_repeats_to_the_byte_and_nothing_else_is_known(table: pd.DataFrame, tmp_path: Path) -> None:
+    figure = scatter(table)
+    for name in ("v1.0", "v1.1"):
+        save_figure(figure, tmp_path / name, formats=["pdf"])
+    assert (tmp_path / "v1.0.pdf").read_bytes() == (tmp_path / "v1.1.pdf").read_bytes()
+    assert len(list(tmp_path.iterdir())) == 2
+    with pytest.raises(ValueError, match="formats: got 'bmp', allowed are svg, png, pdf"):
+        save_figure(figure, tmp_path / "figure", formats=["bmp"])
 
 
 def test_a_setting_of_the_working_folder_changes_no_byte(table: pd.DataFrame, tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ def parts(tidy: Callable[..., pd.DataFrame]) -> Parts:
     rows = tidy(recordings=5)
     rows = rows[rows["role"] == "test"]
     stimuli = stimulus_means(rows).join(rows.groupby("stimulus_id")[METRIC].first(), on="stimulus_id")
-    votes = rows.groupby(["stimulus_id", "participant"])["rating"].mean().unstack().loc[stimuli["stimulus_id"]]
+    votes = rows.pivot_table("rating", "stimulus_id", "participant").loc[stimuli["stimulus_id"]]
     association = correlate(rows, METRIC, draws=20, rng=np.random.default_rng(0))
     return stimuli, p1401(votes, stimuli[METRIC]), association
 
