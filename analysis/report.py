@@ -113,12 +113,17 @@ def compute_sections(
     ValueError
         If no test stimulus was rated.
     """
+    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+
     refuse_untested(table)
     done = []
-    for number, compute in enumerate(SECTIONS, start=1):
-        done.append(compute(table, choices))
-        if progress is not None:
-            progress(number, len(SECTIONS))
+    # Matrices here are small: threads of the linear algebra wait for each other most of the time, and take nine
+    # times as long on a busy machine.
+    with threadpool_limits(limits=1, user_api="blas"):
+        for number, compute in enumerate(SECTIONS, start=1):
+            done.append(compute(table, choices))
+            if progress is not None:
+                progress(number, len(SECTIONS))
     pictures = number_pictures(picture for section in done for picture in section.pictures)
     return tuple(replace(section, pictures=tuple(islice(pictures, len(section.pictures)))) for section in done)
 

@@ -20,7 +20,7 @@ APART = (PAIRED, ANSWERED)
 PAIR = "pair"
 """Role of what is judged against another stimulus that is not the reference."""
 
-SPACE = "The perceptual space, which dissimilarities are judged for, comes with a later version."
+SPACE = "What the dissimilarities say stands under The space of what was felt."
 MEASURES = {PAIRED: "dissimilarity from the reference", ANSWERED: "percentage correct"}
 
 

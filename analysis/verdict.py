@@ -100,7 +100,7 @@ def judge_association(result: Association, subject: str, *, ranked: Association)
     evidence = f"r\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}{tell_number(result.value)}"
     if math.isnan(result.low):
         return f"{_start(subject)} and {metric}: {evidence}, {size}; without an interval nothing follows."
-    evidence += f", 95 % two-way interval {tell_range(result.low, result.high)}; {size}"
+    evidence += f"{_tell_ceiling(result)}, 95 % two-way interval {tell_range(result.low, result.high)}; {size}"
     if _covers_zero(result):
         claim = f"Whether {subject} ratings go with {metric} is undecided: the interval covers zero"
     else:
@@ -138,6 +138,12 @@ def judge_difference(result: Difference, subject: str, *, first: Association, se
 
 def _covers_zero(result: Association | Difference) -> bool:
     return result.low <= 0 <= result.high
+
+
+def _tell_ceiling(result: Association) -> str:
+    if math.isnan(result.disattenuated):
+        return ""
+    return f" of at most {tell_number(result.ceiling)} that ratings as noisy as these allow"
 
 
 def _tell_ranks(result: Association, ranked: Association) -> str:

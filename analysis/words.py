@@ -50,6 +50,27 @@ def tell_name(name: str) -> str:
     return name.replace("_", " ")
 
 
+def start(text: str) -> str:
+    """Begin a sentence.
+
+    Parameters
+    ----------
+    text : str
+        Its words.
+
+    Returns
+    -------
+    str
+        The first letter large.
+
+    Examples
+    --------
+    >>> start("realism ratings")
+    'Realism ratings'
+    """
+    return text[:1].upper() + text[1:]
+
+
 def wrap_name(name: str, width: int, *, lines: int = 2) -> str:
     """Break a name into lines for a figure, where it must not run off.
 

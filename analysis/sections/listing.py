@@ -4,7 +4,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from analysis.sections import association, primary, profile
+from analysis.sections import (
+    association,
+    contrasts,
+    discrimination,
+    levels,
+    primary,
+    profile,
+    raters,
+    robustness,
+    space,
+    standard,
+)  # fmt: skip
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -13,5 +24,8 @@ if TYPE_CHECKING:
     from analysis.sections.section import Section
     from analysis.table import Table
 
-SECTIONS: tuple[Callable[[Table, Choices], Section], ...] = (primary.compute, association.compute, profile.compute)
+SECTIONS: tuple[Callable[[Table, Choices], Section], ...] = (
+    primary.compute, association.compute, levels.compute, profile.compute, contrasts.compute, discrimination.compute,
+    space.compute, raters.compute, robustness.compute, standard.compute,
+)  # fmt: skip
 """Each takes all ratings and gives one section, or the reason why there is none."""

@@ -1,0 +1,152 @@
+"""Level arms compared, for the question whether something felt good because it was strong."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
+
+from analysis.cells import make_cells
+from analysis.mixed.model import contrast, fit_mixed
+from analysis.numbers import name_path
+from analysis.scales import APART
+from analysis.sections.effects import (
+    SIGNIFICANCE,
+    adjust,
+    lay_estimate,
+    name_estimate,
+    name_tests,
+    tell_estimate,
+    tell_p,
+)
+from analysis.sections.parts import ITEM
+from analysis.sections.section import Cell, Grid, Section
+from analysis.words import start, tell_name
+
+if TYPE_CHECKING:
+    from collections.abc import Hashable, Iterator
+
+    from pandas import DataFrame
+
+    from analysis.sections.choices import Choices
+    from analysis.table import Table
+
+    Row = dict[Hashable, Any]
+
+KEY, TITLE = "levels", "Level arms compared"
+HOW = (
+    "Level arms: a mixed model per scale of ratings on level, each metric within recordings, and their product, with "
+    "spreads between participants, participants' levels, recordings, what was reduced how (shared by the arms), and "
+    "stimuli. The difference in rating is at the mean of the metrics; the difference in slope says whether a metric "
+    "counts for less once levels are equal. Satterthwaite's degrees of freedom; p adjusted by Holm.",
+)
+
+
+def compute(table: Table, choices: Choices) -> Section:  # noqa: ARG001 - every section has this form
+    """Compare the levels at which stimuli were rated.
+
+    Parameters
+    ----------
+    table : Table
+        Ratings and metrics.
+    choices : Choices
+        Leave nothing to decide here.
+
+    Returns
+    -------
+    Section
+        Differences between levels in rating and in slope.
+    """
+    rows = table.rows
+    tests = rows[(rows["role"] == "test") & ~rows["scale"].isin(APART)]
+    if len(tests["level"].unique()) < 2:  # noqa: PLR2004 - one arm has nothing to be compared with
+        return Section(KEY, TITLE)
+    found, notes = [], []
+    for scale, part in tests.groupby("scale", observed=True):
+        try:
+            found += [{"scale": str(scale), **row} for row in _compare(part, table.metrics)]
+        except ValueError as error:
+            notes.append(f"{scale}: levels are not compared. {error}")
+    if not found:
+        return Section(KEY, TITLE, notes=tuple(notes))
+    adjusted = adjust([row["p"] for row in found])
+    found = [{**row, "p_holm": holm} for row, holm in zip(found, adjusted, strict=True)]
+    caption = (
+        "First level minus second: in rating (points), and in the slope on each metric (points per +0.1). 95 % "
+        "intervals; p adjusted over this table."
+    )
+    head = ("Ratings", "First", "Second", "Of", "Difference", "Interval", "df", "p", "p (Holm)")
+    return Section(
+        key=KEY, title=TITLE, answers=tuple(map(_judge, found)), grids=(Grid(caption, head, tuple(map(_lay, found))),),
+        tables={"levels": _tabulate(found)}, notes=tuple(notes), how=HOW,
+    )  # fmt: skip
+
+
+def _tabulate(found: list[Row]) -> DataFrame:
+    import pandas as pd
+
+    return pd.DataFrame(found)
+
+
+def _compare(part: DataFrame, metrics: tuple[str, ...]) -> Iterator[Row]:
+    levels = sorted(part["level"].unique())
+    if len(levels) == 1:
+        raise ValueError(f"All were rated at one level, '{levels[0]}'.")
+    codes = {level: f"c{number}" for number, level in enumerate(levels)}
+    cells = _gather(part, metrics)
+    used = [name for name in metrics if cells[f"{name}_w"].std() > 0]
+    slopes = [f"arm:`{name}_w`" for name in used]
+    people = ["(1 | participant)", "(1 | participant:arm)"] if part["participant"].nunique() > 1 else []  # noqa: PD101
+    scenes = ["(1 | recording)"] if part["recording"].nunique() > 1 else []  # noqa: PD101
+    formula = " + ".join(["rating ~ 0 + arm", *slopes, *people, *scenes, "(1 | base)", *_item_term(cells)])
+    fit = fit_mixed(formula, cells.assign(arm=cells["level"].map(codes)))
+    for first, second in combinations(levels, 2):
+        one, two = f"arm{codes[first]}", f"arm{codes[second]}"
+        pair: Row = {"first": first, "second": second, "n": len(cells)}
+        wanted = {"rating": {one: 1.0, two: -1.0}}
+        wanted |= {name: {f"{one}:{name}_w": 0.1, f"{two}:{name}_w": -0.1} for name in used}
+        for what, weights in wanted.items():
+            found: Row = dict(asdict(contrast(fit, weights)).items())
+            yield pair | {"of": what} | found
+
+
+def _item_term(cells: DataFrame) -> list[str]:
+    return [f"(1 | {ITEM})"] if len(cells[ITEM].unique()) < len(cells) else []
+
+
+def _gather(part: DataFrame, metrics: tuple[str, ...]) -> DataFrame:
+    """Average repeats, and centre each metric within recording and level."""
+    import pandas as pd
+
+    tables = []
+    for level, arm in part.assign(**{ITEM: part["stimulus_id"]}).groupby("level", observed=True):
+        cells = make_cells(arm, metrics).table
+        means = cells.groupby(["participant", "recording", ITEM], observed=True).mean(numeric_only=True).reset_index()
+        base = arm.drop_duplicates(ITEM).set_index(ITEM)["reducer"]
+        tables.append(means.assign(level=level, base=means["recording"] + "/" + means[ITEM].map(base)))
+    return pd.concat(tables, ignore_index=True)
+
+
+def _lay(row: Row) -> tuple[str | Cell, ...]:
+    name, n = name_path("level", row["scale"], row["first"], row["second"], row["of"]), row["n"]
+    unit = "points of rating" if row["of"] == "rating" else "points per +0.1 of the metric"
+    value = name_estimate(name, row, f"mixed model, {unit}, first level minus second", n=n)
+    names = tell_name(row["scale"]), tell_name(row["first"]), tell_name(row["second"]), tell_name(row["of"])
+    return (*names, *lay_estimate(value, "slope"), *map(Cell, name_tests(name, row, n=n), ("df", "p", "p")))
+
+
+def _judge(row: Row) -> str:
+    what = f"{tell_name(row['scale'])} ratings"
+    arms = f"at {tell_name(row['first'])} than at {tell_name(row['second'])}"
+    value = name_estimate("", row, "", n=row["n"])
+    evidence = f"({tell_estimate(value, kind='slope')}; {tell_p(row['p_holm'])})"
+    decided, more = row["p_holm"] < SIGNIFICANCE, row["estimate"] > 0
+    if row["of"] == "rating":
+        if not decided:
+            between = f"between {tell_name(row['first'])} and {tell_name(row['second'])}"
+            return f"Whether {what} differ {between} is undecided {evidence}."
+        return f"{start(what)} are {'higher' if more else 'lower'} {arms} {evidence}."
+    metric = tell_name(row["of"])
+    if not decided:
+        return f"Whether {metric} counts otherwise for {what} {arms} is undecided (difference of slopes {evidence[1:]}."
+    return f"For {what} the slope on {metric} is {'larger' if more else 'smaller'} {arms} {evidence}."

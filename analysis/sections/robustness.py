@@ -1,0 +1,198 @@
+"""The primary slopes under other choices: of data, of scale, of raters."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from analysis.figures.slopes import draw_slopes
+from analysis.figures.universes import draw_multiverse
+from analysis.multiverse import Estimate, run_multiverse
+from analysis.numbers import COUNT, count_number, make_number, name_path
+from analysis.pictures import Picture, make_slug
+from analysis.primary import fit_primary
+from analysis.sections.effects import lay_estimate, name_estimate
+from analysis.sections.parts import ITEM, split_parts
+from analysis.sections.section import Cell, Grid, Section
+from analysis.sensitivity import vary_primary
+from analysis.words import tell_name
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Hashable, Iterator
+
+    from pandas import DataFrame
+
+    from analysis.multiverse import Multiverse
+    from analysis.primary import Primary
+    from analysis.sections.choices import Choices
+    from analysis.sections.parts import Part
+    from analysis.table import Table
+
+    Row = dict[Hashable, Any]
+
+KEY, TITLE = "robustness", "Under other choices"
+MOST_CELLS = 20_000
+"""Participants x stimuli beyond which some sixty models would take many minutes."""
+
+HOW = (
+    "Under other choices, the primary slopes are estimated anew: people's slopes correlated, without each recording, "
+    "without each reducer, ratings standardised within raters, ratings as logits; and, as a multiverse, without the "
+    "raters whom each screening rule hits, and each two of them, and all.",
+)
+
+
+def compute(table: Table, choices: Choices) -> Section:
+    """Repeat the primary analysis under other choices.
+
+    Parameters
+    ----------
+    table : Table
+        Ratings and metrics.
+    choices : Choices
+        Seed.
+
+    Returns
+    -------
+    Section
+        Range of the slopes over variants and over screening rules.
+    """
+    notes: list[str] = []
+    varied: dict[str, DataFrame] = {}
+    universes: dict[tuple[str, str], tuple[Part, Multiverse]] = {}
+    pictures: list[Picture] = []
+    for part in split_parts(table):
+        try:
+            _check_size(part)
+            varied[part.lead] = vary_primary(part.rows, table.metrics)
+            pictures.append(_draw_variants(part, table.metrics, varied[part.lead]))
+            universes |= _run_universes(table, part, choices)
+        except ValueError as error:
+            notes.append(f"{part.lead}: no variants. {error}")
+    grids = [_lay_variants(varied)] if varied else []
+    grids += [_lay_universes(universes)] if universes else []
+    pictures += [_draw_universes(metric, *found) for (_, metric), found in universes.items() if len(found[1].curve)]
+    return Section(
+        key=KEY, title=TITLE, grids=tuple(grids), tables=_make_tables(varied, universes), pictures=tuple(pictures),
+        notes=(*notes, *_note_variants(varied)), how=HOW if grids else (),
+    )  # fmt: skip
+
+
+def _check_size(part: Part) -> None:
+    cells = len(part.rows.groupby(["participant", ITEM], observed=True))
+    if cells > MOST_CELLS:
+        raise ValueError(f"They are left out for {cells} participant x stimulus cells; up to {MOST_CELLS} are varied.")
+
+
+def _run_universes(table: Table, part: Part, choices: Choices) -> dict[tuple[str, str], tuple[Part, Multiverse]]:
+    rows = table.rows
+    own = rows[(rows["scale"] == part.scale) & (rows["level"] == part.level)]
+    estimate = _remember_slopes(table.metrics)
+    return {
+        (part.lead, metric): (part, run_multiverse(own, estimate(metric), rng=choices.make_rng(KEY, *part.place)))
+        for metric in table.metrics
+    }
+
+
+def _remember_slopes(metrics: tuple[str, ...]) -> Callable[[str], Callable[[DataFrame], Estimate]]:
+    """Fit each set of raters once, whichever metric is asked for."""
+    known: dict[frozenset[Hashable], dict[str, Estimate]] = {}
+
+    def fit(tests: DataFrame) -> dict[str, Estimate]:
+        try:
+            slopes = fit_primary(tests.assign(**{ITEM: tests["stimulus_id"]}), metrics).slopes
+        except ValueError as error:
+            return dict.fromkeys(metrics, Estimate(float("nan"), note=str(error)))
+        ends = slopes[["tenth", "tenth_low", "tenth_high"]].itertuples(index=False)
+        return {str(name): Estimate(*row) for name, row in zip(slopes.index, ends, strict=True)}
+
+    def of_metric(metric: str) -> Callable[[DataFrame], Estimate]:
+        def estimate(rows: DataFrame) -> Estimate:
+            who = frozenset(rows["participant"])
+            if who not in known:
+                known[who] = fit(rows[rows["role"] == "test"])
+            found = known[who].get(metric, Estimate(float("nan"), note=f"{metric} does not differ within recordings"))
+            if found.note:
+                raise ValueError(found.note)
+            return found
+
+        return estimate
+
+    return of_metric
+
+
+def _draw_variants(part: Part, metrics: tuple[str, ...], table: DataFrame) -> Picture:
+    model: Primary = fit_primary(part.rows, metrics)
+    caption = (
+        f"Slopes of {part.subject} ratings within recordings: above in points per +0.1 of the metric, below "
+        "standardised, under other choices; 95 % Satterthwaite intervals."
+    )
+    figure = draw_slopes({part.lead: model}, variants={part.lead: table})
+    return Picture(make_slug("variants", *part.place), "variants", caption, figure)
+
+
+def _draw_universes(metric: str, part: Part, result: Multiverse) -> Picture:
+    caption = (
+        f"Slope of {part.subject} ratings on {tell_name(metric)}, points per +0.1, in every universe of screening "
+        "rules, from the smallest up; 95 % Satterthwaite intervals. Below: which rules were applied."
+    )
+    figure = draw_multiverse(result, estimate="Points per +0.1")
+    return Picture(make_slug("multiverse", *part.place, metric), "multiverse", caption, figure)
+
+
+def _lay_variants(varied: dict[str, DataFrame]) -> Grid:
+    caption = (
+        "Standardised slope under other choices, with 95 % intervals; only standardised slopes compare across units. A "
+        "dash: no model; the notes say why."
+    )
+    head = ("Ratings", "Choice", "Metric", "Standardised slope", "Interval", "p")
+    rows = [_lay_variant(lead, row) for lead, table in varied.items() for row in table.to_dict("records")]
+    return Grid(caption, head, tuple(rows))
+
+
+def _lay_variant(lead: str, row: Row) -> tuple[str | Cell, ...]:
+    name = name_path("variant", lead, row["variant"], row["metric"])
+    value = name_estimate(name, row, "standardised slope", n=0, prefix="standardised")
+    p = Cell(make_number(f"{name}.p", row["p"], "two-sided t test", n=0), "p")
+    return (lead, row["variant"], tell_name(row["metric"]), *lay_estimate(value, "slope"), p)
+
+
+def _lay_universes(universes: dict[tuple[str, str], tuple[Part, Multiverse]]) -> Grid:
+    caption = (
+        "Slope (points per +0.1) over all universes of screening rules: median, smallest, largest, share with the sign "
+        "that everyone's has, share of intervals that leave zero out, and how many sets of raters differ."
+    )
+    head = ("Ratings", "Metric", "Median", "Smallest", "Largest", "Same sign", "Beyond zero", "Sets of raters")
+    rows: list[tuple[str | Cell, ...]] = []
+    for (lead, metric), (_, result) in universes.items():
+        name, n = name_path("multiverse", lead, metric), len(result.table)
+        kinds = {"median": "slope", "smallest": "slope", "largest": "slope", "same_sign": "correlation",
+                 "beyond_zero": "correlation"}  # fmt: skip
+        values = [
+            Cell(make_number(f"{name}.{key}", getattr(result, key), f"{key} over universes", n=n), kind)
+            for key, kind in kinds.items()
+        ]
+        sets = Cell(count_number(f"{name}.n_distinct", result.n_distinct, n=n), COUNT)
+        rows.append((lead, tell_name(metric), *values, sets))
+    return Grid(caption, head, tuple(rows))
+
+
+def _note_variants(varied: dict[str, DataFrame]) -> Iterator[str]:
+    for lead, table in varied.items():
+        told = table[table["reason"] != ""].drop_duplicates("variant")
+        yield from (f"{lead}, {name}: {reason}" for name, reason in zip(told["variant"], told["reason"], strict=True))
+
+
+def _make_tables(
+    varied: dict[str, DataFrame], universes: dict[tuple[str, str], tuple[Part, Multiverse]]
+) -> dict[str, DataFrame]:
+    import pandas as pd
+
+    tables = {}
+    if varied:
+        tables["variants"] = pd.concat(
+            [table.assign(ratings=lead) for lead, table in varied.items()], ignore_index=True
+        )
+    if universes:
+        found = [result.table.assign(ratings=lead, metric=metric) for (lead, metric), (_, result) in universes.items()]
+        whole = pd.concat(found, ignore_index=True)
+        tables["multiverse"] = whole.assign(excluded=[" ".join(map(str, who)) for who in whole["excluded"]])
+    return tables
