@@ -203,7 +203,12 @@ def _describe_playback(playback: Playback) -> dict[str, Any]:
         "clipped": int(playback.clipped),
         "completed": bool(playback.completed),
         "error": playback.error,
+        **({"measured": measured} if (measured := _list_finite(playback.measured)) else {}),
     }
+
+
+def _list_finite(measured: Mapping[str, float]) -> dict[str, float]:
+    return {name: float(value) for name, value in measured.items() if isfinite(value)}
 
 
 def _feel_again(attempt: _Attempt, act: Feel) -> None:
