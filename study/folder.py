@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 SETTINGS_FILE = "study.toml"
+RIG_FILE = "rig.toml"
 
 BUNDLED = files("study") / "settings" / "bundled"
 
@@ -24,14 +25,22 @@ class StudyFolder:
     ----------
     path : Path
         The folder that holds `study.toml`.
+    is_rehearsal : bool
+        Whether sessions are tried out: they lie apart, with a ledger of their own, and nothing is derived from them.
     """
 
     path: Path
+    is_rehearsal: bool = False
 
     @property
     def settings(self) -> Path:
         """What the lab decides."""
         return self.path / SETTINGS_FILE
+
+    @property
+    def rig(self) -> Path:
+        """What the lab's actuators are."""
+        return self.path / RIG_FILE
 
     @property
     def stimuli(self) -> Path:
@@ -41,7 +50,7 @@ class StudyFolder:
     @property
     def sessions(self) -> Path:
         """One folder per participant."""
-        return self.path / "sessions"
+        return self.path / ("rehearsals" if self.is_rehearsal else "sessions")
 
     @property
     def ledger(self) -> Path:

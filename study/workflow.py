@@ -9,6 +9,7 @@ from analysis.report import write_report
 from stimuli.manifest import read_stimuli
 from stimuli.sets import build_stimuli
 from study.ledger.roster import write_roster
+from study.preparing import require_current_set
 from study.provenance import find_changes, is_in_use
 from study.ratings import write_ratings
 from study.settings.reading import read_settings
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from stimuli.recording import Recording
     from study.folder import StudyFolder
     from study.session.journal import Clock
-    from study.settings.tables import Settings
 
     Progress = Callable[[int, int], None]
 
@@ -101,7 +101,7 @@ def simulate_study(
     """
     settings = read_settings(study.settings)
     stimuli = read_stimuli(study.stimuli)
-    _require_current_set(study, settings)
+    require_current_set(study, settings)
     seed = settings.study.seed if seed is None else seed
     notices = run_simulation(Simulation(study, settings, stimuli, seed, now), participants, progress=progress)
     if warn is not None:
@@ -139,12 +139,6 @@ def analyze_study(study: StudyFolder, *, out: Path | None = None) -> Path:
     folder = out or study.report
     write_report(study.ratings, study.manifest, folder, draws=settings.analysis.draws, seed=settings.study.seed)
     return folder
-
-
-def _require_current_set(study: StudyFolder, settings: Settings) -> None:
-    named = dict.fromkeys(entry.title for entry in settings.recordings)
-    if changes := find_changes(study.stimuli, make_recipe(settings), named):
-        raise ValueError("\n".join(f"{change}; run feel321 build {quote(str(study.path))}" for change in changes))
 
 
 def _spare_used_set(study: StudyFolder, recipe: Recipe, recordings: Sequence[Recording]) -> None:
