@@ -2,6 +2,7 @@
 
 from study.commands.participants import ledger, release, withdraw
 from study.commands.results import analyze
+from study.commands.run import run
 from study.commands.sessions import audit, simulate, status
 from study.commands.signals import match, reduce
 from study.commands.studies import build, check, demo, new
@@ -17,6 +18,7 @@ __all__ = [
     "new",
     "reduce",
     "release",
+    "run",
     "simulate",
     "status",
     "withdraw",
