@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from types import MappingProxyType
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -72,7 +71,7 @@ class View:
     scale: Scale | None = None
     playing: str = ""
     felt: frozenset[str] = frozenset()
-    markers: Mapping[str, float] = MappingProxyType({})
+    markers: Mapping[str, float] = field(default_factory=dict)
     selected: str = ""
     chosen: str = ""
     typed: str = ""
