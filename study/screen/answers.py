@@ -75,22 +75,6 @@ def find_points(track: Box, x: float) -> float:
     return float(round(min(max(low + (x - track.left) / track.width * (high - low), low), high)))
 
 
-def can_answer(view: View) -> bool:
-    """Tell whether a marker can be moved: once everything was felt, or at once where parts are felt at will.
-
-    Parameters
-    ----------
-    view : View
-        What is on the screen.
-
-    Returns
-    -------
-    bool
-        Whether it can.
-    """
-    return view.state == "answering" or view.kind == "rows"
-
-
 def _lay_slider(view: View, *, grid: Grid, box: Box) -> Laid:
     unit, scale = grid.unit, view.scale
     if view.trial is None or scale is None:
@@ -100,7 +84,7 @@ def _lay_slider(view: View, *, grid: Grid, box: Box) -> Laid:
     # Number, track and labels together stand in the middle of what is left.
     top = box.top + max(0.0, box.height - 27 * unit) / 2
     track = Box((grid.width - width) / 2, top + 8 * unit, width, 4.5 * unit)
-    is_ready = can_answer(view)
+    is_ready = view.can_answer
     value = view.markers.get(part)
     items = [*_draw_track(track, is_ready=is_ready, unit=unit), *_label_ends(track, scale, grid=grid)]
     if view.typed:
@@ -235,11 +219,11 @@ def _lay_choice(view: View, texts: ScreenTexts, *, grid: Grid, box: Box) -> Laid
     for place, name in enumerate(view.scale.choices):
         field = Box(left + place * (width + gap), top, width, height)
         is_chosen = name == view.chosen
-        ink = GROUND if is_chosen else INK if can_answer(view) else DIM
+        ink = GROUND if is_chosen else INK if view.can_answer else DIM
         items += [
             Area(field, fill=BLUE if is_chosen else PANEL, line=LINE, round_px=2 * unit, line_px=0.3 * unit),
             Text(field, name_part(name, texts), 2 * QUESTION * unit, ink, bold=True, align="center"),
         ]
-        if can_answer(view):
+        if view.can_answer:
             targets.append(Target(field, "choose", name))
     return items, targets

@@ -1,4 +1,4 @@
-"""What reaches a window: keys by name, clicks in pixels from the top left, its end; stamped by the clock of the session."""
+"""What reaches a window: keys by name, clicks in pixels from the top left, its end; each with its time."""
 
 from __future__ import annotations
 

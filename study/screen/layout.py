@@ -18,6 +18,7 @@ from study.screen.grid import (
     lay_lines,
     lay_notice,
     lay_progress,
+    split_key,
 )
 from study.screen.parts import lay_parts
 from study.screen.shapes import DIM, Box, Composition, Picture, Text
@@ -75,17 +76,17 @@ def _lay_page(view: View, texts: ScreenTexts, grid: Grid) -> tuple[list[Item], l
     if page is None:
         raise ValueError("got a view without a page, allowed is one with a page")
     items = _lay_text(view, page, texts=texts, grid=grid)
-    leave = Button(texts.keys["leave"], "pause")
+    leave = [Button(texts.keys["leave"], "pause")] if view.can_leave else []
     if page.by == "experimenter":
         ask = Text(grid.buttons, texts.prompts["experimenter"], SMALL * grid.unit, DIM, align="right")
-        buttons, targets = lay_buttons(grid, [leave], [])
+        buttons, targets = lay_buttons(grid, leave, [])
         return [*items, ask, *buttons], targets
     key = texts.keys["confirm"]
     if view.left_s:
         # The number stands where the key's name will: a key that does nothing yet is not named.
-        key = f"{texts.prompts['wait'].format(seconds=view.left_s)}  {key.partition('  ')[2]}"
+        key = f"{texts.prompts['wait'].format(seconds=view.left_s)}  {split_key(key)[1]}"
     go_on = Button(key, "confirm", is_main=True, is_ready=not view.left_s)
-    buttons, targets = lay_buttons(grid, [leave], [go_on])
+    buttons, targets = lay_buttons(grid, leave, [go_on])
     return items + buttons, targets
 
 

@@ -19,6 +19,9 @@ KINDS = ("page", "slider", "rows", "choice")
 STATES = ("reading", "feeling", "stroking", "answering")
 """What the participant is to do: read a page, feel a vibration (or await it), stroke the real surface, answer."""
 
+LAST_PAGE = "end"
+"""The page after which there is nothing."""
+
 
 @dataclass(frozen=True, slots=True)
 class View:
@@ -79,6 +82,19 @@ class View:
     notice: str = ""
     picture: Path | None = None
     sample: str = ""
+
+    @property
+    def can_answer(self) -> bool:
+        """Whether the answer can be changed: once all was felt, or at once where parts are felt at will."""
+        if self.trial is None:
+            return False
+        has_felt = self.felt.issuperset(part.name for part in self.trial.parts)
+        return self.state == "answering" or self.trial.timing == "free" or has_felt
+
+    @property
+    def can_leave(self) -> bool:
+        """Whether there is anything to pause or to end: not on the last page."""
+        return self.page is None or self.page.key != LAST_PAGE
 
 
 class Hand:

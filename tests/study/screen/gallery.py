@@ -83,7 +83,15 @@ def make_views(scales: dict[str, Scale], texts: dict, *, picture: Path | None = 
         )
         markers = {part: 100.0 if n == 0 else 7.0 * n for n, part in enumerate(judged)} if kind != "choice" else {}
         views[f"{name} answered"] = View(
-            kind, "answering", 50, place, **base, felt=frozenset(parts), markers=markers, selected=judged[-1], chosen="b"
+            kind,
+            "answering",
+            50,
+            place,
+            **base,
+            felt=frozenset(parts),
+            markers=markers,
+            selected=judged[-1],
+            chosen="b",
         )
     trial = make_trial("touched")
     views["touched stroking"] = View(
@@ -100,8 +108,9 @@ def make_views(scales: dict[str, Scale], texts: dict, *, picture: Path | None = 
 def write_picture(path: Path) -> Path:
     """A picture of stripes, as a surface may look like."""
     size = 300
-    rows = b"".join(b"\0" + bytes(120 + (x * y // 40) % 120 for x in range(size) for _ in range(3)) for y in range(size))
-    chunks = [(b"IHDR", struct.pack(">2I5B", size, size, 8, 2, 0, 0, 0)), (b"IDAT", zlib.compress(rows)), (b"IEND", b"")]
+    rows = b"".join(b"\0" + bytes(120 + (x * y // 40) % 120 for x in range(size)) for y in range(size))
+    head = struct.pack(">2I5B", size, size, 8, 0, 0, 0, 0)
+    chunks = [(b"IHDR", head), (b"IDAT", zlib.compress(rows)), (b"IEND", b"")]
     body = b"".join(
         struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks
     )
