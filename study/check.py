@@ -11,6 +11,8 @@ from stimuli.anchors import quietest_hz
 from stimuli.condition import condition, fade
 from stimuli.inspection import check_stimuli
 from stimuli.manifest import read_stimuli
+from study.actuator.rig import read_rig
+from study.preparing import list_rig_problems
 from study.provenance import find_changes
 from study.session.plan import make_plan
 from study.settings.designs import make_design
@@ -30,7 +32,7 @@ if TYPE_CHECKING:
 
 
 def check_study(study: StudyFolder) -> tuple[list[Recording], list[str]]:
-    """Check settings, recordings, pictures, texts and, once it is built, the stimulus set of a study.
+    """Check settings, recordings, pictures, texts, rig and, once it is built, the stimulus set of a study.
 
     Parameters
     ----------
@@ -49,7 +51,7 @@ def check_study(study: StudyFolder) -> tuple[list[Recording], list[str]]:
     except ValueError as error:
         return [], str(error).splitlines()
     recordings, problems = try_recordings(settings, study.path)
-    problems += [*_check_pictures(study, settings), *_check_texts(study, settings)]
+    problems += [*_check_pictures(study, settings), *_check_texts(study, settings), *_check_rig(study, settings)]
     recipe = None
     try:
         recipe = make_recipe(settings)
@@ -125,6 +127,21 @@ def find_warnings(study: StudyFolder) -> list[str]:
         return remarks
     plan = make_plan(make_design(settings), read_stimuli(study.stimuli), "check", number=1, simulated=False)
     return remarks + [f"order 'random': {line}" for line in find_crowding(plan.trials)]
+
+
+def _check_rig(study: StudyFolder, settings: Settings) -> list[str]:
+    """Check the rig, where there is one: simulated participants need none."""
+    if not study.rig.is_file():
+        return []
+    try:
+        rig = read_rig(study.rig)
+    except ValueError as error:
+        return str(error).splitlines()
+    try:
+        stimuli = read_stimuli(study.stimuli)
+    except (OSError, ValueError):
+        return []  # Not built yet, or damaged: others look at that.
+    return list_rig_problems(study, rig, settings=settings, stimuli=stimuli)
 
 
 def _check_plan(study: StudyFolder, settings: Settings) -> list[str]:

@@ -100,7 +100,7 @@ def list_bundled() -> tuple[str, ...]:
 
 
 def create_study(path: Path, *, bundled: str | None = None) -> StudyFolder:
-    """Begin a study: its folder, and a commented `study.toml` that names the bundled scenes.
+    """Begin a study: its folder, a commented `study.toml` that names the bundled scenes, and a `rig.toml`.
 
     Parameters
     ----------
@@ -125,6 +125,8 @@ def create_study(path: Path, *, bundled: str | None = None) -> StudyFolder:
     study = StudyFolder(path)
     (path / "recordings").mkdir(parents=True, exist_ok=True)
     create_text(study.settings, text)
+    if not study.rig.exists():
+        create_text(study.rig, _read_text("rig_template.toml"))
     return study
 
 
@@ -162,7 +164,7 @@ def read_template() -> str:
     str
         Its text.
     """
-    return (files("study") / "settings" / "template.toml").read_text(encoding="utf-8")
+    return _read_text("template.toml")
 
 
 def read_bundled(name: str) -> str:
@@ -186,3 +188,7 @@ def read_bundled(name: str) -> str:
     if name not in list_bundled():
         raise ValueError(f"study: got {name!r}, allowed: {', '.join(list_bundled())}")
     return (BUNDLED / f"{name}.toml").read_text(encoding="utf-8")
+
+
+def _read_text(name: str) -> str:
+    return (files("study") / "settings" / name).read_text(encoding="utf-8")

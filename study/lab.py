@@ -21,7 +21,7 @@ from study.settings.wording import read_study_texts
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
-    from stimuli.manifest import Stimulus
+    from stimuli.manifest import Stimulus, StimulusSet
     from study.actuator.output import Output
     from study.actuator.rig import Rig
     from study.folder import StudyFolder
@@ -48,6 +48,8 @@ class Lab:
         The study.
     settings : Settings
         Its settings.
+    stimuli : StimulusSet
+        What is felt.
     rig : Rig
         The actuators.
     windowed : bool
@@ -58,6 +60,7 @@ class Lab:
 
     study: StudyFolder
     settings: Settings
+    stimuli: StimulusSet
     rig: Rig
     windowed: bool = False
     casting: Casting | None = None
@@ -133,7 +136,7 @@ def open_lab(plan: Plan, journal: Journal, stimuli: Mapping[str, Stimulus], *, l
     texts = make_screen_texts(read_study_texts(lab.settings, lab.study.path))
     surfaces = list_surfaces(lab.settings, lab.study.path)
     with ExitStack() as stack:
-        output = stack.enter_context(_open_output(plan, stimuli, lab=lab, clock=clock))
+        output = stack.enter_context(_open_output(plan, lab=lab, clock=clock))
         window = stack.enter_context(open_screen(clock=clock, windowed=lab.windowed))
         hand = stack.enter_context(_open_hand(plan, journal, stimuli, casting=lab.casting))
         journal.write("device", dict(output.identity))
@@ -158,12 +161,19 @@ def start_clock(elapsed_s: float) -> Callable[[], float]:
 
 
 @contextmanager
-def _open_output(
-    plan: Plan, stimuli: Mapping[str, Stimulus], *, lab: Lab, clock: Callable[[], float]
-) -> Iterator[Output]:
-    """Open what the rig plays on, with every stimulus of the plan loaded."""
-    raise NotImplementedError
-    yield
+def _open_output(plan: Plan, *, lab: Lab, clock: Callable[[], float]) -> Iterator[Output]:
+    """Open what the rig plays on, with every stimulus of the study rendered before."""
+    from study.actuator.render import render_set
+
+    rate_hz, full_scale_m_s2 = lab.settings.rig.rate_hz, lab.settings.rig.full_scale_m_s2
+    sounds = render_set(lab.stimuli, lab.rig, full_scale_m_s2=full_scale_m_s2)
+    folder = lab.study.sessions / plan.participant / DELIVERED
+    if lab.rig.device.name == FILE_DEVICE:
+        from study.actuator.file_output import FileOutput
+
+        yield FileOutput(lab.rig, sounds, rate_hz=rate_hz, folder=folder, clock=clock)
+        return
+    raise OSError("run: got a device, allowed is 'file'")
 
 
 @contextmanager

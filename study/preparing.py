@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from stimuli.manifest import StimulusSet
+    from study.actuator.rig import Rig
     from study.folder import StudyFolder
     from study.session.journal import Clock
     from study.session.plan import Plan
@@ -43,6 +44,32 @@ def require_current_set(study: StudyFolder, settings: Settings) -> None:
     named = dict.fromkeys(entry.title for entry in settings.recordings)
     if changes := find_changes(study.stimuli, make_recipe(settings), named):
         raise ValueError("\n".join(f"{change}; run feel321 build {quote(str(study.path))}" for change in changes))
+
+
+def list_rig_problems(study: StudyFolder, rig: Rig, *, settings: Settings, stimuli: StimulusSet) -> list[str]:
+    """List what keeps a rig from playing the stimuli of a study as they are.
+
+    Parameters
+    ----------
+    study : StudyFolder
+        The study.
+    rig : Rig
+        The rig.
+    settings : Settings
+        The study's settings.
+    stimuli : StimulusSet
+        What is to be played.
+
+    Returns
+    -------
+    list of str
+        One line per kind of problem; empty if there is none.
+    """
+    from study.actuator.inspection import find_rig_problems
+
+    own = settings.rig
+    problems = find_rig_problems(rig, stimuli, rate_hz=own.rate_hz, full_scale_m_s2=own.full_scale_m_s2)
+    return [f"{study.rig.name}: {problem}" for problem in problems]
 
 
 def open_room(study: StudyFolder, settings: Settings, stimuli: StimulusSet, *, now: Clock) -> tuple[Room, str]:

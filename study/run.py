@@ -11,12 +11,12 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from stimuli.manifest import read_stimuli
-from study.actuator.rig import find_rig_problems, read_rig
+from study.actuator.rig import read_rig
 from study.lab import Lab, check_lab, identify_lab, open_lab
 from study.lead import lead_session
 from study.ledger.slots import read_ledger
 from study.observer.casting import cast_observers
-from study.preparing import open_room, plan_sessions, require_current_set
+from study.preparing import list_rig_problems, open_room, plan_sessions, require_current_set
 from study.session.engine import Outcome
 from study.settings.designs import make_identity
 from study.settings.reading import read_settings
@@ -146,11 +146,8 @@ def require_rig(study: StudyFolder, settings: Settings, stimuli: StimulusSet, *,
     rig = read_rig(study.rig)
     if device is not None:
         rig = rig.model_copy(update={"device": rig.device.model_copy(update={"name": device})})
-    problems = find_rig_problems(
-        rig, stimuli.stimuli, rate_hz=settings.rig.rate_hz, full_scale_m_s2=settings.rig.full_scale_m_s2
-    )
-    if problems:
-        raise ValueError("\n".join(f"{study.rig.name}: {problem}" for problem in problems))
+    if problems := list_rig_problems(study, rig, settings=settings, stimuli=stimuli):
+        raise ValueError("\n".join(problems))
     return rig
 
 
@@ -159,7 +156,7 @@ def _prepare_lab(study: StudyFolder, visit: Visit, *, settings: Settings, stimul
     check_lab(rig)
     seed = settings.study.seed if visit.seed is None else visit.seed
     casting = cast_observers(settings, stimuli, seed=seed) if visit.simulated else None
-    return Lab(study, settings, rig, windowed=visit.windowed, casting=casting)
+    return Lab(study, settings, stimuli, rig, windowed=visit.windowed, casting=casting)
 
 
 def _find_finished(room: Room, plan: Plan) -> Outcome | None:

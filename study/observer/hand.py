@@ -106,17 +106,17 @@ class PressingHand(Hand):
             self._confirmed = None
             return _name_part_key(view, unfelt[0])
         for judgement in trial.judgements:
-            if key := self._answer(view, judgement.part):
+            if (key := self._answer(view, judgement.part)) is not None:
                 return key
         if trial.phase == "main":
             self._confirmed = self._experience
         return "Return"
 
-    def _answer(self, view: View, part: str) -> str:
-        """Choose the key that brings an answer nearer; none if it stands as it should."""
+    def _answer(self, view: View, part: str) -> str | None:
+        """Choose the key that brings an answer nearer, none to wait; None if it stands as it should."""
         value = self._make_up_mind(view)[part]
         if isinstance(value, str):
-            return "" if view.chosen == value else _name_choice_key(view, value)
+            return None if view.chosen == value else _name_choice_key(view, value)
         return _find_marker_key(view, part, round(value))
 
     def _make_up_mind(self, view: View) -> Mapping[str, float | str]:
@@ -141,11 +141,11 @@ def _name_choice_key(view: View, choice: str) -> str:
     return str(choices.index(choice) + 1)
 
 
-def _find_marker_key(view: View, part: str, target: int) -> str:
-    """Choose the key that brings a marker nearer to a value; none if it stands there."""
+def _find_marker_key(view: View, part: str, target: int) -> str | None:
+    """Choose the key that brings a marker nearer to a value; None if it stands there."""
     marker = view.markers.get(part)
     if marker == target and not view.typed:
-        return ""
+        return None
     if view.kind == "rows":
         return _find_row_key(view, part) or _find_step_key(marker, target, coarse=("Next", "Prior"))
     # Every other trial by digits, so that both ways are gone.
