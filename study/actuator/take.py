@@ -21,14 +21,10 @@ SENSOR_TAIL_S = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """One call of a stream's callback.
+    """What a stream says of itself as it asks for a block.
 
     Parameters
     ----------
-    frame : int
-        Its first frame, counted since the stream's begin.
-    n_frames : int
-        How many it has.
     now_s : float
         When it was asked for.
     dac_s : float
@@ -41,8 +37,6 @@ class Block:
         Whether input was lost before it.
     """
 
-    frame: int
-    n_frames: int
     now_s: float
     dac_s: float
     adc_s: float = 0.0
@@ -98,13 +92,15 @@ class Take:
         self._out_frames = round((2 * latency_s + self._tail_s) * rate_hz)
         self._end_frame = 0
 
-    def note(self, block: Block) -> None:
+    def note(self, block: Block, *, frame: int) -> None:
         """Note a block that the mixer has filled.
 
         Parameters
         ----------
         block : Block
             What the stream said of it.
+        frame : int
+            Its first frame, counted since the stream's begin.
         """
         self.n_blocks += 1
         self.n_underruns += block.has_run_dry
@@ -112,29 +108,29 @@ class Take:
         if self.cue is None:
             return
         if self.end_s is not None:
-            is_late = block.frame >= self._end_frame + self._out_frames
+            is_late = frame >= self._end_frame + self._out_frames
             self.is_out = is_late or block.now_s >= self.end_s + self._tail_s
             return
         if self.onset_s is None and self.cue.n_played:
-            self.onset_s = block.dac_s + (self.cue.onset_frame - block.frame) / self._rate_hz
+            self.onset_s = block.dac_s + (self.cue.onset_frame - frame) / self._rate_hz
             self.sensor_latency_frames = round((block.dac_s - block.adc_s) * self._rate_hz)
         if self.cue.is_over:
-            self._end_frame = self.cue.onset_frame + self.cue.n_played if self.cue.n_played else block.frame
-            self.end_s = block.dac_s + (self._end_frame - block.frame) / self._rate_hz
+            self._end_frame = self.cue.onset_frame + self.cue.n_played if self.cue.n_played else frame
+            self.end_s = block.dac_s + (self._end_frame - frame) / self._rate_hz
 
-    def sense(self, block: Block, samples: NDArray[np.float32]) -> None:
+    def sense(self, samples: NDArray[np.float32], *, frame: int) -> None:
         """Keep what the sensor measured from the onset on.
 
         Parameters
         ----------
-        block : Block
-            The block that it came in with.
         samples : ndarray of float32, shape (n,)
-            What the sensor's channel brought.
+            What the sensor's channel brought with a block.
+        frame : int
+            The block's first frame.
         """
         if self._sensor is None or self.cue is None or self.onset_s is None:
             return
-        first = max(self.cue.onset_frame + self.sensor_latency_frames - block.frame, 0)
+        first = max(self.cue.onset_frame + self.sensor_latency_frames - frame, 0)
         piece = samples[first : first + len(self._sensor) - self.n_sensed]
         self._sensor[self.n_sensed : self.n_sensed + len(piece)] = piece
         self.n_sensed += len(piece)
