@@ -54,9 +54,12 @@ def find_rig_problems(rig: Rig, stimuli: StimulusSet, *, rate_hz: float, full_sc
     for stimulus in stimuli.stimuli:
         try:
             rendered = render_stimulus(stimulus, stimuli.folder, rig, full_scale_m_s2=full_scale_m_s2)
-        except (OSError, ValueError) as error:
+        except ValueError as error:
             name, _, reason = str(error).partition(": ")
             problems.setdefault(reason, []).append(name)
+            continue
+        except OSError as error:
+            problems.setdefault(f"{error.strerror}; build the set again", []).append(stimulus.file)
             continue
         if stimulus.rate_hz != rate_hz:
             reason = f"got a rate of {stimulus.rate_hz:g} Hz, the study plays at {rate_hz:g} Hz; build the set again"

@@ -50,12 +50,15 @@ class Limiter:
         self._longest = round(duration_s * rate_hz)
         self._squares = np.zeros(self._window)  # of the last second, a ring
         self._place = 0
-        self._energy = 0.0
+        self._walk = 0.0  # energy of the last second, had nothing been limited since the ring began anew
+        self._excess = 0.0  # what was taken from it since
         self._rest = self._pause  # frames since the last one that was not 0
         self._run = 0  # frames since the last pause
         self._new = np.empty(max_frames)
         self._sums = np.empty(max_frames)
+        self._rises = np.empty(max_frames)
         self._limited = np.empty(max_frames, dtype=np.float32)
+        self._given = np.empty(max_frames, dtype=np.float32)
         self._differs = np.empty(max_frames, dtype=np.bool_)
 
     def limit(self, samples: NDArray[np.float32]) -> int:
@@ -71,16 +74,19 @@ class Limiter:
         int
             How many samples were changed.
         """
-        n_changed = self._limit_duration(samples)
-        n_changed += self._limit_peak(samples)
+        given, differs = self._given[: len(samples)], self._differs[: len(samples)]
+        np.copyto(given, samples)
+        self._limit_duration(samples)
+        np.clip(samples, -self._peak, self._peak, out=samples)
         start = 0
         while start < len(samples):  # the ring is met in pieces that do not wrap
             piece = samples[start : start + self._window - self._place]
-            n_changed += self._limit_energy(piece)
+            self._limit_energy(piece)
             start += len(piece)
-        return n_changed
+        np.not_equal(samples, given, out=differs)
+        return int(np.count_nonzero(differs))
 
-    def _limit_duration(self, samples: NDArray[np.float32]) -> int:
+    def _limit_duration(self, samples: NDArray[np.float32]) -> None:
         n = len(samples)
         moving = self._differs[:n]
         np.not_equal(samples, 0, out=moving)
@@ -88,54 +94,56 @@ class Limiter:
         if n == 0 or not moving[first]:
             self._rest += n
             self._run += n
-            return 0
+            return
         if self._rest + first >= self._pause:
             self._run = -first
         self._rest = int(moving[::-1].argmax())
         allowed = max(self._longest - self._run, 0)
         self._run += n
-        if allowed >= n:
-            return 0
         samples[allowed:] = 0
-        return int(np.count_nonzero(moving[allowed:]))
 
-    def _limit_peak(self, samples: NDArray[np.float32]) -> int:
-        limited, differs = self._limited[: len(samples)], self._differs[: len(samples)]
-        np.clip(samples, -self._peak, self._peak, out=limited)
-        np.not_equal(samples, limited, out=differs)
-        n_changed = int(np.count_nonzero(differs))
-        if n_changed:
-            np.copyto(samples, limited)
-        return n_changed
+    def _limit_energy(self, samples: NDArray[np.float32]) -> None:
+        """Give each sample what the last second leaves of the energy.
 
-    def _limit_energy(self, samples: NDArray[np.float32]) -> int:
+        The energy of the last second is a walk E(i) = min(E(i-1) + d(i), limit), d being what is new less what is a
+        second old. That is the free walk S less the running maximum of what S exceeds the limit by [1]_; each rise of
+        the maximum is taken from the sample where it happens.
+
+        References
+        ----------
+        .. [1] Lindley, D. V. (1952). The theory of queues with a single server. doi:10.1017/S0305004100027638
+        """
         n = len(samples)
         new, sums, old = self._new[:n], self._sums[:n], self._squares[self._place : self._place + n]
-        np.multiply(samples, samples, out=new, dtype=np.float64)
+        np.copyto(new, samples)  # first, or the product would be made by way of a buffer
+        np.multiply(new, new, out=new)
         np.subtract(new, old, out=sums)
-        sums[0] += self._energy
+        sums[0] += self._walk
         np.cumsum(sums, out=sums)
-        n_changed = 0
-        if sums.max() > self._energy_limit:
-            n_changed = self._limit_each(samples, new=new, old=old)
-        else:
-            self._energy = float(sums[-1])
+        self._walk = float(sums[-1])
+        if sums.max() - self._energy_limit > self._excess:
+            self._take_excess(samples, new=new, sums=sums)
         np.copyto(old, new)
         self._place += n
         if self._place == self._window:  # once per round the sum is taken afresh, or its rounding would grow for hours
-            self._place, self._energy = 0, float(self._squares.sum())
-        return n_changed
+            self._place, self._walk, self._excess = 0, float(self._squares.sum()), 0.0
 
-    def _limit_each(self, samples: NDArray[np.float32], *, new: NDArray[np.float64], old: NDArray[np.float64]) -> int:
-        """Give each sample what the last second leaves of the energy; `new` becomes the squares of what is left."""
-        n_changed, energy = 0, self._energy
-        for place in range(len(samples)):
-            left = max(self._energy_limit - (energy - old[place]), 0.0)
-            if new[place] > left:
-                # Towards zero, or rounding to float32 could exceed what is left.
-                samples[place] = np.nextafter(np.copysign(np.float32(left**0.5), samples[place]), np.float32(0))
-                new[place] = float(samples[place]) ** 2
-                n_changed += 1
-            energy += new[place] - old[place]
-        self._energy = float(energy)
-        return n_changed
+    def _take_excess(
+        self, samples: NDArray[np.float32], *, new: NDArray[np.float64], sums: NDArray[np.float64]
+    ) -> None:
+        n = len(samples)
+        excess, rises, limited, rising = sums, self._rises[:n], self._limited[:n], self._differs[:n]
+        np.subtract(sums, self._energy_limit, out=excess)
+        excess[0] = max(excess[0], self._excess)
+        np.maximum.accumulate(excess, out=excess)
+        np.subtract(excess[1:], excess[:-1], out=rises[1:])
+        rises[0] = excess[0] - self._excess
+        self._excess = float(excess[-1])
+        np.subtract(new, rises, out=new)
+        np.maximum(new, 0, out=new)
+        np.greater(rises, 0, out=rising)
+        np.sqrt(new, out=rises)
+        np.copyto(limited, rises, casting="same_kind")
+        np.nextafter(limited, np.float32(0), out=limited)  # or rounding to float32 could exceed what is left
+        np.copysign(limited, samples, out=limited)
+        np.copyto(samples, limited, where=rising)

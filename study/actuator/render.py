@@ -60,7 +60,10 @@ def render_stimulus(stimulus: Stimulus, folder: Path, rig: Rig, *, full_scale_m_
         raise ValueError(f"{stimulus.file}: got {len(tracks)} channels, allowed are 1 or {len(AXES)}; build it again")
     sources = SOURCES[len(tracks)]
     if missing := [source for source in sources if not any(source in actuator.plays for actuator in rig.actuators)]:
-        raise ValueError(f"{stimulus.stimulus_id}: no actuator plays {', '.join(missing)}; add it to `plays` of one")
+        raise ValueError(
+            f"{stimulus.stimulus_id}: no actuator plays {', '.join(missing)}; add it to `plays` in rig.toml, or name a "
+            "reference in study.toml that the rig can play"
+        )
     rendered = np.zeros((stimulus.n_samples, rig.n_channels), dtype=np.float32)
     for actuator in rig.actuators:
         played = [track for source, track in zip(sources, tracks, strict=True) if source in actuator.plays]
