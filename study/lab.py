@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, nullcontext
 from dataclasses import dataclass
 from importlib.util import find_spec
 from time import perf_counter
@@ -20,6 +20,7 @@ from study.settings.wording import read_study_texts
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
+    from contextlib import AbstractContextManager
 
     from stimuli.manifest import Stimulus, StimulusSet
     from study.actuator.output import Output
@@ -160,8 +161,7 @@ def start_clock(elapsed_s: float) -> Callable[[], float]:
     return lambda: perf_counter() - start_s
 
 
-@contextmanager
-def _open_output(plan: Plan, *, lab: Lab, clock: Callable[[], float]) -> Iterator[Output]:
+def _open_output(plan: Plan, *, lab: Lab, clock: Callable[[], float]) -> AbstractContextManager[Output]:
     """Open what the rig plays on, with every stimulus of the study rendered before."""
     from study.actuator.render import render_set
 
@@ -171,9 +171,10 @@ def _open_output(plan: Plan, *, lab: Lab, clock: Callable[[], float]) -> Iterato
     if lab.rig.device.name == FILE_DEVICE:
         from study.actuator.file_output import FileOutput
 
-        yield FileOutput(lab.rig, sounds, rate_hz=rate_hz, folder=folder, clock=clock)
-        return
-    raise OSError("run: got a device, allowed is 'file'")
+        return nullcontext(FileOutput(lab.rig, sounds, rate_hz=rate_hz, folder=folder, clock=clock))
+    from study.actuator.stream_output import open_stream
+
+    return open_stream(lab.rig, sounds, rate_hz=rate_hz, folder=folder, clock=clock)
 
 
 @contextmanager

@@ -108,8 +108,9 @@ def run_participant(
         make_presenter=partial(open_lab, lab=lab),
         on_step=on_step,
     )
-    for line in filter(None, (notice, mended) if warn else ()):
-        warn(line)
+    if warn is not None:
+        for line in filter(None, (notice, mended)):
+            warn(line)
     return outcome
 
 
