@@ -82,6 +82,25 @@ def test_no_second_is_louder_than_allowed(rms: float) -> None:
     assert np.all(out * samples >= 0)
 
 
+def greedy(samples: np.ndarray, rms: float) -> np.ndarray:
+    """Sample by sample: each gets at most what the last second leaves."""
+    out = samples.astype(np.float64)
+    for i in range(len(out)):
+        before = np.sum(out[max(i - 999, 0) : i] ** 2)
+        out[i] = np.copysign(min(abs(out[i]), max(rms**2 * 1000 - before, 0) ** 0.5), out[i])
+    return out
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_each_sample_gets_what_the_last_second_leaves(seed: int) -> None:
+    samples = np.clip(noise(seed, 3500, 0.3), -1, 1)
+    samples[1000:1600] *= 0.1
+    out, _ = run(limiter(rms=0.25), samples, [37])
+    # What rounding towards zero leaves over in one sample, the next one may take.
+    np.testing.assert_allclose(out, greedy(samples, 0.25), atol=2e-3)
+    np.testing.assert_allclose(np.cumsum(out**2.0), np.cumsum(greedy(samples, 0.25) ** 2), rtol=1e-5)
+
+
 def test_seconds_are_watched_across_silence() -> None:
     """Two bursts within one second share it, two bursts a second apart do not."""
     burst = np.full(400, 0.5)
