@@ -102,7 +102,7 @@ class ScreenPresenter:
             left_s = ceil(max(0.0, page.least_s - (self._clock() - shown_s)))
             self._view = replace(self._view, left_s=left_s)
             for wish in self._listen():
-                stood_s = wish.time_s - shown_s
+                stood_s = max(0.0, wish.time_s - shown_s)
                 if wish.name == "close":
                     return Abort(wish.time_s, CLOSED)
                 if wish.name == "pause" and self._view.can_leave:

@@ -241,6 +241,9 @@ class Window:
             on_mouse_press=lambda x, y, *_: take(Click(*locate(x, y), self.clock())),
             on_mouse_drag=lambda x, y, *_: take(Drag(*locate(x, y), self.clock())),
             on_close=lambda: take(Closed(self.clock())),
+            # A window that is destroyed from outside is never asked to close, but it vanishes; so does one that is
+            # put away, and then nobody sees what is asked.
+            on_hide=lambda: take(Closed(self.clock())),
         )
 
 
