@@ -139,6 +139,18 @@ class Rig(Table):
             yield self.sync.channel, "sync"
 
 
+TABLES: dict[tuple[str, ...], type[Table]] = {
+    (): Rig,
+    ("actuators",): ActuatorTable,
+    ("device",): DeviceTable,
+    ("limits",): LimitsTable,
+    ("masking",): MaskingTable,
+    ("sensor",): SensorTable,
+    ("sync",): SyncTable,
+}
+"""Which keys are allowed where."""
+
+
 def read_rig(path: Path) -> Rig:
     """Read and check a `rig.toml`.
 
@@ -159,7 +171,7 @@ def read_rig(path: Path) -> Rig:
     OSError
         If the file cannot be read.
     """
-    rig = parse_toml(path, Rig)
+    rig = parse_toml(path, Rig, tables=TABLES)
     uses: dict[int, list[str]] = {}
     for channel, use in rig.outputs():
         uses.setdefault(channel, []).append(use)

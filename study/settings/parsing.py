@@ -5,22 +5,27 @@ from __future__ import annotations
 import json
 import tomllib
 from difflib import get_close_matches
-from typing import TYPE_CHECKING, NoReturn, TypeVar, get_args
+from typing import TYPE_CHECKING, NoReturn, TypeVar
 
 from pydantic import ValidationError
 
 from study.settings.fields import Table
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from pydantic_core import ErrorDetails
 
+    Tables = Mapping[tuple[str, ...], type[Table]]
+
 Whole = TypeVar("Whole", bound=Table)
 
+WRONG_KEY = "[key]"
+"""What pydantic adds to the place of a name that is not allowed; the name stands before it."""
 
-def parse_toml(path: Path, model: type[Whole]) -> Whole:
+
+def parse_toml(path: Path, model: type[Whole], *, tables: Tables) -> Whole:
     """Read a TOML file into the table that it is to be.
 
     Parameters
@@ -29,6 +34,9 @@ def parse_toml(path: Path, model: type[Whole]) -> Whole:
         The file.
     model : type of Table
         What may stand in it.
+    tables : mapping of tuple of str to type of Table
+        Its tables by their names, its own being (); a table of several kinds stands once per kind. Tables that any
+        name is given to stand under what they are in.
 
     Returns
     -------
@@ -54,7 +62,7 @@ def parse_toml(path: Path, model: type[Whole]) -> Whole:
     try:
         return model.model_validate_json(content, strict=True)
     except ValidationError as error:
-        lines = (f"{path.name}: {_translate(detail, model)}" for detail in error.errors(include_url=False))
+        lines = (f"{path.name}: {_translate(detail, tables)}" for detail in error.errors(include_url=False))
         raise ValueError("\n".join(lines)) from None
 
 
@@ -63,12 +71,12 @@ def _refuse_time(value: object) -> NoReturn:
     raise TypeError(f"got the date or time {value}, allowed are texts, numbers, true and false; put it in quotes")
 
 
-def _translate(detail: ErrorDetails, model: type[Table]) -> str:
-    place = _write_place(detail["loc"])
+def _translate(detail: ErrorDetails, tables: Tables) -> str:
+    place = _write_place(detail["loc"], tables)
     if detail["type"] == "json_invalid":  # We wrote the JSON: only its depth can be wrong.
         return "got TOML that is nested too deeply; mend that place"
     if detail["type"] == "extra_forbidden":
-        return f"{place}: is no setting; {_suggest(detail['loc'], model)}"
+        return f"{place}: is no setting; {_suggest(detail['loc'], tables)}"
     if detail["type"] == "missing":
         return f"{place}: is missing; add it"
     if detail["type"] == "value_error":
@@ -81,27 +89,22 @@ def _translate(detail: ErrorDetails, model: type[Table]) -> str:
     return f"{place}: {got}{reason}"
 
 
-def _write_place(location: Sequence[int | str]) -> str:
-    """Write a place as the file's author counts: `actuators[1].channel`."""
-    place = ""
-    for part in location:
+def _write_place(location: Sequence[int | str], tables: Tables) -> str:
+    """Write a place as the file's author counts, `recordings[1].unit`; the kind of a table is no key."""
+    place, names = "", list[str]()
+    for before, part in zip((None, *location), location, strict=False):
         if isinstance(part, int):
             place += f"[{part + 1}]"
-        else:
+            continue
+        names.append(part)
+        is_kind = isinstance(before, int) and tuple(names) in tables
+        if not is_kind and part != WRONG_KEY:
             place += f".{part}" if place else part
     return place
 
 
-def _suggest(location: Sequence[int | str], model: type[Table]) -> str:
-    *tables, key = (part for part in location if isinstance(part, str))
-    for name in tables:
-        model = _find_table(model.model_fields[name].annotation)
-    near = get_close_matches(key, model.model_fields, n=1)
-    return f"did you mean {near[0]}?" if near else f"allowed: {', '.join(model.model_fields)}"
-
-
-def _find_table(annotation: object) -> type[Table]:
-    """Find the table in an annotation such as `tuple[ActuatorTable, ...]` or `SyncTable | None`."""
-    if isinstance(annotation, type) and issubclass(annotation, Table):
-        return annotation
-    return next(_find_table(inner) for inner in get_args(annotation) if inner not in {type(None), ...})
+def _suggest(location: Sequence[int | str], tables: Tables) -> str:
+    *names, key = (part for part in location if isinstance(part, str))
+    table = tables.get(tuple(names)) or tables[tuple(names[:1])]
+    near = get_close_matches(key, table.model_fields, n=1)
+    return f"did you mean {near[0]}?" if near else f"allowed: {', '.join(table.model_fields)}"
