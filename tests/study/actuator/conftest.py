@@ -23,13 +23,16 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 RATE_HZ = 48000
+
+# ALSA's order. A sound server mixes a stream onto a sink with other channels, so rig and sink have the same here.
+CHANNEL_MAP = ("front-left", "front-right", "rear-left", "rear-right", "front-center", "lfe")
 PLAYER = Path(__file__).with_name("player.py")
 
-# The server's own clock drives a null sink; `stylus` is the device, `stylus twin` another name of it.
+# No sink or source is named: the server has one of each, the null sink and its monitor.
 ALSA_NAMES = """
 </usr/share/alsa/alsa.conf>
-pcm.stylus {{ type pulse server "unix:{socket}" device stylus }}
-pcm."stylus twin" {{ type pulse server "unix:{socket}" device stylus }}
+pcm.stylus {{ type pulse server "unix:{socket}" }}
+pcm."stylus twin" {{ type pulse server "unix:{socket}" }}
 """
 
 
@@ -63,7 +66,8 @@ class Pulse:
             "pulseaudio", "-n", "--daemonize=no", "--use-pid-file=no", "--exit-idle-time=-1", "--disable-shm=yes",
             "--realtime=no", "--high-priority=no", "--log-target=stderr",
             f"--load=module-native-protocol-unix socket={self.socket} auth-anonymous=1",
-            f"--load=module-null-sink sink_name=stylus rate={RATE_HZ} channels={self.channels} format=float32le",
+            f"--load=module-null-sink sink_name=stylus rate={RATE_HZ} channels={self.channels} format=float32le "
+            f"channel_map={','.join(CHANNEL_MAP[: self.channels])}",
         ]  # fmt: skip
         with (self.folder / "server.log").open("wb") as log:
             self.server = subprocess.Popen(command, env={**self.env, "HOME": str(self.folder)}, stderr=log)
@@ -221,14 +225,16 @@ def end(process: subprocess.Popen[str]) -> None:
 
 @pytest.fixture
 def make_rig() -> Callable[..., str]:
-    """Write a rig: two coils on channels 1 and 2, and whatever other tables."""
+    """Write a rig: two coils on channels 1 and 2, one that nothing plays on the last, and whatever other tables."""
 
-    def make(*tables: str, device: str = "stylus", latency_s: float = 0.1) -> str:
+    def make(*tables: str, channels: int = 2, device: str = "stylus", latency_s: float = 0.1) -> str:
+        spare = f'[[actuators]]\nname = "spare"\nchannel = {channels}\nplays = ["z"]'
         return "\n".join(
             (
                 f'[device]\nname = "{device}"\nlatency_s = {latency_s}',
                 '[[actuators]]\nname = "left"\nchannel = 1\n[[actuators]]\nname = "right"\nchannel = 2',
                 "[limits]\npeak_m_s2 = 100.0\nrms_m_s2 = 50.0\nduration_s = 60.0",
+                spare if channels > 2 else "",
                 *tables,
             )
         )
@@ -238,9 +244,9 @@ def make_rig() -> Callable[..., str]:
 
 @pytest.fixture
 def make_sound() -> Callable[..., NDArray[np.float32]]:
-    """Make noise that is not silent anywhere and different on each of the first two channels."""
+    """Make noise that is silent nowhere, and different on the first two channels; the others are silent."""
 
-    def make(seed: int, *, n: int = 4800, channels: int = 4) -> NDArray[np.float32]:
+    def make(seed: int, *, n: int = 4800, channels: int = 2) -> NDArray[np.float32]:
         noise = np.random.default_rng(seed).uniform(0.05, 0.4, size=(n, channels)).astype(np.float32)
         noise[1::2] *= -1
         noise[:, 2:] = 0

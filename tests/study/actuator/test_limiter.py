@@ -75,7 +75,7 @@ def test_the_blocks_make_no_difference(seed: int, sizes: list[int], peak: float,
 def test_no_second_is_louder_than_allowed(rms: float) -> None:
     samples = np.concatenate([noise(1, 900, 0.1), noise(2, 1500, 0.4), np.zeros(300), noise(3, 900, 0.4)])
     out, changed = run(limiter(rms=rms), samples)
-    assert largest_rms(out) <= rms * (1 + 1e-8)
+    assert largest_rms(out) <= rms * (1 + 1e-7)
     assert largest_rms(out) > 0.999 * rms
     assert changed == np.count_nonzero(out != samples.astype(np.float32))
     assert np.all(np.abs(out) <= np.abs(samples))
@@ -96,7 +96,6 @@ def test_each_sample_gets_what_the_last_second_leaves(seed: int) -> None:
     samples = np.clip(noise(seed, 3500, 0.3), -1, 1)
     samples[1000:1600] *= 0.1
     out, _ = run(limiter(rms=0.25), samples, [37])
-    # What rounding towards zero leaves over in one sample, the next one may take.
     np.testing.assert_allclose(out, greedy(samples, 0.25), atol=2e-3)
     np.testing.assert_allclose(np.cumsum(out**2.0), np.cumsum(greedy(samples, 0.25) ** 2), rtol=1e-5)
 
