@@ -144,6 +144,5 @@ class Limiter:
         np.greater(rises, 0, out=rising)
         np.sqrt(new, out=rises)
         np.copyto(limited, rises, casting="same_kind")
-        np.nextafter(limited, np.float32(0), out=limited)  # or rounding to float32 could exceed what is left
         np.copysign(limited, samples, out=limited)
         np.copyto(samples, limited, where=rising)
