@@ -159,7 +159,7 @@ def _lay_rows(view: View, texts: ScreenTexts, *, grid: Grid, box: Box) -> Laid:
     unit, small = grid.unit, SMALL * grid.unit
     judged = [judgement.part for judgement in view.trial.judgements]
     names = {part.name: name_part(part.name, texts) for part in view.trial.parts}
-    field = max(measure(name, BODY * unit, bold=True) for name in names.values()) + 9 * unit
+    field = max(measure(name, small, bold=True) for name in names.values()) + 9 * unit
     left, margin = box.left + field + 12 * unit, 12 * unit
     track = Box(left, box.top, box.right - margin - left, 0)
     head = 2 * LEADING * small + 1.2 * unit
@@ -172,10 +172,10 @@ def _lay_rows(view: View, texts: ScreenTexts, *, grid: Grid, box: Box) -> Laid:
         own = Box(track.left, line.top + 0.14 * row, track.width, 0.72 * row)
         items += _draw_row(view, name, line=line, track=own, unit=unit)
         targets.append(Target(Box(own.left - 2 * unit, line.top, own.width + 4 * unit, row), "mark", name, own))
-        spots[name] = Box(box.left + unit, line.top + 0.07 * row, field - unit, 0.86 * row)
+        spots[name] = Box(box.left + unit, line.top + 0.04 * row, field - unit, 0.92 * row)
     for name, spot in spots.items():
         items += draw_part(
-            spot, names[name], size=BODY * unit, is_on=name == view.playing, is_felt=name in view.felt
+            spot, names[name], size=small, is_on=name == view.playing, is_felt=name in view.felt
         )
         targets.append(Target(spot, "feel", name))
     return items, targets

@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
     from study.screen.shapes import Item
 
-WIDE = 16 / 10
+WIDE = 1.58
 """Screens at least this wide for their height are measured by their height."""
 
 BODY = 3.0
-SMALL = 2.7
+SMALL = 2.8
 QUESTION = 4.0
 TITLE = 5.6
 """Sizes of letters (em) in units; at 1 m nothing may be smaller than 2.2 % of the screen's height."""
@@ -96,6 +96,8 @@ class Button:
         Whether it is what comes next: filled.
     is_ready : bool
         Whether it does something now.
+    share : float
+        How much of the time until it does has gone by, from 0 to 1.
     """
 
     text: str
@@ -103,6 +105,7 @@ class Button:
     part: str = ""
     is_main: bool = False
     is_ready: bool = True
+    share: float = 0.0
 
 
 def split_key(text: str) -> tuple[str, str]:
@@ -320,8 +323,10 @@ def draw_button(grid: Grid, button: Button, box: Box) -> list[Item]:
     frame = Area(
         box, fill=BLUE if filled else PANEL, line="" if filled else LINE, round_px=1.2 * unit, line_px=0.25 * unit
     )
+    gone = Box(box.left, box.top, box.width * button.share, box.height)
     return [
         frame,
+        *([Area(gone, fill=LINE, round_px=1.2 * unit)] if button.share else []),
         Text(words, action, size, ink, bold=True),
-        Text(cap, key, size, GROUND if filled else DIM),
+        Text(cap, key, size, GROUND if filled else INK if button.share else DIM),
     ]

@@ -40,6 +40,10 @@ COLUMN = 108.0
 """How wide a page's text is, in units: some 65 letters."""
 
 
+ANSWER = 29.0
+"""Height of what an answer takes under a picture, in units."""
+
+
 def compose(view: View, texts: ScreenTexts, *, size: tuple[int, int]) -> Composition:
     """Lay out a screen.
 
@@ -85,7 +89,8 @@ def _lay_page(view: View, texts: ScreenTexts, grid: Grid) -> tuple[list[Item], l
     if view.left_s:
         # The number stands where the key's name will: a key that does nothing yet is not named.
         key = f"{texts.prompts['wait'].format(seconds=view.left_s)}  {split_key(key)[1]}"
-    go_on = Button(key, "confirm", is_main=True, is_ready=not view.left_s)
+    share = 1 - view.left_s / page.least_s if view.left_s and page.least_s else 0.0
+    go_on = Button(key, "confirm", is_main=True, is_ready=not view.left_s, share=max(share, 0.0))
     buttons, targets = lay_buttons(grid, leave, [go_on])
     return items + buttons, targets
 
@@ -114,7 +119,7 @@ def _lay_text(view: View, page: Page, *, texts: ScreenTexts, grid: Grid) -> list
 def _lay_trial(view: View, texts: ScreenTexts, grid: Grid) -> tuple[list[Item], list[Target]]:
     items, targets, left_over = _lay_head(view, texts, grid)
     if view.picture and view.kind != "rows":
-        box, left_over = _split(left_over, share=0.5)
+        box, left_over = _split(left_over, below=ANSWER * grid.unit)
         items.append(Picture(box, view.picture))
     more_items, more_targets = lay_answer(view, texts, grid=grid, box=left_over)
     buttons, button_targets = lay_buttons(grid, [Button(texts.keys["pause"], "pause")], _list_buttons(view, texts))
@@ -134,7 +139,7 @@ def _lay_head(view: View, texts: ScreenTexts, grid: Grid) -> tuple[list[Item], l
     lines = wrap(find_question(view, texts), body.width, size=QUESTION * unit, bold=True)
     height = find_height(lines, QUESTION * unit)
     items += lay_lines(Box(body.left, top, body.width, height), lines, size=QUESTION * unit, bold=True, align="center")
-    top += height + (1.0 if view.kind == "rows" else 3.0) * unit
+    top += height + (1.5 if view.kind == "rows" else 3.0) * unit
     return items, targets, Box(body.left, top, body.width, body.bottom - top)
 
 
@@ -158,8 +163,8 @@ def find_question(view: View, texts: ScreenTexts) -> str:
     return view.scale.question if view.scale else ""
 
 
-def _split(box: Box, *, share: float) -> tuple[Box, Box]:
-    height = box.height * share
+def _split(box: Box, *, below: float) -> tuple[Box, Box]:
+    height = max(box.height - below, box.height / 3)
     return Box(box.left, box.top, box.width, height), Box(box.left, box.top + height, box.width, box.height - height)
 
 

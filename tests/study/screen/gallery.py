@@ -16,14 +16,17 @@ from protocols.flow import PAGES, Page
 from protocols.registry import PROTOCOLS
 from protocols.texts import read_texts
 from protocols.trial import Judgement, Part, Trial
+from study.screen.fonts import measure
 from study.screen.layout import compose
+from study.screen.shapes import LEADING, Text
 from study.screen.views import View
 from study.screen.window import open_screen
 from study.screen.wording import make_screen_texts
 from study.session.ports import Place
 
 if TYPE_CHECKING:
-    from protocols.texts import Scale
+    from protocols.trial import Scale
+    from study.screen.window import Window
 
 PARTS = {
     "realism": (Part("test", "s1"),),
@@ -64,7 +67,7 @@ def make_views(scales: dict[str, Scale], texts: dict, *, picture: Path | None = 
         notice = texts["prompts"]["end_next"] if key == "pause" else ""
         notice = texts["refusals"]["too_early"] if left_s else notice
         views[f"page {key}"] = View(
-            "page", "reading", number, place, page=Page(key, by=by), left_s=left_s, notice=notice
+            "page", "reading", number, place, page=Page(key, 60.0 if left_s else 0.0, by), left_s=left_s, notice=notice
         )
     names = ", ".join(texts["parts"].get(name, name) for name in ("reference", "test"))
     missing = texts["refusals"]["not_felt"].format(parts=names)
@@ -118,6 +121,15 @@ def write_picture(path: Path) -> Path:
     return path
 
 
+def check_widths(window: Window) -> None:
+    """The window's own letters are no wider than the layout took them for."""
+    for item, stimulus in window._drawn.items():
+        if isinstance(item, Text):
+            width, height = stimulus.boundingBox
+            assert width <= measure(item.words, item.size, bold=item.bold) + 2, item
+            assert height <= item.size * LEADING, item
+
+
 def save_gallery(folder: Path, language: str, size: tuple[int, int]) -> None:
     """Save a picture of every screen."""
     from protocols.texts import read_scales
@@ -129,6 +141,7 @@ def save_gallery(folder: Path, language: str, size: tuple[int, int]) -> None:
         assert window.size == size
         for name, view in views.items():
             window.show(compose(view, texts, size=window.size).items)
+            check_widths(window)
             window.capture(folder / f"{name} {language} {size[0]}x{size[1]}.png".replace(" ", "_"))
 
 
