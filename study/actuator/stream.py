@@ -116,6 +116,8 @@ class Line:
         The device.
     latency_s : float
         From a block to its sound, as the device says, in s.
+    there_and_back_s : float
+        The same, and from the sensor back if there is one, in s.
 
     Raises
     ------
@@ -133,6 +135,7 @@ class Line:
                 self._stream = self._open(rig, rate_hz=rate_hz)
                 latency = self._stream.latency
                 self.latency_s = float(latency if self._column is None else latency[1])
+                self.there_and_back_s = float(latency if self._column is None else sum(latency))
                 self._stream.start()
         except _load().PortAudioError as error:
             raise OSError(_describe(error, self.device, rate_hz=rate_hz)) from None
@@ -203,15 +206,15 @@ class Line:
         return sounddevice.Stream(channels=channels, callback=self._answer_duplex, **settings)
 
     def _answer(self, out: Samples, _n: int, times: Foreign, status: Foreign) -> None:
-        self._pass_on(out, times, status, None)
+        self._fill(out, self._note(times, status), None)
 
     def _answer_duplex(self, *given: Foreign) -> None:
         sensed, out, _n, times, status = given
-        self._pass_on(out, times, status, sensed[:, self._column])
+        self._fill(out, self._note(times, status), sensed[:, self._column])
 
-    def _pass_on(self, out: Samples, times: Foreign, status: Foreign, sensed: Samples | None) -> None:
+    def _note(self, times: Foreign, status: Foreign) -> Block:
         self._last_s = perf_counter()
-        block = Block(
+        return Block(
             now_s=times.currentTime,
             # Interfaces that tell no times say 0.
             dac_s=times.outputBufferDacTime or times.currentTime + self.latency_s,
@@ -219,7 +222,6 @@ class Line:
             has_run_dry=bool(status.output_underflow),
             has_lost_input=bool(status.input_overflow or status.input_underflow),
         )
-        self._fill(out, block, sensed)
 
 
 def refresh_devices() -> None:
@@ -238,7 +240,9 @@ def _load() -> ModuleType:
     try:
         import sounddevice
     except ImportError:
-        raise OSError("device: got no sounddevice, the actuators need it; install: pip install 'feel321[rig]'") from None
+        raise OSError(
+            "device: got no sounddevice, actuators need it; install: pip install 'feel321[rig]'"
+        ) from None
     except OSError:
         raise OSError("device: got no PortAudio, sounddevice needs it; install the package libportaudio2") from None
     return sounddevice  # type: ignore[no-any-return]

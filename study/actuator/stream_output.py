@@ -7,6 +7,7 @@ while; and a device that runs dry, stands still or disappears is told in the del
 from __future__ import annotations
 
 from contextlib import contextmanager
+from threading import Thread
 from time import perf_counter, sleep
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +19,7 @@ from study.actuator.mixer import PREROLL_S, Mixer
 from study.actuator.output import Delivery
 from study.actuator.rig import identify
 from study.actuator.stream import Line, list_devices, refresh_devices
-from study.actuator.take import SENSOR_TAIL_S, Take
+from study.actuator.take import Take
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -36,6 +37,12 @@ if TYPE_CHECKING:
 
 OPENING_S = 5.0
 """So long a device may take, beyond its pre-roll, until its stream runs."""
+
+REVIVING_S = 8.0
+"""So long a start waits for a dead device; it may well come back later."""
+
+SENSED_BEYOND_S = 5.0
+"""Longest recording of a sensor beyond the stimulus; two latencies of 2 s fit in."""
 
 
 @contextmanager
@@ -92,9 +99,7 @@ class StreamOutput:
         The session's clock.
     """
 
-    def __init__(
-        self, rig: Rig, sounds: Mapping[str, Samples], *, rate_hz: float, folder: Path, clock: Clock
-    ) -> None:
+    def __init__(self, rig: Rig, sounds: Mapping[str, Samples], *, rate_hz: float, folder: Path, clock: Clock) -> None:
         self._rig = rig
         self._rate_hz = rate_hz
         self._folder = folder
@@ -103,6 +108,7 @@ class StreamOutput:
         self._mixer = Mixer(rig, sounds, rate_hz=rate_hz, preroll_s=self._preroll_s)
         self._sensed = _make_sensed(rig, sounds, rate_hz=rate_hz)
         self._line: Line | None = None
+        self._opening: Thread | None = None
         self._take: Take | None = None
         self._requested_s = 0.0
         self._clock_ahead_s = 0.0
@@ -151,7 +157,7 @@ class StreamOutput:
         self._take = None
         if line is None:
             return
-        take = Take(self._rate_hz, self._latency_s, sensor=self._sensed)
+        take = Take(self._rate_hz, line.there_and_back_s, sensor=self._sensed)
         self._take = take  # before the mixer knows, so that no block is missed
         take.cue = self._mixer.start(stimulus.stimulus_id, gap_s=gap_s)
         self._clock_ahead_s = line.compare_clocks(self._clock)
@@ -227,16 +233,27 @@ class StreamOutput:
             sleep(0.005)
 
     def _revive(self) -> Line | None:
-        """Find the line that runs; open it again, once, if it does not."""
-        if self._line is not None and not self._line.find_fault():
+        """Find the line that runs; open it again if it does not."""
+        if self._opening is None and self._line is not None and not self._line.find_fault():
             return self._line
+        if self._opening is None:
+            # Looking for devices can hang as long as a sound server does; the session must not.
+            self._opening = Thread(target=self._reopen, daemon=True)
+            self._opening.start()
+        self._opening.join(REVIVING_S)
+        if self._opening.is_alive():
+            self._error = f"device: got {self._rig.device.name!r}, which does not answer; see to it, then go on"
+            return None
+        self._opening = None
+        return self._line
+
+    def _reopen(self) -> None:
         self.close()
-        refresh_devices()
         try:
+            refresh_devices()
             self.open()
         except OSError as problem:
             self._error = str(problem)
-        return self._line
 
     def _measure(self, take: Take, cue: Cue) -> dict[str, float]:
         measured = {
@@ -255,7 +272,7 @@ class StreamOutput:
             return {}
         measured = {
             "sensor_gaps": float(take.n_sensor_gaps),
-            "sensor_latency_s": take.sensor_latency_frames / self._rate_hz,
+            "sensor_latency_s": take.sensor_latency_s,
         }
         samples = take.sensed * np.float32(self._rig.sensor.full_scale_m_s2)
         try:
@@ -270,4 +287,4 @@ def _make_sensed(rig: Rig, sounds: Mapping[str, Samples], *, rate_hz: float) -> 
     if rig.sensor is None:
         return None
     longest = max((len(sound) for sound in sounds.values()), default=0)
-    return np.zeros(longest + round(SENSOR_TAIL_S * rate_hz), dtype=np.float32)
+    return np.zeros(longest + round(SENSED_BEYOND_S * rate_hz), dtype=np.float32)

@@ -52,7 +52,7 @@ class Take:
     rate_hz : float
         Sampling rate in Hz.
     latency_s : float
-        What the device says it takes from a block to its sound, in s.
+        What the device says it takes from a block to its sound, and from the sensor back if there is one, in s.
     sensor : ndarray of float32, shape (n,), optional
         Where what the sensor measures goes; None without a sensor.
 
@@ -68,10 +68,10 @@ class Take:
         How many blocks there were, and how many of them after a fault.
     longest_s : float
         The longest that the callback took.
-    sensor_latency_frames : int
-        From a frame that goes out to the frame that comes in as it leaves the converter.
+    sensor_latency_s : float
+        From the block of the onset to the block in which it should come back, as the device tells its times.
     n_sensed : int
-        How many samples of the sensor are there, from the onset on.
+        How many samples of the sensor are there, from the block of the onset on.
     """
 
     def __init__(self, rate_hz: float, latency_s: float, *, sensor: NDArray[np.float32] | None = None) -> None:
@@ -83,13 +83,14 @@ class Take:
         self.n_underruns = 0
         self.n_sensor_gaps = 0
         self.longest_s = 0.0
-        self.sensor_latency_frames = 0
+        self.sensor_latency_s = 0.0
         self.n_sensed = 0
         self._rate_hz = rate_hz
         self._sensor = sensor
-        self._tail_s = SENSOR_TAIL_S if sensor is not None else 0.0
         # Some host interfaces tell no times: then what the device says of itself counts, twice to be safe.
-        self._out_frames = round((2 * latency_s + self._tail_s) * rate_hz)
+        self._late_frames = round(2 * latency_s * rate_hz)
+        # Times that are told of inputs are less true than those of outputs, so the sensor is listened to by frames.
+        self._sensed_frames = round((latency_s + SENSOR_TAIL_S) * rate_hz)
         self._end_frame = 0
 
     def note(self, block: Block, *, frame: int) -> None:
@@ -108,18 +109,19 @@ class Take:
         if self.cue is None:
             return
         if self.end_s is not None:
-            is_late = frame >= self._end_frame + self._out_frames
-            self.is_out = is_late or block.now_s >= self.end_s + self._tail_s
+            n_since = frame - self._end_frame
+            is_heard = block.now_s >= self.end_s or n_since >= self._late_frames
+            self.is_out = is_heard and (self._sensor is None or n_since >= self._sensed_frames)
             return
         if self.onset_s is None and self.cue.n_played:
             self.onset_s = block.dac_s + (self.cue.onset_frame - frame) / self._rate_hz
-            self.sensor_latency_frames = round((block.dac_s - block.adc_s) * self._rate_hz)
+            self.sensor_latency_s = block.dac_s - block.adc_s
         if self.cue.is_over:
             self._end_frame = self.cue.onset_frame + self.cue.n_played if self.cue.n_played else frame
             self.end_s = block.dac_s + (self._end_frame - frame) / self._rate_hz
 
     def sense(self, samples: NDArray[np.float32], *, frame: int) -> None:
-        """Keep what the sensor measured from the onset on.
+        """Keep what the sensor measured since the frame of the onset went out; it comes back later.
 
         Parameters
         ----------
@@ -130,12 +132,12 @@ class Take:
         """
         if self._sensor is None or self.cue is None or self.onset_s is None:
             return
-        first = max(self.cue.onset_frame + self.sensor_latency_frames - frame, 0)
+        first = max(self.cue.onset_frame - frame, 0)
         piece = samples[first : first + len(self._sensor) - self.n_sensed]
         self._sensor[self.n_sensed : self.n_sensed + len(piece)] = piece
         self.n_sensed += len(piece)
 
     @property
     def sensed(self) -> NDArray[np.float32]:
-        """What the sensor measured, from the onset on, in fractions of its full scale."""
+        """What the sensor measured, in fractions of its full scale."""
         return np.zeros(0, dtype=np.float32) if self._sensor is None else self._sensor[: self.n_sensed]

@@ -214,7 +214,7 @@ def test_a_server_that_hangs_for_long_is_dead_without_hanging_the_session(
         begin_s = time.monotonic()
         assert player.ask(do="play", sound="a")["error"]
         assert time.monotonic() - begin_s < 15
-    deadline_s = time.monotonic() + 10
+    deadline_s = time.monotonic() + 60
     while player.ask(do="play", sound="a")["error"]:
         assert time.monotonic() < deadline_s
 
@@ -223,7 +223,7 @@ def test_a_server_that_hangs_for_long_is_dead_without_hanging_the_session(
     ("device", "channels", "rate_hz", "message"),
     [
         ("nowhere", 4, 48000, "got 'nowhere', which is not there; allowed: 'stylus' (ALSA), 'stylus twin' (ALSA)"),
-        ("TWIN", 4, 1_000_000, "got 'stylus twin', which does not play at 1e+06 Hz (Error opening OutputStream: Invalid sample rate)"),
+        ("TWIN", 4, 1_000_000, "'stylus twin', which does not play at 1e+06 Hz (Error opening OutputStream: Invalid sample rate)"),
         ("styl", 4, 48000, "got 'styl', which 2 devices have in their names: 'stylus' (ALSA), 'stylus twin' (ALSA)"),
         ("default", 4, 48000, "got 'default', which may be another one tomorrow"),
         ("stylus", 40, 48000, "got 'stylus' with 32 output channel(s), the rig needs 40"),
@@ -255,8 +255,8 @@ def test_what_the_sensor_measures_is_kept_from_the_onset_on(
         assert (delivery["error"], delivery["measured"]["file_number"]) == ("", number)
         samples, rate_hz = read_wav(tmp_path / "delivered" / f"{number:04}.wav")
         assert rate_hz == RATE_HZ
-        # The sink's monitor is the sensor, so what was played is measured, but for how true the device's times are.
-        lag = int(np.argmax(np.correlate(samples, 100 * sound[:, 0].astype(float), mode="full"))) - len(sound) + 1
-        assert abs(lag) < 0.06 * RATE_HZ
-        piece = samples[max(lag, 0) : len(sound) + min(lag, 0)]
-        assert piece == pytest.approx(100 * sound[max(-lag, 0) : max(-lag, 0) + len(piece), 0], abs=1e-3)
+        # The sink's monitor is the sensor: what was played comes back, later by the way there and back.
+        lag = int(np.argmax(np.correlate(samples, sound[:, 0].astype(float), mode="valid")))
+        assert 0 < lag < 0.45 * RATE_HZ
+        assert samples[lag : lag + len(sound)] == pytest.approx(100 * sound[:, 0], abs=1e-3)
+        assert delivery["measured"]["sensor_gaps"] == 0
