@@ -77,6 +77,51 @@ def find_kind(trial: Trial, scale: Scale) -> str:
     return "rows" if trial.timing == "free" else "slider"
 
 
+class Markers:
+    """The markers of a trial, and which of them have not come to rest."""
+
+    def __init__(self) -> None:
+        self.values: dict[str, float] = {}
+        self._restless: dict[str, float] = {}
+
+    def put(self, part: str, value: float, time_s: float) -> None:
+        """Put a marker somewhere.
+
+        Parameters
+        ----------
+        part : str
+            The part whose marker it is.
+        value : float
+            Points; the nearest end where they lie beyond it.
+        time_s : float
+            When.
+        """
+        low, high = RATING_RANGE
+        value = min(max(value, low), high)
+        if self.values.get(part) != value:
+            # A new mapping for every change: views hold the old one.
+            self.values = {**self.values, part: value}
+            self._restless[part] = time_s
+
+    def settle(self, time_s: float, *, rest_s: float = REST_S) -> list[Move]:
+        """List the markers that came to rest since this was asked last.
+
+        Parameters
+        ----------
+        time_s : float
+            Now.
+        rest_s : float
+            How long they must have stood still.
+
+        Returns
+        -------
+        list of Move
+            The moves, in order.
+        """
+        rested = [part for part, moved_s in self._restless.items() if time_s - moved_s >= rest_s]
+        return [Move(self._restless.pop(part), part, self.values[part]) for part in rested]
+
+
 class Desk:
     """Markers and choices of one trial, and what keys and clicks do to them.
 
@@ -91,14 +136,13 @@ class Desk:
     def __init__(self, trial: Trial, scale: Scale) -> None:
         self.kind = find_kind(trial, scale)
         self.judged = [judgement.part for judgement in trial.judgements]
-        self.markers: dict[str, float] = {}
+        self.markers = Markers()
         self.selected = self.judged[0]
         self.chosen = ""
         self._parts = [part.name for part in trial.parts]
         self._choices = scale.choices
         self._held = Held()
         self._digits = Digits()
-        self._restless: dict[str, float] = {}
         self._dragged: Target | None = None
 
     @property
@@ -111,7 +155,7 @@ class Desk:
         """The answer as it stands, by the part that is judged."""
         if self.kind == "choice":
             return dict.fromkeys(self.judged, self.chosen) if self.chosen else {}
-        return dict(self.markers)
+        return dict(self.markers.values)
 
     def take(self, event: Event, target: Target | None, *, can_answer: bool) -> Wish | None:
         """Do what an event asks for, as far as it is about the answer.
@@ -158,24 +202,6 @@ class Desk:
                 self._go(key, time_s)
         self._set_typed(self._digits.take_if_due(time_s), time_s)
 
-    def settle(self, time_s: float, *, rest_s: float = REST_S) -> list[Move]:
-        """List the markers that came to rest since this was asked last.
-
-        Parameters
-        ----------
-        time_s : float
-            Now.
-        rest_s : float
-            How long they must have stood still.
-
-        Returns
-        -------
-        list of Move
-            The moves, in order.
-        """
-        rested = [part for part, moved_s in self._restless.items() if time_s - moved_s >= rest_s]
-        return [Move(self._restless.pop(part), part, self.markers[part]) for part in rested]
-
     def finish_typing(self, time_s: float) -> bool:
         """Turn digits into a value at once.
 
@@ -192,11 +218,6 @@ class Desk:
         value = self._digits.take()
         self._set_typed(value, time_s)
         return value is not None
-
-    def release(self) -> None:
-        """Let go of keys and mouse: another screen comes up."""
-        self._held.clear()
-        self._dragged = None
 
     def _press(self, press: Press, *, can_answer: bool) -> Wish | None:
         key = press.key
@@ -236,10 +257,8 @@ class Desk:
         """Move the marker, the row or the choice by one step."""
         if key in STEPS[self.kind]:
             self._digits.take()
-            low, high = RATING_RANGE
-            value = self.markers.get(self.selected)
-            moved = FIRST if value is None else value + STEPS[self.kind][key]
-            self._set(self.selected, min(max(moved, low), high), time_s)
+            value = self.markers.values.get(self.selected)
+            self._set(self.selected, FIRST if value is None else value + STEPS[self.kind][key], time_s)
         elif self.kind == "rows" and key in {"up", "down"}:
             place = self.judged.index(self.selected) + (1 if key == "down" else -1)
             self.selected = self.judged[min(max(place, 0), len(self.judged) - 1)]
@@ -258,7 +277,4 @@ class Desk:
     def _set(self, part: str, value: float, time_s: float) -> None:
         if part in self.judged:
             self.selected = part
-            if self.markers.get(part) != value:
-                # A new mapping for every change: views hold the old one.
-                self.markers = {**self.markers, part: value}
-                self._restless[part] = time_s
+            self.markers.put(part, value, time_s)

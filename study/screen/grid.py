@@ -118,8 +118,10 @@ def split_key(text: str) -> tuple[str, str]:
 
     Returns
     -------
-    key, action : str
-        The key, and what it does with a capital.
+    key : str
+        The key.
+    action : str
+        What it does, with a capital.
 
     Examples
     --------

@@ -109,8 +109,8 @@ class Held:
 class Digits:
     """Digits that become a number of points as soon as no other digit can follow, or none has for a while."""
 
-    text: str = ""
-    _time_s: float = 0.0
+    text: str = field(default="", init=False)
+    _time_s: float = field(default=0.0, init=False)
 
     def type(self, digit: str, time_s: float) -> float | None:
         """Take a digit.

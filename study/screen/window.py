@@ -72,6 +72,91 @@ class Frames:
 
 
 @dataclass(slots=True)
+class Easel:
+    """Makes PsychoPy's objects of items, and keeps them as long as they are shown.
+
+    Parameters
+    ----------
+    handle : psychopy.visual.Window
+        PsychoPy's window.
+    """
+
+    handle: Any
+    drawn: dict[Item, Any] = field(default_factory=dict, init=False)
+
+    def find_stimuli(self, items: tuple[Item, ...]) -> list[Any]:
+        """Give PsychoPy's objects for items; those that are not shown any longer are let go.
+
+        Parameters
+        ----------
+        items : tuple of Item
+            What is drawn, from back to front.
+
+        Returns
+        -------
+        list
+            The objects, each with a method `draw`.
+        """
+        self.drawn = {item: self.drawn.get(item) or self._make_stimulus(item) for item in items}
+        return list(self.drawn.values())
+
+    def _make_stimulus(self, item: Item) -> Any:  # noqa: ANN401 - PsychoPy has no types
+        match item:
+            case Text():
+                return self._make_text(item)
+            case Area():
+                return self._make_area(item)
+            case _:
+                return self._make_picture(item)
+
+    def _make_text(self, text: Text) -> Any:  # noqa: ANN401 - PsychoPy has no types
+        from psychopy.visual.text import TextStim
+
+        x = {"left": text.box.left, "right": text.box.right}.get(text.align, text.box.left + text.box.width / 2)
+        return TextStim(
+            self.handle,
+            text.words,
+            font=FONT,
+            bold=text.bold,
+            height=text.size,
+            color=text.color,
+            pos=self._turn_up(round(x), round(text.box.top + text.box.height / 2)),
+            anchorHoriz=text.align,
+            alignText=text.align,
+            anchorVert="center",
+            wrapWidth=10 * self.handle.size[0],  # lines were broken by the layout
+        )
+
+    def _make_area(self, area: Area) -> Any:  # noqa: ANN401 - PsychoPy has no types
+        from psychopy.visual.shape import BaseShapeStim
+
+        box = area.box.grow(-area.line_px / 2) if area.line else area.box
+        return BaseShapeStim(
+            self.handle,
+            vertices=[self._turn_up(x, y) for x, y in round_corners(box, area.round_px)],
+            fillColor=area.fill or None,
+            lineColor=area.line or None,
+            lineWidth=area.line_px,
+        )
+
+    def _make_picture(self, picture: Picture) -> Any:  # noqa: ANN401 - PsychoPy has no types
+        from psychopy.visual.image import ImageStim
+
+        box = picture.box
+        image = ImageStim(
+            self.handle, str(picture.path), pos=self._turn_up(box.left + box.width / 2, box.top + box.height / 2)
+        )
+        width, height = image.size
+        image.size = tuple(side * min(box.width / width, box.height / height) for side in (width, height))
+        return image
+
+    def _turn_up(self, x: float, y: float) -> tuple[float, float]:
+        """Count from the middle, upwards, as PsychoPy does."""
+        width, height = self.handle.size
+        return x - width / 2, height / 2 - y
+
+
+@dataclass(slots=True)
 class Window:
     """A window that shows items and collects events.
 
@@ -85,12 +170,16 @@ class Window:
 
     handle: Any
     clock: Callable[[], float]
-    frames: Frames = field(default_factory=Frames)
-    _events: list[Event] = field(default_factory=list)
-    _drawn: dict[Item, Any] = field(default_factory=dict)
-    _shown: tuple[Item, ...] = ()
-    _due_s: float = 0.0
-    _redraw_s: float = 0.0
+    frames: Frames = field(default_factory=Frames, init=False)
+    easel: Easel = field(init=False)
+    _events: list[Event] = field(default_factory=list, init=False)
+    _shown: tuple[Item, ...] = field(default=(), init=False)
+    _due_s: float = field(default=0.0, init=False)
+    _redraw_s: float = field(default=0.0, init=False)
+
+    def __post_init__(self) -> None:
+        """Take an easel of its own."""
+        self.easel = Easel(self.handle)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -130,7 +219,7 @@ class Window:
         path : Path
             Where to; PNG.
         """
-        for stimulus in self._find_stimuli(self._shown):
+        for stimulus in self.easel.find_stimuli(self._shown):
             stimulus.draw()
         self.handle.getMovieFrame(buffer="back")  # the front buffer reads black under Xvfb
         self.handle.flip()
@@ -144,72 +233,12 @@ class Window:
 
     def _draw(self, items: tuple[Item, ...]) -> None:
         try:
-            for stimulus in self._find_stimuli(items):
+            for stimulus in self.easel.find_stimuli(items):
                 stimulus.draw()
             self.handle.flip()
         except _list_graphics_errors():
             # Drawing fails in many ways when the window was destroyed without being asked to close.
             self._events.append(Closed(self.clock()))
-
-    def _find_stimuli(self, items: tuple[Item, ...]) -> list[Any]:
-        """Give PsychoPy's objects for items; those that are not shown any longer are let go."""
-        self._drawn = {item: self._drawn.get(item) or self._make_stimulus(item) for item in items}
-        return list(self._drawn.values())
-
-    def _make_stimulus(self, item: Item) -> Any:  # noqa: ANN401 - PsychoPy has no types
-        match item:
-            case Text():
-                return self._make_text(item)
-            case Area():
-                return self._make_area(item)
-            case _:
-                return self._make_picture(item)
-
-    def _make_text(self, text: Text) -> Any:  # noqa: ANN401 - PsychoPy has no types
-        from psychopy.visual.text import TextStim
-
-        x = {"left": text.box.left, "right": text.box.right}.get(text.align, text.box.left + text.box.width / 2)
-        return TextStim(
-            self.handle,
-            text.words,
-            font=FONT,
-            bold=text.bold,
-            height=text.size,
-            color=text.color,
-            pos=self._turn_up(round(x), round(text.box.top + text.box.height / 2)),
-            anchorHoriz=text.align,
-            alignText=text.align,
-            anchorVert="center",
-            wrapWidth=10 * self.size[0],  # lines were broken by the layout
-        )
-
-    def _make_area(self, area: Area) -> Any:  # noqa: ANN401 - PsychoPy has no types
-        from psychopy.visual.shape import BaseShapeStim
-
-        box = area.box.grow(-area.line_px / 2) if area.line else area.box
-        return BaseShapeStim(
-            self.handle,
-            vertices=[self._turn_up(x, y) for x, y in round_corners(box, area.round_px)],
-            fillColor=area.fill or None,
-            lineColor=area.line or None,
-            lineWidth=area.line_px,
-        )
-
-    def _make_picture(self, picture: Picture) -> Any:  # noqa: ANN401 - PsychoPy has no types
-        from psychopy.visual.image import ImageStim
-
-        box = picture.box
-        image = ImageStim(
-            self.handle, str(picture.path), pos=self._turn_up(box.left + box.width / 2, box.top + box.height / 2)
-        )
-        width, height = image.size
-        image.size = tuple(side * min(box.width / width, box.height / height) for side in (width, height))
-        return image
-
-    def _turn_up(self, x: float, y: float) -> tuple[float, float]:
-        """Count from the middle, upwards, as PsychoPy does."""
-        width, height = self.size
-        return x - width / 2, height / 2 - y
 
     def _await_frame(self) -> None:
         """Collect events until the frame is over."""

@@ -123,7 +123,7 @@ def write_picture(path: Path) -> Path:
 
 def check_widths(window: Window) -> None:
     """The window's own letters are no wider than the layout took them for."""
-    for item, stimulus in window._drawn.items():
+    for item, stimulus in window.easel.drawn.items():
         if isinstance(item, Text):
             width, height = stimulus.boundingBox
             assert width <= measure(item.words, item.size, bold=item.bold) + 2, item

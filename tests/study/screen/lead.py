@@ -13,19 +13,19 @@ from pathlib import Path
 from runpy import run_path
 from typing import Any
 
-STARTED = time.perf_counter()
+from protocols.flow import Flow, Page
+from protocols.texts import read_scales, read_texts
+from study.actuator.output import Delivery
+from study.screen.layout import compose
+from study.screen.presenter import ScreenPresenter
+from study.screen.views import Hand, View
+from study.screen.window import Window, open_screen
+from study.screen.wording import make_screen_texts
+from study.session.conduct import Stage, Stopped, conduct_page, conduct_trial
+from study.session.ports import Place
+from study.settings.sources import Surface
 
-from protocols.flow import Flow, Page  # noqa: E402 - the clock starts before anything is imported
-from protocols.texts import read_scales, read_texts  # noqa: E402 - the same
-from study.actuator.output import Delivery  # noqa: E402 - the same
-from study.screen.layout import compose  # noqa: E402 - the same
-from study.screen.presenter import ScreenPresenter  # noqa: E402 - the same
-from study.screen.views import Hand, View  # noqa: E402 - the same
-from study.screen.window import Window, open_screen  # noqa: E402 - the same
-from study.screen.wording import make_screen_texts  # noqa: E402 - the same
-from study.session.conduct import Stage, Stopped, conduct_page, conduct_trial  # noqa: E402 - the same
-from study.session.ports import Place  # noqa: E402 - the same
-from study.settings.sources import Surface  # noqa: E402 - the same
+STARTED = time.perf_counter()
 
 gallery = run_path(str(Path(__file__).with_name("gallery.py")))
 
@@ -41,14 +41,12 @@ def clock() -> float:
 class SilentOutput:
     """Plays nothing for as long as it is told to."""
 
-    identity = {"device": "none"}
-
     def __init__(self, duration_s: float) -> None:
         self.duration_s = duration_s
         self.began_s = self.ends_s = 0.0
         self.was_stopped = False
 
-    def start(self, stimulus: Any, *, gap_s: float) -> None:
+    def start(self, stimulus: Any, *, gap_s: float) -> None:  # noqa: ARG002 - the form of an output
         self.began_s = clock() + gap_s
         self.ends_s = self.began_s + self.duration_s
         self.was_stopped = False
@@ -97,6 +95,13 @@ class Journal:
         tell(event=event, **data)
 
 
+def conduct(step: dict[str, Any], stage: Stage) -> None:
+    if "page" in step:
+        conduct_page(Page(**{"key": step.pop("page"), **step}), Place(12, 80), stage)
+    else:
+        conduct_trial(gallery["make_trial"](step.pop("trial"), **step), Place(12, 80), stage)
+
+
 def main(spec: dict[str, Any]) -> None:
     tables = read_texts(spec.get("language", "en"))
     texts, scales = make_screen_texts(tables), read_scales(spec.get("language", "en"))
@@ -106,13 +111,10 @@ def main(spec: dict[str, Any]) -> None:
     with open_screen(clock=clock, windowed=spec.get("windowed", False), size=spec.get("size")) as window:
         watcher = Watcher(texts, window)
         presenter = ScreenPresenter(window, output, texts, clock=clock, surfaces=surfaces, hand=watcher)
-        stage = Stage(presenter, dict.fromkeys((f"s{n}" for n in range(13))), scales, Journal(), Flow(gap_s=0.1))
+        stage = Stage(presenter, dict.fromkeys(f"s{n}" for n in range(13)), scales, Journal(), Flow(gap_s=0.1))
         try:
             for step in spec["steps"]:
-                if "page" in step:
-                    conduct_page(Page(**{"key": step.pop("page"), **step}), Place(12, 80), stage)
-                else:
-                    conduct_trial(gallery["make_trial"](step.pop("trial"), **step), Place(12, 80), stage)
+                conduct(step, stage)
         except Stopped as stop:
             tell(event="ended", reason=stop.args[0])
         finally:

@@ -1,4 +1,4 @@
-"""Laws of every screen: nothing overlaps, every text fits and can be read, on small and large screens in both languages."""
+"""Laws of every screen, small or large and in both languages: nothing overlaps, every text fits and can be read."""
 
 from __future__ import annotations
 
@@ -127,7 +127,8 @@ def test_corners_lie_on_circles() -> None:
     points = round_corners(Box(0, 0, 100, 40), 10)
     assert (min(x for x, _ in points), max(x for x, _ in points)) == pytest.approx((0, 100))
     assert (min(y for _, y in points), max(y for _, y in points)) == pytest.approx((0, 40))
-    assert all(min((x - a) ** 2 + (y - b) ** 2 for a in (10, 90) for b in (10, 30)) == pytest.approx(100) for x, y in points)
+    middles = list(itertools.product((10, 90), (10, 30)))
+    assert all(min((x - a) ** 2 + (y - b) ** 2 for a, b in middles) == pytest.approx(100) for x, y in points)
 
 
 def test_targets_know_their_tracks() -> None:
