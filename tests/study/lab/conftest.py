@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 FEEL321 = Path(sys.executable).with_name("feel321")
-PATIENCE_S = 120.0
+PATIENCE_S = 60.0
 
 STUDY = """
 [study]
