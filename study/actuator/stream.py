@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 STALL_S = 2.5
 """A device that asked for nothing for so long is taken for dead."""
 
+OPENED_S = 60.0
+"""So long the first block may stand; nothing is played by then."""
+
 CLOSING_S = 2.0
 """So long a dead device is waited for; then it is left to itself."""
 
@@ -129,7 +132,9 @@ class Line:
         self.device = device
         self._fill = fill
         self._column = rig.sensor.channel - 1 if rig.sensor else None
+        self._rate_hz = rate_hz
         self._last_s = perf_counter()
+        self._held_s = OPENED_S
         try:
             with _hushed():
                 self._stream = self._open(rig, rate_hz=rate_hz)
@@ -205,21 +210,24 @@ class Line:
         channels = (rig.sensor.channel, rig.n_channels)
         return sounddevice.Stream(channels=channels, callback=self._answer_duplex, **settings)
 
-    def _answer(self, out: Samples, _n: int, times: Foreign, status: Foreign) -> None:
-        self._fill(out, self._note(times, status), None)
+    def _answer(self, *given: Foreign) -> None:
+        out, n, times, status = given
+        self._fill(out, self._note(n, times, status), None)
 
     def _answer_duplex(self, *given: Foreign) -> None:
-        sensed, out, _n, times, status = given
-        self._fill(out, self._note(times, status), sensed[:, self._column])
+        sensed, out, n, times, status = given
+        self._fill(out, self._note(n, times, status), sensed[:, self._column])
 
-    def _note(self, times: Foreign, status: Foreign) -> Block:
-        self._last_s = perf_counter()
+    def _note(self, n: int, times: Foreign, status: Foreign) -> Block:
+        self._last_s, before_s = perf_counter(), self._last_s
+        held_s, self._held_s = self._held_s, self.latency_s + n / self._rate_hz
         return Block(
             now_s=times.currentTime,
             # Interfaces that tell no times say 0.
             dac_s=times.outputBufferDacTime or times.currentTime + self.latency_s,
             adc_s=times.inputBufferAdcTime,
-            has_run_dry=bool(status.output_underflow),
+            # Sound servers do not always tell; but longer than it had samples for, no device can have played.
+            has_run_dry=bool(status.output_underflow) or self._last_s - before_s > held_s,
             has_lost_input=bool(status.input_overflow or status.input_underflow),
         )
 
@@ -238,7 +246,8 @@ def refresh_devices() -> None:
 
 def _load() -> ModuleType:
     try:
-        import sounddevice
+        with _hushed():
+            import sounddevice
     except ImportError:
         raise OSError(
             "device: got no sounddevice, actuators need it; install: pip install 'feel321[rig]'"

@@ -141,16 +141,17 @@ class StreamOutput:
         self._latency_s = self._line.latency_s
         self._wait(self._line, until_frame=self._mixer.frame + round(self._preroll_s * self._rate_hz))
 
-    def start(self, stimulus: Stimulus, *, gap_s: float) -> None:
+    def start(self, stimulus: Stimulus | str, *, gap_s: float) -> None:
         """Schedule silence, then a stimulus; a dead device is opened again first, if it can be.
 
         Parameters
         ----------
-        stimulus : Stimulus
-            What to play.
+        stimulus : Stimulus or str
+            What to play, or its id.
         gap_s : float
             Silence before it, in s; longer where masking has to begin first.
         """
+        name = stimulus if isinstance(stimulus, str) else stimulus.stimulus_id
         self._error = ""
         line = self._revive()
         self._requested_s = self._clock() + gap_s
@@ -159,7 +160,7 @@ class StreamOutput:
             return
         take = Take(self._rate_hz, line.there_and_back_s, sensor=self._sensed)
         self._take = take  # before the mixer knows, so that no block is missed
-        take.cue = self._mixer.start(stimulus.stimulus_id, gap_s=gap_s)
+        take.cue = self._mixer.start(name, gap_s=gap_s)
         self._clock_ahead_s = line.compare_clocks(self._clock)
 
     @property

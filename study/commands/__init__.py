@@ -2,6 +2,7 @@
 
 from study.commands.participants import ledger, release, withdraw
 from study.commands.results import analyze
+from study.commands.rig import doctor
 from study.commands.run import run
 from study.commands.sessions import audit, simulate, status
 from study.commands.signals import match, reduce
@@ -13,6 +14,7 @@ __all__ = [
     "build",
     "check",
     "demo",
+    "doctor",
     "ledger",
     "match",
     "new",

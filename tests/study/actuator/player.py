@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stimuli.manifest import Stimulus
 from study.actuator.rig import read_rig
 from study.actuator.stream_output import StreamOutput, open_stream
 
@@ -37,11 +36,11 @@ def main(folder: Path, *, rate_hz: float) -> None:
 
 def obey(output: StreamOutput, *, do: str, sound: str = "", gap_s: float = 0.0, after_s: float = 0.0) -> None:
     if do == "start":
-        output.start(name_stimulus(sound), gap_s=gap_s)
+        output.start(sound, gap_s=gap_s)
     elif do == "stop":
         output.stop()
     elif do == "play":  # and stop it after a while, if that is asked
-        output.start(name_stimulus(sound), gap_s=gap_s)
+        output.start(sound, gap_s=gap_s)
         if after_s:
             sleep(after_s)
             stopped_s = perf_counter()
@@ -60,10 +59,6 @@ def collect(output: StreamOutput) -> dict[str, Any]:
     over_s = perf_counter()
     delivery: Delivery = output.collect()
     return {**asdict(delivery), "over_s": over_s}
-
-
-def name_stimulus(name: str) -> Stimulus:
-    return Stimulus(name, "", "", "", "", "", 48000.0, 0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0, "", "")
 
 
 def say(what: object) -> None:
