@@ -319,7 +319,7 @@ def draw_button(grid: Grid, button: Button, box: Box) -> list[Item]:
     unit, size = grid.unit, SMALL * grid.unit
     key, action = split_key(button.text)
     filled = button.is_main and button.is_ready
-    ink = GROUND if filled else INK if button.is_ready else DIM
+    ink = GROUND if filled else INK if button.is_ready or button.share else DIM
     words = Box(box.left + 2.5 * unit, box.top, measure(action, size, bold=True), box.height)
     cap = Box(words.right + 1.5 * unit, box.top, measure(key, size), box.height)
     frame = Area(

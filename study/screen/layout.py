@@ -40,7 +40,7 @@ COLUMN = 108.0
 """How wide a page's text is, in units: some 65 letters."""
 
 
-ANSWER = 29.0
+ANSWER = 22.0
 """Height of what an answer takes under a picture, in units."""
 
 

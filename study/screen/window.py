@@ -330,8 +330,7 @@ def _open_handle(*, windowed: bool, size: tuple[int, int], screen: int) -> Any: 
             monitor=monitors.Monitor("feel321", width=60, distance=100),
             color=GROUND,
             checkTiming=False,
-            multiSample=True,
-            numSamples=4,
+            multiSample=False,  # nearly all edges are straight, and where a processor draws it doubles a frame's time
         )
     except Exception as error:
         if type(error).__name__ != "NoSuchDisplayException":
