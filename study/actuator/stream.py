@@ -141,6 +141,7 @@ class Line:
                 latency = self._stream.latency
                 self.latency_s = float(latency if self._column is None else latency[1])
                 self.there_and_back_s = float(latency if self._column is None else sum(latency))
+                self._check_rate()
                 self._stream.start()
         except _load().PortAudioError as error:
             raise OSError(_describe(error, self.device, rate_hz=rate_hz)) from None
@@ -169,15 +170,18 @@ class Line:
         Returns
         -------
         float
-            By how much the session's is ahead, in s.
+            By how much the session's is ahead, in s; NaN if the device has just died.
         """
-        readings = []
-        for _ in range(CLOCK_READS):
-            before_s = clock()
-            device_s = self._stream.time
-            after_s = clock()
-            readings.append((after_s - before_s, (before_s + after_s) / 2 - device_s))
-        return float(min(readings)[1])
+        try:
+            return min(self._read_clocks(clock) for _ in range(CLOCK_READS))[1]
+        except _load().PortAudioError:
+            return float("nan")
+
+    def _read_clocks(self, clock: Clock) -> tuple[float, float]:
+        before_s = clock()
+        device_s = float(self._stream.time)
+        after_s = clock()
+        return after_s - before_s, (before_s + after_s) / 2 - device_s
 
     def close(self) -> bool:
         """Silence the device and let it go; one that hangs is left to itself.
@@ -196,6 +200,14 @@ class Line:
         # A device that is gone refuses to be stopped; there is nothing left to stop then.
         with suppress(_load().PortAudioError), _hushed():
             self._stream.close(ignore_errors=True)
+
+    def _check_rate(self) -> None:
+        if self._stream.samplerate != self._rate_hz:
+            self._close()
+            raise OSError(
+                f"device: got {self.device.name!r}, which runs at {self._stream.samplerate:g} Hz, the stimuli are at "
+                f"{self._rate_hz:g} Hz; set the device, or rate_hz under [rig] in study.toml"
+            )
 
     def _open(self, rig: Rig, *, rate_hz: float) -> Foreign:
         sounddevice = _load()
@@ -236,12 +248,21 @@ def refresh_devices() -> None:
     """Let PortAudio look for devices anew: it lists what was there when it was loaded.
 
     No stream may be open.
+
+    Raises
+    ------
+    OSError
+        If it does not begin again.
     """
     sounddevice = _load()
     with _hushed():
         # sounddevice offers no other way (its documentation names this one).
-        sounddevice._terminate()
-        sounddevice._initialize()
+        with suppress(sounddevice.PortAudioError):  # it is not there if it could not begin the last time
+            sounddevice._terminate()
+        try:
+            sounddevice._initialize()
+        except sounddevice.PortAudioError as error:
+            raise OSError(f"device: PortAudio does not begin ({error}); see to the sound system, then go on") from None
 
 
 def _load() -> ModuleType:

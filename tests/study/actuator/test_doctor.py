@@ -58,6 +58,23 @@ def test_a_report_for_people_says_the_same(pulse: Any, tmp_path: Path) -> None:
     assert onset.startswith("requested to onset ")
 
 
+def test_a_rig_with_a_sensor_on_a_sound_server_is_told_so(pulse: Any, make_rig: Any, tmp_path: Path) -> None:
+    names = (pulse.folder / "asound.conf").read_text() + f'pcm.pulse2 {{ type pulse server "unix:{pulse.socket}" }}\n'
+    (pulse.folder / "asound.conf").write_text(names)
+    sensor = "[sensor]\nchannel = 4\nfull_scale_m_s2 = 100.0"
+    (tmp_path / "rig.toml").write_text(make_rig(sensor, channels=4, device="pulse2", latency_s=0.15))
+    done = call(pulse, "--seconds", "0.1", cwd=tmp_path)
+    assert done.stderr.startswith("feel321: warning: pulse2: a sound server converts rates")
+    assert done.stdout.splitlines()[-1].startswith("onset's block to sensor ")
+
+
+def test_the_file_device_plays_nothing(pulse: Any, make_rig: Any, tmp_path: Path) -> None:
+    (tmp_path / "rig.toml").write_text(make_rig(device="file"))
+    done = call(pulse, cwd=tmp_path)
+    assert done.returncode == 0
+    assert "nothing was played" in done.stdout
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
