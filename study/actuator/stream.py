@@ -115,8 +115,6 @@ class Line:
 
     Attributes
     ----------
-    device : Device
-        The device.
     latency_s : float
         From a block to its sound, as the device says, in s.
     there_and_back_s : float

@@ -7,18 +7,16 @@ while; and a device that runs dry, stands still or disappears is told in the del
 from __future__ import annotations
 
 from contextlib import contextmanager
-from threading import Thread
-from time import perf_counter, sleep
+from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from study.actuator.connection import Connection
 from study.actuator.delivered import write_delivered
-from study.actuator.devices import check_channels, find_device
 from study.actuator.mixer import PREROLL_S, Mixer
 from study.actuator.output import Delivery
 from study.actuator.rig import identify
-from study.actuator.stream import Line, list_devices, refresh_devices
 from study.actuator.take import Take
 
 if TYPE_CHECKING:
@@ -34,12 +32,6 @@ if TYPE_CHECKING:
     from study.actuator.take import Block
 
     Samples = NDArray[np.float32]
-
-OPENING_S = 5.0
-"""So long a device may take, beyond its pre-roll, until its stream runs."""
-
-REVIVING_S = 8.0
-"""So long a start waits for a dead device; it may well come back later."""
 
 SENSED_BEYOND_S = 5.0
 """Longest recording of a sensor beyond the stimulus; two latencies of 2 s fit in."""
@@ -104,11 +96,10 @@ class StreamOutput:
         self._rate_hz = rate_hz
         self._folder = folder
         self._clock = clock
-        self._preroll_s = PREROLL_S + 2 * rig.device.latency_s
-        self._mixer = Mixer(rig, sounds, rate_hz=rate_hz, preroll_s=self._preroll_s)
+        preroll_s = PREROLL_S + 2 * rig.device.latency_s
+        self._mixer = Mixer(rig, sounds, rate_hz=rate_hz, preroll_s=preroll_s)
+        self._connection = Connection(rig, rate_hz=rate_hz, fill=self._fill, preroll_s=preroll_s)
         self._sensed = _make_sensed(rig, sounds, rate_hz=rate_hz)
-        self._line: Line | None = None
-        self._opening: Thread | None = None
         self._take: Take | None = None
         self._requested_s = 0.0
         self._clock_ahead_s = 0.0
@@ -118,10 +109,11 @@ class StreamOutput:
     @property
     def identity(self) -> Mapping[str, Any]:
         """What plays: rig, device, host API, rate, channels."""
+        line = self._connection.line
         return {
             "rig": identify(self._rig),
-            "device": self._line.device.name if self._line else self._rig.device.name,
-            "host_api": self._line.device.host_api if self._line else self._rig.device.host_api,
+            "device": line.device.name if line else self._rig.device.name,
+            "host_api": line.device.host_api if line else self._rig.device.host_api,
             "rate_hz": self._rate_hz,
             "channels": self._rig.n_channels,
         }
@@ -134,12 +126,7 @@ class StreamOutput:
         OSError
             If the device is not there, refuses channels or rate, or does not run.
         """
-        self._take = None
-        device = find_device(list_devices(), self._rig.device.name, host_api=self._rig.device.host_api)
-        check_channels(device, self._rig)
-        self._line = Line(device, self._rig, rate_hz=self._rate_hz, fill=self._fill)
-        self._latency_s = self._line.latency_s
-        self._wait(self._line, until_frame=self._mixer.frame + round(self._preroll_s * self._rate_hz))
+        self._connection.open()
 
     def start(self, stimulus: Stimulus | str, *, gap_s: float) -> None:
         """Schedule silence, then a stimulus; a dead device is opened again first, if it can be.
@@ -152,12 +139,13 @@ class StreamOutput:
             Silence before it, in s; longer where masking has to begin first.
         """
         name = stimulus if isinstance(stimulus, str) else stimulus.stimulus_id
-        self._error = ""
-        line = self._revive()
+        self._error = self._connection.revive()
+        line = self._connection.line
         self._requested_s = self._clock() + gap_s
         self._take = None
-        if line is None:
+        if self._error or line is None:
             return
+        self._latency_s = line.latency_s
         take = Take(self._rate_hz, line.there_and_back_s, sensor=self._sensed)
         self._take = take  # before the mixer knows, so that no block is missed
         take.cue = self._mixer.start(name, gap_s=gap_s)
@@ -166,10 +154,11 @@ class StreamOutput:
     @property
     def is_playing(self) -> bool:
         """Whether something of the stimulus, or of its gap, has not yet left the converter of a device that lives."""
-        if self._take is None or self._take.is_out or self._line is None:
+        line = self._connection.line
+        if self._take is None or self._take.is_out or line is None:
             return False
-        if reason := self._line.find_fault():
-            self._error = f"device {self._line.device.name!r} {reason}"
+        if reason := line.find_fault():
+            self._error = f"device {line.device.name!r} {reason}"
             self._mixer.stop()
         return not self._error
 
@@ -209,9 +198,7 @@ class StreamOutput:
 
     def close(self) -> None:
         """Silence the device and let it go."""
-        if self._line is not None:
-            self._line.close()
-        self._line = None
+        self._connection.close()
 
     def _fill(self, out: Samples, block: Block, sensed: Samples | None) -> None:
         """Do what the device asks for; this runs in its own thread."""
@@ -224,37 +211,6 @@ class StreamOutput:
         if sensed is not None:
             take.sense(sensed, frame=frame)
         take.longest_s = max(take.longest_s, perf_counter() - begin_s)
-
-    def _wait(self, line: Line, *, until_frame: int) -> None:
-        deadline_s = perf_counter() + OPENING_S + self._preroll_s
-        while self._mixer.frame < until_frame:
-            if line.find_fault() or perf_counter() > deadline_s:
-                self.close()
-                raise OSError(f"device: got {line.device.name!r}, which does not run; is it in use elsewhere?")
-            sleep(0.005)
-
-    def _revive(self) -> Line | None:
-        """Find the line that runs; open it again if it does not."""
-        if self._opening is None and self._line is not None and not self._line.find_fault():
-            return self._line
-        if self._opening is None:
-            # Looking for devices can hang as long as a sound server does; the session must not.
-            self._opening = Thread(target=self._reopen, daemon=True)
-            self._opening.start()
-        self._opening.join(REVIVING_S)
-        if self._opening.is_alive():
-            self._error = f"device: got {self._rig.device.name!r}, which does not answer; see to it, then go on"
-            return None
-        self._opening = None
-        return self._line
-
-    def _reopen(self) -> None:
-        self.close()
-        try:
-            refresh_devices()
-            self.open()
-        except OSError as problem:
-            self._error = str(problem)
 
     def _measure(self, take: Take, cue: Cue) -> dict[str, float]:
         measured = {

@@ -175,16 +175,16 @@ def test_what_is_not_installed_is_one_line(
 
 
 def open_output(monkeypatch: pytest.MonkeyPatch, folder: Path, *, rig: Rig = RIG) -> tuple[StreamOutput, Any]:
-    """Open an output on a stand-in, without the wait for its pre-roll."""
-    monkeypatch.setattr(StreamOutput, "_wait", lambda *_, **__: None)
+    """Open an output on a stand-in, which asks while the output waits for it."""
+    streams: list[Any] = []
+    start = StandIn.start
+    monkeypatch.setattr(StandIn, "start", lambda stream: (start(stream), streams.append(stream)))
+    monkeypatch.setattr("study.actuator.connection.sleep", lambda _: streams[-1].ask())
     sound = np.full((150, 2), 0.25, dtype=np.float32)
     output = StreamOutput(rig, {"a": sound}, rate_hz=RATE_HZ, folder=folder, clock=perf_counter)
     output.open()
-    assert output._line is not None
-    stream: Any = output._line._stream
-    for _ in range(10):
-        assert not stream.ask().any()
-    return output, stream
+    assert not streams[-1].ask().any()
+    return output, streams[-1]
 
 
 @pytest.mark.usefixtures("sounddevice")
@@ -219,8 +219,8 @@ def test_a_recording_that_cannot_be_written_is_told(monkeypatch: pytest.MonkeyPa
 def test_a_device_that_hangs_does_not_hang_the_session(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     output, stream = open_output(monkeypatch, tmp_path)
     stream.active = False
-    monkeypatch.setattr("study.actuator.stream_output.REVIVING_S", 0.05)
-    monkeypatch.setattr("study.actuator.stream_output.refresh_devices", lambda: sleep(0.3))
+    monkeypatch.setattr("study.actuator.connection.REVIVING_S", 0.05)
+    monkeypatch.setattr("study.actuator.connection.refresh_devices", lambda: sleep(0.3))
     output.start("a", gap_s=0.0)
     assert not output.is_playing
     assert "does not answer" in output.collect().error
@@ -237,7 +237,7 @@ def test_nothing_started_is_an_error(monkeypatch: pytest.MonkeyPatch, tmp_path: 
 
 @pytest.mark.usefixtures("sounddevice")
 def test_a_stream_that_never_runs_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr("study.actuator.stream_output.OPENING_S", 0.0)
+    monkeypatch.setattr("study.actuator.connection.OPENING_S", 0.0)
     output = StreamOutput(RIG, {}, rate_hz=RATE_HZ, folder=tmp_path, clock=perf_counter)
     with pytest.raises(OSError, match="got 'coils', which does not run; is it in use elsewhere"):
         output.open()
