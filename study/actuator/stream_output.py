@@ -183,9 +183,8 @@ class StreamOutput:
             raise ValueError("got a playback that still plays; stop it, or wait until is_playing is False")
         take = self._take
         if take is None or take.cue is None:
-            error = self._error or "nothing was started"
-            return Delivery(self._requested_s, onset_s=None, completed=False, error=error)
-        measured = self._measure(take, take.cue)
+            return Delivery(self._requested_s, None, completed=False, error=self._error or "nothing was started")
+        measured = _measure(take, take.cue, latency_s=self._latency_s) | self._keep_sensed(take)
         return Delivery(
             requested_s=self._requested_s,
             onset_s=None if take.onset_s is None else take.onset_s + self._clock_ahead_s,
@@ -212,17 +211,6 @@ class StreamOutput:
             take.sense(sensed, frame=frame)
         take.longest_s = max(take.longest_s, perf_counter() - begin_s)
 
-    def _measure(self, take: Take, cue: Cue) -> dict[str, float]:
-        measured = {
-            "n_samples": float(cue.n_played),
-            "blocks": float(take.n_blocks),
-            "callback_ms_max": take.longest_s * 1e3,
-            "latency_s": self._latency_s,
-        }
-        if take.onset_s is not None:
-            measured["dac_time_s"] = take.onset_s
-        return measured | self._keep_sensed(take)
-
     def _keep_sensed(self, take: Take) -> dict[str, float]:
         """Write what the sensor measured, in m/s^2."""
         if self._rig.sensor is None or not len(take.sensed):
@@ -237,6 +225,16 @@ class StreamOutput:
         except OSError as problem:
             self._error = self._error or str(problem)
         return measured
+
+
+def _measure(take: Take, cue: Cue, *, latency_s: float) -> dict[str, float]:
+    return {
+        "n_samples": float(cue.n_played),
+        "blocks": float(take.n_blocks),
+        "callback_ms_max": take.longest_s * 1e3,
+        "latency_s": latency_s,
+        **({} if take.onset_s is None else {"dac_time_s": take.onset_s}),
+    }
 
 
 def _make_sensed(rig: Rig, sounds: Mapping[str, Samples], *, rate_hz: float) -> Samples | None:
