@@ -71,7 +71,9 @@ def find_device(devices: Sequence[Device], name: str, *, host_api: str | None = 
     outputs = [device for device in devices if device.n_outputs and host_api in {None, device.host_api}]
     through = f" through {host_api}" if host_api else ""
     if not outputs:
-        raise OSError(f"device: got {name!r}, there is no output device{through} at all; plug it in, see: feel321 doctor")
+        raise OSError(
+            f"device: got {name!r}, there is no output device{through} at all; plug it in"
+        )
     if name.lower() in FALLBACKS:
         raise OSError(f"device: got {name!r}, which may be another one tomorrow; allowed: {_list(outputs)}")
     found = [device for device in outputs if device.name == name]

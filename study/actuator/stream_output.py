@@ -201,8 +201,7 @@ class StreamOutput:
 
     def _fill(self, out: Samples, block: Block, sensed: Samples | None) -> None:
         """Do what the device asks for; this runs in its own thread."""
-        begin_s = perf_counter()
-        take, frame = self._take, self._mixer.frame
+        begin_s, take, frame = perf_counter(), self._take, self._mixer.frame
         self._mixer.fill(out)
         if take is None or take.is_out:
             return
