@@ -11,7 +11,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from study.actuator.rig import FILE_DEVICE, identify
-from study.observer.casting import tell_person
+from study.casting import tell_person
 from study.observer.participant import Participant
 from study.observer.simulated import identify_observer
 from study.session.replay import find_elapsed
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from stimuli.manifest import Stimulus, StimulusSet
     from study.actuator.output import Output
     from study.actuator.rig import Rig
+    from study.casting import Casting
     from study.folder import StudyFolder
-    from study.observer.casting import Casting
     from study.screen.views import Hand
     from study.session.journal import Journal
     from study.session.plan import Plan
@@ -185,11 +185,11 @@ def _open_hand(
     if casting is None:
         yield None
         return
-    from study.observer.hand import PressingHand
-    from study.observer.keyboard import ScreenKeyboard
+    from study.screen.fingers import XFingers
+    from study.screen.hand import PressingHand
 
     person = tell_person(plan.participant)
     mind = Participant(casting.model, seed=casting.seed, number=person, percepts=casting.percepts)
     mind.recall(journal.records, plan.trials, stimuli=stimuli)
-    with closing(ScreenKeyboard()) as keyboard:
+    with closing(XFingers()) as keyboard:
         yield PressingHand(mind, keyboard, stimuli=stimuli, clock=perf_counter)

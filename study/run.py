@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 
 from stimuli.manifest import read_stimuli
 from study.actuator.rig import read_rig
+from study.casting import cast_observers
 from study.lab import Lab, check_lab, identify_lab, open_lab
 from study.lead import lead_session
 from study.ledger.slots import read_ledger
-from study.observer.casting import cast_observers
 from study.preparing import list_rig_problems, open_room, plan_sessions, require_current_set
 from study.session.engine import Outcome
 from study.settings.designs import make_identity

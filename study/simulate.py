@@ -10,8 +10,8 @@ from itertools import count, islice
 from threading import Event, Lock
 from typing import TYPE_CHECKING
 
+from study.casting import cast_observers, tell_person
 from study.lead import lead_session
-from study.observer.casting import cast_observers, tell_person
 from study.observer.simulated import SimulatedObserver, identify_observer
 from study.preparing import open_room, plan_sessions
 from study.session.journal import read_journal
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from stimuli.manifest import Stimulus, StimulusSet
+    from study.casting import Casting
     from study.folder import StudyFolder
     from study.lead import Room
-    from study.observer.casting import Casting
     from study.session.journal import Clock, Journal
     from study.session.plan import Plan
     from study.settings.tables import Settings

@@ -12,6 +12,8 @@ from study.screen.keyboard import Digits, Held
 from study.session.ports import Move
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from protocols.trial import Scale, Trial
     from study.screen.events import Event
     from study.screen.shapes import Target
@@ -200,7 +202,7 @@ class Desk:
         for key in self._held.list_due(time_s, FAR):
             if can_answer:
                 self._go(key, time_s)
-        self._set_typed(self._digits.take_if_due(time_s), time_s)
+        self._set(self.selected, self._digits.take_if_due(time_s), time_s)
 
     def finish_typing(self, time_s: float) -> bool:
         """Turn digits into a value at once.
@@ -216,7 +218,7 @@ class Desk:
             Whether there were any.
         """
         value = self._digits.take()
-        self._set_typed(value, time_s)
+        self._set(self.selected, value, time_s)
         return value is not None
 
     def _press(self, press: Press, *, can_answer: bool) -> Wish | None:
@@ -229,7 +231,7 @@ class Desk:
             self._held.press(key, press.time_s)
             self._go(key, press.time_s)
             if self.kind == "slider" and key.isdigit():
-                self._set_typed(self._digits.type(key, press.time_s), press.time_s)
+                self._set(self.selected, self._digits.type(key, press.time_s), press.time_s)
         return None
 
     def _click(self, click: Click, target: Target | None) -> Wish | None:
@@ -263,18 +265,15 @@ class Desk:
             place = self.judged.index(self.selected) + (1 if key == "down" else -1)
             self.selected = self.judged[min(max(place, 0), len(self.judged) - 1)]
         elif self.kind == "choice":
-            self._choose(key)
+            self.chosen = _find_choice(key, self._choices) or self.chosen
 
-    def _choose(self, key: str) -> None:
-        choices = self._choices
-        keys = {"left": choices[0], "right": choices[-1], **{str(n): name for n, name in enumerate(choices, 1)}}
-        self.chosen = key if key in choices else keys.get(key, self.chosen)
-
-    def _set_typed(self, value: float | None, time_s: float) -> None:
-        if value is not None:
-            self._set(self.selected, value, time_s)
-
-    def _set(self, part: str, value: float, time_s: float) -> None:
-        if part in self.judged:
+    def _set(self, part: str, value: float | None, time_s: float) -> None:
+        if part in self.judged and value is not None:
             self.selected = part
             self.markers.put(part, value, time_s)
+
+
+def _find_choice(key: str, choices: Sequence[str]) -> str | None:
+    """Tell what a key chooses: the arrows the first and the last, digits and letters any."""
+    keys = {"left": choices[0], "right": choices[-1], **{str(n): name for n, name in enumerate(choices, 1)}}
+    return key if key in choices else keys.get(key)

@@ -13,8 +13,10 @@ from typing import TYPE_CHECKING
 from study.screen.desk import Desk
 from study.screen.front import Front
 from study.screen.parts import name_part
+from study.screen.player import Player, find_end
 from study.screen.views import Hand, View
-from study.session.ports import Abort, Confirm, Feel, Pause, Playback
+from study.session.ports import Abort, Confirm, Feel
+from study.settings.sources import Surface
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -26,14 +28,10 @@ if TYPE_CHECKING:
     from study.screen.desk import Wish
     from study.screen.window import Window
     from study.screen.wording import ScreenTexts
-    from study.session.ports import Act, Place
-    from study.settings.sources import Surface
+    from study.session.ports import Act, Pause, Place, Playback
 
-CLOSED = "the window was closed"
 LEFT = "the participant ended it for today"
-
-SILENCE_S = 1.0
-"""How long an output may take to fall silent before its own word on what happened is asked for."""
+NOT_AT_HAND = Surface(None, None)
 
 
 class ScreenPresenter:
@@ -66,9 +64,9 @@ class ScreenPresenter:
         hand: Hand | None = None,
     ) -> None:
         self._front = Front(window, texts, clock=clock, hand=hand or Hand())
-        self._output, self._texts = output, texts
-        self._clock, self._surfaces = clock, surfaces
+        self._texts, self._clock, self._surfaces = texts, clock, surfaces
         self._acts: deque[Act] = deque()
+        self._player = Player(self._front, output, clock=clock, acts=self._acts)
         self._possible_s = 0.0
 
     def show_page(self, page: Page, place: Place) -> Confirm | Pause | Abort:
@@ -91,15 +89,12 @@ class ScreenPresenter:
         )
         shown_s = self._clock()
         while True:
-            left_s = ceil(max(0.0, page.least_s - (self._clock() - shown_s)))
-            self._front.view = replace(self._front.view, left_s=left_s)
+            self._front.view = replace(self._front.view, left_s=ceil(max(0.0, page.least_s - self._clock() + shown_s)))
             for wish in self._front.listen():
                 stood_s = max(0.0, wish.time_s - shown_s)
-                if wish.name == "close":
-                    return Abort(wish.time_s, CLOSED)
-                if wish.name == "pause" and self._front.view.can_leave:
-                    return Abort(wish.time_s, LEFT)
-                if wish.name == "confirm" and stood_s >= page.least_s:
+                if (end := find_end(wish)) is not None and self._front.view.can_leave:
+                    return Abort(wish.time_s, end.reason if isinstance(end, Abort) else LEFT)
+                if wish.name in {"confirm", "close"} and stood_s >= page.least_s:
                     return Confirm(wish.time_s, {}, stood_s)
                 if wish.name == "confirm":
                     self.refuse("too_early", ())
@@ -118,11 +113,9 @@ class ScreenPresenter:
         """
         desk = Desk(trial, scale)
         self._acts.clear()
-        surface = self._surfaces.get(trial.recording)
+        surface = self._surfaces.get(trial.recording, NOT_AT_HAND)
         view = View(desk.kind, "feeling", self._front.view.screen + 1, place, trial=trial, scale=scale)
-        self._front.bring_up(
-            view if surface is None else replace(view, picture=surface.picture, sample=surface.sample or ""), desk
-        )
+        self._front.bring_up(replace(view, picture=surface.picture, sample=surface.sample or ""), desk)
         self._possible_s = self._clock()
 
     def play(self, part: Part, stimulus: Stimulus, *, gap_s: float) -> Playback:
@@ -142,27 +135,7 @@ class ScreenPresenter:
         Playback
             What became of it.
         """
-        self._front.view = replace(self._front.view, state="feeling", playing=part.name)
-        self._front.show_frame()  # what is announced is on the screen before it is felt
-        late = self._front.window.frames.late
-        self._output.start(stimulus, gap_s=gap_s)
-        try:
-            act = self._watch_playing()
-        except BaseException:
-            self._output.stop()
-            raise
-        delivery = self._output.collect()
-        self._note_felt(part, is_felt=delivery.completed and not delivery.error)
-        return Playback(
-            requested_s=delivery.requested_s,
-            onset_s=delivery.onset_s,
-            underruns=delivery.underruns,
-            clipped=delivery.clipped,
-            completed=delivery.completed,
-            error=delivery.error,
-            act=act,
-            measured={**delivery.measured, "late_frames": self._front.window.frames.late - late},
-        )
+        return self._begin_answer(self._player.play(part, stimulus, gap_s=gap_s))
 
     def prompt(self, part: Part) -> Playback:
         """Ask the participant to stroke the real surface, and wait until that is done.
@@ -177,17 +150,7 @@ class ScreenPresenter:
         Playback
             When it began, and whether it was done.
         """
-        self._front.view = replace(self._front.view, state="stroking", playing=part.name)
-        self._front.show_frame()
-        began_s = self._clock()
-        while True:
-            for wish in self._front.listen():
-                if wish.name == "confirm":
-                    self._note_felt(part, is_felt=True)
-                    return Playback(began_s, began_s)
-                if (act := _find_end(wish)) is not None:
-                    self._note_felt(part, is_felt=False)
-                    return Playback(began_s, began_s, completed=False, act=act)
+        return self._begin_answer(self._player.prompt(part))
 
     def wait(self) -> Act:
         """Wait for the participant's next act on the trial that is shown.
@@ -198,10 +161,11 @@ class ScreenPresenter:
             What the participant did.
         """
         self._front.view = replace(self._front.view, state="answering", playing="")
+        desk = self._front.find_desk()
         while not self._acts:
             for wish in self._front.listen():
-                self._acts.extend(self._answer(wish))
-            self._acts.extend(self._front.find_desk().markers.settle(self._clock()))
+                self._acts.extend(_answer(wish, desk, possible_s=self._possible_s))
+            self._acts.extend(desk.markers.settle(self._clock()))
         return self._acts.popleft()
 
     def refuse(self, reason: str, parts: tuple[str, ...]) -> None:
@@ -217,42 +181,19 @@ class ScreenPresenter:
         names = ", ".join(name_part(part, self._texts) for part in parts)
         self._front.notice = self._texts.refusals[reason].format(parts=names)
 
-    def _answer(self, wish: Wish) -> Iterator[Act]:
-        """Turn a wish into acts; markers come to rest before anything else is done."""
-        desk = self._front.find_desk()
-        if (end := _find_end(wish)) is not None:
-            yield end
-        elif wish.name == "feel":
-            yield from desk.markers.settle(wish.time_s, rest_s=0.0)
-            yield Feel(wish.time_s, wish.part)
-        elif wish.name == "confirm" and not desk.finish_typing(wish.time_s):
-            # Enter after digits that wait for another sets their value only: it must be seen before it counts.
-            yield from desk.markers.settle(wish.time_s, rest_s=0.0)
-            yield Confirm(wish.time_s, desk.values, max(0.0, wish.time_s - self._possible_s))
-
-    def _watch_playing(self) -> Pause | Abort | None:
-        """Show frames until the output is silent; what ends the trial stops it, and so does feeling another part."""
-        act: Pause | Abort | None = None
-        stopped_s = float("inf")
-        while self._output.is_playing and self._clock() - stopped_s < SILENCE_S:
-            for wish in self._front.listen():
-                is_switch = wish.name == "feel" and self._front.view.kind == "rows"
-                if is_switch:
-                    self._acts.append(Feel(wish.time_s, wish.part))
-                act = act or _find_end(wish)
-                if act or is_switch or wish.name == "stop":
-                    self._output.stop()
-                    stopped_s = min(stopped_s, self._clock())
-        return act
-
-    def _note_felt(self, part: Part, *, is_felt: bool) -> None:
-        felt = self._front.view.felt | {part.name} if is_felt else self._front.view.felt - {part.name}
-        self._front.view = replace(self._front.view, felt=felt, playing="")
+    def _begin_answer(self, playback: Playback) -> Playback:
         self._possible_s = self._clock()
+        return playback
 
 
-def _find_end(wish: Wish) -> Pause | Abort | None:
-    """Tell whether a wish ends the trial."""
-    if wish.name == "close":
-        return Abort(wish.time_s, CLOSED)
-    return Pause(wish.time_s) if wish.name == "pause" else None
+def _answer(wish: Wish, desk: Desk, *, possible_s: float) -> Iterator[Act]:
+    """Turn a wish into acts; markers come to rest before anything else is done."""
+    if (end := find_end(wish)) is not None:
+        yield end
+    elif wish.name == "feel":
+        yield from desk.markers.settle(wish.time_s, rest_s=0.0)
+        yield Feel(wish.time_s, wish.part)
+    elif wish.name == "confirm" and not desk.finish_typing(wish.time_s):
+        # Enter after digits that wait for another sets their value only: it must be seen before it counts.
+        yield from desk.markers.settle(wish.time_s, rest_s=0.0)
+        yield Confirm(wish.time_s, desk.values, max(0.0, wish.time_s - possible_s))

@@ -206,7 +206,7 @@ def test_people_have_no_seed(ready: StudyFolder, capsys: pytest.CaptureFixture[s
 
 def test_a_hand_without_a_screen_is_one_line() -> None:
     # In a process of its own: python-xlib leaves the sockets open that it tried.
-    code = "from study.observer.keyboard import ScreenKeyboard; ScreenKeyboard()"
+    code = "from study.screen.fingers import XFingers; XFingers()"
     env = {**os.environ, "DISPLAY": ":4711"}
     done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=False)
     last = done.stderr.splitlines()[-1]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Protocol
 
 
-class Keyboard(Protocol):
+class Fingers(Protocol):
     """Whatever keys can be pressed on."""
 
     def press(self, key: str) -> None:
@@ -27,7 +27,7 @@ class Keyboard(Protocol):
         """
 
 
-class ScreenKeyboard:
+class XFingers:
     """The keyboard of an X11 screen.
 
     Raises

@@ -10,11 +10,11 @@ from protocols.flow import Page
 from protocols.texts import read_scales
 from protocols.trial import Judgement, Part, Trial
 from stimuli.manifest import Stimulus
-from study.observer.casting import tell_person
-from study.observer.hand import THINKING_S, PressingHand
+from study.casting import tell_person
 from study.observer.participant import Participant
 from study.observer.raters import ObserverModel
 from study.observer.simulated import SimulatedObserver
+from study.screen.hand import THINKING_S, PressingHand
 from study.screen.views import View
 from study.session.ports import Place
 

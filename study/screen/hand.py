@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
     from protocols.trial import Part
     from stimuli.manifest import Stimulus
-    from study.observer.keyboard import Keyboard
     from study.observer.participant import Participant
+    from study.screen.fingers import Fingers
     from study.screen.views import View
 
 THINKING_S = 0.3
@@ -41,7 +41,7 @@ class PressingHand(Hand):
     ----------
     mind : Participant
         Who answers.
-    keyboard : Keyboard
+    keyboard : Fingers
         What is pressed.
     stimuli : mapping of str to Stimulus
         The stimuli by the names that they have in the trials.
@@ -50,7 +50,7 @@ class PressingHand(Hand):
     """
 
     def __init__(
-        self, mind: Participant, keyboard: Keyboard, *, stimuli: Mapping[str, Stimulus], clock: Callable[[], float]
+        self, mind: Participant, keyboard: Fingers, *, stimuli: Mapping[str, Stimulus], clock: Callable[[], float]
     ) -> None:
         self._mind, self._keyboard, self._stimuli, self._clock = mind, keyboard, stimuli, clock
         self._scene: tuple[int, str] = (-1, "")
