@@ -125,7 +125,8 @@ class Attempt:
     def _check_values(self, values: Mapping[str, Any]) -> None:
         judged = [judgement.part for judgement in self.trial.judgements]
         if sorted(values) != sorted(judged):
-            raise ValueError(f"rates {', '.join(values) or 'nothing'}, trial {self.trial.number} asks for {judged}")
+            got, asked = (", ".join(names) or "nothing" for names in (values, judged))
+            raise ValueError(f"rates {got}, trial {self.trial.number} asks for {asked}")
         choices = PROTOCOLS[self.trial.protocol].choices
         low, high = RATING_RANGE
         for part, value in values.items():
