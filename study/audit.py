@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 from stimuli.inspection import check_stimuli
 from stimuli.manifest import read_stimuli
 from study.auditing.journals import audit_journals
+from study.auditing.ledgered import audit_entry, read_entries
 from study.auditing.steps import MALFORMED
 from study.ledger.rebuilding import find_lost
 from study.ledger.tombstone import find_leftovers
@@ -50,8 +51,11 @@ def audit_study(study: StudyFolder, *, progress: Callable[[int, int], None] | No
     if folders or study.stimuli.exists():
         problems, stimuli_sha256 = _audit_stimuli(study.stimuli)
         findings += problems
+    entries = read_entries(study)
     for done, folder in enumerate(folders, start=1):
         findings += _audit_participant(folder, stimuli_sha256)
+        if folder.name in entries:
+            findings += audit_entry(study, folder, entries[folder.name])
         if progress is not None:
             progress(done, len(folders))
     return findings + find_lost(study)

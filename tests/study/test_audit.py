@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from study.ledger.entries import Entry
     from study.session.chain import Record
 
     Edit = Callable[[list[bytes]], list[bytes]]
@@ -297,6 +298,43 @@ def test_time_that_runs_backwards_without_a_word_is_found(copy: StudyFolder) -> 
     take_as_it_is(copy)
     assert len(read_chain(path.read_bytes(), "").records) == len(records)
     assert find_only(copy) == f"{path}, line 5: is older than the line before, and nothing says why"
+
+
+def edit_entry(study: StudyFolder, name: str, **changes: Any) -> None:
+    def change(known: list[Entry]) -> list[Entry]:
+        return [replace(entry, **(changes if entry.participant == name else {})) for entry in known]
+
+    rewrite_ledger(open_ledger(study.ledger), change)
+
+
+@pytest.mark.parametrize(
+    ("changes", "finding"),
+    [
+        ({"done": 6}, "sim002 has done 6, the journals say 5"),
+        ({"total": 4}, "sim002 has total 4, the plan says 5"),
+        ({"anchors": ()}, "sim002 has no note of session-01.jsonl, which has 28 lines"),
+    ],
+)
+def test_a_ledger_that_says_more_than_the_journals_or_forgot_one_is_found(
+    copy: StudyFolder, changes: dict[str, Any], finding: str
+) -> None:
+    edit_entry(copy, "sim002", **changes)
+    assert find_only(copy) == f"{copy.ledger}: {finding}; rebuild it: feel321 ledger {copy.path} --rebuild"
+
+
+def test_a_ledger_that_is_damaged_is_found_once(copy: StudyFolder) -> None:
+    copy.ledger.write_bytes(b"no database, but longer than a header of one would be" * 20)
+    assert find_only(copy).startswith(f"{copy.ledger}: ")
+
+
+@pytest.mark.parametrize("events", [(), ("aborted",), ("released",)])
+def test_a_session_killed_in_its_opening_needs_no_note(copy: StudyFolder, events: tuple[str, ...]) -> None:
+    path = copy.journals[1]
+    path.write_bytes(path.read_bytes().splitlines(keepends=True)[0])
+    for event in events:
+        require_journal(path, now=tell_time).write(event, {"time_s": 0.0})
+    edit_entry(copy, "sim002", state="claimed", done=0, total=0, anchors=())
+    assert audit_study(copy) == []
 
 
 def test_what_lies_beside_a_tombstone_is_named(copy: StudyFolder) -> None:

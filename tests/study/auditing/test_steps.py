@@ -52,7 +52,7 @@ def test_a_session_in_which_much_goes_wrong_gives_no_finding(
     quick = Confirm(0.0, {}, 0.1)
     cut, dry = Playback(1.0, 1.0, completed=False), Playback(1.0, 1.2, underruns=2, clipped=1)
 
-    class Patient(scripted):  # type: ignore[misc]
+    class Patient(scripted):  # type: ignore[misc] - a fixture hands the class over
         """Who feels everything again and answers, after what the script holds."""
 
         def show_trial(self, trial: Trial, scale: Scale, place: Place) -> None:
@@ -182,6 +182,6 @@ def test_a_record_with_other_fields_is_named(finished: list[Record], find: Find)
 
 
 def test_a_plan_that_cannot_be_worked_through_is_named(finished: list[Record], find: Find, plan: Plan) -> None:
-    forged = replace(plan, trials=(None,))  # type: ignore[arg-type]
+    forged = replace(plan, trials=(None,))  # type: ignore[arg-type] - that it is none is the point
     (found,) = find(finished, forged)
     assert found.startswith(": its plan is none to work through")
