@@ -192,7 +192,7 @@ class _Tally:
 
 
 def _open_room(simulation: Simulation) -> tuple[Room, list[str]]:
-    ledger, notice = open_study_ledger(simulation.study)
+    ledger, notice = open_study_ledger(simulation.study, now=simulation.now)
     scales = read_scales(find_language(simulation.settings, simulation.study.path))
     stale = make_stale(simulation.settings)
     room = Room(simulation.study, simulation.stimuli, scales, ledger, stale, simulation.now)

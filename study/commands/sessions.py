@@ -41,7 +41,8 @@ def status(*, study: StudyFolder, as_json: bool) -> None:
     from study.realised import describe_balance
     from study.status import read_status
 
-    state = read_status(study)
+    with show_progress("status") as progress:
+        state = read_status(study, progress=progress)
     if as_json:
         print_json(asdict(state))
         return

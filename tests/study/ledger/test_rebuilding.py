@@ -227,7 +227,7 @@ def test_a_loss_is_accepted_by_a_rebuild_that_is_named_ever_after(lab: Any, now:
     cut(journal)
     with pytest.raises(ValueError, match=r"ends with line 6, 7 lines of it were seen; restore it from a copy, or take"):
         check_anchors(remembered, journal.parent)
-    loss = f"{journal}: ends with line 6, 7 lines of it were seen"
+    loss = "sessions/p01/session-01.jsonl: ends with line 6, 7 lines of it were seen"
     for _ in range(2):  # The second finds nothing lost, and adds nothing.
         rebuild_ledger(lab.study, now=now)
     trace = f"{lab.study.ledger}: was rebuilt at 2026-01-01T12:00:00.000+00:00, and forgot: {loss}"

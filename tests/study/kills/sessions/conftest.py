@@ -21,6 +21,7 @@ from stimuli.manifest import StimulusSet, read_stimuli
 from study.audit import audit_study
 from study.folder import StudyFolder
 from study.lead import Room, lead_session
+from study.ledger.memory import list_forgotten
 from study.ledger.rebuilding import open_study_ledger
 from study.ledger.roster import write_roster
 from study.ledger.slots import claim_slots
@@ -294,8 +295,17 @@ class Lab:
         self.compare(study, task, presenter, policy=policy, told=told)
         return study
 
-    def compare(self, study: StudyFolder, task: str, presenter: str, *, policy: str = "continue", told: str) -> None:
-        """Check that a study ended as the one that was never interrupted."""
+    def compare(
+        self,
+        study: StudyFolder,
+        task: str,
+        presenter: str,
+        *,
+        policy: str = "continue",
+        told: str,
+        forgotten: int = 0,
+    ) -> None:
+        """Check that a study ended as the one that was never interrupted; its ledger may have been rebuilt."""
         whole, _ = self._lead_whole(task, presenter)
         end = read_end(study, presenter, policy=policy)
         assert [r.event for r in read_journal(study.journals[-1]).records].count("finished") == 1, told
@@ -303,7 +313,8 @@ class Lab:
             whole = replace(whole, rated=tuple(entry for entry in whole.rated if entry[0] in list_main(study)))
         assert end.rated == whole.rated, told
         assert end.table == (strip(whole.table, "onset_s") if policy == "warm_up" else whole.table), told
-        assert audit_study(study) == [], told
+        assert audit_study(study) == list_forgotten(study), told
+        assert len(list_forgotten(study)) == forgotten, told
 
     def find_whole(self, task: str, presenter: str) -> StudyFolder:
         """Find the study that was never interrupted; not to be touched."""
