@@ -174,8 +174,11 @@ class Session:
         room = Room(study, self.stimuli, read_scales("en"), ledger, Stale(6.0, self.policy), now)
         make_presenter = partial(self._make_presenter, memory=set())
         identity = {"presenter": identify_observer(MODEL, seed=3)}
-        while lead_session(room, plan, identity=identity, make_presenter=make_presenter)[0].stopped:
-            pass
+        with pytest.MonkeyPatch.context() as patch:
+            # Small sessions, noted as often as long ones are.
+            patch.setattr("study.lead.TRIALS_BETWEEN_NOTES", 3)
+            while lead_session(room, plan, identity=identity, make_presenter=make_presenter)[0].stopped:
+                pass
         write_roster(study)
         write_ratings(study, self.stimuli)
 
@@ -372,11 +375,8 @@ def strip(rows: list[dict[str, str]], *columns: str) -> list[dict[str, str]]:
 
 
 @pytest.fixture(scope="session")
-def lab(tmp_path_factory: pytest.TempPathFactory, processes: Any) -> Iterator[Lab]:
+def lab(tmp_path_factory: pytest.TempPathFactory, processes: Any) -> Lab:
     study = StudyFolder(tmp_path_factory.mktemp("lab"))
     study.settings.write_text(STUDY, encoding="utf-8")
     build_study(study)
-    with pytest.MonkeyPatch.context() as patch:
-        # Small sessions, noted as often as long ones are.
-        patch.setattr("study.lead.TRIALS_BETWEEN_NOTES", 3)
-        yield Lab(study.path, read_stimuli(study.stimuli), processes)
+    return Lab(study.path, read_stimuli(study.stimuli), processes)
