@@ -42,7 +42,7 @@ class Agenda:
     >>> from protocols.flow import Flow
     >>> agenda = Agenda([], Flow())
     >>> agenda.ask()
-    Page(key='welcome', least_s=0.0)
+    Page(key='welcome', least_s=0.0, by='participant')
     >>> agenda.tell_page("welcome", time_s=2.5)
     >>> agenda.ask().key
     'consent'
@@ -55,8 +55,7 @@ class Agenda:
         self._attempts: Counter[int] = Counter()
         self._spent: Counter[int] = Counter()
         self._training = Training(trials, flow)
-        self._trials_since_break = 0
-        self._break_ended_s = 0.0
+        self._breaks = _Breaks(flow)
         self.total = sum(trial.phase == "main" for trial in trials)
         """Trials of the main phase."""
         self.done = 0
@@ -106,7 +105,7 @@ class Agenda:
         """
         self._take(key)
         if key in RELAXING:
-            self._trials_since_break, self._break_ended_s = 0, time_s
+            self._breaks.begin_anew(time_s)
 
     def tell_trial(
         self, number: int, *, accepted: bool, as_expected: bool | None, time_s: float, spent: bool = True
@@ -144,8 +143,8 @@ class Agenda:
         elif trial.phase == "main":
             self.done += 1
             self.given_up += not accepted
-            self._trials_since_break += 1
-            if self._is_break_due(time_s):
+            # Where a page comes anyway, or nothing does, a break would be one too many.
+            if self._breaks.is_due(time_s) and isinstance(self.ask(), Trial):
                 self._steps.appendleft(Page("break", self._flow.break_s))
 
     def warm_up(self) -> None:
@@ -178,14 +177,6 @@ class Agenda:
                 self._attempts.pop(step.number, None)
                 self._spent.pop(step.number, None)
         self._steps.extendleft(reversed(steps))
-
-    def _is_break_due(self, time_s: float) -> bool:
-        ahead = self.ask()
-        if not isinstance(ahead, Trial):
-            return False  # A page comes anyway, or nothing does.
-        trials, minutes = self._flow.break_trials, self._flow.break_min
-        by_count = trials is not None and self._trials_since_break >= trials
-        return by_count or (minutes is not None and time_s - self._break_ended_s >= minutes * SECONDS)
 
 
 def find_place(steps: Iterable[Step], trial: Trial) -> int:
@@ -250,6 +241,24 @@ def _lead_in(phase: str, trials: Iterable[Trial]) -> Iterator[Step]:
     if own:
         yield Page(phase)
     yield from own
+
+
+class _Breaks:
+    """When the next break is due, by trials and by minutes."""
+
+    def __init__(self, flow: Flow) -> None:
+        self._flow = flow
+        self.begin_anew(0.0)
+
+    def begin_anew(self, time_s: float) -> None:
+        self._trials, self._since_s = 0, time_s
+
+    def is_due(self, time_s: float) -> bool:
+        """Count one more trial."""
+        self._trials += 1
+        trials, minutes = self._flow.break_trials, self._flow.break_min
+        by_count = trials is not None and self._trials >= trials
+        return by_count or (minutes is not None and time_s - self._since_s >= minutes * SECONDS)
 
 
 def _describe(step: str | int) -> str:

@@ -7,12 +7,19 @@ from importlib.resources import files
 from typing import TYPE_CHECKING
 
 from study.files import create_text
+from study.session.plan import PARTICIPANT_ID
+from study.session.replay import list_journals
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 SETTINGS_FILE = "study.toml"
 RIG_FILE = "rig.toml"
+
+LEDGER_FILE = "ledger.sqlite"
+
+LEDGER_FILES = "ledger."
+"""How the names of all files of the ledger begin: the database, what it keeps beside itself, the log."""
 
 BUNDLED = files("study") / "settings" / "bundled"
 
@@ -55,7 +62,12 @@ class StudyFolder:
     @property
     def ledger(self) -> Path:
         """Who takes part under which number; beside what it speaks of, so that both are moved or copied as one."""
-        return self.sessions / "ledger.sqlite"
+        return self.sessions / LEDGER_FILE
+
+    @property
+    def ledger_log(self) -> Path:
+        """What the ledger forgot when it was rebuilt."""
+        return self.sessions / "ledger.log"
 
     @property
     def ratings(self) -> Path:
@@ -75,12 +87,26 @@ class StudyFolder:
     @property
     def participants(self) -> list[Path]:
         """The participants' folders, sorted; one that a crash left with nothing but its lock was not begun."""
-        return sorted({entry.parent for entry in self.sessions.glob("*/[!.]*")})
+        return [entry for entry in self._entries if _is_ours(entry) and any(entry.glob("[!.]*"))]
+
+    @property
+    def strangers(self) -> list[Path]:
+        """What else lies beside the participants' folders, sorted: copies, and what drives and programs leave."""
+        return [entry for entry in self._entries if not (_is_ours(entry) or entry.name.startswith(LEDGER_FILES))]
 
     @property
     def journals(self) -> list[Path]:
         """All journals, sorted by participant, then session; copies under other names are none."""
-        return sorted(self.sessions.glob("*/session-[0-9][0-9].jsonl"))
+        return [journal for folder in self.participants for journal in list_journals(folder)]
+
+    @property
+    def _entries(self) -> list[Path]:
+        # Hidden ones are the system's, or a file that is being written.
+        return sorted(self.sessions.glob("[!.]*"))
+
+
+def _is_ours(entry: Path) -> bool:
+    return entry.is_dir() and PARTICIPANT_ID.fullmatch(entry.name) is not None
 
 
 def list_bundled() -> tuple[str, ...]:

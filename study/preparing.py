@@ -93,7 +93,7 @@ def open_room(study: StudyFolder, settings: Settings, stimuli: StimulusSet, *, n
     notice : str
         What had to be mended; mostly empty.
     """
-    ledger, notice = open_study_ledger(study)
+    ledger, notice = open_study_ledger(study, now=now)
     scales = read_scales(find_language(settings, study.path))
     return Room(study, stimuli, scales, ledger, make_stale(settings), now), notice
 

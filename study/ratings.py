@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 from protocols.scoring import score_trial
 from study.files import write_text
+from study.session.dossier import read_as_written, require_own_plan
 from study.session.journal import read_journal
-from study.session.opening import PLAN_FILE
-from study.session.plan import list_codes, require_plan
+from study.session.opening import TOMBSTONE_FILE
+from study.session.plan import list_codes
 from study.session.replay import find_header, has_event, list_journals, name_journal
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from protocols.trial import Trial
@@ -103,9 +104,10 @@ def read_judgements(folder: Path, stimuli: StimulusSet) -> list[dict[str, Any]]:
         If plan or journal is broken, lies elsewhere than it was written, or was written with another set.
     """
     journals = list_journals(folder)
-    if not journals:
-        return []  # Withdrawn, or broken off before it began.
-    plan = require_plan(folder / PLAN_FILE)
+    # Who withdrew has no ratings, even while the removal is not finished or a copy has come back.
+    if not journals or (folder / TOMBSTONE_FILE).exists():
+        return []
+    plan = require_own_plan(folder)
     if plan.stimuli_sha256 != stimuli.sha256:
         raise ValueError(
             f"{folder}: was planned with stimulus set {plan.stimuli_sha256[:12]}, the study holds "
@@ -117,8 +119,9 @@ def read_judgements(folder: Path, stimuli: StimulusSet) -> list[dict[str, Any]]:
     for path in journals:
         records = read_journal(path).records
         if header := find_header(records):
-            require_own(path, header, plan)
-            rows += [_name_row(row, header, by_code) for row in _replay(plan, records)]
+            with read_as_written(path):
+                require_own(path, header, plan)
+                rows += [_name_row(row, header, by_code) for row in _replay(plan, records, path=path)]
     return rows
 
 
@@ -163,7 +166,7 @@ def _name_row(row: dict[str, Any], header: Mapping[str, Any], by_code: Mapping[s
     }
 
 
-def _replay(plan: Plan, records: Sequence[Record]) -> list[dict[str, Any]]:
+def _replay(plan: Plan, records: Sequence[Record], *, path: Path) -> list[dict[str, Any]]:
     """List what the columns of each judgement owe to its own events."""
     trials = {trial.number: trial for trial in plan.trials}
     superseded = has_event(records, "superseded")
@@ -175,9 +178,19 @@ def _replay(plan: Plan, records: Sequence[Record]) -> list[dict[str, Any]]:
                 playbacks = []
             case "played":
                 playbacks.append(record.data)
-            case "rated" if trials[record.data["trial"]].phase == "main":
-                rows += _judge(trials[record.data["trial"]], record.data, playbacks, superseded=superseded)
+            case "rated" if (trial := trials[record.data["trial"]]).phase == "main":
+                _require_played(trial, playbacks, where=f"{path}, line {record.sequence + 1}")
+                rows += _judge(trial, record.data, playbacks, superseded=superseded)
     return sorted(rows, key=lambda row: row["trial"])
+
+
+def _require_played(trial: Trial, playbacks: Iterable[Mapping[str, Any]], *, where: str) -> None:
+    played = {playback["part"] for playback in playbacks}
+    if missing := [judgement.part for judgement in trial.judgements if judgement.part not in played]:
+        raise ValueError(
+            f"{where}: trial {trial.number} is rated, but {', '.join(missing)} was not played since it was shown; "
+            "restore the file from a copy"
+        )
 
 
 def _judge(

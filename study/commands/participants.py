@@ -50,14 +50,11 @@ def release(*, study: StudyFolder, participant: str) -> None:
 @json_option
 def ledger(*, study: StudyFolder, rebuild: bool, as_json: bool) -> None:
     """Show who takes part under which number; rebuild the ledger."""
-    from study.ledger.rebuilding import open_study_ledger, rebuild_ledger
-    from study.ledger.slots import read_ledger
+    from study.ledger.rebuilding import read_study_ledger, rebuild_ledger
 
-    notices = rebuild_ledger(study) if rebuild else []
-    opened, notice = open_study_ledger(study)
-    for line in filter(None, [*notices, notice]):
+    for line in rebuild_ledger(study, now=now) if rebuild else []:
         warn(line)
-    entries = read_ledger(opened)
+    entries = read_study_ledger(study)
     if as_json:
         print_json([asdict(entry) for entry in entries])
         return

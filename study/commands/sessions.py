@@ -41,7 +41,8 @@ def status(*, study: StudyFolder, as_json: bool) -> None:
     from study.realised import describe_balance
     from study.status import read_status
 
-    state = read_status(study)
+    with show_progress("status") as progress:
+        state = read_status(study, progress=progress)
     if as_json:
         print_json(asdict(state))
         return
@@ -61,18 +62,25 @@ def _describe(entry: Progress) -> str:
     return f"{entry.participant:<14}{entry.state:<11}{entry.done:>5}{entry.left:>6}{tail}"
 
 
-@click.command(epilog="Example: feel321 audit my-study")
+@click.command(epilog="Example: feel321 audit my-study --expect 5fe2c1...")
 @study_argument
+@click.option("--expect", metavar="DIGEST", help="The seal that an earlier audit printed; fail if it is another now.")
 @json_option
 @click.pass_context
-def audit(context: click.Context, *, study: StudyFolder, as_json: bool) -> None:
+def audit(context: click.Context, *, study: StudyFolder, expect: str | None, as_json: bool) -> None:
     """Verify plans, journals and stimuli; name every change."""
     from study.audit import audit_study
+    from study.auditing.seal import make_seal
 
-    findings = audit_study(study)
+    with show_progress("audit") as progress:
+        findings = audit_study(study, progress=progress)
+    seal = make_seal(study)
+    if expect not in {None, seal}:
+        findings.append(f"{study.path}: got seal {seal}, expected {expect}; something was recorded or changed since")
     if as_json:
-        print_json({"findings": findings})
+        print_json({"findings": findings, "seal": seal})
     else:
         count = len(study.journals)
         click.echo("\n".join(findings) or f"{study.path}: {count} journals, all as they were written")
+        click.echo(f"seal: {seal}; keep it elsewhere")
     context.exit(1 if findings else 0)

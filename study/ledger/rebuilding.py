@@ -6,10 +6,12 @@ from shlex import quote
 from typing import TYPE_CHECKING
 
 from study.ledger.entries import LIVE, Entry
+from study.ledger.memory import WAS_MISSING, list_forgotten, note_forgotten, tell_time
 from study.ledger.sightings import find_cut
 from study.ledger.slots import open_ledger, read_ledger, rewrite_ledger
 from study.ledger.standing import Standing, read_standing, read_standings
 from study.ledger.tombstone import REMOVED, Tombstone, read_tombstone
+from study.session.opening import TOMBSTONE_FILE
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -18,15 +20,18 @@ if TYPE_CHECKING:
     from sqlalchemy import Engine
 
     from study.folder import StudyFolder
+    from study.session.journal import Clock
 
 
-def open_study_ledger(study: StudyFolder) -> tuple[Engine, str]:
-    """Open the ledger of a study; one that is missing is rebuilt.
+def open_study_ledger(study: StudyFolder, *, now: Clock = tell_time) -> tuple[Engine, str]:
+    """Open the ledger of a study to write in it; one that is missing is rebuilt, and the log beside it says so.
 
     Parameters
     ----------
     study : StudyFolder
         The study.
+    now : callable
+        Gives the time of day, with its zone.
 
     Returns
     -------
@@ -46,22 +51,58 @@ def open_study_ledger(study: StudyFolder) -> tuple[Engine, str]:
     if read_ledger(ledger):
         return ledger, ""
     entries, _ = _read_disk(study)
-    # Whoever else found it missing may have been quicker, and claimed slots since.
-    if not entries or rewrite_ledger(ledger, lambda known: known or entries):
+
+    def change(known: list[Entry]) -> list[Entry]:
+        # Whoever else found it missing may have been quicker, and claimed slots since.
+        if not known:
+            note_forgotten(study, [WAS_MISSING], now=now)
+        return known or entries
+
+    if not entries or rewrite_ledger(ledger, change):
         return ledger, ""
     count = len(entries)
     return ledger, f"{study.ledger}: was missing; {count} participants were entered from their plans and journals"
 
 
-def rebuild_ledger(study: StudyFolder) -> list[str]:
-    """Make the ledger of a study anew from plans, journals and tombstones.
-
-    Slots that were claimed by participants without a plan so far are kept: they stand nowhere else.
+def read_study_ledger(study: StudyFolder) -> list[Entry]:
+    """Read the ledger of a study and write nothing.
 
     Parameters
     ----------
     study : StudyFolder
         The study.
+
+    Returns
+    -------
+    list of Entry
+        One per participant; none if nobody has begun.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the ledger is missing although participants have begun.
+    ValueError
+        If it is damaged.
+    """
+    if study.ledger.exists():
+        return read_ledger(open_ledger(study.ledger))
+    if any(map(_is_begun, study.participants)):
+        raise FileNotFoundError(_describe_missing(study))
+    return []
+
+
+def rebuild_ledger(study: StudyFolder, *, now: Clock = tell_time) -> list[str]:
+    """Make the ledger of a study anew from plans, journals and tombstones.
+
+    Slots that were claimed by participants without a plan so far are kept: they stand nowhere else. What is
+    forgotten is noted for good in a log beside the ledger.
+
+    Parameters
+    ----------
+    study : StudyFolder
+        The study.
+    now : callable
+        Gives the time of day, with its zone.
 
     Returns
     -------
@@ -73,7 +114,8 @@ def rebuild_ledger(study: StudyFolder) -> list[str]:
     ValueError
         If the ledger or a plan is damaged, or two participants hold one number.
     """
-    lost = find_lost(study) if study.ledger.exists() else []
+    was_missing = not study.ledger.exists()
+    lost, wrong = ([], []) if was_missing else _compare(study)
     problems: list[str] = []
 
     def change(known: list[Entry]) -> list[Entry]:
@@ -82,14 +124,15 @@ def rebuild_ledger(study: StudyFolder) -> list[str]:
         names = {entry.participant for entry in entries}
         waiting = [e for e in known if e.state == "claimed" and not e.anchors and e.participant not in names]
         _check_slots(entries + waiting)
+        note_forgotten(study, [WAS_MISSING] if was_missing and entries else lost, now=now)
         return entries + waiting
 
     rewrite_ledger(_open(study), change)
-    return lost + problems
+    return lost + wrong + problems
 
 
 def find_lost(study: StudyFolder) -> list[str]:
-    """Find what the ledger once saw and the disk no longer holds, and the other way round.
+    """Find what the ledger once saw and the disk no longer holds, the other way round, and what it ever forgot.
 
     Parameters
     ----------
@@ -101,18 +144,8 @@ def find_lost(study: StudyFolder) -> list[str]:
     list of str
         One line each; empty if all is there.
     """
-    path = study.ledger
-    rebuild = f"feel321 ledger {quote(str(study.path))} --rebuild"
-    if not path.exists():
-        begun = [folder for folder in study.participants if _is_begun(folder)]
-        return [f"{path}: is missing, so nobody can tell what else is; rebuild it: {rebuild}"] if begun else []
-    try:
-        entries = {entry.participant: entry for entry in read_ledger(open_ledger(path))}
-    except (OSError, ValueError) as error:
-        return [str(error)]
-    findings = [line for entry in entries.values() for line in _find_lost_of(entry, study)]
-    strangers = [folder for folder in study.participants if folder.name not in entries and _is_begun(folder)]
-    return findings + [f"{folder}: is not in the ledger; enter it: {rebuild}" for folder in strangers]
+    lost, wrong = _compare(study)
+    return lost + wrong + list_forgotten(study)
 
 
 def make_entry(standing: Standing) -> Entry:
@@ -139,6 +172,30 @@ def make_entry(standing: Standing) -> Entry:
         anchors=standing.anchors,
         claimed_utc=standing.first_utc,
     )
+
+
+def _compare(study: StudyFolder) -> tuple[list[str], list[str]]:
+    """Find what the ledger saw and the disk does not hold, and what a rebuild only sets right."""
+    try:
+        entries = {entry.participant: entry for entry in read_study_ledger(study)}
+    except (OSError, ValueError) as error:
+        return [str(error)], []
+    lost: list[str] = []
+    edited: list[str] = []
+    for entry in entries.values():
+        lines = list(_find_lost_of(entry, study))
+        lost += lines
+        edited += [] if lines else _find_edited(entry, study)
+    unknown = [folder for folder in study.participants if folder.name not in entries and _is_begun(folder)]
+    return lost, edited + [f"{folder}: is not in the ledger; enter it: {_name_rebuild(study)}" for folder in unknown]
+
+
+def _describe_missing(study: StudyFolder) -> str:
+    return f"{study.ledger}: is missing, so nobody can tell what else is; rebuild it: {_name_rebuild(study)}"
+
+
+def _name_rebuild(study: StudyFolder) -> str:
+    return f"feel321 ledger {quote(str(study.path))} --rebuild"
 
 
 def _open(study: StudyFolder) -> Engine:
@@ -183,9 +240,7 @@ def _find_lost_of(entry: Entry, study: StudyFolder) -> Iterator[str]:
         yield str(error)
         return
     if tombstone is not None:
-        if (tombstone.state, entry.state) != (REMOVED, "withdrawn"):
-            again = f"feel321 withdraw {quote(str(study.path))} --participant {entry.participant} --yes"
-            yield f"{folder}: the withdrawal was broken off; finish it: {again}"
+        yield from _find_unlike(tombstone, entry, study)
     elif entry.state == "withdrawn":
         yield f"{folder}: the participant was withdrawn, the tombstone is gone; restore it from a copy"
     elif entry.anchors and not _is_begun(folder):
@@ -193,14 +248,24 @@ def _find_lost_of(entry: Entry, study: StudyFolder) -> Iterator[str]:
         yield f"{folder}: is gone without a tombstone, {lines} lines of its journals were seen; restore it from a copy"
     elif cuts := [cut for anchor in entry.anchors if (cut := find_cut(anchor, folder))]:
         yield from cuts
-    elif _is_begun(folder):
-        yield from _find_edited(entry, study)
+
+
+def _find_unlike(tombstone: Tombstone, entry: Entry, study: StudyFolder) -> Iterator[str]:
+    folder = study.sessions / entry.participant
+    if (tombstone.state, entry.state) != (REMOVED, "withdrawn"):
+        again = f"feel321 withdraw {quote(str(study.path))} --participant {entry.participant}"
+        yield f"{folder}: the withdrawal was broken off; finish it: {again}"
+    elif (tombstone.number, tombstone.simulated) != (entry.number, entry.simulated):
+        yield f"{folder}: the tombstone is another one than the ledger saw written; restore both from a copy"
 
 
 def _find_edited(entry: Entry, study: StudyFolder) -> Iterator[str]:
     """Find what the ledger says of a participant and neither plan nor journals ever said."""
+    folder = study.sessions / entry.participant
+    if (folder / TOMBSTONE_FILE).exists() or not _is_begun(folder):
+        return
     try:
-        standing = read_standing(study.sessions / entry.participant)
+        standing = read_standing(folder)
     except (OSError, ValueError):
         return  # Whatever is wrong with plan or journals is for those to say who read them.
     pairs: list[tuple[str, object, object]] = [
@@ -214,5 +279,5 @@ def _find_edited(entry: Entry, study: StudyFolder) -> Iterator[str]:
         if got != expected:
             yield (
                 f"{study.ledger}: {entry.participant} has {name} {got}, plan and journals say {expected}; "
-                f"rebuild it: feel321 ledger {quote(str(study.path))} --rebuild"
+                f"rebuild it: {_name_rebuild(study)}"
             )

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from study.ledger.sightings import Anchor, read_anchor
-from study.session.dossier import Dossier, read_dossier, require_own_plan
+from study.session.dossier import Dossier, read_as_written, read_dossier, require_own_plan
 from study.session.opening import PLAN_FILE, TOMBSTONE_FILE
 from study.session.replay import find_header, has_event, list_journals, replay
 
@@ -129,6 +129,11 @@ def make_standing(dossier: Dossier) -> Standing:
     ValueError
         If the newest journal contradicts the plan.
     """
+    with read_as_written(dossier.folder):
+        return _make_standing(dossier)
+
+
+def _make_standing(dossier: Dossier) -> Standing:
     plan, newest = dossier.plan, dossier.records
     times = [record.utc for chain in dossier.chains for record in chain.records]
     return Standing(

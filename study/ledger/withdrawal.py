@@ -16,7 +16,7 @@ from study.ledger.roster import ROSTER_FILE, write_roster
 from study.ledger.sightings import check_anchors, read_anchor
 from study.ledger.slots import read_ledger, rewrite_ledger
 from study.ledger.standing import read_standing
-from study.ledger.tombstone import REMOVED, REMOVING, Tombstone, read_tombstone, write_tombstone
+from study.ledger.tombstone import LOCK_FILE, REMOVED, REMOVING, Tombstone, read_tombstone, write_tombstone
 from study.session.journal import require_journal
 from study.session.opening import TOMBSTONE_FILE
 from study.session.replay import find_header, has_event, list_journals
@@ -30,8 +30,6 @@ if TYPE_CHECKING:
 
     from study.folder import StudyFolder
     from study.session.journal import Clock, Journal
-
-LOCK_FILE = ".lock"
 
 
 def withdraw_participant(
@@ -69,7 +67,7 @@ def withdraw_participant(
     BlockingIOError
         If a session of the participant is running.
     """
-    ledger, notice = open_study_ledger(study)
+    ledger, notice = open_study_ledger(study, now=now)
     entry = _require_entry(ledger, participant)
     folder = study.sessions / participant
     if (found := read_tombstone(folder)) and found.state == REMOVED and entry.state == "withdrawn":
@@ -114,7 +112,7 @@ def release_participant(study: StudyFolder, participant: str, *, now: Clock) -> 
     BlockingIOError
         If a session of the participant is running.
     """
-    ledger, _ = open_study_ledger(study)
+    ledger, _ = open_study_ledger(study, now=now)
     entry = _require_entry(ledger, participant)
     folder = study.sessions / participant
     if read_tombstone(folder) is not None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import dataclass
+from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 
 START = "0" * 64
 """What the first line has instead of the digest of the line before."""
+
+_FIELDS = {"sequence": int, "previous": str, "utc": str, "event": str, "data": dict}
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,9 +154,22 @@ def _read_line(line: bytes, previous: str, *, sequence: int) -> Record:
     body, mark, rest = line.rpartition(b', "sha256": "')
     if not mark or rest != f'{digest(body + b"}")}"}}'.encode():
         raise ValueError("was changed after it was written (its SHA-256 does not match)")
-    entry = json.loads(body + b"}")
+    entry = _read_entry(body + b"}")
     if entry["previous"] != previous:
         raise ValueError("does not follow the line before (a line was taken out, put in or moved)")
     if entry["sequence"] != sequence:
         raise ValueError(f"got sequence number {entry['sequence']}, expected {sequence}")
     return Record(entry["sequence"], entry["utc"], entry["event"], entry["data"])
+
+
+def _read_entry(body: bytes) -> dict[str, Any]:
+    """Read a line's fields; a digest that is right does not tell that feel321 wrote them."""
+    try:
+        entry = json.loads(body)
+        is_record = {name: type(value) for name, value in entry.items()} == _FIELDS
+        is_record = is_record and datetime.fromisoformat(entry["utc"]).tzinfo is not None
+    except (AttributeError, ValueError, RecursionError):
+        is_record = False
+    if not is_record:
+        raise ValueError("is no record as feel321 writes them")
+    return dict(entry)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from dataclasses import dataclass
+from json import JSONDecodeError
 from typing import TYPE_CHECKING
 
 from study.session.journal import read_journal
@@ -11,6 +13,7 @@ from study.session.plan import require_plan
 from study.session.replay import list_journals
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
     from study.session.chain import Chain, Record
@@ -85,7 +88,36 @@ def require_own_plan(folder: Path) -> Plan:
     ValueError
         If it is broken or lies elsewhere than it was stored.
     """
-    plan = require_plan(folder / PLAN_FILE)
+    with read_as_written(folder / PLAN_FILE):
+        plan = require_plan(folder / PLAN_FILE)
     if plan.participant != folder.name:
         raise ValueError(f"{folder / PLAN_FILE}: is the plan of {plan.participant!r}, it was copied here; move it away")
     return plan
+
+
+@contextmanager
+def read_as_written(path: Path) -> Iterator[None]:
+    """Say in words that a file whose digests are right holds what feel321 does not write.
+
+    Parameters
+    ----------
+    path : Path
+        The file, or the folder that holds it.
+
+    Yields
+    ------
+    None
+        Nothing.
+
+    Raises
+    ------
+    ValueError
+        In place of what goes wrong where a field is missing or of another kind.
+    """
+    try:
+        yield
+    except (AttributeError, KeyError, TypeError, JSONDecodeError, RecursionError) as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise ValueError(
+            f"{path}: holds what feel321 does not write ({reason}); restore the file from a copy"
+        ) from None

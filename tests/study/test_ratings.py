@@ -11,6 +11,7 @@ import pytest
 from protocols.tasks import make_task
 from study.folder import StudyFolder
 from study.ratings import COLUMNS, read_judgements, write_ratings
+from study.session.chain import START, digest, write_line
 from study.session.journal import create_journal
 from study.session.opening import Stale
 from study.session.plan import create_plan, list_codes, make_plan
@@ -24,6 +25,21 @@ if TYPE_CHECKING:
     from study.session.plan import Design, Plan
 
     Present = Callable[..., list[Any]]
+    Forge = Callable[[Path, list[Any]], None]
+
+
+@pytest.fixture
+def forge() -> Forge:
+    """Write records as a journal whose digests are right."""
+
+    def write(path: Path, records: list[Any]) -> None:
+        lines, tip = [], START
+        for sequence, record in enumerate(records):
+            lines.append(write_line(replace(record, sequence=sequence), tip))
+            tip = digest(lines[-1].rstrip(b"\n"))
+        path.write_bytes(b"".join(lines))
+
+    return write
 
 
 def read(path: Path) -> list[dict[str, str]]:
@@ -140,10 +156,47 @@ def test_unfinished_sessions_count_and_the_table_is_the_same_every_time(
 def test_a_participant_who_never_began_gives_no_rows(
     plan: Plan, tmp_path: Path, stimuli: StimulusSet, now: Callable[[], datetime]
 ) -> None:
-    create_plan(tmp_path / "plan.json", plan)
-    assert read_judgements(tmp_path, stimuli) == []
-    create_journal(tmp_path / "session-01.jsonl", now=now)
-    assert read_judgements(tmp_path, stimuli) == []
+    (folder := tmp_path / "p01").mkdir()
+    create_plan(folder / "plan.json", plan)
+    assert read_judgements(folder, stimuli) == []
+    create_journal(folder / "session-01.jsonl", now=now)
+    assert read_judgements(folder, stimuli) == []
+
+
+def test_who_withdrew_gives_no_rows_whatever_lies_beside_the_tombstone(
+    present: Present, scripted: type, stimuli: StimulusSet, tmp_path: Path
+) -> None:
+    present(scripted())
+    (tmp_path / "sessions" / "p01" / "withdrawn.json").write_text("{}", encoding="utf-8")
+    assert write_ratings(StudyFolder(tmp_path), stimuli) == 0
+
+
+@pytest.mark.parametrize("dropped", ["played", "shown"])
+def test_a_rating_of_what_was_not_played_is_refused(
+    present: Present, scripted: type, stimuli: StimulusSet, tmp_path: Path, forge: Forge, dropped: str
+) -> None:
+    records = present(scripted())
+    place = next(place for place, record in enumerate(records) if record.event == "played")
+    if dropped == "played":
+        del records[place]
+    else:
+        records.insert(place + 1, records[place - 1])  # Shown once more, and not played since.
+    forge(tmp_path / "sessions" / "p01" / "session-01.jsonl", records)
+    with pytest.raises(ValueError, match=r"session-01\.jsonl, line \d+: trial 1 is rated, but test was not played"):
+        write_ratings(StudyFolder(tmp_path), stimuli)
+
+
+@pytest.mark.parametrize("change", [{"values": {}}, {"values": None}, {"trial": 99}, {"trial": []}])
+def test_a_rating_of_another_make_is_refused_in_words(
+    present: Present, scripted: type, stimuli: StimulusSet, tmp_path: Path, forge: Forge, change: dict[str, Any]
+) -> None:
+    records = present(scripted())
+    last = max(place for place, record in enumerate(records) if record.event == "rated")
+    records[last] = replace(records[last], data=records[last].data | change)
+    forge(tmp_path / "sessions" / "p01" / "session-01.jsonl", records)
+    with pytest.raises(ValueError, match=r"session-01\.jsonl: holds what feel321 does not write \(\w+: ") as caught:
+        write_ratings(StudyFolder(tmp_path), stimuli)
+    assert "\n" not in str(caught.value)
 
 
 def test_a_journal_of_another_stimulus_set_is_refused(
@@ -175,15 +228,22 @@ def test_copies_of_a_journal_under_other_names_do_not_count(
     assert write_ratings(StudyFolder(tmp_path), stimuli) == 20
 
 
-@pytest.mark.parametrize("copy", ["p01 backup/session-01.jsonl", "p01/session-02.jsonl"])
-def test_a_journal_that_lies_elsewhere_than_it_was_written_is_refused(
-    present: Present, scripted: type, stimuli: StimulusSet, tmp_path: Path, copy: str
+def test_a_copied_folder_is_refused_unless_its_name_is_no_participants(
+    present: Present, scripted: type, stimuli: StimulusSet, tmp_path: Path
 ) -> None:
     present(scripted())
-    target = tmp_path / "sessions" / copy
-    target.parent.mkdir(exist_ok=True)
-    if not (target.parent / "plan.json").exists():
-        shutil.copy(tmp_path / "sessions" / "p01" / "plan.json", target.parent)
-    shutil.copy(tmp_path / "sessions" / "p01" / "session-01.jsonl", target)
-    with pytest.raises(ValueError, match=f"{copy}: is session 1 of 'p01', it was copied here; move the copy out"):
+    for name in ("p01 backup", "@eaDir", "p01-copy"):
+        assert write_ratings(StudyFolder(tmp_path), stimuli) == 20
+        shutil.copytree(tmp_path / "sessions" / "p01", tmp_path / "sessions" / name)
+    with pytest.raises(ValueError, match=r"p01-copy/plan\.json: is the plan of 'p01', it was copied here; move"):
+        write_ratings(StudyFolder(tmp_path), stimuli)
+
+
+def test_a_journal_that_lies_elsewhere_than_it_was_written_is_refused(
+    present: Present, scripted: type, stimuli: StimulusSet, tmp_path: Path
+) -> None:
+    present(scripted())
+    folder = tmp_path / "sessions" / "p01"
+    shutil.copy(folder / "session-01.jsonl", folder / "session-02.jsonl")
+    with pytest.raises(ValueError, match=r"session-02\.jsonl: is session 1 of 'p01', it was copied here; move"):
         write_ratings(StudyFolder(tmp_path), stimuli)

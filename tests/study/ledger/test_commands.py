@@ -61,16 +61,28 @@ def test_ledger_of_a_study_without_participants_has_no_rows(lab: Any, say: Say) 
         assert (code, len(out.splitlines()), err) == (0, 1, "")
 
 
-def test_a_missing_ledger_is_told_and_a_rebuild_tells_what_it_forgets(begun: Any, say: Say) -> None:
+def test_a_missing_ledger_is_told_and_nothing_is_written(begun: Any, say: Say) -> None:
     begun.study.ledger.unlink()
-    _, _, err = say("ledger", begun.study.path)
-    assert err.startswith(f"feel321: warning: {begun.study.ledger}: was missing; 3 participants were")
+    code, out, err = say("ledger", begun.study.path)
+    assert (code, out) == (1, "")
+    assert err == (
+        f"feel321: {begun.study.ledger}: is missing, so nobody can tell what else is; rebuild it: "
+        f"feel321 ledger {begun.study.path} --rebuild\n"
+    )
+    assert say("status", begun.study.path)[0] == 0
+    assert say("audit", begun.study.path)[0] == 1
+    assert list(begun.study.sessions.glob("ledger*")) == []
+
+
+def test_a_rebuild_tells_what_it_forgets(begun: Any, say: Say) -> None:
     (begun.study.sessions / "p02" / "session-01.jsonl").unlink()
     code, out, err = say("ledger", begun.study.path, "--rebuild")
     assert code == 0
     assert "p02             claimed" in out
     assert err.endswith("sessions/p02/session-01.jsonl: is gone, 1 lines of it were seen\n")
-    assert find_lost(begun.study) == []
+    (trace,) = find_lost(begun.study)
+    assert trace.startswith(f"{begun.study.ledger}: was rebuilt at 2")
+    assert trace.endswith("sessions/p02/session-01.jsonl: is gone, 1 lines of it were seen")
 
 
 def test_a_damaged_ledger_is_one_line(begun: Any, say: Say) -> None:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import shutil
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +13,8 @@ from hypothesis import strategies as st
 import study.ledger.rebuilding
 from study.ledger.rebuilding import find_lost, open_study_ledger, rebuild_ledger
 from study.ledger.sightings import check_anchors
-from study.ledger.slots import read_ledger
+from study.ledger.slots import read_ledger, rewrite_ledger
+from study.ledger.tombstone import REMOVING, read_tombstone, write_tombstone
 from study.ledger.withdrawal import release_participant, withdraw_participant
 from study.session.chain import digest
 
@@ -167,9 +169,14 @@ def damage_tombstone(journal: Path) -> None:
     (journal.parent.parent / "gone" / "withdrawn.json").write_text("[]")
 
 
-def reopen_tombstone(journal: Path) -> None:
+def edit_tombstone(journal: Path) -> None:
     path = journal.parent.parent / "gone" / "withdrawn.json"
-    path.write_text(path.read_text().replace("removed", "removing"))
+    path.write_text(path.read_text().replace("2026", "2025"))
+
+
+def reopen_tombstone(journal: Path) -> None:
+    folder = journal.parent.parent / "gone"
+    write_tombstone(folder, replace(read_tombstone(folder), state=REMOVING))
 
 
 def bring_stranger(journal: Path) -> None:
@@ -186,7 +193,8 @@ def bring_stranger(journal: Path) -> None:
         (remove_ledger, "sessions/ledger.sqlite: is missing, so nobody can tell what else is; rebuild it: feel321"),
         (damage_ledger, "sessions/ledger.sqlite: got a damaged file (file is not a database); move it away"),
         (remove_tombstone, "sessions/gone: the participant was withdrawn, the tombstone is gone; restore it"),
-        (damage_tombstone, "sessions/gone/withdrawn.json: got no tombstone, or a damaged one; restore"),
+        (damage_tombstone, "sessions/gone/withdrawn.json: got no tombstone, or one that was changed after it was"),
+        (edit_tombstone, "sessions/gone/withdrawn.json: got no tombstone, or one that was changed after it was"),
         (reopen_tombstone, "sessions/gone: the withdrawal was broken off; finish it: feel321 withdraw"),
         (bring_stranger, "sessions/stranger: is not in the ledger; enter it: feel321 ledger"),
     ],
@@ -212,17 +220,69 @@ def test_what_grew_since_it_was_noted_is_not_lost(lab: Any) -> None:
     check_anchors(seen, journal.parent)
 
 
-def test_a_loss_is_accepted_by_a_rebuild_that_names_it(lab: Any) -> None:
+def test_a_loss_is_accepted_by_a_rebuild_that_is_named_ever_after(lab: Any, now: Any) -> None:
     lab.begin("p01")
     journal = lab.work("p01", 2)
     remembered = entries(lab)[0].anchors
     cut(journal)
     with pytest.raises(ValueError, match=r"ends with line 6, 7 lines of it were seen; restore it from a copy, or take"):
         check_anchors(remembered, journal.parent)
-    assert rebuild_ledger(lab.study) == [f"{journal}: ends with line 6, 7 lines of it were seen"]
-    assert find_lost(lab.study) == []
+    loss = "sessions/p01/session-01.jsonl: ends with line 6, 7 lines of it were seen"
+    for _ in range(2):  # The second finds nothing lost, and adds nothing.
+        rebuild_ledger(lab.study, now=now)
+    trace = f"{lab.study.ledger}: was rebuilt at 2026-01-01T12:00:00.000+00:00, and forgot: {loss}"
+    assert find_lost(lab.study) == [trace]
     lab.work("p01")
     assert entries(lab)[0].state == "finished"
+    assert find_lost(lab.study) == [trace]
+
+
+@pytest.mark.parametrize("rebuild", [open_study_ledger, rebuild_ledger])
+def test_a_ledger_that_was_missing_is_remembered(lab: Any, now: Any, rebuild: Callable[..., object]) -> None:
+    lab.begin("p01")
+    lab.study.ledger.unlink()
+    rebuild(lab.study, now=now)
+    utc = "2026-01-01T12:00:00.000+00:00"
+    assert find_lost(lab.study) == [
+        f"{lab.study.ledger}: was rebuilt at {utc}, and forgot: all that it had seen, for it was missing"
+    ]
+    lab.study.ledger_log.write_bytes(b"{}\n")
+    (line,) = find_lost(lab.study)
+    assert line.startswith(f"{lab.study.ledger_log}, line 1: was changed after it was written")
+
+
+def test_entering_someone_new_forgets_nothing(lab: Any, make_lab: Any) -> None:
+    lab.begin("p01")
+    other = make_lab()
+    other.claim("p01")
+    shutil.copytree(other.begin("p02"), lab.study.sessions / "p02")
+    (line,) = rebuild_ledger(lab.study)
+    assert line.startswith(f"{lab.study.sessions / 'p02'}: is not in the ledger; enter it: ")
+    assert find_lost(lab.study) == []
+
+
+def edit(lab: Any, name: str, **values: Any) -> None:
+    def change(known: list[Entry]) -> list[Entry]:
+        return [replace(entry, **values) if entry.participant == name else entry for entry in known]
+
+    rewrite_ledger(open_study_ledger(lab.study)[0], change)
+
+
+def test_setting_an_edited_row_right_forgets_nothing(lab: Any) -> None:
+    lab.begin("p01")
+    edit(lab, "p01", number=2)
+    (line,) = find_lost(lab.study)
+    assert line.startswith(f"{lab.study.ledger}: p01 has number 2, plan and journals say 1; rebuild it: feel321 ledger")
+    assert rebuild_ledger(lab.study) == [line]
+    assert find_lost(lab.study) == []
+
+
+def test_another_tombstone_than_the_ledger_saw_is_named(lab: Any, now: Any) -> None:
+    lab.begin("p01")
+    withdraw_participant(lab.study, "p01", now=now)
+    edit(lab, "p01", number=2)
+    (line,) = find_lost(lab.study)
+    assert line.startswith(f"{lab.study.sessions / 'p01'}: the tombstone is another one than the ledger saw written")
 
 
 def test_a_ledger_alone_is_no_study(lab: Any) -> None:

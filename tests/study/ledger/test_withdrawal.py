@@ -87,7 +87,9 @@ def test_all_data_go_and_a_tombstone_stays(two: Any, now: Any) -> None:
     removed = withdraw_participant(two.study, "p01", now=now, reason="moved away")
     assert removed == ["notes", "notes/age.txt", "plan.json", "session-01.jsonl", "session-01.jsonl.torn1"]
     assert [path.name for path in folder.iterdir()] == ["withdrawn.json"]
-    assert json.loads((folder / "withdrawn.json").read_bytes()) == {
+    stored = json.loads((folder / "withdrawn.json").read_bytes())
+    assert len(stored.pop("sha256")) == 64
+    assert stored == {
         "participant": "p01",
         "number": 1,
         "simulated": False,
@@ -233,7 +235,7 @@ def check_after_kill(study: StudyFolder, before: dict[str, bytes], *, is_whole: 
     assert [anchor.lines for anchor in tombstone.journals] == [7]
     if tombstone.state == "removing":
         (line,) = find_lost(study)
-        finish = f"feel321 withdraw {study.path} --participant p01 --yes"
+        finish = f"feel321 withdraw {study.path} --participant p01"
         assert line.endswith(f"the withdrawal was broken off; finish it: {finish}")
 
 

@@ -230,7 +230,7 @@ def test_a_clean_replay_makes_up_for_an_underrun(
 
 
 def test_numbers_of_devices_and_screens_are_taken_as_what_they_are(present: Present, scripted: type) -> None:
-    odd = Playback(np.float32(1.0), float("nan"), underruns=np.int64(0), clipped=np.int64(2))  # type: ignore[arg-type]
+    odd = Playback(np.float32(1.0), float("nan"), underruns=np.int64(0), clipped=np.int64(2))
     records = present(
         scripted(playbacks={(1, 1): [odd]}, acts={(1, 1): [Confirm(0.0, {"test": np.float32(12.5)}, 1.5)]})
     )

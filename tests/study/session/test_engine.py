@@ -124,7 +124,7 @@ def test_what_was_given_up_is_counted(present: Present, scripted: type) -> None:
 
 
 def test_a_fault_of_the_presenter_is_recorded_in_its_own_words(present: Present, scripted: type) -> None:
-    class Broken(scripted):  # type: ignore[misc]
+    class Broken(scripted):
         def wait(self) -> Any:
             raise RuntimeError("device HX-1 unplugged")
 

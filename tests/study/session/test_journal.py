@@ -55,7 +55,7 @@ def test_what_is_written_is_read_and_can_be_gone_on_with(journal: Journal, now: 
 @given(st.lists(st.tuples(st.text(), st.dictionaries(st.text(), JSON, max_size=4)), max_size=6))
 def test_any_events_make_the_round_trip(events: list[tuple[str, dict[str, Any]]]) -> None:
     content, tip = b"", START
-    records = [Record(number, "now", event, data) for number, (event, data) in enumerate(events)]
+    records = [Record(number, "2026-01-01T12:00:00+00:00", event, data) for number, (event, data) in enumerate(events)]
     for record in records:
         line = write_line(record, tip)
         content, tip = content + line, digest(line[:-1])
@@ -108,7 +108,7 @@ def test_lines_taken_out_put_in_or_moved_are_named(journal: Journal) -> None:
 
 
 def test_a_wrong_sequence_number_is_named() -> None:
-    line = write_line(Record(1, "now", "rated", {}), START)
+    line = write_line(Record(1, "2026-01-01T12:00:00+00:00", "rated", {}), START)
     with pytest.raises(ValueError, match="line 1: got sequence number 1, expected 0"):
         read_chain(line, "j")
 

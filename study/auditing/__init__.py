@@ -1,0 +1,1 @@
+"""What the audit of a study verifies, one idea per module."""
