@@ -38,7 +38,7 @@ class Attempt:
     number : int
         Which attempt at it.
     playbacks : dict of str to mapping
-        What became last of each part that was felt.
+        What became last of each part that was felt; what was cut short replaces nothing that was felt to its end.
     """
 
     trial: Trial
@@ -66,7 +66,9 @@ class Attempt:
         for name, kind in _PLAYBACK.items():
             if not isinstance(data[name], kind):
                 raise TypeError(f"{name} {data[name]!r}")
-        self.playbacks[part.name] = data
+        before = self.playbacks.get(part.name)
+        if before is None or not before["completed"] or data["completed"] or data["error"]:
+            self.playbacks[part.name] = data
 
     def check_rated(self, data: Mapping[str, Any], flow: Flow) -> None:
         """Check that an answer could be taken, and that it counts as the rules say.

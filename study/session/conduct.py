@@ -72,7 +72,10 @@ class _Attempt:
         return {"trial": self.trial.number, "attempt": self.number}
 
     def take(self, part: Part, playback: Playback) -> None:
-        self.playbacks[part.name] = playback
+        before = self.playbacks.get(part.name)
+        # What was felt to its end stays felt, though it be cut short when it is felt again.
+        if before is None or not before.completed or playback.completed or playback.error:
+            self.playbacks[part.name] = playback
         self.time_s = playback.requested_s if playback.onset_s is None else playback.onset_s
 
     def list_unfelt(self) -> tuple[str, ...]:

@@ -65,9 +65,10 @@ def test_a_session_in_which_much_goes_wrong_gives_no_finding(
             return replace(act, values=self.answers) if act == replace(quick, time_s=act.time_s) else act
 
     moves = [Feel(0.0, ""), Move(0.0, plan.trials[0].judgements[0].part, 5.0), Feel(0.0, "no such part")]
+    again = [Playback(1.0, 1.0)] * len(plan.trials[4].parts) + [cut]
     first = Patient(
-        acts={(1, 1): [*moves, quick], (2, 1): [Feel(0.0, ""), Pause(0.0)], (3, 1): [Abort(0.0, "had enough")]},
-        playbacks={(1, 2): [dry], (1, 1): [cut], (4, 1): [Playback(1.0, None, error="gone")]},
+        acts={(5, 1): [Feel(0.0, "")] * 2, (1, 1): [*moves, quick], (2, 1): [Feel(0.0, ""), Pause(0.0)], (3, 1): [Abort(0.0, "had enough")]},
+        playbacks={(1, 2): [dry], (1, 1): [cut], (4, 1): [Playback(1.0, None, error="gone")], (5, 1): again},
         pages={"main": [Pause(0.0)], "training": [Abort(0.0, "a break")]},
     )
     present(first, plan=plan)
