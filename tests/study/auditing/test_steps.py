@@ -65,10 +65,9 @@ def test_a_session_in_which_much_goes_wrong_gives_no_finding(
             return replace(act, values=self.answers) if act == replace(quick, time_s=act.time_s) else act
 
     moves = [Feel(0.0, ""), Move(0.0, plan.trials[0].judgements[0].part, 5.0), Feel(0.0, "no such part")]
-    again = [Playback(1.0, 1.0)] * len(plan.trials[4].parts) + [cut]
     first = Patient(
-        acts={(5, 1): [Feel(0.0, "")] * 2, (1, 1): [*moves, quick], (2, 1): [Feel(0.0, ""), Pause(0.0)], (3, 1): [Abort(0.0, "had enough")]},
-        playbacks={(1, 2): [dry], (1, 1): [cut], (4, 1): [Playback(1.0, None, error="gone")], (5, 1): again},
+        acts={(1, 1): [*moves, quick], (2, 1): [Feel(0.0, ""), Pause(0.0)], (3, 1): [Abort(0.0, "had enough")]},
+        playbacks={(1, 2): [dry], (1, 1): [cut], (4, 1): [Playback(1.0, None, error="gone")]},
         pages={"main": [Pause(0.0)], "training": [Abort(0.0, "a break")]},
     )
     present(first, plan=plan)
@@ -148,6 +147,12 @@ def test_a_rejection_that_was_undone_is_found(present: Present, scripted: type, 
     assert find(records) == []
     (found,) = find(edit(records, "rated", rejected=False))
     assert "has rejected False, the rules of the plan say True" in found
+
+
+def test_a_replay_that_is_cut_short_gives_no_finding(present: Present, scripted: type, find: Find) -> None:
+    again = [Playback(1.0, 1.0), Playback(2.0, 2.0, completed=False)]
+    answer = Confirm(0.0, {"test": 50.0}, 1.5)
+    assert find(list(present(scripted(acts={(1, 1): [Feel(0.0, ""), answer]}, playbacks={(1, 1): again})))) == []
 
 
 def test_a_choice_that_is_none_is_found(
