@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from protocols.trial import RATING_RANGE
 from study.screen.answers import find_points
-from study.screen.events import Click, Drag, Press, Release
+from study.screen.events import Click, Drag, Press, Release, Unfocused
 from study.screen.keyboard import Digits, Held
 from study.session.ports import Move
 
@@ -179,6 +179,8 @@ class Desk:
         match event:
             case Release():
                 self._held.release(event.key)
+            case Unfocused():
+                self._held.clear()
             case Press():
                 return self._press(event, can_answer=can_answer)
             case Click():
@@ -245,6 +247,7 @@ class Desk:
         if target.name == "choose":
             self.chosen = target.part
         elif target.track is not None:
+            self._digits.take()  # What was typed before does not take the marker back.
             self._set(target.part, find_points(target.track, click.x), click.time_s)
         return None
 

@@ -1,4 +1,4 @@
-"""What reaches a window: keys by name, clicks in pixels from the top left, its end; each with its time."""
+"""What reaches a window: keys by name, clicks in pixels from the top left, its own fate; each with its time."""
 
 from __future__ import annotations
 
@@ -89,7 +89,33 @@ class Closed:
     time_s: float
 
 
-Event = Press | Release | Click | Drag | Closed
+@dataclass(frozen=True, slots=True)
+class Hidden:
+    """The window was put away: it is still there, but nobody sees what is asked.
+
+    Parameters
+    ----------
+    time_s : float
+        When.
+    """
+
+    time_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Unfocused:
+    """Keys go to another window from now on; those that are down are let go there.
+
+    Parameters
+    ----------
+    time_s : float
+        When.
+    """
+
+    time_s: float
+
+
+Event = Press | Release | Click | Drag | Closed | Hidden | Unfocused
 
 
 def name_key(symbol: str) -> str:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from study.screen.desk import Wish
-from study.screen.events import Click, Closed, Press
+from study.screen.events import Click, Closed, Hidden, Press
 from study.screen.keyboard import Twice
 from study.screen.layout import compose
 from study.screen.shapes import Composition
@@ -104,6 +104,9 @@ class Front:
         name = target.name if target else ""
         if isinstance(event, Closed):
             return Wish("close", event.time_s)
+        if isinstance(event, Hidden):
+            # Nobody sees what is asked: a trial begins anew after a pause, a page waits.
+            return Wish("pause", event.time_s) if self.view.trial is not None else None
         if isinstance(event, Press):
             page = self.view.page
             go_on = "f12" if page is not None and page.by == "experimenter" else "enter"

@@ -16,7 +16,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from study.screen.events import Click, Closed, Drag, Press, Release, drop_repeats, name_key
+from study.screen.events import Click, Closed, Drag, Hidden, Press, Release, Unfocused, drop_repeats, name_key
 from study.screen.fonts import FONT, find_font_files
 from study.screen.shapes import GROUND, Area, Text, round_corners
 
@@ -35,6 +35,9 @@ POLL_S = 0.0015
 
 WINDOW_SIZE = (1280, 800)
 """Size in pixels of a window that nobody gave one."""
+
+DESTROY_NOTIFY = 17
+"""X11's number of the event that a window was destroyed."""
 
 REDRAW_S = 0.5
 """What has not changed is drawn so often again, should something have covered it."""
@@ -176,6 +179,7 @@ class Window:
     _shown: tuple[Item, ...] = field(default=(), init=False)
     _due_s: float = field(default=0.0, init=False)
     _redraw_s: float = field(default=0.0, init=False)
+    _is_closed: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:
         """Take an easel of its own."""
@@ -202,12 +206,15 @@ class Window:
         """
         items = tuple(items)
         began = time.perf_counter()
-        if items != self._shown or began > self._redraw_s:
+        if not self._is_closed and (items != self._shown or began > self._redraw_s):
             self._draw(items)
             if items != self._shown:
                 self.frames.count(time.perf_counter() - began)
             self._shown, self._redraw_s = items, began + REDRAW_S
         self._await_frame()
+        if self._is_closed:
+            # Said with every frame: whoever brings up another screen meanwhile must not miss it.
+            self._events.append(Closed(self.clock()))
         events, self._events = drop_repeats(self._events), []
         return events
 
@@ -238,7 +245,7 @@ class Window:
             self.handle.flip()
         except _list_graphics_errors():
             # Drawing fails in many ways when the window was destroyed without being asked to close.
-            self._events.append(Closed(self.clock()))
+            self._is_closed = True
 
     def _await_frame(self) -> None:
         """Collect events until the frame is over."""
@@ -264,16 +271,22 @@ class Window:
             self._events.append(event)
             return True  # handled: nobody else is told
 
+        def end(*_: object) -> bool:
+            self._is_closed = True
+            return True  # handled: the window stays until the session has let go of it
+
         inner.push_handlers(
             on_key_press=lambda symbol, _: take(Press(name_key(keys.symbol_string(symbol)), self.clock())),
             on_key_release=lambda symbol, _: take(Release(name_key(keys.symbol_string(symbol)), self.clock())),
             on_mouse_press=lambda x, y, *_: take(Click(*locate(x, y), self.clock())),
             on_mouse_drag=lambda x, y, *_: take(Drag(*locate(x, y), self.clock())),
-            on_close=lambda: take(Closed(self.clock())),
-            # A window that is destroyed from outside is never asked to close, but it vanishes; so does one that is
-            # put away, and then nobody sees what is asked.
-            on_hide=lambda: take(Closed(self.clock())),
+            on_deactivate=lambda: take(Unfocused(self.clock())),
+            on_hide=lambda: take(Hidden(self.clock())),
+            on_close=end,
         )
+        if (own := getattr(inner, "_event_handlers", None)) is not None:
+            # A window that is destroyed from outside is never asked to close. X11 says so; pyglet does not pass it on.
+            own[DESTROY_NOTIFY] = end
 
 
 @contextmanager

@@ -32,7 +32,7 @@ FORMAT = 1
 UNCOMPARED = ("format", "session", "versions", "system", "clock")
 """What may differ between a header and a later opening: other versions may go on with a session."""
 
-OPENING_EVENTS = ("clock_stepped", "recovered", "resumed")
+OPENING_EVENTS = ("clock_stepped", "device", "recovered", "resumed")
 """What an opening records before anybody has come back to work."""
 
 

@@ -164,7 +164,7 @@ def test_a_choice_that_is_none_is_found(
 
 
 def test_mending_and_ctrl_c_may_follow_the_end(finished: list[Record], find: Find) -> None:
-    for event in ("recovered", "clock_stepped", "aborted"):
+    for event in ("recovered", "clock_stepped", "device", "aborted"):
         assert find(put(finished, len(finished), event, time_s=1.0)) == []
 
 

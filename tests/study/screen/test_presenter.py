@@ -46,9 +46,11 @@ def test_slider_by_keys(seat: Callable[..., Any]) -> None:
 
 
 def test_slider_by_mouse(seat: Callable[..., Any]) -> None:
-    here = seat({"page": "main"}, {"trial": "realism"})
+    here = seat({"page": "main"}, {"trial": "realism"}, duration_s=1.0)
     here.see(page="main")
     here.click("confirm")
+    here.see(state="feeling")
+    here.click("stop")
     here.see(state="answering")
     here.click("mark test", at=0.25)
     here.see(markers={"test": 25.0})
@@ -56,19 +58,19 @@ def test_slider_by_mouse(seat: Callable[..., Any]) -> None:
     here.see(markers={"test": 80.0})
     here.click("mark test", at=0.5, to=1.3)
     here.see(markers={"test": 100.0})
-    here.click("again")
-    here.see(state="feeling")
-    here.click("stop")
-    here.see(state="answering")
     here.click("confirm")
     here.until(lambda view: view["notice"].startswith("Please feel it to its end first"))
+    here.click("again")
+    here.see(state="feeling")
+    here.see(state="answering", felt=["test"])
     here.click("feel test")
     here.see(state="feeling")
-    here.see(state="answering")
+    here.click("stop")
+    here.see(state="answering", felt=["test"])
     here.click("confirm")
     here.finish()
     assert here.find("rated")[0]["values"] == {"test": 100.0}
-    assert [event["completed"] for event in here.find("played")] == [True, False, True]
+    assert [event["completed"] for event in here.find("played")] == [False, True, False]
     assert len(here.find("replayed")) == 1
 
 
@@ -245,6 +247,50 @@ def close_by_manager(here: Any) -> None:
 
 def close_by_force(here: Any) -> None:
     here.do("windowclose", here.do("search", "--name", "PsychoPy").split()[0])
+
+
+def test_a_window_that_is_closed_between_two_screens_is_not_missed(seat: Callable[..., Any]) -> None:
+    here = seat({"page": "main"}, {"page": "practice"}, {"trial": "realism"}, windowed=True)
+    here.see(page="main")
+    here.process.send_signal(signal.SIGSTOP)  # so that all comes in one frame
+    here.do("key", "Return")
+    close_by_manager(here)
+    here.process.send_signal(signal.SIGCONT)
+    assert here.finish()[-2] == {"event": "ended", "reason": "the window was closed"}
+
+
+def test_a_window_that_is_put_away_pauses_a_trial_and_ends_nothing(seat: Callable[..., Any]) -> None:
+    here = seat({"page": "main"}, {"trial": "realism"}, duration_s=5.0, windowed=True)
+    here.see(page="main")
+    window = here.do("search", "--name", "PsychoPy").split()[0]
+    for state in ("reading", "feeling"):
+        here.see(state=state)
+        here.do("windowunmap", "--sync", window)
+        here.do("windowmap", "--sync", window)
+        here.do("windowfocus", "--sync", window)
+        if state == "reading":
+            here.press("Return")
+    here.see(page="pause")
+    here.press("Return")
+    here.see(state="feeling", playing="test")
+    here.process.send_signal(signal.SIGINT)
+    here.process.wait(20.0)
+    assert len(here.find("paused")) == 1
+    assert not here.find("ended")
+
+
+def test_a_key_that_is_let_go_elsewhere_does_not_go_on(seat: Callable[..., Any]) -> None:
+    here = seat({"trial": "realism"}, windowed=True)
+    here.see(state="answering")
+    here.press("Right")
+    here.see(markers={"test": 50.0})
+    here.do("keydown", "Right")
+    here.until(lambda view: view["markers"]["test"] > 52.0)
+    here.do("windowunmap", "--sync", here.do("search", "--name", "PsychoPy").split()[0])
+    here.do("keyup", "Right")
+    here.see(page="pause")
+    here.process.send_signal(signal.SIGINT)
+    here.process.wait(20.0)
 
 
 @pytest.mark.parametrize("close", [close_by_manager, close_by_force])
