@@ -10,6 +10,8 @@ from study.actuator.devices import check_channels, find_device
 from study.actuator.stream import Line, list_devices, refresh_devices
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import numpy as np
     from numpy.typing import NDArray
 
@@ -35,6 +37,8 @@ class Connection:
         Sampling rate in Hz.
     fill : callable
         Fills the blocks, in a thread of the device's.
+    reset : callable
+        Called before a new line opens, when no other one asks for blocks.
     preroll_s : float
         So much a new line has to have played before it is trusted, in s.
 
@@ -44,11 +48,12 @@ class Connection:
         The line.
     """
 
-    def __init__(self, rig: Rig, *, rate_hz: float, fill: Fill, preroll_s: float) -> None:
+    def __init__(self, rig: Rig, *, rate_hz: float, fill: Fill, reset: Callable[[], None], preroll_s: float) -> None:
         self.line: Line | None = None
         self._rig = rig
         self._rate_hz = rate_hz
         self._fill = fill
+        self._reset = reset
         self._preroll_s = preroll_s
         self._n_frames = 0
         self._opening: Thread | None = None
@@ -65,6 +70,7 @@ class Connection:
         device = find_device(list_devices(), self._rig.device.name, host_api=self._rig.device.host_api)
         check_channels(device, self._rig)
         self._n_frames = 0
+        self._reset()
         line = Line(device, self._rig, rate_hz=self._rate_hz, fill=self._count)
         self.line = line
         deadline_s = perf_counter() + OPENING_S + self._preroll_s

@@ -14,6 +14,14 @@ FALLBACKS = ("default", "sysdefault")
 """Names of whatever the system prefers today: not always the same device, so none that a study can rest on."""
 
 
+ALSA = "ALSA"
+HARDWARE = "(hw:"
+"""What ALSA's names have in them where there is a card behind them, not a program."""
+
+PROGRAMS = ("JACK Audio Connection Kit", "PulseAudio", "MME", "Windows DirectSound")
+"""Interfaces that are programs themselves."""
+
+
 @dataclass(frozen=True, slots=True)
 class Device:
     """A device as PortAudio lists it.
@@ -39,6 +47,15 @@ class Device:
     n_inputs: int
     default_rate_hz: float
 
+    @property
+    def is_program(self) -> bool:
+        """Whether a program stands before the hardware, a sound server say.
+
+        It may convert the rate, and play the rig's channels on others too where its sink has more of them; PortAudio
+        learns of neither.
+        """
+        return self.host_api in PROGRAMS or (self.host_api == ALSA and HARDWARE not in self.name)
+
 
 def find_device(devices: Sequence[Device], name: str, *, host_api: str | None = None) -> Device:
     """Find an output device by its name, never another one in its stead.
@@ -50,7 +67,7 @@ def find_device(devices: Sequence[Device], name: str, *, host_api: str | None = 
     name : str
         The whole name, or a part of it, in whatever case, that no other device has.
     host_api : str, optional
-        The interface, where several list the device.
+        The interface, where several list the device; in whatever case.
 
     Returns
     -------
@@ -68,16 +85,15 @@ def find_device(devices: Sequence[Device], name: str, *, host_api: str | None = 
     >>> find_device([coils], "coils").index
     3
     """
-    outputs = [device for device in devices if device.n_outputs and host_api in {None, device.host_api}]
-    through = f" through {host_api}" if host_api else ""
+    outputs = [device for device in devices if device.n_outputs and device.name.lower() not in FALLBACKS]
     if not outputs:
-        raise OSError(
-            f"device: got {name!r}, there is no output device{through} at all; plug it in"
-        )
+        raise OSError(f"device: got {name!r}, there is no output device at all; plug it in")
+    through = f" through {host_api}" if host_api else ""
     if name.lower() in FALLBACKS:
         raise OSError(f"device: got {name!r}, which may be another one tomorrow; allowed: {_list(outputs)}")
-    found = [device for device in outputs if device.name == name]
-    found = found or [device for device in outputs if name.lower() in device.name.lower()]
+    heard = [device for device in outputs if not host_api or device.host_api.lower() == host_api.lower()]
+    found = [device for device in heard if device.name == name]
+    found = found or [device for device in heard if name.strip() and name.lower() in device.name.lower()]
     if not found:
         raise OSError(f"device: got {name!r}{through}, which is not there; allowed: {_list(outputs)}")
     if len(found) > 1:

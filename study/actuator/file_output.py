@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stimuli.wav import write_wav
+from study.actuator.delivered import write_delivered
 from study.actuator.mixer import Mixer
 from study.actuator.output import Delivery
 from study.actuator.rig import FILE_DEVICE, identify
@@ -131,7 +131,8 @@ class FileOutput:
         onset_s = playback.begin_s + (cue.onset_frame - playback.first_frame) / self._rate_hz
         error, measured = "", {"n_samples": float(cue.n_played)}
         try:
-            measured["file_number"] = float(self._write())
+            samples = np.concatenate(self._blocks).T
+            measured["file_number"] = float(write_delivered(self._folder, samples, rate_hz=self._rate_hz))
         except OSError as problem:
             error = str(problem)
         return Delivery(
@@ -155,10 +156,3 @@ class FileOutput:
     def _fill(self) -> None:
         self._mixer.fill(self._block)
         self._blocks.append(self._block.copy())
-
-    def _write(self) -> int:
-        self._folder.mkdir(parents=True, exist_ok=True)
-        numbers = [int(path.stem) for path in self._folder.glob("*.wav") if path.stem.isdecimal()]
-        number = max(numbers, default=0) + 1
-        write_wav(self._folder / f"{number:04}.wav", np.concatenate(self._blocks).T, self._rate_hz)
-        return number

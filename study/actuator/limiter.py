@@ -1,7 +1,7 @@
 """The last line of defence for skin and coil: peak, RMS of any second, and duration, across successive stimuli.
 
 What is within the limits passes bit for bit. What is not is changed sample by sample, so that the outcome does not
-depend on how the stream is cut into blocks.
+depend on how the stream is cut into blocks; what is no number becomes silence.
 """
 
 from __future__ import annotations
@@ -76,6 +76,9 @@ class Limiter:
         """
         given, differs = self._given[: len(samples)], self._differs[: len(samples)]
         np.copyto(given, samples)
+        # What is no number passes every comparison, and one of them blinds the sum of squares to all that follows.
+        np.isnan(samples, out=differs)
+        np.copyto(samples, 0, where=differs)
         self._limit_duration(samples)
         np.clip(samples, -self._peak, self._peak, out=samples)
         start = 0

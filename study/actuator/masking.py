@@ -127,6 +127,11 @@ class Masker:
         is_heard = self._is_up or self._up_at < NEVER
         self._down_at = max(end + self._lead - self._top, end) if is_heard else NEVER
 
+    def silence(self) -> None:
+        """Be silent at once, for a stream that begins anew; what was to come does not."""
+        self._step, self._is_up = 0, False
+        self._up_at, self._down_at = NEVER, NEVER
+
     def fill(self, block: NDArray[np.float32], frame: int) -> None:
         """Write the noise into the headphones' channels of the next block.
 

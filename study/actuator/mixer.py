@@ -102,9 +102,7 @@ class Mixer:
         self._masker = _make_masker(rig, rate_hz=rate_hz, max_frames=self._block)
         self._sync = rig.sync
         self._sync_frames = max(round(rig.sync.duration_s * rate_hz), 1) if rig.sync else 0
-        self._stop_frames = max(round(STOP_S * rate_hz), 1)
-        self._steps = np.arange(1, self._stop_frames + 1, dtype=np.float32)
-        self._fade = np.empty((self._stop_frames, 1), dtype=np.float32)
+        self._fade = _Fade(max(round(STOP_S * rate_hz), 1), columns=[column for column, _ in self._limiters])
         self._waiting: deque[Cue] = deque()  # its ends are safe to use from two threads
         self._latest: Cue | None = None
         self._cue: Cue | None = None
@@ -146,6 +144,20 @@ class Mixer:
         if self._latest is not None:
             self._latest.is_stopping = True
 
+    def reset(self) -> None:
+        """Forget what plays and what waits, for a device that begins anew; not to be called while one runs.
+
+        What was cut off with the old device is not to fade out on the new one. The limiters keep what they know: skin
+        and coil do not begin anew.
+        """
+        for cue in (self._cue, *self._waiting):
+            if cue is not None:
+                cue.is_over = True
+        self._cue = None
+        self._waiting.clear()
+        if self._masker:
+            self._masker.silence()
+
     def fill(self, out: NDArray[np.float32]) -> None:
         """Fill the stream's next block.
 
@@ -161,13 +173,13 @@ class Mixer:
         block.fill(0)
         cue = self._take()
         end = self._play(cue, block) if cue else None
-        n_changed = 0
-        for column, limiter in self._limiters:
-            n_changed += limiter.limit(block[:, column])
         if self._masker:
             if end is not None:
                 self._masker.release(end)
             self._masker.fill(block, self.frame)
+        n_changed = 0
+        for column, limiter in self._limiters:  # after all that is written, so that nothing comes past them
+            n_changed += limiter.limit(block[:, column])
         self.frame += len(block)
         if cue:
             cue.clipped += n_changed
@@ -194,7 +206,7 @@ class Mixer:
         """Write what this block has of a stimulus and its sync pulse; return the frame after its end if it ends."""
         is_stopping = cue.is_stopping  # once: another thread sets it
         first = max(cue.onset_frame - self.frame, 0)
-        if is_stopping and first > 0:
+        if is_stopping and not cue.n_played:
             cue.onset_frame = NOT_SCHEDULED
             return self.frame
         piece = block[first:]
@@ -203,19 +215,28 @@ class Mixer:
         if self._sync:
             pulse = block[first : max(cue.onset_frame + self._sync_frames - self.frame, 0)]
             pulse[:, self._sync.channel - 1] = self._sync.level
-        cue.n_played += self._end(piece) if is_stopping else len(piece)
+        cue.n_played += self._fade.end(piece) if is_stopping else len(piece)
         is_over = is_stopping or cue.is_complete
         return self.frame + first + len(piece) if is_over else None
 
-    def _end(self, piece: NDArray[np.float32]) -> int:
-        """Let a vibration end in this block; the last sample of its fade is 0, and not counted."""
-        n = min(len(piece), self._stop_frames)
-        fade = self._fade[:n]
-        np.multiply(self._steps[:n, np.newaxis], np.float32(-1 / n), out=fade)
-        np.add(fade, np.float32(1), out=fade)
-        fade[-1:] = 0
-        for column, _ in self._limiters:
-            np.multiply(piece[:n, column], fade[:, 0], out=piece[:n, column])
+
+class _Fade:
+    """How a vibration ends that is stopped."""
+
+    def __init__(self, n_frames: int, *, columns: list[int]) -> None:
+        self._steps = np.arange(1, n_frames + 1, dtype=np.float32)
+        self._gain = np.empty(n_frames, dtype=np.float32)
+        self._columns = columns
+
+    def end(self, piece: NDArray[np.float32]) -> int:
+        """Let it end in this piece; give how many samples are left, the last of the fade being 0."""
+        n = min(len(piece), len(self._steps))
+        gain = self._gain[:n]
+        np.multiply(self._steps[:n], np.float32(-1 / n), out=gain)
+        np.add(gain, np.float32(1), out=gain)
+        gain[-1:] = 0
+        for column in self._columns:
+            np.multiply(piece[:n, column], gain, out=piece[:n, column])
             piece[n:, column] = 0
         return n - 1
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stimuli.recording import check_finite
 from stimuli.wav import read_wav
 from study.actuator.rig import AXES, REDUCED
 
@@ -45,7 +46,7 @@ def render_stimulus(stimulus: Stimulus, folder: Path, rig: Rig, *, full_scale_m_
     Raises
     ------
     ValueError
-        If the file is not what the manifest says, or no actuator plays a channel of it.
+        If the file is not what the manifest says or holds what is no number, or no actuator plays a channel of it.
     OSError
         If the file cannot be opened.
     """
@@ -58,6 +59,7 @@ def render_stimulus(stimulus: Stimulus, folder: Path, rig: Rig, *, full_scale_m_
         )
     if len(tracks) not in SOURCES:
         raise ValueError(f"{stimulus.file}: got {len(tracks)} channels, allowed are 1 or {len(AXES)}; build it again")
+    check_finite(tracks, stimulus.file)
     sources = SOURCES[len(tracks)]
     if missing := [source for source in sources if not any(source in actuator.plays for actuator in rig.actuators)]:
         raise ValueError(

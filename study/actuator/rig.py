@@ -31,6 +31,7 @@ LOUDEST_MASKING = 0.15
 Channel = Annotated[int, Field(ge=1, le=1024)]
 Level = Annotated[float, Field(gt=0, le=1)]
 Acceleration = Annotated[Positive, Field(le=1e6)]
+Fade = Annotated[NotNegative, Field(le=60)]
 
 
 class DeviceTable(Table):
@@ -38,7 +39,7 @@ class DeviceTable(Table):
 
     name: Words = FILE_DEVICE
     host_api: Words | None = None
-    latency_s: Annotated[Positive, Field(le=2)] = 0.1
+    latency_s: Annotated[Positive, Field(le=2)] = 0.05
 
 
 class ActuatorTable(Table):
@@ -63,8 +64,8 @@ class MaskingTable(Table):
 
     channels: tuple[Channel, ...]
     rms: Annotated[float, Field(gt=0, le=LOUDEST_MASKING)] = 0.05
-    ramp_s: NotNegative = 0.2
-    lead_s: NotNegative = 0.5
+    ramp_s: Fade = 0.2
+    lead_s: Fade = 0.5
     seed: Count = 1
 
     @model_validator(mode="after")

@@ -133,6 +133,7 @@ class Line:
         self._rate_hz = rate_hz
         self._last_s = perf_counter()
         self._held_s = OPENED_S
+        self._is_closed = False
         try:
             with _hushed():
                 self._stream = self._open(rig, rate_hz=rate_hz)
@@ -182,13 +183,14 @@ class Line:
         return after_s - before_s, (before_s + after_s) / 2 - device_s
 
     def close(self) -> bool:
-        """Silence the device and let it go; one that hangs is left to itself.
+        """Silence the device and let it go; one that hangs is left to itself, and finds silence if it comes back.
 
         Returns
         -------
         bool
             Whether it is closed.
         """
+        self._is_closed = True
         closing = Thread(target=self._close, daemon=True)
         closing.start()
         closing.join(CLOSING_S)
@@ -221,12 +223,18 @@ class Line:
         return sounddevice.Stream(channels=channels, callback=self._answer_duplex, **settings)
 
     def _answer(self, *given: Foreign) -> None:
-        out, n, times, status = given
-        self._fill(out, self._note(n, times, status), None)
+        self._serve(None, *given)
 
     def _answer_duplex(self, *given: Foreign) -> None:
-        sensed, out, n, times, status = given
-        self._fill(out, self._note(n, times, status), sensed[:, self._column])
+        sensed, *rest = given
+        self._serve(sensed[:, self._column], *rest)
+
+    def _serve(self, sensed: Samples | None, *given: Foreign) -> None:
+        out, n, times, status = given
+        if self._is_closed:  # another line may play by now, from the same source
+            out.fill(0)
+            return
+        self._fill(out, self._note(n, times, status), sensed)
 
     def _note(self, n: int, times: Foreign, status: Foreign) -> Block:
         self._last_s, before_s = perf_counter(), self._last_s
@@ -267,13 +275,13 @@ def _load() -> ModuleType:
     try:
         with _hushed():
             import sounddevice
+
+            module: ModuleType = sounddevice
     except ImportError:
-        raise OSError(
-            "device: got no sounddevice, actuators need it; install: pip install 'feel321[rig]'"
-        ) from None
+        raise OSError("device: got no sounddevice, actuators need it; install: pip install 'feel321[rig]'") from None
     except OSError:
         raise OSError("device: got no PortAudio, sounddevice needs it; install the package libportaudio2") from None
-    return sounddevice  # type: ignore[no-any-return]
+    return module
 
 
 def _describe(error: Exception, device: Device, *, rate_hz: float) -> str:

@@ -7,15 +7,14 @@ while; and a device that runs dry, stands still or disappears is told in the del
 from __future__ import annotations
 
 from contextlib import contextmanager
+from math import isnan
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from study.actuator.connection import Connection
-from study.actuator.delivered import write_delivered
 from study.actuator.mixer import PREROLL_S, Mixer
 from study.actuator.output import Delivery
+from study.actuator.recorder import Recorder
 from study.actuator.rig import identify
 from study.actuator.take import Take
 
@@ -23,6 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
+    import numpy as np
     from numpy.typing import NDArray
 
     from stimuli.manifest import Stimulus
@@ -32,9 +32,6 @@ if TYPE_CHECKING:
     from study.actuator.take import Block
 
     Samples = NDArray[np.float32]
-
-SENSED_BEYOND_S = 5.0
-"""Longest recording of a sensor beyond the stimulus; two latencies of 2 s fit in."""
 
 
 @contextmanager
@@ -94,15 +91,17 @@ class StreamOutput:
     def __init__(self, rig: Rig, sounds: Mapping[str, Samples], *, rate_hz: float, folder: Path, clock: Clock) -> None:
         self._rig = rig
         self._rate_hz = rate_hz
-        self._folder = folder
         self._clock = clock
         preroll_s = PREROLL_S + 2 * rig.device.latency_s
         self._mixer = Mixer(rig, sounds, rate_hz=rate_hz, preroll_s=preroll_s)
-        self._connection = Connection(rig, rate_hz=rate_hz, fill=self._fill, preroll_s=preroll_s)
-        self._sensed = _make_sensed(rig, sounds, rate_hz=rate_hz)
+        self._connection = Connection(
+            rig, rate_hz=rate_hz, fill=self._fill, reset=self._mixer.reset, preroll_s=preroll_s
+        )
+        self._recorder = Recorder(rig, sounds, rate_hz=rate_hz, folder=folder)
         self._take: Take | None = None
         self._requested_s = 0.0
         self._clock_ahead_s = 0.0
+        self._stopped_s: float | None = None
         self._latency_s = rig.device.latency_s
         self._error = ""
 
@@ -114,6 +113,7 @@ class StreamOutput:
             "rig": identify(self._rig),
             "device": line.device.name if line else self._rig.device.name,
             "host_api": line.device.host_api if line else self._rig.device.host_api,
+            "is_program": line.device.is_program if line else None,
             "rate_hz": self._rate_hz,
             "channels": self._rig.n_channels,
         }
@@ -142,14 +142,15 @@ class StreamOutput:
         self._error = self._connection.revive()
         line = self._connection.line
         self._requested_s = self._clock() + gap_s
-        self._take = None
+        self._take = self._stopped_s = None
         if self._error or line is None:
             return
         self._latency_s = line.latency_s
-        take = Take(self._rate_hz, line.there_and_back_s, sensor=self._sensed)
+        take = Take(self._rate_hz, line.there_and_back_s, sensor=self._recorder.room)
         self._take = take  # before the mixer knows, so that no block is missed
         take.cue = self._mixer.start(name, gap_s=gap_s)
-        self._clock_ahead_s = line.compare_clocks(self._clock)
+        ahead_s = line.compare_clocks(self._clock)
+        self._clock_ahead_s = self._clock_ahead_s if isnan(ahead_s) else ahead_s
 
     @property
     def is_playing(self) -> bool:
@@ -163,7 +164,12 @@ class StreamOutput:
         return not self._error
 
     def stop(self) -> None:
-        """Fall silent with the next block."""
+        """Fall silent with the next block that the device asks for.
+
+        What it holds, it still plays: `latency_s` of rig.toml and a block. To throw that away would be a knock on the
+        skin, a click in the ears, and a device that begins anew. `stop_s` in the delivery tells how long it took.
+        """
+        self._stopped_s = self._stopped_s or self._clock()
         self._mixer.stop()
 
     def collect(self) -> Delivery:
@@ -177,14 +183,20 @@ class StreamOutput:
         Raises
         ------
         ValueError
-            If it still plays.
+            If it still plays, and was not stopped.
         """
-        if self.is_playing:
+        if self.is_playing and self._stopped_s is None:
             raise ValueError("got a playback that still plays; stop it, or wait until is_playing is False")
         take = self._take
         if take is None or take.cue is None:
             return Delivery(self._requested_s, None, completed=False, error=self._error or "nothing was started")
-        measured = _measure(take, take.cue, latency_s=self._latency_s) | self._keep_sensed(take)
+        measured = _measure(take, take.cue)
+        if self._stopped_s is not None and take.end_s is not None and 0 < take.cue.n_played < len(take.cue.sound):
+            measured["stop_s"] = take.end_s + self._clock_ahead_s - self._stopped_s
+        try:
+            measured |= self._recorder.keep(take)
+        except OSError as problem:
+            self._error = self._error or str(problem)
         return Delivery(
             requested_s=self._requested_s,
             onset_s=None if take.onset_s is None else take.onset_s + self._clock_ahead_s,
@@ -192,7 +204,7 @@ class StreamOutput:
             clipped=take.cue.clipped,
             completed=take.cue.is_complete and take.is_out,
             error=self._error,
-            measured=measured,
+            measured=measured | {"latency_s": self._latency_s},
         )
 
     def close(self) -> None:
@@ -210,35 +222,11 @@ class StreamOutput:
             take.sense(sensed, frame=frame)
         take.longest_s = max(take.longest_s, perf_counter() - begin_s)
 
-    def _keep_sensed(self, take: Take) -> dict[str, float]:
-        """Write what the sensor measured, in m/s^2."""
-        if self._rig.sensor is None or not len(take.sensed):
-            return {}
-        measured = {
-            "sensor_gaps": float(take.n_sensor_gaps),
-            "sensor_latency_s": take.sensor_latency_s,
-        }
-        samples = take.sensed * np.float32(self._rig.sensor.full_scale_m_s2)
-        try:
-            measured["file_number"] = float(write_delivered(self._folder, samples, rate_hz=self._rate_hz))
-        except OSError as problem:
-            self._error = self._error or str(problem)
-        return measured
 
-
-def _measure(take: Take, cue: Cue, *, latency_s: float) -> dict[str, float]:
+def _measure(take: Take, cue: Cue) -> dict[str, float]:
     return {
         "n_samples": float(cue.n_played),
         "blocks": float(take.n_blocks),
         "callback_ms_max": take.longest_s * 1e3,
-        "latency_s": latency_s,
         **({} if take.onset_s is None else {"dac_time_s": take.onset_s}),
     }
-
-
-def _make_sensed(rig: Rig, sounds: Mapping[str, Samples], *, rate_hz: float) -> Samples | None:
-    """Make room for what the sensor measures of the longest stimulus."""
-    if rig.sensor is None:
-        return None
-    longest = max((len(sound) for sound in sounds.values()), default=0)
-    return np.zeros(longest + round(SENSED_BEYOND_S * rate_hz), dtype=np.float32)

@@ -66,10 +66,8 @@ def _find_rig(folder: Path | None, *, device: str | None) -> tuple[Rig | None, f
 
 
 def _examine(rig: Rig, *, rate_hz: float, seconds: float) -> Examination:
-    from study.actuator.doctor import SERVERS, examine_rig
+    from study.actuator.doctor import examine_rig
 
-    if any(server in rig.device.name.lower() for server in SERVERS):
-        warn(f"{rig.device.name}: a sound server converts rates and mixes channels without saying so; name the device")
     with show_progress("pulses") as progress:
         return examine_rig(rig, rate_hz=rate_hz, seconds=seconds, on_step=progress)
 
@@ -78,8 +76,8 @@ def _print_devices(devices: Sequence[Mapping[str, Any]]) -> None:
     for device in devices:
         rates = ", ".join(f"{rate_hz:g}" for rate_hz in device["rates_hz"]) or "none of those tried"
         channels = f"{device['outputs']} out, {device['inputs']} in"
-        server = "; a sound server" if device["is_server"] else ""
-        click.echo(f"{device['name']} ({device['host_api']}): {channels}; plays at {rates} Hz{server}")
+        program = "; through a program" if device["is_program"] else ""
+        click.echo(f"{device['name']} ({device['host_api']}): {channels}; plays at {rates} Hz{program}")
 
 
 def _print_examination(found: Examination | None) -> None:
@@ -93,5 +91,12 @@ def _print_examination(found: Examination | None) -> None:
     if found.sensed_ms is not None:
         jitter = f"jitter {found.sensed_jitter_ms:.2f} ms (median), {found.sensed_jitter_99_ms:.2f} ms (99 %)"
         click.echo(f"onset's block to sensor {found.sensed_ms:.1f} ms, {jitter}")
+    if found.stop_ms is not None:
+        click.echo(f"a stop is silence after {found.stop_ms:.0f} ms at most; latency_s in rig.toml shortens it")
+    if found.is_program:
+        warn(
+            f"{found.device}: a program plays it (a sound server, say), which may convert the rate, and copy channels "
+            "to others, without saying so; name the card itself, or give it as many channels there as the rig has"
+        )
     if found.error:
         warn(found.error)

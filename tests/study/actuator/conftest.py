@@ -74,9 +74,10 @@ class Pulse:
         until(self._answers, f"pulseaudio does not answer: {(self.folder / 'server.log').read_text()}")
 
     def _answers(self) -> bool:
-        return self.socket.exists() and not subprocess.run(
-            ["pactl", "info"], env=self.env, capture_output=True, check=False
-        ).returncode
+        return (
+            self.socket.exists()
+            and not subprocess.run(["pactl", "info"], env=self.env, capture_output=True, check=False).returncode
+        )
 
     def kill(self) -> None:
         """End the server as a crash would."""
@@ -227,17 +228,15 @@ def end(process: subprocess.Popen[str]) -> None:
 def make_rig() -> Callable[..., str]:
     """Write a rig: two coils on channels 1 and 2, one that nothing plays on the last, and whatever other tables."""
 
-    def make(*tables: str, channels: int = 2, device: str = "stylus", latency_s: float = 0.1) -> str:
+    def make(*tables: str, channels: int = 2, device: str = "stylus", latency_s: float = 0.05) -> str:
         spare = f'[[actuators]]\nname = "spare"\nchannel = {channels}\nplays = ["z"]'
-        return "\n".join(
-            (
-                f'[device]\nname = "{device}"\nlatency_s = {latency_s}',
-                '[[actuators]]\nname = "left"\nchannel = 1\n[[actuators]]\nname = "right"\nchannel = 2',
-                "[limits]\npeak_m_s2 = 100.0\nrms_m_s2 = 50.0\nduration_s = 60.0",
-                spare if channels > 2 else "",
-                *tables,
-            )
-        )
+        return "\n".join((
+            f'[device]\nname = "{device}"\nlatency_s = {latency_s}',
+            '[[actuators]]\nname = "left"\nchannel = 1\n[[actuators]]\nname = "right"\nchannel = 2',
+            "[limits]\npeak_m_s2 = 100.0\nrms_m_s2 = 50.0\nduration_s = 60.0",
+            spare if channels > 2 else "",
+            *tables,
+        ))
 
     return make
 

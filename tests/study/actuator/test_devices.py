@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 COILS = Device(0, "USB Audio: coils (hw:1,0)", "ALSA", 4, 0, 48000.0)
 COILS_JACK = Device(1, "USB Audio: coils (hw:1,0)", "JACK", 4, 0, 48000.0)
 PAIR = Device(2, "coils", "ALSA", 2, 1, 44100.0)
+SYSTEM = Device(4, "default", "ALSA", 32, 32, 48000.0)
 MICROPHONE = Device(3, "microphone", "ALSA", 0, 2, 48000.0)
 LIMITS = LimitsTable(peak_m_s2=10, rms_m_s2=5, duration_s=9)
 
@@ -22,7 +23,7 @@ LIMITS = LimitsTable(peak_m_s2=10, rms_m_s2=5, duration_s=9)
     [
         ([COILS, PAIR], "coils", None, PAIR),  # the whole name, though another has it as a part
         ([COILS, MICROPHONE], "COILS", None, COILS),
-        ([COILS, COILS_JACK], "coils", "JACK", COILS_JACK),
+        ([COILS, COILS_JACK], "coils", "jack", COILS_JACK),
     ],
 )
 def test_a_device_is_found_by_its_name_or_a_part_that_no_other_has(
@@ -38,7 +39,10 @@ def test_a_device_is_found_by_its_name_or_a_part_that_no_other_has(
         ([COILS, COILS_JACK], "coils", None, r"which 2 devices have in their names: .*\(JACK\); name one in full"),
         ([COILS, COILS_JACK], COILS.name, None, "which 2 devices have"),
         ([MICROPHONE], "microphone", None, "there is no output device at all; plug it in"),
-        ([COILS], "coils", "JACK", "there is no output device through JACK at all"),
+        ([COILS], "coils", "JACK", r"got 'coils' through JACK, which is not there; allowed: .*\(ALSA\)$"),
+        ([COILS], " ", None, "got ' ', which is not there"),
+        ([COILS, SYSTEM], "defa", None, "got 'defa', which is not there; allowed: 'USB Audio"),
+        ([SYSTEM], "defa", None, "there is no output device at all"),
         ([COILS], "sysdefault", None, "may be another one tomorrow; allowed: 'USB Audio"),
     ],
 )
@@ -47,6 +51,22 @@ def test_nothing_is_taken_in_its_stead(
 ) -> None:
     with pytest.raises(OSError, match=message):
         find_device(devices, name, host_api=host_api)
+
+
+@pytest.mark.parametrize(
+    ("name", "host_api", "is_program"),
+    [
+        (COILS.name, "ALSA", False),
+        ("pulse", "ALSA", True),
+        ("stylus", "ALSA", True),
+        ("coils", "JACK Audio Connection Kit", True),
+        ("coils", "Windows DirectSound", True),
+        ("coils", "Windows WASAPI", False),
+        ("coils", "Core Audio", False),
+    ],
+)
+def test_a_program_before_the_card_is_known(name: str, host_api: str, is_program: bool) -> None:
+    assert Device(0, name, host_api, 2, 0, 48000.0).is_program is is_program
 
 
 def test_every_channel_that_the_rig_names_has_to_be_there() -> None:

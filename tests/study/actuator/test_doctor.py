@@ -28,7 +28,8 @@ def test_devices_are_listed_with_the_rates_that_they_take(pulse: Any, tmp_path: 
     assert (done.returncode, done.stderr) == (0, "")
     *devices, last = done.stdout.splitlines()
     for name in ("stylus", "stylus twin"):  # the system may list names of its own besides
-        assert f"{name} (ALSA): 32 out, 32 in; plays at 8000, 16000, 44100, 48000, 96000, 192000 Hz" in devices
+        told = f"{name} (ALSA): 32 out, 32 in; plays at 8000, 16000, 44100, 48000, 96000, 192000 Hz; through a program"
+        assert told in devices
     assert last == "nothing was played; name a device with --device, or in the study's rig.toml"
 
 
@@ -40,6 +41,8 @@ def test_pulses_are_played_quietly_and_measured(pulse: Any, make_rig: Any, tmp_p
         done = call(pulse, str(tmp_path), "--device", "stylus twin", "--seconds", "2", "--json", cwd=tmp_path)
     assert done.stderr == ""
     found = json.loads(done.stdout)["examination"]
+    assert found["is_program"] is True
+    assert 0 < found["stop_ms"] < 2 * 150 + 50
     assert (found["device"], found["host_api"], found["rate_hz"]) == ("stylus twin", "ALSA", 48000)
     assert found["n_pulses"] >= 2
     assert found["n_failed"] == 0
@@ -52,20 +55,20 @@ def test_pulses_are_played_quietly_and_measured(pulse: Any, make_rig: Any, tmp_p
 
 def test_a_report_for_people_says_the_same(pulse: Any, tmp_path: Path) -> None:
     done = call(pulse, "--device", "stylus twin", "--seconds", "0.5", cwd=tmp_path)
-    played, pulses, onset = done.stdout.splitlines()[-3:]
-    assert played == "stylus twin (ALSA) played at 48000 Hz; latency 100.0 ms"
-    assert re.fullmatch(r"pulses [12], failed 0, underruns \d+", pulses)
+    played, pulses, onset, stop = done.stdout.splitlines()[-4:]
+    assert played == "stylus twin (ALSA) played at 48000 Hz; latency 50.0 ms"
+    assert re.fullmatch(r"a stop is silence after \d+ ms at most; latency_s in rig.toml shortens it", stop)
+    assert re.fullmatch(r"pulses [1-4], failed 0, underruns \d+", pulses)
     assert onset.startswith("requested to onset ")
 
 
-def test_a_rig_with_a_sensor_on_a_sound_server_is_told_so(pulse: Any, make_rig: Any, tmp_path: Path) -> None:
-    names = (pulse.folder / "asound.conf").read_text() + f'pcm.pulse2 {{ type pulse server "unix:{pulse.socket}" }}\n'
-    (pulse.folder / "asound.conf").write_text(names)
+def test_a_program_before_the_card_is_told(pulse: Any, make_rig: Any, tmp_path: Path) -> None:
     sensor = "[sensor]\nchannel = 4\nfull_scale_m_s2 = 100.0"
-    (tmp_path / "rig.toml").write_text(make_rig(sensor, channels=4, device="pulse2", latency_s=0.15))
+    (tmp_path / "rig.toml").write_text(make_rig(sensor, channels=4, device="stylus twin", latency_s=0.15))
     done = call(pulse, "--seconds", "0.1", cwd=tmp_path)
-    assert done.stderr.startswith("feel321: warning: pulse2: a sound server converts rates")
-    assert done.stdout.splitlines()[-1].startswith("onset's block to sensor ")
+    assert done.stderr.startswith("feel321: warning: stylus twin: a program plays it (a sound server, say)")
+    assert done.stderr.count("\n") == 1
+    assert done.stdout.splitlines()[-2].startswith("onset's block to sensor ")
 
 
 def test_the_file_device_plays_nothing(pulse: Any, make_rig: Any, tmp_path: Path) -> None:

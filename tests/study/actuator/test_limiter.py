@@ -116,6 +116,17 @@ def test_peaks_are_clamped_and_counted() -> None:
     assert changed == 3
 
 
+def test_what_is_no_number_is_silence_and_blinds_nothing() -> None:
+    samples = np.full(3000, 0.5, dtype=np.float32)
+    samples[[0, 150, 151, 1999]] = np.nan
+    samples[700] = np.inf
+    out, changed = run(limiter(peak=0.6, rms=0.3), samples)
+    assert np.isfinite(out).all()
+    assert largest_rms(out) <= 0.3 * (1 + 1e-7)
+    assert changed == np.count_nonzero(out != samples)
+    assert not out[[0, 150, 151]].any()
+
+
 def test_no_limit_lets_more_through_than_full_scale() -> None:
     out, changed = run(limiter(peak=7.0, rms=7.0), np.array([1.5, -1.0]))
     assert_array_equal(out, np.array([1.0, -1.0], dtype=np.float32))

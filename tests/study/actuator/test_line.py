@@ -104,6 +104,14 @@ def test_flags_and_times_are_passed_on(blocks: list[Block]) -> None:
 
 
 @pytest.mark.usefixtures("sounddevice")
+def test_a_line_that_was_closed_is_silent_should_it_come_back(blocks: list[Block]) -> None:
+    line, stream = open_line(blocks, SENSING)
+    line.close()
+    assert not stream.ask().any()
+    assert blocks == []
+
+
+@pytest.mark.usefixtures("sounddevice")
 def test_a_device_that_tells_no_times_is_taken_at_its_latency(blocks: list[Block]) -> None:
     _, stream = open_line(blocks)
     stream.ask(dac_s=0.0)
@@ -227,6 +235,55 @@ def test_a_device_that_hangs_does_not_hang_the_session(monkeypatch: pytest.Monke
     sleep(0.5)
     output.start("a", gap_s=0.0)
     assert output.is_playing
+
+
+@pytest.mark.usefixtures("sounddevice")
+def test_what_died_with_a_device_is_not_heard_from_the_next(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    output, old = open_output(monkeypatch, tmp_path)
+    output.start("a", gap_s=0.0)
+    assert old.ask().any()
+    old.active = False
+    assert not output.is_playing
+    heard: list[np.ndarray] = []
+    opened = StandIn.start
+    monkeypatch.setattr(StandIn, "start", lambda stream: (opened(stream), heard.append(stream.ask())))
+    output.start("a", gap_s=0.0)
+    assert output.is_playing
+    assert len(heard) == 1
+    assert not any(out.any() for out in heard)
+    assert not old.ask().any()  # the old one comes back, and is not to play beside the new one
+
+
+@pytest.mark.usefixtures("sounddevice")
+def test_a_stop_is_measured_and_told_though_the_device_is_slow(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    output, stream = open_output(monkeypatch, tmp_path)
+    output.start("a", gap_s=0.0)
+    stream.ask()
+    output.stop()
+    assert output.is_playing  # what it holds is still to come
+    early = output.collect()
+    assert (early.completed, early.error) == (False, "")
+    while output.is_playing:
+        stream.ask()
+    delivery = output.collect()
+    assert (delivery.completed, delivery.error, delivery.measured["n_samples"]) == (False, "", 104)
+    assert delivery.onset_s is not None
+    # The session's clock hardly moves meanwhile; the device's says 100 samples, a fade, and its latency.
+    assert delivery.measured["stop_s"] == pytest.approx(0.104 + 0.1, abs=0.05)
+
+
+@pytest.mark.usefixtures("sounddevice")
+def test_a_device_that_dies_while_clocks_are_compared_leaves_no_nan(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    output, stream = open_output(monkeypatch, tmp_path)
+    monkeypatch.setattr("study.actuator.stream.Line.compare_clocks", lambda *_: float("nan"))
+    output.start("a", gap_s=0.0)
+    while output.is_playing:
+        stream.ask()
+    onset_s = output.collect().onset_s
+    assert onset_s is not None
+    assert np.isfinite(onset_s)
 
 
 @pytest.mark.usefixtures("sounddevice")

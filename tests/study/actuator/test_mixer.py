@@ -161,6 +161,65 @@ def test_a_stop_before_the_next_block_leaves_silence() -> None:
     assert not mixer.is_playing
 
 
+def test_a_stop_before_the_first_sample_leaves_silence_and_no_sync() -> None:
+    mixer, _ = make_mixer(sync=SYNC)
+    cue = mixer.start("a", gap_s=0.1)
+    fill(mixer, 800, [100], 5)  # the next block would begin with it
+    mixer.stop()
+    assert not fill(mixer, 3000, [100], 5).any()
+    assert (cue.is_over, cue.n_played, cue.onset_frame) == (True, 0, NOT_SCHEDULED)
+
+
+def test_a_sync_pulse_is_a_sample_at_least_and_ends_with_a_stop() -> None:
+    mixer, _ = make_mixer(sync=SYNC.model_copy(update={"duration_s": 1e-9}))
+    mixer.start("a", gap_s=0)
+    assert_array_equal(np.flatnonzero(fill(mixer, 3000, [70], 5)[:, 4]), [0])
+    mixer, _ = make_mixer(sync=SYNC.model_copy(update={"duration_s": 0.2}))
+    mixer.start("a", gap_s=0)
+    assert_array_equal(np.unique(fill(mixer, 100, [100], 5)[:, 4]), [0.25])
+    mixer.stop()
+    out = fill(mixer, 500, [100], 5)
+    assert out[:100, 4].all()
+    assert not out[100:, 4].any()
+
+
+def test_a_device_that_begins_anew_begins_in_silence() -> None:
+    """Neither what was cut off nor what waits comes out of it, nor noise; what is started then is whole."""
+    mixer, sounds = make_mixer(masking=MASKED, sync=SYNC)
+    cut = mixer.start("a", gap_s=0)
+    fill(mixer, 1000, [100], 5)
+    waiting = mixer.start("b", gap_s=0)
+    mixer.reset()
+    assert (cut.is_over, cut.is_complete, waiting.is_over, mixer.is_playing) == (True, False, True, False)
+    assert not fill(mixer, 2000, [100], 5).any()
+    cue = mixer.start("b", gap_s=0)
+    out = fill(mixer, 4000, [100], 5)
+    assert cue.onset_frame == 3000 + 400
+    assert_array_equal(out[400:3400], sounds["b"] + out[400:3400] * [0, 0, 1, 1, 1])
+    assert 0 < abs(out[:10, 2]).max() < 0.01  # the noise comes in its ramp again
+
+
+def test_a_device_that_begins_anew_does_not_clear_the_limiters() -> None:
+    limits = LimitsTable(peak_m_s2=100.0, rms_m_s2=13.0, duration_s=60.0)
+    mixer, _ = make_mixer(n=4000, limits=limits)
+    clipped = []
+    for _ in range(2):
+        cue = mixer.start("a", gap_s=0)
+        fill(mixer, 4000, [100], 2)
+        clipped.append(cue.clipped)
+        mixer.reset()
+    assert clipped[1] > clipped[0]
+
+
+def test_nothing_comes_past_the_limiters() -> None:
+    """Were noise on the channel of an actuator (rig.toml refuses it), it would be limited as well."""
+    limits = LimitsTable(peak_m_s2=2.0, rms_m_s2=100.0, duration_s=60.0)
+    mixer, _ = make_mixer(limits=limits, masking=MASKED.model_copy(update={"channels": (1, 2)}))
+    mixer.start("a", gap_s=0)
+    out = fill(mixer, 5000, [100], 2)
+    assert np.abs(out).max() == pytest.approx(0.02)
+
+
 def test_a_stop_of_nothing_is_nothing() -> None:
     mixer, _ = make_mixer()
     mixer.stop()

@@ -157,3 +157,19 @@ def test_sliding_rms_is_that_of_every_window() -> None:
     padded = np.concatenate([np.zeros(99), samples])
     brute = [np.sqrt(np.mean(padded[i : i + 100] ** 2)) for i in range(300)]
     np.testing.assert_allclose(slide_rms(samples, 100), brute, atol=1e-9)
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
+def test_what_is_no_number_is_refused(tmp_path: Path, wrong: float) -> None:
+    stimulus = store(tmp_path, np.full(10, 0.5))
+    path = tmp_path / stimulus.file
+    content = bytearray(path.read_bytes())
+    content[-8:-4] = np.float32(wrong).tobytes()  # write_wav itself would refuse
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match="got 1 values that are not finite"):
+        render_stimulus(stimulus, tmp_path, make_rig(), full_scale_m_s2=100.0)
+    problems = find_rig_problems(
+        make_rig(), StimulusSet(tmp_path, (stimulus,), ""), rate_hz=RATE, full_scale_m_s2=100.0
+    )
+    assert len(problems) == 1
+    assert "not finite" in problems[0]

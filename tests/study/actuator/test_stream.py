@@ -150,8 +150,9 @@ def test_a_stop_falls_silent_within_a_block_and_is_not_completed(
     assert not capture.samples[onset + n_played + 1 : onset + n_played + 2400].any()
     # What the device holds already (its latency) cannot be taken back; after that one block passes at most.
     last_s = delivery["onset_s"] + n_played / RATE_HZ
-    block_s = 1200 / RATE_HZ
-    assert last_s - stopped_s < measured["latency_s"] + 2 * block_s
+    block_s = measured["latency_s"] / 4
+    assert measured["stop_s"] == pytest.approx(last_s - stopped_s, abs=0.03)
+    assert 0 < measured["stop_s"] < measured["latency_s"] + 2 * block_s + 0.03  # that for a machine with much to do
     assert abs(delivery["over_s"] - last_s) < 0.1
     assert again["completed"]
     assert capture.find(make_sound(2, channels=4)) > onset + n_played
@@ -255,6 +256,7 @@ def test_what_the_sensor_measures_is_kept_from_the_onset_on(
         sound[:, 3] = sound[:, 0]
     player = open_player(pulse, make_rig(SENSOR, channels=4, latency_s=0.15), sounds)
     player.hear()
+    lags = []
     for number, (name, sound) in enumerate(sounds.items(), start=1):
         delivery = player.ask(do="play", sound=name, gap_s=0.1)
         assert (delivery["error"], delivery["measured"]["file_number"]) == ("", number)
@@ -263,5 +265,8 @@ def test_what_the_sensor_measures_is_kept_from_the_onset_on(
         # The sink's monitor is the sensor: what was played comes back, later by the way there and back.
         lag = int(np.argmax(np.correlate(samples, sound[:, 0].astype(float), mode="valid")))
         assert 0 < lag < 0.45 * RATE_HZ
+        lags.append(lag)
         assert samples[lag : lag + len(sound)] == pytest.approx(100 * sound[:, 0], abs=1e-3)
         assert delivery["measured"]["sensor_gaps"] == 0
+        assert delivery["measured"]["sensor_onset_sample"] > 0
+    assert lags[0] == lags[1]  # to the sample
