@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from protocols.groups import CHOOSING
 from protocols.spaced import find_crowding
+from protocols.texts import read_scales
 from stimuli.anchors import quietest_hz
 from stimuli.condition import condition, fade
 from stimuli.inspection import check_stimuli
@@ -20,7 +21,7 @@ from study.settings.factors import count_groups
 from study.settings.reading import read_settings
 from study.settings.remarks import list_remarks
 from study.settings.sources import make_recipe, try_recordings
-from study.settings.wording import read_study_texts
+from study.settings.wording import find_language, read_study_texts
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -98,13 +99,17 @@ def _check_pictures(study: StudyFolder, settings: Settings) -> list[str]:
 
 
 def _check_texts(study: StudyFolder, settings: Settings) -> list[str]:
+    from study.screen.layout import find_overflows
+    from study.screen.wording import make_screen_texts
+
+    language = find_language(settings, study.path)
     try:
-        read_study_texts(settings, study.path)
+        texts, scales = read_study_texts(settings, study.path), read_scales(language)
     except OSError as error:
         return [f"{error.filename}: {error.strerror}; put your texts there, or name a language of the catalogue"]
     except ValueError as error:
         return str(error).splitlines()
-    return []
+    return [f"texts in {language}: {problem}" for problem in find_overflows(make_screen_texts(texts), scales.values())]
 
 
 def find_warnings(study: StudyFolder) -> list[str]:

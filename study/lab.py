@@ -82,7 +82,7 @@ def check_lab(rig: Rig) -> None:
     """
     needed = ["psychopy"] if rig.device.name == FILE_DEVICE else ["psychopy", "sounddevice"]
     if missing := [name for name in needed if find_spec(name) is None]:
-        raise OSError(f"run: got no {' and no '.join(missing)}, a session needs both; install: {INSTALL}")
+        raise OSError(f"run: got no {' and no '.join(missing)}, no session goes without; install: {INSTALL}")
     if sys.platform == "linux" and not os.environ.get("DISPLAY"):
         raise OSError("run: got no display (DISPLAY is not set); run it on the lab's own screen, or under xvfb-run")
 

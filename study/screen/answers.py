@@ -19,8 +19,18 @@ if TYPE_CHECKING:
 
 Laid = tuple[list["Item"], list[Target]]
 
+ABOVE, TRACK, UNDER = 8.0, 4.5, 1.0
+"""Heights of what stands over a slider's track, of the track, and of what is free under it, in units."""
+
 ROW = 6.6
 """Most height of a row, in units."""
+
+
+LABEL = 0.45
+"""Most width of a slider's label, as a share of the track."""
+
+LABEL_LINES = 2
+"""Most lines of a slider's label."""
 
 
 def lay_answer(view: View, texts: ScreenTexts, *, grid: Grid, box: Box) -> Laid:
@@ -75,15 +85,69 @@ def find_points(track: Box, x: float) -> float:
     return float(round(min(max(low + (x - track.left) / track.width * (high - low), low), high)))
 
 
+def find_slider_width(grid: Grid) -> float:
+    """Tell how wide a slider that stands alone is.
+
+    Parameters
+    ----------
+    grid : Grid
+        The screen.
+
+    Returns
+    -------
+    float
+        Its width in pixels.
+    """
+    return min(110 * grid.unit, grid.body.width - 8 * grid.unit)
+
+
+def count_label_lines(scale: Scale, grid: Grid) -> int:
+    """Count the lines that the longer label of a slider takes.
+
+    Parameters
+    ----------
+    scale : Scale
+        What is answered on it.
+    grid : Grid
+        The screen.
+
+    Returns
+    -------
+    int
+        The lines.
+    """
+    width = LABEL * find_slider_width(grid)
+    return max(len(wrap(label, width, size=BODY * grid.unit)) for label in (scale.low_label, scale.high_label))
+
+
+def find_slider_height(scale: Scale, grid: Grid) -> float:
+    """Tell how much height a slider takes with the number over it and the words under it.
+
+    Parameters
+    ----------
+    scale : Scale
+        What is answered on it.
+    grid : Grid
+        The screen.
+
+    Returns
+    -------
+    float
+        Its height in pixels.
+    """
+    lines = 1 + bool(scale.anchors) + count_label_lines(scale, grid)
+    return (ABOVE + TRACK + UNDER + lines * BODY * LEADING) * grid.unit
+
+
 def _lay_slider(view: View, *, grid: Grid, box: Box) -> Laid:
     unit, scale = grid.unit, view.scale
     if view.trial is None or scale is None:
         return [], []
     part = view.trial.judgements[0].part
-    width = min(110 * unit, box.width - 8 * unit)
+    width = find_slider_width(grid)
     # Number, track and labels together stand in the middle of what is left.
-    top = box.top + max(0.0, box.height - 27 * unit) / 2
-    track = Box((grid.width - width) / 2, top + 8 * unit, width, 4.5 * unit)
+    top = box.top + max(0.0, box.height - find_slider_height(scale, grid)) / 2
+    track = Box((grid.width - width) / 2, top + ABOVE * unit, width, TRACK * unit)
     is_ready = view.can_answer
     value = view.markers.get(part)
     items = [*_draw_track(track, is_ready=is_ready, unit=unit), *_label_ends(track, scale, grid=grid)]
@@ -126,12 +190,12 @@ def _label_ends(track: Box, scale: Scale, *, grid: Grid) -> list[Item]:
     unit, size = grid.unit, BODY * grid.unit
     low, high = RATING_RANGE
     step = size * LEADING
-    top = track.bottom + 1.0 * unit
+    top = track.bottom + UNDER * unit
     items: list[Item] = []
     if scale.anchors:
         items += _label_anchors(track, scale, top=top, size=SMALL * unit)
         top += step
-    width = track.width * 0.45
+    width = LABEL * track.width
     for number, label, align, left in (
         (low, scale.low_label, "left", track.left),
         (high, scale.high_label, "right", track.right - width),

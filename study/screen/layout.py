@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from study.screen.answers import lay_answer
-from study.screen.fonts import find_height, wrap
+from protocols.flow import Page
+from study.screen.answers import LABEL_LINES, count_label_lines, find_slider_height, lay_answer
+from study.screen.fonts import find_height, measure, wrap
 from study.screen.grid import (
     BODY,
     QUESTION,
@@ -22,11 +23,14 @@ from study.screen.grid import (
 )
 from study.screen.parts import lay_parts
 from study.screen.shapes import DIM, Box, Composition, Picture, Text
+from study.screen.views import View
+from study.session.ports import Place
 
 if TYPE_CHECKING:
-    from protocols.flow import Page
+    from collections.abc import Iterable
+
+    from protocols.trial import Scale
     from study.screen.shapes import Item, Target
-    from study.screen.views import View
     from study.screen.wording import ScreenTexts
 
 HINTS = {
@@ -40,8 +44,17 @@ COLUMN = 108.0
 """How wide a page's text is, in units: some 65 letters."""
 
 
-ANSWER = 22.0
-"""Height of what an answer takes under a picture, in units."""
+BELOW = 1.5
+"""Free space under a picture, in units."""
+
+TEXT_SIZES = (1.1 * BODY, BODY, SMALL)
+"""Sizes of a page's text in units, the first that fits; below the last nobody could read it at 1 m."""
+
+TIGHTEST = (1920, 1080)
+"""The screen that has the least room for its letters: as wide as it needs to be, and no higher."""
+
+LINES = 3
+"""Most lines of a question."""
 
 
 def compose(view: View, texts: ScreenTexts, *, size: tuple[int, int]) -> Composition:
@@ -96,17 +109,21 @@ def _lay_page(view: View, texts: ScreenTexts, grid: Grid) -> tuple[list[Item], l
 
 
 def _lay_text(view: View, page: Page, *, texts: ScreenTexts, grid: Grid) -> list[Item]:
-    """Set title and text as a column."""
+    """Set title and text as a column, smaller where it is long."""
     text = texts.pages[page.key]
     width = min(COLUMN * grid.unit, grid.body.width)
     left = (grid.width - width) / 2
-    paragraphs = text.text.format(done=view.place.done, total=view.place.total).strip().splitlines()
-    size = 1.1 * BODY * grid.unit
-    blocks = [wrap(paragraph, width, size=size) for paragraph in paragraphs]
+    # Not by `format`: a lab's own consent may hold braces of its own.
+    words = text.text.replace("{done}", str(view.place.done)).replace("{total}", str(view.place.total))
+    paragraphs = words.strip().splitlines()
     title_size = TITLE * grid.unit
     heading = wrap(text.title, width, size=title_size, bold=True)
-    gap = 2.4 * grid.unit
-    height = find_height(heading, title_size) + sum(gap + find_height(block, size) for block in blocks)
+    for size in (share * grid.unit for share in TEXT_SIZES):
+        blocks = [wrap(paragraph, width, size=size) for paragraph in paragraphs]
+        gap = 0.73 * size
+        height = find_height(heading, title_size) + sum(gap + find_height(block, size) for block in blocks)
+        if height <= grid.body.height:
+            break
     top = grid.body.top + max(0.0, grid.body.height - height) * 0.4
     items = lay_lines(Box(left, top, width, title_size), heading, size=title_size, bold=True)
     top += find_height(heading, title_size) + gap
@@ -119,7 +136,8 @@ def _lay_text(view: View, page: Page, *, texts: ScreenTexts, grid: Grid) -> list
 def _lay_trial(view: View, texts: ScreenTexts, grid: Grid) -> tuple[list[Item], list[Target]]:
     items, targets, left_over = _lay_head(view, texts, grid)
     if view.picture and view.kind != "rows":
-        box, left_over = _split(left_over, below=ANSWER * grid.unit)
+        below = find_slider_height(view.scale, grid) if view.kind == "slider" and view.scale else 0.0
+        box, left_over = _split(left_over, below=below, gap=BELOW * grid.unit)
         items.append(Picture(box, view.picture))
     more_items, more_targets = lay_answer(view, texts, grid=grid, box=left_over)
     buttons, button_targets = lay_buttons(grid, [Button(texts.keys["pause"], "pause")], _list_buttons(view, texts))
@@ -143,6 +161,42 @@ def _lay_head(view: View, texts: ScreenTexts, grid: Grid) -> tuple[list[Item], l
     return items, targets, Box(body.left, top, body.width, body.bottom - top)
 
 
+def find_overflows(texts: ScreenTexts, scales: Iterable[Scale]) -> list[str]:
+    """Find texts that are too long for a screen.
+
+    Parameters
+    ----------
+    texts : ScreenTexts
+        What participants read.
+    scales : iterable of Scale
+        What they answer on.
+
+    Returns
+    -------
+    list of str
+        One line each; empty if all fit.
+    """
+    grid = Grid(*TIGHTEST)
+    problems = []
+    for key in texts.pages:
+        view = View("page", "reading", 0, Place(999, 999), page=Page(key))
+        lines = [item for item in _lay_text(view, Page(key), texts=texts, grid=grid) if isinstance(item, Text)]
+        share = (max(line.box.bottom for line in lines) - grid.body.top) / grid.body.height
+        if share > 1:
+            problems.append(f"page {key!r}: its text takes {share:.1f} screens, allowed is one; shorten it")
+        wide = [line.words for line in lines if measure(line.words, line.size, bold=line.bold) > line.box.width]
+        problems += [f"page {key!r}: got {words!r}, which fits on no line; break it" for words in wide]
+    for scale in scales:
+        question = len(wrap(scale.question, grid.body.width, size=QUESTION * grid.unit, bold=True))
+        counts = (("question", question, LINES), ("longer label", count_label_lines(scale, grid), LABEL_LINES))
+        problems += [
+            f"scale {scale.name!r}: its {name} takes {count} lines, allowed: {most}; shorten it"
+            for name, count, most in counts
+            if count > most
+        ]
+    return problems
+
+
 def find_question(view: View, texts: ScreenTexts) -> str:
     """Tell what the participant is asked, or asked to do.
 
@@ -163,9 +217,10 @@ def find_question(view: View, texts: ScreenTexts) -> str:
     return view.scale.question if view.scale else ""
 
 
-def _split(box: Box, *, below: float) -> tuple[Box, Box]:
-    height = max(box.height - below, box.height / 3)
-    return Box(box.left, box.top, box.width, height), Box(box.left, box.top + height, box.width, box.height - height)
+def _split(box: Box, *, below: float, gap: float) -> tuple[Box, Box]:
+    height = max(box.height - below - gap, box.height / 3)
+    upper = Box(box.left, box.top, box.width, height)
+    return upper, Box(box.left, upper.bottom + gap, box.width, box.height - height - gap)
 
 
 def _list_buttons(view: View, texts: ScreenTexts) -> list[Button]:

@@ -61,7 +61,8 @@ def lay_parts(view: View, texts: ScreenTexts, *, grid: Grid, top: float) -> tupl
     unit, size = grid.unit, BODY * grid.unit
     # A reference that is stroked is called by what it is.
     parts = [(part, name_part("surface" if part.surface else part.name, texts)) for part in view.trial.parts]
-    width = max(measure(name, size, bold=True) for _, name in parts) + 10 * unit
+    # Wide enough that a tick stands apart from the name, which stays in the middle.
+    width = max(measure(name, size, bold=True) for _, name in parts) + 14 * unit
     left = (grid.width - len(parts) * width - (len(parts) - 1) * 2 * unit) / 2
     boxes = [Box(left + place * (width + 2 * unit), top, width, 7 * unit) for place in range(len(parts))]
     items = [

@@ -11,6 +11,7 @@ millisecond or two between frames, and stamped by the session's own clock.
 
 from __future__ import annotations
 
+import os
 import time
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -240,6 +241,7 @@ class Window:
 
     def _draw(self, items: tuple[Item, ...]) -> None:
         try:
+            self.handle.winHandle.switch_to()  # only then does pyglet free what texts of former screens took
             for stimulus in self.easel.find_stimuli(items):
                 stimulus.draw()
             self.handle.flip()
@@ -329,30 +331,35 @@ def open_screen(
 
 
 def _open_handle(*, windowed: bool, size: tuple[int, int], screen: int) -> Any:  # noqa: ANN401 - PsychoPy has no types
-    from psychopy import logging, monitors, visual
-
-    logging.console.setLevel(logging.ERROR)  # it warns of what is meant: no monitor is calibrated
     try:
-        handle = visual.Window(
-            size=size,
-            fullscr=not windowed,
-            screen=screen,
-            winType="pyglet",
-            allowGUI=windowed,
-            units="pix",
-            monitor=monitors.Monitor("feel321", width=60, distance=100),
-            color=GROUND,
-            checkTiming=False,
-            multiSample=False,  # nearly all edges are straight, and where a processor draws it doubles a frame's time
-        )
+        handle = _make_handle(windowed=windowed, size=size, screen=screen)
     except Exception as error:
         if type(error).__name__ != "NoSuchDisplayException":
             raise
-        raise OSError(f"got no display ({error}), needed is one that windows can be opened on") from None
+        display = os.environ.get("DISPLAY")
+        raise OSError(f"got no display (DISPLAY is {display!r}), needed is one that windows can be opened on") from None
     for file in find_font_files():
         _add_font(str(file))
     handle.mouseVisible = True
     return handle
+
+
+def _make_handle(*, windowed: bool, size: tuple[int, int], screen: int) -> Any:  # noqa: ANN401 - PsychoPy has no types
+    from psychopy import logging, monitors, visual  # looks for a display already here
+
+    logging.console.setLevel(logging.ERROR)  # it warns of what is meant: no monitor is calibrated
+    return visual.Window(
+        size=size,
+        fullscr=not windowed,
+        screen=screen,
+        winType="pyglet",
+        allowGUI=windowed,
+        units="pix",
+        monitor=monitors.Monitor("feel321", width=60, distance=100),
+        color=GROUND,
+        checkTiming=False,
+        multiSample=False,  # nearly all edges are straight, and where a processor draws it doubles a frame's time
+    )
 
 
 def _add_font(file: str) -> None:

@@ -119,7 +119,7 @@ def test_the_command_that_goes_on_has_every_option(
     told, interrupted = capsys.readouterr().err.splitlines()
     command = f"feel321 run {ready.path} {' '.join(options)}"
     assert told == f"p01: 1 of {TOTAL} done (aborted: KeyboardInterrupt); go on with: {command}"
-    assert interrupted == "feel321: interrupted"
+    assert interrupted == "feel321: interrupted; what is done is kept, the same command goes on"
     assert read_status(ready).participants == ()
     assert read_status(replace(ready, is_rehearsal=True)).participants[0].done == 1
 

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 FEEL321 = Path(sys.executable).with_name("feel321")
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
+"""How long anything is waited for: no test takes so long, only a machine under load."""
 
 STUDY = """
 [study]
@@ -91,6 +92,7 @@ class Process:
     study: StudyFolder
     participant: str
     env: dict[str, str]
+    patience_s: float = PATIENCE_S
 
     @property
     def records(self) -> list[Any]:
@@ -133,6 +135,12 @@ class Process:
                 return found[-1]
             time.sleep(0.1)
         pytest.fail("no window came up")
+
+    def click(self, x: float, y: float) -> None:
+        """Click by xdotool, for longer than a frame."""
+        for words in (["mousemove", str(round(x)), str(round(y))], ["mousedown", "1"], ["mouseup", "1"]):
+            subprocess.run(["xdotool", *words], env=self.env, check=True)
+            time.sleep(0.05)
 
     def press(self, *keys: str) -> None:
         """Press keys by xdotool, each for longer than a frame."""

@@ -10,8 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from protocols.texts import read_scales, read_texts
+from protocols.trial import Judgement, Part, Trial
 from study.audit import audit_study
+from study.cli import main
 from study.folder import StudyFolder
+from study.screen.layout import compose
+from study.screen.views import View
+from study.screen.wording import make_screen_texts
+from study.session.ports import Place
 from study.status import read_status
 from study.workflow import analyze_study
 
@@ -21,6 +28,8 @@ if TYPE_CHECKING:
 HAND = ("--simulate-participant",)
 TOTAL = 8
 """Trials of a session of realism."""
+
+INTERRUPTED = "feel321: interrupted; what is done is kept, the same command goes on"
 
 STREAM = "pulse"
 """The device of the private PulseAudio as PortAudio lists it."""
@@ -82,7 +91,7 @@ def test_interrupted_it_says_how_to_go_on(
     code, _, err = session.finish()
     done = session.count("rated")
     line = f"sim001: {done} of {TOTAL} done (aborted: {reason}); {tell_how_to_go_on(study, 'sim001', *HAND)}"
-    assert (code, err.splitlines()) == (130, [line, "feel321: interrupted"])
+    assert (code, err.splitlines()) == (130, [line, INTERRUPTED])
     assert session.records[-1].event == "aborted"
     assert audit_study(study) == []
 
@@ -130,7 +139,9 @@ def test_a_sound_server_that_dies_in_a_trial_costs_nothing_but_time(
     check_whole(study)
 
 
-def test_a_rehearsal_lies_apart_and_is_no_data(lab: Any, make_study: Callable[..., StudyFolder]) -> None:
+def test_a_rehearsal_lies_apart_and_is_no_data(
+    lab: Any, make_study: Callable[..., StudyFolder], capsys: pytest.CaptureFixture[str]
+) -> None:
     study = make_study("realism")
     session = lab.start(study, "p01", "--rehearse", *HAND)
     session.wait_for("rated")
@@ -142,18 +153,40 @@ def test_a_rehearsal_lies_apart_and_is_no_data(lab: Any, make_study: Callable[..
     apart = StudyFolder(study.path, is_rehearsal=True)
     assert read_status(apart).participants[0].done == session.count("rated")
     assert audit_study(apart) == []
+    assert main(["audit", str(study.path), "--rehearsals"]) == 0
+    assert capsys.readouterr().out.startswith(f"{study.path}: 1 journals, all as they were written")
+    assert main(["status", str(study.path), "--rehearsals"]) == 0
+    assert "p01 " in capsys.readouterr().out
 
 
-def test_xdotool_alone_leads_through_realism(lab: Any, make_study: Callable[..., StudyFolder]) -> None:
-    """Somebody else's keys: blind, by what the journal holds, without the hand's knowledge of the screen."""
+def answer_by_keys(session: Any, *, is_felt: bool) -> None:
+    session.press(*(("7", "5", "Return") if is_felt else ("Return",)))
+
+
+def answer_by_mouse(session: Any, *, is_felt: bool) -> None:
+    """Click where the layout has slider and button on the whole screen of 1024 by 768 pixels."""
+    trial = Trial(1, 1, 1, "realism", "realism", "replay", "bumps", (Part("test", "s1"),), (Judgement("test", "s1"),))
+    texts, scale = make_screen_texts(read_texts()), read_scales()["realism"]
+    view = View("slider", "answering", 1, Place(0, TOTAL), trial=trial, scale=scale)
+    targets = {target.name: target for target in compose(view, texts, size=(1024, 768)).targets}
+    track, button = targets["mark"].track, targets["confirm"].box
+    if is_felt:
+        session.click(track.left + 0.75 * track.width, track.top + track.height / 2)
+    session.click(button.left + button.width / 2, button.top + button.height / 2)
+
+
+@pytest.mark.parametrize("answer", [answer_by_keys, answer_by_mouse])
+def test_xdotool_alone_leads_through_realism(
+    lab: Any, make_study: Callable[..., StudyFolder], answer: Callable[..., None]
+) -> None:
+    """Somebody else's hand: blind, by what the journal holds, with keys alone and with the mouse alone."""
     study = make_study("realism")
     session = lab.start(study, "p01")
     session.wait_for("device")
-    end_s = time.monotonic() + 90
+    end_s = time.monotonic() + 3 * session.patience_s
     while session.count("finished") == 0:
         assert time.monotonic() < end_s, [record.event for record in session.records][-5:]
-        is_felt = session.records[-1].event in {"played", "moved", "refused"}
-        session.press(*(("7", "5", "Return") if is_felt else ("Return",)))
+        answer(session, is_felt=session.records[-1].event in {"played", "moved", "refused"})
         time.sleep(0.1)
     code, _, err = session.finish()
     assert (code, err) == (0, "")

@@ -10,12 +10,16 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from protocols.flow import Page
 from protocols.texts import list_languages, read_scales, read_texts
 from study.screen import shapes
 from study.screen.fonts import measure
+from study.screen.grid import BODY, Grid
 from study.screen.layout import compose
 from study.screen.shapes import LEADING, Area, Box, Picture, Target, Text, round_corners
+from study.screen.views import View
 from study.screen.wording import make_screen_texts
+from study.session.ports import Place
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -121,6 +125,19 @@ def find_luminance(color: str) -> float:
 def test_contrast(ink: str, ground: str) -> None:
     high, low = sorted((find_luminance(getattr(shapes, name)) for name in (ink, ground)), reverse=True)
     assert (high + 0.05) / (low + 0.05) >= 7.0  # WCAG 2, level AAA
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_long_texts_shrink_and_braces_stay(size: tuple[int, int]) -> None:
+    tables = read_texts("en")
+    tables["pages"]["consent"]["text"] = "Ask {us} {done}. " * 75
+    view = View("page", "reading", 1, Place(3, 9), page=Page("consent"))
+    texts = [item for item in compose(view, make_screen_texts(tables), size=size).items if isinstance(item, Text)]
+    lines = [item for item in texts if "{us} 3" in item.words]
+    grid = Grid(*size)
+    assert (lines[0].size < 1.1 * BODY * grid.unit) == (size[0] / size[1] > 1.5)  # where there is less room
+    assert lines[0].size >= LEAST * grid.unit * 100
+    assert max(line.box.bottom for line in lines) <= grid.body.bottom
 
 
 def test_corners_lie_on_circles() -> None:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import subprocess
+import sys
 import time
 from typing import TYPE_CHECKING, Any
 
@@ -247,6 +250,13 @@ def close_by_manager(here: Any) -> None:
 
 def close_by_force(here: Any) -> None:
     here.do("windowclose", here.do("search", "--name", "PsychoPy").split()[0])
+
+
+def test_a_display_that_is_not_there_is_one_line() -> None:
+    code = "from study.screen.window import open_screen\nwith open_screen(clock=float): pass"
+    env = {**os.environ, "DISPLAY": ":9999"}
+    done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=False)
+    assert done.stderr.splitlines()[-1].startswith("OSError: got no display (")
 
 
 def test_a_window_that_is_closed_between_two_screens_is_not_missed(seat: Callable[..., Any]) -> None:
