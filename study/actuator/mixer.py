@@ -153,7 +153,6 @@ class Mixer:
         for cue in (self._cue, *self._waiting):
             if cue is not None:
                 cue.is_over = True
-        self._cue = None
         self._waiting.clear()
         if self._masker:
             self._masker.silence()

@@ -82,6 +82,8 @@ def test_the_file_device_plays_nothing(pulse: Any, make_rig: Any, tmp_path: Path
     ("arguments", "message"),
     [
         (["--device", "nowhere"], "feel321: device: got 'nowhere', which is not there; allowed: 'stylus' (ALSA), "),
+        (["--device", " "], "feel321: device: got ' ', which is not there; allowed: 'stylus' (ALSA), "),
+        (["--device", "DEF"], "feel321: device: got 'DEF', which is not there; allowed: 'stylus' (ALSA), "),
         (["nowhere"], "feel321: nowhere: there is no such folder; begin a study with: feel321 new nowhere"),
     ],
 )

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from stimuli.wav import read_wav
 from study.actuator.devices import Device
 from study.actuator.rig import DeviceTable, LimitsTable, Rig, SensorTable
 from study.actuator.stream import Line, list_devices, refresh_devices
@@ -208,7 +209,9 @@ def test_a_playback_is_played_and_sensed(monkeypatch: pytest.MonkeyPatch, tmp_pa
     delivery = output.collect()
     assert (delivery.completed, delivery.error, delivery.measured["n_samples"]) == (True, "", 150)
     assert delivery.measured["file_number"] == 1
-    assert (tmp_path / "delivered" / "0001.wav").is_file()
+    samples, _ = read_wav(tmp_path / "delivered" / "0001.wav")
+    assert np.unique(samples) == pytest.approx(5.0)  # half of the sensor's full scale
+    assert delivery.measured["sensor_onset_sample"] == 120
 
 
 @pytest.mark.usefixtures("sounddevice")
