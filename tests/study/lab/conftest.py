@@ -37,7 +37,7 @@ scene = "hard_taps"
 duration_s = 0.15
 [stimuli]
 reducers = ["sax321", "mag321", "say321"]
-reference = "dft321"
+reference = "{reference}"
 anchors = {anchors}
 [session]
 protocols = {protocols}
@@ -75,6 +75,9 @@ peak_m_s2 = 100.0
 rms_m_s2 = 60.0
 duration_s = 30.0
 """
+
+AXES = {"left": ["reduced", "x", "z"], "right": ["reduced", "y"]}
+"""What either coil plays where three axes are to be felt on two channels."""
 
 ASOUND = """
 pcm.!default { type pulse }
@@ -276,11 +279,20 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., StudyFolder
 def make_study(built: Callable[..., StudyFolder], tmp_path: Path) -> Callable[..., StudyFolder]:
     """Makes short studies of given protocols, for a given device."""
 
-    def make(*protocols: str, device: str = "file", training: int = 0, anchors: bool = False) -> StudyFolder:
-        source = built(protocols=json.dumps(protocols), training=training, anchors=str(anchors).lower())
+    def make(
+        *protocols: str, device: str = "file", training: int = 0, anchors: bool = False, reference: str = "dft321"
+    ) -> StudyFolder:
+        own = {"training": training, "anchors": str(anchors).lower(), "reference": reference}
+        source = built(protocols=json.dumps(protocols), **own)
         study = StudyFolder(tmp_path / "-".join(protocols))
         shutil.copytree(source.path, study.path)
-        study.rig.write_text(RIG.format(device=device), encoding="utf-8")
+        rig = RIG.format(device=device)
+        if reference == "original":
+            for plays in AXES.values():
+                own_lines = f"full_scale_m_s2 = 200.0\nplays = {json.dumps(plays)}"
+                rig = rig.replace('plays = ["reduced"]', own_lines, 1)
+            rig = rig.replace("m_s2 = 100.0", "m_s2 = 200.0").replace("m_s2 = 60.0", "m_s2 = 150.0")
+        study.rig.write_text(rig, encoding="utf-8")
         return study
 
     return make

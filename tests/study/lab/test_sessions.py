@@ -63,3 +63,19 @@ def test_a_simulated_participant_finishes_by_keys_alone(
     assert audit_study(study) == []
     assert not study.ratings.exists()
     assert list_answers(study) == list_answers(ask_minds_alone(study, tmp_path / "alone"))
+
+
+def test_a_reference_of_three_axes_is_felt_through_the_sound_server(
+    rig: Any, make_study: Callable[..., StudyFolder]
+) -> None:
+    study = make_study("similarity", device="pulse", reference="original")
+    session = rig.start(study, "sim001", *HAND)
+    code, _, err = session.finish()
+    assert (code, err) == (0, "")
+    assert audit_study(study) == []
+    played = [record.data for record in session.records if record.event == "played"]
+    assert {entry["part"] for entry in played} == {"reference", "test"}
+    assert all(entry["completed"] and not entry["error"] and not entry["clipped"] for entry in played)
+    assert all(entry["measured"]["n_samples"] == 7200 for entry in played)
+    device = next(record.data for record in session.records if record.event == "device")
+    assert "pulse" in str(device)
