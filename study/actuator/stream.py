@@ -31,6 +31,9 @@ STALL_S = 2.5
 OPENED_S = 60.0
 """So long the first block may stand; nothing is played by then."""
 
+DRIFT = 1.001
+"""By so much a device's own clock may be slow without being taken for one that runs dry in the end."""
+
 CLOSING_S = 2.0
 """So long a dead device is waited for; then it is left to itself."""
 
@@ -238,14 +241,17 @@ class Line:
 
     def _note(self, n: int, times: Foreign, status: Foreign) -> Block:
         self._last_s, before_s = perf_counter(), self._last_s
-        held_s, self._held_s = self._held_s, self.latency_s + n / self._rate_hz
+        left_s, block_s = self._held_s - (self._last_s - before_s), n / self._rate_hz
+        # What is late is made up for by what is early; after a gap the device begins with full buffers.
+        full_s = self.latency_s + block_s
+        self._held_s = full_s if left_s < 0 else min(full_s, left_s + block_s * DRIFT)
         return Block(
             now_s=times.currentTime,
             # Interfaces that tell no times say 0.
             dac_s=times.outputBufferDacTime or times.currentTime + self.latency_s,
             adc_s=times.inputBufferAdcTime,
             # Sound servers do not always tell; but longer than it had samples for, no device can have played.
-            has_run_dry=bool(status.output_underflow) or self._last_s - before_s > held_s,
+            has_run_dry=bool(status.output_underflow) or left_s < 0,
             has_lost_input=bool(status.input_overflow or status.input_underflow),
         )
 

@@ -131,6 +131,29 @@ def test_silence_beyond_what_it_held_is_an_underrun_though_no_flag_says_so(block
 
 
 @pytest.mark.usefixtures("sounddevice")
+def test_delays_that_follow_each_other_add_up(blocks: list[Block], monkeypatch: pytest.MonkeyPatch) -> None:
+    _, stream = open_line(blocks)
+    now_s = [perf_counter()]
+    monkeypatch.setattr("study.actuator.stream.perf_counter", lambda: now_s[0])
+    # It holds 0.2 s when it is full and plays 0.1 s in a block: 0.15 s leave 0.15 s, which 0.17 s are too long for.
+    for wait_s in (0.0, 0.15, 0.17, 0.1, 0.1, 0.15, 0.05, 0.15, 0.05):
+        now_s[0] += wait_s
+        stream.ask()
+    assert [block.has_run_dry for block in blocks] == [False, False, True] + 6 * [False]
+
+
+@pytest.mark.usefixtures("sounddevice")
+def test_a_device_with_a_slow_clock_does_not_run_dry(blocks: list[Block], monkeypatch: pytest.MonkeyPatch) -> None:
+    _, stream = open_line(blocks)
+    now_s = [perf_counter()]
+    monkeypatch.setattr("study.actuator.stream.perf_counter", lambda: now_s[0])
+    for _ in range(9000):
+        now_s[0] += N / RATE_HZ * 1.0005
+        stream.ask()
+    assert not any(block.has_run_dry for block in blocks)
+
+
+@pytest.mark.usefixtures("sounddevice")
 def test_clocks_are_compared_by_the_fastest_reading(blocks: list[Block]) -> None:
     line, _ = open_line(blocks)
     readings = iter([0, 1, 10, 10.1, 20, 30, 40, 50, 60, 70])
