@@ -78,13 +78,23 @@ def check_lab(rig: Rig) -> None:
     Raises
     ------
     OSError
-        If PsychoPy, sounddevice or a display is missing.
+        If PsychoPy, sounddevice, a display or the device is missing.
     """
     needed = ["psychopy"] if rig.device.name == FILE_DEVICE else ["psychopy", "sounddevice"]
     if missing := [name for name in needed if find_spec(name) is None]:
         raise OSError(f"run: got no {' and no '.join(missing)}, no session goes without; install: {INSTALL}")
     if sys.platform == "linux" and not os.environ.get("DISPLAY"):
         raise OSError("run: got no display (DISPLAY is not set); run it on the lab's own screen, or under xvfb-run")
+    if rig.device.name != FILE_DEVICE:
+        _require_device(rig)
+
+
+def _require_device(rig: Rig) -> None:
+    """Demand the device before its name stands in the header of a session that could not go on with another one."""
+    from study.actuator.devices import check_channels, find_device
+    from study.actuator.stream import list_devices
+
+    check_channels(find_device(list_devices(), rig.device.name, host_api=rig.device.host_api), rig)
 
 
 def identify_lab(lab: Lab) -> dict[str, Any]:

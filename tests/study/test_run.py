@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from study import lab, run
+from study.actuator import stream
+from study.actuator.devices import Device
 from study.check import check_study
 from study.cli import main
 from study.folder import StudyFolder, create_study
@@ -91,6 +93,33 @@ def test_a_session_runs_to_its_end_and_no_window_opens_for_what_is_finished(
     assert not ready.ratings.exists()
 
 
+@pytest.fixture
+def devices(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The only audio device there is: `other`."""
+    only = Device(index=0, name="other", host_api="ALSA", n_outputs=4, n_inputs=0, default_rate_hz=48000.0)
+    monkeypatch.setattr(stream, "list_devices", lambda: [only])
+
+
+@pytest.mark.usefixtures("devices")
+def test_a_device_that_is_not_there_takes_nobodys_number(ready: StudyFolder, present: Callable[..., Any]) -> None:
+    presenter = present()
+    with pytest.raises(OSError, match="got 'othre'"):
+        visit(ready, device="othre")
+    assert not ready.ledger.exists()
+    assert presenter.log == []
+    assert visit(ready, device="other").done == TOTAL
+
+
+@pytest.mark.usefixtures("devices")
+def test_a_rehearsal_that_was_begun_otherwise_is_told_apart(ready: StudyFolder, present: Callable[..., Any]) -> None:
+    present(pages={"consent": [Abort(2.0, "not today")]})
+    rehearsal = replace(ready, is_rehearsal=True)
+    visit(rehearsal)
+    with pytest.raises(ValueError, match="or move rehearsals/ away"):
+        visit(rehearsal, device="other")
+
+
+@pytest.mark.usefixtures("devices")
 def test_the_header_names_the_rig_and_another_one_is_refused(ready: StudyFolder, present: Callable[..., Any]) -> None:
     present(pages={"consent": [Abort(2.0, "not today")]})
     assert visit(ready).stopped == "not today"
