@@ -105,7 +105,7 @@ def test_every_trial_arrives_whole_or_its_underrun_is_flagged_and_onsets_are_tru
     pulse: Any, open_player: Any, make_rig: Any, make_sound: Any, record_testsuite_property: Any, n_trials: int
 ) -> None:
     sounds = {f"s{n}": make_sound(n, n=2400, channels=4) for n in range(n_trials)}
-    player = open_player(pulse, make_rig(channels=4), sounds)
+    player = open_player(pulse, make_rig(channels=4, latency_s=0.1), sounds)  # a machine that tests has much to do
     player.hear()
     deliveries, places = play_many(pulse, player, sounds)
     flagged = np.array([delivery["underruns"] > 0 for delivery in deliveries])
