@@ -229,20 +229,19 @@ class Line:
         self._serve(None, *given)
 
     def _answer_duplex(self, *given: Foreign) -> None:
-        sensed, *rest = given
-        self._serve(sensed[:, self._column], *rest)
+        self._serve(given[0][:, self._column], *given[1:])
 
     def _serve(self, sensed: Samples | None, *given: Foreign) -> None:
-        out, n, times, status = given
+        out, *told = given
         if self._is_closed:  # another line may play by now, from the same source
             out.fill(0)
-            return
-        self._fill(out, self._note(n, times, status), sensed)
+        else:
+            self._fill(out, self._note(*told), sensed)
 
     def _note(self, n: int, times: Foreign, status: Foreign) -> Block:
         self._last_s, before_s = perf_counter(), self._last_s
         left_s, block_s = self._held_s - (self._last_s - before_s), n / self._rate_hz
-        # What is late is made up for by what is early; after a gap the device begins with full buffers.
+        # Sound servers do not always tell; but longer than it had samples for, no device can have played.
         full_s = self.latency_s + block_s
         self._held_s = full_s if left_s < 0 else min(full_s, left_s + block_s * DRIFT)
         return Block(
@@ -250,7 +249,6 @@ class Line:
             # Interfaces that tell no times say 0.
             dac_s=times.outputBufferDacTime or times.currentTime + self.latency_s,
             adc_s=times.inputBufferAdcTime,
-            # Sound servers do not always tell; but longer than it had samples for, no device can have played.
             has_run_dry=bool(status.output_underflow) or left_s < 0,
             has_lost_input=bool(status.input_overflow or status.input_underflow),
         )
