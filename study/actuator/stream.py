@@ -242,8 +242,7 @@ class Line:
         self._last_s, before_s = perf_counter(), self._last_s
         left_s, block_s = self._held_s - (self._last_s - before_s), n / self._rate_hz
         # Sound servers do not always tell; but longer than it had samples for, no device can have played.
-        full_s = self.latency_s + block_s
-        self._held_s = full_s if left_s < 0 else min(full_s, left_s + block_s * DRIFT)
+        self._held_s = self.latency_s + block_s if left_s < 0 else min(self.latency_s, left_s) + block_s * DRIFT
         return Block(
             now_s=times.currentTime,
             # Interfaces that tell no times say 0.
