@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 HERE = Path(__file__).parent
 PATIENCE_S = 20.0
 PRESS_S = 0.04
+GLANCE_S = 0.3
 """How long a key is down: longer than a frame."""
 
 Display = "Callable[[int, int], dict[str, str]]"
@@ -89,7 +90,21 @@ class Seat:
         return self.view
 
     def see(self, **wanted: Any) -> dict[str, Any]:
-        return self.until(lambda view: all(view[name] == value for name, value in wanted.items()))
+        view = self.until(lambda view: all(view[name] == value for name, value in wanted.items()))
+        if "page" in wanted:
+            time.sleep(GLANCE_S)  # a page is looked at before it is left
+        return view
+
+    def insist(self, key: str, **wanted: Any) -> dict[str, Any]:
+        """Press a key until the screen obeys: a window that was put away may get the first one too early."""
+        end_s = time.monotonic() + PATIENCE_S
+        while not all(self.view.get(name) == value for name, value in wanted.items()):
+            assert time.monotonic() < end_s, self.view
+            self.press(key)
+            time.sleep(GLANCE_S)
+            while not self.lines.empty():
+                self._take(self.lines.get())
+        return self.view
 
     def finish(self) -> list[dict[str, Any]]:
         """Wait for the end of the process; gives what the journal would hold."""

@@ -49,7 +49,7 @@ def test_slider_by_keys(seat: Callable[..., Any]) -> None:
 
 
 def test_slider_by_mouse(seat: Callable[..., Any]) -> None:
-    here = seat({"page": "main"}, {"trial": "realism"}, duration_s=1.0)
+    here = seat({"page": "main"}, {"trial": "realism"}, duration_s=4.0)
     here.see(page="main")
     here.click("confirm")
     here.see(state="feeling")
@@ -172,6 +172,17 @@ def test_pages_stand_and_count_down(seat: Callable[..., Any]) -> None:
     assert pages[0]["stood_s"] >= 1.5
 
 
+def test_a_double_click_leaves_one_page(seat: Callable[..., Any]) -> None:
+    here = seat({"page": "welcome"}, {"page": "consent"})
+    here.see(page="welcome")
+    here.click("confirm")
+    here.click("confirm")
+    here.see(page="consent")
+    here.click("confirm")
+    here.finish()
+    assert [page["key"] for page in here.find("page")] == ["welcome", "consent"]
+
+
 def test_escape_pauses_then_ends(seat: Callable[..., Any]) -> None:
     here = seat({"trial": "similarity"}, duration_s=2.0)
     here.see(state="feeling")
@@ -279,10 +290,9 @@ def test_a_window_that_is_put_away_pauses_a_trial_and_ends_nothing(seat: Callabl
         here.do("windowmap", "--sync", window)
         here.do("windowfocus", "--sync", window)
         if state == "reading":
-            here.press("Return")
+            here.insist("Return", state="feeling")
     here.see(page="pause")
-    here.press("Return")
-    here.see(state="feeling", playing="test")
+    here.insist("Return", state="feeling", playing="test")
     here.process.send_signal(signal.SIGINT)
     here.process.wait(20.0)
     assert len(here.find("paused")) == 1
