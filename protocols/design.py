@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import replace
-from math import lcm
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from protocols.section import make_sections
 from protocols.shuffled import order_blocked
 from protocols.spaced import order_random
-from protocols.square import williams_square
 from protocols.williams import order_williams
 
 if TYPE_CHECKING:
@@ -85,35 +82,6 @@ def make_order(
         for spot in block
     )
     return tuple(replace(draft, number=place) for place, draft in enumerate(drafts, start=1))
-
-
-def count_cycle(trials: Sequence[Trial]) -> int:
-    """Count the participants over whom an order by Williams squares comes full circle.
-
-    Parameters
-    ----------
-    trials : sequence of Trial
-        The trials of one of them; only those of the main phase count.
-
-    Returns
-    -------
-    int
-        Successive participants, this many or a multiple, take each row of all squares equally often: of those
-        over recordings, over comparisons, and over the slots of a page. Means nothing for other orders.
-
-    Examples
-    --------
-    >>> from protocols.trial import Judgement, Trial
-    >>> task = {"protocol": "realism", "scale": "realism", "timing": "strict", "recording": "tap"}
-    >>> judged = [(Judgement("test", name),) for name in ("sax321", "pca321", "dft321")]
-    >>> count_cycle([Trial(n, 1, 1, **task, parts=(), judgements=own) for n, own in enumerate(judged, start=1)])
-    6
-    """
-    main = [trial for trial in trials if trial.block]
-    comparisons = Counter(trial.block for trial in main)
-    rounds = Counter((protocol, repeat) for _, protocol, repeat in {(t.block, t.protocol, t.repeat) for t in main})
-    slots = {len(trial.judgements) for trial in main}
-    return lcm(*(len(williams_square(size)) for size in {*comparisons.values(), *rounds.values(), *slots}))
 
 
 def _check_choice(order: str, *, number: int, repeats: int) -> None:

@@ -7,10 +7,13 @@ from typing import TYPE_CHECKING
 
 from protocols.groups import CHOOSING
 from protocols.spaced import find_crowding
+from protocols.texts import read_scales
 from stimuli.anchors import quietest_hz
 from stimuli.condition import condition, fade
 from stimuli.inspection import check_stimuli
 from stimuli.manifest import read_stimuli
+from study.actuator.rig import read_rig
+from study.preparing import list_rig_problems
 from study.provenance import find_changes
 from study.session.plan import make_plan
 from study.settings.designs import make_design
@@ -18,7 +21,7 @@ from study.settings.factors import count_groups
 from study.settings.reading import read_settings
 from study.settings.remarks import list_remarks
 from study.settings.sources import make_recipe, try_recordings
-from study.settings.wording import read_study_texts
+from study.settings.wording import find_language, read_study_texts
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -30,7 +33,7 @@ if TYPE_CHECKING:
 
 
 def check_study(study: StudyFolder) -> tuple[list[Recording], list[str]]:
-    """Check settings, recordings, pictures, texts and, once it is built, the stimulus set of a study.
+    """Check settings, recordings, pictures, texts, rig and, once it is built, the stimulus set of a study.
 
     Parameters
     ----------
@@ -49,7 +52,7 @@ def check_study(study: StudyFolder) -> tuple[list[Recording], list[str]]:
     except ValueError as error:
         return [], str(error).splitlines()
     recordings, problems = try_recordings(settings, study.path)
-    problems += [*_check_pictures(study, settings), *_check_texts(study, settings)]
+    problems += [*_check_pictures(study, settings), *_check_texts(study, settings), *_check_rig(study, settings)]
     recipe = None
     try:
         recipe = make_recipe(settings)
@@ -96,13 +99,17 @@ def _check_pictures(study: StudyFolder, settings: Settings) -> list[str]:
 
 
 def _check_texts(study: StudyFolder, settings: Settings) -> list[str]:
+    from study.screen.layout import find_overflows
+    from study.screen.wording import make_screen_texts
+
+    language = find_language(settings, study.path)
     try:
-        read_study_texts(settings, study.path)
+        texts, scales = read_study_texts(settings, study.path), read_scales(language)
     except OSError as error:
         return [f"{error.filename}: {error.strerror}; put your texts there, or name a language of the catalogue"]
     except ValueError as error:
         return str(error).splitlines()
-    return []
+    return [f"texts in {language}: {problem}" for problem in find_overflows(make_screen_texts(texts), scales.values())]
 
 
 def find_warnings(study: StudyFolder) -> list[str]:
@@ -125,6 +132,21 @@ def find_warnings(study: StudyFolder) -> list[str]:
         return remarks
     plan = make_plan(make_design(settings), read_stimuli(study.stimuli), "check", number=1, simulated=False)
     return remarks + [f"order 'random': {line}" for line in find_crowding(plan.trials)]
+
+
+def _check_rig(study: StudyFolder, settings: Settings) -> list[str]:
+    """Check the rig, where there is one: simulated participants need none."""
+    if not study.rig.is_file():
+        return []
+    try:
+        rig = read_rig(study.rig)
+    except ValueError as error:
+        return str(error).splitlines()
+    try:
+        stimuli = read_stimuli(study.stimuli)
+    except (OSError, ValueError):
+        return []  # Not built yet, or damaged: others look at that.
+    return list_rig_problems(study, rig, settings=settings, stimuli=stimuli)
 
 
 def _check_plan(study: StudyFolder, settings: Settings) -> list[str]:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 DONE, COULD_NOT, WRONG_USE, INTERRUPTED = 0, 1, 2, 130
 
-RESUMED = {"build", "demo", "simulate", "withdraw"}
+RESUMED = {"build", "demo", "run", "simulate", "withdraw"}
 """Verbs that go on, when called again, where they were interrupted."""
 
 

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 SETTINGS_FILE = "study.toml"
+RIG_FILE = "rig.toml"
 
 LEDGER_FILE = "ledger.sqlite"
 
@@ -31,14 +32,22 @@ class StudyFolder:
     ----------
     path : Path
         The folder that holds `study.toml`.
+    is_rehearsal : bool
+        Whether sessions are tried out: they lie apart, with a ledger of their own, and nothing is derived from them.
     """
 
     path: Path
+    is_rehearsal: bool = False
 
     @property
     def settings(self) -> Path:
         """What the lab decides."""
         return self.path / SETTINGS_FILE
+
+    @property
+    def rig(self) -> Path:
+        """What the lab's actuators are."""
+        return self.path / RIG_FILE
 
     @property
     def stimuli(self) -> Path:
@@ -48,7 +57,7 @@ class StudyFolder:
     @property
     def sessions(self) -> Path:
         """One folder per participant."""
-        return self.path / "sessions"
+        return self.path / ("rehearsals" if self.is_rehearsal else "sessions")
 
     @property
     def ledger(self) -> Path:
@@ -117,7 +126,7 @@ def list_bundled() -> tuple[str, ...]:
 
 
 def create_study(path: Path, *, bundled: str | None = None) -> StudyFolder:
-    """Begin a study: its folder, and a commented `study.toml` that names the bundled scenes.
+    """Begin a study: its folder, a commented `study.toml` that names the bundled scenes, and a `rig.toml`.
 
     Parameters
     ----------
@@ -142,6 +151,8 @@ def create_study(path: Path, *, bundled: str | None = None) -> StudyFolder:
     study = StudyFolder(path)
     (path / "recordings").mkdir(parents=True, exist_ok=True)
     create_text(study.settings, text)
+    if not study.rig.exists():
+        create_text(study.rig, _read_text("rig_template.toml"))
     return study
 
 
@@ -179,7 +190,7 @@ def read_template() -> str:
     str
         Its text.
     """
-    return (files("study") / "settings" / "template.toml").read_text(encoding="utf-8")
+    return _read_text("template.toml")
 
 
 def read_bundled(name: str) -> str:
@@ -203,3 +214,7 @@ def read_bundled(name: str) -> str:
     if name not in list_bundled():
         raise ValueError(f"study: got {name!r}, allowed: {', '.join(list_bundled())}")
     return (BUNDLED / f"{name}.toml").read_text(encoding="utf-8")
+
+
+def _read_text(name: str) -> str:
+    return (files("study") / "settings" / name).read_text(encoding="utf-8")

@@ -60,7 +60,8 @@ def read_origin(folder: Path) -> Origin:
         return Origin(dict(details["recipe"]), rows, {row["recording"]: row["recording_sha256"] for row in rows})
     except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
         raise ValueError(
-            f"{path}: is missing or damaged ({type(error).__name__}); write it anew with: feel321 build"
+            f"{path}: is missing or damaged ({type(error).__name__}); restore it from a copy, or as long as nobody "
+            "was planned with this set, write it anew with: feel321 build"
         ) from None
 
 

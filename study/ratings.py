@@ -185,7 +185,7 @@ def _replay(plan: Plan, records: Sequence[Record], *, path: Path) -> list[dict[s
 
 
 def _require_played(trial: Trial, playbacks: Iterable[Mapping[str, Any]], *, where: str) -> None:
-    played = {playback["part"] for playback in playbacks}
+    played = {playback["part"] for playback in playbacks if playback["completed"]}
     if missing := [judgement.part for judgement in trial.judgements if judgement.part not in played]:
         raise ValueError(
             f"{where}: trial {trial.number} is rated, but {', '.join(missing)} was not played since it was shown; "
@@ -197,7 +197,7 @@ def _judge(
     trial: Trial, rated: Mapping[str, Any], playbacks: Sequence[Mapping[str, Any]], *, superseded: bool
 ) -> Iterator[dict[str, Any]]:
     points = score_trial(trial, rated["values"])
-    onsets = {playback["part"]: playback["onset_s"] for playback in playbacks}
+    onsets = {playback["part"]: playback["onset_s"] for playback in playbacks if playback["completed"]}
     for judgement in trial.judgements:
         yield {
             "protocol": trial.protocol,

@@ -10,26 +10,23 @@ from itertools import count, islice
 from threading import Event, Lock
 from typing import TYPE_CHECKING
 
-from protocols.texts import read_scales
-from study.lead import Room, lead_session
-from study.ledger.rebuilding import open_study_ledger
-from study.ledger.slots import claim_slots
-from study.observer.percepts import read_percepts
-from study.observer.simulated import ObserverModel, SimulatedObserver, identify_observer
+from study.casting import cast_observers, tell_person
+from study.lead import lead_session
+from study.observer.simulated import SimulatedObserver, identify_observer
+from study.preparing import open_room, plan_sessions
 from study.session.journal import read_journal
 from study.session.opening import TOMBSTONE_FILE
-from study.session.plan import make_plan
 from study.session.replay import find_elapsed, has_event, list_journals
-from study.settings.designs import make_design, make_identity, make_stale
-from study.settings.wording import find_language
+from study.settings.designs import make_identity
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from stimuli.manifest import Stimulus, StimulusSet
+    from study.casting import Casting
     from study.folder import StudyFolder
-    from study.observer.percepts import Percept
+    from study.lead import Room
     from study.session.journal import Clock, Journal
     from study.session.plan import Plan
     from study.settings.tables import Settings
@@ -87,16 +84,17 @@ def run_simulation(simulation: Simulation, participants: int, *, progress: Progr
     ValueError
         If a session was begun with other settings, stimuli or seed, saying what differs.
     """
-    room, notices = _open_room(simulation)
-    plans = plan_sessions(simulation, room, list_participants(simulation.study, participants))
-    casting = _Casting(simulation.seed, ObserverModel(**simulation.settings.observer.model_dump()), {})
-    if casting.model.uses_percepts:
-        casting.percepts.update(read_percepts(simulation.stimuli))
+    settings = simulation.settings
+    room, notice = open_room(simulation.study, settings, simulation.stimuli, now=simulation.now)
+    names = list_participants(simulation.study, participants)
+    plans = plan_sessions(room, settings, names, simulated=True)
+    casting = cast_observers(settings, simulation.stimuli, seed=simulation.seed)
+    notices = [notice] if notice else []
     tally = _Tally(plans, progress)
     pool = ThreadPoolExecutor(SIDE_BY_SIDE)
     try:
         sessions = [
-            pool.submit(_run, plan, simulation.settings, room, casting=casting, count=partial(tally.take, place))
+            pool.submit(_run, plan, settings, room, casting=casting, count=partial(tally.take, place))
             for place, plan in enumerate(plans)
         ]
         notices += [notice for session in as_completed(sessions) if (notice := session.result())]
@@ -126,52 +124,6 @@ def list_participants(study: StudyFolder, number: int) -> list[str]:
     return list(islice((name for name in names if not _is_gone(study.sessions / name)), number))
 
 
-def plan_sessions(simulation: Simulation, room: Room, participants: Sequence[str]) -> list[Plan]:
-    """Give simulated participants their numbers in the design, and plan their sessions.
-
-    Parameters
-    ----------
-    simulation : Simulation
-        The study.
-    room : Room
-        With the ledger, where the numbers are claimed.
-    participants : sequence of str
-        Their codes.
-
-    Returns
-    -------
-    list of Plan
-        One per participant.
-    """
-    numbers = claim_slots(room.ledger, participants, simulated=True, now=simulation.now)
-    design = make_design(simulation.settings)
-    return [
-        make_plan(design, simulation.stimuli, name, number=numbers[name], simulated=True) for name in participants
-    ]
-
-
-@dataclass(frozen=True, slots=True)
-class _Casting:
-    """Who the simulated participants are."""
-
-    seed: int
-    model: ObserverModel
-    percepts: dict[str, Percept]
-
-    @contextmanager
-    def make_observer(
-        self, plan: Plan, journal: Journal, stimuli: Mapping[str, Stimulus]
-    ) -> Iterator[SimulatedObserver]:
-        # A code belongs to one person for ever; the number in the design may have been somebody else's before.
-        person = int(plan.participant.removeprefix("sim"))
-        elapsed_s = find_elapsed(journal.records)
-        observer = SimulatedObserver(
-            self.model, seed=self.seed, number=person, percepts=self.percepts, elapsed_s=elapsed_s
-        )
-        observer.recall(journal.records, plan.trials, stimuli=stimuli)
-        yield observer
-
-
 class _Tally:
     """Counts trials over all sessions, and ends those that run when one has failed."""
 
@@ -191,26 +143,33 @@ class _Tally:
                 self._progress(sum(self._done), self._total)
 
 
-def _open_room(simulation: Simulation) -> tuple[Room, list[str]]:
-    ledger, notice = open_study_ledger(simulation.study)
-    scales = read_scales(find_language(simulation.settings, simulation.study.path))
-    stale = make_stale(simulation.settings)
-    room = Room(simulation.study, simulation.stimuli, scales, ledger, stale, simulation.now)
-    return room, [notice] if notice else []
-
-
 def _run(
-    plan: Plan, settings: Settings, room: Room, *, casting: _Casting, count: Callable[[int], None]
+    plan: Plan, settings: Settings, room: Room, *, casting: Casting, count: Callable[[int], None]
 ) -> str:
     presenter = identify_observer(casting.model, seed=casting.seed)
     _, notice = lead_session(
         room,
         plan,
         identity=make_identity(settings, room.study.path, presenter),
-        make_presenter=casting.make_observer,
+        make_presenter=partial(_make_observer, casting=casting),
         on_step=lambda place: count(place.done),
     )
     return notice
+
+
+@contextmanager
+def _make_observer(
+    plan: Plan, journal: Journal, stimuli: Mapping[str, Stimulus], *, casting: Casting
+) -> Iterator[SimulatedObserver]:
+    observer = SimulatedObserver(
+        casting.model,
+        seed=casting.seed,
+        number=tell_person(plan.participant),
+        percepts=casting.percepts,
+        elapsed_s=find_elapsed(journal.records),
+    )
+    observer.recall(journal.records, plan.trials, stimuli=stimuli)
+    yield observer
 
 
 def _is_gone(folder: Path) -> bool:

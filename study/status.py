@@ -13,7 +13,8 @@ from study.session.dossier import read_as_written, read_dossier
 from study.session.opening import TOMBSTONE_FILE
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
+    from pathlib import Path
 
     from study.folder import StudyFolder
     from study.realised import Realised
@@ -77,13 +78,15 @@ class Status:
     balance: Realised | None
 
 
-def read_status(study: StudyFolder) -> Status:
+def read_status(study: StudyFolder, *, progress: Callable[[int, int], None] | None = None) -> Status:
     """Read how far a study has come, also while sessions run.
 
     Parameters
     ----------
     study : StudyFolder
         The study.
+    progress : callable, optional
+        Called with the numbers of participants read and to read.
 
     Returns
     -------
@@ -91,18 +94,27 @@ def read_status(study: StudyFolder) -> Status:
         A broken plan or journal is the problem of its own participant, who is left out of the balance.
     """
     entries, dossiers = [], []
-    for folder in study.participants:
-        try:
-            if (folder / TOMBSTONE_FILE).exists():
-                entries.append(Progress(folder.name, state="withdrawn"))
-                continue
-            dossier = read_dossier(folder)
-            with read_as_written(folder):
-                entries.append(_make_progress(dossier))
+    folders = study.participants
+    for count, folder in enumerate(folders, start=1):
+        entry, dossier = _read_progress(folder)
+        entries.append(entry)
+        if dossier is not None:
             dossiers.append(dossier)
-        except (OSError, ValueError) as error:
-            entries.append(Progress(folder.name, problem=str(error)))
+        if progress is not None:
+            progress(count, len(folders))
     return Status(tuple(entries), measure_realised(dossiers))
+
+
+def _read_progress(folder: Path) -> tuple[Progress, Dossier | None]:
+    """Read how far a participant has come; the dossier comes too if it counts for the balance."""
+    if (folder / TOMBSTONE_FILE).exists():
+        return Progress(folder.name, state="withdrawn"), None
+    try:
+        dossier = read_dossier(folder)
+        with read_as_written(folder):
+            return _make_progress(dossier), dossier
+    except (OSError, ValueError) as error:
+        return Progress(folder.name, problem=str(error)), None
 
 
 def _make_progress(dossier: Dossier) -> Progress:
@@ -127,6 +139,8 @@ def _find_warnings(plan: Plan, chain: Chain) -> Iterator[str]:
     yield from (f"{count} x {flag.replace('_', ' ')}" for flag, count in counts.items())
     if any(record.event == "page" and record.data["key"] == "training_failed" for record in chain.records):
         yield "training not passed"
+    if given_up := sum(record.data.get("given_up", 0) for record in chain.records if record.event == "finished"):
+        yield f"{given_up} {'trial' if given_up == 1 else 'trials'} given up"
     caught = find_catches(plan, chain.records)
     if missed := sum(not as_expected for as_expected in caught):
         yield f"{missed} of {len(caught)} catch trials not as expected"

@@ -9,8 +9,10 @@ from analysis.report import write_report
 from stimuli.manifest import read_stimuli
 from stimuli.sets import build_stimuli
 from study.ledger.roster import write_roster
+from study.preparing import require_current_set
 from study.provenance import find_changes, is_in_use
 from study.ratings import write_ratings
+from study.session.opening import PLAN_FILE
 from study.settings.reading import read_settings
 from study.settings.sources import make_recipe, open_recordings
 from study.simulate import Simulation, run_simulation
@@ -24,7 +26,6 @@ if TYPE_CHECKING:
     from stimuli.recording import Recording
     from study.folder import StudyFolder
     from study.session.journal import Clock
-    from study.settings.tables import Settings
 
     Progress = Callable[[int, int], None]
 
@@ -101,7 +102,7 @@ def simulate_study(
     """
     settings = read_settings(study.settings)
     stimuli = read_stimuli(study.stimuli)
-    _require_current_set(study, settings)
+    require_current_set(study, settings)
     seed = settings.study.seed if seed is None else seed
     notices = run_simulation(Simulation(study, settings, stimuli, seed, now), participants, progress=progress)
     if warn is not None:
@@ -142,19 +143,18 @@ def analyze_study(study: StudyFolder, *, out: Path | None = None) -> Path:
     return folder
 
 
-def _require_current_set(study: StudyFolder, settings: Settings) -> None:
-    named = dict.fromkeys(entry.title for entry in settings.recordings)
-    if changes := find_changes(study.stimuli, make_recipe(settings), named):
-        raise ValueError("\n".join(f"{change}; run feel321 build {quote(str(study.path))}" for change in changes))
-
-
 def _spare_used_set(study: StudyFolder, recipe: Recipe, recordings: Sequence[Recording]) -> None:
-    """Refuse to replace a set that sessions were run with; a damaged one can only gain."""
+    """Refuse to replace a set that sessions were run with, or may have been."""
+    if not study.stimuli.exists() or not any(study.sessions.glob(f"*/{PLAN_FILE}")):
+        return
     try:
         sha256 = read_stimuli(study.stimuli).sha256
         changes = find_changes(study.stimuli, recipe, {recording.name: recording.sha256 for recording in recordings})
-    except (OSError, ValueError):
-        return
+    except (OSError, ValueError) as error:
+        raise ValueError(
+            f"{study.stimuli}: nobody can tell whether sessions were run with this set ({error}); "
+            f"restore it from a copy, or move {study.sessions} away"
+        ) from None
     if changes and is_in_use(study, sha256):
         remedy = f"sessions were run with this set; make a new study, or move {study.sessions} away"
         raise ValueError("\n".join(f"{change}; {remedy}" for change in changes))

@@ -38,7 +38,7 @@ class Attempt:
     number : int
         Which attempt at it.
     playbacks : dict of str to mapping
-        What became last of each part that was felt.
+        What became last of each part that was felt; what was cut short replaces nothing that was felt to its end.
     """
 
     trial: Trial
@@ -66,7 +66,9 @@ class Attempt:
         for name, kind in _PLAYBACK.items():
             if not isinstance(data[name], kind):
                 raise TypeError(f"{name} {data[name]!r}")
-        self.playbacks[part.name] = data
+        before = self.playbacks.get(part.name)
+        if before is None or not before["completed"] or data["completed"] or data["error"]:
+            self.playbacks[part.name] = data
 
     def check_rated(self, data: Mapping[str, Any], flow: Flow) -> None:
         """Check that an answer could be taken, and that it counts as the rules say.
@@ -125,7 +127,8 @@ class Attempt:
     def _check_values(self, values: Mapping[str, Any]) -> None:
         judged = [judgement.part for judgement in self.trial.judgements]
         if sorted(values) != sorted(judged):
-            raise ValueError(f"rates {', '.join(values) or 'nothing'}, trial {self.trial.number} asks for {judged}")
+            got, asked = (", ".join(names) or "nothing" for names in (values, judged))
+            raise ValueError(f"rates {got}, trial {self.trial.number} asks for {asked}")
         choices = PROTOCOLS[self.trial.protocol].choices
         low, high = RATING_RANGE
         for part, value in values.items():

@@ -10,8 +10,8 @@ from shlex import quote
 from typing import TYPE_CHECKING
 
 from study.auditing.steps import MALFORMED
+from study.ledger.rebuilding import read_study_ledger
 from study.ledger.sightings import find_cut
-from study.ledger.slots import open_ledger, read_ledger
 from study.session.dossier import read_dossier
 from study.session.opening import OPENING_EVENTS
 from study.session.replay import list_journals, replay
@@ -42,10 +42,8 @@ def read_entries(study: StudyFolder) -> dict[str, Entry]:
     dict of str to Entry
         Nobody if there is no ledger, or a damaged one; `find_lost` says so.
     """
-    if not study.ledger.exists():
-        return {}
     try:
-        return {entry.participant: entry for entry in read_ledger(open_ledger(study.ledger))}
+        return {entry.participant: entry for entry in read_study_ledger(study)}
     except (OSError, ValueError):
         return {}
 

@@ -32,14 +32,16 @@ _OF_ATTEMPT = frozenset({"played", "prompted"}) | {
     "paused",
     "continued",
 }
-_OF_SESSION = frozenset({"page", "shown", "finished", "aborted", "resumed", "warm_up", "superseded", "released"})
+_OF_SESSION = frozenset({"page", "shown", "finished", "aborted", "resumed", "warm_up", "superseded", "released"}) | {
+    "device"
+}
 
 _NEXT = {
     # A session whose header a crash prevented may be given up.
     "": frozenset({"begun", "released"}),
     "begun": _OF_ATTEMPT | _OF_SESSION,
-    # Ctrl-C while a finished session is opened again.
-    "finished": frozenset({"aborted"}),
+    # A crash may keep the end from the ledger; then the lab is opened once more, and Ctrl-C may come.
+    "finished": frozenset({"aborted", "device"}),
     # A crash may come before the next session is begun, and nobody come back.
     "superseded": frozenset({"released"}),
     "released": frozenset(),

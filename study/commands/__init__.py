@@ -2,6 +2,8 @@
 
 from study.commands.participants import ledger, release, withdraw
 from study.commands.results import analyze
+from study.commands.rig import doctor
+from study.commands.run import run
 from study.commands.sessions import audit, simulate, status
 from study.commands.signals import match, reduce
 from study.commands.studies import build, check, demo, new
@@ -12,11 +14,13 @@ __all__ = [
     "build",
     "check",
     "demo",
+    "doctor",
     "ledger",
     "match",
     "new",
     "reduce",
     "release",
+    "run",
     "simulate",
     "status",
     "withdraw",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
 import click
@@ -33,15 +33,20 @@ def simulate(*, study: StudyFolder, participants: int, seed: int | None, as_json
         click.echo(f"{study.ratings}: {rows} ratings")
 
 
+_rehearsals_option = click.option("--rehearsals", is_flag=True, help="Those of run --rehearse instead.")
+
+
 @click.command(epilog="Example: feel321 status my-study")
 @study_argument
+@_rehearsals_option
 @json_option
-def status(*, study: StudyFolder, as_json: bool) -> None:
+def status(*, study: StudyFolder, rehearsals: bool, as_json: bool) -> None:
     """Show how far every participant has come."""
     from study.realised import describe_balance
     from study.status import read_status
 
-    state = read_status(study)
+    with show_progress("status") as progress:
+        state = read_status(replace(study, is_rehearsal=rehearsals), progress=progress)
     if as_json:
         print_json(asdict(state))
         return
@@ -64,13 +69,17 @@ def _describe(entry: Progress) -> str:
 @click.command(epilog="Example: feel321 audit my-study --expect 5fe2c1...")
 @study_argument
 @click.option("--expect", metavar="DIGEST", help="The seal that an earlier audit printed; fail if it is another now.")
+@_rehearsals_option
 @json_option
 @click.pass_context
-def audit(context: click.Context, *, study: StudyFolder, expect: str | None, as_json: bool) -> None:
+def audit(
+    context: click.Context, *, study: StudyFolder, expect: str | None, rehearsals: bool, as_json: bool
+) -> None:
     """Verify plans, journals and stimuli; name every change."""
     from study.audit import audit_study
     from study.auditing.seal import make_seal
 
+    study = replace(study, is_rehearsal=rehearsals)
     with show_progress("audit") as progress:
         findings = audit_study(study, progress=progress)
     seal = make_seal(study)

@@ -51,8 +51,10 @@ def note_forgotten(study: StudyFolder, lines: Sequence[str], *, now: Clock) -> N
     """
     if not lines:
         return
+    # The folder may be moved, its log with it.
+    forgot = [line.replace(f"{study.path}/", "") for line in lines]
     begin = require_journal if study.ledger_log.exists() else create_journal
-    begin(study.ledger_log, now=now).write("rebuilt", {"forgot": list(lines)})
+    begin(study.ledger_log, now=now).write("rebuilt", {"forgot": forgot})
 
 
 def list_forgotten(study: StudyFolder) -> list[str]:

@@ -11,9 +11,7 @@ from study.ledger.sightings import find_cut
 from study.ledger.slots import open_ledger, read_ledger, rewrite_ledger
 from study.ledger.standing import Standing, read_standing, read_standings
 from study.ledger.tombstone import REMOVED, Tombstone, read_tombstone
-from study.session.journal import read_journal
-from study.session.opening import OPENING_EVENTS
-from study.session.replay import list_journals
+from study.session.opening import TOMBSTONE_FILE
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -117,7 +115,7 @@ def rebuild_ledger(study: StudyFolder, *, now: Clock = tell_time) -> list[str]:
         If the ledger or a plan is damaged, or two participants hold one number.
     """
     was_missing = not study.ledger.exists()
-    lost, unknown = ([], []) if was_missing else _compare(study)
+    lost, wrong = ([], []) if was_missing else _compare(study)
     problems: list[str] = []
 
     def change(known: list[Entry]) -> list[Entry]:
@@ -130,7 +128,7 @@ def rebuild_ledger(study: StudyFolder, *, now: Clock = tell_time) -> list[str]:
         return entries + waiting
 
     rewrite_ledger(_open(study), change)
-    return lost + unknown + problems
+    return lost + wrong + problems
 
 
 def find_lost(study: StudyFolder) -> list[str]:
@@ -146,8 +144,8 @@ def find_lost(study: StudyFolder) -> list[str]:
     list of str
         One line each; empty if all is there.
     """
-    lost, unknown = _compare(study)
-    return lost + unknown + list_forgotten(study)
+    lost, wrong = _compare(study)
+    return lost + wrong + list_forgotten(study)
 
 
 def make_entry(standing: Standing) -> Entry:
@@ -177,14 +175,19 @@ def make_entry(standing: Standing) -> Entry:
 
 
 def _compare(study: StudyFolder) -> tuple[list[str], list[str]]:
-    """Find what the ledger saw and the disk does not hold, and who is there and unknown to it."""
+    """Find what the ledger saw and the disk does not hold, and what a rebuild only sets right."""
     try:
         entries = {entry.participant: entry for entry in read_study_ledger(study)}
     except (OSError, ValueError) as error:
         return [str(error)], []
-    lost = [line for entry in entries.values() for line in _find_lost_of(entry, study)]
+    lost: list[str] = []
+    edited: list[str] = []
+    for entry in entries.values():
+        lines = list(_find_lost_of(entry, study))
+        lost += lines
+        edited += [] if lines else _find_edited(entry, study)
     unknown = [folder for folder in study.participants if folder.name not in entries and _is_begun(folder)]
-    return lost, [f"{folder}: is not in the ledger; enter it: {_name_rebuild(study)}" for folder in unknown]
+    return lost, edited + [f"{folder}: is not in the ledger; enter it: {_name_rebuild(study)}" for folder in unknown]
 
 
 def _describe_missing(study: StudyFolder) -> str:
@@ -245,9 +248,6 @@ def _find_lost_of(entry: Entry, study: StudyFolder) -> Iterator[str]:
         yield f"{folder}: is gone without a tombstone, {lines} lines of its journals were seen; restore it from a copy"
     elif cuts := [cut for anchor in entry.anchors if (cut := find_cut(anchor, folder))]:
         yield from cuts
-    elif _is_begun(folder):
-        yield from _find_unseen(entry, study)
-        yield from _find_edited(entry, study)
 
 
 def _find_unlike(tombstone: Tombstone, entry: Entry, study: StudyFolder) -> Iterator[str]:
@@ -259,22 +259,13 @@ def _find_unlike(tombstone: Tombstone, entry: Entry, study: StudyFolder) -> Iter
         yield f"{folder}: the tombstone is another one than the ledger saw written; restore both from a copy"
 
 
-def _find_unseen(entry: Entry, study: StudyFolder) -> Iterator[str]:
-    """Find journals that the ledger never saw; a crash can only leave one whose session was opened and no more."""
-    seen = {anchor.journal for anchor in entry.anchors}
-    for path in [path for path in list_journals(study.sessions / entry.participant) if path.name not in seen]:
-        try:
-            events = {record.event for record in read_journal(path).records}
-        except (OSError, ValueError):
-            continue  # Whatever is wrong with a journal is for those to say who read it.
-        if events - {"begun", "warm_up", *OPENING_EVENTS}:
-            yield f"{path}: was never seen by the ledger; enter it: {_name_rebuild(study)}"
-
-
 def _find_edited(entry: Entry, study: StudyFolder) -> Iterator[str]:
     """Find what the ledger says of a participant and neither plan nor journals ever said."""
+    folder = study.sessions / entry.participant
+    if (folder / TOMBSTONE_FILE).exists() or not _is_begun(folder):
+        return
     try:
-        standing = read_standing(study.sessions / entry.participant)
+        standing = read_standing(folder)
     except (OSError, ValueError):
         return  # Whatever is wrong with plan or journals is for those to say who read them.
     pairs: list[tuple[str, object, object]] = [
@@ -284,10 +275,6 @@ def _find_edited(entry: Entry, study: StudyFolder) -> Iterator[str]:
     # The ledger may lag behind a journal, but what ends a session it only knows from there.
     if not standing.problem and (entry.anchors == standing.anchors or entry.state in {"finished", "released"}):
         pairs.append(("state", entry.state, standing.state))
-    if entry.total not in {0, standing.total}:
-        pairs.append(("total", entry.total, standing.total))
-    if entry.anchors == standing.anchors and entry.done > standing.done:
-        pairs.append(("done", entry.done, standing.done))
     for name, got, expected in pairs:
         if got != expected:
             yield (

@@ -72,7 +72,10 @@ class _Attempt:
         return {"trial": self.trial.number, "attempt": self.number}
 
     def take(self, part: Part, playback: Playback) -> None:
-        self.playbacks[part.name] = playback
+        before = self.playbacks.get(part.name)
+        # What was felt to its end stays felt, though it be cut short when it is felt again.
+        if before is None or not before.completed or playback.completed or playback.error:
+            self.playbacks[part.name] = playback
         self.time_s = playback.requested_s if playback.onset_s is None else playback.onset_s
 
     def list_unfelt(self) -> tuple[str, ...]:
@@ -203,7 +206,12 @@ def _describe_playback(playback: Playback) -> dict[str, Any]:
         "clipped": int(playback.clipped),
         "completed": bool(playback.completed),
         "error": playback.error,
+        **({"measured": measured} if (measured := _list_finite(playback.measured)) else {}),
     }
+
+
+def _list_finite(measured: Mapping[str, float]) -> dict[str, float]:
+    return {name: float(value) for name, value in measured.items() if isfinite(value)}
 
 
 def _feel_again(attempt: _Attempt, act: Feel) -> None:

@@ -104,6 +104,11 @@ def read_as_written(path: Path) -> Iterator[None]:
     path : Path
         The file, or the folder that holds it.
 
+    Yields
+    ------
+    None
+        Nothing.
+
     Raises
     ------
     ValueError

@@ -32,7 +32,7 @@ FORMAT = 1
 UNCOMPARED = ("format", "session", "versions", "system", "clock")
 """What may differ between a header and a later opening: other versions may go on with a session."""
 
-OPENING_EVENTS = ("clock_stepped", "recovered", "resumed")
+OPENING_EVENTS = ("clock_stepped", "device", "recovered", "resumed")
 """What an opening records before anybody has come back to work."""
 
 
@@ -107,7 +107,7 @@ def _settle_plan(path: Path, plan: Plan, *, is_begun: bool) -> Plan:
     if not path.exists():
         create_plan(path, plan)
     stored = require_plan(path)
-    remedy = "change it back, begin with another participant, or move sessions/ away"
+    remedy = f"change it back, begin with another participant, or move {path.parent.parent.name}/ away"
     if differences := compare_plans(stored, plan):
         raise ValueError(
             f"{path}: the study was changed since this plan was stored ({'; '.join(differences)}); {remedy}"
@@ -183,7 +183,7 @@ def _check_header(begun: Mapping[str, Any], header: Mapping[str, Any], *, path: 
     if differences := find_differences(begun, header, ignore=UNCOMPARED):
         raise ValueError(
             f"{path}: the session was begun otherwise ({'; '.join(differences)}); "
-            "change that back, begin with another participant, or move sessions/ away"
+            f"change that back, begin with another participant, or move {path.parent.parent.name}/ away"
         )
 
 

@@ -258,7 +258,7 @@ def require_plan(path: Path) -> Plan:
             f"{path}: got no plan, or one that was changed after it was stored; restore the file from a copy"
         )
     entry = json.loads(body)
-    if (stored := entry.pop("format")) != FORMAT:
+    if (stored := entry.pop("format", None)) != FORMAT:
         raise ValueError(f"{path}: got a plan of format {stored}, allowed is {FORMAT}; use the feel321 that wrote it")
     try:
         return _restore(entry, sha256=digest(body))

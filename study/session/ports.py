@@ -7,7 +7,7 @@ since the session began, on the presenter's own clock, which goes on where it st
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
@@ -38,6 +38,8 @@ class Playback:
         What the device reported; empty if all went well.
     act : Pause, Abort or None
         What the participant did that ended it before its time, beyond stopping it.
+    measured : mapping of str to float
+        What the device measured, such as its own time of the onset; empty where it measures nothing.
     """
 
     requested_s: float
@@ -47,6 +49,7 @@ class Playback:
     completed: bool = True
     error: str = ""
     act: Pause | Abort | None = None
+    measured: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

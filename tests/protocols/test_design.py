@@ -2,7 +2,6 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from itertools import combinations, pairwise, product
-from math import gcd
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocols.design import ORDERS, count_cycle, make_order
+from protocols.design import ORDERS, make_order
 from protocols.registry import PROTOCOLS
 from protocols.square import williams_square
 from protocols.tasks import make_task
@@ -181,19 +180,6 @@ def test_no_two_recordings_or_repeats_of_one_participant_share_an_order(items: l
 def test_two_conditions_change_their_order_from_repeat_to_repeat_where_other_recordings_stand_between() -> None:
     blocks = list_blocks(order(list_items(3, 2), repeats=2))
     assert all(blocks["realism", 1, str(r)] == blocks["realism", 2, str(r)][::-1] for r in range(3))
-
-
-@pytest.mark.parametrize(("n_recordings", "n_stimuli", "cycle"), [(3, 4, 12), (2, 6, 6), (1, 5, 10), (1, 1, 1)])
-def test_a_cycle_is_the_smallest_number_that_completes_every_square(
-    n_recordings: int, n_stimuli: int, cycle: int
-) -> None:
-    trials = order(list_items(n_recordings, n_stimuli), repeats=2)
-    assert count_cycle(trials) == cycle
-    assert all(gcd(cycle, len(williams_square(n))) == len(williams_square(n)) for n in (n_recordings, n_stimuli))
-
-
-def test_the_slots_of_a_page_take_part_in_the_cycle() -> None:
-    assert count_cycle(order(list_items(2, 5), tasks=["mushra"])) == 10
 
 
 @given(st.integers(0, 40), st.integers(2, 5))

@@ -11,9 +11,12 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from study.audit import audit_study
+from study.auditing.seal import make_seal
+from study.cli import main
 from study.folder import StudyFolder
 from study.ledger.rebuilding import rebuild_ledger
 from study.ledger.slots import open_ledger, rewrite_ledger
+from study.ledger.withdrawal import withdraw_participant
 from study.session.chain import START, digest, read_chain, write_line
 from study.session.journal import create_journal, read_journal, require_journal
 from study.workflow import build_study, simulate_study
@@ -22,6 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from study.ledger.entries import Entry
     from study.session.chain import Record
 
     Edit = Callable[[list[bytes]], list[bytes]]
@@ -58,6 +62,12 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> StudyFolder:
 def copy(whole: StudyFolder, tmp_path: Path) -> StudyFolder:
     shutil.copytree(whole.path, tmp_path / "copy")
     return StudyFolder(tmp_path / "copy")
+
+
+def take_as_it_is(study: StudyFolder) -> None:
+    """Make the ledger forget what it saw, the trace of that too."""
+    rebuild_ledger(study)
+    study.ledger_log.unlink(missing_ok=True)
 
 
 def find_only(study: StudyFolder) -> str:
@@ -110,9 +120,10 @@ def test_lines_cut_off_at_the_end_are_missed_by_the_ledger(copy: StudyFolder, ke
     journal.write_bytes(b"".join(lines[:kept]))
     left = len(lines[:kept])
     assert find_only(copy) == f"{journal}: ends with line {left}, {len(lines)} lines of it were seen"
-    # Once it was said, it can be taken as it is.
-    assert rebuild_ledger(copy) == [f"{journal}: ends with line {left}, {len(lines)} lines of it were seen"]
-    assert audit_study(copy) == []
+    # It can be taken as it is, but not without a trace.
+    (cut,) = rebuild_ledger(copy)
+    assert cut == f"{journal}: ends with line {left}, {len(lines)} lines of it were seen"
+    assert find_only(copy).endswith(f", and forgot: {cut.removeprefix(f'{copy.path}/')}")
 
 
 def test_a_chain_forged_as_a_whole_is_betrayed_by_the_ledger(copy: StudyFolder) -> None:
@@ -210,7 +221,7 @@ def test_an_edited_row_of_the_ledger_is_found(copy: StudyFolder, edit: dict[str,
         lambda known: [replace(e, **(edit if e.participant == "sim002" else {})) for e in known],
     )
     assert find_only(copy) == f"{copy.ledger}: {finding}; rebuild it: feel321 ledger {copy.path} --rebuild"
-    rebuild_ledger(copy)
+    take_as_it_is(copy)
     assert audit_study(copy) == []
 
 
@@ -223,7 +234,7 @@ def test_a_ledger_that_lags_behind_the_journals_is_no_finding(whole: StudyFolder
     """After a kill the journals know more than the ledger does; they are the truth."""
     lines = whole.journals[1].read_bytes().splitlines(keepends=True)
     copy.journals[1].write_bytes(b"".join(lines[:7]))
-    rebuild_ledger(copy)
+    take_as_it_is(copy)
     copy.journals[1].write_bytes(b"".join(lines))
     assert audit_study(copy) == []
 
@@ -250,7 +261,7 @@ def test_gaps_in_a_chain_that_holds_are_found(copy: StudyFolder, events: list[tu
     journal = create_journal(path, now=tell_time)
     for event, data in events:
         journal.write(event, header if data is None else data)
-    rebuild_ledger(copy)
+    take_as_it_is(copy)
     assert find_only(copy) == f"{path}{finding}"
 
 
@@ -259,13 +270,13 @@ def test_a_rating_given_twice_in_a_chain_that_holds_is_found(copy: StudyFolder) 
     records = list(read_journal(path).records)
     place = find_rated(path.read_bytes().splitlines())
     path.write_bytes(chain_anew([*records[: place + 1], *records[place:]]))
-    rebuild_ledger(copy)
+    take_as_it_is(copy)
     assert find_only(copy) == f"{path}, line {place + 2}: 'rated' of trial 1, attempt 1, which was not shown"
 
 
 def test_a_journal_that_never_got_its_header_is_no_finding(copy: StudyFolder) -> None:
     copy.journals[0].write_bytes(b"")
-    rebuild_ledger(copy)
+    take_as_it_is(copy)
     assert audit_study(copy) == []
 
 
@@ -284,6 +295,143 @@ def test_time_that_runs_backwards_without_a_word_is_found(copy: StudyFolder) -> 
     records = list(read_journal(path).records)
     records[4] = replace(records[4], utc="2001-01-01T00:00:00.000+00:00")
     path.write_bytes(chain_anew(records))
-    rebuild_ledger(copy)
+    take_as_it_is(copy)
     assert len(read_chain(path.read_bytes(), "").records) == len(records)
     assert find_only(copy) == f"{path}, line 5: is older than the line before, and nothing says why"
+
+
+def edit_entry(study: StudyFolder, name: str, **changes: Any) -> None:
+    def change(known: list[Entry]) -> list[Entry]:
+        return [replace(entry, **(changes if entry.participant == name else {})) for entry in known]
+
+    rewrite_ledger(open_ledger(study.ledger), change)
+
+
+@pytest.mark.parametrize(
+    ("changes", "finding"),
+    [
+        ({"done": 6}, "sim002 has done 6, the journals say 5"),
+        ({"total": 4}, "sim002 has total 4, the plan says 5"),
+        ({"anchors": ()}, "sim002 has no note of session-01.jsonl, which has 28 lines"),
+    ],
+)
+def test_a_ledger_that_says_more_than_the_journals_or_forgot_one_is_found(
+    copy: StudyFolder, changes: dict[str, Any], finding: str
+) -> None:
+    edit_entry(copy, "sim002", **changes)
+    assert find_only(copy) == f"{copy.ledger}: {finding}; rebuild it: feel321 ledger {copy.path} --rebuild"
+
+
+def test_a_ledger_that_is_damaged_is_found_once(copy: StudyFolder) -> None:
+    copy.ledger.write_bytes(b"no database, but longer than a header of one would be" * 20)
+    assert find_only(copy).startswith(f"{copy.ledger}: ")
+
+
+@pytest.mark.parametrize("events", [(), ("aborted",), ("released",)])
+def test_a_session_killed_in_its_opening_needs_no_note(copy: StudyFolder, events: tuple[str, ...]) -> None:
+    path = copy.journals[1]
+    path.write_bytes(path.read_bytes().splitlines(keepends=True)[0])
+    for event in events:
+        require_journal(path, now=tell_time).write(event, {"time_s": 0.0})
+    edit_entry(copy, "sim002", state="claimed", done=0, total=0, anchors=())
+    assert audit_study(copy) == []
+
+
+def test_what_lies_beside_a_tombstone_is_named(copy: StudyFolder) -> None:
+    back = (copy.sessions / "sim002" / "plan.json").read_bytes()
+    withdraw_participant(copy, "sim002", now=tell_time)
+    assert audit_study(copy) == []
+    (copy.sessions / "sim002" / "plan.json").write_bytes(back)
+    assert find_only(copy).startswith(f"{copy.sessions / 'sim002' / 'plan.json'}: lies beside a tombstone")
+
+
+def test_strangers_are_named_once_and_the_others_are_audited_still(copy: StudyFolder) -> None:
+    shutil.copytree(copy.sessions / "sim002", copy.sessions / "sim001 backup")
+    (copy.sessions / "@eaDir").mkdir()
+    (copy.sessions / "sim002" / "plan.json").write_bytes(b"{}")
+    findings = audit_study(copy)
+    assert [line.partition(": ")[0] for line in findings] == [
+        str(copy.sessions / name) for name in ("@eaDir", "sim001 backup", "sim002/plan.json")
+    ]
+    assert findings[0].endswith(f"is no participant's folder; move it out of {copy.sessions}")
+
+
+@pytest.mark.parametrize("body", [b'{\n "a": 1\n}', b'{\n "format": 2\n}', b'{\n "format": 2, "flow": 1\n}'])
+def test_a_sealed_plan_of_other_fields_is_a_finding(copy: StudyFolder, body: bytes) -> None:
+    path = copy.sessions / "sim001" / "plan.json"
+    path.write_bytes(body.removesuffix(b"\n}") + b',\n "sha256": "' + digest(body).encode() + b'"\n}\n')
+    assert find_only(copy).startswith(f"{path}: ")
+
+
+@pytest.mark.parametrize("changes", [{"utc": None}, {"utc": "now"}, {"event": 5}, {"data": []}])
+def test_a_malformed_record_hides_nobody_else(copy: StudyFolder, changes: dict[str, Any]) -> None:
+    first, second = copy.journals[:2]
+    records = list(read_journal(first).records)
+    records[-1] = replace(records[-1], **changes)
+    first.write_bytes(chain_anew(records))
+    second.write_bytes(second.read_bytes().replace(b"test", b"tent"))
+    findings = audit_study(copy)
+    assert any(line.startswith(str(first)) for line in findings)
+    assert any(line.startswith(f"{second}, line ") for line in findings)
+
+
+def test_progress_is_told_per_participant(copy: StudyFolder) -> None:
+    told: list[tuple[int, int]] = []
+    audit_study(copy, progress=lambda done, total: told.append((done, total)))
+    assert told == [(1, 3), (2, 3), (3, 3)]
+
+
+def test_the_seal_stays_wherever_the_study_lies_and_betrays_every_change(whole: StudyFolder, copy: StudyFolder) -> None:
+    seal = make_seal(whole)
+    assert make_seal(copy) == seal
+    (copy.path / "ratings.csv").unlink()
+    assert make_seal(copy) == seal, "what is derived does not count"
+    changed = [seal]
+    journal = copy.journals[0]
+    for path in (copy.stimuli / "manifest.json", copy.manifest, copy.sessions / "sim003" / "plan.json"):
+        path.write_bytes(path.read_bytes() + b" ")
+        changed.append(make_seal(copy))
+    create = require_journal(journal, now=tell_time)
+    create.write("aborted", {"reason": "", "time_s": 0.0})
+    changed.append(make_seal(copy))
+    withdraw_participant(copy, "sim002", now=tell_time)
+    changed.append(make_seal(copy))
+    assert len(set(changed)) == len(changed)
+
+
+def test_a_study_written_anew_as_a_whole_is_betrayed_by_the_seal(
+    copy: StudyFolder, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["audit", str(copy.path)]) == 0
+    seal = capsys.readouterr().out.splitlines()[-1].removeprefix("seal: ").removesuffix("; keep it elsewhere")
+    assert main(["audit", str(copy.path), "--expect", seal]) == 0
+    path = copy.journals[0]
+    records = list(read_journal(path).records)
+    place = find_rated(path.read_bytes().splitlines())
+    records[place] = replace(records[place], data={**records[place].data, "values": {"test": 100.0}})
+    path.write_bytes(chain_anew(records))
+    copy.ledger.unlink()
+    take_as_it_is(copy)
+    capsys.readouterr()
+    assert main(["audit", str(copy.path), "--expect", seal, "--json"]) == 1
+    told = json.loads(capsys.readouterr().out)
+    assert f"{copy.path}: got seal {told['seal']}, expected {seal}; something was recorded or changed since" in (
+        told["findings"]
+    )
+
+
+def test_a_manifest_that_is_gone_is_found(copy: StudyFolder) -> None:
+    (copy.stimuli / "manifest.json").unlink()
+    assert find_only(copy).startswith(f"{copy.stimuli / 'manifest.json'}: is missing or damaged")
+    copy.manifest.unlink()
+    assert find_only(copy).startswith(f"{copy.manifest}: there is no manifest")
+
+
+def test_a_study_in_which_nothing_was_done_gives_no_finding(tmp_path: Path) -> None:
+    assert audit_study(StudyFolder(tmp_path)) == []
+
+
+def test_a_set_that_nobody_was_planned_with_is_found(copy: StudyFolder) -> None:
+    copy.manifest.write_bytes(copy.manifest.read_bytes().replace(b"\r\n", b"\n"))
+    plans = [copy.sessions / f"sim00{number}" / "plan.json" for number in (1, 2, 3)]
+    assert audit_study(copy) == [f"{path}: names another stimulus set than the one that is built" for path in plans]

@@ -32,6 +32,32 @@ def test_pictures_and_texts_that_are_missing_are_named(study: StudyFolder, ask: 
     ]
 
 
+@pytest.mark.parametrize(
+    ("consent", "words"),
+    [
+        ("Read this. " * 300, "page 'consent': its text takes 2.5 screens, allowed is one; shorten it"),
+        ("w" * 120, f"page 'consent': got '{'w' * 120}', which fits on no line; break it"),
+    ],
+)
+def test_texts_that_no_screen_has_room_for_are_named(study: StudyFolder, consent: str, words: str) -> None:
+    text = study.settings.read_text(encoding="utf-8")
+    study.settings.write_text(f'{text}[session]\nconsent = "{consent}"\n', encoding="utf-8")
+    assert check_study(study)[1] == [f"texts in en: {words}"]
+
+
+def test_questions_and_labels_that_are_too_long_are_named(study: StudyFolder) -> None:
+    english = (CATALOG / "en.toml").read_text(encoding="utf-8")
+    long = english.replace('question = "', f'question = "{"How long. " * 30}', 1)
+    long = long.replace('_label = "', f'_label = "{"Not at all. " * 12}', 1)
+    (study.path / "own.toml").write_text(long, encoding="utf-8")
+    text = study.settings.read_text(encoding="utf-8")
+    study.settings.write_text(f'{text}[session]\nlanguage = "own.toml"\n', encoding="utf-8")
+    problems = check_study(study)[1]
+    assert len(problems) == 2
+    assert "its question takes" in problems[0]
+    assert "its longer label takes" in problems[1]
+
+
 def test_gaps_in_texts_are_all_named(study: StudyFolder, ask: list[str]) -> None:
     assert len(ask) == 2
     english = (CATALOG / "en.toml").read_text(encoding="utf-8")

@@ -117,11 +117,31 @@ def test_a_manifest_json_that_is_none_is_said_and_mended(content: bytes | None, 
     for problems in (check_study(built)[1], audit_study(built)):
         assert len(problems) == 1
         assert problems[0].startswith(f"{path}: is missing or damaged (")
-        assert problems[0].endswith("; write it anew with: feel321 build")
+        assert problems[0].endswith("was planned with this set, write it anew with: feel321 build")
     with pytest.raises(ValueError, match="is missing or damaged"):
         simulate(built)
     build_study(built)
     assert check_study(built)[1] == audit_study(built) == []
+
+
+@pytest.mark.parametrize("name", ["manifest.json", "manifest.csv"])
+@pytest.mark.parametrize("content", [None, b"\xff"])
+def test_a_set_of_which_nobody_can_tell_whether_it_is_in_use_is_not_replaced(
+    name: str, content: bytes | None, built: StudyFolder
+) -> None:
+    use(built)
+    change(built, "sax321", "say321")
+    (built.stimuli / name).unlink()
+    if content is not None:
+        (built.stimuli / name).write_bytes(content)
+    before = {path.name: path.read_bytes() for path in built.stimuli.iterdir()}
+    with pytest.raises(ValueError, match="nobody can tell whether sessions were run with this set") as caught:
+        build_study(built)
+    assert str(caught.value).endswith(f"; restore it from a copy, or move {built.sessions} away")
+    assert "\n" not in str(caught.value)
+    assert {path.name: path.read_bytes() for path in built.stimuli.iterdir()} == before
+    built.stimuli.rename(built.path / "elsewhere")  # Where nothing is left, nothing can be replaced.
+    build_study(built)
 
 
 def test_a_missing_set_is_a_finding_once_sessions_have_begun(study: StudyFolder) -> None:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from stimuli.manifest import StimulusSet
-    from study.session.plan import Design
+    from study.session.plan import Design, Plan
 
     Present = Callable[..., list[Any]]
 
@@ -105,6 +105,36 @@ def test_what_the_study_lead_should_know_is_counted(
         "training not passed",
         "2 of 2 catch trials not as expected",
     )
+
+
+@pytest.mark.parametrize(("numbers", "warning"), [((1,), "1 trial given up"), ((1, 5), "2 trials given up")])
+def test_trials_that_were_given_up_are_counted(
+    present: Present, scripted: type, plan: Plan, tmp_path: Path, numbers: tuple[int, ...], warning: str
+) -> None:
+    attempts = range(1, plan.flow.max_attempts + 1)
+    dry = {(number, attempt): [Playback(1.0, 1.0, underruns=1)] for number in numbers for attempt in attempts}
+    present(scripted(playbacks=dry))
+    (entry,) = read_status(StudyFolder(tmp_path)).participants
+    assert (entry.state, warning in entry.warnings) == ("finished", True)
+
+
+def test_records_of_another_make_are_the_problem_of_their_participant(
+    present: Present, scripted: type, design: Design, stimuli: StimulusSet, tmp_path: Path, now: Callable[[], datetime]
+) -> None:
+    for number, name in enumerate(("p01", "p02"), start=1):
+        plan = make_plan(design, stimuli, name, number=number, simulated=True)
+        with pytest.raises(KeyboardInterrupt):
+            present(scripted(stop_after=number), plan=plan)
+    require_journal(tmp_path / "sessions" / "p01" / "session-01.jsonl", now=now).write("rated", {"trial": 2})
+    broken, fine = read_status(StudyFolder(tmp_path)).participants
+    assert broken.problem.startswith(f"{tmp_path / 'sessions' / 'p01'}: holds what feel321 does not write (KeyError: ")
+    assert (fine.state, fine.done, fine.problem) == ("running", 2, "")
+
+
+def test_progress_counts_participants(begun: StudyFolder) -> None:
+    steps: list[tuple[int, int]] = []
+    read_status(begun, progress=lambda done, total: steps.append((done, total)))
+    assert steps == [(1, 1)]
 
 
 def test_status_is_blind(begun: StudyFolder, stimuli: StimulusSet) -> None:

@@ -76,6 +76,17 @@ def test_an_answer_counts_only_after_everything_was_felt_to_its_end(present: Pre
     assert not list_events(records, "rated")[0]["rejected"]
 
 
+@pytest.mark.parametrize(("underruns", "rejected"), [(0, False), (1, True)])
+def test_what_was_felt_to_its_end_stays_felt_though_cut_short_when_felt_again(
+    present: Present, scripted: type, underruns: int, rejected: bool
+) -> None:
+    whole, stopped = Playback(1.0, 1.0, underruns=underruns), Playback(2.0, 2.0, completed=False)
+    records = present(scripted(acts={(1, 1): [Feel(0.0), DONE]}, playbacks={(1, 1): [whole, stopped]}))
+    assert [event for event, _ in tell_first(records)][:5] == ["shown", "played", "replayed", "played", "rated"]
+    # Nor does it hide what was wrong with what was felt.
+    assert list_events(records, "rated")[0]["rejected"] == rejected
+
+
 def test_what_is_felt_once_and_cut_short_is_tried_again_later(
     present: Present, scripted: type, plan_task: Callable[..., Plan]
 ) -> None:

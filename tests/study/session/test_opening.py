@@ -166,6 +166,20 @@ def test_who_comes_back_late_warms_up(leave: Callable[..., list[Any]], practised
     assert rated_trials(records)[:6] == [*practice, 1, *practice, 2]
 
 
+def test_an_opening_that_was_broken_off_does_not_make_a_session_fresh(
+    present: Present, scripted: type, practised: Plan, folder: Path
+) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        present(scripted(stop_after=3), plan=practised)
+    path = folder / "session-01.jsonl"
+    later = datetime.fromisoformat(read_journal(path).records[-1].utc) + timedelta(hours=7)
+    journal = require_journal(path, now=lambda: later)
+    for event in ("resumed", "device"):
+        journal.write(event, {})
+    records = present(scripted(), plan=practised, now=lambda: later)
+    assert len(list_events(records, "warm_up")) == 1
+
+
 @pytest.mark.parametrize(
     ("policy", "hours", "after_h"), [("warm_up", 5.9, 6.0), ("continue", 99, 6.0), ("restart", 99, None)]
 )

@@ -21,6 +21,7 @@ from stimuli.manifest import StimulusSet, read_stimuli
 from study.audit import audit_study
 from study.folder import StudyFolder
 from study.lead import Room, lead_session
+from study.ledger.memory import list_forgotten
 from study.ledger.rebuilding import open_study_ledger
 from study.ledger.roster import write_roster
 from study.ledger.slots import claim_slots
@@ -173,8 +174,11 @@ class Session:
         room = Room(study, self.stimuli, read_scales("en"), ledger, Stale(6.0, self.policy), now)
         make_presenter = partial(self._make_presenter, memory=set())
         identity = {"presenter": identify_observer(MODEL, seed=3)}
-        while lead_session(room, plan, identity=identity, make_presenter=make_presenter)[0].stopped:
-            pass
+        with pytest.MonkeyPatch.context() as patch:
+            # Small sessions, noted as often as long ones are.
+            patch.setattr("study.lead.TRIALS_BETWEEN_NOTES", 3)
+            while lead_session(room, plan, identity=identity, make_presenter=make_presenter)[0].stopped:
+                pass
         write_roster(study)
         write_ratings(study, self.stimuli)
 
@@ -294,8 +298,17 @@ class Lab:
         self.compare(study, task, presenter, policy=policy, told=told)
         return study
 
-    def compare(self, study: StudyFolder, task: str, presenter: str, *, policy: str = "continue", told: str) -> None:
-        """Check that a study ended as the one that was never interrupted."""
+    def compare(
+        self,
+        study: StudyFolder,
+        task: str,
+        presenter: str,
+        *,
+        policy: str = "continue",
+        told: str,
+        forgotten: int = 0,
+    ) -> None:
+        """Check that a study ended as the one that was never interrupted; its ledger may have been rebuilt."""
         whole, _ = self._lead_whole(task, presenter)
         end = read_end(study, presenter, policy=policy)
         assert [r.event for r in read_journal(study.journals[-1]).records].count("finished") == 1, told
@@ -303,7 +316,8 @@ class Lab:
             whole = replace(whole, rated=tuple(entry for entry in whole.rated if entry[0] in list_main(study)))
         assert end.rated == whole.rated, told
         assert end.table == (strip(whole.table, "onset_s") if policy == "warm_up" else whole.table), told
-        assert audit_study(study) == [], told
+        assert audit_study(study) == list_forgotten(study), told
+        assert len(list_forgotten(study)) == forgotten, told
 
     def find_whole(self, task: str, presenter: str) -> StudyFolder:
         """Find the study that was never interrupted; not to be touched."""
@@ -361,11 +375,8 @@ def strip(rows: list[dict[str, str]], *columns: str) -> list[dict[str, str]]:
 
 
 @pytest.fixture(scope="session")
-def lab(tmp_path_factory: pytest.TempPathFactory, processes: Any) -> Iterator[Lab]:
+def lab(tmp_path_factory: pytest.TempPathFactory, processes: Any) -> Lab:
     study = StudyFolder(tmp_path_factory.mktemp("lab"))
     study.settings.write_text(STUDY, encoding="utf-8")
     build_study(study)
-    with pytest.MonkeyPatch.context() as patch:
-        # Small sessions, noted as often as long ones are.
-        patch.setattr("study.lead.TRIALS_BETWEEN_NOTES", 3)
-        yield Lab(study.path, read_stimuli(study.stimuli), processes)
+    return Lab(study.path, read_stimuli(study.stimuli), processes)

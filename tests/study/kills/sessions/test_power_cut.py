@@ -41,7 +41,7 @@ def check_cut(lab: Any, study: StudyFolder, presenter: str, *, n_bytes: int, tai
     moved = [path.read_bytes() for path in journal.parent.glob("*.torn*")]
     assert moved == ([torn] if torn else []), n_bytes
     assert recovered == ([{"torn_bytes": len(torn), "moved_to": f"{journal.name}.torn1"}] if torn else []), n_bytes
-    lab.compare(study, "abx", presenter, told=f"{presenter}, {n_bytes} bytes cut off")
+    lab.compare(study, "abx", presenter, told=f"{presenter}, {n_bytes} bytes cut off", forgotten=1)
 
 
 @pytest.mark.parametrize("presenter", ["observer", "scripted"])
@@ -83,4 +83,4 @@ def test_lines_that_the_ledger_saw_are_not_given_up_in_silence(lab: Any, n_bytes
     assert refusal in audit_study(study)
     assert rebuild_ledger(study) == [refusal]
     lab.session("abx", "observer").lead(study)
-    lab.compare(study, "abx", "observer", told="rebuilt")
+    lab.compare(study, "abx", "observer", told="rebuilt", forgotten=1)

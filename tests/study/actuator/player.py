@@ -1,0 +1,70 @@
+"""Plays on a rig by orders from stdin, in a process whose ALSA leads to a test's own server.
+
+Orders are JSON, one a line; every order but `start` and `stop` is answered by one line of JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from time import perf_counter, sleep
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from study.actuator.rig import read_rig
+from study.actuator.stream_output import StreamOutput, open_stream
+
+if TYPE_CHECKING:
+    from study.actuator.output import Delivery
+
+
+def main(folder: Path, *, rate_hz: float) -> None:
+    with np.load(folder / "sounds.npz") as stored:
+        sounds = dict(stored)
+    rig = read_rig(folder / "rig.toml")
+    try:
+        with open_stream(rig, sounds, rate_hz=rate_hz, folder=folder / "delivered", clock=perf_counter) as output:
+            say({"identity": dict(output.identity)})
+            for line in sys.stdin:
+                obey(output, **json.loads(line))
+    except OSError as error:
+        say({"refused": str(error)})
+
+
+def obey(output: StreamOutput, *, do: str, sound: str = "", gap_s: float = 0.0, after_s: float = 0.0) -> None:
+    if do == "start":
+        output.start(sound, gap_s=gap_s)
+    elif do == "stop":
+        output.stop()
+    elif do == "play":  # and stop it after a while, if that is asked
+        output.start(sound, gap_s=gap_s)
+        if after_s:
+            sleep(after_s)
+            stopped_s = perf_counter()
+            output.stop()
+            say({"stopped_s": stopped_s})
+        say(collect(output))
+    elif do == "collect":
+        say(collect(output))
+    elif do == "clock":
+        say({"clock_s": perf_counter()})
+
+
+def collect(output: StreamOutput) -> dict[str, Any]:
+    while output.is_playing:
+        sleep(0.002)
+    over_s = perf_counter()
+    delivery: Delivery = output.collect()
+    return {**asdict(delivery), "over_s": over_s}
+
+
+def say(what: object) -> None:
+    sys.stdout.write(json.dumps(what) + "\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), rate_hz=float(sys.argv[2]))

@@ -1,0 +1,78 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from study.actuator.devices import Device, check_channels, find_device
+from study.actuator.rig import ActuatorTable, LimitsTable, Rig, SensorTable
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+COILS = Device(0, "USB Audio: coils (hw:1,0)", "ALSA", 4, 0, 48000.0)
+COILS_JACK = Device(1, "USB Audio: coils (hw:1,0)", "JACK", 4, 0, 48000.0)
+PAIR = Device(2, "coils", "ALSA", 2, 1, 44100.0)
+SYSTEM = Device(4, "default", "ALSA", 32, 32, 48000.0)
+MICROPHONE = Device(3, "microphone", "ALSA", 0, 2, 48000.0)
+LIMITS = LimitsTable(peak_m_s2=10, rms_m_s2=5, duration_s=9)
+
+
+@pytest.mark.parametrize(
+    ("devices", "name", "host_api", "found"),
+    [
+        ([COILS, PAIR], "coils", None, PAIR),  # the whole name, though another has it as a part
+        ([COILS, MICROPHONE], "COILS", None, COILS),
+        ([COILS, COILS_JACK], "coils", "jack", COILS_JACK),
+    ],
+)
+def test_a_device_is_found_by_its_name_or_a_part_that_no_other_has(
+    devices: Sequence[Device], name: str, host_api: str | None, found: Device
+) -> None:
+    assert find_device(devices, name, host_api=host_api) == found
+
+
+@pytest.mark.parametrize(
+    ("devices", "name", "host_api", "message"),
+    [
+        ([COILS, PAIR], "headset", None, r"got 'headset', which is not there; allowed: 'USB Audio.*'coils' \(ALSA\)$"),
+        ([COILS, COILS_JACK], "coils", None, r"which 2 devices have in their names: .*\(JACK\); name one in full"),
+        ([COILS, COILS_JACK], COILS.name, None, "which 2 devices have"),
+        ([MICROPHONE], "microphone", None, "there is no output device at all; plug it in"),
+        ([COILS], "coils", "JACK", r"got 'coils' through JACK, which is not there; allowed: .*\(ALSA\)$"),
+        ([COILS], " ", None, "got ' ', which is not there"),
+        ([COILS, SYSTEM], "defa", None, "got 'defa', which is not there; allowed: 'USB Audio"),
+        ([SYSTEM], "defa", None, "there is no output device at all"),
+        ([COILS], "sysdefault", None, "may be another one tomorrow; allowed: 'USB Audio"),
+    ],
+)
+def test_nothing_is_taken_in_its_stead(
+    devices: Sequence[Device], name: str, host_api: str | None, message: str
+) -> None:
+    with pytest.raises(OSError, match=message):
+        find_device(devices, name, host_api=host_api)
+
+
+@pytest.mark.parametrize(
+    ("name", "host_api", "is_program"),
+    [
+        (COILS.name, "ALSA", False),
+        ("pulse", "ALSA", True),
+        ("stylus", "ALSA", True),
+        ("coils", "JACK Audio Connection Kit", True),
+        ("coils", "Windows DirectSound", True),
+        ("coils", "Windows WASAPI", False),
+        ("coils", "Core Audio", False),
+    ],
+)
+def test_a_program_before_the_card_is_known(name: str, host_api: str, is_program: bool) -> None:
+    assert Device(0, name, host_api, 2, 0, 48000.0).is_program is is_program
+
+
+def test_every_channel_that_the_rig_names_has_to_be_there() -> None:
+    third = (ActuatorTable(name="third", channel=3),)
+    check_channels(COILS, Rig(limits=LIMITS, actuators=third))
+    with pytest.raises(OSError, match=r"got 'coils' with 2 output channel\(s\), the rig needs 3; take another"):
+        check_channels(PAIR, Rig(limits=LIMITS, actuators=third))
+    with pytest.raises(OSError, match=r"with 1 input channel\(s\), the rig needs 2"):
+        check_channels(PAIR, Rig(limits=LIMITS, sensor=SensorTable(channel=2, full_scale_m_s2=9)))

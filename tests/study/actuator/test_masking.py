@@ -1,0 +1,144 @@
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
+
+from study.actuator.masking import Masker, make_pink
+
+RAMP, LEAD = 20, 50
+COLUMNS = [1, 2]
+
+
+def pink(n: int = 480_000, seed: int = 1) -> np.ndarray:
+    return make_pink(np.random.default_rng(seed), n_samples=n, rate_hz=48000.0)
+
+
+def test_pink_falls_by_ten_decibels_per_decade() -> None:
+    noise = np.stack([pink(seed=seed) for seed in range(4)])
+    power = np.mean(np.abs(np.fft.rfft(noise)) ** 2, axis=0)
+    frequencies = np.fft.rfftfreq(480_000, 1 / 48000)
+    edges = np.geomspace(25, 20000, 25)
+    bands = [(frequencies >= low) & (frequencies < high) for low, high in pairwise(edges)]
+    levels = [10 * np.log10(power[band].mean()) for band in bands]
+    middles = [np.log10(frequencies[band].mean()) for band in bands]
+    slope = np.polyfit(middles, levels, 1)[0]
+    assert slope == pytest.approx(-10, abs=0.15)
+    assert power[frequencies < 19].max() < 1e-9 * power.max()
+
+
+def test_pink_has_unit_level_and_comes_again_by_its_seed() -> None:
+    assert np.sqrt(np.mean(pink() ** 2)) == pytest.approx(1)
+    assert_array_equal(pink(seed=7), pink(seed=7))
+    assert np.abs(np.corrcoef(pink(seed=7), pink(seed=8))[0, 1]) < 0.05
+
+
+@pytest.mark.parametrize("n", [480_000, 9_999])
+def test_the_loop_does_not_click(n: int) -> None:
+    """The step from the last sample to the first is like all others, in the first and the second difference."""
+    noise = pink(n)
+    for order in (1, 2):
+        steps = np.abs(np.diff(noise, n=order))
+        seam = np.abs(np.diff(np.concatenate([noise[-order:], noise[:order]]), n=order))
+        assert seam.max() < 5 * np.sqrt(np.mean(steps**2))
+
+
+def masker(ramp: int = RAMP, lead: int = LEAD, noise: np.ndarray | None = None) -> Masker:
+    ones = np.ones(4096, dtype=np.float32)
+    return Masker(
+        ones if noise is None else noise, columns=COLUMNS, ramp_frames=ramp, lead_frames=lead, max_frames=4096
+    )
+
+
+def run(watch: Masker, n: int, *, frame: int = 0, size: int = 64) -> np.ndarray:
+    out = np.zeros((n, 3), dtype=np.float32)
+    for start in range(0, n, size):
+        watch.fill(out[start : start + size], frame + start)
+    assert not out[:, 0].any()
+    assert_array_equal(out[:, 1], out[:, 2])
+    return out[:, 1]
+
+
+@given(gap=st.integers(0, 200), length=st.integers(1, 300), size=st.integers(1, 400))
+def test_it_begins_before_and_ends_after(gap: int, length: int, size: int) -> None:
+    watch = masker()
+    onset = watch.cover(0, gap)
+    assert onset == max(gap, LEAD)
+    heard = run(watch, onset + length, size=size)
+    watch.release(onset + length)
+    tail = run(watch, 200, frame=onset + length, size=size)
+    begin = onset - LEAD
+    assert not heard[:begin].any()
+    assert heard[begin] > 0
+    assert np.all(np.diff(heard[begin : begin + RAMP]) > 0)
+    assert_array_equal(heard[begin + RAMP - 1 :], 1)
+    assert_array_equal(tail[: LEAD - RAMP], 1)
+    assert np.all(np.diff(tail[LEAD - RAMP - 1 : LEAD - 1]) < 0)
+    assert not tail[LEAD - 1 :].any()
+
+
+def test_where_it_still_is_nobody_waits() -> None:
+    watch = masker()
+    end = watch.cover(0, 0) + 10
+    run(watch, end)
+    watch.release(end)
+    assert watch.cover(end, 0) == end
+    assert_array_equal(run(watch, 300, frame=end), 1)
+
+
+def test_where_it_would_be_back_at_once_it_stays() -> None:
+    watch = masker()
+    end = watch.cover(0, 0) + 10
+    run(watch, end)
+    watch.release(end)
+    assert watch.cover(end, LEAD + 5) == end + LEAD + 5
+    assert_array_equal(run(watch, 300, frame=end), 1)
+
+
+def test_in_a_long_gap_it_goes_and_comes_again() -> None:
+    watch = masker()
+    end = watch.cover(0, 0) + 10
+    run(watch, end)
+    watch.release(end)
+    onset = watch.cover(end, 500)
+    heard = run(watch, 600, frame=end)
+    assert not heard[LEAD : onset - end - LEAD].any()
+    assert_array_equal(heard[onset - end - LEAD + RAMP :], 1)
+
+
+def test_what_never_began_leaves_no_noise() -> None:
+    watch = masker()
+    watch.cover(0, 500)
+    run(watch, 100)
+    watch.release(100)
+    assert not run(watch, 1000, frame=100).any()
+
+
+def test_what_is_stopped_while_it_comes_goes_again() -> None:
+    watch = masker()
+    watch.cover(0, LEAD)
+    run(watch, 10)
+    watch.release(10)
+    heard = run(watch, 200, frame=10)
+    assert not heard[LEAD:].any()
+    assert watch.cover(210, 0) == 210 + LEAD
+    assert_array_equal(run(watch, 300, frame=210)[RAMP:], 1)
+
+
+def test_without_ramp_and_lead_it_is_there_with_the_vibration() -> None:
+    watch = masker(ramp=0, lead=0)
+    assert watch.cover(0, 7) == 7
+    watch.release(20)
+    heard = run(watch, 40)
+    assert_array_equal(np.flatnonzero(heard), np.arange(7, 20))
+
+
+def test_the_noise_goes_on_over_its_seam() -> None:
+    noise = np.arange(1, 101, dtype=np.float32)
+    watch = Masker(noise, columns=COLUMNS, ramp_frames=1, lead_frames=1, max_frames=64)
+    watch.cover(0, 1)
+    assert_array_equal(run(watch, 256), np.resize(noise, 256))

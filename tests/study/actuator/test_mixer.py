@@ -1,0 +1,399 @@
+from __future__ import annotations
+
+import threading
+import tracemalloc
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
+
+from study.actuator.mixer import NOT_SCHEDULED, Cue, Mixer
+from study.actuator.rig import ActuatorTable, LimitsTable, MaskingTable, Rig, SyncTable
+
+RATE = 8000.0
+MASKED = MaskingTable(channels=(3, 4), rms=0.1, ramp_s=0.02, lead_s=0.05, seed=3)
+SYNC = SyncTable(channel=5, level=0.25, duration_s=0.01)
+LIMITS = LimitsTable(peak_m_s2=100.0, rms_m_s2=100.0, duration_s=60.0)
+COILS = (ActuatorTable(name="left", channel=1), ActuatorTable(name="right", channel=2))
+
+
+def make_rig(**tables: Any) -> Rig:
+    return Rig(**{"actuators": COILS, "limits": LIMITS, **tables})
+
+
+def make_sounds(rig: Rig, n: int = 3000, *, rms: float = 0.2) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(5)
+    sounds = {}
+    for name in ("a", "b"):
+        sound = np.zeros((n, rig.n_channels), dtype=np.float32)
+        sound[:, :2] = np.clip(rng.normal(0, rms, (n, 2)), -1, 1)
+        sounds[name] = sound
+    return sounds
+
+
+def make_mixer(*, preroll_s: float = 0.0, n: int = 3000, **tables: Any) -> tuple[Mixer, dict[str, np.ndarray]]:
+    rig = make_rig(**tables)
+    sounds = make_sounds(rig, n)
+    return Mixer(rig, sounds, rate_hz=RATE, preroll_s=preroll_s), sounds
+
+
+def fill(mixer: Mixer, n: int, sizes: list[int], channels: int) -> np.ndarray:
+    """What comes out in blocks of the given sizes, over and over; each block comes with rubbish in it."""
+    out, place, number = np.full((n, channels), 9.0, dtype=np.float32), 0, 0
+    while place < n:
+        size = sizes[number % len(sizes)]
+        mixer.fill(out[place : place + size])
+        place, number = place + size, number + 1
+    return out
+
+
+@settings(deadline=None)
+@given(sizes=st.lists(st.integers(1, 5000), min_size=1, max_size=6), gap=st.integers(0, 700))
+def test_what_comes_out_is_the_stimulus(sizes: list[int], gap: int) -> None:
+    mixer, sounds = make_mixer()
+    cue = mixer.start("a", gap_s=gap / RATE)
+    out = fill(mixer, 5000, sizes, 2)
+    assert_array_equal(out[gap : gap + 3000], sounds["a"])
+    assert not out[:gap].any()
+    assert not out[gap + 3000 :].any()
+    assert (cue.onset_frame, cue.n_played, cue.clipped, cue.is_over, cue.is_complete) == (gap, 3000, 0, True, True)
+    assert mixer.frame == 5000
+
+
+@settings(deadline=None, max_examples=30)
+@given(sizes=st.lists(st.integers(1, 5000), min_size=1, max_size=6), gap=st.integers(0, 700))
+def test_the_blocks_make_no_difference(sizes: list[int], gap: int) -> None:
+    """Not with masking, sync and a limiter that is at work either."""
+    limits = LimitsTable(peak_m_s2=40.0, rms_m_s2=10.0, duration_s=0.3)
+    outs = []
+    for partition in ([800], sizes):
+        mixer, _ = make_mixer(masking=MASKED, sync=SYNC, limits=limits)
+        cue = mixer.start("a", gap_s=gap / RATE)
+        outs.append((fill(mixer, 5000, partition, 5), cue.clipped, cue.onset_frame))
+    assert_array_equal(outs[0][0], outs[1][0])
+    assert outs[0][1:] == outs[1][1:]
+    assert outs[0][1] > 500
+
+
+def test_successive_stimuli_follow_in_order() -> None:
+    mixer, sounds = make_mixer()
+    outs = []
+    for name in "abab":
+        cue = mixer.start(name, gap_s=0.01)
+        while mixer.is_playing:
+            outs.append(fill(mixer, 128, [128], 2))
+        assert cue.is_complete
+    out = np.concatenate(outs)
+    place = 0
+    for name in "abab":
+        assert not out[place : place + 80].any()
+        assert_array_equal(out[place + 80 : place + 3080], sounds[name])
+        place += -(-3080 // 128) * 128
+
+
+def test_nothing_is_scheduled_in_the_preroll() -> None:
+    mixer, sounds = make_mixer(preroll_s=0.1)
+    cue = mixer.start("a", gap_s=0)
+    out = fill(mixer, 4000, [300], 2)
+    assert cue.onset_frame == 900  # the first block that begins after it
+    assert_array_equal(out[900:3900], sounds["a"])
+    assert not out[:900].any()
+
+
+@settings(deadline=None)
+@given(size=st.integers(1, 2000), before=st.integers(1, 20))
+def test_a_stop_is_silence_within_a_block(size: int, before: int) -> None:
+    mixer, sounds = make_mixer(n=50_000)
+    cue = mixer.start("a", gap_s=0)
+    out = fill(mixer, size * before, [size], 2)
+    assert_array_equal(out, sounds["a"][: len(out)])
+    mixer.stop()
+    last = fill(mixer, size, [size], 2)
+    fade = min(size, 40, 800)
+    assert not last[fade - 1 :].any()
+    assert np.all(np.abs(last[: fade - 1]) <= np.abs(sounds["a"][len(out) : len(out) + fade - 1]))
+    assert not mixer.is_playing
+    assert cue.is_over
+    assert not cue.is_complete
+    assert cue.n_played == len(out) + fade - 1
+    assert not fill(mixer, 500, [size], 2).any()
+
+
+def test_a_stop_fades_and_does_not_cut() -> None:
+    rig = make_rig()
+    mixer = Mixer(rig, {"a": np.full((3000, 2), 0.5, dtype=np.float32)}, rate_hz=RATE, preroll_s=0)
+    mixer.start("a", gap_s=0)
+    fill(mixer, 100, [100], 2)
+    mixer.stop()
+    steps = np.diff(np.concatenate([[0.5], fill(mixer, 100, [100], 2)[:, 0]]))
+    assert np.abs(steps).max() == pytest.approx(0.5 / 40, rel=1e-3)
+
+
+def test_a_stop_in_the_last_block_is_not_complete() -> None:
+    mixer, _ = make_mixer(n=130)
+    cue = mixer.start("a", gap_s=0)
+    fill(mixer, 100, [100], 2)
+    mixer.stop()
+    fill(mixer, 100, [100], 2)
+    assert (cue.is_over, cue.is_complete, cue.n_played) == (True, False, 129)
+
+
+def test_a_stop_in_the_gap_leaves_silence() -> None:
+    mixer, _ = make_mixer()
+    cue = mixer.start("a", gap_s=0.1)
+    fill(mixer, 100, [100], 2)
+    mixer.stop()
+    assert not fill(mixer, 3000, [100], 2).any()
+    assert (cue.is_over, cue.n_played, cue.onset_frame) == (True, 0, NOT_SCHEDULED)
+
+
+def test_a_stop_before_the_next_block_leaves_silence() -> None:
+    mixer, _ = make_mixer()
+    cue = mixer.start("a", gap_s=0)
+    mixer.stop()
+    assert mixer.is_playing
+    assert not fill(mixer, 100, [100], 2).any()
+    assert (cue.is_over, cue.onset_frame) == (True, NOT_SCHEDULED)
+    assert not mixer.is_playing
+
+
+def test_a_stop_before_the_first_sample_leaves_silence_and_no_sync() -> None:
+    mixer, _ = make_mixer(sync=SYNC)
+    cue = mixer.start("a", gap_s=0.1)
+    fill(mixer, 800, [100], 5)  # the next block would begin with it
+    mixer.stop()
+    assert not fill(mixer, 3000, [100], 5).any()
+    assert (cue.is_over, cue.n_played, cue.onset_frame) == (True, 0, NOT_SCHEDULED)
+
+
+def test_a_sync_pulse_is_a_sample_at_least_and_ends_with_a_stop() -> None:
+    mixer, _ = make_mixer(sync=SYNC.model_copy(update={"duration_s": 1e-9}))
+    mixer.start("a", gap_s=0)
+    assert_array_equal(np.flatnonzero(fill(mixer, 3000, [70], 5)[:, 4]), [0])
+    mixer, _ = make_mixer(sync=SYNC.model_copy(update={"duration_s": 0.2}))
+    mixer.start("a", gap_s=0)
+    assert_array_equal(np.unique(fill(mixer, 100, [100], 5)[:, 4]), [0.25])
+    mixer.stop()
+    out = fill(mixer, 500, [100], 5)
+    assert out[:100, 4].all()
+    assert not out[100:, 4].any()
+
+
+def test_a_device_that_begins_anew_begins_in_silence() -> None:
+    """Neither what was cut off nor what waits comes out of it, nor noise; what is started then is whole."""
+    mixer, sounds = make_mixer(masking=MASKED, sync=SYNC)
+    cut = mixer.start("a", gap_s=0)
+    fill(mixer, 1000, [100], 5)
+    waiting = mixer.start("b", gap_s=0)
+    mixer.reset()
+    assert (cut.is_over, cut.is_complete, waiting.is_over, mixer.is_playing) == (True, False, True, False)
+    assert not fill(mixer, 2000, [100], 5).any()
+    cue = mixer.start("b", gap_s=0)
+    out = fill(mixer, 4000, [100], 5)
+    assert cue.onset_frame == 3000 + 400
+    assert_array_equal(out[400:3400], sounds["b"] + out[400:3400] * [0, 0, 1, 1, 1])
+    assert 0 < abs(out[:10, 2]).max() < 0.01  # the noise comes in its ramp again
+
+
+def test_a_device_that_begins_anew_does_not_clear_the_limiters() -> None:
+    limits = LimitsTable(peak_m_s2=100.0, rms_m_s2=13.0, duration_s=60.0)
+    mixer, _ = make_mixer(n=4000, limits=limits)
+    clipped = []
+    for _ in range(2):
+        cue = mixer.start("a", gap_s=0)
+        fill(mixer, 4000, [100], 2)
+        clipped.append(cue.clipped)
+        mixer.reset()
+    assert clipped[1] > clipped[0]
+
+
+def test_nothing_comes_past_the_limiters() -> None:
+    """Were noise on the channel of an actuator (rig.toml refuses it), it would be limited as well."""
+    limits = LimitsTable(peak_m_s2=2.0, rms_m_s2=100.0, duration_s=60.0)
+    mixer, _ = make_mixer(limits=limits, masking=MASKED.model_copy(update={"channels": (1, 2)}))
+    mixer.start("a", gap_s=0)
+    out = fill(mixer, 5000, [100], 2)
+    assert np.abs(out).max() == pytest.approx(0.02)
+
+
+def test_a_stop_of_nothing_is_nothing() -> None:
+    mixer, _ = make_mixer()
+    mixer.stop()
+    assert not mixer.is_playing
+    assert not fill(mixer, 100, [100], 2).any()
+
+
+def test_what_is_started_stops_what_plays() -> None:
+    """Free switching: the old one fades within a block, the new one begins with the next, whole."""
+    mixer, sounds = make_mixer()
+    first = mixer.start("a", gap_s=0)
+    fill(mixer, 200, [100], 2)
+    second = mixer.start("b", gap_s=0)
+    out = fill(mixer, 3300, [100], 2)
+    assert first.is_over
+    assert not first.is_complete
+    assert not out[40:100].any()
+    assert_array_equal(out[100:3100], sounds["b"])
+    assert second.onset_frame == 300
+    assert second.is_complete
+
+
+def test_only_the_last_of_many_starts_is_heard() -> None:
+    mixer, sounds = make_mixer()
+    cues = [mixer.start(name, gap_s=0) for name in "abab"]
+    assert_array_equal(fill(mixer, 3000, [100], 2), sounds["b"])
+    assert [cue.is_over for cue in cues] == [True] * 4
+    assert [cue.is_complete for cue in cues] == [False, False, False, True]
+
+
+def test_masking_begins_before_and_ends_after_on_its_channels_only() -> None:
+    mixer, sounds = make_mixer(masking=MASKED)
+    cue = mixer.start("a", gap_s=0.1)  # 800 frames; the lead are 400
+    out = fill(mixer, 5000, [333], 4)
+    assert cue.onset_frame == 800
+    assert_array_equal(out[800:3800, :2], sounds["a"][:, :2])
+    assert_array_equal(out[:, 2], out[:, 3])
+    heard = np.flatnonzero(out[:, 2])
+    assert abs(heard[0] - 400) <= 5
+    assert abs(heard[-1] - 4200) <= 5
+    assert np.sqrt(np.mean(out[800:3800, 2] ** 2)) == pytest.approx(0.1, rel=0.3)
+
+
+def test_masking_makes_the_onset_wait_where_the_gap_is_short() -> None:
+    mixer, sounds = make_mixer(masking=MASKED)
+    cue = mixer.start("a", gap_s=0)
+    out = fill(mixer, 4000, [100], 4)
+    assert cue.onset_frame == 400
+    assert_array_equal(out[400:3400, :2], sounds["a"][:, :2])
+    assert not out[:400, :2].any()
+
+
+def test_masking_outlasts_a_stop() -> None:
+    mixer, _ = make_mixer(masking=MASKED)
+    mixer.start("a", gap_s=0)
+    fill(mixer, 1000, [100], 4)
+    mixer.stop()
+    out = fill(mixer, 1000, [100], 4)
+    assert not out[100:, :2].any()
+    assert out[100:300, 2].any()
+    assert not out[600:, 2].any()
+
+
+def test_masking_comes_again_by_its_seed() -> None:
+    outs = []
+    for seed in (3, 3, 4):
+        mixer, _ = make_mixer(masking=MASKED.model_copy(update={"seed": seed}))
+        mixer.start("a", gap_s=0)
+        outs.append(fill(mixer, 4000, [100], 4)[:, 2])
+    assert_array_equal(outs[0], outs[1])
+    assert np.abs(outs[0] - outs[2]).max() > 0.01
+
+
+@settings(deadline=None)
+@given(size=st.integers(1, 3000), gap=st.integers(0, 900))
+def test_the_sync_pulse_begins_with_the_stimulus(size: int, gap: int) -> None:
+    mixer, _ = make_mixer(masking=MASKED, sync=SYNC)
+    cue = mixer.start("a", gap_s=gap / RATE)
+    out = fill(mixer, 5000, [size], 5)
+    expected = np.zeros(5000, dtype=np.float32)
+    expected[cue.onset_frame : cue.onset_frame + 80] = 0.25
+    assert_array_equal(out[:, 4], expected)
+
+
+def test_the_limiter_is_told_in_the_cue() -> None:
+    limits = LimitsTable(peak_m_s2=20.0, rms_m_s2=100.0, duration_s=60.0)
+    strong = COILS[0].model_copy(update={"full_scale_m_s2": 50.0})
+    mixer, sounds = make_mixer(limits=limits, actuators=(strong, COILS[1]))
+    cue = mixer.start("a", gap_s=0)
+    out = fill(mixer, 3000, [100], 2)
+    peaks = np.array([0.4, 0.2], dtype=np.float32)
+    assert_array_equal(out, np.clip(sounds["a"], -peaks, peaks))
+    assert cue.clipped == np.count_nonzero(np.abs(sounds["a"]) > peaks)
+    assert cue.is_complete
+
+
+def test_free_switching_cannot_outwit_the_limiter() -> None:
+    """Two stimuli that are harmless each, in turn without a pause, stay within the RMS of any second."""
+    limits = LimitsTable(peak_m_s2=100.0, rms_m_s2=15.0, duration_s=60.0)
+    rig = make_rig(limits=limits)
+    sounds = make_sounds(rig, 4000)
+    mixer = Mixer(rig, sounds, rate_hz=RATE, preroll_s=0)
+    outs, clipped = [], []
+    for number in range(12):
+        cue = mixer.start("ab"[number % 2], gap_s=0)
+        outs.append(fill(mixer, 4000, [100], 2))
+        clipped.append(cue.clipped)
+    assert clipped[0] == 0
+    assert clipped[1] > 0
+    energy = np.cumsum(np.concatenate([np.zeros((1, 2)), np.concatenate(outs).astype(float) ** 2]), axis=0)
+    seconds = np.sqrt((energy[8000:] - energy[:-8000]) / 8000)
+    assert seconds.max() <= 0.15 * (1 + 1e-6)
+
+
+def test_what_was_not_loaded_is_refused() -> None:
+    mixer, _ = make_mixer()
+    with pytest.raises(ValueError, match="got stimulus 'c', allowed are the 2 that were loaded"):
+        mixer.start("c", gap_s=0)
+
+
+def test_filling_allocates_nothing_that_lasts() -> None:
+    mixer, _ = make_mixer(masking=MASKED, sync=SYNC)
+    block = np.zeros((512, 5), dtype=np.float32)
+
+    def play() -> None:
+        for number in range(200):
+            if number % 20 == 0:
+                mixer.start("a", gap_s=0.01)
+            mixer.fill(block)
+
+    play()
+    tracemalloc.start()
+    try:
+        play()
+        before = tracemalloc.get_traced_memory()[0]
+        tracemalloc.reset_peak()
+        for _ in range(5):
+            play()
+        after, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert after - before < 1000
+    assert peak - before < 8000  # less than a channel of a block: views, no samples
+
+
+def test_filling_takes_a_small_part_of_the_time_that_it_fills() -> None:
+    mixer, _ = make_mixer(masking=MASKED, sync=SYNC, n=80_000)
+    block = np.zeros((800, 5), dtype=np.float32)  # 0.1 s
+    mixer.start("a", gap_s=0)
+    took = []
+    for _ in range(100):
+        begin = perf_counter()
+        mixer.fill(block)
+        took.append(perf_counter() - begin)
+    assert np.median(took) < 0.01
+
+
+def test_starts_and_stops_from_another_thread_lose_no_cue() -> None:
+    mixer, _ = make_mixer(n=200)
+    cues: list[Cue] = []
+    done = threading.Event()
+
+    def hurry() -> None:
+        rng = np.random.default_rng(1)
+        for _ in range(2000):
+            cues.append(mixer.start("ab"[int(rng.integers(2))], gap_s=0))
+            if rng.random() < 0.3:
+                mixer.stop()
+        done.set()
+
+    thread = threading.Thread(target=hurry)
+    block = np.zeros((64, 2), dtype=np.float32)
+    thread.start()
+    while not done.is_set() or mixer.is_playing:
+        mixer.fill(block)
+    thread.join()
+    assert all(cue.is_over for cue in cues)

@@ -1,0 +1,46 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from study.auditing.steps import audit_steps
+from study.session.plan import make_plan
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from stimuli.manifest import StimulusSet
+    from study.session.chain import Record
+    from study.session.plan import Design, Plan
+
+    Edit = Callable[[list[Record]], list[Record]]
+
+
+@pytest.fixture
+def finished(present: Callable[..., list[Record]], scripted: type) -> list[Record]:
+    """The records of a finished session of realism and similarity."""
+    return present(scripted())
+
+
+@pytest.fixture
+def find(plan: Plan) -> Callable[[list[Record]], list[str]]:
+    """What the audit finds in records, numbered on as an edited chain would be."""
+
+    def audit(records: list[Record], plan: Plan = plan) -> list[str]:
+        return list(audit_steps([replace(r, sequence=place) for place, r in enumerate(records)], plan))
+
+    return audit
+
+
+@pytest.fixture
+def plan_task(design: Design, stimuli: StimulusSet) -> Callable[..., Plan]:
+    """The plan of a session with one task."""
+    from protocols.tasks import make_task
+
+    def make(name: str, **options: Any) -> Plan:
+        task = make_task(name, **options)
+        return make_plan(replace(design, tasks=(task,)), stimuli, "p01", number=1, simulated=True)
+
+    return make

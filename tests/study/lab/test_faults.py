@@ -1,0 +1,196 @@
+"""What puts an end to a session, or nearly: the journal is whole, the device silent, and the session goes on."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import time
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from protocols.texts import read_scales, read_texts
+from protocols.trial import Judgement, Part, Trial
+from study.audit import audit_study
+from study.cli import main
+from study.folder import StudyFolder
+from study.screen.layout import compose
+from study.screen.views import View
+from study.screen.wording import make_screen_texts
+from study.session.ports import Place
+from study.status import read_status
+from study.workflow import analyze_study
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+HAND = ("--simulate-participant",)
+TOTAL = 8
+"""Trials of a session of realism."""
+
+INTERRUPTED = "feel321: interrupted; what is done is kept, the same command goes on"
+
+STREAM = "pulse"
+"""The device of the private PulseAudio as PortAudio lists it."""
+
+
+def check_whole(study: StudyFolder) -> None:
+    """Demand a session that is finished, and nothing that is not as it was written."""
+    entry = read_status(study).participants[0]
+    assert (entry.state, entry.done, entry.left) == ("finished", TOTAL, 0)
+    assert audit_study(study) == []
+
+
+def tell_how_to_go_on(study: StudyFolder, participant: str, *options: str) -> str:
+    return f"go on with: feel321 run {study.path} --participant {participant}{''.join(f' {word}' for word in options)}"
+
+
+def ask_to_close(display: str, window: int) -> None:
+    """Ask a window to close as its button does."""
+    from Xlib.display import Display
+    from Xlib.protocol.event import ClientMessage
+
+    server = Display(display)
+    protocols, delete = (server.intern_atom(name) for name in ("WM_PROTOCOLS", "WM_DELETE_WINDOW"))
+    target = server.create_resource_object("window", window)
+    target.send_event(ClientMessage(window=target, client_type=protocols, data=(32, [delete, 0, 0, 0, 0])))
+    server.sync()
+    server.close()
+
+
+def test_killed_in_the_middle_it_resumes_and_is_analysed(rig: Any, make_study: Callable[..., StudyFolder]) -> None:
+    study = make_study("realism", device=STREAM)
+    session = rig.start(study, "sim001", *HAND)
+    session.wait_for("rated", 3)
+    session.wait_for("shown", 4)
+    session.send(signal.SIGKILL)
+    session.finish()
+    rated = session.count("rated")
+    code, out, err = rig.run(study, "sim001", *HAND)
+    assert (code, err) == (0, "")
+    assert out.startswith(f"sim001: {rated} of {TOTAL} done so far\n")
+    check_whole(study)
+    report = analyze_study(study)
+    assert json.loads((report / "results.json").read_text(encoding="utf-8"))
+    played = [record.data for record in session.records if record.event == "played"]
+    assert all(entry["measured"]["n_samples"] == 7200 for entry in played if entry["completed"])
+    assert rig.run(study, "sim001", *HAND) == (0, f"sim001: all {TOTAL} done\n", "")
+
+
+@pytest.mark.parametrize(("number", "reason"), [(signal.SIGINT, "KeyboardInterrupt"), (signal.SIGTERM, "Terminated")])
+def test_interrupted_it_says_how_to_go_on(
+    lab: Any, make_study: Callable[..., StudyFolder], number: signal.Signals, reason: str
+) -> None:
+    study = make_study("realism")
+    session = lab.start(study, "sim001", *HAND)
+    session.wait_for("rated", 2)
+    session.wait_for("played", 3)  # a signal in the middle of a record closes the journal without a last word
+    time.sleep(0.1)
+    session.send(number)
+    code, _, err = session.finish()
+    done = session.count("rated")
+    line = f"sim001: {done} of {TOTAL} done (aborted: {reason}); {tell_how_to_go_on(study, 'sim001', *HAND)}"
+    assert (code, err.splitlines()) == (130, [line, INTERRUPTED])
+    assert session.records[-1].event == "aborted"
+    assert audit_study(study) == []
+
+
+@pytest.mark.parametrize("way", ["asked to close", "destroyed"])
+def test_a_window_that_is_closed_ends_it_for_today(
+    lab: Any, make_study: Callable[..., StudyFolder], way: str
+) -> None:
+    study = make_study("realism")
+    session = lab.start(study, "p01", "--windowed")
+    session.wait_for("device")
+    window = session.find_window()
+    session.press("Return", "Return")
+    if way == "destroyed":
+        subprocess.run(["xdotool", "windowclose", window], env=lab.env, check=True)
+    else:
+        ask_to_close(lab.env["DISPLAY"], int(window))
+    code, _, err = session.finish()
+    assert code == 1
+    assert err.splitlines() == [
+        f"p01: 0 of {TOTAL} done (aborted: the window was closed); "
+        + tell_how_to_go_on(study, "p01", "--windowed")
+    ]
+    assert session.records[-1].data["reason"] == "the window was closed"
+    assert audit_study(study) == []
+
+
+def test_a_sound_server_that_dies_in_a_trial_costs_nothing_but_time(
+    rig: Any, sound: Any, make_study: Callable[..., StudyFolder]
+) -> None:
+    study = make_study("realism", device=STREAM)
+    session = rig.start(study, "sim001", *HAND)
+    session.wait_for("rated", 2)
+    shown = session.count("shown")
+    session.wait_for("shown", shown + 1)
+    sound.kill()
+    session.wait_for("spoiled")
+    sound.start()
+    code, _, err = session.finish()
+    spoiled = [record.data["flags"] for record in session.records if record.event == "spoiled"]
+    assert spoiled[0] == ["device_error"]
+    if code:
+        assert "the device failed twice in a row" in err
+        assert rig.run(study, "sim001", *HAND)[::2] == (0, "")
+    check_whole(study)
+
+
+def test_a_rehearsal_lies_apart_and_is_no_data(
+    lab: Any, make_study: Callable[..., StudyFolder], capsys: pytest.CaptureFixture[str]
+) -> None:
+    study = make_study("realism")
+    session = lab.start(study, "p01", "--rehearse", *HAND)
+    session.wait_for("rated")
+    assert session.records[0].data["presenter"]["rehearsal"] is True
+    assert not study.sessions.exists()
+    session.send(signal.SIGTERM)
+    assert tell_how_to_go_on(study, "p01", "--rehearse", *HAND) in session.finish()[2]
+    assert read_status(study).participants == ()
+    apart = StudyFolder(study.path, is_rehearsal=True)
+    assert read_status(apart).participants[0].done == session.count("rated")
+    assert audit_study(apart) == []
+    assert main(["audit", str(study.path), "--rehearsals"]) == 0
+    assert capsys.readouterr().out.startswith(f"{study.path}: 1 journals, all as they were written")
+    assert main(["status", str(study.path), "--rehearsals"]) == 0
+    assert "p01 " in capsys.readouterr().out
+
+
+def answer_by_keys(session: Any, *, is_felt: bool) -> None:
+    session.press(*(("7", "5", "Return") if is_felt else ("Return",)))
+
+
+def answer_by_mouse(session: Any, *, is_felt: bool) -> None:
+    """Click where the layout has slider and button on the whole screen of 1024 by 768 pixels."""
+    trial = Trial(1, 1, 1, "realism", "realism", "replay", "bumps", (Part("test", "s1"),), (Judgement("test", "s1"),))
+    texts, scale = make_screen_texts(read_texts()), read_scales()["realism"]
+    view = View("slider", "answering", 1, Place(0, TOTAL), trial=trial, scale=scale)
+    targets = {target.name: target for target in compose(view, texts, size=(1024, 768)).targets}
+    track, button = targets["mark"].track, targets["confirm"].box
+    if is_felt:
+        session.click(track.left + 0.75 * track.width, track.top + track.height / 2)
+    session.click(button.left + button.width / 2, button.top + button.height / 2)
+
+
+@pytest.mark.parametrize("answer", [answer_by_keys, answer_by_mouse])
+def test_xdotool_alone_leads_through_realism(
+    lab: Any, make_study: Callable[..., StudyFolder], answer: Callable[..., None]
+) -> None:
+    """Somebody else's hand: blind, by what the journal holds, with keys alone and with the mouse alone."""
+    study = make_study("realism")
+    session = lab.start(study, "p01")
+    session.wait_for("device")
+    end_s = time.monotonic() + 3 * session.patience_s
+    while session.count("finished") == 0:
+        assert time.monotonic() < end_s, [record.event for record in session.records][-5:]
+        answer(session, is_felt=session.records[-1].event in {"played", "moved", "refused"})
+        time.sleep(0.1)
+    code, _, err = session.finish()
+    assert (code, err) == (0, "")
+    values = [record.data["values"]["test"] for record in session.records if record.event == "rated"]
+    assert values == [75.0] * TOTAL
+    check_whole(study)
+    assert not read_status(study).participants[0].simulated

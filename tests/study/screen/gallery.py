@@ -1,0 +1,149 @@
+"""Every kind of screen: as views for the tests of the layout, and as pictures for people to look at.
+
+Run it by itself, on a display: gallery.py FOLDER LANGUAGE WIDTH HEIGHT
+"""
+
+from __future__ import annotations
+
+import struct
+import sys
+import time
+import zlib
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from protocols.flow import PAGES, Page
+from protocols.registry import PROTOCOLS
+from protocols.texts import read_texts
+from protocols.trial import Judgement, Part, Trial
+from study.screen.fonts import measure
+from study.screen.layout import compose
+from study.screen.shapes import LEADING, Text
+from study.screen.views import View
+from study.screen.window import open_screen
+from study.screen.wording import make_screen_texts
+from study.session.ports import Place
+
+if TYPE_CHECKING:
+    from protocols.trial import Scale
+    from study.screen.window import Window
+
+PARTS = {
+    "realism": (Part("test", "s1"),),
+    "touched": (Part("surface", surface="felt"), Part("test", "s1")),
+    "similarity": (Part("reference", "s0"), Part("test", "s1")),
+    "dissimilarity": (Part("first", "s0"), Part("second", "s1")),
+    "abx": (Part("a", "s0"), Part("b", "s1"), Part("x", "s0")),
+    "mushra": (Part("reference", "s0"), *(Part(str(n), f"s{n}") for n in range(1, 13))),
+}
+JUDGED = {"abx": ("x",), "dissimilarity": ("second",), "mushra": tuple(str(n) for n in range(1, 13))}
+
+
+def make_trial(name: str, *, timing: str = "", rows: int = 12) -> Trial:
+    protocol = PROTOCOLS["realism" if name == "touched" else name]
+    parts = PARTS[name][: rows + 1]
+    judged = JUDGED.get(name, ("test",))[:rows]
+    return Trial(
+        number=3,
+        block=1,
+        repeat=1,
+        protocol=protocol.name,
+        scale=protocol.scale,
+        timing=timing or protocol.timings[0],
+        recording="felt",
+        parts=parts,
+        judgements=tuple(Judgement(part, "s1") for part in judged),
+    )
+
+
+def make_views(scales: dict[str, Scale], texts: dict, *, picture: Path | None = None) -> dict[str, View]:
+    """Every page, and every kind of trial in every state, with the longest notices."""
+    place = Place(12, 80)
+    views = {}
+    keys = [*(key for key in PAGES if key != "instructions"), *(f"instructions.{name}" for name in PROTOCOLS)]
+    for number, key in enumerate(keys):
+        by = "experimenter" if key == "training_failed" else "participant"
+        left_s = 27 if key in {"break", "rest"} else 0
+        notice = texts["prompts"]["end_next"] if key == "pause" else ""
+        notice = texts["refusals"]["too_early"] if left_s else notice
+        views[f"page {key}"] = View(
+            "page", "reading", number, place, page=Page(key, 60.0 if left_s else 0.0, by), left_s=left_s, notice=notice
+        )
+    names = ", ".join(texts["parts"].get(name, name) for name in ("reference", "test"))
+    missing = texts["refusals"]["not_felt"].format(parts=names)
+    for name in PARTS:
+        trial = make_trial(name)
+        kind = {"abx": "choice", "mushra": "rows"}.get(name, "slider")
+        parts = [part.name for part in trial.parts]
+        judged = [judgement.part for judgement in trial.judgements]
+        shown = picture if name in {"touched", "realism"} else None
+        base = {"trial": trial, "scale": scales[trial.scale], "picture": shown, "sample": "Cotton"}
+        views[f"{name} feeling"] = View(
+            kind, "feeling", 50, place, **base, playing=parts[-1], felt=frozenset(parts[:-1]), selected=judged[0]
+        )
+        views[f"{name} fresh"] = View(
+            kind, "answering", 50, place, **base, felt=frozenset(parts), selected=judged[0], notice=missing
+        )
+        markers = {part: 100.0 if n == 0 else 7.0 * n for n, part in enumerate(judged)} if kind != "choice" else {}
+        views[f"{name} answered"] = View(
+            kind,
+            "answering",
+            50,
+            place,
+            **base,
+            felt=frozenset(parts),
+            markers=markers,
+            selected=judged[-1],
+            chosen="b",
+        )
+    trial = make_trial("touched")
+    views["touched stroking"] = View(
+        "slider", "stroking", 51, place, trial=trial, scale=scales["realism"], playing="surface", picture=picture,
+        sample="Cotton on foam, sample 14", selected="test",
+    )
+    trial = make_trial("mushra", rows=5)
+    views["mushra of five"] = View(
+        "rows", "answering", 52, place, trial=trial, scale=scales["mushra"], markers={"2": 44.0}, selected="3"
+    )
+    return views
+
+
+def write_picture(path: Path) -> Path:
+    """A picture of stripes, as a surface may look like."""
+    size = 300
+    rows = b"".join(b"\0" + bytes(120 + (x * y // 40) % 120 for x in range(size)) for y in range(size))
+    head = struct.pack(">2I5B", size, size, 8, 0, 0, 0, 0)
+    chunks = [(b"IHDR", head), (b"IDAT", zlib.compress(rows)), (b"IEND", b"")]
+    body = b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks
+    )
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + body)
+    return path
+
+
+def check_widths(window: Window) -> None:
+    """The window's own letters are no wider than the layout took them for."""
+    for item, stimulus in window.easel.drawn.items():
+        if isinstance(item, Text):
+            width, height = stimulus.boundingBox
+            assert width <= measure(item.words, item.size, bold=item.bold) + 2, item
+            assert height <= item.size * LEADING, item
+
+
+def save_gallery(folder: Path, language: str, size: tuple[int, int]) -> None:
+    """Save a picture of every screen."""
+    from protocols.texts import read_scales
+
+    tables = read_texts(language)
+    views = make_views(read_scales(language), tables, picture=write_picture(folder / "surface.png"))
+    texts = make_screen_texts(tables)
+    with open_screen(clock=time.perf_counter) as window:
+        assert window.size == size
+        for name, view in views.items():
+            window.show(compose(view, texts, size=window.size).items)
+            check_widths(window)
+            window.capture(folder / f"{name} {language} {size[0]}x{size[1]}.png".replace(" ", "_"))
+
+
+if __name__ == "__main__":
+    save_gallery(Path(sys.argv[1]), sys.argv[2], (int(sys.argv[3]), int(sys.argv[4])))

@@ -1,0 +1,126 @@
+"""Leads a participant through steps with a real window and a silent output, and tells on stdout what happens.
+
+Run on a display: lead.py JSON, where JSON holds `steps`, `size`, `language` and more; see `main`.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from dataclasses import asdict
+from pathlib import Path
+from runpy import run_path
+from typing import Any
+
+from protocols.flow import Flow, Page
+from protocols.texts import read_scales, read_texts
+from study.actuator.output import Delivery
+from study.screen.layout import compose
+from study.screen.presenter import ScreenPresenter
+from study.screen.views import Hand, View
+from study.screen.window import Window, open_screen
+from study.screen.wording import make_screen_texts
+from study.session.conduct import Stage, Stopped, conduct_page, conduct_trial
+from study.session.ports import Place
+from study.settings.sources import Surface
+
+STARTED = time.perf_counter()
+
+gallery = run_path(str(Path(__file__).with_name("gallery.py")))
+
+
+def tell(**words: Any) -> None:
+    print(json.dumps(words), flush=True)  # noqa: T201 - the test reads this
+
+
+def clock() -> float:
+    return time.perf_counter() - STARTED
+
+
+class SilentOutput:
+    """Plays nothing for as long as it is told to."""
+
+    def __init__(self, duration_s: float) -> None:
+        self.duration_s = duration_s
+        self.began_s = self.ends_s = 0.0
+        self.was_stopped = False
+
+    def start(self, stimulus: Any, *, gap_s: float) -> None:  # noqa: ARG002 - the form of an output
+        self.began_s = clock() + gap_s
+        self.ends_s = self.began_s + self.duration_s
+        self.was_stopped = False
+
+    @property
+    def is_playing(self) -> bool:
+        return clock() < self.ends_s
+
+    def stop(self) -> None:
+        if self.is_playing:
+            self.was_stopped, self.ends_s = True, clock()
+            tell(stopped=clock())
+
+    def collect(self) -> Delivery:
+        return Delivery(self.began_s, self.began_s, completed=not self.was_stopped, measured={"dac_time_s": 1.0})
+
+
+class Watcher(Hand):
+    """Tells what is on the screen whenever that changes, and what can be clicked."""
+
+    def __init__(self, texts: Any, window: Window) -> None:
+        self.texts, self.window, self.last = texts, window, None
+
+    def watch(self, view: View) -> None:
+        if view == self.last:
+            return
+        self.last = view
+        targets = compose(view, self.texts, size=self.window.size).targets
+        tell(
+            view={
+                **{name: getattr(view, name) for name in ("kind", "state", "screen", "playing", "notice", "typed")},
+                **{name: getattr(view, name) for name in ("selected", "chosen", "left_s")},
+                "page": view.page.key if view.page else "",
+                "felt": sorted(view.felt),
+                "markers": dict(view.markers),
+                "targets": {f"{t.name} {t.part}".strip(): asdict(t.track or t.box) for t in targets},
+            },
+            time_s=clock(),
+        )
+
+
+class Journal:
+    """Tells what would be written."""
+
+    def write(self, event: str, data: dict[str, Any]) -> None:
+        tell(event=event, **data)
+
+
+def conduct(step: dict[str, Any], stage: Stage) -> None:
+    if "page" in step:
+        conduct_page(Page(**{"key": step.pop("page"), **step}), Place(12, 80), stage)
+    else:
+        conduct_trial(gallery["make_trial"](step.pop("trial"), **step), Place(12, 80), stage)
+
+
+def main(spec: dict[str, Any]) -> None:
+    tables = read_texts(spec.get("language", "en"))
+    texts, scales = make_screen_texts(tables), read_scales(spec.get("language", "en"))
+    output = SilentOutput(spec.get("duration_s", 0.3))
+    picture = Path(spec["picture"]) if "picture" in spec else None
+    surfaces = {"felt": Surface("Cotton", picture)}
+    with open_screen(clock=clock, windowed=spec.get("windowed", False), size=spec.get("size")) as window:
+        watcher = Watcher(texts, window)
+        presenter = ScreenPresenter(window, output, texts, clock=clock, surfaces=surfaces, hand=watcher)
+        stage = Stage(presenter, dict.fromkeys(f"s{n}" for n in range(13)), scales, Journal(), Flow(gap_s=0.1))
+        try:
+            for step in spec["steps"]:
+                conduct(step, stage)
+        except Stopped as stop:
+            tell(event="ended", reason=stop.args[0])
+        finally:
+            tell(frames=asdict(window.frames))
+    tell(event="closed")
+
+
+if __name__ == "__main__":
+    main(json.loads(sys.argv[1]))

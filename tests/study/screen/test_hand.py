@@ -1,0 +1,236 @@
+"""The hand before a screen that obeys keys as the real one does, some of which get lost."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import pytest
+
+from protocols.flow import Page
+from protocols.texts import read_scales
+from protocols.trial import Judgement, Part, Trial
+from stimuli.manifest import Stimulus
+from study.casting import tell_person
+from study.observer.participant import Participant
+from study.observer.raters import ObserverModel
+from study.observer.simulated import SimulatedObserver
+from study.screen.hand import THINKING_S, PressingHand
+from study.screen.views import View
+from study.session.ports import Place
+
+SCALES = read_scales()
+KINDS = {"realism": "slider", "similarity": "slider", "mushra": "rows", "abx": "choice"}
+MODEL = ObserverModel(
+    intercept=50.0,
+    spectral=20.0,
+    temporal=20.0,
+    bias_sd=6.0,
+    gain_sd=0.1,
+    noise_sd=25.0,
+    noise_spread=0.2,
+    order=0.2,
+)
+FRAME_S = 0.02
+NAMES = {"realism": ("test",), "similarity": ("reference", "test"), "abx": ("a", "b", "x")}
+
+
+def make_stimulus(name: str, match: float) -> Stimulus:
+    return Stimulus(
+        name, "oak", name, "as_is", "test", f"{name}.wav", 48000.0, 9600, 0.2, 0.5, 1.0, 1.0, match, match, 0, "", ""
+    )
+
+
+STIMULI = {f"code{n}": make_stimulus(f"s{n}", n / 10) for n in range(6)}
+
+
+def make_trial(number: int, protocol: str) -> Trial:
+    names = NAMES.get(protocol, ("reference", "1", "2", "3", "4"))
+    parts = tuple(Part(name, f"code{(number + place) % 6}") for place, name in enumerate(names))
+    judged = parts[1:] if protocol == "mushra" else parts[-1:]
+    reference = None if protocol == "realism" else parts[0].stimulus_id
+    judgements = tuple(Judgement(part.name, str(part.stimulus_id), reference) for part in judged)
+    timing = "free" if protocol == "mushra" else "replay"
+    return Trial(number, 1, 1, protocol, protocol, timing, "oak", parts, judgements)
+
+
+@dataclass
+class Screen:
+    """Obeys keys; of those in `lost` (counted from 1) it hears nothing."""
+
+    view: View
+    lost: set[int] = field(default_factory=set)
+    pressed: list[str] = field(default_factory=list)
+    released: list[str] = field(default_factory=list)
+    confirmed: bool = False
+    typed_frames: int = 0
+
+    def press(self, key: str) -> None:
+        assert len(self.pressed) == len(self.released)  # one key at a time
+        self.pressed.append(key)
+        if len(self.pressed) not in self.lost:
+            self.obey(key)
+
+    def release(self, key: str) -> None:
+        self.released.append(key)
+
+    def obey(self, key: str) -> None:
+        view = self.view
+        if key in {"Return", "F12"}:
+            self.confirmed = True
+        elif view.kind == "choice" and view.scale is not None:
+            self.view = replace(view, chosen=view.scale.choices[int(key) - 1])
+        elif key == "r":
+            self.view = replace(view, felt=frozenset(part.name for part in view.trial.parts if view.trial))
+        elif view.kind == "rows" and key.isdigit():
+            self.view = replace(view, felt=view.felt | {"reference" if key == "0" else key})
+        elif key.isdigit():
+            self.view, self.typed_frames = replace(view, typed=view.typed + key), 10
+        elif view.kind == "rows" and key in {"Up", "Down"}:
+            rows = [judgement.part for judgement in view.trial.judgements if view.trial]
+            place = rows.index(view.selected) + (1 if key == "Down" else -1)
+            self.view = replace(view, selected=rows[min(max(place, 0), len(rows) - 1)])
+        else:
+            self.move(key)
+
+    def move(self, key: str) -> None:
+        step = {"Left": -1, "Right": 1, "Down": -10, "Up": 10, "Next": -10, "Prior": 10}[key]
+        at = self.view.markers.get(self.view.selected, 50.0 - step)
+        moved = min(max(at + step, 0.0), 100.0)
+        self.view = replace(self.view, markers={**self.view.markers, self.view.selected: moved})
+
+    def pass_frame(self) -> None:
+        self.typed_frames -= 1
+        if self.view.typed and self.typed_frames <= 0:
+            value = min(float(self.view.typed), 100.0)
+            markers = {**self.view.markers, self.view.selected: value}
+            self.view = replace(self.view, typed="", markers=markers)
+
+
+def bring_up(number: int, protocol: str, *, attempt: int = 1) -> View:
+    trial = make_trial(number, protocol)
+    felt = frozenset() if trial.timing == "free" else frozenset(part.name for part in trial.parts)
+    return View(
+        kind=KINDS[protocol],
+        state="answering",
+        screen=10 * number + attempt,
+        place=Place(number, 80, attempt),
+        trial=trial,
+        scale=SCALES[protocol],
+        felt=felt,
+        selected=trial.judgements[0].part,
+    )
+
+
+class Visit:
+    """A hand with its clock."""
+
+    def __init__(self) -> None:
+        self.time_s = 0.0
+        self.screen = Screen(View("page", "reading", 0, Place(0, 80), page=Page("welcome")))
+        mind = Participant(MODEL, seed=3, number=1)
+        self.hand = PressingHand(mind, self, stimuli=STIMULI, clock=lambda: self.time_s)
+
+    def press(self, key: str) -> None:
+        self.screen.press(key)
+
+    def release(self, key: str) -> None:
+        self.screen.release(key)
+
+    def meet(self, view: View, *, lost: set[int] | None = None) -> Screen:
+        self.screen = Screen(view, lost or set())
+        for _ in range(2000):
+            self.hand.watch(self.screen.view)
+            self.time_s += FRAME_S
+            self.screen.pass_frame()
+            if self.screen.confirmed and len(self.screen.pressed) == len(self.screen.released):
+                return self.screen
+        pytest.fail(f"never confirmed; pressed {self.screen.pressed[-20:]}")
+
+
+def ask_mind_alone(protocols: list[str]) -> list[dict[str, float | str]]:
+    observer = SimulatedObserver(MODEL, seed=3, number=1)
+    answers = []
+    for number, protocol in enumerate(protocols, start=1):
+        trial = make_trial(number, protocol)
+        observer.show_trial(trial, SCALES[protocol], Place(number, 80, 1))
+        for part in trial.parts:
+            observer.play(part, STIMULI[str(part.stimulus_id)], gap_s=0.0)
+        act = observer.wait()
+        while not hasattr(act, "values"):
+            act = observer.wait()
+        answers.append(dict(act.values))
+    return answers
+
+
+@pytest.mark.parametrize("lost", [set(), {1, 4, 5, 9}])
+def test_the_hand_gives_the_answers_of_the_mind_in_whole_points(lost: set[int]) -> None:
+    protocols = ["realism", "realism", "mushra", "mushra", "abx", "abx", "similarity", "similarity"]
+    visit = Visit()
+    for number, (protocol, answer) in enumerate(zip(protocols, ask_mind_alone(protocols), strict=True), start=1):
+        screen = visit.meet(bring_up(number, protocol), lost=lost)
+        if protocol == "abx":
+            assert {"x": screen.view.chosen} == answer
+        else:
+            assert dict(screen.view.markers) == {part: round(float(value)) for part, value in answer.items()}
+        assert screen.view.felt == {part.name for part in make_trial(number, protocol).parts}
+
+
+def test_every_way_to_move_a_marker_is_gone() -> None:
+    visit = Visit()
+    pressed = {key for number in range(1, 9) for key in visit.meet(bring_up(number, "realism")).pressed}
+    assert {"Left", "Right", "Up", "Down", "Return"} & pressed > {"Right", "Return"}
+    assert any(key.isdigit() for key in pressed)
+    rows = visit.meet(bring_up(9, "mushra")).pressed
+    assert rows[:5] == ["0", "1", "2", "3", "4"]
+    assert {"Down", "Right", "Return"} <= set(rows)
+
+
+def test_nothing_is_pressed_while_something_is_felt_or_before_it_was_thought_about() -> None:
+    visit = Visit()
+    visit.screen = Screen(replace(bring_up(1, "realism"), state="feeling"))
+    for _ in range(100):
+        visit.hand.watch(visit.screen.view)
+        visit.time_s += FRAME_S
+    assert visit.screen.pressed == []
+    began_s = visit.time_s
+    answering = replace(visit.screen.view, state="answering")
+    while not visit.screen.pressed:
+        visit.hand.watch(answering)
+        visit.time_s += FRAME_S
+    assert visit.time_s - began_s >= THINKING_S
+
+
+@pytest.mark.parametrize(("by", "key"), [("participant", "Return"), ("experimenter", "F12")])
+def test_pages_are_left_by_the_key_of_whom_they_are_for(by: str, key: str) -> None:
+    view = View("page", "reading", 1, Place(0, 80), page=Page("welcome", by=by))
+    visit = Visit()
+    visit.screen = Screen(replace(view, left_s=3))
+    for _ in range(100):
+        visit.hand.watch(visit.screen.view)
+        visit.time_s += FRAME_S
+    assert visit.screen.pressed == []
+    assert visit.meet(view).pressed == [key]
+
+
+def test_the_real_surface_is_stroked_until_enter() -> None:
+    assert Visit().meet(replace(bring_up(1, "realism"), state="stroking")).pressed == ["Return"]
+
+
+def test_what_was_not_felt_to_its_end_is_felt_again_before_the_answer() -> None:
+    view = replace(bring_up(1, "similarity"), felt=frozenset({"reference"}))
+    assert Visit().meet(view).pressed[0] == "r"
+
+
+def test_a_trial_on_the_real_surface_is_answered_too() -> None:
+    view = bring_up(1, "realism")
+    trial = replace(view.trial, parts=(Part("surface", surface="oak"), *view.trial.parts)) if view.trial else None
+    felt = frozenset({"surface", "test"})
+    assert Visit().meet(replace(view, trial=trial, felt=felt)).view.markers["test"] >= 0
+
+
+@pytest.mark.parametrize(("code", "number"), [("sim007", 7), ("sim120", 120)])
+def test_numbered_participants_are_the_persons_of_simulate(code: str, number: int) -> None:
+    assert tell_person(code) == number
+    assert tell_person("p07") != tell_person("p08")
+
+

@@ -1,0 +1,67 @@
+from __future__ import annotations
+
+import pytest
+
+from study.screen.desk import Markers
+from study.screen.events import Press, Release, drop_repeats
+from study.screen.keyboard import COARSE_SPEEDS, Digits, Held, Twice, count_repeats
+
+
+def test_held_keys_cross_the_scale_in_three_seconds() -> None:
+    counts = [count_repeats(tenths / 10) for tenths in range(40)]
+    assert counts[:5] == [0, 0, 0, 0, 0]
+    assert counts == sorted(counts)
+    assert counts[30] >= 100
+    assert count_repeats(2.0, COARSE_SPEEDS) == 9
+
+
+def test_only_the_last_key_repeats_and_none_when_released() -> None:
+    held = Held()
+    held.press("left", 0.0)
+    held.press("right", 0.1)
+    assert held.list_due(0.7, frozenset()) == ["right"] * 5
+    assert held.list_due(0.7, frozenset()) == []
+    held.release("right")
+    assert held.list_due(2.0, frozenset()) == []
+
+
+@pytest.mark.parametrize(
+    ("keys", "values"),
+    [
+        ("75", [None, 75.0]),
+        ("100", [None, None, 100.0]),
+        ("10", [None, None]),
+        ("00", [None, 0.0]),
+    ],
+)
+def test_digits(keys: str, values: list[float | None]) -> None:
+    digits = Digits()
+    assert [digits.type(key, 0.0) for key in keys] == values
+
+
+def test_digits_wait_for_the_next_one() -> None:
+    digits = Digits()
+    digits.type("9", 1.0)
+    assert digits.take_if_due(1.5) is None
+    assert digits.take_if_due(1.9) == 9.0
+    assert digits.take_if_due(9.0) is None
+
+
+def test_twice_means_within_a_second() -> None:
+    twice = Twice()
+    assert [twice.press(time_s) for time_s in (0.0, 1.5, 2.0, 2.1, 2.2)] == [False, False, True, False, True]
+
+
+def test_a_real_second_press_is_no_repeat() -> None:
+    events = [Press("escape", 0.0), Release("escape", 0.01), Press("escape", 0.02)]
+    assert drop_repeats(events) == events
+
+
+def test_markers_report_where_they_rest() -> None:
+    markers = Markers()
+    markers.put("1", 40.0, 0.0)
+    markers.put("1", 140.0, 0.1)
+    assert markers.settle(0.2) == []
+    (move,) = markers.settle(0.4)
+    assert (move.part, move.value, move.time_s) == ("1", 100.0, 0.1)
+    assert markers.settle(9.0) == []

@@ -1,0 +1,171 @@
+"""Laws of every screen, small or large and in both languages: nothing overlaps, every text fits and can be read."""
+
+from __future__ import annotations
+
+import itertools
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from protocols.flow import Page
+from protocols.texts import list_languages, read_scales, read_texts
+from study.screen import shapes
+from study.screen.fonts import measure
+from study.screen.grid import BODY, Grid
+from study.screen.layout import compose
+from study.screen.shapes import LEADING, Area, Box, Picture, Target, Text, round_corners
+from study.screen.views import View
+from study.screen.wording import make_screen_texts
+from study.session.ports import Place
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+SIZES = [(1024, 768), (1280, 1024), (1920, 1080), (1920, 1200), (2560, 1440)]
+LEAST = 0.022
+"""Height of the smallest letters, as a share of the screen's."""
+
+
+def overlap(one: Box, other: Box) -> bool:
+    return (
+        min(one.right, other.right) - max(one.left, other.left) > 0.5
+        and min(one.bottom, other.bottom) - max(one.top, other.top) > 0.5
+    )
+
+
+def find_ink(text: Text) -> Box:
+    """Where the letters themselves stand."""
+    width = measure(text.words, text.size, bold=text.bold)
+    free = text.box.width - width
+    left = text.box.left + {"left": 0.0, "center": free / 2, "right": free}[text.align]
+    middle = text.box.top + text.box.height / 2
+    return Box(left, middle - text.size / 2, width, text.size)
+
+
+def test_overlap_is_told() -> None:
+    assert overlap(Box(0, 0, 10, 10), Box(9, 9, 10, 10))
+    assert not overlap(Box(0, 0, 10, 10), Box(10, 0, 10, 10))
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("language", list_languages())
+def test_screens(gallery: dict[str, Any], language: str, size: tuple[int, int]) -> None:
+    tables = read_texts(language)
+    views = gallery["make_views"](read_scales(language), tables, picture=Path("surface.png"))
+    texts = make_screen_texts(tables)
+    faults = []
+    for name, view in views.items():
+        composition = compose(view, texts, size=size)
+        written = [item for item in composition.items if isinstance(item, Text)]
+        screen = Box(0, 0, *size)
+        for text in written:
+            ink = find_ink(text)
+            if text.size < LEAST * size[1]:
+                faults.append(f"{name}: {text.words!r} is too small")
+            if ink.width > text.box.width + 0.5 or text.box.height < text.size * LEADING * 0.99:
+                faults.append(f"{name}: {text.words!r} does not fit its box")
+            if not (screen.contains(ink.left, ink.top) and screen.contains(ink.right, ink.bottom)):
+                faults.append(f"{name}: {text.words!r} leaves the screen")
+        boxes = [(text.words, find_ink(text)) for text in written]
+        boxes += [("picture", item.box) for item in composition.items if isinstance(item, Picture)]
+        faults += [
+            f"{name}: {one!r} and {other!r} overlap"
+            for (one, box), (other, next_box) in itertools.combinations(boxes, 2)
+            if overlap(box, next_box)
+        ]
+        faults += [
+            f"{name}: one cannot tell {one.name} {one.part} from {other.name} {other.part}"
+            for one, other in itertools.combinations(composition.targets, 2)
+            if overlap(one.box, other.box)
+        ]
+    assert faults == []
+
+
+def test_question_is_larger_than_what_surrounds_it(gallery: dict[str, Any]) -> None:
+    texts = make_screen_texts(read_texts())
+    view = gallery["make_views"](read_scales(), read_texts())["similarity fresh"]
+    items = compose(view, texts, size=(1920, 1080)).items
+    question = next(item for item in items if isinstance(item, Text) and item.words.startswith("How similar"))
+    assert question.size >= 0.03 * 1080
+
+
+def test_nothing_reveals_the_condition(gallery: dict[str, Any]) -> None:
+    texts = make_screen_texts(read_texts())
+    for view in gallery["make_views"](read_scales(), read_texts()).values():
+        words = [item.words for item in compose(view, texts, size=(1920, 1080)).items if isinstance(item, Text)]
+        assert not {"s0", "s1", "felt", "similarity", "dft321"} & set(words)
+
+
+def test_slider_has_no_marker_until_it_was_moved(gallery: dict[str, Any]) -> None:
+    texts = make_screen_texts(read_texts())
+    views = gallery["make_views"](read_scales(), read_texts())
+
+    def count_blue(name: str) -> int:
+        target = next(t for t in compose(views[name], texts, size=(1920, 1080)).targets if t.name == "mark")
+        items = compose(views[name], texts, size=(1920, 1080)).items
+        return sum(isinstance(i, Area) and i.fill == shapes.BLUE and overlap(i.box, target.box) for i in items)
+
+    assert (count_blue("similarity fresh"), count_blue("similarity answered")) == (0, 1)
+
+
+def find_luminance(color: str) -> float:
+    parts = [int(color[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+    linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]
+    return sum(weight * part for weight, part in zip((0.2126, 0.7152, 0.0722), linear, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("ink", "ground"),
+    [("INK", "GROUND"), ("INK", "PANEL"), ("INK", "LINE"), ("DIM", "GROUND"), ("DIM", "PANEL"), ("GROUND", "BLUE"),
+     ("ORANGE", "GROUND"), ("BLUE", "GROUND")],
+)
+def test_contrast(ink: str, ground: str) -> None:
+    high, low = sorted((find_luminance(getattr(shapes, name)) for name in (ink, ground)), reverse=True)
+    assert (high + 0.05) / (low + 0.05) >= 7.0  # WCAG 2, level AAA
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_long_texts_shrink_and_braces_stay(size: tuple[int, int]) -> None:
+    tables = read_texts("en")
+    tables["pages"]["consent"]["text"] = "Ask {us} {done}. " * 75
+    view = View("page", "reading", 1, Place(3, 9), page=Page("consent"))
+    texts = [item for item in compose(view, make_screen_texts(tables), size=size).items if isinstance(item, Text)]
+    lines = [item for item in texts if "{us} 3" in item.words]
+    grid = Grid(*size)
+    assert (lines[0].size < 1.1 * BODY * grid.unit) == (size[0] / size[1] > 1.5)  # where there is less room
+    assert lines[0].size >= LEAST * grid.unit * 100
+    assert max(line.box.bottom for line in lines) <= grid.body.bottom
+
+
+def test_corners_lie_on_circles() -> None:
+    points = round_corners(Box(0, 0, 100, 40), 10)
+    assert (min(x for x, _ in points), max(x for x, _ in points)) == pytest.approx((0, 100))
+    assert (min(y for _, y in points), max(y for _, y in points)) == pytest.approx((0, 40))
+    middles = list(itertools.product((10, 90), (10, 30)))
+    assert all(min((x - a) ** 2 + (y - b) ** 2 for a, b in middles) == pytest.approx(100) for x, y in points)
+
+
+def test_targets_know_their_tracks() -> None:
+    assert Target(Box(0, 0, 1, 1), "mark").track is None
+
+
+@pytest.mark.parametrize(("size", "language"), [((1024, 768), "de"), ((1920, 1080), "en")])
+def test_pictures_of_every_screen(
+    display: Callable[..., dict[str, str]], tmp_path: Path, size: tuple[int, int], language: str
+) -> None:
+    """The real window shows every screen; its letters are as wide as the layout takes them for."""
+    script = Path(__file__).with_name("gallery.py")
+    command = [sys.executable, str(script), str(tmp_path), language, *map(str, size)]
+    subprocess.run(command, env=display(*size), check=True, capture_output=True, timeout=120)
+    pictures = [path for path in tmp_path.glob("*.png") if path.name != "surface.png"]
+    assert len(pictures) > 30
+    from matplotlib.image import imread
+
+    for path in pictures:
+        pixels = imread(path)
+        assert pixels.shape[:2] == (size[1], size[0])
+        assert pixels[..., :3].max() > 0.9  # something is written
+        assert pixels[..., :3].mean() < 0.35  # on a dark ground

@@ -1,0 +1,338 @@
+"""Real windows, real keys, a real mouse; only the actuators are silent."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+def test_slider_by_keys(seat: Callable[..., Any]) -> None:
+    here = seat({"trial": "similarity"})
+    here.see(state="feeling", playing="reference")
+    here.press("Right", "Return")
+    view = here.see(state="answering")
+    assert view["markers"] == {}  # neither a marker by default nor one moved before all was felt
+    here.press("Return")
+    here.until(lambda view: view["notice"] == "Please answer first. Still open: Vibration")
+    here.press("Left")
+    assert here.see(markers={"test": 50.0})["notice"] == ""
+    here.press("Right", "Up", "Up", "Down", "Left", "Left")
+    here.see(markers={"test": 59.0})
+    time.sleep(0.4)
+    here.press("7")
+    here.see(typed="7")
+    here.press("5")
+    here.see(markers={"test": 75.0}, typed="")
+    here.press("8")
+    here.see(markers={"test": 8.0})
+    here.press("Return")
+    events = here.finish()
+    assert [event["event"] for event in events[:4]] == ["shown", "played", "played", "refused"]
+    moves = [event["value"] for event in here.find("moved")]
+    assert moves[-1] == 8.0
+    assert 59.0 in moves
+    rated = here.find("rated")[0]
+    assert rated["values"] == {"test": 8.0}
+    assert rated["flags"] == []
+    last_end_s = here.find("played")[-1]["onset_s"] + 0.3
+    assert rated["response_time_s"] == pytest.approx(rated["time_s"] - last_end_s, abs=0.06)
+    assert events[-1]["event"] == "closed"
+
+
+def test_slider_by_mouse(seat: Callable[..., Any]) -> None:
+    here = seat({"page": "main"}, {"trial": "realism"}, duration_s=4.0)
+    here.see(page="main")
+    here.click("confirm")
+    here.see(state="feeling")
+    here.click("stop")
+    here.see(state="answering")
+    here.click("mark test", at=0.25)
+    here.see(markers={"test": 25.0})
+    here.click("mark test", at=0.25, to=0.8)
+    here.see(markers={"test": 80.0})
+    here.click("mark test", at=0.5, to=1.3)
+    here.see(markers={"test": 100.0})
+    here.click("confirm")
+    here.until(lambda view: view["notice"].startswith("Please feel it to its end first"))
+    here.click("again")
+    here.see(state="feeling")
+    here.see(state="answering", felt=["test"])
+    here.click("feel test")
+    here.see(state="feeling")
+    here.click("stop")
+    here.see(state="answering", felt=["test"])
+    here.click("confirm")
+    here.finish()
+    assert here.find("rated")[0]["values"] == {"test": 100.0}
+    assert [event["completed"] for event in here.find("played")] == [False, True, False]
+    assert len(here.find("replayed")) == 1
+
+
+def test_strict_trials_are_felt_once_and_spoiled_when_stopped(seat: Callable[..., Any]) -> None:
+    here = seat({"trial": "similarity", "timing": "strict"}, {"trial": "similarity", "timing": "strict"})
+    here.see(state="answering")
+    assert "again" not in here.view["targets"]
+    here.press("r")
+    here.until(lambda view: view["notice"].startswith("Each one is felt only once"))
+    here.press("5", "0", "Return")
+    here.see(screen=2, state="feeling", playing="test")
+    here.press("space")
+    here.finish()
+    assert here.find("spoiled")[0]["flags"] == ["not_felt"]
+    assert here.find("refused")[0]["reason"] == "no_replay"
+
+
+def test_rows_by_keys(seat: Callable[..., Any]) -> None:
+    here = seat({"trial": "mushra", "rows": 3}, duration_s=0.5)
+    here.see(state="answering", selected="1")
+    here.press("0")
+    here.see(playing="reference")
+    here.press("2")  # switches at once: what plays is stopped
+    here.see(playing="2", selected="2")
+    here.press("Right", "Right", "Prior")  # a marker can be moved while its vibration is felt
+    here.see(markers={"2": 61.0}, felt=["2"], state="answering")
+    here.press("Return")
+    here.until(lambda view: view["notice"] == "Please feel it to its end first. Still to feel: Reference, 1, 3")
+    here.press("Up", "r")
+    here.see(playing="1", selected="1")
+    here.see(felt=["1", "2"])
+    here.press("Next")
+    here.press("Down", "Down", "Left", "r")
+    here.see(felt=["1", "2", "3"])
+    here.press("9")
+    here.until(lambda view: view["notice"] == "There is nothing to feel under that key.")
+    here.press("0")
+    here.see(felt=["1", "2", "3", "reference"])
+    here.press("Return")
+    here.finish()
+    assert here.find("rated")[0]["values"] == {"1": 50.0, "2": 61.0, "3": 50.0}
+    first = here.find("played")[0]
+    assert (first["part"], first["completed"]) == ("reference", False)
+    assert {event["part"]: event["value"] for event in here.find("moved")} == {"1": 50.0, "2": 61.0, "3": 50.0}
+
+
+def test_rows_by_mouse(seat: Callable[..., Any]) -> None:
+    here = seat({"trial": "mushra", "rows": 2})
+    here.see(state="answering")
+    for part in ("reference", "1", "2"):
+        here.click(f"feel {part}")
+        here.until(lambda view, part=part: part in view["felt"])
+    here.click("mark 1", at=0.1)
+    here.click("mark 2", at=0.9)
+    here.see(markers={"1": 10.0, "2": 90.0})
+    here.click("confirm")
+    here.finish()
+    assert here.find("rated")[0]["values"] == {"1": 10.0, "2": 90.0}
+
+
+def test_choice_by_keys_and_mouse(seat: Callable[..., Any]) -> None:
+    here = seat({"trial": "abx"}, {"trial": "abx"})
+    here.see(state="answering")
+    for key, chosen in (("Left", "a"), ("Right", "b"), ("a", "a"), ("2", "b"), ("1", "a"), ("b", "b")):
+        here.press(key)
+        here.see(chosen=chosen)
+    here.press("Return")
+    here.see(screen=2, state="answering")
+    here.press("Return")
+    here.until(lambda view: view["notice"] == "Please answer first. Still open: X")
+    here.click("choose a")
+    here.see(chosen="a")
+    here.click("confirm")
+    here.finish()
+    assert [event["values"] for event in here.find("rated")] == [{"x": "b"}, {"x": "a"}]
+
+
+def test_pages_stand_and_count_down(seat: Callable[..., Any]) -> None:
+    here = seat({"page": "rest", "least_s": 1.5}, {"page": "training_failed", "by": "experimenter"}, {"page": "end"})
+    here.see(page="rest", left_s=2)
+    here.press("Return")
+    here.until(lambda view: view["notice"] == "Please rest a little longer.")
+    assert "confirm" not in here.view["targets"]
+    here.see(left_s=1)
+    here.see(left_s=0)
+    here.press("Return")
+    here.see(page="training_failed")
+    here.press("Return", "space")
+    here.press("F12")
+    here.see(page="end")
+    here.press("Escape", "Escape")  # nothing is left to end
+    here.press("Return")
+    here.finish()
+    pages = here.find("page")
+    assert [page["key"] for page in pages] == ["rest", "training_failed", "end"]
+    assert pages[0]["stood_s"] >= 1.5
+
+
+def test_a_double_click_leaves_one_page(seat: Callable[..., Any]) -> None:
+    here = seat({"page": "welcome"}, {"page": "consent"})
+    here.see(page="welcome")
+    here.click("confirm")
+    here.click("confirm")
+    here.see(page="consent")
+    here.click("confirm")
+    here.finish()
+    assert [page["key"] for page in here.find("page")] == ["welcome", "consent"]
+
+
+def test_escape_pauses_then_ends(seat: Callable[..., Any]) -> None:
+    here = seat({"trial": "similarity"}, duration_s=2.0)
+    here.see(state="feeling")
+    here.press("Escape")
+    here.until(lambda view: view["notice"] == "Press Esc once more to pause")
+    here.see(notice="")  # too late now
+    here.press("Escape", "Escape")
+    here.see(page="pause")
+    assert here.find("played")[-1]["completed"] is False
+    here.press("Return")
+    here.see(state="feeling", playing="reference", felt=[])
+    here.click("pause")
+    here.see(page="pause")
+    here.press("Escape", "Escape")
+    events = here.finish()
+    assert [event["event"] for event in events if event["event"] not in {"shown", "played", "refused"}] == [
+        "paused", "continued", "paused", "ended", "closed",
+    ]
+    assert events[-2]["reason"] == "the participant ended it for today"
+
+
+def test_space_stops_at_once(seat: Callable[..., Any]) -> None:
+    here = seat({"trial": "realism"}, duration_s=5.0)
+    here.see(state="feeling")
+    time.sleep(0.3)
+    pressed_s = time.perf_counter()
+    here.press("space")
+    here.see(state="answering", felt=[])
+    assert time.perf_counter() - pressed_s < 1.0
+    here.press("Escape", "Escape")
+    here.see(page="pause")
+    here.press("Escape", "Escape")
+    here.finish()
+
+
+def test_surface_is_stroked(seat: Callable[..., Any]) -> None:
+    here = seat({"trial": "touched"})
+    here.see(state="stroking", playing="surface")
+    here.press("Return")
+    here.see(state="answering", felt=["surface", "test"])
+    here.press("Right", "Return")
+    here.finish()
+    assert here.find("prompted")[0]["completed"] is True
+    assert here.find("rated")[0]["values"] == {"test": 50.0}
+
+
+def test_held_arrows_repeat_and_speed_up(seat: Callable[..., Any]) -> None:
+    here = seat({"trial": "realism"})
+    here.see(state="answering")
+    here.press("0", "Return")
+    here.see(markers={"test": 0.0})
+    here.hold("Right", 1.2)
+    value = here.until(lambda view: view["markers"]["test"] > 12)["markers"]["test"]
+    time.sleep(0.3)
+    here.press("Return")
+    here.finish()
+    final = here.find("rated")[0]["values"]["test"]
+    assert 15 <= final <= 30  # 1 + 0.8 s of 25 a second
+    assert value <= final
+    assert len(here.find("moved")) == 2  # where it came to rest, not every step
+
+
+def close_by_manager(here: Any) -> None:
+    """Ask the window to close, as its button and Alt-F4 do."""
+    from Xlib import X
+    from Xlib.display import Display
+    from Xlib.protocol.event import ClientMessage
+
+    display = Display(here.env["DISPLAY"])
+    window = display.create_resource_object("window", int(here.do("search", "--name", "PsychoPy").split()[0]))
+    protocols, delete = display.intern_atom("WM_PROTOCOLS"), display.intern_atom("WM_DELETE_WINDOW")
+    window.send_event(ClientMessage(window=window, client_type=protocols, data=(32, [delete, X.CurrentTime, 0, 0, 0])))
+    display.sync()
+    display.close()
+
+
+def close_by_force(here: Any) -> None:
+    here.do("windowclose", here.do("search", "--name", "PsychoPy").split()[0])
+
+
+def test_a_display_that_is_not_there_is_one_line() -> None:
+    code = "from study.screen.window import open_screen\nwith open_screen(clock=float): pass"
+    env = {**os.environ, "DISPLAY": ":9999"}
+    done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=False)
+    assert done.stderr.splitlines()[-1].startswith("OSError: got no display (")
+
+
+def test_a_window_that_is_closed_between_two_screens_is_not_missed(seat: Callable[..., Any]) -> None:
+    here = seat({"page": "main"}, {"page": "practice"}, {"trial": "realism"}, windowed=True)
+    here.see(page="main")
+    here.process.send_signal(signal.SIGSTOP)  # so that all comes in one frame
+    here.do("key", "Return")
+    close_by_manager(here)
+    here.process.send_signal(signal.SIGCONT)
+    assert here.finish()[-2] == {"event": "ended", "reason": "the window was closed"}
+
+
+def test_a_window_that_is_put_away_pauses_a_trial_and_ends_nothing(seat: Callable[..., Any]) -> None:
+    here = seat({"page": "main"}, {"trial": "realism"}, duration_s=5.0, windowed=True)
+    here.see(page="main")
+    window = here.do("search", "--name", "PsychoPy").split()[0]
+    for state in ("reading", "feeling"):
+        here.see(state=state)
+        here.do("windowunmap", "--sync", window)
+        here.do("windowmap", "--sync", window)
+        here.do("windowfocus", "--sync", window)
+        if state == "reading":
+            here.insist("Return", state="feeling")
+    here.see(page="pause")
+    here.insist("Return", state="feeling", playing="test")
+    here.process.send_signal(signal.SIGINT)
+    here.process.wait(20.0)
+    assert len(here.find("paused")) == 1
+    assert not here.find("ended")
+
+
+def test_a_key_that_is_let_go_elsewhere_does_not_go_on(seat: Callable[..., Any]) -> None:
+    here = seat({"trial": "realism"}, windowed=True)
+    here.see(state="answering")
+    here.press("Right")
+    here.see(markers={"test": 50.0})
+    here.do("keydown", "Right")
+    here.until(lambda view: view["markers"]["test"] > 52.0)
+    here.do("windowunmap", "--sync", here.do("search", "--name", "PsychoPy").split()[0])
+    here.do("keyup", "Right")
+    here.see(page="pause")
+    here.process.send_signal(signal.SIGINT)
+    here.process.wait(20.0)
+
+
+@pytest.mark.parametrize("close", [close_by_manager, close_by_force])
+@pytest.mark.parametrize("state", ["feeling", "answering"])
+def test_closed_windows_end_the_session(seat: Callable[..., Any], close: Callable[[Any], None], state: str) -> None:
+    here = seat({"trial": "realism"}, duration_s=5.0 if state == "feeling" else 0.2, windowed=True)
+    here.see(state=state)
+    time.sleep(0.3)
+    close(here)
+    events = here.finish()
+    assert events[-2] == {"event": "ended", "reason": "the window was closed"}
+    assert any("stopped" in words for words in here.told) == (state == "feeling")
+
+
+def test_interrupt_leaves_silence(seat: Callable[..., Any]) -> None:
+    here = seat({"trial": "realism"}, duration_s=20.0)
+    here.see(state="feeling", playing="test")
+    time.sleep(0.3)
+    here.process.send_signal(signal.SIGINT)
+    while line := here.lines.get(timeout=20.0):
+        here._take(line)
+    assert here.process.wait(20.0) != 0
+    assert "KeyboardInterrupt" in here.read_errors()
+    assert any("stopped" in words for words in here.told)
+    assert any("frames" in words for words in here.told)

@@ -1,0 +1,249 @@
+"""The verb `run` up to the door of the lab: what it refuses before anybody gets a number, and what it says."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from contextlib import contextmanager
+from dataclasses import replace
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from study import lab, run
+from study.actuator import stream
+from study.actuator.devices import Device
+from study.check import check_study
+from study.cli import main
+from study.folder import StudyFolder, create_study
+from study.run import Visit, run_participant
+from study.session.journal import read_journal
+from study.session.ports import Abort
+from study.status import read_status
+from study.workflow import build_study
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+SETTINGS = """
+[[recordings]]
+scene = "bumps"
+duration_s = 0.1
+[stimuli]
+reducers = ["sax321", "mag321"]
+reference = "none"
+anchors = false
+[session]
+protocols = ["realism"]
+[session.rehearsal]
+training = 0
+practice = 0
+"""
+TOTAL = 2
+
+
+@pytest.fixture
+def ready(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> StudyFolder:
+    """A study that is built, on a machine that has all that is needed."""
+    study = create_study(tmp_path / "study")
+    study.settings.write_text(SETTINGS, encoding="utf-8")
+    build_study(study)
+    monkeypatch.setenv("DISPLAY", ":99")
+    monkeypatch.setattr(lab, "find_spec", lambda _: "there")
+    return study
+
+
+@pytest.fixture
+def present(scripted: Any, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
+    """Puts somebody into the place of screen and actuators."""
+
+    def take_place(**script: Any) -> Any:
+        presenter = scripted(**script)
+
+        @contextmanager
+        def open_presenter(*_: object, **__: object) -> Iterator[Any]:
+            presenter.log.append("opened")
+            yield presenter
+            presenter.log.append("closed")
+
+        monkeypatch.setattr(run, "open_lab", open_presenter)
+        return presenter
+
+    return take_place
+
+
+def visit(study: StudyFolder, participant: str = "p01", **choices: Any) -> Any:
+    return run_participant(study, Visit(participant, **choices), now=lambda: datetime.now(UTC))
+
+
+def test_a_session_runs_to_its_end_and_no_window_opens_for_what_is_finished(
+    ready: StudyFolder, present: Callable[..., Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    presenter = present()
+    assert main(["run", str(ready.path), "--participant", "p01"]) == 0
+    assert capsys.readouterr().out == f"p01: 0 of {TOTAL} done so far\np01: all {TOTAL} done\n"
+    assert (presenter.log[0], presenter.log[-1]) == ("opened", "closed")
+    presenter.log.clear()
+    assert main(["run", str(ready.path), "--participant", "p01"]) == 0
+    assert presenter.log == []
+    assert not ready.ratings.exists()
+
+
+@pytest.fixture
+def devices(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The only audio device there is: `other`."""
+    only = Device(index=0, name="other", host_api="ALSA", n_outputs=4, n_inputs=0, default_rate_hz=48000.0)
+    monkeypatch.setattr(stream, "list_devices", lambda: [only])
+
+
+@pytest.mark.usefixtures("devices")
+def test_a_device_that_is_not_there_takes_nobodys_number(ready: StudyFolder, present: Callable[..., Any]) -> None:
+    presenter = present()
+    with pytest.raises(OSError, match="got 'othre'"):
+        visit(ready, device="othre")
+    assert not ready.ledger.exists()
+    assert presenter.log == []
+    assert visit(ready, device="other").done == TOTAL
+
+
+@pytest.mark.usefixtures("devices")
+def test_a_rehearsal_that_was_begun_otherwise_is_told_apart(ready: StudyFolder, present: Callable[..., Any]) -> None:
+    present(pages={"consent": [Abort(2.0, "not today")]})
+    rehearsal = replace(ready, is_rehearsal=True)
+    visit(rehearsal)
+    with pytest.raises(ValueError, match="or move rehearsals/ away"):
+        visit(rehearsal, device="other")
+
+
+@pytest.mark.usefixtures("devices")
+def test_the_header_names_the_rig_and_another_one_is_refused(ready: StudyFolder, present: Callable[..., Any]) -> None:
+    present(pages={"consent": [Abort(2.0, "not today")]})
+    assert visit(ready).stopped == "not today"
+    header = read_journal(ready.journals[0]).records[0].data["presenter"]
+    assert (header["simulated"], header["rehearsal"], header["rig"]["device"]["name"]) == (False, False, "file")
+    with pytest.raises(ValueError, match=r"begun otherwise \(presenter\.rig\.device\.name 'file' -> 'other'\)"):
+        visit(ready, device="other")
+    assert visit(ready).done == TOTAL
+
+
+def test_who_stops_is_told_how_to_go_on(
+    ready: StudyFolder, present: Callable[..., Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    present(pages={"rest": [Abort(9.0, "tired")]})
+    assert main(["run", str(ready.path), "--participant", "p01", "--windowed"]) == 1
+    line = f"p01: 1 of {TOTAL} done (aborted: tired); go on with: feel321 run {ready.path} --participant p01 --windowed"
+    assert capsys.readouterr().err == f"{line}\n"
+
+
+def test_the_command_that_goes_on_has_every_option(
+    ready: StudyFolder, present: Callable[..., Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    present(stop_after=1)
+    options = ["--participant", "p01", "--device", "file", "--seed", "3", "--rehearse", "--simulate-participant"]
+    assert main(["run", str(ready.path), *options]) == 130
+    told, interrupted = capsys.readouterr().err.splitlines()
+    command = f"feel321 run {ready.path} {' '.join(options)}"
+    assert told == f"p01: 1 of {TOTAL} done (aborted: KeyboardInterrupt); go on with: {command}"
+    assert interrupted == "feel321: interrupted; what is done is kept, the same command goes on"
+    assert read_status(ready).participants == ()
+    assert read_status(replace(ready, is_rehearsal=True)).participants[0].done == 1
+
+
+def test_termination_is_met_as_ctrl_c_is_and_only_during_the_session(
+    ready: StudyFolder, present: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    presenter = present()
+    monkeypatch.setattr(presenter, "play", lambda *_, **__: signal.raise_signal(signal.SIGTERM))
+    assert main(["run", str(ready.path), "--participant", "p01"]) == 130
+    assert read_journal(ready.journals[0]).records[-1].data["reason"] == "Terminated"
+    assert signal.getsignal(signal.SIGTERM) == before
+
+
+def test_what_was_mended_is_told(ready: StudyFolder, present: Callable[..., Any]) -> None:
+    present(pages={"rest": [Abort(9.0, "tired")]})
+    visit(ready)
+    ready.journals[0].write_bytes(ready.journals[0].read_bytes() + b"torn")
+    told: list[str] = []
+    present()
+    run_participant(ready, Visit("p01"), now=lambda: datetime.now(UTC), warn=told.append)
+    assert len(told) == 1
+    assert "session-01.jsonl.torn1" in told[0]
+
+
+@pytest.mark.parametrize(
+    ("missing", "device", "words"),
+    [
+        ({"psychopy"}, "file", "got no psychopy"),
+        ({"psychopy", "sounddevice"}, "other", "got no psychopy and no sounddevice"),
+        ({"sounddevice"}, "other", "got no sounddevice"),
+    ],
+)
+def test_a_machine_without_the_extra_is_told_what_to_install(
+    ready: StudyFolder, monkeypatch: pytest.MonkeyPatch, missing: set[str], device: str, words: str
+) -> None:
+    monkeypatch.setattr(lab, "find_spec", lambda name: None if name in missing else "there")
+    with pytest.raises(OSError, match=rf"run: {words}, .*; install: pip install 'feel321\[rig\]'"):
+        visit(ready, device=device)
+    assert not ready.ledger.exists()  # Nobody got a number.
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="NO X11 HERE: only there a display is named by DISPLAY")
+def test_no_display_is_one_line(ready: StudyFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DISPLAY")
+    with pytest.raises(OSError, match="run: got no display"):
+        visit(ready)
+    assert not ready.ledger.exists()
+
+
+def test_no_rig_is_one_line(ready: StudyFolder) -> None:
+    ready.rig.unlink()
+    with pytest.raises(FileNotFoundError, match=r"rig\.toml: there is none; feel321 new DIR writes one"):
+        visit(ready)
+    assert check_study(ready)[1] == []  # Simulated participants need none.
+
+
+def test_a_rig_that_cannot_play_the_stimuli_is_refused_by_run_and_check_alike(ready: StudyFolder) -> None:
+    text = ready.rig.read_text(encoding="utf-8").replace('"reduced", ', "")
+    ready.rig.write_text(text, encoding="utf-8")
+    with pytest.raises(ValueError, match=r"^rig\.toml: .*no actuator plays reduced") as error:
+        visit(ready)
+    assert check_study(ready)[1] == str(error.value).splitlines()
+    assert not ready.ledger.exists()
+
+
+def test_check_finds_mistakes_in_the_rig_before_anything_is_built(tmp_path: Path) -> None:
+    study = create_study(tmp_path / "a")
+    assert check_study(study)[1] == []
+    study.rig.write_text("[device]\nnme = 'x'\n", encoding="utf-8")
+    assert [line.partition(":")[0] for line in check_study(study)[1]] == ["rig.toml"] * 2
+
+
+def test_new_keeps_a_rig_that_is_there(tmp_path: Path) -> None:
+    (tmp_path / "rig.toml").write_text("mine", encoding="utf-8")
+    assert create_study(tmp_path).rig.read_text(encoding="utf-8") == "mine"
+
+
+def test_people_have_no_seed(ready: StudyFolder, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", str(ready.path), "--participant", "p01", "--seed", "1"]) == 2
+    assert "--seed: got it without --simulate-participant" in capsys.readouterr().err
+
+
+def test_a_hand_without_a_screen_is_one_line() -> None:
+    # In a process of its own: python-xlib leaves the sockets open that it tried.
+    code = "from study.screen.fingers import XFingers; XFingers()"
+    env = {**os.environ, "DISPLAY": ":4711"}
+    done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=False)
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith("OSError: simulated participant: ")
+    assert last.endswith("; allowed is an X11 screen, named by DISPLAY")
+
+
+def test_the_clock_goes_on_where_it_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+    times = iter([100.0, 100.5])
+    monkeypatch.setattr(lab, "perf_counter", lambda: next(times))
+    assert lab.start_clock(40.0)() == 40.5
