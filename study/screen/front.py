@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from study.screen.window import Window
     from study.screen.wording import ScreenTexts
 
+DOUBLE_S = 0.4
+"""Within that a second click is the other half of a double one: it leaves one page, not two."""
+
 
 class Front:
     """Shows views and turns events into wishes.
@@ -46,6 +49,7 @@ class Front:
         self.notice = ""
         self._desk: Desk | None = None
         self._twice = Twice()
+        self._confirmed_s = -DOUBLE_S
         self._events: deque[Event] = deque()
         self._composed: tuple[View, Composition] = (self.view, Composition(()))
 
@@ -94,7 +98,8 @@ class Front:
             event = self._events.popleft()
             if isinstance(event, Press | Click):
                 self.notice = ""
-            if (wish := self._understand(event)) is not None:
+            wish = self._understand(event)
+            if wish is not None and not self._doubles(event, wish):
                 yield wish
         if self.view.trial is not None:
             self.find_desk().tick(self._clock(), can_answer=self.view.can_answer)
@@ -118,6 +123,13 @@ class Front:
         if self.view.trial is None:
             return None
         return self.find_desk().take(event, target, can_answer=self.view.can_answer)
+
+    def _doubles(self, event: Event, wish: Wish) -> bool:
+        """Say whether a click that confirms is the other half of a double one."""
+        if wish.name != "confirm" or not isinstance(event, Click):
+            return False
+        since_s, self._confirmed_s = event.time_s - self._confirmed_s, event.time_s
+        return since_s < DOUBLE_S
 
     def _leave(self, event: Event) -> Wish | None:
         """Heed Esc when it comes a second time; the button of a trial does it at once."""

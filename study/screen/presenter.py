@@ -31,9 +31,6 @@ if TYPE_CHECKING:
     from study.session.ports import Act, Pause, Place, Playback
 
 LEFT = "the participant ended it for today"
-GLANCE_S = 0.25
-"""Before that nobody has seen a page: a double click leaves one page, not two."""
-
 NOT_AT_HAND = Surface(None, None)
 
 
@@ -97,9 +94,9 @@ class ScreenPresenter:
                 stood_s = max(0.0, wish.time_s - shown_s)
                 if (end := find_end(wish)) is not None and self._front.view.can_leave:
                     return Abort(wish.time_s, end.reason if isinstance(end, Abort) else LEFT)
-                if wish.name in {"confirm", "close"} and stood_s >= max(page.least_s, GLANCE_S):
+                if wish.name in {"confirm", "close"} and stood_s >= page.least_s:
                     return Confirm(wish.time_s, {}, stood_s)
-                if wish.name == "confirm" and stood_s < page.least_s:
+                if wish.name == "confirm":
                     self.refuse("too_early", ())
 
     def show_trial(self, trial: Trial, scale: Scale, place: Place) -> None:

@@ -90,10 +90,7 @@ class Seat:
         return self.view
 
     def see(self, **wanted: Any) -> dict[str, Any]:
-        view = self.until(lambda view: all(view[name] == value for name, value in wanted.items()))
-        if "page" in wanted:
-            time.sleep(GLANCE_S)  # a page is looked at before it is left
-        return view
+        return self.until(lambda view: all(view[name] == value for name, value in wanted.items()))
 
     def insist(self, key: str, **wanted: Any) -> dict[str, Any]:
         """Press a key until the screen obeys: a window that was put away may get the first one too early."""

@@ -175,12 +175,16 @@ def test_pages_stand_and_count_down(seat: Callable[..., Any]) -> None:
 def test_a_double_click_leaves_one_page(seat: Callable[..., Any]) -> None:
     here = seat({"page": "welcome"}, {"page": "consent"})
     here.see(page="welcome")
-    here.click("confirm")
-    here.click("confirm")
+    box = here.view["targets"]["confirm"]
+    here.do("mousemove", str(round(box["left"] + 9)), str(round(box["top"] + 9)))
+    here.do("click", "--repeat", "2", "--delay", "60", "1")
     here.see(page="consent")
+    time.sleep(0.5)
     here.click("confirm")
     here.finish()
-    assert [page["key"] for page in here.find("page")] == ["welcome", "consent"]
+    pages = here.find("page")
+    assert [page["key"] for page in pages] == ["welcome", "consent"]
+    assert pages[1]["stood_s"] > 0.3
 
 
 def test_escape_pauses_then_ends(seat: Callable[..., Any]) -> None:
