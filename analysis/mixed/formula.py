@@ -146,6 +146,7 @@ def _closes_last(piece: str) -> bool:
 def _read_bar(sign: str, piece: str) -> list[RandomTerm]:
     bar = "||" if "||" in piece else "|"
     effects, _, group = piece[1:-1].partition(bar)
+    group = re.sub(r"^\s*\((.*)\)\s*$", r"\1", group)
     if sign == "-" or not effects.strip() or not GROUP.fullmatch(group):
         raise ValueError(
             f"formula: got {sign} {piece}, allowed is + (effects | group) with a group such as a, a:b or a/b"
