@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.gaps import note_gaps, note_lookalikes, note_lost
-from analysis.pairs import find_roles, note_references, turn_pairs
+from analysis.pairs import find_matched, find_roles, note_references, turn_pairs
 from analysis.sheet import read_flags, read_numbers, read_sheet, refuse_lines
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ class Table:
     ----------
     rows : DataFrame
         One row per judgement: participant, stimulus_id, reference_id (may be empty), recording, reducer, level, role,
-        scale, repeat, rating, simulated, response_time_s if there is one, then one column per metric. The role is the
+        matched (whether the metrics speak of it, `find_matched`), scale, repeat, rating, simulated, response_time_s if there is one, then one column per metric. The role is the
         one that the stimulus had in that judgement (`find_roles`), and a dissimilarity is about the stimulus compared
         with the reference.
     metrics : tuple of str
@@ -92,8 +92,9 @@ def read_table(ratings_path: Path, manifest_path: Path) -> Table:
     turned = turn_pairs(ratings, manifest, what=ratings_path.name)
     rows = turned.drop(columns=list(ECHOED), errors="ignore").join(manifest, on="stimulus_id")
     rows["role"] = find_roles(rows, manifest)
+    rows["matched"] = find_matched(rows, manifest)
     notes += [*more_notes, *note_gaps(rows, manifest), *note_references(rows, manifest), *note_lookalikes(rows)]
-    judged = ["role", "scale", "repeat", "rating", "simulated"]
+    judged = ["role", "matched", "scale", "repeat", "rating", "simulated"]
     timed = [name for name in ("response_time_s",) if name in rows]
     order = ["participant", "stimulus_id", "reference_id", *ECHOED, *judged, *timed, *metrics]
     return Table(rows[order].reset_index(drop=True), metrics, tuple(notes))

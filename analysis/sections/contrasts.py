@@ -76,7 +76,7 @@ def compute(table: Table, choices: Choices) -> Section:
     answers, notes, grids, numbers = [], [], [], []
     tables: dict[str, DataFrame] = {}
     pictures: list[Picture] = []
-    for part in split_parts(table):
+    for part in split_parts(table, matched=False):
         margin = _find_margin(part, choices)
         try:
             pairs = _compare(part.rows, margin)

@@ -48,13 +48,15 @@ class Part:
         return f"{self.scale}, {self.level}"
 
 
-def split_parts(table: Table) -> Iterator[Part]:
+def split_parts(table: Table, *, matched: bool = True) -> Iterator[Part]:
     """Split the ratings of test stimuli.
 
     Parameters
     ----------
     table : Table
         What was rated.
+    matched : bool
+        Whether only judgements count that the metrics speak of: not those against what a reducer made.
 
     Yields
     ------
@@ -63,6 +65,7 @@ def split_parts(table: Table) -> Iterator[Part]:
     """
     rows = table.rows
     rated = rows[(rows["role"] == "test") & ~rows["scale"].isin(APART)]
+    rated = rated[rated["matched"]] if matched and "matched" in rated else rated
     several = len(rated["level"].unique()) > 1
     for (scale, level), part in rated.groupby(["scale", "level"], observed=True):
         subject = tell_name(str(scale)) + (f" (level {tell_name(str(level))})" if several else "")
