@@ -2,7 +2,7 @@
 
 ``(1 | g)`` an intercept per level of g; ``(x | g)`` intercept and slope, correlated; ``(x || g)`` the same,
 uncorrelated; ``(0 + x | g)`` a slope alone; ``(1 | a:b)`` one per combination; ``(1 | a/b)`` is ``(1 | a) +
-(1 | a:b)``. The fixed part is left to formulaic, which knows ``+ - : * / ^ I()`` and functions of columns.
+(1 | b:a)``. The fixed part is left to formulaic, which knows ``+ - : * / ^ I()`` and functions of columns.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def parse_formula(text: str) -> Formula:
     >>> parsed.fixed
     'x'
     >>> [(term.effects, term.name, term.independent) for term in parsed.random]
-    [('1 + x', 'subject', True), ('1', 'class', False), ('1', 'class:pupil', False)]
+    [('1 + x', 'subject', True), ('1', 'class', False), ('1', 'pupil:class', False)]
     """
     if not isinstance(text, str) or text.count("~") != 1 or not all(side.strip() for side in text.split("~")):
         raise ValueError(f"formula: got {text!r}, allowed is 'response ~ fixed + (effects | group)'")
@@ -156,9 +156,9 @@ def _read_bar(sign: str, piece: str) -> list[RandomTerm]:
 
 
 def _write_out(group: str) -> list[tuple[str, ...]]:
-    """Nesting as a list: a/b is a and a:b."""
+    """Nesting as a list, named as lme4 names it, the inner first: a/b is a and b:a."""
     steps = [tuple(name.strip().strip("`") for name in step.split(":")) for step in group.split("/")]
-    return [sum(steps[: depth + 1], ()) for depth in range(len(steps))]
+    return [sum(steps[depth::-1], ()) for depth in range(len(steps))]
 
 
 def _join(pieces: list[tuple[str, str]]) -> str:
