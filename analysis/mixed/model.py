@@ -12,6 +12,7 @@ from analysis.mixed.inference import Estimate, Uncertainty, estimate_sum, find_u
 from analysis.mixed.optimum import find_optimum
 from analysis.mixed.profile import Profile
 from analysis.mixed.solution import find_coefficients, find_modes, find_sigma, find_spreads
+from analysis.mixed.threads import hold_threads
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -153,8 +154,9 @@ def fit_mixed(formula: str, data: DataFrame, *, reml: bool = True) -> MixedFit:
     """
     design = build_design(formula, data)
     profile = Profile(design, reml=reml)
-    best = find_optimum(profile)
-    uncertainty = find_uncertainty(profile, best)
+    with hold_threads(profile.n_random):
+        best = find_optimum(profile)
+        uncertainty = find_uncertainty(profile, best)
     coefficients, _ = find_coefficients(profile, best)
     variances, correlations = _table_spreads(profile, best)
     fitted, effects = _predict(profile, best)
