@@ -113,6 +113,7 @@ def compute_sections(
     ValueError
         If no test stimulus was rated.
     """
+    import scipy.linalg  # noqa: F401 - brings a second library of linear algebra, whose threads are held too
     from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
     refuse_untested(table)
