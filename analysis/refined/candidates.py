@@ -53,9 +53,9 @@ class Basis:
     names : tuple of str
         Name of each column.
     columns : ndarray, shape (n_items, n_columns)
-        Standardised over the stimuli, which no rating has a part in.
+        Values, standardised over the stimuli, which no rating has a part in.
     scales : ndarray, shape (n_columns,)
-        Standard deviation of each column before.
+        Standard deviation of each column before; NaN of the sum of equal weights, which has no unit.
     candidates : tuple of Candidate
         The simpler first; the first ones are the plain metrics.
     notes : tuple of str
@@ -94,20 +94,18 @@ def make_basis(names: Sequence[str], values: Values, *, n_plain: int, groups: ND
     >>> [one.name for one in make_basis(["a", "b"], values, n_plain=2, groups=None).candidates]
     ['a', 'b', 'equal weights', 'a ^ 0.5', 'a ^ 2', 'b ^ 0.5', 'b ^ 2', 'a + b']
     """
-    columns, notes = _list_columns(names, values, n_plain), []
+    columns = _list_columns(names, values, n_plain)
     centred = {name: _center(column, groups) for name, column in columns.items()}
-    for name in names:
-        if np.ptp(centred[name]) <= FLAT * max(float(np.abs(columns[name]).max()), FLAT):
-            notes.append(f"'{name}' does not vary and is left out.")
-    kept = {name: column for name, column in centred.items() if np.ptp(column) > FLAT}
+    kept = {name: column for name, column in centred.items() if np.ptp(column) > FLAT * np.abs(columns[name]).max()}
+    notes = tuple(f"'{name}' does not vary and is left out." for name in names if name not in kept)
     plain = [name for name in names[:n_plain] if name in kept]
     standard = {name: column / column.std() for name, column in kept.items()}
     if len(plain) > 1:
         standard[EQUAL] = np.sum([standard[name] for name in plain], axis=0)
     candidates = tuple(_list_candidates(tuple(standard), plain, [name for name in names if name in kept]))
-    scales = np.array([kept[name].std() if name in kept else 1.0 for name in standard])
+    scales = np.array([kept[name].std() if name in kept else np.nan for name in standard])
     stacked = np.array(list(standard.values())).T if standard else np.empty((values.shape[1], 0))
-    return Basis(tuple(standard), stacked, scales, candidates, tuple(notes))
+    return Basis(tuple(standard), stacked, scales, candidates, notes)
 
 
 def _list_columns(names: Sequence[str], values: Values, n_plain: int) -> dict[str, Values]:

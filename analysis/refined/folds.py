@@ -17,7 +17,7 @@ GROUPS = 4
 """Groups that people are split into, each left out in turn."""
 
 FOLDS = 10
-"""Recordings are left out one by one; more than this, in this many groups, or the time would grow with their square."""
+"""Sources of recordings are left out one by one; more than this, in as many groups: the time grows with its square."""
 
 
 class Split(NamedTuple):
@@ -28,7 +28,7 @@ class Split(NamedTuple):
     people : ndarray of int, shape (n_participants,)
         Group of each participant.
     items : ndarray of int, shape (n_items,)
-        Fold of each item, that of its recording.
+        Fold of each item, that of its recording's source.
     """
 
     people: NDArray[np.intp]
@@ -67,11 +67,11 @@ def make_split(items: Items, rng: np.random.Generator) -> Split:
     Returns
     -------
     Split
-        At most `GROUPS` groups of people and `FOLDS` folds of recordings, as equal in size as can be.
+        At most `GROUPS` groups of people and `FOLDS` folds of sources, as equal in size as can be.
     """
     people = rng.permutation(items.n_participants) % min(items.n_participants, GROUPS)
-    folds = rng.permutation(items.n_recordings) % min(items.n_recordings, FOLDS)
-    return Split(people, folds[items.recordings])
+    folds = rng.permutation(items.n_sources) % min(items.n_sources, FOLDS)
+    return Split(people, folds[items.of_source[items.recordings]])
 
 
 def average_groups(items: Items, split: Split, counts: Values, *, within: bool) -> Means:

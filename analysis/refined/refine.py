@@ -47,7 +47,8 @@ class Refined:
         Candidate that is chosen on all data.
     weights : DataFrame
         Of the chosen candidate: term, weight (points per standard deviation of the term over the stimuli), lowest
-        and highest over the outer folds, per_unit (points per unit of the term).
+        and highest over the outer folds, per_unit (points per unit of the term;
+        NaN for equal weights, a sum of standard deviations).
     candidates : DataFrame
         name, parameters, value and rmse out of fold if it had been the only candidate, and chosen: its share of the
         outer folds.
@@ -61,8 +62,8 @@ class Refined:
         Noise ceiling, and value / ceiling; share is NaN where the ceiling rests on fewer stimuli than the value.
     within : bool
         Whether only differences within recordings count.
-    n_participants, n_recordings, n_items, n_folds : int
-        Size of the data; outer folds, recordings' times people's.
+    n_participants, n_recordings, n_sources, n_items, n_folds : int
+        Size of the data; sources are recordings that are not of one another; outer folds, recordings' times people's.
     draws : int
         Draws in which the correlation was defined.
     notes : tuple of str
@@ -85,6 +86,7 @@ class Refined:
     within: bool
     n_participants: int
     n_recordings: int
+    n_sources: int
     n_items: int
     n_folds: int
     draws: int
@@ -135,7 +137,8 @@ def refine_metric(
     weights (1); each metric to the power 0.5 or 2 (2); weighted sums of two terms (2), and of all terms where they are
     three or four. Weights are by least squares on mean ratings of stimuli.
 
-    **Outer folds** leave out a recording (a tenth of them where there are more than ten) together with a quarter of
+    **Outer folds** leave out a recording (with all others of its source; a tenth of them where there are more than
+    ten) together with a quarter of
     the participants. What is left chooses: **inner folds** leave out one more recording each, and the simplest
     candidate is taken whose squared error is within one standard error of the least (`choose`). It is fitted to
     all that is left, and gives each stimulus of the recording left out its value; ratings of the participants left out
@@ -172,7 +175,7 @@ def refine_metric(
     >>> rows["rating"] = 20 + 30 * rows["sm"] + 30 * rows["tm"] + rng.normal(0, 8, len(rows))
     >>> result = refine_metric(rows, ["sm", "tm"], draws=50, rng=rng)
     >>> result.chosen, round(result.value, 2), result.recommended
-    ('equal weights', 0.97, True)
+    ('equal weights', 0.98, True)
     """
     if draws < 2:  # noqa: PLR2004 - a spread needs two
         raise ValueError(f"draws: got {draws}, allowed is 2 or more; use 400 for results to be published")
@@ -180,10 +183,11 @@ def refine_metric(
     data = _prepare(items, metrics, others, within=within, rng=rng)
     whole = score_draws(data, people=np.ones((1, items.n_participants)), recordings=np.ones((1, items.n_recordings)))
     drawn = _draw(data, draws=draws, rng=rng)
-    n_units = min(items.n_participants, items.n_recordings)
+    n_units = min(items.n_participants, items.n_sources)
     low, high = _interval(fisher_z(whole.correlations[0])[0], fisher_z(drawn.correlations[0]), n_units)
     rmse = float(whole.errors[0, 0])
-    log_low, log_high = _interval(np.log(rmse), np.log(drawn.errors[0]), n_units)
+    with np.errstate(divide="ignore"):  # no error at all has no logarithm, and no interval
+        log_low, log_high = _interval(np.log(rmse), np.log(drawn.errors[0]), n_units)
     chosen, fit = _choose_finally(data)
     ceiling, notes = find_ceiling(items, within=within)
     gains = list_gains(data.basis, whole, drawn, n_units=n_units)
@@ -195,9 +199,10 @@ def refine_metric(
         candidates=list_candidates(data.basis, whole), gains=gains,
         recommended=data.basis.candidates[chosen].name not in metrics and bool((gains["z_low"] > 0).all()),
         ceiling=ceiling, share=value / ceiling if not items.n_missing else float("nan"), within=within,
-        n_participants=items.n_participants, n_recordings=items.n_recordings, n_items=items.n_items,
+        n_participants=items.n_participants, n_recordings=items.n_recordings, n_sources=items.n_sources,
+        n_items=items.n_items,
         n_folds=whole.chosen[0].size, draws=int(np.isfinite(drawn.correlations[0]).sum()),
-        notes=(*data.basis.notes, *notes),
+        notes=(*data.basis.notes, *notes, *_explain(value, low)),
     )  # fmt: skip
 
 
@@ -217,7 +222,7 @@ def _prepare(
 
 def _check_size(items: Items) -> None:
     for count, least, what in (
-        (items.n_recordings, FEWEST_RECORDINGS, "recordings"),
+        (items.n_sources, FEWEST_RECORDINGS, "recordings of their own"),
         (items.n_participants, FEWEST_PEOPLE, "participants"),
     ):
         if count < least:
@@ -238,7 +243,7 @@ def _draw(data: Data, *, draws: int, rng: np.random.Generator) -> Outcome:
     for start in range(0, draws, block):
         number = min(block, draws - start)
         people = draw_counts(items.n_participants, number, rng=rng)
-        recordings = draw_counts(items.n_recordings, number, rng=rng)
+        recordings = draw_counts(items.n_sources, number, rng=rng)[:, items.of_source]
         found.append(score_draws(data, people=people, recordings=recordings))
     return join_draws(found)
 
@@ -251,6 +256,14 @@ def _choose_finally(data: Data) -> tuple[int, Values]:
     moments = sum_moments(basis.columns, means.own[0, 0], means.share[0, 0], folds=data.split.items)
     chosen = int(choose(moments, basis.candidates))
     return chosen, fit_candidate(moments.sum(axis=0), basis.candidates[chosen])
+
+
+def _explain(value: float, low: float) -> list[str]:
+    if np.isnan(value):
+        return ["No correlation: mean ratings of stimuli do not differ, or the refined metric is the same for all."]
+    if np.isnan(low):
+        return ["No interval: the correlation is perfect, or undefined in more than a tenth of the draws."]
+    return []
 
 
 def _interval(middle: float, drawn: Values, n_units: int) -> tuple[float, float]:
