@@ -14,7 +14,7 @@ from study.provenance import find_changes, is_in_use
 from study.ratings import write_ratings
 from study.session.opening import PLAN_FILE
 from study.settings.reading import read_settings
-from study.settings.sources import make_recipe, open_recordings
+from study.settings.sources import list_origins, make_recipe, open_recordings
 from study.simulate import Simulation, run_simulation
 
 if TYPE_CHECKING:
@@ -140,9 +140,10 @@ def analyze_study(study: StudyFolder, *, out: Path | None = None, progress: Prog
         simulate = f"feel321 simulate {quote(str(study.path))}"
         raise ValueError(f"{study.path}: holds no ratings yet; run sessions first, or {simulate}")
     folder = out or study.report
-    chosen, seed = settings.analysis, settings.study.seed
+    chosen, origins = settings.analysis, list_origins(settings)
     write_report(
-        study.ratings, study.manifest, folder, draws=chosen.draws, margin=chosen.margin, seed=seed, progress=progress
+        study.ratings, study.manifest, folder, draws=chosen.draws, margin=chosen.margin, sources=origins,
+        seed=settings.study.seed, progress=progress,
     )  # fmt: skip
     return folder
 

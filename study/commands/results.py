@@ -54,21 +54,23 @@ def _analyze_tables(folder: Path, *, ratings: Path | None, manifest: Path | None
     if manifest is None:
         manifest = find_study(folder).manifest
     report = out or folder / "report"
-    chosen, seed = _read_choices(folder)
+    chosen, seed, origins = _read_choices(folder)
     with show_progress("analyze") as progress:
         write_report(
-            ratings, manifest, report, draws=chosen.draws, margin=chosen.margin, seed=seed, progress=progress
+            ratings, manifest, report, draws=chosen.draws, margin=chosen.margin, sources=origins, seed=seed,
+            progress=progress,
         )  # fmt: skip
     return report
 
 
-def _read_choices(folder: Path) -> tuple[AnalysisTable, int]:
+def _read_choices(folder: Path) -> tuple[AnalysisTable, int, dict[str, str]]:
     """Read how a study is analysed; tables from elsewhere are analysed with the defaults."""
     from study.settings.reading import read_settings
+    from study.settings.sources import list_origins
     from study.settings.tables import AnalysisTable
 
     study = StudyFolder(folder)
     if not study.settings.is_file():
-        return AnalysisTable(), 0
+        return AnalysisTable(), 0, {}
     settings = read_settings(study.settings)
-    return settings.analysis, settings.study.seed
+    return settings.analysis, settings.study.seed, list_origins(settings)
