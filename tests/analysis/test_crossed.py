@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from analysis.mixed import profile
 from analysis.mixed.model import fit_mixed
 
 HERE = Path(__file__).parent
@@ -106,3 +107,10 @@ def test_double_bar_slash_and_backticks_are_short_for_what_they_say() -> None:
     assert short.criterion == pytest.approx(long.criterion)
     assert short.variances["group"].tolist() == ["who", "who", "scene", "kind:scene"]
     assert short.variances["sd"].tolist() == pytest.approx(long.variances["sd"].tolist())
+
+
+def test_equations_beyond_memory_are_refused_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(profile, "MOST_LEVELS", 10)
+    message = "got 16 effects beside those of scene:kind, allowed are 10, for memory; average"
+    with pytest.raises(ValueError, match=message):
+        fit_mixed("y ~ a + (1 + a || who) + (1 | scene:kind) + (1 | kind)", make_study(1))
