@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from analysis.gaps import list_names, note_gaps, note_lookalikes
 from analysis.judgement_sheet import read_ratings
+from analysis.labels import join_labels
 from analysis.pairs import find_matched, find_roles, note_references, turn_pairs
 from analysis.schema import HIGHEST, LOWEST
 from analysis.sheet import refuse_lines
@@ -37,10 +38,11 @@ class Table:
     Parameters
     ----------
     rows : DataFrame
-        One row per judgement: participant, stimulus_id, reference_id (may be empty), source, recording, reducer, level,
-        role, matched, scale, repeat, rating, simulated, response_time_s if there is one, then one column per metric.
-        The role is the one that the stimulus had in that judgement (`find_roles`); matched tells whether the metrics
-        speak of that judgement (`find_matched`); a dissimilarity is about the stimulus compared with the reference.
+        One row per judgement: participant, stimulus_id, reference_id and reference_reducer (may be empty), source,
+        recording, reducer, level, role, matched, scale, repeat, rating, simulated, response_time_s if there is one, one
+        column per metric, and one per label of the participants (`join_labels`). The role is the one that the stimulus
+        had in that judgement (`find_roles`); matched tells whether the metrics speak of that judgement
+        (`find_matched`); a dissimilarity is about the stimulus compared with the reference.
     metrics : tuple of str
         The metric columns, in the order of `stimuli.match.METRICS`.
     notes : tuple of str
@@ -58,7 +60,8 @@ def read_table(ratings_path: Path, manifest_path: Path, *, sources: Mapping[str,
     Parameters
     ----------
     ratings_path : Path
-        ``ratings.csv`` from anywhere: participant, stimulus_id, scale and rating are enough (`RATINGS`).
+        ``ratings.csv`` from anywhere: participant, stimulus_id, scale and rating are enough (`RATINGS`). Labels of the
+        participants are read from ``participants.csv`` beside it, if there is one.
     manifest_path : Path
         ``manifest.csv``: stimulus_id, recording, reducer and at least one metric are enough (`MANIFEST`).
     sources : Mapping of str to str, optional
@@ -84,12 +87,15 @@ def read_table(ratings_path: Path, manifest_path: Path, *, sources: Mapping[str,
     rows = turned.drop(columns=list(ECHOED), errors="ignore").join(manifest, on="stimulus_id")
     rows["role"] = find_roles(rows, manifest)
     rows["matched"] = find_matched(rows, manifest)
+    rows["reference_reducer"] = rows["reference_id"].map(manifest["reducer"]).fillna("")
     notes += [*more_notes, *note_gaps(rows, manifest), *note_references(rows, manifest), *note_sources(rows)]
     notes += note_lookalikes(rows)
     judged = ["role", "matched", "scale", "repeat", "rating", "simulated"]
     timed = [name for name in ("response_time_s",) if name in rows]
-    order = ["participant", "stimulus_id", "reference_id", "source", *ECHOED, *judged, *timed, *metrics]
-    return Table(rows[order].reset_index(drop=True), metrics, tuple(notes))
+    told = ["participant", "stimulus_id", "reference_id", "reference_reducer", "source"]
+    rows = rows[[*told, *ECHOED, *judged, *timed, *metrics]].reset_index(drop=True)
+    labelled, more_notes = join_labels(rows, ratings_path)
+    return Table(labelled, metrics, (*notes, *more_notes))
 
 
 def order_reducers(names: Iterable[str]) -> list[str]:

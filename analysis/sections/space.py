@@ -94,10 +94,10 @@ def compute(table: Table, choices: Choices) -> Section:
 
 def _gather(table: Table, rows: DataFrame, level: str) -> _Level:
     """Average each participant's ratings of every pair of reducers over recordings and both orders."""
-    reducer = table.rows.drop_duplicates("stimulus_id").set_index("stimulus_id")["reducer"]
-    other = rows["reference_id"].map(reducer)
-    known = rows[other.notna()].assign(other=other[other.notna()])
+    known = rows[rows["reference_reducer"] != ""].rename(columns={"reference_reducer": "other"})
     apart = known[known["reducer"] != known["other"]]
+    if apart.empty:
+        raise ValueError("No judgement names two stimuli of different reducers, in stimulus_id and reference_id.")
     names = order_reducers([*apart["reducer"], *apart["other"]])
     place = {name: number for number, name in enumerate(names)}
     people = {name: number for number, name in enumerate(sorted(apart["participant"].unique()))}
