@@ -16,7 +16,7 @@ from analysis.sections.parts import split_parts
 from analysis.sections.section import INTERVAL, VALUE, Cell, Grid, Section
 from analysis.table import order_reducers
 from analysis.verdict import LEADING, UNADJUSTED, judge_absence, judge_panels
-from analysis.words import tell_name
+from analysis.words import tell_method, tell_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -113,7 +113,7 @@ def _lay_association(panel: Panel, found: Association) -> tuple[str | Cell, ...]
     value, narrow, ceiling, ratio, *counts = _name_association(found, (panel.scale, panel.level))
     draws, people, recordings, items, _ = counts
     return (
-        _tell_place(panel), tell_name(found.metric), found.method, Cell(value), Cell(value, part=INTERVAL),
+        _tell_place(panel), tell_name(found.metric), tell_method(found.method), Cell(value), Cell(value, part=INTERVAL),
         Cell(narrow, part=INTERVAL), Cell(ceiling), Cell(ratio),
         *(Cell(number, COUNT) for number in (items, people, recordings, draws)),
     )  # fmt: skip
@@ -134,7 +134,7 @@ def _lay_differences(panels: list[Panel]) -> Grid:
 
 def _lay_difference(panel: Panel, found: Difference) -> tuple[str | Cell, ...]:
     value, z_value, *_ = _name_difference(found, (panel.scale, panel.level))
-    names = _tell_place(panel), tell_name(found.first), tell_name(found.second), found.method
+    names = _tell_place(panel), tell_name(found.first), tell_name(found.second), tell_method(found.method)
     return (*names, *(Cell(number, part=part) for number in (value, z_value) for part in (VALUE, INTERVAL)))
 
 

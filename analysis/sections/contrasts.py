@@ -245,4 +245,4 @@ def _draw(pairs: list[_Pair], part: Part) -> Iterator[Picture]:
         "equivalence. Filled: equivalence is shown."
     )
     figure = draw_equivalence(tests, n_participants=people, n_recordings=scenes)
-    yield Picture(make_slug("equivalence", *part.place), "equivalence", caption, figure)
+    yield Picture(make_slug("equivalence", *part.place), "equivalence", caption, figure, detail=True)

@@ -77,7 +77,7 @@ def compute(table: Table, choices: Choices) -> Section:  # noqa: ARG001 - every 
     )
     head = ("Ratings", "First", "Second", "Of", "Difference", "Interval", "df", "p", "p (Holm)")
     return Section(
-        key=KEY, title=TITLE, answers=tuple(map(_judge, found)), grids=(Grid(caption, head, tuple(map(_lay, found))),),
+        key=KEY, title=TITLE, answers=tuple(map(_judge, found)), grids=(Grid(caption, head, tuple(map(_lay, found)), detail=False),),
         tables={"levels": _tabulate(found)}, notes=tuple(notes), how=HOW,
     )  # fmt: skip
 

@@ -109,7 +109,7 @@ def _draw_models(fits: Fits) -> Iterator[Picture]:
             f"Residuals of the primary model of {part.subject}: left against normal quantiles with a pointwise 95 % "
             "band, right against fitted values."
         )
-        yield Picture(make_slug("residuals", *part.place), "residuals", caption, draw_residuals(model.fit))
+        yield Picture(make_slug("residuals", *part.place), "residuals", caption, draw_residuals(model.fit), detail=True)
 
 
 def _name_slope(row: Row, fit: tuple[Part, Primary]) -> tuple[Number, ...]:
@@ -140,15 +140,15 @@ def _tell_reach(model: Primary) -> str:
 def _lay_slopes(rows: list[Row], numbers: list[tuple[Number, ...]]) -> Grid:
     caption = (
         "Slope of ratings on each metric within recordings, from the mixed model: points per +0.1 of it, and in "
-        f"standard deviations. 95 % intervals; p adjusted by Holm over this table's {len(rows)} slopes."
+        f"standard deviations. 95 % t intervals with Satterthwaite's df; p adjusted by Holm over this table's {len(rows)} slopes."
     )
     head = ("Ratings", "Metric", "Points per +0.1", "Interval", "Standardised", "Interval", "df", "p", "p (Holm)")
     laid = [
-        (row["attribute"], tell_name(row["metric"]), *lay_estimate(tenth, "slope"), *lay_estimate(standard, "slope"),
+        (tell_name(row["attribute"]), tell_name(row["metric"]), *lay_estimate(tenth, "slope"), *lay_estimate(standard, "slope"),
          Cell(df, "df"), Cell(p, "p"), Cell(holm, "p"))
         for row, (tenth, standard, df, p, holm) in zip(rows, numbers, strict=True)
     ]  # fmt: skip
-    return Grid(caption, head, tuple(laid))
+    return Grid(caption, head, tuple(laid), detail=False)
 
 
 def _list_differences(fits: Fits) -> Iterator[Row]:
@@ -171,7 +171,7 @@ def _lay_differences(fits: Fits, rows: list[Row]) -> Grid:
         df = make_number(f"{name}.df", row["standardised_df"], "Satterthwaite's degrees of freedom", n=n)
         p = make_number(f"{name}.p", row["standardised_p"], "two-sided t test", n=n)
         names = tell_name(row["first"]), tell_name(row["second"])
-        laid.append((row["lead"], *names, *lay_estimate(value, "slope"), Cell(df, "df"), Cell(p, "p")))
+        laid.append((tell_name(row["lead"]), *names, *lay_estimate(value, "slope"), Cell(df, "df"), Cell(p, "p")))
     return Grid(caption, head, tuple(laid))
 
 
@@ -198,7 +198,7 @@ def _lay_model(part: Part, model: Primary) -> tuple[str | Cell, ...]:
         Cell(count_number(f"{name}.n_{what}", getattr(model, f"n_{what}"), n=n), COUNT)
         for what in ("rows", "participants", "recordings", "items")
     ]
-    return (part.lead, "singular" if model.fit.singular else "regular", *values, *counts)
+    return (tell_name(part.lead), "singular" if model.fit.singular else "regular", *values, *counts)
 
 
 def _make_tables(fits: Fits, slopes: DataFrame) -> dict[str, DataFrame]:

@@ -56,11 +56,14 @@ class Grid:
         Column heads.
     rows : tuple of tuple of str or Cell
         Words, and numbers by their names.
+    detail : bool
+        Whether the page folds it away.
     """
 
     caption: str
     head: tuple[str, ...]
     rows: tuple[tuple[str | Cell, ...], ...]
+    detail: bool = True
 
     @property
     def text_columns(self) -> frozenset[int]:
@@ -122,6 +125,17 @@ class Section:
         """Every number of the section, each once."""
         shown = (cell.number for cell in chain.from_iterable(grid.cells() for grid in self.grids))
         return tuple(dict.fromkeys(chain(shown, self.unseen)))
+
+    @property
+    def has_details(self) -> bool:
+        """Whether the page folds something away."""
+        return any(shown.detail for shown in (*self.grids, *self.pictures))
+
+    @property
+    def summary(self) -> str:
+        """What the fold is called."""
+        kinds = {"Tables": self.grids, "further figures": self.pictures}
+        return " and ".join(name for name, parts in kinds.items() if any(part.detail for part in parts)).capitalize()
 
     @property
     def is_empty(self) -> bool:

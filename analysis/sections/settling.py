@@ -128,7 +128,7 @@ def lay_precision(rows: list[Row], numbers: list[tuple[Number, ...]]) -> Grid:
     kinds = ("slope", COUNT, COUNT, "correlation")
     laid = [
         (
-            row["attribute"],
+            tell_name(row["attribute"]),
             tell_name(row["metric"]),
             *(Cell(one, kind) for one, kind in zip(of_row, kinds, strict=True)),
         )
