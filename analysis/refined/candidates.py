@@ -132,9 +132,8 @@ def _list_candidates(columns: tuple[str, ...], plain: list[str], features: list[
     for name in plain:
         powers = [f"{name} ^ {exponent:g}" for exponent in EXPONENTS]
         yield from (Candidate(power, (place[power],), 2) for power in powers if power in place)
-    for size in range(2, min(len(features), MOST_COLUMNS) + 1):
-        # Of sums of three and more, the one of everything is tried only: all of them would be a search.
-        sums = combinations(features, size) if size == 2 else [tuple(features)] * (size == len(features))  # noqa: PLR2004
-        for terms in sums:
-            if set(terms) & set(plain):
-                yield Candidate(" + ".join(terms), tuple(place[name] for name in terms), size)
+    # Of sums of three and more, the one of everything is tried only: all of them would be a search.
+    whole = [tuple(features)] if 2 < len(features) <= MOST_COLUMNS else []  # noqa: PLR2004 - pairs come before
+    for terms in (*combinations(features, 2), *whole):
+        if set(terms) & set(plain):
+            yield Candidate(" + ".join(terms), tuple(place[name] for name in terms), len(terms))

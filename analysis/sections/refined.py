@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from analysis.numbers import COUNT, TWO_WAY, count_number, make_interval, make_number, name_path
+from analysis.refined.candidates import EQUAL
 from analysis.refined.refine import refine_metric
 from analysis.sections.parts import split_parts
 from analysis.sections.section import INTERVAL, Cell, Grid, Section
@@ -89,11 +90,12 @@ def _search(part: Part, metrics: tuple[str, ...], choices: Choices) -> Refined:
 
 def _judge(part: Part, result: Refined) -> str:
     gain = result.gains.sort_values("plain", ascending=False).to_dict("records")[0]
-    told = f"{tell_number(gain['value'])}, 95 % two-way interval {tell_range(gain['low'], gain['high'])}"
-    over = f"within recordings and out of fold, the search gains {told} in correlation over {tell_name(gain['metric'])}"
-    reach = f"{over}, the best single metric here"
+    told = f"{tell_number(gain['value'])} (95 % two-way interval {tell_range(gain['low'], gain['high'])})"
+    pair = f"{tell_number(result.value)} with what the search finds, {tell_number(gain['plain'])} with"
+    scored = "differences within recordings, of recordings and people left out, correlate by"
+    reach = f"{scored} {pair} {tell_name(gain['metric'])}, the best single metric here, a gain of {told}"
     if result.recommended:
-        return f"{start(part.subject)}: a refined metric, {_tell_choice(result)}, predicts better: {reach}."
+        return f"{start(part.subject)}: {_tell_choice(result)} predicts better than each metric: {reach}."
     if np.isfinite(gain["low"]) and gain["low"] > 0:
         simple = "but one is not chosen on all ratings, or does not gain over every single metric"
         return f"{start(part.subject)}: no refined metric is recommended: {reach}, {simple}."
@@ -104,7 +106,9 @@ def _judge(part: Part, result: Refined) -> str:
 
 
 def _tell_choice(result: Refined) -> str:
-    return f"{tell_name(result.chosen)} (metrics in standard deviations)"
+    if result.chosen == EQUAL:
+        return "the sum of the metrics, each in standard deviations, with equal weights,"
+    return f"the weighted sum of {tell_name(result.chosen)}" if " + " in result.chosen else tell_name(result.chosen)
 
 
 def _lay_scores(found: Found) -> Grid:

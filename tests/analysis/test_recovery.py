@@ -1,10 +1,11 @@
-"""Recovery: in simulated studies, is the truth in every printed interval, and how often does a printed test find nothing?
+"""Recovery: is the truth in every printed interval of simulated studies, and how often does a test find what is not?
 
-Each study has crossed participants and recordings, slopes that differ between people, stimuli that differ for reasons no
-metric knows, and noisy repeats; the truth is planted, or is what studies of hundreds of recordings come to. The classic
-tests and intervals, which take stimuli or rows for independent, are run twice: in such a study, where they are expected
-to be wrong (that is why they are shown "for comparison" only), and in one made to their assumptions, where they must not
-be. The soak runs hundreds of studies and prints a table; by default a few are run, to see that the machinery works.
+Each study has crossed participants and recordings, slopes that differ between people, stimuli that differ for reasons
+no metric knows, and noisy repeats; the truth is planted, or is what studies of hundreds of recordings come to. The
+classic tests and intervals, which take stimuli or rows for independent, are run twice: in such studies, where they are
+expected to be wrong (that is why they are shown for comparison only), and in plain ones, made to their assumptions,
+where they must not be. The soak runs 400 studies of each kind and prints a table; by default a few are run, to see
+that all of it works.
 """
 
 from __future__ import annotations
@@ -50,10 +51,18 @@ WRONG = (0.0, 1.0)
 
 SINGLE = ("icc_1_1", "icc_c_1", "icc_a_1")
 CLASSIC = (
-    "P.1401", "repeated", "icc", "alpha", "finds: repeated", "finds: williams", "finds: steiger", "finds: meng",
-    "finds: zou", "finds: P.1401", "Bradley-Terry, plain, raters differ",
+    "P.1401", "icc", "alpha", "finds: repeated", "finds: williams", "finds: steiger", "finds: meng", "finds: zou",
+    "finds: P.1401", "Bradley-Terry, plain, raters differ",
 )  # fmt: skip
 """Take stimuli, rows or comparisons for independent, and are wrong where they are not."""
+
+SHOWN = (
+    "standardised",  # the interval holds for this study's standard deviations; here the truth is of all studies'
+    "difference of standardised",
+    "alpha, other people too",  # it draws stimuli only, and says so
+    "repeated-measures correlation, shared stimuli",  # rows of one stimulus share its metric, whatever the noise
+    "icc_1_1",  # one-way: for raters who differ from stimulus to stimulus
+)
 
 
 @dataclass(frozen=True)
@@ -211,7 +220,7 @@ def judge_classics(plant: Plant, study: Study, rng: np.random.Generator) -> Iter
     yield "P.1401 rmse", standard.rmse_low <= truth.rmse <= standard.rmse_high
     cells = rows.groupby(["participant", "item"])[["sm", "rating"]].mean().reset_index()
     repeated = repeated_measures_correlation(cells["sm"], cells["rating"], cells["participant"])
-    yield "repeated-measures correlation", repeated.low <= truth.repeated[0] <= repeated.high
+    yield "repeated-measures correlation, shared stimuli", repeated.low <= truth.repeated[0] <= repeated.high
     icc = intraclass(study.table)
     for name, wanted in {**truth.reliability, **step_up(truth.reliability, plant.people)}.items():
         yield name, getattr(icc, f"{name}_low") <= wanted <= getattr(icc, f"{name}_high")
@@ -229,6 +238,14 @@ def judge_alpha(plant: Plant, rng: np.random.Generator) -> Iterator[tuple[str, b
     found = bootstrap_alpha(simulate(plant, rng, people=people).table, draws=DRAWS, rng=rng)
     wanted = krippendorff_alpha(simulate(replace(plant, recordings=300), rng, people=people).table)
     yield "alpha, these people", found.low <= wanted <= found.high
+
+
+def judge_rows(rng: np.random.Generator) -> Iterator[tuple[str, bool]]:
+    """Rows that are what the repeated-measures correlation takes them for: correlation 0.6 within people."""
+    person = np.repeat(np.arange(12), 48)
+    x, noise = rng.normal(size=(2, len(person)))
+    found = repeated_measures_correlation(x, 0.6 * x + 0.8 * noise + rng.normal(0, 2, 12)[person], person)
+    yield "repeated-measures correlation, own rows", found.low <= 0.6 <= found.high
 
 
 def judge_contrasts(plant: Plant, study: Study) -> Iterator[tuple[str, bool]]:
@@ -304,7 +321,7 @@ def run_study(name: str, seed: int) -> dict[str, bool]:
         "null": lambda: chain(judge_null(plant, study, rng), judge_contrasts(plant, study)),
         "own": lambda: judge_null(plant, study, rng),
         "equal": lambda: judge_tests(study, rng),
-        "plain": lambda: chain(judge_classics(plant, study, rng), judge_alpha(plant, rng)),
+        "plain": lambda: chain(judge_classics(plant, study, rng), judge_alpha(plant, rng), judge_rows(rng)),
         "plain equal": lambda: judge_tests(study, rng),
     }  # fmt: skip
     return {check: bool(hit) for check, hit in judges[name]()}
@@ -344,12 +361,14 @@ def judge_duels(rng: np.random.Generator) -> Iterator[tuple[str, bool]]:
 
 def expect(name: str, check: str) -> tuple[float, float]:
     """Say what share of studies a check may hit."""
-    if check.startswith(CLASSIC) and "plain" not in name:
+    if check.startswith(SHOWN) or (check.startswith(CLASSIC) and "plain" not in name):
         return WRONG
-    if name == "own" or (check == "icc_1_1" and name == "plain"):  # raters are the same for all stimuli
+    if name == "own":  # reducers feel different for reasons that no metric knows and the model has no term for
         return WRONG
     if check.startswith("finds"):
-        return AT_MOST if "Holm" in check or "margin" in check else TEST
+        # Drawing both ways counts noise twice: where there is nothing but noise, too little is found, never too much.
+        cautious = ("Holm" in check, "margin" in check, name == "plain equal" and "two-way" in check)
+        return AT_MOST if any(cautious) else TEST
     return NINETY if check.startswith("tost") else INTERVAL
 
 
@@ -369,8 +388,8 @@ def test_intervals_cover_and_tests_hold_their_level(name: str) -> None:
 
 @pytest.mark.soak
 def test_planted_slopes_are_recovered_without_bias() -> None:
-    models = [fit_primary(simulate(CROSSED, np.random.default_rng([seed, 5])).rows, ["sm", "tm"]) for seed in range(200)]
-    found = np.array([model.slopes["estimate"] for model in models])
+    studies = (simulate(CROSSED, np.random.default_rng([seed, 5])) for seed in range(200))
+    found = np.array([fit_primary(study.rows, ["sm", "tm"]).slopes["estimate"] for study in studies])
     bias, error = found.mean(axis=0) - CROSSED.slopes, found.std(axis=0, ddof=1) / np.sqrt(len(found))
     print(f"bias per 0.1: {bias / 10}, its standard error {error / 10}")  # noqa: T201 - the figure
     assert (np.abs(bias) < 3 * error).all()

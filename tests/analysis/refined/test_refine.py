@@ -21,7 +21,7 @@ SLOPES = {"noise": (0.0, 0.0), "one": (30.0, 0.0), "both": (30.0, 30.0), "uneven
 
 
 def make_study(seed: int, slopes: tuple[float, float] = (30.0, 30.0), **sizes: int) -> pd.DataFrame:
-    """Ratings that follow two metrics, with slopes that differ between people, and stimuli with a spread of their own."""
+    """Ratings that follow two metrics, with slopes that differ between people; stimuli have a spread of their own."""
     people, recordings, reducers = (sizes.get(name, own) for name, own in
                                     (("people", 10), ("recordings", 8), ("reducers", 6)))  # fmt: skip
     rng = np.random.default_rng(seed)
@@ -172,6 +172,9 @@ def test_other_columns_enter_sums_only() -> None:
     assert "level" not in names
     assert {"sm + level", "tm + level", "sm + tm + level"} <= set(names)
     assert found.gains["metric"].tolist() == ["sm", "tm"]
+    generator = np.random.default_rng(0)
+    alone = refine_metric(rows.assign(level=level), ["sm"], others=["tm", "level"], draws=2, rng=generator)
+    assert alone.candidates["name"].tolist() == ["sm", "sm ^ 0.5", "sm ^ 2", "sm + tm", "sm + level", "sm + tm + level"]
 
 
 def test_metrics_that_say_the_same_share_a_weight_and_flat_ones_are_named() -> None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
-from analysis.refined.refine import refine_metric
+from analysis.refined.refine import Refined, refine_metric
 from analysis.sections.choices import Choices
 from analysis.sections.refined import LEVEL, compute
 from analysis.table import Table
@@ -48,8 +49,7 @@ def test_section_tells_what_the_search_found(make_table: Callable[..., Table]) -
 def test_a_sum_is_recommended_and_a_single_metric_is_not_improved(make_table: Callable[..., Table]) -> None:
     both = compute(make_table(spectral=25, temporal=30), CHOICES).answers
     assert len(both) == 1
-    assert both[0].startswith("Realism: a refined metric, ")
-    assert "predicts better: within recordings and out of fold, the search gains 0." in both[0]
+    assert both[0].startswith("Realism: the weighted sum of spectral match + temporal match predicts better than each ")
     one = compute(make_table(spectral=40, temporal=0), CHOICES).answers[0]
     assert one.startswith("Realism: no refined metric is recommended: ")
     assert one.endswith("the interval covers zero.")
@@ -62,6 +62,18 @@ def test_a_level_enters_where_the_manifest_tells_it(make_table: Callable[..., Ta
     rows = table.rows.assign(rms_m_s2=table.rows["stimulus_id"].map(of_stimulus))
     names = compute(Table(rows, METRICS, ()), CHOICES).tables["refined_candidates"]["name"]
     assert f"spectral_match + {LEVEL}" in set(names)
+
+
+def test_a_gain_over_the_best_alone_is_no_recommendation(
+    make_table: Callable[..., Table], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def search(*given: Any, **choices: Any) -> Refined:
+        return replace(refine_metric(*given, **choices), recommended=False)
+
+    monkeypatch.setattr("analysis.sections.refined.refine_metric", search)
+    answer = compute(make_table(spectral=25, temporal=30), CHOICES).answers[0]
+    assert answer.startswith("Realism: no refined metric is recommended: ")
+    assert "but one is not chosen on all ratings, or does not gain over every single metric." in answer
 
 
 def test_small_studies_are_told_why_there_is_none(make_table: Callable[..., Table]) -> None:
