@@ -14,8 +14,9 @@ from analysis.mixed.model import contrast, fit_mixed
 from analysis.numbers import count_number, make_number, name_path
 from analysis.pictures import Picture, make_slug
 from analysis.sections.effects import SIGNIFICANCE, adjust, lay_estimate, name_estimate, name_tests
-from analysis.sections.parts import ITEM, split_parts
+from analysis.sections.parts import ITEM
 from analysis.sections.section import Cell, Grid, Section
+from analysis.sections.thinning import thin_parts
 from analysis.table import order_reducers
 from analysis.words import start
 
@@ -76,7 +77,7 @@ def compute(table: Table, choices: Choices) -> Section:
     answers, notes, grids, numbers = [], [], [], []
     tables: dict[str, DataFrame] = {}
     pictures: list[Picture] = []
-    for part in split_parts(table, matched=False):
+    for part in thin_parts(table, choices, matched=False):
         margin = _find_margin(part, choices)
         try:
             pairs = _compare(part.rows, margin)

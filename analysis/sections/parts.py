@@ -30,12 +30,15 @@ class Part:
         One row per judgement, with a column ``item``.
     subject : str
         How to call it: the scale, and the level where there are several.
+    thinned : str
+        What was left out because there is too much of it; empty if nothing was.
     """
 
     scale: str
     level: str
     rows: DataFrame
     subject: str
+    thinned: str = ""
 
     @property
     def place(self) -> tuple[str, str]:

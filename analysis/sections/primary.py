@@ -10,9 +10,9 @@ from analysis.numbers import COUNT, count_number, make_number, name_path
 from analysis.pictures import Picture, make_slug
 from analysis.primary import fit_primary, tabulate_slopes
 from analysis.sections.effects import SIGNIFICANCE, lay_estimate, name_estimate, name_tests, tell_estimate, tell_p
-from analysis.sections.parts import split_parts
 from analysis.sections.section import Cell, Grid, Section
 from analysis.sections.settling import SETTLING, lay_precision, name_precision, tell_need
+from analysis.sections.thinning import thin_parts
 from analysis.words import tell_name
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ HOW = (
 )
 
 
-def compute(table: Table, choices: Choices) -> Section:  # noqa: ARG001 - every section has this form
+def compute(table: Table, choices: Choices) -> Section:
     """Fit the primary model of every scale and level.
 
     Parameters
@@ -47,14 +47,14 @@ def compute(table: Table, choices: Choices) -> Section:  # noqa: ARG001 - every 
     table : Table
         Ratings and metrics.
     choices : Choices
-        Leave nothing to decide here.
+        Seed, for what is too large to be fitted as a whole.
 
     Returns
     -------
     Section
         Slopes, their differences, explained variance, precision.
     """
-    fits, notes = fit_parts(table)
+    fits, notes = fit_parts(table, choices)
     if not fits:
         return Section(KEY, TITLE, notes=notes)
     slopes = tabulate_slopes({lead: model for lead, (_, model) in fits.items()})
@@ -75,13 +75,15 @@ def compute(table: Table, choices: Choices) -> Section:  # noqa: ARG001 - every 
     )  # fmt: skip
 
 
-def fit_parts(table: Table) -> tuple[Fits, tuple[str, ...]]:
+def fit_parts(table: Table, choices: Choices) -> tuple[Fits, tuple[str, ...]]:
     """Fit every part that can be fitted.
 
     Parameters
     ----------
     table : Table
         Ratings and metrics.
+    choices : Choices
+        Seed.
 
     Returns
     -------
@@ -91,7 +93,8 @@ def fit_parts(table: Table) -> tuple[Fits, tuple[str, ...]]:
         Why a part has no model.
     """
     fits, notes = {}, []
-    for part in split_parts(table):
+    for part in thin_parts(table, choices):
+        notes += [part.thinned] if part.thinned else []
         try:
             fits[part.lead] = part, fit_primary(part.rows, table.metrics)
         except ValueError as error:
@@ -140,12 +143,13 @@ def _tell_reach(model: Primary) -> str:
 def _lay_slopes(rows: list[Row], numbers: list[tuple[Number, ...]]) -> Grid:
     caption = (
         "Slope of ratings on each metric within recordings, from the mixed model: points per +0.1 of it, and in "
-        f"standard deviations. 95 % t intervals with Satterthwaite's df; p adjusted by Holm over this table's {len(rows)} slopes."
+        "standard deviations. 95 % t intervals with Satterthwaite's df; p adjusted by Holm over this table's "
+        f"{len(rows)} slopes."
     )
     head = ("Ratings", "Metric", "Points per +0.1", "Interval", "Standardised", "Interval", "df", "p", "p (Holm)")
     laid = [
-        (tell_name(row["attribute"]), tell_name(row["metric"]), *lay_estimate(tenth, "slope"), *lay_estimate(standard, "slope"),
-         Cell(df, "df"), Cell(p, "p"), Cell(holm, "p"))
+        (tell_name(row["attribute"]), tell_name(row["metric"]), *lay_estimate(tenth, "slope"),
+         *lay_estimate(standard, "slope"), Cell(df, "df"), Cell(p, "p"), Cell(holm, "p"))
         for row, (tenth, standard, df, p, holm) in zip(rows, numbers, strict=True)
     ]  # fmt: skip
     return Grid(caption, head, tuple(laid), detail=False)

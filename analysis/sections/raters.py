@@ -14,6 +14,7 @@ from analysis.sections.contrasts import find_repeat_sd
 from analysis.sections.effects import lay_estimate, name_estimate
 from analysis.sections.parts import split_parts
 from analysis.sections.section import Cell, Grid, Section
+from analysis.sections.thinning import thin_parts
 from analysis.words import tell_name
 
 if TYPE_CHECKING:
@@ -63,14 +64,15 @@ def compute(table: Table, choices: Choices) -> Section:
     if single.empty:
         return Section(KEY, TITLE, notes=("Raters are not screened: nobody rated a stimulus by itself.",))
     screening = screen_raters(single, rng=choices.make_rng(KEY))
-    slopes = list(_vary(table, screening))
+    slopes = list(_vary(table, screening, choices))
     grids = [_lay_rules(screening), _lay_panel(screening.panel)]
     noise = list(_name_noise(table))
     return Section(
         key=KEY, title=TITLE, answers=(_judge(screening),),
         grids=(*grids, *([_lay_slopes(slopes)] if slopes else []), *([_lay_noise(noise)] if noise else [])),
         unseen=tuple(_count_hit(screening)), tables=_make_tables(screening, slopes),
-        pictures=(Picture("raters", "raters", CAPTION, draw_raters(screening)),), notes=screening.notes, how=(*HOW, _tell_rules(screening)),
+        pictures=(Picture("raters", "raters", CAPTION, draw_raters(screening)),), notes=screening.notes,
+        how=(*HOW, _tell_rules(screening)),
     )  # fmt: skip
 
 
@@ -87,8 +89,8 @@ def _hit(screening: Screening, panel: str) -> list[Hashable]:
     return sorted({who for rule in chosen for who in screening.hits[rule]}, key=str)
 
 
-def _vary(table: Table, screening: Screening) -> Iterator[Row]:
-    for part in split_parts(table):
+def _vary(table: Table, screening: Screening, choices: Choices) -> Iterator[Row]:
+    for part in thin_parts(table, choices):
         fitted: dict[tuple[Hashable, ...], list[Row]] = {}
         for panel in PANELS:
             out = tuple(_hit(screening, panel))
@@ -165,7 +167,8 @@ def _name_noise(table: Table) -> Iterator[tuple[str | Cell, ...]]:
         sd, n = find_repeat_sd(part.rows)
         if n:
             method = "rating, pooled standard deviation of repeats of a stimulus by a rater"
-            yield tell_name(part.lead), Cell(make_number(name_path("repeat_sd", *part.place), sd, method, n=n), "rating")
+            number = make_number(name_path("repeat_sd", *part.place), sd, method, n=n)
+            yield tell_name(part.lead), Cell(number, "rating")
 
 
 def _lay_noise(rows: list[tuple[str | Cell, ...]]) -> Grid:

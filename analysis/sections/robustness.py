@@ -72,7 +72,8 @@ def compute(table: Table, choices: Choices) -> Section:
     grids += [_lay_universes(universes)] if universes else []
     pictures += [_draw_universes(metric, *found) for (_, metric), found in universes.items() if len(found[1].curve)]
     return Section(
-        key=KEY, title=TITLE, answers=tuple(_judge(found) for found in universes.items()), grids=tuple(grids), tables=_make_tables(varied, universes), pictures=tuple(pictures),
+        key=KEY, title=TITLE, answers=tuple(map(_judge, universes.items())), grids=tuple(grids),
+        tables=_make_tables(varied, universes), pictures=tuple(pictures),
         notes=(*notes, *_note_variants(varied)), how=HOW if grids else (),
     )  # fmt: skip
 
