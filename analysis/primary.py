@@ -126,7 +126,7 @@ def fit_primary(rows: DataFrame, metrics: Sequence[str], *, correlated: bool = F
     ``rating ~ a_w + b_w + a_b + b_b + (1 + a_w + b_w || participant) + (1 | recording) + (1 | item) +
     (1 | participant:recording)``, on means over repeats; on rows, plus ``(1 | participant:item)``, where
     repeats are unequal; where single ratings have more levels than can be fitted, on means all the same, as
-    `reductions` then says.``_w`` is the metric minus its recording's mean, ``_b`` that mean. Restricted maximum
+    `reductions` then says. ``_w`` is the metric minus its recording's mean, ``_b`` that mean. Restricted maximum
     likelihood, Satterthwaite's degrees of freedom; in simulated studies of 12 people, 8 recordings and 6 reducers
     its nominal 5 % test was wrong in 6.5 %.
 
