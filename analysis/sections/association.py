@@ -90,9 +90,18 @@ def _note_roles(table: Table) -> Iterator[str]:
 
 
 def _note_panels(panels: list[Panel]) -> Iterator[str]:
+    """Say each note once: of everything, or of the correlations that it is about."""
     for panel in panels:
-        found: tuple[Association | Difference, ...] = (*panel.associations, *panel.differences)
-        yield from dict.fromkeys(f"{panel.scale}, {panel.level}: {note}" for result in found for note in result.notes)
+        told: dict[str, list[str]] = {}
+        for one in panel.associations:
+            for note in one.notes:
+                told.setdefault(note, []).append(f"{tell_method(one.method)} with {one.metric}")
+        for two in panel.differences:
+            for note in two.notes:
+                told.setdefault(note, []).append(f"{tell_method(two.method)} with {two.first} less {two.second}")
+        for note, names in told.items():
+            whose = "" if len(names) >= len(panel.associations) else f" ({'; '.join(names)})"
+            yield f"{panel.scale}, {panel.level}{whose}: {note}"
 
 
 def _lay_associations(panels: list[Panel]) -> Grid:

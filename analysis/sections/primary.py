@@ -8,7 +8,7 @@ from analysis.figures.residuals import draw_residuals
 from analysis.figures.slopes import draw_slopes
 from analysis.numbers import COUNT, count_number, make_number, name_path
 from analysis.pictures import Picture, make_slug
-from analysis.primary import fit_primary, tabulate_slopes
+from analysis.primary import FEW, fit_primary, tabulate_slopes
 from analysis.sections.effects import SIGNIFICANCE, lay_estimate, name_estimate, name_tests, tell_estimate, tell_p
 from analysis.sections.section import Cell, Grid, Section
 from analysis.sections.settling import SETTLING, lay_precision, name_precision, tell_need
@@ -127,17 +127,26 @@ def _name_slope(row: Row, fit: tuple[Part, Primary]) -> tuple[Number, ...]:
 
 def _judge_slope(row: Row, slope: Number, part: Part, model: Primary) -> str:  # noqa: PLR0917 - as they are kept
     metric, evidence = tell_name(row["metric"]), f"{tell_estimate(slope, kind='slope')}; {tell_p(row['p_holm'])}"
+    evidence = f"per +0.1: {evidence}; {_tell_size(model)}"
     if not row["p_holm"] < SIGNIFICANCE:
-        undecided = f"Whether {part.subject} ratings follow {metric} within recordings is undecided"
-        return f"{undecided} (per +0.1: {evidence})."
+        return f"Whether {part.subject} ratings follow {metric} within recordings is undecided ({evidence})."
     way = "higher" if slope.value > 0 else "lower"
     claim = f"Within recordings, stimuli with a higher {metric} got {way} {part.subject} ratings"
-    return f"{claim} (per +0.1: {evidence}){_tell_reach(model)}."
+    return f"{claim} ({evidence}){_tell_reach(model)}."
+
+
+def _tell_size(model: Primary) -> str:
+    sizes = {"participant": model.n_participants, "recording": model.n_recordings}
+    return ", ".join(f"{count} {name}{'s' if count > 1 else ''}" for name, count in sizes.items())
 
 
 def _tell_reach(model: Primary) -> str:
-    alone = [name for name in ("participant", "recording") if getattr(model, f"n_{name}s") == 1]
-    return f", about this one {' and this one '.join(alone)} only" if alone else ""
+    """Say what a claim does not reach, or hardly."""
+    sizes = {"participant": model.n_participants, "recording": model.n_recordings}
+    alone = [name for name, count in sizes.items() if count == 1]
+    few = [f"{name}s" for name, count in sizes.items() if 1 < count < FEW]
+    told = f", about this one {' and this one '.join(alone)} only" if alone else ""
+    return f"{told}, a hint rather than a result with so few {' and '.join(few)}" if few else told
 
 
 def _lay_slopes(rows: list[Row], numbers: list[tuple[Number, ...]]) -> Grid:

@@ -196,8 +196,11 @@ def _lay_universes(universes: dict[tuple[str, str], tuple[Part, Multiverse]]) ->
 
 def _note_variants(varied: dict[str, DataFrame]) -> Iterator[str]:
     for lead, table in varied.items():
-        told = table[table["reason"] != ""].drop_duplicates("variant")
-        yield from (f"{lead}, {name}: {reason}" for name, reason in zip(told["variant"], told["reason"], strict=True))
+        own = table.drop_duplicates("variant").set_index("variant")["reason"]
+        # What the primary model lacks is said where it is told.
+        others = own[(own != "") & (own != own["primary"])]
+        for reason, names in others.groupby(others, sort=False).groups.items():
+            yield f"{lead}, {'; '.join(names)}: {reason}"
 
 
 def _make_tables(

@@ -129,13 +129,16 @@ class Section:
     @property
     def has_details(self) -> bool:
         """Whether the page folds something away."""
-        return any(shown.detail for shown in (*self.grids, *self.pictures))
+        return any(grid.detail for grid in self.grids) or any(picture.detail for picture in self.pictures)
 
     @property
     def summary(self) -> str:
         """What the fold is called."""
-        kinds = {"Tables": self.grids, "further figures": self.pictures}
-        return " and ".join(name for name, parts in kinds.items() if any(part.detail for part in parts)).capitalize()
+        kinds = {
+            "tables": any(grid.detail for grid in self.grids),
+            "further figures": any(picture.detail for picture in self.pictures),
+        }
+        return " and ".join(name for name, folded in kinds.items() if folded).capitalize()
 
     @property
     def is_empty(self) -> bool:

@@ -49,15 +49,23 @@ def name_precision(row: Row, part: Part, model: Primary) -> tuple[Number, ...]:
         Detectable slope, participants needed, recordings needed, power at infinity.
     """
     name, n = name_path("precision", *part.place, row["metric"]), model.n_rows
-    study = _find_precision(row["metric"], part, model)
-    slope = row["estimate"]
-    at_infinity = study.enlarge(participants=10**9).find_power(slope)
-    return (
-        make_number(f"{name}.detectable", study.find_slope() / 10, "slope per +0.1 found with 80 % power", n=n),
-        make_number(f"{name}.participants", study.find_participants(slope), "participants for 80 % power", n=n),
-        make_number(f"{name}.recordings", study.find_recordings(slope), "recordings for 80 % power", n=n),
-        make_number(f"{name}.infinite", at_infinity, "power of infinitely many participants", n=n),
+    values = _find_needs(_find_precision(row["metric"], part, model), row["estimate"])
+    told = {
+        "detectable": "slope per +0.1 found with 80 % power", "participants": "participants for 80 % power",
+        "recordings": "recordings for 80 % power", "infinite": "power of infinitely many participants",
+    }  # fmt: skip
+    return tuple(
+        make_number(f"{name}.{key}", value, method, n=n)
+        for (key, method), value in zip(told.items(), values, strict=True)
     )
+
+
+def _find_needs(study: Precision, slope: float) -> tuple[float, ...]:
+    """Find what would settle a slope; one participant or recording does not tell how others differ."""
+    if min(study.n_participants, study.n_recordings) == 1:
+        return (math.nan,) * 4
+    infinite = study.enlarge(participants=10**9).find_power(slope)
+    return study.find_slope() / 10, study.find_participants(slope), study.find_recordings(slope), infinite
 
 
 def _find_precision(metric: str, part: Part, model: Primary) -> Precision:
@@ -93,6 +101,8 @@ def tell_need(row: Row, settled: tuple[Number, ...]) -> str:
     if row["p_holm"] < SIGNIFICANCE:
         return ""
     _, participants, recordings, infinite = (number.value for number in settled)
+    if math.isnan(infinite):
+        return " What would settle it cannot be told: it takes two participants and two recordings."
     if math.isfinite(participants):
         told = tell_number(participants, kind=COUNT)
         return f" {IF_SO} {told} participants with these recordings would find it in 80 % of studies."
@@ -122,11 +132,11 @@ def lay_precision(rows: list[Row], numbers: list[tuple[Number, ...]]) -> Grid:
         f"What would settle it. Detectable: the slope, in points per +0.1, that it would find with {ENOUGH:.0%} "
         "power. Then, if the slope is what was estimated here: participants needed with these recordings, recordings "
         "needed with these participants, and the power of infinitely many participants with these recordings. A dash: "
-        "more than 10 000."
+        "more than 10 000, or unknown."
     ).replace("80%", "80 %")
     head = ("Ratings", "Metric", "Detectable", "Participants", "Recordings", "Power at infinity")
     kinds = ("slope", COUNT, COUNT, "correlation")
-    laid = [
+    laid: list[tuple[str | Cell, ...]] = [
         (
             tell_name(row["attribute"]),
             tell_name(row["metric"]),
