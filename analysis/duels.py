@@ -86,7 +86,13 @@ def count_duels(pairs: DataFrame, *, ties: str = "refuse") -> Duels:
     ValueError
         If a column, name or count is not as it must be, an item meets itself, or there are ties and they are
         refused.
+    TypeError
+        If the pairs are no DataFrame.
     """
+    from pandas import DataFrame
+
+    if not isinstance(pairs, DataFrame):
+        raise TypeError(f"pairs: got {type(pairs).__name__}, allowed is a pandas DataFrame, one row per pair or trial")
     if ties not in TIES:
         raise ValueError(f"ties: got {ties!r}, allowed is one of {', '.join(TIES)}")
     if pairs.empty:
@@ -126,7 +132,8 @@ def _read_pairs(pairs: DataFrame, *, ties: str) -> tuple[NDArray[np.str_], NDArr
 
 
 def _is_square(pairs: DataFrame) -> bool:
-    return list(map(str, pairs.index)) == list(map(str, pairs.columns))
+    numbers = pairs.select_dtypes("number").shape == pairs.shape
+    return numbers and list(map(str, pairs.index)) == list(map(str, pairs.columns))
 
 
 def _read_square(pairs: DataFrame) -> tuple[NDArray[np.str_], NDArray[np.str_], Values]:

@@ -117,8 +117,11 @@ def build_design(formula: str, data: DataFrame) -> Design:
     ValueError
         If the formula cannot be read, a column is missing or has gaps, or the data cannot tell the effects
         apart.
+    TypeError
+        If the data are no DataFrame.
     """
     parsed = parse_formula(formula)
+    _check_table(data)
     if data.empty:
         raise ValueError("data: got no rows, allowed is a table with one row per observation")
     clean = _settle_types(data)
@@ -130,9 +133,19 @@ def build_design(formula: str, data: DataFrame) -> Design:
     return design
 
 
+def _check_table(data: DataFrame) -> None:
+    import pandas as pd
+
+    if not isinstance(data, pd.DataFrame):
+        raise TypeError(f"data: got {type(data).__name__}, allowed is a pandas DataFrame, one row per observation")
+    if not data.columns.is_unique:
+        twice = data.columns[data.columns.duplicated()][0]
+        raise ValueError(f"data: got column {twice!r} twice, allowed is each name once; rename or drop one")
+
+
 def _settle_types(data: DataFrame) -> DataFrame:
     """Make numbers numbers and words words, whatever pandas keeps them in."""
-    settled = data.infer_objects()
+    settled = data.reset_index(drop=True).infer_objects()
     # Unused categories would ask for an effect without data; true and false are named as R does.
     new = {name: settled[name].cat.remove_unused_categories() for name in settled.select_dtypes("category")}
     new |= {name: settled[name].map({False: "FALSE", True: "TRUE"}) for name in settled.select_dtypes("bool")}

@@ -112,13 +112,14 @@ def parse_formula(text: str) -> Formula:
 
 
 def _split_sum(text: str) -> Iterator[tuple[str, str]]:
-    """Cut at plus and minus signs outside of brackets."""
-    depth, sign, piece = 0, "+", ""
+    """Cut at plus and minus signs outside of brackets and quotes."""
+    depth, sign, piece, quoted = 0, "+", "", False
     for letter in text:
+        quoted ^= letter == "`"
         depth += (letter == "(") - (letter == ")")
         if depth < 0:
             break
-        if letter in "+-" and depth == 0:
+        if letter in "+-" and depth == 0 and not quoted:
             yield from [(sign, piece.strip())] if piece.strip() else []
             sign, piece = letter, ""
         else:

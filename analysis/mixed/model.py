@@ -111,6 +111,8 @@ def fit_mixed(formula: str, data: DataFrame, *, reml: bool = True) -> MixedFit:
     ValueError
         If the formula cannot be read, a column is missing or has gaps, the data cannot tell the effects apart
         (one level only, a level for every row, effects that are sums of others), or leave no residual.
+    TypeError
+        If the data are no DataFrame.
 
     Notes
     -----

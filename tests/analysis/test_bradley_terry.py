@@ -108,6 +108,11 @@ def test_pairs_that_never_met_change_nothing() -> None:
     assert (more.deviance, more.df) == (pytest.approx(less.deviance), less.df)
 
 
+def test_only_tables_are_read() -> None:
+    with pytest.raises(TypeError, match="pairs: got list, allowed is a pandas DataFrame"):
+        bradley_terry([("a", "b", 3, 2)])
+
+
 def test_two_items_are_one_log_odds() -> None:
     result = bradley_terry(counts(("a", "b", 30, 10)))
     row = result.fixed.loc["b"]

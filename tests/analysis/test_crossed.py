@@ -25,8 +25,8 @@ FULL = "y ~ a + b + (1 + a + b || who) + (1 | scene) + (1 | scene:kind) + (1 | w
 def make_study(seed: int) -> pd.DataFrame:
     """Six people, five scenes, four kinds."""
     rng = np.random.default_rng(seed)
-    table = pd.MultiIndex.from_product([range(6), range(5), range(4)], names=["who", "scene", "kind"])
-    table = table.to_frame(index=False)
+    places = pd.MultiIndex.from_product([range(6), range(5), range(4)], names=["who", "scene", "kind"])
+    table = places.to_frame(index=False)
     item = table["scene"] * 4 + table["kind"]
     table["a"], table["b"] = rng.normal(size=(2, 20))[:, item]
     table["y"] = 50 + 3 * table["a"] + rng.normal(0, 5, len(table)) + 2 * rng.normal(size=20)[item]
@@ -77,6 +77,23 @@ def test_large_spreads_keep_their_degrees_of_freedom(ratio: float) -> None:
     df = fit_mixed("y ~ x + (1 | who)", data).fixed["df"]
     # Balanced: people less one, and rows less people and the slope.
     assert df.tolist() == pytest.approx([9, 39], rel=0.01)
+
+
+def test_any_index_and_any_name_in_quotes() -> None:
+    data = make_study(5)
+    plain = fit_mixed("y ~ a + (a | who)", data)
+    moved = data.set_index(["who", "scene"], drop=False).rename(columns={"a": "a - b", "who": "w+"})
+    quoted = fit_mixed("y ~ `a - b` + (`a - b` | `w+`)", moved)
+    assert quoted.criterion == plain.criterion
+    assert quoted.fixed.index.tolist() == ["(Intercept)", "a - b"]
+
+
+def test_what_is_no_table_with_names_is_refused() -> None:
+    data = make_study(5)
+    with pytest.raises(TypeError, match="data: got dict, allowed is a pandas DataFrame"):
+        fit_mixed("y ~ a + (1 | who)", {"y": [1.0], "a": [1.0], "who": [1]})
+    with pytest.raises(ValueError, match="data: got column 'a' twice"):
+        fit_mixed("y ~ a + (1 | who)", pd.concat([data, data[["a"]]], axis=1))
 
 
 def test_a_double_bar_keeps_the_levels_of_a_category_together() -> None:
