@@ -65,7 +65,7 @@ def join_labels(rows: DataFrame, ratings_path: Path) -> tuple[DataFrame, list[st
     refuse_lines(doubled, path.name, why="in column 'participant', but an earlier line lists it already; keep one")
     labels = sheet.set_index("participant")
     joined = rows.join(labels, on="participant").fillna(dict.fromkeys(labels, ""))
-    return joined, [_tell_groups(joined, name) for name in labels]
+    return joined, [_tell_groups(joined, name) for name in names]
 
 
 def _list_labels(path: Path, rows: DataFrame) -> list[str]:
@@ -75,5 +75,5 @@ def _list_labels(path: Path, rows: DataFrame) -> list[str]:
 
 def _tell_groups(rows: DataFrame, name: str) -> str:
     groups = rows.groupby(name)["participant"].nunique()
-    told = ", ".join(f"{list_names([group]) if group else 'unknown'} {count}" for group, count in groups.items())
+    told = ", ".join(f"{list_names([str(group)]) if group else 'unknown'} {count}" for group, count in groups.items())
     return f"Participants differ in {list_names([name])} ({ROSTER_FILE}; participants: {told}): no test compares them."
