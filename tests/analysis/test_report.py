@@ -243,10 +243,10 @@ def test_captions_speak_of_what_is_there(files: Callable[..., object], report: P
 
 
 def test_left_out_judgements_are_counted(report: Path) -> None:
-    assert load(report)["notes"] == [
+    assert {
         "Associations leave out 192 judgements of stimuli with role 'anchor'.",
         "Associations leave out 96 judgements of stimuli with role 'reference'.",
-    ]
+    } < set(load(report)["notes"])
 
 
 def test_a_reduced_analysis_is_a_report_too(files: Callable[..., object], tmp_path: Path) -> None:
