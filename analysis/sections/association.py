@@ -15,7 +15,7 @@ from analysis.sections.means import name_mean
 from analysis.sections.parts import split_parts
 from analysis.sections.section import INTERVAL, VALUE, Cell, Grid, Section
 from analysis.table import order_reducers
-from analysis.verdict import LEADING, UNADJUSTED, judge_absence, judge_panels
+from analysis.verdict import LEADING, UNADJUSTED, judge_absence, judge_panels, sum_up_panels
 from analysis.words import tell_method, tell_name
 
 if TYPE_CHECKING:
@@ -56,10 +56,10 @@ def compute(table: Table, choices: Choices) -> Section:
     if not panels:
         return Section(KEY, title, notes=notes, verdict=judge_absence(table.rows["scale"].unique()))
     looks = assign_looks(order_reducers(table.rows["reducer"]))
-    verdict = judge_panels(panels)
     grids = [_lay_associations(panels), *([_lay_differences(panels)] if panels[0].differences else [])]
     return Section(
-        key=KEY, title=title, answers=(*verdict, UNADJUSTED), verdict=verdict, grids=tuple(grids),
+        key=KEY, title=title, answers=(*judge_panels(panels), UNADJUSTED), verdict=sum_up_panels(panels),
+        grids=tuple(grids),
         unseen=tuple(number for panel in panels for number in _collect_panel(panel)),
         tables=_make_tables(panels),
         pictures=tuple(

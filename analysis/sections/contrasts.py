@@ -242,7 +242,7 @@ def _draw(pairs: list[_Pair], part: Part) -> Iterator[Picture]:
         return
     people, scenes = (len(part.rows[name].unique()) for name in ("participant", "recording"))
     caption = (
-        f"Differences between reducers in {part.subject} ratings with 90 % intervals; shaded: the margin of "
+        f"Differences between reducers in {part.ratings} with 90 % intervals; shaded: the margin of "
         "equivalence. Filled: equivalence is shown."
     )
     figure = draw_equivalence(tests, n_participants=people, n_recordings=scenes)

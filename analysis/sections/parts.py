@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from analysis.scales import APART
-from analysis.words import tell_name
+from analysis.words import tell_name, tell_ratings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -39,6 +39,11 @@ class Part:
     rows: DataFrame
     subject: str
     thinned: str = ""
+
+    @property
+    def ratings(self) -> str:
+        """How to call it within a sentence."""
+        return tell_ratings(self.subject)
 
     @property
     def place(self) -> tuple[str, str]:

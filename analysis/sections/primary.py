@@ -13,7 +13,7 @@ from analysis.sections.effects import SIGNIFICANCE, lay_estimate, name_estimate,
 from analysis.sections.section import Cell, Grid, Section
 from analysis.sections.settling import SETTLING, lay_precision, name_precision, tell_need
 from analysis.sections.thinning import thin_parts
-from analysis.words import tell_name
+from analysis.words import start, tell_name
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterator
@@ -61,14 +61,13 @@ def compute(table: Table, choices: Choices) -> Section:
     rows = list(slopes.to_dict("records"))
     numbers = [_name_slope(row, fits[row["attribute"]]) for row in rows]
     precisions = [name_precision(row, *fits[row["attribute"]]) for row in rows]
-    verdict = [
-        _judge_slope(row, number[0], *fits[row["attribute"]]) + tell_need(row, settled)
-        for row, number, settled in zip(rows, numbers, precisions, strict=True)
-    ]
+    told = list(zip(rows, numbers, precisions, strict=True))
+    answers = [_judge_slope(row, number[0], *fits[row["attribute"]]) for row, number, _ in told]
+    verdict = [_sum_up([one for one in told if one[0]["attribute"] == lead], *fit) for lead, fit in fits.items()]
     grids = [_lay_slopes(rows, numbers), _lay_models(fits), lay_precision(rows, precisions)]
     differences = list(_list_differences(fits))
     return Section(
-        key=KEY, title=TITLE, answers=tuple(verdict), verdict=tuple(verdict),
+        key=KEY, title=TITLE, answers=tuple(answers), verdict=tuple(verdict),
         grids=(*grids[:1], *([_lay_differences(fits, differences)] if differences else []), *grids[1:]),
         tables=_make_tables(fits, slopes), pictures=tuple(_draw_models(fits)),
         notes=(*notes, *_note_models(fits)), how=(*HOW, SETTLING),
@@ -129,10 +128,24 @@ def _judge_slope(row: Row, slope: Number, part: Part, model: Primary) -> str:  #
     metric, evidence = tell_name(row["metric"]), f"{tell_estimate(slope, kind='slope')}; {tell_p(row['p_holm'])}"
     evidence = f"per +0.1: {evidence}; {_tell_size(model)}"
     if not row["p_holm"] < SIGNIFICANCE:
-        return f"Whether {part.subject} ratings follow {metric} within recordings is undecided ({evidence})."
+        return f"Whether {part.ratings} follow {metric} within recordings is undecided ({evidence})."
     way = "higher" if slope.value > 0 else "lower"
-    claim = f"Within recordings, stimuli with a higher {metric} got {way} {part.subject} ratings"
+    claim = f"Within recordings, stimuli with a higher {metric} got {way} {part.ratings}"
     return f"{claim} ({evidence}){_tell_reach(model)}."
+
+
+def _sum_up(told: list[tuple[Row, tuple[Number, ...], tuple[Number, ...]]], part: Part, model: Primary) -> str:
+    """Say in one line what the model of a part shows, and what would settle what it leaves open."""
+    found = "; ".join(_tell_slope(row, numbers[0]) for row, numbers, _ in told)
+    needs = "".join(tell_need(row, settled) for row, _, settled in told)
+    return f"{start(part.subject)}, within recordings ({_tell_size(model)}): {found}{_tell_reach(model)}.{needs}"
+
+
+def _tell_slope(row: Row, slope: Number) -> str:
+    metric, evidence = tell_name(row["metric"]), f"{tell_estimate(slope, kind='slope')}; {tell_p(row['p_holm'])}"
+    if row["p_holm"] < SIGNIFICANCE:
+        return f"+0.1 of {metric} goes with {'higher' if slope.value > 0 else 'lower'} ratings ({evidence})"
+    return f"what +0.1 of {metric} goes with is undecided ({evidence})"
 
 
 def _tell_size(model: Primary) -> str:

@@ -124,7 +124,7 @@ def _remember_slopes(metrics: tuple[str, ...]) -> Callable[[str], Callable[[Data
 def _draw_variants(part: Part, metrics: tuple[str, ...], table: DataFrame) -> Picture:
     model: Primary = fit_primary(part.rows, metrics)
     caption = (
-        f"Slopes of {part.subject} ratings within recordings: above in points per +0.1 of the metric, below "
+        f"Slopes of {part.ratings} within recordings: above in points per +0.1 of the metric, below "
         "standardised, under other choices; 95 % Satterthwaite intervals."
     )
     figure = draw_slopes({part.lead: model}, variants={part.lead: table})
@@ -133,7 +133,7 @@ def _draw_variants(part: Part, metrics: tuple[str, ...], table: DataFrame) -> Pi
 
 def _draw_universes(metric: str, part: Part, result: Multiverse) -> Picture:
     caption = (
-        f"Slope of {part.subject} ratings on {tell_name(metric)}, points per +0.1, in every universe of screening "
+        f"Slope of {part.ratings} on {tell_name(metric)}, points per +0.1, in every universe of screening "
         "rules, from the smallest up; 95 % Satterthwaite intervals. Below: which rules were applied."
     )
     figure = draw_multiverse(result, estimate="Points per +0.1")
@@ -142,7 +142,7 @@ def _draw_universes(metric: str, part: Part, result: Multiverse) -> Picture:
 
 def _judge(found: tuple[tuple[str, str], tuple[Part, Multiverse]]) -> str:
     (_, metric), (part, result) = found
-    what = f"Slope of {part.subject} ratings on {tell_name(metric)}"
+    what = f"Slope of {part.ratings} on {tell_name(metric)}"
     if not len(result.curve):
         return f"{what}: no set of raters allows a model."
     reach = tell_range(result.smallest, result.largest, kind="slope")

@@ -28,7 +28,7 @@ SETTLING = (
     "noncentral t. This study's spreads are taken for the true ones, which they are not; numbers that rest on the "
     "slope estimated here are hopeful where that was large by luck."
 )
-IF_SO = "If the slope is what was estimated here,"
+IF_SO = "If the slope on {} is what was estimated here,"
 
 
 def name_precision(row: Row, part: Part, model: Primary) -> tuple[Number, ...]:
@@ -101,16 +101,18 @@ def tell_need(row: Row, settled: tuple[Number, ...]) -> str:
     if row["p_holm"] < SIGNIFICANCE:
         return ""
     _, participants, recordings, infinite = (number.value for number in settled)
+    metric = tell_name(row["metric"])
+    if_so = IF_SO.format(metric)
     if math.isnan(infinite):
-        return " What would settle it cannot be told: it takes two participants and two recordings."
+        return f" What would settle {metric} cannot be told: it takes two participants and two recordings."
     if math.isfinite(participants):
         told = tell_number(participants, kind=COUNT)
-        return f" {IF_SO} {told} participants with these recordings would find it in 80 % of studies."
+        return f" {if_so} {told} participants with these recordings would find it in 80 % of studies."
     if math.isfinite(recordings):
         told = tell_number(recordings, kind=COUNT)
         none = f"no number of participants settles it with these recordings (power at most {tell_number(infinite)})"
-        return f" {IF_SO} {none}; {told} recordings with as many participants would find it in 80 % of studies."
-    return " A slope as small as the one estimated here is out of reach of any study of this kind."
+        return f" {if_so} {none}; {told} recordings with as many participants would find it in 80 % of studies."
+    return f" A slope on {metric} as small as the one estimated here is out of reach of any study of this kind."
 
 
 def lay_precision(rows: list[Row], numbers: list[tuple[Number, ...]]) -> Grid:
