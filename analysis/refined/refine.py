@@ -145,17 +145,22 @@ def refine_metric(
     are set against it. So no rating is compared with a value that the same person's ratings, or ratings of
     the same recording, had a part in. Values are in standard deviations over all stimuli. With s the share of a
     stimulus's ratings that group g gave, y their mean and c the value, the correlation is
-    Σ Σ s (y - ȳ)(c - c̄) over the product of the root sums of squares of the stimuli's means; for a metric that is
-    fitted to nothing that is the ordinary one. The error is that of the stimuli's mean ratings.
+    Σ Σ s (y - ȳ)(c - c̄) over the root of Σ (ȳ_i - ȳ)² Σ Σ s (c - c̄)², with ȳ_i the stimulus's mean rating; for a
+    metric that is fitted to nothing that is the ordinary one. The error is that of the stimuli's mean ratings.
 
     **Interval:** participants and recordings are drawn with replacement, the whole search is repeated, copies of a
     recording being left out together, and the interval is tanh(atanh T ± t(.975, U - 1) sqrt(U / (U - 1)) SD(atanh
     T*)), with U the smaller of both numbers; so for gains, whose plain metric is drawn along. The root mean squared
     error likewise on its logarithm.
 
-    A search among noise gains nothing: without any relation, the gain is about zero or below. With it, gains are
-    less than on the data that were searched, which is why only these are told. Do not use it with few recordings
-    to *find* a metric: it can show that a metric is enough, or that a refinement is worth a new study.
+    The interval is cautious, because a draw holds fewer different recordings to learn from: in simulated studies of
+    10 people, 8 recordings and 6 reducers it covered the mean gain in 95 % (noise) to 100 % of studies; a sum that
+    gains 0.7 in Fisher's z over both metrics was recommended in 72 %, one that gains 0.2 over the better one in 1 %.
+    With the fits held as they are, it would cover as little as 67 %.
+
+    A search among noise gains nothing: without any relation, the gain is about zero or below, and in none of 100 such
+    studies was anything recommended. Do not use it with few recordings to *find* a metric: it can show that a metric
+    is enough, or that a refinement is worth a new study.
 
     References
     ----------

@@ -152,8 +152,9 @@ def _correlate(means: Means, metric: Values, counts: Values) -> Values:
     products = means.share * (means.own - middle_rated[:, None]) * (metric - middle_valued[:, None])
     covariance = (weights * products.sum(axis=1)).sum(axis=-1)
     squares_rated = (weights * (rated - middle_rated) ** 2).sum(axis=-1)
-    squares_valued = (weights * (valued - middle_valued) ** 2).sum(axis=-1)
-    size = (weights * rated**2).sum(axis=-1), (weights * valued**2).sum(axis=-1)
+    # Of each group's own metric: where groups contradict each other, their mean would be next to nothing.
+    squares_valued = (weights * (means.share * (metric - middle_valued[:, None]) ** 2).sum(axis=1)).sum(axis=-1)
+    size = [(weights * part).sum(axis=-1) for part in (rated**2, (means.share * metric**2).sum(axis=1))]
     flat = (squares_rated <= FLAT * size[0]) | (squares_valued <= FLAT * size[1])
     below = np.sqrt(np.where(flat, 1.0, squares_rated * squares_valued))
     correlation: Values = np.where(flat, np.nan, np.clip(covariance / below, -1, 1))

@@ -243,7 +243,7 @@ def test_noise_gains_nothing(within: bool) -> None:
 @pytest.mark.parametrize("within", [False, True])
 @pytest.mark.parametrize("name", SLOPES)
 def test_gains_are_not_optimistic_and_intervals_cover(name: str, within: bool) -> None:
-    """The truth of a gain is its mean over the studies: what the search gains on a study of this size."""
+    """The truth of a gain is its mean over studies of this size; intervals may be cautious, never too narrow."""
     studies = 200
     found = [search(make_study(seed, SLOPES[name]), within=within, draws=150) for seed in range(studies)]
     gains = np.array([one.gains[["z_value", "z_low", "z_high"]].to_numpy() for one in found])
