@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import resources
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,6 +18,8 @@ from analysis.table import read_table
 from stimuli.manifest import COLUMN_UNITS
 from study.ledger import roster
 from study.ratings import COLUMNS
+from study.settings.reading import read_settings
+from study.settings.sources import list_origins
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -147,6 +150,15 @@ def test_copies_of_a_recording_add_no_certainty(tidy: Callable[..., pd.DataFrame
         np.testing.assert_allclose(known, one, atol=0.03)
         believed = measure(tripled.drop(columns="source"), method)
         assert np.ptp(believed) < 0.7 * np.ptp(one)
+
+
+def test_a_study_tells_which_recordings_are_one_turned(tmp_path: Path) -> None:
+    bundled = resources.files("study.settings") / "bundled" / "park2019.toml"
+    (tmp_path / "study.toml").write_text(bundled.read_text(encoding="utf-8"), encoding="utf-8")
+    origins = list_origins(read_settings(tmp_path / "study.toml"))
+    assert len(origins) == 12
+    assert len(set(origins.values())) == 4
+    assert origins["texture1-r1"] == origins["texture1-r3"] == "texture_drag 1"
 
 
 def test_a_recording_with_two_sources_is_refused(tidy: Callable[..., pd.DataFrame]) -> None:
