@@ -77,7 +77,9 @@ def compute(table: Table, choices: Choices) -> Section:
     answers, notes, grids, numbers = [], [], [], []
     tables: dict[str, DataFrame] = {}
     pictures: list[Picture] = []
-    for part in thin_parts(table, choices, matched=False):
+    # A person's reducers are so many effects.
+    for part in thin_parts(table, choices, n_slopes=table.rows[REDUCER].nunique(), matched=False):
+        notes += [f"Reducers compared: {part.thinned}"] if part.thinned else []
         margin = _find_margin(part, choices)
         try:
             pairs = _compare(part.rows, margin)

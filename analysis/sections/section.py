@@ -129,16 +129,17 @@ class Section:
     @property
     def has_details(self) -> bool:
         """Whether the page folds something away."""
-        return any(grid.detail for grid in self.grids) or any(picture.detail for picture in self.pictures)
+        return bool(self.summary)
 
     @property
     def summary(self) -> str:
-        """What the fold is called."""
+        """What the fold is called; empty without one. What opens the report is told there at length."""
         kinds = {
+            "in words": bool(self.verdict) and self.answers != self.verdict,
             "tables": any(grid.detail for grid in self.grids),
             "further figures": any(picture.detail for picture in self.pictures),
         }
-        return " and ".join(name for name, folded in kinds.items() if folded).capitalize()
+        return ", ".join(name for name, folded in kinds.items() if folded).capitalize()
 
     @property
     def is_empty(self) -> bool:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from analysis.table import Table
 
 WHO, SCENE = "participant", "recording"
-MOST_DENSE = 2000
+MOST_DENSE = 1500
 """Random effects besides those of the largest group, which make a dense matrix."""
 
 MOST_PRODUCTS = 40_000_000
@@ -32,7 +32,7 @@ FEWEST = 8
 """People and recordings are not thinned below this."""
 
 
-def thin_parts(table: Table, choices: Choices, *, matched: bool = True) -> Iterator[Part]:
+def thin_parts(table: Table, choices: Choices, *, n_slopes: int | None = None, matched: bool = True) -> Iterator[Part]:
     """Split the ratings of test stimuli into what one mixed model can carry.
 
     Parameters
@@ -41,6 +41,8 @@ def thin_parts(table: Table, choices: Choices, *, matched: bool = True) -> Itera
         What was rated.
     choices : Choices
         Seed.
+    n_slopes : int, optional
+        Effects that differ from person to person, besides their level; one per metric if left out.
     matched : bool
         As `split_parts` has it.
 
@@ -49,8 +51,9 @@ def thin_parts(table: Table, choices: Choices, *, matched: bool = True) -> Itera
     Part
         As `split_parts` gives them; too large ones thinned, and saying so.
     """
+    size = len(table.metrics) if n_slopes is None else n_slopes
     for part in split_parts(table, matched=matched):
-        rows, thinned = thin_rows(part.rows, n_slopes=len(table.metrics), rng=choices.make_rng("thin", *part.place))
+        rows, thinned = thin_rows(part.rows, n_slopes=size, rng=choices.make_rng("thin", *part.place))
         yield replace(part, rows=rows, thinned=thinned and f"{part.lead}: {thinned}")
 
 
