@@ -130,7 +130,7 @@ def note_scales(sheet: DataFrame) -> Iterator[str]:
         return
     for scale, tasks in sheet.groupby("scale")["protocol"].unique().items():
         if len(tasks) > 1:
-            name, told = list_names([scale]), f"was judged in {len(tasks)} protocols"
+            name, told = list_names([str(scale)]), f"was judged in {len(tasks)} protocols"
             yield f"Scale {name} {told}, which are taken together: {list_names(sorted(tasks))}."
 
 

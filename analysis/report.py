@@ -118,7 +118,7 @@ def compute_sections(
         If no test stimulus was rated.
     """
     import scipy.linalg  # noqa: F401 - brings a second library of linear algebra, whose threads are held too
-    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+    from threadpoolctl import threadpool_limits
 
     refuse_untested(table)
     done = []

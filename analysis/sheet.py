@@ -75,7 +75,7 @@ def read_sheet(path: Path, schema: Mapping[str, Column]) -> tuple[DataFrame, lis
     sheet = sheet[filled.any(axis=1)]
     if sheet.empty:
         raise ValueError(f"{path.name}: got no rows below the header; at least one is needed")
-    bare = [name for name in sheet if not schema[name].needed and not filled[name].any()]
+    bare = [name for name in map(str, sheet) if not schema[name].needed and not filled[name].any()]
     return sheet.drop(columns=bare), _note_unused(header, path.name, schema)
 
 
