@@ -68,7 +68,8 @@ def number_pictures(pictures: Iterable[Picture]) -> Iterator[Picture]:
     Picture
         The same, named anew.
     """
-    return (replace(picture, name=f"{picture.name}_{number}") for number, picture in enumerate(pictures, start=1))
+    for number, picture in enumerate(pictures, start=1):
+        yield replace(picture, name=f"{picture.name}_{number}")
 
 
 def note_undrawable(table: Table) -> tuple[str, ...]:

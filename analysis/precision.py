@@ -58,8 +58,10 @@ class Precision:
 
         Returns
         -------
-        se, df : float
-            df by Welch and Satterthwaite, from P - 1 and from stimuli - recordings - metrics.
+        se : float
+            Standard error.
+        df : float
+            Degrees of freedom by Welch and Satterthwaite, from P - 1 and from stimuli - recordings - metrics.
 
         Examples
         --------

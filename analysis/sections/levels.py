@@ -108,8 +108,8 @@ def _compare(part: DataFrame, metrics: tuple[str, ...]) -> Iterator[Row]:
     cells = _gather(part, metrics)
     used = [name for name in metrics if cells[f"{name}_w"].std() > 0]
     slopes = [f"arm:`{name}_w`" for name in used]
-    people = ["(1 | participant)", "(1 | participant:arm)"] if part["participant"].nunique() > 1 else []  # noqa: PD101
-    scenes = ["(1 | recording)"] if part["recording"].nunique() > 1 else []  # noqa: PD101
+    people = ["(1 | participant)", "(1 | participant:arm)"] if len(part["participant"].unique()) > 1 else []
+    scenes = ["(1 | recording)"] if len(part["recording"].unique()) > 1 else []
     formula = " + ".join(["rating ~ 0 + arm", *slopes, *people, *scenes, "(1 | base)", *_item_term(cells)])
     fit = fit_mixed(formula, cells.assign(arm=cells["level"].map(codes)))
     for first, second in combinations(levels, 2):

@@ -78,7 +78,8 @@ class Grid:
         Cell
             Row by row.
         """
-        return (cell for row in self.rows for cell in row if isinstance(cell, Cell))
+        for row in self.rows:
+            yield from (cell for cell in row if isinstance(cell, Cell))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

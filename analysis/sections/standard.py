@@ -78,7 +78,7 @@ def compute(table: Table, choices: Choices) -> Section:  # noqa: ARG001 - every 
     )  # fmt: skip
 
 
-def _evaluate(part: Part, items: Items, metrics: tuple[str, ...], notes: list[str]) -> dict[str, list[Row]]:  # noqa: PLR0917
+def _evaluate(part: Part, items: Items, metrics: tuple[str, ...], notes: list[str]) -> dict[str, list[Row]]:  # noqa: PLR0917 - notes are added to
     judged: dict[tuple[str, int, bool], P1401] = {}
     for (place, name), order, held in product(enumerate(metrics), ORDERS, (False, True)):
         groups = items.of_source[items.recordings] if held else None
@@ -114,7 +114,7 @@ def _compare(judged: dict[tuple[str, int, bool], P1401]) -> Iterator[Row]:
             yield {"first": one[0], "second": other[0], "order": one[1], "held_out": one[2]} | told
 
 
-def _compare_classically(part: Part, items: Items, metrics: tuple[str, ...], notes: list[str]) -> Iterator[Row]:  # noqa: PLR0917
+def _compare_classically(part: Part, items: Items, metrics: tuple[str, ...], notes: list[str]) -> Iterator[Row]:  # noqa: PLR0917 - notes are added to
     means = np.nanmean(items.ratings, axis=0)
     if np.ptp(means) == 0:
         return
@@ -170,7 +170,7 @@ def _lay_judged(row: Row) -> tuple[str | Cell, ...]:
     held, n = "held_out" if row["held_out"] else "fitted", row["n_items"]
     name = name_path("p1401", row["scale"], row["level"], row["metric"], f"order_{row['order']}", held)
 
-    def bounded(key: str) -> Any:  # noqa: ANN401 - a Number
+    def bounded(key: str) -> Any:  # noqa: ANN401 - a number with its interval
         number = make_number(f"{name}.{key}", row[key], f"P.1401 {key}", n=n)
         return make_interval(number, row[f"{key}_low"], row[f"{key}_high"], uncertainty=INDEPENDENT)
 
