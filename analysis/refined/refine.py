@@ -159,8 +159,8 @@ def refine_metric(
     the fits held as they are, it would cover as little as 67 %.
 
     A search among noise gains nothing: without any relation, the out-of-fold correlation was 0.00 ± 0.01 over 400
-    simulated studies, and in none of 100 was anything recommended. Do not use it with few recordings to *find* a metric: it can show that a metric
-    is enough, or that a refinement is worth a new study.
+    simulated studies, and in none of 100 was anything recommended. Do not use it with few recordings to *find* a
+    metric: it can show that a metric is enough, or that a refinement is worth a new study.
 
     References
     ----------
