@@ -33,6 +33,8 @@ KEY, TITLE = "robustness", "Under other choices"
 MOST_CELLS = 20_000
 """Participants x stimuli beyond which some sixty models would take many minutes."""
 
+SIZES = ("Universes", "With a model")
+
 HOW = (
     "Under other choices, the primary slopes are estimated anew: people's slopes correlated, without each recording, "
     "without each reducer, ratings standardised within raters, ratings as logits; and, as a multiverse, without the "
@@ -146,7 +148,8 @@ def _judge(found: tuple[tuple[str, str], tuple[Part, Multiverse]]) -> str:
     if not len(result.curve):
         return f"{what}: no set of raters allows a model."
     reach = tell_range(result.smallest, result.largest, kind="slope")
-    return f"{what}: {reach} points per +0.1, over {result.n_distinct} sets of raters left by screening rules."
+    universes = f"{len(result.curve)} of {len(result.table)} universes of screening rules"
+    return f"{what}: {reach} points per +0.1, in the {universes} that leave raters enough for a model."
 
 
 def _lay_variants(parts: dict[str, Part], varied: dict[str, DataFrame]) -> Grid:
@@ -177,9 +180,10 @@ def _count_left(part: Part, variant: str) -> int:
 def _lay_universes(universes: dict[tuple[str, str], tuple[Part, Multiverse]]) -> Grid:
     caption = (
         "Slope (points per +0.1) over all universes of screening rules: median, smallest, largest, share with the sign "
-        "that everyone's has, share of intervals that leave zero out, and how many sets of raters differ."
+        "that everyone's has, share of intervals that leave zero out, how many sets of raters differ, how many "
+        "universes there are, and in how many enough raters are left for a model."
     )
-    head = ("Ratings", "Metric", "Median", "Smallest", "Largest", "Same sign", "Beyond zero", "Sets of raters")
+    head = ("Ratings", "Metric", "Median", "Smallest", "Largest", "Same sign", "Beyond zero", "Sets of raters", *SIZES)
     rows: list[tuple[str | Cell, ...]] = []
     for (_, metric), (part, result) in universes.items():
         name, n = name_path("multiverse", *part.place, metric), len(result.table)
@@ -189,8 +193,9 @@ def _lay_universes(universes: dict[tuple[str, str], tuple[Part, Multiverse]]) ->
             Cell(make_number(f"{name}.{key}", getattr(result, key), f"{key} over universes", n=n), kind)
             for key, kind in kinds.items()
         ]
-        sets = Cell(count_number(f"{name}.n_distinct", result.n_distinct, n=n), COUNT)
-        rows.append((tell_name(part.lead), tell_name(metric), *values, sets))
+        counts = {"n_distinct": result.n_distinct, "n_universes": n, "n_defined": len(result.curve)}
+        sizes = [Cell(count_number(f"{name}.{key}", count, n=n), COUNT) for key, count in counts.items()]
+        rows.append((tell_name(part.lead), tell_name(metric), *values, *sizes))
     return Grid(caption, head, tuple(rows))
 
 

@@ -121,3 +121,16 @@ def test_a_browser_shows_it_without_overflow(report: Path, tmp_path: Path, width
     wide, window = map(int, re.search(r"<title>(\d+) of (\d+)</title>", shown).groups())
     assert wide <= window
     assert window <= width
+
+
+def test_what_a_reader_meets_first_is_not_folded(report: Path) -> None:
+    results = load(report)
+    text = re.sub(r"<svg.*?</svg>", "", (report / "index.html").read_text(encoding="utf-8"), flags=re.DOTALL)
+    met = html.unescape(re.sub(r"<details>.*?</details>", "", text, flags=re.DOTALL))
+    assert all(line in met for line in results["verdict"])
+    assert met.index(results["verdict"][0]) < met.index("Points per +0.1") < met.index("Ratings against metrics")
+    # Said in short above, at length in the fold.
+    at_length = results["answers"]["primary"]
+    assert not any(line in met for line in at_length)
+    assert all(line in html.unescape(text) for line in at_length)
+    assert len(re.findall("<details>", text)) == len(re.findall("<summary>", text)) > 5
