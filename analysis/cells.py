@@ -13,12 +13,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.sources import find_sources
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from pandas import DataFrame
 
 WHO, SCENE, ITEM, RATING = "participant", "recording", "item", "rating"
+SOURCE, REDUCER = "source", "reducer"
 KEYS = (WHO, SCENE, ITEM)
 FLAT = 1e-10
 """Share of a metric's size below which its spread is rounding."""
@@ -34,7 +37,8 @@ class Cells:
     Parameters
     ----------
     table : DataFrame
-        participant, recording, item, rating, and two columns per metric, ``_w`` and ``_b``.
+        participant, recording, item, rating, and two columns per metric, ``_w`` and ``_b``; source and reducer, where
+        several recordings come from one source.
     metrics : tuple of str
         Their names.
     averaged : bool
@@ -50,6 +54,16 @@ class Cells:
     averaged: bool
     repeated: bool
     rough: bool = False
+
+    @property
+    def shared(self) -> bool:
+        """Whether several recordings come from one source."""
+        return SOURCE in self.table
+
+    @property
+    def n_sources(self) -> int:
+        """Number of sources: what is independent of each other among recordings."""
+        return self.count(SOURCE if self.shared else SCENE)
 
     def count(self, *columns: str) -> int:
         """Count the combinations of columns that occur.
@@ -79,8 +93,8 @@ class Cells:
         bool
             False where it is constant.
         """
-        source = column[:-2]
-        size = float(np.abs(self.table[f"{source}_w"] + self.table[f"{source}_b"]).max())
+        metric = column[:-2]
+        size = float(np.abs(self.table[f"{metric}_w"] + self.table[f"{metric}_b"]).max())
         return float(np.ptp(self.table[column].to_numpy())) > FLAT * size
 
 
@@ -90,7 +104,8 @@ def make_cells(rows: DataFrame, metrics: Sequence[str]) -> Cells:
     Parameters
     ----------
     rows : DataFrame
-        One row per rating: participant, recording, item, rating and a column per metric.
+        One row per rating: participant, recording, item, rating and a column per metric; source (`find_sources`)
+        where several recordings come from one, and then reducer.
     metrics : sequence of str
         One or more.
 
@@ -103,7 +118,8 @@ def make_cells(rows: DataFrame, metrics: Sequence[str]) -> Cells:
     Raises
     ------
     ValueError
-        If columns are missing, values are not finite, or an item has two recordings or two values of a metric.
+        If columns are missing, values are not finite, or an item has two recordings, two reducers or two values of a
+        metric, or a recording two sources.
 
     Notes
     -----
@@ -123,7 +139,24 @@ def make_cells(rows: DataFrame, metrics: Sequence[str]) -> Cells:
     if averaged:
         table = table.groupby(list(KEYS), observed=True)[RATING].mean().reset_index()
     table = table.merge(_split(items, metrics), on=[SCENE, ITEM])
-    return Cells(table, metrics, averaged, repeated=unequal and not rough, rough=rough)
+    return Cells(_add_sources(table, rows), metrics, averaged, repeated=unequal and not rough, rough=rough)
+
+
+def _add_sources(table: DataFrame, rows: DataFrame) -> DataFrame:
+    """Say of every cell what its stimulus shares with those of other recordings; nothing, where they share nothing."""
+    sources = find_sources(rows)
+    if sources.is_unique:
+        return table
+    if REDUCER not in rows:
+        raise ValueError(
+            f"rows: got {len(sources)} recordings of {sources.nunique()} sources and no column 'reducer', allowed is one "
+            "that tells which stimuli of a source were reduced alike"
+        )
+    reducers = rows[[ITEM, REDUCER]].drop_duplicates().set_index(ITEM)[REDUCER]
+    if not reducers.index.is_unique:
+        twice = reducers.index[reducers.index.duplicated()][0]
+        raise ValueError(f"rows: got item {twice!r} with two reducers, allowed is one; an item is one stimulus")
+    return table.assign(**{SOURCE: table[SCENE].map(sources), REDUCER: table[ITEM].map(reducers)})
 
 
 def _count_levels(rows: DataFrame) -> int:

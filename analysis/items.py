@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.sources import find_sources
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -123,11 +125,9 @@ def make_items(ratings: DataFrame, metrics: Sequence[str]) -> Items:
 
 
 def _number_sources(rows: DataFrame) -> NDArray[np.intp]:
-    pairs = rows[["recording", "source"]].drop_duplicates().sort_values("recording")
-    twice = pairs.loc[pairs["recording"].duplicated(), "recording"]
-    if len(twice):
-        raise ValueError(f"ratings: got two sources of recording {twice.iloc[0]}; a recording has one")
-    return np.unique(pairs["source"].to_numpy(), return_inverse=True)[1]
+    from pandas import factorize
+
+    return factorize(find_sources(rows).to_numpy(), sort=True)[0]
 
 
 def _check_columns(ratings: DataFrame, metrics: Sequence[str]) -> list[str]:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.cells import ITEM, RATING, SCENE, WHO, Cells, make_cells
+from analysis.cells import ITEM, RATING, REDUCER, SCENE, SOURCE, WHO, Cells, make_cells
 from analysis.mixed.model import contrast, fit_mixed
 
 if TYPE_CHECKING:
@@ -27,7 +27,9 @@ if TYPE_CHECKING:
 
 TENTH = 0.1
 FEW = 5
-"""Fewer participants or recordings than this leave their spread all but unknown."""
+"""Fewer participants or recordings (or sources of them) than this leave their spread all but unknown."""
+
+ALIKE = f"{SOURCE}:{REDUCER}"
 
 DEPENDENT = 1e-8
 
@@ -60,6 +62,8 @@ class Primary:
         Whether repeats were averaged before.
     n_rows, n_participants, n_recordings, n_items : int
         Size of the data.
+    n_sources : int
+        What is independent among the recordings: as many, unless several come from one.
     reductions : tuple of str
         What the full model has and this one has not, and why.
     notes : tuple of str
@@ -79,6 +83,7 @@ class Primary:
     n_participants: int
     n_recordings: int
     n_items: int
+    n_sources: int
     reductions: tuple[str, ...]
     notes: tuple[str, ...]
 
@@ -103,7 +108,8 @@ def fit_primary(rows: DataFrame, metrics: Sequence[str], *, correlated: bool = F
     ----------
     rows : DataFrame
         One row per rating of one attribute, test stimuli only (hidden references and anchors inflate every
-        slope): participant, recording, item (recording x reducer), rating and a column per metric.
+        slope): participant, recording, item (recording x reducer), rating and a column per metric; source and reducer,
+        where several recordings come from one source, turned, cut or edited.
     metrics : sequence of str
         One or more, such as ``["spectral_match", "temporal_match"]``.
     correlated : bool
@@ -130,6 +136,12 @@ def fit_primary(rows: DataFrame, metrics: Sequence[str], *, correlated: bool = F
     likelihood, Satterthwaite's degrees of freedom; in simulated studies of 12 people, 8 recordings and 6 reducers
     its nominal 5 % test was wrong in 6.5 %.
 
+    Where several recordings come from one source, plus ``(1 | source) + (1 | source:reducer)``. Turned copies of a
+    recording, reduced alike, have nearly the same metrics and are felt nearly alike, for reasons that no metric
+    knows: without the second term each copy would count as evidence of its own. A slope within recordings knows of
+    no more, because what a source as a whole shares, for everyone or for one person, is the same for all stimuli of
+    a recording; and what one person feels alike in all copies is, in means over people, part of what all do.
+
     A standardised slope is the slope times the metric's standard deviation within recordings (over the rows),
     over the ratings' standard deviation.
 
@@ -149,7 +161,7 @@ def fit_primary(rows: DataFrame, metrics: Sequence[str], *, correlated: bool = F
         differences=_table_differences(fit, scales), marginal_r2=fit.marginal_r2, conditional_r2=fit.conditional_r2,
         item_variance_explained=explained, averaged=cells.averaged, n_rows=fit.n_rows,
         n_participants=cells.count(WHO), n_recordings=cells.count(SCENE), n_items=cells.count(ITEM),
-        reductions=plan.reductions, notes=(*fit.notes, *why, *_warn_few(cells)),
+        n_sources=cells.n_sources, reductions=plan.reductions, notes=(*fit.notes, *why, *_warn_few(cells)),
     )  # fmt: skip
 
 
@@ -207,7 +219,10 @@ def _plan(cells: Cells, *, correlated: bool) -> _Plan:
     fixed = _plan_fixed(cells, reductions)
     slopes = [name for name in fixed if name.endswith("_w")]
     bar = "|" if correlated else "||"
-    random = [*_plan_people(cells, slopes, reductions, bar=bar), *_plan_groups(cells, reductions)]
+    random = [
+        *_plan_people(cells, slopes, reductions, bar=bar), *_plan_groups(cells, reductions),
+        *_plan_sources(cells, reductions),
+    ]  # fmt: skip
     if cells.rough:
         reductions.append(
             "Means over unequal numbers of repeats, each counted as equally exact: single ratings have too many levels."
@@ -236,10 +251,10 @@ def _plan_fixed(cells: Cells, reductions: list[str]) -> list[str]:
 
 def _plan_between(cells: Cells, reductions: list[str]) -> list[str]:
     between = [f"{name}_b" for name in cells.metrics if cells.varies(f"{name}_b")]
-    recordings = cells.count(SCENE)
-    if recordings < len(between) + 2 or not between:
+    several = f"{cells.n_sources} sources" if cells.shared else f"{cells.n_sources} of them"
+    if cells.n_sources < len(between) + 2 or not between:
         reductions.append(
-            f"No slopes between recordings: with {recordings} of them, {len(cells.metrics)} such slopes cannot be told "
+            f"No slopes between recordings: with {several}, {len(cells.metrics)} such slopes cannot be told "
             "from the recordings themselves."
         )
         return []
@@ -290,6 +305,18 @@ def _plan_groups(cells: Cells, reductions: list[str]) -> Iterator[str]:
             reductions.append("No spread of people's recordings: each has one row only.")
     if cells.repeated and cells.count(WHO) > 1:
         yield f"(1 | {WHO}:{ITEM})"
+
+
+def _plan_sources(cells: Cells, reductions: list[str]) -> Iterator[str]:
+    """Name what recordings of one source share; without it each copy would count as evidence of its own."""
+    if not cells.shared:
+        return
+    if cells.n_sources > 1:
+        yield f"(1 | {SOURCE})"
+    else:
+        reductions.append("No spread between sources: all recordings come from one; nothing here speaks of others.")
+    if cells.count(SOURCE, REDUCER) < cells.count(ITEM):
+        yield f"(1 | {ALIKE})"
 
 
 def _find_scales(cells: Cells, within: Sequence[str]) -> dict[str, float]:
@@ -345,11 +372,11 @@ def _explain_items(cells: Cells, plan: _Plan, fit: MixedFit) -> tuple[float, lis
 
 def _item_variance(fit: MixedFit) -> float:
     spreads = fit.variances.set_index("group")["sd"]
-    return float(spreads[ITEM] ** 2)
+    return float(spreads[ITEM] ** 2 + spreads.get(ALIKE, 0.0) ** 2)
 
 
 def _warn_few(cells: Cells) -> Iterator[str]:
-    for name, column in (("participants", WHO), ("recordings", SCENE)):
-        count = cells.count(column)
+    scenes = "sources of recordings" if cells.shared else "recordings"
+    for name, count in (("participants", cells.count(WHO)), (scenes, cells.n_sources)):
         if 1 < count < FEW:
             yield f"{count} {name} only: the spread between them is all but unknown, intervals are wide or unstable."

@@ -6,15 +6,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.cells import RATING, SCENE, WHO
+from analysis.cells import RATING, REDUCER, SCENE, SOURCE, WHO
 from analysis.primary import fit_primary
+from analysis.sources import find_sources
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from pandas import DataFrame
 
-REDUCER = "reducer"
 COLUMNS = ("estimate", "se", "df", "t", "p", "low", "high", "standardised", "standardised_low", "standardised_high")
 
 
@@ -44,7 +44,8 @@ def vary_primary(rows: DataFrame, metrics: Sequence[str], *, top: float = 100.0)
 
     Notes
     -----
-    Variants: people's slopes correlated; without each recording; without each reducer (metrics are split anew
+    Variants: people's slopes correlated; without each recording (without each source, where several recordings come
+    from one: the others of it would stand in for what is left out); without each reducer (metrics are split anew
     over what is left, so that nothing of it leaks in); each rater's ratings standardised, which takes out how
     much of the scale they use (raters whose ratings are all the same cannot be, and are left out, as the
     reason says); ratings as logits
@@ -68,7 +69,10 @@ def vary_primary(rows: DataFrame, metrics: Sequence[str], *, top: float = 100.0)
 
 
 def _leave_out(rows: DataFrame) -> Iterator[tuple[str, DataFrame]]:
-    for column in (SCENE, REDUCER):
+    sources = find_sources(rows)
+    if not sources.is_unique:
+        rows = rows.assign(**{SOURCE: rows[SCENE].map(sources)})
+    for column in (SCENE if sources.is_unique else SOURCE, REDUCER):
         names = list(rows[column].unique()) if column in rows else []
         for name in names if len(names) > 1 else []:
             yield f"without {column} {name}", rows[rows[column] != name]

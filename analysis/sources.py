@@ -1,7 +1,8 @@
 """Recordings made from one another: turned, cut or edited, they are several signals of one thing that happened.
 
 Whatever is said about other recordings rests on how many different things were recorded. Where several recordings come
-from one source, intervals draw sources, with all their recordings, and the count of sources is told.
+from one source, intervals draw sources, with all their recordings, mixed models hold what the recordings of a source
+share, and the count of sources is told.
 """
 
 from __future__ import annotations
@@ -47,6 +48,40 @@ def read_sources(sheet: DataFrame, sources: Mapping[str, str], *, what: str) -> 
     return found
 
 
+def find_sources(rows: DataFrame) -> Series:
+    """Find what each recording of a tidy table was made from.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        Judgements: recording, and source where that is told.
+
+    Returns
+    -------
+    Series
+        The source, indexed by recording in alphabetical order; the recording itself where nothing is said.
+
+    Raises
+    ------
+    ValueError
+        If a recording has two sources.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> find_sources(pd.DataFrame({"recording": ["b-r1", "b-r2", "c"], "source": ["b", "b", None]})).to_dict()
+    {'b-r1': 'b', 'b-r2': 'b', 'c': 'c'}
+    """
+    told = rows["source"] if "source" in rows else rows["recording"]
+    pairs = rows[["recording"]].assign(source=told).drop_duplicates().astype(object).sort_values("recording")
+    unsaid = pairs["source"].isna() | (pairs["source"] == "")  # noqa: PLC1901 - nothing else is meant
+    pairs["source"] = pairs["source"].mask(unsaid, pairs["recording"])
+    twice = pairs.loc[pairs["recording"].duplicated(), "recording"]
+    if len(twice):
+        raise ValueError(f"ratings: got two sources of recording {twice.iloc[0]}; a recording has one")
+    return pairs.set_index("recording")["source"]
+
+
 def note_sources(rows: DataFrame) -> Iterator[str]:
     """Say how many independent sources the rated recordings come from, where they are fewer.
 
@@ -65,7 +100,6 @@ def note_sources(rows: DataFrame) -> Iterator[str]:
     if sources < recordings:
         yield (
             f"The {recordings} recordings come from {sources} sources, turned, cut or edited: they are not "
-            "independent. Two-way intervals of associations draw sources. Mixed models, contrasts and what a larger "
-            "study would add take recordings for independent: their intervals are too narrow and their p too small, "
-            f"because n is {sources} rather than {recordings}."
+            "independent, and what is said of others rests on sources. Two-way intervals draw sources; mixed models hold "
+            "what the recordings of a source share, as a whole and reducer by reducer."
         )
