@@ -149,8 +149,8 @@ def _add_sources(table: DataFrame, rows: DataFrame) -> DataFrame:
         return table
     if REDUCER not in rows:
         raise ValueError(
-            f"rows: got {len(sources)} recordings of {sources.nunique()} sources and no column 'reducer', allowed is one "
-            "that tells which stimuli of a source were reduced alike"
+            f"rows: got {len(sources)} recordings of {sources.nunique()} sources and no column 'reducer', allowed "
+            "is one that tells which stimuli of a source were reduced alike"
         )
     reducers = rows[[ITEM, REDUCER]].drop_duplicates().set_index(ITEM)[REDUCER]
     if not reducers.index.is_unique:

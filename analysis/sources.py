@@ -74,7 +74,7 @@ def find_sources(rows: DataFrame) -> Series:
     """
     told = rows["source"] if "source" in rows else rows["recording"]
     pairs = rows[["recording"]].assign(source=told).drop_duplicates().astype(object).sort_values("recording")
-    unsaid = pairs["source"].isna() | (pairs["source"] == "")  # noqa: PLC1901 - nothing else is meant
+    unsaid = pairs["source"].isna() | (pairs["source"] == "")
     pairs["source"] = pairs["source"].mask(unsaid, pairs["recording"])
     twice = pairs.loc[pairs["recording"].duplicated(), "recording"]
     if len(twice):
@@ -98,8 +98,11 @@ def note_sources(rows: DataFrame) -> Iterator[str]:
     tests = rows["role"] == "test"
     recordings, sources = (rows.loc[tests, name].nunique() for name in ("recording", "source"))
     if sources < recordings:
+        told = f"The {recordings} recordings come from {{}}, turned, cut or edited: they are not independent"
+        if sources == 1:
+            yield told.format("1 source") + ", and nothing here speaks of other sources."
+            return
         yield (
-            f"The {recordings} recordings come from {sources} sources, turned, cut or edited: they are not "
-            "independent, and what is said of others rests on sources. Two-way intervals draw sources; mixed models hold "
-            "what the recordings of a source share, as a whole and reducer by reducer."
+            told.format(f"{sources} sources") + ", and what is said of others rests on sources. Two-way intervals draw "
+            "them; mixed models hold what the recordings of a source share, as a whole and reducer by reducer."
         )

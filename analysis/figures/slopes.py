@@ -27,7 +27,7 @@ PANEL_CM = 4.3
 
 STANDARDISED = "SD of ratings per SD of metric"
 
-LEFT_OUT = ("without recording", "without reducer")
+LEFT_OUT = ("without recording", "without source", "without reducer")
 RESCALED = "ratings rescaled"
 """Headings: of variants that come once per name, and of those that follow them."""
 

@@ -17,6 +17,7 @@ from analysis.sections.effects import SIGNIFICANCE, adjust, lay_estimate, name_e
 from analysis.sections.parts import ITEM
 from analysis.sections.section import Cell, Grid, Section
 from analysis.sections.thinning import thin_parts
+from analysis.sources import find_sources
 from analysis.table import order_reducers
 from analysis.words import start
 
@@ -36,7 +37,8 @@ KEY, TITLE = "contrasts", "Reducers against each other"
 REDUCER = "reducer"
 HOW = (
     "Reducers compared: a mixed model per scale and level of ratings on reducer, with spreads between participants, "
-    "recordings, stimuli, participants' recordings and participants' reducers; differences with Satterthwaite's "
+    "recordings, stimuli, participants' recordings and participants' reducers (and, where several recordings come from "
+    "one source, between sources and sources' reducers); differences with Satterthwaite's "
     "degrees of freedom, p adjusted by Holm. Equivalence by two one-sided tests (Schuirmann 1987, doi "
     "10.1007/BF01068419): shown where the 90 % interval lies within the margin. Non-inferiority: the reducer named "
     "first, which is the simpler by the order of feel321's list, is not worse than the other by the margin or more "
@@ -146,6 +148,7 @@ def _compare(rows: DataFrame, margin: _Margin) -> list[_Pair]:
         raise ValueError(f"Only one was rated, '{names[0]}'.")
     codes = {name: f"c{number}" for number, name in enumerate(names)}
     cells = rows.groupby(["participant", "recording", REDUCER, ITEM], observed=True)["rating"].mean().reset_index()
+    cells["source"] = cells["recording"].map(find_sources(rows))
     fit = fit_mixed(_plan(cells), cells.assign(which=cells[REDUCER].map(codes)))
     found: list[Row] = []
     for first, second in combinations(names, 2):
@@ -162,11 +165,14 @@ def _plan(cells: DataFrame) -> str:
     groups = {
         "participant": ["participant"], "recording": ["recording"], ITEM: [ITEM],
         "participant:recording": ["participant", "recording"], "participant:which": ["participant", REDUCER],
+        "source": ["source"], "source:which": ["source", REDUCER],
     }  # fmt: skip
     sizes = {name: len(cells.drop_duplicates(columns)) for name, columns in groups.items()}
     kept = [name for name, size in sizes.items() if 1 < size < len(cells)]
     if sizes["recording"] == 1:
         kept = [name for name in kept if name not in {ITEM, "participant:recording"}]
+    if sizes["source"] in {1, sizes["recording"]}:
+        kept = [name for name in kept if not name.startswith("source")]
     if sizes["participant"] == 1:
         kept = [name for name in kept if not name.startswith("participant")]
     if not kept:

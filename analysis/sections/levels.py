@@ -22,6 +22,7 @@ from analysis.sections.effects import (
 from analysis.sections.parts import ITEM
 from analysis.sections.section import Cell, Grid, Section
 from analysis.sections.thinning import thin_rows
+from analysis.sources import find_sources
 from analysis.words import start, tell_name
 
 if TYPE_CHECKING:
@@ -38,7 +39,8 @@ KEY, TITLE = "levels", "Level arms compared"
 HOW = (
     "Level arms: a mixed model per scale of ratings on level, each metric within recordings, and their product, with "
     "spreads between participants, participants' levels, recordings, what was reduced how (shared by the arms), and "
-    "stimuli. The difference in rating is at the mean of the metrics; the difference in slope says whether a metric "
+    "stimuli (and, where several recordings come from one source, the same between sources). The difference in rating "
+    "is at the mean of the metrics; the difference in slope says whether a metric "
     "counts for less once levels are equal. Satterthwaite's degrees of freedom; p adjusted by Holm.",
 )
 
@@ -110,7 +112,8 @@ def _compare(part: DataFrame, metrics: tuple[str, ...]) -> Iterator[Row]:
     slopes = [f"arm:`{name}_w`" for name in used]
     people = ["(1 | participant)", "(1 | participant:arm)"] if len(part["participant"].unique()) > 1 else []
     scenes = ["(1 | recording)"] if len(part["recording"].unique()) > 1 else []
-    formula = " + ".join(["rating ~ 0 + arm", *slopes, *people, *scenes, "(1 | base)", *_item_term(cells)])
+    groups = [*people, *scenes, "(1 | base)", *_item_term(cells), *_source_terms(cells)]
+    formula = " + ".join(["rating ~ 0 + arm", *slopes, *groups])
     fit = fit_mixed(formula, cells.assign(arm=cells["level"].map(codes)))
     for first, second in combinations(levels, 2):
         one, two = f"arm{codes[first]}", f"arm{codes[second]}"
@@ -126,16 +129,26 @@ def _item_term(cells: DataFrame) -> list[str]:
     return [f"(1 | {ITEM})"] if len(cells[ITEM].unique()) < len(cells) else []
 
 
+def _source_terms(cells: DataFrame) -> list[str]:
+    """Name what recordings of one source share: as a whole, of what was reduced alike, and of that at one level."""
+    recordings, sources = (len(cells[name].unique()) for name in ("recording", "source"))
+    if sources == recordings:
+        return []
+    whole = ["source"] if sources > 1 else []
+    return [f"(1 | {group})" for group in (*whole, "source:reducer", "source:reducer:level")]
+
+
 def _gather(part: DataFrame, metrics: tuple[str, ...]) -> DataFrame:
     """Average repeats, and centre each metric within recording and level."""
     import pandas as pd
 
-    tables = []
+    tables, sources = [], find_sources(part)
     for level, arm in part.groupby("level", observed=True):
         cells = make_cells(arm, metrics).table
         means = cells.groupby(["participant", "recording", ITEM], observed=True).mean(numeric_only=True).reset_index()
-        base = arm.drop_duplicates(ITEM).set_index(ITEM)["reducer"]
-        tables.append(means.assign(level=level, base=means["recording"] + "/" + means[ITEM].map(base)))
+        reducers = means[ITEM].map(arm.drop_duplicates(ITEM).set_index(ITEM)["reducer"])
+        places = {"base": means["recording"] + "/" + reducers, "source": means["recording"].map(sources)}
+        tables.append(means.assign(level=level, reducer=reducers, **places))
     return pd.concat(tables, ignore_index=True)
 
 

@@ -36,7 +36,8 @@ MOST_CELLS = 20_000
 SIZES = ("Universes", "With a model")
 
 HOW = (
-    "Under other choices, the primary slopes are estimated anew: people's slopes correlated, without each recording, "
+    "Under other choices, the primary slopes are estimated anew: people's slopes correlated, without each recording "
+    "(each source, where several recordings come from one), "
     "without each reducer, ratings standardised within raters, ratings as logits; and, as a multiverse, without the "
     "raters whom each screening rule hits, and each two of them, and all.",
 )
@@ -171,7 +172,7 @@ def _lay_variant(part: Part, row: Row) -> tuple[str | Cell, ...]:
 
 def _count_left(part: Part, variant: str) -> int:
     """Count the ratings that a variant rests on."""
-    for column in ("recording", "reducer"):
+    for column in ("recording", "source", "reducer"):
         if variant.startswith(lead := f"without {column} "):
             return int((part.rows[column].astype(str) != variant.removeprefix(lead)).sum())
     return len(part.rows)

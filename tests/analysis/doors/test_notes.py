@@ -64,7 +64,7 @@ LISTED = [
     (lambda f: f.assign(colour="red"), "manifest.csv: columns that are not used: 'colour'."),
     (lambda f: f.assign(temporal_match=""), "manifest.csv has nothing in a column 'temporal_match', so that metric is"),
     (lambda f: f.assign(level=""), "manifest.csv has nothing in a column 'level': every stimulus is taken as 'as_is'."),
-    (lambda f: f.assign(source=f["recording"].str[:3]), "The 4 recordings come from 1 sources, turned, cut or edited"),
+    (lambda f: f.assign(source=f["recording"].str[:3]), "The 4 recordings come from 1 source, turned, cut or edited"),
 ]
 
 
