@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 from study.screen.events import Click, Closed, Drag, Hidden, Press, Release, Unfocused, drop_repeats, name_key
 from study.screen.fonts import FONT, find_font_files
 from study.screen.shapes import GROUND, Area, Text, round_corners
+from study.screen.signals import hold_signals
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -170,10 +171,13 @@ class Window:
         PsychoPy's window.
     clock : callable
         Gives the time in s since the session began.
+    heed_signals : callable
+        Called after every frame; raises what a signal asks for.
     """
 
     handle: Any
     clock: Callable[[], float]
+    heed_signals: Callable[[], None]
     frames: Frames = field(default_factory=Frames, init=False)
     easel: Easel = field(init=False)
     _events: list[Event] = field(default_factory=list, init=False)
@@ -213,6 +217,7 @@ class Window:
                 self.frames.count(time.perf_counter() - began)
             self._shown, self._redraw_s = items, began + REDRAW_S
         self._await_frame()
+        self.heed_signals()
         if self._is_closed:
             # Said with every frame: whoever brings up another screen meanwhile must not miss it.
             self._events.append(Closed(self.clock()))
@@ -322,12 +327,14 @@ def open_screen(
     OSError
         If there is no display.
     """
-    window = Window(_open_handle(windowed=windowed, size=size or WINDOW_SIZE, screen=screen), clock)
-    try:
-        window.listen()
-        yield window
-    finally:
-        window.close()
+    handle = _open_handle(windowed=windowed, size=size or WINDOW_SIZE, screen=screen)
+    with hold_signals() as heed_signals:
+        window = Window(handle, clock, heed_signals)
+        try:
+            window.listen()
+            yield window
+        finally:
+            window.close()
 
 
 def _open_handle(*, windowed: bool, size: tuple[int, int], screen: int) -> Any:  # noqa: ANN401 - PsychoPy has no types
