@@ -48,8 +48,9 @@ class Association:
         Two-way draws in which the correlation was defined.
     participants_low, participants_high : float
         95 % bootstrap interval over participants only: it treats these stimuli as the only ones.
-    n_participants, n_recordings, n_missing : int
-        Size of the data; participant x stimulus cells without a rating.
+    n_participants, n_recordings, n_sources, n_missing : int
+        Size of the data; sources are what is independent among recordings, as many as these unless several come from
+        one; participant x stimulus cells without a rating.
     metric, method : str
         What was correlated, and how.
     notes : tuple of str
@@ -67,6 +68,7 @@ class Association:
     participants_high: float
     n_participants: int
     n_recordings: int
+    n_sources: int
     n_missing: int
     metric: str
     method: str
@@ -88,8 +90,8 @@ class Difference:
         The same as a difference of Fisher's z.
     first_value, second_value : float
         The two correlations.
-    n_items, n_participants, n_recordings, n_missing : int
-        Size of the data; participant x stimulus cells without a rating.
+    n_items, n_participants, n_recordings, n_sources, n_missing : int
+        Size of the data, as of `Association`.
     draws : int
         Two-way draws in which the difference was defined.
     first, second, method : str
@@ -109,6 +111,7 @@ class Difference:
     n_items: int
     n_participants: int
     n_recordings: int
+    n_sources: int
     n_missing: int
     draws: int
     first: str
@@ -206,8 +209,8 @@ def correlate(
         value=value, low=low, high=high, n_items=items.n_items, ceiling=ceiling,
         disattenuated=value / ceiling if divisible else float("nan"), draws=int(np.isfinite(drawn.two_way[0]).sum()),
         participants_low=narrow_low, participants_high=narrow_high,
-        n_participants=items.n_participants, n_recordings=items.n_recordings, n_missing=items.n_missing,
-        metric=metric, method=method, notes=tuple(notes),
+        n_participants=items.n_participants, n_recordings=items.n_recordings, n_sources=items.n_sources,
+        n_missing=items.n_missing, metric=metric, method=method, notes=tuple(notes),
     )  # fmt: skip
 
 
@@ -272,7 +275,7 @@ def compare_metrics(
         z_value=float(z), z_low=float(z_range[0]), z_high=float(z_range[1]),
         first_value=float(drawn.point[0]), second_value=float(drawn.point[1]),
         n_items=items.n_items, n_participants=items.n_participants, n_recordings=items.n_recordings,
-        n_missing=items.n_missing, draws=int(np.isfinite(differences).sum()),
+        n_sources=items.n_sources, n_missing=items.n_missing, draws=int(np.isfinite(differences).sum()),
         first=first, second=second, method=method, notes=tuple(notes),
     )  # fmt: skip
 

@@ -165,8 +165,8 @@ class Precision:
         return float(brentq(lambda slope: self.find_power(slope) - ENOUGH, 0, 20 * se))
 
 
-def find_square(metrics: np.ndarray, column: int) -> float:
-    """Sum the squares of what one metric has and the others do not.
+def find_own(metrics: np.ndarray, column: int) -> np.ndarray:
+    """Find what one metric has and the others do not.
 
     Parameters
     ----------
@@ -177,17 +177,17 @@ def find_square(metrics: np.ndarray, column: int) -> float:
 
     Returns
     -------
-    float
-        Σ of squared residuals.
+    ndarray, shape (n_items,)
+        Residuals of the metric on the others.
 
     Examples
     --------
-    >>> find_square(np.array([[1.0, 0], [-1, 0], [0, 2], [0, -2]]), 0)
-    2.0
+    >>> find_own(np.array([[1.0, 0], [-1, 0], [0, 2], [0, -2]]), 0).tolist()
+    [1.0, -1.0, 0.0, 0.0]
     """
     own, others = metrics[:, column], np.delete(metrics, column, axis=1)
-    left = own - others @ np.linalg.lstsq(others, own, rcond=None)[0] if others.shape[1] else own
-    return float((left**2).sum())
+    found: np.ndarray = own - others @ np.linalg.lstsq(others, own, rcond=None)[0] if others.shape[1] else own
+    return found
 
 
 def _find_least(power: Callable[[int], float]) -> float:

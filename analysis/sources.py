@@ -82,6 +82,28 @@ def find_sources(rows: DataFrame) -> Series:
     return pairs.set_index("recording")["source"]
 
 
+def tell_recordings(recordings: int, sources: int) -> str:
+    """Say how many recordings there are, and how many things happened that they record.
+
+    Parameters
+    ----------
+    recordings, sources : int
+        How many.
+
+    Returns
+    -------
+    str
+        Sources only where they are fewer.
+
+    Examples
+    --------
+    >>> tell_recordings(12, 4), tell_recordings(3, 1), tell_recordings(1, 1)
+    ('12 recordings of 4 sources', '3 recordings of 1 source', '1 recording')
+    """
+    told = f"{recordings} recording{'s' if recordings != 1 else ''}"
+    return told if sources >= recordings else f"{told} of {sources} source{'s' if sources != 1 else ''}"
+
+
 def note_sources(rows: DataFrame) -> Iterator[str]:
     """Say how many independent sources the rated recordings come from, where they are fewer.
 

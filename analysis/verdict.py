@@ -10,6 +10,7 @@ import math
 from typing import TYPE_CHECKING
 
 from analysis.scales import PAIRED, SPACE
+from analysis.sources import tell_recordings
 from analysis.words import tell_name, tell_number, tell_range, tell_ratings
 
 if TYPE_CHECKING:
@@ -227,7 +228,8 @@ def _has_direction(result: Association) -> bool:
 
 def _tell_size(result: Association) -> str:
     people = _count(result.n_participants, "participant")
-    return f"{people}, {_count(result.n_recordings, 'recording')}, {_count(result.n_items, 'stimulus')}"
+    scenes = tell_recordings(result.n_recordings, result.n_sources)
+    return f"{people}, {scenes}, {_count(result.n_items, 'stimulus')}"
 
 
 def _count(number: int, noun: str) -> str:

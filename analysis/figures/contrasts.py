@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from analysis.figures.rows import AXIS_CM, Mark, Row, draw_rows, find_height, find_limits, fit_rows
 from analysis.figures.style import BLACK, BLUE, GREY, PALE, Look, new_figure, print_style
 from analysis.figures.text import add_title
+from analysis.sources import tell_recordings
 from analysis.words import tell_number
 
 if TYPE_CHECKING:
@@ -20,7 +21,12 @@ EQUIVALENT, OPEN = Look(BLUE, "o"), Look(BLACK, "D")
 
 
 def draw_equivalence(
-    contrasts: Mapping[str, Equivalence], *, n_participants: int, n_recordings: int, unit: str = "points of rating"
+    contrasts: Mapping[str, Equivalence],
+    *,
+    n_participants: int,
+    n_recordings: int,
+    n_sources: int | None = None,
+    unit: str = "points of rating",
 ) -> Figure:
     """Draw 90 % intervals of differences against the margin of equivalence.
 
@@ -28,7 +34,7 @@ def draw_equivalence(
     ----------
     contrasts : Mapping of str to Equivalence
         What is compared, such as ``dft321 − mag321`` -> its test; all against the same margin.
-    n_participants, n_recordings : int
+    n_participants, n_recordings, n_sources : int
         What the differences rest on.
     unit : str
         Of the differences.
@@ -60,7 +66,7 @@ def draw_equivalence(
             figure,
             f"Bars: 90 % intervals, of two one-sided tests at 5 %. Shaded: margin, {margin} {unit}. "
             f"Filled: equivalent, {shown} of {len(contrasts)}; hollow: not shown. n = {n_participants} participants, "
-            f"{n_recordings} recordings.",
+            f"{tell_recordings(n_recordings, n_sources or n_recordings)}.",
         )
     return figure
 

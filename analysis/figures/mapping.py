@@ -11,6 +11,7 @@ from analysis.figures.legend import add_legend
 from analysis.figures.scatter import CUT, count_clipped, scatter_reducer
 from analysis.figures.style import BLACK, BLUE, COLUMN_CM, GREY, Look, new_canvas, print_style
 from analysis.figures.text import MARGIN_CM, add_title, fit_text, tell_scale
+from analysis.sources import tell_recordings
 from analysis.table import HIGHEST, LOWEST
 from analysis.words import tell_axis, tell_number, tell_range, tell_span
 
@@ -135,6 +136,7 @@ def _tell(stimuli: DataFrame, judged: P1401, association: Association) -> str:
     return (
         f"r = {tell_number(association.value)}, 95 % two-way interval "
         f"{tell_range(association.low, association.high)}, noise ceiling {ceiling}. Curve: P.1401 mapping "
-        f"({MAPPINGS[judged.order]}), fitted to all n = {len(stimuli)} stimuli of {association.n_recordings} "
-        f"recordings; bars: 95 % t intervals over {tell_span(stimuli['n_participants'])} participants.{hollow}"
+        f"({MAPPINGS[judged.order]}), fitted to all n = {len(stimuli)} stimuli of "
+        f"{tell_recordings(association.n_recordings, association.n_sources)}; bars: 95 % t "
+        f"intervals over {tell_span(stimuli['n_participants'])} participants.{hollow}"
     )

@@ -9,6 +9,7 @@ import numpy as np
 from analysis.figures.legend import add_legend
 from analysis.figures.style import GREY, PRINT, THIN, Look, new_figure, print_style
 from analysis.figures.text import tell_scale
+from analysis.sources import tell_recordings
 from analysis.table import HIGHEST, LOWEST
 from analysis.words import tell_axis, tell_number, tell_range
 
@@ -124,7 +125,7 @@ def _mark_clipped(axes: Axes, metric: NDArray[np.float64], *, falling: bool) -> 
 
 
 def _tell_association(result: Association) -> str:
-    size = f"{result.n_items} stimuli, {result.n_recordings} recordings"
+    size = f"{result.n_items} stimuli, {tell_recordings(result.n_recordings, result.n_sources)}"
     narrow = tell_range(result.participants_low, result.participants_high)
     return (
         f"{result.method.capitalize()} r = {tell_number(result.value)}, {size}\n"

@@ -117,10 +117,11 @@ def _draw_variants(panels: list[Axes], below: Mapping[str, list[Row]]) -> None:
 
 
 def _tell(models: Mapping[str, Primary], varied: Mapping[str, DataFrame]) -> str:
-    sizes = ", ".join(
-        f"{tell_span(getattr(model, f'n_{what}') for model in models.values())} {what}"
-        for what in ("participants", "recordings")
-    )
+    def span(what: str) -> str:
+        return f"{tell_span(getattr(model, f'n_{what}') for model in models.values())} {what}"
+
+    shared = any(model.n_sources < model.n_recordings for model in models.values())
+    scenes = f"{span('recordings')} of {span('sources')}" if shared else span("recordings")
     items = tell_span(model.n_items for model in models.values())
     singular = any(model.fit.singular for model in models.values()) or any(
         table["singular"].any() for table in varied.values()
@@ -129,5 +130,5 @@ def _tell(models: Mapping[str, Primary], varied: Mapping[str, DataFrame]) -> str
     second = "\nBelow: the same slopes, standardised, under other choices." if varied else ""
     return (
         f"Slopes within recordings, mixed model; bars: 95 % Satterthwaite intervals. "
-        f"n = {sizes}, {items} stimuli.{hollow}{second}"
+        f"n = {span('participants')}, {scenes}, {items} stimuli.{hollow}{second}"
     )

@@ -112,7 +112,7 @@ def _lay_associations(panels: list[Panel]) -> Grid:
     )
     head = (
         "Ratings", "Metric", "Method", "r", "Two-way interval", "Participants only", "Noise ceiling", "r / ceiling",
-        "Stimuli", "Participants", "Recordings", "Draws",
+        "Stimuli", "Participants", "Recordings", "Sources", "Draws",
     )  # fmt: skip
     rows = [_lay_association(panel, found) for panel in panels for found in panel.associations]
     return Grid(caption, head, tuple(rows))
@@ -120,11 +120,11 @@ def _lay_associations(panels: list[Panel]) -> Grid:
 
 def _lay_association(panel: Panel, found: Association) -> tuple[str | Cell, ...]:
     value, narrow, ceiling, ratio, *counts = _name_association(found, (panel.scale, panel.level))
-    draws, people, recordings, items, _ = counts
+    draws, people, recordings, sources, items, _ = counts
     return (
         _tell_place(panel), tell_name(found.metric), tell_method(found.method), Cell(value), Cell(value, part=INTERVAL),
         Cell(narrow, part=INTERVAL), Cell(ceiling), Cell(ratio),
-        *(Cell(number, COUNT) for number in (items, people, recordings, draws)),
+        *(Cell(number, COUNT) for number in (items, people, recordings, sources, draws)),
     )  # fmt: skip
 
 
@@ -196,5 +196,5 @@ def _name_difference(result: Difference, place: tuple[str, str]) -> Iterator[Num
 
 def _count_data(name: str, result: Association | Difference) -> Iterator[Number]:
     yield count_number(f"{name}.draws", result.draws, n=result.draws)
-    for what in ("n_participants", "n_recordings", "n_items", "n_missing"):
+    for what in ("n_participants", "n_recordings", "n_sources", "n_items", "n_missing"):
         yield count_number(f"{name}.{what}", getattr(result, what), n=result.n_items)

@@ -248,10 +248,10 @@ def _draw(pairs: list[_Pair], part: Part) -> Iterator[Picture]:
     tests = {f"{pair.row['first']} − {pair.row['second']}": pair.test for pair in pairs if pair.test}
     if not tests:
         return
-    people, scenes = (len(part.rows[name].unique()) for name in ("participant", "recording"))
+    people, scenes = len(part.rows["participant"].unique()), find_sources(part.rows)
     caption = (
         f"Differences between reducers in {part.ratings} with 90 % intervals; shaded: the margin of "
         "equivalence. Filled: equivalence is shown."
     )
-    figure = draw_equivalence(tests, n_participants=people, n_recordings=scenes)
+    figure = draw_equivalence(tests, n_participants=people, n_recordings=len(scenes), n_sources=scenes.nunique())
     yield Picture(make_slug("equivalence", *part.place), "equivalence", caption, figure, detail=True)

@@ -13,6 +13,7 @@ from analysis.sections.effects import SIGNIFICANCE, lay_estimate, name_estimate,
 from analysis.sections.section import Cell, Grid, Section
 from analysis.sections.settling import SETTLING, lay_precision, name_precision, tell_need
 from analysis.sections.thinning import thin_parts
+from analysis.sources import tell_recordings
 from analysis.words import start, tell_name
 
 if TYPE_CHECKING:
@@ -33,9 +34,10 @@ KEY, TITLE = "primary", "What +0.1 of a metric goes with"
 HOW = (
     "Primary analysis: a linear mixed model per scale and level, on means over repeats, of ratings on each metric's "
     "deviation from its recording's mean and on that mean, with spreads between participants (of level and of slopes), "
-    "recordings, stimuli, and participants' recordings; restricted maximum likelihood, Satterthwaite's degrees of "
-    "freedom (Barr et al. 2013, doi 10.1016/j.jml.2012.11.001). The claim is the slope within recordings. Spreads "
-    "estimated as zero stay in the model. p are adjusted by Holm over all slopes of the table.",
+    "recordings, stimuli, and participants' recordings (and, where several recordings come from one source, between "
+    "sources and between what was reduced alike from one source); restricted maximum likelihood, Satterthwaite's "
+    "degrees of freedom (Barr et al. 2013, doi 10.1016/j.jml.2012.11.001). The claim is the slope within recordings. "
+    "Spreads estimated as zero stay in the model. p are adjusted by Holm over all slopes of the table.",
 )
 
 
@@ -137,7 +139,8 @@ def _judge_slope(row: Row, slope: Number, part: Part, model: Primary) -> str:  #
 def _sum_up(told: list[tuple[Row, tuple[Number, ...], tuple[Number, ...]]], part: Part, model: Primary) -> str:
     """Say in one line what the model of a part shows, and what would settle what it leaves open."""
     found = "; ".join(_tell_slope(row, numbers[0]) for row, numbers, _ in told)
-    needs = "".join(tell_need(row, settled) for row, _, settled in told)
+    scenes = "sources" if model.n_sources < model.n_recordings else "recordings"
+    needs = "".join(tell_need(row, settled, scenes=scenes) for row, _, settled in told)
     return f"{start(part.subject)}, within recordings ({_tell_size(model)}): {found}{_tell_reach(model)}.{needs}"
 
 
@@ -149,13 +152,14 @@ def _tell_slope(row: Row, slope: Number) -> str:
 
 
 def _tell_size(model: Primary) -> str:
-    sizes = {"participant": model.n_participants, "recording": model.n_recordings}
-    return ", ".join(f"{count} {name}{'s' if count > 1 else ''}" for name, count in sizes.items())
+    people = f"{model.n_participants} participant{'s' if model.n_participants > 1 else ''}"
+    return f"{people}, {tell_recordings(model.n_recordings, model.n_sources)}"
 
 
 def _tell_reach(model: Primary) -> str:
     """Say what a claim does not reach, or hardly."""
-    sizes = {"participant": model.n_participants, "recording": model.n_recordings}
+    scene = "source" if model.n_sources < model.n_recordings else "recording"
+    sizes = {"participant": model.n_participants, scene: model.n_sources}
     alone = [name for name, count in sizes.items() if count == 1]
     few = [f"{name}s" for name, count in sizes.items() if 1 < count < FEW]
     told = f", about this one {' and this one '.join(alone)} only" if alone else ""
@@ -208,7 +212,7 @@ def _lay_models(fits: Fits) -> Grid:
     )
     head = (
         "Ratings", "Fit", "Marginal R²", "Conditional R²", "Between stimuli", "Rows", "Participants", "Recordings",
-        "Stimuli",
+        "Sources", "Stimuli",
     )  # fmt: skip
     return Grid(caption, head, tuple(_lay_model(part, model) for part, model in fits.values()))
 
@@ -222,7 +226,7 @@ def _lay_model(part: Part, model: Primary) -> tuple[str | Cell, ...]:
     values = [Cell(make_number(f"{name}.{key}", getattr(model, key), how, n=n)) for key, how in shares.items()]
     counts = [
         Cell(count_number(f"{name}.n_{what}", getattr(model, f"n_{what}"), n=n), COUNT)
-        for what in ("rows", "participants", "recordings", "items")
+        for what in ("rows", "participants", "recordings", "sources", "items")
     ]
     return (tell_name(part.lead), "singular" if model.fit.singular else "regular", *values, *counts)
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from analysis.cells import make_cells
+from analysis.cells import REDUCER, SOURCE, make_cells
 from analysis.numbers import COUNT, make_number, name_path
-from analysis.precision import ENOUGH, Precision, find_square
+from analysis.precision import ENOUGH, Precision, find_own
 from analysis.sections.effects import SIGNIFICANCE
 from analysis.sections.parts import ITEM
 from analysis.sections.section import Cell, Grid
@@ -25,8 +25,9 @@ if TYPE_CHECKING:
 SETTLING = (
     "What a larger study would know: SE² = σ_S²/P + σ_I²/SS + (σ_PI² + σ_e²/K)/(P SS) for P participants, K repeats, "
     "and SS the sum over stimuli of the metric's squared deviations that it does not share with the other metrics; "
-    "noncentral t. This study's spreads are taken for the true ones, which they are not; numbers that rest on the "
-    "slope estimated here are hopeful where that was large by luck."
+    "noncentral t. Where several recordings come from one source, its stimuli reduced alike count as one and further "
+    "recordings are further sources. This study's spreads are taken for the true ones, which they are not; numbers "
+    "that rest on the slope estimated here are hopeful where that was large by luck."
 )
 IF_SO = "If the slope on {} is what was estimated here,"
 
@@ -69,21 +70,27 @@ def _find_needs(study: Precision, slope: float) -> tuple[float, ...]:
 
 
 def _find_precision(metric: str, part: Part, model: Primary) -> Precision:
-    cells = make_cells(part.rows, list(model.slopes.index)).table.drop_duplicates(ITEM)
+    cells = make_cells(part.rows, list(model.slopes.index))
     within = [f"{name}_w" for name in model.slopes.index]
     spreads = {(row["group"], row["term"]): float(row["sd"]) for row in model.fit.variances.to_dict("records")}
     repeats = 1 if model.averaged else len(part.rows) / len(part.rows.groupby(["participant", ITEM], observed=True))
-    own = spreads.get(("participant:item", "(Intercept)"), 0.0)
+    noise = spreads.get(("participant:item", "(Intercept)"), 0.0)
+    items = cells.table.drop_duplicates(ITEM)
+    own = find_own(items[within].to_numpy(), within.index(f"{metric}_w"))
+    square, alike = float((own**2).sum()), [SOURCE, REDUCER] if cells.shared else [ITEM]
+    # Of stimuli that share a residual, metrics that they share too add up before they are squared.
+    together = float((items.assign(own=own).groupby(alike, observed=True)["own"].sum() ** 2).sum()) / square
+    spread = spreads.get((ITEM, "(Intercept)"), 0.0) ** 2
+    shared = spreads.get((":".join(alike), "(Intercept)"), 0.0) ** 2 if cells.shared else 0.0
     return Precision(
-        slope_sd=spreads.get(("participant", f"{metric}_w"), 0.0), item_sd=spreads.get((ITEM, "(Intercept)"), 0.0),
-        noise_sd=math.sqrt(own**2 + model.fit.residual_sd**2 / repeats),
-        square=find_square(cells[within].to_numpy(), within.index(f"{metric}_w")),
-        n_participants=model.n_participants, n_recordings=model.n_recordings, n_items=model.n_items,
+        slope_sd=spreads.get(("participant", f"{metric}_w"), 0.0), item_sd=math.sqrt(spread + shared * together),
+        noise_sd=math.sqrt(noise**2 + model.fit.residual_sd**2 / repeats), square=square,
+        n_participants=model.n_participants, n_recordings=model.n_sources, n_items=cells.count(*alike),
         n_slopes=len(within),
     )  # fmt: skip
 
 
-def tell_need(row: Row, settled: tuple[Number, ...]) -> str:
+def tell_need(row: Row, settled: tuple[Number, ...], *, scenes: str = "recordings") -> str:
     """Say what would settle an undecided slope.
 
     Parameters
@@ -92,6 +99,8 @@ def tell_need(row: Row, settled: tuple[Number, ...]) -> str:
         The slope: p_holm.
     settled : tuple of Number
         As `name_precision` gives them.
+    scenes : str
+        What to call further recordings.
 
     Returns
     -------
@@ -104,14 +113,14 @@ def tell_need(row: Row, settled: tuple[Number, ...]) -> str:
     metric = tell_name(row["metric"])
     if_so = IF_SO.format(metric)
     if math.isnan(infinite):
-        return f" What would settle {metric} cannot be told: it takes two participants and two recordings."
+        return f" What would settle {metric} cannot be told: it takes two participants and two {scenes}."
     if math.isfinite(participants):
         told = tell_number(participants, kind=COUNT)
         return f" {if_so} {told} participants with these recordings would find it in 80 % of studies."
     if math.isfinite(recordings):
         told = tell_number(recordings, kind=COUNT)
         none = f"no number of participants settles it with these recordings (power at most {tell_number(infinite)})"
-        return f" {if_so} {none}; {told} recordings with as many participants would find it in 80 % of studies."
+        return f" {if_so} {none}; {told} {scenes} with as many participants would find it in 80 % of studies."
     return f" A slope on {metric} as small as the one estimated here is out of reach of any study of this kind."
 
 
@@ -133,8 +142,8 @@ def lay_precision(rows: list[Row], numbers: list[tuple[Number, ...]]) -> Grid:
     caption = (
         f"What would settle it. Detectable: the slope, in points per +0.1, that it would find with {ENOUGH:.0%} "
         "power. Then, if the slope is what was estimated here: participants needed with these recordings, recordings "
-        "needed with these participants, and the power of infinitely many participants with these recordings. A dash: "
-        "more than 10 000, or unknown."
+        "needed with these participants (sources, where several recordings come from one), and the power of "
+        "infinitely many participants with these recordings. A dash: more than 10 000, or unknown."
     ).replace("80%", "80 %")
     head = ("Ratings", "Metric", "Detectable", "Participants", "Recordings", "Power at infinity")
     kinds = ("slope", COUNT, COUNT, "correlation")

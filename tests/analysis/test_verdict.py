@@ -11,13 +11,14 @@ from analysis.words import tell_method
 
 CLEAR = Association(
     value=0.7, low=0.4, high=0.9, n_items=36, ceiling=0.9, disattenuated=0.78, draws=2000, participants_low=0.6,
-    participants_high=0.8, n_participants=12, n_recordings=4, n_missing=0, metric="spectral_match", method="pearson",
+    participants_high=0.8, n_participants=12, n_recordings=4, n_sources=4, n_missing=0,
+    metric="spectral_match", method="pearson",
 )  # fmt: skip
 
 BETTER = Difference(
     value=0.5, low=0.2, high=0.8, z_value=0.6, z_low=0.2, z_high=1.0, first_value=0.7, second_value=0.2, n_items=36,
-    n_participants=12, n_recordings=4, n_missing=0, draws=2000, first="spectral_match", second="temporal_match",
-    method="pearson",
+    n_participants=12, n_recordings=4, n_sources=4, n_missing=0, draws=2000, first="spectral_match",
+    second="temporal_match", method="pearson",
 )  # fmt: skip
 
 
