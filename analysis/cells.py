@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.sources import find_sources
+from analysis.tidy import leave_rejected, name_items
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -47,6 +48,8 @@ class Cells:
         Whether rows are single ratings, some of which share participant and item.
     rough : bool
         Whether the means rest on unequal numbers of ratings, because single ratings would be too many.
+    notes : tuple of str
+        What was left out, one sentence each.
     """
 
     table: DataFrame
@@ -54,6 +57,7 @@ class Cells:
     averaged: bool
     repeated: bool
     rough: bool = False
+    notes: tuple[str, ...] = ()
 
     @property
     def shared(self) -> bool:
@@ -105,7 +109,8 @@ def make_cells(rows: DataFrame, metrics: Sequence[str]) -> Cells:
     ----------
     rows : DataFrame
         One row per rating: participant, recording, item, rating and a column per metric; source (`find_sources`)
-        where several recordings come from one, and then reducer.
+        where several recordings come from one, and then reducer. Without item, stimulus_id or recording and reducer
+        name it (`name_items`). Rejected rows are left out.
     metrics : sequence of str
         One or more.
 
@@ -129,6 +134,7 @@ def make_cells(rows: DataFrame, metrics: Sequence[str]) -> Cells:
     of 132, slopes and standard errors within 0.1 % and 0.02 standard errors).
     """
     metrics = tuple(dict.fromkeys(metrics))
+    rows, notes = leave_rejected(name_items(rows))
     _check_rows(rows, metrics)
     items = _list_items(rows, metrics)
     sizes = rows.groupby([WHO, ITEM], observed=True).size()
@@ -139,7 +145,7 @@ def make_cells(rows: DataFrame, metrics: Sequence[str]) -> Cells:
     if averaged:
         table = table.groupby(list(KEYS), observed=True)[RATING].mean().reset_index()
     table = table.merge(_split(items, metrics), on=[SCENE, ITEM])
-    return Cells(_add_sources(table, rows), metrics, averaged, repeated=unequal and not rough, rough=rough)
+    return Cells(_add_sources(table, rows), metrics, averaged, repeated=unequal and not rough, rough=rough, notes=notes)
 
 
 def _add_sources(table: DataFrame, rows: DataFrame) -> DataFrame:

@@ -13,15 +13,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.sources import find_sources
+from analysis.tidy import NAMING, leave_rejected, name_stimuli
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
     from pandas import DataFrame
-
-NAMING = ("recording", "reducer", "level")
-"""Columns that together name an item where there is no stimulus_id."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,6 +39,8 @@ class Items:
     sources : ndarray of int, shape (n_recordings,), optional
         Number of the source that each recording comes from, counted from 0: several may be one, turned, cut or edited.
         Each its own if left out.
+    notes : tuple of str
+        What was left out, one sentence each.
     """
 
     names: tuple[str, ...]
@@ -48,6 +48,7 @@ class Items:
     metrics: NDArray[np.float64]
     recordings: NDArray[np.intp]
     sources: NDArray[np.intp] | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def n_participants(self) -> int:
@@ -86,9 +87,9 @@ def make_items(ratings: DataFrame, metrics: Sequence[str]) -> Items:
     Parameters
     ----------
     ratings : DataFrame
-        One row per judgement: participant, recording, rating, the metrics' columns, and stimulus_id or
-        reducer (and level, if there is one); source, where several recordings come from one; rows whose role is not
-        ``test`` are left out.
+        One row per judgement: participant, recording, rating, the metrics' columns, and stimulus_id or reducer (and
+        level, if there is one) or another name of the stimulus (`name_stimuli`); source, where several recordings
+        come from one; rows whose role is not ``test``, and rejected ones, are left out.
     metrics : sequence of str
         Columns to gather as metrics.
 
@@ -103,6 +104,7 @@ def make_items(ratings: DataFrame, metrics: Sequence[str]) -> Items:
         If a column is missing, several scales are mixed, no test stimulus is left, a name is missing, a number
         is not finite, or a metric or the recording differs between ratings of the same item.
     """
+    ratings, notes = leave_rejected(name_stimuli(ratings))
     keys = _check_columns(ratings, metrics)
     rows = ratings[ratings["role"] == "test"] if "role" in ratings else ratings
     if rows.empty:
@@ -121,6 +123,7 @@ def make_items(ratings: DataFrame, metrics: Sequence[str]) -> Items:
         metrics=np.array([items[name, "first"].to_numpy(np.float64) for name in metrics]),
         recordings=np.unique(items["recording", "first"].to_numpy(), return_inverse=True)[1],
         sources=_number_sources(rows) if "source" in rows else None,
+        notes=notes,
     )
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from analysis.screening.screen import screen_raters
+from analysis.tidy import leave_rejected
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
@@ -146,6 +147,7 @@ def run_multiverse(
     if together < 1:
         raise ValueError(f"together: got {together}, allowed is 1 or more rules in a combination")
     screening = screen_raters(ratings, rules=rules, rng=rng)
+    ratings, _ = leave_rejected(ratings)
     universes = list(_list_universes(screening.rules, together))
     excluded = [frozenset(who for rule in rules for who in screening.hits[rule]) for rules in universes]
     found = {who: _estimate(ratings, estimator, who) for who in dict.fromkeys(excluded)}

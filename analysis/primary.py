@@ -109,7 +109,8 @@ def fit_primary(rows: DataFrame, metrics: Sequence[str], *, correlated: bool = F
     rows : DataFrame
         One row per rating of one attribute, test stimuli only (hidden references and anchors inflate every
         slope): participant, recording, item (recording x reducer), rating and a column per metric; source and reducer,
-        where several recordings come from one source, turned, cut or edited.
+        where several recordings come from one source, turned, cut or edited. Rows marked in a column rejected are left
+        out, and counted in the notes.
     metrics : sequence of str
         One or more, such as ``["spectral_match", "temporal_match"]``.
     correlated : bool
@@ -161,7 +162,8 @@ def fit_primary(rows: DataFrame, metrics: Sequence[str], *, correlated: bool = F
         differences=_table_differences(fit, scales), marginal_r2=fit.marginal_r2, conditional_r2=fit.conditional_r2,
         item_variance_explained=explained, averaged=cells.averaged, n_rows=fit.n_rows,
         n_participants=cells.count(WHO), n_recordings=cells.count(SCENE), n_items=cells.count(ITEM),
-        n_sources=cells.n_sources, reductions=plan.reductions, notes=(*fit.notes, *why, *_warn_few(cells)),
+        n_sources=cells.n_sources, reductions=plan.reductions,
+        notes=(*cells.notes, *fit.notes, *why, *_warn_few(cells)),
     )  # fmt: skip
 
 

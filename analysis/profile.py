@@ -12,6 +12,7 @@ import numpy as np
 
 from analysis.bootstrap import CONFIDENCE
 from analysis.table import HIGHEST, LOWEST
+from analysis.tidy import leave_rejected
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -26,13 +27,14 @@ def participant_means(ratings: DataFrame) -> DataFrame:
     Parameters
     ----------
     ratings : DataFrame
-        Tidy table: participant, stimulus_id, reducer, level, role, scale, rating.
+        Tidy table: participant, stimulus_id, reducer, level, role, scale, rating; rejected rows are left out.
 
     Returns
     -------
     DataFrame
         scale, level, role, reducer, participant, rating; one row each, sorted by them.
     """
+    ratings, _ = leave_rejected(ratings)
     cells = ratings.groupby([*GROUP, "participant", "stimulus_id"], observed=True)["rating"].mean()
     return cells.groupby([*GROUP, "participant"], observed=True).mean().reset_index()
 
@@ -43,7 +45,7 @@ def profile_reducers(ratings: DataFrame) -> DataFrame:
     Parameters
     ----------
     ratings : DataFrame
-        Tidy table: participant, stimulus_id, reducer, level, role, scale, rating.
+        Tidy table: participant, stimulus_id, reducer, level, role, scale, rating; rejected rows are left out.
 
     Returns
     -------
@@ -57,7 +59,7 @@ def profile_reducers(ratings: DataFrame) -> DataFrame:
     participant, and where all means are alike, as at an end of the scale: that tells nothing of how people differ.
     """
     profile = _summarise(participant_means(ratings), GROUP)
-    rows = ratings.groupby(GROUP, observed=True)
+    rows = leave_rejected(ratings)[0].groupby(GROUP, observed=True)
     counts = rows.agg(n_stimuli=("stimulus_id", "nunique"), n_ratings=("rating", "size"))
     return profile.join(counts).reset_index()
 
@@ -68,7 +70,8 @@ def stimulus_means(ratings: DataFrame) -> DataFrame:
     Parameters
     ----------
     ratings : DataFrame
-        Tidy table: participant, stimulus_id, recording, reducer, level, role, scale, rating.
+        Tidy table: participant, stimulus_id, recording, reducer, level, role, scale, rating; rejected rows
+        are left out.
 
     Returns
     -------
@@ -76,6 +79,7 @@ def stimulus_means(ratings: DataFrame) -> DataFrame:
         scale, level, role, recording, reducer, stimulus_id, mean, low, high, n_participants; one row each.
     """
     key = ["scale", "level", "role", "recording", "reducer", "stimulus_id"]
+    ratings, _ = leave_rejected(ratings)
     cells = ratings.groupby([*key, "participant"], observed=True)["rating"].mean().reset_index()
     return _summarise(cells, key).reset_index()
 

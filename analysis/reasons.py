@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def explain_size(items: Items) -> list[str]:
-    """Say what cells are missing, and which interval one of a kind does not allow.
+    """Say what was left out, what cells are missing, and which interval one of a kind does not allow.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ def explain_size(items: Items) -> list[str]:
     list of str
         One sentence each; none if there is nothing to say.
     """
-    notes = []
+    notes = list(items.notes)
     if items.n_missing:
         cells = items.ratings.size
         notes.append(f"{items.n_missing} of {cells} participant x stimulus cells hold no rating.")

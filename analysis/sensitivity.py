@@ -9,6 +9,7 @@ import numpy as np
 from analysis.cells import RATING, REDUCER, SCENE, SOURCE, WHO
 from analysis.primary import fit_primary
 from analysis.sources import find_sources
+from analysis.tidy import leave_rejected, name_items
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -35,7 +36,7 @@ def vary_primary(rows: DataFrame, metrics: Sequence[str], *, top: float = 100.0)
     DataFrame
         One row per variant and metric: variant, unit (of estimate, low and high: points, rater SDs or logits,
         per unit of the metric), metric, estimate se df t p low high, standardised slope with its interval,
-        singular, and reason (why a variant has no numbers, or what its model lacks).
+        singular, and reason (why a variant has no numbers, or what its model lacks or leaves out).
 
     Raises
     ------
@@ -58,6 +59,7 @@ def vary_primary(rows: DataFrame, metrics: Sequence[str], *, top: float = 100.0)
     """
     import pandas as pd
 
+    rows, notes = leave_rejected(name_items(rows))
     ratings = rows[RATING].to_numpy(dtype=np.float64)
     if ratings.min() < 0 or ratings.max() > top:
         raise ValueError(f"rows: got ratings {ratings.min():g} to {ratings.max():g}, allowed is 0 to {top:g}; give top")
@@ -65,7 +67,8 @@ def vary_primary(rows: DataFrame, metrics: Sequence[str], *, top: float = 100.0)
     tables += [_tabulate(name, part, metrics) for name, part in _leave_out(rows)]
     tables.append(_tabulate_standardised(rows, metrics))
     tables.append(_tabulate("logits", _squeeze(rows, top), metrics, unit="logits"))
-    return pd.concat(tables, ignore_index=True)
+    table = pd.concat(tables, ignore_index=True)
+    return table.assign(reason=[" ".join(filter(None, (*notes, reason))) for reason in table["reason"]])
 
 
 def _leave_out(rows: DataFrame) -> Iterator[tuple[str, DataFrame]]:

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.tidy import NAMING
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -14,9 +16,6 @@ if TYPE_CHECKING:
 
 LOWEST, HIGHEST = 0.0, 100.0
 """The ends of the scale that every limit here presupposes."""
-
-NAMING = ("recording", "reducer", "level")
-"""Columns that together name a stimulus where there is no stimulus_id."""
 
 ANCHORS = ("mid", "low")
 """Kinds of anchor, told by the name of their reducer or stimulus containing the word."""

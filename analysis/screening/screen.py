@@ -11,6 +11,7 @@ from analysis.screening.gauge import gauge_raters, judge_expertise
 from analysis.screening.judgements import make_judgements
 from analysis.screening.panel import describe_panel
 from analysis.screening.rules import EXPERTISE, RULES, choose_limits
+from analysis.tidy import leave_rejected, name_stimuli
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterable, Mapping
@@ -95,8 +96,8 @@ def screen_raters(
     ----------
     ratings : DataFrame
         One row per judgement: participant, rating (0 to 100), and stimulus_id or recording and reducer (and level);
-        role, scale, repeat and response_time_s where there are any. Anchors are told by ``mid`` or ``low`` in their
-        reducer's name.
+        role, scale, repeat and response_time_s where there are any; rejected ones are left out. Anchors are told by
+        ``mid`` or ``low`` in their reducer's name.
     rules : iterable of str, mapping of str to float, or None
         Names of `RULES`, or names with limits of one's own; None for all (``expertise`` with an rng only).
     rng : Generator or None
@@ -138,6 +139,7 @@ def screen_raters(
     import pandas as pd
 
     limits = choose_limits(rules, random=rng is not None)
+    ratings, left_out = leave_rejected(name_stimuli(ratings))
     judgements = make_judgements(ratings)
     gauge = pd.DataFrame(columns=["participant", "measure", "value", "floor", "p"])
     if rng is not None and EXPERTISE in limits:
@@ -152,7 +154,7 @@ def screen_raters(
         gauge=gauge,
         panel=describe_panel(ratings, hit),
         rules=tuple(limits),
-        notes=tuple(_explain_rules(found)),
+        notes=(*left_out, *_explain_rules(found)),
     )
 
 

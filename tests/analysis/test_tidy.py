@@ -1,0 +1,126 @@
+"""Tidy tables in memory: rejected judgements do not count, and the stimulus has one name."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from analysis.association import compare_metrics, correlate
+from analysis.multiverse import run_multiverse
+from analysis.primary import fit_primary
+from analysis.profile import profile_reducers, stimulus_means
+from analysis.screening import screen_raters
+from analysis.sensitivity import vary_primary
+from analysis.tidy import leave_rejected, name_items, name_stimuli
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+METRICS = ["spectral_match", "temporal_match"]
+TOLD = "2 judgements marked as rejected are left out."
+
+
+@pytest.fixture
+def rated(tidy: Callable[..., pd.DataFrame]) -> pd.DataFrame:
+    return tidy(participants=3, recordings=3, anchors=False)
+
+
+@pytest.fixture
+def marked(rated: pd.DataFrame) -> pd.DataFrame:
+    """Two rows more, without a rating and rejected."""
+    lost = rated.head(2).assign(rating=[np.nan, 17.0], repeat=9, rejected=True)
+    return pd.concat([lost, rated.assign(rejected=False)], ignore_index=True)
+
+
+def count(rows: pd.DataFrame, metric: str) -> Any:
+    return correlate(rows, metric, draws=20, rng=np.random.default_rng(0))
+
+
+def test_correlations_leave_rejected_judgements_out_and_say_so(rated: pd.DataFrame, marked: pd.DataFrame) -> None:
+    one, other = count(rated, METRICS[0]), count(marked, METRICS[0])
+    assert other.notes == (TOLD, *one.notes)
+    assert (other.value, other.low, other.high) == (one.value, one.low, one.high)
+    assert TOLD in compare_metrics(marked, *METRICS, draws=20, rng=np.random.default_rng(0)).notes
+
+
+def test_models_leave_rejected_judgements_out_and_say_so(rated: pd.DataFrame, marked: pd.DataFrame) -> None:
+    one, other = fit_primary(rated, METRICS), fit_primary(marked, METRICS)
+    pd.testing.assert_frame_equal(one.slopes, other.slopes)
+    assert other.notes == (TOLD, *one.notes)
+    assert vary_primary(marked[marked["recording"] != "rec2"], METRICS)["reason"].str.startswith(TOLD).all()
+
+
+def test_screening_and_means_leave_rejected_judgements_out(rated: pd.DataFrame, marked: pd.DataFrame) -> None:
+    assert TOLD in screen_raters(marked).notes
+    pd.testing.assert_frame_equal(screen_raters(marked).table, screen_raters(rated).table)
+    found = run_multiverse(marked, lambda rows: float(len(rows)), rules=["hidden_reference"])
+    assert found.table["value"].tolist() == [len(rated)] * 2
+    assert TOLD in found.notes
+    pd.testing.assert_frame_equal(profile_reducers(marked), profile_reducers(rated))
+    pd.testing.assert_frame_equal(stimulus_means(marked), stimulus_means(rated))
+
+
+def test_what_is_not_rejected_must_have_a_rating(marked: pd.DataFrame) -> None:
+    with pytest.raises(ValueError, match="got 1 values of 'rating' that are not finite"):
+        count(marked.assign(rejected=False), METRICS[0])
+
+
+@pytest.mark.parametrize(
+    "marks", [[True, False, False], ["TRUE", "false", ""], [1, 0, 0], [1.0, np.nan, 0.0], ["yes", None, "no"]]
+)
+def test_marks_as_tables_hold_them(marks: list[object]) -> None:
+    rows, notes = leave_rejected(pd.DataFrame({"rating": [1, 2, 3], "rejected": marks}))
+    assert rows["rating"].tolist() == [2, 3]
+    assert notes == ("1 judgement marked as rejected is left out.",)
+
+
+def test_marks_refused() -> None:
+    with pytest.raises(ValueError, match="got 'perhaps' in column 'rejected', allowed is true, false"):
+        leave_rejected(pd.DataFrame({"rejected": ["no", "perhaps"]}))
+    with pytest.raises(ValueError, match="all 2 judgements are marked as rejected"):
+        leave_rejected(pd.DataFrame({"rejected": [True, True]}))
+
+
+@pytest.mark.parametrize("called", ["stimulus", "item"])
+def test_a_stimulus_may_be_called_otherwise(rated: pd.DataFrame, called: str) -> None:
+    plain = rated.drop(columns=["reducer", "level"])
+    other = plain.rename(columns={"stimulus_id": called})
+    assert count(other, METRICS[0]) == count(plain, METRICS[0])
+    pd.testing.assert_frame_equal(fit_primary(other, METRICS).slopes, fit_primary(plain, METRICS).slopes)
+    pd.testing.assert_frame_equal(screen_raters(other).table, screen_raters(plain).table)
+
+
+def test_recording_and_reducer_name_the_items_of_a_model(rated: pd.DataFrame) -> None:
+    unnamed = rated.drop(columns="stimulus_id")
+    assert fit_primary(unnamed, METRICS).n_items == fit_primary(rated, METRICS).n_items
+    pd.testing.assert_frame_equal(fit_primary(unnamed, METRICS).slopes, fit_primary(rated, METRICS).slopes)
+
+
+def test_a_coarser_column_does_not_name_the_stimulus(rated: pd.DataFrame) -> None:
+    excerpts = rated.drop(columns="stimulus_id").assign(item=rated["recording"])
+    assert count(excerpts, METRICS[0]).n_items == count(rated, METRICS[0]).n_items
+    assert "stimulus_id" not in name_stimuli(excerpts)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda f: f.assign(item=f["repeat"]), "several values of 'item' for recording x reducer x level rec0/"),
+        (lambda f: f.drop(columns="reducer").assign(item=1, stimulus=f["reducer"]), "of 'stimulus' for item 1; which"),
+        (lambda f: f.drop(columns="reducer").assign(item=f["reducer"], stimulus=1), "of 'item' for stimulus 1; which"),
+    ],
+)
+def test_names_that_contradict_each_other_are_refused(
+    rated: pd.DataFrame, change: Callable[[pd.DataFrame], pd.DataFrame], message: str
+) -> None:
+    with pytest.raises(ValueError, match="stimulus_id") as caught:
+        count(change(rated.drop(columns="stimulus_id")), METRICS[0])
+    assert message in str(caught.value)
+
+
+def test_no_name_is_made_up() -> None:
+    bare = pd.DataFrame({"participant": ["a"], "recording": ["r"], "rating": [1.0]})
+    assert name_items(bare).columns.tolist() == bare.columns.tolist()
