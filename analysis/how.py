@@ -31,7 +31,7 @@ def tell_associations(draws: int) -> tuple[str, ...]:
         f"Two-way intervals: {draws} bootstrap draws of participants and, independently, of recordings with all "
         "their stimuli, both with replacement; "
         "tanh(atanh r ± t(.975, U − 1) sqrt(U / (U − 1)) SD(atanh r*)) with U the number of recordings or of "
-        "participants, whichever is smaller: the fewer there are, the less is known of how they differ. Draws that "
+        "participants, whichever is smaller (recordings of one source are drawn together and count as one): the fewer there are, the less is known of how they differ. Draws that "
         "give no correlation are left out and counted; with more than a tenth of them there is no interval. They say "
         "what other people and other recordings might give. Intervals over participants only treat these very stimuli "
         "as the only ones; they are far too narrow for a claim about the metric and are shown for comparison with the "
