@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from analysis.numbers import COUNT
 from analysis.sections.section import Cell
-from analysis.words import tell_name
+from analysis.words import start, tell_name
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from analysis.pictures import Picture
     from analysis.results import Results
-    from analysis.sections.section import Section
+    from analysis.sections.section import Line, Section
 
 TEMPLATES = Path(__file__).parent / "templates"
 
@@ -45,7 +45,7 @@ def render_page(results: Results, sections: Sequence[Section], *, figures: Path)
         loader=FileSystemLoader(TEMPLATES), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
     )  # fmt: skip
-    environment.filters["words"] = tell_name
+    environment.filters |= {"words": tell_name, "start": start}
     sizes = {number.name: Cell(number, COUNT) for number in results.numbers if number.name.startswith("size.")}
     drawings = {
         picture.name: inline_svg(picture, figures / f"{picture.name}.svg")
@@ -54,8 +54,26 @@ def render_page(results: Results, sections: Sequence[Section], *, figures: Path)
     }
     style = (TEMPLATES / "report.css").read_text(encoding="utf-8")
     return environment.get_template("report.html").render(
-        results=results, sections=sections, drawings=drawings, sizes=sizes, style=style
+        results=results, sections=sections, answer=group_lines(sections), drawings=drawings, sizes=sizes, style=style,
     )
+
+
+def group_lines(sections: Sequence[Section]) -> dict[str, list[Line]]:
+    """Put together what opens the page about the same ratings.
+
+    Parameters
+    ----------
+    sections : sequence of Section
+        In the report's order.
+
+    Returns
+    -------
+    dict of str to list of Line
+        By subject, as they first occur; last, what is about no single one of them.
+    """
+    lines = list(dict.fromkeys(line for section in sections for line in section.verdict))
+    subjects = sorted(dict.fromkeys(line.subject for line in lines), key=lambda subject: not subject)
+    return {subject: [line for line in lines if line.subject == subject] for subject in subjects}
 
 
 def inline_svg(picture: Picture, path: Path) -> Markup:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 import platform
 import tempfile
-from dataclasses import asdict, replace
+from dataclasses import replace
 from importlib.metadata import version
 from itertools import islice
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from analysis.figures.files import save_figure
 from analysis.findings import refuse_untested
+from analysis.inputs import describe_inputs
 from analysis.page import render_page
 from analysis.pictures import note_undrawable, number_pictures
 from analysis.replacing import list_files, replace_report
@@ -24,6 +24,7 @@ from analysis.table import read_table
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    from analysis.further import Further
     from analysis.sections.section import Section
     from analysis.table import Table
 
@@ -38,6 +39,7 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     draws: int = 2000,
     margin: float | None = None,
     sources: Mapping[str, str] | None = None,
+    further: Further | None = None,
     seed: int,
     progress: Callable[[int, int], None] | None = None,
 ) -> Results:
@@ -60,6 +62,8 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     sources : Mapping of str to str, optional
         Recording -> what it was made from, where several are one, turned, cut or edited, and the manifest has no column
         ``source``: intervals then draw sources.
+    further : Further, optional
+        Metrics to explore that neither file holds, such as rotation statistics.
     seed : int
         Of all randomness; the same files and choices give the same bytes.
     progress : callable, optional
@@ -79,9 +83,9 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     """
     ratings, manifest, target = Path(ratings_path), Path(manifest_path), Path(folder)
     choices = Choices(draws=draws, margin=margin, seed=seed)
-    table = read_table(ratings, manifest, sources=sources)
+    table = read_table(ratings, manifest, sources=sources, further=further)
     sections = compute_sections(table, choices, progress=progress)
-    inputs = {**_describe_file("ratings", ratings), **_describe_file("manifest", manifest), **_tell_choices(choices)}
+    inputs = describe_inputs(ratings, manifest, table=table, further=further, choices=choices)
     results = gather_results(table, sections, inputs=inputs)
     target.parent.mkdir(parents=True, exist_ok=True)
     # Everything is written beside its place first: an interrupted run leaves the former report as it was.
@@ -181,11 +185,7 @@ def write_verdict(sections: Sequence[Section]) -> tuple[str, ...]:
     tuple of str
         What each has to say in front.
     """
-    return tuple(dict.fromkeys(line for section in sections for line in section.verdict))
-
-
-def _tell_choices(choices: Choices) -> dict[str, str]:
-    return {name: "from repeated ratings" if value is None else str(value) for name, value in asdict(choices).items()}
+    return tuple(dict.fromkeys(str(line) for section in sections for line in section.verdict))
 
 
 def _write_parts(place: Path, results: Results, sections: Sequence[Section]) -> None:
@@ -197,11 +197,6 @@ def _write_parts(place: Path, results: Results, sections: Sequence[Section]) -> 
     for picture in (picture for section in sections for picture in section.pictures):
         save_figure(picture.figure, place / "figures" / picture.name)
     (place / "results.json").write_text(results.to_json(), encoding="utf-8", newline="")
-
-
-def _describe_file(role: str, path: Path) -> Mapping[str, str]:
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    return {role: path.name, f"{role}_sha256": digest}
 
 
 def _list_versions() -> dict[str, str]:

@@ -10,6 +10,7 @@ import math
 from typing import TYPE_CHECKING
 
 from analysis.scales import PAIRED, SPACE
+from analysis.sections.section import Line
 from analysis.sources import tell_recordings
 from analysis.words import tell_name, tell_number, tell_range, tell_ratings
 
@@ -28,7 +29,7 @@ LEADING, RANKED = "pearson", "spearman"
 """The method that the verdict rests on, and the one it is checked against."""
 
 
-def judge_absence(scales: Iterable[str]) -> tuple[str, ...]:
+def judge_absence(scales: Iterable[str]) -> tuple[Line, ...]:
     """Say that there is no answer.
 
     Parameters
@@ -38,10 +39,10 @@ def judge_absence(scales: Iterable[str]) -> tuple[str, ...]:
 
     Returns
     -------
-    tuple of str
+    tuple of Line
         What is missing.
     """
-    return (UNANSWERED, SPACE) if PAIRED in scales else (UNANSWERED,)
+    return (Line(UNANSWERED), Line(SPACE)) if PAIRED in scales else (Line(UNANSWERED),)
 
 
 def judge_panels(panels: Sequence[Panel]) -> tuple[str, ...]:
@@ -61,7 +62,7 @@ def judge_panels(panels: Sequence[Panel]) -> tuple[str, ...]:
     return tuple(line for panel in panels for line in _judge_panel(panel, several=several))
 
 
-def sum_up_panels(panels: Sequence[Panel]) -> tuple[str, ...]:
+def sum_up_panels(panels: Sequence[Panel]) -> tuple[Line, ...]:
     """Say in a line each what the correlations show.
 
     Parameters
@@ -71,7 +72,7 @@ def sum_up_panels(panels: Sequence[Panel]) -> tuple[str, ...]:
 
     Returns
     -------
-    tuple of str
+    tuple of Line
         Per scale and level: each metric's correlation, the ceiling, and whether one metric is better; at length where
         a correlation or its interval is not defined.
     """
@@ -79,10 +80,10 @@ def sum_up_panels(panels: Sequence[Panel]) -> tuple[str, ...]:
     return tuple(_sum_up(panel, several=several) for panel in panels)
 
 
-def _sum_up(panel: Panel, *, several: bool) -> str:
+def _sum_up(panel: Panel, *, several: bool) -> Line:
     leading = [result for result in panel.associations if result.method == LEADING]
     if any(math.isnan(result.low) for result in leading):
-        return " ".join(dict.fromkeys(_judge_panel(panel, several=several)))
+        return Line(" ".join(dict.fromkeys(_judge_panel(panel, several=several))))
     subject = tell_name(panel.scale) + (f" (level {tell_name(panel.level)})" if several else "")
     found = "; ".join(_tell_correlation(result) for result in leading)
     ceiling = leading[0].ceiling
@@ -93,7 +94,7 @@ def _sum_up(panel: Panel, *, several: bool) -> str:
         for result in panel.differences
         if result.method == LEADING
     )
-    return f"{_start(subject)}, over {_count(leading[0].n_items, 'stimulus')}: {found}{most}.{ranked}"
+    return Line(f"{found}{most}.{ranked}", _start(subject), f"over {_count(leading[0].n_items, 'stimulus')}")
 
 
 def _tell_correlation(result: Association) -> str:

@@ -10,7 +10,7 @@ from analysis.numbers import COUNT, Number, count_number, make_interval, make_nu
 from analysis.pictures import Picture
 from analysis.scales import ANSWERED
 from analysis.sections.effects import SIGNIFICANCE, adjust
-from analysis.sections.section import INTERVAL, Cell, Grid, Section
+from analysis.sections.section import INTERVAL, Cell, Grid, Line, Section
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -58,7 +58,7 @@ def compute(table: Table, choices: Choices) -> Section:  # noqa: ARG001 - every 
     answer, counts = _judge(found, adjusted)
     figure = draw_discrimination({f"{name} ({level})": result for (level, name), result in found.items()})
     return Section(
-        key=KEY, title=TITLE, answers=(answer,), verdict=(answer,), unseen=counts, grids=(_lay(found, adjusted),),
+        key=KEY, title=TITLE, answers=(answer,), verdict=(Line(answer),), unseen=counts, grids=(_lay(found, adjusted),),
         tables={"discrimination": _tabulate(found, adjusted)},
         pictures=(Picture("discrimination", "discrimination", CAPTION, figure),),
         notes=tuple(f"ABX, {name}, {level}: {note}" for (level, name), one in found.items() for note in one.notes),

@@ -10,7 +10,7 @@ from analysis.numbers import COUNT, count_number, make_number, name_path
 from analysis.pictures import Picture, make_slug
 from analysis.primary import FEW, fit_primary, tabulate_slopes
 from analysis.sections.effects import SIGNIFICANCE, lay_estimate, name_estimate, name_tests, tell_estimate, tell_p
-from analysis.sections.section import Cell, Grid, Section
+from analysis.sections.section import Cell, Grid, Line, Section
 from analysis.sections.settling import SETTLING, lay_precision, name_precision, tell_need
 from analysis.sections.thinning import thin_parts
 from analysis.sources import tell_recordings
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     Fits = dict[str, tuple[Part, Primary]]
 
 KEY, TITLE = "primary", "What +0.1 of a metric goes with"
+IN_SD = "slope in this study's standard deviations"
 HOW = (
     "Primary analysis: a linear mixed model per scale and level, on means over repeats, of ratings on each metric's "
     "deviation from its recording's mean and on that mean, with spreads between participants (of level and of slopes), "
@@ -121,7 +122,7 @@ def _name_slope(row: Row, fit: tuple[Part, Primary]) -> tuple[Number, ...]:
     name, n = name_path("slope", *part.place, row["metric"]), model.n_rows
     return (
         name_estimate(name, row, "mixed model, points of rating per +0.1 of the metric", n=n, prefix="tenth"),
-        name_estimate(f"{name}.standardised", row, "slope in standard deviations", n=n, prefix="standardised"),
+        name_estimate(f"{name}.standardised", row, IN_SD, n=n, prefix="standardised"),
         *name_tests(name, row, n=n),
     )
 
@@ -136,12 +137,13 @@ def _judge_slope(row: Row, slope: Number, part: Part, model: Primary) -> str:  #
     return f"{claim} ({evidence}){_tell_reach(model)}."
 
 
-def _sum_up(told: list[tuple[Row, tuple[Number, ...], tuple[Number, ...]]], part: Part, model: Primary) -> str:
+def _sum_up(told: list[tuple[Row, tuple[Number, ...], tuple[Number, ...]]], part: Part, model: Primary) -> Line:
     """Say in one line what the model of a part shows, and what would settle what it leaves open."""
     found = "; ".join(_tell_slope(row, numbers[0]) for row, numbers, _ in told)
     scenes = "sources" if model.n_sources < model.n_recordings else "recordings"
     needs = "".join(tell_need(row, settled, scenes=scenes) for row, _, settled in told)
-    return f"{start(part.subject)}, within recordings ({_tell_size(model)}): {found}{_tell_reach(model)}.{needs}"
+    lead = f"within recordings ({_tell_size(model)})"
+    return Line(f"{found}{_tell_reach(model)}.{needs}", start(part.subject), lead)
 
 
 def _tell_slope(row: Row, slope: Number) -> str:
@@ -168,9 +170,9 @@ def _tell_reach(model: Primary) -> str:
 
 def _lay_slopes(rows: list[Row], numbers: list[tuple[Number, ...]]) -> Grid:
     caption = (
-        "Slope of ratings on each metric within recordings, from the mixed model: points per +0.1 of it, and in "
-        "standard deviations. 95 % t intervals with Satterthwaite's df; p adjusted by Holm over this table's "
-        f"{len(rows)} slopes."
+        "Slope of ratings on each metric within recordings, from the mixed model: points per +0.1 of it, and "
+        "standardised: in this study's standard deviations, which differ from other studies'. 95 % t intervals with "
+        f"Satterthwaite's df; p adjusted by Holm over this table's {len(rows)} slopes."
     )
     head = ("Ratings", "Metric", "Points per +0.1", "Interval", "Standardised", "Interval", "df", "p", "p (Holm)")
     laid = [
@@ -188,8 +190,8 @@ def _list_differences(fits: Fits) -> Iterator[Row]:
 
 def _lay_differences(fits: Fits, rows: list[Row]) -> Grid:
     caption = (
-        "Slope on the first metric minus slope on the second, in standard deviations: which counts for more where both "
-        "are known. 95 % intervals; p not adjusted."
+        "Slope on the first metric minus slope on the second, in this study's standard deviations: which counts for "
+        "more where both are known. 95 % intervals; p not adjusted."
     )
     head = ("Ratings", "First", "Second", "Difference", "Interval", "df", "p")
     laid = []
@@ -197,7 +199,7 @@ def _lay_differences(fits: Fits, rows: list[Row]) -> Grid:
         part, model = fits[row["lead"]]
         name, n = name_path("slope_difference", *part.place, row["first"], row["second"]), model.n_rows
         ends: Row = {key: row[f"standardised_{key}"] for key in ("estimate", "low", "high")}
-        value = name_estimate(name, ends, "difference of standardised slopes", n=n)
+        value = name_estimate(name, ends, "difference of slopes in this study's standard deviations", n=n)
         df = make_number(f"{name}.df", row["standardised_df"], "Satterthwaite's degrees of freedom", n=n)
         p = make_number(f"{name}.p", row["standardised_p"], "two-sided t test", n=n)
         names = tell_name(row["first"]), tell_name(row["second"])

@@ -10,11 +10,11 @@ from analysis.numbers import COUNT, TWO_WAY, count_number, make_interval, make_n
 from analysis.refined.candidates import EQUAL
 from analysis.refined.refine import refine_metric
 from analysis.sections.parts import split_parts
-from analysis.sections.section import INTERVAL, Cell, Grid, Section
+from analysis.sections.section import INTERVAL, Cell, Grid, Line, Section
 from analysis.words import start, tell_name, tell_number, tell_range
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable
+    from collections.abc import Hashable, Iterator
 
     from pandas import DataFrame
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     Row = dict[Hashable, Any]
     Found = list[tuple[Part, Refined]]
 
-KEY, TITLE = "refined", "Is there a better metric in these metrics"
+KEY, TITLE = "refined", "Would a refined metric predict better?"
 DRAWS = 400
 """Each draw repeats the whole search, and more of them change the interval's width by a few hundredths only."""
 
@@ -50,7 +50,7 @@ def compute(table: Table, choices: Choices) -> Section:
     Parameters
     ----------
     table : Table
-        Ratings and metrics; with a column ``rms_m_s2``, the level may enter a sum.
+        Ratings and metrics; with a column ``rms_m_s2``, the level may enter a sum, and so may further metrics.
     choices : Choices
         Draws and seed.
 
@@ -64,7 +64,7 @@ def compute(table: Table, choices: Choices) -> Section:
     for part in split_parts(table):
         lead = f"{part.lead}, refined metrics"
         try:
-            result = _search(part, table.metrics, choices)
+            result = _search(part, table, choices)
         except ValueError as error:
             notes.append(f"{lead}: none is searched. {error}")
             continue
@@ -72,24 +72,52 @@ def compute(table: Table, choices: Choices) -> Section:
         notes += [f"{lead}: {note}" for note in result.notes]
     if not found:
         return Section(KEY, TITLE, notes=tuple(notes))
-    answers = tuple(_judge(part, result) for part, result in found)
     return Section(
-        key=KEY, title=TITLE, answers=answers, verdict=answers,
+        key=KEY, title=TITLE, answers=tuple(_judge(part, result) for part, result in found),
+        verdict=tuple(_sum_up(found)),
         grids=(_lay_scores(found), _lay_gains(found), _lay_candidates(found), _lay_weights(found)),
         tables=_make_tables(found), notes=tuple(notes), how=HOW,
     )  # fmt: skip
 
 
-def _search(part: Part, metrics: tuple[str, ...], choices: Choices) -> Refined:
-    rows, others = part.rows, list[str]()
+def _search(part: Part, table: Table, choices: Choices) -> Refined:
+    rows, others = part.rows, list(table.further)
     if AMPLITUDE in rows and (rows[AMPLITUDE] > 0).all():
-        rows, others = rows.assign(**{LEVEL: 20 * np.log10(rows[AMPLITUDE])}), [LEVEL]
+        rows, others = rows.assign(**{LEVEL: 20 * np.log10(rows[AMPLITUDE])}), [LEVEL, *others]
     rng = choices.make_rng(KEY, *part.place)
-    return refine_metric(rows, metrics, others=others, draws=min(choices.draws, DRAWS), rng=rng)
+    return refine_metric(rows, table.metrics, others=others, draws=min(choices.draws, DRAWS), rng=rng)
+
+
+def _sum_up(found: Found) -> Iterator[Line]:
+    """Open the report with what is recommended; of all the rest, in one line, that it is not."""
+    for part, result in found:
+        if result.recommended:
+            yield Line(_judge(part, result))
+    rest = [_find_best(result) for _, result in found if not result.recommended]
+    if not rest:
+        return
+    others = "further " if len(rest) < len(found) else ""
+    claim = f"No {others}refined metric is recommended"
+    gains = sorted(gain["value"] for gain in rest if np.isfinite(gain["low"]))
+    if not gains:
+        yield Line(f"{claim}: gains have no interval here.")
+        return
+    reach = tell_range(gains[0], gains[-1]) if len(gains) > 1 else tell_number(gains[0])
+    covering = sum(gain["low"] <= 0 <= gain["high"] for gain in rest)
+    each = "its interval covers" if len(rest) == 1 else "each 95 % two-way interval covers"
+    shown = f"; {each} zero" if covering == len(rest) else ""
+    gained = f"gain{'s' if len(gains) > 1 else ''} in correlation over the best single metric {reach}, out of fold"
+    yield Line(f"{claim} ({gained}{shown}).")
+
+
+def _find_best(result: Refined) -> Row:
+    """Find the gain over the metric that correlates most by itself."""
+    best: Row = result.gains.sort_values("plain", ascending=False).to_dict("records")[0]
+    return best
 
 
 def _judge(part: Part, result: Refined) -> str:
-    gain = result.gains.sort_values("plain", ascending=False).to_dict("records")[0]
+    gain = _find_best(result)
     told = f"{tell_number(gain['value'])} (95 % two-way interval {tell_range(gain['low'], gain['high'])})"
     pair = f"{tell_number(result.value)} with what the search finds, {tell_number(gain['plain'])} with"
     scored = "differences within recordings, of recordings and people left out, correlate by"

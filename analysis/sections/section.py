@@ -82,6 +82,30 @@ class Grid:
             yield from (cell for cell in row if isinstance(cell, Cell))
 
 
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One of the lines that open a report.
+
+    Parameters
+    ----------
+    text : str
+        What is claimed.
+    subject : str
+        What was rated; lines of one subject stand together on the page.
+    lead : str
+        What kind of evidence that is, and how much of it.
+    """
+
+    text: str
+    subject: str = ""
+    lead: str = ""
+
+    def __str__(self) -> str:
+        """Write it as a sentence of its own."""
+        about = ", ".join(filter(None, (self.subject, self.lead)))
+        return f"{about}: {self.text}" if about else self.text
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Section:
     """A part of a report, as data.
@@ -94,8 +118,8 @@ class Section:
         Its heading.
     answers : tuple of str
         What it shows, in words; numbers in them are among its numbers.
-    verdict : tuple of str
-        Those of its answers that open the report.
+    verdict : tuple of Line
+        What it has to say where the report opens.
     grids : tuple of Grid
         Tables of the page.
     unseen : tuple of Number
@@ -113,7 +137,7 @@ class Section:
     key: str
     title: str
     answers: tuple[str, ...] = ()
-    verdict: tuple[str, ...] = ()
+    verdict: tuple[Line, ...] = ()
     grids: tuple[Grid, ...] = ()
     unseen: tuple[Number, ...] = ()
     tables: Mapping[str, DataFrame] = field(default_factory=dict)
@@ -136,7 +160,7 @@ class Section:
     def summary(self) -> str:
         """What the fold is called; empty without one. What opens the report is told there at length."""
         kinds = {
-            "in words": bool(self.verdict) and self.answers != self.verdict,
+            "in words": bool(self.verdict) and self.answers != tuple(map(str, self.verdict)),
             "tables": any(grid.detail for grid in self.grids),
             "further figures": any(picture.detail for picture in self.pictures),
         }

@@ -13,7 +13,7 @@ from analysis.numbers import COUNT, Number, count_number, make_number, name_path
 from analysis.pictures import Picture, make_slug
 from analysis.scales import APART, PAIRED
 from analysis.sections.effects import SIGNIFICANCE, adjust
-from analysis.sections.section import Cell, Grid, Section
+from analysis.sections.section import Cell, Grid, Line, Section
 from analysis.space import stress_by_dimension
 from analysis.table import order_reducers
 from analysis.words import tell_name, tell_number
@@ -88,7 +88,7 @@ def compute(table: Table, choices: Choices) -> Section:
         pictures.append(_draw(found, ellipses, stress))
         tables[f"space_{make_slug(level)}"] = _tabulate(found, ellipses)
     return Section(
-        key=KEY, title=TITLE, answers=tuple(answers), verdict=tuple(answers), grids=tuple(grids),
+        key=KEY, title=TITLE, answers=tuple(answers), verdict=tuple(map(Line, answers)), grids=tuple(grids),
         pictures=tuple(pictures), tables=tables, notes=tuple(notes), how=HOW if grids else (),
     )  # fmt: skip
 

@@ -6,17 +6,17 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from analysis.refined.refine import Refined, refine_metric
 from analysis.sections.choices import Choices
 from analysis.sections.refined import LEVEL, compute
 from analysis.table import Table
+from analysis.words import tell_range
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-    import pandas as pd
 
 METRICS = ("spectral_match", "temporal_match")
 CHOICES = Choices(draws=40, seed=3)
@@ -42,7 +42,7 @@ def test_section_tells_what_the_search_found(make_table: Callable[..., Table]) -
     gain = numbers["refined.realism.as_is.over.spectral_match.gain"]
     assert gain.value == pytest.approx(found.gains["value"][0])
     assert set(section.tables) == {"refined_gains", "refined_candidates", "refined_weights"}
-    assert section.verdict == section.answers
+    assert tuple(map(str, section.verdict)) == section.answers
     assert len(numbers) == len(section.numbers)
 
 
@@ -53,6 +53,36 @@ def test_a_sum_is_recommended_and_a_single_metric_is_not_improved(make_table: Ca
     one = compute(make_table(spectral=40, temporal=0), CHOICES).answers[0]
     assert one.startswith("Realism: no refined metric is recommended: ")
     assert one.endswith("the interval covers zero.")
+
+
+def test_what_is_not_recommended_opens_the_report_in_one_line(make_table: Callable[..., Table]) -> None:
+    rows = make_table(spectral=40, temporal=0).rows
+    both = pd.concat([rows, rows.assign(scale="similarity")], ignore_index=True)
+    section = compute(Table(both, METRICS, ()), CHOICES)
+    assert len(section.answers) == 2
+    (line,) = map(str, section.verdict)
+    gains = sorted(number.value for number in section.numbers if number.name.endswith("over.spectral_match.gain"))
+    assert line == (
+        f"No refined metric is recommended (gains in correlation over the best single metric {tell_range(*gains)}, out "
+        "of fold; each 95 % two-way interval covers zero)."
+    )
+
+
+def test_one_recommendation_leaves_a_line_for_the_rest(
+    make_table: Callable[..., Table], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    turns = iter([True, False])
+
+    def search(*given: Any, **choices: Any) -> Refined:
+        return replace(refine_metric(*given, **choices), recommended=next(turns))
+
+    monkeypatch.setattr("analysis.sections.refined.refine_metric", search)
+    rows = make_table(spectral=25, temporal=30).rows
+    both = pd.concat([rows, rows.assign(scale="similarity")], ignore_index=True)
+    first, second = map(str, compute(Table(both, METRICS, ()), CHOICES).verdict)
+    assert "predicts better than each metric" in first
+    assert second.startswith("No further refined metric is recommended (gain in correlation over the best single ")
+    assert "covers zero" not in second
 
 
 def test_a_level_enters_where_the_manifest_tells_it(make_table: Callable[..., Table]) -> None:
@@ -88,5 +118,6 @@ def test_small_studies_are_told_why_there_is_none(make_table: Callable[..., Tabl
 def test_what_has_no_interval_is_not_recommended(make_table: Callable[..., Table]) -> None:
     table = make_table()
     rows = table.rows.assign(rating=20 + 50 * table.rows["spectral_match"].clip(0, 1).fillna(1))
-    answer = compute(Table(rows.assign(spectral_match=rows["spectral_match"].clip(0, 1)), METRICS, ()), CHOICES).answers
-    assert answer == ("Realism: no refined metric is recommended: its gain has no interval here.",)
+    section = compute(Table(rows.assign(spectral_match=rows["spectral_match"].clip(0, 1)), METRICS, ()), CHOICES)
+    assert section.answers == ("Realism: no refined metric is recommended: its gain has no interval here.",)
+    assert [str(line) for line in section.verdict] == ["No refined metric is recommended: gains have no interval here."]
