@@ -19,7 +19,7 @@ from analysis.tidy import leave_rejected, name_items
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from pandas import DataFrame
+    from pandas import DataFrame, Series
 
 WHO, SCENE, ITEM, RATING = "participant", "recording", "item", "rating"
 SOURCE, REDUCER = "source", "reducer"
@@ -38,8 +38,8 @@ class Cells:
     Parameters
     ----------
     table : DataFrame
-        participant, recording, item, rating, and two columns per metric, ``_w`` and ``_b``; source and reducer, where
-        several recordings come from one source.
+        participant, recording, item, rating, and two columns per metric, ``_w`` and ``_b``; reducer, if it is known;
+        source, where several recordings come from one.
     metrics : tuple of str
         Their names.
     averaged : bool
@@ -149,8 +149,10 @@ def make_cells(rows: DataFrame, metrics: Sequence[str]) -> Cells:
 
 
 def _add_sources(table: DataFrame, rows: DataFrame) -> DataFrame:
-    """Say of every cell what its stimulus shares with those of other recordings; nothing, where they share nothing."""
+    """Say of every cell what its stimulus shares with those of other recordings: its reducer, and a source, if any."""
     sources = find_sources(rows)
+    if REDUCER in rows:
+        table = table.assign(**{REDUCER: table[ITEM].map(_find_reducers(rows))})
     if sources.is_unique:
         return table
     if REDUCER not in rows:
@@ -158,11 +160,15 @@ def _add_sources(table: DataFrame, rows: DataFrame) -> DataFrame:
             f"rows: got {len(sources)} recordings of {sources.nunique()} sources and no column 'reducer', allowed "
             "is one that tells which stimuli of a source were reduced alike"
         )
+    return table.assign(**{SOURCE: table[SCENE].map(sources)})
+
+
+def _find_reducers(rows: DataFrame) -> Series:
     reducers = rows[[ITEM, REDUCER]].drop_duplicates().set_index(ITEM)[REDUCER]
     if not reducers.index.is_unique:
         twice = reducers.index[reducers.index.duplicated()][0]
         raise ValueError(f"rows: got item {twice!r} with two reducers, allowed is one; an item is one stimulus")
-    return table.assign(**{SOURCE: table[SCENE].map(sources), REDUCER: table[ITEM].map(reducers)})
+    return reducers
 
 
 def _count_levels(rows: DataFrame) -> int:

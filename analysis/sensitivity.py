@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from pandas import DataFrame
 
+CORRELATED, BY_REDUCER = "correlated slopes", "reducers differ"
 COLUMNS = ("estimate", "se", "df", "t", "p", "low", "high", "standardised", "standardised_low", "standardised_high")
 
 
@@ -45,7 +46,8 @@ def vary_primary(rows: DataFrame, metrics: Sequence[str], *, top: float = 100.0)
 
     Notes
     -----
-    Variants: people's slopes correlated; without each recording (without each source, where several recordings come
+    Variants: people's slopes correlated; reducers that differ for everyone and for each person, whatever their metrics
+    (`fit_primary`, by_reducer); without each recording (without each source, where several recordings come
     from one: the others of it would stand in for what is left out); without each reducer (metrics are split anew
     over what is left, so that nothing of it leaks in); each rater's ratings standardised, which takes out how
     much of the scale they use (raters whose ratings are all the same cannot be, and are left out, as the
@@ -63,7 +65,7 @@ def vary_primary(rows: DataFrame, metrics: Sequence[str], *, top: float = 100.0)
     ratings = rows[RATING].to_numpy(dtype=np.float64)
     if ratings.min() < 0 or ratings.max() > top:
         raise ValueError(f"rows: got ratings {ratings.min():g} to {ratings.max():g}, allowed is 0 to {top:g}; give top")
-    tables = [_tabulate("primary", rows, metrics), _tabulate("correlated slopes", rows, metrics)]
+    tables = [_tabulate(variant, rows, metrics) for variant in ("primary", CORRELATED, BY_REDUCER)]
     tables += [_tabulate(name, part, metrics) for name, part in _leave_out(rows)]
     tables.append(_tabulate_standardised(rows, metrics))
     tables.append(_tabulate("logits", _squeeze(rows, top), metrics, unit="logits"))
@@ -104,7 +106,7 @@ def _tabulate(variant: str, rows: DataFrame, metrics: Sequence[str], *, unit: st
     import pandas as pd
 
     try:
-        model = fit_primary(rows, metrics, correlated=variant == "correlated slopes")
+        model = fit_primary(rows, metrics, correlated=variant == CORRELATED, by_reducer=variant == BY_REDUCER)
     except ValueError as error:
         if variant == "primary":
             raise

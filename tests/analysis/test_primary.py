@@ -241,7 +241,7 @@ def test_holm_counts_every_attribute_and_metric(rows: pd.DataFrame) -> None:
 def test_sensitivity_runs_every_variant(rows: pd.DataFrame, primary: Primary) -> None:
     table = vary_primary(rows, METRICS)
     assert table["variant"].unique().tolist() == [
-        "primary", "correlated slopes", *(f"without recording {n}" for n in range(6)),
+        "primary", "correlated slopes", "reducers differ", *(f"without recording {n}" for n in range(6)),
         *(f"without reducer {n}" for n in range(5)), "rater-standardised", "logits",
     ]  # fmt: skip
     first = table[table["variant"] == "primary"].set_index("metric")
@@ -251,6 +251,24 @@ def test_sensitivity_runs_every_variant(rows: pd.DataFrame, primary: Primary) ->
         without
     )
     assert table.loc[table["metric"] == "sm", "standardised_low"].min() > 0
+
+
+def test_reducers_that_differ_whatever_their_metrics_widen_the_slopes(rows: pd.DataFrame) -> None:
+    odd = np.array([0.0, 8.0, -8.0, 8.0, -8.0])[rows["reducer"].to_numpy()]
+    planted = rows.assign(rating=rows["rating"] + odd)
+    plain, own = fit_primary(planted, METRICS), fit_primary(planted, METRICS, by_reducer=True)
+    assert "(1 | reducer)" in own.formula
+    assert "(1 | participant:reducer)" in own.formula
+    spread = own.fit.variances.set_index("group")["sd"]
+    assert spread["reducer"] > 4
+    assert own.slopes.loc["sm", "se"] != pytest.approx(plain.slopes.loc["sm", "se"], rel=0.01)
+    assert own.fit.criterion < plain.fit.criterion - 10
+
+
+def test_reducers_need_a_column_and_recordings_to_be_told_apart(rows: pd.DataFrame) -> None:
+    for part in (rows.drop(columns="reducer"), rows.query("recording == 0")):
+        with pytest.raises(ValueError, match="crossed with recordings"):
+            fit_primary(part, METRICS, by_reducer=True)
 
 
 def test_sensitivity_tells_why_a_variant_has_no_numbers(rows: pd.DataFrame) -> None:
