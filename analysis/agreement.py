@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.bootstrap import CONFIDENCE, FLAT, MOST_UNDEFINED
+from analysis.bootstrap import FLAT, bootstrap_margin
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -40,13 +40,13 @@ class Alpha:
     value : float
         Alpha: 1 for perfect agreement, 0 for none beyond chance.
     low, high : float
-        95 % bootstrap interval over targets.
+        95 % bootstrap interval over groups of targets; the upper end is 1 at most.
     level : str
         Level of measurement.
     draws : int
         Draws in which alpha was defined.
-    n_targets, n_ratings : int
-        Targets with two or more ratings, and their ratings.
+    n_targets, n_groups, n_ratings : int
+        Targets with two or more ratings, how many groups they are of, and their ratings.
     notes : tuple of str
         Why anything is NaN or left out, one sentence each.
     """
@@ -57,18 +57,25 @@ class Alpha:
     level: str
     draws: int
     n_targets: int
+    n_groups: int
     n_ratings: int
     notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Ratings:
-    """Ratings that can be paired: the distinct values, and for each rating its value's and target's number."""
+    """Ratings that can be paired: the distinct values, each rating's value and target, and each target's row."""
 
     distinct: Values
     value: NDArray[np.intp]
     target: NDArray[np.intp]
-    n_targets: int
+    row: NDArray[np.intp]
+    n_rows: int
+
+    @property
+    def n_targets(self) -> int:
+        """Count the targets that can be agreed on."""
+        return len(self.row)
 
     def count(self, weights: Values) -> Values:
         """Count how often each distinct value occurs, targets counting as often as their weights say."""
@@ -128,13 +135,22 @@ def krippendorff_alpha(table: ArrayLike, *, level: str = "interval") -> float:
     return LEVELS[level](ratings, np.ones(ratings.n_targets))
 
 
-def bootstrap_alpha(table: ArrayLike, *, level: str = "interval", draws: int = 2000, rng: np.random.Generator) -> Alpha:
-    """Krippendorff's alpha with a bootstrap interval over targets.
+def bootstrap_alpha(
+    table: ArrayLike,
+    *,
+    groups: ArrayLike | None = None,
+    level: str = "interval",
+    draws: int = 2000,
+    rng: np.random.Generator,
+) -> Alpha:
+    """Krippendorff's alpha with a bootstrap interval over targets, or over groups of them.
 
     Parameters
     ----------
     table : array_like, shape (targets, raters)
         As for `krippendorff_alpha`.
+    groups : array_like, shape (targets,), optional
+        What each target belongs to, such as its recording; without it, every target stands for itself.
     level : str
         As for `krippendorff_alpha`.
     draws : int
@@ -150,13 +166,19 @@ def bootstrap_alpha(table: ArrayLike, *, level: str = "interval", draws: int = 2
     Raises
     ------
     ValueError
-        As for `krippendorff_alpha`, or if there are fewer than 2 draws.
+        As for `krippendorff_alpha`, or if there are fewer than 2 draws or not one group per target.
 
     Notes
     -----
-    Targets are drawn with replacement and both disagreements computed anew; the interval runs between the
-    2.5 % and 97.5 % quantiles. Raters stay as they are: the interval is about other stimuli judged by these
-    people. With few targets (below 20) it is too narrow.
+    Groups are drawn with replacement, with all their targets, and both disagreements computed anew; with U groups
+    the interval is α ± t(.975, U - 1) √(U / (U - 1)) SD(α*). Raters stay as they are: it is about other groups
+    judged by these people, and says nothing of other people.
+
+    **Name the groups.** Stimuli made from one recording are alike, and drawn as if independent they give an interval
+    that covers too little. In 300 simulated studies of 8 to 12 raters, whose stimuli differ as much between
+    recordings as within, 95 % intervals covered 93 % with 10 recordings of 9 stimuli each, 90 % with 20 of 6, and
+    88 % with 6 of 6, where quantiles of draws of single stimuli covered 69, 76 and 71 %. With 48 stimuli that were
+    independent it was 93 %. So it is somewhat too narrow even then, for alpha is skewed.
 
     Examples
     --------
@@ -168,22 +190,36 @@ def bootstrap_alpha(table: ArrayLike, *, level: str = "interval", draws: int = 2
     if draws < 2:  # noqa: PLR2004 - a quantile between two
         raise ValueError(f"draws: got {draws}, allowed is 2 or more; use 2000 for results to be published")
     ratings = _pair_up(table, level)
-    n_targets = ratings.n_targets
-    value = LEVELS[level](ratings, np.ones(n_targets))
-    weights = rng.multinomial(n_targets, np.full(n_targets, 1 / n_targets), size=draws).astype(np.float64)
-    drawn = np.array([LEVELS[level](ratings, row) for row in weights])
-    defined = drawn[np.isfinite(drawn)]
-    notes, low, high = [], float("nan"), float("nan")
-    if n_targets < len(np.asarray(table)):
-        left_out = len(np.asarray(table)) - n_targets
-        notes.append(f"{left_out} targets with fewer than two ratings have nothing to agree on.")
+    group, n_groups = _number_groups(groups, ratings)
+    value = LEVELS[level](ratings, np.ones(ratings.n_targets))
+    weights = rng.multinomial(n_groups, np.full(n_groups, 1 / n_groups), size=draws).astype(np.float64)
+    drawn = np.array([LEVELS[level](ratings, row[group]) for row in weights])
+    margin, defined = bootstrap_margin(drawn, n_groups), int(np.isfinite(drawn).sum())
+    return Alpha(
+        value, value - margin, min(value + margin, 1.0) if np.isfinite(margin) else margin, level, defined,
+        ratings.n_targets, n_groups, len(ratings.value),
+        notes=tuple(_note_draws(ratings, value, margin, undefined=draws - defined)),
+    )  # fmt: skip
+
+
+def _number_groups(groups: ArrayLike | None, ratings: _Ratings) -> tuple[NDArray[np.intp], int]:
+    """Give each target that counts its group's number."""
+    if groups is None:
+        return np.arange(ratings.n_targets), ratings.n_targets
+    names = np.asarray(groups)
+    if names.shape != (ratings.n_rows,):
+        raise ValueError(f"groups: got shape {names.shape}, allowed is ({ratings.n_rows},), one per target")
+    distinct, group = np.unique(names[ratings.row], return_inverse=True)
+    return group, len(distinct)
+
+
+def _note_draws(ratings: _Ratings, value: float, margin: float, *, undefined: int) -> Iterator[str]:
+    if ratings.n_targets < ratings.n_rows:
+        yield f"{ratings.n_rows - ratings.n_targets} targets with fewer than two ratings have nothing to agree on."
     if np.isnan(value):
-        notes.append("No alpha: all ratings are the same.")
-    elif len(defined) < (1 - MOST_UNDEFINED) * draws:
-        notes.append(f"No interval: alpha is undefined in {draws - len(defined)} of {draws} draws.")
-    else:
-        low, high = np.quantile(defined, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]).tolist()
-    return Alpha(value, low, high, level, len(defined), n_targets, len(ratings.value), tuple(notes))
+        yield "No alpha: all ratings are the same."
+    elif np.isnan(margin):
+        yield f"No interval: one group only, all draws alike, or alpha undefined in too many ({undefined})."
 
 
 def _pair_up(table: ArrayLike, level: str) -> _Ratings:
@@ -196,12 +232,13 @@ def _pair_up(table: ArrayLike, level: str) -> _Ratings:
         raise ValueError(f"table: got {int(np.isinf(ratings).sum())} infinite ratings; use NaN for a missing one")
     if level == "ratio" and (ratings < 0).any():
         raise ValueError(f"table: got the negative rating {np.nanmin(ratings)} on a ratio scale; use level='interval'")
-    pairable = ratings[np.isfinite(ratings).sum(axis=1) >= PAIR]
-    if not len(pairable):
+    row = np.flatnonzero(np.isfinite(ratings).sum(axis=1) >= PAIR)
+    pairable = ratings[row]
+    if not len(row):
         raise ValueError(f"table: got {len(ratings)} targets, none with two ratings; agreement needs one at least")
     target, rater = np.nonzero(np.isfinite(pairable))
     distinct, value = np.unique(pairable[target, rater], return_inverse=True)
-    return _Ratings(distinct, value, target, len(pairable))
+    return _Ratings(distinct, value, target, row, len(ratings))
 
 
 def _read_numbers(table: ArrayLike, level: str) -> Values:

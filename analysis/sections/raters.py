@@ -114,8 +114,8 @@ def _fit(part: Part, out: tuple[Hashable, ...], metrics: tuple[str, ...]) -> Ite
 
 def _lay_slopes(rows: list[Row]) -> Grid:
     caption = (
-        "Slopes of the primary analysis (points per +0.1) with and without the raters whom rules hit; 95 % "
-        "intervals. A dash: too few are left for a model."
+        "Slopes of the primary analysis (points per +0.1) with and without the raters whom rules hit; 95 % t "
+        "intervals with Satterthwaite's df, p not adjusted. A dash: too few are left for a model."
     )
     head = ("Ratings", "Metric", "Raters", "Points per +0.1", "Interval", "p", "Participants")
     laid = []
@@ -149,7 +149,9 @@ def _tell_rules(screening: Screening) -> str:
 
 def _lay_panel(panel: DataFrame) -> Grid:
     caption = (
-        "How far raters agree, of everyone and of those whom no rule hit. A dash: fewer than two raters or stimuli."
+        "How far raters agree, of everyone and of those whom no rule hit. The values describe these raters and these "
+        "stimuli and have no intervals: those that take stimuli of one recording for independent are too narrow. A "
+        "dash: fewer than two raters or stimuli."
     )
     counts = {"n_participants": "Participants", "n_complete": "Stimuli rated by all"}
     head = ("Scale", "Raters", *FIGURES.values(), *counts.values())

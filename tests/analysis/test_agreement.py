@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.stats import t
 
 from analysis.agreement import LEVELS, bootstrap_alpha, krippendorff_alpha
 
@@ -93,8 +94,47 @@ def test_the_interval_is_the_bootstrap_of_targets(level: str) -> None:
     result = bootstrap_alpha(table, level=level, draws=200, rng=np.random.default_rng(8))
     counts = np.random.default_rng(8).multinomial(14, np.full(14, 1 / 14), size=200)
     drawn = [krippendorff_alpha(np.repeat(table, times, axis=0), level=level) for times in counts]
-    assert [result.low, result.high] == pytest.approx(np.quantile(drawn, [0.025, 0.975]).tolist())
-    assert result.low < result.value < result.high
+    margin = t.ppf(0.975, 13) * math.sqrt(14 / 13) * np.std(drawn, ddof=1)
+    assert [result.low, result.high] == pytest.approx([result.value - margin, min(result.value + margin, 1)])
+    assert result.low < result.value < result.high <= 1
+
+
+def test_groups_are_drawn_with_all_their_targets() -> None:
+    table = make_table(6)
+    table[3, 1:] = np.nan  # a target that does not count must not shift the groups of the others
+    recordings = np.repeat(["b", "a", "c", "d", "e", "f", "g"], 2)
+    result = bootstrap_alpha(table, groups=recordings, draws=100, rng=np.random.default_rng(4))
+    assert (result.n_targets, result.n_groups) == (13, 7)
+    left = np.delete(np.arange(14), 3)
+    of = [left[recordings[left] == name] for name in sorted(set(recordings))]
+    counts = np.random.default_rng(4).multinomial(7, np.full(7, 1 / 7), size=100)
+    drawn = [
+        krippendorff_alpha(np.concatenate([table[np.tile(of[place], n)] for place, n in enumerate(row)]))
+        for row in counts
+    ]
+    margin = t.ppf(0.975, 6) * math.sqrt(7 / 6) * np.std(drawn, ddof=1)
+    assert result.low == pytest.approx(result.value - margin)
+
+
+def test_groups_widen_what_clusters() -> None:
+    rng = np.random.default_rng(2)
+    table = np.repeat(rng.normal(0, 3, 8), 6)[:, None] + rng.normal(0, 1, (48, 5))
+    alone = bootstrap_alpha(table, draws=300, rng=rng)
+    grouped = bootstrap_alpha(table, groups=np.repeat(np.arange(8), 6), draws=300, rng=rng)
+    assert grouped.value == alone.value
+    assert grouped.value - grouped.low > 1.5 * (alone.value - alone.low)
+
+
+def test_one_group_has_no_interval() -> None:
+    result = bootstrap_alpha(make_table(missing=0.0), groups=["a"] * 14, draws=20, rng=np.random.default_rng(0))
+    assert math.isnan(result.low)
+    assert math.isnan(result.high)
+    assert result.notes[0].startswith("No interval: one group only")
+
+
+def test_groups_must_be_those_of_the_targets() -> None:
+    with pytest.raises(ValueError, match=r"groups: got shape \(3,\), allowed is \(14,\), one per target"):
+        bootstrap_alpha(make_table(), groups=["a", "b", "c"], rng=np.random.default_rng(0))
 
 
 def test_a_slider_of_many_values_needs_little_memory() -> None:
@@ -112,7 +152,7 @@ def test_one_odd_target_makes_too_many_draws_undefined() -> None:
     result = bootstrap_alpha(table, draws=200, rng=np.random.default_rng(0))
     assert math.isfinite(result.value)
     assert math.isnan(result.high)
-    assert any("undefined in" in note for note in result.notes)
+    assert any("undefined in too many" in note for note in result.notes)
 
 
 @pytest.mark.parametrize(
