@@ -12,6 +12,7 @@ from analysis.equivalence import Equivalence, NonInferiority, equivalence, non_i
 from analysis.landmarks import Alignment, Ellipses, align_spaces, bootstrap_space, regress_attributes
 from analysis.mixed.inference import Estimate
 from analysis.mixed.model import MixedFit, contrast, fit_mixed
+from analysis.monotone import fit_monotone_cubic
 from analysis.multiverse import Multiverse, run_multiverse
 from analysis.numbers import Number
 from analysis.p1401 import P1401, p1401
@@ -19,6 +20,7 @@ from analysis.p1401_difference import P1401Difference, compare_p1401
 from analysis.precision import Precision
 from analysis.primary import Primary, fit_attributes, fit_primary, tabulate_slopes
 from analysis.profile import profile_reducers
+from analysis.refined.refine import Refined, refine_metric
 from analysis.reliability import Intraclass, intraclass, noise_ceiling
 from analysis.repeated import RepeatedMeasures, repeated_measures_correlation
 from analysis.report import compute_sections, write_report
@@ -27,6 +29,7 @@ from analysis.screening import RULES, Screening, multimodality, screen_raters, t
 from analysis.sections.choices import Choices
 from analysis.sections.section import Section
 from analysis.sensitivity import vary_primary
+from analysis.sources import find_sources
 from analysis.space import Space, fit_space, stress_by_dimension
 from analysis.table import Table, read_table
 
@@ -52,6 +55,7 @@ __all__ = [  # noqa: RUF022 - in the order of sorted(), which a test checks
     "Precision",
     "Primary",
     "RULES",
+    "Refined",
     "RepeatedMeasures",
     "Results",
     "Screening",
@@ -73,8 +77,10 @@ __all__ = [  # noqa: RUF022 - in the order of sorted(), which a test checks
     "discriminate",
     "discriminate_pairs",
     "equivalence",
+    "find_sources",
     "fit_attributes",
     "fit_mixed",
+    "fit_monotone_cubic",
     "fit_primary",
     "fit_space",
     "intraclass",
@@ -85,6 +91,7 @@ __all__ = [  # noqa: RUF022 - in the order of sorted(), which a test checks
     "p1401",
     "profile_reducers",
     "read_table",
+    "refine_metric",
     "regress_attributes",
     "repeated_measures_correlation",
     "run_multiverse",

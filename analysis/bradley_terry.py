@@ -109,6 +109,9 @@ def bradley_terry(
     are then those of as many decided comparisons. Comparisons of one rater are not independent: the errors
     here are too small for a panel, and `bradley_terry_by_rater` is for conclusions.
 
+    No section of the report uses it: a protocol of feel321 that asks which of two is better does not exist, and
+    dissimilarities and ABX trials name no winner. It is for tables of preferences from elsewhere.
+
     References
     ----------
     Bradley & Terry (1952), Biometrika 39, 324-345, doi 10.1093/biomet/39.3-4.324.
