@@ -12,7 +12,6 @@ from analysis.equivalence import Equivalence, NonInferiority, equivalence, non_i
 from analysis.landmarks import Alignment, Ellipses, align_spaces, bootstrap_space, regress_attributes
 from analysis.mixed.inference import Estimate
 from analysis.mixed.model import MixedFit, contrast, fit_mixed
-from analysis.monotone import fit_monotone_cubic
 from analysis.multiverse import Multiverse, run_multiverse
 from analysis.numbers import Number
 from analysis.p1401 import P1401, p1401
@@ -80,7 +79,6 @@ __all__ = [  # noqa: RUF022 - in the order of sorted(), which a test checks
     "find_sources",
     "fit_attributes",
     "fit_mixed",
-    "fit_monotone_cubic",
     "fit_primary",
     "fit_space",
     "intraclass",
