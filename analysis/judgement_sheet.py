@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from analysis.gaps import note_alike, note_lost, note_scales, note_underruns
 from analysis.scales import ANSWERED
-from analysis.schema import HIGHEST, LOWEST, RATINGS
-from analysis.sheet import check_names, read_flags, read_numbers, read_sheet, refuse_lines
+from analysis.schema import HIGHEST, LOWEST, describe_further, describe_ratings
+from analysis.sheet import check_names, read_flags, read_known, read_metric, read_numbers, read_sheet, refuse_lines
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -32,8 +30,8 @@ def read_ratings(path: Path) -> tuple[DataFrame, list[str]]:
     Returns
     -------
     sheet : DataFrame
-        Indexed by line number; the columns of `RATINGS` that there are and that are used, and reference_id, repeat and
-        simulated in any case.
+        Indexed by line number; the columns of `describe_ratings` that there are and that are used, and reference_id,
+        repeat and simulated in any case.
     notes : list of str
         What was left out or assumed.
 
@@ -44,7 +42,7 @@ def read_ratings(path: Path) -> tuple[DataFrame, list[str]]:
     OSError
         If the file cannot be opened.
     """
-    sheet, notes = read_sheet(path, RATINGS)
+    sheet, notes = read_sheet(path, describe_ratings())
     sheet, more_notes = _leave_rejected(sheet, path.name)
     notes += more_notes
     for name in ("participant", "stimulus_id", "scale"):
@@ -56,6 +54,8 @@ def read_ratings(path: Path) -> tuple[DataFrame, list[str]]:
         sheet["reference_id"] = ""
     if "response_time_s" in sheet:
         sheet["response_time_s"] = _read_times(sheet["response_time_s"], path.name)
+    for name in (name for name in describe_further() if name in sheet):
+        sheet[name] = read_metric(sheet[name], path.name)
     notes += [*_tell_apart(sheet, path.name), *note_scales(sheet)]
     if "underruns" in sheet:
         notes += note_underruns(sheet.assign(underruns=_read_counts(sheet["underruns"], path.name)))
@@ -74,10 +74,9 @@ def _read_ratings(sheet: DataFrame, what: str) -> Series:
     return ratings
 
 
-def _read_times(cells: Series, what: str) -> np.ndarray:
+def _read_times(cells: Series, what: str) -> Series:
     # A time may be unknown: it is no part of the answer.
-    times = np.full(len(cells), np.nan)
-    times[cells != ""] = read_numbers(cells[cells != ""], what)
+    times = read_known(cells, what)
     refuse_lines(cells[times < 0], what, why=f"in column '{cells.name}', allowed is 0 or more, in seconds, or nothing")
     return times
 

@@ -1,15 +1,14 @@
 """What columns the two tables may have, in which unit, and which of them must be there.
 
 Conventions: names are matched exactly. A column that is spelt almost like one of these is refused, because it would
-otherwise be passed over; any other column is not used, and is named in the report's notes.
+otherwise be passed over; any other column is not used, and is named in the report's notes. What depends on the
+lists of `stimuli` is made by a call, so that importing this loads nothing heavy.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
-
-from stimuli.manifest import COLUMN_UNITS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -62,14 +61,71 @@ RATINGS: Mapping[str, Column] = {
 }
 """One row per judgement."""
 
-_MATCHED = {name: Column(unit) for name, unit in COLUMN_UNITS.items()}
-MANIFEST: Mapping[str, Column] = {
-    **{name: replace(column, used=False) for name, column in _MATCHED.items()},
-    **{name: replace(_MATCHED[name], needed=True) for name in ("stimulus_id", "recording", "reducer")},
-    **{name: _MATCHED[name] for name in ("level", "role")},
-    "source": Column("what the recording was made from, where several are one and the same, turned, cut or edited"),
+FURTHER: Mapping[str, Column] = {
+    "rotation_mean": Column("mean of the {metric} over random orientations of the sensor", unit="1 = perfect match"),
+    "rotation_sd": Column("standard deviation of the {metric} over random orientations of the sensor", unit="1"),
+    "delivered": Column("{metric} of the signal as it was delivered", unit="1 = perfect match"),
+    "invariant": Column("counterpart of the {metric} that no orientation changes", unit="1 = perfect match"),
 }
-"""One row per stimulus; every metric of `stimuli.match.METRICS` is a column too."""
+"""What may follow the name of a metric and an underscore: per stimulus in the manifest, or per judgement in the
+ratings, where a stimulus has the mean over its judgements."""
+
+
+def describe_further() -> dict[str, Column]:
+    """List the columns of metrics that an analysis explores, beside those that it was planned for.
+
+    Returns
+    -------
+    dict of str to Column
+        By metric, in the order of `stimuli.match.METRICS`, and by kind, in that of `FURTHER`.
+
+    Examples
+    --------
+    >>> list(describe_further())[:3]
+    ['spectral_match_rotation_mean', 'spectral_match_rotation_sd', 'spectral_match_delivered']
+    """
+    from stimuli.match import METRICS
+
+    return {
+        f"{metric}_{kind}": replace(column, meaning=column.meaning.format(metric=metric.replace("_", " ")))
+        for metric in METRICS
+        for kind, column in FURTHER.items()
+    }
+
+
+def describe_ratings() -> dict[str, Column]:
+    """List the columns that a table of ratings may have.
+
+    Returns
+    -------
+    dict of str to Column
+        Those of `RATINGS`, and the further metrics.
+    """
+    return {**RATINGS, **describe_further()}
+
+
+def describe_manifest() -> dict[str, Column]:
+    """List the columns that a manifest may have: one row per stimulus.
+
+    Returns
+    -------
+    dict of str to Column
+        Those that `feel321 build` writes, whether used or not; ``source``; the further metrics.
+    """
+    from stimuli.manifest import COLUMN_UNITS
+    from stimuli.match import METRICS
+
+    needed, used = ("stimulus_id", "recording", "reducer"), ("level", "role", "rms_m_s2", *METRICS)
+    source = "what the recording was made from, where several are one and the same, turned, cut or edited"
+    return {
+        **{
+            name: Column(unit, needed=name in needed, used=name in (*needed, *used))
+            for name, unit in COLUMN_UNITS.items()
+        },
+        **{name: Column("how well a stimulus matches its recording") for name in METRICS},
+        "source": Column(source),
+        **describe_further(),
+    }
 
 
 def list_needed(schema: Mapping[str, Column]) -> list[str]:

@@ -1,7 +1,8 @@
 """A CSV file read strictly: text cells, line numbers kept, every oddity refused by name.
 
 Cells stay text, so that a participant called ``NA`` or ``007`` stays who they are; numbers are read by
-`read_numbers` and yes/no cells by `read_flags`, which name the lines that they cannot read.
+`read_numbers`, those that may be unknown by `read_known`, and yes/no cells by `read_flags`, which name the lines that
+they cannot read.
 """
 
 from __future__ import annotations
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
 YES = frozenset({"true", "1", "yes"})
 NO = frozenset({"false", "0", "no", ""})
 CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
+LARGEST = 1e12
+"""What no metric reaches in size; squares of much larger numbers are no numbers any more."""
+
 LONGEST = 60
 """Characters of a cell that a message shows."""
 
@@ -111,6 +115,55 @@ def read_numbers(cells: Series, what: str) -> Series:
     bad = cells[~np.isfinite(numbers)]
     refuse_lines(bad, what, why=f"in column '{cells.name}', allowed is a finite number; mend it or leave the row out")
     return numbers
+
+
+def read_known(cells: Series, what: str) -> Series:
+    """Read text cells as finite numbers where there is one.
+
+    Parameters
+    ----------
+    cells : Series of str
+        Indexed by line number, named by its column.
+    what : str
+        The file's name, for the message.
+
+    Returns
+    -------
+    Series of float
+        The same cells as numbers; NaN where they are empty.
+
+    Raises
+    ------
+    ValueError
+        If a cell holds anything else; names the lines.
+    """
+    return read_numbers(cells[cells != ""], what).reindex(cells.index)
+
+
+def read_metric(cells: Series, what: str) -> Series:
+    """Read text cells as a match metric where there is one.
+
+    Parameters
+    ----------
+    cells : Series of str
+        Indexed by line number, named by its column.
+    what : str
+        The file's name, for the message.
+
+    Returns
+    -------
+    Series of float
+        The same cells as numbers; NaN where they are empty.
+
+    Raises
+    ------
+    ValueError
+        If a cell holds anything else, or a number that no metric reaches; names the lines.
+    """
+    values = read_known(cells, what)
+    huge = cells[values.abs() > LARGEST]
+    refuse_lines(huge, what, why=f"in column '{cells.name}', allowed is 1 or less and no more than {LARGEST:g} in size")
+    return values
 
 
 def read_flags(cells: Series, what: str) -> Series:

@@ -4,23 +4,20 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from analysis.gaps import list_names
-from analysis.schema import MANIFEST, Column
-from analysis.sheet import check_names, read_numbers, read_sheet, refuse_lines
+from analysis.schema import describe_further, describe_manifest
+from analysis.sheet import check_names, read_known, read_metric, read_sheet, refuse_lines
 from analysis.sources import read_sources
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from pandas import DataFrame
+    from pandas import DataFrame, Series
 
 ROLES = ("test", "reference", "anchor")
 IDENTITY = ("stimulus_id", "recording", "reducer")
-LARGEST = 1e12
-"""What no metric reaches in size; squares of much larger numbers are no numbers any more."""
+AMPLITUDE = "rms_m_s2"
 
 
 def read_manifest(
@@ -38,7 +35,8 @@ def read_manifest(
     Returns
     -------
     manifest : DataFrame
-        Indexed by stimulus_id: recording, source, reducer, level, role and one column per metric.
+        Indexed by stimulus_id: recording, source, reducer, level, role, one column per metric, and, where the file has
+        them, rms_m_s2 and further metrics (`describe_further`).
     metrics : tuple of str
         The metrics found, in the order of `stimuli.match.METRICS`.
     notes : list of str
@@ -51,8 +49,7 @@ def read_manifest(
     """
     from stimuli.match import METRICS
 
-    known = {name: Column("how well a stimulus matches its recording") for name in METRICS}
-    sheet, notes = read_sheet(path, {**MANIFEST, **known})
+    sheet, notes = read_sheet(path, describe_manifest())
     metrics = tuple(name for name in METRICS if name in sheet)
     if not metrics:
         allowed = f"at least one of the columns {', '.join(METRICS)} is needed"
@@ -62,8 +59,10 @@ def read_manifest(
     notes += _fill_column(sheet, "level", value="as_is", what=path.name)
     notes += _fill_column(sheet, "role", value="test", what=path.name)
     _check_identity(sheet, path.name)
-    for name in metrics:
+    for name in (*metrics, *(name for name in describe_further() if name in sheet)):
         sheet[name] = _read_metric(sheet, name, what=path.name)
+    if AMPLITUDE in sheet:
+        sheet[AMPLITUDE] = _read_amplitude(sheet[AMPLITUDE], path.name)
     sheet["source"] = read_sources(sheet, sources or {}, what=path.name)
     notes += [note for name in metrics for note in _note_excess(sheet, name)]
     return sheet.set_index("stimulus_id"), metrics, notes + _name_strangers(sheet)
@@ -85,14 +84,18 @@ def _fill_column(sheet: DataFrame, name: str, *, value: str, what: str) -> list[
     return [f"{what} has nothing in a column '{name}': every stimulus is taken as '{value}'."]
 
 
-def _read_metric(sheet: DataFrame, name: str, *, what: str) -> np.ndarray:
+def _read_metric(sheet: DataFrame, name: str, *, what: str) -> Series:
     # The reference need not have a metric: it is what the others are matched against.
-    blank = (sheet[name] == "") & (sheet["role"] != "test")
-    values = np.full(len(sheet), np.nan)
-    values[~blank] = read_numbers(sheet.loc[~blank, name], what)
-    huge = sheet.loc[np.abs(values) > LARGEST, name]
-    refuse_lines(huge, what, why=f"in column '{name}', allowed is 1 or less and no more than {LARGEST:g} in size")
-    return values
+    lacking = sheet.loc[(sheet[name] == "") & (sheet["role"] == "test"), name]
+    refuse_lines(lacking, what, why=f"in column '{name}', allowed is a finite number; mend it or leave the row out")
+    return read_metric(sheet[name], what)
+
+
+def _read_amplitude(cells: Series, what: str) -> Series:
+    # It may be unknown: only a refined metric asks for it, and does without.
+    known = read_known(cells, what)
+    refuse_lines(cells[known < 0], what, why=f"in column '{cells.name}', allowed is 0 or more, in m/s², or nothing")
+    return known
 
 
 def _note_excess(sheet: DataFrame, name: str) -> list[str]:

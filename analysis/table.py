@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from analysis.further import join_further, list_further, note_lacking
 from analysis.gaps import list_names, note_gaps, note_lookalikes
 from analysis.judgement_sheet import read_ratings
 from analysis.labels import join_labels
@@ -17,13 +18,15 @@ from analysis.pairs import find_matched, find_roles, note_references, turn_pairs
 from analysis.schema import HIGHEST, LOWEST
 from analysis.sheet import refuse_lines
 from analysis.sources import note_sources
-from analysis.stimulus_sheet import ROLES, read_manifest
+from analysis.stimulus_sheet import AMPLITUDE, ROLES, read_manifest
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
     from pathlib import Path
 
     from pandas import DataFrame
+
+    from analysis.further import Further
 
 __all__ = ["HIGHEST", "LOWEST", "ROLES", "Table", "order_reducers", "read_table"]
 
@@ -40,33 +43,45 @@ class Table:
     rows : DataFrame
         One row per judgement: participant, stimulus_id, reference_id and reference_reducer (may be empty), source,
         recording, reducer, level, role, matched, scale, repeat, rating, simulated, response_time_s if there is one, one
-        column per metric, and one per label of the participants (`join_labels`). The role is the one that the stimulus
-        had in that judgement (`find_roles`); matched tells whether the metrics speak of that judgement
-        (`find_matched`); a dissimilarity is about the stimulus compared with the reference.
+        column per metric and further metric, rms_m_s2 if there is one, and one per label of the participants
+        (`join_labels`). The role is the one that the stimulus had in that judgement (`find_roles`); matched tells
+        whether the metrics speak of that judgement (`find_matched`); a dissimilarity is about the stimulus compared
+        with the reference.
     metrics : tuple of str
         The metric columns, in the order of `stimuli.match.METRICS`.
     notes : tuple of str
         What was left out and what was assumed, one sentence each.
+    further : tuple of str
+        Columns of metrics that are explored only (`analysis.further`).
     """
 
     rows: DataFrame
     metrics: tuple[str, ...]
     notes: tuple[str, ...]
+    further: tuple[str, ...] = ()
 
 
-def read_table(ratings_path: Path, manifest_path: Path, *, sources: Mapping[str, str] | None = None) -> Table:
+def read_table(
+    ratings_path: Path,
+    manifest_path: Path,
+    *,
+    sources: Mapping[str, str] | None = None,
+    further: Further | None = None,
+) -> Table:
     """Read ratings and manifest into one tidy table.
 
     Parameters
     ----------
     ratings_path : Path
-        ``ratings.csv`` from anywhere: participant, stimulus_id, scale and rating are enough (`RATINGS`). Labels of the
-        participants are read from ``participants.csv`` beside it, if there is one.
+        ``ratings.csv`` from anywhere: participant, stimulus_id, scale and rating are enough (`describe_ratings`).
+        Labels of the participants are read from ``participants.csv`` beside it, if there is one.
     manifest_path : Path
-        ``manifest.csv``: stimulus_id, recording, reducer and at least one metric are enough (`MANIFEST`).
+        ``manifest.csv``: stimulus_id, recording, reducer and at least one metric are enough (`describe_manifest`).
     sources : Mapping of str to str, optional
         Recording -> what it was made from, where several are one, turned, cut or edited, and the manifest has no column
         ``source`` that says so.
+    further : Further, optional
+        Metrics to explore that neither file holds.
 
     Returns
     -------
@@ -82,20 +97,25 @@ def read_table(ratings_path: Path, manifest_path: Path, *, sources: Mapping[str,
     """
     manifest, metrics, notes = read_manifest(manifest_path, sources=sources)
     ratings, more_notes = read_ratings(ratings_path)
-    _check_stimuli(ratings, manifest, names=(ratings_path.name, manifest_path.name))
+    names = ratings_path.name, manifest_path.name
+    _check_stimuli(ratings, manifest, names=names)
+    manifest, told = join_further(manifest, ratings, further.metrics if further else None, names=names)
+    notes += [*(further.notes if further else ()), *told]
     turned = turn_pairs(ratings, manifest, what=ratings_path.name)
-    rows = turned.drop(columns=list(ECHOED), errors="ignore").join(manifest, on="stimulus_id")
+    echoed = [name for name in turned if name in manifest]
+    rows = turned.drop(columns=echoed).join(manifest, on="stimulus_id")
     rows["role"] = find_roles(rows, manifest)
     rows["matched"] = find_matched(rows, manifest)
     rows["reference_reducer"] = rows["reference_id"].map(manifest["reducer"]).fillna("")
     notes += [*more_notes, *note_gaps(rows, manifest), *note_references(rows, manifest), *note_sources(rows)]
-    notes += note_lookalikes(rows)
+    notes += [*note_lookalikes(rows), *note_lacking(rows)]
+    explored = list_further(rows)
     judged = ["role", "matched", "scale", "repeat", "rating", "simulated"]
-    timed = [name for name in ("response_time_s",) if name in rows]
-    told = ["participant", "stimulus_id", "reference_id", "reference_reducer", "source"]
-    rows = rows[[*told, *ECHOED, *judged, *timed, *metrics]].reset_index(drop=True)
+    optional = [name for name in ("response_time_s", AMPLITUDE) if name in rows]
+    identity = ["participant", "stimulus_id", "reference_id", "reference_reducer", "source"]
+    rows = rows[[*identity, *ECHOED, *judged, *optional, *metrics, *explored]].reset_index(drop=True)
     labelled, more_notes = join_labels(rows, ratings_path)
-    return Table(labelled, metrics, (*notes, *more_notes))
+    return Table(labelled, metrics, (*notes, *more_notes), explored)
 
 
 def order_reducers(names: Iterable[str]) -> list[str]:

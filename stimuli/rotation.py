@@ -18,11 +18,13 @@ from stimuli.match import OriginalSpectrum, axis_correlations, mean_heard
 from stimuli.reduce import get_reducer
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import ArrayLike, NDArray
 
 LEAST_ROTATIONS = 200
-# Rotated copies made at a time: enough to amortise a call, few enough to stay below 100 MB.
-_SAMPLES_AT_A_TIME = 2_000_000
+# Rotated copies made at a time: enough to amortise a call, few enough to stay in the processor's cache.
+_SAMPLES_AT_A_TIME = 200_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,24 +83,54 @@ def rotation_statistics(
     ----------
     .. [1] Park & Kuchenbecker 2019. doi:10.1109/WHC.2019.8816148
     """
+    if rotations != int(rotations) or rotations < LEAST_ROTATIONS:
+        raise ValueError(f"rotations: got {rotations}, allowed is a whole number of {LEAST_ROTATIONS} or more")
+    turns = random_rotations(rotations, rng)
+    both = match_rotations(acceleration, rate_hz, reducers=(reducer,), turns=turns)[0]
+    (s_mean, t_mean), (s_sd, t_sd) = (np.mean(both, axis=1), np.std(both, axis=1, ddof=1))
+    return RotationStatistics(float(s_mean), float(s_sd), float(t_mean), float(t_sd), rotations)
+
+
+def match_rotations(
+    acceleration: ArrayLike, rate_hz: float, *, reducers: Sequence[str], turns: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Turn a recording, as if the sensor had been mounted otherwise, reduce it, and match it with itself.
+
+    Parameters
+    ----------
+    acceleration : array_like, shape (3, n_samples)
+        The recording, any unit.
+    rate_hz : float
+        Sampling rate in Hz.
+    reducers : sequence of str
+        Names of `REDUCERS`; all are given the same turned recordings.
+    turns : ndarray, shape (rotations, 3, 3)
+        Rotation matrices.
+
+    Returns
+    -------
+    ndarray of float64, shape (n_reducers, 2, rotations)
+        Spectral and temporal match of what each reducer made of the turned recording with the turned recording.
+
+    Raises
+    ------
+    ValueError
+        If the input is not one recording, or a reducer is unknown.
+    """
     samples = admit(acceleration, rate_hz).samples
     if samples.ndim != 2 or samples.shape[1] == 0:  # noqa: PLR2004 - axes x samples
         raise ValueError(f"acceleration: got shape {samples.shape}, allowed is (3, n), n >= 1: one recording at a time")
-    if rotations != int(rotations) or rotations < LEAST_ROTATIONS:
-        raise ValueError(f"rotations: got {rotations}, allowed is a whole number of {LEAST_ROTATIONS} or more")
-    reduce = get_reducer(reducer)
+    reduce = [get_reducer(name) for name in reducers]
     original = OriginalSpectrum(samples, rate_hz)
-    spectral, temporal = [], []
+    found = np.empty((len(reduce), 2, len(turns)))
     per_batch = max(1, _SAMPLES_AT_A_TIME // samples.size)
-    turns = random_rotations(rotations, rng)
-    for start in range(0, rotations, per_batch):
-        turned = np.einsum("rij,jn->rin", turns[start : start + per_batch], samples)
-        reduced = reduce(turned, rate_hz)
-        spectral.append(original.match(reduced))
-        temporal.append(mean_heard(axis_correlations(turned, reduced)))
-    both = np.concatenate(spectral), np.concatenate(temporal)
-    (s_mean, t_mean), (s_sd, t_sd) = (np.mean(both, axis=1), np.std(both, axis=1, ddof=1))
-    return RotationStatistics(float(s_mean), float(s_sd), float(t_mean), float(t_sd), rotations)
+    for start in range(0, len(turns), per_batch):
+        batch = slice(start, start + per_batch)
+        turned = np.einsum("rij,jn->rin", turns[batch], samples)
+        for place, one in enumerate(reduce):
+            reduced = one(turned, rate_hz)
+            found[place, :, batch] = original.match(reduced), mean_heard(axis_correlations(turned, reduced))
+    return found
 
 
 def random_rotations(count: int, rng: np.random.Generator) -> NDArray[np.float64]:

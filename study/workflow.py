@@ -12,6 +12,7 @@ from study.ledger.roster import write_roster
 from study.preparing import require_current_set
 from study.provenance import find_changes, is_in_use
 from study.ratings import write_ratings
+from study.rotations import measure_rotations
 from study.session.opening import PLAN_FILE
 from study.settings.reading import read_settings
 from study.settings.sources import list_origins, make_recipe, open_recordings
@@ -136,14 +137,15 @@ def analyze_study(study: StudyFolder, *, out: Path | None = None, progress: Prog
     """
     settings = read_settings(study.settings)
     write_roster(study)
-    if not write_ratings(study, read_stimuli(study.stimuli)):
+    stimuli = read_stimuli(study.stimuli)
+    if not write_ratings(study, stimuli):
         simulate = f"feel321 simulate {quote(str(study.path))}"
         raise ValueError(f"{study.path}: holds no ratings yet; run sessions first, or {simulate}")
     folder = out or study.report
     chosen, origins = settings.analysis, list_origins(settings)
     write_report(
         study.ratings, study.manifest, folder, draws=chosen.draws, margin=chosen.margin, sources=origins,
-        seed=settings.study.seed, progress=progress,
+        further=measure_rotations(study, settings, stimuli), seed=settings.study.seed, progress=progress,
     )  # fmt: skip
     return folder
 

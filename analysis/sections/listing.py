@@ -8,6 +8,7 @@ from analysis.sections import (
     association,
     contrasts,
     discrimination,
+    further,
     levels,
     primary,
     profile,
@@ -27,6 +28,6 @@ if TYPE_CHECKING:
 
 SECTIONS: tuple[Callable[[Table, Choices], Section], ...] = (
     primary.compute, association.compute, levels.compute, profile.compute, contrasts.compute, discrimination.compute,
-    space.compute, refined.compute, raters.compute, robustness.compute, standard.compute,
+    space.compute, refined.compute, further.compute, raters.compute, robustness.compute, standard.compute,
 )  # fmt: skip
 """Each takes all ratings and gives one section, or the reason why there is none."""

@@ -66,9 +66,9 @@ def compute(table: Table, choices: Choices) -> Section:  # noqa: ARG001 - every 
     notes: list[str] = []
     found: dict[str, list[Row]] = {"p1401": [], "p1401_differences": [], "dependent": [], "repeated": []}
     for part in split_parts(table):
-        items = make_items(part.rows, table.metrics)
+        items = make_items(part.rows, [*table.metrics, *table.further])
         place: Row = {"scale": part.scale, "level": part.level}
-        for kind, rows in _evaluate(part, items, table.metrics, notes).items():
+        for kind, rows in _evaluate(part, items, table, notes).items():
             found[kind] += [place | row for row in rows]
     makers = {"p1401": _lay_p1401, "dependent": _lay_dependent, "repeated": _lay_repeated}
     grids = tuple(make(found[kind]) for kind, make in makers.items() if found[kind])
@@ -78,9 +78,9 @@ def compute(table: Table, choices: Choices) -> Section:  # noqa: ARG001 - every 
     )  # fmt: skip
 
 
-def _evaluate(part: Part, items: Items, metrics: tuple[str, ...], notes: list[str]) -> dict[str, list[Row]]:  # noqa: PLR0917 - notes are added to
+def _evaluate(part: Part, items: Items, table: Table, notes: list[str]) -> dict[str, list[Row]]:  # noqa: PLR0917 - notes are added to
     judged: dict[tuple[str, int, bool], P1401] = {}
-    for (place, name), order, held in product(enumerate(metrics), ORDERS, (False, True)):
+    for (place, name), order, held in product(enumerate((*table.metrics, *table.further)), ORDERS, (False, True)):
         groups = items.of_source[items.recordings] if held else None
         lead = f"{part.lead}, P.1401 of {name}"
         run = partial(p1401, items.ratings.T, items.metrics[place], order=order, groups=groups)
@@ -92,10 +92,11 @@ def _evaluate(part: Part, items: Items, metrics: tuple[str, ...], notes: list[st
          "coefficients": " ".join(f"{value:.6g}" for value in one.coefficients)}
         for (name, order, held), one in judged.items()
     ]  # fmt: skip
+    planned = {key: one for key, one in judged.items() if key[0] in table.metrics}
     return {
-        "p1401": rows, "p1401_differences": list(_compare(judged)),
-        "dependent": list(_compare_classically(part, items, metrics, notes)),
-        "repeated": list(_correlate_rows(part, metrics, notes)),
+        "p1401": rows, "p1401_differences": list(_compare(planned)),
+        "dependent": list(_compare_classically(part, items, table.metrics, notes)),
+        "repeated": list(_correlate_rows(part, table.metrics, notes)),
     }  # fmt: skip
 
 
@@ -148,7 +149,7 @@ def _lay_p1401(rows: list[Row]) -> Grid:
     caption = (
         "ITU-T P.1401. Errors in points, after mapping of the given order; fitted: by a mapping of the same "
         "stimuli, which flatters; held out: by one of the other recordings. 95 % intervals as the standard has "
-        "them, stimuli taken for independent."
+        "them, stimuli taken for independent. Metrics other than the match metrics are explored only."
     )
     head = (
         "Ratings",

@@ -12,7 +12,7 @@ import pytest
 from analysis.association import correlate
 from analysis.items import make_items
 from analysis.labels import ROSTER
-from analysis.schema import MANIFEST, RATINGS
+from analysis.schema import RATINGS, describe_further, describe_manifest, describe_ratings
 from analysis.sections.parts import split_parts
 from analysis.table import read_table
 from stimuli.manifest import COLUMN_UNITS
@@ -111,7 +111,8 @@ def test_ways_of_writing_the_same_table(files: Callable[..., object], written: C
 
 def test_the_schema_knows_every_column_that_feel321_writes() -> None:
     assert list(RATINGS) == list(COLUMNS)
-    assert set(MANIFEST) == {*COLUMN_UNITS, "source"}
+    assert set(describe_manifest()) == {*COLUMN_UNITS, "source", *describe_further()}
+    assert set(describe_ratings()) == {*COLUMNS, *describe_further()}
     assert {*roster.COLUMNS, *roster.LAST_COLUMNS} == ROSTER | {"participant"}
 
 
