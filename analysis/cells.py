@@ -166,7 +166,7 @@ def _add_sources(table: DataFrame, rows: DataFrame) -> DataFrame:
 def _find_reducers(rows: DataFrame) -> Series:
     reducers = rows[[ITEM, REDUCER]].drop_duplicates().set_index(ITEM)[REDUCER]
     if not reducers.index.is_unique:
-        twice = reducers.index[reducers.index.duplicated()][0]
+        twice = reducers.index[reducers.index.duplicated()].tolist()[0]
         raise ValueError(f"rows: got item {twice!r} with two reducers, allowed is one; an item is one stimulus")
     return reducers
 
