@@ -150,13 +150,14 @@ def _judge(found: tuple[tuple[str, str], tuple[Part, Multiverse]]) -> str:
         return f"{what}: no set of raters allows a model."
     reach = tell_range(result.smallest, result.largest, kind="slope")
     universes = f"{len(result.curve)} of {len(result.table)} universes of screening rules"
-    return f"{what}: {reach} points per +0.1, in the {universes} that leave raters enough for a model."
+    sets = f"{result.n_distinct} different set{'s' if result.n_distinct != 1 else ''} of raters"
+    return f"{what}: {reach} points per +0.1, in the {universes} ({sets}) that leave raters enough for a model."
 
 
 def _lay_variants(parts: dict[str, Part], varied: dict[str, DataFrame]) -> Grid:
     caption = (
-        "Standardised slope under other choices, with 95 % intervals; only standardised slopes compare across units. A "
-        "dash: no model; the notes say why."
+        "Slope in standard deviations of this study under other choices, with 95 % t intervals (Satterthwaite's df); p "
+        "not adjusted. Only standardised slopes compare across units. A dash: no model; the notes say why."
     )
     head = ("Ratings", "Choice", "Metric", "Standardised slope", "Interval", "p")
     rows = [_lay_variant(parts[lead], row) for lead, table in varied.items() for row in table.to_dict("records")]

@@ -38,6 +38,10 @@ NUMBERS = (
     "plcc", "plcc_low", "plcc_high", "srocc", "rmse", "rmse_low", "rmse_high", "rmse_star", "outlier_ratio",
     "outlier_ratio_sd", "n_items",
 )  # fmt: skip
+TESTS = {
+    "plcc_z": "Z of PLCC", "plcc_p": "p", "outlier_z": "Z of outlier ratios", "outlier_p": "p", "rmse_f": "F of rmse",
+    "rmse_p": "p", "rmse_star_f": "F of rmse*", "rmse_star_p": "p",
+}  # fmt: skip
 INDEPENDENT = "95 % interval that takes stimuli for independent"
 HOW = (
     "ITU-T P.1401: the metric is mapped to mean ratings (first order, and monotone third order), then PLCC, SROCC, "
@@ -70,7 +74,12 @@ def compute(table: Table, choices: Choices) -> Section:  # noqa: ARG001 - every 
         place: Row = {"scale": part.scale, "level": part.level}
         for kind, rows in _evaluate(part, items, table, notes).items():
             found[kind] += [place | row for row in rows]
-    makers = {"p1401": _lay_p1401, "dependent": _lay_dependent, "repeated": _lay_repeated}
+    makers = {
+        "p1401": _lay_p1401,
+        "p1401_differences": _lay_differences,
+        "dependent": _lay_dependent,
+        "repeated": _lay_repeated,
+    }
     grids = tuple(make(found[kind]) for kind, make in makers.items() if found[kind])
     return Section(
         key=KEY, title=TITLE, grids=grids, tables=_make_tables(found), notes=tuple(dict.fromkeys(notes)),
@@ -187,6 +196,29 @@ def _lay_judged(row: Row) -> tuple[str | Cell, ...]:
     )  # fmt: skip
 
 
+def _lay_differences(rows: list[Row]) -> Grid:
+    caption = (
+        "The tests of ITU-T P.1401 for a difference between two metrics: Z is positive where the first has the larger "
+        "value, F is the larger squared error over the smaller; p are two-sided and not adjusted. They take stimuli "
+        "for independent and both metrics' errors for unrelated, and find too much. A dash: not defined."
+    )
+    head = ("Ratings", "First", "Second", "Order", "Mapping", *TESTS.values(), "Stimuli")
+    return Grid(caption, head, tuple(map(_lay_difference, rows)))
+
+
+def _lay_difference(row: Row) -> tuple[str | Cell, ...]:
+    held, n = "held_out" if row["held_out"] else "fitted", row["n_items"]
+    place = row["scale"], row["level"], row["first"], row["second"], f"order_{row['order']}", held
+    name = name_path("p1401_difference", *place)
+    order, items = (Cell(count_number(f"{name}.{key}", row[key], n=n), COUNT) for key in ("order", "n_items"))
+    tests = [
+        Cell(make_number(f"{name}.{key}", row[key], f"P.1401 {key}", n=n), "p" if key.endswith("_p") else "correlation")
+        for key in TESTS
+    ]
+    names = tell_name(row["first"]), tell_name(row["second"])
+    return (_tell_place(row), *names, order, held.replace("_", " "), *tests, items)
+
+
 def _lay_dependent(rows: list[Row]) -> Grid:
     caption = (
         "Classic tests of the difference between two dependent correlations (first minus second), which take "
@@ -208,7 +240,9 @@ def _lay_dependent(rows: list[Row]) -> Grid:
 
 
 def _lay_repeated(rows: list[Row]) -> Grid:
-    caption = "Repeated-measures correlation of single ratings, within participants; its interval is far too narrow."
+    caption = (
+        "Repeated-measures correlation of single ratings, within participants; its 95 % interval is far too narrow."
+    )
     laid = []
     for row in rows:
         name = name_path("repeated", row["scale"], row["level"], row["metric"])
