@@ -110,7 +110,8 @@ def _judge(found: Found, adjusted: Mapping[tuple[str, str], float]) -> tuple[str
 
 def _bound(name: str, numbers: tuple[float, float, float], method: str, *, n: int) -> Number:
     value, low, high = numbers
-    return make_interval(make_number(name, value, method, n=n), low, high, uncertainty="95 % interval by Wilson's")
+    number = make_number(name, value, method, n=n)
+    return make_interval(number, low, high, uncertainty="95 % interval that follows from Wilson's")
 
 
 def _tabulate(found: Found, adjusted: Mapping[tuple[str, str], float]) -> DataFrame:

@@ -48,8 +48,8 @@ def compute(table: Table, choices: Choices) -> Section:  # noqa: ARG001 - every 
     if profile.empty:
         return Section("reducers", title, notes=("Only pairs of two test stimuli were rated: no ratings per reducer.",))
     caption = (
-        "Mean rating per reducer with its 95 % interval over participants: other people, these recordings. Roles tell "
-        "hidden references and anchors from what was tested."
+        "Mean rating per reducer in points, with its 95 % t interval over participants: other people, these "
+        "recordings. Roles tell hidden references and anchors from what was tested."
     )
     head = ("Ratings", "Role", "Reducer", "Mean", "Interval", "Participants", "Stimuli", "Judgements")
     return Section(
