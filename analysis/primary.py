@@ -12,10 +12,9 @@ from dataclasses import asdict, dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from analysis.cells import ITEM, RATING, REDUCER, SCENE, SOURCE, WHO, Cells, make_cells
+from analysis.cells import ITEM, RATING, SCENE, WHO, Cells, make_cells
 from analysis.mixed.model import contrast, fit_mixed
+from analysis.plan import ALIKE, plan_terms
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -24,14 +23,11 @@ if TYPE_CHECKING:
 
     from analysis.mixed.inference import Estimate
     from analysis.mixed.model import MixedFit
+    from analysis.plan import Plan
 
 TENTH = 0.1
 FEW = 5
 """Fewer participants or recordings (or sources of them) than this leave their spread all but unknown."""
-
-ALIKE = f"{SOURCE}:{REDUCER}"
-
-DEPENDENT = 1e-8
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,19 +82,6 @@ class Primary:
     n_sources: int
     reductions: tuple[str, ...]
     notes: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class _Plan:
-    """Which terms the data can carry."""
-
-    fixed: tuple[str, ...]
-    random: tuple[str, ...]
-    reductions: tuple[str, ...]
-
-    @property
-    def formula(self) -> str:
-        return " + ".join([f"{RATING} ~ 1", *map(_quote, self.fixed), *self.random])
 
 
 def fit_primary(
@@ -163,7 +146,7 @@ def fit_primary(
     10.1037/a0028347; Luke (2017), doi 10.3758/s13428-016-0809-y.
     """
     cells = make_cells(rows, metrics)
-    plan = _plan(cells, correlated=correlated, by_reducer=by_reducer)
+    plan = plan_terms(cells, correlated=correlated, by_reducer=by_reducer)
     fit = fit_mixed(plan.formula, cells.table)
     within = tuple(name for name in cells.metrics if f"{name}_w" in plan.fixed)
     scales = _find_scales(cells, within)
@@ -223,124 +206,6 @@ def tabulate_slopes(models: Mapping[str, Primary]) -> DataFrame:
     return table
 
 
-def _quote(name: str) -> str:
-    return name if name.isidentifier() else f"`{name}`"
-
-
-def _plan(cells: Cells, *, correlated: bool, by_reducer: bool) -> _Plan:
-    reductions: list[str] = []
-    fixed = _plan_fixed(cells, reductions)
-    slopes = [name for name in fixed if name.endswith("_w")]
-    bar = "|" if correlated else "||"
-    random = [
-        *_plan_people(cells, slopes, reductions, bar=bar), *_plan_groups(cells, reductions),
-        *_plan_sources(cells, reductions), *(_plan_reducers(cells) if by_reducer else ()),
-    ]  # fmt: skip
-    if cells.rough:
-        reductions.append(
-            "Means over unequal numbers of repeats, each counted as equally exact: single ratings have too many levels."
-        )
-    if not random:
-        raise ValueError(
-            "rows: got one participant and one recording, allowed is more of either; "
-            "for one of each, use ordinary regression"
-        )
-    return _Plan(tuple(fixed), tuple(random), tuple(reductions))
-
-
-def _plan_fixed(cells: Cells, reductions: list[str]) -> list[str]:
-    within = [f"{name}_w" for name in cells.metrics]
-    for name in [name for name in within if not cells.varies(name)]:
-        within.remove(name)
-        reductions.append(f"No slope of {name[:-2]}: it is the same for all stimuli of a recording.")
-    within = _keep_independent(cells, within, reductions)
-    if not within:
-        raise ValueError(
-            f"metrics: got {', '.join(cells.metrics)}, none of which differs between stimuli of a recording; "
-            "allowed are metrics that do"
-        )
-    return [*within, *_plan_between(cells, reductions)]
-
-
-def _plan_between(cells: Cells, reductions: list[str]) -> list[str]:
-    between = [f"{name}_b" for name in cells.metrics if cells.varies(f"{name}_b")]
-    several = f"{cells.n_sources} sources" if cells.shared else f"{cells.n_sources} of them"
-    if cells.n_sources < len(between) + 2 or not between:
-        reductions.append(
-            f"No slopes between recordings: with {several}, {len(cells.metrics)} such slopes cannot be told "
-            "from the recordings themselves."
-        )
-        return []
-    return _keep_independent(cells, between, reductions)
-
-
-def _keep_independent(cells: Cells, columns: list[str], reductions: list[str]) -> list[str]:
-    """Leave out metrics that are sums of those before them."""
-    kept: list[str] = []
-    for name in columns:
-        values = cells.table[[*kept, name]].to_numpy()
-        values = (values - values.mean(axis=0)) / values.std(axis=0)
-        if np.abs(np.diag(np.linalg.qr(values, mode="r")))[-1] > DEPENDENT * np.sqrt(len(values)):
-            kept.append(name)
-        else:
-            reductions.append(f"No term {name}: it is a sum of {', '.join(kept)}.")
-    return kept
-
-
-def _plan_people(cells: Cells, slopes: list[str], reductions: list[str], *, bar: str) -> Iterator[str]:
-    people, rows = cells.count(WHO), len(cells.table)
-    if people == 1:
-        reductions.append("No spread between people: one participant only; nothing here speaks of others.")
-        return
-    effects = 1 if bar == "||" else len(slopes) + 1
-    if people * effects >= rows:
-        reductions.append(f"No spread of people's slopes: {rows} rows for {people} participants are too few.")
-        slopes = []
-    yield f"({' + '.join(['1', *map(_quote, slopes)])} {bar} {WHO})"
-
-
-def _plan_groups(cells: Cells, reductions: list[str]) -> Iterator[str]:
-    """Name the grouping factors besides people, as far as the design tells them apart."""
-    recordings, rows, items = cells.count(SCENE), len(cells.table), cells.count(ITEM)
-    if recordings > 1:
-        yield f"(1 | {SCENE})"
-    else:
-        reductions.append("No spread between recordings: one recording only; nothing here speaks of others.")
-    if items < rows:
-        yield f"(1 | {ITEM})"
-    else:
-        reductions.append("No spread between stimuli: each has one row only, its spread is in the residual.")
-    pairs = cells.count(WHO, SCENE)
-    if recordings > 1 and cells.count(WHO) > 1:
-        if pairs < rows:
-            yield f"(1 | {WHO}:{SCENE})"
-        else:
-            reductions.append("No spread of people's recordings: each has one row only.")
-    if cells.repeated and cells.count(WHO) > 1:
-        yield f"(1 | {WHO}:{ITEM})"
-
-
-def _plan_sources(cells: Cells, reductions: list[str]) -> Iterator[str]:
-    """Name what recordings of one source share; without it each copy would count as evidence of its own."""
-    if not cells.shared:
-        return
-    if cells.n_sources > 1:
-        yield f"(1 | {SOURCE})"
-    else:
-        reductions.append("No spread between sources: all recordings come from one; nothing here speaks of others.")
-    if cells.count(SOURCE, REDUCER) < cells.count(ITEM):
-        yield f"(1 | {ALIKE})"
-
-
-def _plan_reducers(cells: Cells) -> Iterator[str]:
-    """Name what stimuli of one reducer share, for everyone and for one person."""
-    if REDUCER not in cells.table or min(cells.count(REDUCER), cells.count(SCENE)) == 1:
-        raise ValueError("rows: got no reducers that are crossed with recordings, needed are several of both")
-    yield f"(1 | {REDUCER})"
-    if cells.count(WHO) > 1 and cells.count(WHO, REDUCER) < len(cells.table):
-        yield f"(1 | {WHO}:{REDUCER})"
-
-
 def _find_scales(cells: Cells, within: Sequence[str]) -> dict[str, float]:
     """Find what turns a slope into a standardised one."""
     spread = cells.table[RATING].std()
@@ -358,7 +223,7 @@ def _table_slopes(fit: MixedFit, scales: Mapping[str, float]) -> DataFrame:
     return table
 
 
-def _table_between(fit: MixedFit, plan: _Plan) -> DataFrame:
+def _table_between(fit: MixedFit, plan: Plan) -> DataFrame:
     import pandas as pd
 
     names = [name for name in plan.fixed if name.endswith("_b")]
@@ -380,7 +245,7 @@ def _prefix(estimate: Estimate) -> dict[str, float]:
     return {f"standardised_{name}": value for name, value in asdict(estimate).items()}
 
 
-def _explain_items(cells: Cells, plan: _Plan, fit: MixedFit) -> tuple[float, list[str]]:
+def _explain_items(cells: Cells, plan: Plan, fit: MixedFit) -> tuple[float, list[str]]:
     """Compare the spread between stimuli with that of a model without metrics."""
     if f"(1 | {ITEM})" not in plan.random:
         return float("nan"), ["No share of explained spread between stimuli: the model has no such spread."]

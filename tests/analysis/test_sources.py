@@ -79,8 +79,11 @@ def test_one_source_speaks_of_no_other(rows: pd.DataFrame) -> None:
     model = fit_primary(rows[rows["source"] == 2], METRICS)
     assert "(1 | source)" not in model.formula
     assert "(1 | source:reducer)" in model.formula
+    assert fit_primary(rows[rows["source"] == 2], METRICS, by_reducer=True).formula == (
+        model.formula + " + (1 | participant:reducer)"
+    )
     assert "No spread between sources: all recordings come from one; nothing here speaks of others." in model.reductions
-    assert "No slopes between recordings: with 1 sources" in " ".join(model.reductions)
+    assert "No slopes between recordings: with 1 source, 2" in " ".join(model.reductions)
 
 
 def test_reducers_of_their_own_in_every_recording_need_no_term(rows: pd.DataFrame) -> None:
