@@ -39,7 +39,7 @@ HOW = (
     "Under other choices, the primary slopes are estimated anew: people's slopes correlated, reducers that differ for "
     "everyone and for each person whatever their metrics, without each recording (each source, where several "
     "recordings come from one), without each reducer, ratings standardised within raters, ratings as logits; and, as a "
-    "multiverse, without the raters whom each screening rule hits, and each two of them, and all.",
+    "multiverse, without the raters whom each screening rule hits on these ratings, each two of them, and all.",
 )
 
 
