@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 MOST, LEAST = 64, 16
 """Orientations: the mean is then known to 1/8 of their spread, or to 1/4 where there is so much to reduce."""
 
-AFFORDABLE = 300_000_000
-"""Samples, of all orientations, reducers and axes, that are reduced: about six seconds on two cores."""
+AFFORDABLE = 500_000_000
+"""Samples, of all orientations, reducers and axes, that are reduced: about five seconds on two cores."""
 
 DIGITS = 9
 """Behind the point: what is left of a spread that is none is rounding error, and no metric."""

@@ -1,0 +1,130 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from stimuli.condition import Conditioning, condition
+from stimuli.manifest import read_stimuli
+from stimuli.rotation import rotation_statistics
+from stimuli.synthesis import make_scene
+from study import rotations
+from study.folder import StudyFolder
+from study.rotations import compute_rotations, measure_rotations
+from study.settings.reading import read_settings
+from study.workflow import build_study
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from analysis.further import Further
+
+REDUCERS = ("saz321", "pca321", "dft321_windowed")
+STUDY = f"""
+[study]
+seed = 6
+[[recordings]]
+scene = "bumps"
+duration_s = 0.3
+[[recordings]]
+scene = "hard_taps"
+duration_s = 0.3
+rotation = 2
+[stimuli]
+reducers = {list(REDUCERS)}
+levels = ["as_is", "equal_intensity"]
+[stimuli.conditioning]
+high_pass_hz = 30
+"""
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> StudyFolder:
+    """Build stimuli of two short recordings."""
+    folder: Path = tmp_path_factory.mktemp("lab")
+    (folder / "study.toml").write_text(STUDY, encoding="utf-8")
+    study = StudyFolder(folder)
+    build_study(study)
+    return study
+
+
+def measure(study: StudyFolder) -> Further:
+    return measure_rotations(study, read_settings(study.settings), read_stimuli(study.stimuli))
+
+
+def test_every_test_stimulus_has_the_statistics_of_its_recording_and_reducer(
+    lab: StudyFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rotations, "MOST", 200)
+    found = measure(lab).metrics
+    tests = [stimulus for stimulus in read_stimuli(lab.stimuli).stimuli if stimulus.role == "test"]
+    assert list(found.index) == [stimulus.stimulus_id for stimulus in tests]
+    steps = Conditioning(high_pass_hz=30)
+    bumps = condition(make_scene("bumps", duration_s=0.3), steps)
+    for reducer in REDUCERS:
+        one = rotation_statistics(bumps.acceleration, bumps.rate_hz, reducer=reducer, rng=np.random.default_rng(6))
+        expected = (one.spectral_mean, one.spectral_sd, one.temporal_mean, one.temporal_sd)
+        for level in ("as_is", "equal_intensity"):
+            np.testing.assert_allclose(found.loc[f"bumps__{reducer}__{level}"], expected, atol=1e-9)
+    assert list(found) == [
+        "spectral_match_rotation_mean", "spectral_match_rotation_sd",
+        "temporal_match_rotation_mean", "temporal_match_rotation_sd",
+    ]  # fmt: skip
+
+
+def test_what_no_orientation_changes_has_no_spread_at_all(lab: StudyFolder) -> None:
+    found = measure(lab)
+    whole = found.metrics.filter(like="pca321__", axis=0)
+    assert (whole["spectral_match_rotation_sd"] == 0).all()
+    assert (found.metrics["temporal_match_rotation_sd"] > 0).all()
+    told = "was turned into 64 random orientations of the sensor (seed 6, the same ones for all)"
+    assert told in found.notes[0]
+    assert measure(lab).metrics.equals(found.metrics)
+
+
+def test_nothing_is_written_and_the_manifest_stays(lab: StudyFolder) -> None:
+    before = {path: path.read_bytes() for path in lab.stimuli.iterdir()}
+    measure(lab)
+    assert {path: path.read_bytes() for path in lab.stimuli.iterdir()} == before
+
+
+def test_long_recordings_get_fewer_orientations(lab: StudyFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    size = 3 * 3000 * len(REDUCERS)
+    recordings = [replace(make_scene("bumps", duration_s=0.3), name=name) for name in ("bumps", "hard_taps-r2")]
+    for affordable, count in ((10**9, 64), (2 * size * 20 + 5, 20), (size, 16)):
+        monkeypatch.setattr(rotations, "AFFORDABLE", affordable)
+        found = compute_rotations(recordings, read_stimuli(lab.stimuli), steps=Conditioning(), seed=1)
+        assert f"into {count} random orientations" in found.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        ("high_pass_hz = 30", "high_pass_hz = 40", "high_pass_hz"),
+        ('scene = "bumps"\nduration_s = 0.3', 'file = "gone.csv"', "recording 'gone'"),
+        ("rotation = 2", "rotation = 2\nseed = 8", "is not the one that the set was built from"),
+    ],
+)
+def test_other_recordings_or_settings_leave_them_out(
+    lab: StudyFolder, tmp_path: Path, old: str, new: str, reason: str
+) -> None:
+    (tmp_path / "study.toml").write_text(STUDY.replace(old, new), encoding="utf-8")
+    (tmp_path / "stimuli").symlink_to(lab.stimuli)
+    found = measure(StudyFolder(tmp_path))
+    assert found.metrics.equals(pd.DataFrame())
+    (note,) = found.notes
+    assert note.startswith("Rotation statistics of the metrics are left out: ")
+    assert reason in note
+    assert "\n" not in note
+
+
+def test_a_set_without_its_recipe_leaves_them_out(lab: StudyFolder, tmp_path: Path) -> None:
+    (tmp_path / "study.toml").write_text(STUDY, encoding="utf-8")
+    (tmp_path / "stimuli").mkdir()
+    (tmp_path / "stimuli" / "manifest.csv").write_bytes(lab.manifest.read_bytes())
+    found = measure(StudyFolder(tmp_path))
+    assert found.metrics.empty
+    assert "manifest.json" in found.notes[0]
