@@ -108,8 +108,8 @@ def _plan_between(cells: Cells, reductions: list[str]) -> list[str]:
     scenes = f"source{'s' if cells.n_sources > 1 else ''}" if cells.shared else "of them"
     if cells.n_sources < len(between) + 2 or not between:
         reductions.append(
-            f"No slopes between recordings: with {cells.n_sources} {scenes}, {len(cells.metrics)} such slopes cannot be told "
-            "from the recordings themselves."
+            f"No slopes between recordings: with {cells.n_sources} {scenes}, {len(cells.metrics)} such slopes "
+            "cannot be told from the recordings themselves."
         )
         return []
     return _keep_independent(cells, between, reductions)
