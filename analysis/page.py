@@ -54,7 +54,12 @@ def render_page(results: Results, sections: Sequence[Section], *, figures: Path)
     }
     style = (TEMPLATES / "report.css").read_text(encoding="utf-8")
     return environment.get_template("report.html").render(
-        results=results, sections=sections, answer=group_lines(sections), drawings=drawings, sizes=sizes, style=style,
+        results=results,
+        sections=sections,
+        answer=group_lines(sections),
+        drawings=drawings,
+        sizes=sizes,
+        style=style,
     )
 
 

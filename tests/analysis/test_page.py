@@ -12,6 +12,8 @@ import pandas as pd
 import pytest
 
 from analysis.bootstrap import METHODS
+from analysis.page import group_lines
+from analysis.sections.section import Line, Section
 from analysis.words import tell_method, tell_number, tell_range
 
 if TYPE_CHECKING:
@@ -121,6 +123,15 @@ def test_a_browser_shows_it_without_overflow(report: Path, tmp_path: Path, width
     wide, window = map(int, re.search(r"<title>(\d+) of (\d+)</title>", shown).groups())
     assert wide <= window
     assert window <= width
+
+
+def test_the_answer_stands_by_subject_and_the_rest_last() -> None:
+    first = Section("a", "A", verdict=(Line("x", "Realism", "over 36 stimuli"), Line("all"), Line("y", "Similarity")))
+    second = Section("b", "B", verdict=(Line("z", "Realism"), Line("all")))
+    told = {subject: [str(line) for line in lines] for subject, lines in group_lines([first, second]).items()}
+    assert list(told.items()) == [
+        ("Realism", ["Realism, over 36 stimuli: x", "Realism: z"]), ("Similarity", ["Similarity: y"]), ("", ["all"]),
+    ]  # fmt: skip
 
 
 def test_what_a_reader_meets_first_is_not_folded(report: Path) -> None:
