@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 MOST, LEAST = 64, 16
 """Orientations: the mean is then known to 1/8 of their spread, or to 1/4 where there is so much to reduce."""
 
-AFFORDABLE = 500_000_000
+AFFORDABLE = 400_000_000
 """Samples, of all orientations, reducers and axes, that are reduced: about five seconds on two cores."""
 
 DIGITS = 9
