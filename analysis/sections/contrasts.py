@@ -223,7 +223,8 @@ def _count_different(pairs: list[_Pair]) -> int:
 def _judge(pairs: list[_Pair], part: Part) -> str:
     alike = [f"{pair.row['first']} and {pair.row['second']}" for pair in pairs if pair.test and pair.test.equivalent]
     told = f"{_count_different(pairs)} of {len(pairs)} pairs of reducers differ after Holm's adjustment"
-    same = f"shown to be equivalent: {_list(alike)}" if alike else "none is shown to be equivalent"
+    tested = "none is shown to be equivalent" if any(pair.test for pair in pairs) else "equivalence is not tested"
+    same = f"shown to be equivalent: {_list(alike)}" if alike else tested
     return f"{start(part.subject)}: {told}; {same}."
 
 

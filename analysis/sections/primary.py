@@ -142,7 +142,8 @@ def _sum_up(told: list[tuple[Row, tuple[Number, ...], tuple[Number, ...]]], part
     found = "; ".join(_tell_slope(row, numbers[0]) for row, numbers, _ in told)
     scenes = "sources" if model.n_sources < model.n_recordings else "recordings"
     needs = "".join(tell_need(row, settled, scenes=scenes) for row, _, settled in told)
-    lead = f"within recordings ({_tell_size(model)})"
+    together = ", the metrics in one model" if len(told) > 1 else ""
+    lead = f"within recordings{together} ({_tell_size(model)})"
     return Line(f"{found}{_tell_reach(model)}.{needs}", start(part.subject), lead)
 
 
@@ -170,9 +171,10 @@ def _tell_reach(model: Primary) -> str:
 
 def _lay_slopes(rows: list[Row], numbers: list[tuple[Number, ...]]) -> Grid:
     caption = (
-        "Slope of ratings on each metric within recordings, from the mixed model: points per +0.1 of it, and "
-        "standardised: in this study's standard deviations, which differ from other studies'. 95 % t intervals with "
-        f"Satterthwaite's df; p adjusted by Holm over this table's {len(rows)} slopes."
+        "Slope of ratings on each metric within recordings, from a mixed model that holds all metrics, so at the same "
+        "values of the others: points per +0.1 of it, and standardised: in this study's standard deviations, which "
+        "differ from other studies'. 95 % t intervals with Satterthwaite's df; p adjusted by Holm over this "
+        f"table's {len(rows)} slopes."
     )
     head = ("Ratings", "Metric", "Points per +0.1", "Interval", "Standardised", "Interval", "df", "p", "p (Holm)")
     laid = [
