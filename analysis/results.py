@@ -10,6 +10,7 @@ from itertools import chain
 from typing import TYPE_CHECKING
 
 from analysis.numbers import Number, count_number
+from analysis.sources import find_sources
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -114,6 +115,7 @@ def _count_table(table: Table) -> Iterator[Number]:
     rows = table.rows
     for name in ("participant", "recording", "stimulus_id", "reducer", "scale"):
         yield count_number(f"size.{name}", rows[name].nunique(), n=len(rows))
+    yield count_number("size.source", find_sources(rows).nunique(), n=len(rows))
     yield count_number("size.judgements", len(rows), n=len(rows))
     yield count_number("size.simulated_judgements", int(rows["simulated"].sum()), n=len(rows))
 

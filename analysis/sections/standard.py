@@ -45,10 +45,10 @@ TESTS = {
 INDEPENDENT = "95 % interval that takes stimuli for independent"
 HOW = (
     "ITU-T P.1401: the metric is mapped to mean ratings (first order, and monotone third order), then PLCC, SROCC, "
-    "rmse, rmse* and outlier ratio; out of fold: mapped without the stimulus's recording. Its intervals and tests, "
-    "the classic tests of dependent correlations (Williams, Steiger, Meng, Zou) and the repeated-measures "
-    "correlation take stimuli or rows for independent, which those of one recording are not: in simulated studies "
-    "without any difference or relation they found one in 13 to 51 %. Nothing is concluded from them here.",
+    "rmse, rmse* and outlier ratio; out of fold: mapped without the stimulus's recording, and without "
+    "all others of its source. Its intervals and tests, the classic tests of dependent correlations (Williams, "
+    "Steiger, Meng, Zou) and the repeated-measures correlation take stimuli or rows for independent, which those of "
+    "one recording are not: in simulated studies without any difference or relation they found one in 13 to 51 %. Nothing is concluded from them here.",
 )
 
 
@@ -157,8 +157,8 @@ def _tell_place(row: Row) -> str:
 def _lay_p1401(rows: list[Row]) -> Grid:
     caption = (
         "ITU-T P.1401. Errors in points, after mapping of the given order; fitted: by a mapping of the same "
-        "stimuli, which flatters; held out: by one of the other recordings. 95 % intervals as the standard has "
-        "them, stimuli taken for independent. Metrics other than the match metrics are explored only."
+        "stimuli, which flatters; held out: by one of recordings of other sources. 95 % intervals as the standard "
+        "has them, stimuli taken for independent. Metrics other than the match metrics are explored only."
     )
     head = (
         "Ratings",
