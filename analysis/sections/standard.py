@@ -48,7 +48,8 @@ HOW = (
     "rmse, rmse* and outlier ratio; out of fold: mapped without the stimulus's recording, and without "
     "all others of its source. Its intervals and tests, the classic tests of dependent correlations (Williams, "
     "Steiger, Meng, Zou) and the repeated-measures correlation take stimuli or rows for independent, which those of "
-    "one recording are not: in simulated studies without any difference or relation they found one in 13 to 51 %. Nothing is concluded from them here.",
+    "one recording are not: in simulated studies without any difference or relation they found one in "
+    "13 to 51 %. Nothing is concluded from them here.",
 )
 
 
