@@ -1,0 +1,440 @@
+"""How unstable a reducer is on one recording, in six numbers.
+
+Conventions: `reduce` is called as in `REDUCERS`, `reduce(acceleration, rate_hz)` with acceleration (..., 3, n), and
+must take batches. a is the recording, r = reduce(a) its output, ‖·‖ the root of the energy. The relative change from an
+output r to another r' is *sign-free*, because the skin does not feel the sign of a vibration:
+
+    δ(r', r) = min(‖r' - r‖, ‖r' + r‖) / ‖r‖, at most sqrt(2)
+
+sqrt(2) is what lies between two unrelated signals of equal energy: more is not less stable. An output that is silent
+and stays silent has changed by 0, one that is silent and becomes anything by sqrt(2).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import numpy as np
+
+from stimuli.frames import DEFAULT_WINDOW_S, window_samples
+from stimuli.match import OriginalSpectrum, axis_correlations, mean_heard
+from stimuli.rotation import random_rotations
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from stimuli.recording import Recording
+    from stimuli.reduce import Reducer
+
+    Samples = NDArray[np.float64]
+    Free = Literal["sign", "phase"]
+
+UNRELATED = float(np.sqrt(2))
+"""Largest relative change: between two unrelated signals of equal energy."""
+
+LARGEST_DB = 60.0
+FLIPS = np.array([[-1.0, 1.0, 1.0], [1.0, -1.0, 1.0], [1.0, 1.0, -1.0]])
+"""The axis signs that differ by more than the sign of everything."""
+
+
+class Change(NamedTuple):
+    """A change over many draws.
+
+    Parameters
+    ----------
+    median, worst : float
+        Over the draws.
+    """
+
+    median: float
+    worst: float
+
+
+def relative_change(changed: Samples, output: Samples, *, free: Free = "sign") -> Samples:
+    r"""Tell how much outputs differ from another one, but for its sign or for a constant phase.
+
+    Parameters
+    ----------
+    changed : ndarray, shape (..., n)
+        Outputs.
+    output : ndarray, shape (..., n)
+        What they are compared with.
+    free : {"sign", "phase"}
+        What does not count: the sign, or any constant phase (the same turn of all frequencies).
+
+    Returns
+    -------
+    ndarray of float64, shape (...)
+        0 to sqrt(2).
+
+    Raises
+    ------
+    ValueError
+        If `free` is neither.
+
+    Notes
+    -----
+    With H the Hilbert transform, the smallest distance over all phases is
+
+    .. math:: \min_\varphi \|r' - \cos\varphi\, r - \sin\varphi\, Hr\|^2
+        = \|r'\|^2 + \|r\|^2 - 2 \sqrt{(r' \cdot r)^2 + (r' \cdot Hr)^2}
+
+    for outputs without offset, whose r and Hr are orthogonal and equally strong.
+
+    Examples
+    --------
+    >>> u = np.sin(2 * np.pi * np.arange(100) / 10)
+    >>> float(relative_change(-u, u)), float(relative_change(1.25 * u, u)), float(relative_change(np.roll(u, 3), u)) > 1
+    (0.0, 0.25, True)
+    >>> float(relative_change(np.roll(u, 3), u, free="phase").round(6))
+    0.0
+    """
+    if free not in {"sign", "phase"}:
+        raise ValueError(f"free: got {free!r}, allowed is 'sign' or 'phase'")
+    distance = _phase_free(changed, output) if free == "phase" else _sign_free(changed, output)
+    strength = np.linalg.norm(output, axis=-1)
+    silent = np.where(distance > 0, UNRELATED, 0.0)
+    known = np.broadcast_to(strength > 0, distance.shape)
+    relative = np.divide(distance, strength, out=np.array(silent), where=known)
+    return np.asarray(np.minimum(relative, UNRELATED))
+
+
+def perturbation_gain(  # noqa: PLR0913 - level and freedom are what the literature varies
+    reduce: Reducer,
+    recording: Recording,
+    *,
+    rng: np.random.Generator,
+    draws: int = 20,
+    level_db: float = -60.0,
+    free: Free = "sign",
+) -> Change:
+    r"""Tell how much more the output changes than the input, under weak sensor noise.
+
+    Parameters
+    ----------
+    reduce : Reducer
+        The reducer.
+    recording : Recording
+        What is perturbed.
+    rng : numpy.random.Generator
+        Source of the noise.
+    draws : int
+        Noises, at least 1.
+    level_db : float
+        Strength of the noise against the recording, below 0 dB.
+    free : {"sign", "phase"}
+        See `relative_change`.
+
+    Returns
+    -------
+    Change
+        Median and worst gain. 1: noise passes as it is; 1414 at -60 dB: the output is all noise.
+
+    Raises
+    ------
+    ValueError
+        If the recording is silent, or draws or level are out of range.
+
+    Notes
+    -----
+    .. math:: G = \delta(R(a + n), R(a)) \,\Big/\, \frac{\|n\|}{\|a\|}, \qquad n \sim N(0, 1)^{3 \times n}
+        \text{ scaled to } \|n\| = 10^{L/20} \|a\|
+
+    a condition number measured at a distance [1]_; exactly \|R(n)\| \|a\| / (\|R(a)\| \|n\|) for linear reducers.
+
+    References
+    ----------
+    .. [1] J. R. Rice, "A theory of condition", SIAM Journal on Numerical Analysis 3(2), 1966. doi:10.1137/0703023
+
+    Examples
+    --------
+    >>> from stimuli.reduce import REDUCERS
+    >>> from stimuli.recording import Recording
+    >>> u = np.sin(np.arange(500.0))
+    >>> anti_phase = Recording([u, -u, 0 * u], 1000, "anti-phase")
+    >>> perturbation_gain(REDUCERS["dft321"], anti_phase, rng=np.random.default_rng(0)).median > 100
+    True
+    """
+    if not level_db < 0:
+        raise ValueError(f"level_db: got {level_db}, allowed is below 0 dB: the noise is weaker than the recording")
+    samples, strength = _admit(recording, draws)
+    share = 10 ** (level_db / 20)
+    noise = rng.standard_normal((draws, *samples.shape))
+    noise *= share * strength / np.linalg.norm(noise, axis=(-2, -1), keepdims=True)
+    outputs = reduce(samples + noise, recording.rate_hz)
+    return _summarise(relative_change(outputs, reduce(samples, recording.rate_hz), free=free) / share)
+
+
+def rotation_change(
+    reduce: Reducer, recording: Recording, *, rng: np.random.Generator, draws: int = 20, free: Free = "sign"
+) -> Change:
+    """Tell how much the output changes if the sensor is glued on in another way.
+
+    Parameters
+    ----------
+    reduce : Reducer
+        The reducer.
+    recording : Recording
+        What is turned.
+    rng : numpy.random.Generator
+        Source of the orientations, uniform over all rotations.
+    draws : int
+        Orientations, at least 1.
+    free : {"sign", "phase"}
+        See `relative_change`.
+
+    Returns
+    -------
+    Change
+        Median and worst δ(reduce(Q a), reduce(a)) over rotations Q.
+
+    Raises
+    ------
+    ValueError
+        If the recording is silent or there are no draws.
+
+    Examples
+    --------
+    >>> from stimuli.recording import Recording
+    >>> from stimuli.reduce import REDUCERS
+    >>> drag = Recording(np.random.default_rng(1).standard_normal((3, 50)) * [[1], [2], [4]], 1000, "drag")
+    >>> change = {name: rotation_change(REDUCERS[name], drag, rng=np.random.default_rng(0))
+    ...           for name in ("sax321", "pca321")}
+    >>> change["sax321"].median > 0.5, change["pca321"].worst < 1e-12
+    (True, True)
+    """
+    samples, _ = _admit(recording, draws)
+    turned = np.einsum("rij,jn->rin", random_rotations(draws, rng), samples)
+    outputs = reduce(turned, recording.rate_hz)
+    return _summarise(relative_change(outputs, reduce(samples, recording.rate_hz), free=free))
+
+
+def flip_change(reduce: Reducer, recording: Recording) -> Change:
+    """Tell how much the output changes if one axis of the sensor has the other sign.
+
+    Parameters
+    ----------
+    reduce : Reducer
+        The reducer.
+    recording : Recording
+        Whose axes are flipped, one at a time: two flips are one of the third axis and a sign of everything.
+
+    Returns
+    -------
+    Change
+        Median and worst of the three.
+
+    Raises
+    ------
+    ValueError
+        If the recording is silent.
+
+    Examples
+    --------
+    >>> from stimuli.recording import Recording
+    >>> from stimuli.reduce import REDUCERS
+    >>> u = np.sin(np.arange(50.0))
+    >>> same = Recording([u, u, u], 1000, "same")
+    >>> round(flip_change(REDUCERS["soc321"], same).worst, 6), flip_change(REDUCERS["mag321"], same).worst
+    (0.666667, 0.0)
+    """
+    samples, _ = _admit(recording, 1)
+    outputs = reduce(FLIPS[..., None] * samples, recording.rate_hz)
+    return _summarise(relative_change(outputs, reduce(samples, recording.rate_hz)))
+
+
+def shift_change(reduce: Reducer, recording: Recording, *, rng: np.random.Generator, draws: int = 8) -> Change:
+    """Tell how much the output changes if the same motion begins a little later.
+
+    Parameters
+    ----------
+    reduce : Reducer
+        The reducer.
+    recording : Recording
+        The motion; silence of one window is put around it.
+    rng : numpy.random.Generator
+        Source of the shifts, 1 sample to one window.
+    draws : int
+        Shifts, at least 1.
+
+    Returns
+    -------
+    Change
+        Median and worst δ(reduce(shifted a), shifted reduce(a)): 0 for what is shift-equivariant.
+
+    Raises
+    ------
+    ValueError
+        If the recording is silent or there are no draws.
+
+    Examples
+    --------
+    >>> from stimuli.recording import Recording
+    >>> from stimuli.reduce import REDUCERS
+    >>> drag = Recording(np.random.default_rng(1).standard_normal((3, 50)), 1000, "drag")
+    >>> shift_change(REDUCERS["mag321"], drag, rng=np.random.default_rng(0))
+    Change(median=0.0, worst=0.0)
+    """
+    samples, _ = _admit(recording, draws)
+    most = window_samples(DEFAULT_WINDOW_S, recording.rate_hz)
+    silence = np.zeros((3, most))
+    embedded = np.concatenate([samples, silence], axis=-1)
+    shifts = rng.integers(1, most, size=draws, endpoint=True)
+    outputs = reduce(np.array([np.roll(embedded, shift, axis=-1) for shift in shifts]), recording.rate_hz)
+    back = np.array([np.roll(output, -shift) for output, shift in zip(outputs, shifts, strict=True)])
+    return _summarise(relative_change(back, reduce(embedded, recording.rate_hz)))
+
+
+def edge_error(reduce: Reducer, recording: Recording, *, window_s: float = DEFAULT_WINDOW_S) -> float:
+    r"""Tell which share of the energy the output puts at the wrong time, across the edges of half windows.
+
+    Parameters
+    ----------
+    reduce : Reducer
+        The reducer.
+    recording : Recording
+        The recording.
+    window_s : float
+        Window in s; its half is the hop of frames that overlap by half.
+
+    Returns
+    -------
+    float
+        0 (the envelope is kept) to 1 (all energy is where there was none); 1 for a silent output.
+
+    Raises
+    ------
+    ValueError
+        If the recording is silent.
+
+    Notes
+    -----
+    With p_k and q_k the shares of the energy about the mean of recording and output that lie in half window k, the
+    total variation distance :math:`\frac{1}{2} \sum_k |p_k - q_k|`. Energy that a method spreads before a tap, wraps
+    around the ends or loses at a frame's edge counts, its overall strength does not.
+
+    Examples
+    --------
+    >>> from stimuli.recording import Recording
+    >>> from stimuli.reduce import REDUCERS
+    >>> tap = np.zeros(200)
+    >>> tap[[50, 51]] = 1.0, -1.0
+    >>> edge_error(REDUCERS["pca321"], Recording([tap, 2 * tap, -tap], 1000, "tap")) < 1e-12
+    True
+    """
+    samples, _ = _admit(recording, 1)
+    hop = window_samples(window_s, recording.rate_hz) // 2
+    starts = np.arange(0, samples.shape[-1], hop)
+    shares = []
+    for signal in (samples, np.atleast_2d(reduce(samples, recording.rate_hz))):
+        about_mean = signal - signal.mean(axis=-1, keepdims=True)
+        energy = np.add.reduceat(np.square(about_mean).sum(axis=0), starts)
+        shares.append(energy / energy.sum() if energy.sum() > 0 else np.zeros_like(energy))
+    recorded, kept = shares
+    return float(np.abs(recorded - kept).sum() / 2) if kept.any() else 1.0
+
+
+def energy_error(reduce: Reducer, recording: Recording) -> float:
+    """Tell how much stronger or weaker the output vibrates than the recording.
+
+    Parameters
+    ----------
+    reduce : Reducer
+        The reducer.
+    recording : Recording
+        The recording.
+
+    Returns
+    -------
+    float
+        10 log10 of the ratio of the energies about the mean, in dB, between -60 and 60: an offset is not felt.
+
+    Raises
+    ------
+    ValueError
+        If the recording is silent, or has nothing but an offset.
+
+    Examples
+    --------
+    >>> from stimuli.recording import Recording
+    >>> from stimuli.reduce import REDUCERS
+    >>> u = np.sin(np.arange(1000.0))
+    >>> round(energy_error(REDUCERS["soc321"], Recording([u, u, u], 1000, "same")), 2)
+    4.77
+    """
+    samples, _ = _admit(recording, 1)
+    recorded = float(samples.var(axis=-1).sum())
+    if recorded == 0:
+        raise ValueError(f"recording {recording.name!r}: has an offset and no vibration; choose one that moves")
+    kept = float(reduce(samples, recording.rate_hz).var())
+    with np.errstate(divide="ignore"):
+        return float(np.clip(10 * np.log10(kept / recorded), -LARGEST_DB, LARGEST_DB))
+
+
+def metric_spread(
+    reduce: Reducer, recording: Recording, *, rng: np.random.Generator, draws: int = 20
+) -> tuple[float, float]:
+    """Tell how much both metrics depend on the way the sensor was glued on.
+
+    Parameters
+    ----------
+    reduce : Reducer
+        The reducer.
+    recording : Recording
+        What is turned.
+    rng : numpy.random.Generator
+        Source of the orientations.
+    draws : int
+        Orientations, at least 2.
+
+    Returns
+    -------
+    spectral_sd, temporal_sd : float
+        Standard deviations (ddof 1) over the orientations; NaN for the spectral one where the recording has no
+        frequency from 20 to 1000 Hz.
+
+    Raises
+    ------
+    ValueError
+        If the recording is silent or there are fewer than 2 draws.
+
+    References
+    ----------
+    .. [1] Park & Kuchenbecker, World Haptics 2019. doi:10.1109/WHC.2019.8816148
+    """
+    if draws < 2:  # noqa: PLR2004 - a spread needs two
+        raise ValueError(f"draws: got {draws}, allowed is 2 or more")
+    samples, _ = _admit(recording, draws)
+    turned = np.einsum("rij,jn->rin", random_rotations(draws, rng), samples)
+    outputs = reduce(turned, recording.rate_hz)
+    original = OriginalSpectrum(samples, recording.rate_hz)
+    spectral = float(np.std(original.match(outputs), ddof=1)) if len(original.smoothed) else float("nan")
+    return spectral, float(np.std(mean_heard(axis_correlations(turned, outputs)), ddof=1))
+
+
+def _admit(recording: Recording, draws: int) -> tuple[Samples, float]:
+    samples = recording.acceleration
+    strength = float(np.linalg.norm(samples))
+    if strength == 0:
+        raise ValueError(f"recording {recording.name!r}: is silent, so no change can be related to it; leave it out")
+    if draws < 1:
+        raise ValueError(f"draws: got {draws}, allowed is 1 or more")
+    return samples, strength
+
+
+def _summarise(changes: Samples) -> Change:
+    return Change(float(np.median(changes)), float(changes.max()))
+
+
+def _sign_free(changed: Samples, output: Samples) -> Samples:
+    apart = np.linalg.norm(changed - output, axis=-1)
+    return np.asarray(np.minimum(apart, np.linalg.norm(changed + output, axis=-1)))
+
+
+def _phase_free(changed: Samples, output: Samples) -> Samples:
+    from scipy.signal import hilbert
+
+    analytic = hilbert(output)
+    along = np.abs(np.einsum("...n,...n->...", changed, analytic))
+    energies = np.square(changed).sum(axis=-1) + np.square(output).sum(axis=-1)
+    return np.asarray(np.sqrt(np.maximum(energies - 2 * along, 0.0)))
