@@ -233,8 +233,8 @@ _SCENES = (
           _chirp, ("ambiguous_windows", "undetermined_share"), (Failing("dft321", "rotation"),)),
     Scene("very_short", "12 samples", "Shorter than a window: nothing to average over.",
           _short, ("n_windows",), (Failing("sax321", "energy"),)),
-    Scene("near_silence", "Near silence", "After one tap only sensor noise, 80 dB below: its direction is chance.",
-          _near_silence, ("silence_share",), (Failing("pca321_adaptive", "gain"),)),
+    Scene("near_silence", "Near silence", "After one tap only sensor noise, 80 dB below: axes are chance there, metrics rest on it.",
+          _near_silence, ("silence_share",)),
     Scene("rate_mismatch", "Sample-rate mismatch", "y's clock runs 0.3 % fast: the axes slide through anti-phase.",
           _mismatch, ("undetermined_share",), (Failing("dft321", "rotation"),)),
 )  # fmt: skip

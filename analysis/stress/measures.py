@@ -1,21 +1,17 @@
 """How unstable a reducer is on one recording, in six numbers.
 
 Conventions: `reduce` is called as in `REDUCERS`, `reduce(acceleration, rate_hz)` with acceleration (..., 3, n), and
-must take batches. a is the recording, r = reduce(a) its output, ‖·‖ the root of the energy. The relative change from an
-output r to another r' is *sign-free*, because the skin does not feel the sign of a vibration:
-
-    δ(r', r) = min(‖r' - r‖, ‖r' + r‖) / ‖r‖, at most sqrt(2)
-
-sqrt(2) is what lies between two unrelated signals of equal energy: more is not less stable. An output that is silent
-and stays silent has changed by 0, one that is silent and becomes anything by sqrt(2).
+must take batches. a is the recording, r = reduce(a) its output, ‖·‖ the root of the energy, δ the relative change of
+`change.relative_change`, which is sign-free.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.stress.change import Change, relative_change, summarise
 from stimuli.frames import DEFAULT_WINDOW_S, window_samples
 from stimuli.match import OriginalSpectrum, axis_correlations, mean_heard
 from stimuli.rotation import random_rotations
@@ -23,80 +19,15 @@ from stimuli.rotation import random_rotations
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from analysis.stress.change import Free
     from stimuli.recording import Recording
     from stimuli.reduce import Reducer
 
     Samples = NDArray[np.float64]
-    Free = Literal["sign", "phase"]
-
-UNRELATED = float(np.sqrt(2))
-"""Largest relative change: between two unrelated signals of equal energy."""
 
 LARGEST_DB = 60.0
 FLIPS = np.array([[-1.0, 1.0, 1.0], [1.0, -1.0, 1.0], [1.0, 1.0, -1.0]])
 """The axis signs that differ by more than the sign of everything."""
-
-
-class Change(NamedTuple):
-    """A change over many draws.
-
-    Parameters
-    ----------
-    median, worst : float
-        Over the draws.
-    """
-
-    median: float
-    worst: float
-
-
-def relative_change(changed: Samples, output: Samples, *, free: Free = "sign") -> Samples:
-    r"""Tell how much outputs differ from another one, but for its sign or for a constant phase.
-
-    Parameters
-    ----------
-    changed : ndarray, shape (..., n)
-        Outputs.
-    output : ndarray, shape (..., n)
-        What they are compared with.
-    free : {"sign", "phase"}
-        What does not count: the sign, or any constant phase (the same turn of all frequencies).
-
-    Returns
-    -------
-    ndarray of float64, shape (...)
-        0 to sqrt(2).
-
-    Raises
-    ------
-    ValueError
-        If `free` is neither.
-
-    Notes
-    -----
-    With H the Hilbert transform, the smallest distance over all phases is
-
-    .. math:: \min_\varphi \|r' - \cos\varphi\, r - \sin\varphi\, Hr\|^2
-        = \|r'\|^2 + \|r\|^2 - 2 \sqrt{(r' \cdot r)^2 + (r' \cdot Hr)^2}
-
-    for outputs without offset, whose r and Hr are orthogonal and equally strong.
-
-    Examples
-    --------
-    >>> u = np.sin(2 * np.pi * np.arange(100) / 10)
-    >>> float(relative_change(-u, u)), float(relative_change(1.25 * u, u)), float(relative_change(np.roll(u, 3), u)) > 1
-    (0.0, 0.25, True)
-    >>> float(relative_change(np.roll(u, 3), u, free="phase").round(6))
-    0.0
-    """
-    if free not in {"sign", "phase"}:
-        raise ValueError(f"free: got {free!r}, allowed is 'sign' or 'phase'")
-    distance = _phase_free(changed, output) if free == "phase" else _sign_free(changed, output)
-    strength = np.linalg.norm(output, axis=-1)
-    silent = np.where(distance > 0, UNRELATED, 0.0)
-    known = np.broadcast_to(strength > 0, distance.shape)
-    relative = np.divide(distance, strength, out=np.array(silent), where=known)
-    return np.asarray(np.minimum(relative, UNRELATED))
 
 
 def perturbation_gain(  # noqa: PLR0913 - level and freedom are what the literature varies
@@ -162,7 +93,7 @@ def perturbation_gain(  # noqa: PLR0913 - level and freedom are what the literat
     noise = rng.standard_normal((draws, *samples.shape))
     noise *= share * strength / np.linalg.norm(noise, axis=(-2, -1), keepdims=True)
     outputs = reduce(samples + noise, recording.rate_hz)
-    return _summarise(relative_change(outputs, reduce(samples, recording.rate_hz), free=free) / share)
+    return summarise(relative_change(outputs, reduce(samples, recording.rate_hz), free=free) / share)
 
 
 def rotation_change(
@@ -206,7 +137,7 @@ def rotation_change(
     samples, _ = _admit(recording, draws)
     turned = np.einsum("rij,jn->rin", random_rotations(draws, rng), samples)
     outputs = reduce(turned, recording.rate_hz)
-    return _summarise(relative_change(outputs, reduce(samples, recording.rate_hz), free=free))
+    return summarise(relative_change(outputs, reduce(samples, recording.rate_hz), free=free))
 
 
 def flip_change(reduce: Reducer, recording: Recording) -> Change:
@@ -240,7 +171,7 @@ def flip_change(reduce: Reducer, recording: Recording) -> Change:
     """
     samples, _ = _admit(recording, 1)
     outputs = reduce(FLIPS[..., None] * samples, recording.rate_hz)
-    return _summarise(relative_change(outputs, reduce(samples, recording.rate_hz)))
+    return summarise(relative_change(outputs, reduce(samples, recording.rate_hz)))
 
 
 def shift_change(reduce: Reducer, recording: Recording, *, rng: np.random.Generator, draws: int = 8) -> Change:
@@ -282,7 +213,7 @@ def shift_change(reduce: Reducer, recording: Recording, *, rng: np.random.Genera
     shifts = rng.integers(1, most, size=draws, endpoint=True)
     outputs = reduce(np.array([np.roll(embedded, shift, axis=-1) for shift in shifts]), recording.rate_hz)
     back = np.array([np.roll(output, -shift) for output, shift in zip(outputs, shifts, strict=True)])
-    return _summarise(relative_change(back, reduce(embedded, recording.rate_hz)))
+    return summarise(relative_change(back, reduce(embedded, recording.rate_hz)))
 
 
 def edge_error(reduce: Reducer, recording: Recording, *, window_s: float = DEFAULT_WINDOW_S) -> float:
@@ -420,21 +351,3 @@ def _admit(recording: Recording, draws: int) -> tuple[Samples, float]:
     if draws < 1:
         raise ValueError(f"draws: got {draws}, allowed is 1 or more")
     return samples, strength
-
-
-def _summarise(changes: Samples) -> Change:
-    return Change(float(np.median(changes)), float(changes.max()))
-
-
-def _sign_free(changed: Samples, output: Samples) -> Samples:
-    apart = np.linalg.norm(changed - output, axis=-1)
-    return np.asarray(np.minimum(apart, np.linalg.norm(changed + output, axis=-1)))
-
-
-def _phase_free(changed: Samples, output: Samples) -> Samples:
-    from scipy.signal import hilbert
-
-    analytic = hilbert(output)
-    along = np.abs(np.einsum("...n,...n->...", changed, analytic))
-    energies = np.square(changed).sum(axis=-1) + np.square(output).sum(axis=-1)
-    return np.asarray(np.sqrt(np.maximum(energies - 2 * along, 0.0)))
