@@ -1,0 +1,84 @@
+"""What a chart leaves out or takes for granted, in words."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from analysis.chart.cost import CALLS, RATE_HZ, RATES_HZ, REFERENCE_N
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from analysis.chart.records import Machine, Precision
+    from stimuli.recording import Recording
+
+
+def list_notes(
+    recordings: Sequence[Recording], longest_s: float, *, precision: Sequence[Precision], machine: Machine
+) -> tuple[str, ...]:
+    """Say what was left out and what was assumed.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        The scenes.
+    longest_s : float
+        How much of each is used.
+    precision : sequence of Precision
+        What became of 32-bit input.
+    machine : Machine
+        What times were taken on.
+
+    Returns
+    -------
+    tuple of str
+        Sentences.
+    """
+    return (
+        "Times are those of this run on this machine and differ from run to run; all other figures come out again from "
+        "the same recordings and seed.",
+        *_note_load(machine),
+        f"Methods are compared at {REFERENCE_N} samples; × real time is told for {RATE_HZ:g} Hz. The signals that are "
+        "timed are white noise.",
+        *_note_pieces(recordings, longest_s),
+        *_note_rates(recordings),
+        *_note_precision(precision),
+        "The hop of every windowed reducer is half its window. Smaller hops of dft321_windowed are the mean of runs "
+        "over shifted signals, which is the same output; an implementation of its own could be a little cheaper.",
+        f"Block sizes: time of {CALLS} calls at {RATE_HZ:g} Hz, the stream being under way. A block of k samples adds "
+        "(k - 1) / rate of waiting to the algorithmic latency.",
+        "Memory is what numpy asks for beside the input, the output included; what a Fourier transform keeps inside is "
+        "not seen.",
+    )
+
+
+def _note_load(machine: Machine) -> list[str]:
+    if machine.load is None or machine.load <= machine.cores:
+        return []
+    busy = f"{machine.load:.1f} programs for {machine.cores} cores"
+    return [f"The machine was busy when this began ({busy}): times are longer than on an idle one, ratios less so."]
+
+
+def _note_pieces(recordings: Sequence[Recording], longest_s: float) -> list[str]:
+    cut = sum(recording.duration_s > longest_s for recording in recordings)
+    if not cut:
+        return []
+    longer = f"{cut} of {len(recordings)} recordings are longer than {longest_s:g} s"
+    return [f"{longer}: their middle was used; --full uses all."]
+
+
+def _note_rates(recordings: Sequence[Recording]) -> list[str]:
+    highest = max(recording.rate_hz for recording in recordings)
+    absent = [f"{rate_hz:g}" for rate_hz in RATES_HZ if rate_hz > highest]
+    above = f" No scene reaches {', '.join(absent)} Hz: only time was measured there." if absent else ""
+    return [f"Scenes were resampled to lower rates only: nothing can be put back.{above}"]
+
+
+def _note_precision(precision: Sequence[Precision]) -> list[str]:
+    kinds = sorted({row.output for row in precision})
+    if kinds != ["float64"]:
+        return [f"Output for 32-bit input: {', '.join(kinds)}."]
+    return [
+        "32-bit input is not computed in 32 bit: every reducer turns it into float64 first and answers in float64. "
+        "What changes is the rounding of the input, and the time that the conversion takes."
+    ]
