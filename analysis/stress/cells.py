@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,6 +15,7 @@ from analysis.stress.limits import MEASURES
 from analysis.stress.measures import (
     edge_error,
     energy_error,
+    fault_gain,
     flip_change,
     metric_spread,
     perturbation_gain,
@@ -60,11 +62,12 @@ class Cell:
         return MEASURES[self.measure].grade(self.worst if self.measure == "flip" else self.value)
 
 
-def measure_cells(
+def measure_cells(  # noqa: PLR0913 - every choice that changes the figures has a name of its own
     recordings: Sequence[Recording],
     reducers: Mapping[str, Reducer],
     *,
     measures: Sequence[str] = tuple(MEASURES),
+    clean: Mapping[str, Recording] = MappingProxyType({}),
     draws: int = 16,
     seed: int,
     progress: Progress | None = None,
@@ -79,6 +82,8 @@ def measure_cells(
         Name -> reducer.
     measures : sequence of str
         Names of `MEASURES`.
+    clean : Mapping of str to Recording
+        Recordings without their faults, by name; the damage is not defined for others.
     draws : int
         Noises, orientations and shifts per figure, at least 2.
     seed : int
@@ -104,7 +109,9 @@ def measure_cells(
     pairs = list(product(recordings, reducers.items()))
     for number, (recording, (name, reduce)) in enumerate(pairs, start=1):
         measure = partial(_measure, reduce, recording, draws=draws, seed=seed)
-        cells += [Cell(recording.name, name, key, *measure(key)) for key in measures]
+        damage = _measure_fault(reduce, recording, clean.get(recording.name))
+        figures = {key: damage if key == "fault" else measure(key) for key in measures}
+        cells += [Cell(recording.name, name, key, *figure) for key, figure in figures.items()]
         if progress is not None:
             progress(number, len(pairs))
     return tuple(cells)
@@ -123,10 +130,15 @@ def _measure(reduce: Reducer, recording: Recording, key: str, *, draws: int, see
         case "shift":
             return shift_change(reduce, recording, rng=rng, draws=draws)
         case "spread":
-            worse = float(np.nanmax(metric_spread(reduce, recording, rng=rng, draws=draws)))
-            return Change(worse, worse)
+            larger = float(np.nanmax(metric_spread(reduce, recording, rng=rng, draws=draws)))
+            return Change(larger, larger)
     single = (edge_error if key == "edge" else energy_error)(reduce, recording)
     return Change(single, single)
+
+
+def _measure_fault(reduce: Reducer, recording: Recording, clean: Recording | None) -> Change:
+    damage = float("nan") if clean is None else fault_gain(reduce, recording, clean=clean)
+    return Change(damage, damage)
 
 
 def _measure_gain(

@@ -104,6 +104,10 @@ _MEASURES = (
             "Standard deviation of the match metrics over random orientations of the sensor, the larger of the two.",
             "in the paper's Table 1 the better methods lie 0.1 apart in temporal match (0.40, 0.46, 0.51): the mounting "
             "then decides as much as the method."),
+    Measure("fault", "D", "Damage by the fault", "", 1.5, 2.0,
+            "How many times more the output changes than the input, by the fault of the scene (clipping, steps, gaps, "
+            "clocks).",
+            "at 2 the method does as much harm as the sensor did."),
 )  # fmt: skip
 
 MEASURES: Mapping[str, Measure] = MappingProxyType({measure.name: measure for measure in _MEASURES})

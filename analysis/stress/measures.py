@@ -1,4 +1,4 @@
-"""How unstable a reducer is on one recording, in six numbers.
+"""How unstable a reducer is on one recording, number by number.
 
 Conventions: `reduce` is called as in `REDUCERS`, `reduce(acceleration, rate_hz)` with acceleration (..., 3, n), and
 must take batches. a is the recording, r = reduce(a) its output, ‖·‖ the root of the energy, δ the relative change of
@@ -300,6 +300,45 @@ def energy_error(reduce: Reducer, recording: Recording) -> float:
     kept = float(reduce(samples, recording.rate_hz).var())
     with np.errstate(divide="ignore"):
         return float(np.clip(10 * np.log10(kept / recorded), -LARGEST_DB, LARGEST_DB))
+
+
+def fault_gain(reduce: Reducer, recording: Recording, *, clean: Recording) -> float:
+    """Tell how much more the output suffers from a fault of the recording than the recording itself.
+
+    Parameters
+    ----------
+    reduce : Reducer
+        The reducer.
+    recording : Recording
+        With the fault.
+    clean : Recording
+        The same motion without it.
+
+    Returns
+    -------
+    float
+        δ(reduce(faulty), reduce(clean)) over ‖faulty - clean‖ / ‖clean‖; NaN where both are the same.
+
+    Raises
+    ------
+    ValueError
+        If the clean recording is silent, or the two differ in length.
+
+    Examples
+    --------
+    >>> from stimuli.recording import Recording
+    >>> from stimuli.reduce import REDUCERS
+    >>> u = np.sin(np.arange(100.0))
+    >>> whole, cut = (Recording([v, 0 * u, 0 * u], 1000, "x") for v in (u, np.clip(u, -0.5, 0.5)))
+    >>> round(fault_gain(REDUCERS["soc321"], cut, clean=whole), 9)
+    1.0
+    """
+    samples, strength = _admit(clean, 1)
+    if recording.n_samples != clean.n_samples:
+        raise ValueError(f"clean: got {clean.n_samples} samples, allowed is {recording.n_samples}, as with the fault")
+    share = float(np.linalg.norm(recording.acceleration - samples)) / strength
+    outputs = (reduce(one.acceleration, one.rate_hz) for one in (recording, clean))
+    return float(relative_change(*outputs)) / share if share else float("nan")
 
 
 def metric_spread(

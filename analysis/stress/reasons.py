@@ -36,6 +36,8 @@ REASONS: Mapping[tuple[str, str], str] = MappingProxyType({
     ("energy", "pca321"): _LOST, ("energy", "pca321_adaptive"): _LOST,
     ("energy", "soc321"): "axes in phase add up to too much, axes in anti-phase cancel.",
     ("energy", "mag321"): "the length of the vector is mostly offset, which is not felt; its ripple is what remains.",
+    ("fault", "dft321"): "the fault changes the phase of x + y + z at frequencies whose energy it does not touch.",
+    ("fault", "dft321_windowed"): "the fault changes the phase of x + y + z at frequencies whose energy it leaves alone.",
     ("energy", "dft321_windowed"): "within a frame slow motion is an offset, whose axes are merged like a vibration's.",
 })  # fmt: skip
 """(measure, reducer) -> why."""
@@ -47,6 +49,7 @@ GENERAL: Mapping[str, str] = MappingProxyType({
     "shift": "the output depends on where frames begin.",
     "edge": "the envelope of what it keeps is not that of the motion.",
     "energy": "it does not keep the energy of all axes.",
+    "fault": "it turns a fault of some samples into another output elsewhere too.",
     "spread": "the metrics of what it keeps change with the mounting; the paper's temporal match does so by itself.",
 })  # fmt: skip
 

@@ -79,7 +79,10 @@ def stress_reducers(  # noqa: PLR0913 - every choice that changes the figures ha
     moving = [recording for recording in recordings if recording.acceleration.any()]
     step, total = len(scenes) * len(reducers), (len(scenes) + len(moving)) * len(reducers)
     tell = progress or (lambda done, total: None)
-    cells = measure_cells(scenes, reducers, draws=draws, seed=seed, progress=lambda done, _: tell(done, total))
+    cells = measure_cells(
+        scenes, reducers, clean={scene.name: scene.make_clean(seed) for scene in BATTERY.values() if scene.fault},
+        draws=draws, seed=seed, progress=lambda done, _: tell(done, total),
+    )  # fmt: skip
     gains = measure_cells(
         [take_excerpt(recording) for recording in moving], reducers, measures=("gain",),
         draws=max(2, min(draws, GAIN_DRAWS)), seed=seed, progress=lambda done, _: tell(step + done, total),

@@ -1,0 +1,137 @@
+"""The heat map: reducers across, scenes down, and in every cell the perturbation gain and what else fails."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from analysis.figures.style import BLACK, CM_PER_INCH, COLUMN_CM, GREY, THIN, print_style
+from analysis.figures.text import fit_text
+from analysis.stress.battery import BATTERY
+from analysis.stress.limits import MEASURES
+from analysis.words import ABSENT
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from analysis.stress.cells import Cell
+    from analysis.stress.result import StressResult
+
+WIDTH_CM = 2 * COLUMN_CM + 0.8
+ROW_CM, HEAD_CM, KEY_CM, LABEL_CM, MARGIN_CM = 0.66, 1.25, 1.75, 3.7, 0.1
+FILLS = {"good": "#FFFFFF", "caution": "#F6D68F", "fails": "#D55E00", "undefined": "#E6E6E6"}
+"""White, Okabe and Ito's orange made paler, and their vermilion: three steps of lightness, so that grey prints tell."""
+
+LETTERS = {"good": BLACK, "caution": BLACK, "fails": "#FFFFFF", "undefined": BLACK}
+VALUE_SIZE, MARK_SIZE = 6.5, 5.5
+_THOUSAND = 1000
+
+
+def draw_stress(result: StressResult) -> Figure:
+    """Draw the heat map, two columns wide.
+
+    Parameters
+    ----------
+    result : StressResult
+        What was measured.
+
+    Returns
+    -------
+    Figure
+        A cell per scene and reducer. In the SVG file, cells in which something fails are links to
+        ``#scene-reducer``.
+    """
+    from matplotlib.figure import Figure
+
+    height = HEAD_CM + ROW_CM * len(BATTERY) + KEY_CM
+    with print_style():
+        figure = Figure(figsize=(WIDTH_CM / CM_PER_INCH, height / CM_PER_INCH))
+        left, bottom = LABEL_CM / WIDTH_CM, KEY_CM / height
+        axes = figure.add_axes((left, bottom, 1 - left - MARGIN_CM / WIDTH_CM, ROW_CM * len(BATTERY) / height))
+        _prepare(axes, result.reducers)
+        grouped = _group(result.cells)
+        for row, scene in enumerate(BATTERY):
+            for column, reducer in enumerate(result.reducers):
+                _draw_cell(axes, grouped[scene, reducer], place=(column, row))
+        key = fit_text(_tell_key(), WIDTH_CM - 4 * MARGIN_CM, lines=6, size=6.0)
+        figure.text(MARGIN_CM / WIDTH_CM, (KEY_CM - 0.2) / height, key, va="top", fontsize=6.0, linespacing=1.25)
+    return figure
+
+
+def _prepare(axes: Axes, reducers: Sequence[str]) -> None:
+    axes.set(xlim=(0, len(reducers)), ylim=(len(BATTERY), 0))
+    axes.xaxis.tick_top()
+    wide = (WIDTH_CM - LABEL_CM - MARGIN_CM) / max(len(reducers), 1)
+    names = [fit_text(name, wide, lines=3, size=6.5) for name in reducers]
+    axes.set_xticks([column + 0.5 for column in range(len(reducers))], names, fontsize=6.5)
+    axes.set_yticks([row + 0.5 for row in range(len(BATTERY))], [scene.title for scene in BATTERY.values()])
+    axes.tick_params(length=0)
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+
+
+def _draw_cell(axes: Axes, cells: Mapping[str, Cell], *, place: tuple[int, int]) -> None:
+    from matplotlib.patches import Rectangle
+
+    column, row = place
+    gain = cells["gain"]
+    others = "".join(MEASURES[key].letter for key, cell in cells.items() if key != "gain" and cell.grade == "fails")
+    box = Rectangle(place, 1, 1, facecolor=FILLS[gain.grade], edgecolor=GREY, linewidth=THIN)
+    if others or gain.grade == "fails":
+        box.set_url(f"#{gain.recording}-{gain.reducer}")
+    axes.add_patch(box)
+    weight = "bold" if gain.grade == "fails" else "normal"
+    colour, middle = LETTERS[gain.grade], column + 0.5
+    axes.text(middle, row + 0.32, tell_gain(gain.value), color=colour, size=VALUE_SIZE, weight=weight, ha="center",
+              va="center")  # fmt: skip
+    axes.text(middle, row + 0.74, others, color=colour, size=MARK_SIZE, ha="center", va="center")
+
+
+def tell_gain(gain: float) -> str:
+    """Write a gain so that it fits a cell.
+
+    Parameters
+    ----------
+    gain : float
+        The gain.
+
+    Returns
+    -------
+    str
+        Two digits, or whole numbers from 10 on.
+
+    Examples
+    --------
+    >>> [tell_gain(gain) for gain in (0.578, 3.04, 16.6, 1390.2)]
+    ['0.58', '3.0', '17', '1390']
+    """
+    if math.isnan(gain):
+        return ABSENT
+    if gain >= _THOUSAND:
+        return f"{10 * round(gain / 10)}"
+    return f"{gain:.2f}" if gain < 1 else f"{gain:.1f}" if gain < 10 else f"{gain:.0f}"  # noqa: PLR2004 - digits
+
+
+def _group(cells: Sequence[Cell]) -> dict[tuple[str, str], dict[str, Cell]]:
+    grouped: dict[tuple[str, str], dict[str, Cell]] = {}
+    for cell in cells:
+        grouped.setdefault((cell.recording, cell.reducer), {})[cell.measure] = cell
+    return grouped
+
+
+def _tell_key() -> str:
+    gain = MEASURES["gain"]
+    marks = "; ".join(
+        f"{measure.letter} {measure.title[0].lower()}{measure.title[1:]} ≥ {measure.fails:g}"
+        f"{' ' if measure.unit else ''}{measure.unit}"
+        for measure in MEASURES.values()
+        if measure.name != "gain"
+    )
+    return (
+        f"Number and colour: median perturbation gain at −60 dB noise; white below {gain.caution:g}, pale from "
+        f"{gain.caution:g}, dark and bold from {gain.fails:g} (1414: the output is all noise). "
+        f"Letters: what else fails there. {marks}. Shares of the output's norm but for D, E and M."
+    )
