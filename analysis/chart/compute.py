@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import dataclass
 from functools import partial
 from itertools import count
@@ -30,6 +29,7 @@ from analysis.chart.methods import list_hops, list_methods, list_windows
 from analysis.chart.notes import list_notes
 from analysis.chart.ratings import rate_reducers
 from analysis.chart.records import Scene
+from analysis.chart.timing import choose_clock
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -81,7 +81,7 @@ def compute_chart(
     ratings: Table | None = None,
     effort: Effort = QUICK,
     seed: int = 0,
-    clock: Clock = time.perf_counter,
+    clock: Clock | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Chart:
     """Measure speed and accuracy of every method.
@@ -96,8 +96,8 @@ def compute_chart(
         How much is measured.
     seed : int
         The same seed gives the same accuracies; times are never the same twice.
-    clock : callable
-        Gives seconds.
+    clock : callable, optional
+        Gives seconds; `choose_clock` if left out.
     progress : callable, optional
         Called with the numbers of steps done and to do.
 
@@ -114,7 +114,8 @@ def compute_chart(
     from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
     _require_names(recordings)
-    machine = describe_machine()
+    name, clock = choose_clock() if clock is None else ("given", clock)
+    machine = describe_machine(name)
     total = 2 * len(recordings) + effort.rounds + 1 + len(list_methods())
     steps = count(1)
 

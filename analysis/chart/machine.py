@@ -13,11 +13,13 @@ THREADS = 1
 """Of linear algebra while times are taken."""
 
 
-def describe_machine(cpu_list: Path = Path("/proc/cpuinfo")) -> Machine:
+def describe_machine(clock: str, *, cpu_list: Path = Path("/proc/cpuinfo")) -> Machine:
     """Describe this machine.
 
     Parameters
     ----------
+    clock : str
+        Name of the clock that is used.
     cpu_list : Path
         Where Linux names its processors; other systems are asked through `platform`.
 
@@ -34,6 +36,7 @@ def describe_machine(cpu_list: Path = Path("/proc/cpuinfo")) -> Machine:
         cores=os.cpu_count() or 1,
         threads=THREADS,
         load=_tell_load(),
+        clock=clock,
         python=platform.python_version(),
         numpy=version("numpy"),
         scipy=version("scipy"),

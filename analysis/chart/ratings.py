@@ -54,12 +54,13 @@ def rate_reducers(ratings: DataFrame, *, seed: int, draws: int = DRAWS) -> list[
     }
     profile = profile_reducers(tests).sort_values(["scale", "level"], kind="stable")
     found = []
-    for row in profile.itertuples():
-        table = tables[row.scale, row.level, row.reducer].reindex(index=people, columns=scenes)
+    for row in profile.to_dict("records"):
+        reducer, scale, level = row["reducer"], row["scale"], row["level"]
+        table = tables[scale, level, reducer].reindex(index=people, columns=scenes)
         ends = draw_interval(table.to_numpy(np.float64), *drawn)
-        low, high = _tell_ends(row.low, row.high)
-        counts = int(row.n_participants), int(table.notna().any().sum())
-        found.append(Rated(row.reducer, row.scale, row.level, float(row.mean), low, high, *ends, *counts))
+        low, high = _tell_ends(row["low"], row["high"])
+        counts = int(row["n_participants"]), int(table.notna().any().sum())
+        found.append(Rated(reducer, scale, level, float(row["mean"]), low, high, *ends, *counts))
     order = order_reducers(row.reducer for row in found)
     return sorted(found, key=lambda row: (row.scale, row.level, order.index(row.reducer)))
 

@@ -287,6 +287,8 @@ class Machine:
         That linear algebra was allowed.
     load : float or None
         Programs that wanted to run in the minute before; None where that is not counted.
+    clock : str
+        Which of Python's clocks: thread_time is the processor's time of the measured thread alone.
     python, numpy, scipy, feel321 : str
         Versions.
     """
@@ -296,6 +298,7 @@ class Machine:
     cores: int
     threads: int
     load: float | None
+    clock: str
     python: str
     numpy: str
     scipy: str

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +16,24 @@ if TYPE_CHECKING:
 
 FEWEST_ROUNDS = 3
 """Quartiles of fewer are the values themselves."""
+
+FINE_S = 1e-6
+"""A clock that moves in longer steps cannot time a short call."""
+
+
+def choose_clock() -> tuple[str, Clock]:
+    """Choose the clock that other programs disturb least.
+
+    Returns
+    -------
+    name : str
+        Of the function in `time`: thread_time counts the processor's time of this thread alone; where it is coarse,
+        perf_counter counts all time.
+    clock : callable
+        Gives seconds.
+    """
+    fine = time.get_clock_info("thread_time").resolution < FINE_S
+    return ("thread_time", time.thread_time) if fine else ("perf_counter", time.perf_counter)
 
 
 def time_in_turn(
