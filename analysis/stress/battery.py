@@ -33,6 +33,10 @@ LINE = np.array([[0.6], [0.64], [0.48]])
 """Direction of a motion along one line, of unit length, on no axis and not on the diagonal."""
 
 
+PLANE = ((2 / 3, 1 / 3, 2 / 3), (-2 / 3, 2 / 3, 1 / 3))
+"""Two directions at a right angle that every axis of the sensor sees."""
+
+
 class Maker(Protocol):
     """Makes acceleration in m/s², shape (3, n)."""
 
@@ -136,15 +140,13 @@ def _ordinary(rng: np.random.Generator) -> Samples:
 
 
 def _anti_phase(rng: np.random.Generator) -> Samples:
-    axis = 4 * make_texture(rng)[0]
-    return np.array([axis, -axis, np.zeros(N_SAMPLES)])
+    return np.array([[1.0], [-0.5], [-0.5]]) * 4 * make_texture(rng)
 
 
 def _turning(semi_axes: tuple[float, float]) -> Maker:
     def make(rng: np.random.Generator) -> Samples:
         angle = 2 * np.pi * (150 * TIME_S + rng.uniform())
-        first, second = semi_axes
-        return np.array([first * np.cos(angle), second * np.sin(angle), np.zeros(N_SAMPLES)])
+        return np.array(PLANE).T @ np.array([semi_axes[0] * np.cos(angle), semi_axes[1] * np.sin(angle)])
 
     return make
 
@@ -182,8 +184,7 @@ def _weak(rng: np.random.Generator) -> Samples:
 
 
 def _in_phase(rng: np.random.Generator) -> Samples:
-    axis = 4 * make_texture(rng)[0]
-    return np.array([axis, axis, np.zeros(N_SAMPLES)])
+    return np.array([[1.0], [1.0], [0.1]]) * 4 * make_texture(rng)
 
 
 def _clip(samples: Samples, rng: np.random.Generator) -> Samples:
@@ -243,10 +244,10 @@ _EIGENVALUES = ("eigenvalue_ratio", "ambiguous_windows")
 _SCENES = (
     Scene("ordinary_drag", "Ordinary drag (control)", "One clear direction, broad band: what fails here fails everywhere.",
           _ordinary),
-    Scene("anti_phase", "Anti-phase axes", "x and y cancel at every frequency: the phase of their sum is undetermined.",
+    Scene("anti_phase", "Anti-phase axes", "x is undone by y and z at every frequency: the phase of the sum is undetermined.",
           _anti_phase, ("undetermined_share",),
           (Failing("dft321", "gain"), Failing("dft321_windowed", "gain"), Failing("soc321", "energy"))),
-    Scene("circular", "Circular motion", "Both axes of the plane hold the same energy: no direction leads.",
+    Scene("circular", "Circular motion", "In the plane of the turn all directions hold the same energy: none leads.",
           _turning((6.0, 6.0)), _EIGENVALUES, (Failing("pca321", "gain"), Failing("pca321", "rotation"))),
     Scene("elliptic", "Elliptic motion", "A long axis leads by little, and what goes round has a phase for every mounting.",
           _turning((6.0, 5.0)), _EIGENVALUES, (Failing("dft321", "rotation"), Failing("dft321", "flip"))),

@@ -21,13 +21,12 @@ if TYPE_CHECKING:
     from analysis.stress.result import StressResult
 
 WIDTH_CM = 2 * COLUMN_CM + 0.8
-ROW_CM, HEAD_CM, KEY_CM, LABEL_CM, MARGIN_CM = 0.66, 1.25, 1.75, 3.7, 0.1
+ROW_CM, HEAD_CM, KEY_CM, LABEL_CM, MARGIN_CM = 0.66, 1.0, 1.5, 3.7, 0.1
 FILLS = {"good": "#FFFFFF", "caution": "#F6D68F", "fails": "#D55E00", "undefined": "#E6E6E6"}
 """White, Okabe and Ito's orange made paler, and their vermilion: three steps of lightness, so that grey prints tell."""
 
 LETTERS = {"good": BLACK, "caution": BLACK, "fails": "#FFFFFF", "undefined": BLACK}
-VALUE_SIZE, MARK_SIZE = 6.5, 5.5
-_THOUSAND = 1000
+VALUE_SIZE, MARK_SIZE, KEY_SIZE = 6.5, 5.5, 6.0
 
 
 def draw_stress(result: StressResult) -> Figure:
@@ -56,8 +55,9 @@ def draw_stress(result: StressResult) -> Figure:
         for row, scene in enumerate(BATTERY):
             for column, reducer in enumerate(result.reducers):
                 _draw_cell(axes, grouped[scene, reducer], place=(column, row))
-        key = fit_text(_tell_key(), WIDTH_CM - 4 * MARGIN_CM, lines=6, size=6.0)
-        figure.text(MARGIN_CM / WIDTH_CM, (KEY_CM - 0.2) / height, key, va="top", fontsize=6.0, linespacing=1.25)
+        key = "\n".join(fit_text(line, WIDTH_CM - 4 * MARGIN_CM, lines=3, size=KEY_SIZE) for line in _tell_key())
+        place = (MARGIN_CM / WIDTH_CM, (KEY_CM - 0.2) / height)
+        figure.text(*place, key, va="top", fontsize=KEY_SIZE, linespacing=1.25)
     return figure
 
 
@@ -85,7 +85,7 @@ def _draw_cell(axes: Axes, cells: Mapping[str, Cell], *, place: tuple[int, int])
     axes.add_patch(box)
     weight = "bold" if gain.grade == "fails" else "normal"
     colour, middle = LETTERS[gain.grade], column + 0.5
-    axes.text(middle, row + 0.32, tell_gain(gain.value), color=colour, size=VALUE_SIZE, weight=weight, ha="center",
+    axes.text(middle, row + (0.32 if others else 0.5), tell_gain(gain.value), color=colour, size=VALUE_SIZE, weight=weight, ha="center",
               va="center")  # fmt: skip
     axes.text(middle, row + 0.74, others, color=colour, size=MARK_SIZE, ha="center", va="center")
 
@@ -110,9 +110,8 @@ def tell_gain(gain: float) -> str:
     """
     if math.isnan(gain):
         return ABSENT
-    if gain >= _THOUSAND:
-        return f"{10 * round(gain / 10)}"
-    return f"{gain:.2f}" if gain < 1 else f"{gain:.1f}" if gain < 10 else f"{gain:.0f}"  # noqa: PLR2004 - digits
+    digits = 2 if gain < 0.995 else 1 if gain < 9.95 else 0  # noqa: PLR2004 - where rounding adds a digit
+    return f"{gain:.{digits}f}"
 
 
 def _group(cells: Sequence[Cell]) -> dict[tuple[str, str], dict[str, Cell]]:
@@ -122,16 +121,11 @@ def _group(cells: Sequence[Cell]) -> dict[tuple[str, str], dict[str, Cell]]:
     return grouped
 
 
-def _tell_key() -> str:
-    gain = MEASURES["gain"]
-    marks = "; ".join(
-        f"{measure.letter} {measure.title[0].lower()}{measure.title[1:]} ≥ {measure.fails:g}"
-        f"{' ' if measure.unit else ''}{measure.unit}"
-        for measure in MEASURES.values()
-        if measure.name != "gain"
-    )
+def _tell_key() -> tuple[str, ...]:
+    gain, *others = MEASURES.values()
+    marks = "; ".join(f"{one.letter} {one.brief} ≥ {one.fails:g}{' ' * bool(one.unit)}{one.unit}" for one in others)
     return (
         f"Number and colour: median perturbation gain at −60 dB noise; white below {gain.caution:g}, pale from "
-        f"{gain.caution:g}, dark and bold from {gain.fails:g} (1414: the output is all noise). "
-        f"Letters: what else fails there. {marks}. Shares of the output's norm but for D, E and M."
+        f"{gain.caution:g}, dark and bold from {gain.fails:g} (1414: the output is all noise).",
+        f"Letters: what else fails. {marks}.",
     )

@@ -70,7 +70,7 @@ class StressResult:
     @property
     def answers(self) -> tuple[str, ...]:
         """The main findings, in words."""
-        return (*_say_gains(self), *_say_invariance(self), *say_metrics(self.metrics))
+        return (*_say_gains(self), *_say_invariance(self), *_say_faults(self), *say_metrics(self.metrics))
 
     def find_near(self, scene: str) -> tuple[str, ...]:
         """Find the recordings that come near a scene.
@@ -145,7 +145,7 @@ def _say_gains(result: StressResult) -> Iterable[str]:
     """Say where noise is amplified, but for single axes: that these are deaf across themselves is no news."""
     failing = [cell for cell in result.failures if cell.measure == "gain" and cell.reducer not in _SINGLE]
     for scene in dict.fromkeys(cell.recording for cell in failing):
-        told = (f"{cell.reducer} ({cell.value:.3g})" for cell in failing if cell.recording == scene)
+        told = (f"{cell.reducer} ({cell.value:.0f})" for cell in failing if cell.recording == scene)
         yield f"{BATTERY[scene].title}: perturbation gain above {MEASURES['gain'].fails:g} of {', '.join(told)}."
 
 
@@ -158,6 +158,15 @@ def _say_invariance(result: StressResult) -> Iterable[str]:
             f"The output itself withstands {words} in every scene with {', '.join(unmoved) or 'no reducer'}; "
             f"scenes of {len(BATTERY)} in which it does not: {', '.join(moved) or 'none'}."
         )
+
+
+def _say_faults(result: StressResult) -> Iterable[str]:
+    damages = [cell for cell in result.cells if cell.measure == "fault" and cell.grade != "undefined"]
+    worst = max(damages, key=lambda cell: cell.value)
+    yield (
+        f"Faults of the sensor (clipping, steps, gaps, clocks) come through at most {worst.value:.2g} times as strong "
+        f"as they went in ({worst.reducer}, {BATTERY[worst.recording].title})."
+    )
 
 
 _SINGLE = ("sax321", "say321", "saz321")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 from analysis.stress import diagnosis
 from analysis.stress.battery import BATTERY
+from analysis.stress.limits import MEASURES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -166,7 +167,7 @@ def diagnose(recording: Recording, sensor: Recording | None = None) -> Diagnosis
     Examples
     --------
     >>> diagnose(BATTERY["anti_phase"].make(0)).near_scenes
-    ('anti_phase', 'silent_axis', 'one_axis', 'chirp', 'rate_mismatch')
+    ('anti_phase', 'chirp', 'rate_mismatch')
     """
     sources = {"felt": recording, "sensor": sensor or recording}
     return Diagnosis(recording.name, {name: float(sign.measure(sources[sign.of])) for name, sign in SIGNS.items()})
@@ -188,15 +189,12 @@ def warn_of(diagnosis: Diagnosis, cells: Sequence[Cell]) -> tuple[str, ...]:
         Such as "32 % of the energy sits where the phase is undetermined: dft321 is sensitive here (gain 40)".
     """
     gains = {cell.reducer: cell.value for cell in cells if cell.recording == diagnosis.recording}
-    lines = []
+    lines, caution = [], MEASURES["gain"].caution
     for sign in diagnosis.near_signs:
         line = sign.words.format(sign.tell(diagnosis.values[sign.name]))
-        touched = [f"{name} (gain {gains[name]:.2g})" for name in sign.sensitive if gains.get(name, 0.0) >= _CAUTION]
+        touched = [f"{name} (gain {gains[name]:.2g})" for name in sign.sensitive if gains.get(name, 0.0) >= caution]
         lines.append(f"{line}: {_join(touched)} here" if touched else line)
     return tuple(lines)
-
-
-_CAUTION = 3.0
 
 
 def _join(names: Sequence[str]) -> str:
