@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.advise.measures import NOISE, Measures, find_change, find_level
+from analysis.advise.measures import NOISE, Measures, Trial, find_change, find_level
 from analysis.advise.simplicity import COVARIANCE, MEAN, PROJECTION, Cost
 from stimuli.fourier import dft321
 from stimuli.invariant import spectral_match_invariant
@@ -23,21 +23,18 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from stimuli.recording import Recording
 
 TWO, THREE = "two_principal_axes", "three_axes"
 """Their names: the two leading principal axes, and the recording as it is."""
 
 
-def measure_axes(recording: Recording, noise: NDArray[np.float64], *, axes: int) -> Iterator[tuple[Cost, Measures]]:
+def measure_axes(trial: Trial, *, axes: int) -> Iterator[tuple[Cost, Measures]]:
     """Measure what an actuator of several axes can play.
 
     Parameters
     ----------
-    recording : Recording
-        The scene's samples.
-    noise : ndarray, shape (3, n_samples)
-        Sensor noise.
+    trial : Trial
+        The scene.
     axes : int
         Axes of the actuator.
 
@@ -50,20 +47,19 @@ def measure_axes(recording: Recording, noise: NDArray[np.float64], *, axes: int)
     """
     if axes >= 2:  # noqa: PLR2004 - two axes
         work = MEAN + COVARIANCE + 2 * PROJECTION
-        yield Cost(TWO, 2, 3.0 * recording.n_samples, inf, work, 0), _measure_two(recording, noise)
+        yield Cost(TWO, 2, 3.0 * trial.recording.n_samples, inf, work, 0), _measure_two(trial)
     if axes >= 3:  # noqa: PLR2004 - three axes
         yield Cost(THREE, 3, 0.0, 0.0, 0.0, 0), Measures(0.0, 1.0, 1.0, NOISE, 1.0, nan)
 
 
-def _measure_two(recording: Recording, noise: NDArray[np.float64]) -> Measures:
-    samples, rate_hz = recording.acceleration, recording.rate_hz
-    kept, disturbed = _keep_two(samples), _keep_two(samples + noise)
-    together = dft321(kept, rate_hz)
+def _measure_two(trial: Trial) -> Measures:
+    samples, rate_hz = trial.recording.acceleration, trial.recording.rate_hz
+    kept = _keep_two(samples)
     return Measures(
-        level_db=find_level(samples, kept, rate_hz),
-        spectrum=spectral_match_invariant(samples, together, rate_hz),
-        time=float(np.linalg.norm(kept) / np.linalg.norm(samples)),
-        change=find_change(kept, disturbed),
+        level_db=find_level(kept, trial),
+        spectrum=spectral_match_invariant(samples, dft321(kept, rate_hz), rate_hz),
+        time=float(np.sqrt(np.square(kept).sum() / np.square(samples).sum())),
+        change=find_change(kept, _keep_two(trial.disturbed)),
         spectral_match=nan,
         temporal_match=nan,
     )

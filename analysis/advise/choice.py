@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from analysis.advise.axes import measure_axes
-from analysis.advise.measures import make_noise, measure
+from analysis.advise.measures import make_trial, measure
 from analysis.advise.simplicity import find_cost
 from analysis.advise.verdict import Verdict, compare
-from analysis.advise.wording import tell_closest, tell_choice
+from analysis.advise.wording import tell_choice, tell_closest
 from stimuli.perception import felt_level
 from stimuli.reduce import REDUCERS
 from stimuli.spectrum import LOWEST_HZ
@@ -208,11 +208,11 @@ def _measure_all(
     scene: Scene, context: Context, *, seed: int, reducers: Mapping[str, Reducer]
 ) -> Iterator[tuple[Cost, Measures]]:
     recording = scene.recording
-    noise = make_noise(recording, scene.name, seed=seed)
+    trial = make_trial(recording, scene.name, seed=seed)
     for name, reducer in reducers.items():
         cost = find_cost(name, reducer, n_samples=recording.n_samples, rate_hz=recording.rate_hz)
-        yield cost, measure(name, reducer, recording, noise=noise)
-    yield from measure_axes(recording, noise, axes=context.axes)
+        yield cost, measure(name, reducer, trial)
+    yield from measure_axes(trial, axes=context.axes)
 
 
 def _find_problem(scene: Scene) -> str:

@@ -10,15 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stimuli.invariant import spectral_match_invariant, temporal_match_invariant
-from stimuli.match import spectral_match, temporal_match
+from stimuli.match import OriginalSpectrum, temporal_match
 from stimuli.perception import felt_level
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
     from stimuli.recording import Recording
+    from stimuli.reduce import Reducer
 
     Samples = NDArray[np.float64]
 
@@ -71,13 +70,35 @@ class Measures:
         return max(abs(self.level_db), self.gain_db - self.level_db)
 
 
-def make_noise(recording: Recording, name: str, *, seed: int) -> Samples:
-    """Make the sensor noise that a scene is tried with.
+@dataclass(frozen=True, slots=True, eq=False)
+class Trial:
+    """A scene made ready for many reducers: what all of them are compared with is computed once.
 
     Parameters
     ----------
     recording : Recording
         The scene's samples.
+    disturbed : ndarray, shape (3, n_samples)
+        The same with sensor noise of -60 dB.
+    level : float
+        Felt level of the recording, above 0.
+    spectrum : OriginalSpectrum
+        Its smoothed spectrum.
+    """
+
+    recording: Recording
+    disturbed: Samples
+    level: float
+    spectrum: OriginalSpectrum
+
+
+def make_trial(recording: Recording, name: str, *, seed: int) -> Trial:
+    """Make a scene ready.
+
+    Parameters
+    ----------
+    recording : Recording
+        The scene's samples; not silent from 20 to 1000 Hz.
     name : str
         The scene's name: every scene has noise of its own, whatever others there are.
     seed : int
@@ -85,15 +106,16 @@ def make_noise(recording: Recording, name: str, *, seed: int) -> Samples:
 
     Returns
     -------
-    ndarray of float64, shape (3, n_samples)
-        White noise, 60 dB below the scene.
+    Trial
+        The scene with its noise.
     """
-    rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
-    noise = rng.standard_normal(recording.acceleration.shape)
-    return NOISE * noise * np.linalg.norm(recording.acceleration) / np.linalg.norm(noise)
+    samples, rate_hz = recording.acceleration, recording.rate_hz
+    noise = np.random.default_rng([seed, zlib.crc32(name.encode())]).standard_normal(samples.shape)
+    noise *= NOISE * _size(samples) / _size(noise)
+    return Trial(recording, samples + noise, felt_level(samples, rate_hz), OriginalSpectrum(samples, rate_hz))
 
 
-def measure(name: str, reduce: Callable[[Samples, float], Samples], recording: Recording, *, noise: Samples) -> Measures:
+def measure(name: str, reduce: Reducer, trial: Trial) -> Measures:
     """Measure a reducer on a scene.
 
     Parameters
@@ -102,47 +124,43 @@ def measure(name: str, reduce: Callable[[Samples, float], Samples], recording: R
         Of the reducer.
     reduce : callable
         The reducer.
-    recording : Recording
-        The scene's samples; not silent from 20 to 1000 Hz.
-    noise : ndarray, shape (3, n_samples)
-        Sensor noise.
+    trial : Trial
+        The scene.
 
     Returns
     -------
     Measures
         All of them.
     """
-    samples, rate_hz = recording.acceleration, recording.rate_hz
-    reduced, disturbed = reduce(samples, rate_hz), reduce(samples + noise, rate_hz)
+    samples, rate_hz = trial.recording.acceleration, trial.recording.rate_hz
+    reduced = reduce(samples, rate_hz)
     return Measures(
-        level_db=find_level(samples, reduced, rate_hz),
+        level_db=find_level(reduced, trial),
         spectrum=spectral_match_invariant(samples, reduced, rate_hz),
         time=temporal_match_invariant(samples, reduced, rate_hz),
-        change=find_change(reduced, disturbed),
-        spectral_match=spectral_match(samples, reduced, rate_hz),
+        change=find_change(reduced, reduce(trial.disturbed, rate_hz)),
+        spectral_match=float(trial.spectrum.match(reduced)),
         temporal_match=temporal_match(samples, reduced, rate_hz),
         gain_db=GAIN_DB.get(name, 0.0),
     )
 
 
-def find_level(samples: Samples, output: Samples, rate_hz: float) -> float:
+def find_level(output: Samples, trial: Trial) -> float:
     """Compare felt levels.
 
     Parameters
     ----------
-    samples : ndarray, shape (3, n_samples)
-        The recording.
     output : ndarray, shape (n_samples,) or (axes, n_samples)
-        What is felt instead.
-    rate_hz : float
-        Sampling rate in Hz.
+        What is felt instead of the recording.
+    trial : Trial
+        The scene.
 
     Returns
     -------
     float
         In dB, -120 or more.
     """
-    ratio = felt_level(output, rate_hz) / felt_level(samples, rate_hz)
+    ratio = felt_level(output, trial.recording.rate_hz) / trial.level
     return max(20 * math.log10(ratio), SILENT_DB) if ratio > 0 else SILENT_DB
 
 
@@ -159,5 +177,9 @@ def find_change(before: Samples, after: Samples) -> float:
     float
         Relative to the output before; 1 where that is silent.
     """
-    size = np.linalg.norm(before)
-    return float(min(np.linalg.norm(after - before), np.linalg.norm(after + before)) / size) if size > 0 else 1.0
+    size = _size(before)
+    return min(_size(after - before), _size(after + before)) / size if size > 0 else 1.0
+
+
+def _size(samples: Samples) -> float:
+    return math.sqrt(float(np.square(samples).sum()))

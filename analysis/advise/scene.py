@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from math import isfinite
 from typing import TYPE_CHECKING
 
@@ -51,7 +52,7 @@ class Context:
     online: bool = False
     latency_ms: float | None = None
     axes: int = 1
-    tolerance: Tolerance = Tolerance()
+    tolerance: Tolerance = field(default_factory=Tolerance)
 
     def __post_init__(self) -> None:
         """Refuse what cannot be."""
@@ -129,7 +130,7 @@ def split_recording(recording: Recording, segment_s: float | None = None) -> Ite
     length = round(segment_s * recording.rate_hz)
     pieces = max(1, int(recording.n_samples / length + 0.5))
     edges = [*(piece * length for piece in range(pieces)), recording.n_samples]
-    for start, stop in zip(edges, edges[1:], strict=False):
+    for start, stop in pairwise(edges):
         part = replace(recording, acceleration=recording.acceleration[:, start:stop], sha256="")
         seconds = start / recording.rate_hz, stop / recording.rate_hz
         yield Scene(part, recording.name, *seconds, is_segment=pieces > 1)

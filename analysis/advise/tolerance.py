@@ -10,7 +10,7 @@ Energy is also what the metrics compare, so one number serves all of them:
   frequencies): ``w``. A match that is lower by w means that a further share w of the energy is missing or misplaced.
 - *Time* (`temporal_match_invariant`; its square is the share of the motion's energy that goes along with the output):
   that share may fall by ``w`` of the best's. The best is the projection on the first principal axis, by theorem.
-- *Steadiness* (change of the output, up to its sign, under sensor noise of -60 dB): an amplitude of ``sqrt(1 + w) - 1``,
+- *Steadiness* (change of the output, up to its sign, under sensor noise of -60 dB): ``sqrt(1 + w) - 1``, the amplitude
   which in phase with the output changes its energy by w. An output that depends on noise more than that is not
   determined by the scene.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import isinf
+from math import isinf, isnan
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def tell_choice(chosen: Verdict, verdicts: Sequence[Verdict]) -> str:
         One sentence, without a full stop.
     """
     simpler = verdicts[: list(verdicts).index(chosen)]
-    parts = [_tell_simpler([verdict for verdict in simpler if verdict.in_budget])]
+    parts = [_tell_simpler([verdict for verdict in simpler if verdict.in_budget], verdicts)]
     parts += [f"{each.name} is simpler and would do, but {_tell_wait(each)}" for each in _list_barred(simpler)[:1]]
     parts += ["people agree" for _ in range(bool(chosen.rated))]
     parts += ["a close call" for _ in range(chosen.margin < CLOSE)]
@@ -53,17 +53,20 @@ def tell_closest(closest: Verdict, verdicts: Sequence[Verdict]) -> str:
         One sentence, without a full stop.
     """
     barred = _list_barred(verdicts)
-    would = f"{barred[0].name} would do, but {_tell_wait(barred[0])}" if barred else "no other does better in all"
-    return f"it {tell_fault(closest)}; {would}"
+    alone = "no reducer is within tolerance of the best in everything"
+    would = f"{barred[0].name} would do, but {_tell_wait(barred[0])}" if barred else alone
+    return f"it {tell_fault(closest, verdicts)}; {would}"
 
 
-def tell_fault(verdict: Verdict) -> str:
+def tell_fault(verdict: Verdict, verdicts: Sequence[Verdict]) -> str:
     """Say what is most wrong with a reducer's output.
 
     Parameters
     ----------
     verdict : Verdict
         One that does not suffice.
+    verdicts : sequence of Verdict
+        All, among them the best.
 
     Returns
     -------
@@ -76,9 +79,11 @@ def tell_fault(verdict: Verdict) -> str:
     if verdict.shortfall.criterion == "level":
         return _tell_level(measures.level_db, measures.deviation_db)
     if verdict.shortfall.criterion == "spectrum":
-        return f"has only {100 * measures.spectrum:.0f} % of the spectrum right"
+        best = max(other.measures.spectrum for other in verdicts)
+        return f"has {100 * measures.spectrum:.0f} % of the spectrum right, the best {100 * best:.0f} %"
     if verdict.shortfall.criterion == "time":
-        return f"goes along with only {100 * measures.time**2:.0f} % of the motion's energy"
+        best = max(other.measures.time for other in verdicts) ** 2
+        return f"goes along with {100 * measures.time**2:.0f} % of the motion's energy, the best {100 * best:.0f} %"
     return f"changes by {100 * measures.change:.0f} % with sensor noise of -60 dB"
 
 
@@ -91,17 +96,17 @@ def _tell_level(level_db: float, deviation_db: float) -> str:
 def _tell_raters(verdict: Verdict) -> str:
     if verdict.rated is None:
         return "was not rated"
-    if verdict.rated.p != verdict.rated.p:  # noqa: PLR0124 - NaN is the absence of a test
+    if isnan(verdict.rated.p):
         return f"is not shown to feel like {verdict.rated.best}, because there is no margin or no error to test with"
     return f"is not shown to feel like {verdict.rated.best} (p of equivalence {verdict.rated.p:.2g})"
 
 
-def _tell_simpler(simpler: Sequence[Verdict]) -> str:
+def _tell_simpler(simpler: Sequence[Verdict], verdicts: Sequence[Verdict]) -> str:
     if not simpler:
         return "nothing is simpler"
     # Those that the metrics would let pass come first: people's word against them is the reason to be told.
     nearest = min(simpler, key=lambda verdict: (not verdict.fits, verdict.shortfall.worst))
-    return f"the best of the simpler, {nearest.name}, {tell_fault(nearest)}"
+    return f"the best of the simpler, {nearest.name}, {tell_fault(nearest, verdicts)}"
 
 
 def _list_barred(verdicts: Sequence[Verdict]) -> list[Verdict]:

@@ -7,14 +7,72 @@ from typing import TYPE_CHECKING
 import click
 
 from study.commands.methods import method_options
+from study.commands.shared import print_json, show_progress
 
 if TYPE_CHECKING:
+    from analysis.advise.scene import Context
+    from analysis.advise.verdict import Rated
     from study.commands.methods import Task
+    from study.folder import StudyFolder
+
+    Ratings = dict[str, dict[str, Rated]]
 
 
-@click.command(epilog="Example: feel321 advise my-study --scenes")
+@click.command(epilog="Example: feel321 advise my-study --scenes --online --latency-ms 45")
 @method_options("advice")
-def advise(*, task: Task, as_json: bool) -> None:
-    """Name the simplest sufficient reducer of every scene."""
-    del task, as_json
-    raise NotImplementedError
+@click.option("--online", is_flag=True, help="The reducer runs while the vibration is made.")
+@click.option("--latency-ms", type=float, help="Longest delay online, in ms.  [default: 45]")
+@click.option("--axes", type=int, default=1, show_default=True, help="Axes that the actuator can move, 1 to 3.")
+@click.option("--tolerance", type=float, help="Weber fraction of energy that nobody feels.  [default: 0.22]")
+@click.option("--segment", "segment_s", type=float, help="Advise for segments of so many seconds.")
+def advise(  # noqa: PLR0913 - every option has a name of its own
+    *,
+    task: Task,
+    as_json: bool,
+    online: bool,
+    latency_ms: float | None,
+    axes: int,
+    tolerance: float | None,
+    segment_s: float | None,
+) -> None:
+    """Name the simplest sufficient reducer of every scene.
+
+    The first, by simplicity, that is equivalent to the best within tolerance: by metrics, and by ratings where the
+    study has them.
+    """
+    from analysis.advise.report import advise_recordings, write_advice
+
+    context = _make_context(online=online, latency_ms=latency_ms, axes=axes, tolerance=tolerance)
+    with show_progress("advise") as progress:
+        study = advise_recordings(
+            task.recordings, context, seed=task.seed, segment_s=segment_s, ratings=_hear(task.study), progress=progress
+        )
+        content = write_advice(study, task.output)
+    if as_json:
+        print_json(content)
+        return
+    for advice in study.advices:
+        click.echo(advice.line)
+    click.echo(study.summary)
+    click.echo(task.output / "index.html")
+
+
+def _make_context(*, online: bool, latency_ms: float | None, axes: int, tolerance: float | None) -> Context:
+    from analysis.advise.scene import Context
+    from analysis.advise.tolerance import Tolerance
+
+    try:
+        limits = Tolerance() if tolerance is None else Tolerance(tolerance)
+        return Context(online=online, latency_ms=latency_ms, axes=axes, tolerance=limits)
+    except ValueError as error:
+        raise click.UsageError(f"--{error}") from None
+
+
+def _hear(study: StudyFolder) -> Ratings:
+    """Read what people said, if they have said something."""
+    if not (study.ratings.is_file() and study.manifest.is_file()):
+        return {}
+    from analysis.advise.rated import judge_ratings
+    from analysis.table import read_table
+
+    return judge_ratings(read_table(study.ratings, study.manifest))

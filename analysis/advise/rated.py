@@ -1,0 +1,87 @@
+"""What people said of a scene: whether a reducer is shown to feel like the one that they rated highest.
+
+The contrasts are those of the report (`analysis.sections.contrasts`), fitted to the ratings of one recording, and the
+margin is the study's: half the spread with which people repeat their ratings, on that scale and level. A reducer passes
+if two one-sided tests show its equivalence with the best-rated one on every scale and level; "not significantly
+different" passes nobody.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from analysis.advise.verdict import Rated
+from analysis.sections.choices import Choices
+from analysis.sections.contrasts import compute, find_repeat_sd
+from analysis.sections.parts import split_parts
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+    from analysis.sections.parts import Part
+    from analysis.table import Table
+
+
+def judge_ratings(table: Table) -> dict[str, dict[str, Rated]]:
+    """Judge the reducers of every recording by its ratings.
+
+    Parameters
+    ----------
+    table : Table
+        Ratings of a study.
+
+    Returns
+    -------
+    dict
+        Recording -> reducer -> what people said; recordings with fewer than two rated reducers are left out.
+    """
+    parts = [(part, _find_margin(part)) for part in split_parts(table)]
+    recordings = dict.fromkeys(name for part, _ in parts for name in part.rows["recording"].astype(str))
+    judged = {name: [_judge_part(part, margin, name) for part, margin in parts] for name in recordings}
+    return {name: found for name, by_part in judged.items() if (found := _join([each for each in by_part if each]))}
+
+
+def _find_margin(part: Part) -> float | None:
+    sd, _ = find_repeat_sd(part.rows)
+    return sd / 2 if sd > 0 else None
+
+
+def _judge_part(part: Part, margin: float | None, recording: str) -> dict[str, Rated]:
+    rows = part.rows[part.rows["recording"].astype(str) == recording]
+    means = rows.groupby(rows["reducer"].astype(str))["rating"].mean()
+    if len(means) < 2:  # noqa: PLR2004 - one reducer is like no other
+        return {}
+    best = str(means.idxmax())
+    tested = _test(rows, margin) if margin is not None else {}
+    return {
+        str(name): Rated(is_best=name == best, best=best, p=tested.get(frozenset({str(name), best}), float("nan")))
+        for name in means.index
+    }
+
+
+def _test(rows: DataFrame, margin: float) -> dict[frozenset[str], float]:
+    """Test the equivalence of every two reducers, as the report does."""
+    from analysis.table import Table
+
+    section = compute(Table(rows, (), ()), Choices(margin=margin))
+    if "contrasts" not in section.tables:
+        return {}
+    pairs = section.tables["contrasts"]
+    return {
+        frozenset({str(first), str(second)}): float(p)
+        for first, second, p in zip(pairs["first"], pairs["second"], pairs["p_equivalence"], strict=True)
+    }
+
+
+def _join(by_part: list[dict[str, Rated]]) -> dict[str, Rated]:
+    """Keep what each reducer is shown to be least: it must pass on every scale and level."""
+    names = dict.fromkeys(name for found in by_part for name in found)
+    return {name: _find_least([found[name] for found in by_part if name in found]) for name in names}
+
+
+def _find_least(said: list[Rated]) -> Rated:
+    least = max(said, key=lambda rated: 0.0 if rated.is_best else np.inf if np.isnan(rated.p) else rated.p)
+    return replace(least, is_best=all(rated.is_best for rated in said))
