@@ -140,13 +140,14 @@ def _ordinary(rng: np.random.Generator) -> Samples:
 
 
 def _anti_phase(rng: np.random.Generator) -> Samples:
-    return np.array([[1.0], [-0.5], [-0.5]]) * 4 * make_texture(rng)
+    return np.asarray(np.array([[4.0], [-2.0], [-2.0]]) * make_texture(rng))
 
 
 def _turning(semi_axes: tuple[float, float]) -> Maker:
     def make(rng: np.random.Generator) -> Samples:
         angle = 2 * np.pi * (150 * TIME_S + rng.uniform())
-        return np.array(PLANE).T @ np.array([semi_axes[0] * np.cos(angle), semi_axes[1] * np.sin(angle)])
+        first, second = semi_axes
+        return np.asarray(np.array(PLANE).T @ np.array([first * np.cos(angle), second * np.sin(angle)]))
 
     return make
 
@@ -184,7 +185,7 @@ def _weak(rng: np.random.Generator) -> Samples:
 
 
 def _in_phase(rng: np.random.Generator) -> Samples:
-    return np.array([[1.0], [1.0], [0.1]]) * 4 * make_texture(rng)
+    return np.asarray(np.array([[4.0], [4.0], [0.4]]) * make_texture(rng))
 
 
 def _clip(samples: Samples, rng: np.random.Generator) -> Samples:
@@ -216,7 +217,7 @@ def _impulse(rng: np.random.Generator) -> Samples:
     # Where one frame ends, the next but one begins, and the one between is at its middle; modes differ by axis.
     start = int(rng.integers(5, 20)) * WINDOW
     modes = ((95.0, 0.0075), (210.0, 0.0045), (340.0, 0.0035))
-    return 40 * np.array([make_tap(start, frequency_hz=f, decay_s=d) for f, d in modes])
+    return np.asarray(40 * np.array([make_tap(start, frequency_hz=f, decay_s=d) for f, d in modes]))
 
 
 def _between_bins(rng: np.random.Generator) -> Samples:
@@ -242,14 +243,14 @@ def _near_silence(rng: np.random.Generator) -> Samples:
 
 _EIGENVALUES = ("eigenvalue_ratio", "ambiguous_windows")
 _SCENES = (
-    Scene("ordinary_drag", "Ordinary drag (control)", "One clear direction, broad band: what fails here fails everywhere.",
+    Scene("ordinary_drag", "Ordinary drag (control)", "One clear direction: what fails here fails everywhere.",
           _ordinary),
-    Scene("anti_phase", "Anti-phase axes", "x is undone by y and z at every frequency: the phase of the sum is undetermined.",
+    Scene("anti_phase", "Anti-phase axes", "x cancels y and z everywhere: the sum has no phase of its own.",
           _anti_phase, ("undetermined_share",),
           (Failing("dft321", "gain"), Failing("dft321_windowed", "gain"), Failing("soc321", "energy"))),
     Scene("circular", "Circular motion", "In the plane of the turn all directions hold the same energy: none leads.",
           _turning((6.0, 6.0)), _EIGENVALUES, (Failing("pca321", "gain"), Failing("pca321", "rotation"))),
-    Scene("elliptic", "Elliptic motion", "A long axis leads by little, and what goes round has a phase for every mounting.",
+    Scene("elliptic", "Elliptic motion", "What goes round has another phase on every axis of every mounting.",
           _turning((6.0, 5.0)), _EIGENVALUES, (Failing("dft321", "rotation"), Failing("dft321", "flip"))),
     Scene("equal_eigenvalues", "Equal eigenvalues", "Independent axes of equal energy: a principal axis is chance.",
           _isotropic, _EIGENVALUES, (Failing("pca321", "gain"), Failing("dft321", "rotation"))),
@@ -275,7 +276,7 @@ _SCENES = (
           _chirp, ("ambiguous_windows", "undetermined_share"), (Failing("dft321", "rotation"),)),
     Scene("very_short", "12 samples", "Shorter than a window: nothing to average over.",
           _short, ("n_windows",), (Failing("sax321", "energy"),)),
-    Scene("near_silence", "Near silence", "After one tap only sensor noise, 80 dB below: axes are chance there, metrics rest on it.",
+    Scene("near_silence", "Near silence", "After one tap only noise, 80 dB below: its direction is chance.",
           _near_silence, ("silence_share",)),
     Scene("rate_mismatch", "Sample-rate mismatch", "y's clock runs 0.3 % fast: the axes slide through anti-phase.",
           _in_phase, ("undetermined_share",), (Failing("dft321", "rotation"),), _run_fast),

@@ -333,7 +333,7 @@ def _covariance(samples: Samples) -> Samples:
 def _ratios(covariances: Samples) -> Samples:
     values = np.maximum(np.linalg.eigvalsh(covariances), 0.0)
     first, second = values[..., 2], values[..., 1]
-    return np.divide(second, first, out=np.zeros_like(first), where=first > 0)
+    return np.asarray(np.divide(second, first, out=np.zeros_like(first), where=first > 0))
 
 
 def _clipped_of(axis: Samples) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from analysis.figures.style import BLACK, CM_PER_INCH, COLUMN_CM, GREY, THIN, print_style
 from analysis.figures.text import fit_text
@@ -84,10 +84,10 @@ def _draw_cell(axes: Axes, cells: Mapping[str, Cell], *, place: tuple[int, int])
         box.set_url(f"#{gain.recording}-{gain.reducer}")
     axes.add_patch(box)
     weight = "bold" if gain.grade == "fails" else "normal"
-    colour, middle = LETTERS[gain.grade], column + 0.5
-    axes.text(middle, row + (0.32 if others else 0.5), tell_gain(gain.value), color=colour, size=VALUE_SIZE, weight=weight, ha="center",
-              va="center")  # fmt: skip
-    axes.text(middle, row + 0.74, others, color=colour, size=MARK_SIZE, ha="center", va="center")
+    look: dict[str, Any] = {"color": LETTERS[gain.grade], "ha": "center", "va": "center"}
+    high = row + (0.32 if others else 0.5)
+    axes.text(column + 0.5, high, tell_gain(gain.value), size=VALUE_SIZE, weight=weight, **look)
+    axes.text(column + 0.5, row + 0.74, others, size=MARK_SIZE, **look)
 
 
 def tell_gain(gain: float) -> str:

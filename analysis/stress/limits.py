@@ -105,8 +105,8 @@ _MEASURES = (
             "that: half or double the energy."),
     Measure("spread", "M", "Spread of the metrics", "SD of a metric over rotations", "", 0.05, 0.1,
             "Standard deviation of the match metrics over random orientations of the sensor, the larger of the two.",
-            "in the paper's Table 1 the better methods lie 0.1 apart in temporal match (0.40, 0.46, 0.51): the mounting "
-            "then decides as much as the method."),
+            "in the paper's Table 1 the better methods lie 0.1 apart in temporal match (0.40, 0.46, 0.51): "
+            "the mounting then decides as much as the method."),
     Measure("fault", "D", "Damage by the fault", "fault amplified", "", 1.5, 2.0,
             "How many times more the output changes than the input, by the fault of the scene (clipping, steps, gaps, "
             "clocks).",

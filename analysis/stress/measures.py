@@ -30,7 +30,7 @@ FLIPS = np.array([[-1.0, 1.0, 1.0], [1.0, -1.0, 1.0], [1.0, 1.0, -1.0]])
 """The axis signs that differ by more than the sign of everything."""
 
 
-def perturbation_gain(  # noqa: PLR0913 - level and freedom are what the literature varies
+def perturbation_gain(
     reduce: Reducer,
     recording: Recording,
     *,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -20,7 +21,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from analysis.stress.cells import Cell
+    from analysis.stress.metrics import MetricRow
     from analysis.stress.result import StressResult
+    from analysis.stress.signs import Diagnosis
 
 CAPTION = (
     "Where reducers fail. Each cell: perturbation gain of a reducer (column) on a scene (row) and the letters of the "
@@ -99,9 +102,9 @@ def render_page(result: StressResult, *, figures: Path) -> str:
         grids={measure: list(_list_rows(result, measure)) for measure in MEASURES},
         explained={scene: list(_explain(result, scene)) for scene in BATTERY},
         near={scene: result.find_near(scene) for scene in BATTERY},
-        recordings=[_show_recording(result, number) for number in range(len(result.diagnoses))],
+        recordings=[_show_recording(diagnosis) for diagnosis in result.diagnoses],
         gains=list(_list_gains(result)),
-        metrics=[_show_metrics(result, number) for number in range(len(result.metrics))],
+        metrics=[_show_metrics(row) for row in result.metrics],
     )
 
 
@@ -146,7 +149,7 @@ def tell_figure(value: float, unit: str = "") -> str:
     >>> tell_figure(1389.6), tell_figure(1e-16), tell_figure(-4.77, "dB"), tell_figure(0.1234)
     ('1390', '0', '−4.8 dB', '0.123')
     """
-    if value != value:  # noqa: PLR0124 - NaN
+    if math.isnan(value):
         return ABSENT
     if abs(value) < 5e-4:  # noqa: PLR2004 - less than the last digit shown
         return "0"
@@ -184,16 +187,15 @@ def _tell_failure(cell: Cell) -> str:
     notes = [f"limit {measure.fails:g}"]
     if cell.measure in {"gain", "rotation", "shift"}:
         notes.append(f"worst draw {tell_figure(cell.worst)}")
-    if cell.up_to_phase == cell.up_to_phase:  # noqa: PLR0124 - not NaN
+    if not math.isnan(cell.up_to_phase):
         notes.append(f"{tell_figure(cell.up_to_phase)} up to a constant phase")
     return f"{measure.title} {value} ({', '.join(notes)}): {tell_reason(cell.measure, cell.reducer)}"
 
 
-def _show_recording(result: StressResult, number: int) -> tuple[str, list[Shown]]:
-    diagnosis = result.diagnoses[number]
+def _show_recording(diagnosis: Diagnosis) -> tuple[str, list[Shown]]:
     near = set(diagnosis.near_signs)
     values = [
-        Shown(sign.tell(diagnosis.values[name]), "caution" if sign in near else "") for name, sign in SIGNS.items()
+        Shown(sign.tell(diagnosis.figures[name]), "caution" if sign in near else "") for name, sign in SIGNS.items()
     ]
     return diagnosis.recording, values
 
@@ -204,8 +206,7 @@ def _list_gains(result: StressResult) -> Iterator[tuple[str, Sequence[Shown]]]:
         yield diagnosis.recording, [_show(cell, linked=False) for cell in own]
 
 
-def _show_metrics(result: StressResult, number: int) -> tuple[str, list[Shown]]:
-    row = result.metrics[number]
+def _show_metrics(row: MetricRow) -> tuple[str, list[Shown]]:
     title = BATTERY[row.recording].title if row.recording in BATTERY else row.recording
     low, high, still = (tell_figure(value) for value in (row.temporal_low, row.temporal_high, row.invariant_high))
     moved = tell_figure(row.invariant_high - row.invariant_low)

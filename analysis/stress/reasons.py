@@ -36,8 +36,8 @@ REASONS: Mapping[tuple[str, str], str] = MappingProxyType({
     ("energy", "pca321"): _LOST, ("energy", "pca321_adaptive"): _LOST,
     ("energy", "soc321"): "axes in phase add up to too much, axes in anti-phase cancel.",
     ("energy", "mag321"): "the length of the vector is mostly offset, which is not felt; its ripple is what remains.",
-    ("fault", "dft321"): "the fault changes the phase of x + y + z at frequencies whose energy it does not touch.",
-    ("fault", "dft321_windowed"): "the fault changes the phase of x + y + z at frequencies whose energy it leaves alone.",
+    ("fault", "dft321"): "the fault changes the phase of x + y + z at frequencies whose energy it spares.",
+    ("fault", "dft321_windowed"): "the fault changes the phase of x + y + z at frequencies whose energy it spares.",
     ("energy", "dft321_windowed"): "within a frame slow motion is an offset, whose axes are merged like a vibration's.",
 })  # fmt: skip
 """(measure, reducer) -> why."""

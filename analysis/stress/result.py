@@ -106,7 +106,7 @@ class StressResult:
             "gains": [{**asdict(cell), "grade": cell.grade} for cell in self.gains],
             "metrics": [asdict(row) for row in self.metrics],
             "recordings": [
-                {"name": one.recording, "values": dict(one.values), "near": one.near_scenes} for one in self.diagnoses
+                {"name": one.recording, "figures": dict(one.figures), "near": one.near_scenes} for one in self.diagnoses
             ],
             "notes": self.notes,
             "inputs": dict(self.inputs),
@@ -124,7 +124,7 @@ class StressResult:
         """
         import pandas as pd
 
-        diagnoses = [{"recording": one.recording, **one.values} for one in self.diagnoses]
+        diagnoses = [{"recording": one.recording, **one.figures} for one in self.diagnoses]
         frames = (
             _tabulate_cells(self.cells),
             pd.DataFrame([asdict(row) for row in self.metrics]),
@@ -174,7 +174,7 @@ _SINGLE = ("sax321", "say321", "saz321")
 
 def _tell_near(diagnosis: Diagnosis, scene: str) -> str:
     signs = [sign for sign in diagnosis.near_signs if sign.name in BATTERY[scene].signs]
-    told = ", ".join(f"{sign.title} {sign.tell(diagnosis.values[sign.name])}" for sign in signs)
+    told = ", ".join(f"{sign.title} {sign.tell(diagnosis.figures[sign.name])}" for sign in signs)
     return f"{diagnosis.recording} ({told})"
 
 

@@ -29,7 +29,7 @@ GAIN_DRAWS = 6
 """Noises per recording; the battery, which is shorter, gets more."""
 
 
-def stress_reducers(  # noqa: PLR0913 - every choice that changes the figures has a name of its own
+def stress_reducers(
     recordings: Sequence[Recording] = (),
     reducers: Mapping[str, Reducer] = REDUCERS,
     *,
@@ -78,7 +78,7 @@ def stress_reducers(  # noqa: PLR0913 - every choice that changes the figures ha
     scenes = [scene.make(seed) for scene in BATTERY.values()]
     moving = [recording for recording in recordings if recording.acceleration.any()]
     step, total = len(scenes) * len(reducers), (len(scenes) + len(moving)) * len(reducers)
-    tell = progress or (lambda done, total: None)
+    tell = progress or _stay_silent
     cells = measure_cells(
         scenes, reducers, clean={scene.name: scene.make_clean(seed) for scene in BATTERY.values() if scene.fault},
         draws=draws, seed=seed, progress=lambda done, _: tell(done, total),
@@ -169,6 +169,10 @@ def write_stress(result: StressResult, folder: Path | str) -> Path:
         (place / "index.html").write_text(page, encoding="utf-8", newline="")
         replace_report(place, target, files=list_files(FIGURES, TABLES))
     return target / "index.html"
+
+
+def _stay_silent(done: int, total: int) -> None:
+    del done, total
 
 
 def _compare(recording: Recording, reducers: Mapping[str, Reducer], seed: int) -> MetricRow:

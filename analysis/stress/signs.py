@@ -109,7 +109,7 @@ _SIGNS = (
     Sign("held_share", "Repeated samples", diagnosis.held_share, "sensor", 0.01, "share",
          "{} of the samples repeat the one before on all axes, as filled gaps do", _FOURIER),
     Sign("crest_factor", "Peak / RMS", diagnosis.crest_factor, "felt", 12.0, "number",
-         "the peak is {} times the RMS; whole-signal spectra spread such impulses in time", ("dft321",)),
+         "the peak is {} times the RMS; a few moments decide axes and spectra", ("dft321",)),
     Sign("tonal_share", "Energy in one tone", diagnosis.tonal_share, "felt", 0.8, "share",
          "{} of the energy is one tone; other bands are nearly empty and spectral match rests on them", ()),
     Sign("n_windows", "Duration in windows", diagnosis.n_windows, "felt", 10.0, "number",
@@ -130,17 +130,17 @@ class Diagnosis:
     ----------
     recording : str
         Its name.
-    values : Mapping of str to float
+    figures : Mapping of str to float
         Figure of each of `SIGNS`.
     """
 
     recording: str
-    values: Mapping[str, float]
+    figures: Mapping[str, float]
 
     @property
     def near_signs(self) -> tuple[Sign, ...]:
         """The signs that are beyond their limits."""
-        return tuple(sign for sign in SIGNS.values() if sign.is_near(self.values[sign.name]))
+        return tuple(sign for sign in SIGNS.values() if sign.is_near(self.figures[sign.name]))
 
     @property
     def near_scenes(self) -> tuple[str, ...]:
@@ -191,7 +191,7 @@ def warn_of(diagnosis: Diagnosis, cells: Sequence[Cell]) -> tuple[str, ...]:
     gains = {cell.reducer: cell.value for cell in cells if cell.recording == diagnosis.recording}
     lines, caution = [], MEASURES["gain"].caution
     for sign in diagnosis.near_signs:
-        line = sign.words.format(sign.tell(diagnosis.values[sign.name]))
+        line = sign.words.format(sign.tell(diagnosis.figures[sign.name]))
         touched = [f"{name} (gain {gains[name]:.2g})" for name in sign.sensitive if gains.get(name, 0.0) >= caution]
         lines.append(f"{line}: {_join(touched)} here" if touched else line)
     return tuple(lines)
