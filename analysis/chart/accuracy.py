@@ -118,20 +118,13 @@ def change_rate(recording: Recording, rate_hz: float) -> Recording:
     recording : Recording
         Any.
     rate_hz : float
-        The new rate, not above its own: nothing can be put back.
+        The new rate.
 
     Returns
     -------
     Recording
         Same name.
-
-    Raises
-    ------
-    ValueError
-        If the rate is higher.
     """
-    if rate_hz > recording.rate_hz:
-        raise ValueError(f"rate_hz: got {rate_hz:g}, allowed is up to {recording.rate_hz:g}, the recording's own")
     samples = resample(recording.acceleration, recording.rate_hz, to_hz=rate_hz)
     return replace(recording, acceleration=samples, rate_hz=rate_hz, sha256="")
 

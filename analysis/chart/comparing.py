@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.chart.pareto import dominates, find_front
+from analysis.chart.pareto import dominates
 from analysis.chart.records import MEASURES, Accuracy, Cost, Dominance, Point
 
 if TYPE_CHECKING:
@@ -69,10 +69,38 @@ def mark_front(points: Sequence[Point]) -> list[Point]:
     Returns
     -------
     list of Point
-        The same, marked.
+        The same. Off the front is what is dominated with at least one advantage beyond the measurement's noise:
+        methods that cannot be told apart stand or fall together.
     """
-    front = find_front([[point.ns_per_sample, -point.mean] for point in points])
-    return [replace(point, on_front=bool(on)) for point, on in zip(points, front, strict=True)]
+    beaten = dominates([[point.ns_per_sample, -point.mean] for point in points])
+    return [
+        replace(
+            loser, on_front=not any(beaten[i, j] and is_clear([loser], [winner]) for i, winner in enumerate(points))
+        )
+        for j, loser in enumerate(points)
+    ]
+
+
+def is_clear(losers: Sequence[Point], winners: Sequence[Point]) -> bool:
+    """Tell whether any advantage is beyond the measurement's noise.
+
+    Parameters
+    ----------
+    losers, winners : sequence of Point
+        The same measures of two methods.
+
+    Returns
+    -------
+    bool
+        Whether the quartiles of cost are apart, latency differs, or a mean by more than two standard errors.
+    """
+    faster = winners[0].high < losers[0].low
+    sooner = _tell_latency(winners[0]) < _tell_latency(losers[0])
+    nearer = any(
+        good.mean - poor.mean > BEYOND_NOISE * math.hypot(good.se, poor.se)
+        for good, poor in zip(winners, losers, strict=True)
+    )
+    return faster or sooner or nearer
 
 
 def list_dominated(points: Sequence[Point], accuracies: Sequence[Accuracy]) -> list[Dominance]:
@@ -111,19 +139,16 @@ def _place(own: Sequence[Accuracy], cost: Cost, *, latency_s: float | None) -> P
 
 
 def _tell_objectives(row: Sequence[Point]) -> list[float]:
-    latency = math.inf if row[0].latency_s is None else row[0].latency_s
-    return [row[0].ns_per_sample, latency, *(-point.mean for point in row)]
+    return [row[0].ns_per_sample, _tell_latency(row[0]), *(-point.mean for point in row)]
+
+
+def _tell_latency(point: Point) -> float:
+    return math.inf if point.latency_s is None else point.latency_s
 
 
 def _name_dominance(loser: Sequence[Point], winner: Sequence[Point], accuracies: Sequence[Accuracy]) -> Dominance:
-    faster = winner[0].high < loser[0].low
-    sooner = _tell_objectives(winner)[1] < _tell_objectives(loser)[1]
-    nearer = any(
-        good.mean - poor.mean > BEYOND_NOISE * math.hypot(good.se, poor.se)
-        for good, poor in zip(winner, loser, strict=True)
-    )
     scenes = _compare_scenes(loser[0].method, winner[0].method, accuracies)
-    return Dominance(loser[0].reducer, winner[0].reducer, faster or sooner or nearer, sum(scenes), len(scenes))
+    return Dominance(loser[0].reducer, winner[0].reducer, is_clear(loser, winner), sum(scenes), len(scenes))
 
 
 def _compare_scenes(loser: str, winner: str, accuracies: Sequence[Accuracy]) -> list[bool]:

@@ -9,9 +9,11 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from analysis.chart.axes import CUT, limit_accuracy, look_up, tell_measure, write_plainly
+from analysis.chart.pareto import find_front
 from analysis.chart.records import MEASURES
 from analysis.figures.legend import add_legend, make_handles
-from analysis.figures.style import BLACK, GREY, THIN, Look, assign_looks, new_canvas, print_style
+from analysis.figures.style import BLACK, GREY, THIN, Look, new_canvas, print_style
 from analysis.words import tell_name
 
 if TYPE_CHECKING:
@@ -23,29 +25,10 @@ if TYPE_CHECKING:
     from analysis.chart.chart import Chart
     from analysis.chart.records import Accuracy, Point, Rated
 
-CUT = -1.0
-"""Accuracies below this stand at the edge: spectral match knows no bottom."""
-
 AT_ONCE_MS, OFFLINE_MS = 2.5, 800.0
 """Where, on the axis of latencies, those stand that have none, and those that need the whole signal."""
 
 COST_AXIS = "Cost of one sample (ns)"
-
-
-def look_up(chart: Chart) -> dict[str, Look]:
-    """Give every reducer of a chart its look.
-
-    Parameters
-    ----------
-    chart : Chart
-        Its points name the reducers.
-
-    Returns
-    -------
-    dict of str to Look
-        In the order of the chart.
-    """
-    return assign_looks(list(dict.fromkeys(point.reducer for point in chart.points)))
 
 
 def draw_cost(chart: Chart, measures: Sequence[str] = MEASURES[:2]) -> Figure:
@@ -73,9 +56,10 @@ def draw_cost(chart: Chart, measures: Sequence[str] = MEASURES[:2]) -> Figure:
             _draw_front(axes, points)
             for point in points:
                 own = [row for row in scenes if row.method == point.method]
-                _draw_point(axes, point, own, looks[point.reducer])
+                _draw_point(axes, point, scenes=own, look=looks[point.reducer])
             axes.set(ylabel=tell_measure(measure), ylim=limit_accuracy(scenes))
         panels[-1].set(xscale="log", xlabel=COST_AXIS)
+        write_plainly(panels[-1].xaxis)
         add_legend(figure, make_handles(looks))
     return figure
 
@@ -101,7 +85,9 @@ def draw_latency(chart: Chart, measures: Sequence[str] = MEASURES[:2]) -> Figure
         panels = figure.subplots(len(measures), sharex=True, squeeze=False)[:, 0]
         for axes, measure in zip(panels, measures, strict=True):
             shown = [row for row in chart.accuracies if row.measure == measure and row.sweep in {"reducer", "window"}]
-            _draw_latencies(axes, [point for point in chart.points if point.measure == measure], shown, looks)
+            _draw_latencies(
+                axes, [point for point in chart.points if point.measure == measure], rows=shown, looks=looks
+            )
             axes.set(ylabel=tell_measure(measure), ylim=limit_accuracy(shown))
         panels[-1].set(xscale="log", xlabel="Algorithmic latency, window (ms)", xlim=(AT_ONCE_MS / 2, 2 * OFFLINE_MS))
         panels[-1].minorticks_off()
@@ -133,58 +119,23 @@ def draw_rated(chart: Chart, scale: str, level: str) -> Figure:
         figure = new_canvas(6.0)
         axes = figure.subplots()
         for row in rated:
-            _draw_rating(axes, row, costs[row.reducer], looks[row.reducer])
+            _draw_rating(axes, row, cost=costs[row.reducer], look=looks[row.reducer])
         axes.set(xscale="log", xlabel=COST_AXIS, ylabel=f"Mean {tell_name(scale)} (0 to 100)")
+        write_plainly(axes.xaxis)
         add_legend(figure, make_handles({row.reducer: looks[row.reducer] for row in rated}))
     return figure
 
 
-def tell_measure(measure: str) -> str:
-    """Label an axis by its measure.
-
-    Parameters
-    ----------
-    measure : str
-        One of `MEASURES`.
-
-    Returns
-    -------
-    str
-        Its name in words.
-
-    Examples
-    --------
-    >>> tell_measure("temporal_match_invariant")
-    'Temporal match, invariant'
-    """
-    name = tell_name(measure.removesuffix("_invariant"))
-    return name[:1].upper() + name[1:] + (", invariant" if measure.endswith("_invariant") else "")
-
-
-def limit_accuracy(rows: Sequence[Accuracy]) -> tuple[float, float]:
-    """Find the ends of an axis of accuracy.
-
-    Parameters
-    ----------
-    rows : sequence of Accuracy
-        What it shows.
-
-    Returns
-    -------
-    low, high : float
-        From `CUT` or above to 1, with a margin.
-    """
-    lowest = max(CUT, min(0.0, *(row.mean for row in rows), 0.0))
-    return lowest - 0.04 * (1 - lowest), 1 + 0.04 * (1 - lowest)
-
-
 def _draw_front(axes: Axes, points: Sequence[Point]) -> None:
-    front = sorted((point for point in points if point.on_front), key=lambda point: point.ns_per_sample)
+    strict = find_front([[point.ns_per_sample, -point.mean] for point in points])
+    front = sorted(
+        (point for point, on in zip(points, strict, strict=True) if on), key=lambda point: point.ns_per_sample
+    )
     x, y = [point.ns_per_sample for point in front], [max(point.mean, CUT) for point in front]
     axes.plot(x, y, drawstyle="steps-post", color=BLACK, linestyle=(0, (3, 2)), linewidth=0.7, zorder=1)
 
 
-def _draw_point(axes: Axes, point: Point, scenes: Sequence[Accuracy], look: Look) -> None:
+def _draw_point(axes: Axes, point: Point, *, scenes: Sequence[Accuracy], look: Look) -> None:
     x = point.ns_per_sample
     axes.vlines(x, max(point.lowest, CUT), max(point.highest, CUT), colors=look.colour, linewidths=0.5, alpha=0.5)
     for row in scenes:
@@ -198,23 +149,26 @@ def _draw_point(axes: Axes, point: Point, scenes: Sequence[Accuracy], look: Look
 
 
 def _draw_latencies(
-    axes: Axes, points: Sequence[Point], rows: Sequence[Accuracy], looks: Mapping[str, Look]
+    axes: Axes, points: Sequence[Point], *, rows: Sequence[Accuracy], looks: Mapping[str, Look]
 ) -> None:
+    for border in (5.0, 400.0):
+        axes.axvline(border, color=GREY, linewidth=THIN, linestyle=(0, (1, 2)), zorder=0)
     windows = _group_windows(rows)
     alone = [point for point in points if point.reducer not in windows]
-    for place, offline in ((AT_ONCE_MS, False), (OFFLINE_MS, True)):
+    for spot, offline in ((AT_ONCE_MS, False), (OFFLINE_MS, True)):
         own = [point for point in alone if (point.latency_s is None) == offline]
         for number, point in enumerate(own):
-            x = place * _step_aside(number, len(own), 0.09)
+            x = spot * _step_aside(number, len(own), 0.09)
             means = [row.mean for row in rows if row.method == point.method]
-            _draw_bar(axes, x, means, looks[point.reducer])
+            _draw_bar(axes, x, means, look=looks[point.reducer])
     for number, (reducer, by_window) in enumerate(windows.items()):
         shift = _step_aside(number, len(windows), 0.06)
-        x = [window * shift for window in by_window]
-        look = looks[reducer]
-        axes.plot(x, [max(sum(own) / len(own), CUT) for own in by_window.values()], color=look.colour, linewidth=0.8)
-        for place, means in zip(x, by_window.values(), strict=True):
-            _draw_bar(axes, place, means, look)
+        spots, look = [window * shift for window in by_window], looks[reducer]
+        axes.plot(
+            spots, [max(sum(own) / len(own), CUT) for own in by_window.values()], color=look.colour, linewidth=0.8
+        )
+        for place, means in zip(spots, by_window.values(), strict=True):
+            _draw_bar(axes, place, means, look=look)
 
 
 def _group_windows(rows: Sequence[Accuracy]) -> dict[str, dict[float, list[float]]]:
@@ -232,7 +186,7 @@ def _step_aside(number: int, of: int, step: float) -> float:
     return math.exp(2.3 * step * (number - (of - 1) / 2))
 
 
-def _draw_bar(axes: Axes, x: float, means: Sequence[float], look: Look) -> None:
+def _draw_bar(axes: Axes, x: float, means: Sequence[float], *, look: Look) -> None:
     axes.vlines(x, max(min(means), CUT), max(*means, CUT), colors=look.colour, linewidths=0.5, alpha=0.5, zorder=1)
     axes.plot(
         x, max(sum(means) / len(means), CUT), marker=look.marker, color=look.colour, markeredgecolor="white",
@@ -240,7 +194,7 @@ def _draw_bar(axes: Axes, x: float, means: Sequence[float], look: Look) -> None:
     )  # fmt: skip
 
 
-def _draw_rating(axes: Axes, row: Rated, cost: float, look: Look) -> None:
+def _draw_rating(axes: Axes, row: Rated, *, cost: float, look: Look) -> None:
     axes.vlines(cost, row.two_way_low, row.two_way_high, colors=GREY, linewidths=0.5, zorder=1)
     if row.low is not None and row.high is not None:
         axes.vlines(cost, row.low, row.high, colors=look.colour, linewidths=1.5, alpha=0.5, zorder=2)

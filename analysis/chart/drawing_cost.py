@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.chart.cost import RATE_HZ
-from analysis.chart.drawing import CUT, limit_accuracy, look_up, tell_measure
+from analysis.chart.axes import CUT, limit_accuracy, look_up, tell_measure, write_plainly
 from analysis.chart.records import MEASURES
 from analysis.figures.legend import add_legend, make_handles
 from analysis.figures.style import GREY, THIN, new_canvas, print_style
@@ -22,7 +22,9 @@ if TYPE_CHECKING:
     from analysis.chart.records import Accuracy, Cost
     from analysis.figures.style import Look
 
-NS = 1e9
+    Series = Sequence[float] | np.ndarray
+
+NS, NS_PER_MS = 1e9, 1e6
 
 
 def draw_growth(chart: Chart) -> Figure:
@@ -46,14 +48,16 @@ def draw_growth(chart: Chart) -> Figure:
             sizes = [cost for cost in chart.costs if cost.sweep == "size" and cost.reducer == reducer]
             _draw_times(above, sizes, look)
             memory = [row for row in chart.memory if row.reducer == reducer]
-            _draw_line(below, [row.n_samples for row in memory], [row.relative for row in memory], look)
+            _draw_line(below, [row.n_samples for row in memory], [row.relative for row in memory], look=look)
         lengths = np.array(sorted({cost.n_samples for cost in chart.costs if cost.sweep == "size"}))
-        above.plot(lengths, lengths / RATE_HZ, color=GREY, linestyle=(0, (3, 2)), zorder=1)
-        above.text(lengths[0], lengths[0] / RATE_HZ * 1.5, f"the signal lasts, at {RATE_HZ / 1000:g} kHz", color=GREY,
-                   rotation=0, va="bottom")  # fmt: skip
-        above.set(yscale="log", ylabel="Time of one call (s)")
-        below.set(xscale="log", xlabel="Length (samples per axis)", ylabel="Peak memory\n(× input)")
-        below.set_ylim(bottom=0)
+        above.plot(lengths, 1000 * lengths / RATE_HZ, color=GREY, linestyle=(0, (3, 2)), zorder=1)
+        above.text(
+            lengths[2], 1000 * lengths[2] / RATE_HZ, f"  real time at {RATE_HZ / 1000:g} kHz", color=GREY, va="top"
+        )
+        above.set(yscale="log", ylabel="Time of one call (ms)")
+        below.set(xscale="log", yscale="log", xlabel="Length (samples per axis)", ylabel="Peak memory\n(× input)")
+        for axis in (above.yaxis, below.xaxis, below.yaxis):
+            write_plainly(axis)
         add_legend(figure, make_handles(looks))
     return figure
 
@@ -86,6 +90,7 @@ def draw_blocks(chart: Chart) -> Figure:
         axes.minorticks_off()
         sizes = sorted({cost.block for cost in blocks})
         axes.set_xticks(sizes, [str(size) for size in sizes])
+        write_plainly(axes.yaxis)
         add_legend(figure, make_handles(shown))
     return figure
 
@@ -111,18 +116,18 @@ def draw_rates(chart: Chart, measures: Sequence[str] = MEASURES[:2]) -> Figure:
         panels = figure.subplots(len(measures) + 1, sharex=True)
         for axes, measure in zip(panels, measures, strict=False):
             rows = [row for row in chart.accuracies if row.sweep == "rate" and row.measure == measure]
-            rows = list(_only_common(rows))
             for reducer, look in looks.items():
-                _draw_line(axes, *_average(row for row in rows if row.reducer == reducer), look)
+                _draw_line(axes, *_average(row for row in rows if row.reducer == reducer), look=look)
             axes.set(ylabel=tell_measure(measure), ylim=limit_accuracy(rows))
         costs = [cost for cost in chart.costs if cost.sweep == "rate"]
         for reducer, look in looks.items():
             own = [cost for cost in costs if cost.reducer == reducer]
-            _draw_line(panels[-1], [cost.rate_hz / 1000 for cost in own], [cost.real_time for cost in own], look)
+            _draw_line(panels[-1], [cost.rate_hz / 1000 for cost in own], [cost.real_time for cost in own], look=look)
         panels[-1].set(xscale="log", yscale="log", xlabel="Sampling rate (kHz)", ylabel="Speed (× real time)")
         panels[-1].minorticks_off()
         rates = sorted({cost.rate_hz / 1000 for cost in costs})
         panels[-1].set_xticks(rates, [f"{rate:g}" for rate in rates])
+        write_plainly(panels[-1].yaxis)
         add_legend(figure, make_handles(looks))
     return figure
 
@@ -130,29 +135,22 @@ def draw_rates(chart: Chart, measures: Sequence[str] = MEASURES[:2]) -> Figure:
 def _draw_times(axes: Axes, costs: Sequence[Cost], look: Look) -> None:
     n = np.array([cost.n_samples for cost in costs])
     low, median, high = (
-        np.array([getattr(cost, name) for cost in costs]) * n / NS for name in ("low", "ns_per_sample", "high")
+        np.array([getattr(cost, name) for cost in costs]) * n / NS_PER_MS for name in ("low", "ns_per_sample", "high")
     )
     axes.fill_between(n, low, high, color=look.colour, alpha=0.2, linewidth=0)
-    _draw_line(axes, n, median, look)
+    _draw_line(axes, n, median, look=look)
 
 
 def _draw_per_sample(axes: Axes, costs: Sequence[Cost], look: Look) -> None:
     x = [cost.block for cost in costs]
     axes.fill_between(x, [cost.low for cost in costs], [cost.high for cost in costs], color=look.colour, alpha=0.2,
                       linewidth=0)  # fmt: skip
-    _draw_line(axes, x, [cost.ns_per_sample for cost in costs], look)
+    _draw_line(axes, x, [cost.ns_per_sample for cost in costs], look=look)
 
 
-def _draw_line(axes: Axes, x: Sequence[float] | np.ndarray, y: Sequence[float] | np.ndarray, look: Look) -> None:
+def _draw_line(axes: Axes, x: Series, y: Series, *, look: Look) -> None:
     axes.plot(x, y, color=look.colour, marker=look.marker, markersize=3.2, markeredgecolor="white",
               markeredgewidth=THIN, linewidth=0.7)  # fmt: skip
-
-
-def _only_common(rows: Sequence[Accuracy]) -> Iterable[Accuracy]:
-    """Keep the rates that every scene reaches: a mean over other scenes at other rates would show the scenes."""
-    scenes = {row.scene for row in rows}
-    common = {rate for rate in {row.rate_hz for row in rows} if {row.scene for row in rows if row.rate_hz == rate} == scenes}
-    return (row for row in rows if row.rate_hz in common)
 
 
 def _average(rows: Iterable[Accuracy]) -> tuple[list[float], list[float]]:

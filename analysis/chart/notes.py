@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from analysis.chart.cost import CALLS, RATE_HZ, RATES_HZ, REFERENCE_N
+from analysis.chart.cost import CALLS, RATE_HZ, REFERENCE_N
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -41,12 +41,13 @@ def list_notes(
         f"Methods are compared at {REFERENCE_N} samples; × real time is told for {RATE_HZ:g} Hz. The signals that are "
         "timed are white noise.",
         *_note_pieces(recordings, longest_s),
-        *_note_rates(recordings),
+        "Scenes were resampled to every sampling rate and compared with the recording at that rate: above a "
+        "recording's own rate nothing is added, below it what lies above half the new rate is lost to both.",
         *_note_precision(precision),
         "The hop of every windowed reducer is half its window. Smaller hops of dft321_windowed are the mean of runs "
         "over shifted signals, which is the same output; an implementation of its own could be a little cheaper.",
-        f"Block sizes: time of {CALLS} calls at {RATE_HZ:g} Hz, the stream being under way. A block of k samples adds "
-        "(k - 1) / rate of waiting to the algorithmic latency.",
+        f"Block sizes: time of {CALLS} calls or more at {RATE_HZ:g} Hz, the stream being under way. "
+        "A block of k samples adds (k - 1) / rate of waiting to the algorithmic latency.",
         "Memory is what numpy asks for beside the input, the output included; what a Fourier transform keeps inside is "
         "not seen.",
     )
@@ -65,13 +66,6 @@ def _note_pieces(recordings: Sequence[Recording], longest_s: float) -> list[str]
         return []
     longer = f"{cut} of {len(recordings)} recordings are longer than {longest_s:g} s"
     return [f"{longer}: their middle was used; --full uses all."]
-
-
-def _note_rates(recordings: Sequence[Recording]) -> list[str]:
-    highest = max(recording.rate_hz for recording in recordings)
-    absent = [f"{rate_hz:g}" for rate_hz in RATES_HZ if rate_hz > highest]
-    above = f" No scene reaches {', '.join(absent)} Hz: only time was measured there." if absent else ""
-    return [f"Scenes were resampled to lower rates only: nothing can be put back.{above}"]
 
 
 def _note_precision(precision: Sequence[Precision]) -> list[str]:

@@ -203,7 +203,7 @@ class Point:
     latency_s : float or None
         Algorithmic latency; None if the whole signal is needed.
     on_front : bool
-        Whether no other reducer is at least as cheap and as good by this measure, and better in one.
+        Whether no other reducer is at least as cheap and as good by this measure, and clearly better in one.
     """
 
     method: str
