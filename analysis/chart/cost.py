@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     Samples = NDArray[np.float64]
 
-RATE_HZ = 10_000.0
+RATE_HZ, NS = 10_000.0, 1e9
 REFERENCE_N = 100_000
 """10 s at 10 kHz, a recording of the Penn Haptic Texture Toolkit: the length at which methods are compared."""
 
@@ -259,7 +259,7 @@ def _make_cost(job: Job, quartiles: Sequence[float], *, rounds: int) -> Cost:
     median, low, high = quartiles
     if not low > 0:
         raise ValueError(f"clock: got {low:g} s for {job.method.label}, allowed is above 0; take a finer clock")
-    per_sample = 1e9 / job.n_samples
+    per_sample = NS / job.n_samples
     return Cost(
         job.sweep, job.method.label, job.method.reducer, job.n_samples, job.rate_hz, job.block, job.bits,
         per_sample * median, per_sample * low, per_sample * high,

@@ -14,7 +14,7 @@ from analysis.chart.pareto import find_front
 from analysis.chart.records import MEASURES
 from analysis.figures.legend import add_legend, make_handles
 from analysis.figures.style import BLACK, GREY, THIN, Look, new_canvas, print_style
-from analysis.words import tell_name
+from analysis.scales import tell_measure as tell_scale
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -120,7 +120,7 @@ def draw_rated(chart: Chart, scale: str, level: str) -> Figure:
         axes = figure.subplots()
         for row in rated:
             _draw_rating(axes, row, cost=costs[row.reducer], look=looks[row.reducer])
-        axes.set(xscale="log", xlabel=COST_AXIS, ylabel=f"Mean {tell_name(scale)} (0 to 100)")
+        axes.set(xscale="log", xlabel=COST_AXIS, ylabel=f"Mean {tell_scale(scale)} (0 to 100)")
         write_plainly(axes.xaxis)
         add_legend(figure, make_handles({row.reducer: looks[row.reducer] for row in rated}))
     return figure

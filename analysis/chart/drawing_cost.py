@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.chart.cost import RATE_HZ
 from analysis.chart.axes import CUT, limit_accuracy, look_up, tell_measure, write_plainly
+from analysis.chart.cost import RATE_HZ
 from analysis.chart.records import MEASURES
 from analysis.figures.legend import add_legend, make_handles
 from analysis.figures.style import GREY, THIN, new_canvas, print_style
