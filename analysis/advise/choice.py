@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from analysis.advise.axes import measure_axes
 from analysis.advise.measures import make_trial, measure
+from analysis.advise.scene import SHORTEST_S
 from analysis.advise.simplicity import find_cost
 from analysis.advise.verdict import Verdict, compare
 from analysis.advise.wording import tell_choice, tell_closest
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
 
 SAME = 1e-9
 """Shortfalls this close are equal but for rounding."""
-
-TOO_SHORT_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,8 +216,8 @@ def _measure_all(
 
 def _find_problem(scene: Scene) -> str:
     recording = scene.recording
-    if recording.duration_s < TOO_SHORT_S:
-        return f"it lasts {recording.duration_s:.3f} s and 20 Hz need {TOO_SHORT_S} s"
+    if recording.duration_s < SHORTEST_S:
+        return f"it lasts {recording.duration_s:.3f} s and 20 Hz need {SHORTEST_S} s"
     if recording.rate_hz < 2 * LOWEST_HZ or not felt_level(recording.acceleration, recording.rate_hz) > 0:
         return "it is silent from 20 to 1000 Hz"
     return ""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from analysis.figures.style import BLUE, GREY, PALE, RED, new_figure, print_style
 from analysis.figures.text import add_title, fit_text
@@ -39,16 +39,18 @@ def draw_advice(advices: Sequence[Advice]) -> Figure:
     names = [verdict.name for verdict in next((each.verdicts for each in advices if each.verdicts), ())]
     with print_style():
         figure, axes = new_figure(HEAD_CM + LEGEND_CM + ROW_CM * len(advices))
+        states = set()
         for row, advice in enumerate(advices):
             for verdict in advice.verdicts:
-                _draw_cell(axes, (names.index(verdict.name), row), tell_state(advice, verdict))
+                states.add(state := tell_state(advice, verdict))
+                axes.plot(names.index(verdict.name), row, linestyle="none", **_MARKS[state])
         axes.set(xlim=(-0.6, max(len(names), 1) - 0.4), ylim=(len(advices) - 0.4, -0.6))
         axes.set_xticks(range(len(names)), names, rotation=60, ha="left", rotation_mode="anchor")
         axes.set_yticks(range(len(advices)), [fit_text(advice.scene.name, NAME_CM, lines=1) for advice in advices])
         axes.xaxis.tick_top()
         axes.tick_params(length=0)
         axes.spines[:].set_visible(False)
-        _add_key(axes)
+        _add_key(axes, [key for key in KEYS if key in states])
         add_title(figure, TITLE)
     return figure
 
@@ -77,7 +79,7 @@ def tell_state(advice: Advice, verdict: Verdict) -> str:
     return CLOSEST if verdict.name == advice.closest else "not sufficient"
 
 
-_MARKS = {
+_MARKS: dict[str, Any] = {
     "simplest sufficient": {"marker": "o", "markersize": 7, "color": BLUE},
     "sufficient": {"marker": "o", "markersize": 7, "color": PALE, "markeredgecolor": BLUE, "markeredgewidth": 0.6},
     "not sufficient": {"marker": "x", "markersize": 4, "color": GREY},
@@ -86,14 +88,10 @@ _MARKS = {
 }
 
 
-def _draw_cell(axes: Axes, place: tuple[int, int], state: str) -> None:
-    axes.plot(*place, linestyle="none", **_MARKS[state])  # type: ignore[arg-type]  # matplotlib's own keywords
-
-
-def _add_key(axes: Axes) -> None:
+def _add_key(axes: Axes, keys: Sequence[str]) -> None:
     from matplotlib.lines import Line2D
 
-    handles = [Line2D([], [], linestyle="none", label=key, **_MARKS[key]) for key in KEYS]  # type: ignore[arg-type]
+    handles = [Line2D([], [], linestyle="none", label=key, **_MARKS[key]) for key in keys]
     axes.legend(
         handles=handles, loc="upper left", bbox_to_anchor=(-0.45, 0.0), ncols=2, frameon=False,
         columnspacing=1.0, handletextpad=0.3,

@@ -12,9 +12,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 CAPTION = (
-    "Which reducers suffice for which scenes; reducers from the simplest on. Filled circle: the simplest sufficient one. "
-    "Pale circle: sufficient too. Cross: not sufficient. Open diamond: the closest where none suffices. Dash: beyond the "
-    "latency budget."
+    "Which reducers suffice for which scenes; reducers from the simplest on. Filled circle: the simplest sufficient "
+    "one. Pale circle: sufficient too. Cross: not sufficient. Open diamond: the closest where none suffices. Dash: "
+    "beyond the latency budget."
 )
 
 

@@ -222,5 +222,5 @@ def _lay_verdict(advice: Advice, place: int) -> Row:
 
 
 def _tell(value: float) -> float | None:
-    """What is infinite or not defined is not there; CSV and JSON say so alike."""
+    """Leave out what is infinite or not defined, in CSV and JSON alike."""
     return value if isfinite(value) else None

@@ -101,6 +101,29 @@ class Scene:
         return f"{self.source} {self.start_s:.2f}-{self.stop_s:.2f} s" if self.is_segment else self.source
 
 
+def check_segment(segment_s: float) -> float:
+    """Refuse segments in which the lowest frequency has no room.
+
+    Parameters
+    ----------
+    segment_s : float
+        Length in s.
+
+    Returns
+    -------
+    float
+        The same.
+
+    Raises
+    ------
+    ValueError
+        If it is below 0.1 s.
+    """
+    if not (isfinite(segment_s) and segment_s >= SHORTEST_S):
+        raise ValueError(f"segment: got {segment_s:g} s, allowed is {SHORTEST_S} s or more")
+    return segment_s
+
+
 def split_recording(recording: Recording, segment_s: float | None = None) -> Iterator[Scene]:
     """Make one scene of a recording, or one of every segment.
 
@@ -125,9 +148,7 @@ def split_recording(recording: Recording, segment_s: float | None = None) -> Ite
     if segment_s is None:
         yield Scene(recording, recording.name, 0.0, recording.duration_s, is_segment=False)
         return
-    if not (isfinite(segment_s) and segment_s >= SHORTEST_S):
-        raise ValueError(f"segment: got {segment_s:g} s, allowed is {SHORTEST_S} s or more")
-    length = round(segment_s * recording.rate_hz)
+    length = round(check_segment(segment_s) * recording.rate_hz)
     pieces = max(1, int(recording.n_samples / length + 0.5))
     edges = [*(piece * length for piece in range(pieces)), recording.n_samples]
     for start, stop in pairwise(edges):

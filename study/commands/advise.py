@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import click
@@ -10,7 +11,8 @@ from study.commands.methods import method_options
 from study.commands.shared import print_json, show_progress
 
 if TYPE_CHECKING:
-    from analysis.advise.scene import Context
+    from collections.abc import Iterator
+
     from analysis.advise.verdict import Rated
     from study.commands.methods import Task
     from study.folder import StudyFolder
@@ -41,11 +43,16 @@ def advise(  # noqa: PLR0913 - every option has a name of its own
     study has them.
     """
     from analysis.advise.report import advise_recordings, write_advice
+    from analysis.advise.scene import Context, check_segment
+    from analysis.advise.tolerance import Tolerance
 
-    context = _make_context(online=online, latency_ms=latency_ms, axes=axes, tolerance=tolerance)
+    with _as_options():
+        limits = Tolerance() if tolerance is None else Tolerance(tolerance)
+        context = Context(online=online, latency_ms=latency_ms, axes=axes, tolerance=limits)
+        segment = None if segment_s is None else check_segment(segment_s)
     with show_progress("advise") as progress:
         study = advise_recordings(
-            task.recordings, context, seed=task.seed, segment_s=segment_s, ratings=_hear(task.study), progress=progress
+            task.recordings, context, seed=task.seed, segment_s=segment, ratings=_hear(task.study), progress=progress
         )
         content = write_advice(study, task.output)
     if as_json:
@@ -57,13 +64,11 @@ def advise(  # noqa: PLR0913 - every option has a name of its own
     click.echo(task.output / "index.html")
 
 
-def _make_context(*, online: bool, latency_ms: float | None, axes: int, tolerance: float | None) -> Context:
-    from analysis.advise.scene import Context
-    from analysis.advise.tolerance import Tolerance
-
+@contextmanager
+def _as_options() -> Iterator[None]:
+    """Turn what is wrong with a value into what is wrong with the option of that name."""
     try:
-        limits = Tolerance() if tolerance is None else Tolerance(tolerance)
-        return Context(online=online, latency_ms=latency_ms, axes=axes, tolerance=limits)
+        yield
     except ValueError as error:
         raise click.UsageError(f"--{error}") from None
 
