@@ -13,8 +13,10 @@ from typing import TYPE_CHECKING
 
 from stimuli.condition import Conditioning, condition
 from stimuli.formats import read_recording
+from stimuli.manifest import read_stimuli
 from stimuli.synthesis import SCENES, make_scene
 from study.folder import StudyFolder, require_study
+from study.ratings import write_ratings
 from study.settings.reading import read_settings
 from study.settings.sources import make_recipe, try_recordings
 
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
+    from analysis.table import Table
     from stimuli.recording import Recording
 
 SUFFIXES = frozenset({".wav", ".csv", ".tsv", ".txt", ".npz", ".npy", ".mat", ".xml", ".ide"})
@@ -67,6 +70,33 @@ def gather_recordings(folder: Path, *, scenes: bool = False, extra: Sequence[Pat
     if mistakes:
         raise ValueError("\n".join(mistakes))
     return tuple(recordings)
+
+
+def find_ratings(study: StudyFolder) -> Table | None:
+    """Find the ratings of a study, as analyze does: derived from its journals, or a table that was put there.
+
+    Parameters
+    ----------
+    study : StudyFolder
+        The study's folder; it may hold no study.
+
+    Returns
+    -------
+    Table or None
+        Ratings with their stimuli; None where nobody has rated yet.
+
+    Raises
+    ------
+    ValueError
+        If journals or tables are not as they must be.
+    """
+    from analysis.table import read_table
+
+    if study.journals:
+        rated = write_ratings(study, read_stimuli(study.stimuli)) > 0
+    else:
+        rated = study.ratings.is_file() and study.manifest.is_file()
+    return read_table(study.ratings, study.manifest) if rated else None
 
 
 def _open_study(folder: Path, mistakes: list[str], *, needed: bool) -> tuple[list[Recording], Conditioning]:

@@ -90,22 +90,25 @@ def _tell_front(chart: Chart, measure: str) -> str:
     front = [point for point in chart.points if point.measure == measure and point.on_front]
     front.sort(key=lambda point: point.ns_per_sample)
     shown = join(f"{point.reducer} ({point.mean:.2f})" for point in front)
-    return f"{tell_measure(measure)} against cost: on the front are {shown}."
+    name = tell_measure(measure)
+    return f"{name}{',' if ',' in name else ''} against cost: on the front are {shown}."
 
 
 def _tell_dominated(dominated: Iterable[Dominance]) -> Iterator[str]:
-    clear, unclear = {}, {}  # type: dict[str, list[str]], dict[str, list[str]]
+    clear: dict[str, list[str]] = {}
+    unclear: dict[str, list[str]] = {}
     for row in dominated:
         (clear if row.clear else unclear).setdefault(row.reducer, []).append(f"{row.by} ({row.scenes} of {row.of})")
-    if not clear:
-        yield "No reducer is clearly dominated in cost, latency and both of the paper's metrics together."
-    for reducer, winners in clear.items():
-        yield (
-            f"{reducer} is dominated by {join(winners)}: no dearer, no later, and on average no worse by both of the "
-            "paper's metrics. In brackets: scenes in which that holds of both metrics."
-        )
+    named = "; ".join(f"{reducer} by {join(winners)}" for reducer, winners in clear.items())
+    yield (
+        f"Dominated in cost, latency and both of the paper's metrics together: {named}. In brackets: scenes in which "
+        "the other one is at least as good by both metrics."
+        if named
+        else "No reducer is clearly dominated in cost, latency and both of the paper's metrics together."
+    )
     for reducer, winners in unclear.items():
-        yield f"{reducer} cannot be told apart from {join(winners)}, by which it is dominated within noise only."
+        if reducer not in clear:
+            yield f"{reducer} cannot be told apart from {join(winners)}: its disadvantage is within the noise."
 
 
 def _tell_growth(chart: Chart) -> str:

@@ -223,6 +223,9 @@
     tip.style.top = `${above > 0 ? above : py * scale + 14}px`;
   }
 
+  for (const swatch of document.querySelectorAll("svg.swatch")) {
+    add(swatch, "polygon", { points: shape(swatch.dataset.marker, 0, 0, 7), fill: swatch.dataset.colour });
+  }
   for (const input of document.querySelectorAll("#controls input, #controls select")) input.addEventListener("change", draw);
   for (const button of document.querySelectorAll("#controls button")) {
     button.addEventListener("click", () => {
