@@ -1,0 +1,291 @@
+r"""DFT321 along a leading axis: equation 3's magnitude, and the phase of the projection on one axis of the motion.
+
+`dft321` takes its phase from the sum of the axes: from the projection on the sensor's own diagonal. Where the motion is
+perpendicular to that diagonal (axes in anti-phase) the phase is left to noise, and turning the sensor changes the
+output. Here the axis is found in the motion itself, so it turns with the sensor and the output stays.
+
+Conventions as in `fourier`: acceleration (..., 3, n) in, reduced signal (..., n) out, same unit, float64. The windowed
+form is in `tracking`.
+
+Notes
+-----
+With :math:`A(f)` the spectrum of the three axes as a vector, *any* signal s of equation 3's magnitude,
+:math:`|A_s| = \|A\|`, obeys for every unit vector u
+
+.. math:: u \cdot \sum_f \mathrm{Re}(A \, \bar A_s) \le g(u) = \sum_f \|A\| \, |u \cdot A|,
+
+with equality for the phase of :math:`u \cdot A`. The rotation-invariant temporal match of s (see `invariant`) is the
+length of that sum of vectors, which is its component along its own direction, over :math:`\sum_f \|A\|^2`. Hence:
+
+1. The best signal that keeps the spectrum has the phase of the projection on one fixed axis, the one that maximises g;
+   no other phase, `dft321`'s included, gives a greater rotation-invariant temporal match.
+2. g is convex, so going from u to the direction of :math:`\sum \mathrm{Re}(A \bar A_s)` (reduce, then take the axis that
+   the output goes along with) never lowers it [2]_. The first principal axis, which maximises the like sum of squares
+   :math:`\sum |u \cdot A|^2`, is the place to start from.
+3. Where :math:`u \cdot A(f) = 0` the phase is undetermined. But there g has a kink that points down: tilting u to either
+   side raises it. So no frequency that has energy is perpendicular to the axis that maximises g, and the step of point 2
+   leads away from such places. That is why no second axis has to be blended in.
+
+No choice is continuous everywhere: a phase that follows every shift in time (:math:`A \to e^{j\phi} A`) and is
+continuous in the polarisation of A would be a section of the Hopf bundle, and there is none.
+
+References
+----------
+.. [1] N. Landin, J. M. Romano, W. McMahan, K. J. Kuchenbecker, "Dimensional reduction of high-frequency accelerations
+   for haptic rendering", EuroHaptics 2010, equations 3 and 4. doi:10.1007/978-3-642-14075-4_12
+.. [2] N. Kwak, "Principal component analysis based on L1-norm maximization", IEEE Transactions on Pattern Analysis and
+   Machine Intelligence 30(9), 2008. doi:10.1109/TPAMI.2008.114
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stimuli.door import admit
+from stimuli.fourier import ROUNDING, bin_energy, transform
+from stimuli.principal import leading_axis
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import ArrayLike, NDArray
+
+    Spectra = list[NDArray[np.complex128]]
+
+PULL = 0.01
+"""How far the start leans towards the onset's direction, as a share of the motion's energy: where the two leading
+eigenvalues differ by less than this the onset decides, which noise cannot turn about."""
+
+STEPS = 1
+"""How often the whole-signal axis is improved; measured in `tests/bench/reducers.py`."""
+
+# So few that what is worked on stays in the processor's cache.
+_AT_A_TIME = 8192
+_ONSET = 0.5  # of the largest excursion: far from both the noise before it and the tie of many equal peaks
+
+
+def dft321_principal(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.float64]:
+    r"""Keep the energy of all axes at every frequency, with the phase of the projection on the leading axis.
+
+    Parameters
+    ----------
+    acceleration : array_like, shape (..., 3, n_samples)
+        Acceleration of the three axes, any unit.
+    rate_hz : float
+        Sampling rate in Hz (not used by this method).
+
+    Returns
+    -------
+    ndarray of float64, shape (..., n_samples)
+        The reduced signal; its energy is the sum of the axes' energies. Turning or mirroring the sensor does not change
+        it, but for its sign in rare cases.
+
+    Notes
+    -----
+    With :math:`A` the vector of the axes' discrete Fourier transforms, and u a unit vector,
+
+    .. math:: A_s = \|A\| \; e^{j \angle (u \cdot A)}
+
+    u starts as the first principal axis of the vibration (an offset does not count), leaning a little towards the
+    *onset*: the first sample that reaches half of the largest excursion. The onset decides where two principal axes are
+    equally strong, and gives u its sign: at the onset the motion goes along it. Then u takes one step towards the axis
+    on which the output follows the motion best; the module's notes derive the step.
+
+    Where the motion is perpendicular to u to within rounding, the phase is that of the long axis of the bin's own
+    polarisation ellipse, half the angle of :math:`A \cdot A`, which no rotation changes either.
+
+    References
+    ----------
+    .. [1] Landin et al. 2010, equation 3. doi:10.1007/978-3-642-14075-4_12
+
+    Examples
+    --------
+    >>> u = np.array([1.0, -2.0, 0.5, 0.25])
+    >>> np.round(dft321_principal([2 * u, -u, 2 * u], 1000) / 3, 12)
+    array([ 1.  , -2.  ,  0.5 ,  0.25])
+    """
+    from scipy import fft
+
+    admitted = admit(acceleration, rate_hz)
+    n = admitted.samples.shape[-1]
+    if n == 0:
+        return np.zeros((*admitted.samples.shape[:-2], 0))
+    onset = find_onset(admitted.samples)
+    spectra = transform(admitted.samples)
+    energy = sum_energy(spectra)
+    axis = start_axis(covary(spectra, energy), onset)
+    for _ in range(STEPS):
+        axis = _unit(go_along(spectra, energy, axis=axis), axis)
+    aligned = spectra[0]  # overwritten in place: memory of this size is slow to get
+    for place in _places(spectra):
+        aligned[..., place] = align([part[..., place] for part in spectra], energy[..., place], axis=axis)
+    return admitted.restore(fft.irfft(aligned, n, overwrite_x=True))
+
+
+def find_onset(samples: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Direction of the first sample that reaches half the largest excursion from the mean.
+
+    Parameters
+    ----------
+    samples : ndarray, shape (..., 3, n_samples)
+        The three axes, n_samples >= 1.
+
+    Returns
+    -------
+    ndarray of float64, shape (..., 3)
+        Unit vectors; the direction of the offset where there is nothing else, the sensor's diagonal for silence.
+    """
+    mean = samples.mean(axis=-1, keepdims=True)
+    size = np.empty((*samples.shape[:-2], samples.shape[-1]))
+    for start in range(0, samples.shape[-1], _AT_A_TIME):
+        place = slice(start, start + _AT_A_TIME)
+        excursion = samples[..., place] - mean
+        np.einsum("...in,...in->...n", excursion, excursion, out=size[..., place])
+    largest = size.max(axis=-1, keepdims=True)
+    first = np.argmax(size >= _ONSET**2 * largest, axis=-1)[..., None, None]
+    onset = (np.take_along_axis(samples, first, axis=-1) - mean)[..., 0]
+    offset = mean[..., 0]
+    still = largest <= ROUNDING**2 * np.einsum("...i,...i->...", offset, offset)[..., None]
+    return _unit(np.where(still, offset, onset), np.full(offset.shape, 1 / np.sqrt(3)))
+
+
+def sum_energy(spectra: Spectra) -> NDArray[np.float64]:
+    """Sum the energies of the axes, bin by bin.
+
+    Parameters
+    ----------
+    spectra : list of three ndarrays of complex128, shape (..., n_bins)
+        One-sided spectra of the axes.
+
+    Returns
+    -------
+    ndarray of float64, shape (..., n_bins)
+        Equation 3, squared.
+    """
+    total = np.empty(spectra[0].shape)
+    for place in _places(spectra):
+        x, y, z = (bin_energy(spectrum[..., place]) for spectrum in spectra)
+        x += y
+        np.add(x, z, out=total[..., place])
+    return total
+
+
+def covary(spectra: Spectra, energy: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Covariance of the axes, by Parseval's theorem from their spectra without the offset.
+
+    Parameters
+    ----------
+    spectra : list of three ndarrays of complex128, shape (..., n_bins)
+        One-sided spectra of the axes.
+    energy : ndarray, shape (..., n_bins)
+        From `sum_energy`.
+
+    Returns
+    -------
+    ndarray of float64, shape (..., 3, 3)
+        Covariance up to a factor; 0 for what an offset's rounding leaves.
+    """
+    covariance = np.zeros((*energy.shape[:-1], 3, 3))
+    for place in _places(spectra, first=1):
+        real = [spectrum[..., place].view(np.float64) for spectrum in spectra]
+        for row, column in ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2)):
+            covariance[..., row, column] += np.einsum("...k,...k->...", real[row], real[column])
+    lower = np.tril(covariance, -1)
+    covariance += np.swapaxes(lower, -1, -2)
+    trace = np.trace(covariance, axis1=-2, axis2=-1)
+    return covariance * (trace > ROUNDING**2 * energy[..., 0])[..., None, None]
+
+
+def start_axis(covariance: NDArray[np.float64], onset: NDArray[np.float64]) -> NDArray[np.float64]:
+    """First principal axis, leaning a little towards the onset and pointing along it.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (..., 3, 3)
+        Covariance of the axes, in any unit.
+    onset : ndarray, shape (..., 3)
+        Unit vectors.
+
+    Returns
+    -------
+    ndarray of float64, shape (..., 3)
+        Unit vectors.
+    """
+    trace = np.trace(covariance, axis1=-2, axis2=-1)[..., None, None]
+    shares = covariance / np.where(trace > 0, trace, 1.0)
+    axis = leading_axis(shares + PULL * onset[..., :, None] * onset[..., None, :])
+    along = np.einsum("...i,...i->...", axis, onset)[..., None]
+    return np.asarray(np.where(along < 0, -axis, axis))
+
+
+def go_along(spectra: Spectra, energy: NDArray[np.float64], *, axis: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Tell which way the motion goes along with the signal that has the phase of its projection on an axis.
+
+    Parameters
+    ----------
+    spectra : list of three ndarrays of complex128, shape (..., n_bins)
+        One-sided spectra of the axes.
+    energy : ndarray, shape (..., n_bins)
+        From `sum_energy`.
+    axis : ndarray, shape (..., 3)
+        Unit vectors.
+
+    Returns
+    -------
+    ndarray of float64, shape (..., 3)
+        Correlation at zero lag of each axis with that signal, its offset left out.
+    """
+    along = np.zeros(axis.shape)
+    for place in _places(spectra, first=1):
+        parts = [spectrum[..., place] for spectrum in spectra]
+        aligned = align(parts, energy[..., place], axis=axis).view(np.float64)
+        for i, part in enumerate(parts):
+            along[..., i] += np.einsum("...k,...k->...", part.view(np.float64), aligned)
+    return along
+
+
+def align(spectra: Spectra, energy: NDArray[np.float64], *, axis: NDArray[np.float64]) -> NDArray[np.complex128]:
+    """Give bins the magnitude of equation 3 and the phase of the projection on an axis.
+
+    Parameters
+    ----------
+    spectra : list of three ndarrays of complex128, shape (..., n_bins)
+        Spectra of the axes.
+    energy : ndarray, shape (..., n_bins)
+        From `sum_energy`.
+    axis : ndarray, shape (..., 3)
+        Unit vectors.
+
+    Returns
+    -------
+    ndarray of complex128, shape (..., n_bins)
+        The merged spectrum.
+    """
+    x, y, z = spectra
+    aligned: NDArray[np.complex128] = x * axis[..., 0, None]
+    aligned += y * axis[..., 1, None]
+    aligned += z * axis[..., 2, None]
+    projected = bin_energy(aligned)
+    vanishing = projected <= ROUNDING**2 * energy
+    if vanishing.any():
+        polarised = np.sqrt(sum(part[vanishing] ** 2 for part in spectra))
+        length = np.abs(polarised)
+        aligned[vanishing] = np.where(length > 0, polarised / np.where(length > 0, length, 1.0), 1.0)
+        projected[vanishing] = 1.0
+    np.divide(energy, projected, out=projected)
+    np.sqrt(projected, out=projected)
+    aligned *= projected
+    return aligned
+
+
+def _places(spectra: Spectra, *, first: int = 0) -> Iterator[slice]:
+    for start in range(first, spectra[0].shape[-1], _AT_A_TIME):
+        yield slice(start, start + _AT_A_TIME)
+
+
+def _unit(vectors: NDArray[np.float64], otherwise: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Bring vectors to length 1, and take others where there is no direction."""
+    length = np.sqrt(np.einsum("...i,...i->...", vectors, vectors))[..., None]
+    return np.asarray(np.where(length > 0, vectors / np.where(length > 0, length, 1.0), otherwise))
