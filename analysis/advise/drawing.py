@@ -45,7 +45,7 @@ def draw_advice(advices: Sequence[Advice]) -> Figure:
                 states.add(state := tell_state(advice, verdict))
                 axes.plot(names.index(verdict.name), row, linestyle="none", **_MARKS[state])
         axes.set(xlim=(-0.6, max(len(names), 1) - 0.4), ylim=(len(advices) - 0.4, -0.6))
-        axes.set_xticks(range(len(names)), names, rotation=60, ha="left", rotation_mode="anchor")
+        axes.set_xticks(range(len(names)), names, rotation=90)
         axes.set_yticks(range(len(advices)), [fit_text(advice.scene.name, NAME_CM, lines=1) for advice in advices])
         axes.xaxis.tick_top()
         axes.tick_params(length=0)

@@ -36,8 +36,9 @@ PROJECTION, COVARIANCE, MEAN = 5.0, 12.0, 6.0
 SPECTRA_TO_ONE = 11.0
 """Per sample, of three spectra: squared magnitudes and their root, the phase of the sum, and their product."""
 
-PHASE_OF_PROJECTION = PROJECTION / 2
-"""The projection is made in the spectrum, which has half as many complex numbers as there are samples."""
+LEADING_AXIS = 34.0
+"""Per sample, to find the axis of the motion and take the phase along it: the onset (6), the covariance (12), one step
+towards the axis that the output goes along with (11), and the projection (5)."""
 
 
 class _Size(NamedTuple):
@@ -73,12 +74,12 @@ _WORK: Mapping[str, Callable[[_Size], _Work]] = MappingProxyType({
     "pca321_adaptive": lambda size: _Work(3.0 * size.window + 3, 2 * (MEAN + COVARIANCE) + 18 + PROJECTION),
     "dft321": lambda size: _Work(4.0 * size.n, _transforms(size.n) + SPECTRA_TO_ONE),
     "dft321_principal": lambda size: _Work(
-        4.0 * size.n, _transforms(size.n) + SPECTRA_TO_ONE + MEAN + COVARIANCE + PHASE_OF_PROJECTION
+        4.0 * size.n, _transforms(size.n) + SPECTRA_TO_ONE + LEADING_AXIS
     ),
     "dft321_windowed": lambda size: _Work(3.5 * size.window, 2 * (_transforms(size.window) + SPECTRA_TO_ONE + 4) + 1),
     "dft321_principal_windowed": lambda size: _Work(
         3.5 * size.window + 3,
-        2 * (_transforms(size.window) + SPECTRA_TO_ONE + 4 + MEAN + COVARIANCE + PHASE_OF_PROJECTION) + 1,
+        2 * (_transforms(size.window) + SPECTRA_TO_ONE + 4 + LEADING_AXIS) + 1,
     ),
 })  # fmt: skip
 

@@ -30,7 +30,7 @@ def tell_choice(chosen: Verdict, verdicts: Sequence[Verdict]) -> str:
         One sentence, without a full stop.
     """
     simpler = verdicts[: list(verdicts).index(chosen)]
-    parts = [_tell_simpler([verdict for verdict in simpler if verdict.in_budget], verdicts)]
+    parts = [_tell_kept(chosen), _tell_simpler([verdict for verdict in simpler if verdict.in_budget], verdicts)]
     parts += [f"{each.name} is simpler and would do, but {_tell_wait(each)}" for each in _list_barred(simpler)[:1]]
     parts += ["people agree" for _ in range(bool(chosen.rated))]
     parts += ["a close call" for _ in range(chosen.margin < CLOSE)]
@@ -85,6 +85,12 @@ def tell_fault(verdict: Verdict, verdicts: Sequence[Verdict]) -> str:
         best = max(other.measures.time for other in verdicts) ** 2
         return f"goes along with {100 * measures.time**2:.0f} % of the motion's energy, the best {100 * best:.0f} %"
     return f"changes by {100 * measures.change:.0f} % with sensor noise of -60 dB"
+
+
+def _tell_kept(verdict: Verdict) -> str:
+    measures = verdict.measures
+    spectrum, motion = (f"{100 * share:.0f} %" for share in (measures.spectrum, measures.time**2))
+    return f"keeps {spectrum} of the spectrum, {motion} of the motion, the level to {abs(measures.level_db):.1f} dB"
 
 
 def _tell_level(level_db: float, deviation_db: float) -> str:
