@@ -70,6 +70,8 @@ def stress_reducers(
     >>> stress_reducers(reducers={"soc321": REDUCERS["soc321"]}, draws=2, seed=0).failures[0].recording
     'ordinary_drag'
     """
+    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+
     names = [recording.name for recording in recordings]
     if len(set(names)) < len(names):
         raise ValueError(f"recordings: got {len(names)} with {len(set(names))} names, allowed is a name for each")
@@ -77,26 +79,23 @@ def stress_reducers(
         raise ValueError("reducers: got none, allowed is one or more")
     scenes = [scene.make(seed) for scene in BATTERY.values()]
     moving = [recording for recording in recordings if recording.acceleration.any()]
-    step, total = len(scenes) * len(reducers), (len(scenes) + len(moving)) * len(reducers)
-    tell = progress or _stay_silent
-    cells = measure_cells(
-        scenes, reducers, clean={scene.name: scene.make_clean(seed) for scene in BATTERY.values() if scene.fault},
-        draws=draws, seed=seed, progress=lambda done, _: tell(done, total),
-    )  # fmt: skip
-    gains = measure_cells(
-        [take_excerpt(recording) for recording in moving], reducers, measures=("gain",),
-        draws=max(2, min(draws, GAIN_DRAWS)), seed=seed, progress=lambda done, _: tell(step + done, total),
-    )  # fmt: skip
-    known = sensor or {}
-    return StressResult(
-        reducers=tuple(reducers),
-        cells=cells,
-        gains=gains,
-        metrics=tuple(_compare(recording, reducers, seed) for recording in (*scenes, *map(take_excerpt, moving))),
-        diagnoses=tuple(diagnose(recording, known.get(recording.name)) for recording in moving),
-        notes=_note(recordings, moving, known),
-        inputs={"seed": seed, "draws": draws, **{f"recording {one.name}": one.sha256 for one in recordings}},
-    )
+    tell, total = progress or _stay_silent, (len(scenes) + len(moving)) * len(reducers)
+    known, excerpts = sensor or {}, [take_excerpt(recording) for recording in moving]
+    # Signals here are short: threads of the linear algebra wait for each other most of the time.
+    with threadpool_limits(limits=1, user_api="blas"):
+        cells = measure_cells(
+            scenes, reducers, clean={scene.name: scene.make_clean(seed) for scene in BATTERY.values() if scene.fault},
+            draws=draws, seed=seed, progress=lambda done, _: tell(done, total),
+        )  # fmt: skip
+        gains = measure_cells(
+            excerpts, reducers, measures=("gain",), draws=max(2, min(draws, GAIN_DRAWS)), seed=seed,
+            progress=lambda done, _: tell(len(scenes) * len(reducers) + done, total),
+        )  # fmt: skip
+        metrics = tuple(_compare(recording, reducers, seed) for recording in (*scenes, *excerpts))
+        diagnoses = tuple(diagnose(recording, known.get(recording.name)) for recording in moving)
+    notes = _note(recordings, moving, known)
+    inputs = {"seed": seed, "draws": draws, **{f"recording {one.name}": one.sha256 for one in recordings}}
+    return StressResult(tuple(reducers), cells, gains, metrics, diagnoses, notes, inputs)
 
 
 def take_excerpt(recording: Recording, *, duration_s: float = EXCERPT_S) -> Recording:

@@ -92,7 +92,7 @@ def test_a_warning_names_the_share_and_the_reducers_that_suffer() -> None:
     gains = [Cell("drag", name, "gain", gain, gain) for name, gain in (("dft321", 40.0), ("dft321_windowed", 1.0))]
     expected = "32 % of the energy sits where the phase is undetermined: dft321 (gain 40) is sensitive here"
     assert warn_of(Diagnosis("drag", figures), gains) == (expected,)
-    assert warn_of(Diagnosis("other", figures), gains) == (expected.split(":")[0],)
+    assert warn_of(Diagnosis("other", figures), gains) == (expected.partition(":")[0],)
 
 
 def test_conditioning_hides_what_the_sensor_shows(made: Any) -> None:

@@ -164,21 +164,28 @@ def test_a_recording_without_vibration_frequencies_has_no_spectral_spread(made: 
     assert temporal > 0
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda r, s, d: perturbation_gain(r, s, rng=rng()), "recording 'made': is silent"),
-        (lambda r, s, d: edge_error(r, s), "recording 'made': is silent"),
-        (lambda r, s, d: fault_gain(r, d, clean=s), "recording 'made': is silent"),
-        (lambda r, s, d: fault_gain(r, s, clean=d), "clean: got 2000 samples, allowed is 50"),
-        (lambda r, s, d: perturbation_gain(r, d, rng=rng(), draws=0), "draws: got 0, allowed is 1 or more"),
-        (lambda r, s, d: metric_spread(r, d, rng=rng(), draws=1), "draws: got 1, allowed is 2 or more"),
-        (lambda r, s, d: perturbation_gain(r, d, rng=rng(), level_db=0), "level_db: got 0, allowed is below 0 dB"),
-    ],
-)
-def test_doors(call: Any, message: str, made: Any, drag: Any) -> None:
-    with pytest.raises(ValueError, match=message):
-        call(REDUCERS["soc321"], made(np.zeros((3, 50))), drag)
+def test_silence_is_refused(made: Any, drag: Any) -> None:
+    silence, reduce = made(np.zeros((3, 50))), REDUCERS["soc321"]
+    for measure in (edge_error, energy_error, flip_change):
+        with pytest.raises(ValueError, match="recording 'made': is silent"):
+            measure(reduce, silence)
+    for measure in (perturbation_gain, rotation_change, shift_change, metric_spread):
+        with pytest.raises(ValueError, match="recording 'made': is silent"):
+            measure(reduce, silence, rng=rng())
+    with pytest.raises(ValueError, match="recording 'made': is silent"):
+        fault_gain(reduce, drag, clean=silence)
+
+
+def test_doors(made: Any, drag: Any) -> None:
+    reduce = REDUCERS["soc321"]
+    with pytest.raises(ValueError, match="clean: got 2000 samples, allowed is 50"):
+        fault_gain(reduce, made(np.ones((3, 50))), clean=drag)
+    with pytest.raises(ValueError, match="draws: got 0, allowed is 1 or more"):
+        perturbation_gain(reduce, drag, rng=rng(), draws=0)
+    with pytest.raises(ValueError, match="draws: got 1, allowed is 2 or more"):
+        metric_spread(reduce, drag, rng=rng(), draws=1)
+    with pytest.raises(ValueError, match="level_db: got 0, allowed is below 0 dB"):
+        perturbation_gain(reduce, drag, rng=rng(), level_db=0)
 
 
 def test_an_offset_alone_has_no_energy_to_keep(made: Any) -> None:
