@@ -132,5 +132,5 @@ def _tell_rated(chart: Chart) -> Iterator[str]:
         interval = tell_range(best.two_way_low, best.two_way_high, kind="rating")
         yield (
             f"Best mean {tell_scale(scale)} ({tell_name(level)}): {best.reducer}, {best.mean:.1f} "
-            f"(95 % two-way interval {interval}, {best.participants} participants, {best.recordings} recordings)."
+            f"(95 % two-way interval {interval}; participants: {best.participants}, recordings: {best.recordings})."
         )

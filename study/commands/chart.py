@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 @method_options("chart")
 @click.option(
     "--full/--quick",
-    help="Whole recordings, 200 orientations, signals up to 10^7 samples; takes up to an hour.  [default: quick]",
+    help="Whole recordings, 200 orientations, signals up to 10^7 samples; takes many times as long.  [default: quick]",
 )
 def chart(*, task: Task, full: bool, as_json: bool) -> None:
     """Set the speed of every reducer against its accuracy.
