@@ -94,7 +94,8 @@ def render_page(result: StressResult, *, figures: Path) -> str:
     return environment.get_template("stress.html").render(
         result=result,
         style=(TEMPLATES / "report.css").read_text(encoding="utf-8"),
-        drawing=inline_svg(picture, figures / f"{FIGURES[0]}.svg"),
+        # matplotlib's links open a window of their own; these lead down the page.
+        drawing=inline_svg(picture, figures / f"{FIGURES[0]}.svg").replace(' target="_blank"', ""),
         caption=CAPTION,
         battery=BATTERY,
         measures=MEASURES,

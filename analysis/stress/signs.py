@@ -167,7 +167,7 @@ def diagnose(recording: Recording, sensor: Recording | None = None) -> Diagnosis
     Examples
     --------
     >>> diagnose(BATTERY["anti_phase"].make(0)).near_scenes
-    ('anti_phase', 'chirp', 'rate_mismatch')
+    ('anti_phase', 'chirp')
     """
     sources = {"felt": recording, "sensor": sensor or recording}
     return Diagnosis(recording.name, {name: float(sign.measure(sources[sign.of])) for name, sign in SIGNS.items()})

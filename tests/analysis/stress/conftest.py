@@ -10,6 +10,7 @@ import pytest
 from analysis.stress.battery import BATTERY
 from analysis.stress.run import stress_reducers, write_stress
 from stimuli.recording import Recording
+from stimuli.reduce import REDUCERS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -39,14 +40,22 @@ def drag() -> Recording:
 def recordings(drag: Recording) -> tuple[Recording, ...]:
     """Gather a harmless recording, one with a planted share of cancelling energy, and silence."""
     rng = np.random.default_rng(5)
-    u, v = rng.standard_normal((2, 2000))
-    half = make_recording([u + v, u - v, 1e-6 * u], rate_hz=4000, name="half")
+    spectrum = np.fft.rfft(rng.standard_normal((3, 4000)))
+    low = np.arange(2001) < 600
+    u, v, w = (np.fft.irfft(np.where(chosen, one, 0)) for chosen, one in zip((low, ~low, low), spectrum, strict=True))
+    half = make_recording([u + v, u - v, 0.3 * w], rate_hz=4000, name="half")
     return drag, half, make_recording(np.zeros((3, 100)), name="nothing")
 
 
 @pytest.fixture(scope="session")
 def result(recordings: tuple[Recording, ...]) -> StressResult:
     return stress_reducers(recordings, sensor={"drag": recordings[0]}, draws=4, seed=3)
+
+
+@pytest.fixture(scope="session")
+def small(drag: Recording) -> StressResult:
+    """Test one reducer on one harmless recording, quickly."""
+    return stress_reducers([drag], {"mag321": REDUCERS["mag321"]}, draws=2, seed=0)
 
 
 @pytest.fixture(scope="session")

@@ -70,18 +70,23 @@ def test_faults_do_what_they_say() -> None:
 
 
 def test_conclusions_hold_for_another_seed(result: Any) -> None:
-    """No firm failure of one seed is good in the other; the very short scene is another motion every time."""
+    """No firm failure of one seed is good in the other; the very short scene is another motion every time.
+
+    A standard deviation over four orientations is not firm.
+    """
+    few = {name: REDUCERS[name] for name in ("say321", "soc321", "pca321", "pca321_adaptive", "dft321")}
+    measures = tuple(name for name in MEASURES if name != "spread")
     scenes = [scene.make(8) for scene in BATTERY.values() if scene.name != "very_short"]
     clean = {scene.name: scene.make_clean(8) for scene in BATTERY.values() if scene.fault}
     other = {
         (cell.recording, cell.reducer, cell.measure): cell
-        for cell in measure_cells(scenes, REDUCERS, clean=clean, draws=4, seed=8)
+        for cell in measure_cells(scenes, few, measures=measures, clean=clean, draws=4, seed=8)
     }
     firm = [key for key in find_firm_failures(result.cells) if key in other]
-    assert len(firm) > 100
+    assert len(firm) > 50
     assert [key for key in firm if other[key].grade == "good"] == []
-    firm_there = [key for key in find_firm_failures(other.values()) if MEASURES[key[2]]]
-    assert [key for key in firm_there if find_cell(result.cells, key[0], key[1], measure=key[2]).grade == "good"] == []
+    here = [find_cell(result.cells, key[0], key[1], measure=key[2]) for key in find_firm_failures(other.values())]
+    assert [cell for cell in here if cell.grade == "good"] == []
 
 
 def test_a_figure_depends_on_its_own_recording_alone(drag: Any, made: Any) -> None:

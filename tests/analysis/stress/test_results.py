@@ -75,6 +75,7 @@ def test_every_link_leads_somewhere_and_every_failure_is_linked_and_explained(re
     ids = re.findall(r'\bid="([^"]+)"', page)
     assert len(set(ids)) == len(ids)
     links = re.findall(r'href="#([^"]+)"', page)
+    assert "_blank" not in page
     assert set(links) <= set(ids)
     body = page.split("</style>", 1)[1]
     for cell in result.failures:
@@ -118,17 +119,17 @@ def test_the_same_seed_writes_the_same_bytes(result: Any, folder: Path, tmp_path
         assert (again / name).read_bytes() == (folder / name).read_bytes()
 
 
-def test_a_former_test_is_replaced_and_foreign_files_stay(result: Any, tmp_path: Path) -> None:
+def test_a_former_test_is_replaced_and_foreign_files_stay(small: Any, tmp_path: Path) -> None:
     target = tmp_path / "stress"
-    write_stress(result, target)
+    write_stress(small, target)
     (target / "notes.txt").write_text("mine", encoding="utf-8")
-    write_stress(result, target)
+    write_stress(small, target)
     assert (target / "notes.txt").read_text(encoding="utf-8") == "mine"
     other = tmp_path / "other"
     other.mkdir()
     (other / "index.html").write_text("mine", encoding="utf-8")
     with pytest.raises(FileExistsError, match="is there, but is not of a former report"):
-        write_stress(result, other)
+        write_stress(small, other)
 
 
 def test_progress_reaches_the_end(drag: Any) -> None:
@@ -147,9 +148,8 @@ def test_without_recordings_the_page_is_about_the_battery(tmp_path: Path) -> Non
     assert "No reducer fails here." in page
 
 
-def test_a_harmless_recording_comes_near_nothing(drag: Any, tmp_path: Path) -> None:
-    few = {"mag321": REDUCERS["mag321"]}
-    page = write_stress(stress_reducers([drag], few, draws=2, seed=0), tmp_path / "out").read_text(encoding="utf-8")
+def test_a_harmless_recording_comes_near_nothing(small: Any, tmp_path: Path) -> None:
+    page = write_stress(small, tmp_path / "out").read_text(encoding="utf-8")
     assert "<p>None does.</p>" in page
     assert "No recording comes near." in page
 
