@@ -183,10 +183,8 @@ def test_people_must_agree_where_they_were_asked() -> None:
 
 def test_reasons_name_close_calls_agreement_and_what_waits() -> None:
     near = judged(Shortfall(0.95, 0, 0, 0), rated=Rated(is_best=True, best="dft321", p=nan), needs_ratings=True)
-    assert tell_choice(near, [near]) == (
-        "keeps 100 % of the spectrum, 81 % of the motion, the level to 0.0 dB; nothing is simpler; people agree; a close "
-        "call"
-    )
+    kept = "keeps 100 % of the spectrum, 81 % of the motion, the level to 0.0 dB"
+    assert tell_choice(near, [near]) == f"{kept}; nothing is simpler; people agree; a close call"
     late = Verdict(Cost("pca321", 1, 0, inf, 0, 0), BEST, Shortfall(0, 0, 0, 0), in_budget=False)
     good = judged(Shortfall(0, 0, 0, 0))
     assert tell_choice(good, [late, good]).endswith("pca321 is simpler and would do, but needs the whole recording")
