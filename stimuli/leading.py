@@ -19,12 +19,12 @@ length of that sum of vectors, which is its component along its own direction, o
 
 1. The best signal that keeps the spectrum has the phase of the projection on one fixed axis, the one that maximises g;
    no other phase, `dft321`'s included, gives a greater rotation-invariant temporal match.
-2. g is convex, so going from u to the direction of :math:`\sum \mathrm{Re}(A \bar A_s)` (reduce, then take the axis that
-   the output goes along with) never lowers it [2]_. The first principal axis, which maximises the like sum of squares
-   :math:`\sum |u \cdot A|^2`, is the place to start from.
-3. Where :math:`u \cdot A(f) = 0` the phase is undetermined. But there g has a kink that points down: tilting u to either
-   side raises it. So no frequency that has energy is perpendicular to the axis that maximises g, and the step of point 2
-   leads away from such places. That is why no second axis has to be blended in.
+2. g is convex, so going from u to the direction of :math:`\sum \mathrm{Re}(A \bar A_s)` (reduce, then take the axis
+   that the output goes along with) never lowers it [2]_. The first principal axis, which maximises the like sum of
+   squares :math:`\sum |u \cdot A|^2`, is the place to start from.
+3. Where :math:`u \cdot A(f) = 0` the phase is undetermined. But there g has a kink that points down: tilting u to
+   either side raises it. So no frequency that has energy is perpendicular to the axis that maximises g, and the step
+   of point 2 leads away from such places. That is why no second axis has to be blended in.
 
 No choice is continuous everywhere: a phase that follows every shift in time (:math:`A \to e^{j\phi} A`) and is
 continuous in the polarisation of A would be a section of the Hopf bundle, and there is none.
@@ -63,6 +63,10 @@ STEPS = 1
 
 # So few that what is worked on stays in the processor's cache.
 _AT_A_TIME = 8192
+# A projection below this share of the motion has a phase that rounding (1e-15 or so) changes by more than 1e-9.
+_ACROSS = 1e-7
+# A root has a cut: laid where no tone of a plain phase (0, 45, 90 degrees, ...) comes to lie on it.
+_CUT = np.exp(1j)
 _ONSET = 0.5  # of the largest excursion: far from both the noise before it and the tie of many equal peaks
 
 
@@ -93,7 +97,7 @@ def dft321_principal(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.floa
     equally strong, and gives u its sign: at the onset the motion goes along it. Then u takes one step towards the axis
     on which the output follows the motion best; the module's notes derive the step.
 
-    Where the motion is perpendicular to u to within rounding, the phase is that of the long axis of the bin's own
+    Where the motion is perpendicular to u, but for rounding, the phase is that of the long axis of the bin's own
     polarisation ellipse, half the angle of :math:`A \cdot A`, which no rotation changes either.
 
     References
@@ -114,10 +118,10 @@ def dft321_principal(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.floa
         return np.zeros((*admitted.samples.shape[:-2], 0))
     onset = find_onset(admitted.samples)
     spectra = transform(admitted.samples)
-    energy = sum_energy(spectra)
-    axis = start_axis(covary(spectra, energy), onset)
+    energy, covariance = measure(spectra)
+    axis = start_axis(covariance, onset)
     for _ in range(STEPS):
-        axis = _unit(go_along(spectra, energy, axis=axis), axis)
+        axis = unit(go_along(spectra, energy, axis=axis), axis)
     aligned = spectra[0]  # overwritten in place: memory of this size is slow to get
     for place in _places(spectra):
         aligned[..., place] = align([part[..., place] for part in spectra], energy[..., place], axis=axis)
@@ -142,17 +146,18 @@ def find_onset(samples: NDArray[np.float64]) -> NDArray[np.float64]:
     for start in range(0, samples.shape[-1], _AT_A_TIME):
         place = slice(start, start + _AT_A_TIME)
         excursion = samples[..., place] - mean
-        np.einsum("...in,...in->...n", excursion, excursion, out=size[..., place])
+        np.square(excursion, out=excursion)
+        np.sum(excursion, axis=-2, out=size[..., place])
     largest = size.max(axis=-1, keepdims=True)
     first = np.argmax(size >= _ONSET**2 * largest, axis=-1)[..., None, None]
     onset = (np.take_along_axis(samples, first, axis=-1) - mean)[..., 0]
     offset = mean[..., 0]
     still = largest <= ROUNDING**2 * np.einsum("...i,...i->...", offset, offset)[..., None]
-    return _unit(np.where(still, offset, onset), np.full(offset.shape, 1 / np.sqrt(3)))
+    return unit(np.where(still, offset, onset), np.full(offset.shape, 1 / np.sqrt(3)))
 
 
-def sum_energy(spectra: Spectra) -> NDArray[np.float64]:
-    """Sum the energies of the axes, bin by bin.
+def measure(spectra: Spectra) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Sum the energies of the axes bin by bin, and tell their covariance by Parseval's theorem.
 
     Parameters
     ----------
@@ -161,41 +166,27 @@ def sum_energy(spectra: Spectra) -> NDArray[np.float64]:
 
     Returns
     -------
-    ndarray of float64, shape (..., n_bins)
+    energy : ndarray of float64, shape (..., n_bins)
         Equation 3, squared.
+    covariance : ndarray of float64, shape (..., 3, 3)
+        Covariance up to a factor, the offset left out; 0 if only an offset's rounding is left.
     """
-    total = np.empty(spectra[0].shape)
-    for place in _places(spectra):
-        x, y, z = (bin_energy(spectrum[..., place]) for spectrum in spectra)
-        x += y
-        np.add(x, z, out=total[..., place])
-    return total
-
-
-def covary(spectra: Spectra, energy: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Covariance of the axes, by Parseval's theorem from their spectra without the offset.
-
-    Parameters
-    ----------
-    spectra : list of three ndarrays of complex128, shape (..., n_bins)
-        One-sided spectra of the axes.
-    energy : ndarray, shape (..., n_bins)
-        From `sum_energy`.
-
-    Returns
-    -------
-    ndarray of float64, shape (..., 3, 3)
-        Covariance up to a factor; 0 for what an offset's rounding leaves.
-    """
+    energy = np.empty(spectra[0].shape)
     covariance = np.zeros((*energy.shape[:-1], 3, 3))
-    for place in _places(spectra, first=1):
-        real = [spectrum[..., place].view(np.float64) for spectrum in spectra]
-        for row, column in ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2)):
-            covariance[..., row, column] += np.einsum("...k,...k->...", real[row], real[column])
-    lower = np.tril(covariance, -1)
-    covariance += np.swapaxes(lower, -1, -2)
-    trace = np.trace(covariance, axis1=-2, axis2=-1)
-    return covariance * (trace > ROUNDING**2 * energy[..., 0])[..., None, None]
+    for place in _places(spectra):
+        parts = [spectrum[..., place] for spectrum in spectra]
+        own = [bin_energy(part) for part in parts]
+        vibration = slice(0 if place.start else 1, None)
+        real = [part[..., vibration].view(np.float64) for part in parts]
+        for i in range(3):
+            covariance[..., i, i] += own[i][..., vibration].sum(axis=-1)
+            covariance[..., i, i - 1] += np.einsum("...k,...k->...", real[i], real[i - 1])
+        own[0] += own[1]
+        np.add(own[0], own[2], out=energy[..., place])
+    for i in range(3):
+        covariance[..., i - 1, i] = covariance[..., i, i - 1]
+    vibrates = np.trace(covariance, axis1=-2, axis2=-1) > ROUNDING**2 * energy[..., 0]
+    return energy, covariance * vibrates[..., None, None]
 
 
 def start_axis(covariance: NDArray[np.float64], onset: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -228,7 +219,7 @@ def go_along(spectra: Spectra, energy: NDArray[np.float64], *, axis: NDArray[np.
     spectra : list of three ndarrays of complex128, shape (..., n_bins)
         One-sided spectra of the axes.
     energy : ndarray, shape (..., n_bins)
-        From `sum_energy`.
+        From `measure`.
     axis : ndarray, shape (..., 3)
         Unit vectors.
 
@@ -254,7 +245,7 @@ def align(spectra: Spectra, energy: NDArray[np.float64], *, axis: NDArray[np.flo
     spectra : list of three ndarrays of complex128, shape (..., n_bins)
         Spectra of the axes.
     energy : ndarray, shape (..., n_bins)
-        From `sum_energy`.
+        From `measure`.
     axis : ndarray, shape (..., 3)
         Unit vectors.
 
@@ -268,12 +259,11 @@ def align(spectra: Spectra, energy: NDArray[np.float64], *, axis: NDArray[np.flo
     aligned += y * axis[..., 1, None]
     aligned += z * axis[..., 2, None]
     projected = bin_energy(aligned)
-    vanishing = projected <= ROUNDING**2 * energy
-    if vanishing.any():
-        polarised = np.sqrt(sum(part[vanishing] ** 2 for part in spectra))
-        length = np.abs(polarised)
-        aligned[vanishing] = np.where(length > 0, polarised / np.where(length > 0, length, 1.0), 1.0)
-        projected[vanishing] = 1.0
+    across = projected <= _ACROSS**2 * energy
+    if across.any():
+        polarised = np.sqrt((x[across] ** 2 + y[across] ** 2 + z[across] ** 2) * _CUT) / np.sqrt(_CUT)
+        aligned[across] = np.where(polarised == 0, 1.0, polarised)
+        projected[across] = bin_energy(aligned[across])
     np.divide(energy, projected, out=projected)
     np.sqrt(projected, out=projected)
     aligned *= projected
@@ -285,7 +275,20 @@ def _places(spectra: Spectra, *, first: int = 0) -> Iterator[slice]:
         yield slice(start, start + _AT_A_TIME)
 
 
-def _unit(vectors: NDArray[np.float64], otherwise: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Bring vectors to length 1, and take others where there is no direction."""
+def unit(vectors: NDArray[np.float64], otherwise: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Bring vectors to length 1, and take others where there is no direction.
+
+    Parameters
+    ----------
+    vectors : ndarray, shape (..., 3)
+        Any vectors.
+    otherwise : ndarray, shape (..., 3)
+        What stands in for those of length 0.
+
+    Returns
+    -------
+    ndarray of float64, shape (..., 3)
+        Unit vectors.
+    """
     length = np.sqrt(np.einsum("...i,...i->...", vectors, vectors))[..., None]
     return np.asarray(np.where(length > 0, vectors / np.where(length > 0, length, 1.0), otherwise))

@@ -39,7 +39,7 @@ WHY_NOT_STREAMING: Mapping[str, str] = MappingProxyType(
     {
         "pca321": "its axis and its mean need the whole recording; stream pca321_adaptive instead",
         "dft321": "its spectrum needs the whole recording; stream dft321_windowed instead",
-        "dft321_principal": "its axis and its spectrum need the whole recording; stream dft321_principal_windowed instead",
+        "dft321_principal": "its axis needs the whole recording; stream dft321_principal_windowed instead",
     }
 )
 """Name -> reason, for the reducers that cannot run causally."""

@@ -13,7 +13,7 @@ import numpy as np
 from stimuli.door import admit
 from stimuli.fourier import FourierFrames
 from stimuli.frames import DEFAULT_WINDOW_S, run_offline, window_samples
-from stimuli.leading import align, covary, find_onset, go_along, start_axis, sum_energy
+from stimuli.leading import align, find_onset, go_along, measure, start_axis, unit
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -46,10 +46,9 @@ def dft321_principal_windowed(
     -----
     Frames, windows and overlap are those of `dft321_windowed`. A frame of 35 ms is too short to have an axis of its
     own: near-equal eigenvalues are common, and an axis that wanders smears what overlaps. So each frame gets the axis
-    of its past: the covariance is remembered, its leading axis gives this frame's direction (`leading.go_along`),
-    and the directions are remembered in turn, each with the sign that agrees with what is remembered. Neighbouring
-    frames' axes therefore differ by less than a right angle, always. The first frame that is not silent gives the
-    onset towards which every frame's axis leans a little.
+    of its past: covariances are remembered, their leading axis (with the sign of the frame before) gives the direction
+    that this frame's motion goes along with (`leading.go_along`), and those directions are remembered in turn. The
+    first frame that is not silent gives the onset towards which the leading axis leans a little.
     """
     admitted = admit(acceleration, rate_hz)
     hop = window_samples(window_s, rate_hz) // 2
@@ -70,8 +69,9 @@ class TrackingFrames(FourierFrames):
     def __init__(self, batch: tuple[int, ...], hop: int) -> None:
         super().__init__(batch, hop)
         self._onset = np.zeros((*batch, 3))
-        self._covariance = np.zeros((*batch, 3, 3))
-        self._along = np.zeros((*batch, 3))
+        self._axis = np.zeros((*batch, 1, 3))
+        self._covariance = np.zeros((*batch, 1, 3, 3))
+        self._along = np.zeros((*batch, 1, 3))
 
     def merge(self, spectra: list[NDArray[np.complex128]], frames: NDArray[np.float64]) -> NDArray[np.complex128]:
         """Give every frame equation 3's magnitude and the phase of the projection on its axis.
@@ -88,32 +88,38 @@ class TrackingFrames(FourierFrames):
         ndarray of complex128, shape (..., m, n_bins)
             The merged spectra.
         """
-        energy = sum_energy(spectra)
-        self._listen(energy.any(axis=-1), frames)
-        covariances = self._remember(covary(spectra, energy))
-        first = start_axis(covariances, np.broadcast_to(self._onset[..., None, :], covariances.shape[:-1]))
-        return align(spectra, energy, axis=self._agree(go_along(spectra, energy, axis=first), first))
+        energy, covariances = measure(spectra)
+        if not self._onset.any(axis=-1).all():
+            self._listen(energy, frames)
+        covariances, self._covariance = _remember(covariances, self._covariance, axis=-3)
+        onsets = np.broadcast_to(self._onset[..., None, :], covariances.shape[:-1])
+        first = self._keep_sign(start_axis(covariances, onsets))
+        along, self._along = _remember(go_along(spectra, energy, axis=first), self._along, axis=-2)
+        return align(spectra, energy, axis=unit(along, first))
 
-    def _listen(self, loud: NDArray[np.bool_], frames: NDArray[np.float64]) -> None:
+    def _listen(self, energy: NDArray[np.float64], frames: NDArray[np.float64]) -> None:
         """Note the onset in the first frame that is not silent."""
-        new = loud.any(axis=-1) & ~self._onset.any(axis=-1)
-        if new.any():
-            first = np.argmax(loud, axis=-1)[..., None, None, None]
-            onset = find_onset(np.take_along_axis(frames, first, axis=-2)[..., 0, :])
-            self._onset = np.where(new[..., None], onset, self._onset)
+        loud = np.asarray(energy.any(axis=-1))
+        first = np.argmax(loud, axis=-1)[..., None, None, None]
+        onset = find_onset(np.take_along_axis(frames, first, axis=-2)[..., 0, :])
+        waiting = ~np.any(self._onset, axis=-1, keepdims=True)
+        self._onset = np.where(loud.any(axis=-1, keepdims=True) & waiting, onset, self._onset)
 
-    def _remember(self, covariances: NDArray[np.float64]) -> NDArray[np.float64]:
-        for k in range(covariances.shape[-3]):
-            covariances[..., k, :, :] += MEMORY * self._covariance
-            self._covariance = covariances[..., k, :, :]
-        return covariances
+    def _keep_sign(self, axes: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Turn each axis to point along the one before it."""
+        axes = np.concatenate([self._axis, axes], axis=-2)
+        turns = np.einsum("...mi,...mi->...m", axes[..., 1:, :], axes[..., :-1, :])
+        axes = axes[..., 1:, :] * np.cumprod(np.where(turns < 0, -1.0, 1.0), axis=-1)[..., None]
+        # Before the first sound there is no axis that a sign could be kept from.
+        self._axis = axes[..., -1:, :] * np.linalg.norm(self._onset, axis=-1, keepdims=True)[..., None]
+        return axes
 
-    def _agree(self, along: NDArray[np.float64], otherwise: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Remember directions, each turned about if it disagrees; give the axes (..., m, 3)."""
-        for k in range(along.shape[-2]):
-            here = along[..., k, :]
-            agreement = np.einsum("...i,...i->...", here, self._along)[..., None]
-            self._along = MEMORY * self._along + np.where(agreement < 0, -here, here)
-            along[..., k, :] = self._along
-        length = np.sqrt(np.einsum("...i,...i->...", along, along))[..., None]
-        return np.asarray(np.where(length > 0, along / np.where(length > 0, length, 1.0), otherwise))
+
+def _remember(
+    values: NDArray[np.float64], state: NDArray[np.float64], *, axis: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Sum up what frame after frame brings, forgetting slowly; give the sums, and the state for the next frames."""
+    from scipy.signal import lfilter
+
+    sums, state = lfilter([1.0], [1.0, -MEMORY], values, axis=axis, zi=state)
+    return sums, state
