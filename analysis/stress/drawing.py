@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from analysis.stress.result import StressResult
 
 WIDTH_CM = 2 * COLUMN_CM + 0.8
-ROW_CM, HEAD_CM, KEY_CM, LABEL_CM, MARGIN_CM = 0.66, 1.0, 1.5, 3.7, 0.1
+ROW_CM, HEAD_CM, KEY_CM, LABEL_CM, MARGIN_CM = 0.66, 1.2, 1.5, 3.7, 0.1
 FILLS = {"good": "#FFFFFF", "caution": "#F6D68F", "fails": "#D55E00", "undefined": "#E6E6E6"}
 """White, Okabe and Ito's orange made paler, and their vermilion: three steps of lightness, so that grey prints tell."""
 
 LETTERS = {"good": BLACK, "caution": BLACK, "fails": "#FFFFFF", "undefined": BLACK}
-VALUE_SIZE, MARK_SIZE, KEY_SIZE = 6.5, 5.5, 6.0
+VALUE_SIZE, MARK_SIZE, KEY_SIZE, HEAD_LINES = 6.5, 5.5, 6.0, 3
 
 
 def draw_stress(result: StressResult) -> Figure:
@@ -45,12 +45,14 @@ def draw_stress(result: StressResult) -> Figure:
     """
     from matplotlib.figure import Figure
 
+    wide = (WIDTH_CM - LABEL_CM - MARGIN_CM) / max(len(result.reducers), 1)
+    names = [fit_text(name, wide, lines=HEAD_LINES, size=VALUE_SIZE) for name in result.reducers]
     height = HEAD_CM + ROW_CM * len(BATTERY) + KEY_CM
     with print_style():
         figure = Figure(figsize=(WIDTH_CM / CM_PER_INCH, height / CM_PER_INCH))
         left, bottom = LABEL_CM / WIDTH_CM, KEY_CM / height
         axes = figure.add_axes((left, bottom, 1 - left - MARGIN_CM / WIDTH_CM, ROW_CM * len(BATTERY) / height))
-        _prepare(axes, result.reducers)
+        _prepare(axes, names)
         grouped = _group(result.cells)
         for row, scene in enumerate(BATTERY):
             for column, reducer in enumerate(result.reducers):
@@ -61,12 +63,10 @@ def draw_stress(result: StressResult) -> Figure:
     return figure
 
 
-def _prepare(axes: Axes, reducers: Sequence[str]) -> None:
-    axes.set(xlim=(0, len(reducers)), ylim=(len(BATTERY), 0))
+def _prepare(axes: Axes, names: Sequence[str]) -> None:
+    axes.set(xlim=(0, len(names)), ylim=(len(BATTERY), 0))
     axes.xaxis.tick_top()
-    wide = (WIDTH_CM - LABEL_CM - MARGIN_CM) / max(len(reducers), 1)
-    names = [fit_text(name, wide, lines=3, size=6.5) for name in reducers]
-    axes.set_xticks([column + 0.5 for column in range(len(reducers))], names, fontsize=6.5)
+    axes.set_xticks([column + 0.5 for column in range(len(names))], names, fontsize=VALUE_SIZE)
     axes.set_yticks([row + 0.5 for row in range(len(BATTERY))], [scene.title for scene in BATTERY.values()])
     axes.tick_params(length=0)
     for spine in axes.spines.values():

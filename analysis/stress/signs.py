@@ -89,15 +89,17 @@ class Sign:
 _SINGLE = ("sax321", "say321", "saz321")
 _FOURIER = ("dft321", "dft321_windowed")
 _PRINCIPAL = ("pca321", "pca321_adaptive")
+_LEADING = (*_PRINCIPAL, "dft321_principal", "dft321_principal_windowed")
+_IN_FRAMES = ("pca321_adaptive", "dft321_principal_windowed")
 _SIGNS = (
     Sign("undetermined_share", "Energy of undetermined phase", diagnosis.undetermined_share, "felt", 0.02, "share",
          "{} of the energy sits where the phase is undetermined", _FOURIER),
     Sign("eigenvalue_ratio", "λ₂ / λ₁", diagnosis.eigenvalue_ratio, "felt", diagnosis.LEADING, "number",
-         "the second principal axis holds {} times the energy of the first", _PRINCIPAL),
+         "the second principal axis holds {} times the energy of the first", _LEADING),
     Sign("ambiguous_windows", "Energy in windows without a leading axis", diagnosis.ambiguous_windows, "felt", 0.05,
-         "share", "{} of the energy lies in windows in which no direction leads by 20 %", ("pca321_adaptive",)),
+         "share", "{} of the energy lies in windows in which no direction leads by 20 %", _IN_FRAMES),
     Sign("silent_axes", "Silent axes", diagnosis.silent_axes, "felt", 0.5, "number",
-         "{} of the axes are 40 dB below the strongest", _SINGLE),
+         "axes that are 40 dB below the strongest: {}", _SINGLE),
     Sign("offset_share", "Energy in the offset", diagnosis.offset_share, "sensor", 0.5, "share",
          "{} of what the sensor gave is offset; without conditioning it passes for signal", ("mag321", "pca321")),
     Sign("slow_share", "Energy below 20 Hz", diagnosis.slow_share, "sensor", 0.2, "share",
@@ -109,13 +111,13 @@ _SIGNS = (
     Sign("held_share", "Repeated samples", diagnosis.held_share, "sensor", 0.01, "share",
          "{} of the samples repeat the one before on all axes, as filled gaps do", _FOURIER),
     Sign("crest_factor", "Peak / RMS", diagnosis.crest_factor, "felt", 12.0, "number",
-         "the peak is {} times the RMS; a few moments decide axes and spectra", ("dft321",)),
+         "the peak is {} times the RMS; a few moments decide axes and spectra", (*_FOURIER, *_LEADING)),
     Sign("tonal_share", "Energy in one tone", diagnosis.tonal_share, "felt", 0.8, "share",
          "{} of the energy is one tone; other bands are nearly empty and spectral match rests on them", ()),
     Sign("n_windows", "Duration in windows", diagnosis.n_windows, "felt", 10.0, "number",
          "it is {} windows long; too short for spectra and axes to settle", (), below=True),
     Sign("silence_share", "Silent windows", diagnosis.silence_share, "felt", 0.3, "share",
-         "{} of the windows are 40 dB below the loudest; there the axis is chance", ("pca321_adaptive",)),
+         "{} of the windows are 40 dB below the loudest; there the axis is chance", _IN_FRAMES),
 )  # fmt: skip
 
 SIGNS: Mapping[str, Sign] = MappingProxyType({sign.name: sign for sign in _SIGNS})
@@ -192,10 +194,7 @@ def warn_of(diagnosis: Diagnosis, cells: Sequence[Cell]) -> tuple[str, ...]:
     lines, caution = [], MEASURES["gain"].caution
     for sign in diagnosis.near_signs:
         line = sign.words.format(sign.tell(diagnosis.figures[sign.name]))
-        touched = [f"{name} (gain {gains[name]:.2g})" for name in sign.sensitive if gains.get(name, 0.0) >= caution]
-        lines.append(f"{line}: {_join(touched)} here" if touched else line)
+        touched = [name for name in sign.sensitive if gains.get(name, 0.0) >= caution]
+        told = ", ".join(f"{name} is sensitive here (gain {gains[name]:.2g})" for name in touched)
+        lines.append(f"{line}: {told}" if told else line)
     return tuple(lines)
-
-
-def _join(names: Sequence[str]) -> str:
-    return f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'} sensitive"

@@ -90,7 +90,7 @@ def test_spikes_tones_and_silence(made: Any) -> None:
 def test_a_warning_names_the_share_and_the_reducers_that_suffer() -> None:
     figures = {name: (100.0 if sign.below else 0.0) for name, sign in SIGNS.items()} | {"undetermined_share": 0.32}
     gains = [Cell("drag", name, "gain", gain, gain) for name, gain in (("dft321", 40.0), ("dft321_windowed", 1.0))]
-    expected = "32 % of the energy sits where the phase is undetermined: dft321 (gain 40) is sensitive here"
+    expected = "32 % of the energy sits where the phase is undetermined: dft321 is sensitive here (gain 40)"
     assert warn_of(Diagnosis("drag", figures), gains) == (expected,)
     assert warn_of(Diagnosis("other", figures), gains) == (expected.partition(":")[0],)
 
