@@ -38,6 +38,24 @@ def look_up(chart: Chart) -> dict[str, Look]:
     return assign_looks(list(dict.fromkeys(point.reducer for point in chart.points)))
 
 
+def find_size(look: Look, points: float) -> float:
+    """Find the size at which a marker looks as large as others.
+
+    Parameters
+    ----------
+    look : Look
+        With the marker.
+    points : float
+        Size of the others.
+
+    Returns
+    -------
+    float
+        A star, which is mostly corners, must be larger.
+    """
+    return 1.6 * points if look.marker == "*" else points
+
+
 def tell_measure(measure: str) -> str:
     """Label an axis by its measure.
 

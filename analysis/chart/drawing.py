@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from analysis.chart.axes import CUT, limit_accuracy, look_up, tell_measure, write_plainly
+from analysis.chart.axes import CUT, find_size, limit_accuracy, look_up, tell_measure, write_plainly
 from analysis.chart.pareto import find_front
 from analysis.chart.records import MEASURES
 from analysis.figures.legend import add_legend, make_handles
@@ -142,7 +142,7 @@ def _draw_point(axes: Axes, point: Point, *, scenes: Sequence[Accuracy], look: L
         axes.plot(x, max(row.mean, CUT), marker=".", markersize=2.2, color=look.colour, alpha=0.6, linestyle="none")
     axes.hlines(max(point.mean, CUT), point.low, point.high, colors=look.colour, linewidths=1.0, zorder=3)
     axes.plot(
-        x, max(point.mean, CUT), marker=look.marker, markersize=5, color=look.colour,
+        x, max(point.mean, CUT), marker=look.marker, markersize=find_size(look, 5), color=look.colour,
         markeredgecolor=BLACK if point.on_front else "white", markeredgewidth=THIN * (1.5 if point.on_front else 1),
         linestyle="none", zorder=4,
     )  # fmt: skip
@@ -190,7 +190,7 @@ def _draw_bar(axes: Axes, x: float, means: Sequence[float], *, look: Look) -> No
     axes.vlines(x, max(min(means), CUT), max(*means, CUT), colors=look.colour, linewidths=0.5, alpha=0.5, zorder=1)
     axes.plot(
         x, max(sum(means) / len(means), CUT), marker=look.marker, color=look.colour, markeredgecolor="white",
-        markeredgewidth=THIN, linestyle="none", zorder=3,
+        markersize=find_size(look, 4), markeredgewidth=THIN, linestyle="none", zorder=3,
     )  # fmt: skip
 
 
@@ -198,5 +198,5 @@ def _draw_rating(axes: Axes, row: Rated, *, cost: float, look: Look) -> None:
     axes.vlines(cost, row.two_way_low, row.two_way_high, colors=GREY, linewidths=0.5, zorder=1)
     if row.low is not None and row.high is not None:
         axes.vlines(cost, row.low, row.high, colors=look.colour, linewidths=1.5, alpha=0.5, zorder=2)
-    axes.plot(cost, row.mean, marker=look.marker, color=look.colour, markersize=5, markeredgecolor="white",
-              markeredgewidth=THIN, linestyle="none", zorder=3)  # fmt: skip
+    axes.plot(cost, row.mean, marker=look.marker, color=look.colour, markeredgecolor="white",
+              markersize=find_size(look, 5), markeredgewidth=THIN, linestyle="none", zorder=3)  # fmt: skip

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.chart.axes import CUT, limit_accuracy, look_up, tell_measure, write_plainly
+from analysis.chart.axes import CUT, find_size, limit_accuracy, look_up, tell_measure, write_plainly
 from analysis.chart.cost import RATE_HZ
 from analysis.chart.records import MEASURES
 from analysis.figures.legend import add_legend, make_handles
@@ -149,7 +149,7 @@ def _draw_per_sample(axes: Axes, costs: Sequence[Cost], look: Look) -> None:
 
 
 def _draw_line(axes: Axes, x: Series, y: Series, *, look: Look) -> None:
-    axes.plot(x, y, color=look.colour, marker=look.marker, markersize=3.2, markeredgecolor="white",
+    axes.plot(x, y, color=look.colour, marker=look.marker, markersize=find_size(look, 3.2), markeredgecolor="white",
               markeredgewidth=THIN, linewidth=0.7)  # fmt: skip
 
 

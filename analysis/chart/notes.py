@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from analysis.chart.axes import tell_plainly
 from analysis.chart.cost import CALLS, RATE_HZ, REFERENCE_N
 
 if TYPE_CHECKING:
@@ -38,15 +39,15 @@ def list_notes(
         "Times are those of this run on this machine and differ from run to run; all other figures come out again from "
         "the same recordings and seed.",
         *_note_load(machine),
-        f"Methods are compared at {REFERENCE_N} samples; × real time is told for {RATE_HZ:g} Hz. The signals that are "
-        "timed are white noise.",
+        f"Methods are compared at {tell_plainly(REFERENCE_N)} samples; × real time is told for {RATE_HZ / 1000:g} kHz. "
+        "The signals that are timed are white noise.",
         *_note_pieces(recordings, longest_s),
         "Scenes were resampled to every sampling rate and compared with the recording at that rate: above a "
         "recording's own rate nothing is added, below it what lies above half the new rate is lost to both.",
         *_note_precision(precision),
         "The hop of every windowed reducer is half its window. Smaller hops of dft321_windowed are the mean of runs "
         "over shifted signals, which is the same output; an implementation of its own could be a little cheaper.",
-        f"Block sizes: time of {CALLS} calls or more at {RATE_HZ:g} Hz, the stream being under way. "
+        f"Block sizes: time of {CALLS} calls or more at {RATE_HZ / 1000:g} kHz, the stream being under way. "
         "A block of k samples adds (k - 1) / rate of waiting to the algorithmic latency.",
         "Memory is what numpy asks for beside the input, the output included; what a Fourier transform keeps inside is "
         "not seen.",

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from analysis.chart.chart import Chart
-    from analysis.chart.records import Dominance, Point, Rated
+    from analysis.chart.records import Dominance, Growth, Point, Rated
 
 
 def tell_answers(chart: Chart) -> tuple[str, ...]:
@@ -79,6 +79,23 @@ def tell_cost(point: Point) -> str:
     return f"{point.ns_per_sample:.3g} ns per sample, {tell_plainly(float(f'{times:.2g}'))} × real time"
 
 
+def tell_exponent(row: Growth) -> str:
+    """Tell an exponent.
+
+    Parameters
+    ----------
+    row : Growth
+        Of a reducer.
+
+    Returns
+    -------
+    str
+        With the reducer and, where there is one, the interval.
+    """
+    interval = "" if row.low is None or row.high is None else f", 95 % interval {tell_range(row.low, row.high)}"
+    return f"{row.exponent:.2f} ({row.reducer}{interval})"
+
+
 def _tell_speed(points: list[Point]) -> str:
     cheapest, dearest = (extreme(points, key=lambda point: point.ns_per_sample) for extreme in (min, max))
     length = f"at {tell_plainly(REFERENCE_N)} samples and {RATE_HZ / 1000:g} kHz"
@@ -118,8 +135,8 @@ def _tell_growth(chart: Chart) -> str:
     steep = f"clearly faster than n: {join(above)}" if above else "for none clearly faster than n"
     lengths = f"{tell_plainly(slowest.smallest)} to {tell_plainly(slowest.largest)} samples"
     return (
-        f"Time grows with length n (from {lengths}) as n^{slowest.exponent:.2f} ({slowest.reducer}) to "
-        f"n^{fastest.exponent:.2f} ({fastest.reducer}), {steep}."
+        f"Time grows with length n (from {lengths}) as n^{tell_exponent(slowest)} to n^{tell_exponent(fastest)}, "
+        f"{steep}."
     )
 
 
