@@ -7,7 +7,7 @@ must take batches. a is the recording, r = reduce(a) its output, ‖·‖ the ro
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -26,8 +26,23 @@ if TYPE_CHECKING:
     Samples = NDArray[np.float64]
 
 LARGEST_DB = 60.0
+"""An output that is weaker or stronger by more than this is silent, or out of all proportion."""
+
 FLIPS = np.array([[-1.0, 1.0, 1.0], [1.0, -1.0, 1.0], [1.0, 1.0, -1.0]])
 """The axis signs that differ by more than the sign of everything."""
+
+
+class Spread(NamedTuple):
+    """Standard deviations of both metrics over orientations of the sensor.
+
+    Parameters
+    ----------
+    spectral_sd, temporal_sd : float
+        With ddof 1; NaN for the spectral one where the recording has no frequency from 20 to 1000 Hz.
+    """
+
+    spectral_sd: float
+    temporal_sd: float
 
 
 def perturbation_gain(
@@ -343,7 +358,7 @@ def fault_gain(reduce: Reducer, recording: Recording, *, clean: Recording) -> fl
 
 def metric_spread(
     reduce: Reducer, recording: Recording, *, rng: np.random.Generator, draws: int = 20
-) -> tuple[float, float]:
+) -> Spread:
     """Tell how much both metrics depend on the way the sensor was glued on.
 
     Parameters
@@ -359,9 +374,8 @@ def metric_spread(
 
     Returns
     -------
-    spectral_sd, temporal_sd : float
-        Standard deviations (ddof 1) over the orientations; NaN for the spectral one where the recording has no
-        frequency from 20 to 1000 Hz.
+    Spread
+        Of spectral and temporal match.
 
     Raises
     ------
@@ -371,6 +385,14 @@ def metric_spread(
     References
     ----------
     .. [1] Park & Kuchenbecker, World Haptics 2019. doi:10.1109/WHC.2019.8816148
+
+    Examples
+    --------
+    >>> from stimuli.recording import Recording
+    >>> from stimuli.reduce import REDUCERS
+    >>> drag = Recording(np.random.default_rng(1).standard_normal((3, 500)) * [[1], [2], [4]], 1000, "drag")
+    >>> metric_spread(REDUCERS["sax321"], drag, rng=np.random.default_rng(0)).spectral_sd > 0.1
+    True
     """
     if draws < 2:  # noqa: PLR2004 - a spread needs two
         raise ValueError(f"draws: got {draws}, allowed is 2 or more")
@@ -379,7 +401,7 @@ def metric_spread(
     outputs = reduce(turned, recording.rate_hz)
     original = OriginalSpectrum(samples, recording.rate_hz)
     spectral = float(np.std(original.match(outputs), ddof=1)) if len(original.smoothed) else float("nan")
-    return spectral, float(np.std(mean_heard(axis_correlations(turned, outputs)), ddof=1))
+    return Spread(spectral, float(np.std(mean_heard(axis_correlations(turned, outputs)), ddof=1)))
 
 
 def _admit(recording: Recording, draws: int) -> tuple[Samples, float]:

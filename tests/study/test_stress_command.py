@@ -17,6 +17,8 @@ from study.sensor import gather_sensor
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from study.folder import StudyFolder
+
     Capture = pytest.CaptureFixture[str]
 
 
@@ -41,10 +43,12 @@ def test_figures_warnings_and_page(recording: Path, tmp_path: Path, capsys: Capt
     assert json.loads((target / "results.json").read_text(encoding="utf-8")) == content
     assert all((target / name).is_file() for name in content["files"])
     assert re.search(r"feel321: warning: rumble: 9\d.* % of what the sensor gave is offset", err)
-    assert "offset" in [entry for entry in content["recordings"] if entry["name"] == "rumble"][0]["near"]
+    assert "offset" in next(entry for entry in content["recordings"] if entry["name"] == "rumble")["near"]
 
 
-def test_the_default_folder_is_in_the_study(small_study: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+def test_the_default_folder_is_in_the_study(
+    study: StudyFolder, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
     """A study's own recordings, found as they came from the sensor, under the names that the study gives them."""
     from analysis.stress import run
 
@@ -57,8 +61,8 @@ def test_the_default_folder_is_in_the_study(small_study: Path, monkeypatch: pyte
         return whole(recordings, few, **{**options, "draws": 2})
 
     monkeypatch.setattr(run, "stress_reducers", note)
-    assert main(["stress", str(small_study)]) == 0
-    assert capsys.readouterr().out.strip() == str(small_study / "stress" / "index.html")
+    assert main(["stress", str(study.path)]) == 0
+    assert capsys.readouterr().out.strip() == str(study.path / "stress" / "index.html")
     assert [one.name for one in asked["recordings"]] == ["bumps", "hard_taps"]
     assert list(asked["sensor"]) == ["bumps", "hard_taps"]
     assert asked["seed"] == 5
@@ -73,7 +77,7 @@ def test_scenes_as_they_came_from_the_sensor(tmp_path: Path) -> None:
     ("arguments", "message"),
     [
         (["missing"], "missing: got no folder, allowed is a study's; check the name"),
-        (["."], "begin a study with: feel321 new"),
+        (["."], "or begin one with: feel321 new"),
         ([".", "--recordings", "none.csv"], "none.csv"),
         ([".", "--scenes", "--seed", "-1"], "Invalid value for '--seed'"),
     ],
