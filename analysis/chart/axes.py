@@ -88,8 +88,8 @@ def limit_accuracy(rows: Sequence[Accuracy]) -> tuple[float, float]:
 
     Returns
     -------
-    low, high : float
-        From `CUT` or above to 1, with a margin.
+    tuple of float
+        Lowest and highest: from `CUT` or above to 1, with a margin.
     """
     lowest = max(CUT, min(0.0, *(row.mean for row in rows), 0.0))
     return lowest - 0.04 * (1 - lowest), 1 + 0.04 * (1 - lowest)

@@ -81,8 +81,8 @@ def draw_interval(
 
     Returns
     -------
-    low, high : float
-        Of 95 % of the draws.
+    tuple of float
+        Lower and upper end, between which 95 % of the draws lie.
     """
     seen = np.isfinite(table)
     sums, counts = scenes @ np.where(seen, table, 0.0).T, scenes @ seen.T.astype(np.float64)
