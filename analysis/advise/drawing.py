@@ -16,7 +16,9 @@ if TYPE_CHECKING:
     from analysis.advise.choice import Advice
     from analysis.advise.verdict import Verdict
 
-ROW_CM, HEAD_CM, LEGEND_CM = 0.42, 2.9, 1.4
+ROW_CM, LETTER_CM, REST_CM = 0.42, 0.15, 2.0
+"""Height of a row, of a letter of an upright label, and of key and gaps."""
+
 NAME_CM = 2.9
 TITLE = "Least sufficient reducer of every scene: the simplest (from left to right) that is as good as the best."
 CLOSEST = "closest, not sufficient"
@@ -38,7 +40,8 @@ def draw_advice(advices: Sequence[Advice]) -> Figure:
     """
     names = [verdict.name for verdict in next((each.verdicts for each in advices if each.verdicts), ())]
     with print_style():
-        figure, axes = new_figure(HEAD_CM + LEGEND_CM + ROW_CM * len(advices))
+        head = LETTER_CM * max(map(len, names), default=0)
+        figure, axes = new_figure(head + ROW_CM * len(advices) + REST_CM)
         states = set()
         for row, advice in enumerate(advices):
             for verdict in advice.verdicts:

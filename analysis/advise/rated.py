@@ -1,9 +1,9 @@
 """What people said of a scene: whether a reducer is shown to feel like the one that they rated highest.
 
 The contrasts are those of the report (`analysis.sections.contrasts`), fitted to the ratings of one recording, and the
-margin is the study's: half the spread with which people repeat their ratings, on that scale and level. A reducer passes
-if two one-sided tests show its equivalence with the best-rated one on every scale and level; "not significantly
-different" passes nobody.
+margin is the study's: the one fixed beforehand, or half the spread with which people repeat their ratings on that scale
+and level. A reducer passes if two one-sided tests show its equivalence with the best-rated one on every scale and level
+that has a margin; "not significantly different" passes nobody. Without a margin nothing can be shown, either way.
 """
 
 from __future__ import annotations
@@ -25,23 +25,27 @@ if TYPE_CHECKING:
     from analysis.table import Table
 
 
-def judge_ratings(table: Table) -> dict[str, dict[str, Rated]]:
+def judge_ratings(table: Table, *, margin: float | None = None) -> dict[str, dict[str, Rated]]:
     """Judge the reducers of every recording by its ratings.
 
     Parameters
     ----------
     table : Table
         Ratings of a study.
+    margin : float, optional
+        Points that do not matter, fixed beforehand; half the spread of repeated ratings if left out.
 
     Returns
     -------
     dict
-        Recording -> reducer -> what people said; recordings with fewer than two rated reducers are left out.
+        Recording -> reducer -> what people said; without recordings of fewer than two rated reducers, and empty if
+        there is no margin.
     """
-    parts = [(part, _find_margin(part)) for part in split_parts(table)]
+    found = [(part, margin or _find_margin(part)) for part in split_parts(table)]
+    parts = [(part, points) for part, points in found if points is not None]
     recordings = dict.fromkeys(name for part, _ in parts for name in part.rows["recording"].astype(str))
-    judged = {name: [_judge_part(part, margin, name) for part, margin in parts] for name in recordings}
-    return {name: found for name, by_part in judged.items() if (found := _join([each for each in by_part if each]))}
+    judged = {name: [_judge_part(part, points, name) for part, points in parts] for name in recordings}
+    return {name: said for name, by_part in judged.items() if (said := _join([each for each in by_part if each]))}
 
 
 def _find_margin(part: Part) -> float | None:
@@ -49,13 +53,13 @@ def _find_margin(part: Part) -> float | None:
     return sd / 2 if sd > 0 else None
 
 
-def _judge_part(part: Part, margin: float | None, recording: str) -> dict[str, Rated]:
+def _judge_part(part: Part, margin: float, recording: str) -> dict[str, Rated]:
     rows = part.rows[part.rows["recording"].astype(str) == recording]
     means = rows.groupby(rows["reducer"].astype(str))["rating"].mean()
     if len(means) < 2:  # noqa: PLR2004 - one reducer is like no other
         return {}
     best = str(means.idxmax())
-    tested = _test(rows, margin) if margin is not None else {}
+    tested = _test(rows, margin)
     return {
         str(name): Rated(is_best=name == best, best=best, p=tested.get(frozenset({str(name), best}), float("nan")))
         for name in means.index

@@ -42,6 +42,8 @@ class Study:
         Length of the segments; None where every recording is one scene.
     rated : tuple of str
         Recordings whose ratings were heard.
+    note : str
+        Why ratings that are there were not; empty if they were, or there are none.
     """
 
     advices: tuple[Advice, ...]
@@ -49,6 +51,7 @@ class Study:
     seed: int
     segment_s: float | None
     rated: tuple[str, ...]
+    note: str
 
     @property
     def common(self) -> tuple[str, ...]:
@@ -87,7 +90,8 @@ def advise_recordings(
     segment_s : float, optional
         Length of the segments; every recording is one scene if left out.
     ratings : Mapping, optional
-        Recording -> reducer -> what people said. Not heard for segments: people rated the whole.
+        Recording -> reducer -> what people said. Not heard for segments, nor for actuators of several axes: people
+        rated whole recordings, on one axis. None where nobody rated anything.
     progress : callable, optional
         Called with the numbers of scenes done and to do.
 
@@ -106,7 +110,8 @@ def advise_recordings(
     if not recordings:
         raise ValueError("recordings: got none, allowed is one or more; name a study, --scenes or --recordings")
     scenes = [scene for recording in recordings for scene in split_recording(recording, segment_s)]
-    heard = {} if segment_s is not None or ratings is None else ratings
+    note = "" if ratings is None else _refuse_ratings(ratings, context, segment_s)
+    heard = {} if ratings is None or note else ratings
     advices = []
     # The work is in transforms: threads of the linear algebra only wait for each other.
     with threadpool_limits(limits=1, user_api="blas"):
@@ -115,7 +120,7 @@ def advise_recordings(
             if progress is not None:
                 progress(done, len(scenes))
     rated = tuple(dict.fromkeys(scene.source for scene in scenes if scene.source in heard))
-    return Study(tuple(advices), context, seed, segment_s, rated)
+    return Study(tuple(advices), context, seed, segment_s, rated, note)
 
 
 def write_advice(study: Study, folder: Path) -> Row:
@@ -191,11 +196,23 @@ def lay_out(study: Study) -> Row:
         "seed": study.seed,
         "segment_s": study.segment_s,
         "rated": study.rated,
+        "note": study.note,
         "scenes": [_lay_scene(advice, rated=advice.scene.source in study.rated) for advice in study.advices],
         "measures": [_lay_verdict(advice, place) for advice in study.advices for place in range(len(advice.verdicts))],
         "files": list_files([FIGURE], TABLES),
         "version": __version__,
     }  # fmt: skip
+
+
+def _refuse_ratings(ratings: Mapping[str, Mapping[str, Rated]], context: Context, segment_s: float | None) -> str:
+    if segment_s is not None:
+        return "Ratings are not heard: people rated whole recordings, not segments."
+    if context.axes > 1:
+        return "Ratings are not heard: people rated what one axis of an actuator plays."
+    if not ratings:
+        margin = "a margin, from stimuli rated twice or set under [analysis] in study.toml"
+        return f"Ratings are not heard: equivalence needs two rated reducers and {margin}."
+    return ""
 
 
 def _lay_scene(advice: Advice, *, rated: bool) -> Row:

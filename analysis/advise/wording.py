@@ -103,7 +103,7 @@ def _tell_raters(verdict: Verdict) -> str:
     if verdict.rated is None:
         return "was not rated"
     if isnan(verdict.rated.p):
-        return f"is not shown to feel like {verdict.rated.best}, because there is no margin or no error to test with"
+        return f"is not shown to feel like {verdict.rated.best}, because so few ratings leave no error to test with"
     return f"is not shown to feel like {verdict.rated.best} (p of equivalence {verdict.rated.p:.2g})"
 
 

@@ -60,7 +60,8 @@ def advise(  # noqa: PLR0913 - every option has a name of its own
         return
     for advice in study.advices:
         click.echo(advice.line)
-    click.echo(study.summary)
+    for line in filter(None, (study.summary, study.note)):
+        click.echo(line)
     click.echo(task.output / "index.html")
 
 
@@ -73,11 +74,13 @@ def _as_options() -> Iterator[None]:
         raise click.UsageError(f"--{error}") from None
 
 
-def _hear(study: StudyFolder) -> Ratings:
+def _hear(study: StudyFolder) -> Ratings | None:
     """Read what people said, if they have said something."""
     if not (study.ratings.is_file() and study.manifest.is_file()):
-        return {}
+        return None
     from analysis.advise.rated import judge_ratings
     from analysis.table import read_table
+    from study.settings.reading import read_settings
 
-    return judge_ratings(read_table(study.ratings, study.manifest))
+    margin = read_settings(study.settings).analysis.margin if study.settings.is_file() else None
+    return judge_ratings(read_table(study.ratings, study.manifest), margin=margin)

@@ -170,9 +170,7 @@ def test_people_must_agree_where_they_were_asked() -> None:
     assert judged(good, rated=same, needs_ratings=True).is_sufficient
     said = {
         "is not shown to feel like dft321 (p of equivalence 0.3)": judged(good, rated=unlike, needs_ratings=True),
-        "is not shown to feel like dft321, because there is no margin": judged(
-            good, rated=untested, needs_ratings=True
-        ),
+        "is not shown to feel like dft321, because so few ratings": judged(good, rated=untested, needs_ratings=True),
         "was not rated": judged(good, needs_ratings=True),
     }
     for words, verdict in said.items():

@@ -64,12 +64,13 @@ def test_a_reducer_must_pass_on_every_scale() -> None:
     assert not said["pca321"].suffices
 
 
-def test_without_repeats_there_is_no_margin_and_only_the_best_passes() -> None:
-    table = make_table(ALIKE)
+def test_without_repeats_the_margin_must_be_fixed_beforehand() -> None:
+    table = make_table(ALIKE, people=40)
     once = Table(table.rows[table.rows["repeat"] == "1"], (), ())
-    said = judge_ratings(once)["oak"]
-    assert sum(rated.suffices for rated in said.values()) == 1
-    assert all(np.isnan(rated.p) for rated in said.values())
+    assert judge_ratings(once) == {}
+    said = judge_ratings(once, margin=5.0)["oak"]
+    assert [name for name, rated in said.items() if rated.suffices] == ["dft321", "pca321"]
+    assert sum(rated.suffices for rated in judge_ratings(once, margin=0.01)["oak"].values()) == 1
 
 
 def test_one_reducer_is_like_no_other() -> None:

@@ -58,7 +58,24 @@ def test_ratings_are_heard_for_whole_recordings_only() -> None:
     whole = advise_recordings(scenes()[:2], Context(), ratings=said)
     assert whole.rated == ("circular_motion",)
     assert [row["basis"] for row in lay_out(whole)["scenes"]] == ["metrics", "metrics and ratings"]
-    assert advise_recordings(scenes()[:2], Context(), ratings=said, segment_s=0.5).rated == ()
+    assert whole.note == ""
+    assert advise_recordings(scenes()[:1], Context()).note == ""
+
+
+def test_ratings_that_are_not_heard_are_told_of(tmp_path: Path) -> None:
+    said = {"constrained_drag": {"dft321": Rated(is_best=True, best="dft321", p=float("nan"))}}
+    notes = {
+        "whole recordings, not segments": advise_recordings(scenes()[:1], Context(), ratings=said, segment_s=0.5),
+        "what one axis of an actuator plays": advise_recordings(scenes()[:1], Context(axes=2), ratings=said),
+        "two rated reducers and a margin": advise_recordings(scenes()[:1], Context(), ratings={}),
+    }
+    for words, study in notes.items():
+        assert study.rated == ()
+        assert study.advices[0].answer == "pca321"
+        assert study.note.startswith("Ratings are not heard: ")
+        assert words in study.note
+        write_advice(study, tmp_path / "advice")
+        assert study.note in (tmp_path / "advice" / "index.html").read_text(encoding="utf-8").replace("&#39;", "'")
 
 
 def test_progress_counts_scenes() -> None:
