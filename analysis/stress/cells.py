@@ -12,16 +12,8 @@ import numpy as np
 
 from analysis.stress.change import Change
 from analysis.stress.limits import MEASURES
-from analysis.stress.measures import (
-    edge_error,
-    energy_error,
-    fault_gain,
-    flip_change,
-    metric_spread,
-    perturbation_gain,
-    rotation_change,
-    shift_change,
-)
+from analysis.stress.measures import edge_error, energy_error, fault_gain, perturbation_gain, shift_change
+from analysis.stress.mounting import flip_change, metric_spread, rotation_change
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

@@ -18,6 +18,8 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from stimuli.recording import Recording
+
     Samples = NDArray[np.float64]
     Free = Literal["sign", "phase"]
 
@@ -85,6 +87,37 @@ def relative_change(changed: Samples, output: Samples, *, free: Free = "sign") -
     known = np.broadcast_to(strength > 0, distance.shape)
     relative = np.divide(distance, strength, out=np.array(silent), where=known)
     return np.asarray(np.minimum(relative, UNRELATED))
+
+
+def admit_moving(recording: Recording, draws: int) -> tuple[Samples, float]:
+    """Check what a change is measured on.
+
+    Parameters
+    ----------
+    recording : Recording
+        To be no silence.
+    draws : int
+        To be at least 1.
+
+    Returns
+    -------
+    samples : ndarray, shape (3, n)
+        The recording's.
+    strength : float
+        Root of its energy.
+
+    Raises
+    ------
+    ValueError
+        If the recording is silent or there are no draws.
+    """
+    samples = recording.acceleration
+    strength = float(np.linalg.norm(samples))
+    if strength == 0:
+        raise ValueError(f"recording {recording.name!r}: is silent, so no change can be related to it; leave it out")
+    if draws < 1:
+        raise ValueError(f"draws: got {draws}, allowed is 1 or more")
+    return samples, strength
 
 
 def summarise(changes: Samples) -> Change:

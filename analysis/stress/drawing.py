@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from analysis.stress.result import StressResult
 
 WIDTH_CM = 2 * COLUMN_CM + 0.8
-ROW_CM, HEAD_CM, KEY_CM, LABEL_CM, MARGIN_CM = 0.66, 1.2, 1.5, 3.7, 0.1
+ROW_CM, HEAD_CM, KEY_CM, LABEL_CM, MARGIN_CM = 0.66, 1.2, 1.3, 3.7, 0.1
 FILLS = {"good": "#FFFFFF", "caution": "#F6D68F", "fails": "#D55E00", "undefined": "#E6E6E6"}
 """White, Okabe and Ito's orange made paler, and their vermilion: three steps of lightness, so that grey prints tell."""
 

@@ -7,14 +7,12 @@ must take batches. a is the recording, r = reduce(a) its output, ‖·‖ the ro
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.stress.change import Change, relative_change, summarise
+from analysis.stress.change import Change, admit_moving, relative_change, summarise
 from stimuli.frames import DEFAULT_WINDOW_S, window_samples
-from stimuli.match import OriginalSpectrum, axis_correlations, mean_heard
-from stimuli.rotation import random_rotations
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -27,22 +25,6 @@ if TYPE_CHECKING:
 
 LARGEST_DB = 60.0
 """An output that is weaker or stronger by more than this is silent, or out of all proportion."""
-
-FLIPS = np.array([[-1.0, 1.0, 1.0], [1.0, -1.0, 1.0], [1.0, 1.0, -1.0]])
-"""The axis signs that differ by more than the sign of everything."""
-
-
-class Spread(NamedTuple):
-    """Standard deviations of both metrics over orientations of the sensor.
-
-    Parameters
-    ----------
-    spectral_sd, temporal_sd : float
-        With ddof 1; NaN for the spectral one where the recording has no frequency from 20 to 1000 Hz.
-    """
-
-    spectral_sd: float
-    temporal_sd: float
 
 
 def perturbation_gain(
@@ -103,90 +85,12 @@ def perturbation_gain(
     """
     if not level_db < 0:
         raise ValueError(f"level_db: got {level_db}, allowed is below 0 dB: the noise is weaker than the recording")
-    samples, strength = _admit(recording, draws)
+    samples, strength = admit_moving(recording, draws)
     share = 10 ** (level_db / 20)
     noise = rng.standard_normal((draws, *samples.shape))
     noise *= share * strength / np.linalg.norm(noise, axis=(-2, -1), keepdims=True)
     outputs = reduce(samples + noise, recording.rate_hz)
     return summarise(relative_change(outputs, reduce(samples, recording.rate_hz), free=free) / share)
-
-
-def rotation_change(
-    reduce: Reducer, recording: Recording, *, rng: np.random.Generator, draws: int = 20, free: Free = "sign"
-) -> Change:
-    """Tell how much the output changes if the sensor is glued on in another way.
-
-    Parameters
-    ----------
-    reduce : Reducer
-        The reducer.
-    recording : Recording
-        What is turned.
-    rng : numpy.random.Generator
-        Source of the orientations, uniform over all rotations.
-    draws : int
-        Orientations, at least 1.
-    free : {"sign", "phase"}
-        See `relative_change`.
-
-    Returns
-    -------
-    Change
-        Median and worst δ(reduce(Q a), reduce(a)) over rotations Q.
-
-    Raises
-    ------
-    ValueError
-        If the recording is silent or there are no draws.
-
-    Examples
-    --------
-    >>> from stimuli.recording import Recording
-    >>> from stimuli.reduce import REDUCERS
-    >>> drag = Recording(np.random.default_rng(1).standard_normal((3, 50)) * [[1], [2], [4]], 1000, "drag")
-    >>> change = {name: rotation_change(REDUCERS[name], drag, rng=np.random.default_rng(0))
-    ...           for name in ("sax321", "pca321")}
-    >>> change["sax321"].median > 0.5, change["pca321"].worst < 1e-12
-    (True, True)
-    """
-    samples, _ = _admit(recording, draws)
-    turned = np.einsum("rij,jn->rin", random_rotations(draws, rng), samples)
-    outputs = reduce(turned, recording.rate_hz)
-    return summarise(relative_change(outputs, reduce(samples, recording.rate_hz), free=free))
-
-
-def flip_change(reduce: Reducer, recording: Recording) -> Change:
-    """Tell how much the output changes if one axis of the sensor has the other sign.
-
-    Parameters
-    ----------
-    reduce : Reducer
-        The reducer.
-    recording : Recording
-        Whose axes are flipped, one at a time: two flips are one of the third axis and a sign of everything.
-
-    Returns
-    -------
-    Change
-        Median and worst of the three.
-
-    Raises
-    ------
-    ValueError
-        If the recording is silent.
-
-    Examples
-    --------
-    >>> from stimuli.recording import Recording
-    >>> from stimuli.reduce import REDUCERS
-    >>> u = np.sin(np.arange(50.0))
-    >>> same = Recording([u, u, u], 1000, "same")
-    >>> round(flip_change(REDUCERS["soc321"], same).worst, 6), flip_change(REDUCERS["mag321"], same).worst
-    (0.666667, 0.0)
-    """
-    samples, _ = _admit(recording, 1)
-    outputs = reduce(FLIPS[..., None] * samples, recording.rate_hz)
-    return summarise(relative_change(outputs, reduce(samples, recording.rate_hz)))
 
 
 def shift_change(reduce: Reducer, recording: Recording, *, rng: np.random.Generator, draws: int = 8) -> Change:
@@ -221,7 +125,7 @@ def shift_change(reduce: Reducer, recording: Recording, *, rng: np.random.Genera
     >>> shift_change(REDUCERS["mag321"], drag, rng=np.random.default_rng(0))
     Change(median=0.0, worst=0.0)
     """
-    samples, _ = _admit(recording, draws)
+    samples, _ = admit_moving(recording, draws)
     most = window_samples(DEFAULT_WINDOW_S, recording.rate_hz)
     silence = np.zeros((3, most))
     embedded = np.concatenate([samples, silence], axis=-1)
@@ -268,7 +172,7 @@ def edge_error(reduce: Reducer, recording: Recording, *, window_s: float = DEFAU
     >>> edge_error(REDUCERS["pca321"], Recording([tap, 2 * tap, -tap], 1000, "tap")) < 1e-12
     True
     """
-    samples, _ = _admit(recording, 1)
+    samples, _ = admit_moving(recording, 1)
     hop = window_samples(window_s, recording.rate_hz) // 2
     starts = np.arange(0, samples.shape[-1], hop)
     shares = []
@@ -308,7 +212,7 @@ def energy_error(reduce: Reducer, recording: Recording) -> float:
     >>> round(energy_error(REDUCERS["soc321"], Recording([u, u, u], 1000, "same")), 2)
     4.77
     """
-    samples, _ = _admit(recording, 1)
+    samples, _ = admit_moving(recording, 1)
     recorded = float(samples.var(axis=-1).sum())
     if recorded == 0:
         raise ValueError(f"recording {recording.name!r}: has an offset and no vibration; choose one that moves")
@@ -348,67 +252,9 @@ def fault_gain(reduce: Reducer, recording: Recording, *, clean: Recording) -> fl
     >>> round(fault_gain(REDUCERS["soc321"], cut, clean=whole), 9)
     1.0
     """
-    samples, strength = _admit(clean, 1)
+    samples, strength = admit_moving(clean, 1)
     if recording.n_samples != clean.n_samples:
         raise ValueError(f"clean: got {clean.n_samples} samples, allowed is {recording.n_samples}, as with the fault")
     share = float(np.linalg.norm(recording.acceleration - samples)) / strength
     outputs = (reduce(one.acceleration, one.rate_hz) for one in (recording, clean))
     return float(relative_change(*outputs)) / share if share else float("nan")
-
-
-def metric_spread(
-    reduce: Reducer, recording: Recording, *, rng: np.random.Generator, draws: int = 20
-) -> Spread:
-    """Tell how much both metrics depend on the way the sensor was glued on.
-
-    Parameters
-    ----------
-    reduce : Reducer
-        The reducer.
-    recording : Recording
-        What is turned.
-    rng : numpy.random.Generator
-        Source of the orientations.
-    draws : int
-        Orientations, at least 2.
-
-    Returns
-    -------
-    Spread
-        Of spectral and temporal match.
-
-    Raises
-    ------
-    ValueError
-        If the recording is silent or there are fewer than 2 draws.
-
-    References
-    ----------
-    .. [1] Park & Kuchenbecker, World Haptics 2019. doi:10.1109/WHC.2019.8816148
-
-    Examples
-    --------
-    >>> from stimuli.recording import Recording
-    >>> from stimuli.reduce import REDUCERS
-    >>> drag = Recording(np.random.default_rng(1).standard_normal((3, 500)) * [[1], [2], [4]], 1000, "drag")
-    >>> metric_spread(REDUCERS["sax321"], drag, rng=np.random.default_rng(0)).spectral_sd > 0.1
-    True
-    """
-    if draws < 2:  # noqa: PLR2004 - a spread needs two
-        raise ValueError(f"draws: got {draws}, allowed is 2 or more")
-    samples, _ = _admit(recording, draws)
-    turned = np.einsum("rij,jn->rin", random_rotations(draws, rng), samples)
-    outputs = reduce(turned, recording.rate_hz)
-    original = OriginalSpectrum(samples, recording.rate_hz)
-    spectral = float(np.std(original.match(outputs), ddof=1)) if len(original.smoothed) else float("nan")
-    return Spread(spectral, float(np.std(mean_heard(axis_correlations(turned, outputs)), ddof=1)))
-
-
-def _admit(recording: Recording, draws: int) -> tuple[Samples, float]:
-    samples = recording.acceleration
-    strength = float(np.linalg.norm(samples))
-    if strength == 0:
-        raise ValueError(f"recording {recording.name!r}: is silent, so no change can be related to it; leave it out")
-    if draws < 1:
-        raise ValueError(f"draws: got {draws}, allowed is 1 or more")
-    return samples, strength

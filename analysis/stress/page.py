@@ -156,7 +156,7 @@ def tell_figure(value: float, unit: str = "") -> str:
         return "0"
     if unit:
         return f"{value:+.1f} {unit}".replace("-", MINUS)
-    text = f"{value:.0f}" if 100 <= abs(value) < 1e6 else f"{value:.3g}"  # noqa: PLR2004 - where the digits change
+    text = f"{value:.0f}" if 100 <= abs(value) < 1e6 else f"{value:#.3g}"  # noqa: PLR2004 - where the digits change
     return text.replace("-", MINUS)
 
 

@@ -12,12 +12,10 @@ from analysis.stress.measures import (
     edge_error,
     energy_error,
     fault_gain,
-    flip_change,
-    metric_spread,
     perturbation_gain,
-    rotation_change,
     shift_change,
 )
+from analysis.stress.mounting import flip_change, metric_spread, rotation_change
 from stimuli.reduce import REDUCERS
 
 POINTWISE = ("sax321", "say321", "saz321", "soc321", "mag321")

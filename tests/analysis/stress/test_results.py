@@ -179,5 +179,5 @@ def test_warnings_of_the_reader_are_passed_on(drag: Any) -> None:
 
 def test_figures_in_words() -> None:
     assert [tell_gain(gain) for gain in (0.9951, 9.96, float("nan"))] == ["1.0", "10", "–"]
-    assert [tell_figure(value) for value in (float("nan"), 2e7, -735.0)] == ["–", "2e+07", "−735"]
+    assert [tell_figure(value) for value in (float("nan"), 2e7, -735.0)] == ["–", "2.00e+07", "−735"]
     assert tell_reason("gain", "my321") == "the output rests on something that noise decides."
