@@ -198,6 +198,14 @@ def test_where_the_motion_is_across_the_axis_its_own_ellipse_gives_the_phase() -
     assert aligned[0].real == pytest.approx(0.0, abs=1e-12)
 
 
+def test_rounding_does_not_choose_the_sign_of_a_tone_across_the_axis() -> None:
+    found = []
+    for rounding in (1e-16, -1e-16):
+        spectra = [np.zeros(1, complex), np.array([3j + rounding]), np.array([4j])]
+        found.append(align(spectra, measure(spectra)[0], axis=np.array([1.0, 0.0, 0.0])))
+    np.testing.assert_allclose(*found, rtol=1e-9)
+
+
 def test_onset_is_the_first_sample_of_half_the_peak_or_the_offset_or_nothing() -> None:
     acceleration = np.zeros((3, 10))
     acceleration[:, 4], acceleration[:, 5] = (0.0, -0.6, 0.0), (1.0, 0.0, 0.0)
