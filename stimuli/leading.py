@@ -56,10 +56,13 @@ if TYPE_CHECKING:
 
 PULL = 0.01
 """How far the start leans towards the onset's direction, as a share of the motion's energy: where the two leading
-eigenvalues differ by less than this the onset decides, which noise cannot turn about."""
+eigenvalues differ by less than this the onset decides, which noise cannot turn about. Measured at -60 dB of noise: on a
+circle it takes the gain from 120 to 1.3, on isotropic noise from 4.5 to 2.3, on two tones across each other from 1.5 to
+1.3, for at most 0.002 of the rotation-invariant temporal match. A drifting rotor pays (3.8 to 6.7), more with more."""
 
 STEPS = 1
-"""How often the whole-signal axis is improved; measured in `tests/bench/reducers.py`."""
+"""How often the whole-signal axis is improved: the first step takes the gain on two tones across each other from 240 to
+1.5 (without `PULL`), further ones change neither gain nor match enough to pay; see `tests/bench/reducers.py`."""
 
 # So few that what is worked on stays in the processor's cache.
 _AT_A_TIME = 8192
