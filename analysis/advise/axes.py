@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.advise.measures import NOISE, Measures, Trial, find_change, find_level
+from analysis.advise.scene import ALL_AXES
 from analysis.advise.simplicity import COVARIANCE, MEAN, PROJECTION, Cost
 from stimuli.fourier import dft321
 from stimuli.invariant import spectral_match_invariant
@@ -45,10 +46,10 @@ def measure_axes(trial: Trial, *, axes: int) -> Iterator[tuple[Cost, Measures]]:
     measures : Measures
         What is felt; the paper's temporal match is not defined for several axes.
     """
-    if axes >= 2:  # noqa: PLR2004 - two axes
+    if axes > 1:
         work = MEAN + COVARIANCE + 2 * PROJECTION
         yield Cost(TWO, 2, 3.0 * trial.recording.n_samples, inf, work, 0), _measure_two(trial)
-    if axes >= 3:  # noqa: PLR2004 - three axes
+    if axes == ALL_AXES:
         yield Cost(THREE, 3, 0.0, 0.0, 0.0, 0), Measures(0.0, 1.0, 1.0, NOISE, 1.0, nan)
 
 

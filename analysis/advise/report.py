@@ -105,7 +105,7 @@ def advise_recordings(
     ValueError
         If there is no recording, or segments are too short.
     """
-    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]  # it comes without types
 
     if not recordings:
         raise ValueError("recordings: got none, allowed is one or more; name a study, --scenes or --recordings")
