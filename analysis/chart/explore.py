@@ -122,11 +122,10 @@ def _list_entries(chart: Chart) -> list[dict[str, Any]]:
 
 
 def _tell_speed(method: Method, cost: Cost) -> dict[str, list[float | None]]:
-    times = (cost.ns_per_sample, cost.low, cost.high)
     latency = method.find_latency(RATE_HZ)
     return {
-        "cost": [_round(time) for time in times],
-        "real_time": [_round(NS / RATE_HZ / time) for time in times],
+        "cost": [_round(time) for time in (cost.ns_per_sample, cost.low, cost.high)],
+        "real_time": [_round(NS / RATE_HZ / time) for time in (cost.ns_per_sample, cost.high, cost.low)],
         "latency": [None if latency is None else _round(1000 * latency), None, None],
     }
 

@@ -145,6 +145,18 @@ def test_no_name_can_end_the_pages_data(tiny: Chart) -> None:
     assert json.loads(text)["scenes"] == ["</script><b>"]
 
 
+def test_the_page_holds_every_method_and_spans_that_rise(rated: Chart) -> None:
+    data = json.loads(dump_data(rated, list_choices(rated)))
+    assert len(data["methods"]) == len({(row.sweep, row.method) for row in rated.accuracies if row.sweep != "rate"})
+    for method in data["methods"]:
+        for value, low, high in (method["speed"]["cost"], method["speed"]["real_time"]):
+            assert low <= value <= high
+    assert [axis["key"] for axis in data["axes"]][-1] == "Mean realism rating, as is (0 to 100)"
+    ratings = {method["reducer"]: method["ratings"] for method in data["methods"] if method["kind"] == "reducer"}
+    assert ratings["dft321"] == {"Mean realism rating, as is (0 to 100)": [71.0, None, None, 60.0, 80.0]}
+    assert ratings["sax321"] == {}
+
+
 def open_page(page: Path, tmp_path: Path) -> tuple[str, str]:
     """The document after its scripts ran, and what the browser's console said."""
     command = [
