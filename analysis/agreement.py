@@ -85,7 +85,7 @@ def krippendorff_alpha(table: ArrayLike, *, level: str = "interval") -> float:
     Parameters
     ----------
     table : array_like, shape (targets, raters)
-        Ratings as numbers; NaN where missing.
+        Ratings as numbers; NaN where missing. On a nominal scale words, too; nothing (None) where missing.
     level : str
         ``nominal`` (names), ``ordinal`` (order), ``interval`` (distances: rating scales) or ``ratio``
         (proportions; no negative values).
@@ -189,7 +189,7 @@ def bootstrap_alpha(table: ArrayLike, *, level: str = "interval", draws: int = 2
 def _pair_up(table: ArrayLike, level: str) -> _Ratings:
     if level not in LEVELS:
         raise ValueError(f"level: got {level!r}, allowed is one of {', '.join(LEVELS)}")
-    ratings = np.asarray(table, dtype=np.float64)
+    ratings = _read_numbers(table, level)
     if ratings.ndim != 2:  # noqa: PLR2004 - targets x raters
         raise ValueError(f"table: got shape {ratings.shape}, allowed is (targets, raters), NaN where missing")
     if np.isinf(ratings).any():
@@ -202,6 +202,22 @@ def _pair_up(table: ArrayLike, level: str) -> _Ratings:
     target, rater = np.nonzero(np.isfinite(pairable))
     distinct, value = np.unique(pairable[target, rater], return_inverse=True)
     return _Ratings(distinct, value, target, len(pairable))
+
+
+def _read_numbers(table: ArrayLike, level: str) -> Values:
+    """Read the cells; names on a nominal scale are numbered."""
+    from pandas import factorize
+
+    try:
+        return np.asarray(table, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        if level != "nominal":
+            raise ValueError(
+                f"table: got cells that are no numbers ({error}); use level='nominal' for names"
+            ) from error
+    cells = np.asarray(table, dtype=object)
+    number = factorize(cells.ravel())[0].astype(np.float64).reshape(cells.shape)
+    return np.where(number < 0, np.nan, number)
 
 
 def _alpha_nominal(ratings: _Ratings, weights: Values) -> float:

@@ -77,7 +77,8 @@ def bradley_terry(
     ----------
     pairs : DataFrame
         Trials, with the columns ``first``, ``second`` and ``winner``; or counts, whose first two columns name
-        the pair and whose next two count the wins of each. First is what was presented first.
+        the pair and whose next two count the wins of each. First is what was presented first. Where that is not
+        known: trials with ``winner`` and ``loser``, or a square table of the wins of rows over columns.
     reference : str, optional
         The item with ability 0; the first by alphabet if not given.
     order_effect : bool
@@ -256,6 +257,8 @@ def _build_design(duels: Duels, base: int, *, order_effect: bool) -> tuple[Value
         return design, names
     if ORDER in duels.items:
         raise ValueError(f"pairs: got an item named '{ORDER}', which is the name of the order effect; rename it")
+    if not duels.ordered:
+        raise ValueError("order_effect: got pairs that do not say which was presented first; leave it out")
     design = np.column_stack([design, np.ones(len(design))])
     if np.linalg.matrix_rank(design) < design.shape[1]:
         raise ValueError(

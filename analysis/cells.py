@@ -23,6 +23,9 @@ KEYS = (WHO, SCENE, ITEM)
 FLAT = 1e-10
 """Share of a metric's size below which its spread is rounding."""
 
+MOST_LEVELS = 800
+"""Levels beside those of participant x item up to which single ratings are fitted; the time grows with their cube."""
+
 
 @dataclass(frozen=True, slots=True)
 class Cells:
@@ -38,12 +41,15 @@ class Cells:
         Whether a row is the mean over repeats; if not, it is a single rating.
     repeated : bool
         Whether rows are single ratings, some of which share participant and item.
+    rough : bool
+        Whether the means rest on unequal numbers of ratings, because single ratings would be too many.
     """
 
     table: DataFrame
     metrics: tuple[str, ...]
     averaged: bool
     repeated: bool
+    rough: bool = False
 
     def count(self, *columns: str) -> int:
         """Count the combinations of columns that occur.
@@ -91,7 +97,8 @@ def make_cells(rows: DataFrame, metrics: Sequence[str]) -> Cells:
     Returns
     -------
     Cells
-        Means over repeats if every participant rated each of their items equally often, else the rows.
+        Means over repeats if every participant rated each of their items equally often, or if there are too many
+        levels for anything else; otherwise the rows.
 
     Raises
     ------
@@ -101,18 +108,26 @@ def make_cells(rows: DataFrame, metrics: Sequence[str]) -> Cells:
     Notes
     -----
     With equally many repeats in every cell the means hold all there is to know about the slopes; otherwise
-    cells would need weights, so rows are kept and the model gets a term for the cell.
+    cells would need weights, so rows are kept and the model gets a term for the cell. Beyond some hundred levels that
+    takes minutes, and means are taken all the same (40 people, 20 recordings, 10 reducers, 10^5 ratings: 3 s instead
+    of 132, slopes and standard errors within 0.1 % and 0.02 standard errors).
     """
     metrics = tuple(dict.fromkeys(metrics))
     _check_rows(rows, metrics)
     items = _list_items(rows, metrics)
     sizes = rows.groupby([WHO, ITEM], observed=True).size()
-    averaged = bool(sizes.min() == sizes.max() > 1)
+    unequal = bool(sizes.min() < sizes.max())
+    rough = unequal and _count_levels(rows) > MOST_LEVELS
+    averaged = rough or bool(sizes.min() == sizes.max() > 1)
     table = rows[[*KEYS, RATING]]
     if averaged:
         table = table.groupby(list(KEYS), observed=True)[RATING].mean().reset_index()
     table = table.merge(_split(items, metrics), on=[SCENE, ITEM])
-    return Cells(table, metrics, averaged, repeated=bool(sizes.min() < sizes.max()))
+    return Cells(table, metrics, averaged, repeated=unequal and not rough, rough=rough)
+
+
+def _count_levels(rows: DataFrame) -> int:
+    return sum(len(rows[list(names)].drop_duplicates()) for names in ((WHO, SCENE), (ITEM,), (WHO,), (SCENE,)))
 
 
 def _check_rows(rows: DataFrame, metrics: Sequence[str]) -> None:

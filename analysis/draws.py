@@ -101,7 +101,8 @@ def _draw_block(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     # Participants are drawn first and recordings second, so that both intervals share the same participants.
     people = draw_counts(items.n_participants, draws, rng=rng)
-    scenes = draw_counts(items.n_recordings, draws, rng=rng)
+    # A source comes with all its recordings, or not at all.
+    scenes = draw_counts(items.n_sources, draws, rng=rng)[:, items.of_source]
     return (
         correlate_draws(items, method, participants=people, recordings=scenes),
         correlate_draws(items, method, participants=people, recordings=np.ones_like(scenes)),
@@ -121,8 +122,9 @@ def count_scarcest(items: Items, drawn: Draws) -> int:
     Returns
     -------
     int
-        Participants or recordings.
+        Participants, or sources of recordings.
     """
-    speaking = np.isfinite(drawn.of_recordings).sum(axis=1)
-    recordings = int(speaking.min()) if drawn.of_recordings.size else items.n_recordings
-    return min(items.n_participants, recordings)
+    if not drawn.of_recordings.size:
+        return min(items.n_participants, items.n_sources)
+    speaking = min(len(np.unique(items.of_source[np.isfinite(row)])) for row in drawn.of_recordings)
+    return min(items.n_participants, speaking)

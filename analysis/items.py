@@ -36,12 +36,16 @@ class Items:
         Value of each metric asked for.
     recordings : ndarray of int, shape (n_items,)
         Number of the recording that each item was made from, counted from 0.
+    sources : ndarray of int, shape (n_recordings,), optional
+        Number of the source that each recording comes from, counted from 0: several may be one, turned, cut or edited.
+        Each its own if left out.
     """
 
     names: tuple[str, ...]
     ratings: NDArray[np.float64]
     metrics: NDArray[np.float64]
     recordings: NDArray[np.intp]
+    sources: NDArray[np.intp] | None = None
 
     @property
     def n_participants(self) -> int:
@@ -59,6 +63,16 @@ class Items:
         return int(self.recordings.max()) + 1
 
     @property
+    def of_source(self) -> NDArray[np.intp]:
+        """Number of every recording's source."""
+        return np.arange(self.n_recordings) if self.sources is None else self.sources
+
+    @property
+    def n_sources(self) -> int:
+        """Number of sources: what is independent of each other among recordings."""
+        return int(self.of_source.max()) + 1
+
+    @property
     def n_missing(self) -> int:
         """Number of cells without a rating."""
         return int(np.isnan(self.ratings).sum())
@@ -71,7 +85,8 @@ def make_items(ratings: DataFrame, metrics: Sequence[str]) -> Items:
     ----------
     ratings : DataFrame
         One row per judgement: participant, recording, rating, the metrics' columns, and stimulus_id or
-        reducer (and level, if there is one); rows whose role is not ``test`` are left out.
+        reducer (and level, if there is one); source, where several recordings come from one; rows whose role is not
+        ``test`` are left out.
     metrics : sequence of str
         Columns to gather as metrics.
 
@@ -103,7 +118,16 @@ def make_items(ratings: DataFrame, metrics: Sequence[str]) -> Items:
         ratings=cells.to_numpy(np.float64).T.copy(),
         metrics=np.array([items[name, "first"].to_numpy(np.float64) for name in metrics]),
         recordings=np.unique(items["recording", "first"].to_numpy(), return_inverse=True)[1],
+        sources=_number_sources(rows) if "source" in rows else None,
     )
+
+
+def _number_sources(rows: DataFrame) -> NDArray[np.intp]:
+    pairs = rows[["recording", "source"]].drop_duplicates().sort_values("recording")
+    twice = pairs.loc[pairs["recording"].duplicated(), "recording"]
+    if len(twice):
+        raise ValueError(f"ratings: got two sources of recording {twice.iloc[0]}; a recording has one")
+    return np.unique(pairs["source"].to_numpy(), return_inverse=True)[1]
 
 
 def _check_columns(ratings: DataFrame, metrics: Sequence[str]) -> list[str]:

@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from pandas import DataFrame, Series
 
 
+SURFACED, UNLISTED = "the real surface", "what the manifest does not list"
+FOREIGN = "a stimulus of another recording"
+
+
 def turn_pairs(ratings: DataFrame, manifest: DataFrame, *, what: str) -> DataFrame:
     """Let every dissimilarity be about the stimulus that was compared with the reference.
 
@@ -73,15 +77,36 @@ def find_roles(rows: DataFrame, manifest: DataFrame) -> Series:
     return roles.mask(is_pair & (rows["reference_id"].map(manifest["role"]) != "reference"), PAIR)
 
 
+def find_matched(rows: DataFrame, manifest: DataFrame) -> Series:
+    """Tell of which judgements the metrics speak: they say how well a stimulus matches its own recording.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        Judgements, pairs turned: reference_id, recording.
+    manifest : DataFrame
+        Stimuli, indexed by stimulus_id: recording, reducer, role.
+
+    Returns
+    -------
+    Series of bool
+        False where the reference was what a reducer made, or another recording. The real surface, which the recording
+        stands for, and a reference that the manifest does not list are taken for what was recorded.
+    """
+    whole = {name: _tell_reference(name, manifest) for name in rows["reference_id"].unique()}
+    told = rows["reference_id"].map(whole)
+    return told.isin(["", SURFACED, UNLISTED]) & ~_is_foreign(rows, manifest)
+
+
 def note_references(rows: DataFrame, manifest: DataFrame) -> Iterator[str]:
     """Say which judgements had another reference than the metrics have, or none that is known.
 
     Parameters
     ----------
     rows : DataFrame
-        Judgements: reference_id, scale, role.
+        Judgements: reference_id, recording, scale, role.
     manifest : DataFrame
-        Stimuli, indexed by stimulus_id: reducer, role.
+        Stimuli, indexed by stimulus_id: recording, reducer, role.
 
     Yields
     ------
@@ -92,10 +117,17 @@ def note_references(rows: DataFrame, manifest: DataFrame) -> Iterator[str]:
     if nameless:
         yield f"{nameless} judgements of scale '{PAIRED}' name no reference_id: they are taken as from the reference."
     whole = {name: _tell_reference(name, manifest) for name in rows["reference_id"].unique()}
-    told = rows.loc[rows["role"] != PAIR].assign(reference=lambda part: part["reference_id"].map(whole))
-    for (scale, reference), part in told[told["reference"] != ""].groupby(["scale", "reference"]):
+    told = rows.assign(reference=rows["reference_id"].map(whole).mask(_is_foreign(rows, manifest), FOREIGN))
+    told = told[(told["role"] != PAIR) & (told["reference"] != "")]
+    for (scale, reference), part in told.groupby(["scale", "reference"]):
         against = f"{len(part)} judgements were made against {reference}"
-        yield f"Scale '{scale}': {against}; the metrics compare with the recording."
+        fate = "" if reference in {SURFACED, UNLISTED} else ": none enters an association or a slope"
+        yield f"Scale '{scale}': {against}; the metrics compare with the recording{fate}."
+
+
+def _is_foreign(rows: DataFrame, manifest: DataFrame) -> Series:
+    of_reference = rows["reference_id"].map(manifest["recording"])
+    return of_reference.notna() & (of_reference != rows["recording"])
 
 
 def _tell_reference(name: str, manifest: DataFrame) -> str:
@@ -103,8 +135,8 @@ def _tell_reference(name: str, manifest: DataFrame) -> str:
     from stimuli.reduce import REDUCERS
 
     if name in ("", SURFACE):
-        return name and "the real surface"
+        return name and SURFACED
     if name not in manifest.index:
-        return "what the manifest does not list"
+        return UNLISTED
     reducer, role = manifest.loc[name, ["reducer", "role"]]
     return "" if role == "reference" and reducer not in REDUCERS else f"what '{reducer}' made of the recording"

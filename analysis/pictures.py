@@ -44,12 +44,15 @@ class Picture:
         What it shows, in words; also its alternative text.
     figure : Figure
         The drawing.
+    detail : bool
+        Whether the page folds it away.
     """
 
     name: str
     kind: str
     caption: str
     figure: Figure
+    detail: bool = False
 
 
 def number_pictures(pictures: Iterable[Picture]) -> Iterator[Picture]:

@@ -125,9 +125,10 @@ def fit_primary(rows: DataFrame, metrics: Sequence[str], *, correlated: bool = F
     For metrics a and b:
     ``rating ~ a_w + b_w + a_b + b_b + (1 + a_w + b_w || participant) + (1 | recording) + (1 | item) +
     (1 | participant:recording)``, on means over repeats; on rows, plus ``(1 | participant:item)``, where
-    repeats are unequal. ``_w`` is the metric minus its recording's mean, ``_b`` that mean. Restricted maximum
-    likelihood, Satterthwaite's degrees of freedom; in simulated studies of 12 people, 8 recordings and 6
-    reducers its nominal 5 % test was wrong in 6.5 %.
+    repeats are unequal; where single ratings have more levels than can be fitted, on means all the same, as
+    `reductions` then says. ``_w`` is the metric minus its recording's mean, ``_b`` that mean. Restricted maximum
+    likelihood, Satterthwaite's degrees of freedom; in simulated studies of 12 people, 8 recordings and 6 reducers
+    its nominal 5 % test was wrong in 6.5 %.
 
     A standardised slope is the slope times the metric's standard deviation within recordings (over the rows),
     over the ratings' standard deviation.
@@ -207,6 +208,10 @@ def _plan(cells: Cells, *, correlated: bool) -> _Plan:
     slopes = [name for name in fixed if name.endswith("_w")]
     bar = "|" if correlated else "||"
     random = [*_plan_people(cells, slopes, reductions, bar=bar), *_plan_groups(cells, reductions)]
+    if cells.rough:
+        reductions.append(
+            "Means over unequal numbers of repeats, each counted as equally exact: single ratings have too many levels."
+        )
     if not random:
         raise ValueError(
             "rows: got one participant and one recording, allowed is more of either; "

@@ -37,6 +37,10 @@ def explain_size(items: Items) -> list[str]:
         notes.append("One participant only: no interval, the spread between people is unknown.")
     if items.n_recordings < SMALLEST:
         notes.append("One recording only: no two-way interval, the spread between recordings is unknown.")
+    elif items.n_sources < SMALLEST:
+        notes.append("All recordings come from one source: no two-way interval, the spread between sources is unknown.")
+    elif items.n_sources < items.n_recordings:
+        notes.append(f"Two-way intervals draw the {items.n_sources} sources of the {items.n_recordings} recordings.")
     return notes
 
 

@@ -37,6 +37,7 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     *,
     draws: int = 2000,
     margin: float | None = None,
+    sources: Mapping[str, str] | None = None,
     seed: int,
     progress: Callable[[int, int], None] | None = None,
 ) -> Results:
@@ -56,6 +57,9 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     margin : float, optional
         Points by which reducers may differ and still count as equivalent; half the standard deviation of repeated
         ratings if left out.
+    sources : Mapping of str to str, optional
+        Recording -> what it was made from, where several are one, turned, cut or edited, and the manifest has no column
+        ``source``: intervals then draw sources.
     seed : int
         Of all randomness; the same files and choices give the same bytes.
     progress : callable, optional
@@ -75,7 +79,7 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     """
     ratings, manifest, target = Path(ratings_path), Path(manifest_path), Path(folder)
     choices = Choices(draws=draws, margin=margin, seed=seed)
-    table = read_table(ratings, manifest)
+    table = read_table(ratings, manifest, sources=sources)
     sections = compute_sections(table, choices, progress=progress)
     inputs = {**_describe_file("ratings", ratings), **_describe_file("manifest", manifest), **_tell_choices(choices)}
     results = gather_results(table, sections, inputs=inputs)
@@ -113,7 +117,8 @@ def compute_sections(
     ValueError
         If no test stimulus was rated.
     """
-    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+    import scipy.linalg  # noqa: F401 - brings a second library of linear algebra, whose threads are held too
+    from threadpoolctl import threadpool_limits
 
     refuse_untested(table)
     done = []
@@ -153,6 +158,7 @@ def gather_results(table: Table, sections: Sequence[Section], *, inputs: Mapping
         numbers=collect_numbers(table, (number for section in sections for number in section.numbers)),
         answers={section.key: section.answers for section in sections if section.answers},
         figures={picture.name: picture.caption for picture in pictures},
+        captions=tuple(grid.caption for section in sections for grid in section.grids),
         notes=tuple(dict.fromkeys(notes)),
         how=tuple(dict.fromkeys(line for section in sections for line in section.how)),
         files=list_files([picture.name for picture in pictures], tables),

@@ -31,6 +31,8 @@ class Results:
         What each section shows, in words, by its key.
     figures : Mapping of str to str
         Caption of each figure, by file name without suffix.
+    captions : tuple of str
+        What each table of the page shows.
     notes : tuple of str
         What was left out or assumed.
     how : tuple of str
@@ -49,6 +51,7 @@ class Results:
     numbers: tuple[Number, ...]
     answers: Mapping[str, tuple[str, ...]]
     figures: Mapping[str, str]
+    captions: tuple[str, ...]
     notes: tuple[str, ...]
     how: tuple[str, ...]
     files: tuple[str, ...]
@@ -70,6 +73,7 @@ class Results:
             "numbers": [_without_nan(asdict(number)) for number in self.numbers],
             "answers": dict(self.answers),
             "figures": dict(self.figures),
+            "captions": self.captions,
             "notes": self.notes,
             "how": self.how,
             "files": self.files,

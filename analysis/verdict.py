@@ -10,7 +10,7 @@ import math
 from typing import TYPE_CHECKING
 
 from analysis.scales import PAIRED, SPACE
-from analysis.words import tell_name, tell_number, tell_range
+from analysis.words import tell_name, tell_number, tell_range, tell_ratings
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -60,6 +60,56 @@ def judge_panels(panels: Sequence[Panel]) -> tuple[str, ...]:
     return tuple(line for panel in panels for line in _judge_panel(panel, several=several))
 
 
+def sum_up_panels(panels: Sequence[Panel]) -> tuple[str, ...]:
+    """Say in a line each what the correlations show.
+
+    Parameters
+    ----------
+    panels : sequence of Panel
+        One or more.
+
+    Returns
+    -------
+    tuple of str
+        Per scale and level: each metric's correlation, the ceiling, and whether one metric is better; at length where
+        a correlation or its interval is not defined.
+    """
+    several = len({panel.level for panel in panels}) > 1
+    return tuple(_sum_up(panel, several=several) for panel in panels)
+
+
+def _sum_up(panel: Panel, *, several: bool) -> str:
+    leading = [result for result in panel.associations if result.method == LEADING]
+    if any(math.isnan(result.low) for result in leading):
+        return " ".join(dict.fromkeys(_judge_panel(panel, several=several)))
+    subject = tell_name(panel.scale) + (f" (level {tell_name(panel.level)})" if several else "")
+    found = "; ".join(_tell_correlation(result) for result in leading)
+    ceiling = leading[0].ceiling
+    most = "" if math.isnan(ceiling) else f"; ratings as noisy as these allow at most {tell_number(ceiling)}"
+    by_metric = {result.metric: result for result in leading}
+    ranked = "".join(
+        f" {_start(_rank(result, first=by_metric[result.first], second=by_metric[result.second]))}."
+        for result in panel.differences
+        if result.method == LEADING
+    )
+    return f"{_start(subject)}, over {_count(leading[0].n_items, 'stimulus')}: {found}{most}.{ranked}"
+
+
+def _tell_correlation(result: Association) -> str:
+    r = f"r\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}{tell_number(result.value)}"
+    covers = ", which covers zero" if _covers_zero(result) else ""
+    interval = f"95 % two-way interval {tell_range(result.low, result.high)}{covers}"
+    return f"{r} with {tell_name(result.metric)} ({interval})"
+
+
+def _rank(result: Difference, *, first: Association, second: Association) -> str:
+    if math.isnan(result.low):
+        return "the two cannot be compared by an interval here"
+    evidence = f"difference {tell_number(result.value)}, {tell_range(result.low, result.high)}"
+    told = "neither metric is shown to predict better" if _covers_zero(result) else _name_better(first, second)
+    return f"{told} ({evidence})"
+
+
 def _judge_panel(panel: Panel, *, several: bool) -> list[str]:
     subject = tell_name(panel.scale) + (f" (level {tell_name(panel.level)})" if several else "")
     by_method = {(result.metric, result.method): result for result in panel.associations}
@@ -102,10 +152,10 @@ def judge_association(result: Association, subject: str, *, ranked: Association)
         return f"{_start(subject)} and {metric}: {evidence}, {size}; without an interval nothing follows."
     evidence += f"{_tell_ceiling(result)}, 95 % two-way interval {tell_range(result.low, result.high)}; {size}"
     if _covers_zero(result):
-        claim = f"Whether {subject} ratings go with {metric} is undecided: the interval covers zero"
+        claim = f"Whether {tell_ratings(subject)} go with {metric} is undecided: the interval covers zero"
     else:
         direction = "higher" if result.value > 0 else "lower"
-        claim = f"Stimuli with a higher {metric} got {direction} {subject} ratings"
+        claim = f"Stimuli with a higher {metric} got {direction} {tell_ratings(subject)}"
     return f"{claim} ({evidence}). {_tell_ranks(result, ranked)}"
 
 
@@ -126,7 +176,8 @@ def judge_difference(result: Difference, subject: str, *, first: Association, se
     str
         A claim with its evidence, or that there is none.
     """
-    pair = f"the correlations of {subject} ratings with {tell_name(result.first)} and with {tell_name(result.second)}"
+    names = f"with {tell_name(result.first)} and with {tell_name(result.second)}"
+    pair = f"the correlations of {tell_ratings(subject)} {names}"
     if math.isnan(result.low):
         return f"{_start(pair)} cannot be compared by an interval here."
     evidence = f"{tell_number(result.value)}, 95 % two-way interval {tell_range(result.low, result.high)}"

@@ -50,6 +50,50 @@ def tell_name(name: str) -> str:
     return name.replace("_", " ")
 
 
+def tell_ratings(subject: str) -> str:
+    """Call ratings by their scale and level.
+
+    Parameters
+    ----------
+    subject : str
+        The scale, and the level in brackets where there are several.
+
+    Returns
+    -------
+    str
+        The same with the word after the scale.
+
+    Examples
+    --------
+    >>> tell_ratings("realism"), tell_ratings("realism (level as is)")
+    ('realism ratings', 'realism ratings (level as is)')
+    """
+    name, bracket, level = subject.partition(" (level ")
+    return f"{name} ratings{bracket}{level}"
+
+
+def tell_method(name: str) -> str:
+    """Name a kind of correlation.
+
+    Parameters
+    ----------
+    name : str
+        A name of `analysis.bootstrap.METHODS`.
+
+    Returns
+    -------
+    str
+        After whom it is named, and whether it is within recordings.
+
+    Examples
+    --------
+    >>> tell_method("spearman"), tell_method("within"), tell_method("within_kendall")
+    ('Spearman', 'Pearson within recordings', 'Kendall within recordings')
+    """
+    kind = (name.removeprefix("within").strip("_") or "pearson").capitalize()
+    return f"{kind} within recordings" if name.startswith("within") else kind
+
+
 def start(text: str) -> str:
     """Begin a sentence.
 

@@ -14,7 +14,7 @@ from study.provenance import find_changes, is_in_use
 from study.ratings import write_ratings
 from study.session.opening import PLAN_FILE
 from study.settings.reading import read_settings
-from study.settings.sources import make_recipe, open_recordings
+from study.settings.sources import list_origins, make_recipe, open_recordings
 from study.simulate import Simulation, run_simulation
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ def simulate_study(
     return write_ratings(study, stimuli)
 
 
-def analyze_study(study: StudyFolder, *, out: Path | None = None) -> Path:
+def analyze_study(study: StudyFolder, *, out: Path | None = None, progress: Progress | None = None) -> Path:
     """Derive the table of ratings and write the report.
 
     Parameters
@@ -121,6 +121,8 @@ def analyze_study(study: StudyFolder, *, out: Path | None = None) -> Path:
         The study; its stimuli are built and sessions have begun.
     out : Path, optional
         The report's folder; the study's own if left out.
+    progress : callable, optional
+        Called with the numbers of sections done and to do.
 
     Returns
     -------
@@ -138,8 +140,11 @@ def analyze_study(study: StudyFolder, *, out: Path | None = None) -> Path:
         simulate = f"feel321 simulate {quote(str(study.path))}"
         raise ValueError(f"{study.path}: holds no ratings yet; run sessions first, or {simulate}")
     folder = out or study.report
-    chosen = settings.analysis.model_dump(exclude_none=True)
-    write_report(study.ratings, study.manifest, folder, seed=settings.study.seed, **chosen)
+    chosen, origins = settings.analysis, list_origins(settings)
+    write_report(
+        study.ratings, study.manifest, folder, draws=chosen.draws, margin=chosen.margin, sources=origins,
+        seed=settings.study.seed, progress=progress,
+    )  # fmt: skip
     return folder
 
 

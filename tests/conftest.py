@@ -5,6 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+settings.register_profile("feel321", deadline=None)
+settings.load_profile("feel321")
+"""No deadlines: how long an example takes says how busy the machine is."""
 
 RECORDINGS = Path(__file__).resolve().parents[2] / "shared" / "recordings"
 

@@ -14,6 +14,7 @@ from analysis.mixed.formula import Formula, parse_formula
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from formulaic.parser.types import Factor as Part
     from numpy.typing import NDArray
     from pandas import DataFrame
 
@@ -116,11 +117,14 @@ def build_design(formula: str, data: DataFrame) -> Design:
     ValueError
         If the formula cannot be read, a column is missing or has gaps, or the data cannot tell the effects
         apart.
+    TypeError
+        If the data are no DataFrame.
     """
     parsed = parse_formula(formula)
+    _check_table(data)
     if data.empty:
         raise ValueError("data: got no rows, allowed is a table with one row per observation")
-    clean = _drop_unused(data)
+    clean = _settle_types(data)
     response = _read_response(parsed, clean)
     names, fixed = _expand(parsed.fixed, clean, "the fixed part")
     factors = _read_factors(parsed, clean)
@@ -129,10 +133,24 @@ def build_design(formula: str, data: DataFrame) -> Design:
     return design
 
 
-def _drop_unused(data: DataFrame) -> DataFrame:
-    """Forget categories that no row has: they would ask for an effect without data."""
-    unused = {str(name): data[name].cat.remove_unused_categories() for name in data.select_dtypes("category")}
-    return data.assign(**unused) if unused else data
+def _check_table(data: DataFrame) -> None:
+    import pandas as pd
+
+    if not isinstance(data, pd.DataFrame):
+        raise TypeError(f"data: got {type(data).__name__}, allowed is a pandas DataFrame, one row per observation")
+    if not data.columns.is_unique:
+        twice = data.columns[data.columns.duplicated()][0]
+        raise ValueError(f"data: got column {twice!r} twice, allowed is each name once; rename or drop one")
+
+
+def _settle_types(data: DataFrame) -> DataFrame:
+    """Make numbers numbers and words words, whatever pandas keeps them in."""
+    settled = data.reset_index(drop=True).infer_objects()
+    # Unused categories would ask for an effect without data; true and false are named as R does.
+    new = {name: settled[name].cat.remove_unused_categories() for name in settled.select_dtypes("category")}
+    new |= {name: settled[name].map({False: "FALSE", True: "TRUE"}) for name in settled.select_dtypes("bool")}
+    new |= {name: settled[name].astype(object) for name in settled if str(settled[name].dtype) == "string"}
+    return settled.assign(**{str(name): column for name, column in new.items()}) if new else settled
 
 
 def _read_response(parsed: Formula, data: DataFrame) -> NDArray[np.float64]:
@@ -148,12 +166,13 @@ def _expand(text: str, data: DataFrame, what: str) -> tuple[tuple[str, ...], NDA
     """Columns of one side of a formula, named as R names them."""
     from formulaic import model_matrix
     from formulaic.errors import FormulaicError
+    from formulaic.transforms import C
 
-    python = re.sub(r"\bfactor\(", "C(", text.replace("^", "**"))
+    functions = {"np": np, "sqrt": np.sqrt, "sin": np.sin, "cos": np.cos, "factor": C, "as_factor": C}
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            matrix = model_matrix(python, data, context={"np": np, "sqrt": np.sqrt}, na_action="ignore")
+            matrix = model_matrix(_write_python(text), data, context=functions, na_action="ignore")
     except (FormulaicError, SyntaxError, TypeError, ValueError, KeyError) as error:
         reason = str(error).splitlines()[0]
         raise ValueError(
@@ -176,7 +195,8 @@ def _expand(text: str, data: DataFrame, what: str) -> tuple[tuple[str, ...], NDA
 def _name_like_r(name: str) -> str:
     if name == "Intercept":
         return "(Intercept)"
-    return re.sub(r"\bC\(", "factor(", re.sub(r"\[(?:T\.)?([^\]]*?)(?:\.0)?\]", r"\1", name)).replace(" ** ", "^")
+    plain = re.sub(r"\[(?:T\.)?([^\]]*?)(?:\.0)?\]", r"\1", name)
+    return plain.replace("as_factor(", "as.factor(").replace(" ** ", "^")
 
 
 def _check_finite(names: Sequence[str], values: NDArray[np.float64], what: str) -> None:
@@ -207,12 +227,37 @@ def _read_factors(parsed: Formula, data: DataFrame) -> tuple[Factor, ...]:
 
 
 def _read_terms(bracket: RandomTerm, data: DataFrame) -> tuple[Term, ...]:
-    names, values = _expand(bracket.effects, data, f"the random effects over {bracket.name}")
-    if not names:
+    parts = _split_effects(bracket.effects) if bracket.independent else [bracket.effects]
+    what = f"the random effects over {bracket.name}"
+    terms = tuple(Term(*_expand(part, data, what)) for part in parts)
+    if not all(term.names for term in terms) or not terms:
         raise ValueError(f"formula: got no effect in ({bracket.effects} | {bracket.name}), allowed is 1, x or 0 + x")
-    if bracket.independent:
-        return tuple(Term((name,), values[:, [place]]) for place, name in enumerate(names))
-    return (Term(names, values),)
+    return terms
+
+
+def _split_effects(effects: str) -> list[str]:
+    """Write a double bar out as lme4 does: term by term, so that the levels of one category stay together."""
+    from formulaic import Formula
+    from formulaic.errors import FormulaicError
+
+    try:
+        terms = [":".join(map(_quote, term.factors)) for term in Formula(_write_python(effects))]
+    except (FormulaicError, SyntaxError) as error:
+        raise ValueError(
+            f"formula: could not make sense of the effects {effects!r} ({str(error).splitlines()[0]}), "
+            "allowed are such as 1 + x"
+        ) from error
+    return [term if term == "1" else f"0 + {term}" for term in terms]
+
+
+def _quote(part: Part) -> str:
+    """Write a column's name so that it may hold blanks."""
+    return f"`{part.expr}`" if part.eval_method.value == "lookup" else str(part.expr)
+
+
+def _write_python(text: str) -> str:
+    """Write R's powers and names as formulaic understands them."""
+    return re.sub(r"\bas\.factor\(", "as_factor(", text.replace("^", "**"))
 
 
 def _read_levels(bracket: RandomTerm, data: DataFrame) -> tuple[NDArray[np.intp], tuple[str, ...]]:

@@ -2,7 +2,7 @@
 
 ``(1 | g)`` an intercept per level of g; ``(x | g)`` intercept and slope, correlated; ``(x || g)`` the same,
 uncorrelated; ``(0 + x | g)`` a slope alone; ``(1 | a:b)`` one per combination; ``(1 | a/b)`` is ``(1 | a) +
-(1 | a:b)``. The fixed part is left to formulaic, which knows ``+ - : * / ^ I()`` and functions of columns.
+(1 | b:a)``. The fixed part is left to formulaic, which knows ``+ - : * / ^ I()`` and functions of columns.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def parse_formula(text: str) -> Formula:
     >>> parsed.fixed
     'x'
     >>> [(term.effects, term.name, term.independent) for term in parsed.random]
-    [('1 + x', 'subject', True), ('1', 'class', False), ('1', 'class:pupil', False)]
+    [('1 + x', 'subject', True), ('1', 'class', False), ('1', 'pupil:class', False)]
     """
     if not isinstance(text, str) or text.count("~") != 1 or not all(side.strip() for side in text.split("~")):
         raise ValueError(f"formula: got {text!r}, allowed is 'response ~ fixed + (effects | group)'")
@@ -112,13 +112,14 @@ def parse_formula(text: str) -> Formula:
 
 
 def _split_sum(text: str) -> Iterator[tuple[str, str]]:
-    """Cut at plus and minus signs outside of brackets."""
-    depth, sign, piece = 0, "+", ""
+    """Cut at plus and minus signs outside of brackets and quotes."""
+    depth, sign, piece, quoted = 0, "+", "", False
     for letter in text:
+        quoted ^= letter == "`"
         depth += (letter == "(") - (letter == ")")
         if depth < 0:
             break
-        if letter in "+-" and depth == 0:
+        if letter in "+-" and depth == 0 and not quoted:
             yield from [(sign, piece.strip())] if piece.strip() else []
             sign, piece = letter, ""
         else:
@@ -146,6 +147,7 @@ def _closes_last(piece: str) -> bool:
 def _read_bar(sign: str, piece: str) -> list[RandomTerm]:
     bar = "||" if "||" in piece else "|"
     effects, _, group = piece[1:-1].partition(bar)
+    group = re.sub(r"^\s*\((.*)\)\s*$", r"\1", group)
     if sign == "-" or not effects.strip() or not GROUP.fullmatch(group):
         raise ValueError(
             f"formula: got {sign} {piece}, allowed is + (effects | group) with a group such as a, a:b or a/b"
@@ -155,9 +157,9 @@ def _read_bar(sign: str, piece: str) -> list[RandomTerm]:
 
 
 def _write_out(group: str) -> list[tuple[str, ...]]:
-    """Nesting as a list: a/b is a and a:b."""
+    """Nesting as a list, named as lme4 names it, the inner first: a/b is a and b:a."""
     steps = [tuple(name.strip().strip("`") for name in step.split(":")) for step in group.split("/")]
-    return [sum(steps[: depth + 1], ()) for depth in range(len(steps))]
+    return [sum(steps[depth::-1], ()) for depth in range(len(steps))]
 
 
 def _join(pieces: list[tuple[str, str]]) -> str:

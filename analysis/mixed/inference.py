@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from analysis.mixed.profile import Profile, State
 
 STEP = 1e-4
+"""Share of a relative spread, or of 1 if that is more, by which it is moved: beside 10 000, 0.0001 is rounding."""
+
 FLAT = 1e-8
 """Curvature below this carries no information: a spread at its boundary."""
 
@@ -31,7 +33,8 @@ class Uncertainty:
     covariance : ndarray, shape (n_fixed, n_fixed)
         Of the fixed effects.
     slopes : ndarray, shape (n_theta + 1, n_fixed, n_fixed)
-        Its derivatives with respect to the relative spreads and the logarithm of the residual's.
+        Its derivatives with respect to the relative spreads, each in units of itself where it is above 1, and the
+        logarithm of the residual's.
     parameters : ndarray, shape (n_theta + 1, n_theta + 1)
         Covariance of those.
     """
@@ -87,14 +90,14 @@ def find_uncertainty(profile: Profile, best: State) -> Uncertainty:
     second derivatives, none of which hangs on units; directions in which H is not positive carry no information
     and are left out, as lmerTest does. Derivatives along theta are central differences of the exact slope.
     """
-    sigma, size = find_sigma(profile, best), profile.n_theta
+    sigma, size, unit = find_sigma(profile, best), profile.n_theta, np.maximum(np.abs(best.theta), 1)
     covariance = find_coefficients(profile, best)[1] * sigma**2
     hessian = np.zeros((size + 1, size + 1))
     slopes = np.empty((size + 1, *covariance.shape))
-    for place, shift in enumerate(np.eye(size) * STEP):
+    for place, shift in enumerate(np.diag(STEP * unit)):
         above, below = profile.evaluate(best.theta + shift), profile.evaluate(best.theta - shift)
         rise = find_slope(profile, above, above.rss / sigma**2) - find_slope(profile, below, below.rss / sigma**2)
-        hessian[place, :size] = rise / (2 * STEP)
+        hessian[place, :size] = rise * unit / (2 * STEP)
         hessian[place, size] = hessian[size, place] = -(above.rss - below.rss) / STEP / sigma**2
         wider = find_coefficients(profile, above)[1] - find_coefficients(profile, below)[1]
         slopes[place] = wider * sigma**2 / (2 * STEP)

@@ -12,6 +12,7 @@ from analysis.mixed.inference import Estimate, Uncertainty, estimate_sum, find_u
 from analysis.mixed.optimum import find_optimum
 from analysis.mixed.profile import Profile
 from analysis.mixed.solution import find_coefficients, find_modes, find_sigma, find_spreads
+from analysis.mixed.threads import hold_threads
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -110,6 +111,8 @@ def fit_mixed(formula: str, data: DataFrame, *, reml: bool = True) -> MixedFit:
     ValueError
         If the formula cannot be read, a column is missing or has gaps, the data cannot tell the effects apart
         (one level only, a level for every row, effects that are sums of others), or leave no residual.
+    TypeError
+        If the data are no DataFrame.
 
     Notes
     -----
@@ -153,8 +156,9 @@ def fit_mixed(formula: str, data: DataFrame, *, reml: bool = True) -> MixedFit:
     """
     design = build_design(formula, data)
     profile = Profile(design, reml=reml)
-    best = find_optimum(profile)
-    uncertainty = find_uncertainty(profile, best)
+    with hold_threads(profile.n_random):
+        best = find_optimum(profile)
+        uncertainty = find_uncertainty(profile, best)
     coefficients, _ = find_coefficients(profile, best)
     variances, correlations = _table_spreads(profile, best)
     fitted, effects = _predict(profile, best)

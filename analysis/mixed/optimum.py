@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 ZERO = 1e-4
 """A relative spread below this is none: what lme4 calls singular."""
 
-LARGEST = 1e6
+LARGEST = 1e5
 """A spread so many times the residual means that there is no residual."""
 
 PROBE, RESTART, ATTEMPTS = 0.02, 0.3, 4

@@ -30,6 +30,10 @@ if TYPE_CHECKING:
     from analysis.mixed.design import Design
 
 
+MOST_LEVELS = 10_000
+"""Effects beside the largest factor's: with more, the dense equations alone need gigabytes."""
+
+
 @dataclass(frozen=True)
 class State:
     """Everything known at one theta.
@@ -74,6 +78,12 @@ class Profile:
         self.n_rows, self.n_fixed = design.fixed.shape
         self.freedom = self.n_rows - self.n_fixed if reml else self.n_rows
         self.blocks = tuple(lay_out(design.factors))
+        self.n_random = sum(block.n_levels * block.width for block in self.blocks[1:])
+        if self.n_random > MOST_LEVELS:
+            raise ValueError(
+                f"data: got {self.n_random} effects beside those of {self.blocks[0].factor.name}, allowed are "
+                f"{MOST_LEVELS}, for memory; average repeated rows, or leave out a group with many levels"
+            )
         self._reduce_data()
 
     def _reduce_data(self) -> None:
@@ -87,7 +97,6 @@ class Profile:
         dense = np.column_stack([basis, rest / self.unit])
         first, *others = [spread_columns(block) for block in self.blocks]
         tail = hstack([*others, csr_array(dense)], format="csr")
-        self.n_random = tail.shape[1] - self.n_fixed - 1
         self.inner_products = pick_blocks(first, self.blocks[0])
         self.border = (first.T @ tail).tocsr()
         self.outer = (tail.T @ tail).toarray()

@@ -15,8 +15,8 @@ from analysis.sections.means import name_mean
 from analysis.sections.parts import split_parts
 from analysis.sections.section import INTERVAL, VALUE, Cell, Grid, Section
 from analysis.table import order_reducers
-from analysis.verdict import LEADING, UNADJUSTED, judge_absence, judge_panels
-from analysis.words import tell_name
+from analysis.verdict import LEADING, UNADJUSTED, judge_absence, judge_panels, sum_up_panels
+from analysis.words import tell_method, tell_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -56,10 +56,10 @@ def compute(table: Table, choices: Choices) -> Section:
     if not panels:
         return Section(KEY, title, notes=notes, verdict=judge_absence(table.rows["scale"].unique()))
     looks = assign_looks(order_reducers(table.rows["reducer"]))
-    verdict = judge_panels(panels)
     grids = [_lay_associations(panels), *([_lay_differences(panels)] if panels[0].differences else [])]
     return Section(
-        key=KEY, title=title, answers=(*verdict, UNADJUSTED), verdict=verdict, grids=tuple(grids),
+        key=KEY, title=title, answers=(*judge_panels(panels), UNADJUSTED), verdict=sum_up_panels(panels),
+        grids=tuple(grids),
         unseen=tuple(number for panel in panels for number in _collect_panel(panel)),
         tables=_make_tables(panels),
         pictures=tuple(
@@ -90,9 +90,18 @@ def _note_roles(table: Table) -> Iterator[str]:
 
 
 def _note_panels(panels: list[Panel]) -> Iterator[str]:
+    """Say each note once: of everything, or of the correlations that it is about."""
     for panel in panels:
-        found: tuple[Association | Difference, ...] = (*panel.associations, *panel.differences)
-        yield from dict.fromkeys(f"{panel.scale}, {panel.level}: {note}" for result in found for note in result.notes)
+        told: dict[str, list[str]] = {}
+        for one in panel.associations:
+            for note in one.notes:
+                told.setdefault(note, []).append(f"{tell_method(one.method)} with {one.metric}")
+        for two in panel.differences:
+            for note in two.notes:
+                told.setdefault(note, []).append(f"{tell_method(two.method)} with {two.first} less {two.second}")
+        for note, names in told.items():
+            whose = "" if len(names) >= len(panel.associations) else f" ({'; '.join(names)})"
+            yield f"{panel.scale}, {panel.level}{whose}: {note}"
 
 
 def _lay_associations(panels: list[Panel]) -> Grid:
@@ -113,7 +122,7 @@ def _lay_association(panel: Panel, found: Association) -> tuple[str | Cell, ...]
     value, narrow, ceiling, ratio, *counts = _name_association(found, (panel.scale, panel.level))
     draws, people, recordings, items, _ = counts
     return (
-        _tell_place(panel), tell_name(found.metric), found.method, Cell(value), Cell(value, part=INTERVAL),
+        _tell_place(panel), tell_name(found.metric), tell_method(found.method), Cell(value), Cell(value, part=INTERVAL),
         Cell(narrow, part=INTERVAL), Cell(ceiling), Cell(ratio),
         *(Cell(number, COUNT) for number in (items, people, recordings, draws)),
     )  # fmt: skip
@@ -134,7 +143,7 @@ def _lay_differences(panels: list[Panel]) -> Grid:
 
 def _lay_difference(panel: Panel, found: Difference) -> tuple[str | Cell, ...]:
     value, z_value, *_ = _name_difference(found, (panel.scale, panel.level))
-    names = _tell_place(panel), tell_name(found.first), tell_name(found.second), found.method
+    names = _tell_place(panel), tell_name(found.first), tell_name(found.second), tell_method(found.method)
     return (*names, *(Cell(number, part=part) for number in (value, z_value) for part in (VALUE, INTERVAL)))
 
 

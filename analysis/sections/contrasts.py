@@ -14,8 +14,9 @@ from analysis.mixed.model import contrast, fit_mixed
 from analysis.numbers import count_number, make_number, name_path
 from analysis.pictures import Picture, make_slug
 from analysis.sections.effects import SIGNIFICANCE, adjust, lay_estimate, name_estimate, name_tests
-from analysis.sections.parts import ITEM, split_parts
+from analysis.sections.parts import ITEM
 from analysis.sections.section import Cell, Grid, Section
+from analysis.sections.thinning import thin_parts
 from analysis.table import order_reducers
 from analysis.words import start
 
@@ -76,7 +77,9 @@ def compute(table: Table, choices: Choices) -> Section:
     answers, notes, grids, numbers = [], [], [], []
     tables: dict[str, DataFrame] = {}
     pictures: list[Picture] = []
-    for part in split_parts(table):
+    # A person's reducers are so many effects.
+    for part in thin_parts(table, choices, n_slopes=table.rows[REDUCER].nunique(), matched=False):
+        notes += [f"Reducers compared: {part.thinned}"] if part.thinned else []
         margin = _find_margin(part, choices)
         try:
             pairs = _compare(part.rows, margin)
@@ -241,8 +244,8 @@ def _draw(pairs: list[_Pair], part: Part) -> Iterator[Picture]:
         return
     people, scenes = (len(part.rows[name].unique()) for name in ("participant", "recording"))
     caption = (
-        f"Differences between reducers in {part.subject} ratings with 90 % intervals; shaded: the margin of "
+        f"Differences between reducers in {part.ratings} with 90 % intervals; shaded: the margin of "
         "equivalence. Filled: equivalence is shown."
     )
     figure = draw_equivalence(tests, n_participants=people, n_recordings=scenes)
-    yield Picture(make_slug("equivalence", *part.place), "equivalence", caption, figure)
+    yield Picture(make_slug("equivalence", *part.place), "equivalence", caption, figure, detail=True)

@@ -9,7 +9,7 @@ from analysis.figures.pairs import draw_discrimination
 from analysis.numbers import COUNT, Number, count_number, make_interval, make_number, name_path
 from analysis.pictures import Picture
 from analysis.scales import ANSWERED
-from analysis.sections.effects import adjust
+from analysis.sections.effects import SIGNIFICANCE, adjust
 from analysis.sections.section import INTERVAL, Cell, Grid, Section
 
 if TYPE_CHECKING:
@@ -55,9 +55,11 @@ def compute(table: Table, choices: Choices) -> Section:  # noqa: ARG001 - every 
         return Section(KEY, TITLE, notes=(f"Scale '{ANSWERED}' is not evaluated: {why}.",))
     found = _evaluate(rows)
     adjusted = dict(zip(found, adjust([result.p for result in found.values()]), strict=True))
+    answer, counts = _judge(found, adjusted)
     figure = draw_discrimination({f"{name} ({level})": result for (level, name), result in found.items()})
     return Section(
-        key=KEY, title=TITLE, grids=(_lay(found, adjusted),), tables={"discrimination": _tabulate(found, adjusted)},
+        key=KEY, title=TITLE, answers=(answer,), verdict=(answer,), unseen=counts, grids=(_lay(found, adjusted),),
+        tables={"discrimination": _tabulate(found, adjusted)},
         pictures=(Picture("discrimination", "discrimination", CAPTION, figure),),
         notes=tuple(f"ABX, {name}, {level}: {note}" for (level, name), one in found.items() for note in one.notes),
         how=HOW,
@@ -97,6 +99,13 @@ def _lay(found: Found, adjusted: Mapping[tuple[str, str], float]) -> Grid:
         shown = (Cell(number, part=part) for number in (share, distance) for part in ("value", INTERVAL))
         rows.append((reducer, level, *shown, Cell(p, "p"), *(Cell(count, COUNT) for count in counts)))
     return Grid(caption, head, tuple(rows))
+
+
+def _judge(found: Found, adjusted: Mapping[tuple[str, str], float]) -> tuple[str, tuple[Number, ...]]:
+    told, n = sum(p < SIGNIFICANCE for p in adjusted.values()), len(found)
+    numbers = count_number("abx.n_told_apart", told, n=n), count_number("abx.n_compared", n, n=n)
+    apart = f"ABX: {told} of {n} reducers and anchors are told from their reference better than by guessing"
+    return f"{apart} (p (Holm) < {SIGNIFICANCE}). Of the others neither that nor likeness is shown.", numbers
 
 
 def _bound(name: str, numbers: tuple[float, float, float], method: str, *, n: int) -> Number:

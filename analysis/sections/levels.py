@@ -21,6 +21,7 @@ from analysis.sections.effects import (
 )
 from analysis.sections.parts import ITEM
 from analysis.sections.section import Cell, Grid, Section
+from analysis.sections.thinning import thin_rows
 from analysis.words import start, tell_name
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ HOW = (
 )
 
 
-def compute(table: Table, choices: Choices) -> Section:  # noqa: ARG001 - every section has this form
+def compute(table: Table, choices: Choices) -> Section:
     """Compare the levels at which stimuli were rated.
 
     Parameters
@@ -50,7 +51,7 @@ def compute(table: Table, choices: Choices) -> Section:  # noqa: ARG001 - every 
     table : Table
         Ratings and metrics.
     choices : Choices
-        Leave nothing to decide here.
+        Seed, for what is too large to be fitted as a whole.
 
     Returns
     -------
@@ -59,14 +60,11 @@ def compute(table: Table, choices: Choices) -> Section:  # noqa: ARG001 - every 
     """
     rows = table.rows
     tests = rows[(rows["role"] == "test") & ~rows["scale"].isin(APART)]
+    tests = tests[tests["matched"]] if "matched" in tests else tests
     if len(tests["level"].unique()) < 2:  # noqa: PLR2004 - one arm has nothing to be compared with
         return Section(KEY, TITLE)
-    found, notes = [], []
-    for scale, part in tests.groupby("scale", observed=True):
-        try:
-            found += [{"scale": str(scale), **row} for row in _compare(part, table.metrics)]
-        except ValueError as error:
-            notes.append(f"{scale}: levels are not compared. {error}")
+    notes: list[str] = []
+    found = list(_compare_scales(tests, table.metrics, choices=choices, notes=notes))
     if not found:
         return Section(KEY, TITLE, notes=tuple(notes))
     adjusted = adjust([row["p"] for row in found])
@@ -77,9 +75,23 @@ def compute(table: Table, choices: Choices) -> Section:  # noqa: ARG001 - every 
     )
     head = ("Ratings", "First", "Second", "Of", "Difference", "Interval", "df", "p", "p (Holm)")
     return Section(
-        key=KEY, title=TITLE, answers=tuple(map(_judge, found)), grids=(Grid(caption, head, tuple(map(_lay, found))),),
-        tables={"levels": _tabulate(found)}, notes=tuple(notes), how=HOW,
+        key=KEY, title=TITLE, answers=tuple(map(_judge, found)),
+        grids=(Grid(caption, head, tuple(map(_lay, found)), detail=False),), tables={"levels": _tabulate(found)},
+        notes=tuple(notes), how=HOW,
     )  # fmt: skip
+
+
+def _compare_scales(
+    tests: DataFrame, metrics: tuple[str, ...], *, choices: Choices, notes: list[str]
+) -> Iterator[Row]:
+    for name, rows in tests.assign(**{ITEM: tests["stimulus_id"]}).groupby("scale", observed=True):
+        scale = str(name)
+        part, thinned = thin_rows(rows, n_slopes=len(metrics), rng=choices.make_rng(KEY, scale))
+        notes += [f"{scale}, levels compared: {thinned}"] if thinned else []
+        try:
+            yield from [{"scale": scale, **row} for row in _compare(part, metrics)]
+        except ValueError as error:
+            notes.append(f"{scale}: levels are not compared. {error}")
 
 
 def _tabulate(found: list[Row]) -> DataFrame:
@@ -119,7 +131,7 @@ def _gather(part: DataFrame, metrics: tuple[str, ...]) -> DataFrame:
     import pandas as pd
 
     tables = []
-    for level, arm in part.assign(**{ITEM: part["stimulus_id"]}).groupby("level", observed=True):
+    for level, arm in part.groupby("level", observed=True):
         cells = make_cells(arm, metrics).table
         means = cells.groupby(["participant", "recording", ITEM], observed=True).mean(numeric_only=True).reset_index()
         base = arm.drop_duplicates(ITEM).set_index(ITEM)["reducer"]

@@ -12,6 +12,7 @@ from analysis.sections import (
     primary,
     profile,
     raters,
+    refined,
     robustness,
     space,
     standard,
@@ -26,6 +27,6 @@ if TYPE_CHECKING:
 
 SECTIONS: tuple[Callable[[Table, Choices], Section], ...] = (
     primary.compute, association.compute, levels.compute, profile.compute, contrasts.compute, discrimination.compute,
-    space.compute, raters.compute, robustness.compute, standard.compute,
+    space.compute, refined.compute, raters.compute, robustness.compute, standard.compute,
 )  # fmt: skip
 """Each takes all ratings and gives one section, or the reason why there is none."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from analysis.scales import APART
-from analysis.words import tell_name
+from analysis.words import tell_name, tell_ratings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -30,12 +30,20 @@ class Part:
         One row per judgement, with a column ``item``.
     subject : str
         How to call it: the scale, and the level where there are several.
+    thinned : str
+        What was left out because there is too much of it; empty if nothing was.
     """
 
     scale: str
     level: str
     rows: DataFrame
     subject: str
+    thinned: str = ""
+
+    @property
+    def ratings(self) -> str:
+        """How to call it within a sentence."""
+        return tell_ratings(self.subject)
 
     @property
     def place(self) -> tuple[str, str]:
@@ -48,13 +56,15 @@ class Part:
         return f"{self.scale}, {self.level}"
 
 
-def split_parts(table: Table) -> Iterator[Part]:
+def split_parts(table: Table, *, matched: bool = True) -> Iterator[Part]:
     """Split the ratings of test stimuli.
 
     Parameters
     ----------
     table : Table
         What was rated.
+    matched : bool
+        Whether only judgements count that the metrics speak of: not those against what a reducer made.
 
     Yields
     ------
@@ -63,6 +73,7 @@ def split_parts(table: Table) -> Iterator[Part]:
     """
     rows = table.rows
     rated = rows[(rows["role"] == "test") & ~rows["scale"].isin(APART)]
+    rated = rated[rated["matched"]] if matched and "matched" in rated else rated
     several = len(rated["level"].unique()) > 1
     for (scale, level), part in rated.groupby(["scale", "level"], observed=True):
         subject = tell_name(str(scale)) + (f" (level {tell_name(str(level))})" if several else "")

@@ -8,12 +8,12 @@ from analysis.figures.residuals import draw_residuals
 from analysis.figures.slopes import draw_slopes
 from analysis.numbers import COUNT, count_number, make_number, name_path
 from analysis.pictures import Picture, make_slug
-from analysis.primary import fit_primary, tabulate_slopes
+from analysis.primary import FEW, fit_primary, tabulate_slopes
 from analysis.sections.effects import SIGNIFICANCE, lay_estimate, name_estimate, name_tests, tell_estimate, tell_p
-from analysis.sections.parts import split_parts
 from analysis.sections.section import Cell, Grid, Section
 from analysis.sections.settling import SETTLING, lay_precision, name_precision, tell_need
-from analysis.words import tell_name
+from analysis.sections.thinning import thin_parts
+from analysis.words import start, tell_name
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterator
@@ -39,7 +39,7 @@ HOW = (
 )
 
 
-def compute(table: Table, choices: Choices) -> Section:  # noqa: ARG001 - every section has this form
+def compute(table: Table, choices: Choices) -> Section:
     """Fit the primary model of every scale and level.
 
     Parameters
@@ -47,41 +47,42 @@ def compute(table: Table, choices: Choices) -> Section:  # noqa: ARG001 - every 
     table : Table
         Ratings and metrics.
     choices : Choices
-        Leave nothing to decide here.
+        Seed, for what is too large to be fitted as a whole.
 
     Returns
     -------
     Section
         Slopes, their differences, explained variance, precision.
     """
-    fits, notes = fit_parts(table)
+    fits, notes = fit_parts(table, choices)
     if not fits:
         return Section(KEY, TITLE, notes=notes)
     slopes = tabulate_slopes({lead: model for lead, (_, model) in fits.items()})
     rows = list(slopes.to_dict("records"))
     numbers = [_name_slope(row, fits[row["attribute"]]) for row in rows]
     precisions = [name_precision(row, *fits[row["attribute"]]) for row in rows]
-    verdict = [
-        _judge_slope(row, number[0], *fits[row["attribute"]]) + tell_need(row, settled)
-        for row, number, settled in zip(rows, numbers, precisions, strict=True)
-    ]
+    told = list(zip(rows, numbers, precisions, strict=True))
+    answers = [_judge_slope(row, number[0], *fits[row["attribute"]]) for row, number, _ in told]
+    verdict = [_sum_up([one for one in told if one[0]["attribute"] == lead], *fit) for lead, fit in fits.items()]
     grids = [_lay_slopes(rows, numbers), _lay_models(fits), lay_precision(rows, precisions)]
     differences = list(_list_differences(fits))
     return Section(
-        key=KEY, title=TITLE, answers=tuple(verdict), verdict=tuple(verdict),
+        key=KEY, title=TITLE, answers=tuple(answers), verdict=tuple(verdict),
         grids=(*grids[:1], *([_lay_differences(fits, differences)] if differences else []), *grids[1:]),
         tables=_make_tables(fits, slopes), pictures=tuple(_draw_models(fits)),
         notes=(*notes, *_note_models(fits)), how=(*HOW, SETTLING),
     )  # fmt: skip
 
 
-def fit_parts(table: Table) -> tuple[Fits, tuple[str, ...]]:
+def fit_parts(table: Table, choices: Choices) -> tuple[Fits, tuple[str, ...]]:
     """Fit every part that can be fitted.
 
     Parameters
     ----------
     table : Table
         Ratings and metrics.
+    choices : Choices
+        Seed.
 
     Returns
     -------
@@ -91,7 +92,8 @@ def fit_parts(table: Table) -> tuple[Fits, tuple[str, ...]]:
         Why a part has no model.
     """
     fits, notes = {}, []
-    for part in split_parts(table):
+    for part in thin_parts(table, choices):
+        notes += [part.thinned] if part.thinned else []
         try:
             fits[part.lead] = part, fit_primary(part.rows, table.metrics)
         except ValueError as error:
@@ -109,7 +111,7 @@ def _draw_models(fits: Fits) -> Iterator[Picture]:
             f"Residuals of the primary model of {part.subject}: left against normal quantiles with a pointwise 95 % "
             "band, right against fitted values."
         )
-        yield Picture(make_slug("residuals", *part.place), "residuals", caption, draw_residuals(model.fit))
+        yield Picture(make_slug("residuals", *part.place), "residuals", caption, draw_residuals(model.fit), detail=True)
 
 
 def _name_slope(row: Row, fit: tuple[Part, Primary]) -> tuple[Number, ...]:
@@ -124,31 +126,55 @@ def _name_slope(row: Row, fit: tuple[Part, Primary]) -> tuple[Number, ...]:
 
 def _judge_slope(row: Row, slope: Number, part: Part, model: Primary) -> str:  # noqa: PLR0917 - as they are kept
     metric, evidence = tell_name(row["metric"]), f"{tell_estimate(slope, kind='slope')}; {tell_p(row['p_holm'])}"
+    evidence = f"per +0.1: {evidence}; {_tell_size(model)}"
     if not row["p_holm"] < SIGNIFICANCE:
-        undecided = f"Whether {part.subject} ratings follow {metric} within recordings is undecided"
-        return f"{undecided} (per +0.1: {evidence})."
+        return f"Whether {part.ratings} follow {metric} within recordings is undecided ({evidence})."
     way = "higher" if slope.value > 0 else "lower"
-    claim = f"Within recordings, stimuli with a higher {metric} got {way} {part.subject} ratings"
-    return f"{claim} (per +0.1: {evidence}){_tell_reach(model)}."
+    claim = f"Within recordings, stimuli with a higher {metric} got {way} {part.ratings}"
+    return f"{claim} ({evidence}){_tell_reach(model)}."
+
+
+def _sum_up(told: list[tuple[Row, tuple[Number, ...], tuple[Number, ...]]], part: Part, model: Primary) -> str:
+    """Say in one line what the model of a part shows, and what would settle what it leaves open."""
+    found = "; ".join(_tell_slope(row, numbers[0]) for row, numbers, _ in told)
+    needs = "".join(tell_need(row, settled) for row, _, settled in told)
+    return f"{start(part.subject)}, within recordings ({_tell_size(model)}): {found}{_tell_reach(model)}.{needs}"
+
+
+def _tell_slope(row: Row, slope: Number) -> str:
+    metric, evidence = tell_name(row["metric"]), f"{tell_estimate(slope, kind='slope')}; {tell_p(row['p_holm'])}"
+    if row["p_holm"] < SIGNIFICANCE:
+        return f"+0.1 of {metric} goes with {'higher' if slope.value > 0 else 'lower'} ratings ({evidence})"
+    return f"what +0.1 of {metric} goes with is undecided ({evidence})"
+
+
+def _tell_size(model: Primary) -> str:
+    sizes = {"participant": model.n_participants, "recording": model.n_recordings}
+    return ", ".join(f"{count} {name}{'s' if count > 1 else ''}" for name, count in sizes.items())
 
 
 def _tell_reach(model: Primary) -> str:
-    alone = [name for name in ("participant", "recording") if getattr(model, f"n_{name}s") == 1]
-    return f", about this one {' and this one '.join(alone)} only" if alone else ""
+    """Say what a claim does not reach, or hardly."""
+    sizes = {"participant": model.n_participants, "recording": model.n_recordings}
+    alone = [name for name, count in sizes.items() if count == 1]
+    few = [f"{name}s" for name, count in sizes.items() if 1 < count < FEW]
+    told = f", about this one {' and this one '.join(alone)} only" if alone else ""
+    return f"{told}, a hint rather than a result with so few {' and '.join(few)}" if few else told
 
 
 def _lay_slopes(rows: list[Row], numbers: list[tuple[Number, ...]]) -> Grid:
     caption = (
         "Slope of ratings on each metric within recordings, from the mixed model: points per +0.1 of it, and in "
-        f"standard deviations. 95 % intervals; p adjusted by Holm over this table's {len(rows)} slopes."
+        "standard deviations. 95 % t intervals with Satterthwaite's df; p adjusted by Holm over this table's "
+        f"{len(rows)} slopes."
     )
     head = ("Ratings", "Metric", "Points per +0.1", "Interval", "Standardised", "Interval", "df", "p", "p (Holm)")
     laid = [
-        (row["attribute"], tell_name(row["metric"]), *lay_estimate(tenth, "slope"), *lay_estimate(standard, "slope"),
-         Cell(df, "df"), Cell(p, "p"), Cell(holm, "p"))
+        (tell_name(row["attribute"]), tell_name(row["metric"]), *lay_estimate(tenth, "slope"),
+         *lay_estimate(standard, "slope"), Cell(df, "df"), Cell(p, "p"), Cell(holm, "p"))
         for row, (tenth, standard, df, p, holm) in zip(rows, numbers, strict=True)
     ]  # fmt: skip
-    return Grid(caption, head, tuple(laid))
+    return Grid(caption, head, tuple(laid), detail=False)
 
 
 def _list_differences(fits: Fits) -> Iterator[Row]:
@@ -171,7 +197,7 @@ def _lay_differences(fits: Fits, rows: list[Row]) -> Grid:
         df = make_number(f"{name}.df", row["standardised_df"], "Satterthwaite's degrees of freedom", n=n)
         p = make_number(f"{name}.p", row["standardised_p"], "two-sided t test", n=n)
         names = tell_name(row["first"]), tell_name(row["second"])
-        laid.append((row["lead"], *names, *lay_estimate(value, "slope"), Cell(df, "df"), Cell(p, "p")))
+        laid.append((tell_name(row["lead"]), *names, *lay_estimate(value, "slope"), Cell(df, "df"), Cell(p, "p")))
     return Grid(caption, head, tuple(laid))
 
 
@@ -198,7 +224,7 @@ def _lay_model(part: Part, model: Primary) -> tuple[str | Cell, ...]:
         Cell(count_number(f"{name}.n_{what}", getattr(model, f"n_{what}"), n=n), COUNT)
         for what in ("rows", "participants", "recordings", "items")
     ]
-    return (part.lead, "singular" if model.fit.singular else "regular", *values, *counts)
+    return (tell_name(part.lead), "singular" if model.fit.singular else "regular", *values, *counts)
 
 
 def _make_tables(fits: Fits, slopes: DataFrame) -> dict[str, DataFrame]:

@@ -14,6 +14,7 @@ from analysis.sections.contrasts import find_repeat_sd
 from analysis.sections.effects import lay_estimate, name_estimate
 from analysis.sections.parts import split_parts
 from analysis.sections.section import Cell, Grid, Section
+from analysis.sections.thinning import thin_parts
 from analysis.words import tell_name
 
 if TYPE_CHECKING:
@@ -63,14 +64,15 @@ def compute(table: Table, choices: Choices) -> Section:
     if single.empty:
         return Section(KEY, TITLE, notes=("Raters are not screened: nobody rated a stimulus by itself.",))
     screening = screen_raters(single, rng=choices.make_rng(KEY))
-    slopes = list(_vary(table, screening))
+    slopes = list(_vary(table, screening, choices))
     grids = [_lay_rules(screening), _lay_panel(screening.panel)]
     noise = list(_name_noise(table))
     return Section(
         key=KEY, title=TITLE, answers=(_judge(screening),),
         grids=(*grids, *([_lay_slopes(slopes)] if slopes else []), *([_lay_noise(noise)] if noise else [])),
         unseen=tuple(_count_hit(screening)), tables=_make_tables(screening, slopes),
-        pictures=(Picture("raters", "raters", CAPTION, draw_raters(screening)),), notes=screening.notes, how=HOW,
+        pictures=(Picture("raters", "raters", CAPTION, draw_raters(screening)),), notes=screening.notes,
+        how=(*HOW, _tell_rules(screening)),
     )  # fmt: skip
 
 
@@ -87,8 +89,8 @@ def _hit(screening: Screening, panel: str) -> list[Hashable]:
     return sorted({who for rule in chosen for who in screening.hits[rule]}, key=str)
 
 
-def _vary(table: Table, screening: Screening) -> Iterator[Row]:
-    for part in split_parts(table):
+def _vary(table: Table, screening: Screening, choices: Choices) -> Iterator[Row]:
+    for part in thin_parts(table, choices):
         fitted: dict[tuple[Hashable, ...], list[Row]] = {}
         for panel in PANELS:
             out = tuple(_hit(screening, panel))
@@ -121,39 +123,28 @@ def _lay_slopes(rows: list[Row]) -> Grid:
         name, n = name_path("panel", row["scale"], row["level"], row["metric"], row["panel"]), row["n_people"]
         value = name_estimate(name, row, "mixed model, points per +0.1", n=n, prefix="tenth")
         p = make_number(f"{name}.p", row["p"], "two-sided t test", n=n)
-        place = f"{row['scale']}, {row['level']}"
         count = Cell(count_number(f"{name}.n_participants", n, n=n), COUNT)
-        laid.append((
-            place,
-            tell_name(row["metric"]),
-            PANELS[row["panel"]],
-            *lay_estimate(value, "slope"),
-            Cell(p, "p"),
-            count,
-        ))
-    return Grid(caption, head, tuple(laid))
+        names = tell_name(f"{row['scale']}, {row['level']}"), tell_name(row["metric"]), PANELS[row["panel"]]
+        laid.append((*names, *lay_estimate(value, "slope"), Cell(p, "p"), count))
+    return Grid(caption, head, tuple(laid), detail=False)
 
 
 def _lay_rules(screening: Screening) -> Grid:
     caption = "Screening rules, where they come from, and whom they hit; a dash: nobody."
-    head = ("Rule", "Hits", "Source", "Raters hit", "Judged")
+    head = ("Rule", "Source", "Raters hit", "Raters judged")
     rows = []
     for rule, hits in screening.hits.items():
         own = screening.table[screening.table["rule"] == rule]
         judged, name = int(own["share"].notna().sum()), name_path("screening", rule)
-        says = RULES[rule].says.format(limit=own["limit"].iloc[0])
-        counts = (
-            count_number(f"{name}.n_hit", len(hits), n=judged),
-            count_number(f"{name}.n_judged", judged, n=len(own)),
-        )
-        rows.append((
-            tell_name(rule),
-            says,
-            RULES[rule].source,
-            ", ".join(map(str, hits)) or "–",
-            Cell(counts[1], COUNT),
-        ))
+        count = Cell(count_number(f"{name}.n_judged", judged, n=len(own)), COUNT)
+        rows.append((tell_name(rule), RULES[rule].source, ", ".join(map(str, hits)) or "–", count))
     return Grid(caption, head, tuple(rows))
+
+
+def _tell_rules(screening: Screening) -> str:
+    limits = screening.table.drop_duplicates("rule").set_index("rule")["limit"]
+    told = (f"{tell_name(rule)}: {RULES[rule].says.format(limit=limits[rule])}" for rule in screening.hits)
+    return f"Screening rules: {'; '.join(told)}."
 
 
 def _lay_panel(panel: DataFrame) -> Grid:
@@ -176,7 +167,8 @@ def _name_noise(table: Table) -> Iterator[tuple[str | Cell, ...]]:
         sd, n = find_repeat_sd(part.rows)
         if n:
             method = "rating, pooled standard deviation of repeats of a stimulus by a rater"
-            yield part.lead, Cell(make_number(name_path("repeat_sd", *part.place), sd, method, n=n), "rating")
+            number = make_number(name_path("repeat_sd", *part.place), sd, method, n=n)
+            yield tell_name(part.lead), Cell(number, "rating")
 
 
 def _lay_noise(rows: list[tuple[str | Cell, ...]]) -> Grid:

@@ -14,7 +14,7 @@ from analysis.sections.effects import lay_estimate, name_estimate
 from analysis.sections.parts import ITEM, split_parts
 from analysis.sections.section import Cell, Grid, Section
 from analysis.sensitivity import vary_primary
-from analysis.words import tell_name
+from analysis.words import tell_name, tell_range
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterator
@@ -59,7 +59,8 @@ def compute(table: Table, choices: Choices) -> Section:
     varied: dict[str, DataFrame] = {}
     universes: dict[tuple[str, str], tuple[Part, Multiverse]] = {}
     pictures: list[Picture] = []
-    for part in split_parts(table):
+    parts = {part.lead: part for part in split_parts(table)}
+    for part in parts.values():
         try:
             _check_size(part)
             varied[part.lead] = vary_primary(part.rows, table.metrics)
@@ -67,11 +68,12 @@ def compute(table: Table, choices: Choices) -> Section:
             universes |= _run_universes(table, part, choices)
         except ValueError as error:
             notes.append(f"{part.lead}: no variants. {error}")
-    grids = [_lay_variants(varied)] if varied else []
+    grids = [_lay_variants(parts, varied)] if varied else []
     grids += [_lay_universes(universes)] if universes else []
     pictures += [_draw_universes(metric, *found) for (_, metric), found in universes.items() if len(found[1].curve)]
     return Section(
-        key=KEY, title=TITLE, grids=tuple(grids), tables=_make_tables(varied, universes), pictures=tuple(pictures),
+        key=KEY, title=TITLE, answers=tuple(map(_judge, universes.items())), grids=tuple(grids),
+        tables=_make_tables(varied, universes), pictures=tuple(pictures),
         notes=(*notes, *_note_variants(varied)), how=HOW if grids else (),
     )  # fmt: skip
 
@@ -122,7 +124,7 @@ def _remember_slopes(metrics: tuple[str, ...]) -> Callable[[str], Callable[[Data
 def _draw_variants(part: Part, metrics: tuple[str, ...], table: DataFrame) -> Picture:
     model: Primary = fit_primary(part.rows, metrics)
     caption = (
-        f"Slopes of {part.subject} ratings within recordings: above in points per +0.1 of the metric, below "
+        f"Slopes of {part.ratings} within recordings: above in points per +0.1 of the metric, below "
         "standardised, under other choices; 95 % Satterthwaite intervals."
     )
     figure = draw_slopes({part.lead: model}, variants={part.lead: table})
@@ -131,28 +133,45 @@ def _draw_variants(part: Part, metrics: tuple[str, ...], table: DataFrame) -> Pi
 
 def _draw_universes(metric: str, part: Part, result: Multiverse) -> Picture:
     caption = (
-        f"Slope of {part.subject} ratings on {tell_name(metric)}, points per +0.1, in every universe of screening "
+        f"Slope of {part.ratings} on {tell_name(metric)}, points per +0.1, in every universe of screening "
         "rules, from the smallest up; 95 % Satterthwaite intervals. Below: which rules were applied."
     )
     figure = draw_multiverse(result, estimate="Points per +0.1")
-    return Picture(make_slug("multiverse", *part.place, metric), "multiverse", caption, figure)
+    return Picture(make_slug("multiverse", *part.place, metric), "multiverse", caption, figure, detail=True)
 
 
-def _lay_variants(varied: dict[str, DataFrame]) -> Grid:
+def _judge(found: tuple[tuple[str, str], tuple[Part, Multiverse]]) -> str:
+    (_, metric), (part, result) = found
+    what = f"Slope of {part.ratings} on {tell_name(metric)}"
+    if not len(result.curve):
+        return f"{what}: no set of raters allows a model."
+    reach = tell_range(result.smallest, result.largest, kind="slope")
+    return f"{what}: {reach} points per +0.1, over {result.n_distinct} sets of raters left by screening rules."
+
+
+def _lay_variants(parts: dict[str, Part], varied: dict[str, DataFrame]) -> Grid:
     caption = (
         "Standardised slope under other choices, with 95 % intervals; only standardised slopes compare across units. A "
         "dash: no model; the notes say why."
     )
     head = ("Ratings", "Choice", "Metric", "Standardised slope", "Interval", "p")
-    rows = [_lay_variant(lead, row) for lead, table in varied.items() for row in table.to_dict("records")]
+    rows = [_lay_variant(parts[lead], row) for lead, table in varied.items() for row in table.to_dict("records")]
     return Grid(caption, head, tuple(rows))
 
 
-def _lay_variant(lead: str, row: Row) -> tuple[str | Cell, ...]:
-    name = name_path("variant", lead, row["variant"], row["metric"])
-    value = name_estimate(name, row, "standardised slope", n=0, prefix="standardised")
-    p = Cell(make_number(f"{name}.p", row["p"], "two-sided t test", n=0), "p")
-    return (lead, row["variant"], tell_name(row["metric"]), *lay_estimate(value, "slope"), p)
+def _lay_variant(part: Part, row: Row) -> tuple[str | Cell, ...]:
+    name, n = name_path("variant", *part.place, row["variant"], row["metric"]), _count_left(part, row["variant"])
+    value = name_estimate(name, row, "standardised slope", n=n, prefix="standardised")
+    p = Cell(make_number(f"{name}.p", row["p"], "two-sided t test", n=n), "p")
+    return (tell_name(part.lead), row["variant"], tell_name(row["metric"]), *lay_estimate(value, "slope"), p)
+
+
+def _count_left(part: Part, variant: str) -> int:
+    """Count the ratings that a variant rests on."""
+    for column in ("recording", "reducer"):
+        if variant.startswith(lead := f"without {column} "):
+            return int((part.rows[column].astype(str) != variant.removeprefix(lead)).sum())
+    return len(part.rows)
 
 
 def _lay_universes(universes: dict[tuple[str, str], tuple[Part, Multiverse]]) -> Grid:
@@ -162,8 +181,8 @@ def _lay_universes(universes: dict[tuple[str, str], tuple[Part, Multiverse]]) ->
     )
     head = ("Ratings", "Metric", "Median", "Smallest", "Largest", "Same sign", "Beyond zero", "Sets of raters")
     rows: list[tuple[str | Cell, ...]] = []
-    for (lead, metric), (_, result) in universes.items():
-        name, n = name_path("multiverse", lead, metric), len(result.table)
+    for (_, metric), (part, result) in universes.items():
+        name, n = name_path("multiverse", *part.place, metric), len(result.table)
         kinds = {"median": "slope", "smallest": "slope", "largest": "slope", "same_sign": "correlation",
                  "beyond_zero": "correlation"}  # fmt: skip
         values = [
@@ -171,14 +190,17 @@ def _lay_universes(universes: dict[tuple[str, str], tuple[Part, Multiverse]]) ->
             for key, kind in kinds.items()
         ]
         sets = Cell(count_number(f"{name}.n_distinct", result.n_distinct, n=n), COUNT)
-        rows.append((lead, tell_name(metric), *values, sets))
+        rows.append((tell_name(part.lead), tell_name(metric), *values, sets))
     return Grid(caption, head, tuple(rows))
 
 
 def _note_variants(varied: dict[str, DataFrame]) -> Iterator[str]:
     for lead, table in varied.items():
-        told = table[table["reason"] != ""].drop_duplicates("variant")
-        yield from (f"{lead}, {name}: {reason}" for name, reason in zip(told["variant"], told["reason"], strict=True))
+        own = table.drop_duplicates("variant").set_index("variant")["reason"]
+        # What the primary model lacks is said where it is told.
+        others = own[(own != "") & (own != own["primary"])]
+        for reason, names in others.groupby(others, sort=False).groups.items():
+            yield f"{lead}, {'; '.join(names)}: {reason}"
 
 
 def _make_tables(

@@ -56,11 +56,14 @@ class Grid:
         Column heads.
     rows : tuple of tuple of str or Cell
         Words, and numbers by their names.
+    detail : bool
+        Whether the page folds it away.
     """
 
     caption: str
     head: tuple[str, ...]
     rows: tuple[tuple[str | Cell, ...], ...]
+    detail: bool = True
 
     @property
     def text_columns(self) -> frozenset[int]:
@@ -122,6 +125,21 @@ class Section:
         """Every number of the section, each once."""
         shown = (cell.number for cell in chain.from_iterable(grid.cells() for grid in self.grids))
         return tuple(dict.fromkeys(chain(shown, self.unseen)))
+
+    @property
+    def has_details(self) -> bool:
+        """Whether the page folds something away."""
+        return bool(self.summary)
+
+    @property
+    def summary(self) -> str:
+        """What the fold is called; empty without one. What opens the report is told there at length."""
+        kinds = {
+            "in words": bool(self.verdict) and self.answers != self.verdict,
+            "tables": any(grid.detail for grid in self.grids),
+            "further figures": any(picture.detail for picture in self.pictures),
+        }
+        return ", ".join(name for name, folded in kinds.items() if folded).capitalize()
 
     @property
     def is_empty(self) -> bool:

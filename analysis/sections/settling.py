@@ -28,7 +28,7 @@ SETTLING = (
     "noncentral t. This study's spreads are taken for the true ones, which they are not; numbers that rest on the "
     "slope estimated here are hopeful where that was large by luck."
 )
-IF_SO = "If the slope is what was estimated here,"
+IF_SO = "If the slope on {} is what was estimated here,"
 
 
 def name_precision(row: Row, part: Part, model: Primary) -> tuple[Number, ...]:
@@ -49,15 +49,23 @@ def name_precision(row: Row, part: Part, model: Primary) -> tuple[Number, ...]:
         Detectable slope, participants needed, recordings needed, power at infinity.
     """
     name, n = name_path("precision", *part.place, row["metric"]), model.n_rows
-    study = _find_precision(row["metric"], part, model)
-    slope = row["estimate"]
-    at_infinity = study.enlarge(participants=10**9).find_power(slope)
-    return (
-        make_number(f"{name}.detectable", study.find_slope() / 10, "slope per +0.1 found with 80 % power", n=n),
-        make_number(f"{name}.participants", study.find_participants(slope), "participants for 80 % power", n=n),
-        make_number(f"{name}.recordings", study.find_recordings(slope), "recordings for 80 % power", n=n),
-        make_number(f"{name}.infinite", at_infinity, "power of infinitely many participants", n=n),
+    values = _find_needs(_find_precision(row["metric"], part, model), row["estimate"])
+    told = {
+        "detectable": "slope per +0.1 found with 80 % power", "participants": "participants for 80 % power",
+        "recordings": "recordings for 80 % power", "infinite": "power of infinitely many participants",
+    }  # fmt: skip
+    return tuple(
+        make_number(f"{name}.{key}", value, method, n=n)
+        for (key, method), value in zip(told.items(), values, strict=True)
     )
+
+
+def _find_needs(study: Precision, slope: float) -> tuple[float, ...]:
+    """Find what would settle a slope; one participant or recording does not tell how others differ."""
+    if min(study.n_participants, study.n_recordings) == 1:
+        return (math.nan,) * 4
+    infinite = study.enlarge(participants=10**9).find_power(slope)
+    return study.find_slope() / 10, study.find_participants(slope), study.find_recordings(slope), infinite
 
 
 def _find_precision(metric: str, part: Part, model: Primary) -> Precision:
@@ -93,14 +101,18 @@ def tell_need(row: Row, settled: tuple[Number, ...]) -> str:
     if row["p_holm"] < SIGNIFICANCE:
         return ""
     _, participants, recordings, infinite = (number.value for number in settled)
+    metric = tell_name(row["metric"])
+    if_so = IF_SO.format(metric)
+    if math.isnan(infinite):
+        return f" What would settle {metric} cannot be told: it takes two participants and two recordings."
     if math.isfinite(participants):
         told = tell_number(participants, kind=COUNT)
-        return f" {IF_SO} {told} participants with these recordings would find it in 80 % of studies."
+        return f" {if_so} {told} participants with these recordings would find it in 80 % of studies."
     if math.isfinite(recordings):
         told = tell_number(recordings, kind=COUNT)
         none = f"no number of participants settles it with these recordings (power at most {tell_number(infinite)})"
-        return f" {IF_SO} {none}; {told} recordings with as many participants would find it in 80 % of studies."
-    return " A slope as small as the one estimated here is out of reach of any study of this kind."
+        return f" {if_so} {none}; {told} recordings with as many participants would find it in 80 % of studies."
+    return f" A slope on {metric} as small as the one estimated here is out of reach of any study of this kind."
 
 
 def lay_precision(rows: list[Row], numbers: list[tuple[Number, ...]]) -> Grid:
@@ -122,13 +134,13 @@ def lay_precision(rows: list[Row], numbers: list[tuple[Number, ...]]) -> Grid:
         f"What would settle it. Detectable: the slope, in points per +0.1, that it would find with {ENOUGH:.0%} "
         "power. Then, if the slope is what was estimated here: participants needed with these recordings, recordings "
         "needed with these participants, and the power of infinitely many participants with these recordings. A dash: "
-        "more than 10 000."
+        "more than 10 000, or unknown."
     ).replace("80%", "80 %")
     head = ("Ratings", "Metric", "Detectable", "Participants", "Recordings", "Power at infinity")
     kinds = ("slope", COUNT, COUNT, "correlation")
-    laid = [
+    laid: list[tuple[str | Cell, ...]] = [
         (
-            row["attribute"],
+            tell_name(row["attribute"]),
             tell_name(row["metric"]),
             *(Cell(one, kind) for one, kind in zip(of_row, kinds, strict=True)),
         )

@@ -12,11 +12,11 @@ from analysis.landmarks import align_spaces, bootstrap_space, regress_attributes
 from analysis.numbers import COUNT, Number, count_number, make_number, name_path
 from analysis.pictures import Picture, make_slug
 from analysis.scales import APART, PAIRED
-from analysis.sections.effects import adjust
+from analysis.sections.effects import SIGNIFICANCE, adjust
 from analysis.sections.section import Cell, Grid, Section
 from analysis.space import stress_by_dimension
 from analysis.table import order_reducers
-from analysis.words import tell_name
+from analysis.words import tell_name, tell_number
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from pandas import DataFrame
 
-    from analysis.landmarks import Ellipses
+    from analysis.landmarks import Alignment, Ellipses
     from analysis.sections.choices import Choices
     from analysis.table import Table
 
@@ -70,6 +70,7 @@ def compute(table: Table, choices: Choices) -> Section:
     """
     rows = table.rows[table.rows["scale"] == PAIRED]
     notes: list[str] = []
+    answers: list[str] = []
     grids: list[Grid] = []
     pictures: list[Picture] = []
     tables: dict[str, DataFrame] = {}
@@ -83,21 +84,21 @@ def compute(table: Table, choices: Choices) -> Section:
         except ValueError as error:
             notes.append(f"{PAIRED}, {level}: no map. {error}")
             continue
-        grids += [_lay_stress(found, stress), *_lay_meaning(found, ellipses, choices, notes)]
+        grids += [_lay_stress(found, stress), *_lay_meaning(found, ellipses, choices, notes, answers)]
         pictures.append(_draw(found, ellipses, stress))
         tables[f"space_{make_slug(level)}"] = _tabulate(found, ellipses)
     return Section(
-        key=KEY, title=TITLE, grids=tuple(grids), pictures=tuple(pictures), tables=tables, notes=tuple(notes),
-        how=HOW if grids else (),
+        key=KEY, title=TITLE, answers=tuple(answers), verdict=tuple(answers), grids=tuple(grids),
+        pictures=tuple(pictures), tables=tables, notes=tuple(notes), how=HOW if grids else (),
     )  # fmt: skip
 
 
 def _gather(table: Table, rows: DataFrame, level: str) -> _Level:
     """Average each participant's ratings of every pair of reducers over recordings and both orders."""
-    reducer = table.rows.drop_duplicates("stimulus_id").set_index("stimulus_id")["reducer"]
-    other = rows["reference_id"].map(reducer)
-    known = rows[other.notna()].assign(other=other[other.notna()])
+    known = rows[rows["reference_reducer"] != ""].rename(columns={"reference_reducer": "other"})
     apart = known[known["reducer"] != known["other"]]
+    if apart.empty:
+        raise ValueError("No judgement names two stimuli of different reducers, in stimulus_id and reference_id.")
     names = order_reducers([*apart["reducer"], *apart["other"]])
     place = {name: number for number, name in enumerate(names)}
     people = {name: number for number, name in enumerate(sorted(apart["participant"].unique()))}
@@ -142,7 +143,9 @@ def _number(name: str, value: float, method: str, found: _Level) -> Number:  # n
     return make_number(name, value, method, n=len(found.names))
 
 
-def _lay_meaning(found: _Level, ellipses: Ellipses, choices: Choices, notes: list[str]) -> Iterator[Grid]:  # noqa: PLR0917
+def _lay_meaning(  # noqa: PLR0917 - lists that every level adds to
+    found: _Level, ellipses: Ellipses, choices: Choices, notes: list[str], answers: list[str]
+) -> Iterator[Grid]:
     known = found.attributes.notna().all(axis=1).to_numpy()
     attributes_of = found.attributes[known]
     varied = [name for name in map(str, attributes_of.columns) if attributes_of[name].std() > 0]
@@ -155,11 +158,21 @@ def _lay_meaning(found: _Level, ellipses: Ellipses, choices: Choices, notes: lis
         name = name_path("procrustes", found.level)
         correlation = _number(name, aligned.correlation, "Procrustes correlation of map and metrics", found)
         p = _number(f"{name}.p", aligned.p, f"permutation test, {aligned.permutations} pairings", found)
+        answers.append(_judge(found, aligned))
         caption = "Agreement of the map with the stimuli's metrics, standardised, after shifting, turning and scaling."
         yield Grid(caption, ("Level", "Correlation", "p"), ((tell_name(found.level), Cell(correlation), Cell(p, "p")),))
         yield _lay_attributes(found, regress_attributes(positions, {name: attributes[name] for name in varied}))
     except ValueError as error:
         notes.append(f"{PAIRED}, {found.level}: the map is set against nothing more. {error}")
+
+
+def _judge(found: _Level, aligned: Alignment) -> str:
+    what = f"their places on the map of dissimilarities (level {tell_name(found.level)})"
+    r, p = tell_number(aligned.correlation), tell_number(aligned.p, kind="p")
+    evidence = f"Procrustes correlation {r}, permutation p {p if p.startswith('<') else f'= {p}'}"
+    if aligned.p < SIGNIFICANCE:
+        return f"Metrics of reducers agree with {what} better than by chance ({evidence})."
+    return f"Whether metrics of reducers agree with {what} is undecided ({evidence})."
 
 
 def _lay_attributes(found: _Level, table: DataFrame) -> Grid:

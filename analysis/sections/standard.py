@@ -81,8 +81,8 @@ def compute(table: Table, choices: Choices) -> Section:  # noqa: ARG001 - every 
 def _evaluate(part: Part, items: Items, metrics: tuple[str, ...], notes: list[str]) -> dict[str, list[Row]]:  # noqa: PLR0917
     judged: dict[tuple[str, int, bool], P1401] = {}
     for (place, name), order, held in product(enumerate(metrics), ORDERS, (False, True)):
-        groups = items.recordings if held else None
-        lead = f"{part.lead}, P.1401 of {name}, order {order}{', held out' if held else ''}"
+        groups = items.of_source[items.recordings] if held else None
+        lead = f"{part.lead}, P.1401 of {name}"
         run = partial(p1401, items.ratings.T, items.metrics[place], order=order, groups=groups)
         result = _attempt(run, notes, lead)
         if result is not None:

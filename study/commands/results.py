@@ -3,25 +3,41 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from study.commands.shared import FILE, find_study, json_option
+from study.commands.shared import FILE, find_study, json_option, show_progress
 from study.folder import StudyFolder
 
+if TYPE_CHECKING:
+    from study.settings.tables import AnalysisTable
 
-@click.command(epilog="Example: feel321 analyze my-study")
+EXAMPLE = """\b
+Example: feel321 analyze my-study
+         feel321 analyze --ratings ratings.csv --manifest manifest.csv --out report
+"""
+
+
+@click.command(epilog=EXAMPLE)
 @click.argument("folder", metavar="[STUDY]", default=Path(), type=FILE)
 @click.option("--ratings", type=FILE, help="Ratings from elsewhere; with --manifest, no study is needed.")
 @click.option("--manifest", type=FILE, help="The stimuli that were rated.  [default: the study's]")
 @click.option("--out", type=FILE, help="Folder of the report.  [default: report/ in the study]")
 @json_option
 def analyze(folder: Path, *, ratings: Path | None, manifest: Path | None, out: Path | None, as_json: bool) -> None:
-    """Set the ratings against both match metrics and write the report."""
+    """Set the ratings against the match metrics and write the report.
+
+    Fits the mixed models, correlations with two-way bootstrap intervals, contrasts of reducers, screening of raters
+    and all else that the ratings allow. Writes index.html, results.json (every number of the page; --json prints it),
+    tables/ and figures/. How many bootstrap draws and which margin of equivalence: [analysis] in study.toml.
+    """
     if ratings is None and manifest is None:
         from study.workflow import analyze_study
 
-        report = analyze_study(find_study(folder), out=out)
+        study = find_study(folder)
+        with show_progress("analyze") as progress:
+            report = analyze_study(study, out=out, progress=progress)
     else:
         report = _analyze_tables(folder, ratings=ratings, manifest=manifest, out=out)
     if as_json:
@@ -38,17 +54,23 @@ def _analyze_tables(folder: Path, *, ratings: Path | None, manifest: Path | None
     if manifest is None:
         manifest = find_study(folder).manifest
     report = out or folder / "report"
-    write_report(ratings, manifest, report, **_read_choices(folder))
+    chosen, seed, origins = _read_choices(folder)
+    with show_progress("analyze") as progress:
+        write_report(
+            ratings, manifest, report, draws=chosen.draws, margin=chosen.margin, sources=origins, seed=seed,
+            progress=progress,
+        )  # fmt: skip
     return report
 
 
-def _read_choices(folder: Path) -> dict[str, int]:
+def _read_choices(folder: Path) -> tuple[AnalysisTable, int, dict[str, str]]:
     """Read how a study is analysed; tables from elsewhere are analysed with the defaults."""
     from study.settings.reading import read_settings
+    from study.settings.sources import list_origins
     from study.settings.tables import AnalysisTable
 
     study = StudyFolder(folder)
     if not study.settings.is_file():
-        return {"draws": AnalysisTable().draws, "seed": 0}
+        return AnalysisTable(), 0, {}
     settings = read_settings(study.settings)
-    return {"draws": settings.analysis.draws, "seed": settings.study.seed}
+    return settings.analysis, settings.study.seed, list_origins(settings)

@@ -128,8 +128,10 @@ class Front:
         """Say whether a click that confirms is the other half of a double one."""
         if wish.name != "confirm" or not isinstance(event, Click):
             return False
-        since_s, self._confirmed_s = event.time_s - self._confirmed_s, event.time_s
-        return since_s < DOUBLE_S
+        if event.time_s - self._confirmed_s < DOUBLE_S:
+            return True
+        self._confirmed_s = event.time_s
+        return False
 
     def _leave(self, event: Event) -> Wish | None:
         """Heed Esc when it comes a second time; the button of a trial does it at once."""

@@ -60,6 +60,25 @@ def list_surfaces(settings: Settings, folder: Path) -> dict[str, Surface]:
     }
 
 
+def list_origins(settings: Settings) -> dict[str, str]:
+    """Look up what recordings were made from: those that are one, turned, are not independent of each other.
+
+    Parameters
+    ----------
+    settings : Settings
+        The study's settings.
+
+    Returns
+    -------
+    dict of str to str
+        The file, or the scene and its seed, of every recording, by the recording's name.
+    """
+    return {
+        entry.title: f"{entry.scene} {entry.seed}" if isinstance(entry, SceneTable) else entry.file
+        for entry in settings.recordings
+    }
+
+
 def open_recordings(settings: Settings, folder: Path) -> list[Recording]:
     """Read every recording of a study.
 

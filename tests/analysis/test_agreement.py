@@ -37,6 +37,14 @@ def brute_alpha(table: np.ndarray, level: str) -> float:
     return 1 - observed / (pairs(pool) / (len(pool) * (len(pool) - 1)))
 
 
+def test_names_agree_as_their_numbers_do() -> None:
+    table = make_table(3)
+    words = [[None if math.isnan(cell) else f"kind {abs(cell):g}" for cell in row] for row in table]
+    assert krippendorff_alpha(words, level="nominal") == krippendorff_alpha(table, level="nominal")
+    with pytest.raises(ValueError, match=r"got cells that are no numbers .* use level='nominal'"):
+        krippendorff_alpha(words, level="ordinal")
+
+
 @pytest.mark.parametrize("level", LEVELS)
 @pytest.mark.parametrize("missing", [0.0, 0.35])
 def test_alpha_by_its_definition(level: str, missing: float) -> None:

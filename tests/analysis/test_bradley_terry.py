@@ -35,6 +35,84 @@ def counts(*rows: Sequence[object]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["one", "two", "wins_one", "wins_two"])
 
 
+BASEBALL = """
+Milwaukee - 4:3 4:2 4:3 6:1 4:2 6:0
+Detroit 3:3 - 4:2 4:3 6:0 6:1 4:3
+Toronto 2:5 4:3 - 2:4 4:3 4:2 6:0
+NewYork 3:3 5:1 2:5 - 4:3 4:2 6:1
+Boston 5:1 2:5 3:3 4:2 - 5:2 6:0
+Cleveland 2:5 3:3 3:4 4:3 4:2 - 2:4
+Baltimore 2:5 1:5 1:6 2:4 1:6 3:4 -
+"""
+"""Home and away wins of 1987, a row for each home team (Agresti 2002, Categorical Data Analysis, table 10.10)."""
+
+
+def read_baseball() -> pd.DataFrame:
+    lines = [line.split() for line in BASEBALL.split("\n") if line]
+    rows = [
+        (home, lines[place][0], *map(int, cell.split(":")))
+        for home, *cells in lines
+        for place, cell in enumerate(cells)
+        if cell != "-"
+    ]
+    return pd.DataFrame(rows, columns=["home", "away", "home_wins", "away_wins"])
+
+
+@pytest.mark.parametrize(
+    ("home", "fit", "expected"),
+    [
+        (
+            False, (44.0534612286, 36, -64.2593004953),
+            {"Boston": (1.107697705, 0.333877908), "Detroit": (1.436408432, 0.339568187)},
+        ),
+        (
+            True, (38.642852144, 35, -61.553995953),
+            {"Boston": (1.143802653, 0.337842189), "Milwaukee": (1.619554994, 0.347365306),
+             "order": (0.302260656, 0.130943643)},
+        ),
+    ],
+)  # fmt: skip
+def test_baseball_with_and_without_the_advantage_of_home(
+    home: bool, fit: tuple[float, ...], expected: dict[str, tuple[float, float]]
+) -> None:
+    # R 4.2.2, BradleyTerry2 1.1-2, data(baseball): BTm(cbind(home.wins, away.wins), home.team, away.team,
+    # id = "team"), and with formula = ~ team + at.home; Baltimore is the reference.
+    result = bradley_terry(read_baseball(), reference="Baltimore", order_effect=home)
+    assert (result.deviance, result.df, result.log_likelihood) == pytest.approx(fit, abs=1e-8)
+    for name, (estimate, error) in expected.items():
+        assert result.fixed.loc[name, "estimate"] == pytest.approx(estimate, abs=1e-6)
+        assert result.fixed.loc[name, "se"] == pytest.approx(error, abs=1e-5)
+
+
+def test_forms_without_an_order_say_the_same() -> None:
+    trials = make_trials(raters=3)
+    lost = trials["first"].where(trials["winner"] == trials["second"], trials["second"])
+    outcomes = pd.DataFrame({"winner": trials["winner"], "loser": lost})
+    square = pd.crosstab(outcomes["winner"], outcomes["loser"])
+    plain = bradley_terry(trials).fixed
+    met = counts(*[
+        (one, two, square.loc[one, two], square.loc[two, one]) for one, two in itertools.combinations("abcd", 2)
+    ])
+    deviance = bradley_terry(met).deviance
+    for form in (outcomes, square, square.astype(float).mask(square == 0)):
+        result = bradley_terry(form)
+        pd.testing.assert_frame_equal(result.fixed, plain, rtol=1e-6)
+        assert result.deviance == pytest.approx(deviance)
+        with pytest.raises(ValueError, match="do not say which was presented first"):
+            bradley_terry(form, order_effect=True)
+
+
+def test_pairs_that_never_met_change_nothing() -> None:
+    rows = [("a", "b", 3, 2), ("b", "c", 4, 2), ("a", "c", 5, 1)]
+    more, less = bradley_terry(counts(*rows, ("a", "c", 0, 0))), bradley_terry(counts(*rows))
+    assert (more.deviance, more.df) == (pytest.approx(less.deviance), less.df)
+
+
+def test_only_tables_are_read() -> None:
+    with pytest.raises(TypeError, match="pairs: got list, allowed is a pandas DataFrame"):
+        bradley_terry([("a", "b", 3, 2)])
+
+
 def test_two_items_are_one_log_odds() -> None:
     result = bradley_terry(counts(("a", "b", 30, 10)))
     row = result.fixed.loc["b"]
@@ -145,7 +223,8 @@ def test_an_order_that_never_varies_cannot_be_told() -> None:
         (counts(("a", None, 1, 2)), "pairs: got 1 rows without a name in column 'two'"),
         (counts(("a", "b", -1, 2)), "pairs: got a count of wins that is negative or not finite"),
         (counts(("a", "b", "many", 2)), "pairs: got text in columns wins_one and wins_two"),
-        (counts(("a", "b", 0, 0)), "pairs: got a row without a win for either"),
+        (counts(("a", "b", 0, 0)), "pairs: got no win in any row"),
+        (pd.DataFrame([[1, 2], [3, 0]], index=["a", "b"], columns=["a", "b"]), "pairs: got a square table"),
         (counts(("a", "a", 1, 2)), "pairs: got 'a' against itself"),
         (pd.DataFrame({"first": ["x"], "second": ["y"], "winner": ["z"]}), "pairs: got the winner 'z'"),
     ],

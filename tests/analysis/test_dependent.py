@@ -29,6 +29,14 @@ def test_williams_of_psych() -> None:
     assert (result.williams_t, result.williams_p) == pytest.approx((3.702096, 0.004904615), abs=1e-6)
     result = compare_dependent(0.396, 0.179, 0.088, 66)
     assert (result.williams_t, result.williams_p) == pytest.approx((1.380949, 0.1721738), abs=1e-6)
+    # r.test(n = 103, r12 = .5, r13 = .4, r23 = .3) and so on, psych 2.2.9
+    for arguments, printed in (
+        ((0.5, 0.4, 0.3, 103), (0.996900779735, 0.321218841518)),
+        ((-0.3, 0.2, 0.1, 50), (-2.75917119688663, 0.00823268299379)),
+        ((0.9, 0.7, 0.8, 20), (2.95071533320257, 0.00894579777683)),
+    ):
+        result = compare_dependent(*arguments)
+        assert (result.williams_t, result.williams_p) == pytest.approx(printed, rel=1e-9)
 
 
 def test_meng_1992_example() -> None:

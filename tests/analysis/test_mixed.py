@@ -281,14 +281,6 @@ def test_units_change_nothing_but_units() -> None:
     assert scaled.variances["sd"][1] == pytest.approx(plain.variances["sd"][1] * 1e14, rel=1e-3)
 
 
-def test_double_bar_slash_and_backticks_are_short_for_what_they_say() -> None:
-    data = make_study(8).rename(columns={"a": "my a"})
-    short = fit_mixed("y ~ `my a` + (`my a` || who) + (1 | scene/kind)", data)
-    long = fit_mixed("y ~ `my a` + (1 | who) + (0 + `my a` | who) + (1 | scene) + (1 | scene:kind)", data)
-    assert short.criterion == pytest.approx(long.criterion)
-    pd.testing.assert_frame_equal(short.variances, long.variances)
-
-
 def test_response_may_be_arithmetic() -> None:
     data = make_study(9)
     tenth = fit_mixed("y / 10 ~ a + (1 | who)", data)

@@ -157,6 +157,33 @@ def test_a_falling_metric_is_mapped_by_a_falling_cubic() -> None:
     assert falling.srocc == pytest.approx(-rising.srocc)
 
 
+@pytest.mark.parametrize(
+    ("metric", "mos", "expected"),
+    [
+        (
+            np.linspace(0, 1, 12), [10, 30, 38, 35, 33, 30, 34, 36, 35, 50, 70, 88],
+            (4.891254728, 0.9787522463, 14.21469059, 141.0198056, -339.8681836, 273.0358367),
+        ),
+        (
+            [0.2, 0.25, 0.4, 0.41, 0.5, 0.55, 0.6, 0.7, 0.8, 0.95], [80, 82, 60, 66, 70, 58, 60, 40, 45, 10],
+            (6.909899424, 0.9641179479, 117.5302337, -247.3667224, 417.8937218, -289.9717678),
+        ),
+        (
+            np.arange(11) / 10, [5, 20, 45, 60, 72, 80, 86, 84, 80, 76, 75],
+            (5.451089954, 0.9859961295, 0.9284889487, 288.9124131, -347.365311, 139.214809),
+        ),
+    ],
+    ids=["touches inside", "falls freely", "stops at the end"],
+)  # fmt: skip
+def test_against_quadratic_programming_in_r(metric: object, mos: list[int], expected: tuple[float, ...]) -> None:
+    # R 4.2.2, quadprog 1.5-8: solve.QP(crossprod(X), crossprod(X, y), s * rbind(0, 1, 2 * g, 3 * g^2), 0), with
+    # X = cbind(1, x, x^2, x^3), g 20001 points of the range, and the better of s = 1 and s = -1.
+    votes = np.asarray(mos, dtype=float)[:, None] + np.array([-3, 3, 0, 1, -1])
+    result = p1401(votes, metric)
+    assert (result.rmse, result.plcc) == pytest.approx(expected[:2], rel=1e-7)
+    assert result.coefficients == pytest.approx(expected[2:], rel=3e-4)  # the grid lets a slope dip below 0 by a hair
+
+
 def test_an_active_constraint_fits_worse_but_monotonely() -> None:
     metric = np.linspace(0, 1, 30)
     votes = (50 + 30 * np.sin(5 * metric))[:, None] + np.array([-3.0, 0, 3])

@@ -14,6 +14,7 @@ import pytest
 from analysis.findings import analyse, stack_records
 from analysis.profile import profile_reducers
 from analysis.report import write_report
+from analysis.sections.parts import split_parts
 from analysis.table import Table, read_table
 
 if TYPE_CHECKING:
@@ -121,10 +122,25 @@ def test_other_references_than_the_recording_are_noted(write: Callable[..., tupl
     assert [note for note in table.notes if note.startswith("Scale")] == [
         "Scale 'similarity': 2 judgements were made against the real surface; the metrics compare with the recording.",
         "Scale 'similarity': 1 judgements were made against what 'dft321' made of the recording; the metrics compare "
-        "with the recording.",
+        "with the recording: none enters an association or a slope.",
         "Scale 'similarity': 1 judgements were made against what the manifest does not list; the metrics compare with "
         "the recording.",
     ]
+
+
+def test_metrics_speak_only_of_what_was_judged_against_its_recording(write: Callable[..., tuple[Path, Path]]) -> None:
+    references = ["surface", "dft321", "ghost", "orig", "", "elsewhere"]
+    paths = write([("p", "similarity", "mag321", name, 40) for name in references])
+    manifest = pd.read_csv(paths[1])
+    other = manifest[manifest["stimulus_id"] == "orig"].assign(stimulus_id="elsewhere", recording="s")
+    pd.concat([manifest, other]).to_csv(paths[1], index=False)
+    table = read_table(*paths)
+    assert dict(zip(references, table.rows["matched"], strict=True)) == {
+        "surface": True, "dft321": False, "ghost": True, "orig": True, "": True, "elsewhere": False,
+    }  # fmt: skip
+    assert any("were made against a stimulus of another recording" in note for note in table.notes)
+    assert [len(part.rows) for part in split_parts(table)] == [4]
+    assert [len(part.rows) for part in split_parts(table, matched=False)] == [6]
 
 
 def test_both_stimuli_of_a_pair_count_as_rated(write: Callable[..., tuple[Path, Path]]) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from analysis import cells
 from analysis.cells import make_cells
 from analysis.mixed.model import fit_mixed
 from analysis.primary import fit_attributes, fit_primary, tabulate_slopes
@@ -114,6 +115,21 @@ def test_unequal_repeats_keep_rows_and_get_a_term_for_the_cell(rows: pd.DataFram
     assert primary.formula == FULL + " + (1 | participant:item)"
     assert not primary.averaged
     assert primary.n_rows == 479
+
+
+def test_unequal_repeats_of_too_many_levels_are_averaged_in_words(
+    rows: pd.DataFrame, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    few = rows.drop(index=rows.index[::7])
+    whole = fit_primary(few, METRICS)
+    monkeypatch.setattr(cells, "MOST_LEVELS", 50)
+    rough = fit_primary(few, METRICS)
+    assert rough.formula == FULL
+    assert rough.averaged
+    assert "unequal numbers of repeats" in rough.reductions[0]
+    shift = (rough.slopes["estimate"] - whole.slopes["estimate"]) / whole.slopes["se"]
+    assert shift.abs().max() < 0.5
+    assert rough.slopes["se"].tolist() == pytest.approx(whole.slopes["se"].tolist(), rel=0.15)
 
 
 def test_missing_cells_with_equal_repeats_are_still_averaged(rows: pd.DataFrame) -> None:

@@ -19,6 +19,56 @@ def test_consistency_ignores_unit_and_rater_levels(seed: int, gain: float, shift
     assert intraclass(moved).icc_c_k == pytest.approx(intraclass(table).icc_c_k, abs=1e-8)
 
 
+BOOK = (
+    [63, 67, 76, 63], [46, 51, 53, 62], [69, 64, 73, 52], [42, 36, 49, 21], [59, 43, 49, 52],
+    [50, 45, 40, 39], [38, 63, 64, 49], [45, 47, 56, 56], [75, 55, 47, 51], [54, 33, 48, 30],
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("table", "expected"),
+    [
+        (
+            BOOK,
+            {
+                "1_1": (0.454497049297, 0.145819315599, 0.782916945134),
+                "a_1": (0.458913072820, 0.156326281572, 0.783671038625),
+                "c_1": (0.474270569899, 0.158196467885, 0.795070040905),
+                "1_k": (0.769196110089, 0.405769966137, 0.935174915801),
+                "a_k": (0.772340640918, 0.425673336643, 0.935443713917),
+                "c_k": (0.783008548292, 0.429126826743, 0.939463149504),
+            },
+        ),
+        (
+            [[9, 2], [6, 1], [8, 4], [7, 1], [10, 5], [6, 2]],  # two raters far apart: negative, and all the same
+            {
+                "1_1": (-0.496415770609, -0.8935730402821, 0.402661387942),
+                "a_1": (0.125654450262, -0.0236532215433, 0.599851484038),
+                "c_1": (0.745341614907, -0.0209087462971, 0.959983081508),
+                "1_k": (-1.971530249110, -16.7922308905665, 0.574139120680),
+                "a_k": (0.223255813953, -0.0484525008228, 0.749883961134),
+                "c_k": (0.854092526690, -0.0427105159361, 0.979583028614),
+            },
+        ),
+        (
+            [[1, 2, 6], [2, 1, 1], [3, 4, 5], [4, 3, 2], [5, 6, 4], [6, 5, 3]],
+            {
+                "a_1": (0.314079422383, -0.246073886494, 0.840727243567),
+                "a_k": (0.578713968958, -1.453615087652, 0.940602103374),
+                "c_k": (0.533742331288, -0.975107428112, 0.929559329581),
+            },
+        ),
+    ],
+    ids=["ten targets", "two raters", "noise"],
+)
+def test_every_form_and_interval_against_psych(table: list[list[int]], expected: dict[str, tuple[float, ...]]) -> None:
+    # R 4.2.2, psych 2.2.9: ICC(x, lmer = FALSE)$results
+    icc = intraclass(table)
+    for form, printed in expected.items():
+        got = tuple(getattr(icc, f"icc_{form}{end}") for end in ("", "_low", "_high"))
+        assert got == pytest.approx(printed, abs=1e-9)
+
+
 def test_agreement_falls_when_raters_differ_in_level() -> None:
     table = np.arange(6.0)[:, None] + np.array([0.0, 5.0, 10.0])
     icc = intraclass(table)

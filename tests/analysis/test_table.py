@@ -58,11 +58,11 @@ def test_four_columns_from_elsewhere_are_enough(files: Callable[..., object]) ->
     assert not table.rows["simulated"].any()
     assert set(table.rows["repeat"]) == {"1", "2"}
     assert [note.split(":")[0] for note in table.notes] == [
-        "manifest.csv has no column 'temporal_match', so that metric is not reported.",
-        "manifest.csv has no column 'level'",
-        "manifest.csv has no column 'role'",
+        "manifest.csv has nothing in a column 'temporal_match', so that metric is not reported.",
+        "manifest.csv has nothing in a column 'level'",
+        "manifest.csv has nothing in a column 'role'",
         "Reducers unknown to feel321, analysed as named",
-        "ratings.csv has no column 'trial' or 'repeat'",
+        "ratings.csv has nothing in a column 'trial' or 'repeat'",
     ]
 
 
@@ -126,7 +126,8 @@ def test_unrated_stimuli_and_scales_without_tests_are_noted(files: Callable[...,
 def test_names_that_differ_in_capitals_only_are_noted(files: Callable[..., object]) -> None:
     study = files()
     edit(study.ratings, lambda frame: frame.replace({"p01": "P00"}))
-    note = "Names in column 'participant' that differ in capitals only are taken as different: 'P00', 'p00'."
+    alike = "Names in column 'participant' that differ in capitals, accents or blanks only"
+    note = f"{alike} are taken as different: 'P00', 'p00'."
     assert read(study).notes == (note,)
 
 
@@ -140,7 +141,7 @@ def test_a_match_above_one_is_noted(files: Callable[..., object]) -> None:
 @pytest.mark.parametrize(
     ("file", "change", "message"),
     [
-        ("ratings", lambda f: f.drop(columns=["scale", "rating"]), "ratings.csv: column scale, rating is missing; got"),
+        ("ratings", lambda f: f.drop(columns=["scale", "rating"]), "ratings.csv, line 1: column scale, rating is miss"),
         ("ratings", lambda f: f.iloc[:0], "ratings.csv: got no rows below the header"),
         ("ratings", set_cell("rating", "high"), "ratings.csv, line 2: got 'high' in column 'rating', allowed"),
         ("ratings", set_cell("rating", "inf"), "ratings.csv, line 2: got 'inf' in column 'rating'"),
@@ -156,7 +157,7 @@ def test_a_match_above_one_is_noted(files: Callable[..., object]) -> None:
         ("ratings", set_cell("rejected", "perhaps"), "got 'perhaps' in column 'rejected', allowed"),
         ("ratings", lambda f: f.assign(rejected=True), "all 1152 judgements are marked as rejected"),
         ("ratings", lambda f: pd.concat([f, f.iloc[[4]]]), "line 1154: got '5' in column 'trial', but an"),
-        ("manifest", lambda f: f.drop(columns="reducer"), "manifest.csv: column reducer is missing"),
+        ("manifest", lambda f: f.drop(columns="reducer"), "manifest.csv, line 1: column reducer is missing"),
         ("manifest", lambda f: f.drop(columns=["spectral_match", "temporal_match"]), "manifest.csv: got no metric"),
         ("manifest", set_cell("role", "distractor"), "got 'distractor' in column 'role', allowed is test, ref"),
         ("manifest", set_cell("spectral_match", "", row=1), "manifest.csv, line 3: got '' in column 'spectral_match'"),
@@ -178,10 +179,10 @@ def test_every_fault_gets_one_clear_line(
     ("content", "message"),
     [
         (b"", "ratings.csv: the file is empty; its first line must name the columns participant"),
-        (b"participant;stimulus_id;scale;rating\na;b;c;5\n", "separate the columns by commas"),
+        (b"participant;stimulus_id;scale;rating\na;b;c;5\n", "separated by semicolons: save it with commas, and with"),
         (b"participant,stimulus_id,scale,rating,rating\n", "column rating appears more than once"),
-        (b"participant,stimulus_id,scale,rating\na,b,c,5,6\n", "not a regular CSV file, mend lines or quotes"),
-        (b"participant,stimulus_id,scale,rating\na,b,c,5\na,b,c,5,6\n", "not a regular CSV file, .*line 3"),
+        (b"participant,stimulus_id,scale,rating\na,b,c,5,6\n", "line 2: got 5 cells, but the header has 4; put a cell"),
+        (b"participant,stimulus_id,scale,rating\na,b,c,5\na,b,c,5,6\n", "ratings.csv, line 3: got 5 cells"),
         (b'participant,stimulus_id,scale,rating\na,"b,c,5\n', "not a regular CSV file"),
         (b"participant,stimulus_id,scale,rating\nJ\xf6rg,b,c,5\n", "not UTF-8 text .* at byte"),
         (b"participant,stimulus_id,scale,rating\na,b,c\n", "ratings.csv, line 2: got 3 cells, but the header has 4"),

@@ -7,6 +7,7 @@ import pytest
 
 from analysis.association import Association, Difference
 from analysis.verdict import judge_association, judge_difference
+from analysis.words import tell_method
 
 CLEAR = Association(
     value=0.7, low=0.4, high=0.9, n_items=36, ceiling=0.9, disattenuated=0.78, draws=2000, participants_low=0.6,
@@ -36,7 +37,8 @@ def compare(*, spread: float = 0.05, **changes: object) -> str:
 def test_a_clear_association_is_claimed_with_its_evidence() -> None:
     said = judge().replace("\N{NO-BREAK SPACE}", " ")
     assert said.startswith("Stimuli with a higher spectral match got higher realism ratings")
-    assert "r = 0.70, 95 % two-way interval 0.40 to 0.90; 12 participants, 4 recordings, 36 stimuli" in said
+    assert "r = 0.70 of at most 0.90 that ratings as noisy as these allow, 95 % two-way interval" in said
+    assert "interval 0.40 to 0.90; 12 participants, 4 recordings, 36 stimuli" in said
     assert said.endswith("agrees.")
 
 
@@ -111,3 +113,10 @@ def test_a_difference_over_zero_ranks_nothing() -> None:
 
 def test_a_difference_without_interval_says_so() -> None:
     assert compare(low=math.nan).endswith("cannot be compared by an interval here.")
+
+
+@pytest.mark.parametrize(
+    ("name", "told"), [("pearson", "Pearson"), ("within", "Pearson within recordings"), ("kendall", "Kendall")]
+)
+def test_methods_have_names(name: str, told: str) -> None:
+    assert tell_method(name) == told

@@ -65,7 +65,7 @@ def test_three_equal_axes_triple_in_their_sum() -> None:
     assert spectral_match(acceleration, REDUCERS["soc321"](acceleration, RATE), RATE) == pytest.approx(-1.0, abs=1e-12)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(exponent=st.integers(-900, 900), seed=st.integers(0, 99), name=st.sampled_from(list(REDUCERS)))
 def test_scaling_a_recording_changes_neither_metric(exponent: int, seed: int, name: str) -> None:
     acceleration = noise(3, 500, seed=seed)
@@ -75,7 +75,7 @@ def test_scaling_a_recording_changes_neither_metric(exponent: int, seed: int, na
         assert metric(scaled, REDUCERS[name](scaled, RATE), RATE) == pytest.approx(once, abs=1e-9)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(gain=st.floats(0, 3))
 def test_spectral_match_of_a_gain_is_known(gain: float) -> None:
     """A reduced signal with g squared times the energy everywhere scores 1 - |1 - g squared|."""

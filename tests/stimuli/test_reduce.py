@@ -140,7 +140,7 @@ def test_pca_keeps_the_largest_energy_that_a_fixed_axis_can() -> None:
     assert reduced.var() == pytest.approx(largest, rel=1e-12)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.integers(0, 2**32 - 1))
 def test_pca_never_correlates_negatively_with_the_sum(seed: int) -> None:
     acceleration = noise(3, 60, seed=seed) * np.random.default_rng(seed).uniform(0.1, 3, (3, 1))
@@ -226,7 +226,7 @@ def test_dft_is_equations_3_and_4(n: int) -> None:
     np.testing.assert_allclose(REDUCERS["dft321"](acceleration, RATE), brute_dft321(acceleration), atol=1e-12)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(LENGTHS.flatmap(finite))
 def test_dft_keeps_the_energy_and_the_spectrum_of_any_finite_input(acceleration: np.ndarray) -> None:
     reduced = REDUCERS["dft321"](acceleration, RATE)
@@ -267,7 +267,7 @@ def test_dft_takes_the_strongest_axis_where_the_sum_vanishes() -> None:
 # --- DFT321, windowed ----------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(n=st.integers(1, 300), window=st.integers(2, 500), seed=st.integers(0, 1000))
 def test_three_equal_axes_give_sqrt_three_up_to_both_ends(n: int, window: int, seed: int) -> None:
     wave = noise(n, seed=seed)

@@ -27,7 +27,7 @@ def run(stream: StreamingReducer, acceleration: np.ndarray, cuts: list[int]) -> 
 
 
 @pytest.mark.parametrize("name", STREAMING)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(data=st.data(), n=st.integers(0, 400), seed=st.integers(0, 99))
 def test_any_partition_gives_the_offline_result_after_a_constant_delay(
     name: str, data: st.DataObject, n: int, seed: int

@@ -116,7 +116,7 @@ def test_marks_line_ends_and_comments_do_not_matter(tmp_path: Path, content: str
     np.testing.assert_allclose(recording.acceleration.T / STANDARD_GRAVITY, [[1, 2, 3], [4, 5, 6]])
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     signal=arrays(np.float64, st.tuples(st.just(3), st.integers(2, 30)), elements=st.floats(-1e6, 1e6, width=32)),
     mark=st.sampled_from([",", ";", "\t", " "]),

@@ -105,6 +105,10 @@ class Process:
     def count(self, event: str) -> int:
         return sum(record.event == event for record in self.records)
 
+    def count_done(self) -> int:
+        """Count the trials that stand; a busy machine may have spoiled others."""
+        return sum(record.event == "rated" and not record.data["rejected"] for record in self.records)
+
     def wait_for(self, event: str, number: int = 1) -> None:
         """Wait until something has happened so often."""
         end_s = time.monotonic() + PATIENCE_S

@@ -50,7 +50,7 @@ def act(lab: Any, name: str, deed: str, now: Any) -> None:
         deeds[deed]()
 
 
-@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(history=st.lists(ACTS, min_size=3, max_size=12))
 def test_after_any_history_the_files_alone_give_the_same_ledger(
     make_lab: Any, now: Any, history: list[tuple[str, str]]

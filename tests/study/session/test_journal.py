@@ -88,7 +88,7 @@ def test_numbers_that_json_cannot_hold_are_refused_and_nothing_is_written(journa
     assert len(read_journal(journal.path).records) == 6
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_a_changed_byte_in_any_line_is_named(journal: Journal, data: st.DataObject) -> None:
     content = journal.path.read_bytes()

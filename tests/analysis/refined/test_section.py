@@ -1,0 +1,92 @@
+"""The section on refined metrics: the same numbers as the search, in words no stronger than they are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from analysis.refined.refine import Refined, refine_metric
+from analysis.sections.choices import Choices
+from analysis.sections.refined import LEVEL, compute
+from analysis.table import Table
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import pandas as pd
+
+METRICS = ("spectral_match", "temporal_match")
+CHOICES = Choices(draws=40, seed=3)
+
+
+@pytest.fixture
+def make_table(tidy: Callable[..., pd.DataFrame]) -> Callable[..., Table]:
+    def make(seed: int = 0, **changes: object) -> Table:
+        rows = tidy(seed, **{"recordings": 8, "participants": 8, "noise": 5.0, **changes})
+        return Table(rows, METRICS, ())
+
+    return make
+
+
+def test_section_tells_what_the_search_found(make_table: Callable[..., Table]) -> None:
+    table = make_table(spectral=25, temporal=30)
+    section = compute(table, CHOICES)
+    tests = table.rows[table.rows["role"] == "test"]
+    found = refine_metric(tests, METRICS, draws=40, rng=CHOICES.make_rng("refined", "realism", "as_is"))
+    numbers = {number.name: number for number in section.numbers}
+    value = numbers["refined.realism.as_is.value"]
+    assert (value.value, value.low, value.high) == pytest.approx((found.value, found.low, found.high))
+    gain = numbers["refined.realism.as_is.over.spectral_match.gain"]
+    assert gain.value == pytest.approx(found.gains["value"][0])
+    assert set(section.tables) == {"refined_gains", "refined_candidates", "refined_weights"}
+    assert section.verdict == section.answers
+    assert len(numbers) == len(section.numbers)
+
+
+def test_a_sum_is_recommended_and_a_single_metric_is_not_improved(make_table: Callable[..., Table]) -> None:
+    both = compute(make_table(spectral=25, temporal=30), CHOICES).answers
+    assert len(both) == 1
+    assert both[0].startswith("Realism: the weighted sum of spectral match + temporal match predicts better than each ")
+    one = compute(make_table(spectral=40, temporal=0), CHOICES).answers[0]
+    assert one.startswith("Realism: no refined metric is recommended: ")
+    assert one.endswith("the interval covers zero.")
+
+
+def test_a_level_enters_where_the_manifest_tells_it(make_table: Callable[..., Table]) -> None:
+    table = make_table()
+    amplitude = np.exp(np.random.default_rng(1).normal(size=len(table.rows["stimulus_id"].unique())))
+    of_stimulus = dict(zip(table.rows["stimulus_id"].unique(), amplitude, strict=True))
+    rows = table.rows.assign(rms_m_s2=table.rows["stimulus_id"].map(of_stimulus))
+    names = compute(Table(rows, METRICS, ()), CHOICES).tables["refined_candidates"]["name"]
+    assert f"spectral_match + {LEVEL}" in set(names)
+
+
+def test_a_gain_over_the_best_alone_is_no_recommendation(
+    make_table: Callable[..., Table], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def search(*given: Any, **choices: Any) -> Refined:
+        return replace(refine_metric(*given, **choices), recommended=False)
+
+    monkeypatch.setattr("analysis.sections.refined.refine_metric", search)
+    answer = compute(make_table(spectral=25, temporal=30), CHOICES).answers[0]
+    assert answer.startswith("Realism: no refined metric is recommended: ")
+    assert "but one is not chosen on all ratings, or does not gain over every single metric." in answer
+
+
+def test_small_studies_are_told_why_there_is_none(make_table: Callable[..., Table]) -> None:
+    section = compute(make_table(recordings=4), CHOICES)
+    assert section.is_empty
+    assert section.notes == (
+        "realism, as_is, refined metrics: none is searched. ratings: got 4 recordings of their own, allowed is 5 or "
+        "more; with fewer, a refined metric cannot be chosen and judged on different ones",
+    )
+
+
+def test_what_has_no_interval_is_not_recommended(make_table: Callable[..., Table]) -> None:
+    table = make_table()
+    rows = table.rows.assign(rating=20 + 50 * table.rows["spectral_match"].clip(0, 1).fillna(1))
+    answer = compute(Table(rows.assign(spectral_match=rows["spectral_match"].clip(0, 1)), METRICS, ()), CHOICES).answers
+    assert answer == ("Realism: no refined metric is recommended: its gain has no interval here.",)

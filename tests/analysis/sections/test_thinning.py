@@ -1,0 +1,65 @@
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from analysis.sections import thinning
+from analysis.sections.thinning import FEWEST, thin_rows
+
+
+def make_rows(people: int, scenes: int, *, repeats: int = 1) -> pd.DataFrame:
+    cells = product(range(people), range(scenes), "xyz", range(repeats))
+    rows = pd.DataFrame(cells, columns=["participant", "recording", "item", "repeat"])
+    rows["item"] = rows["recording"].astype(str) + rows["item"]
+    return rows
+
+
+def thin(rows: pd.DataFrame, seed: int = 0) -> tuple[pd.DataFrame, str]:
+    return thin_rows(rows, n_slopes=2, rng=np.random.default_rng(seed))
+
+
+def test_what_can_be_carried_stays_as_it_is() -> None:
+    rows = make_rows(20, 10)
+    left, told = thin(rows)
+    assert left is rows
+    assert not told
+
+
+@pytest.mark.parametrize(("people", "scenes", "kept"), [(64, 20, (32, 20)), (20, 64, (20, 32)), (64, 64, (32, 64))])
+def test_the_longer_side_is_halved(monkeypatch: pytest.MonkeyPatch, people: int, scenes: int, kept: object) -> None:
+    rows = make_rows(people, scenes)
+    # Just below what the whole has, so that one halving does.
+    whole = people * 3 + scenes + scenes * 3 + people * scenes
+    monkeypatch.setattr(thinning, "MOST_DENSE", whole - max(people * scenes, people * 3) - 1)
+    left, told = thin(rows)
+    assert (left["participant"].nunique(), left["recording"].nunique()) == kept
+    assert told == (
+        f"mixed models rest on {kept[0]} of {people} participants and {kept[1]} of {scenes} recordings, drawn at "
+        f"random: {len(rows)} ratings are too many for one fit."
+    )
+
+
+def test_whoever_is_kept_is_kept_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(thinning, "MOST_PRODUCTS", 20_000)
+    rows = make_rows(64, 10, repeats=2)
+    left, _ = thin(rows)
+    assert set(left.groupby("participant").size()) == {10 * 3 * 2}
+    pd.testing.assert_frame_equal(left, thin(rows)[0])
+    assert set(left["participant"]) != set(thin(rows, seed=1)[0]["participant"])
+
+
+def test_few_are_not_thinned_away(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(thinning, "MOST_DENSE", 1)
+    left, _ = thin(make_rows(40, 40))
+    assert FEWEST <= left["participant"].nunique() < 2 * FEWEST
+    assert FEWEST <= left["recording"].nunique() < 2 * FEWEST
+
+
+def test_unequal_repeats_count() -> None:
+    rows = make_rows(100, 50)
+    uneven = pd.concat([rows, rows.iloc[:1]])
+    assert not thin(rows)[1]
+    assert "100 participants" in thin(uneven)[1]
