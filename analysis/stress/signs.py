@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from analysis.stress.cells import Cell
     from stimuli.recording import Recording
 
-SAY = {"share": lambda value: f"{100 * value:.3g} %", "number": lambda value: f"{value:.3g}"}
+SAY = MappingProxyType({"share": (100.0, " %", 0.01), "number": (1.0, "", 0.001)})
+"""Kind -> factor, unit, and the smallest figure that is written out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,8 +83,15 @@ class Sign:
         -------
         str
             Such as "32 %".
+
+        Examples
+        --------
+        >>> [SIGNS["offset_share"].tell(value) for value in (0.32, 4e-8, 0.0)]
+        ['32 %', '<0.01 %', '0 %']
         """
-        return SAY[self.kind](value)
+        factor, unit, smallest = SAY[self.kind]
+        shown = factor * value
+        return f"<{smallest:g}{unit}" if 0 < shown < smallest else f"{shown:.3g}{unit}"
 
 
 _SINGLE = ("sax321", "say321", "saz321")
