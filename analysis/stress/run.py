@@ -72,7 +72,7 @@ def stress_reducers(
     >>> stress_reducers(reducers={"soc321": REDUCERS["soc321"]}, draws=2, seed=0).failures[0].recording
     'ordinary_drag'
     """
-    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]  # it has no types
+    from threadpoolctl import threadpool_limits
 
     names = [recording.name for recording in recordings]
     if len(set(names)) < len(names):
