@@ -1,7 +1,8 @@
 """What chart, stress and advise work on: a study's recordings, the bundled scenes, recordings from elsewhere.
 
 All go through the same conditioning, the study's own, because that is what participants feel. Its crop, which names
-times in the study's recordings, is done to those alone.
+times in the study's recordings, is done to those alone. Unconditioned they are as the sensor gave them: conditioning
+hides offsets, clipping and the sensor's steps.
 """
 
 from __future__ import annotations
@@ -31,8 +32,10 @@ SUFFIXES = frozenset({".wav", ".csv", ".tsv", ".txt", ".npz", ".npy", ".mat", ".
 """What files in a folder are taken for recordings; a single file is read whatever it is called."""
 
 
-def gather_recordings(folder: Path, *, scenes: bool = False, extra: Sequence[Path] = ()) -> tuple[Recording, ...]:
-    """Gather and condition the recordings that methods are compared on.
+def gather_recordings(
+    folder: Path, *, scenes: bool = False, extra: Sequence[Path] = (), conditioned: bool = True
+) -> tuple[Recording, ...]:
+    """Gather the recordings that methods are compared on.
 
     Parameters
     ----------
@@ -43,12 +46,14 @@ def gather_recordings(folder: Path, *, scenes: bool = False, extra: Sequence[Pat
         Whether the bundled scenes are wanted too.
     extra : sequence of Path
         Recordings from elsewhere: files, or folders whose recordings are all taken.
+    conditioned : bool
+        Whether they are conditioned; if not, they are as they came from the sensor.
 
     Returns
     -------
     tuple of Recording
         The study's, the scenes, those from elsewhere; what is there twice is taken once, and each has a name of its
-        own.
+        own, the same whether conditioned or not.
 
     Raises
     ------
@@ -63,10 +68,10 @@ def gather_recordings(folder: Path, *, scenes: bool = False, extra: Sequence[Pat
     for path in _list_files(extra):
         with _noted(mistakes):
             others.append(read_recording(path))
-    recordings: list[Recording] = []
-    for number, recording in enumerate(_name_apart(own, others)):
-        with _noted(mistakes, f"recording {recording.name!r}: "):
-            recordings.append(condition(recording, steps if number < len(own) else replace(steps, crop_s=None)))
+    recordings = _name_apart(own, others)
+    if conditioned:
+        crops = [steps.crop_s] * len(own) + [None] * (len(recordings) - len(own))
+        recordings = list(_condition_all(recordings, [replace(steps, crop_s=crop) for crop in crops], mistakes))
     if mistakes:
         raise ValueError("\n".join(mistakes))
     return tuple(recordings)
@@ -107,6 +112,14 @@ def _open_study(folder: Path, mistakes: list[str], *, needed: bool) -> tuple[lis
     recordings, unreadable = try_recordings(settings, folder)
     mistakes += unreadable
     return recordings, make_recipe(settings).conditioning
+
+
+def _condition_all(
+    recordings: Iterable[Recording], steps: Iterable[Conditioning], mistakes: list[str]
+) -> Iterator[Recording]:
+    for recording, own in zip(recordings, steps, strict=True):
+        with _noted(mistakes, f"recording {recording.name!r}: "):
+            yield condition(recording, own)
 
 
 @contextmanager

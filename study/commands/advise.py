@@ -50,9 +50,10 @@ def advise(  # noqa: PLR0913 - every option has a name of its own
         limits = Tolerance() if tolerance is None else Tolerance(tolerance)
         context = Context(online=online, latency_ms=latency_ms, axes=axes, tolerance=limits)
         segment = None if segment_s is None else check_segment(segment_s)
+    recordings, ratings = task.gather(), _hear(task.study)
     with show_progress("advise") as progress:
         study = advise_recordings(
-            task.recordings, context, seed=task.seed, segment_s=segment, ratings=_hear(task.study), progress=progress
+            recordings, context, seed=task.seed, segment_s=segment, ratings=ratings, progress=progress
         )
         content = write_advice(study, task.output)
     if as_json:
@@ -76,11 +77,12 @@ def _as_options() -> Iterator[None]:
 
 def _hear(study: StudyFolder) -> Ratings | None:
     """Read what people said, if they have said something."""
-    if not (study.ratings.is_file() and study.manifest.is_file()):
-        return None
     from analysis.advise.rated import judge_ratings
-    from analysis.table import read_table
+    from study.methods import find_ratings
     from study.settings.reading import read_settings
 
+    table = find_ratings(study)
+    if table is None:
+        return None
     margin = read_settings(study.settings).analysis.margin if study.settings.is_file() else None
-    return judge_ratings(read_table(study.ratings, study.manifest), margin=margin)
+    return judge_ratings(table, margin=margin)

@@ -27,10 +27,10 @@ def chart(*, task: Task, full: bool, as_json: bool) -> None:
     from analysis.chart import FULL, QUICK, compute_chart, write_chart
     from study.methods import find_ratings
 
-    ratings = find_ratings(task.study)
+    recordings, ratings = task.gather(), find_ratings(task.study)
     with show_progress("chart") as progress:
         measured = compute_chart(
-            task.recordings, ratings=ratings, effort=FULL if full else QUICK, seed=task.seed, progress=progress
+            recordings, ratings=ratings, effort=FULL if full else QUICK, seed=task.seed, progress=progress
         )
     write_chart(measured, task.output)
     if as_json:

@@ -28,8 +28,10 @@ class Task:
     ----------
     study : StudyFolder
         The study's folder; it may hold no study where recordings come from elsewhere.
-    recordings : tuple of Recording
-        Conditioned, each with a name of its own.
+    scenes : bool
+        Whether the bundled scenes are wanted.
+    extra : tuple of Path
+        Recordings from elsewhere.
     output : Path
         Folder of the results.
     seed : int
@@ -37,9 +39,37 @@ class Task:
     """
 
     study: StudyFolder
-    recordings: tuple[Recording, ...]
+    scenes: bool
+    extra: tuple[Path, ...]
     output: Path
     seed: int
+
+    def gather(self) -> tuple[Recording, ...]:
+        """Gather what is asked for, conditioned, and report what is odd about it.
+
+        Returns
+        -------
+        tuple of Recording
+            Each with a name of its own.
+        """
+        recordings = self._gather(conditioned=True)
+        report_warnings(recordings)
+        return recordings
+
+    def gather_raw(self) -> dict[str, Recording]:
+        """Gather the same as it came from the sensor.
+
+        Returns
+        -------
+        dict of str to Recording
+            By name.
+        """
+        return {recording.name: recording for recording in self._gather(conditioned=False)}
+
+    def _gather(self, *, conditioned: bool) -> tuple[Recording, ...]:
+        from study.methods import gather_recordings
+
+        return gather_recordings(self.study.path, scenes=self.scenes, extra=self.extra, conditioned=conditioned)
 
 
 def method_options(output: str) -> Callable[[Verb], Verb]:
@@ -67,25 +97,25 @@ def method_options(output: str) -> Callable[[Verb], Verb]:
         @click.option("--seed", type=click.IntRange(min=0), help="Of all randomness.  [default: the study's, or 0]")
         @json_option
         @wraps(verb)
-        def gather_then_do(
+        def ask_then_do(
             *, folder: Path, scenes: bool, extra: tuple[Path, ...], target: Path | None, seed: int | None, **own: object
         ) -> None:
-            verb(task=_gather(folder, scenes=scenes, extra=extra, target=target or folder / output, seed=seed), **own)
+            study = _find_folder(folder)
+            chosen = _find_seed(study) if seed is None else seed
+            verb(task=Task(study, scenes, extra, target or folder / output, chosen), **own)
 
-        return gather_then_do
+        return ask_then_do
 
     return give
 
 
-def _gather(folder: Path, *, scenes: bool, extra: tuple[Path, ...], target: Path, seed: int | None) -> Task:
-    from study.methods import gather_recordings
-    from study.settings.reading import read_settings
-
+def _find_folder(folder: Path) -> StudyFolder:
     if not folder.is_dir():
         raise NotADirectoryError(f"{folder}: got no folder, allowed is a study's; check the name")
-    recordings = gather_recordings(folder, scenes=scenes, extra=extra)
-    report_warnings(recordings)
-    study = StudyFolder(folder)
-    if seed is None:
-        seed = read_settings(study.settings).study.seed if study.settings.is_file() else 0
-    return Task(study, recordings, target, seed)
+    return StudyFolder(folder)
+
+
+def _find_seed(study: StudyFolder) -> int:
+    from study.settings.reading import read_settings
+
+    return read_settings(study.settings).study.seed if study.settings.is_file() else 0

@@ -22,12 +22,10 @@ def stress(*, task: Task, as_json: bool) -> None:
     comes with its limit, each failure with its explanation: index.html, results.json, tables/*.csv, figures/stress.
     """
     from analysis.stress.run import stress_reducers, write_stress
-    from study.sensor import gather_sensor
 
-    asked = click.get_current_context().params
-    sensor = gather_sensor(task.study.path, scenes=asked["scenes"], extra=asked["extra"])
+    recordings, sensor = task.gather(), task.gather_raw()
     with show_progress("stress") as progress:
-        result = stress_reducers(task.recordings, sensor=sensor, seed=task.seed, progress=progress)
+        result = stress_reducers(recordings, sensor=sensor, seed=task.seed, progress=progress)
     page = write_stress(result, task.output)
     for name, lines in result.warnings.items():
         for line in lines:

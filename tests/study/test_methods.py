@@ -56,6 +56,17 @@ def test_others_are_conditioned_alike_but_not_cropped(study: Path, tmp_path: Pat
     assert np.allclose(other.acceleration, condition(plain, Conditioning(high_pass_hz=40.0)).acceleration)
 
 
+def test_unconditioned_they_are_as_the_sensor_gave_them_under_the_same_names(study: Path, tmp_path: Path) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    extra = [save(elsewhere / "own.npz", seed=3)]
+    felt = gather_recordings(study, scenes=True, extra=extra)
+    raw = gather_recordings(study, scenes=True, extra=extra, conditioned=False)
+    assert [recording.name for recording in raw] == [recording.name for recording in felt]
+    assert np.array_equal(raw[0].acceleration, make_scene("bumps", duration_s=1.0).acceleration)
+    assert np.array_equal(raw[-1].acceleration, np.random.default_rng(3).standard_normal((3, 800)))
+
+
 def test_scenes_need_no_study_and_come_in_their_order(tmp_path: Path) -> None:
     assert [recording.name for recording in gather_recordings(tmp_path, scenes=True)] == list(SCENES)
 

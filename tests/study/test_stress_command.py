@@ -12,7 +12,6 @@ import pytest
 from stimuli.reduce import REDUCERS
 from stimuli.synthesis import make_scene
 from study.cli import main
-from study.sensor import gather_sensor
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -66,11 +65,6 @@ def test_the_default_folder_is_in_the_study(
     assert [one.name for one in asked["recordings"]] == ["bumps", "hard_taps"]
     assert list(asked["sensor"]) == ["bumps", "hard_taps"]
     assert asked["seed"] == 5
-
-
-def test_scenes_as_they_came_from_the_sensor(tmp_path: Path) -> None:
-    sensor = gather_sensor(tmp_path, scenes=True)
-    assert np.array_equal(sensor["bumps"].acceleration, make_scene("bumps").acceleration)
 
 
 @pytest.mark.parametrize(

@@ -107,6 +107,11 @@ def test_doors(study: Path, capsys: pytest.CaptureFixture[str], options: list[st
     assert not (study / "advice").exists()
 
 
+def test_bad_options_are_refused_before_anything_is_read(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["advise", str(study), "--recordings", "nowhere.csv", "--axes", "4"]) == 2
+    assert "--axes: got 4" in capsys.readouterr().err
+
+
 def test_a_folder_without_a_study_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["advise", str(tmp_path)]) == 1
     assert len(capsys.readouterr().err.splitlines()) == 1
