@@ -1,13 +1,12 @@
 """MEASURES: what is measured per reducer and scene, from where on it counts as a failure, and why from there.
 
-Every limit is argued from what people feel, in `why`; a caution is about half way to a failure.
+Every limit is argued from one figure, in `why`: the paper's Weber fraction of vibration, 22 %, taken of the amplitude
+(1.7 dB). A caution is about half way to a failure.
 
 References
 ----------
 .. [1] N. Landin et al., EuroHaptics 2010, section 3 (22 % Weber fraction) and Table 1.
    doi:10.1007/978-3-642-14075-4_12
-.. [2] "Vibrotactile difference thresholds: effects of vibration frequency, vibration magnitude, contact area, and body
-   location", Somatosensory & Motor Research 29, 2012 (median intensity difference thresholds 0.20 to 0.58).
 """
 
 from __future__ import annotations
@@ -97,12 +96,12 @@ _MEASURES = (
             f"{_WEBER}; the caution is about half of it."),
     Measure("edge", "W", "Window-edge error", "energy moved across window edges", "", 0.1, 0.2,
             "Which share of the energy the output puts into another half window than the recording has it in.",
-            "0.2 is a mean change of the half windows' energy by 40 %, or 1.5 dB: the smallest difference of intensity "
-            "that people feel."),
+            "0.2 is a mean change of the half windows' energy by 40 % (1.5 dB), about a Weber fraction of the amplitude "
+            "(1.7 dB)."),
     Measure("energy", "E", "Energy error", "energy error", "dB", 1.5, 3.0,
             "How much stronger or weaker the output vibrates than the recording.",
-            "1.5 dB is the smallest difference of intensity that people feel (a fifth of the amplitude); 3 dB is twice "
-            "that: half or double the energy."),
+            "from 1.5 dB on it nears a Weber fraction of the amplitude (1.7 dB); 3 dB is nearly two: half or double the "
+            "energy."),
     Measure("spread", "M", "Spread of the metrics", "SD of a metric over rotations", "", 0.05, 0.1,
             "Standard deviation of the match metrics over random orientations of the sensor, the larger of the two.",
             "in the paper's Table 1 the better methods lie 0.1 apart in temporal match (0.40, 0.46, 0.51): "
