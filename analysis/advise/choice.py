@@ -14,7 +14,7 @@ from analysis.advise.measures import make_trial, measure
 from analysis.advise.scene import SHORTEST_S
 from analysis.advise.simplicity import find_cost
 from analysis.advise.verdict import Verdict, compare
-from analysis.advise.wording import tell_choice, tell_closest
+from analysis.advise.wording import tell_choice, tell_closest, tell_doubt
 from stimuli.perception import felt_level
 from stimuli.reduce import REDUCERS
 from stimuli.spectrum import LOWEST_HZ
@@ -54,6 +54,8 @@ class Advice:
         Share of the tolerance that the answer, or the closest, leaves; negative if it does not suffice.
     reason : str
         Why, in one sentence.
+    close : bool
+        Whether another take of the scene might have given another answer.
     """
 
     scene: Scene
@@ -64,6 +66,7 @@ class Advice:
     ties: tuple[str, ...]
     margin: float
     reason: str
+    close: bool = False
 
     @property
     def line(self) -> str:
@@ -182,6 +185,7 @@ def choose(scene: Scene, verdicts: Sequence[Verdict], context: Context) -> Advic
     return Advice(
         scene=scene, verdicts=tuple(verdicts), answer=best.name if sufficient else None, closest=best.name,
         runner_up=next(further, None), ties=ties, margin=best.margin, reason=tell(best, verdicts),
+        close=bool(tell_doubt(best, verdicts)),
     )  # fmt: skip
 
 

@@ -1,9 +1,10 @@
 """What people said of a scene: whether a reducer is shown to feel like the one that they rated highest.
 
-The contrasts are those of the report (`analysis.sections.contrasts`), fitted to the ratings of one recording, and the
-margin is the study's: the one fixed beforehand, or half the spread with which people repeat their ratings on that scale
-and level. A reducer passes if two one-sided tests show its equivalence with the best-rated one on every scale and level
-that has a margin; "not significantly different" passes nobody. Without a margin nothing can be shown, either way.
+The model is the report's (`analysis.sections.contrasts`) as far as it goes for one recording: ratings on reducer, with
+a spread between participants. The margin is the study's: the one fixed beforehand, or half the spread with which people
+repeat their ratings on that scale and level. A reducer passes if two one-sided tests show its equivalence with the
+best-rated one on every scale and level that has a margin; "not significantly different" passes nobody. Without a margin
+nothing can be shown, either way.
 """
 
 from __future__ import annotations
@@ -14,8 +15,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.advise.verdict import Rated
-from analysis.sections.choices import Choices
-from analysis.sections.contrasts import compute, find_repeat_sd
+from analysis.equivalence import equivalence
+from analysis.mixed.model import contrast, fit_mixed
+from analysis.sections.contrasts import find_repeat_sd
 from analysis.sections.parts import split_parts
 
 if TYPE_CHECKING:
@@ -58,25 +60,31 @@ def _judge_part(part: Part, margin: float, recording: str) -> dict[str, Rated]:
     means = rows.groupby(rows["reducer"].astype(str))["rating"].mean()
     if len(means) < 2:  # noqa: PLR2004 - one reducer is like no other
         return {}
-    best = str(means.idxmax())
-    tested = _test(rows, margin)
+    best, simulated = str(means.idxmax()), bool(rows["simulated"].any())
+    tested = _test(rows, best, margin=margin)
     return {
-        str(name): Rated(is_best=name == best, best=best, p=tested.get(frozenset({str(name), best}), float("nan")))
+        str(name): Rated(is_best=name == best, best=best, p=tested.get(str(name), float("nan")), simulated=simulated)
         for name in means.index
     }
 
 
-def _test(rows: DataFrame, margin: float) -> dict[frozenset[str], float]:
-    """Test the equivalence of every two reducers, as the report does."""
-    from analysis.table import Table
-
-    section = compute(Table(rows, (), ()), Choices(margin=margin))
-    if "contrasts" not in section.tables:
+def _test(rows: DataFrame, best: str, *, margin: float) -> dict[str, float]:
+    """Test the equivalence of every reducer with the best; where ratings leave no error to test with, of none."""
+    cells = rows.astype({"reducer": str}).groupby(["participant", "reducer"], observed=True)["rating"].mean()
+    names = sorted(set(cells.index.get_level_values("reducer")))
+    codes = {name: f"c{number}" for number, name in enumerate(names)}
+    data = cells.reset_index().assign(which=lambda cell: cell["reducer"].map(codes))
+    try:
+        fit = fit_mixed("rating ~ 0 + which + (1 | participant)", data)
+        found = {
+            name: contrast(fit, {f"which{codes[name]}": 1, f"which{codes[best]}": -1}) for name in names if name != best
+        }
+    except ValueError:
         return {}
-    pairs = section.tables["contrasts"]
     return {
-        frozenset({str(first), str(second)}): float(p)
-        for first, second, p in zip(pairs["first"], pairs["second"], pairs["p_equivalence"], strict=True)
+        name: equivalence(one.estimate, one.se, one.df, low=-margin, high=margin).p
+        for name, one in found.items()
+        if 0 < one.se < np.inf
     }
 
 

@@ -105,7 +105,7 @@ def advise_recordings(
     ValueError
         If there is no recording, or segments are too short.
     """
-    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]  # it comes without types
+    from threadpoolctl import threadpool_limits
 
     if not recordings:
         raise ValueError("recordings: got none, allowed is one or more; name a study, --scenes or --recordings")
@@ -220,9 +220,16 @@ def _lay_scene(advice: Advice, *, rated: bool) -> Row:
     return {
         "scene": scene.name, "recording": scene.source, "start_s": scene.start_s, "stop_s": scene.stop_s,
         "answer": advice.answer, "closest": advice.closest, "runner_up": advice.runner_up,
-        "ties": " ".join(advice.ties), "margin": _tell(advice.margin), "reason": advice.reason,
-        "basis": "metrics and ratings" if rated else "metrics", "line": advice.line,
+        "ties": " ".join(advice.ties), "margin": _tell(advice.margin), "close_call": advice.close,
+        "reason": advice.reason, "basis": _tell_basis(advice, rated=rated), "line": advice.line,
     }  # fmt: skip
+
+
+def _tell_basis(advice: Advice, *, rated: bool) -> str:
+    if not rated:
+        return "metrics"
+    simulated = any(verdict.rated.simulated for verdict in advice.verdicts if verdict.rated)
+    return f"metrics and {'simulated ' if simulated else ''}ratings"
 
 
 def _lay_verdict(advice: Advice, place: int) -> Row:

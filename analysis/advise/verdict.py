@@ -53,11 +53,14 @@ class Rated:
         Which was, on the scale and level where equivalence is shown least.
     p : float
         Of equivalence with that, two one-sided tests; NaN where there is no test, as for the best itself.
+    simulated : bool
+        Whether simulated participants are among those who said so.
     """
 
     is_best: bool
     best: str
     p: float
+    simulated: bool = False
 
     @property
     def suffices(self) -> bool:

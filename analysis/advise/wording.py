@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from analysis.advise.measures import Measures
     from analysis.advise.verdict import Verdict
 
-CLOSE = 0.1
-"""Margins below this are close calls: another take of the scene may be on the other side."""
+CLOSE = 0.2
+"""Who is nearer to the limit than this share of the tolerance is a close call. In eight takes of every bundled scene
+(4 s each, other seeds) the shortfall of reducers near the limit has a standard deviation of 0.1; this is twice that."""
 
 
 def tell_choice(chosen: Verdict, verdicts: Sequence[Verdict]) -> str:
@@ -32,9 +34,9 @@ def tell_choice(chosen: Verdict, verdicts: Sequence[Verdict]) -> str:
     simpler = verdicts[: list(verdicts).index(chosen)]
     parts = [_tell_kept(chosen), _tell_simpler([verdict for verdict in simpler if verdict.in_budget], verdicts)]
     parts += [f"{each.name} is simpler and would do, but {_tell_wait(each)}" for each in _list_barred(simpler)[:1]]
-    parts += ["people agree" for _ in range(bool(chosen.rated))]
-    parts += ["a close call" for _ in range(chosen.margin < CLOSE)]
-    return "; ".join(parts)
+    if chosen.rated:
+        parts.append("simulated participants agree" if chosen.rated.simulated else "people agree")
+    return "; ".join(filter(None, [*parts, tell_doubt(chosen, verdicts)]))
 
 
 def tell_closest(closest: Verdict, verdicts: Sequence[Verdict]) -> str:
@@ -55,7 +57,28 @@ def tell_closest(closest: Verdict, verdicts: Sequence[Verdict]) -> str:
     barred = _list_barred(verdicts)
     alone = "no reducer is within tolerance of the best in everything"
     would = f"{barred[0].name} would do, but {_tell_wait(barred[0])}" if barred else alone
-    return f"it {tell_fault(closest, verdicts)}; {would}"
+    return "; ".join(filter(None, [f"it {tell_fault(closest, verdicts)}", would, tell_doubt(closest, verdicts)]))
+
+
+def tell_doubt(answer: Verdict, verdicts: Sequence[Verdict]) -> str:
+    """Say whether another take of the scene might have given another answer.
+
+    Parameters
+    ----------
+    answer : Verdict
+        The answer, or the closest.
+    verdicts : sequence of Verdict
+        All, the simplest first.
+
+    Returns
+    -------
+    str
+        Who is within the noise of the limit, on which side; empty if nobody is who matters.
+    """
+    simpler = verdicts[: list(verdicts).index(answer)]
+    near = [each for each in (*simpler, answer) if each.in_budget and abs(each.margin) < CLOSE]
+    told = (f"{each.name} {'passes' if each.fits else 'misses'} by {abs(100 * each.margin):.0f} %" for each in near)
+    return f"a close call, another take may go the other way: {', '.join(told)} of the tolerance" if near else ""
 
 
 def tell_fault(verdict: Verdict, verdicts: Sequence[Verdict]) -> str:
@@ -77,7 +100,7 @@ def tell_fault(verdict: Verdict, verdicts: Sequence[Verdict]) -> str:
         return _tell_raters(verdict)
     measures = verdict.measures
     if verdict.shortfall.criterion == "level":
-        return _tell_level(measures.level_db, measures.deviation_db)
+        return _tell_level(measures)
     if verdict.shortfall.criterion == "spectrum":
         best = max(other.measures.spectrum for other in verdicts)
         return f"has {100 * measures.spectrum:.0f} % of the spectrum right, the best {100 * best:.0f} %"
@@ -93,9 +116,10 @@ def _tell_kept(verdict: Verdict) -> str:
     return f"keeps {spectrum} of the spectrum, {motion} of the motion, the level to {abs(measures.level_db):.1f} dB"
 
 
-def _tell_level(level_db: float, deviation_db: float) -> str:
+def _tell_level(measures: Measures) -> str:
+    level_db, deviation_db = measures.level_db, measures.deviation_db
     if abs(level_db) < deviation_db:
-        return f"makes up by its gain for {deviation_db:.1f} dB that it has lost"
+        return f"loses {deviation_db:.1f} dB, which its gain hides (a sum of three axes is √3, 4.8 dB, louder)"
     return f"is {abs(level_db):.1f} dB too {'weak' if level_db < 0 else 'strong'}"
 
 

@@ -111,7 +111,7 @@ def compute_chart(
     ValueError
         If there is no recording, two bear one name, or one cannot be compared.
     """
-    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]  # it ships no types
+    from threadpoolctl import threadpool_limits
 
     _require_names(recordings)
     name, clock = choose_clock() if clock is None else ("given", clock)

@@ -91,7 +91,7 @@ def test_ratings_overrule_metrics_that_let_pass(tell: Callable[..., Advice], wav
     heard = tell(line, Context(), ratings=said)
     assert (heard.answer, heard.runner_up) == ("dft321", None)
     assert "pca321, is not shown to feel like dft321" in heard.line
-    assert "people agree" in heard.line
+    assert "simulated participants agree" in heard.line
 
 
 def test_nothing_suffices_where_people_and_metrics_disagree(tell: Callable[..., Advice], wave: np.ndarray) -> None:
