@@ -20,7 +20,7 @@ PAPER = MEASURES[:2]
 """What a method must keep to dominate another: the paper's own metrics."""
 
 BEYOND_NOISE = 2.0
-"""Standard errors by which two means must differ."""
+"""Standard errors by which two medians must differ."""
 
 
 def place_points(
@@ -72,7 +72,7 @@ def mark_front(points: Sequence[Point]) -> list[Point]:
         The same. Off the front is what is dominated with at least one advantage beyond the measurement's noise:
         methods that cannot be told apart stand or fall together.
     """
-    beaten = dominates([[point.ns_per_sample, -point.mean] for point in points])
+    beaten = dominates([[point.ns_per_sample, -point.median] for point in points])
     return [
         replace(
             loser, on_front=not any(beaten[i, j] and is_clear([loser], [winner]) for i, winner in enumerate(points))
@@ -92,12 +92,12 @@ def is_clear(losers: Sequence[Point], winners: Sequence[Point]) -> bool:
     Returns
     -------
     bool
-        Whether the quartiles of cost are apart, latency differs, or a mean by more than two standard errors.
+        Whether the quartiles of cost are apart, latency differs, or a median by more than two standard errors.
     """
     faster = winners[0].high < losers[0].low
     sooner = _tell_latency(winners[0]) < _tell_latency(losers[0])
     nearer = any(
-        good.mean - poor.mean > BEYOND_NOISE * math.hypot(good.se, poor.se)
+        good.median - poor.median > BEYOND_NOISE * math.hypot(good.se, poor.se)
         for good, poor in zip(winners, losers, strict=True)
     )
     return faster or sooner or nearer
@@ -130,16 +130,17 @@ def list_dominated(points: Sequence[Point], accuracies: Sequence[Accuracy]) -> l
 
 def _place(own: Sequence[Accuracy], cost: Cost, *, latency_s: float | None) -> Point:
     means = [row.mean for row in own]
-    # The orientations are the same in all scenes, so errors of the scenes' means may go together: they are added.
-    se = sum(row.sd / math.sqrt(row.rotations) for row in own) / len(own)
+    # The orientations are the same in all scenes: their errors may all go one way, and the median with them.
+    high, low = (np.median([row.mean + sign * row.sd / math.sqrt(row.rotations) for row in own]) for sign in (1, -1))
     return Point(
-        own[0].method, own[0].reducer, own[0].measure, float(np.mean(means)), min(means), max(means), se,
+        own[0].method, own[0].reducer, own[0].measure, float(np.median(means)), float(np.mean(means)),
+        min(means), max(means), float(high - low) / 2,
         cost.ns_per_sample, cost.low, cost.high, latency_s, on_front=False,
     )  # fmt: skip
 
 
 def _tell_objectives(row: Sequence[Point]) -> list[float]:
-    return [row[0].ns_per_sample, _tell_latency(row[0]), *(-point.mean for point in row)]
+    return [row[0].ns_per_sample, _tell_latency(row[0]), *(-point.median for point in row)]
 
 
 def _tell_latency(point: Point) -> float:

@@ -1,12 +1,13 @@
 """The figures of speed against accuracy: cost, latency, ratings.
 
-Conventions: one column wide; every reducer has the same colour and marker in all figures; a marker is the mean over
-scenes, a small dot one scene, so that no mean hides its spread.
+Conventions: one column wide; every reducer has the same colour and marker in all figures; a marker is the median
+over scenes, a small dot one scene, so that no median hides its spread.
 """
 
 from __future__ import annotations
 
 import math
+from statistics import median
 from typing import TYPE_CHECKING
 
 from analysis.chart.axes import CUT, find_size, limit_accuracy, look_up, tell_measure, write_plainly
@@ -44,7 +45,7 @@ def draw_cost(chart: Chart, measures: Sequence[str] = MEASURES[:2]) -> Figure:
     Returns
     -------
     Figure
-        Markers: means over scenes; small dots: scenes; dashed: the front.
+        Markers: medians over scenes; small dots: scenes; dashed: the front.
     """
     looks = look_up(chart)
     with print_style():
@@ -127,11 +128,11 @@ def draw_rated(chart: Chart, scale: str, level: str) -> Figure:
 
 
 def _draw_front(axes: Axes, points: Sequence[Point]) -> None:
-    strict = find_front([[point.ns_per_sample, -point.mean] for point in points])
+    strict = find_front([[point.ns_per_sample, -point.median] for point in points])
     front = sorted(
         (point for point, on in zip(points, strict, strict=True) if on), key=lambda point: point.ns_per_sample
     )
-    x, y = [point.ns_per_sample for point in front], [max(point.mean, CUT) for point in front]
+    x, y = [point.ns_per_sample for point in front], [max(point.median, CUT) for point in front]
     axes.plot(x, y, drawstyle="steps-post", color=BLACK, linestyle=(0, (3, 2)), linewidth=0.7, zorder=1)
 
 
@@ -140,9 +141,9 @@ def _draw_point(axes: Axes, point: Point, *, scenes: Sequence[Accuracy], look: L
     axes.vlines(x, max(point.lowest, CUT), max(point.highest, CUT), colors=look.colour, linewidths=0.5, alpha=0.5)
     for row in scenes:
         axes.plot(x, max(row.mean, CUT), marker=".", markersize=2.2, color=look.colour, alpha=0.6, linestyle="none")
-    axes.hlines(max(point.mean, CUT), point.low, point.high, colors=look.colour, linewidths=1.0, zorder=3)
+    axes.hlines(max(point.median, CUT), point.low, point.high, colors=look.colour, linewidths=1.0, zorder=3)
     axes.plot(
-        x, max(point.mean, CUT), marker=look.marker, markersize=find_size(look, 5), color=look.colour,
+        x, max(point.median, CUT), marker=look.marker, markersize=find_size(look, 5), color=look.colour,
         markeredgecolor=BLACK if point.on_front else "white", markeredgewidth=THIN * (1.5 if point.on_front else 1),
         linestyle="none", zorder=4,
     )  # fmt: skip
@@ -165,7 +166,7 @@ def _draw_latencies(
         shift = _step_aside(number, len(windows), 0.06)
         spots, look = [window * shift for window in by_window], looks[reducer]
         axes.plot(
-            spots, [max(sum(own) / len(own), CUT) for own in by_window.values()], color=look.colour, linewidth=0.8
+            spots, [max(median(own), CUT) for own in by_window.values()], color=look.colour, linewidth=0.8
         )
         for place, means in zip(spots, by_window.values(), strict=True):
             _draw_bar(axes, place, means, look=look)
@@ -189,7 +190,7 @@ def _step_aside(number: int, of: int, step: float) -> float:
 def _draw_bar(axes: Axes, x: float, means: Sequence[float], *, look: Look) -> None:
     axes.vlines(x, max(min(means), CUT), max(*means, CUT), colors=look.colour, linewidths=0.5, alpha=0.5, zorder=1)
     axes.plot(
-        x, max(sum(means) / len(means), CUT), marker=look.marker, color=look.colour, markeredgecolor="white",
+        x, max(median(means), CUT), marker=look.marker, color=look.colour, markeredgecolor="white",
         markersize=find_size(look, 4), markeredgewidth=THIN, linestyle="none", zorder=3,
     )  # fmt: skip
 

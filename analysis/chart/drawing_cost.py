@@ -108,7 +108,7 @@ def draw_rates(chart: Chart, measures: Sequence[str] = MEASURES[:2]) -> Figure:
     Returns
     -------
     Figure
-        Means over scenes, and at the bottom how many times faster than real time each reducer is.
+        Medians over scenes, and at the bottom how many times faster than real time each reducer is.
     """
     looks = look_up(chart)
     with print_style():
@@ -117,7 +117,7 @@ def draw_rates(chart: Chart, measures: Sequence[str] = MEASURES[:2]) -> Figure:
         for axes, measure in zip(panels, measures, strict=False):
             rows = [row for row in chart.accuracies if row.sweep == "rate" and row.measure == measure]
             for reducer, look in looks.items():
-                _draw_line(axes, *_average(row for row in rows if row.reducer == reducer), look=look)
+                _draw_line(axes, *_find_medians(row for row in rows if row.reducer == reducer), look=look)
             axes.set(ylabel=tell_measure(measure), ylim=limit_accuracy(rows))
         costs = [cost for cost in chart.costs if cost.sweep == "rate"]
         for reducer, look in looks.items():
@@ -153,8 +153,8 @@ def _draw_line(axes: Axes, x: Series, y: Series, *, look: Look) -> None:
               markeredgewidth=THIN, linewidth=0.7)  # fmt: skip
 
 
-def _average(rows: Iterable[Accuracy]) -> tuple[list[float], list[float]]:
+def _find_medians(rows: Iterable[Accuracy]) -> tuple[list[float], list[float]]:
     by_rate: dict[float, list[float]] = {}
     for row in rows:
         by_rate.setdefault(row.rate_hz / 1000, []).append(row.mean)
-    return list(by_rate), [max(float(np.mean(means)), CUT) for means in by_rate.values()]
+    return list(by_rate), [max(float(np.median(means)), CUT) for means in by_rate.values()]

@@ -16,7 +16,7 @@ from analysis.scales import tell_measure as tell_scale
 from analysis.words import tell_name
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
     from analysis.chart.chart import Chart
     from analysis.chart.methods import Method
@@ -51,6 +51,18 @@ class Choice:
     log: bool
 
 
+@dataclass(frozen=True, slots=True)
+class _Entry:
+    """A marker of the page: what it is, what it costs, where its scores are."""
+
+    kind: str
+    label: str
+    method: Method
+    cost: Cost
+    scored: tuple[str, str, float | None]
+    waiting_s: float = 0.0
+
+
 def list_choices(chart: Chart) -> tuple[Choice, ...]:
     """List the axes that a chart offers.
 
@@ -67,7 +79,7 @@ def list_choices(chart: Chart) -> tuple[Choice, ...]:
     rated = {_name_rating(row): "low" if row.scale in APART else "high" for row in chart.rated}
     return (
         Choice("cost", "Cost of one sample (ns)", "speed", "low", log=True),
-        Choice("real_time", f"Speed (× real time at {RATE_HZ / 1000:g} kHz)", "speed", "high", log=True),
+        Choice("real_time", f"Speed (× real time, {RATE_HZ / 1000:g} kHz unless named)", "speed", "high", log=True),
         Choice("latency", "Algorithmic latency (ms)", "speed", "low", log=True),
         *(Choice(measure, tell_measure(measure), "accuracy", "high", log=False) for measure in MEASURES),
         *(Choice(name, name, "rating", better, log=False) for name, better in rated.items()),
@@ -96,37 +108,61 @@ def dump_data(chart: Chart, choices: Iterable[Choice]) -> str:
 
 
 def _list_entries(chart: Chart) -> list[dict[str, Any]]:
-    looks = look_up(chart)
-    accuracies: dict[tuple[str, str], list[Accuracy]] = {}
+    ratings, looks = _list_ratings(chart), look_up(chart)
+    scores: dict[tuple[str, str, float | None], list[Accuracy]] = {}
     for row in chart.accuracies:
-        accuracies.setdefault((row.sweep, row.method), []).append(row)
-    # A method that stands in two sweeps was timed twice, as was any other; here each needs one time only.
-    costs = {(cost.sweep, cost.method): cost for cost in list_reference_costs(chart.costs)}
-    ratings = _list_ratings(chart)
-    kinds = (("reducer", "size", list_methods()), ("window", "window", list_windows()), ("hop", "hop", list_hops()))
+        rate_hz = row.rate_hz if row.sweep == "rate" else None
+        scores.setdefault((row.sweep, row.method, rate_hz), []).append(row)
     return [
         {
-            "label": method.label,
-            "reducer": method.reducer,
-            "kind": kind,
-            "colour": looks[method.reducer].colour,
-            "marker": looks[method.reducer].marker,
-            "speed": _tell_speed(method, costs[sweep, method.label]),
-            "scores": _tell_scores(accuracies[kind, method.label]),
-            "ratings": ratings.get(method.reducer, {}) if kind == "reducer" else {},
+            "label": entry.label,
+            "reducer": entry.method.reducer,
+            "kind": entry.kind,
+            "colour": looks[entry.method.reducer].colour,
+            "marker": looks[entry.method.reducer].marker,
+            "speed": _tell_speed(entry),
+            "scores": _tell_scores(scores[entry.scored]),
+            "ratings": ratings.get(entry.method.reducer, {}) if entry.kind == "reducer" else {},
         }
-        for kind, sweep, methods in kinds
-        for method in methods
-        if (kind, method.label) in accuracies
+        for entry in (*_find_whole(chart), *_find_rates(chart), *_find_streams(chart))
+        if entry.scored in scores
     ]
 
 
-def _tell_speed(method: Method, cost: Cost) -> dict[str, list[float | None]]:
-    latency = method.find_latency(RATE_HZ)
+def _find_whole(chart: Chart) -> Iterator[_Entry]:
+    # A method that stands in two sweeps was timed twice, as was any other; here each needs one time only.
+    costs = {(cost.sweep, cost.method): cost for cost in list_reference_costs(chart.costs)}
+    kinds = (("reducer", "size", list_methods()), ("window", "window", list_windows()), ("hop", "hop", list_hops()))
+    for kind, sweep, methods in kinds:
+        for method in methods:
+            yield _Entry(kind, method.label, method, costs[sweep, method.label], (kind, method.label, None))
+
+
+def _find_rates(chart: Chart) -> Iterator[_Entry]:
+    methods = {method.label: method for method in list_methods()}
+    for cost in chart.costs:
+        if cost.sweep == "rate":
+            label = f"{cost.method}, {cost.rate_hz / 1000:g} kHz"
+            yield _Entry("rate", label, methods[cost.method], cost, ("rate", cost.method, cost.rate_hz))
+
+
+def _find_streams(chart: Chart) -> Iterator[_Entry]:
+    """List streams: they give what the whole signal gives, a block later."""
+    methods = {method.label: method for method in list_methods()}
+    for cost in chart.costs:
+        if cost.sweep == "block":
+            label = f"{cost.method}, blocks of {cost.block}"
+            waiting_s = (cost.block - 1) / cost.rate_hz
+            yield _Entry("block", label, methods[cost.method], cost, ("reducer", cost.method, None), waiting_s)
+
+
+def _tell_speed(entry: _Entry) -> dict[str, list[float | None]]:
+    cost, latency = entry.cost, entry.method.find_latency(entry.cost.rate_hz)
+    times = [NS / cost.rate_hz / time for time in (cost.ns_per_sample, cost.high, cost.low)]
     return {
         "cost": [_round(time) for time in (cost.ns_per_sample, cost.low, cost.high)],
-        "real_time": [_round(NS / RATE_HZ / time) for time in (cost.ns_per_sample, cost.high, cost.low)],
-        "latency": [None if latency is None else _round(1000 * latency), None, None],
+        "real_time": [_round(time) for time in times],
+        "latency": [None if latency is None else _round(1000 * (latency + entry.waiting_s)), None, None],
     }
 
 

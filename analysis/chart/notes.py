@@ -41,6 +41,8 @@ def list_notes(
         *_note_load(machine),
         f"Methods are compared at {tell_plainly(REFERENCE_N)} samples; × real time is told for {RATE_HZ / 1000:g} kHz. "
         "The signals that are timed are white noise.",
+        "Over scenes the median is told and compared, not the mean: spectral match has no lower bound, so that one "
+        "scene with a band nearly without energy would decide. The means stand in tables/points.csv.",
         *_note_pieces(recordings, longest_s),
         "Scenes were resampled to every sampling rate and compared with the recording at that rate: above a "
         "recording's own rate nothing is added, below it what lies above half the new rate is lost to both.",

@@ -186,18 +186,21 @@ class Precision:
 class Point:
     """One method in the plane of speed and accuracy, for one measure.
 
+    Methods are compared by the median over scenes: spectral match has no lower bound, so that one scene with a band
+    nearly without energy decides a mean.
+
     Parameters
     ----------
     method, reducer : str
         Label of the method, and its reducer.
     measure : str
         One of `MEASURES`.
-    mean : float
-        Mean over scenes of the mean over orientations.
+    median, mean : float
+        Over scenes, of the mean over orientations.
     lowest, highest : float
         Of the scenes.
     se : float
-        Standard error of the mean that is due to the finite number of orientations.
+        Standard error of the median that is due to the finite number of orientations.
     ns_per_sample, low, high : float
         Cost: median and quartiles.
     latency_s : float or None
@@ -209,6 +212,7 @@ class Point:
     method: str
     reducer: str
     measure: str
+    median: float
     mean: float
     lowest: float
     highest: float

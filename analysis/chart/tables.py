@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from dataclasses import astuple, dataclass, fields
+from statistics import median
 from typing import TYPE_CHECKING
 
 from analysis.chart.axes import tell_measure, tell_plainly
@@ -88,7 +89,7 @@ def _lay_reducers(chart: Chart) -> Sheet:
     for point in chart.points:
         by_reducer.setdefault(point.reducer, []).append(point)
     caption = (
-        "Reducers as they are. Cost: median and quartiles. Accuracy: mean over scenes of the mean over sensor "
+        "Reducers as they are. Cost: median and quartiles. Accuracy: median over scenes of the mean over sensor "
         "orientations, and the lowest and highest scene. On a front: of cost and the named measures, s(pectral), "
         "t(emporal), i(nvariant)."
     )
@@ -102,7 +103,7 @@ def _lay_reducer(points: Sequence[Point]) -> tuple[str, ...]:
     return (
         first.reducer, f"{first.ns_per_sample:.3g} [{first.low:.3g} to {first.high:.3g}]",
         tell_plainly(float(f"{NS / RATE_HZ / first.ns_per_sample:.2g}")), latency,
-        *(f"{tell_number(point.mean)} [{tell_range(point.lowest, point.highest)}]" for point in points),
+        *(f"{tell_number(point.median)} [{tell_range(point.lowest, point.highest)}]" for point in points),
         ", ".join(fronts) or NO,
     )  # fmt: skip
 
@@ -114,16 +115,18 @@ def _lay_hops(chart: Chart) -> Sheet:
         if row.sweep == "hop":
             rows.setdefault(row.method, []).append(row)
     cells = [
-        (method, f"{costs[method].ns_per_sample:.3g}", *(_average(own, measure) for measure in MEASURES))
+        (method, f"{costs[method].ns_per_sample:.3g}", *(_find_median(own, measure) for measure in MEASURES))
         for method, own in rows.items()
     ]
-    caption = "Other hops of the same window: means over scenes and orientations. The first is half the window."
+    caption = (
+        "Other hops of the same window: medians over scenes of the means over orientations. The first is half the "
+        "window."
+    )
     return Sheet(caption, ("Method", "ns per sample", *map(tell_measure, MEASURES)), tuple(cells))
 
 
-def _average(rows: Sequence[Accuracy], measure: str) -> str:
-    means = [row.mean for row in rows if row.measure == measure]
-    return f"{sum(means) / len(means):.3f}"
+def _find_median(rows: Sequence[Accuracy], measure: str) -> str:
+    return f"{median(row.mean for row in rows if row.measure == measure):.3f}"
 
 
 def _lay_growth(chart: Chart) -> Sheet:

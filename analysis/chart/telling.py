@@ -106,7 +106,7 @@ def _tell_speed(points: list[Point]) -> str:
 def _tell_front(chart: Chart, measure: str) -> str:
     front = [point for point in chart.points if point.measure == measure and point.on_front]
     front.sort(key=lambda point: point.ns_per_sample)
-    shown = join(f"{point.reducer} ({point.mean:.2f})" for point in front)
+    shown = join(f"{point.reducer} ({point.median:.2f})" for point in front)
     name = tell_measure(measure)
     return f"{name}{',' if ',' in name else ''} against cost: on the front are {shown}."
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from analysis.chart.chart import Chart
 
 MARKS = (
-    "A marker is the mean over scenes of the mean over random sensor orientations, a small dot one scene, the "
+    "A marker is the median over scenes of the mean over random sensor orientations, a small dot one scene, the "
     f"vertical line their span; what lies below {CUT:g} stands at the edge."
 )
 FRONT = (
@@ -144,7 +144,8 @@ def _list_pictures(chart: Chart) -> Iterator[Picture]:
     )  # fmt: skip
     yield Picture(
         "rates", "rates",
-        "Both of the paper's metrics and speed against the sampling rate: means over scenes and orientations.",
+        "Both of the paper's metrics and speed against the sampling rate: medians over scenes of the means over "
+        f"orientations; what lies below {CUT:g} stands at the edge.",
         draw_rates(chart, paper),
     )  # fmt: skip
     for scale, level in dict.fromkeys((row.scale, row.level) for row in chart.rated):

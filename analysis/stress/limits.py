@@ -96,12 +96,12 @@ _MEASURES = (
             f"{_WEBER}; the caution is about half of it."),
     Measure("edge", "W", "Window-edge error", "energy moved across window edges", "", 0.1, 0.2,
             "Which share of the energy the output puts into another half window than the recording has it in.",
-            "0.2 is a mean change of the half windows' energy by 40 % (1.5 dB), about a Weber fraction of the amplitude "
-            "(1.7 dB)."),
+            "0.2 is a mean change of the half windows' energy by 40 % (1.5 dB), about a Weber fraction of the "
+            "amplitude (1.7 dB)."),
     Measure("energy", "E", "Energy error", "energy error", "dB", 1.5, 3.0,
             "How much stronger or weaker the output vibrates than the recording.",
-            "from 1.5 dB on it nears a Weber fraction of the amplitude (1.7 dB); 3 dB is nearly two: half or double the "
-            "energy."),
+            "from 1.5 dB on it nears a Weber fraction of the amplitude (1.7 dB); 3 dB is nearly two: half or double "
+            "the energy."),
     Measure("spread", "M", "Spread of the metrics", "SD of a metric over rotations", "", 0.05, 0.1,
             "Standard deviation of the match metrics over random orientations of the sensor, the larger of the two.",
             "in the paper's Table 1 the better methods lie 0.1 apart in temporal match (0.40, 0.46, 0.51): "

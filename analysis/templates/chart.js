@@ -50,6 +50,11 @@
   const checked = (name) => new Set([...document.querySelectorAll(`input[name="${name}"]:checked`)].map((box) => box.value));
   const axisOf = (id) => data.axes.find((axis) => axis.key === field(id).value);
 
+  function median(values) {
+    const sorted = [...values].sort((a, b) => a - b), half = (sorted.length - 1) / 2;
+    return (sorted[Math.floor(half)] + sorted[Math.ceil(half)]) / 2;
+  }
+
   // What a method has on an axis: its value, the span that is drawn beside it, and its scenes.
   function valueOf(method, axis, scenes) {
     if (axis.kind === "speed") {
@@ -62,8 +67,7 @@
     }
     const own = scenes.map((scene) => method.scores[scene][axis.key][0]);
     if (!own.length) return undefined;
-    const mean = own.reduce((sum, one) => sum + one, 0) / own.length;
-    return { value: mean, low: Math.min(...own), high: Math.max(...own), scenes: own };
+    return { value: median(own), low: Math.min(...own), high: Math.max(...own), scenes: own };
   }
 
   // Log axes have a place of their own for what has no logarithm (left) and for what has no end (right).

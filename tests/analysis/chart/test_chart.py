@@ -43,13 +43,13 @@ def test_every_reducer_scene_measure_and_sweep_is_there(tiny: Chart) -> None:
 def test_strict_front_members_are_marked(tiny: Chart) -> None:
     for measure in MEASURES:
         points = [point for point in tiny.points if point.measure == measure]
-        strict = find_front([[point.ns_per_sample, -point.mean] for point in points])
+        strict = find_front([[point.ns_per_sample, -point.median] for point in points])
         assert all(point.on_front for point, on in zip(points, strict, strict=True) if on)
 
 
-def test_means_lie_between_their_scenes_and_known_ones_are_right(tiny: Chart) -> None:
-    assert all(point.lowest <= point.mean <= point.highest for point in tiny.points)
-    spectral = {point.reducer: point.mean for point in tiny.points if point.measure == "spectral_match"}
+def test_medians_lie_between_their_scenes_and_known_ones_are_right(tiny: Chart) -> None:
+    assert all(point.lowest <= point.median <= point.highest for point in tiny.points)
+    spectral = {point.reducer: point.median for point in tiny.points if point.measure == "spectral_match"}
     assert spectral["dft321"] == pytest.approx(1.0, abs=1e-9)
 
 
@@ -147,11 +147,18 @@ def test_no_name_can_end_the_pages_data(tiny: Chart) -> None:
 
 def test_the_page_holds_every_method_and_spans_that_rise(rated: Chart) -> None:
     data = json.loads(dump_data(rated, list_choices(rated)))
-    assert len(data["methods"]) == len({(row.sweep, row.method) for row in rated.accuracies if row.sweep != "rate"})
+    measured = {(row.sweep, row.method, row.rate_hz if row.sweep == "rate" else 0) for row in rated.accuracies}
+    streams = [cost for cost in rated.costs if cost.sweep == "block"]
+    assert len(data["methods"]) == len(measured) + len(streams)
     for method in data["methods"]:
         for value, low, high in (method["speed"]["cost"], method["speed"]["real_time"]):
             assert low <= value <= high
     assert [axis["key"] for axis in data["axes"]][-1] == "Mean realism rating, as is (0 to 100)"
+    found = {method["label"]: method for method in data["methods"]}
+    plain, stream = found["dft321_windowed"], found["dft321_windowed, blocks of 64"]
+    assert stream["scores"] == plain["scores"]
+    assert stream["speed"]["latency"][0] == pytest.approx(plain["speed"]["latency"][0] + 6.3)
+    assert found["soc321, 2 kHz"]["speed"]["latency"][0] == 0
     ratings = {method["reducer"]: method["ratings"] for method in data["methods"] if method["kind"] == "reducer"}
     assert ratings["dft321"] == {"Mean realism rating, as is (0 to 100)": [71.0, None, None, 60.0, 80.0]}
     assert ratings["sax321"] == {}
@@ -176,7 +183,7 @@ def test_the_page_opens_in_a_real_browser_and_its_script_works(rated: Chart, tmp
     assert len(re.findall(r'<polygon[^>]*class="point', document)) == len(REDUCERS)
     assert len(re.findall(r"<circle", document)) == 2 * len(REDUCERS)
     assert "On the front: " in document
-    # The reader's choices, made by a script: latency against a rating, windows and hops too, then no scene at all.
+    # The reader's choices, made by a script: latency against a rating, all sweeps too, then no scene at all.
     steps = """<script>
       const set = (id, value) => { const e = document.getElementById(id); e.value = value;
         e.dispatchEvent(new Event("change")); };
@@ -192,7 +199,7 @@ def test_the_page_opens_in_a_real_browser_and_its_script_works(rated: Chart, tmp
     page.write_text(page.read_text(encoding="utf-8").replace("</body>", steps), encoding="utf-8")
     document, console = open_page(page, tmp_path)
     assert console == ""
-    points = len({row.method for row in rated.accuracies if row.sweep == "window"}) + len(REDUCERS) + 3
+    points = len(json.loads(dump_data(rated, list_choices(rated)))["methods"])
     assert f'data-points="{points}"' in document
     assert re.search(r'data-tip="sax321[^"]*Cost of one sample \(ns\): [\d.]+ \[[\d.]+ to', document)
     assert "Nothing to show: choose at least one reducer and one scene." in document

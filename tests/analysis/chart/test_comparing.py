@@ -1,13 +1,15 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
-from analysis.chart.comparing import is_clear, list_dominated, mark_front
+from analysis.chart.comparing import is_clear, list_dominated, mark_front, place_points
+from analysis.chart.methods import Method
 from analysis.chart.ratings import draw_interval, rate_reducers
-from analysis.chart.records import Accuracy, Point
+from analysis.chart.records import MEASURES, Accuracy, Cost, Point
 from analysis.profile import profile_reducers
 
 if TYPE_CHECKING:
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
 def make_point(name: str, mean: float, cost: float, *, latency_s: float | None = 0.0, measure: str = "spectral_match",
                se: float = 0.001, spread: float = 0.1) -> Point:  # fmt: skip
     ends = cost * (1 - spread), cost * (1 + spread)
-    return Point(name, name, measure, mean, mean, mean, se, cost, *ends, latency_s, on_front=False)
+    return Point(name, name, measure, mean, mean, mean, mean, se, cost, *ends, latency_s, on_front=False)
 
 
 def make_accuracy(name: str, scene: str, measure: str, mean: float) -> Accuracy:
@@ -29,6 +31,17 @@ def make_accuracy(name: str, scene: str, measure: str, mean: float) -> Accuracy:
 def make_both(name: str, spectral: float, temporal: float, cost: float, **other: float | None) -> list[Point]:
     metrics = ("spectral_match", spectral), ("temporal_match", temporal)
     return [make_point(name, mean, cost, measure=measure, **other) for measure, mean in metrics]
+
+
+def test_one_scene_with_an_empty_band_does_not_decide() -> None:
+    rows = [make_accuracy("dft321", f"scene {number}", "spectral_match", mean)
+            for number, mean in enumerate((0.9, 0.8, -300.0))]  # fmt: skip
+    cost = Cost("size", "dft321", "dft321", 1000, 1000.0, 1000, 64, 1.0, 0.9, 1.1, 1.0, 3)
+    every = [replace(row, measure=measure) for measure in MEASURES for row in rows]
+    point = place_points([Method("dft321")], every, [cost], rate_hz=1000.0)[0]
+    assert (point.median, point.lowest, point.highest) == (0.8, -300.0, 0.9)
+    assert point.mean == pytest.approx(-99.4333, abs=1e-3)
+    assert point.se == pytest.approx(0.1 / np.sqrt(10))
 
 
 def test_the_front_holds_what_nobody_clearly_beats() -> None:
