@@ -196,6 +196,7 @@ def lay_out(study: Study) -> Row:
         "seed": study.seed,
         "segment_s": study.segment_s,
         "rated": study.rated,
+        "simulated": any(_is_simulated(advice) for advice in study.advices),
         "note": study.note,
         "scenes": [_lay_scene(advice, rated=advice.scene.source in study.rated) for advice in study.advices],
         "measures": [_lay_verdict(advice, place) for advice in study.advices for place in range(len(advice.verdicts))],
@@ -228,8 +229,11 @@ def _lay_scene(advice: Advice, *, rated: bool) -> Row:
 def _tell_basis(advice: Advice, *, rated: bool) -> str:
     if not rated:
         return "metrics"
-    simulated = any(verdict.rated.simulated for verdict in advice.verdicts if verdict.rated)
-    return f"metrics and {'simulated ' if simulated else ''}ratings"
+    return f"metrics and {'simulated ' if _is_simulated(advice) else ''}ratings"
+
+
+def _is_simulated(advice: Advice) -> bool:
+    return any(verdict.rated.simulated for verdict in advice.verdicts if verdict.rated)
 
 
 def _lay_verdict(advice: Advice, place: int) -> Row:

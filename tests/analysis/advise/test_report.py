@@ -59,6 +59,10 @@ def test_ratings_are_heard_for_whole_recordings_only() -> None:
     assert whole.rated == ("circular_motion",)
     assert [row["basis"] for row in lay_out(whole)["scenes"]] == ["metrics", "metrics and ratings"]
     assert whole.note == ""
+    robots = {"circular_motion": {"dft321": Rated(is_best=True, best="dft321", p=float("nan"), simulated=True)}}
+    content = lay_out(advise_recordings(scenes()[1:2], Context(), ratings=robots))
+    assert (content["simulated"], content["scenes"][0]["basis"]) == (True, "metrics and simulated ratings")
+    assert not lay_out(whole)["simulated"]
     assert advise_recordings(scenes()[:1], Context()).note == ""
 
 
