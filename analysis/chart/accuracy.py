@@ -103,9 +103,9 @@ def cut_piece(recording: Recording, longest_s: float) -> Recording:
     Recording
         Itself, or its middle.
     """
-    n = round(longest_s * recording.rate_hz)
-    if recording.n_samples <= n:
+    if recording.duration_s <= longest_s:
         return recording
+    n = round(longest_s * recording.rate_hz)
     first = (recording.n_samples - n) // 2
     return replace(recording, acceleration=recording.acceleration[:, first : first + n], sha256="")
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from analysis.chart.accuracy import change_rate, cut_piece, draw_turns, measure_accuracy
+from analysis.chart.compute import FULL
 from analysis.chart.methods import Method, list_hops, list_methods, list_windowed, list_windows
 from stimuli.fourier import dft321_windowed
 from stimuli.frames import sqrt_hann
@@ -68,6 +69,7 @@ def test_bad_input_is_refused_by_name(make_recording: Make) -> None:
 def test_a_piece_is_the_middle_and_another_rate_keeps_the_motion(make_recording: Make) -> None:
     bumps = make_recording("bumps")
     assert np.array_equal(cut_piece(bumps, 0.2).acceleration, bumps.acceleration[:, 1000:3000])
+    assert cut_piece(bumps, FULL.longest_s) is bumps
     assert cut_piece(bumps, 0.4) is bumps
     faster = change_rate(bumps, 20_000.0)
     assert (faster.rate_hz, faster.n_samples) == (20_000.0, 8000)
