@@ -104,6 +104,14 @@ def advise_recordings(
     ------
     ValueError
         If there is no recording, or segments are too short.
+
+    Examples
+    --------
+    >>> from analysis.advise.scene import Context
+    >>> from stimuli.synthesis import make_scene
+    >>> scenes = [make_scene(name, duration_s=0.5) for name in ("constrained_drag", "circular_motion")]
+    >>> advise_recordings(scenes, Context()).common[0]
+    'dft321'
     """
     from threadpoolctl import threadpool_limits
 
