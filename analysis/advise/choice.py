@@ -232,13 +232,17 @@ def _place(verdict: Verdict, context: Context) -> tuple[object, ...]:
     return (*verdict.cost.rank(online=context.online), round(verdict.shortfall.worst / SAME), verdict.name)
 
 
-def _find_lag(verdict: Verdict) -> tuple[bool, bool, float]:
-    """Order reducers that do not suffice: people's word first, then the metrics'; of equals the simpler stays first."""
+def _find_lag(verdict: Verdict) -> tuple[bool, bool, bool, float]:
+    """Order reducers that do not suffice: people's word first, then the metrics'; of equals the simpler stays first.
+
+    What people were asked about comes before what they were not.
+    """
+    unknown = verdict.needs_ratings and verdict.rated is None
     agreed = verdict.rated.suffices if verdict.rated else not verdict.needs_ratings
-    return not agreed, not verdict.fits, round(verdict.shortfall.worst / SAME) * SAME
+    return not agreed, not verdict.fits, unknown, round(verdict.shortfall.worst / SAME) * SAME
 
 
 def _ties(best: Verdict, other: Verdict, context: Context) -> bool:
     alike = best.cost.rank(online=context.online) == other.cost.rank(online=context.online)
-    same_word = _find_lag(best)[:2] == _find_lag(other)[:2]
+    same_word = _find_lag(best)[:-1] == _find_lag(other)[:-1]
     return alike and same_word and abs(best.shortfall.worst - other.shortfall.worst) <= 2 * SAME

@@ -56,6 +56,8 @@ def tell_closest(closest: Verdict, verdicts: Sequence[Verdict]) -> str:
     """
     barred = _list_barred(verdicts)
     alone = "no reducer is within tolerance of the best in everything"
+    if any(verdict.fits and verdict.in_budget for verdict in verdicts):
+        alone = "none of those within tolerance by the metrics is shown by ratings to feel like the best"
     would = f"{barred[0].name} would do, but {_tell_wait(barred[0])}" if barred else alone
     return "; ".join(filter(None, [f"it {tell_fault(closest, verdicts)}", would, tell_doubt(closest, verdicts)]))
 

@@ -104,6 +104,18 @@ def test_nothing_suffices_where_people_and_metrics_disagree(tell: Callable[..., 
     assert advice.closest == "sax321"
     assert advice.margin < 0
     assert "nothing suffices" in advice.line
+    assert "none of those within tolerance by the metrics is shown by ratings to feel like the best" in advice.line
+
+
+def test_what_was_rated_is_closer_than_what_was_not(tell: Callable[..., Advice], wave: np.ndarray) -> None:
+    from stimuli.recording import Recording
+
+    line: Recording = Recording(np.array([wave, wave, 0 * wave]), 4000.0, "oak")
+    said = judge_ratings(make_table({"sax321": 80.0, "pca321": 40.0}))["oak"]
+    del said["sax321"]
+    advice = tell(line, Context(), ratings=said)
+    assert (advice.answer, advice.closest) == (None, "pca321")
+    assert "it is not shown to feel like sax321" in advice.line
 
 
 @pytest.mark.parametrize("role", ["reference", "anchor"])
