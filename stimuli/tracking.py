@@ -13,13 +13,16 @@ import numpy as np
 from stimuli.door import admit
 from stimuli.fourier import FourierFrames
 from stimuli.frames import DEFAULT_WINDOW_S, run_offline, window_samples
-from stimuli.leading import align, find_onset, go_along, measure, start_axis, unit
+from stimuli.leading import align, find_onset, go_along, measure, start_axis, tilt, unit
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 MEMORY = 0.99
 """What a frame still counts one frame later: with frames of 35 ms, a time constant of 1.75 s."""
+
+PULL = 0.1
+"""As `leading.PULL`, but of an axis that noise in few frames would make wander: see `tests/bench/reducers.py`."""
 
 
 def dft321_principal_windowed(
@@ -48,7 +51,11 @@ def dft321_principal_windowed(
     own: near-equal eigenvalues are common, and an axis that wanders smears what overlaps. So each frame gets the axis
     of its past: covariances are remembered, their leading axis (with the sign of the frame before) gives the direction
     that this frame's motion goes along with (`leading.go_along`), and those directions are remembered in turn. The
-    first frame that is not silent gives the onset towards which the leading axis leans a little.
+    onsets towards which the leading axis leans are those of the frames that were louder than all before, each weighted
+    by how much louder: noise before the first tap soon counts for nothing, and there is no threshold to cross.
+
+    At 0 Hz and at half the sampling rate a spectrum is real: its phase cannot turn, it can only flip. There the
+    projection itself is taken, magnitude and all, so that what crosses zero does so without a jump.
     """
     admitted = admit(acceleration, rate_hz)
     hop = window_samples(window_s, rate_hz) // 2
@@ -68,7 +75,8 @@ class TrackingFrames(FourierFrames):
 
     def __init__(self, batch: tuple[int, ...], hop: int) -> None:
         super().__init__(batch, hop)
-        self._onset = np.zeros((*batch, 3))
+        self._loudness = np.zeros((*batch, 1))
+        self._anchor = np.zeros((*batch, 1, 3, 3))
         self._axis = np.zeros((*batch, 1, 3))
         self._covariance = np.zeros((*batch, 1, 3, 3))
         self._along = np.zeros((*batch, 1, 3))
@@ -89,29 +97,40 @@ class TrackingFrames(FourierFrames):
             The merged spectra.
         """
         energy, covariances = measure(spectra)
-        if not self._onset.any(axis=-1).all():
-            self._listen(energy, frames)
         covariances, self._covariance = _remember(covariances, self._covariance, axis=-3)
-        onsets = np.broadcast_to(self._onset[..., None, :], covariances.shape[:-1])
-        first = self._keep_sign(start_axis(covariances, onsets))
+        anchors, waking = self._find_anchors(np.sqrt(energy.sum(axis=-1)), frames)
+        first = self._keep_sign(start_axis(covariances, anchors, pull=PULL), anchors, waking)
         along, self._along = _remember(go_along(spectra, energy, axis=first), self._along, axis=-2)
-        return align(spectra, energy, axis=unit(along, first))
+        axis = tilt(unit(along, first), covariances, anchors)
+        merged = align(spectra, energy, axis=axis)
+        for real in (0, -1):
+            merged[..., real] = sum(spectra[i][..., real] * axis[..., i] for i in range(3))
+        return merged
 
-    def _listen(self, energy: NDArray[np.float64], frames: NDArray[np.float64]) -> None:
-        """Note the onset in the first frame that is not silent."""
-        loud = np.asarray(energy.any(axis=-1))
-        first = np.argmax(loud, axis=-1)[..., None, None, None]
-        onset = find_onset(np.take_along_axis(frames, first, axis=-2)[..., 0, :])
-        waiting = ~np.any(self._onset, axis=-1, keepdims=True)
-        self._onset = np.where(loud.any(axis=-1, keepdims=True) & waiting, onset, self._onset)
+    def _find_anchors(
+        self, loudness: NDArray[np.float64], frames: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Mean products of the onsets so far, frame by frame; and the onset where silence ends, 0 elsewhere."""
+        loudest = np.maximum.accumulate(np.concatenate([self._loudness, loudness], axis=-1), axis=-1)
+        louder = np.diff(loudest, axis=-1)
+        records = np.flatnonzero(louder.any(axis=tuple(range(louder.ndim - 1))))
+        onsets = np.zeros((*louder.shape, 3))
+        onsets[..., records, :] = find_onset(np.moveaxis(frames[..., records, :], -3, -2))
+        sums = louder[..., None, None] * onsets[..., :, None] * onsets[..., None, :]
+        sums = self._anchor + np.cumsum(sums, axis=-3)
+        self._loudness, self._anchor = loudest[..., -1:], sums[..., -1:, :, :]
+        waking = (loudest[..., :-1] == 0) & (louder > 0)
+        return sums / np.where(loudest > 0, loudest, 1.0)[..., 1:, None, None], onsets * waking[..., None]
 
-    def _keep_sign(self, axes: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Turn each axis to point along the one before it."""
-        axes = np.concatenate([self._axis, axes], axis=-2)
-        turns = np.einsum("...mi,...mi->...m", axes[..., 1:, :], axes[..., :-1, :])
-        axes = axes[..., 1:, :] * np.cumprod(np.where(turns < 0, -1.0, 1.0), axis=-1)[..., None]
-        # Before the first sound there is no axis that a sign could be kept from.
-        self._axis = axes[..., -1:, :] * np.linalg.norm(self._onset, axis=-1, keepdims=True)[..., None]
+    def _keep_sign(
+        self, axes: NDArray[np.float64], anchors: NDArray[np.float64], waking: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Turn each axis to point along the one before it, the first along the first onset; silence has none."""
+        axes = np.where(anchors.any(axis=(-2, -1))[..., None], axes, 0.0)
+        before = np.concatenate([self._axis, axes[..., :-1, :]], axis=-2) + waking
+        turns = np.einsum("...mi,...mi->...m", axes, before)
+        axes *= np.cumprod(np.where(turns < 0, -1.0, 1.0), axis=-1)[..., None]
+        self._axis = axes[..., -1:, :]
         return axes
 
 

@@ -13,7 +13,7 @@ from stimuli import leading
 from stimuli.condition import Conditioning, condition
 from stimuli.fourier import dft321
 from stimuli.invariant import temporal_match_invariant
-from stimuli.leading import align, dft321_principal, find_onset, go_along, measure, start_axis
+from stimuli.leading import align, dft321_principal, find_onset, go_along, measure, start_axis, tilt
 from stimuli.match import spectral_match
 from stimuli.rotation import random_rotations
 from stimuli.synthesis import SCENES, make_scene
@@ -143,7 +143,7 @@ def climbed(acceleration: np.ndarray, steps: int) -> list[float]:
     """Value of g, the attainable invariant temporal match, after each step."""
     spectra = [*np.fft.rfft(acceleration)]
     energy, covariance = measure(spectra)
-    axis, values = start_axis(covariance, find_onset(acceleration)), []
+    axis, values = start_axis(covariance, np.zeros((3, 3)), pull=0.0), []
     for _ in range(steps):
         values.append(float(np.sum(np.sqrt(energy[1:]) * np.abs(axis @ np.array(spectra)[:, 1:]))))
         axis = go_along(spectra, energy, axis=axis)
@@ -238,13 +238,26 @@ def test_the_match_is_better_on_average() -> None:
     assert np.mean(own) > np.mean(other) + 0.005
 
 
-def test_one_step_is_what_the_code_takes_and_it_lifts_the_match_of_the_principal_axis(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    acceleration = scene("texture_drag")
-    own = temporal_match_invariant(acceleration, dft321_principal(acceleration, RATE))
-    monkeypatch.setattr(leading, "STEPS", 0)
-    assert own > temporal_match_invariant(acceleration, dft321_principal(acceleration, RATE))
+@BOTH
+def test_weak_directions_are_looked_at(reduce: Callable[..., np.ndarray], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Noise of 2 % across two tones: its phase must be its own, not that of what is added at -60 dB."""
+    time = 2 * np.pi * np.arange(8000) / RATE
+    tones = np.array([np.sin(100 * time), 0.6 * np.sin(231.7 * time + 0.4), 0.02 * noise(8000)])
+    assert gain(reduce, tones) < 3
+    monkeypatch.setattr(leading, "TILT", 0.0)
+    assert gain(reduce, tones) > 10
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=SEEDS)
+def test_a_tilt_is_short_and_towards_the_onset(seed: int) -> None:
+    motion, (axis, onset) = uneven(50, seed), noise(2, 3, seed=seed)
+    axis /= np.linalg.norm(axis)
+    onset *= np.copysign(1 / np.linalg.norm(onset), onset @ axis)
+    tilted = tilt(axis, motion @ motion.T, np.outer(onset, onset))
+    assert tilted @ axis >= np.sqrt(1 - 0.5**2) - 1e-12
+    assert tilted @ axis < 1
+    assert np.linalg.norm(tilted) == pytest.approx(1)
 
 
 # --- frames ----------------------------------------------------------------------------------------------------------
@@ -304,4 +317,35 @@ def test_pushes_of_any_size_give_the_same_frames() -> None:
     whole = TrackingFrames((), 20).push(blocks, valid)
     other = TrackingFrames((), 20)
     parts = [other.push(blocks[:, at : at + k], valid[at : at + k]) for at, k in ((0, 1), (1, 4), (5, 7))]
+    np.testing.assert_allclose(np.concatenate(parts), whole, rtol=1e-12, atol=1e-12)
+
+
+def test_frames_before_the_first_tap_do_not_choose_the_axis() -> None:
+    """A tap where one frame ends: the frames before it hold nothing, or noise."""
+    lag = np.maximum(np.arange(4000) - 20 * 70, 0) / RATE
+    tap = np.array([np.sin(2 * np.pi * f * lag) * np.exp(-lag / d) for f, d in ((95, 0.0075), (210, 0.0045))])
+    assert gain(dft321_principal_windowed, np.array([*tap, 0.3 * tap[1]])) < 3
+
+
+def test_a_swing_through_zero_does_not_jump() -> None:
+    """A frame's first bin is real: turning about the axis it must shrink to nothing, not flip."""
+    spectra = [np.full((1, 21), part, dtype=complex) for part in (1.0, 0.0, 0.0)]
+    found = []
+    for across in (1e-3, -1e-3):
+        processor = TrackingFrames((), 20)
+        processor.merge(spectra, np.ones((3, 1, 40)) * np.array([1.0, 0.0, 0.0])[:, None, None])
+        turned = [part.copy() for part in spectra]
+        turned[0][:, [0, -1]], turned[1][:, [0, -1]] = across, 1.0
+        found.append(processor.merge(turned, np.ones((3, 1, 40)) * np.array([1.0, 0.0, 0.0])[:, None, None]))
+    np.testing.assert_allclose(*found, atol=0.1)
+
+
+def test_silence_before_the_first_sound_takes_no_part_in_the_sign() -> None:
+    motion = noise(3, 8, 20)
+    motion[:, :3] = 0
+    whole = TrackingFrames((), 20).push(motion, np.ones((8, 20), dtype=bool))
+    alone = TrackingFrames((), 20).push(motion[:, 2:], np.ones((6, 20), dtype=bool))
+    np.testing.assert_allclose(whole[2:], alone, atol=1e-12)
+    other = TrackingFrames((), 20)
+    parts = [other.push(motion[:, at : at + 1], np.ones((1, 20), dtype=bool)) for at in range(8)]
     np.testing.assert_allclose(np.concatenate(parts), whole, rtol=1e-12, atol=1e-12)
