@@ -9,12 +9,11 @@ from analysis.figures.style import Look, assign_looks
 from analysis.words import start, tell_name
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable
 
     from matplotlib.axis import Axis
 
     from analysis.chart.chart import Chart
-    from analysis.chart.records import Accuracy
 
 CUT = -1.0
 """Accuracies below this stand at the edge: spectral match knows no bottom."""
@@ -78,20 +77,25 @@ def tell_measure(measure: str) -> str:
     return start(name) + (", invariant" if measure.endswith("_invariant") else "")
 
 
-def limit_accuracy(rows: Sequence[Accuracy]) -> tuple[float, float]:
+def limit_accuracy(values: Iterable[float]) -> tuple[float, float]:
     """Find the ends of an axis of accuracy.
 
     Parameters
     ----------
-    rows : sequence of Accuracy
+    values : iterable of float
         What it shows.
 
     Returns
     -------
     tuple of float
         Lowest and highest: from `CUT` or above to 1, with a margin.
+
+    Examples
+    --------
+    >>> limit_accuracy([0.3, 0.9]), limit_accuracy([-283.0])
+    ((-0.04, 1.04), (-1.08, 1.08))
     """
-    lowest = max(CUT, min(0.0, *(row.mean for row in rows), 0.0))
+    lowest = max(CUT, min(0.0, *values, 0.0))
     return lowest - 0.04 * (1 - lowest), 1 + 0.04 * (1 - lowest)
 
 

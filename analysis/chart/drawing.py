@@ -58,7 +58,7 @@ def draw_cost(chart: Chart, measures: Sequence[str] = MEASURES[:2]) -> Figure:
             for point in points:
                 own = [row for row in scenes if row.method == point.method]
                 _draw_point(axes, point, scenes=own, look=looks[point.reducer])
-            axes.set(ylabel=tell_measure(measure), ylim=limit_accuracy(scenes))
+            axes.set(ylabel=tell_measure(measure), ylim=limit_accuracy(row.mean for row in scenes))
         panels[-1].set(xscale="log", xlabel=COST_AXIS)
         write_plainly(panels[-1].xaxis)
         add_legend(figure, make_handles(looks))
@@ -89,7 +89,7 @@ def draw_latency(chart: Chart, measures: Sequence[str] = MEASURES[:2]) -> Figure
             _draw_latencies(
                 axes, [point for point in chart.points if point.measure == measure], rows=shown, looks=looks
             )
-            axes.set(ylabel=tell_measure(measure), ylim=limit_accuracy(shown))
+            axes.set(ylabel=tell_measure(measure), ylim=limit_accuracy(row.mean for row in shown))
         panels[-1].set(xscale="log", xlabel="Algorithmic latency, window (ms)", xlim=(AT_ONCE_MS / 2, 2 * OFFLINE_MS))
         panels[-1].minorticks_off()
         ticks = (AT_ONCE_MS, 10, 20, 50, 100, 200, OFFLINE_MS)

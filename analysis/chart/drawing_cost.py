@@ -116,9 +116,11 @@ def draw_rates(chart: Chart, measures: Sequence[str] = MEASURES[:2]) -> Figure:
         panels = figure.subplots(len(measures) + 1, sharex=True)
         for axes, measure in zip(panels, measures, strict=False):
             rows = [row for row in chart.accuracies if row.sweep == "rate" and row.measure == measure]
-            for reducer, look in looks.items():
-                _draw_line(axes, *_find_medians(row for row in rows if row.reducer == reducer), look=look)
-            axes.set(ylabel=tell_measure(measure), ylim=limit_accuracy(rows))
+            lines = {reducer: _find_medians(row for row in rows if row.reducer == reducer) for reducer in looks}
+            for reducer, (rates, medians) in lines.items():
+                _draw_line(axes, rates, medians, look=looks[reducer])
+            shown = (median for _, medians in lines.values() for median in medians)
+            axes.set(ylabel=tell_measure(measure), ylim=limit_accuracy(shown))
         costs = [cost for cost in chart.costs if cost.sweep == "rate"]
         for reducer, look in looks.items():
             own = [cost for cost in costs if cost.reducer == reducer]
