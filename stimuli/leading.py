@@ -19,18 +19,16 @@ length of that sum of vectors, which is its component along its own direction, o
 
 1. The best signal that keeps the spectrum has the phase of the projection on one fixed axis, the one that maximises g;
    no other phase, `dft321`'s included, gives a greater rotation-invariant temporal match.
-2. g is convex, so going from u to the direction of :math:`\sum \mathrm{Re}(A \bar A_s)` (reduce, then take the axis
-   that the output goes along with) never lowers it [2]_. The first principal axis, which maximises the like sum of
-   squares :math:`\sum |u \cdot A|^2`, is the place to start from. Over a whole signal such a step gains less than
-   0.005 of the match, costs a third of the time and is left out; from frame to frame (`tracking`) it pays.
+2. The first principal axis maximises the like sum of squares :math:`\sum |u \cdot A|^2`, in one step and on a matrix of
+   nine numbers. To climb from there (g is convex: the direction of :math:`\sum \mathrm{Re}(A \bar A_s)` is never worse
+   than u [2]_) gained less than 0.005 of the match, cost a third of the time, and is left out.
 3. Where :math:`u \cdot A(f) = 0` the phase is undetermined. But there g has a kink that points down: tilting u to
-   either side raises it. So no frequency that has energy is perpendicular to the axis that maximises g, and the step
-   of point 2 leads away from such places.
-4. How far it leads depends on that energy: a weak tone across the others stays nearly perpendicular to u. Noise e turns
-   its phase by :math:`|u \cdot e| / |u \cdot A|`, which changes the output by :math:`|u \cdot e|` times :math:`\|A\| /
-   |u \cdot A|`: one over a cosine, however weak the tone. But a weak direction is also cheap to look at: a tilt of t
-   towards a direction with a share r of the leading energy lowers the match by :math:`t^2 r / 2` or so. So u is tilted
-   by :math:`t \propto C^{-1} o` (C the covariance, o the onset): about equally dear in all directions.
+   either side raises it. So the best axis keeps away from such places, by as much as they have energy.
+4. That is not enough for noise, which asks for distance from weak directions as well. Noise e turns the phase by
+   :math:`|u \cdot e| / |u \cdot A|`, which changes the output by :math:`|u \cdot e|` times :math:`\|A\| / |u \cdot A|`:
+   one over a cosine, however weak the tone. But a weak direction is also cheap to look at: a tilt of t towards a
+   direction with a share r of the leading energy lowers the match by :math:`t^2 r / 2` or so. So u is tilted by
+   :math:`t \propto C^{-1} o` (C the covariance, o the onset): about equally dear in all directions.
 
 No choice is continuous everywhere: a phase that follows every shift in time (:math:`A \to e^{j\phi} A`) and is
 continuous in the polarisation of A would be a section of the Hopf bundle, and there is none.
@@ -204,9 +202,7 @@ def measure(spectra: Spectra) -> tuple[NDArray[np.float64], NDArray[np.float64]]
     return energy, covariance * vibrates[..., None, None]
 
 
-def start_axis(
-    covariance: NDArray[np.float64], anchor: NDArray[np.float64], *, pull: float
-) -> NDArray[np.float64]:
+def start_axis(covariance: NDArray[np.float64], anchor: NDArray[np.float64], *, pull: float) -> NDArray[np.float64]:
     """First principal axis, leaning a little towards the onset; its sign is left open.
 
     Parameters
@@ -258,32 +254,6 @@ def _shares(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(covariance / np.where(trace > 0, trace, 1.0))
 
 
-def go_along(spectra: Spectra, energy: NDArray[np.float64], *, axis: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Tell which way the motion goes along with the signal that has the phase of its projection on an axis.
-
-    Parameters
-    ----------
-    spectra : list of three ndarrays of complex128, shape (..., n_bins)
-        One-sided spectra of the axes.
-    energy : ndarray, shape (..., n_bins)
-        From `measure`.
-    axis : ndarray, shape (..., 3)
-        Unit vectors.
-
-    Returns
-    -------
-    ndarray of float64, shape (..., 3)
-        Correlation at zero lag of each axis with that signal, its offset left out.
-    """
-    along = np.zeros(axis.shape)
-    for place in _places(spectra, first=1):
-        parts = [spectrum[..., place] for spectrum in spectra]
-        aligned = align(parts, energy[..., place], axis=axis).view(np.float64)
-        for i, part in enumerate(parts):
-            along[..., i] += np.einsum("...k,...k->...", part.view(np.float64), aligned)
-    return along
-
-
 def align(spectra: Spectra, energy: NDArray[np.float64], *, axis: NDArray[np.float64]) -> NDArray[np.complex128]:
     """Give bins the magnitude of equation 3 and the phase of the projection on an axis.
 
@@ -317,8 +287,8 @@ def align(spectra: Spectra, energy: NDArray[np.float64], *, axis: NDArray[np.flo
     return aligned
 
 
-def _places(spectra: Spectra, *, first: int = 0) -> Iterator[slice]:
-    for start in range(first, spectra[0].shape[-1], _AT_A_TIME):
+def _places(spectra: Spectra) -> Iterator[slice]:
+    for start in range(0, spectra[0].shape[-1], _AT_A_TIME):
         yield slice(start, start + _AT_A_TIME)
 
 
