@@ -64,9 +64,9 @@ eigenvalues differ by less than this the onset decides, which noise cannot turn 
 circle it takes the gain from 120 to 1.3, on isotropic noise from 4.5 to 2.3, for at most 0.002 of the
 rotation-invariant temporal match."""
 
-TILT = 0.1
+TILT = 0.15
 """Point 4's tilt in units of the motion's standard deviation: takes the gain on two tones with 2 % of noise across both
-from 26 to 1.2, on a drifting rotor from 6.2 to 2.1, on a chirp from 3.7 to 2.6, for at most 0.004 of the match."""
+from 26 to 2.5, on a drifting rotor from 6.7 to 1.6, on a chirp from 3.9 to 1.9, for at most 0.01 of the match."""
 
 # No tilt beyond this: the axis stays a leading one, and what is known badly cannot turn it far.
 _FARTHEST = 0.5

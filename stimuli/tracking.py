@@ -124,15 +124,17 @@ class TrackingFrames(FourierFrames):
         sums = louder[..., None, None] * onsets[..., :, None] * onsets[..., None, :]
         sums = self._anchor + np.cumsum(sums, axis=-3)
         self._loudness, self._anchor = loudest[..., -1:], sums[..., -1:, :, :]
-        waking = (loudest[..., :-1] == 0) & (louder > 0)
-        return sums / np.where(loudest > 0, loudest, 1.0)[..., 1:, None, None], onsets * waking[..., None]
+        waking = np.logical_and(loudest[..., :-1, None] == 0, louder[..., None] > 0)
+        return sums / np.where(loudest > 0, loudest, 1.0)[..., 1:, None, None], onsets * waking
 
     def _keep_sign(
         self, axes: NDArray[np.float64], anchors: NDArray[np.float64], waking: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Turn each axis to point along the one before it, the first along the first onset; silence has none."""
-        axes = np.where(anchors.any(axis=(-2, -1))[..., None], axes, 0.0)
+        axes = np.where(np.asarray(anchors.any(axis=(-2, -1)))[..., None], axes, 0.0)
         before = np.concatenate([self._axis, axes[..., :-1, :]], axis=-2) + waking
+        # Where they are all but across each other, what both have of the onsets decides: no way back with a turned sign.
+        before += np.einsum("...mij,...mj->...mi", anchors, before)
         turns = np.einsum("...mi,...mi->...m", axes, before)
         axes *= np.cumprod(np.where(turns < 0, -1.0, 1.0), axis=-1)[..., None]
         self._axis = axes[..., -1:, :]
