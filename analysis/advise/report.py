@@ -43,7 +43,7 @@ class Study:
     rated : tuple of str
         Recordings whose ratings were heard.
     note : str
-        Why ratings that are there were not; empty if they were, or there are none.
+        Why ratings that are there were not, or which reducers have none; empty if neither is so.
     """
 
     advices: tuple[Advice, ...]
@@ -128,7 +128,7 @@ def advise_recordings(
             if progress is not None:
                 progress(done, len(scenes))
     rated = tuple(dict.fromkeys(scene.source for scene in scenes if scene.source in heard))
-    return Study(tuple(advices), context, seed, segment_s, rated, note)
+    return Study(tuple(advices), context, seed, segment_s, rated, note or _tell_unrated(advices))
 
 
 def write_advice(study: Study, folder: Path) -> Row:
@@ -222,6 +222,14 @@ def _refuse_ratings(ratings: Mapping[str, Mapping[str, Rated]], context: Context
         margin = "a margin, from stimuli rated twice or set under [analysis] in study.toml"
         return f"Ratings are not heard: equivalence needs two rated reducers and {margin}."
     return ""
+
+
+def _tell_unrated(advices: Sequence[Advice]) -> str:
+    verdicts = [verdict for advice in advices for verdict in advice.verdicts]
+    unrated = dict.fromkeys(verdict.name for verdict in verdicts if verdict.needs_ratings and verdict.rated is None)
+    if not unrated:
+        return ""
+    return f"Not rated everywhere, and not advised where others were rated: {', '.join(unrated)}."
 
 
 def _lay_scene(advice: Advice, *, rated: bool) -> Row:

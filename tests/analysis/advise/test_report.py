@@ -58,7 +58,8 @@ def test_ratings_are_heard_for_whole_recordings_only() -> None:
     whole = advise_recordings(scenes()[:2], Context(), ratings=said)
     assert whole.rated == ("circular_motion",)
     assert [row["basis"] for row in lay_out(whole)["scenes"]] == ["metrics", "metrics and ratings"]
-    assert whole.note == ""
+    assert whole.note.startswith("Not rated everywhere, and not advised where others were rated: s")
+    assert "dft321," not in whole.note
     robots = {"circular_motion": {"dft321": Rated(is_best=True, best="dft321", p=float("nan"), simulated=True)}}
     content = lay_out(advise_recordings(scenes()[1:2], Context(), ratings=robots))
     assert (content["simulated"], content["scenes"][0]["basis"]) == (True, "metrics and simulated ratings")
