@@ -64,8 +64,8 @@ class Study:
         count = len([advice for advice in self.advices if advice.verdicts])
         if not self.common:
             return f"No one reducer suffices for all {count} scenes."
-        others = f"; so do {', '.join(self.common[1:])}" if self.common[1:] else ""
-        return f"One for all {count} scenes: {self.common[0]}{others}."
+        others = ", ".join(self.common[1:])
+        return f"One for all {count} scenes: {self.common[0]}{f' (or {others})' if others else ''}."
 
 
 def advise_recordings(

@@ -40,7 +40,7 @@ def test_the_order_of_recordings_does_not_matter(study: Study) -> None:
 
 def test_one_reducer_for_all_scenes_is_named(study: Study) -> None:
     assert study.common[0] == "dft321"
-    assert study.summary.startswith("One for all 2 scenes: dft321; so do ")
+    assert study.summary.startswith("One for all 2 scenes: dft321 (or ")
     assert advise_recordings(scenes(), ONLINE).summary == "No one reducer suffices for all 2 scenes."
 
 
