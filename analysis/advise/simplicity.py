@@ -36,9 +36,12 @@ PROJECTION, COVARIANCE, MEAN = 5.0, 12.0, 6.0
 SPECTRA_TO_ONE = 11.0
 """Per sample, of three spectra: squared magnitudes and their root, the phase of the sum, and their product."""
 
-LEADING_AXIS = 34.0
-"""Per sample, to find the axis of the motion and take the phase along it: the onset (6), the covariance (12), one step
-towards the axis that the output goes along with (11), and the projection (5)."""
+LEADING_AXIS = 23.0
+"""Per sample, to find the axis of the motion and take the phase along it: the onset (6), the covariance (12), and the
+projection (5)."""
+
+AXIS_MEMORY = 19
+"""Numbers that frames remember of the axis: two covariances (6 each, they are symmetric), two axes, one loudness."""
 
 
 class _Size(NamedTuple):
@@ -78,7 +81,7 @@ _WORK: Mapping[str, Callable[[_Size], _Work]] = MappingProxyType({
     ),
     "dft321_windowed": lambda size: _Work(3.5 * size.window, 2 * (_transforms(size.window) + SPECTRA_TO_ONE + 4) + 1),
     "dft321_principal_windowed": lambda size: _Work(
-        3.5 * size.window + 3,
+        3.5 * size.window + AXIS_MEMORY,
         2 * (_transforms(size.window) + SPECTRA_TO_ONE + 4 + LEADING_AXIS) + 1,
     ),
 })  # fmt: skip
