@@ -8,6 +8,7 @@ from stimuli.condition import Conditioning, condition, fade, resample
 from stimuli.conform import check_dft321, golden_vectors
 from stimuli.formats import read_recording
 from stimuli.inspection import check_stimuli
+from stimuli.invariant import INVARIANTS, spectral_match_invariant, temporal_match_invariant
 from stimuli.manifest import Stimulus, StimulusSet, read_stimuli
 from stimuli.match import (
     METRICS,
@@ -29,6 +30,7 @@ from stimuli.wav import read_wav, write_wav
 
 __all__ = [
     "ANCHORS",
+    "INVARIANTS",
     "LEVELS",
     "METRICS",
     "REDUCERS",
@@ -58,7 +60,9 @@ __all__ = [
     "rotation_statistics",
     "spectral_match",
     "spectral_match_details",
+    "spectral_match_invariant",
     "temporal_match",
     "temporal_match_details",
+    "temporal_match_invariant",
     "write_wav",
 ]

@@ -22,8 +22,9 @@ from stimuli.frames import DEFAULT_WINDOW_S, run_offline, sqrt_hann, window_samp
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-# A sum of three axes below this share of the spectrum's root mean square is the rounding error of the transforms.
-_ROUNDING = 32 * np.finfo(np.float64).eps
+ROUNDING = 32 * np.finfo(np.float64).eps
+"""A sum of three axes below this share of the spectrum's root mean square is the rounding error of the transforms."""
+
 # So few that what is worked on stays in the processor's cache and no memory is asked from the system.
 _BINS_AT_A_TIME = 16384
 _PAGE = 4096  # bytes
@@ -72,7 +73,7 @@ def dft321(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.float64]:
     n = admitted.samples.shape[-1]
     if n == 0:
         return np.zeros((*admitted.samples.shape[:-2], 0))
-    merged = merge_spectra(_transform(admitted.samples), admitted.energy)
+    merged = merge_spectra(transform(admitted.samples), admitted.energy)
     return admitted.restore(fft.irfft(merged, n, overwrite_x=True))
 
 
@@ -151,8 +152,7 @@ class FourierFrames:
         np.multiply(blocks[..., :-1, :], self._rise, out=frames[..., 1:, :hop])
         np.multiply(blocks, self._fall, out=frames[..., hop:])
         self._previous = blocks[..., -1, :].copy()
-        energy = np.einsum("...imt,...imt->...m", frames, frames)[..., None]
-        merged = merge_spectra([*np.moveaxis(fft.rfft(frames, overwrite_x=True), -3, 0)], energy)
+        merged = self.merge([*np.moveaxis(fft.rfft(frames), -3, 0)], frames)
         reduced = fft.irfft(merged, 2 * hop, overwrite_x=True)
         finished = reduced[..., :hop] * self._rise
         reduced[..., hop:] *= self._fall
@@ -161,11 +161,40 @@ class FourierFrames:
         self._tail = reduced[..., -1, hop:].copy()
         return finished
 
+    def merge(
+        self, spectra: list[NDArray[np.complex128]], frames: NDArray[np.float64]
+    ) -> NDArray[np.complex128]:
+        """Make one spectrum of the three axes', frame by frame; other rules override this.
 
-def _transform(samples: NDArray[np.float64]) -> list[NDArray[np.complex128]]:
+        Parameters
+        ----------
+        spectra : list of three ndarrays of complex128, shape (..., m, n_bins)
+            One-sided spectra of the axes in m frames; may be overwritten.
+        frames : ndarray, shape (..., 3, m, 2 * hop)
+            The same frames in time.
+
+        Returns
+        -------
+        ndarray of complex128, shape (..., m, n_bins)
+            The merged spectra.
+        """
+        return merge_spectra(spectra, np.einsum("...imt,...imt->...m", frames, frames)[..., None])
+
+
+def transform(samples: NDArray[np.float64]) -> list[NDArray[np.complex128]]:
     """Give the spectra of the three axes, all at once where that is faster.
 
     Axes that lie a whole number of memory pages apart fight for the same places in the processor's cache.
+
+    Parameters
+    ----------
+    samples : ndarray, shape (..., 3, n_samples)
+        The three axes.
+
+    Returns
+    -------
+    list of three ndarrays of complex128, shape (..., n_samples // 2 + 1)
+        One-sided spectra of the axes.
     """
     from scipy import fft
 
@@ -189,7 +218,7 @@ def merge_spectra(spectra: list[NDArray[np.complex128]], energy: NDArray[np.floa
     ndarray of complex128, shape (..., n_bins)
         Magnitude: root of the summed energies. Phase: of the sum, or of the strongest axis where the sum vanishes.
     """
-    floor = _ROUNDING**2 * energy
+    floor = ROUNDING**2 * energy
     for start in range(0, spectra[0].shape[-1], _BINS_AT_A_TIME):
         parts = [spectrum[..., start : start + _BINS_AT_A_TIME] for spectrum in spectra]
         parts[0][...] = _merge(parts, floor)
@@ -200,10 +229,10 @@ def _merge(spectra: list[NDArray[np.complex128]], floor: NDArray[np.float64]) ->
     x, y, z = spectra
     merged: NDArray[np.complex128] = x + y
     merged += z
-    energy = _energy(x)
-    energy += _energy(y)
-    energy += _energy(z)
-    of_sum = _energy(merged)
+    energy = bin_energy(x)
+    energy += bin_energy(y)
+    energy += bin_energy(z)
+    of_sum = bin_energy(merged)
     vanishing = of_sum <= floor
     if vanishing.any():
         _take_strongest(merged, of_sum, spectra=spectra, vanishing=vanishing)
@@ -226,11 +255,23 @@ def _take_strongest(
     first = np.argmax(strength >= (1 - _TIE) * strength.max(axis=0), axis=0)
     strongest = np.take_along_axis(there, first[None], axis=0)[0]
     merged[vanishing] = strongest
-    of_strongest = _energy(strongest)
+    of_strongest = bin_energy(strongest)
     of_sum[vanishing] = np.where(of_strongest > 0, of_strongest, 1.0)
 
 
-def _energy(spectrum: NDArray[np.complex128]) -> NDArray[np.float64]:
+def bin_energy(spectrum: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """Compute the energy of every bin.
+
+    Parameters
+    ----------
+    spectrum : ndarray of complex128
+        Any shape.
+
+    Returns
+    -------
+    ndarray of float64
+        Squared magnitudes, same shape.
+    """
     energy: NDArray[np.float64] = np.square(spectrum.real)
     energy += np.square(spectrum.imag)
     return energy

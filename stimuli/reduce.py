@@ -1,4 +1,4 @@
-"""REDUCERS: the one list of the 321 transforms, in the order of the paper, simplest first.
+"""REDUCERS: the one list of the 321 transforms, in the order of the paper, simplest first; later ones follow.
 
 Every reducer is called alike, `REDUCERS[name](acceleration, rate_hz)`: acceleration of shape (..., 3, n_samples), any
 unit, in; the reduced signal, shape (..., n_samples), float64, same unit, out. Deterministic; the input is never
@@ -17,7 +17,9 @@ from typing import TYPE_CHECKING, Protocol
 
 from stimuli.axes import mag321, sax321, say321, saz321, soc321
 from stimuli.fourier import dft321, dft321_windowed
+from stimuli.leading import dft321_principal
 from stimuli.principal import pca321, pca321_adaptive
+from stimuli.tracking import dft321_principal_windowed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -44,6 +46,8 @@ REDUCERS: Mapping[str, Reducer] = MappingProxyType(
         "pca321_adaptive": pca321_adaptive,
         "dft321": dft321,
         "dft321_windowed": dft321_windowed,
+        "dft321_principal": dft321_principal,
+        "dft321_principal_windowed": dft321_principal_windowed,
     }
 )
 """Name -> reducer."""

@@ -18,6 +18,7 @@ from stimuli.frames import DEFAULT_WINDOW_S, BlockProcessor, cut_blocks, window_
 from stimuli.principal import PrincipalFrames
 from stimuli.recording import check_acceleration, check_rate
 from stimuli.reduce import get_reducer
+from stimuli.tracking import TrackingFrames
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -28,12 +29,17 @@ _SAMPLEWISE = MappingProxyType(
     {"sax321": sax321, "say321": say321, "saz321": saz321, "soc321": soc321, "mag321": mag321}
 )
 _IN_FRAMES: Mapping[str, Callable[[tuple[int, ...], int], BlockProcessor]] = MappingProxyType(
-    {"pca321_adaptive": PrincipalFrames, "dft321_windowed": FourierFrames}
+    {
+        "pca321_adaptive": PrincipalFrames,
+        "dft321_windowed": FourierFrames,
+        "dft321_principal_windowed": TrackingFrames,
+    }
 )
 WHY_NOT_STREAMING: Mapping[str, str] = MappingProxyType(
     {
         "pca321": "its axis and its mean need the whole recording; stream pca321_adaptive instead",
         "dft321": "its spectrum needs the whole recording; stream dft321_windowed instead",
+        "dft321_principal": "its axis needs the whole recording; stream dft321_principal_windowed instead",
     }
 )
 """Name -> reason, for the reducers that cannot run causally."""

@@ -20,11 +20,13 @@ from scipy import fft
 
 from stimuli.formats import read_recording
 from stimuli.fourier import dft321, dft321_windowed
+from stimuli.leading import dft321_principal
 from stimuli.match import spectral_match, temporal_match
 from stimuli.recipe import Recipe
 from stimuli.reduce import REDUCERS
 from stimuli.sets import build_stimuli
 from stimuli.synthesis import SCENES, make_scene
+from stimuli.tracking import dft321_principal_windowed
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -47,10 +49,15 @@ def ratio_to_floor(work: Callable[[], object], n: int) -> float:
             fft.rfft(axis)
         fft.irfft(spectrum, n)
 
+    return ratio(work, floor)
+
+
+def ratio(work: Callable[[], object], baseline: Callable[[], object]) -> float:
+    """Median of the time of `work` over that of `baseline`, timed in turn."""
     ratios = []
     for _ in range(PAIRS + 1):
         begun = time.perf_counter()
-        floor()
+        baseline()
         between = time.perf_counter()
         work()
         ratios.append((time.perf_counter() - between) / (between - begun))
@@ -75,6 +82,15 @@ def bench_ratios() -> bool:
         ):
             got = ratio_to_floor(work, n)
             kept &= report(f"{what}, n = {n}", got, f"times four FFTs, at most {limit}", kept=got <= limit)
+        for principal, plain, limit in (
+            (dft321_principal, dft321, 1.5),
+            (dft321_principal_windowed, dft321_windowed, 2.0),
+        ):
+            got = ratio(
+                lambda a=acceleration, f=principal: f(a, RATE_HZ), lambda a=acceleration, f=plain: f(a, RATE_HZ)
+            )
+            what, promised = f"{principal.__name__}, n = {n}", f"times {plain.__name__}, at most {limit}"
+            kept &= report(what, got, promised, kept=got <= limit)
     for name in set(REDUCERS) - {"dft321", "dft321_windowed"}:
         acceleration = np.random.default_rng(1).standard_normal((3, LENGTHS[0]))
         got = ratio_to_floor(lambda a=acceleration, f=REDUCERS[name]: f(a, RATE_HZ), LENGTHS[0])

@@ -11,7 +11,10 @@ from stimuli.match import spectral_match
 from stimuli.principal import pca321_adaptive
 from stimuli.reduce import REDUCERS, get_reducer
 
-CONTRACT = ["sax321", "say321", "saz321", "soc321", "mag321", "pca321", "pca321_adaptive", "dft321", "dft321_windowed"]
+CONTRACT = [
+    "sax321", "say321", "saz321", "soc321", "mag321", "pca321", "pca321_adaptive", "dft321", "dft321_windowed",
+    "dft321_principal", "dft321_principal_windowed",
+]
 RATE = 1000.0
 LENGTHS = st.integers(1, 200)
 

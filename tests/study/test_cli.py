@@ -67,7 +67,8 @@ def test_help_lists_every_verb_and_version_answers(capsys: Capture) -> None:
         (["reduce", "{recording}", "--reducer", "dft", "-o", "a.wav"], f"got 'dft', allowed: {', '.join(REDUCERS)}"),
         (
             ["reduce", "{recording}", "--reducer", "sax321", "-o", "a.wav", "--window-ms", "20"],
-            "--window-ms: sax321 has no window, allowed with: pca321_adaptive, dft321_windowed",
+            "--window-ms: sax321 has no window, allowed with: pca321_adaptive, dft321_windowed, "
+            "dft321_principal_windowed",
         ),
     ],
 )

@@ -1,0 +1,175 @@
+"""What a reducer costs, and which of two is the simpler: an order computed from a record, never from a list.
+
+The record holds state (numbers that must be held at once), latency, operations per sample, and parameters (what has to
+be chosen). Latency is what `StreamingReducer` says, and parameters are what the reducer's signature names. State and
+operations follow from its definition: a real transform of n samples takes 2.5 n log2(n) operations; an addition, a
+multiplication, a division and a root count one each.
+
+Which of the four is scarce depends on where the reducer runs:
+
+- *offline* the recording is there, so neither waiting nor memory is scarce. First come what has to be chosen, then
+  operations, then state.
+- *online* come latency and state, then operations, then parameters.
+
+In both, fewer axes of the actuator come before everything else. Reducers alike in all of it, as the three single axes
+are, are equally simple.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from inspect import signature
+from math import inf, log2
+from types import MappingProxyType
+from typing import TYPE_CHECKING, NamedTuple
+
+from stimuli.frames import DEFAULT_WINDOW_S, window_samples
+from stimuli.stream import WHY_NOT_STREAMING, StreamingReducer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from stimuli.reduce import Reducer
+
+MS_PER_S = 1000.0
+PROJECTION, COVARIANCE, MEAN = 5.0, 12.0, 6.0
+SPECTRA_TO_ONE = 11.0
+"""Per sample, of three spectra: squared magnitudes and their root, the phase of the sum, and their product."""
+
+LEADING_AXIS = 23.0
+"""Per sample, to find the axis of the motion and take the phase along it: the onset (6), the covariance (12), and the
+projection (5)."""
+
+AXIS_MEMORY = 19
+"""Numbers that frames remember of the axis: two covariances (6 each, they are symmetric), two axes, one loudness."""
+
+
+class _Size(NamedTuple):
+    """What operations and state depend on."""
+
+    n: int
+    window: int
+
+
+class _Work(NamedTuple):
+    """Numbers held at once, and operations per sample."""
+
+    state: float
+    operations: float
+
+
+def _no_memory(operations: float) -> Callable[[_Size], _Work]:
+    return lambda _: _Work(0.0, operations)
+
+
+def _transforms(n: int) -> float:
+    return 4 * 2.5 * log2(max(n, 2))  # three axes there, one back
+
+
+_WORK: Mapping[str, Callable[[_Size], _Work]] = MappingProxyType({
+    "sax321": _no_memory(0.0),
+    "say321": _no_memory(0.0),
+    "saz321": _no_memory(0.0),
+    "soc321": _no_memory(2.0),
+    "mag321": _no_memory(6.0),
+    "pca321": lambda size: _Work(3.0 * size.n, MEAN + COVARIANCE + PROJECTION),
+    # Each sample lies in two frames; its axis is mixed from theirs and brought to unit length.
+    "pca321_adaptive": lambda size: _Work(3.0 * size.window + 3, 2 * (MEAN + COVARIANCE) + 18 + PROJECTION),
+    "dft321": lambda size: _Work(4.0 * size.n, _transforms(size.n) + SPECTRA_TO_ONE),
+    "dft321_principal": lambda size: _Work(
+        4.0 * size.n, _transforms(size.n) + SPECTRA_TO_ONE + LEADING_AXIS
+    ),
+    "dft321_windowed": lambda size: _Work(3.5 * size.window, 2 * (_transforms(size.window) + SPECTRA_TO_ONE + 4) + 1),
+    "dft321_principal_windowed": lambda size: _Work(
+        3.5 * size.window + AXIS_MEMORY,
+        2 * (_transforms(size.window) + SPECTRA_TO_ONE + 4 + LEADING_AXIS) + 1,
+    ),
+})  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """The record of a reducer on a scene.
+
+    Parameters
+    ----------
+    name : str
+        The reducer.
+    axes : int
+        Actuator axes that its output needs.
+    state : float
+        Numbers that must be held at once.
+    latency_ms : float
+        Delay of the output in ms; infinite where the whole recording is needed.
+    operations : float
+        Per sample.
+    parameters : int
+        Values that have to be chosen.
+    """
+
+    name: str
+    axes: int
+    state: float
+    latency_ms: float
+    operations: float
+    parameters: int
+
+    def rank(self, *, online: bool) -> tuple[float, ...]:
+        """Tell how simple it is.
+
+        Parameters
+        ----------
+        online : bool
+            Whether it must run while the vibration is being made.
+
+        Returns
+        -------
+        tuple of float
+            The simpler, the lower.
+        """
+        if online:
+            return self.axes, self.latency_ms, self.state, self.operations, self.parameters
+        return self.axes, self.parameters, self.operations, self.state
+
+
+def find_cost(name: str, reducer: Reducer, *, n_samples: int, rate_hz: float) -> Cost:
+    """Find what a reducer costs on a scene.
+
+    Parameters
+    ----------
+    name : str
+        Of the reducer.
+    reducer : callable
+        The reducer, whose keyword-only arguments are its parameters.
+    n_samples : int
+        Length of the scene.
+    rate_hz : float
+        Its sampling rate in Hz.
+
+    Returns
+    -------
+    Cost
+        Its record.
+
+    Raises
+    ------
+    ValueError
+        If nothing is recorded of it.
+
+    Examples
+    --------
+    >>> from stimuli.reduce import REDUCERS
+    >>> find_cost("soc321", REDUCERS["soc321"], n_samples=1000, rate_hz=1000.0).operations
+    2.0
+    """
+    if name not in _WORK:
+        raise ValueError(f"reducer: got {name!r}, whose state and operations are not recorded in {__name__}; add them")
+    work = _WORK[name](_Size(n_samples, window_samples(DEFAULT_WINDOW_S, rate_hz)))
+    chosen = [each for each in signature(reducer).parameters.values() if each.kind is each.KEYWORD_ONLY]
+    return Cost(name, 1, work.state, _find_latency(name, rate_hz), work.operations, len(chosen))
+
+
+def _find_latency(name: str, rate_hz: float) -> float:
+    if name in WHY_NOT_STREAMING:
+        return inf
+    return MS_PER_S * StreamingReducer(name, rate_hz).latency_samples / rate_hz

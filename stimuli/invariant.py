@@ -1,0 +1,186 @@
+r"""INVARIANTS: for each of the paper's metrics, a counterpart that turning the sensor cannot change.
+
+Conventions as in `match`: acceleration (3, n_samples) and reduced (n_samples,), both finite; every counterpart is
+called alike, `INVARIANTS[name](acceleration, reduced, rate_hz)`, and `name` is the name of its metric in `METRICS`.
+Both lie between 0 and 1, always: a comparison with one of them never fails for want of energy.
+
+- The paper's temporal match takes the mean of three correlations, whatever the axes' strengths. It thereby rewards a
+  signal that lines up with the sensor's own diagonal, lets a whisper on one axis count as much as the motion on the
+  others, and changes with the mounting. Its counterpart weighs the axes by their energy.
+- The paper's spectral match divides by the recording's energy at every frequency. It is unbounded below: a little
+  energy in a band that the recording left empty outweighs everything else. Its counterpart divides once, by what
+  either signal has. Where the strongest band holds nearly all energy it tells little about the others: read both.
+
+References
+----------
+.. [1] N. Landin, J. M. Romano, W. McMahan, K. J. Kuchenbecker, "Dimensional reduction of high-frequency accelerations
+   for haptic rendering", EuroHaptics 2010, equations 1 and 2. doi:10.1007/978-3-642-14075-4_12
+"""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stimuli.door import check_reduced, is_safe, largest
+from stimuli.recording import check_acceleration, check_rate
+from stimuli.spectrum import WeberSmoothing, energy_spectrum, linear_grid
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from stimuli.match import Metric
+
+
+# A band whose amplitude is below this share of the signals' is the rounding error of the transforms.
+_ROUNDING = 32 * np.finfo(np.float64).eps
+
+
+def spectral_match_invariant(acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float) -> float:
+    r"""Tell which share of the energy that either signal has is common to both, frequency by frequency.
+
+    Parameters
+    ----------
+    acceleration : array_like, shape (3, n_samples)
+        The recording, any unit.
+    reduced : array_like, shape (n_samples,)
+        The reduced signal, same unit.
+    rate_hz : float
+        Sampling rate in Hz.
+
+    Returns
+    -------
+    float
+        0 to 1: 1 if the smoothed spectra agree, 0 if one signal is silent wherever the other is not. Two signals that
+        are both silent from 20 to 1000 Hz agree. Signals too short for any frequency there are compared by energy.
+
+    Raises
+    ------
+    ValueError
+        If shapes or values are wrong.
+
+    Notes
+    -----
+    With E the sum of the axes' smoothed energy spectral densities, S that of the reduced signal, both as in
+    `spectral_match`, and sums over the same frequencies,
+
+    .. math:: I_{sm} = \frac{\sum_f \min(E, S)}{\sum_f \max(E, S)}
+        = \frac{\sum_f (E + S) - \sum_f |E - S|}{\sum_f (E + S) + \sum_f |E - S|}
+
+    (one minus the Jaccard distance of the two spectra). It depends on the recording through E alone, the trace of its
+    spectral matrix, which no rotation or reflection of the sensor changes. Relation to the paper's :math:`M_{sm}`,
+    with :math:`d = |E - S| / E` the relative deviation that it averages:
+
+    - It is the paper's score with weights. At each frequency min/max is 1 - d where S <= E and 1 / (1 + d) >= 1 - d
+      where S > E, and :math:`I_{sm}` is the mean of that with weights max(E, S). Hence d <= D everywhere gives both
+      metrics a value of at least 1 - D, and each is 1 exactly where the other is.
+    - It is never below the energy-weighted form of the paper's, :math:`1 - \sum |E - S| / \sum E`, and equal to it
+      where S <= E: subtract both from 1, they have the same numerator and max(E, S) >= E.
+    - A constant gain g of the energy scores min(g, 1/g): as in the paper for g <= 1, and 1/g instead of 2 - g above.
+    - It is at most the smaller of the two energies (each summed over f) over the larger: a sum of minima is at most
+      the smaller sum, a sum of maxima at least the larger.
+
+    Examples
+    --------
+    >>> u = np.sin(np.arange(1000))
+    >>> round(spectral_match_invariant([u, u, u], u, 1000), 9)
+    0.333333333
+    >>> round(spectral_match_invariant([u, u, u], u + u + u, 1000), 9)
+    0.333333333
+    """
+    rate = check_rate(rate_hz)
+    samples = check_acceleration(acceleration)
+    signal = check_reduced(reduced, samples.shape)
+    samples, signal = _bring_into_range(samples, signal)
+    n = samples.shape[-1]
+    frequencies = linear_grid(n, rate)
+    smooth = WeberSmoothing(frequencies, rate / n, n // 2 + 1)
+    original, kept = energy_spectrum(samples, smooth.bins).sum(axis=0), energy_spectrum(signal, smooth.bins)
+    energies = float(np.einsum("in,in->", samples, samples)), float(signal @ signal)
+    if not len(frequencies):
+        return _ratio(*energies)
+    # Smoothed after they are added or subtracted: what two equal spectra share cancels without rounding.
+    total = smooth(original + kept).sum()
+    if total <= _ROUNDING**2 * len(frequencies) * sum(energies):
+        return 1.0
+    apart = np.abs(smooth(original - kept)).sum()
+    return max(float((total - apart) / (total + apart)), 0.0)
+
+
+def temporal_match_invariant(acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float | None = None) -> float:
+    r"""Tell which share of the recording's motion goes along with the reduced signal, in amplitude.
+
+    Parameters
+    ----------
+    acceleration : array_like, shape (3, n_samples)
+        The recording, any unit.
+    reduced : array_like, shape (n_samples,)
+        The reduced signal, any unit.
+    rate_hz : float, optional
+        Not used; every counterpart takes it so that all are called alike.
+
+    Returns
+    -------
+    float
+        0 to 1: 1 if the tool moved along one line and the reduced signal is that motion; 0 if either is silent.
+
+    Raises
+    ------
+    ValueError
+        If shapes or values are wrong.
+
+    Notes
+    -----
+    With a the recording as a matrix of three rows :math:`a_i`, and s the reduced signal,
+
+    .. math:: I_{tm} = \sqrt{\frac{\sum_i (a_i \cdot s)^2}{\sum_i \|a_i\|^2 \, \|s\|^2}}
+        = \frac{\|a s\|}{\|a\|_F \|s\|}
+
+    A rotation or reflection R turns a s into R a s and keeps both norms. No mean is removed, as in the paper.
+
+    - Upper bound: :math:`\|a s\| \le \sigma_1 \|s\|`, so :math:`I_{tm} \le \sqrt{\lambda_1 / \sum_i \lambda_i}` with
+      :math:`\lambda = \sigma^2` the eigenvalues of :math:`a a^T`, reached by the projection on the leading axis and by
+      no signal of another shape if :math:`\lambda_1 > \lambda_2`.
+    - Relation to the paper's :math:`M_{tm}`, the mean of the correlations :math:`|r_i|`: with :math:`p_i` the axes'
+      shares of the energy, :math:`I_{tm}^2 = \sum_i p_i r_i^2`. So :math:`I_{tm}` lies between the smallest and the
+      largest :math:`|r_i|`, hence :math:`I_{tm} \le 3 M_{tm}`; and from :math:`\sum_i p_i r_i^2 \ge 3 p_{min}
+      \overline{r^2} \ge 3 p_{min} M_{tm}^2` follows :math:`M_{tm} \le I_{tm} / \sqrt{3 p_{min}}`.
+    - Turned so that all three axes are equally strong (there is always such a way) they obey :math:`I_{tm} / \sqrt 3
+      \le M_{tm} \le I_{tm}`: there :math:`M_{tm}` is the 1-norm of :math:`a s` over :math:`\sqrt 3 \|a\|_F \|s\|`.
+
+    Examples
+    --------
+    >>> round(temporal_match_invariant([[3, 0], [0, 4], [0, 0]], [1, 0]), 12)
+    0.6
+    """
+    check_rate(1.0 if rate_hz is None else rate_hz)
+    samples = check_acceleration(acceleration)
+    signal = check_reduced(reduced, samples.shape)
+    (samples,), (signal,) = _bring_into_range(samples), _bring_into_range(signal)  # each in its own unit
+    together = np.linalg.norm(np.einsum("in,n->i", samples, signal))
+    scale = np.linalg.norm(samples) * np.linalg.norm(signal)
+    return min(float(together / scale), 1.0) if scale > 0 else 0.0
+
+
+INVARIANTS: Mapping[str, Metric] = MappingProxyType(
+    {"spectral_match": spectral_match_invariant, "temporal_match": temporal_match_invariant}
+)
+"""Name of a metric of `METRICS` -> its rotation-invariant counterpart."""
+
+
+def _bring_into_range(*signals: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    """Divide signals by one power of two where squares would overflow or vanish."""
+    peak = max(largest(signal) for signal in signals)
+    if is_safe(peak):
+        return signals
+    exponent = int(np.frexp(peak)[1])
+    return tuple(np.ldexp(signal, -exponent) for signal in signals)
+
+
+def _ratio(one: float, other: float) -> float:
+    """Smaller over larger; two nothings are equal."""
+    return min(one, other) / max(one, other) if max(one, other) > 0 else 1.0

@@ -1,0 +1,171 @@
+"""What must hold: the needs of scenes that an engineer knows beforehand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from analysis.advise.scene import Context
+from analysis.advise.tolerance import Tolerance
+from stimuli.recording import Recording
+from stimuli.reduce import REDUCERS
+from stimuli.synthesis import SCENES, make_scene
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from analysis.advise.choice import Advice
+
+    Tell = Callable[..., Advice]
+
+ENERGY = {"dft321", "dft321_principal", "dft321_windowed", "dft321_principal_windowed"}
+WHOLE = {"pca321", "dft321", "dft321_principal"}
+AXIS = {"sax321", "say321", "saz321"}
+
+
+@pytest.mark.parametrize(
+    ("file", "axis"), [("shaker_x_5k.npz", "sax321"), ("shaker_y_5k.csv", "say321"), ("decay_5k.csv", "sax321")]
+)
+@pytest.mark.parametrize("axes", [1, 3])
+def test_shakers_need_the_axis_that_carries_them_and_no_more(
+    real: Callable[[str], Recording], tell: Tell, file: str, axis: str, axes: int
+) -> None:
+    advice = tell(real(file), Context(axes=axes))
+    assert advice.answer == axis
+    assert advice.margin > 0.9
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_isotropic_noise_needs_all_of_its_energy(real: Callable[[str], Recording], tell: Tell, seed: int) -> None:
+    white = Recording(np.random.default_rng(seed).standard_normal((3, 8000)), 4000.0, "white")
+    for recording in (real("isotropic_noise_20k.wav"), make_scene("isotropic_rumble", seed=seed), white):
+        advice = tell(recording, seed=seed)
+        assert advice.answer in ENERGY
+        assert {verdict.name for verdict in advice.verdicts if verdict.is_sufficient} <= ENERGY
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_constrained_drag_is_served_by_its_line(tell: Tell, seed: int) -> None:
+    assert tell(make_scene("constrained_drag", seed=seed, duration_s=2.0)).answer == "pca321"
+
+
+@pytest.mark.parametrize("ratio", [1.0, 0.9, 0.5])
+@pytest.mark.parametrize("context", [Context(), Context(online=True), Context(online=True, latency_ms=0)])
+def test_axes_against_each_other_are_never_added(tell: Tell, wave: np.ndarray, ratio: float, context: Context) -> None:
+    advice = tell(Recording(np.array([wave, -ratio * wave, 0 * wave]), 4000.0, "anti-phase"), context)
+    assert "soc321" not in {advice.answer, advice.closest, advice.runner_up}
+    assert not next(verdict for verdict in advice.verdicts if verdict.name == "soc321").is_sufficient
+
+
+def test_phase_that_noise_decides_is_not_advised(tell: Tell, wave: np.ndarray) -> None:
+    # The sum of the axes vanishes, so dft321 has energy and spectrum right, and a phase that is noise.
+    other = np.roll(wave, 700)
+    mixed = np.array([wave + 0.6 * other, -wave + 0.6 * other, -1.2 * other])
+    verdicts = {each.name: each for each in tell(Recording(mixed, 4000.0, "sum is nothing")).verdicts}
+    assert not verdicts["dft321"].is_sufficient
+    assert verdicts["dft321"].shortfall.change > 1
+    assert verdicts["dft321"].shortfall.spectrum == pytest.approx(0, abs=1e-6)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_whoever_drops_energy_of_three_axes_does_not_pass(tell: Tell, name: str) -> None:
+    advice = tell(make_scene(name, duration_s=1.0))
+    assert not AXIS & {verdict.name for verdict in advice.verdicts if verdict.is_sufficient}
+
+
+def test_an_inaudible_difference_from_the_best_passes(tell: Tell, wave: np.ndarray) -> None:
+    rng = np.random.default_rng(0)
+    bit = 0.05 * wave.std() * rng.standard_normal((2, len(wave)))
+    scene = Recording(np.array([wave, *bit]), 4000.0, "nearly one axis")
+    assert tell(scene).answer == "sax321"
+    louder = {**REDUCERS, "sax321": lambda acceleration, rate_hz: 1.05 * REDUCERS["sax321"](acceleration, rate_hz)}
+    assert tell(scene, reducers=louder).answer == "sax321"
+    too_loud = {**REDUCERS, "sax321": lambda acceleration, rate_hz: 1.2 * REDUCERS["sax321"](acceleration, rate_hz)}
+    assert tell(scene, reducers=too_loud).answer == "pca321"
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_small_budget_leaves_out_what_waits(tell: Tell, name: str) -> None:
+    recording = make_scene(name, duration_s=1.0)
+    usual = {each.name for each in tell(recording, Context(online=True)).verdicts if each.in_budget}
+    small = {each.name for each in tell(recording, Context(online=True, latency_ms=5)).verdicts if each.in_budget}
+    assert not usual & WHOLE
+    assert small == AXIS | {"soc321", "mag321"}
+
+
+def test_nothing_in_the_budget_says_so_and_what_would_do(tell: Tell) -> None:
+    advice = tell(make_scene("circular_motion", duration_s=1.0), Context(online=True, latency_ms=5))
+    assert advice.answer is None
+    assert advice.margin < 0
+    assert advice.line.startswith("circular_motion: nothing suffices, closest ")
+    assert "dft321_windowed would do, but needs 34.9 ms" in advice.line
+    assert "\n" not in advice.line
+
+
+def test_what_is_simpler_but_too_late_is_named(tell: Tell) -> None:
+    advice = tell(make_scene("constrained_drag", duration_s=1.0), Context(online=True))
+    assert advice.answer == "pca321_adaptive"
+
+
+def test_ties_say_so(tell: Tell, wave: np.ndarray) -> None:
+    advice = tell(Recording(np.array([wave, wave, wave]), 4000.0, "alike"), Context(online=True, latency_ms=0))
+    assert (advice.closest, advice.ties) == ("sax321", ("say321", "saz321"))
+    assert "closest sax321 (tied with say321, saz321)" in advice.line
+
+
+@pytest.mark.parametrize("name", ["texture_drag", "hard_taps", "circular_motion"])
+def test_order_unit_and_seed_of_the_noise_do_not_matter(tell: Tell, name: str) -> None:
+    recording = make_scene(name, duration_s=1.0)
+    first = tell(recording)
+    turned = dict(reversed(list(REDUCERS.items())))
+    in_mg = replace(recording, acceleration=recording.acceleration / 9.80665e-3, sha256="")
+    for other in (tell(recording, reducers=turned), tell(in_mg), *(tell(recording, seed=seed) for seed in (1, 2))):
+        assert (other.answer, other.closest, other.runner_up) == (first.answer, first.closest, first.runner_up)
+        assert [each.name for each in other.verdicts] == [each.name for each in first.verdicts]
+        assert other.margin == pytest.approx(first.margin, abs=1e-3)
+
+
+def test_a_wider_tolerance_never_asks_for_more(tell: Tell) -> None:
+    recording = make_scene("bumps", duration_s=1.0)
+    places = []
+    for weber in (0.05, 0.22, 0.5, 0.9):
+        advice = tell(recording, Context(tolerance=Tolerance(weber)))
+        sufficient = {each.name for each in advice.verdicts if each.is_sufficient}
+        assert not places or places[-1] <= sufficient
+        places.append(sufficient)
+    assert places[0] < places[-1]
+
+
+@pytest.mark.parametrize(
+    ("samples", "problem"),
+    [
+        (np.zeros((3, 4000)), "it is silent from 20 to 1000 Hz"),
+        (np.ones((3, 50)), r"it lasts 0.013 s and 20 Hz need 0.1 s"),
+    ],
+)
+def test_a_scene_without_vibration_gets_no_advice(tell: Tell, samples: np.ndarray, problem: str) -> None:
+    advice = tell(Recording(samples, 4000.0, "calm"))
+    assert advice.answer is advice.closest is None
+    assert advice.line == f"calm: no advice, {problem}"
+
+
+def test_a_rate_too_low_for_touch_gets_no_advice(tell: Tell) -> None:
+    slow = Recording(np.random.default_rng(0).standard_normal((3, 300)), 30.0, "slow")
+    assert tell(slow).line == "slow: no advice, it is silent from 20 to 1000 Hz"
+
+
+def test_an_actuator_of_several_axes_is_used_only_where_it_helps(tell: Tell) -> None:
+    answers = {name: tell(make_scene(name, duration_s=2.0), Context(axes=3)).answer for name in SCENES}
+    assert answers["constrained_drag"] == "pca321"
+    assert answers["circular_motion"] == "two_principal_axes"
+    assert answers["isotropic_rumble"] == "three_axes"
+    names = [each.name for each in tell(make_scene("bumps", duration_s=1.0), Context(axes=2)).verdicts]
+    assert names[-1] == "two_principal_axes"
+
+
+def test_an_unknown_reducer_is_refused(tell: Tell) -> None:
+    with pytest.raises(ValueError, match=r"reducer: got 'mine', whose state and operations are not recorded"):
+        tell(make_scene("bumps", duration_s=1.0), reducers={"mine": REDUCERS["sax321"]})

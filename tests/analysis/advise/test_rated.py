@@ -1,0 +1,125 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from analysis.advise.rated import judge_ratings
+from analysis.advise.scene import Context
+from analysis.table import Table
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from analysis.advise.choice import Advice
+    from stimuli.recording import Recording
+
+ALIKE = {"sax321": 30.0, "pca321": 70.0, "dft321": 70.0}
+
+
+def make_table(means: dict[str, float], *, people: int = 16, spread: float = 4.0, scales: int = 1) -> Table:
+    """Everybody rates every reducer of one recording twice."""
+    rng = np.random.default_rng(5)
+    rows = [
+        {
+            "participant": f"P{person:02d}", "stimulus_id": f"oak-{reducer}", "reference_id": "", "recording": "oak",
+            "reducer": reducer, "level": "as_is", "role": "test", "scale": f"scale{scale}", "repeat": str(repeat),
+            "rating": mean + spread * rng.standard_normal(), "simulated": True,
+        }
+        for person in range(people)
+        for scale in range(scales)
+        for reducer, mean in means.items()
+        for repeat in (1, 2)
+    ]  # fmt: skip
+    return Table(pd.DataFrame(rows), (), ())
+
+
+def test_equivalence_must_be_shown() -> None:
+    said = judge_ratings(make_table(ALIKE, people=40))["oak"]
+    best = said["pca321"].best
+    assert {best} < {"pca321", "dft321"} or best in {"pca321", "dft321"}
+    assert said[best].is_best
+    assert said["pca321"].suffices
+    assert said["dft321"].suffices
+    assert not said["sax321"].suffices
+    assert said["sax321"].p > 0.9
+
+
+def test_no_difference_found_is_no_equivalence() -> None:
+    # Three people who repeat themselves well: the means are alike, but so few cannot show it.
+    said = judge_ratings(make_table({"pca321": 70.0, "dft321": 70.0}, people=3))["oak"]
+    other = next(rated for rated in said.values() if not rated.is_best)
+    assert other.p > 0.05
+    assert not other.suffices
+
+
+def test_a_reducer_must_pass_on_every_scale() -> None:
+    table = make_table(ALIKE, people=40, scales=2)
+    weak = (table.rows["scale"] == "scale1") & (table.rows["reducer"] == "pca321")
+    rows = table.rows.assign(rating=table.rows["rating"] - 25.0 * weak)
+    said = judge_ratings(Table(rows, (), ()))["oak"]
+    assert said["dft321"].suffices
+    assert not said["pca321"].suffices
+
+
+def test_without_repeats_the_margin_must_be_fixed_beforehand() -> None:
+    table = make_table(ALIKE, people=40)
+    once = Table(table.rows[table.rows["repeat"] == "1"], (), ())
+    assert judge_ratings(once) == {}
+    said = judge_ratings(once, margin=5.0)["oak"]
+    assert [name for name, rated in said.items() if rated.suffices] == ["dft321", "pca321"]
+    assert sum(rated.suffices for rated in judge_ratings(once, margin=0.01)["oak"].values()) == 1
+
+
+def test_one_reducer_is_like_no_other() -> None:
+    assert judge_ratings(make_table({"dft321": 50.0})) == {}
+
+
+def test_one_judge_of_one_reducer_each_leaves_nothing_to_test() -> None:
+    said = judge_ratings(make_table(ALIKE, people=1))["oak"]
+    assert sum(rated.suffices for rated in said.values()) == 1
+
+
+def test_ratings_overrule_metrics_that_let_pass(tell: Callable[..., Advice], wave: np.ndarray) -> None:
+    from stimuli.recording import Recording
+
+    line = Recording(np.array([wave, wave, 0 * wave]), 4000.0, "oak")
+    assert tell(line).answer == "pca321"
+    said = judge_ratings(make_table({"pca321": 40.0, "dft321": 80.0}))["oak"]
+    heard = tell(line, Context(), ratings=said)
+    assert (heard.answer, heard.runner_up) == ("dft321", None)
+    assert "pca321, is not shown to feel like dft321" in heard.line
+    assert "simulated participants agree" in heard.line
+
+
+def test_nothing_suffices_where_people_and_metrics_disagree(tell: Callable[..., Advice], wave: np.ndarray) -> None:
+    from stimuli.recording import Recording
+
+    line: Recording = Recording(np.array([wave, wave, 0 * wave]), 4000.0, "oak")
+    said = judge_ratings(make_table({"sax321": 80.0, "mag321": 40.0}))["oak"]
+    advice = tell(line, Context(), ratings=said)
+    assert advice.answer is None
+    assert advice.closest == "sax321"
+    assert advice.margin < 0
+    assert "nothing suffices" in advice.line
+    assert "none of those within tolerance by the metrics is shown by ratings to feel like the best" in advice.line
+
+
+def test_what_was_rated_is_closer_than_what_was_not(tell: Callable[..., Advice], wave: np.ndarray) -> None:
+    from stimuli.recording import Recording
+
+    line: Recording = Recording(np.array([wave, wave, 0 * wave]), 4000.0, "oak")
+    said = judge_ratings(make_table({"sax321": 80.0, "pca321": 40.0}))["oak"]
+    del said["sax321"]
+    advice = tell(line, Context(), ratings=said)
+    assert (advice.answer, advice.closest) == (None, "pca321")
+    assert "it is not shown to feel like sax321" in advice.line
+
+
+@pytest.mark.parametrize("role", ["reference", "anchor"])
+def test_references_and_anchors_are_no_candidates(role: str) -> None:
+    table = make_table({**ALIKE, "original": 95.0})
+    roles = np.where(table.rows["reducer"] == "original", role, "test")
+    assert "original" not in judge_ratings(Table(table.rows.assign(role=roles), (), ()))["oak"]

@@ -1,0 +1,159 @@
+from __future__ import annotations
+
+import csv
+import json
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from analysis.advise.drawing import KEYS, draw_advice, tell_state
+from analysis.advise.report import advise_recordings, lay_out, write_advice
+from analysis.advise.scene import Context
+from analysis.advise.verdict import Rated
+from stimuli.recording import Recording
+from stimuli.synthesis import make_scene
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from analysis.advise.report import Study
+
+ONLINE = Context(online=True, latency_ms=5)
+
+
+def scenes() -> list[Recording]:
+    drag, circle = (make_scene(name, duration_s=1.0) for name in ("constrained_drag", "circular_motion"))
+    return [drag, circle, Recording(np.zeros((3, 4000)), 4000.0, "calm <b>")]
+
+
+@pytest.fixture(scope="module")
+def study() -> Study:
+    return advise_recordings(scenes(), Context())
+
+
+def test_the_order_of_recordings_does_not_matter(study: Study) -> None:
+    turned = advise_recordings(scenes()[::-1], Context())
+    assert sorted(advice.line for advice in turned.advices) == sorted(advice.line for advice in study.advices)
+    assert turned.common == study.common
+
+
+def test_one_reducer_for_all_scenes_is_named(study: Study) -> None:
+    assert study.common[0] == "dft321"
+    assert study.summary.startswith("One for all 2 scenes: dft321 (or ")
+    assert advise_recordings(scenes(), ONLINE).summary == "No one reducer suffices for all 2 scenes."
+
+
+def test_segments_of_one_recording_may_differ() -> None:
+    rng = np.random.default_rng(1)
+    line, noise = rng.standard_normal(4000), rng.standard_normal((3, 4000))
+    both = np.concatenate([np.array([0 * line, line, 0 * line]) + 0.01 * noise, noise], axis=1)
+    study = advise_recordings([Recording(both, 4000.0, "oak")], Context(), segment_s=1.0)
+    assert [advice.scene.name for advice in study.advices] == ["oak 0.00-1.00 s", "oak 1.00-2.00 s"]
+    assert [advice.answer for advice in study.advices] == ["say321", "dft321"]
+
+
+def test_ratings_are_heard_for_whole_recordings_only() -> None:
+    said = {"circular_motion": {"dft321": Rated(is_best=True, best="dft321", p=float("nan"))}}
+    whole = advise_recordings(scenes()[:2], Context(), ratings=said)
+    assert whole.rated == ("circular_motion",)
+    assert [row["basis"] for row in lay_out(whole)["scenes"]] == ["metrics", "metrics and ratings"]
+    assert whole.note.startswith("Not rated everywhere, and not advised where others were rated: s")
+    assert "dft321," not in whole.note
+    robots = {"circular_motion": {"dft321": Rated(is_best=True, best="dft321", p=float("nan"), simulated=True)}}
+    content = lay_out(advise_recordings(scenes()[1:2], Context(), ratings=robots))
+    assert (content["simulated"], content["scenes"][0]["basis"]) == (True, "metrics and simulated ratings")
+    assert not lay_out(whole)["simulated"]
+    assert advise_recordings(scenes()[:1], Context()).note == ""
+
+
+def test_ratings_that_are_not_heard_are_told_of(tmp_path: Path) -> None:
+    said = {"constrained_drag": {"dft321": Rated(is_best=True, best="dft321", p=float("nan"))}}
+    notes = {
+        "whole recordings, not segments": advise_recordings(scenes()[:1], Context(), ratings=said, segment_s=0.5),
+        "what one axis of an actuator plays": advise_recordings(scenes()[:1], Context(axes=2), ratings=said),
+        "two rated reducers and a margin": advise_recordings(scenes()[:1], Context(), ratings={}),
+    }
+    for words, study in notes.items():
+        assert study.rated == ()
+        assert study.advices[0].answer == "pca321"
+        assert study.note.startswith("Ratings are not heard: ")
+        assert words in study.note
+        write_advice(study, tmp_path / "advice")
+        assert study.note in (tmp_path / "advice" / "index.html").read_text(encoding="utf-8").replace("&#39;", "'")
+
+
+def test_progress_counts_scenes() -> None:
+    steps: list[tuple[int, int]] = []
+    advise_recordings(scenes()[:1], Context(), segment_s=0.5, progress=lambda done, total: steps.append((done, total)))
+    assert steps == [(1, 2), (2, 2)]
+
+
+def test_no_recording_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"recordings: got none, allowed is one or more"):
+        advise_recordings([], Context())
+
+
+def test_files_hold_the_same_as_the_json(study: Study, tmp_path: Path) -> None:
+    content = write_advice(study, tmp_path / "advice")
+    read = json.loads((tmp_path / "advice" / "results.json").read_text(encoding="utf-8"))
+    assert read == json.loads(json.dumps(content))
+    for name in content["files"]:
+        assert (tmp_path / "advice" / name).is_file()
+    with (tmp_path / "advice" / "tables" / "advice.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["answer"] for row in rows] == ["pca321", "dft321", ""]
+    assert [row["line"] for row in rows] == [advice.line for advice in study.advices]
+    with (tmp_path / "advice" / "tables" / "measures.csv").open(encoding="utf-8", newline="") as file:
+        measures = list(csv.DictReader(file))
+    assert len(measures) == 2 * len(study.advices[0].verdicts)
+    assert next(row for row in measures if row["reducer"] == "dft321")["latency_ms"] == ""
+
+
+def test_the_page_tells_all_and_escapes_names(study: Study, tmp_path: Path) -> None:
+    write_advice(study, tmp_path / "advice")
+    page = (tmp_path / "advice" / "index.html").read_text(encoding="utf-8")
+    assert "calm &lt;b&gt;" in page
+    assert "calm <b>" not in page
+    for advice in study.advices[:2]:
+        assert advice.answer is not None
+        assert advice.reason in page
+    assert "whole recording" in page
+    assert "<svg role=" in page
+
+
+def test_the_page_tells_a_budget_and_what_is_closest(tmp_path: Path) -> None:
+    write_advice(advise_recordings(scenes()[:2], ONLINE), tmp_path / "advice")
+    page = (tmp_path / "advice" / "index.html").read_text(encoding="utf-8")
+    assert "at most 5 ms late" in page
+    assert "latency, state, operations, parameters" in page
+
+
+def test_a_page_of_nothing_but_silence_is_written(tmp_path: Path) -> None:
+    content = write_advice(advise_recordings(scenes()[2:], Context()), tmp_path / "advice")
+    assert content["measures"] == []
+    assert content["summary"] == "No one reducer suffices for all 0 scenes."
+
+
+def test_writing_twice_gives_the_same_bytes_and_spares_what_is_not_ours(study: Study, tmp_path: Path) -> None:
+    folder = tmp_path / "advice"
+    first = {name: (folder / name).read_bytes() for name in write_advice(study, folder)["files"]}
+    (folder / "notes.txt").write_text("mine")
+    assert {name: (folder / name).read_bytes() for name in write_advice(study, folder)["files"]} == first
+    assert (folder / "notes.txt").read_text() == "mine"
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "index.html").write_text("mine")
+    with pytest.raises(FileExistsError, match="not of a former report"):
+        write_advice(study, tmp_path / "other")
+    assert (tmp_path / "other" / "index.html").read_text() == "mine"
+
+
+def test_the_figure_shows_every_state_once_per_scene(study: Study) -> None:
+    late = advise_recordings(scenes()[:2], ONLINE)
+    states = {tell_state(advice, each) for each_study in (study, late) for advice in each_study.advices
+              for each in advice.verdicts}  # fmt: skip
+    assert states == set(KEYS)
+    (axes,) = draw_advice(study.advices).axes
+    assert [label.get_text() for label in axes.get_yticklabels()] == [advice.scene.name for advice in study.advices]
+    assert [label.get_text() for label in axes.get_xticklabels()] == [each.name for each in study.advices[0].verdicts]
+    assert len(axes.lines) == sum(len(advice.verdicts) for advice in study.advices)

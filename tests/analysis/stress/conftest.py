@@ -1,0 +1,63 @@
+"""One stress test of all reducers with few draws, and its page; both to be read only."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from analysis.stress.battery import BATTERY
+from analysis.stress.run import stress_reducers, write_stress
+from stimuli.recording import Recording
+from stimuli.reduce import REDUCERS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from analysis.stress.result import StressResult
+
+
+def make_recording(acceleration: object, *, rate_hz: float = 1000.0, name: str = "made") -> Recording:
+    return Recording(np.asarray(acceleration, dtype=float), rate_hz, name)
+
+
+@pytest.fixture(scope="session")
+def made() -> Callable[..., Recording]:
+    """Make a recording from any samples."""
+    return make_recording
+
+
+@pytest.fixture(scope="session")
+def drag() -> Recording:
+    """Make an ordinary drag, half a second."""
+    whole = BATTERY["ordinary_drag"].make(11)
+    return make_recording(whole.acceleration[:, :2000], rate_hz=whole.rate_hz, name="drag")
+
+
+@pytest.fixture(scope="session")
+def recordings(drag: Recording) -> tuple[Recording, ...]:
+    """Gather a harmless recording, one with a planted share of cancelling energy, and silence."""
+    rng = np.random.default_rng(5)
+    spectrum = np.fft.rfft(rng.standard_normal((3, 4000)))
+    low = np.arange(2001) < 600
+    u, v, w = (np.fft.irfft(np.where(chosen, one, 0)) for chosen, one in zip((low, ~low, low), spectrum, strict=True))
+    half = make_recording([u + v, u - v, 0.3 * w], rate_hz=4000, name="half")
+    return drag, half, make_recording(np.zeros((3, 100)), name="nothing")
+
+
+@pytest.fixture(scope="session")
+def result(recordings: tuple[Recording, ...]) -> StressResult:
+    return stress_reducers(recordings, sensor={"drag": recordings[0]}, draws=4, seed=3)
+
+
+@pytest.fixture(scope="session")
+def small(drag: Recording) -> StressResult:
+    """Test one reducer on one harmless recording, quickly."""
+    return stress_reducers([drag], {"mag321": REDUCERS["mag321"]}, draws=2, seed=0)
+
+
+@pytest.fixture(scope="session")
+def folder(result: StressResult, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_stress(result, tmp_path_factory.mktemp("stress") / "out").parent

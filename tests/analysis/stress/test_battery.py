@@ -1,0 +1,123 @@
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from analysis.stress.battery import ADXL345_STEP, BATTERY
+from analysis.stress.cells import Cell, find_cell, measure_cells
+from analysis.stress.limits import MEASURES
+from analysis.stress.signs import SIGNS, diagnose
+from stimuli.reduce import REDUCERS
+
+KNOWN = [(scene.name, failing) for scene in BATTERY.values() for failing in scene.failing]
+NEAR_A_LIMIT = 1.4
+
+
+def find_firm_failures(result: Any) -> set[tuple[str, str, str]]:
+    """Failures that are not near their limit."""
+    found = set()
+    for cell in result:
+        value = cell.worst if cell.measure == "flip" else cell.value
+        if abs(value) >= NEAR_A_LIMIT * MEASURES[cell.measure].fails:
+            found.add((cell.recording, cell.reducer, cell.measure))
+    return found
+
+
+@pytest.mark.parametrize(("scene", "failing"), KNOWN)
+def test_what_must_fail_fails(scene: str, failing: Any, result: Any) -> None:
+    assert find_cell(result.cells, scene, failing.reducer, measure=failing.measure).grade == "fails"
+
+
+def test_every_scene_says_why_and_by_what_it_is_recognised() -> None:
+    for name, scene in BATTERY.items():
+        assert scene.name == name
+        assert scene.reason.endswith(".")
+        assert "\n" not in scene.reason
+        assert set(scene.signs) <= set(SIGNS)
+        assert bool(scene.signs) == (name not in {"ordinary_drag", "rate_mismatch"})
+        assert {failing.reducer for failing in scene.failing} <= set(REDUCERS)
+
+
+@pytest.mark.parametrize("name", BATTERY)
+def test_scenes_are_seeded(name: str) -> None:
+    first, again, other = (BATTERY[name].make(seed).acceleration for seed in (1, 1, 2))
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+@pytest.mark.parametrize("name", [name for name, scene in BATTERY.items() if scene.signs])
+def test_every_scene_is_recognised_by_its_own_signs(name: str) -> None:
+    assert name in diagnose(BATTERY[name].make(0)).near_scenes
+
+
+def test_the_control_comes_near_nothing() -> None:
+    assert diagnose(BATTERY["ordinary_drag"].make(0)).near_scenes == ()
+
+
+def test_faults_do_what_they_say() -> None:
+    steps = BATTERY["quantisation"].make(0).acceleration / ADXL345_STEP
+    assert np.allclose(steps, np.round(steps), atol=1e-9)
+    clipped, whole = BATTERY["clipping"].make(0).acceleration, BATTERY["clipping"].make_clean(0).acceleration
+    assert np.abs(clipped).max() == pytest.approx(0.35 * np.abs(whole).max())
+    missing = BATTERY["missing_samples"]
+    gone = ~missing.make(0).acceleration.any(axis=0)
+    assert 0.03 < gone.mean() <= 0.06
+    assert np.array_equal(missing.make(0).acceleration[:, ~gone], missing.make_clean(0).acceleration[:, ~gone])
+    plain = BATTERY["circular"]
+    assert np.array_equal(plain.make(0).acceleration, plain.make_clean(0).acceleration)
+
+
+def test_conclusions_hold_for_another_seed(result: Any) -> None:
+    """No firm failure of one seed is good in the other; the very short scene is another motion every time.
+
+    A standard deviation over four orientations is not firm.
+    """
+    few = {name: REDUCERS[name] for name in ("say321", "soc321", "pca321", "pca321_adaptive", "dft321")}
+    measures = tuple(name for name in MEASURES if name != "spread")
+    scenes = [scene.make(8) for scene in BATTERY.values() if scene.name != "very_short"]
+    clean = {scene.name: scene.make_clean(8) for scene in BATTERY.values() if scene.fault}
+    other = {
+        (cell.recording, cell.reducer, cell.measure): cell
+        for cell in measure_cells(scenes, few, measures=measures, clean=clean, draws=4, seed=8)
+    }
+    firm = [key for key in find_firm_failures(result.cells) if key in other]
+    assert len(firm) > 50
+    assert [key for key in firm if other[key].grade == "good"] == []
+    here = [find_cell(result.cells, key[0], key[1], measure=key[2]) for key in find_firm_failures(other.values())]
+    assert [cell for cell in here if cell.grade == "good"] == []
+
+
+def test_a_figure_depends_on_its_own_recording_alone(drag: Any, made: Any) -> None:
+    other = made(np.random.default_rng(0).standard_normal((3, 300)), name="other")
+    few = {name: REDUCERS[name] for name in ("soc321", "dft321")}
+    together = measure_cells([other, drag], few, measures=("gain", "rotation"), draws=3, seed=1)
+    alone = measure_cells([drag], {"dft321": REDUCERS["dft321"]}, measures=("rotation",), draws=3, seed=1)
+    assert find_cell(together, "drag", "dft321", measure="rotation") == alone[0]
+
+
+def test_flips_are_judged_by_the_worst_of_three() -> None:
+    assert Cell("a", "b", "flip", value=0.0, worst=1.0).grade == "fails"
+    assert Cell("a", "b", "shift", value=0.0, worst=1.0).grade == "good"
+    assert Cell("a", "b", "energy", value=-4.0, worst=-4.0).grade == "fails"
+    assert Cell("a", "b", "fault", value=float("nan"), worst=float("nan")).grade == "undefined"
+
+
+def test_limits_are_in_order_and_argued() -> None:
+    letters = [measure.letter for measure in MEASURES.values()]
+    assert len(set(letters)) == len(letters)
+    for name, measure in MEASURES.items():
+        assert measure.name == name
+        assert 0 < measure.caution < measure.fails
+        assert measure.why.endswith(".")
+        assert measure.what.endswith(".")
+
+
+def test_doors(drag: Any) -> None:
+    with pytest.raises(ValueError, match="measures: got 'speed', allowed are gain, rotation"):
+        measure_cells([drag], REDUCERS, measures=("speed",), seed=0)
+    with pytest.raises(ValueError, match="draws: got 1, allowed is 2 or more"):
+        measure_cells([drag], REDUCERS, draws=1, seed=0)
+    with pytest.raises(ValueError, match="cells: got a / b / gain, which was not measured"):
+        find_cell([], "a", "b", measure="gain")

@@ -1,0 +1,183 @@
+from __future__ import annotations
+
+import html
+import json
+import re
+import shutil
+import subprocess
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from analysis.stress.battery import BATTERY
+from analysis.stress.drawing import tell_gain
+from analysis.stress.limits import MEASURES
+from analysis.stress.page import name_anchor, tell_figure
+from analysis.stress.reasons import tell_reason
+from analysis.stress.run import stress_reducers, take_excerpt, write_stress
+from stimuli.recording import Recording
+from stimuli.reduce import REDUCERS
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def read_page(folder: Path) -> str:
+    return (folder / "index.html").read_text(encoding="utf-8")
+
+
+def test_every_figure_is_there(result: Any) -> None:
+    assert len(result.cells) == len(BATTERY) * len(REDUCERS) * len(MEASURES)
+    assert len(result.gains) == 2 * len(REDUCERS)
+    assert [row.recording for row in result.metrics] == [*BATTERY, "drag", "half"]
+    undefined = {cell.recording for cell in result.cells if cell.measure == "fault" and cell.grade != "undefined"}
+    assert undefined == {name for name, scene in BATTERY.items() if scene.fault}
+
+
+def test_the_recording_that_comes_near_is_named(result: Any) -> None:
+    assert any("half (Energy of undetermined phase" in told for told in result.find_near("anti_phase"))
+    assert any(line.split("%")[1].startswith(" of the energy sits where the phase") for line in result.warnings["half"])
+    assert "drag" not in result.warnings
+    assert result.find_near("circular") == ()
+
+
+def test_silence_and_what_conditioning_hides_are_noted(result: Any) -> None:
+    assert "nothing: silent, left out." in result.notes
+    assert any(note.startswith("half: seen after conditioning only") for note in result.notes)
+
+
+def test_the_answer_names_what_fails(result: Any) -> None:
+    text = " ".join(result.answers)
+    assert re.search(r"Anti-phase axes: perturbation gain above 10 of soc321 \(1414\), dft321 \(1\d\d\d\)", text)
+    assert re.search(r"Circular motion: .*pca321 \(\d+\)", text)
+    assert "withstands a turn of the sensor in every scene with mag321" in text
+
+
+def test_json_holds_what_was_measured_and_no_nan(result: Any, folder: Path) -> None:
+    content = json.loads((folder / "results.json").read_text(encoding="utf-8"))
+    assert len(content["cells"]) == len(result.cells)
+    assert content["answers"] == list(result.answers)
+    assert {cell["value"] for cell in content["cells"] if cell["grade"] == "undefined"} == {None}
+    assert all((folder / name).is_file() for name in content["files"])
+
+
+def test_tables_hold_the_cells(result: Any, folder: Path) -> None:
+    table = pd.read_csv(folder / "tables" / "cells.csv")
+    assert table["grade"].tolist() == [cell.grade for cell in result.cells]
+    assert np.allclose(table["value"], [cell.value for cell in result.cells], equal_nan=True)
+    assert pd.read_csv(folder / "tables" / "recordings.csv")["recording"].tolist() == ["drag", "half"]
+
+
+def test_every_link_leads_somewhere_and_every_failure_is_linked_and_explained(result: Any, folder: Path) -> None:
+    page = read_page(folder)
+    ids = re.findall(r'\bid="([^"]+)"', page)
+    assert len(set(ids)) == len(ids)
+    links = re.findall(r'href="#([^"]+)"', page)
+    assert "_blank" not in page
+    assert set(links) <= set(ids)
+    body = page.split("</style>", 1)[1]
+    for cell in result.failures:
+        anchor = name_anchor(cell.recording, cell.reducer)
+        entry = body.split(f'<h4 id="{anchor}">', 1)[1].split("</ul>", 1)[0]
+        assert MEASURES[cell.measure].title in entry
+        assert html.escape(tell_reason(cell.measure, cell.reducer), quote=False).split("'")[0] in entry
+    table = re.findall(r'<td class="fails"><a href="#(stress-[^"]+)">', page)
+    assert len(table) == len(result.failures)
+    drawn = {link for link in re.findall(r'xlink:href="#(stress-[^"]+)"', page) if link.count("-") == 2}
+    assert {name_anchor(cell.recording, cell.reducer) for cell in result.failures} <= drawn
+
+
+@pytest.mark.skipif(not shutil.which("chromium"), reason="PAGE NOT RENDERED: chromium is not installed")
+@pytest.mark.parametrize("width", [500, 1400])
+def test_a_browser_shows_it_without_overflow_and_follows_a_cell(folder: Path, tmp_path: Path, width: int) -> None:
+    """The browser clicks the drawn cell of dft321 on anti-phase axes, and finds its explanation."""
+    probe = (
+        "document.querySelector('svg a[*|href=\"#stress-anti_phase-dft321\"]')"
+        ".dispatchEvent(new MouseEvent('click', {bubbles: true, cancelable: true}));"
+        "setTimeout(() => {const t = document.querySelector(':target');"
+        "document.title = document.documentElement.scrollWidth + ' of ' + innerWidth + ' at ' + t?.textContent}, 50)"
+    )
+    text = read_page(folder).replace("</body>", f"<script>{probe}</script></body>")
+    (tmp_path / "probe.html").write_text(text, encoding="utf-8")
+    quiet = [
+        "--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-sync",
+        "--disable-component-update", "--no-first-run", f"--user-data-dir={tmp_path / 'profile'}",
+        "--virtual-time-budget=2000",
+    ]  # fmt: skip
+    command = ["chromium", *quiet, f"--window-size={width},900", "--dump-dom", (tmp_path / "probe.html").as_uri()]
+    shown = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout
+    wide, window, target = re.search(r"<title>(\d+) of (\d+) at (.*?)</title>", shown).groups()
+    assert target == "dft321"
+    assert int(wide) <= int(window)
+
+
+def test_the_same_seed_writes_the_same_bytes(result: Any, folder: Path, tmp_path: Path) -> None:
+    again = write_stress(result, tmp_path / "again").parent
+    for name in json.loads((folder / "results.json").read_text(encoding="utf-8"))["files"]:
+        assert (again / name).read_bytes() == (folder / name).read_bytes()
+
+
+def test_a_former_test_is_replaced_and_foreign_files_stay(small: Any, tmp_path: Path) -> None:
+    target = tmp_path / "stress"
+    write_stress(small, target)
+    (target / "notes.txt").write_text("mine", encoding="utf-8")
+    write_stress(small, target)
+    assert (target / "notes.txt").read_text(encoding="utf-8") == "mine"
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "index.html").write_text("mine", encoding="utf-8")
+    with pytest.raises(FileExistsError, match="is there, but is not of a former report"):
+        write_stress(small, other)
+
+
+def test_progress_reaches_the_end(drag: Any) -> None:
+    told: list[tuple[int, int]] = []
+    few = {name: REDUCERS[name] for name in ("sax321", "mag321")}
+    done = stress_reducers([drag], few, draws=2, seed=0, progress=lambda *step: told.append(step))
+    assert told[-1] == (38, 38)
+    assert [step for step, _ in told] == list(range(1, 39))
+    assert set(done.reducers) == set(few)
+
+
+def test_without_recordings_the_page_is_about_the_battery(tmp_path: Path) -> None:
+    few = {"mag321": REDUCERS["mag321"]}
+    page = write_stress(stress_reducers(reducers=few, draws=2, seed=0), tmp_path / "out").read_text(encoding="utf-8")
+    assert "Recordings that come near" not in page
+    assert "No reducer fails here." in page
+
+
+def test_a_harmless_recording_comes_near_nothing(small: Any, tmp_path: Path) -> None:
+    page = write_stress(small, tmp_path / "out").read_text(encoding="utf-8")
+    assert "<p>None does.</p>" in page
+    assert "No recording comes near." in page
+
+
+def test_the_strongest_part_is_taken(made: Any) -> None:
+    loud = np.zeros((3, 5000))
+    loud[:, 3000:3200] = 1
+    part = take_excerpt(made(loud), duration_s=0.5)
+    assert part.n_samples == 500
+    assert part.acceleration[0].sum() == 200
+    short = made(loud[:, :10])
+    assert take_excerpt(short) is short
+
+
+def test_doors(drag: Any) -> None:
+    with pytest.raises(ValueError, match="recordings: got 2 with 1 names, allowed is a name for each"):
+        stress_reducers([drag, drag], seed=0)
+    with pytest.raises(ValueError, match="reducers: got none, allowed is one or more"):
+        stress_reducers([drag], {}, seed=0)
+
+
+def test_warnings_of_the_reader_are_passed_on(drag: Any) -> None:
+    warned = Recording(drag.acceleration, drag.rate_hz, "warned", warnings=("x is saturated",))
+    few = {"mag321": REDUCERS["mag321"]}
+    assert "warned: x is saturated" in stress_reducers([warned], few, draws=2, seed=0).notes
+
+
+def test_figures_in_words() -> None:
+    assert [tell_gain(gain) for gain in (0.9951, 9.96, float("nan"))] == ["1.0", "10", "–"]
+    assert [tell_figure(value) for value in (float("nan"), 2e7, -735.0)] == ["–", "2.00e+07", "−735"]
+    assert tell_reason("gain", "my321") == "the output rests on something that noise decides."

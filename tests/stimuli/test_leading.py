@@ -1,0 +1,332 @@
+"""The reducers along a leading axis: what must hold for any motion, and where other reducers fail."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from stimuli import leading
+from stimuli.condition import Conditioning, condition
+from stimuli.fourier import dft321
+from stimuli.invariant import temporal_match_invariant
+from stimuli.leading import align, dft321_principal, find_onset, measure, tilt
+from stimuli.match import spectral_match
+from stimuli.rotation import random_rotations
+from stimuli.synthesis import SCENES, make_scene
+from stimuli.tracking import TrackingFrames, dft321_principal_windowed
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+RATE = 4000.0
+SEEDS = st.integers(0, 2**32 - 1)
+BOTH = pytest.mark.parametrize("reduce", [dft321_principal, dft321_principal_windowed])
+MIRRORS = [np.diag([-1.0, 1.0, 1.0]), np.diag([1.0, -1.0, -1.0]), -np.eye(3), np.eye(3)[[2, 0, 1]]]
+
+
+def noise(*shape: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).standard_normal(shape)
+
+
+def uneven(n: int, seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return rng.standard_normal((3, 3)) @ (rng.standard_normal((3, n)) * rng.uniform(0.1, 3, (3, 1)))
+
+
+def change(one: np.ndarray, other: np.ndarray) -> float:
+    """Relative difference, whichever the sign."""
+    return min(np.linalg.norm(one - other), np.linalg.norm(one + other)) / np.linalg.norm(one)
+
+
+def gain(reduce: Callable[..., np.ndarray], acceleration: np.ndarray) -> float:
+    """Median relative change of the output over that of the input, under noise at -60 dB."""
+    once, found = reduce(acceleration, RATE), []
+    for seed in range(9):
+        hiss = noise(*acceleration.shape, seed=100 + seed)
+        hiss *= 1e-3 * np.linalg.norm(acceleration) / np.linalg.norm(hiss)
+        found.append(change(once, reduce(acceleration + hiss, RATE)) / 1e-3)
+    return float(np.median(found))
+
+
+def scene(name: str) -> np.ndarray:
+    return condition(make_scene(name, duration_s=2.0), Conditioning()).acceleration
+
+
+# --- what turning the sensor cannot change -------------------------------------------------------------------------
+
+
+@BOTH
+@settings(max_examples=40, deadline=None)
+@given(seed=SEEDS, n=st.integers(1, 500))
+def test_turning_or_mirroring_the_sensor_changes_at_most_the_sign(
+    reduce: Callable[..., np.ndarray], seed: int, n: int
+) -> None:
+    acceleration = uneven(n, seed)
+    once = reduce(acceleration, RATE)
+    for turn in (*random_rotations(3, np.random.default_rng(seed)), *MIRRORS):
+        changed = change(once, reduce(turn @ acceleration, RATE))
+        assert changed < 1e-9
+
+
+@BOTH
+@pytest.mark.parametrize("name", SCENES)
+def test_so_it_is_on_every_scene(reduce: Callable[..., np.ndarray], name: str) -> None:
+    acceleration = scene(name)
+    once = reduce(acceleration, RATE)
+    for turn in (*random_rotations(3, np.random.default_rng(0)), *MIRRORS):
+        changed = change(once, reduce(turn @ acceleration, RATE))
+        assert changed < 1e-9
+
+
+@BOTH
+@pytest.mark.parametrize("n", [1000, 1001])
+def test_even_where_no_axis_leads(reduce: Callable[..., np.ndarray], n: int) -> None:
+    """A circle, a sphere of equal tones, and tones exactly across each other: rounding must not choose."""
+    time = 2 * np.pi * np.arange(n) / n
+    circle = np.array([np.cos(40 * time + 0.3), np.sin(40 * time + 0.3), 0 * time])
+    tones = np.array([np.sin(40 * time), np.sin(60 * time + 0.2), np.sin(90 * time + 1)])
+    across = np.array([[1.0], [0.6], [0.0]]) * tones
+    for acceleration in (circle, tones, across):
+        once = reduce(acceleration, RATE)
+        for turn in random_rotations(5, np.random.default_rng(1)):
+            changed = change(once, reduce(turn @ acceleration, RATE))
+            assert changed < 1e-9
+
+
+# --- what it keeps ---------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=80, deadline=None)
+@given(seed=SEEDS, n=st.integers(1, 600), size=st.floats(-150, 150), offset=st.sampled_from([0.0, 10.0, 1e4]))
+def test_equation_3_holds_at_every_frequency(seed: int, n: int, size: float, offset: float) -> None:
+    acceleration = 10.0**size * (uneven(n, seed) + offset)
+    reduced = dft321_principal(acceleration, RATE)
+    energy = np.sum(np.abs(np.fft.rfft(acceleration / 10.0**size)) ** 2, axis=0)
+    np.testing.assert_allclose(
+        np.abs(np.fft.rfft(reduced / 10.0**size)), np.sqrt(energy), rtol=1e-9, atol=1e-12 * np.sqrt(energy.max())
+    )
+    assert spectral_match(acceleration, reduced, RATE) == pytest.approx(1.0, abs=1e-9)
+
+
+@BOTH
+@settings(max_examples=40, deadline=None)
+@given(seed=SEEDS, n=st.integers(1, 400))
+def test_motion_along_one_line_is_that_motion(reduce: Callable[..., np.ndarray], seed: int, n: int) -> None:
+    wave, line = noise(n, seed=seed), noise(3, seed=seed + 1)
+    assert change(np.linalg.norm(line) * wave, reduce(np.outer(line, wave), RATE)) < 1e-9
+
+
+def test_the_onset_goes_up() -> None:
+    wave = np.r_[np.zeros(50), -1.0, 3.0, -4.0, noise(200)]
+    wave -= wave.mean()
+    np.testing.assert_allclose(dft321_principal(np.outer((0.6, 0.0, -0.8), -wave), RATE), wave, atol=1e-12)
+
+
+def test_anti_phase_axes_keep_their_waveform() -> None:
+    wave = noise(3000)
+    wave -= wave.mean()
+    acceleration = np.array([wave, -wave, 0 * wave]) + 1e-3 * noise(3, 3000, seed=1)
+    for reduce in (dft321_principal, dft321_principal_windowed):
+        assert change(np.sqrt(2) * wave, reduce(acceleration, RATE)) < 2e-3
+        assert gain(reduce, acceleration) < 1.5
+    assert gain(dft321, acceleration) > 100
+
+
+# --- the axis --------------------------------------------------------------------------------------------------------
+
+
+def test_no_other_phase_does_better_than_the_best_axis() -> None:
+    """Point 1 of the derivation, by search over the sphere and over random phases."""
+    acceleration = uneven(301, 5)
+    acceleration -= acceleration.mean(axis=1, keepdims=True)
+    spectra = np.fft.rfft(acceleration)
+    energy = np.sum(np.abs(spectra) ** 2, axis=0)
+    axes = noise(4000, 3)
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    best = np.max(np.abs(axes @ spectra) @ np.sqrt(energy)) / energy.sum()
+    assert temporal_match_invariant(acceleration, dft321_principal(acceleration, RATE)) <= best * 1.001
+    for seed in range(50):
+        phases = np.exp(2j * np.pi * np.random.default_rng(seed).uniform(size=energy.size))
+        random = np.fft.irfft(np.sqrt(energy) * phases, 301)
+        assert temporal_match_invariant(acceleration, random) < best
+
+
+def test_two_tones_across_each_other_are_not_left_to_noise() -> None:
+    """The second tone is perpendicular to the first principal axis: its phase would be that of the sensor's noise."""
+    time = np.arange(8000) / RATE
+    acceleration = np.array([np.sin(2 * np.pi * 100 * time), 0.6 * np.sin(2 * np.pi * 231 * time + 0.4), 0 * time])
+    acceleration += 1e-4 * noise(3, 8000)
+    assert gain(dft321_principal, acceleration) < 3
+
+
+def test_an_offset_does_not_choose_the_axis() -> None:
+    wave = noise(2000)
+    wave -= wave.mean()
+    acceleration = np.outer((1.0, 0.0, 0.0), wave)
+    moved = dft321_principal(acceleration + np.array([[0.0], [0.0], [9.81]]), RATE)
+    assert change(wave, moved - moved.mean()) < 1e-9
+
+
+def test_where_the_motion_is_across_the_axis_its_own_ellipse_gives_the_phase() -> None:
+    spectra = [np.zeros(2, complex), np.array([3j, 0.0]), np.array([4j, 0.0])]
+    energy, _ = measure(spectra)
+    aligned = align(spectra, energy, axis=np.array([1.0, 0.0, 0.0]))
+    np.testing.assert_allclose(np.abs(aligned), [5.0, 0.0], atol=1e-12)
+    assert aligned[0].real == pytest.approx(0.0, abs=1e-12)
+
+
+def test_rounding_does_not_choose_the_sign_of_a_tone_across_the_axis() -> None:
+    found = []
+    for rounding in (1e-16, -1e-16):
+        spectra = [np.zeros(1, complex), np.array([3j + rounding]), np.array([4j])]
+        found.append(align(spectra, measure(spectra)[0], axis=np.array([1.0, 0.0, 0.0])))
+    np.testing.assert_allclose(*found, rtol=1e-9)
+
+
+def test_onset_is_the_first_sample_of_half_the_peak_or_the_offset_or_nothing() -> None:
+    acceleration = np.zeros((3, 10))
+    acceleration[:, 4], acceleration[:, 5] = (0.0, -0.6, 0.0), (1.0, 0.0, 0.0)
+    acceleration[:, 6], acceleration[:, 7] = (-1.0, 0.0, 0.0), (0.0, 0.6, 0.0)
+    np.testing.assert_allclose(find_onset(acceleration), (0.0, -1.0, 0.0))
+    np.testing.assert_allclose(find_onset(np.outer((0.0, 3.0, 4.0), np.ones(7))), (0.0, 0.6, 0.8))
+    np.testing.assert_allclose(find_onset(np.zeros((2, 3, 7))), np.full((2, 3), 1 / np.sqrt(3)))
+
+
+# --- conditioning and match on the scenes --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_on_every_scene_the_gain_is_small_and_the_match_at_least_that_of_dft321(name: str) -> None:
+    acceleration = scene(name)
+    values = np.linalg.eigvalsh(np.cov(acceleration))
+    own = temporal_match_invariant(acceleration, dft321_principal(acceleration, RATE))
+    # dft321 is taken over random mountings: on one of them its diagonal may happen to lie well.
+    turned = [turn @ acceleration for turn in random_rotations(20, np.random.default_rng(2))]
+    others = [temporal_match_invariant(one, dft321(one, RATE)) for one in turned]
+    assert own >= np.mean(others)
+    if values[-1] >= 1.2 * values[-2]:
+        assert gain(dft321_principal, acceleration) <= 3
+
+
+def test_the_match_is_better_on_average() -> None:
+    scenes = [scene(name) for name in SCENES]
+    own = [temporal_match_invariant(one, dft321_principal(one, RATE)) for one in scenes]
+    other = [temporal_match_invariant(one, dft321(one, RATE)) for one in scenes]
+    assert np.mean(own) > np.mean(other) + 0.005
+
+
+@BOTH
+def test_weak_directions_are_looked_at(reduce: Callable[..., np.ndarray], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Noise of 2 % across two tones: its phase must be its own, not that of what is added at -60 dB."""
+    time = 2 * np.pi * np.arange(8000) / RATE
+    tones = np.array([np.sin(100 * time), 0.6 * np.sin(231.7 * time + 0.4), 0.02 * noise(8000)])
+    assert gain(reduce, tones) < 3
+    monkeypatch.setattr(leading, "TILT", 0.0)
+    assert gain(reduce, tones) > 10
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=SEEDS)
+def test_a_tilt_is_short_and_towards_the_onset(seed: int) -> None:
+    motion, (axis, onset) = uneven(50, seed), noise(2, 3, seed=seed)
+    axis /= np.linalg.norm(axis)
+    onset *= np.copysign(1 / np.linalg.norm(onset), onset @ axis)
+    tilted = tilt(axis, motion @ motion.T, np.outer(onset, onset))
+    assert tilted @ axis >= np.sqrt(1 - 0.5**2) - 1e-12
+    assert tilted @ axis < 1
+    assert np.linalg.norm(tilted) == pytest.approx(1)
+
+
+# --- frames ----------------------------------------------------------------------------------------------------------
+
+
+def test_axes_of_neighbouring_frames_never_turn_about(monkeypatch: pytest.MonkeyPatch) -> None:
+    used = []
+
+    def watch(spectra: list[np.ndarray], energy: np.ndarray, *, axis: np.ndarray) -> np.ndarray:
+        used.append(axis)
+        return align(spectra, energy, axis=axis)
+
+    monkeypatch.setattr("stimuli.tracking.align", watch)
+    for name in SCENES:
+        used.clear()
+        dft321_principal_windowed(scene(name), 10000.0)
+        axes = np.concatenate(used)
+        # The first second may still learn; from then on neighbours are all but parallel.
+        turns = np.einsum("mi,mi->m", axes[1:], axes[:-1])
+        assert turns.min() > 0
+        assert turns[57:].min() > 0.9
+
+
+def test_the_axis_follows_motion_that_turns_slowly() -> None:
+    n = 60_000
+    angle = np.linspace(0, np.pi, n)  # half a turn in 15 s
+    wave = np.sin(2 * np.pi * 123.4 * np.arange(n) / RATE)
+    reduced = dft321_principal_windowed(np.array([np.cos(angle), np.sin(angle), 0 * angle]) * wave, RATE)
+    np.testing.assert_allclose(np.abs(reduced[8000:-200]), np.abs(wave[8000:-200]), atol=0.1)
+    kept = [reduced[start : start + 200] @ wave[start : start + 200] for start in range(8000, n - 200, 200)]
+    assert min(kept) > 0 or max(kept) < 0
+
+
+def test_silence_before_and_between_costs_nothing() -> None:
+    wave = np.r_[np.zeros(1000), noise(700), np.zeros(1000), noise(700, seed=1), np.zeros(300)]
+    reduced = dft321_principal_windowed(np.outer((0.0, 0.8, -0.6), wave), RATE)
+    assert change(wave, reduced) < 1e-12
+
+
+def test_members_of_a_batch_have_onsets_of_their_own() -> None:
+    early, late = noise(3, 3000), np.roll(np.pad(noise(3, 1500, seed=1), ((0, 0), (0, 1500))), 1400, axis=1)
+    together = dft321_principal_windowed(np.array([early, late]), RATE)
+    alone = [dft321_principal_windowed(one, RATE) for one in (early, late)]
+    np.testing.assert_allclose(together, alone, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["texture_drag", "hard_taps", "isotropic_rumble"])
+def test_frames_keep_the_spectrum_about_as_well_as_dft321s(name: str) -> None:
+    recording = condition(make_scene(name), Conditioning())
+    reduced = dft321_principal_windowed(recording.acceleration, recording.rate_hz)
+    assert spectral_match(recording.acceleration, reduced, recording.rate_hz) > 0.93
+
+
+def test_pushes_of_any_size_give_the_same_frames() -> None:
+    blocks = noise(3, 12, 20)
+    valid = np.ones((12, 20), dtype=bool)
+    whole = TrackingFrames((), 20).push(blocks, valid)
+    other = TrackingFrames((), 20)
+    parts = [other.push(blocks[:, at : at + k], valid[at : at + k]) for at, k in ((0, 1), (1, 4), (5, 7))]
+    np.testing.assert_allclose(np.concatenate(parts), whole, rtol=1e-12, atol=1e-12)
+
+
+def test_frames_before_the_first_tap_do_not_choose_the_axis() -> None:
+    """A tap where one frame ends: the frames before it hold nothing, or noise."""
+    lag = np.maximum(np.arange(4000) - 20 * 70, 0) / RATE
+    tap = np.array([np.sin(2 * np.pi * f * lag) * np.exp(-lag / d) for f, d in ((95, 0.0075), (210, 0.0045))])
+    assert gain(dft321_principal_windowed, np.array([*tap, 0.3 * tap[1]])) < 3
+
+
+def test_a_swing_through_zero_does_not_jump() -> None:
+    """A frame's first bin is real: turning about the axis it must shrink to nothing, not flip."""
+    spectra = [np.full((1, 21), part, dtype=complex) for part in (1.0, 0.0, 0.0)]
+    found = []
+    for across in (1e-3, -1e-3):
+        processor = TrackingFrames((), 20)
+        processor.merge(spectra, np.ones((3, 1, 40)) * np.array([1.0, 0.0, 0.0])[:, None, None])
+        turned = [part.copy() for part in spectra]
+        turned[0][:, [0, -1]], turned[1][:, [0, -1]] = across, 1.0
+        found.append(processor.merge(turned, np.ones((3, 1, 40)) * np.array([1.0, 0.0, 0.0])[:, None, None]))
+    np.testing.assert_allclose(*found, atol=0.1)
+
+
+def test_silence_before_the_first_sound_takes_no_part_in_the_sign() -> None:
+    motion = noise(3, 8, 20)
+    motion[:, :3] = 0
+    whole = TrackingFrames((), 20).push(motion, np.ones((8, 20), dtype=bool))
+    alone = TrackingFrames((), 20).push(motion[:, 2:], np.ones((6, 20), dtype=bool))
+    np.testing.assert_allclose(whole[2:], alone, atol=1e-12)
+    other = TrackingFrames((), 20)
+    parts = [other.push(motion[:, at : at + 1], np.ones((1, 20), dtype=bool)) for at in range(8)]
+    np.testing.assert_allclose(np.concatenate(parts), whole, rtol=1e-12, atol=1e-12)

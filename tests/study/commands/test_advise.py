@@ -1,0 +1,117 @@
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from study.cli import main
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+STUDY = """
+[study]
+seed = 3
+[[recordings]]
+scene = "constrained_drag"
+duration_s = 0.5
+[[recordings]]
+scene = "circular_motion"
+duration_s = 0.5
+"""
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    folder = tmp_path / "study"
+    folder.mkdir()
+    (folder / "study.toml").write_text(STUDY)
+    return folder
+
+
+def test_one_line_per_scene_and_where_the_page_is(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["advise", str(study)]) == 0
+    first, second, common, page = capsys.readouterr().out.splitlines()
+    assert first.startswith("constrained_drag: pca321, runner-up dft321, margin ")
+    assert second.startswith("circular_motion: dft321, ")
+    assert common.startswith("One for all 2 scenes: dft321")
+    assert page == str(study / "advice" / "index.html")
+    assert (study / "advice" / "index.html").is_file()
+
+
+def test_json_holds_the_record_behind_the_order(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["advise", str(study), "--online", "--json", "-o", str(study / "elsewhere")]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content["context"] == {"online": True, "latency_ms": 45.0, "axes": 1}
+    assert content["seed"] == 3
+    record = next(row for row in content["measures"] if row["reducer"] == "dft321_windowed")
+    assert {"state", "latency_ms", "operations", "parameters", "order"} <= set(record)
+    assert content == json.loads((study / "elsewhere" / "results.json").read_text(encoding="utf-8"))
+
+
+def test_segments_are_advised_one_by_one(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["advise", str(study), "--segment", "0.25", "--tolerance", "0.3", "--seed", "8"]) == 0
+    assert capsys.readouterr().out.count(" 0.25-0.50 s: ") == 2
+
+
+def test_another_seed_gives_the_same_answers(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    answers = []
+    for seed in ("1", "2"):
+        assert main(["advise", str(study), "--seed", seed, "--json"]) == 0
+        rows = json.loads(capsys.readouterr().out)["scenes"]
+        answers.append([(row["answer"], row["runner_up"]) for row in rows])
+    assert answers[0] == answers[1]
+
+
+def test_ratings_of_the_study_are_heard(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (study / "stimuli").mkdir()
+    reducers = {"pca321": 20.0, "dft321": 90.0}
+    manifest = [f"constrained_drag-{name},constrained_drag,{name},0.5,0.5" for name in reducers]
+    head = "stimulus_id,recording,reducer,spectral_match,temporal_match"
+    (study / "stimuli" / "manifest.csv").write_text("\n".join([head, *manifest]) + "\n")
+    rng = np.random.default_rng(0)
+    rows = [
+        f"P{person},constrained_drag-{name},realism,{repeat},{mean + 3 * rng.standard_normal():.1f}"
+        for person in range(8)
+        for name, mean in reducers.items()
+        for repeat in (1, 2)
+    ]
+    (study / "ratings.csv").write_text("\n".join(["participant,stimulus_id,scale,repeat,rating", *rows]) + "\n")
+    assert main(["advise", str(study), "--json"]) == 0
+    drag, circle = json.loads(capsys.readouterr().out)["scenes"]
+    assert (drag["answer"], drag["basis"]) == ("dft321", "metrics and ratings")
+    assert "pca321, is not shown to feel like dft321" in drag["reason"]
+    assert circle["basis"] == "metrics"
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "message"),
+    [
+        (["--axes", "4"], 2, "--axes: got 4, allowed is 1, 2 or 3"),
+        (["--latency-ms", "5"], 2, "--latency-ms: got 5 offline, where nobody waits; add --online"),
+        (["--online", "--latency-ms", "-5"], 2, "--latency-ms: got -5, allowed is a finite time of 0 ms or more"),
+        (["--online", "--latency-ms", "nan"], 2, "--latency-ms: got nan, allowed is a finite time"),
+        (["--tolerance", "22"], 2, "--tolerance: got 22, allowed is above 0 and below 1"),
+        (["--segment", "0.01"], 2, "--segment: got 0.01 s, allowed is 0.1 s or more"),
+        (["--segment", "soon"], 2, "'soon' is not a valid float"),
+        (["--recordings", "nowhere.csv"], 1, "nowhere.csv"),
+    ],
+)
+def test_doors(study: Path, capsys: pytest.CaptureFixture[str], options: list[str], code: int, message: str) -> None:
+    assert main(["advise", str(study), *options]) == code
+    told = capsys.readouterr().err.splitlines()
+    assert len(told) == 1
+    assert message in told[0]
+    assert not (study / "advice").exists()
+
+
+def test_bad_options_are_refused_before_anything_is_read(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["advise", str(study), "--recordings", "nowhere.csv", "--axes", "4"]) == 2
+    assert "--axes: got 4" in capsys.readouterr().err
+
+
+def test_a_folder_without_a_study_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["advise", str(tmp_path)]) == 1
+    assert len(capsys.readouterr().err.splitlines()) == 1

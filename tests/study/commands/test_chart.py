@@ -1,0 +1,114 @@
+"""The verb: what it writes and prints, on a small study; how it refuses."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+import analysis.chart
+from analysis.chart import Effort, read_json
+from stimuli.manifest import read_stimuli
+from study.cli import main
+from study.folder import StudyFolder
+from study.methods import find_ratings
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    Capture = pytest.CaptureFixture[str]
+
+STUDY = """
+[study]
+seed = 5
+[[recordings]]
+scene = "bumps"
+duration_s = 0.3
+[stimuli]
+reducers = ["soc321", "dft321"]
+"""
+
+
+@pytest.fixture
+def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    folder = tmp_path / "study"
+    folder.mkdir()
+    (folder / "study.toml").write_text(STUDY)
+    tiny = Effort("quick", longest_s=0.2, rotations=2, sweep_rotations=2, largest_n=2000, rounds=3)
+    monkeypatch.setattr(analysis.chart, "QUICK", tiny)
+    return folder
+
+
+def write_ratings(study: Path) -> None:
+    """Ratings from elsewhere, for the study's own stimuli."""
+    folder = StudyFolder(study)
+    lines = ["participant,stimulus_id,scale,rating,trial"]
+    tests = [row.stimulus_id for row in read_stimuli(folder.stimuli).stimuli if row.role == "test"]
+    lines += [
+        f"P0{person},{one},realism,{40 + 10 * k + person},{k}" for person in (1, 2) for k, one in enumerate(tests)
+    ]
+    folder.ratings.write_text("\n".join(lines) + "\n")
+
+
+def test_a_study_without_ratings_is_charted_with_its_own_seed(study: Path, capsys: Capture) -> None:
+    assert main(["chart", str(study)]) == 0
+    assert capsys.readouterr().out == f"{study / 'chart' / 'index.html'}\n"
+    chart = read_json((study / "chart" / "results.json").read_text(encoding="utf-8"))
+    assert (chart.seed, chart.rated, [scene.name for scene in chart.scenes]) == (5, (), ["bumps"])
+
+
+def test_ratings_recordings_seed_and_folder_are_taken_as_told(study: Path, tmp_path: Path, capsys: Capture) -> None:
+    assert main(["build", str(study)]) == 0
+    write_ratings(study)
+    other = tmp_path / "other.npz"
+    samples = np.random.default_rng(0).standard_normal((3, 500))
+    np.savez(other, acceleration=samples, rate_hz=2500.0, unit="m/s^2")
+    capsys.readouterr()
+    target = tmp_path / "elsewhere"
+    options = ["--recordings", str(other), "-o", str(target), "--seed", "9", "--json"]
+    assert main(["chart", str(study), *options]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content == json.loads((target / "results.json").read_text(encoding="utf-8"))
+    assert (content["seed"], [scene["name"] for scene in content["scenes"]]) == (9, ["bumps", "other"])
+    assert {row["reducer"]: row["mean"] for row in content["rated"]} == {"soc321": 41.5, "dft321": 51.5}
+    assert "figures/rated_realism_as_is_7.svg" in content["files"]
+
+
+def test_ratings_are_found_once_there_are_any(study: Path) -> None:
+    assert find_ratings(StudyFolder(study)) is None
+    assert main(["build", str(study)]) == 0
+    assert find_ratings(StudyFolder(study)) is None
+    write_ratings(study)
+    table = find_ratings(StudyFolder(study))
+    assert table is not None
+    assert sorted(table.rows["rating"]) == [41, 42, 51, 52]
+
+
+def test_ratings_are_derived_from_the_journals_where_there_are_some(study: Path) -> None:
+    assert main(["build", str(study)]) == 0
+    assert main(["simulate", str(study), "--participants", "1", "--seed", "0"]) == 0
+    folder = StudyFolder(study)
+    folder.ratings.unlink()
+    table = find_ratings(folder)
+    assert table is not None
+    assert bool(table.rows["simulated"].all())
+    assert folder.ratings.is_file()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["{folder}/nowhere"], 1, "nowhere: got no folder, allowed is a study's; check the name"),
+        (["{folder}"], 1, "got a folder without study.toml"),
+        (["{folder}", "--recordings", "{folder}/nothing.csv"], 1, "nothing.csv: got no such file"),
+        (["{folder}", "--seed", "-1"], 2, "-1 is not in the range x>=0"),
+        (["{folder}", "--recordings", ""], 2, "got an empty name"),
+    ],
+)
+def test_bad_use_is_one_line(arguments: list[str], code: int, message: str, tmp_path: Path, capsys: Capture) -> None:
+    assert main(["chart", *(argument.format(folder=tmp_path) for argument in arguments)]) == code
+    out, err = capsys.readouterr()
+    assert (out, len(err.splitlines())) == ("", 1)
+    assert message in err

@@ -1,0 +1,99 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from stimuli.condition import Conditioning, condition
+from stimuli.synthesis import SCENES, make_scene
+from study.methods import gather_recordings
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+STUDY = """
+[[recordings]]
+scene = "bumps"
+duration_s = 1.0
+[[recordings]]
+file = "own.npz"
+name = "own"
+[stimuli.conditioning]
+high_pass_hz = 40.0
+crop_s = [0.1, 0.6]
+"""
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    folder = tmp_path / "study"
+    folder.mkdir()
+    (folder / "study.toml").write_text(STUDY)
+    save(folder / "own.npz", seed=1)
+    return folder
+
+
+def save(path: Path, *, seed: int, rate_hz: float = 1000.0) -> Path:
+    samples = np.random.default_rng(seed).standard_normal((3, 800))
+    np.savez(path, acceleration=samples, rate_hz=rate_hz, unit="m/s^2")
+    return path
+
+
+def test_recordings_of_a_study_are_conditioned_as_the_study_says(study: Path) -> None:
+    bumps, own = gather_recordings(study)
+    expected = condition(make_scene("bumps", duration_s=1.0), Conditioning(high_pass_hz=40.0, crop_s=(0.1, 0.6)))
+    assert (bumps.name, own.name) == ("bumps", "own")
+    assert np.array_equal(bumps.acceleration, expected.acceleration)
+
+
+def test_others_are_conditioned_alike_but_not_cropped(study: Path, tmp_path: Path) -> None:
+    other = gather_recordings(study, extra=[save(tmp_path / "other.npz", seed=2)])[-1]
+    raw = np.random.default_rng(2).standard_normal((3, 800))
+    plain = replace(make_scene("bumps"), acceleration=raw, rate_hz=1000.0, sha256="")
+    assert other.n_samples == 800
+    assert np.allclose(other.acceleration, condition(plain, Conditioning(high_pass_hz=40.0)).acceleration)
+
+
+def test_unconditioned_they_are_as_the_sensor_gave_them_under_the_same_names(study: Path, tmp_path: Path) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    extra = [save(elsewhere / "own.npz", seed=3)]
+    felt = gather_recordings(study, scenes=True, extra=extra)
+    raw = gather_recordings(study, scenes=True, extra=extra, conditioned=False)
+    assert [recording.name for recording in raw] == [recording.name for recording in felt]
+    assert np.array_equal(raw[0].acceleration, make_scene("bumps", duration_s=1.0).acceleration)
+    assert np.array_equal(raw[-1].acceleration, np.random.default_rng(3).standard_normal((3, 800)))
+
+
+def test_scenes_need_no_study_and_come_in_their_order(tmp_path: Path) -> None:
+    assert [recording.name for recording in gather_recordings(tmp_path, scenes=True)] == list(SCENES)
+
+
+def test_what_is_there_twice_is_taken_once_and_other_namesakes_are_numbered(study: Path, tmp_path: Path) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    save(elsewhere / "own.npz", seed=3)
+    (elsewhere / "README.md").write_text("notes are no recordings")
+    names = [recording.name for recording in gather_recordings(study, extra=[study / "own.npz", elsewhere, elsewhere])]
+    assert names == ["bumps", "own", "own (2)"]
+
+
+def test_every_unreadable_recording_is_named_at_once(study: Path, tmp_path: Path) -> None:
+    (study / "own.npz").unlink()
+    broken, slow = tmp_path / "broken.wav", save(tmp_path / "slow.npz", seed=4, rate_hz=60.0)
+    broken.write_bytes(b"nothing")
+    with pytest.raises(ValueError, match=r"own(.|\n)*broken\.wav(.|\n)*slow") as refused:
+        gather_recordings(study, extra=[broken, slow])
+    assert len(str(refused.value).splitlines()) == 3
+
+
+def test_a_folder_without_recordings_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="got a folder without recordings, allowed are files ending in"):
+        gather_recordings(tmp_path, extra=[tmp_path])
+
+
+def test_without_a_study_something_else_must_be_named(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"got a folder without study\.toml"):
+        gather_recordings(tmp_path)

@@ -1,0 +1,87 @@
+"""The verb stress, as a user meets it."""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from stimuli.reduce import REDUCERS
+from stimuli.synthesis import make_scene
+from study.cli import main
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from study.folder import StudyFolder
+
+    Capture = pytest.CaptureFixture[str]
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    """Write an isotropic rumble on a large offset, as a file from a lab."""
+    rumble = make_scene("isotropic_rumble", duration_s=0.4)
+    table = np.column_stack([np.arange(rumble.n_samples) / rumble.rate_hz, rumble.acceleration.T + 50.0])
+    path = tmp_path / "rumble.csv"
+    np.savetxt(path, table, delimiter=",", header="time_s,x_m/s^2,y_m/s^2,z_m/s^2", comments="")
+    return path
+
+
+def test_figures_warnings_and_page(recording: Path, tmp_path: Path, capsys: Capture) -> None:
+    target = tmp_path / "out"
+    where = [str(tmp_path), "--recordings", str(recording), "-o", str(target)]
+    assert main(["stress", *where, "--seed", "3", "--json"]) == 0
+    out, err = capsys.readouterr()
+    content = json.loads(out)
+    assert content["inputs"]["seed"] == 3
+    assert {cell["reducer"] for cell in content["cells"]} == set(REDUCERS)
+    assert json.loads((target / "results.json").read_text(encoding="utf-8")) == content
+    assert all((target / name).is_file() for name in content["files"])
+    assert re.search(r"feel321: warning: rumble: 9\d.* % of what the sensor gave is offset", err)
+    assert "offset" in next(entry for entry in content["recordings"] if entry["name"] == "rumble")["near"]
+
+
+def test_the_default_folder_is_in_the_study(
+    study: StudyFolder, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    """A study's own recordings, found as they came from the sensor, under the names that the study gives them."""
+    from analysis.stress import run
+
+    asked: dict[str, object] = {}
+    whole = run.stress_reducers
+
+    def note(recordings: object, **options: object) -> object:
+        asked.update(recordings=recordings, **options)
+        few = {"mag321": REDUCERS["mag321"]}
+        return whole(recordings, few, **{**options, "draws": 2})
+
+    monkeypatch.setattr(run, "stress_reducers", note)
+    assert main(["stress", str(study.path)]) == 0
+    assert capsys.readouterr().out.strip() == str(study.path / "stress" / "index.html")
+    assert [one.name for one in asked["recordings"]] == ["bumps", "hard_taps"]
+    assert list(asked["sensor"]) == ["bumps", "hard_taps"]
+    assert asked["seed"] == 5
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["missing"], "missing: got no folder, allowed is a study's; check the name"),
+        (["."], "or begin one with: feel321 new"),
+        ([".", "--recordings", "none.csv"], "none.csv"),
+        ([".", "--scenes", "--seed", "-1"], "Invalid value for '--seed'"),
+    ],
+)
+def test_doors(
+    arguments: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["stress", *arguments]) in {1, 2}
+    err = capsys.readouterr().err
+    assert message in err
+    assert len(err.splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []
