@@ -214,7 +214,8 @@ def test_comparisons_alone_are_a_page_without_a_claim(
     results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
     assert results.verdict[0].startswith("These ratings do not tell whether the metrics predict what people feel")
     assert ("The space of what was felt" in results.verdict[-1]) == (scale == "dissimilarity")
-    assert results.notes[0].startswith(f"Scale '{scale}': none of its 576 judgements enters an association, because {reason}")
+    lead = f"Scale '{scale}': none of its 576 judgements enters an association, because {reason}"
+    assert results.notes[0].startswith(lead)
     assert not [number for number in results.numbers if number.name.startswith(("association", "difference"))]
     assert len([number for number in results.numbers if number.name.startswith("profile")]) == 12 * 4
     page = read_page(tmp_path / "report")
