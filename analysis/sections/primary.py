@@ -145,7 +145,8 @@ def _sum_up(told: list[tuple[Row, tuple[Number, ...], tuple[Number, ...]]], part
     needs = "".join(tell_need(row, settled, scenes=scenes) for row, _, settled in told)
     together = ", the metrics in one model" if len(told) > 1 else ""
     lead = f"within recordings{together} ({_tell_size(model)})"
-    return Line(f"{found}{_tell_reach(model)}.{needs}", start(part.subject), lead)
+    reach = _tell_reach(model).removeprefix(",")
+    return Line(f"{found}.{f' This is{reach}.' if reach else ''}{needs}", start(part.subject), lead)
 
 
 def _tell_slope(row: Row, slope: Number) -> str:
