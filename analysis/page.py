@@ -15,9 +15,10 @@ if TYPE_CHECKING:
 
     from markupsafe import Markup
 
+    from analysis.lines import Line
     from analysis.pictures import Picture
     from analysis.results import Results
-    from analysis.sections.section import Line, Section
+    from analysis.sections.section import Section
 
 TEMPLATES = Path(__file__).parent / "templates"
 

@@ -20,7 +20,7 @@ APART = (PAIRED, ANSWERED)
 PAIR = "pair"
 """Role of what is judged against another stimulus that is not the reference."""
 
-SPACE = "What the dissimilarities say stands under The space of what was felt."
+SPACE = "Where a map of the dissimilarities can be made, it stands under The space of what was felt."
 MEASURES = {PAIRED: "dissimilarity from the reference", ANSWERED: "percentage correct"}
 
 

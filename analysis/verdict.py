@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from analysis.lines import Line
 from analysis.scales import PAIRED, SPACE
-from analysis.sections.section import Line
 from analysis.sources import tell_recordings
 from analysis.words import tell_name, tell_number, tell_range, tell_ratings
 

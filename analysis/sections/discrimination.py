@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 from analysis.discrimination import discriminate_pairs
 from analysis.figures.pairs import draw_discrimination
+from analysis.lines import Line
 from analysis.numbers import COUNT, Number, count_number, make_interval, make_number, name_path
 from analysis.pictures import Picture
 from analysis.scales import ANSWERED
 from analysis.sections.effects import SIGNIFICANCE, adjust
-from analysis.sections.section import INTERVAL, Cell, Grid, Line, Section
+from analysis.sections.section import INTERVAL, Cell, Grid, Section
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

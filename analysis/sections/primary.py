@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 from analysis.figures.residuals import draw_residuals
 from analysis.figures.slopes import draw_slopes
+from analysis.lines import Line
 from analysis.numbers import COUNT, count_number, make_number, name_path
 from analysis.pictures import Picture, make_slug
 from analysis.primary import FEW, fit_primary, tabulate_slopes
 from analysis.sections.effects import SIGNIFICANCE, lay_estimate, name_estimate, name_tests, tell_estimate, tell_p
-from analysis.sections.section import Cell, Grid, Line, Section
+from analysis.sections.section import Cell, Grid, Section
 from analysis.sections.settling import SETTLING, lay_precision, name_precision, tell_need
 from analysis.sections.thinning import thin_parts
 from analysis.sources import tell_recordings
@@ -144,7 +145,8 @@ def _sum_up(told: list[tuple[Row, tuple[Number, ...], tuple[Number, ...]]], part
     needs = "".join(tell_need(row, settled, scenes=scenes) for row, _, settled in told)
     together = ", the metrics in one model" if len(told) > 1 else ""
     lead = f"within recordings{together} ({_tell_size(model)})"
-    return Line(f"{found}{_tell_reach(model)}.{needs}", start(part.subject), lead)
+    reach = _tell_reach(model).removeprefix(",")
+    return Line(f"{found}.{f' This is{reach}.' if reach else ''}{needs}", start(part.subject), lead)
 
 
 def _tell_slope(row: Row, slope: Number) -> str:

@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis.lines import Line
 from analysis.numbers import COUNT, TWO_WAY, count_number, make_interval, make_number, name_path
 from analysis.refined.candidates import EQUAL
 from analysis.refined.refine import refine_metric
 from analysis.sections.parts import split_parts
-from analysis.sections.section import INTERVAL, Cell, Grid, Line, Section
+from analysis.sections.section import INTERVAL, Cell, Grid, Section
 from analysis.words import start, tell_name, tell_number, tell_range
 
 if TYPE_CHECKING:

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
     from pandas import DataFrame
 
+    from analysis.lines import Line
     from analysis.numbers import Number
     from analysis.pictures import Picture
 
@@ -80,30 +81,6 @@ class Grid:
         """
         for row in self.rows:
             yield from (cell for cell in row if isinstance(cell, Cell))
-
-
-@dataclass(frozen=True, slots=True)
-class Line:
-    """One of the lines that open a report.
-
-    Parameters
-    ----------
-    text : str
-        What is claimed.
-    subject : str
-        What was rated; lines of one subject stand together on the page.
-    lead : str
-        What kind of evidence that is, and how much of it.
-    """
-
-    text: str
-    subject: str = ""
-    lead: str = ""
-
-    def __str__(self) -> str:
-        """Write it as a sentence of its own."""
-        about = ", ".join(filter(None, (self.subject, self.lead)))
-        return f"{about}: {self.text}" if about else self.text
 
 
 @dataclass(frozen=True, slots=True, eq=False)

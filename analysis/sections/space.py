@@ -9,11 +9,12 @@ import numpy as np
 
 from analysis.figures.maps import draw_space
 from analysis.landmarks import align_spaces, bootstrap_space, regress_attributes
+from analysis.lines import Line
 from analysis.numbers import COUNT, Number, count_number, make_number, name_path
 from analysis.pictures import Picture, make_slug
 from analysis.scales import APART, PAIRED
 from analysis.sections.effects import SIGNIFICANCE, adjust
-from analysis.sections.section import Cell, Grid, Line, Section
+from analysis.sections.section import Cell, Grid, Section
 from analysis.space import stress_by_dimension
 from analysis.table import order_reducers
 from analysis.words import tell_name, tell_number

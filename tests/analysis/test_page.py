@@ -12,8 +12,9 @@ import pandas as pd
 import pytest
 
 from analysis.bootstrap import METHODS
+from analysis.lines import Line
 from analysis.page import group_lines
-from analysis.sections.section import Line, Section
+from analysis.sections.section import Section
 from analysis.words import tell_method, tell_number, tell_range
 
 if TYPE_CHECKING:

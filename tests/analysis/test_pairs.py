@@ -208,22 +208,22 @@ def test_comparisons_alone_are_a_page_without_a_claim(
 ) -> None:
     study = files(scales=(scale,))
     ratings = pd.read_csv(study.ratings)
+    if scale == "abx":
+        ratings["rating"] = np.where(ratings["rating"] > 50, 100.0, 0.0)
     ratings.assign(reference_id=ratings["recording"] + "_original_as_is").to_csv(study.ratings, index=False)
     results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
     assert results.verdict[0].startswith("These ratings do not tell whether the metrics predict what people feel")
-    assert ("The perceptual space" in results.verdict[-1]) == (scale == "dissimilarity")
-    (note,) = results.notes
-    assert note.startswith(f"Scale '{scale}': none of its 576 judgements enters an association, because {reason}")
+    assert ("The space of what was felt" in results.verdict[-1]) == (scale == "dissimilarity")
+    lead = f"Scale '{scale}': none of its 576 judgements enters an association, because {reason}"
+    assert results.notes[0].startswith(lead)
     assert not [number for number in results.numbers if number.name.startswith(("association", "difference"))]
     assert len([number for number in results.numbers if number.name.startswith("profile")]) == 12 * 4
     page = read_page(tmp_path / "report")
-    assert page.count("<table>") == 1
     assert measure in page
     assert "bootstrap" not in page
     assert ("Guessing gives 50." in page) == (scale == "abx")
-    assert sorted(name for name in results.files if "tables/" in name) == [
-        "tables/participants.csv", "tables/profiles.csv",
-    ]  # fmt: skip
+    assert {"tables/participants.csv", "tables/profiles.csv"} <= set(results.files)
+    assert not [name for name in results.files if "association" in name or "slope" in name]
     json.loads((tmp_path / "report" / "results.json").read_text(encoding="utf-8"))
 
 
