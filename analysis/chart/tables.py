@@ -135,8 +135,8 @@ def _lay_growth(chart: Chart) -> Sheet:
     head = ("Reducer", "Exponent", "95 % interval", "Overhead (µs)", "Misfit (%)",
             f"Peak memory at {tell_plainly(longest)} (MB)", "× input")  # fmt: skip
     caption = (
-        "Time of one call: overhead + b n^exponent, fitted to the medians; misfit: RMS deviation from the fit. Where the "
-        "operations grow with n and the exponent is above 1, memory is the reason: long signals leave the caches."
+        "Time of one call: overhead + b n^exponent, fitted to the medians; misfit: RMS deviation from the fit. Where "
+        "the operations grow with n and the exponent is above 1, memory is the reason: long signals leave the caches."
     )
     return Sheet(caption, head, tuple(
         (
