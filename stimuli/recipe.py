@@ -7,7 +7,7 @@ from typing import Any
 
 from stimuli.condition import Conditioning
 from stimuli.recording import check_rate
-from stimuli.reduce import REDUCERS, get_reducer
+from stimuli.reduce import DEFAULT_REDUCERS, REDUCERS, get_reducer
 
 LEVELS = ("as_is", "equal_intensity")
 """Level arms: one physical gain for the whole set, so that lost energy is felt as loss; or every stimulus brought to
@@ -57,7 +57,7 @@ class Recipe:
 
     full_scale_m_s2: float = 100.0
     conditioning: Conditioning = field(default_factory=Conditioning)
-    reducers: tuple[str, ...] = tuple(REDUCERS)
+    reducers: tuple[str, ...] = DEFAULT_REDUCERS
     levels: tuple[str, ...] = ("as_is",)
     anchors: bool = True
     reference: str = ORIGINAL

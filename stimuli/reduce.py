@@ -52,6 +52,9 @@ REDUCERS: Mapping[str, Reducer] = MappingProxyType(
 )
 """Name -> reducer."""
 
+DEFAULT_REDUCERS = tuple(name for name in REDUCERS if not name.startswith("dft321_principal"))
+"""What a study compares unless it says otherwise: as many as a MUSHRA page holds beside the reference and anchors."""
+
 
 def get_reducer(name: str) -> Reducer:
     """Look a reducer up, or say which there are.

@@ -134,7 +134,10 @@ def _lay_growth(chart: Chart) -> Sheet:
     longest = max(row.n_samples for row in chart.memory)
     head = ("Reducer", "Exponent", "95 % interval", "Overhead (µs)", "Misfit (%)",
             f"Peak memory at {tell_plainly(longest)} (MB)", "× input")  # fmt: skip
-    caption = "Time of one call: overhead + b n^exponent, fitted to the medians; misfit: RMS deviation from the fit."
+    caption = (
+        "Time of one call: overhead + b n^exponent, fitted to the medians; misfit: RMS deviation from the fit. Where "
+        "the operations grow with n and the exponent is above 1, memory is the reason: long signals leave the caches."
+    )
     return Sheet(caption, head, tuple(
         (
             row.reducer, f"{row.exponent:.2f}", _tell_interval(row), f"{row.overhead_us:.0f}",

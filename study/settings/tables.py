@@ -13,7 +13,7 @@ from pydantic import AfterValidator, Discriminator, Field, Tag
 
 from stimuli.recipe import LEVELS, NO_REFERENCE, ORIGINAL
 from stimuli.recording import UNITS
-from stimuli.reduce import REDUCERS
+from stimuli.reduce import DEFAULT_REDUCERS, REDUCERS
 from stimuli.sets import check_names
 from stimuli.synthesis import SCENES
 from study.settings.fields import (
@@ -121,7 +121,7 @@ class ConditioningTable(Table):
 class StimuliTable(Table):
     """`[stimuli]`: what is made of each recording."""
 
-    reducers: Annotated[tuple[Annotated[str, one_of(REDUCERS)], ...], Some] = tuple(REDUCERS)
+    reducers: Annotated[tuple[Annotated[str, one_of(REDUCERS)], ...], Some] = DEFAULT_REDUCERS
     levels: Annotated[tuple[Annotated[str, one_of(LEVELS)], ...], Some] = LEVELS[:1]
     anchors: bool = True
     reference: Annotated[str, one_of((ORIGINAL, NO_REFERENCE, *REDUCERS))] = ORIGINAL
