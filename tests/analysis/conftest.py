@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from analysis.report import write_report
-from stimuli.reduce import REDUCERS
+from stimuli.reduce import DEFAULT_REDUCERS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -44,8 +44,8 @@ class Files:
 def list_stimuli(design: Design, rng: np.random.Generator) -> Iterator[tuple[object, ...]]:
     for number in range(design.recordings):
         for level in design.levels:
-            for place, reducer in enumerate(REDUCERS):
-                spectral = min(1.0, place / (len(REDUCERS) - 1) + rng.normal(0, 0.15))
+            for place, reducer in enumerate(DEFAULT_REDUCERS):
+                spectral = min(1.0, place / (len(DEFAULT_REDUCERS) - 1) + rng.normal(0, 0.15))
                 yield f"rec{number}", reducer, level, "test", spectral, rng.uniform(0.1, 0.9)
             if design.anchors:
                 yield f"rec{number}", "original", level, "reference", np.nan, np.nan
