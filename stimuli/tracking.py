@@ -133,8 +133,6 @@ class TrackingFrames(FourierFrames):
         """Turn each axis to point along the one before it, the first along the first onset; silence has none."""
         axes = np.where(np.asarray(anchors.any(axis=(-2, -1)))[..., None], axes, 0.0)
         before = np.concatenate([self._axis, axes[..., :-1, :]], axis=-2) + waking
-        # Where they are all but across each other, what both have of the onsets decides: no return with a turned sign.
-        before += np.einsum("...mij,...mj->...mi", anchors, before)
         turns = np.einsum("...mi,...mi->...m", axes, before)
         axes *= np.cumprod(np.where(turns < 0, -1.0, 1.0), axis=-1)[..., None]
         self._axis = axes[..., -1:, :]

@@ -126,6 +126,16 @@ def test_the_onset_goes_up() -> None:
     np.testing.assert_allclose(dft321_principal(np.outer((0.6, 0.0, -0.8), -wave), RATE), wave, atol=1e-12)
 
 
+@pytest.mark.parametrize("name", ["bumps", "hard_taps", "isotropic_rumble"])
+def test_the_first_onset_gives_frames_their_sign_however_the_sensor_sits(name: str) -> None:
+    recording = make_scene(name, duration_s=1.0, seed=2)
+    reduce = dft321_principal_windowed
+    still = reduce(recording.acceleration, recording.rate_hz)
+    for turn in random_rotations(12, np.random.default_rng(3)):
+        turned = reduce(turn @ recording.acceleration, recording.rate_hz)
+        assert turned == pytest.approx(still, abs=1e-9 * np.abs(still).max())
+
+
 def test_anti_phase_axes_keep_their_waveform() -> None:
     wave = noise(3000)
     wave -= wave.mean()
