@@ -6,7 +6,7 @@ PIP := $(PYTHON) -m pip install --disable-pip-version-check -q -c constraints.tx
 ROOMS := stimuli protocols study analysis
 
 .DELETE_ON_ERROR:
-.PHONY: help demo test check lint types floors duplicates guards bench soak constraints clean
+.PHONY: help demo test test-analysis test-others check lint types floors duplicates guards bench soak constraints clean
 
 help: ## list the commands
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile | expand -t 20
@@ -14,8 +14,23 @@ help: ## list the commands
 demo: .venv/.runs ## set up, run the whole chain on the bundled study, say where the report is
 	.venv/bin/feel321 demo
 
-test: .venv/.tests ## set up, run every test with branch coverage
+test: .venv/.tests ## set up, run every test with branch coverage, those of the analysis beside the others
+ifdef ARGS
 	$(PYTHON) -m pytest --cov --cov-report=term $(ARGS)
+else
+	rm -f .coverage .coverage.*
+	$(MAKE) -j2 test-analysis test-others
+	.venv/bin/coverage combine -q
+	.venv/bin/coverage report
+endif
+
+PYTEST := $(PYTHON) -m pytest --cov --cov-report= --cov-fail-under=0
+
+test-analysis: # computes only, so it may wait; the others play and listen in real time
+	COVERAGE_FILE=.coverage.analysis nice $(PYTEST) tests/analysis analysis
+
+test-others:
+	COVERAGE_FILE=.coverage.others $(PYTEST) --ignore=tests/analysis --ignore=analysis
 
 check: lint types floors duplicates guards ## every guard rail; `make -k check` goes on after a failure
 

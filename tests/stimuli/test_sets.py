@@ -485,7 +485,7 @@ def test_silence_cannot_be_made_equally_strong(scenes: list[Recording], tmp_path
     with pytest.raises(ValueError, match=r"'silence' is silent .* leave it out"):
         build_stimuli([*scenes, silent], tmp_path, recipe=Recipe())
     recipe = Recipe(levels=("equal_intensity",), anchors=False)
-    with pytest.raises(ValueError, match=f"{len(REDUCERS) + 1} stimuli are silent"):
+    with pytest.raises(ValueError, match=f"{len(DEFAULT_REDUCERS) + 1} stimuli are silent"):
         build_stimuli([*scenes, silent], tmp_path, recipe=recipe)
     as_is = build_stimuli([silent], tmp_path, recipe=Recipe(anchors=False))
     assert {row.peak for row in as_is.stimuli} == {0.0}

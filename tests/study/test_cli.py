@@ -6,7 +6,7 @@ import errno
 import json
 import re
 import sys
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -331,14 +331,15 @@ def test_a_study_that_is_not_there_or_a_file_is_told_from_a_folder(study: StudyF
 def test_draws_and_seed_of_a_study_reach_its_report(study: StudyFolder, monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[dict[str, int]] = []
 
-    def write_report(_ratings: Path, _manifest: Path, folder: Path, *, draws: int, seed: int) -> None:
-        calls.append({"draws": draws, "seed": seed})
+    def write_report(_ratings: Path, _manifest: Path, folder: Path, **choices: Any) -> None:
+        calls.append({name: choices[name] for name in ("draws", "seed")})
         folder.mkdir(exist_ok=True)
 
     monkeypatch.setattr("analysis.report.write_report", write_report)
     monkeypatch.setattr("study.workflow.write_report", write_report)
     monkeypatch.setattr("study.workflow.read_stimuli", lambda _: None)
     monkeypatch.setattr("study.workflow.write_ratings", lambda *_: 1)
+    monkeypatch.setattr("study.workflow.measure_rotations", lambda *_: None)
     elsewhere = study.path / "else"
     elsewhere.mkdir()
     tables = ["--ratings", "r.csv", "--manifest", "m.csv"]

@@ -145,7 +145,7 @@ def test_demo_runs_the_whole_chain_and_goes_on_where_it_was(tmp_path: Path) -> N
     assert first.returncode == 0, first.stderr
     after = os.times()
     # Of the processor, not of the clock on the wall: the machine may be busy with other things.
-    assert after.children_user + after.children_system - before.children_user - before.children_system < 60
+    assert after.children_user + after.children_system - before.children_user - before.children_system < 120
     report = tmp_path / first.stdout.splitlines()[-1]
     assert report == tmp_path / "demo" / "report" / "index.html"
     assert "simulated" in report.read_text(encoding="utf-8").lower()
