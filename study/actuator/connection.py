@@ -15,12 +15,16 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from study.actuator.devices import Device
     from study.actuator.rig import Rig
     from study.actuator.stream import Fill
     from study.actuator.take import Block
 
 OPENING_S = 5.0
 """So long a device may take, beyond its pre-roll, until its stream runs."""
+
+N_OPENINGS = 2
+"""A sound server that is busy may let a first stream stand; the second one runs."""
 
 REVIVING_S = 8.0
 """So long a start waits for a dead device; it may well come back later."""
@@ -69,16 +73,20 @@ class Connection:
         """
         device = find_device(list_devices(), self._rig.device.name, host_api=self._rig.device.host_api)
         check_channels(device, self._rig)
+        if not any(self._begin(device) for _ in range(N_OPENINGS)):
+            raise OSError(f"device: got {device.name!r}, which does not run; is it in use elsewhere?")
+
+    def _begin(self, device: Device) -> bool:
         self._n_frames = 0
         self._reset()
-        line = Line(device, self._rig, rate_hz=self._rate_hz, fill=self._count)
-        self.line = line
+        self.line = Line(device, self._rig, rate_hz=self._rate_hz, fill=self._count)
         deadline_s = perf_counter() + OPENING_S + self._preroll_s
         while self._n_frames < self._preroll_s * self._rate_hz:
-            if line.find_fault() or perf_counter() > deadline_s:
+            if self.line.find_fault() or perf_counter() > deadline_s:
                 self.close()
-                raise OSError(f"device: got {device.name!r}, which does not run; is it in use elsewhere?")
+                return False
             sleep(0.005)
+        return True
 
     def revive(self) -> str:
         """Open the device again if it does not run.

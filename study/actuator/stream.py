@@ -134,7 +134,6 @@ class Line:
         self._fill = fill
         self._column = rig.sensor.channel - 1 if rig.sensor else None
         self._rate_hz = rate_hz
-        self._last_s = perf_counter()
         self._held_s = OPENED_S
         self._is_closed = False
         try:
@@ -144,6 +143,7 @@ class Line:
                 self.latency_s = float(latency if self._column is None else latency[1])
                 self.there_and_back_s = float(latency if self._column is None else sum(latency))
                 self._check_rate()
+                self._last_s = perf_counter()  # opening may have taken long; only from here on it can stand still
                 self._stream.start()
         except _load().PortAudioError as error:
             raise OSError(_describe(error, self.device, rate_hz=rate_hz)) from None

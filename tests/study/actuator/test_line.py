@@ -324,3 +324,36 @@ def test_a_stream_that_never_runs_is_refused(monkeypatch: pytest.MonkeyPatch, tm
     output = StreamOutput(RIG, {}, rate_hz=RATE_HZ, folder=tmp_path, clock=perf_counter)
     with pytest.raises(OSError, match="got 'coils', which does not run; is it in use elsewhere"):
         output.open()
+
+
+@pytest.mark.usefixtures("sounddevice")
+def test_a_stream_that_stands_at_first_is_opened_once_more(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    starts: list[StandIn] = []
+
+    def start(stream: StandIn) -> None:
+        starts.append(stream)
+        stream.active = len(starts) == 2
+
+    monkeypatch.setattr(StandIn, "start", start)
+    output, stream = open_output(monkeypatch, tmp_path)
+    assert len(starts) == 2
+    assert stream is starts[1]
+    output.start("a", gap_s=0.0)
+    assert output.is_playing
+    assert stream.ask().any()
+
+
+@pytest.mark.usefixtures("sounddevice")
+def test_a_device_may_be_slow_to_open(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    made: list[StandIn] = []
+    make = StandIn.__init__
+
+    def make_slowly(stream: StandIn, **settings: Any) -> None:
+        made.append(stream)
+        sleep(0.6)
+        make(stream, **settings)
+
+    monkeypatch.setattr("study.actuator.stream.STALL_S", 0.5)
+    monkeypatch.setattr(StandIn, "__init__", make_slowly)
+    open_output(monkeypatch, tmp_path)
+    assert len(made) == 1
