@@ -149,7 +149,8 @@ def run_multiverse(
     screening = screen_raters(ratings, rules=rules, rng=rng)
     ratings, _ = leave_rejected(ratings)
     universes = list(_list_universes(screening.rules, together))
-    excluded = [frozenset(who for rule in rules for who in screening.hits[rule]) for rules in universes]
+    hits = screening.hits
+    excluded = [frozenset(who for rule in chosen for who in hits[rule]) for chosen in universes]
     found = {who: _estimate(ratings, estimator, who) for who in dict.fromkeys(excluded)}
     everyone = ratings["participant"].nunique()
     rows = [

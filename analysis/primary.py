@@ -53,7 +53,7 @@ class Primary:
         Nakagawa's R²: of the metrics, and of everything in the model.
     item_variance_explained : float
         Share of the spread between stimuli of a recording that the metrics account for; negative by chance,
-        NaN where a model without metrics sees no such spread.
+        NaN where a model without metrics sees no such spread, or was not asked for.
     averaged : bool
         Whether repeats were averaged before.
     n_rows, n_participants, n_recordings, n_items : int
@@ -85,7 +85,12 @@ class Primary:
 
 
 def fit_primary(
-    rows: DataFrame, metrics: Sequence[str], *, correlated: bool = False, by_reducer: bool = False
+    rows: DataFrame,
+    metrics: Sequence[str],
+    *,
+    correlated: bool = False,
+    by_reducer: bool = False,
+    explain: bool = True,
 ) -> Primary:
     """Fit the primary model of one attribute.
 
@@ -103,6 +108,8 @@ def fit_primary(
     by_reducer : bool
         Let reducers feel different, in all recordings alike and for each person, for reasons that no metric knows; a
         sensitivity analysis, for what is left of a slope are differences between recordings within a reducer.
+    explain : bool
+        Fit the model without metrics too, from which `item_variance_explained` comes; NaN without it, in half the time.
 
     Returns
     -------
@@ -150,7 +157,7 @@ def fit_primary(
     fit = fit_mixed(plan.formula, cells.table)
     within = tuple(name for name in cells.metrics if f"{name}_w" in plan.fixed)
     scales = _find_scales(cells, within)
-    explained, why = _explain_items(cells, plan, fit)
+    explained, why = _explain_items(cells, plan, fit) if explain else (float("nan"), [])
     return Primary(
         formula=plan.formula, fit=fit, slopes=_table_slopes(fit, scales), between=_table_between(fit, plan),
         differences=_table_differences(fit, scales), marginal_r2=fit.marginal_r2, conditional_r2=fit.conditional_r2,

@@ -106,7 +106,9 @@ def _tabulate(variant: str, rows: DataFrame, metrics: Sequence[str], *, unit: st
     import pandas as pd
 
     try:
-        model = fit_primary(rows, metrics, correlated=variant == CORRELATED, by_reducer=variant == BY_REDUCER)
+        model = fit_primary(
+            rows, metrics, correlated=variant == CORRELATED, by_reducer=variant == BY_REDUCER, explain=False
+        )
     except ValueError as error:
         if variant == "primary":
             raise

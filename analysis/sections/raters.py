@@ -103,7 +103,7 @@ def _fit(part: Part, out: tuple[Hashable, ...], metrics: tuple[str, ...]) -> Ite
     left = part.rows[~part.rows["participant"].isin(out)]
     n_people = len(left["participant"].unique())
     try:
-        model = fit_primary(left, metrics)
+        model = fit_primary(left, metrics, explain=False)
     except ValueError as error:
         empty: Row = dict.fromkeys(("tenth", "tenth_low", "tenth_high", "p"), float("nan"))
         yield from (empty | {"metric": name, "n_people": n_people, "reason": str(error)} for name in metrics)

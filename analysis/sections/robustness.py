@@ -103,7 +103,7 @@ def _remember_slopes(metrics: tuple[str, ...]) -> Callable[[str], Callable[[Data
 
     def fit(tests: DataFrame) -> dict[str, Estimate]:
         try:
-            slopes = fit_primary(tests.assign(**{ITEM: tests["stimulus_id"]}), metrics).slopes
+            slopes = fit_primary(tests.assign(**{ITEM: tests["stimulus_id"]}), metrics, explain=False).slopes
         except ValueError as error:
             return dict.fromkeys(metrics, Estimate(float("nan"), note=str(error)))
         ends = slopes[["tenth", "tenth_low", "tenth_high"]].itertuples(index=False)
@@ -125,7 +125,7 @@ def _remember_slopes(metrics: tuple[str, ...]) -> Callable[[str], Callable[[Data
 
 
 def _draw_variants(part: Part, metrics: tuple[str, ...], table: DataFrame) -> Picture:
-    model: Primary = fit_primary(part.rows, metrics)
+    model: Primary = fit_primary(part.rows, metrics, explain=False)
     caption = (
         f"Slopes of {part.ratings} within recordings: above in points per +0.1 of the metric, below "
         "standardised, under other choices; 95 % Satterthwaite intervals."

@@ -83,6 +83,15 @@ def test_slopes_in_every_unit_say_the_same(rows: pd.DataFrame, primary: Primary)
     assert sm[["standardised", "standardised_low", "standardised_high"]].tolist() == pytest.approx(wanted, rel=1e-4)
 
 
+def test_what_is_not_to_be_explained_costs_no_second_model_and_changes_no_slope(
+    rows: pd.DataFrame, primary: Primary
+) -> None:
+    plain = fit_primary(rows, METRICS, explain=False)
+    pd.testing.assert_frame_equal(plain.slopes, primary.slopes)
+    assert np.isnan(plain.item_variance_explained)
+    assert 0 < primary.item_variance_explained <= 1
+
+
 def test_difference_is_that_of_the_slopes(primary: Primary) -> None:
     difference = primary.differences.iloc[0]
     assert (difference["first"], difference["second"]) == ("sm", "tm")
