@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.bootstrap import CONFIDENCE, bootstrap_margin, draw_counts
+from analysis.bootstrap import CONFIDENCE, MOST_UNDEFINED, bootstrap_margin, draw_counts
 from analysis.duels import Duels, count_duels
 
 if TYPE_CHECKING:
@@ -20,10 +20,11 @@ ORDER = "order"
 """The term of being presented first."""
 
 EXTREME = 12.0
-"""A log odds beyond this is an estimate running away: one win in 160 000."""
+"""A log odds of a pair beyond this is an estimate running away: one win in 160 000."""
 
 STEPS = 30
 CLOSE = 1e-9
+RIDGE, LOOSE = 1e-10, 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -186,8 +187,8 @@ def bradley_terry_by_rater(
     Notes
     -----
     With U raters and λ* an ability in a draw, se = √(U/(U - 1)) SD(λ*) and the interval is λ ± t(.975, U - 1)
-    se. Draws in which an item always wins or loses have no estimate; where they are more than a tenth, there
-    is no interval, and a note says so. The comparisons' stimuli are taken as the only ones.
+    se. Draws in which an item always wins or loses, or meets no other, have no estimate; where they are more than
+    a tenth, there is no interval, and a note says so. The comparisons' stimuli are taken as the only ones.
 
     Examples
     --------
@@ -209,9 +210,11 @@ def bradley_terry_by_rater(
     margins = np.array([bootstrap_margin(column, n_raters) for column in drawn.T])
     fixed = _replace_errors(result.fixed, margins, n_raters)
     lost = int(np.isnan(drawn).any(axis=1).sum())
-    notes = [f"In {lost} of {draws} draws an item always won or lost; they are left out."] if lost else []
+    notes = [f"In {lost} of {draws} draws an item always won or lost, or met no other; they are left out."] if lost else []
     if np.isnan(margins).any():
-        notes.append("No interval: too many draws have no estimate; ask for more comparisons per rater.")
+        few = "too many draws have no estimate; ask for more comparisons per rater"
+        alike = "all draws gave the same, so that nothing tells how raters differ"
+        notes.append(f"No interval: {few if lost > MOST_UNDEFINED * draws else alike}.")
     return BradleyTerry(
         fixed=fixed, deviance=result.deviance, df=result.df, log_likelihood=result.log_likelihood,
         reference=result.reference, n_comparisons=result.n_comparisons, n_ties=result.n_ties,
@@ -280,7 +283,8 @@ def _fit_glm(wins: Values, design: Values, *, names: list[str]) -> Any:  # noqa:
     with warnings.catch_warnings(), np.errstate(divide="ignore", invalid="ignore"):
         warnings.simplefilter("ignore", PerfectSeparationWarning)  # a model that fits every row is no separation
         fit = sm.GLM(wins, design, family=sm.families.Binomial()).fit(tol=1e-12, maxiter=200)
-    if np.abs(fit.params).max() > EXTREME:
+    # Of a pair that met: along a chain of pairs, abilities may be far apart and yet well known.
+    if np.abs(design @ fit.params).max() > EXTREME:
         worst = names[int(np.abs(fit.params).argmax())]
         raise ValueError(f"pairs: got separation, the estimate of '{worst}' runs away; use prior=0.5")
     return fit
@@ -349,7 +353,7 @@ def _fit_many(wins: Values, design: Values) -> Values:
     """Newton's method on all draws at once; NaN where the estimate runs away."""
     first, met = wins[..., 0], wins.sum(axis=-1)
     beta = np.zeros((len(wins), design.shape[1]))
-    ridge = 1e-10 * np.eye(design.shape[1])  # a draw without a pair must not stop the others
+    ridge = RIDGE * np.eye(design.shape[1])  # a draw without a pair must not stop the others
     for _ in range(STEPS):
         chance = 1 / (1 + np.exp(-np.clip(beta @ design.T, -2 * EXTREME, 2 * EXTREME)))
         slope = (first - met * chance) @ design
@@ -358,8 +362,10 @@ def _fit_many(wins: Values, design: Values) -> Values:
         beta += np.clip(step, -2, 2)
         if np.abs(step).max() < CLOSE:
             break
-    lost = (np.abs(beta) > EXTREME).any(axis=1) | (np.abs(step) > CLOSE**0.5).any(axis=1)
-    beta[lost] = np.nan
+    astray = (np.abs(np.where(met > 0, beta @ design.T, 0)) > EXTREME).any(axis=1)
+    # Items that nothing in a draw ties to the reference would stay at 0: the ridge alone holds them.
+    loose = np.linalg.eigvalsh(curvature)[:, 0] < LOOSE
+    beta[astray | loose | (np.abs(step) > CLOSE**0.5).any(axis=1)] = np.nan
     return beta
 
 

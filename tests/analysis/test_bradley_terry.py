@@ -202,6 +202,35 @@ def test_a_prior_makes_separated_abilities_finite() -> None:
         bradley_terry(counts(("a", "b", 5, 1)), prior=-1)
 
 
+def test_a_chain_of_close_pairs_reaches_far() -> None:
+    # Each beats the next 19 : 1 and met no other: the last is 8 log(19) = 23.6 below the first, and well known.
+    chain = counts(*((one, other, 19, 1) for one, other in itertools.pairwise("abcdefghi")))
+    result = bradley_terry(chain)
+    steps = -math.log(19) * np.arange(9)
+    assert result.fixed["estimate"].to_numpy() == pytest.approx(steps, abs=1e-6)
+    # Independent pairs: variances add along the chain.
+    assert result.fixed["se"].to_numpy() == pytest.approx(np.sqrt(np.arange(9) * (1 / 19 + 1)), rel=1e-6)
+
+
+def test_draws_in_which_an_item_met_nobody_have_no_estimate() -> None:
+    # Only one of four raters judged c: a draw without that rater knows nothing of it, which is not an ability of 0.
+    rows = [(f"p{who}", "a", "b", "ab"[turn % 2]) for who in range(4) for turn in range(5 + who)]
+    rows += [("p3", "b", "c", "bc"[turn % 2]) for turn in range(6)]
+    trials = pd.DataFrame(rows, columns=["participant", "first", "second", "winner"])
+    result = bradley_terry_by_rater(trials, draws=400, rng=np.random.default_rng(0))
+    drawn = np.random.default_rng(0).multinomial(4, np.full(4, 0.25), size=400)
+    assert f"In {(drawn[:, 3] == 0).sum()} of 400 draws" in result.notes[0]
+    assert "No interval: too many draws" in result.notes[1]
+    assert result.fixed.loc[["b", "c"], "low"].isna().all()
+
+
+def test_raters_who_are_all_alike_tell_nothing_of_others() -> None:
+    rows = [(who, "a", "b", winner) for who in "xyz" for winner in "aab"]
+    trials = pd.DataFrame(rows, columns=["participant", "first", "second", "winner"])
+    notes = bradley_terry_by_rater(trials, draws=50, rng=np.random.default_rng(0)).notes
+    assert notes == ("No interval: all draws gave the same, so that nothing tells how raters differ.",)
+
+
 def test_an_order_that_always_decides_is_separation() -> None:
     with pytest.raises(ValueError, match="separation, the estimate of 'order' runs away"):
         bradley_terry(counts(("a", "b", 5, 0), ("b", "a", 5, 0)), order_effect=True)
