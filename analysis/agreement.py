@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.arrays import read_numbers
 from analysis.bootstrap import FLAT, bootstrap_margin
 
 if TYPE_CHECKING:
@@ -246,12 +247,10 @@ def _read_numbers(table: ArrayLike, level: str) -> Values:
     from pandas import factorize
 
     try:
-        return np.asarray(table, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+        return read_numbers(table, what="table")
+    except ValueError as error:
         if level != "nominal":
-            raise ValueError(
-                f"table: got cells that are no numbers ({error}); use level='nominal' for names"
-            ) from error
+            raise ValueError(f"{error}, or use level='nominal' for them") from error
     cells = np.asarray(table, dtype=object)
     number = factorize(cells.ravel())[0].astype(np.float64).reshape(cells.shape)
     return np.where(number < 0, np.nan, number)

@@ -210,7 +210,8 @@ def bradley_terry_by_rater(
     margins = np.array([bootstrap_margin(column, n_raters) for column in drawn.T])
     fixed = _replace_errors(result.fixed, margins, n_raters)
     lost = int(np.isnan(drawn).any(axis=1).sum())
-    notes = [f"In {lost} of {draws} draws an item always won or lost, or met no other; they are left out."] if lost else []
+    left_out = f"In {lost} of {draws} draws an item always won or lost, or met no other; they are left out."
+    notes = [left_out] if lost else []
     if np.isnan(margins).any():
         few = "too many draws have no estimate; ask for more comparisons per rater"
         alike = "all draws gave the same, so that nothing tells how raters differ"

@@ -122,7 +122,7 @@ def compare_dependent(r_jk: float, r_jh: float, r_kh: float, n: int) -> Dependen
     >>> round(result.williams_t, 2), result.williams_df, round(result.meng_p, 2)
     (1.38, 63, 0.17)
     """
-    given = _Triple(float(r_jk), float(r_jh), float(r_kh), int(n))
+    given = _Triple(float(r_jk), float(r_jh), float(r_kh), int(n) if np.isfinite(n) else 0)
     _check_triple(given, n)
     williams = _williams(given)
     steiger = meng = zou_low = zou_high = float("nan")

@@ -115,7 +115,8 @@ def discriminate(n_correct: int, n_trials: int) -> Discrimination:
     """
     from scipy.stats import binomtest
 
-    if int(n_correct) != n_correct or int(n_trials) != n_trials or not 0 <= n_correct <= n_trials or n_trials < 1:
+    whole = all(float(count).is_integer() for count in (n_correct, n_trials))
+    if not whole or not 0 <= n_correct <= n_trials or n_trials < 1:
         raise ValueError(f"n_correct: got {n_correct} of {n_trials}, allowed is 0 to n_trials, of 1 or more trials")
     test = binomtest(int(n_correct), int(n_trials), GUESSING, alternative="greater")
     both = binomtest(int(n_correct), int(n_trials), GUESSING)

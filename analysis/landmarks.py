@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.arrays import read_numbers
 from analysis.bootstrap import FLAT, draw_counts
 from analysis.space import check_dissimilarities, fit_space, refit_space
 
@@ -186,11 +187,13 @@ def regress_attributes(positions: ArrayLike, attributes: Mapping[str, ArrayLike]
         raise ValueError(f"positions: got {n} stimuli in {width} dimensions, a regression needs {width + 2} or more")
     rows = {}
     for name, given in attributes.items():
-        values = np.asarray(given, dtype=np.float64)
+        values = read_numbers(given, what=f"attribute '{name}'")
         if values.shape != (n,) or not np.isfinite(values).all():
             raise ValueError(f"attributes: '{name}' is not {n} finite numbers, one per stimulus; got {values.shape}")
         if ((values - values.mean()) ** 2).sum() <= FLAT * (values**2).sum():
             raise ValueError(f"attributes: '{name}' is the same for all stimuli; leave it out")
+        if np.linalg.matrix_rank(place - place.mean(axis=0)) < width:
+            raise ValueError(f"positions: got {width} dimensions, one of which follows from the others; leave it out")
         fit = sm.OLS(values, sm.add_constant(place, has_constant="add")).fit()
         axis = fit.params[1:] / np.linalg.norm(fit.params[1:])
         axes = {f"axis_{number}": part for number, part in enumerate(axis, start=1)}
@@ -244,7 +247,7 @@ def bootstrap_space(
     from scipy.stats import chi2
 
     group = check_dissimilarities(dissimilarities)
-    stack = np.asarray(dissimilarities, dtype=np.float64)
+    stack = read_numbers(dissimilarities, what="dissimilarities")
     if stack.ndim == PLANE or len(stack) < PLANE:
         raise ValueError("dissimilarities: got one participant, allowed is two or more; one map has no ellipse")
     if draws <= PLANE:
@@ -266,7 +269,7 @@ def bootstrap_space(
 
 
 def _check_positions(given: ArrayLike, name: str) -> Values:
-    place = np.asarray(given, dtype=np.float64)
+    place = read_numbers(given, what=name)
     if place.ndim != 2 or len(place) <= PLANE:  # noqa: PLR2004 - stimuli x dimensions
         raise ValueError(f"{name}: got shape {place.shape}, allowed is (stimuli, dimensions), 3 stimuli or more")
     if not np.isfinite(place).all():

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.polynomial import Polynomial
 
+from analysis.arrays import read_numbers
 from analysis.bootstrap import FLAT, PERFECT
 from analysis.monotone import fit_monotone_cubic
 
@@ -187,7 +188,7 @@ def p1401(votes: ArrayLike, metric: ArrayLike, *, order: int = 3, groups: ArrayL
 
 
 def _check_votes(votes: ArrayLike) -> Values:
-    table = np.asarray(votes, dtype=np.float64)
+    table = read_numbers(votes, what="votes")
     if table.ndim != 2:  # noqa: PLR2004 - items x raters
         raise ValueError(f"votes: got shape {table.shape}, allowed is (items, raters), NaN where a vote is missing")
     if np.isinf(table).any():
@@ -201,7 +202,7 @@ def _check_votes(votes: ArrayLike) -> Values:
 
 
 def _check_metric(metric: ArrayLike) -> Values:
-    x = np.asarray(metric, dtype=np.float64)
+    x = read_numbers(metric, what="metric")
     if x.ndim != 1:
         raise ValueError(f"metric: got shape {x.shape}, allowed is one value per item")
     if not np.isfinite(x).all():
@@ -211,8 +212,8 @@ def _check_metric(metric: ArrayLike) -> Values:
 
 
 def _check_sizes(table: Values, x: Values, order: int) -> None:
-    if order not in PARAMETERS:
-        raise ValueError(f"order: got {order}, allowed is 3 (monotone cubic), 1 (line) or 0 (no mapping)")
+    if order not in PARAMETERS or isinstance(order, bool | float):
+        raise ValueError(f"order: got {order!r}, allowed is 3 (monotone cubic), 1 (line) or 0 (no mapping)")
     if len(table) != len(x):
         raise ValueError(f"metric: got {len(x)} values for {len(table)} items, allowed is one per item")
     fewest = max(PARAMETERS[order], 3) + 1  # one degree of freedom for the errors, one for Fisher's z

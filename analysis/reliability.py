@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.arrays import read_numbers
 from analysis.bootstrap import CONFIDENCE, FLAT
 
 if TYPE_CHECKING:
@@ -31,7 +32,8 @@ class Intraclass:
     icc_1_1, icc_a_1, icc_c_1 : float
         Of one rater's rating: one-way; two-way, absolute agreement; two-way, consistency.
     icc_1_k, icc_a_k, icc_c_k : float
-        The same of the mean over all raters. NaN where every rating is the same.
+        The same of the mean over all raters. NaN where every rating is the same; ICC(A,k) also where targets differ
+        so little that the variance it divides by comes out negative.
     icc_1_1_low, icc_1_1_high, icc_a_1_low, icc_a_1_high, icc_c_1_low, icc_c_1_high : float
         Their 95 % intervals for targets that are independent, not rounded; NaN where ratings have no error, and with
         it no F.
@@ -133,7 +135,8 @@ def intraclass(table: ArrayLike) -> Intraclass:
         icc_a_1=agreement,
         icc_c_1=_ratio(ms.targets - ms.error, ms.targets + (k - 1) * ms.error),
         icc_1_k=_ratio(ms.targets - ms.within, ms.targets),
-        icc_a_k=_ratio(ms.targets - ms.error, ms.targets + bias),
+        # Where targets differ so little that their mean's variance comes out negative, the ratio would pass 1.
+        icc_a_k=_ratio(ms.targets - ms.error, max(ms.targets + bias, 0.0)),
         icc_c_k=_ratio(ms.targets - ms.error, ms.targets),
         icc_1_1_low=_of_one(one_way[0], k), icc_1_1_high=_of_one(one_way[1], k),
         icc_a_1_low=agreed[0], icc_a_1_high=agreed[1],
@@ -180,7 +183,7 @@ def noise_ceiling(table: ArrayLike) -> float:
 
 
 def _check_table(table: ArrayLike) -> NDArray[np.float64]:
-    ratings = np.asarray(table, dtype=np.float64)
+    ratings = read_numbers(table, what="table")
     if ratings.ndim != 2 or min(ratings.shape) < SMALLEST:  # noqa: PLR2004 - targets x raters
         raise ValueError(f"table: got shape {ratings.shape}, allowed is (targets, raters), at least 2 by 2")
     if not np.isfinite(ratings).all():

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from analysis.arrays import read_numbers
 from analysis.bootstrap import CONFIDENCE, FLAT, PERFECT
 
 if TYPE_CHECKING:
@@ -116,7 +117,7 @@ def repeated_measures_correlation(x: ArrayLike, y: ArrayLike, participant: Array
 def _check_rows(x: ArrayLike, y: ArrayLike, participant: ArrayLike) -> tuple[Values, Values, NDArray[np.intp]]:
     from pandas import factorize
 
-    first, second = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
+    first, second = read_numbers(x, what="x"), read_numbers(y, what="y")
     number = factorize(np.asarray(participant).ravel())[0]
     if not first.shape == second.shape == (len(number),):
         raise ValueError(f"x: got shapes {first.shape}, {second.shape} and {len(number)} names; allowed is one length")

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.arrays import read_numbers
+
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
@@ -181,7 +183,7 @@ def check_dissimilarities(dissimilarities: ArrayLike) -> Values:
     ValueError
         As for `fit_space`.
     """
-    given = np.asarray(dissimilarities, dtype=np.float64)
+    given = read_numbers(dissimilarities, what="dissimilarities")
     stack = given[None] if given.ndim == 2 else given  # noqa: PLR2004 - one participant's matrix
     people, *sides = stack.shape if stack.ndim == CUBE else (0, 0, 0)
     if not people or sides[0] != sides[1] or sides[0] < FEWEST:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.arrays import read_numbers
 from analysis.bootstrap import FEWEST_ITEMS
 from analysis.screening.findings import tell_values
 from analysis.screening.habits import FEWEST_JUDGEMENTS
@@ -58,7 +59,7 @@ def tukey_hinges(values: ArrayLike) -> tuple[float, float]:
     >>> tukey_hinges([1, 2, 3, 4, 5, 6])
     (2.0, 5.0)
     """
-    ordered = np.sort(np.asarray(values, dtype=np.float64).ravel())
+    ordered = np.sort(read_numbers(values, what="values").ravel())
     if not len(ordered) or not np.isfinite(ordered).all():
         raise ValueError(f"values: got {len(ordered)}, not all finite; allowed is one or more finite numbers")
     half = (len(ordered) + 1) // 2
@@ -115,7 +116,7 @@ def multimodality(values: ArrayLike) -> float:
     """
     from scipy.stats import kurtosis, skew
 
-    given = np.asarray(values, dtype=np.float64).ravel()
+    given = read_numbers(values, what="values").ravel()
     n = len(given)
     if n < 4 or np.ptp(given) == 0:  # noqa: PLR2004 - its formula divides by n - 3
         return float("nan")

@@ -42,7 +42,7 @@ def test_names_agree_as_their_numbers_do() -> None:
     table = make_table(3)
     words = [[None if math.isnan(cell) else f"kind {abs(cell):g}" for cell in row] for row in table]
     assert krippendorff_alpha(words, level="nominal") == krippendorff_alpha(table, level="nominal")
-    with pytest.raises(ValueError, match=r"got cells that are no numbers .* use level='nominal'"):
+    with pytest.raises(ValueError, match=r"table: got 'kind .*', allowed are numbers; .*, or use level='nominal'"):
         krippendorff_alpha(words, level="ordinal")
 
 

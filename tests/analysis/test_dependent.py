@@ -115,6 +115,8 @@ def test_variables_that_determine_each_other_have_no_williams() -> None:
         ((0.9, -0.9, 0.9, 20), r"r_kh: got 0.9 with .* no three variables correlate like that"),
         ((0.1, 0.2, 0.3, 3), "n: got 3, allowed is a whole number of cases, 4 or more"),
         ((0.1, 0.2, 0.3, 10.5), "n: got 10.5, allowed is a whole number"),
+        ((0.1, 0.2, 0.3, math.nan), "n: got nan, allowed is a whole number"),
+        ((0.1, 0.2, 0.3, math.inf), "n: got inf, allowed is a whole number"),
     ],
 )
 def test_bad_input_is_refused_in_words(arguments: tuple[float, float, float, int], message: str) -> None:

@@ -84,7 +84,7 @@ def test_pairs_in_either_order_are_one() -> None:
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("counts", [(-1, 4), (5, 4), (0, 0), (1.5, 4)])
+@pytest.mark.parametrize("counts", [(-1, 4), (5, 4), (0, 0), (1.5, 4), (math.nan, 4), (1, math.inf)])
 def test_impossible_counts_are_refused(counts: tuple[int, int]) -> None:
     with pytest.raises(ValueError, match=r"n_correct: got .* allowed is 0 to n_trials"):
         discriminate(*counts)

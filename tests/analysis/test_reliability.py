@@ -3,10 +3,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from analysis.agreement import krippendorff_alpha
 from analysis.reliability import intraclass, noise_ceiling
 
 
@@ -103,6 +105,22 @@ def test_equal_ratings_are_undefined_not_perfect(rating: float, offset: float) -
 def test_tables_too_small_are_refused(table: list[object]) -> None:
     with pytest.raises(ValueError, match=r"table: got shape .*allowed is \(targets, raters\), at least 2 by 2"):
         intraclass(table)
+
+
+def test_a_negative_variance_of_means_is_no_reliability_of_two() -> None:
+    # Targets that do not differ at all, raters who contradict each other: (R - E) / (R + (C - E)/n) would be 2.
+    icc = intraclass([[1, 2], [2, 1]])
+    assert math.isnan(icc.icc_a_k)
+    assert (icc.icc_1_1, icc.icc_c_1) == (-1, -1)
+
+
+def test_a_table_of_pandas_is_read_and_names_are_refused() -> None:
+    table = pd.DataFrame({"one": [9, 6, 8], "two": [2, 1, 4]})
+    assert intraclass(table.astype("Int64")) == intraclass(table.to_numpy())
+    gap = krippendorff_alpha([[9, 2], [6, math.nan], [8, 4]])
+    assert krippendorff_alpha(table.astype("Int64").mask(table == 1)) == gap
+    with pytest.raises(ValueError, match="table: got 'S1', allowed are numbers; leave names out"):
+        intraclass(table.assign(target=["S1", "S2", "S3"])[["target", "one", "two"]])
 
 
 def test_holes_are_refused() -> None:

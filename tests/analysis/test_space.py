@@ -158,6 +158,10 @@ def test_impossible_requests_are_refused() -> None:
         regress_attributes(place, {"a": [1, 2]})
     with pytest.raises(ValueError, match="attributes: 'a' is the same for all"):
         regress_attributes(place, {"a": [33.3] * 4})
+    with pytest.raises(ValueError, match="positions: got 2 dimensions, one of which follows from the others"):
+        regress_attributes(place, {"a": [1, 2, 3, 5]})
+    with pytest.raises(ValueError, match="positions: got 'x', allowed are numbers"):
+        regress_attributes([["x", 1], [2, 3], [4, 5], [5, 9]], {"a": [1, 2, 3, 5]})
     with pytest.raises(ValueError, match="dissimilarities: got one participant"):
         bootstrap_space(GOOD, rng=rng)
     with pytest.raises(ValueError, match="draws: got 2, allowed is 3"):

@@ -1,0 +1,62 @@
+"""Arrays of numbers, from whatever was given: the one place that says which cell is none."""
+
+from __future__ import annotations
+
+from collections.abc import Sized
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+
+def read_numbers(given: ArrayLike, *, what: str) -> NDArray[np.float64]:
+    """Read numbers.
+
+    Parameters
+    ----------
+    given : array_like
+        Numbers in a list, an array, or a pandas table or column; None and pandas' NA are missing.
+    what : str
+        What the argument is called, for the message.
+
+    Returns
+    -------
+    ndarray
+        The same, NaN where missing.
+
+    Raises
+    ------
+    ValueError
+        If a cell is no number, or rows are of different lengths; names one.
+
+    Examples
+    --------
+    >>> read_numbers([[1, 2], [None, 4]], what="table").tolist()
+    [[1.0, 2.0], [nan, 4.0]]
+    """
+    from pandas import isna
+
+    try:
+        return np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        cells = np.asarray(given, dtype=object)
+    try:
+        return np.where(isna(cells), np.nan, cells).astype(np.float64)
+    except (TypeError, ValueError) as error:
+        odd = next(cell for cell in cells.ravel().tolist() if not _is_number(cell))
+        got = "rows of different lengths" if isinstance(odd, Sized) and not isinstance(odd, str) else repr(odd)
+        raise ValueError(f"{what}: got {got}, allowed are numbers; leave names out, as of rows or columns") from error
+
+
+def _is_number(cell: object) -> bool:
+    from pandas import isna
+
+    if isna(cell) is True:  # type: ignore[call-overload]
+        return True
+    try:
+        float(cell)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        return False
+    return True
