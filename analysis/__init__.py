@@ -9,6 +9,7 @@ from analysis.bradley_terry import BradleyTerry, bradley_terry, bradley_terry_by
 from analysis.dependent import Dependent, compare_dependent
 from analysis.discrimination import Discrimination, abx_d_prime, discriminate, discriminate_pairs
 from analysis.equivalence import Equivalence, NonInferiority, equivalence, non_inferiority
+from analysis.further import Further
 from analysis.landmarks import Alignment, Ellipses, align_spaces, bootstrap_space, regress_attributes
 from analysis.mixed.inference import Estimate
 from analysis.mixed.model import MixedFit, contrast, fit_mixed
@@ -44,6 +45,7 @@ __all__ = [  # noqa: RUF022 - in the order of sorted(), which a test checks
     "Ellipses",
     "Equivalence",
     "Estimate",
+    "Further",
     "Intraclass",
     "MixedFit",
     "Multiverse",

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.arrays import read_numbers
 from analysis.sources import find_sources
-from analysis.tidy import leave_rejected, name_items
+from analysis.tidy import leave_rejected, leave_untested, name_items
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame, Series
 
 WHO, SCENE, ITEM, RATING = "participant", "recording", "item", "rating"
-SOURCE, REDUCER = "source", "reducer"
+SOURCE, REDUCER, SCALE = "source", "reducer", "scale"
 KEYS = (WHO, SCENE, ITEM)
 FLAT = 1e-10
 """Share of a metric's size below which its spread is rounding."""
@@ -110,7 +111,7 @@ def make_cells(rows: DataFrame, metrics: Sequence[str]) -> Cells:
     rows : DataFrame
         One row per rating: participant, recording, item, rating and a column per metric; source (`find_sources`)
         where several recordings come from one, and then reducer. Without item, stimulus_id or recording and reducer
-        name it (`name_items`). Rejected rows are left out.
+        name it (`name_items`). Rejected rows, and those whose role is not ``test``, are left out.
     metrics : sequence of str
         One or more.
 
@@ -123,8 +124,8 @@ def make_cells(rows: DataFrame, metrics: Sequence[str]) -> Cells:
     Raises
     ------
     ValueError
-        If columns are missing, values are not finite, or an item has two recordings, two reducers or two values of a
-        metric, or a recording two sources.
+        If columns are missing, several scales are mixed, values are not finite, or an item has two recordings, two
+        reducers or two values of a metric, or a recording two sources.
 
     Notes
     -----
@@ -133,9 +134,10 @@ def make_cells(rows: DataFrame, metrics: Sequence[str]) -> Cells:
     takes minutes, and means are taken all the same (40 people, 20 recordings, 10 reducers, 10^5 ratings: 3 s instead
     of 132, slopes and standard errors within 0.1 % and 0.02 standard errors).
     """
-    metrics = tuple(dict.fromkeys(metrics))
+    metrics = metrics if isinstance(metrics, str) else tuple(dict.fromkeys(metrics))
     rows, notes = leave_rejected(name_items(rows))
-    _check_rows(rows, metrics)
+    rows, untested = leave_untested(rows)
+    rows = _read_rows(rows, metrics)
     items = _list_items(rows, metrics)
     sizes = rows.groupby([WHO, ITEM], observed=True).size()
     unequal = bool(sizes.min() < sizes.max())
@@ -145,7 +147,10 @@ def make_cells(rows: DataFrame, metrics: Sequence[str]) -> Cells:
     if averaged:
         table = table.groupby(list(KEYS), observed=True)[RATING].mean().reset_index()
     table = table.merge(_split(items, metrics), on=[SCENE, ITEM])
-    return Cells(_add_sources(table, rows), metrics, averaged, repeated=unequal and not rough, rough=rough, notes=notes)
+    return Cells(
+        _add_sources(table, rows), metrics, averaged, repeated=unequal and not rough, rough=rough,
+        notes=(*notes, *untested),
+    )  # fmt: skip
 
 
 def _add_sources(table: DataFrame, rows: DataFrame) -> DataFrame:
@@ -175,7 +180,7 @@ def _count_levels(rows: DataFrame) -> int:
     return sum(len(rows[list(names)].drop_duplicates()) for names in ((WHO, SCENE), (ITEM,), (WHO,), (SCENE,)))
 
 
-def _check_rows(rows: DataFrame, metrics: Sequence[str]) -> None:
+def _read_rows(rows: DataFrame, metrics: Sequence[str]) -> DataFrame:
     if not metrics or isinstance(metrics, str):
         raise ValueError(f"metrics: got {metrics!r}, allowed is one name or more, in a list")
     wanted = [*KEYS, RATING, *metrics]
@@ -183,12 +188,16 @@ def _check_rows(rows: DataFrame, metrics: Sequence[str]) -> None:
         raise ValueError(f"rows: got no column {missing[0]!r}, allowed is a table with {', '.join(wanted)}")
     if rows.empty:
         raise ValueError("rows: got none, allowed is one per rating")
-    for name in (RATING, *metrics):
-        bad = int((~np.isfinite(rows[name].to_numpy(dtype=np.float64))).sum())
-        if bad:
+    scales = sorted(map(str, rows[SCALE].unique())) if SCALE in rows else []
+    if len(scales) > 1:
+        raise ValueError(f"rows: got the scales {', '.join(scales)}, allowed is one attribute; use fit_attributes")
+    numbers = {name: read_numbers(rows[name], what=f"rows, {name!r}") for name in (RATING, *metrics)}
+    for name, values in numbers.items():
+        if bad := int((~np.isfinite(values)).sum()):
             raise ValueError(f"rows: got {bad} values of {name!r} not finite, allowed are numbers; leave such rows out")
     if rows[list(KEYS)].isna().any(axis=None):
         raise ValueError("rows: got a row without participant, recording or item, allowed is each in every row")
+    return rows.assign(**numbers)
 
 
 def _list_items(rows: DataFrame, metrics: Sequence[str]) -> DataFrame:

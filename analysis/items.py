@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.arrays import read_numbers
 from analysis.sources import find_sources
 from analysis.tidy import NAMING, leave_rejected, name_stimuli
 
@@ -110,7 +111,7 @@ def make_items(ratings: DataFrame, metrics: Sequence[str]) -> Items:
     if rows.empty:
         raise ValueError("ratings: got no row with role 'test'; an association needs rated test stimuli")
     _check_names(rows, ["participant", "recording"])
-    _check_values(rows, ["rating", *metrics])
+    rows = rows.assign(**_read_values(rows, ["rating", *metrics]))
     # Sorting by rating too makes the sums below, and so the last digit of every result, independent of row
     # order.
     rows = rows.sort_values([*keys, "participant", "rating"])
@@ -154,12 +155,12 @@ def _check_names(rows: DataFrame, names: Sequence[str]) -> None:
             raise ValueError(f"ratings: got {missing} rows without a {name}; name it or leave them out")
 
 
-def _check_values(rows: DataFrame, names: Sequence[str]) -> None:
-    for name in names:
-        values = rows[name].to_numpy(np.float64)
-        if not np.isfinite(values).all():
-            bad = int((~np.isfinite(values)).sum())
+def _read_values(rows: DataFrame, names: Sequence[str]) -> dict[str, NDArray[np.float64]]:
+    found = {name: read_numbers(rows[name], what=f"ratings, {name!r}") for name in names}
+    for name, values in found.items():
+        if bad := int((~np.isfinite(values)).sum()):
             raise ValueError(f"ratings: got {bad} values of '{name}' that are not finite; leave them out")
+    return found
 
 
 def _check_constant(items: DataFrame, names: Sequence[str]) -> None:

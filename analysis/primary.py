@@ -97,10 +97,10 @@ def fit_primary(
     Parameters
     ----------
     rows : DataFrame
-        One row per rating of one attribute, test stimuli only (hidden references and anchors inflate every
-        slope): participant, recording, item (recording x reducer), rating and a column per metric; source and reducer,
-        where several recordings come from one source, turned, cut or edited. Rows marked in a column rejected are left
-        out, and counted in the notes.
+        One row per rating of one attribute: participant, recording, item (recording x reducer), rating and a column
+        per metric; source and reducer, where several recordings come from one source, turned, cut or edited. Rows
+        marked in a column rejected are left out, and those whose role is not ``test`` (hidden references and anchors
+        inflate every slope); the notes count them.
     metrics : sequence of str
         One or more, such as ``["spectral_match", "temporal_match"]``.
     correlated : bool
@@ -119,8 +119,8 @@ def fit_primary(
     Raises
     ------
     ValueError
-        If the table is not as described, ratings or all metrics are constant, or too few rows are left for any
-        model.
+        If the table is not as described, mixes several scales, ratings or all metrics are constant, or too few rows
+        are left for any model.
 
     Notes
     -----
@@ -184,7 +184,14 @@ def fit_attributes(rows: DataFrame, metrics: Sequence[str], *, attribute: str = 
     -------
     dict
         Attribute -> its model, in alphabetical order.
+
+    Raises
+    ------
+    ValueError
+        If there is no such column, or as for `fit_primary`.
     """
+    if attribute not in rows:
+        raise ValueError(f"rows: got no column {attribute!r}, which tells the attributes; name it with attribute=")
     groups = rows.groupby(attribute, observed=True, sort=True)
     return {str(name): fit_primary(part, metrics) for name, part in groups}
 
@@ -202,10 +209,17 @@ def tabulate_slopes(models: Mapping[str, Primary]) -> DataFrame:
     DataFrame
         attribute, metric, the columns of `Primary.slopes`, and p_holm: Holm's step-down adjustment over all
         rows, which holds the chance of any false positive among them.
+
+    Raises
+    ------
+    ValueError
+        If there is no model.
     """
     import pandas as pd
     from statsmodels.stats.multitest import multipletests
 
+    if not models:
+        raise ValueError("models: got none, allowed is one attribute or more")
     tables = [model.slopes.reset_index().assign(attribute=name) for name, model in models.items()]
     table = pd.concat(tables, ignore_index=True)
     table.insert(0, "attribute", table.pop("attribute"))

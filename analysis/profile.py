@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.arrays import read_numbers
 from analysis.bootstrap import CONFIDENCE
 from analysis.table import HIGHEST, LOWEST
 from analysis.tidy import leave_rejected
@@ -34,7 +35,7 @@ def participant_means(ratings: DataFrame) -> DataFrame:
     DataFrame
         scale, level, role, reducer, participant, rating; one row each, sorted by them.
     """
-    ratings, _ = leave_rejected(ratings)
+    ratings = _read_rows(ratings, [*GROUP, "participant", "stimulus_id"])
     cells = ratings.groupby([*GROUP, "participant", "stimulus_id"], observed=True)["rating"].mean()
     return cells.groupby([*GROUP, "participant"], observed=True).mean().reset_index()
 
@@ -52,6 +53,11 @@ def profile_reducers(ratings: DataFrame) -> DataFrame:
     DataFrame
         scale, level, role, reducer, mean, low, high, n_participants, n_stimuli, n_ratings; one row each.
 
+    Raises
+    ------
+    ValueError
+        If a column is missing, or a row has no name or no finite rating.
+
     Notes
     -----
     The interval is mean ± t(.975, P - 1) SD / sqrt(P) over the P participants' means: it speaks of other
@@ -59,7 +65,7 @@ def profile_reducers(ratings: DataFrame) -> DataFrame:
     participant, and where all means are alike, as at an end of the scale: that tells nothing of how people differ.
     """
     profile = _summarise(participant_means(ratings), GROUP)
-    rows = leave_rejected(ratings)[0].groupby(GROUP, observed=True)
+    rows = _read_rows(ratings, GROUP).groupby(GROUP, observed=True)
     counts = rows.agg(n_stimuli=("stimulus_id", "nunique"), n_ratings=("rating", "size"))
     return profile.join(counts).reset_index()
 
@@ -79,9 +85,23 @@ def stimulus_means(ratings: DataFrame) -> DataFrame:
         scale, level, role, recording, reducer, stimulus_id, mean, low, high, n_participants; one row each.
     """
     key = ["scale", "level", "role", "recording", "reducer", "stimulus_id"]
-    ratings, _ = leave_rejected(ratings)
+    ratings = _read_rows(ratings, [*key, "participant"])
     cells = ratings.groupby([*key, "participant"], observed=True)["rating"].mean().reset_index()
     return _summarise(cells, key).reset_index()
+
+
+def _read_rows(ratings: DataFrame, names: list[str]) -> DataFrame:
+    """Leave out rejected rows; refuse what would drop out of a mean unseen."""
+    wanted = [*names, "rating"]
+    if missing := [name for name in wanted if name not in ratings]:
+        raise ValueError(f"ratings: column {', '.join(missing)} is missing; needed are {', '.join(wanted)}")
+    rows, _ = leave_rejected(ratings)
+    values = read_numbers(rows["rating"], what="ratings, 'rating'")
+    unnamed = rows[names].isna().any(axis=1)
+    if unnamed.any() or not np.isfinite(values).all():
+        n = int((unnamed | ~np.isfinite(values)).sum())
+        raise ValueError(f"ratings: got {n} rows without {', '.join(names)} or a finite rating; leave them out")
+    return rows.assign(rating=values)
 
 
 def _summarise(means: DataFrame, key: list[str]) -> DataFrame:

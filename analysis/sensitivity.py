@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.arrays import read_numbers
 from analysis.cells import RATING, REDUCER, SCENE, SOURCE, WHO
 from analysis.primary import fit_primary
 from analysis.sources import find_sources
-from analysis.tidy import leave_rejected, name_items
+from analysis.tidy import leave_rejected, leave_untested, name_items
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -62,7 +63,9 @@ def vary_primary(rows: DataFrame, metrics: Sequence[str], *, top: float = 100.0)
     import pandas as pd
 
     rows, notes = leave_rejected(name_items(rows))
-    ratings = rows[RATING].to_numpy(dtype=np.float64)
+    rows, untested = leave_untested(rows)
+    ratings = read_numbers(rows[RATING], what=f"rows, {RATING!r}")
+    rows = rows.assign(**{RATING: ratings})
     if ratings.min() < 0 or ratings.max() > top:
         raise ValueError(f"rows: got ratings {ratings.min():g} to {ratings.max():g}, allowed is 0 to {top:g}; give top")
     tables = [_tabulate(variant, rows, metrics) for variant in ("primary", CORRELATED, BY_REDUCER)]
@@ -70,7 +73,7 @@ def vary_primary(rows: DataFrame, metrics: Sequence[str], *, top: float = 100.0)
     tables.append(_tabulate_standardised(rows, metrics))
     tables.append(_tabulate("logits", _squeeze(rows, top), metrics, unit="logits"))
     table = pd.concat(tables, ignore_index=True)
-    return table.assign(reason=[" ".join(filter(None, (*notes, reason))) for reason in table["reason"]])
+    return table.assign(reason=[" ".join(filter(None, (*notes, *untested, reason))) for reason in table["reason"]])
 
 
 def _leave_out(rows: DataFrame) -> Iterator[tuple[str, DataFrame]]:

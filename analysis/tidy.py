@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame, Series
 
 STIMULUS, REJECTED = "stimulus_id", "rejected"
+ROLE, TEST = "role", "test"
 NAMING = ("recording", "reducer", "level")
 """Columns that together name a stimulus where there is no stimulus_id."""
 
@@ -59,6 +60,45 @@ def leave_rejected(ratings: DataFrame) -> tuple[DataFrame, tuple[str, ...]]:
         raise ValueError(f"ratings: all {n} judgements are marked as rejected; one must be valid")
     told = "judgement marked as rejected is" if n == 1 else "judgements marked as rejected are"
     return ratings[~rejected], (f"{n} {told} left out.",)
+
+
+def leave_untested(ratings: DataFrame) -> tuple[DataFrame, tuple[str, ...]]:
+    """Leave out hidden references and anchors: chosen to be far apart, they would inflate every slope.
+
+    Parameters
+    ----------
+    ratings : DataFrame
+        One row per judgement; role, if there is one.
+
+    Returns
+    -------
+    rows : DataFrame
+        Those with role ``test``; all, where no role is told.
+    notes : tuple of str
+        How many are left out; empty if none is.
+
+    Raises
+    ------
+    ValueError
+        If no test stimulus is left.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> rows, notes = leave_untested(pd.DataFrame({"rating": [40.0, 99.0], "role": ["test", "reference"]}))
+    >>> rows["rating"].tolist(), notes
+    ([40.0], ('1 rating of other stimuli than test stimuli (hidden references, anchors) is left out.',))
+    """
+    if ROLE not in ratings:
+        return ratings, ()
+    tested = ratings[ROLE] == TEST
+    n = int((~tested).sum())
+    if not n:
+        return ratings, ()
+    if n == len(ratings):
+        raise ValueError(f"ratings: got no row with role 'test' among {n}; it takes rated test stimuli")
+    what = "of other stimuli than test stimuli (hidden references, anchors)"
+    return ratings[tested], (f"{n} rating {what} is left out." if n == 1 else f"{n} ratings {what} are left out.",)
 
 
 def _read_marks(marks: Series) -> Series:

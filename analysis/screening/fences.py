@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.arrays import read_numbers
-from analysis.bootstrap import FEWEST_ITEMS
+from analysis.bootstrap import FEWEST_ITEMS, FLAT
 from analysis.screening.findings import tell_values
 from analysis.screening.habits import FEWEST_JUDGEMENTS
 
@@ -103,6 +103,11 @@ def multimodality(values: ArrayLike) -> float:
         sample size. Above 5/9 more than one peak is possible, as is strong skewness; NaN for fewer than 4 values and
         for values that are all the same.
 
+    Raises
+    ------
+    ValueError
+        If a value is not finite.
+
     Notes
     -----
     Use it to find items whose mean rating hides two camps of raters; look at their histogram before concluding. With
@@ -118,7 +123,10 @@ def multimodality(values: ArrayLike) -> float:
 
     given = read_numbers(values, what="values").ravel()
     n = len(given)
-    if n < 4 or np.ptp(given) == 0:  # noqa: PLR2004 - its formula divides by n - 3
+    if not np.isfinite(given).all():
+        raise ValueError(f"values: got {int((~np.isfinite(given)).sum())} of {n} that are not finite; leave them out")
+    flat = n < 4 or ((given - given.mean()) ** 2).sum() <= FLAT * (given**2).sum()  # noqa: PLR2004 - divides by n - 3
+    if flat:
         return float("nan")
     g, k = skew(given, bias=False), kurtosis(given, bias=False)
     return float((g**2 + 1) / (k + 3 * (n - 1) ** 2 / ((n - 2) * (n - 3))))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from analysis.arrays import read_numbers
 from analysis.screening.anchors import MOST_RATERS, share_undegraded
 from analysis.screening.fences import UNIMODAL, multimodality, tukey_fences
 from analysis.screening.gauge import gauge_raters, judge_expertise
@@ -140,6 +141,8 @@ def screen_raters(
 
     limits = choose_limits(rules, random=rng is not None)
     ratings, left_out = leave_rejected(name_stimuli(ratings))
+    if "rating" in ratings:
+        ratings = ratings.assign(rating=read_numbers(ratings["rating"], what="ratings, 'rating'"))
     judgements = make_judgements(ratings)
     gauge = pd.DataFrame(columns=["participant", "measure", "value", "floor", "p"])
     if rng is not None and EXPERTISE in limits:

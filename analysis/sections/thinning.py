@@ -1,7 +1,8 @@
 """More ratings than a mixed model can be fitted to in reasonable time and memory: whole people or recordings are drawn.
 
 A random half of the people or of the recordings is a study of its own, whose model and intervals hold; only less is
-known. Leaving out a spread instead, so that everything fits, would make intervals too narrow.
+known. Leaving out a spread instead, so that everything fits, would make intervals too narrow. Where several recordings
+come from one source, copies go before sources: what is said of other recordings rests on how many sources there are.
 """
 
 from __future__ import annotations
@@ -10,12 +11,13 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from analysis.sections.parts import ITEM, split_parts
+from analysis.sources import find_sources
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     import numpy as np
-    from pandas import DataFrame
+    from pandas import DataFrame, Series
 
     from analysis.sections.choices import Choices
     from analysis.sections.parts import Part
@@ -63,7 +65,7 @@ def thin_rows(rows: DataFrame, *, n_slopes: int, rng: np.random.Generator) -> tu
     Parameters
     ----------
     rows : DataFrame
-        One row per judgement: participant, recording, item.
+        One row per judgement: participant, recording, item; source, where several recordings come from one.
     n_slopes : int
         Slopes that differ from person to person.
     rng : Generator
@@ -76,18 +78,30 @@ def thin_rows(rows: DataFrame, *, n_slopes: int, rng: np.random.Generator) -> tu
     told : str
         What was done; empty if nothing was.
     """
-    everyone, left = {name: rows[name].nunique() for name in (WHO, SCENE)}, rows
+    sources, left = find_sources(rows), rows
     while _is_large(left, n_slopes):
         names = {name: sorted(left[name].unique()) for name in (WHO, SCENE)}
         longer = max((WHO, SCENE), key=lambda name: len(names[name]))
         if len(names[longer]) < 2 * FEWEST:
             break
-        kept = rng.choice(names[longer], size=len(names[longer]) // 2, replace=False)
-        left = left[left[longer].isin(set(kept))]
+        kept = _draw_half(names[longer], None if longer == WHO else sources, rng=rng)
+        left = left[left[longer].isin(kept)]
     if len(left) == len(rows):
         return rows, ""
-    told = " and ".join(f"{left[name].nunique()} of {everyone[name]} {name}s" for name in (WHO, SCENE))
+    told = " and ".join(f"{left[name].nunique()} of {rows[name].nunique()} {name}s" for name in (WHO, SCENE))
+    if not sources.is_unique:
+        told += f" ({find_sources(left).nunique()} of {sources.nunique()} sources)"
     return left, f"mixed models rest on {told}, drawn at random: {len(rows)} ratings are too many for one fit."
+
+
+def _draw_half(names: list[str], sources: Series | None, *, rng: np.random.Generator) -> set[str]:
+    """Draw half of people or recordings; of recordings, the first of every source before the second of any."""
+    half = len(names) // 2
+    if sources is None or sources.is_unique:
+        return set(rng.choice(names, size=half, replace=False))
+    shuffled = sources.loc[rng.permutation(names)]
+    copy = shuffled.groupby(shuffled).cumcount()
+    return set(copy.sort_values(kind="stable").index[:half])
 
 
 def _is_large(rows: DataFrame, n_slopes: int) -> bool:

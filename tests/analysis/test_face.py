@@ -1,7 +1,11 @@
 from __future__ import annotations
 
+import ast
+import inspect
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import analysis
 
@@ -16,3 +20,15 @@ def test_face_is_flat_and_sorted() -> None:
 def test_import_loads_nothing_heavy() -> None:
     code = f"import sys, analysis; print([name for name in {HEAVY} if name in sys.modules])"
     assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "[]"
+
+
+def test_what_public_functions_take_and_give_is_public() -> None:
+    for name in analysis.__all__:
+        thing = getattr(analysis, name)
+        if not inspect.isfunction(thing):
+            continue
+        tree = ast.parse(Path(inspect.getfile(thing)).read_text(encoding="utf-8"))
+        imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+        own = {alias.name for node in imports if str(node.module).startswith("analysis") for alias in node.names}
+        named = {word for text in thing.__annotations__.values() for word in re.findall(r"[A-Za-z_]\w*", str(text))}
+        assert own & named <= set(analysis.__all__), name

@@ -227,6 +227,25 @@ def test_tables_refused(rows: pd.DataFrame, change: dict[str, Any], message: str
     assert message in str(caught.value)
 
 
+def test_references_and_anchors_inflate_no_slope(rows: pd.DataFrame, primary: Primary) -> None:
+    best = rows[rows["reducer"] == 0].assign(item=lambda own: -1 - own["recording"], sm=1.0, tm=1.0, rating=100.0)
+    both = pd.concat([rows.assign(role="test"), best.assign(role="reference")])
+    told = f"{len(best)} ratings of other stimuli than test stimuli (hidden references, anchors) are left out."
+    found = fit_primary(both, METRICS)
+    pd.testing.assert_frame_equal(found.slopes, primary.slopes)
+    assert found.notes == (told, *primary.notes)
+    varied = vary_primary(both, METRICS)
+    pd.testing.assert_frame_equal(varied.drop(columns="reason"), vary_primary(rows, METRICS).drop(columns="reason"))
+    assert varied["reason"].str.startswith(told).all()
+    with pytest.raises(ValueError, match="got no row with role 'test'"):
+        fit_primary(best.assign(role="reference"), METRICS)
+
+
+def test_numbers_written_as_text_are_numbers(rows: pd.DataFrame, primary: Primary) -> None:
+    found = fit_primary(rows.astype({"rating": str}), METRICS)
+    pd.testing.assert_frame_equal(found.slopes, primary.slopes)
+
+
 def test_shapes_refused(rows: pd.DataFrame) -> None:
     with pytest.raises(ValueError, match="no column 'zm'"):
         fit_primary(rows, ["zm"])
@@ -234,6 +253,16 @@ def test_shapes_refused(rows: pd.DataFrame) -> None:
         fit_primary(rows, [])
     with pytest.raises(ValueError, match="got none"):
         fit_primary(rows.iloc[:0], METRICS)
+    with pytest.raises(ValueError, match="metrics: got 'sm', allowed is one name or more, in a list"):
+        fit_primary(rows, "sm")
+    with pytest.raises(ValueError, match="rows, 'sm': got 'high', allowed are numbers"):
+        fit_primary(rows.assign(sm="high"), METRICS)
+    with pytest.raises(ValueError, match="rows: got the scales realism, similarity, allowed is one attribute"):
+        fit_primary(rows.assign(scale=np.where(rows["repeat"] == 0, "realism", "similarity")), METRICS)
+    with pytest.raises(ValueError, match="rows: got no column 'scale', which tells the attributes"):
+        fit_attributes(rows, METRICS)
+    with pytest.raises(ValueError, match="models: got none"):
+        tabulate_slopes({})
     with pytest.raises(ValueError, match="one participant and one recording"):
         fit_primary(rows.query("participant == 0 and recording == 0"), METRICS)
 

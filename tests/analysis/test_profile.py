@@ -47,3 +47,19 @@ def test_one_participant_has_no_interval(tidy: Callable[..., pd.DataFrame]) -> N
     profile = profile_reducers(tidy(participants=1))
     assert profile["mean"].notna().all()
     assert all(math.isnan(value) for value in profile["low"])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda table: table.drop(columns="scale"), "ratings: column scale is missing; needed are scale, level"),
+        (lambda table: table.assign(rating=table["rating"].where(table.index > 1)), "ratings: got 2 rows without"),
+        (lambda table: table.assign(reducer=table["reducer"].where(table.index > 0)), "ratings: got 1 rows without"),
+        (lambda table: table.assign(rating="good"), "ratings, 'rating': got 'good', allowed are numbers"),
+    ],
+)
+def test_nothing_drops_out_of_a_mean_unseen(
+    tidy: Callable[..., pd.DataFrame], change: Callable[[pd.DataFrame], pd.DataFrame], message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        profile_reducers(change(tidy()))

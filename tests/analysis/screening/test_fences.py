@@ -45,3 +45,9 @@ def test_multimodality_of_known_shapes() -> None:
 @pytest.mark.parametrize("values", [[1.0, 2, 3], [5.0] * 9])
 def test_no_shape(values: list[float]) -> None:
     assert math.isnan(multimodality(values))
+
+
+def test_values_alike_but_for_rounding_have_no_shape_and_gaps_are_refused() -> None:
+    assert math.isnan(multimodality([0.1 + 0.2, 0.3, 0.3, 0.3, 0.3]))
+    with pytest.raises(ValueError, match="values: got 1 of 5 that are not finite; leave them out"):
+        multimodality([1, 2, math.nan, 4, 5])

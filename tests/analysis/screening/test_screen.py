@@ -165,6 +165,11 @@ def test_missing_cells_do_not_matter() -> None:
     assert screen_raters(holes, rules=["reversed_scale"]).hits == {"reversed_scale": ("p03",)}
 
 
+def test_numbers_written_as_text_are_numbers() -> None:
+    plain = panel()
+    pd.testing.assert_frame_equal(screen_raters(plain.astype({"rating": str})).table, screen_raters(plain).table)
+
+
 def test_order_of_rows_does_not_matter() -> None:
     table = panel()
     shuffled = table.sample(frac=1, random_state=0)

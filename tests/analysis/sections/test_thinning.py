@@ -58,6 +58,21 @@ def test_few_are_not_thinned_away(monkeypatch: pytest.MonkeyPatch) -> None:
     assert FEWEST <= left["recording"].nunique() < 2 * FEWEST
 
 
+def test_copies_go_before_sources(monkeypatch: pytest.MonkeyPatch) -> None:
+    # 12 sources: one of 20 recordings, one of 10, ten of one or two. Drawn without a look, some would be lost.
+    sources = {scene: 0 if scene < 20 else 1 if scene < 30 else 2 + scene % 10 for scene in range(45)}
+    rows = make_rows(20, 45).assign(source=lambda own: own["recording"].map(sources))
+    monkeypatch.setattr(thinning, "_is_large", lambda left, _: left["recording"].nunique() > 12)
+    for seed in range(5):
+        left, told = thin(rows, seed)
+        assert (left["recording"].nunique(), left["source"].nunique()) == (11, 11)
+        assert "20 of 20 participants and 11 of 45 recordings (11 of 12 sources), drawn at random" in told
+    monkeypatch.setattr(thinning, "_is_large", lambda left, _: left["recording"].nunique() > 22)
+    per_source = thin(rows)[0].groupby("source")["recording"].nunique()
+    assert len(per_source) == 12
+    assert per_source[[0, 1]].min() >= per_source.max() - 1
+
+
 def test_unequal_repeats_count() -> None:
     rows = make_rows(100, 50)
     uneven = pd.concat([rows, rows.iloc[:1]])
