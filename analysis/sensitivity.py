@@ -81,7 +81,7 @@ def _leave_out(rows: DataFrame) -> Iterator[tuple[str, DataFrame]]:
     if not sources.is_unique:
         rows = rows.assign(**{SOURCE: rows[SCENE].map(sources)})
     for column in (SCENE if sources.is_unique else SOURCE, REDUCER):
-        names = list(rows[column].unique()) if column in rows else []
+        names = sorted(rows[column].unique(), key=str) if column in rows else []
         for name in names if len(names) > 1 else []:
             yield f"without {column} {name}", rows[rows[column] != name]
 

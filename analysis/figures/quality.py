@@ -46,7 +46,7 @@ def draw_raters(screening: Screening) -> Figure:
     """
     table = screening.table
     with print_style():
-        texts = {rule: _tell(rule, table[table["rule"] == rule]) for rule in screening.rules}
+        texts = {rule: _tell(rule, table[table["rule"] == rule], limit) for rule, limit in screening.limits.items()}
         heights = [STRIP_CM + GAP_CM + LINE_CM * (1 + text.count("\n")) for text in texts.values()]
         figure, axes = new_figure(sum(heights) + AXIS_CM)
         low = min(0.0, table["share"].min(), table["limit"].min())
@@ -67,9 +67,9 @@ def draw_raters(screening: Screening) -> Figure:
     return figure
 
 
-def _tell(rule: str, part: DataFrame) -> str:
+def _tell(rule: str, part: DataFrame, limit: float) -> str:
     known = RULES[rule]
-    says = known.says.format(limit=part["limit"].iloc[0]).replace("%", " %").replace(" -", f" {MINUS}")
+    says = known.says.format(limit=limit).replace("%", " %").replace(" -", f" {MINUS}")
     width = COLUMN_CM - 3 * MARGIN_CM
     source = fit_text(f"{says[:1].upper()}{says[1:]} ({known.source})", width, lines=3)
     silent = int(part["share"].isna().sum())

@@ -41,8 +41,8 @@ class Screening:
         As `gauge_raters`; empty without the rule ``expertise``.
     panel : DataFrame
         As `describe_panel`: reliability of everyone, and of those whom no rule hit.
-    rules : tuple of str
-        Those that were asked.
+    limits : Mapping of str to float
+        Where hits of the rules that were asked begin; that of ``test_retest`` is lower for whom many pairs tell more.
     notes : tuple of str
         Which rules could say nothing, and why; one sentence each.
     """
@@ -52,8 +52,13 @@ class Screening:
     items: DataFrame
     gauge: DataFrame
     panel: DataFrame
-    rules: tuple[str, ...]
+    limits: Mapping[str, float]
     notes: tuple[str, ...] = ()
+
+    @property
+    def rules(self) -> tuple[str, ...]:
+        """Those that were asked."""
+        return tuple(self.limits)
 
     @property
     def hits(self) -> dict[str, tuple[Hashable, ...]]:
@@ -156,7 +161,7 @@ def screen_raters(
         items=_describe_items(judgements),
         gauge=gauge,
         panel=describe_panel(ratings, hit),
-        rules=tuple(limits),
+        limits=limits,
         notes=(*left_out, *_explain_rules(found)),
     )
 

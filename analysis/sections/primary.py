@@ -145,7 +145,8 @@ def _sum_up(told: list[tuple[Row, tuple[Number, ...], tuple[Number, ...]]], part
     needs = "".join(tell_need(row, settled, scenes=scenes) for row, _, settled in told)
     together = ", the metrics in one model" if len(told) > 1 else ""
     lead = f"within recordings{together} ({_tell_size(model)})"
-    reach = _tell_reach(model).removeprefix(",")
+    claimed = any(row["p_holm"] < SIGNIFICANCE for row, _, _ in told)
+    reach = _tell_reach(model, claimed=claimed).removeprefix(",")
     return Line(f"{found}.{f' This is{reach}.' if reach else ''}{needs}", start(part.subject), lead)
 
 
@@ -161,14 +162,14 @@ def _tell_size(model: Primary) -> str:
     return f"{people}, {tell_recordings(model.n_recordings, model.n_sources)}"
 
 
-def _tell_reach(model: Primary) -> str:
-    """Say what a claim does not reach, or hardly."""
+def _tell_reach(model: Primary, *, claimed: bool = True) -> str:
+    """Say what a claim does not reach, or hardly; where none is made, there is no hint to weaken."""
     scene = "source" if model.n_sources < model.n_recordings else "recording"
     sizes = {"participant": model.n_participants, scene: model.n_sources}
     alone = [name for name, count in sizes.items() if count == 1]
     few = [f"{name}s" for name, count in sizes.items() if 1 < count < FEW]
     told = f", about this one {' and this one '.join(alone)} only" if alone else ""
-    return f"{told}, a hint rather than a result with so few {' and '.join(few)}" if few else told
+    return f"{told}, a hint rather than a result with so few {' and '.join(few)}" if few and claimed else told
 
 
 def _lay_slopes(rows: list[Row], numbers: list[tuple[Number, ...]]) -> Grid:

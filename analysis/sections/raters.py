@@ -142,9 +142,8 @@ def _lay_rules(screening: Screening) -> Grid:
 
 
 def _tell_rules(screening: Screening) -> str:
-    limits = screening.table.drop_duplicates("rule").set_index("rule")["limit"]
-    told = (f"{tell_name(rule)}: {RULES[rule].says.format(limit=limits[rule])}" for rule in screening.hits)
-    return f"Screening rules: {'; '.join(told)}."
+    says = {rule: RULES[rule].says.format(limit=limit) for rule, limit in screening.limits.items()}
+    return f"Screening rules: {'; '.join(f'{tell_name(rule)}: {told}' for rule, told in says.items())}."
 
 
 def _lay_panel(panel: DataFrame) -> Grid:

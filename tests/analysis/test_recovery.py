@@ -45,13 +45,16 @@ RANKS = np.array([[0, 1, 2, 3, 4, 5], [2, 5, 3, 1, 0, 4]])
 """Where each reducer stands by each metric: equal spreads, correlation 0.09."""
 
 INTERVAL, TEST, NINETY = (0.93, 0.97), (0.04, 0.07), (0.88, 0.92)
+SKEWED = (0.86, 0.97)
+"""Of alpha over few recordings, as its docstring tells; stimuli drawn one by one cover about .75."""
+
 AT_MOST = (0.0, 0.07)
 WRONG = (0.0, 1.0)
 """What a share may be; WRONG: of a method whose assumptions this study breaks, shown and not asserted."""
 
 SINGLE = ("icc_1_1", "icc_c_1", "icc_a_1")
 CLASSIC = (
-    "P.1401", "icc", "alpha", "finds: repeated", "finds: williams", "finds: steiger", "finds: meng", "finds: zou",
+    "P.1401", "icc", "finds: repeated", "finds: williams", "finds: steiger", "finds: meng", "finds: zou",
     "finds: P.1401", "Bradley-Terry, plain, raters differ",
 )  # fmt: skip
 """Take stimuli, rows or comparisons for independent, and are wrong where they are not."""
@@ -59,7 +62,7 @@ CLASSIC = (
 SHOWN = (
     "standardised",  # the interval holds for this study's standard deviations; here the truth is of all studies'
     "difference of standardised",
-    "alpha, other people too",  # it draws stimuli only, and says so
+    "alpha, other people too",  # it draws recordings only, and says so
     "repeated-measures correlation, shared stimuli",  # rows of one stimulus share its metric, whatever the noise
     "icc_1_1",  # one-way: for raters who differ from stimulus to stimulus
 )
@@ -224,7 +227,7 @@ def judge_classics(plant: Plant, study: Study, rng: np.random.Generator) -> Iter
     icc = intraclass(study.table)
     for name, wanted in {**truth.reliability, **step_up(truth.reliability, plant.people)}.items():
         yield name, getattr(icc, f"{name}_low") <= wanted <= getattr(icc, f"{name}_high")
-    alpha = bootstrap_alpha(study.table, draws=DRAWS, rng=rng)
+    alpha = bootstrap_alpha(study.table, groups=study.recordings, draws=DRAWS, rng=rng)
     yield "alpha, other people too", alpha.low <= truth.reliability["icc_a_1"] <= alpha.high
 
 
@@ -235,7 +238,8 @@ def step_up(single: dict[str, float], k: int) -> dict[str, float]:
 
 def judge_alpha(plant: Plant, rng: np.random.Generator) -> Iterator[tuple[str, bool]]:
     people = make_people(plant, rng)
-    found = bootstrap_alpha(simulate(plant, rng, people=people).table, draws=DRAWS, rng=rng)
+    study = simulate(plant, rng, people=people)
+    found = bootstrap_alpha(study.table, groups=study.recordings, draws=DRAWS, rng=rng)
     wanted = krippendorff_alpha(simulate(replace(plant, recordings=300), rng, people=people).table)
     yield "alpha, these people", found.low <= wanted <= found.high
 
@@ -365,6 +369,8 @@ def expect(name: str, check: str) -> tuple[float, float]:
         return WRONG
     if name == "own":  # reducers feel different for reasons that no metric knows and the model has no term for
         return WRONG
+    if check.startswith("alpha"):
+        return SKEWED
     if check.startswith("finds"):
         # Drawing both ways counts noise twice: where there is nothing but noise, too little is found, never too much.
         cautious = ("Holm" in check, "margin" in check, name == "plain equal" and "two-way" in check)
@@ -399,7 +405,8 @@ def test_planted_slopes_are_recovered_without_bias() -> None:
 def test_a_simulated_study_passes_through_every_judge(name: str) -> None:
     hits = run_study(name, seed=1)
     assert len(hits) >= 3
-    assert [check for check in hits if expect(name, check) not in {INTERVAL, TEST, NINETY, AT_MOST, WRONG}] == []
+    known = {INTERVAL, SKEWED, TEST, NINETY, AT_MOST, WRONG}
+    assert [check for check in hits if expect(name, check) not in known] == []
 
 
 def test_one_large_study_comes_close_to_what_is_planted() -> None:

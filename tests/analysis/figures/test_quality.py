@@ -39,6 +39,26 @@ def test_every_rater_stands_at_the_share_of_every_rule(screening: Screening, sai
     assert "n = 20 participants" in words
     assert "p03" in words
     assert "more than 15 % of items (ITU-R BS.1534-3)" in words
+    # Of 18 pairs it is 0.3 itself; what a rater's number of pairs makes of it is no limit of the rule.
+    assert "first and second ratings below 0.3, or" in " ".join(words.split())
+
+
+def test_a_limit_of_ones_own_is_told(tidy: Callable[..., pd.DataFrame], said: Callable[[Figure], str]) -> None:
+    limits = {"test_retest": 0.25, "repeat_sd": 0.1}
+    screening = screen_raters(tidy(participants=5, recordings=6), rules=limits)
+    assert dict(screening.limits) == limits
+    assert screening.rules == tuple(limits)
+    words = " ".join(said(draw_raters(screening)).split())
+    assert "first and second ratings below 0.25, or" in words
+    assert "above 10 % of the scale" in words
+
+
+def test_many_pairs_do_not_change_what_the_rule_says(
+    tidy: Callable[..., pd.DataFrame], said: Callable[[Figure], str]
+) -> None:
+    screening = screen_raters(tidy(participants=5, recordings=8))
+    assert screening.limit["test_retest"].max() < 0.3
+    assert "first and second ratings below 0.3, or" in " ".join(said(draw_raters(screening)).split())
 
 
 def test_a_rule_that_says_nothing_says_why(screening: Screening, said: Callable[[Figure], str]) -> None:

@@ -1,0 +1,63 @@
+"""What the primary model is said to show: a direction where Holm's p leaves no doubt, and nothing else."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from analysis.sections import primary
+from analysis.sections.choices import Choices
+from analysis.table import Table
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import pandas as pd
+
+METRICS = ("spectral_match", "temporal_match")
+HINT = "a hint rather than a result with so few recordings"
+
+
+def tell(rows: pd.DataFrame) -> tuple[dict[str, float], tuple[str, ...], str]:
+    """Holm's p per metric, the claims at length, and the line that sums them up."""
+    section = primary.compute(Table(rows, METRICS, ()), Choices(draws=2))
+    found = {number.name.split(".")[-2]: number.value for number in section.numbers if number.name.endswith("p_holm")}
+    (line,) = section.verdict
+    return found, section.answers, str(line)
+
+
+@pytest.mark.parametrize(("slope", "way"), [(30.0, "higher"), (-30.0, "lower")])
+def test_a_direction_follows_the_sign_and_few_recordings_weaken_it(
+    tidy: Callable[..., pd.DataFrame], slope: float, way: str
+) -> None:
+    p, (spectral, temporal), line = tell(tidy(1, participants=8, recordings=4, spectral=slope))
+    assert p["spectral_match"] < 0.05 <= p["temporal_match"]
+    assert f"stimuli with a higher spectral match got {way} realism ratings" in spectral
+    assert spectral.endswith(f", {HINT}.")
+    assert "follow temporal match within recordings is undecided" in temporal
+    assert f"+0.1 of spectral match goes with {way} ratings" in line
+    assert "what +0.1 of temporal match goes with is undecided" in line
+    assert f"This is {HINT}." in line
+
+
+def test_where_nothing_is_claimed_nothing_is_called_a_hint(tidy: Callable[..., pd.DataFrame]) -> None:
+    p, answers, line = tell(tidy(1, participants=4, recordings=4, spectral=0.0))
+    assert min(p.values()) > 0.05
+    assert all("is undecided" in answer for answer in answers)
+    assert "hint" not in line + " ".join(answers)
+
+
+def test_what_holds_before_holms_adjustment_only_is_not_claimed(
+    tidy: Callable[..., pd.DataFrame], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tabulate = primary.tabulate_slopes
+    monkeypatch.setattr(primary, "tabulate_slopes", lambda models: tabulate(models).assign(p=0.03, p_holm=0.06))
+    _, answers, line = tell(tidy(1, participants=8, recordings=4))
+    assert all("is undecided" in answer and "p (Holm) = 0.060" in answer for answer in answers)
+    assert "goes with higher" not in line
+
+
+def test_one_participant_speaks_of_nobody_else(tidy: Callable[..., pd.DataFrame]) -> None:
+    _, _, line = tell(tidy(1, participants=1, recordings=8))
+    assert "This is about this one participant only." in line
