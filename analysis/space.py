@@ -82,8 +82,8 @@ def fit_space(
     Notes
     -----
     SMACOF (scikit-learn) minimises Σ (δ_ij - d_ij)² over pairs. Stress-1 = √(Σ (δ̂ - d)² / Σ d²), where δ̂ is
-    δ, or in ordinal maps its best monotone transform. Averaging assumes that people share one map; look at the
-    individual ones before.
+    δ, or in ordinal maps its best monotone transform, the same for equal δ. Averaging assumes that people share one
+    map; look at the individual ones before.
 
     References
     ----------
@@ -218,16 +218,18 @@ def _place_classically(target: Values, dimensions: int) -> Values:
 
 
 def _scale(target: Values, start: Values, *, ordinal: bool, steps: tuple[int, float]) -> tuple[Values, float]:
+    from sklearn.isotonic import IsotonicRegression
     from sklearn.manifold import smacof
 
-    positions, stress = smacof(
+    positions, _ = smacof(
         target, metric=not ordinal, n_components=start.shape[1], init=start, n_init=1,
         max_iter=steps[0], eps=steps[1], normalized_stress=ordinal,
     )  # fmt: skip
-    if ordinal:
-        return positions, float(stress)
-    distances = np.sqrt(((positions[:, None] - positions) ** 2).sum(axis=-1))
-    return positions, float(np.sqrt(((target - distances) ** 2).sum() / (distances**2).sum()))
+    pairs = np.triu_indices(len(target), 1)
+    distances = np.sqrt(((positions[:, None] - positions) ** 2).sum(axis=-1))[pairs]
+    # SMACOF's own stress of an ordinal map is of a transform scaled to a fixed size, and so above Kruskal's.
+    wanted = IsotonicRegression().fit_transform(target[pairs], distances) if ordinal else target[pairs]
+    return positions, float(np.sqrt(((wanted - distances) ** 2).sum() / (distances**2).sum()))
 
 
 def _turn_to_axes(positions: Values) -> Values:

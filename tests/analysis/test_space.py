@@ -2,9 +2,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.optimize import isotonic_regression
 
 from analysis.landmarks import align_spaces, bootstrap_space, regress_attributes
-from analysis.space import fit_space, stress_by_dimension
+from analysis.space import fit_space, refit_space, stress_by_dimension
 
 
 def apart(place: np.ndarray) -> np.ndarray:
@@ -36,6 +37,33 @@ def test_an_ordinal_map_uses_the_order_only() -> None:
     bent = fit_space(np.exp(distances / 2) - 1, ordinal=True, rng=np.random.default_rng(0))
     assert bent.stress < 0.02
     assert align_spaces(bent.positions, place, permutations=50, rng=np.random.default_rng(0)).correlation > 0.97
+
+
+SHUFFLED = [18, 9, 10, 17, 4, 21, 16, 14, 13, 7, 2, 11, 3, 12, 19, 1, 15, 5, 8, 6, 20]
+
+
+def test_stress_of_an_ordinal_map_is_kruskals() -> None:
+    table = np.zeros((7, 7))
+    table[np.triu_indices(7, 1)] = SHUFFLED
+    table += table.T
+    space = fit_space(table, ordinal=True, rng=np.random.default_rng(0))
+    # R 4.2.2, MASS 7.3-58: min over 300 starts of isoMDS(as.dist(table), y, maxit = 500, tol = 1e-9)$stress / 100
+    assert space.stress == pytest.approx(0.07890523, abs=2e-7)
+    bent = fit_space(table**3, ordinal=True, rng=np.random.default_rng(0))
+    assert bent.stress == pytest.approx(space.stress, abs=1e-6)
+    distances = apart(space.positions)[np.triu_indices(7, 1)]
+    order = np.argsort(SHUFFLED)
+    best = isotonic_regression(distances[order]).x
+    by_hand = np.sqrt(((best - distances[order]) ** 2).sum() / (distances**2).sum())
+    assert space.stress == pytest.approx(by_hand, abs=1e-12)
+
+
+def test_stress_of_a_metric_map_by_its_definition() -> None:
+    _, people = make_people(3)
+    space = fit_space(people, rng=np.random.default_rng(0))
+    given, found = people.mean(axis=0), apart(space.positions)
+    assert space.stress == pytest.approx(np.sqrt(((given - found) ** 2).sum() / (found**2).sum()))
+    assert space.stress > 0.01
 
 
 def test_stress_falls_to_the_planted_number_of_dimensions() -> None:
@@ -108,6 +136,25 @@ def test_ellipses_shrink_with_participants_and_follow_the_movement() -> None:
     assert (few.half_axes[:, 0] >= few.half_axes[:, 1]).all()
     assert ((few.angle >= 0) & (few.angle < 180)).all()
     assert (few.draws, few.n_participants) == (40, 6)
+
+
+def test_an_ellipse_by_its_definition() -> None:
+    _, people = make_people(7, noise=0.5)
+    result = bootstrap_space(people, draws=60, rng=np.random.default_rng(5))
+    rng = np.random.default_rng(5)
+    group = fit_space(people, rng=rng)
+    assert result.space.positions == pytest.approx(group.positions)
+    drawn = rng.multinomial(7, np.full(7, 1 / 7), size=60)
+    maps = [refit_space(np.average(people, axis=0, weights=row), group).positions for row in drawn]
+    laid = [align_spaces(place, group.positions, permutations=1, rng=rng).aligned for place in maps]
+    for stimulus, (long, short) in enumerate(result.half_axes):
+        covariance = np.cov(np.stack(laid)[:, stimulus].T)
+        # 95 % of a plane's normal distribution lie within chi-square(2) = -2 log(.05); P / (P - 1) for P people.
+        scale = -2 * np.log(0.05) * 7 / 6
+        assert [long**2, short**2] == pytest.approx(scale * np.linalg.eigvalsh(covariance)[::-1], rel=1e-6)
+        angle = np.radians(result.angle[stimulus])
+        along = np.array([np.cos(angle), np.sin(angle)])
+        assert along @ covariance @ along == pytest.approx(np.linalg.eigvalsh(covariance)[1], rel=1e-6)
 
 
 def test_people_who_agree_have_no_ellipse() -> None:
