@@ -80,6 +80,9 @@ _ACROSS = 1e-7
 # A root has a cut: laid where no tone of a plain phase (0, 45, 90 degrees, ...) comes to lie on it.
 _CUT = np.exp(1j)
 _ONSET = 0.5  # of the largest excursion: far from both the noise before it and the tie of many equal peaks
+# A step at half would let noise choose where a peak just reaches it: the gain was above 20 for 1 noise in 50. So the
+# chance that the motion has begun rises from 0 to 1 between these, in energy.
+_MAYBE, _SURELY = 0.3, 0.7
 
 
 def dft321_principal(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.float64]:
@@ -105,9 +108,9 @@ def dft321_principal(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.floa
     .. math:: A_s = \|A\| \; e^{j \angle (u \cdot A)}
 
     u starts as the first principal axis of the vibration (an offset does not count), leaning a little towards the
-    *onset*: the first sample that reaches half of the largest excursion. The onset decides where two principal axes are
-    equally strong, and gives u its sign: at the onset the motion goes along it. Then u is tilted a little, so that it
-    sees weak directions too; the module's notes derive that.
+    *onset*: where the motion first comes near half of its largest excursion. The onset decides where two principal axes
+    are equally strong, and gives u its sign: at the onset the motion goes along it. Then u is tilted a little, so that
+    it sees weak directions too; the module's notes derive that.
 
     Where the motion is perpendicular to u, but for rounding, the phase is that of the long axis of the bin's own
     polarisation ellipse, half the angle of :math:`A \cdot A`, which no rotation changes either.
@@ -128,10 +131,9 @@ def dft321_principal(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.floa
     n = admitted.samples.shape[-1]
     if n == 0:
         return np.zeros((*admitted.samples.shape[:-2], 0))
-    onset = find_onset(admitted.samples)
+    onset, anchor = find_onset(admitted.samples)
     spectra = transform(admitted.samples)
     energy, covariance = measure(spectra)
-    anchor = onset[..., :, None] * onset[..., None, :]
     axis = start_axis(covariance, anchor, pull=PULL)
     axis = np.where(np.einsum("...i,...i->...", axis, onset)[..., None] < 0, -axis, axis)
     axis = tilt(axis, covariance, anchor)
@@ -141,8 +143,8 @@ def dft321_principal(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.floa
     return admitted.restore(fft.irfft(aligned, n, overwrite_x=True))
 
 
-def find_onset(samples: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Direction of the first sample that reaches half the largest excursion from the mean.
+def find_onset(samples: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Direction in which the motion begins: where it first comes near half of its largest excursion from the mean.
 
     Parameters
     ----------
@@ -151,22 +153,46 @@ def find_onset(samples: NDArray[np.float64]) -> NDArray[np.float64]:
 
     Returns
     -------
-    ndarray of float64, shape (..., 3)
-        Unit vectors; the direction of the offset where there is nothing else, the sensor's diagonal for silence.
+    onset : ndarray of float64, shape (..., 3)
+        Unit vectors, of the first sample that reaches half; the direction of the offset where there is nothing else,
+        the sensor's diagonal for silence.
+    anchor : ndarray of float64, shape (..., 3, 3)
+        Mean product of such directions with themselves: a peak of about half the largest counts in part, so that
+        noise, which lifts it above half or not, does not choose between it and the next.
     """
     mean = samples.mean(axis=-1, keepdims=True)
+    size = _measure_excursion(samples, mean)
+    largest = size.max(axis=-1, keepdims=True)
+    first = np.argmax(size >= _ONSET**2 * largest, axis=-1)[..., None, None]
+    onset = (np.take_along_axis(samples, first, axis=-1) - mean)[..., 0]
+    offset = mean[..., 0]
+    still = largest <= ROUNDING**2 * np.einsum("...i,...i->...", offset, offset)[..., None]
+    onset = unit(np.where(still, offset, onset), np.full(offset.shape, 1 / np.sqrt(3)))
+    maybe, surely = (np.argmax(size >= share**2 * largest, axis=-1) for share in (_MAYBE, _SURELY))
+    there = slice(maybe.min(initial=size.shape[-1]), surely.max(initial=0) + 1)
+    excursion, shares = samples[..., there] - mean, size[..., there] / np.where(still, 1.0, largest)
+    excursion *= np.sqrt(_share_beginning(shares) / np.where(shares > 0, shares * largest, 1.0))[..., None, :]
+    anchor = np.einsum("...in,...jn->...ij", excursion, excursion)
+    return onset, np.where(still[..., None], onset[..., :, None] * onset[..., None, :], anchor)
+
+
+def _measure_excursion(samples: NDArray[np.float64], mean: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Squared distance from the mean, sample by sample."""
     size = np.empty((*samples.shape[:-2], samples.shape[-1]))
     for start in range(0, samples.shape[-1], _AT_A_TIME):
         place = slice(start, start + _AT_A_TIME)
         excursion = samples[..., place] - mean
         np.square(excursion, out=excursion)
         np.sum(excursion, axis=-2, out=size[..., place])
-    largest = size.max(axis=-1, keepdims=True)
-    first = np.argmax(size >= _ONSET**2 * largest, axis=-1)[..., None, None]
-    onset = (np.take_along_axis(samples, first, axis=-1) - mean)[..., 0]
-    offset = mean[..., 0]
-    still = largest <= ROUNDING**2 * np.einsum("...i,...i->...", offset, offset)[..., None]
-    return unit(np.where(still, offset, onset), np.full(offset.shape, 1 / np.sqrt(3)))
+    return size
+
+
+def _share_beginning(shares: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Tell how much each sample is the beginning, from its share of the largest energy; they add up to 1."""
+    chance = np.clip((shares - _MAYBE**2) / (_SURELY**2 - _MAYBE**2), 0.0, 1.0)
+    not_yet = np.cumprod(1 - chance, axis=-1)
+    chance[..., 1:] *= not_yet[..., :-1]
+    return np.asarray(chance)
 
 
 def measure(spectra: Spectra) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

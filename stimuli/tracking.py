@@ -118,10 +118,11 @@ class TrackingFrames(FourierFrames):
         loudest = np.maximum.accumulate(np.concatenate([self._loudness, loudness], axis=-1), axis=-1)
         louder = np.diff(loudest, axis=-1)
         records = np.flatnonzero(louder.any(axis=tuple(range(louder.ndim - 1))))
-        onsets = np.zeros((*louder.shape, 3))
+        onsets, sums = np.zeros((*louder.shape, 3)), np.zeros((*louder.shape, 3, 3))
         if records.size:
-            onsets[..., records, :] = find_onset(np.moveaxis(frames[..., records, :], -3, -2))
-        sums = louder[..., None, None] * onsets[..., :, None] * onsets[..., None, :]
+            found = find_onset(np.moveaxis(frames[..., records, :], -3, -2))
+            onsets[..., records, :], sums[..., records, :, :] = found
+        sums *= louder[..., None, None]
         sums = self._anchor + np.cumsum(sums, axis=-3)
         self._loudness, self._anchor = loudest[..., -1:], sums[..., -1:, :, :]
         waking = np.logical_and(loudest[..., :-1, None] == 0, louder[..., None] > 0)

@@ -201,9 +201,35 @@ def test_onset_is_the_first_sample_of_half_the_peak_or_the_offset_or_nothing() -
     acceleration = np.zeros((3, 10))
     acceleration[:, 4], acceleration[:, 5] = (0.0, -0.6, 0.0), (1.0, 0.0, 0.0)
     acceleration[:, 6], acceleration[:, 7] = (-1.0, 0.0, 0.0), (0.0, 0.6, 0.0)
-    np.testing.assert_allclose(find_onset(acceleration), (0.0, -1.0, 0.0))
-    np.testing.assert_allclose(find_onset(np.outer((0.0, 3.0, 4.0), np.ones(7))), (0.0, 0.6, 0.8))
-    np.testing.assert_allclose(find_onset(np.zeros((2, 3, 7))), np.full((2, 3), 1 / np.sqrt(3)))
+    np.testing.assert_allclose(find_onset(acceleration)[0], (0.0, -1.0, 0.0))
+    np.testing.assert_allclose(find_onset(np.outer((0.0, 3.0, 4.0), np.ones(7)))[0], (0.0, 0.6, 0.8))
+    np.testing.assert_allclose(find_onset(np.zeros((2, 3, 7)))[0], np.full((2, 3), 1 / np.sqrt(3)))
+
+
+def test_noise_does_not_choose_the_onset_where_a_peak_just_reaches_half() -> None:
+    """Two tones of equal energy across each other: only the onset leads."""
+    acceleration = np.zeros((3, 10))
+    acceleration[:, 6], acceleration[:, 7] = (-1.0, 0.0, 0.0), (1.0, 0.0, 0.0)
+    anchors = []
+    for peak in (0.499, 0.501):
+        acceleration[1, 2:4] = peak, -peak
+        onset, anchor = find_onset(acceleration)
+        assert abs(onset) == pytest.approx([0, 1, 0] if peak > 0.5 else [1, 0, 0])
+        assert np.trace(anchor) == pytest.approx(1)
+        anchors.append(anchor)
+    np.testing.assert_allclose(*anchors, atol=0.02)
+    assert 0.1 < anchors[0][1, 1] < 0.9
+
+
+@pytest.mark.parametrize("seed", [301, 303])
+def test_noise_does_not_choose_the_onset_of_a_drag(seed: int) -> None:
+    """In these takes a peak of the first loud frame just reaches half: the gain was 35 and 57 while that was a step."""
+    drag = condition(make_scene("texture_drag", duration_s=4.0, seed=seed), Conditioning()).acceleration[:, :20000]
+    once = dft321_principal_windowed(drag, 10000.0)
+    for draw in range(5):
+        hiss = noise(*drag.shape, seed=draw)
+        hiss *= 1e-3 * np.linalg.norm(drag) / np.linalg.norm(hiss)
+        assert change(once, dft321_principal_windowed(drag + hiss, 10000.0)) < 10e-3
 
 
 # --- conditioning and match on the scenes --------------------------------------------------------------------------
