@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from threading import Thread
-from time import perf_counter, sleep
+from time import sleep
 from typing import TYPE_CHECKING
 
 from study.actuator.devices import check_channels, find_device
+from study.actuator.patience import Patience
 from study.actuator.stream import Line, list_devices, refresh_devices
 
 if TYPE_CHECKING:
@@ -21,10 +22,13 @@ if TYPE_CHECKING:
     from study.actuator.take import Block
 
 OPENING_S = 5.0
-"""So long a device may take, beyond its pre-roll, until its stream runs."""
+"""So long a device may take, beyond its pre-roll, until its stream runs; sound servers take two seconds by habit."""
 
-N_OPENINGS = 2
-"""A sound server that is busy may let a first stream stand; the second one runs."""
+N_OPENINGS = 3
+"""A sound server that is busy may let a first stream stand; a later one runs."""
+
+WAKING_S = 1.0
+"""So long a stream that nobody looked at, and that was silent for long, may take to ask for a block."""
 
 REVIVING_S = 8.0
 """So long a start waits for a dead device; it may well come back later."""
@@ -80,9 +84,9 @@ class Connection:
         self._n_frames = 0
         self._reset()
         self.line = Line(device, self._rig, rate_hz=self._rate_hz, fill=self._count)
-        deadline_s = perf_counter() + OPENING_S + self._preroll_s
+        patience = Patience()
         while self._n_frames < self._preroll_s * self._rate_hz:
-            if self.line.find_fault() or perf_counter() > deadline_s:
+            if not self.line.is_active or patience.look() > OPENING_S + self._preroll_s:
                 self.close()
                 return False
             sleep(0.005)
@@ -96,7 +100,7 @@ class Connection:
         str
             Why it still does not run; empty if it does.
         """
-        if self._opening is None and self.line is not None and not self.line.find_fault():
+        if self._opening is None and self.line is not None and self._runs(self.line):
             return ""
         if self._opening is None:
             # Looking for devices can hang as long as a sound server does; the session must not.
@@ -107,6 +111,17 @@ class Connection:
             return f"device: got {self._rig.device.name!r}, which does not answer; see to it, then go on"
         self._opening = None
         return self._error
+
+    @staticmethod
+    def _runs(line: Line) -> bool:
+        patience = Patience()
+        while not line.find_fault():
+            if not line.is_silent:
+                return True
+            if patience.look() > WAKING_S:
+                return False
+            sleep(0.005)
+        return False
 
     def close(self) -> None:
         """Silence the device and let it go."""

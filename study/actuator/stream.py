@@ -9,6 +9,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from study.actuator.devices import Device
+from study.actuator.patience import Patience
 from study.actuator.take import Block
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     Fill = Callable[[Samples, Block, Samples | None], None]
 
 STALL_S = 2.5
-"""A device that asked for nothing for so long is taken for dead."""
+"""A device that asked for nothing for so long, while it was looked at, is taken for dead."""
 
 OPENED_S = 60.0
 """So long the first block may stand; nothing is played by then."""
@@ -136,6 +137,7 @@ class Line:
         self._rate_hz = rate_hz
         self._held_s = OPENED_S
         self._is_closed = False
+        self._seen_s, self._patience = 0.0, Patience()
         try:
             with _hushed():
                 self._stream = self._open(rig, rate_hz=rate_hz)
@@ -156,10 +158,22 @@ class Line:
         str
             What is wrong with it; empty if nothing is.
         """
-        if not self._stream.active:
+        if not self.is_active:
             return "stopped: unplugged, or its server ended"
-        silent_s = perf_counter() - self._last_s
+        if self._last_s != self._seen_s:
+            self._seen_s, self._patience = self._last_s, Patience()
+        silent_s = self._patience.look()
         return f"stands still: it asked for nothing for {silent_s:.1f} s" if silent_s > STALL_S else ""
+
+    @property
+    def is_active(self) -> bool:
+        """Whether the stream was not stopped; it may stand still nevertheless."""
+        return bool(self._stream.active)
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether it asked for nothing for long; if nobody looked meanwhile, it may just go on."""
+        return perf_counter() - self._last_s > STALL_S
 
     def compare_clocks(self, clock: Clock) -> float:
         """Compare the session's clock with the device's.

@@ -43,9 +43,9 @@ def obey(output: StreamOutput, *, do: str, sound: str = "", gap_s: float = 0.0, 
         output.start(sound, gap_s=gap_s)
         if after_s:
             sleep(after_s)
-            stopped_s = perf_counter()
+            before_s = perf_counter()
             output.stop()
-            say({"stopped_s": stopped_s})
+            say({"stopped_s": (before_s, perf_counter())})
         say(collect(output))
     elif do == "collect":
         say(collect(output))

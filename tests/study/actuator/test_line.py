@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from time import perf_counter, sleep
+from dataclasses import dataclass
+from threading import Event
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +14,7 @@ import pytest
 from stimuli.wav import read_wav
 from study.actuator.devices import Device
 from study.actuator.rig import DeviceTable, LimitsTable, Rig, SensorTable
-from study.actuator.stream import Line, list_devices, refresh_devices
+from study.actuator.stream import STALL_S, Line, list_devices, refresh_devices
 from study.actuator.stream_output import StreamOutput
 
 if TYPE_CHECKING:
@@ -65,8 +66,29 @@ class StandIn:
         return out
 
 
+@dataclass
+class Clock:
+    """The time, which stands still unless a test lets it pass: how busy this machine is does not matter here."""
+
+    now_s: float = 1000.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+    def wait(self, duration_s: float) -> None:
+        self.now_s += duration_s
+
+
 @pytest.fixture
-def sounddevice(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    clock = Clock()
+    for module in ("stream", "patience"):
+        monkeypatch.setattr(f"study.actuator.{module}.perf_counter", clock)
+    return clock
+
+
+@pytest.fixture
+def sounddevice(monkeypatch: pytest.MonkeyPatch, clock: Clock) -> SimpleNamespace:  # noqa: ARG001 - time stands still
     row = {"index": 0, "name": "coils", "hostapi": 0, "max_output_channels": 2, "max_input_channels": 1}
     module = SimpleNamespace(
         PortAudioError=RuntimeError,
@@ -120,35 +142,31 @@ def test_a_device_that_tells_no_times_is_taken_at_its_latency(blocks: list[Block
 
 
 @pytest.mark.usefixtures("sounddevice")
-def test_silence_beyond_what_it_held_is_an_underrun_though_no_flag_says_so(blocks: list[Block]) -> None:
+def test_silence_beyond_what_it_held_is_an_underrun_though_no_flag_says_so(blocks: list[Block], clock: Clock) -> None:
     _, stream = open_line(blocks)
     stream.ask()
-    sleep(0.05)
+    clock.wait(0.05)
     stream.ask()
-    sleep(0.25)  # it held 0.1 s in its buffer and 0.1 s in the block
+    clock.wait(0.25)  # it held 0.1 s in its buffer and 0.1 s in the block
     stream.ask()
     assert [block.has_run_dry for block in blocks] == [False, False, True]
 
 
 @pytest.mark.usefixtures("sounddevice")
-def test_delays_that_follow_each_other_add_up(blocks: list[Block], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_delays_that_follow_each_other_add_up(blocks: list[Block], clock: Clock) -> None:
     _, stream = open_line(blocks)
-    now_s = [perf_counter()]
-    monkeypatch.setattr("study.actuator.stream.perf_counter", lambda: now_s[0])
     # It holds 0.2 s when it is full and plays 0.1 s in a block: 0.15 s leave 0.15 s, which 0.17 s are too long for.
     for wait_s in (0.0, 0.15, 0.17, 0.1, 0.1, 0.15, 0.05, 0.15, 0.05):
-        now_s[0] += wait_s
+        clock.wait(wait_s)
         stream.ask()
     assert [block.has_run_dry for block in blocks] == [False, False, True] + 6 * [False]
 
 
 @pytest.mark.usefixtures("sounddevice")
-def test_a_device_with_a_slow_clock_does_not_run_dry(blocks: list[Block], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_device_with_a_slow_clock_does_not_run_dry(blocks: list[Block], clock: Clock) -> None:
     _, stream = open_line(blocks)
-    now_s = [perf_counter()]
-    monkeypatch.setattr("study.actuator.stream.perf_counter", lambda: now_s[0])
     for _ in range(9000):
-        now_s[0] += N / RATE_HZ * 1.0005
+        clock.wait(N / RATE_HZ * 1.0005)
         stream.ask()
     assert not any(block.has_run_dry for block in blocks)
 
@@ -162,12 +180,12 @@ def test_clocks_are_compared_by_the_fastest_reading(blocks: list[Block]) -> None
 
 @pytest.mark.usefixtures("sounddevice")
 def test_the_clock_of_a_device_that_has_died_tells_nothing(
-    blocks: list[Block], monkeypatch: pytest.MonkeyPatch
+    blocks: list[Block], monkeypatch: pytest.MonkeyPatch, clock: Clock
 ) -> None:
     line, stream = open_line(blocks)
     monkeypatch.setattr(StandIn, "time", property(lambda _: stream.nothing()))
     monkeypatch.setattr(StandIn, "nothing", raise_foreign, raising=False)
-    assert np.isnan(line.compare_clocks(perf_counter))
+    assert np.isnan(line.compare_clocks(clock))
 
 
 def raise_foreign(*_: object) -> None:
@@ -206,14 +224,19 @@ def test_what_is_not_installed_is_one_line(
         list_devices()
 
 
-def open_output(monkeypatch: pytest.MonkeyPatch, folder: Path, *, rig: Rig = RIG) -> tuple[StreamOutput, Any]:
-    """Open an output on a stand-in, which asks while the output waits for it."""
+def open_output(
+    monkeypatch: pytest.MonkeyPatch, folder: Path, *, rig: Rig = RIG, clock: Clock | None = None
+) -> tuple[StreamOutput, Any]:
+    """Open an output on a stand-in, which asks while the output waits for it; with a clock, that time passes."""
     streams: list[Any] = []
     start = StandIn.start
     monkeypatch.setattr(StandIn, "start", lambda stream: (start(stream), streams.append(stream)))
-    monkeypatch.setattr("study.actuator.connection.sleep", lambda _: streams[-1].ask())
+    waited = clock or Clock()
+    monkeypatch.setattr(
+        "study.actuator.connection.sleep", lambda wait_s: (waited.wait(wait_s), streams[-1].ask())
+    )
     sound = np.full((150, 2), 0.25, dtype=np.float32)
-    output = StreamOutput(rig, {"a": sound}, rate_hz=RATE_HZ, folder=folder, clock=perf_counter)
+    output = StreamOutput(rig, {"a": sound}, rate_hz=RATE_HZ, folder=folder, clock=waited)
     output.open()
     assert not streams[-1].ask().any()
     return output, streams[-1]
@@ -253,12 +276,14 @@ def test_a_recording_that_cannot_be_written_is_told(monkeypatch: pytest.MonkeyPa
 def test_a_device_that_hangs_does_not_hang_the_session(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     output, stream = open_output(monkeypatch, tmp_path)
     stream.active = False
+    answers = Event()
     monkeypatch.setattr("study.actuator.connection.REVIVING_S", 0.05)
-    monkeypatch.setattr("study.actuator.connection.refresh_devices", lambda: sleep(0.3))
+    monkeypatch.setattr("study.actuator.connection.refresh_devices", answers.wait)
     output.start("a", gap_s=0.0)
     assert not output.is_playing
     assert "does not answer" in output.collect().error
-    sleep(0.5)
+    answers.set()
+    monkeypatch.setattr("study.actuator.connection.REVIVING_S", 60.0)
     output.start("a", gap_s=0.0)
     assert output.is_playing
 
@@ -294,8 +319,8 @@ def test_a_stop_is_measured_and_told_though_the_device_is_slow(monkeypatch: pyte
     delivery = output.collect()
     assert (delivery.completed, delivery.error, delivery.measured["n_samples"]) == (False, "", 104)
     assert delivery.onset_s is not None
-    # The session's clock hardly moves meanwhile; the device's says 100 samples, a fade, and its latency.
-    assert delivery.measured["stop_s"] == pytest.approx(0.104 + 0.1, abs=0.05)
+    # The session's clock stands still meanwhile; the device's says 100 samples, a fade, and its latency.
+    assert delivery.measured["stop_s"] == pytest.approx(0.104 + 0.1)
 
 
 @pytest.mark.usefixtures("sounddevice")
@@ -319,41 +344,97 @@ def test_nothing_started_is_an_error(monkeypatch: pytest.MonkeyPatch, tmp_path: 
 
 
 @pytest.mark.usefixtures("sounddevice")
-def test_a_stream_that_never_runs_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr("study.actuator.connection.OPENING_S", 0.0)
-    output = StreamOutput(RIG, {}, rate_hz=RATE_HZ, folder=tmp_path, clock=perf_counter)
+def test_a_stream_that_never_runs_is_refused(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, clock: Clock
+) -> None:
+    monkeypatch.setattr("study.actuator.connection.sleep", clock.wait)
+    output = StreamOutput(RIG, {}, rate_hz=RATE_HZ, folder=tmp_path, clock=clock)
+    begin_s = clock.now_s
     with pytest.raises(OSError, match="got 'coils', which does not run; is it in use elsewhere"):
         output.open()
+    assert clock.now_s - begin_s < 20
 
 
 @pytest.mark.usefixtures("sounddevice")
-def test_a_stream_that_stands_at_first_is_opened_once_more(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_stream_that_stands_at_first_is_opened_again(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     starts: list[StandIn] = []
 
     def start(stream: StandIn) -> None:
         starts.append(stream)
-        stream.active = len(starts) == 2
+        stream.active = len(starts) == 3
 
     monkeypatch.setattr(StandIn, "start", start)
     output, stream = open_output(monkeypatch, tmp_path)
-    assert len(starts) == 2
-    assert stream is starts[1]
+    assert len(starts) == 3
+    assert stream is starts[2]
     output.start("a", gap_s=0.0)
     assert output.is_playing
     assert stream.ask().any()
 
 
 @pytest.mark.usefixtures("sounddevice")
-def test_a_device_may_be_slow_to_open(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_device_may_be_slow_to_open(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, clock: Clock) -> None:
     made: list[StandIn] = []
     make = StandIn.__init__
 
     def make_slowly(stream: StandIn, **settings: Any) -> None:
         made.append(stream)
-        sleep(0.6)
+        clock.wait(2 * STALL_S)
         make(stream, **settings)
 
-    monkeypatch.setattr("study.actuator.stream.STALL_S", 0.5)
     monkeypatch.setattr(StandIn, "__init__", make_slowly)
     open_output(monkeypatch, tmp_path)
     assert len(made) == 1
+
+
+@pytest.mark.usefixtures("sounddevice")
+def test_a_device_may_be_slow_to_ask_for_its_first_block(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, clock: Clock
+) -> None:
+    streams: list[StandIn] = []
+    start = StandIn.start
+    monkeypatch.setattr(StandIn, "start", lambda stream: (start(stream), streams.append(stream)))
+    first_s = clock.now_s + STALL_S + 1.0
+
+    def wait(wait_s: float) -> None:
+        clock.wait(wait_s)
+        if clock.now_s > first_s:
+            streams[-1].ask()
+
+    monkeypatch.setattr("study.actuator.connection.sleep", wait)
+    StreamOutput(RIG, {}, rate_hz=RATE_HZ, folder=tmp_path, clock=clock).open()
+    assert len(streams) == 1
+
+
+@pytest.mark.usefixtures("sounddevice")
+def test_a_process_that_stood_still_itself_does_not_take_its_device_for_dead(
+    blocks: list[Block], clock: Clock
+) -> None:
+    line, stream = open_line(blocks)
+    stream.ask()
+    for _ in range(5):
+        assert not line.find_fault()
+        clock.wait(3 * STALL_S)
+    assert line.is_silent
+    stream.ask()
+    faults = []
+    for _ in range(30):
+        clock.wait(0.1)
+        faults.append(line.find_fault())
+    assert not any(faults[: round(10 * STALL_S)])
+    assert faults[-1].startswith("stands still: it asked for nothing for 2.")
+
+
+@pytest.mark.usefixtures("sounddevice")
+@pytest.mark.parametrize("is_hanging", [False, True])
+def test_a_device_that_nobody_looked_at_is_given_a_moment(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, clock: Clock, is_hanging: bool
+) -> None:
+    output, stream = open_output(monkeypatch, tmp_path, clock=clock)
+    clock.wait(60.0)
+    if is_hanging:
+        ask = StandIn.ask
+        monkeypatch.setattr(StandIn, "ask", lambda s, **told: None if s is stream else ask(s, **told))
+    output.start("a", gap_s=0.0)
+    assert output.is_playing
+    assert stream.active != is_hanging  # another one was opened in its place

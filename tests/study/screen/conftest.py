@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 HERE = Path(__file__).parent
-PATIENCE_S = 20.0
+PATIENCE_S = 120.0
+"""How long anything is waited for: nothing takes so long, only a machine under load."""
+
 PRESS_S = 0.04
 GLANCE_S = 0.3
 """How long a key is down: longer than a frame."""
@@ -84,10 +86,33 @@ class Seat:
         """Read on until the screen is as it is to be."""
         end_s = time.monotonic() + PATIENCE_S
         while not (self.view and test(self.view)):
-            line = self.lines.get(timeout=max(0.1, end_s - time.monotonic()))
-            assert line, f"the screen is gone; it was {self.view}\n{self.read_errors()}"
-            self._take(line)
+            self._take(self._read_line(end_s))
         return self.view
+
+    def _read_line(self, end_s: float) -> str:
+        try:
+            line = self.lines.get(timeout=max(0.1, end_s - time.monotonic()))
+        except queue.Empty:
+            pytest.fail(f"the screen stays as it is: {self.view}; {self.told[-5:]}")
+        assert line, f"the screen is gone; it was {self.view}\n{self.read_errors()}"
+        return line
+
+    def order(self, word: str) -> None:
+        """Have the clock held or go on, or only look (see lead.py); a frame later at least it is done.
+
+        What was pressed before was heeded by then.
+        """
+        assert self.process.stdin is not None
+        n_before = sum("obeyed" in words for words in self.told)
+        self.process.stdin.write(f"{word}\n")
+        self.process.stdin.flush()
+        self.until(lambda _: sum("obeyed" in words for words in self.told) > n_before)
+
+    def heed(self, event: str, **wanted: Any) -> None:
+        """Wait until the journal would hold such an event."""
+        self.until(
+            lambda _: any(all(told[name] == value for name, value in wanted.items()) for told in self.find(event))
+        )
 
     def see(self, **wanted: Any) -> dict[str, Any]:
         return self.until(lambda view: all(view[name] == value for name, value in wanted.items()))
@@ -111,6 +136,7 @@ class Seat:
         return self.events
 
     def press(self, *keys: str) -> None:
+        self.order("look")  # before its first frame a window hears no keys
         for key in keys:
             self.do("keydown", key)
             time.sleep(PRESS_S)
@@ -124,6 +150,7 @@ class Seat:
 
     def click(self, target: str, *, at: float = 0.5, to: float | None = None) -> None:
         """Click on a target at a share of its width, and drag to another."""
+        self.order("look")  # a window's first frame takes the pointer to a corner
         box = self.view["targets"][target]
         for share, act in ((at, "mousedown"), (at if to is None else to, "mouseup")):
             x, y = box["left"] + share * box["width"], box["top"] + box["height"] / 2
@@ -152,7 +179,8 @@ def seat(display: Callable[[int, int], dict[str, str]]) -> Iterator[Callable[...
     def take_seat(*steps: dict[str, Any], size: tuple[int, int] = (1024, 768), **spec: Any) -> Seat:
         env = display(*size)
         command = [sys.executable, str(HERE / "lead.py"), json.dumps({"steps": steps, "size": size, **spec})]
-        process = subprocess.Popen(command, env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+        process = subprocess.Popen(command, env=env, **pipes, text=True)
         seats.append(Seat(process, env))
         seats[-1].start_reading()
         return seats[-1]
@@ -162,7 +190,7 @@ def seat(display: Callable[[int, int], dict[str, str]]) -> Iterator[Callable[...
         taken.process.kill()
         taken.process.wait()
         taken.reader.join()
-        for stream in (taken.process.stdout, taken.process.stderr):
+        for stream in (taken.process.stdin, taken.process.stdout, taken.process.stderr):
             if stream is not None:
                 stream.close()
 

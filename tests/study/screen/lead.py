@@ -6,7 +6,9 @@ Run on a display: lead.py JSON, where JSON holds `steps`, `size`, `language` and
 from __future__ import annotations
 
 import json
+import queue
 import sys
+import threading
 import time
 from dataclasses import asdict
 from pathlib import Path
@@ -25,8 +27,6 @@ from study.session.conduct import Stage, Stopped, conduct_page, conduct_trial
 from study.session.ports import Place
 from study.settings.sources import Surface
 
-STARTED = time.perf_counter()
-
 gallery = run_path(str(Path(__file__).with_name("gallery.py")))
 
 
@@ -34,8 +34,48 @@ def tell(**words: Any) -> None:
     print(json.dumps(words), flush=True)  # noqa: T201 - the test reads this
 
 
-def clock() -> float:
-    return time.perf_counter() - STARTED
+class Clock:
+    """The session's clock; a test may hold it, so that nothing is over before somebody slow has done something."""
+
+    def __init__(self) -> None:
+        self._began_s, self._held_s = time.perf_counter(), None
+
+    def __call__(self) -> float:
+        return (time.perf_counter() if self._held_s is None else self._held_s) - self._began_s
+
+    def hold(self) -> None:
+        self._held_s = self._began_s + self()
+
+    def go_on(self) -> None:
+        if self._held_s is not None:
+            self._began_s += time.perf_counter() - self._held_s
+            self._held_s = None
+
+
+clock = Clock()
+ORDERS = {"hold": clock.hold, "go on": clock.go_on, "look": lambda: None}
+
+
+class Orders:
+    """What a test asks for, one word a line; obeyed between two frames, and told when the next frame is over."""
+
+    def __init__(self) -> None:
+        self._given: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._obeyed: list[str] = []
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def _read(self) -> None:
+        with open(0, "rb", buffering=0, closefd=False) as orders:  # a buffer would be locked at the end
+            for line in orders:
+                self._given.put(line.decode().strip())
+
+    def obey(self) -> None:
+        for order in self._obeyed:
+            tell(obeyed=order)
+        self._obeyed.clear()
+        while not self._given.empty():
+            self._obeyed.append(self._given.get())
+            ORDERS[self._obeyed[-1]]()
 
 
 class SilentOutput:
@@ -61,6 +101,7 @@ class SilentOutput:
             tell(stopped=clock())
 
     def collect(self) -> Delivery:
+        tell(collected=clock())
         return Delivery(self.began_s, self.began_s, completed=not self.was_stopped, measured={"dac_time_s": 1.0})
 
 
@@ -69,8 +110,10 @@ class Watcher(Hand):
 
     def __init__(self, texts: Any, window: Window) -> None:
         self.texts, self.window, self.last = texts, window, None
+        self.orders = Orders()
 
     def watch(self, view: View) -> None:
+        self.orders.obey()
         if view == self.last:
             return
         self.last = view
@@ -103,6 +146,8 @@ def conduct(step: dict[str, Any], stage: Stage) -> None:
 
 
 def main(spec: dict[str, Any]) -> None:
+    if spec.get("held"):
+        clock.hold()
     tables = read_texts(spec.get("language", "en"))
     texts, scales = make_screen_texts(tables), read_scales(spec.get("language", "en"))
     output = SilentOutput(spec.get("duration_s", 0.3))

@@ -1,0 +1,33 @@
+"""How long somebody has waited, as far as they were there to see it."""
+
+from __future__ import annotations
+
+from time import perf_counter
+
+GLANCE_S = 0.25
+"""So much at most counts between two looks: whoever was away for longer stood still, not what is waited for."""
+
+
+class Patience:
+    """Adds up the time between looks at something that is waited for.
+
+    On a busy machine this process itself may stand still for seconds, and what it waits for could not do anything
+    either: a device is not dead because nobody looked.
+    """
+
+    def __init__(self) -> None:
+        self._looked_s = perf_counter()
+        self._waited_s = 0.0
+
+    def look(self) -> float:
+        """Look, and tell how long was waited.
+
+        Returns
+        -------
+        float
+            Time in s.
+        """
+        now_s = perf_counter()
+        self._waited_s += min(now_s - self._looked_s, GLANCE_S)
+        self._looked_s = now_s
+        return self._waited_s
