@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from analysis.numbers import COUNT
 from analysis.sections.section import Cell
-from analysis.words import start, tell_name
+from analysis.words import keep_together, start, tell_name
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -44,7 +44,7 @@ def render_page(results: Results, sections: Sequence[Section], *, figures: Path)
 
     environment = Environment(
         loader=FileSystemLoader(TEMPLATES), autoescape=True, undefined=StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
+        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, finalize=keep_together,
     )  # fmt: skip
     environment.filters |= {"words": tell_name, "start": start}
     sizes = {number.name: Cell(number, COUNT) for number in results.numbers if number.name.startswith("size.")}

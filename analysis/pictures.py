@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from analysis.figures.mapping import draw_mapping
 from analysis.figures.profile import draw_profile
 from analysis.figures.scatter import CUT, count_clipped, draw_scatter
 from analysis.figures.style import Look, list_undrawable
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
     from analysis.association import Association
     from analysis.findings import Panel
+    from analysis.p1401 import P1401
     from analysis.table import Table
 
 
@@ -111,6 +113,36 @@ def picture_scatter(panel: Panel, association: Association, *, looks: Mapping[st
     slug = make_slug("scatter", panel.scale, panel.level, association.metric)
     caption = _caption_scatter(panel, association)
     return Picture(slug, "scatter", caption, draw_scatter(panel, association, looks=looks))
+
+
+def picture_mapping(panel: Panel, association: Association, judged: P1401, *, looks: Mapping[str, Look]) -> Picture:
+    """Draw ratings against a metric, recording by recording.
+
+    Parameters
+    ----------
+    panel : Panel
+        Stimuli of one scale and level.
+    association : Association
+        Of the metric: its correlation and the noise ceiling.
+    judged : P1401
+        What P.1401 says of the metric.
+    looks : Mapping of str to Look
+        Look per reducer.
+
+    Returns
+    -------
+    Picture
+        A panel per recording, folded away.
+    """
+    slug = make_slug("mapping", panel.scale, panel.level, association.metric)
+    caption = (
+        f"Mean {tell_name(panel.scale)} rating of each test stimulus against its {tell_name(association.metric)}, "
+        f"recording by recording (level {tell_name(panel.level)}), with the mapping of ITU-T P.1401 that was fitted to "
+        f"all of them. {_tell_bars(panel)} Below: the correlation with its 95 % two-way interval, and how far noise "
+        "in the ratings would let it come."
+    )
+    figure = draw_mapping(panel.stimuli, judged, association, scale=panel.scale, looks=looks)
+    return Picture(slug, "mapping", caption, figure, detail=True)
 
 
 def picture_profiles(profile: DataFrame, participants: DataFrame, *, looks: Mapping[str, Look]) -> Iterator[Picture]:

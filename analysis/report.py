@@ -20,6 +20,7 @@ from analysis.results import Results, collect_numbers
 from analysis.sections.choices import Choices
 from analysis.sections.listing import SECTIONS
 from analysis.table import read_table
+from analysis.words import tell_note
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -156,7 +157,9 @@ def gather_results(table: Table, sections: Sequence[Section], *, inputs: Mapping
     """
     pictures = [picture for section in sections for picture in section.pictures]
     tables = [name for section in sections for name in section.tables]
-    notes = (*table.notes, *(note for section in sections for note in section.notes), *note_undrawable(table))
+    names = [*table.rows["scale"].unique(), *table.rows["level"].unique(), *table.metrics, *table.further]
+    told = (tell_note(note, names) for section in sections for note in section.notes)
+    notes = (*table.notes, *told, *note_undrawable(table))
     return Results(
         verdict=write_verdict(sections),
         numbers=collect_numbers(table, (number for section in sections for number in section.numbers)),

@@ -10,10 +10,11 @@ from analysis.arrays import read_numbers
 from analysis.cells import RATING, REDUCER, SCENE, SOURCE, WHO
 from analysis.primary import fit_primary
 from analysis.sources import find_sources
+from analysis.table import order_reducers
 from analysis.tidy import leave_rejected, leave_untested, name_items
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from pandas import DataFrame
 
@@ -81,9 +82,14 @@ def _leave_out(rows: DataFrame) -> Iterator[tuple[str, DataFrame]]:
     if not sources.is_unique:
         rows = rows.assign(**{SOURCE: rows[SCENE].map(sources)})
     for column in (SCENE if sources.is_unique else SOURCE, REDUCER):
-        names = sorted(rows[column].unique(), key=str) if column in rows else []
+        names = _order(rows[column].unique(), column) if column in rows else []
         for name in names if len(names) > 1 else []:
             yield f"without {column} {name}", rows[rows[column] != name]
+
+
+def _order(names: Iterable[str], column: str) -> list[str]:
+    """Put names in the same order whatever was rated, so that scales can be compared."""
+    return order_reducers(names) if column == REDUCER else sorted(names, key=str)
 
 
 def _tabulate_standardised(rows: DataFrame, metrics: Sequence[str]) -> DataFrame:

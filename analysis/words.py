@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import textwrap
 from typing import TYPE_CHECKING
 
@@ -21,6 +22,12 @@ SMALLEST_P = 0.001
 
 UNWIELDY = 1e6
 """From here on a number is told by its power of ten."""
+
+TORN = re.compile("(?<=[0-9]) (?=%)|(?<=\\bp) (?=\\(Holm\\))| (?=<\N{NO-BREAK SPACE})")
+"""Spaces at which no line may break."""
+
+PARTS = {"_w": " within recordings", "_b": " between recordings", None: ""}
+"""What a term of a model adds to a metric's name -> how it is told."""
 
 METRIC_AXES = {
     "spectral_match": "Spectral match (1 = identical energy)",
@@ -48,6 +55,60 @@ def tell_name(name: str) -> str:
     'equal intensity'
     """
     return name.replace("_", " ")
+
+
+def keep_together(value: object) -> object:
+    r"""Keep the percent sign with its number, and a small probability with its name, where a line may break.
+
+    Parameters
+    ----------
+    value : object
+        What a page is to show; only text is changed.
+
+    Returns
+    -------
+    object
+        The same, with no-break spaces there.
+
+    Examples
+    --------
+    >>> keep_together("95 % interval"), keep_together(95)
+    ('95\xa0% interval', 95)
+    """
+    # A subclass of str is markup that was made elsewhere.
+    return TORN.sub("\N{NO-BREAK SPACE}", value) if type(value) is str else value
+
+
+def tell_note(note: str, names: Iterable[str]) -> str:
+    """Put the names that a note holds into words.
+
+    Parameters
+    ----------
+    note : str
+        A sentence.
+    names : iterable of str
+        Scales, levels, metrics or whatever else may stand in it, in quotation marks or not.
+
+    Returns
+    -------
+    str
+        The sentence without their underscores and quotation marks, and with a model's terms in words.
+
+    Examples
+    --------
+    >>> tell_note("realism, as_is: 'spectral_match' is the same everywhere.", ["as_is", "spectral_match"])
+    'realism, as is: spectral match is the same everywhere.'
+    >>> tell_note("The spread of spectral_match_w is zero.", ["spectral_match"])
+    'The spread of spectral match within recordings is zero.'
+    """
+    raw = "|".join(re.escape(name) for name in sorted(set(names), key=len, reverse=True))
+    told = re.sub(rf"(?<![\w./])('?)({raw})(_[wb])?\1(?!\w)", _tell_found, note) if raw else note
+    return told.replace("(Intercept)", "the intercept")
+
+
+def _tell_found(match: re.Match[str]) -> str:
+    _, name, part = match.groups()
+    return tell_name(name) + PARTS[part] if part or "_" in name else match[0]
 
 
 def tell_ratings(subject: str) -> str:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from analysis.page import TEMPLATES, inline_svg
 from analysis.pictures import Picture
+from analysis.words import keep_together
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -38,7 +39,7 @@ def render_page(content: Mapping[str, Any], drawing: Path) -> str:
 
     environment = Environment(
         loader=FileSystemLoader(TEMPLATES), autoescape=True, undefined=StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
+        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, finalize=keep_together,
     )  # fmt: skip
     style = (TEMPLATES / "report.css").read_text(encoding="utf-8")
     picture = inline_svg(Picture("advice", "advice", CAPTION, Figure()), drawing)

@@ -19,7 +19,7 @@ from analysis.page import TEMPLATES, inline_svg
 from analysis.pictures import Picture, make_slug, number_pictures
 from analysis.replacing import list_files, replace_report
 from analysis.scales import tell_measure as tell_scale
-from analysis.words import tell_name
+from analysis.words import keep_together, tell_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -99,7 +99,7 @@ def render_page(chart: Chart, pictures: Sequence[Picture], *, figures: Path) -> 
 
     environment = Environment(
         loader=FileSystemLoader(TEMPLATES), autoescape=True, undefined=StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
+        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, finalize=keep_together,
     )  # fmt: skip
     choices = list_choices(chart)
     return environment.get_template("chart.html").render(

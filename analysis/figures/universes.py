@@ -91,5 +91,5 @@ def _tell(result: Multiverse, curve: DataFrame, interval: str) -> str:
     return (
         f"{len(curve)} choices of screening rules, {result.n_distinct} different sets of raters; "
         f"n = {tell_span(curve['n_participants'])} participants. {bars}"
-        f"Red diamond, dashed line: nobody excluded. Below: rules applied.{without}"
+        f"Diamond, dashed line: nobody excluded. Below: rules applied.{without}"
     )

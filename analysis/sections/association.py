@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from analysis.figures.scatter import count_clipped
 from analysis.figures.style import assign_looks
 from analysis.findings import make_panel, stack_records
 from analysis.how import tell_associations
+from analysis.items import make_items
 from analysis.numbers import COUNT, ONE_WAY, TWO_WAY, count_number, make_interval, make_number, name_path
-from analysis.pictures import picture_scatter
+from analysis.p1401 import p1401
+from analysis.pictures import picture_mapping, picture_scatter
 from analysis.scales import APART, note_apart
 from analysis.sections.means import name_mean
 from analysis.sections.parts import split_parts
@@ -26,10 +29,16 @@ if TYPE_CHECKING:
     from analysis.association import Association, Difference
     from analysis.findings import Panel
     from analysis.numbers import Number
+    from analysis.p1401 import P1401
     from analysis.sections.choices import Choices
+    from analysis.sections.parts import Part
     from analysis.table import Table
 
+    Mappings = list[tuple[Panel, Association, P1401]]
+
 KEY = "metrics"
+MAPPED = 3
+"""Order of the mapping that is drawn: P.1401's monotone cubic."""
 
 
 def compute(table: Table, choices: Choices) -> Section:
@@ -45,29 +54,52 @@ def compute(table: Table, choices: Choices) -> Section:
     Returns
     -------
     Section
-        Correlations by every method, differences between metrics, a scatter per scale, level and metric.
+        Correlations by every method, differences between metrics, a scatter per scale, level and metric, and the
+        same recording by recording with the mapping of P.1401 and the noise ceiling.
     """
+    parts = list(split_parts(table))
     panels = [
         make_panel(part.rows, table.metrics, draws=choices.draws, rng=choices.make_rng(KEY, *part.place))
-        for part in split_parts(table)
+        for part in parts
     ]
     title = "Ratings against metrics"
     notes = (*_note_roles(table), *_note_panels(panels))
     if not panels:
         return Section(KEY, title, notes=notes, verdict=judge_absence(table.rows["scale"].unique()))
     looks = assign_looks(order_reducers(table.rows["reducer"]))
+    mappings = [found for pair in zip(parts, panels, strict=True) for found in _map_panel(*pair)]
     grids = [_lay_associations(panels), *([_lay_differences(panels)] if panels[0].differences else [])]
     return Section(
         key=KEY, title=title, answers=(*judge_panels(panels), UNADJUSTED), verdict=sum_up_panels(panels),
         grids=tuple(grids),
-        unseen=tuple(number for panel in panels for number in _collect_panel(panel)),
+        unseen=(*(number for panel in panels for number in _collect_panel(panel)), *_name_mappings(mappings)),
         tables=_make_tables(panels),
-        pictures=tuple(
-            picture_scatter(panel, found, looks=looks)
-            for panel in panels for found in panel.associations if found.method == LEADING
+        pictures=(
+            *(
+                picture_scatter(panel, found, looks=looks)
+                for panel in panels for found in panel.associations if found.method == LEADING
+            ),
+            *(picture_mapping(panel, found, judged, looks=looks) for panel, found, judged in mappings),
         ),
         notes=notes, how=tell_associations(choices.draws),
     )  # fmt: skip
+
+
+def _map_panel(part: Part, panel: Panel) -> Iterator[tuple[Panel, Association, P1401]]:
+    """Map every metric to the ratings; what P.1401 refuses is said where its table stands."""
+    for found in panel.associations:
+        if found.method == LEADING:
+            with suppress(ValueError):
+                items = make_items(part.rows, [found.metric])
+                yield panel, found, p1401(items.ratings.T, items.metrics[0], order=MAPPED)
+
+
+def _name_mappings(mappings: Mappings) -> Iterator[Number]:
+    for panel, found, judged in mappings:
+        name = name_path("mapping", panel.scale, panel.level, found.metric)
+        for power, value in enumerate(judged.coefficients):
+            how = f"P.1401 mapping of order {judged.order}: points per {found.metric} to the power {power}"
+            yield make_number(f"{name}.coefficient_{power}", value, how, n=judged.n_items)
 
 
 def _make_tables(panels: list[Panel]) -> dict[str, DataFrame]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
@@ -62,9 +63,16 @@ def compute(table: Table, choices: Choices) -> Section:
 
 
 def _note(found: Found) -> Iterator[str]:
+    """Say each note once: of all that was explored, or of the correlations that it is about."""
+    told: dict[tuple[str, str], list[str]] = {}
     for part, result in found:
-        lead = f"{part.lead}, {tell_method(result.method)} with {tell_name(result.metric)}"
-        yield from (f"{lead}: {note}" for note in result.notes)
+        for note in result.notes:
+            whose = f"{tell_method(result.method)} with {tell_name(result.metric)}"
+            told.setdefault((part.lead, note), []).append(whose)
+    sizes = Counter(part.lead for part, _ in found)
+    for (lead, note), names in told.items():
+        whose = "further metrics" if len(names) == sizes[lead] else "; ".join(names)
+        yield f"{lead}, {whose}: {note}"
 
 
 def _stack(found: Found) -> DataFrame:

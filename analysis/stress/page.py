@@ -14,7 +14,7 @@ from analysis.stress.limits import MEASURES
 from analysis.stress.reasons import tell_reason
 from analysis.stress.result import FIGURES
 from analysis.stress.signs import SIGNS
-from analysis.words import ABSENT, MINUS
+from analysis.words import ABSENT, MINUS, keep_together
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -88,7 +88,7 @@ def render_page(result: StressResult, *, figures: Path) -> str:
 
     environment = Environment(
         loader=FileSystemLoader(TEMPLATES), autoescape=True, undefined=StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
+        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, finalize=keep_together,
     )  # fmt: skip
     picture = Picture(FIGURES[0], "heat map", CAPTION, new_canvas(1))
     return environment.get_template("stress.html").render(

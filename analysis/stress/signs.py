@@ -203,6 +203,10 @@ def warn_of(diagnosis: Diagnosis, cells: Sequence[Cell]) -> tuple[str, ...]:
     for sign in diagnosis.near_signs:
         line = sign.words.format(sign.tell(diagnosis.figures[sign.name]))
         touched = [name for name in sign.sensitive if gains.get(name, 0.0) >= caution]
-        told = ", ".join(f"{name} is sensitive here (gain {gains[name]:.2g})" for name in touched)
+        told = ", ".join(f"{name} is sensitive here (gain {_tell_gain(gains[name])})" for name in touched)
         lines.append(f"{line}: {told}" if told else line)
     return tuple(lines)
+
+
+def _tell_gain(gain: float) -> str:
+    return f"{gain:.0f}" if gain >= 100 else f"{gain:.2g}"  # noqa: PLR2004 - from here on 2 digits want a power of ten

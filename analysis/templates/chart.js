@@ -165,8 +165,8 @@
     for (const point of points) drawPoint(point, { x, y, scenes, xAxis, yAxis, onFront: front.includes(point) });
     const dominated = points.filter((point) => !front.includes(point)).map((point) => point.method.label);
     field("front").textContent = points.length
-      ? `On the front: ${front.map((point) => point.method.label).join("; ")}. ` +
-        (dominated.length ? `Dominated in this plane: ${dominated.join("; ")}.` : "None is dominated.")
+      ? `On the front, by the values as drawn: ${front.map((point) => point.method.label).join("; ")}. ` +
+        (dominated.length ? `Dominated, by however little: ${dominated.join("; ")}.` : "None is dominated.")
       : "Nothing to show: choose at least one reducer and one scene.";
   }
 

@@ -97,6 +97,14 @@ def test_p1401_judges_them_too_and_compares_the_planned_ones_only(small: object)
     assert set(tables["repeated"]["metric"]) == set(METRICS)
 
 
+def test_what_holds_for_all_of_them_is_said_once(small: object) -> None:
+    add_to_manifest(small, **{MEAN: draw_column(small), SD: draw_column(small, seed=5)})
+    sources = {f"rec{number}": f"of{number // 2}" for number in range(4)}
+    section = further.compute(read_table(small.ratings, small.manifest, sources=sources), Choices(draws=20))
+    told = [note for note in section.notes if "Two-way intervals draw the 2 sources of the 4 recordings." in note]
+    assert told == ["realism, as_is, further metrics: Two-way intervals draw the 2 sources of the 4 recordings."]
+
+
 def test_they_and_the_level_may_enter_a_refined_metric(files: Callable[..., object]) -> None:
     small = files(scales=("realism",), recordings=6, anchors=False)
     add_to_manifest(small, **{MEAN: draw_column(small), "rms_m_s2": draw_column(small, seed=6) + 0.1})

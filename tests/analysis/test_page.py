@@ -15,7 +15,7 @@ from analysis.bootstrap import METHODS
 from analysis.lines import Line
 from analysis.page import group_lines
 from analysis.sections.section import Section
-from analysis.words import tell_method, tell_number, tell_range
+from analysis.words import keep_together, tell_method, tell_number, tell_range
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -87,10 +87,10 @@ def test_every_caption_has_its_own_drawing(report: Path) -> None:
     text = (report / "index.html").read_text(encoding="utf-8")
     shown = re.findall(r"<figure>.*?<svg(.*?)</svg>.*?<figcaption>(.*?)</figcaption>", text, flags=re.DOTALL)
     drawings = {html.unescape(caption): re.findall(r' d="([^"]*)"', drawing) for drawing, caption in shown}
-    assert set(drawings) == set(figures.values())
+    assert set(drawings) == set(map(keep_together, figures.values()))
     for name, caption in figures.items():
         drawn = (report / "figures" / f"{name}.svg").read_text(encoding="utf-8")
-        assert drawings[caption] == re.findall(r' d="([^"]*)"', drawn)
+        assert drawings[keep_together(caption)] == re.findall(r' d="([^"]*)"', drawn)
     assert len({tuple(paths) for paths in drawings.values()}) == len(figures)
 
 
@@ -126,6 +126,18 @@ def test_a_browser_shows_it_without_overflow(report: Path, tmp_path: Path, width
     assert window <= width
 
 
+def test_no_line_breaks_between_a_number_and_its_percent_sign(report: Path) -> None:
+    text = re.sub(r"<svg.*?</svg>", "", (report / "index.html").read_text(encoding="utf-8"), flags=re.DOTALL)
+    assert len(re.findall("95\N{NO-BREAK SPACE}% ", text)) > 20
+    assert re.findall(r"\d\s*[ \n]\s*%", text) == []
+
+
+def test_notes_hold_words_instead_of_raw_names(report: Path) -> None:
+    notes = [note for note in load(report)["notes"] if "as is" in note]
+    assert notes
+    assert not any(name in note for note in notes for name in ("as_is", "spectral_match", "Intercept"))
+
+
 def test_the_answer_stands_by_subject_and_the_rest_last() -> None:
     first = Section("a", "A", verdict=(Line("x", "Realism", "over 36 stimuli"), Line("all"), Line("y", "Similarity")))
     second = Section("b", "B", verdict=(Line("z", "Realism"), Line("all")))
@@ -140,11 +152,11 @@ def test_what_a_reader_meets_first_is_not_folded(report: Path) -> None:
     text = re.sub(r"<svg.*?</svg>", "", (report / "index.html").read_text(encoding="utf-8"), flags=re.DOTALL)
     met = html.unescape(re.sub(r"<details>.*?</details>", "", text, flags=re.DOTALL))
     # Whose ratings a line is about stands above it, once.
-    lines = [line.split(": ", 1)[-1] for line in results["verdict"]]
+    lines = [keep_together(line.split(": ", 1)[-1]) for line in results["verdict"]]
     assert all(line in met for line in lines)
     assert met.index(lines[0]) < met.index("Points per +0.1") < met.index("Ratings against metrics")
     # Said in short above, at length in the fold.
-    at_length = results["answers"]["primary"]
+    at_length = list(map(keep_together, results["answers"]["primary"]))
     assert not any(line in met for line in at_length)
     assert all(line in html.unescape(text) for line in at_length)
     assert len(re.findall("<details>", text)) == len(re.findall("<summary>", text)) > 5

@@ -276,6 +276,17 @@ def test_holm_counts_every_attribute_and_metric(rows: pd.DataFrame) -> None:
     assert table["p_holm"].to_numpy()[order] == pytest.approx(wanted)
 
 
+def test_variants_stand_in_one_order_whatever_that_of_the_rows(rows: pd.DataFrame) -> None:
+    reducers = {0: "dft321", 1: "mine", 2: "sax321", 3: "mag321", 4: "soc321"}
+    named = rows[rows["reducer"].isin([0, 1, 2])].assign(reducer=lambda table: table["reducer"].map(reducers))
+    shuffled = named[named["recording"] < 3].sample(frac=1, random_state=3)
+    variants = list(dict.fromkeys(vary_primary(shuffled, METRICS)["variant"]))
+    assert variants[3:-2] == [
+        *(f"without recording {number}" for number in range(3)),
+        *(f"without reducer {name}" for name in ("sax321", "dft321", "mine")),
+    ]
+
+
 def test_sensitivity_runs_every_variant(rows: pd.DataFrame, primary: Primary) -> None:
     table = vary_primary(rows, METRICS)
     assert table["variant"].unique().tolist() == [

@@ -6,6 +6,7 @@ import math
 import re
 import shutil
 from html.parser import HTMLParser
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -138,7 +139,7 @@ def test_every_figure_has_a_file_of_its_own(
     study = files(scales=scales, recordings=3, anchors=False)
     results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
     drawn = {path.stem.casefold() for path in (tmp_path / "report" / "figures").glob("*.svg")}
-    assert len(drawn) == len(results.figures) == len(set(results.figures.values())) == 6
+    assert len(drawn) == len(results.figures) == len(set(results.figures.values())) == 10
     unknown = [note for note in results.notes if "font has no" in note]
     assert len(unknown) == (scales[0] == "粗さ")
     assert all("さ 硬 粗" in note for note in unknown)
@@ -228,8 +229,8 @@ def test_levels_are_kept_apart(files: Callable[..., object], tmp_path: Path) -> 
     results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
     assert sum("level equal intensity" in line for line in results.verdict) == 1
     assert sum("level equal intensity" in line for line in results.answers["metrics"]) == 3
-    assert {path.name.split("_")[0] for path in (tmp_path / "report" / "figures").iterdir()} == {"scatter", "profile"}
-    assert len(list((tmp_path / "report" / "figures").glob("*.svg"))) == 6
+    kinds = [path.name.split("_")[0] for path in (tmp_path / "report" / "figures").glob("*.svg")]
+    assert {kind: kinds.count(kind) for kind in kinds} == {"scatter": 4, "mapping": 4, "profile": 2}
 
 
 @pytest.mark.usefixtures("short")
@@ -248,6 +249,19 @@ def test_captions_speak_of_what_is_there(files: Callable[..., object], report: P
         assert "t intervals" not in caption
         assert "dotted line" not in caption
     assert not any("t interval" in number.uncertainty for number in results.numbers)
+
+
+def test_every_metric_is_drawn_recording_by_recording_with_its_mapping_and_ceiling(report: Path) -> None:
+    results, table = load(report), pd.read_csv(report / "tables" / "p1401.csv")
+    found = {entry["name"]: entry["value"] for entry in results["numbers"]}
+    for scale, metric in product(("realism", "similarity"), ("spectral_match", "temporal_match")):
+        drawn = [name for name in results["figures"] if name.startswith(f"mapping_{scale}_as_is_{metric}")]
+        assert len(drawn) == 1
+        assert {path.suffix for path in (report / "figures").glob(f"{drawn[0]}.*")} == {".svg", ".png"}
+        asked = "scale == @scale and metric == @metric and order == 3 and not held_out"
+        fitted = [float(value) for value in table.query(asked)["coefficients"].item().split()]
+        shown = [found[f"mapping.{scale}.as_is.{metric}.coefficient_{power}"] for power in range(4)]
+        assert shown == pytest.approx(fitted, rel=1e-5, abs=1e-5)
 
 
 def test_left_out_judgements_are_counted(report: Path) -> None:

@@ -11,6 +11,7 @@ from analysis.advise.drawing import KEYS, draw_advice, tell_state
 from analysis.advise.report import advise_recordings, lay_out, write_advice
 from analysis.advise.scene import Context
 from analysis.advise.verdict import Rated
+from analysis.words import keep_together
 from stimuli.recording import Recording
 from stimuli.synthesis import make_scene
 
@@ -117,7 +118,7 @@ def test_the_page_tells_all_and_escapes_names(study: Study, tmp_path: Path) -> N
     assert "calm <b>" not in page
     for advice in study.advices[:2]:
         assert advice.answer is not None
-        assert advice.reason in page
+        assert keep_together(advice.reason) in page
     assert "whole recording" in page
     assert "<svg role=" in page
 

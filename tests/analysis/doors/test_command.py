@@ -131,7 +131,7 @@ REDUCED = {
     "own recording each": (
         lambda f: f[f["recording"].str[-1] == f["participant"].str[-1]], "participant x stimulus cells hold no rating."
     ),
-    "no partner": (lambda f: f.assign(scale="dissimilarity"), "dissimilarity, as_is: no map. No judgement names two"),
+    "no partner": (lambda f: f.assign(scale="dissimilarity"), "dissimilarity, as is: no map. No judgement names two"),
     "against a reducer": (
         lambda f: f.assign(reference_id=f["recording"] + "_dft321_as_is"),
         "were made against what 'dft321' made of the recording; the metrics compare with the recording: none enters",

@@ -93,6 +93,8 @@ def test_a_warning_names_the_share_and_the_reducers_that_suffer() -> None:
     expected = "32 % of the energy sits where the phase is undetermined: dft321 is sensitive here (gain 40)"
     assert warn_of(Diagnosis("drag", figures), gains) == (expected,)
     assert warn_of(Diagnosis("other", figures), gains) == (expected.partition(":")[0],)
+    large = [Cell("drag", "dft321", "gain", 1384.2, 1384.2)]
+    assert "(gain 1384)" in warn_of(Diagnosis("drag", figures), large)[0]
 
 
 def test_conditioning_hides_what_the_sensor_shows(made: Any) -> None:
