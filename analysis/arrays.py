@@ -50,6 +50,47 @@ def read_numbers(given: ArrayLike, *, what: str) -> NDArray[np.float64]:
         raise ValueError(f"{what}: got {got}, allowed are numbers; leave names out, as of rows or columns") from error
 
 
+def read_groups(given: ArrayLike, *, n: int, what: str) -> tuple[NDArray[np.intp], list[object]]:
+    """Read what each target or item belongs to.
+
+    Parameters
+    ----------
+    given : array_like, shape (n,)
+        Names: words or numbers.
+    n : int
+        How many there must be.
+    what : str
+        What they are one of, such as ``item``, for the message.
+
+    Returns
+    -------
+    number : ndarray of int, shape (n,)
+        Number of each one's group.
+    names : list
+        Names of the groups, by alphabet.
+
+    Raises
+    ------
+    ValueError
+        If there are more or fewer, or one has no group.
+
+    Examples
+    --------
+    >>> number, names = read_groups(["tap", "drag", "tap"], n=3, what="item")
+    >>> number.tolist(), names
+    ([1, 0, 1], ['drag', 'tap'])
+    """
+    from pandas import factorize
+
+    names = np.asarray(given)
+    if names.shape != (n,):
+        raise ValueError(f"groups: got shape {names.shape} for {n} {what}s, allowed is one group per {what}")
+    number, distinct = factorize(names, sort=True)
+    if (number < 0).any():
+        raise ValueError(f"groups: got {int((number < 0).sum())} {what}s without a group; name it or leave them out")
+    return number, distinct.tolist()
+
+
 def _is_number(cell: object) -> bool:
     from pandas import isna
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from analysis.arrays import read_numbers
+from analysis.arrays import read_groups, read_numbers
 from analysis.bootstrap import FLAT, PERFECT
 from analysis.monotone import fit_monotone_cubic
 
@@ -258,15 +258,12 @@ def _list_coefficients(mapping: Polynomial, order: int) -> tuple[float, ...]:
 
 
 def _map_out_of_fold(x: Values, mos: Values, *, groups: ArrayLike, order: int) -> tuple[Values, list[str]]:
-    names = np.asarray(groups)
-    if names.shape != x.shape:
-        raise ValueError(f"groups: got shape {names.shape} for {len(x)} items, allowed is one group per item")
-    different = np.unique(names)
-    if len(different) < 2:  # noqa: PLR2004 - one to fit to, one to predict
-        raise ValueError(f"groups: got the one group {different[0]}, allowed is two or more; leave groups out")
+    numbers, names = read_groups(groups, n=len(x), what="item")
+    if len(names) < 2:  # noqa: PLR2004 - one to fit to, one to predict
+        raise ValueError(f"groups: got the one group {names[0]}, allowed is two or more; leave groups out")
     mapped, n_beyond = np.empty_like(x), 0
-    for name in different:
-        held = names == name
+    for number, name in enumerate(names):
+        held = numbers == number
         if order:
             _check_spread(x[~held], order, who=f"items outside group {name}")
         span = _span(x[~held])

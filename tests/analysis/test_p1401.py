@@ -263,6 +263,8 @@ GOOD = ([[1, 2], [2, 3], [4, 4], [5, 6], [6, 8]], [1, 2, 3, 4, 5])
         (GOOD[0], [1, 1, 2, 2, 3], {}, "metric: got 3 different values over the items, order 3 needs 4"),
         (GOOD[0], [7] * 5, {"order": 1}, "metric: got 1 different values over the items, order 1 needs 2"),
         (*GOOD, {"groups": [1, 2]}, r"groups: got shape \(2,\) for 5 items"),
+        (*GOOD, {"groups": [1, 1, 2, np.nan, np.nan]}, "groups: got 2 items without a group; name it or leave them"),
+        (*GOOD, {"groups": [None, "a", "b", "a", "b"]}, "groups: got 1 items without a group"),
         (*GOOD, {"groups": ["a"] * 5}, "groups: got the one group .*leave groups out"),
         (
             *GOOD,
