@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.arrays import read_numbers
+from analysis.arrays import read_groups, read_numbers
 from analysis.bootstrap import FLAT, bootstrap_margin
 
 if TYPE_CHECKING:
@@ -207,10 +207,8 @@ def _number_groups(groups: ArrayLike | None, ratings: _Ratings) -> tuple[NDArray
     """Give each target that counts its group's number."""
     if groups is None:
         return np.arange(ratings.n_targets), ratings.n_targets
-    names = np.asarray(groups)
-    if names.shape != (ratings.n_rows,):
-        raise ValueError(f"groups: got shape {names.shape}, allowed is ({ratings.n_rows},), one per target")
-    distinct, group = np.unique(names[ratings.row], return_inverse=True)
+    numbers, _ = read_groups(groups, n=ratings.n_rows, what="target")
+    distinct, group = np.unique(numbers[ratings.row], return_inverse=True)
     return group, len(distinct)
 
 

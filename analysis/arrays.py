@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sized
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -36,27 +35,109 @@ def read_numbers(given: ArrayLike, *, what: str) -> NDArray[np.float64]:
     >>> read_numbers([[1, 2], [None, 4]], what="table").tolist()
     [[1.0, 2.0], [nan, 4.0]]
     """
-    from pandas import isna
-
     try:
         return np.asarray(given, dtype=np.float64)
-    except (TypeError, ValueError):
-        cells = np.asarray(given, dtype=object)
-    try:
-        return np.where(isna(cells), np.nan, cells).astype(np.float64)
     except (TypeError, ValueError) as error:
-        odd = next(cell for cell in cells.ravel().tolist() if not _is_number(cell))
-        got = "rows of different lengths" if isinstance(odd, Sized) and not isinstance(odd, str) else repr(odd)
-        raise ValueError(f"{what}: got {got}, allowed are numbers; leave names out, as of rows or columns") from error
+        no_numbers = error
+    try:
+        return _to_numbers(np.asarray(given, dtype=object))
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"{what}: got {_find_odd(given)}, allowed are numbers; leave names out, as of rows or columns"
+        ) from no_numbers
+
+
+def check_labels(first: ArrayLike, second: ArrayLike, *, what: str) -> None:
+    """Refuse two pandas tables or columns whose labels are the same ones in another order: rows go together by place.
+
+    Parameters
+    ----------
+    first, second : array_like
+        Rows that go together; anything without labels is in order.
+    what : str
+        What the second argument is called, for the message.
+
+    Raises
+    ------
+    ValueError
+        If both have labels, each once, that are the same but in another order.
+
+    Examples
+    --------
+    >>> check_labels([1, 2], [3, 4], what="metric")
+    """
+    from pandas import DataFrame, Series
+
+    if not (isinstance(first, DataFrame | Series) and isinstance(second, DataFrame | Series)):
+        return
+    one, other = first.index, second.index
+    if one.is_unique and other.is_unique and not one.equals(other) and set(one) == set(other):
+        raise ValueError(f"{what}: got the same labels in another order; bring both into one, as with reindex")
+
+
+def read_groups(given: ArrayLike, *, n: int, what: str) -> tuple[NDArray[np.intp], list[object]]:
+    """Read what each target or item belongs to.
+
+    Parameters
+    ----------
+    given : array_like, shape (n,)
+        Names: words or numbers.
+    n : int
+        How many there must be.
+    what : str
+        What they are one of, such as ``item``, for the message.
+
+    Returns
+    -------
+    number : ndarray of int, shape (n,)
+        Number of each one's group.
+    names : list
+        Names of the groups, by alphabet.
+
+    Raises
+    ------
+    ValueError
+        If there are more or fewer, or one has no group.
+
+    Examples
+    --------
+    >>> number, names = read_groups(["tap", "drag", "tap"], n=3, what="item")
+    >>> number.tolist(), names
+    ([1, 0, 1], ['drag', 'tap'])
+    """
+    from pandas import factorize
+
+    names = np.asarray(given)
+    if names.shape != (n,):
+        raise ValueError(f"groups: got shape {names.shape} for {n} {what}s, allowed is one group per {what}")
+    number, distinct = factorize(names, sort=True)
+    if (number < 0).any():
+        raise ValueError(f"groups: got {int((number < 0).sum())} {what}s without a group; name it or leave them out")
+    return number, distinct.tolist()
+
+
+def _find_odd(given: ArrayLike) -> str:
+    """Name what is no number."""
+    uneven = "rows of different lengths"
+    try:
+        cells = np.asarray(given, dtype=object).ravel().tolist()
+    except ValueError:
+        return uneven
+    odd = next((cell for cell in cells if not _is_number(cell)), [])
+    return uneven if isinstance(odd, list | tuple | np.ndarray) else repr(odd)
 
 
 def _is_number(cell: object) -> bool:
-    from pandas import isna
-
-    if isna(cell) is True:  # type: ignore[call-overload]
-        return True
+    one = np.empty(1, dtype=object)
+    one[0] = cell
     try:
-        float(cell)  # type: ignore[arg-type]
+        _to_numbers(one)
     except (TypeError, ValueError):
         return False
     return True
+
+
+def _to_numbers(cells: NDArray[np.object_]) -> NDArray[np.float64]:
+    from pandas import isna
+
+    return np.where(isna(cells), np.nan, cells).astype(np.float64)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from analysis.arrays import read_numbers
+from analysis.arrays import check_labels, read_groups, read_numbers
 from analysis.bootstrap import FLAT, PERFECT
 from analysis.monotone import fit_monotone_cubic
 
@@ -106,7 +106,7 @@ def p1401(votes: ArrayLike, metric: ArrayLike, *, order: int = 3, groups: ArrayL
     votes : array_like, shape (items, raters)
         Votes on one scale; NaN where missing, but at least two per item.
     metric : array_like, shape (items,)
-        The metric's value of each item.
+        The metric's value of each item, in the order of the votes' rows.
     order : int
         Of the mapping from metric to MOS: 3 for the monotone cubic, 1 for a straight line, 0 for none (the
         metric is already on the votes' scale).
@@ -123,8 +123,9 @@ def p1401(votes: ArrayLike, metric: ArrayLike, *, order: int = 3, groups: ArrayL
     Raises
     ------
     ValueError
-        If shapes do not fit, an item has fewer than two votes, a value is not finite, the order is not one of
-        the three, or there are too few items, groups or different metric values for it.
+        If shapes do not fit, pandas' labels are in different orders, an item has fewer than two votes, a value is
+        not finite, the order is not one of the three, or there are too few items, groups or different metric values
+        for it.
 
     Notes
     -----
@@ -157,6 +158,7 @@ def p1401(votes: ArrayLike, metric: ArrayLike, *, order: int = 3, groups: ArrayL
     >>> [round(coefficient, 2) for coefficient in result.coefficients]
     [6.48, 90.21]
     """
+    check_labels(votes, metric, what="metric")
     table, x = _check_votes(votes), _check_metric(metric)
     _check_sizes(table, x, order)
     mos, interval = _summarise(table)
@@ -258,15 +260,12 @@ def _list_coefficients(mapping: Polynomial, order: int) -> tuple[float, ...]:
 
 
 def _map_out_of_fold(x: Values, mos: Values, *, groups: ArrayLike, order: int) -> tuple[Values, list[str]]:
-    names = np.asarray(groups)
-    if names.shape != x.shape:
-        raise ValueError(f"groups: got shape {names.shape} for {len(x)} items, allowed is one group per item")
-    different = np.unique(names)
-    if len(different) < 2:  # noqa: PLR2004 - one to fit to, one to predict
-        raise ValueError(f"groups: got the one group {different[0]}, allowed is two or more; leave groups out")
+    numbers, names = read_groups(groups, n=len(x), what="item")
+    if len(names) < 2:  # noqa: PLR2004 - one to fit to, one to predict
+        raise ValueError(f"groups: got the one group {names[0]}, allowed is two or more; leave groups out")
     mapped, n_beyond = np.empty_like(x), 0
-    for name in different:
-        held = names == name
+    for number, name in enumerate(names):
+        held = numbers == number
         if order:
             _check_spread(x[~held], order, who=f"items outside group {name}")
         span = _span(x[~held])

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from analysis.arrays import read_numbers
+from analysis.arrays import check_labels, read_numbers
 from analysis.bootstrap import CONFIDENCE, FLAT, PERFECT
 
 if TYPE_CHECKING:
@@ -72,7 +72,8 @@ def repeated_measures_correlation(x: ArrayLike, y: ArrayLike, participant: Array
     Raises
     ------
     ValueError
-        If lengths differ, a value is not finite, a participant is not named, or there are too few rows.
+        If lengths differ, pandas' labels are in different orders, a value is not finite, a participant is not named,
+        or there are too few rows.
 
     Notes
     -----
@@ -117,6 +118,7 @@ def repeated_measures_correlation(x: ArrayLike, y: ArrayLike, participant: Array
 def _check_rows(x: ArrayLike, y: ArrayLike, participant: ArrayLike) -> tuple[Values, Values, NDArray[np.intp]]:
     from pandas import factorize
 
+    check_labels(x, y, what="y")
     first, second = read_numbers(x, what="x"), read_numbers(y, what="y")
     number = factorize(np.asarray(participant).ravel())[0]
     if not first.shape == second.shape == (len(number),):

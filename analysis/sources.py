@@ -64,7 +64,7 @@ def find_sources(rows: DataFrame) -> Series:
     Raises
     ------
     ValueError
-        If a recording has two sources.
+        If there is no column of recordings, or a recording has two sources.
 
     Examples
     --------
@@ -72,6 +72,8 @@ def find_sources(rows: DataFrame) -> Series:
     >>> find_sources(pd.DataFrame({"recording": ["b-r1", "b-r2", "c"], "source": ["b", "b", None]})).to_dict()
     {'b-r1': 'b', 'b-r2': 'b', 'c': 'c'}
     """
+    if "recording" not in rows:
+        raise ValueError(f"rows: column recording is missing; got {', '.join(map(str, rows))}")
     told = rows["source"] if "source" in rows else rows["recording"]
     pairs = rows[["recording"]].assign(source=told).drop_duplicates().astype(object).sort_values("recording")
     unsaid = pairs["source"].isna() | (pairs["source"] == "")

@@ -134,8 +134,8 @@ def refine_metric(
     Notes
     -----
     **Candidates**, by number of parameters: each metric; the sum of all, each in standard deviations, with equal
-    weights (1); each metric to the power 0.5 or 2 (2); weighted sums of two terms (2), and of all terms where they are
-    three or four. Weights are by least squares on mean ratings of stimuli.
+    weights (1); each metric to the power 0.5 or 2, values below 0 counting as 0 (2); weighted sums of two
+    terms (2), and of all terms where they are three or four. Weights are by least squares on mean ratings of stimuli.
 
     **Outer folds** leave out a recording (with all others of its source; a tenth of them where there are more than
     ten) together with a quarter of
@@ -184,6 +184,8 @@ def refine_metric(
     """
     if draws < 2:  # noqa: PLR2004 - a spread needs two
         raise ValueError(f"draws: got {draws}, allowed is 2 or more; use 400 for results to be published")
+    if not metrics or isinstance(metrics, str):
+        raise ValueError(f"metrics: got {metrics!r}, allowed is one name or more, in a list")
     items = make_items(ratings, list(dict.fromkeys([*metrics, *others])))
     data = _prepare(items, metrics, others, within=within, rng=rng)
     whole = score_draws(data, people=np.ones((1, items.n_participants)), recordings=np.ones((1, items.n_recordings)))

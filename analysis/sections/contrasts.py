@@ -13,7 +13,15 @@ from analysis.figures.contrasts import draw_equivalence
 from analysis.mixed.model import contrast, fit_mixed
 from analysis.numbers import count_number, make_number, name_path
 from analysis.pictures import Picture, make_slug
-from analysis.sections.effects import SIGNIFICANCE, adjust, lay_estimate, name_estimate, name_tests
+from analysis.sections.effects import (
+    SIGNIFICANCE,
+    adjust,
+    count_units,
+    lay_estimate,
+    name_estimate,
+    name_tests,
+    tell_reach,
+)
 from analysis.sections.parts import ITEM
 from analysis.sections.section import Cell, Grid, Section
 from analysis.sections.thinning import thin_parts
@@ -209,11 +217,17 @@ def _lay_test(name: str, row: Row, test: str) -> tuple[Cell, str]:
 def _caption(part: Part, margin: _Margin, pairs: list[_Pair]) -> str:
     differ = (
         f"{start(part.subject)}: difference of the first reducer from the second in points, from the mixed model, with "
-        f"95 % intervals for other people and other recordings; p adjusted over {len(pairs)} pairs."
+        f"95 % intervals for {_tell_others(part)}; p adjusted over {len(pairs)} pairs."
     )
     if not margin.points > 0:
         return f"{differ} {margin.source}"
     return f"{differ} Margin of equivalence and non-inferiority: {margin.points:.1f} points ({margin.source})."
+
+
+def _tell_others(part: Part) -> str:
+    """Say for whom and what else intervals hold."""
+    several = [f"other {name}s" for name, count in count_units(part.rows).items() if count > 1]
+    return " and ".join(several).replace("participants", "people")
 
 
 def _count_different(pairs: list[_Pair]) -> int:
@@ -225,7 +239,8 @@ def _judge(pairs: list[_Pair], part: Part) -> str:
     told = f"{_count_different(pairs)} of {len(pairs)} pairs of reducers differ after Holm's adjustment"
     tested = "none is shown to be equivalent" if any(pair.test for pair in pairs) else "equivalence is not tested"
     same = f"shown to be equivalent: {_list(alike)}" if alike else tested
-    return f"{start(part.subject)}: {told}; {same}."
+    reach = tell_reach(count_units(part.rows), claimed=bool(alike) or _count_different(pairs) > 0)
+    return f"{start(part.subject)}: {told}; {same}{reach}."
 
 
 def _list(names: list[str], most: int = 5) -> str:

@@ -5,11 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from analysis.numbers import SATTERTHWAITE, make_interval, make_number
+from analysis.primary import FEW
 from analysis.sections.section import INTERVAL, Cell
+from analysis.sources import find_sources
 from analysis.words import tell_number, tell_range
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Mapping
+
+    from pandas import DataFrame
 
     from analysis.numbers import Number
 
@@ -101,6 +105,50 @@ def tell_estimate(number: Number, *, kind: str) -> str:
     """
     value, interval = tell_number(number.value, kind=kind), tell_range(number.low, number.high, kind=kind)
     return f"{value} points, 95 % interval {interval}"
+
+
+def tell_reach(sizes: Mapping[str, int], *, claimed: bool = True) -> str:
+    """Say what a claim does not reach, or hardly.
+
+    Parameters
+    ----------
+    sizes : Mapping of str to int
+        What was drawn -> how many.
+    claimed : bool
+        Whether anything is claimed; if not, there is no hint to weaken.
+
+    Returns
+    -------
+    str
+        To be added to a sentence; empty where there are enough.
+
+    Examples
+    --------
+    >>> tell_reach({"participant": 1, "recording": 9}), tell_reach({"participant": 9, "recording": 4})
+    (', about this one participant only', ', a hint rather than a result with so few recordings')
+    """
+    alone = [name for name, count in sizes.items() if count == 1]
+    few = [f"{name}s" for name, count in sizes.items() if 1 < count < FEW]
+    told = f", about this one {' and this one '.join(alone)} only" if alone else ""
+    return f"{told}, a hint rather than a result with so few {' and '.join(few)}" if few and claimed else told
+
+
+def count_units(rows: DataFrame) -> dict[str, int]:
+    """Count what is independent of each other: participants, and recordings or their sources.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        Judgements: participant, recording, source.
+
+    Returns
+    -------
+    dict of str to int
+        For `tell_reach`.
+    """
+    sources = find_sources(rows)
+    scene = "recording" if sources.is_unique else "source"
+    return {"participant": rows["participant"].nunique(), scene: sources.nunique()}
 
 
 def tell_p(p: float) -> str:

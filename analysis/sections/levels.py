@@ -13,11 +13,13 @@ from analysis.scales import APART
 from analysis.sections.effects import (
     SIGNIFICANCE,
     adjust,
+    count_units,
     lay_estimate,
     name_estimate,
     name_tests,
     tell_estimate,
     tell_p,
+    tell_reach,
 )
 from analysis.sections.parts import ITEM
 from analysis.sections.section import Cell, Grid, Section
@@ -91,7 +93,7 @@ def _compare_scales(
         part, thinned = thin_rows(rows, n_slopes=len(metrics), rng=choices.make_rng(KEY, scale))
         notes += [f"{scale}, levels compared: {thinned}"] if thinned else []
         try:
-            yield from [{"scale": scale, **row} for row in _compare(part, metrics)]
+            yield from [{"scale": scale, "reach": count_units(part), **row} for row in _compare(part, metrics)]
         except ValueError as error:
             notes.append(f"{scale}: levels are not compared. {error}")
 
@@ -99,7 +101,7 @@ def _compare_scales(
 def _tabulate(found: list[Row]) -> DataFrame:
     import pandas as pd
 
-    return pd.DataFrame(found)
+    return pd.DataFrame(found).drop(columns="reach")
 
 
 def _compare(part: DataFrame, metrics: tuple[str, ...]) -> Iterator[Row]:
@@ -170,8 +172,9 @@ def _judge(row: Row) -> str:
         if not decided:
             between = f"between {tell_name(row['first'])} and {tell_name(row['second'])}"
             return f"Whether {what} differ {between} is undecided {evidence}."
-        return f"{start(what)} are {'higher' if more else 'lower'} {arms} {evidence}."
+        return f"{start(what)} are {'higher' if more else 'lower'} {arms} {evidence}{tell_reach(row['reach'])}."
     metric = tell_name(row["of"])
     if not decided:
         return f"Whether {metric} counts otherwise for {what} {arms} is undecided (difference of slopes {evidence[1:]}."
-    return f"For {what} the slope on {metric} is {'larger' if more else 'smaller'} {arms} {evidence}."
+    slope = f"the slope on {metric} is {'larger' if more else 'smaller'}"
+    return f"For {what} {slope} {arms} {evidence}{tell_reach(row['reach'])}."

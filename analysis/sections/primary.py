@@ -9,8 +9,16 @@ from analysis.figures.slopes import draw_slopes
 from analysis.lines import Line
 from analysis.numbers import COUNT, count_number, make_number, name_path
 from analysis.pictures import Picture, make_slug
-from analysis.primary import FEW, fit_primary, tabulate_slopes
-from analysis.sections.effects import SIGNIFICANCE, lay_estimate, name_estimate, name_tests, tell_estimate, tell_p
+from analysis.primary import fit_primary, tabulate_slopes
+from analysis.sections.effects import (
+    SIGNIFICANCE,
+    lay_estimate,
+    name_estimate,
+    name_tests,
+    tell_estimate,
+    tell_p,
+    tell_reach,
+)
 from analysis.sections.section import Cell, Grid, Section
 from analysis.sections.settling import SETTLING, lay_precision, name_precision, tell_need
 from analysis.sections.thinning import thin_parts
@@ -163,13 +171,8 @@ def _tell_size(model: Primary) -> str:
 
 
 def _tell_reach(model: Primary, *, claimed: bool = True) -> str:
-    """Say what a claim does not reach, or hardly; where none is made, there is no hint to weaken."""
     scene = "source" if model.n_sources < model.n_recordings else "recording"
-    sizes = {"participant": model.n_participants, scene: model.n_sources}
-    alone = [name for name, count in sizes.items() if count == 1]
-    few = [f"{name}s" for name, count in sizes.items() if 1 < count < FEW]
-    told = f", about this one {' and this one '.join(alone)} only" if alone else ""
-    return f"{told}, a hint rather than a result with so few {' and '.join(few)}" if few and claimed else told
+    return tell_reach({"participant": model.n_participants, scene: model.n_sources}, claimed=claimed)
 
 
 def _lay_slopes(rows: list[Row], numbers: list[tuple[Number, ...]]) -> Grid:

@@ -133,7 +133,7 @@ def test_one_group_has_no_interval() -> None:
 
 
 def test_groups_must_be_those_of_the_targets() -> None:
-    with pytest.raises(ValueError, match=r"groups: got shape \(3,\), allowed is \(14,\), one per target"):
+    with pytest.raises(ValueError, match=r"groups: got shape \(3,\) for 14 targets, allowed is one group per target"):
         bootstrap_alpha(make_table(), groups=["a", "b", "c"], rng=np.random.default_rng(0))
 
 

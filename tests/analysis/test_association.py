@@ -342,6 +342,14 @@ def test_missing_cells_are_allowed_and_reported(tidy: Callable[..., pd.DataFrame
     assert math.isfinite(found.low)
 
 
+def test_exactly_half_of_the_stimuli_make_a_ceiling(tidy: Callable[..., pd.DataFrame]) -> None:
+    table = tidy()
+    gone = (table["participant"] == "p00") & table["recording"].isin(["rec0", "rec1"])
+    found = correlate(table[~gone], SPECTRAL, draws=50, rng=rng())
+    assert math.isfinite(found.ceiling)
+    assert any("rests on the 18 stimuli that every participant rated, r on all 36" in note for note in found.notes)
+
+
 def test_half_the_stimuli_make_no_ceiling(tidy: Callable[..., pd.DataFrame]) -> None:
     table = tidy()
     gone = (table["participant"] == "p00") & table["recording"].isin(["rec0", "rec1", "rec2"])

@@ -4,6 +4,7 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -13,6 +14,7 @@ from scipy.stats import chi2, f, norm, pearsonr, spearmanr, t
 from analysis.monotone import fit_monotone_cubic
 from analysis.p1401 import P1401, p1401
 from analysis.p1401_difference import compare_p1401
+from analysis.repeated import repeated_measures_correlation
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -263,6 +265,8 @@ GOOD = ([[1, 2], [2, 3], [4, 4], [5, 6], [6, 8]], [1, 2, 3, 4, 5])
         (GOOD[0], [1, 1, 2, 2, 3], {}, "metric: got 3 different values over the items, order 3 needs 4"),
         (GOOD[0], [7] * 5, {"order": 1}, "metric: got 1 different values over the items, order 1 needs 2"),
         (*GOOD, {"groups": [1, 2]}, r"groups: got shape \(2,\) for 5 items"),
+        (*GOOD, {"groups": [1, 1, 2, np.nan, np.nan]}, "groups: got 2 items without a group; name it or leave them"),
+        (*GOOD, {"groups": [None, "a", "b", "a", "b"]}, "groups: got 1 items without a group"),
         (*GOOD, {"groups": ["a"] * 5}, "groups: got the one group .*leave groups out"),
         (
             *GOOD,
@@ -331,3 +335,14 @@ def test_different_votes_or_mappings_are_not_compared() -> None:
     with pytest.raises(ValueError, match=r"second: got order 1, held_out False, but the first has order 3.*map both"):
         compare_p1401(good, pair(order=1)[1])
     assert compare_p1401(good, poor).n_items == 40
+
+
+def test_items_named_in_another_order_are_refused() -> None:
+    votes, metric = make_votes()
+    names = [f"item {number}" for number in range(len(metric))]
+    table, column = pd.DataFrame(votes, index=names), pd.Series(metric, index=names)
+    assert p1401(table, column).plcc == pytest.approx(p1401(votes, metric).plcc)
+    with pytest.raises(ValueError, match="metric: got the same labels in another order"):
+        p1401(table, column[::-1])
+    with pytest.raises(ValueError, match="y: got the same labels in another order"):
+        repeated_measures_correlation(column, column[::-1], ["a"] * len(column))

@@ -320,6 +320,19 @@ def test_reducers_need_a_column_and_recordings_to_be_told_apart(rows: pd.DataFra
             fit_primary(part, METRICS, by_reducer=True)
 
 
+def test_logits_and_rater_standardised_ratings_by_their_definitions(rows: pd.DataFrame) -> None:
+    few = rows.query("participant < 4 and recording < 4")
+    table = vary_primary(few, METRICS).set_index(["variant", "metric"])
+    # Smithson and Verkuilen 2006: (y (n - 1) + 1/2) / n of y = rating / 100, so that no logit is infinite.
+    share = (few["rating"] / 100 * (len(few) - 1) + 0.5) / len(few)
+    logits = fit_primary(few.assign(rating=np.log(share / (1 - share))), METRICS).slopes
+    own = few.groupby("participant")["rating"]
+    standard = fit_primary(few.assign(rating=own.transform(lambda y: (y - y.mean()) / y.std())), METRICS).slopes
+    for variant, wanted in (("logits", logits), ("rater-standardised", standard)):
+        for column in ("estimate", "se", "p", "standardised"):
+            assert table.loc[variant, column].tolist() == pytest.approx(wanted[column].tolist(), rel=1e-6)
+
+
 def test_variants_stand_in_the_same_order_whatever_the_rows(rows: pd.DataFrame) -> None:
     few = rows.query("participant < 4 and recording < 4 and reducer < 4")
     shuffled = vary_primary(few.sample(frac=1, random_state=1), METRICS)["variant"]

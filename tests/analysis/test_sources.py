@@ -170,3 +170,8 @@ def test_the_primary_test_holds_its_level_where_recordings_are_turned() -> None:
     print(f"false positives, sm and tm: {share}")  # noqa: T201 - the figure
     least, most = binom.ppf([0.025, 0.975], 2 * STUDIES, [0.04, 0.07]) / (2 * STUDIES)
     assert least <= share.mean() <= most
+
+
+def test_a_table_without_recordings_has_no_sources() -> None:
+    with pytest.raises(ValueError, match="rows: column recording is missing; got participant, rating"):
+        find_sources(pd.DataFrame({"participant": ["a"], "rating": [1.0]}))

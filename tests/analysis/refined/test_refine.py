@@ -255,3 +255,9 @@ def test_gains_are_not_optimistic_and_intervals_cover(name: str, within: bool) -
     if name in {"noise", "one"}:
         assert truth.min() <= 0
         assert recommended <= 0.05
+
+
+@pytest.mark.parametrize("metrics", [[], "sm"])
+def test_metrics_are_a_list_of_names(metrics: object) -> None:
+    with pytest.raises(ValueError, match=r"metrics: got .*, allowed is one name or more, in a list"):
+        refine_metric(make_study(1), metrics, draws=2, rng=np.random.default_rng(0))

@@ -245,6 +245,8 @@ def test_gauge_is_an_analysis_of_variance() -> None:
     expected = f_oneway(*(part["rating"] for _, part in own.groupby(["recording", "reducer"]))).statistic
     found = gauge.set_index(["participant", "measure"])["value"]
     assert found["p00", "discrimination"] == pytest.approx(expected)
+    # A rater whom no shuffle matches: 1 of 500, the rater's own order included.
+    assert gauge.set_index(["participant", "measure"]).loc[("p00", "discrimination"), "p"] == pytest.approx(1 / 500)
     ratio = found.xs("discrimination", level="measure") / found.xs("reliability", level="measure")
     assert ratio.mean() == pytest.approx(1)  # each rater's items against the panel's average
 
