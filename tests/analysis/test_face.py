@@ -16,3 +16,9 @@ def test_face_is_flat_and_sorted() -> None:
 def test_import_loads_nothing_heavy() -> None:
     code = f"import sys, analysis; print([name for name in {HEAVY} if name in sys.modules])"
     assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "[]"
+
+
+def test_what_the_verbs_about_methods_do_can_be_called_from_python() -> None:
+    assert {"Context", "Tolerance"} < set(analysis.__all__)
+    assert {"advise_recordings", "compute_chart", "stress_reducers"} < set(analysis.__all__)
+    assert {"write_advice", "write_chart", "write_stress"} < set(analysis.__all__)
