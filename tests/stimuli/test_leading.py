@@ -218,6 +218,9 @@ def test_onset_is_the_first_sample_of_half_the_peak_or_the_offset_or_nothing() -
     np.testing.assert_allclose(find_onset(acceleration)[0], (0.0, -1.0, 0.0))
     np.testing.assert_allclose(find_onset(np.outer((0.0, 3.0, 4.0), np.ones(7)))[0], (0.0, 0.6, 0.8))
     np.testing.assert_allclose(find_onset(np.zeros((2, 3, 7)))[0], np.full((2, 3), 1 / np.sqrt(3)))
+    for nothing_else in (np.outer((0.0, 3.0, 4.0), np.ones(7)), np.outer((1.1, 3.3, 4.7), np.ones(13)), np.zeros((3, 7))):
+        onset, anchor = find_onset(nothing_else)
+        np.testing.assert_allclose(anchor, np.outer(onset, onset), atol=1e-12)
 
 
 def test_noise_does_not_choose_the_onset_where_a_peak_just_reaches_half() -> None:
