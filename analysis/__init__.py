@@ -3,9 +3,14 @@
 Importing this package loads numpy and nothing heavier; pandas, scipy and matplotlib come with the first call.
 """
 
+from analysis.advise.report import advise_recordings, write_advice
+from analysis.advise.scene import Context
+from analysis.advise.tolerance import Tolerance
 from analysis.agreement import Alpha, bootstrap_alpha, krippendorff_alpha
 from analysis.association import Association, Difference, compare_metrics, correlate
 from analysis.bradley_terry import BradleyTerry, bradley_terry, bradley_terry_by_rater
+from analysis.chart.compute import compute_chart
+from analysis.chart.write import write_chart
 from analysis.dependent import Dependent, compare_dependent
 from analysis.discrimination import Discrimination, abx_d_prime, discriminate, discriminate_pairs
 from analysis.equivalence import Equivalence, NonInferiority, equivalence, non_inferiority
@@ -31,6 +36,7 @@ from analysis.sections.section import Section
 from analysis.sensitivity import vary_primary
 from analysis.sources import find_sources
 from analysis.space import Space, fit_space, stress_by_dimension
+from analysis.stress.run import stress_reducers, write_stress
 from analysis.table import Table, read_table
 
 __all__ = [  # noqa: RUF022 - in the order of sorted(), which a test checks
@@ -39,6 +45,7 @@ __all__ = [  # noqa: RUF022 - in the order of sorted(), which a test checks
     "Association",
     "BradleyTerry",
     "Choices",
+    "Context",
     "Dependent",
     "Difference",
     "Discrimination",
@@ -63,7 +70,9 @@ __all__ = [  # noqa: RUF022 - in the order of sorted(), which a test checks
     "Section",
     "Space",
     "Table",
+    "Tolerance",
     "abx_d_prime",
+    "advise_recordings",
     "align_spaces",
     "bootstrap_alpha",
     "bootstrap_space",
@@ -72,6 +81,7 @@ __all__ = [  # noqa: RUF022 - in the order of sorted(), which a test checks
     "compare_dependent",
     "compare_metrics",
     "compare_p1401",
+    "compute_chart",
     "compute_sections",
     "contrast",
     "correlate",
@@ -97,8 +107,12 @@ __all__ = [  # noqa: RUF022 - in the order of sorted(), which a test checks
     "run_multiverse",
     "screen_raters",
     "stress_by_dimension",
+    "stress_reducers",
     "tabulate_slopes",
     "tukey_fences",
     "vary_primary",
+    "write_advice",
+    "write_chart",
     "write_report",
+    "write_stress",
 ]

@@ -9,13 +9,13 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from analysis.advise.choice import Advice, advise_scene, find_common
 from analysis.advise.scene import split_recording
 from analysis.replacing import RESULTS, list_files, replace_report
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    from analysis.advise.choice import Advice
     from analysis.advise.scene import Context, Scene
     from analysis.advise.verdict import Rated, Verdict
     from stimuli.recording import Recording
@@ -56,6 +56,8 @@ class Study:
     @property
     def common(self) -> tuple[str, ...]:
         """Reducers that suffice everywhere, the simplest first."""
+        from analysis.advise.choice import find_common
+
         return find_common(self.advices)
 
     @property
@@ -114,6 +116,8 @@ def advise_recordings(
     'dft321'
     """
     from threadpoolctl import threadpool_limits
+
+    from analysis.advise.choice import advise_scene
 
     if not recordings:
         raise ValueError("recordings: got none, allowed is one or more; name a study, --scenes or --recordings")

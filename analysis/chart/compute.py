@@ -10,23 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.chart.accuracy import change_rate, cut_piece, draw_turns, measure_accuracy
 from analysis.chart.chart import Chart
 from analysis.chart.comparing import list_dominated, place_points
-from analysis.chart.cost import (
-    RATE_HZ,
-    RATES_HZ,
-    REFERENCE_N,
-    compare_precision,
-    fit_all,
-    list_jobs,
-    list_lengths,
-    measure_memory,
-    time_jobs,
-)
 from analysis.chart.machine import THREADS, describe_machine
-from analysis.chart.methods import list_hops, list_methods, list_windows
-from analysis.chart.notes import list_notes
 from analysis.chart.ratings import rate_reducers
 from analysis.chart.records import Scene
 from analysis.chart.timing import choose_clock
@@ -110,19 +96,25 @@ def compute_chart(
     ------
     ValueError
         If there is no recording, two bear one name, or one cannot be compared.
+
+    Examples
+    --------
+    >>> from stimuli.synthesis import make_scene
+    >>> tiny = Effort("tiny", longest_s=0.1, rotations=2, sweep_rotations=2, largest_n=5000, rounds=3)
+    >>> chart = compute_chart([make_scene("bumps", duration_s=0.1)], effort=tiny)
+    >>> [point.method for point in chart.points][:3]
+    ['sax321', 'say321', 'saz321']
     """
     from threadpoolctl import threadpool_limits
+
+    from analysis.chart.cost import RATE_HZ, fit_all
+    from analysis.chart.methods import list_methods
+    from analysis.chart.notes import list_notes
 
     _require_names(recordings)
     name, clock = choose_clock() if clock is None else ("given", clock)
     machine = describe_machine(name)
-    total = 2 * len(recordings) + effort.rounds + 1 + len(list_methods())
-    steps = count(1)
-
-    def tick() -> None:
-        if progress is not None:
-            progress(next(steps), total)
-
+    tick = _make_tick(progress, total=2 * len(recordings) + effort.rounds + 1 + len(list_methods()))
     # Threads of the linear algebra would be timed with the methods.
     with threadpool_limits(limits=THREADS):
         accuracies = _measure_scenes(recordings, effort, seed=seed, tick=tick)
@@ -148,6 +140,16 @@ def compute_chart(
     )
 
 
+def _make_tick(progress: Callable[[int, int], None] | None, *, total: int) -> Tick:
+    steps = count(1)
+
+    def tick() -> None:
+        if progress is not None:
+            progress(next(steps), total)
+
+    return tick
+
+
 def list_reference_costs(costs: Sequence[Cost]) -> list[Cost]:
     """List the costs at which methods are compared: whole signals of the reference length.
 
@@ -161,6 +163,8 @@ def list_reference_costs(costs: Sequence[Cost]) -> list[Cost]:
     list of Cost
         One per method.
     """
+    from analysis.chart.cost import REFERENCE_N
+
     return [cost for cost in costs if cost.sweep in {"size", "window", "hop"} and cost.n_samples == REFERENCE_N]
 
 
@@ -174,6 +178,10 @@ def _require_names(recordings: Sequence[Recording]) -> None:
 
 
 def _measure_scenes(recordings: Sequence[Recording], effort: Effort, *, seed: int, tick: Tick) -> list[Accuracy]:
+    from analysis.chart.accuracy import change_rate, cut_piece, draw_turns, measure_accuracy
+    from analysis.chart.cost import RATES_HZ
+    from analysis.chart.methods import list_hops, list_methods, list_windows
+
     turns = draw_turns(effort.rotations, seed)
     few = turns[: effort.sweep_rotations]
     found: list[Accuracy] = []
@@ -190,12 +198,17 @@ def _measure_scenes(recordings: Sequence[Recording], effort: Effort, *, seed: in
 
 
 def _time_methods(effort: Effort, *, seed: int, clock: Clock, tick: Tick) -> list[Cost]:
+    from analysis.chart.cost import list_jobs, time_jobs
+
     rng = np.random.default_rng(seed)
     jobs = list_jobs(largest=effort.largest_n, rng=rng)
     return time_jobs(jobs, rounds=effort.rounds, clock=clock, rng=rng, done=tick)
 
 
 def _measure_memory(effort: Effort, *, seed: int, tick: Tick) -> tuple[list[Memory], list[Precision]]:
+    from analysis.chart.cost import compare_precision, list_lengths, measure_memory
+    from analysis.chart.methods import list_methods
+
     make_rng = partial(np.random.default_rng, seed)
     memory, precision = [], []
     for method in list_methods():

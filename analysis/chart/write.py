@@ -9,11 +9,7 @@ from typing import TYPE_CHECKING
 
 from analysis.chart.axes import CUT, look_up
 from analysis.chart.drawing import draw_cost, draw_latency, draw_rated
-from analysis.chart.drawing_cost import draw_blocks, draw_growth, draw_rates
-from analysis.chart.explore import dump_data, list_choices
 from analysis.chart.records import MEASURES
-from analysis.chart.tables import list_sheets, write_tables
-from analysis.chart.telling import tell_answers
 from analysis.figures.files import save_figure
 from analysis.page import TEMPLATES, inline_svg
 from analysis.pictures import Picture, make_slug, number_pictures
@@ -57,6 +53,9 @@ def write_chart(chart: Chart, folder: Path | str) -> tuple[str, ...]:
     OSError
         If a file cannot be written, or would replace one that is not of a former chart.
     """
+    from analysis.chart.tables import write_tables
+    from analysis.chart.telling import tell_answers
+
     target = Path(folder)
     pictures = tuple(number_pictures(_list_pictures(chart)))
     tables = write_tables(chart)
@@ -97,6 +96,10 @@ def render_page(chart: Chart, pictures: Sequence[Picture], *, figures: Path) -> 
     """
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
+    from analysis.chart.explore import dump_data, list_choices
+    from analysis.chart.tables import list_sheets
+    from analysis.chart.telling import tell_answers
+
     environment = Environment(
         loader=FileSystemLoader(TEMPLATES), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, finalize=keep_together,
@@ -117,6 +120,8 @@ def render_page(chart: Chart, pictures: Sequence[Picture], *, figures: Path) -> 
 
 
 def _list_pictures(chart: Chart) -> Iterator[Picture]:
+    from analysis.chart.drawing_cost import draw_blocks, draw_growth, draw_rates
+
     paper, invariant = MEASURES[:2], MEASURES[2:]
     yield Picture("cost", "cost", f"Both of the paper's metrics against cost. {MARKS} {FRONT}", draw_cost(chart, paper))
     yield Picture(

@@ -8,18 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.stress.battery import BATTERY
-from analysis.stress.cells import measure_cells
-from analysis.stress.metrics import compare_metrics_under_rotation
-from analysis.stress.result import FIGURES, TABLES, StressResult
-from analysis.stress.signs import diagnose
-from stimuli.recording import Recording
-from stimuli.reduce import REDUCERS
-
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from analysis.stress.metrics import MetricRow
+    from analysis.stress.result import StressResult
+    from stimuli.recording import Recording
     from stimuli.reduce import Reducer
 
     Progress = Callable[[int, int], None]
@@ -33,7 +27,7 @@ GAIN_DRAWS = 4
 
 def stress_reducers(
     recordings: Sequence[Recording] = (),
-    reducers: Mapping[str, Reducer] = REDUCERS,
+    reducers: Mapping[str, Reducer] | None = None,
     *,
     sensor: Mapping[str, Recording] | None = None,
     draws: int = 16,
@@ -46,8 +40,8 @@ def stress_reducers(
     ----------
     recordings : sequence of Recording
         Conditioned, as they are felt; each with a name of its own. Silent ones are left out, and noted.
-    reducers : Mapping of str to Reducer
-        Name -> reducer.
+    reducers : Mapping of str to Reducer, optional
+        Name -> reducer; `REDUCERS` if left out.
     sensor : Mapping of str to Recording, optional
         The same recordings as they came from the sensor, by name; needed to see offsets, clipping and steps.
     draws : int
@@ -69,16 +63,20 @@ def stress_reducers(
 
     Examples
     --------
+    >>> from stimuli.reduce import REDUCERS
     >>> stress_reducers(reducers={"soc321": REDUCERS["soc321"]}, draws=2, seed=0).failures[0].recording
     'ordinary_drag'
     """
     from threadpoolctl import threadpool_limits
 
-    names = [recording.name for recording in recordings]
-    if len(set(names)) < len(names):
-        raise ValueError(f"recordings: got {len(names)} with {len(set(names))} names, allowed is a name for each")
-    if not reducers:
-        raise ValueError("reducers: got none, allowed is one or more")
+    from analysis.stress.battery import BATTERY
+    from analysis.stress.cells import measure_cells
+    from analysis.stress.result import StressResult
+    from analysis.stress.signs import diagnose
+    from stimuli.reduce import REDUCERS
+
+    reducers = REDUCERS if reducers is None else reducers
+    _require_names(recordings, reducers)
     scenes = [scene.make(seed) for scene in BATTERY.values()]
     moving = [recording for recording in recordings if recording.acceleration.any()]
     tell, total = progress or _stay_silent, (len(scenes) + len(moving)) * len(reducers)
@@ -117,10 +115,13 @@ def take_excerpt(recording: Recording, *, duration_s: float = EXCERPT_S) -> Reco
 
     Examples
     --------
+    >>> from analysis.stress.battery import BATTERY
     >>> take_excerpt(BATTERY["circular"].make(0), duration_s=0.1).n_samples
     400
     """
     from scipy.fft import prev_fast_len
+
+    from stimuli.recording import Recording
 
     length = prev_fast_len(max(1, round(duration_s * recording.rate_hz)))
     if recording.n_samples <= length:
@@ -154,6 +155,7 @@ def write_stress(result: StressResult, folder: Path | str) -> Path:
     from analysis.replacing import list_files, replace_report
     from analysis.stress.drawing import draw_stress
     from analysis.stress.page import render_page
+    from analysis.stress.result import FIGURES, TABLES
 
     target = Path(folder)
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -172,11 +174,21 @@ def write_stress(result: StressResult, folder: Path | str) -> Path:
     return target / "index.html"
 
 
+def _require_names(recordings: Sequence[Recording], reducers: Mapping[str, Reducer]) -> None:
+    names = [recording.name for recording in recordings]
+    if len(set(names)) < len(names):
+        raise ValueError(f"recordings: got {len(names)} with {len(set(names))} names, allowed is a name for each")
+    if not reducers:
+        raise ValueError("reducers: got none, allowed is one or more")
+
+
 def _stay_silent(done: int, total: int) -> None:
     del done, total
 
 
 def _compare(recording: Recording, reducers: Mapping[str, Reducer], seed: int) -> MetricRow:
+    from analysis.stress.metrics import compare_metrics_under_rotation
+
     rng = np.random.default_rng([seed, *recording.name.encode()])
     return compare_metrics_under_rotation(take_excerpt(recording, duration_s=METRICS_S), reducers, rng=rng)
 

@@ -32,3 +32,9 @@ def test_what_public_functions_take_and_give_is_public() -> None:
         own = {alias.name for node in imports if str(node.module).startswith("analysis") for alias in node.names}
         named = {word for text in thing.__annotations__.values() for word in re.findall(r"[A-Za-z_]\w*", str(text))}
         assert own & named <= set(analysis.__all__), name
+
+
+def test_what_the_verbs_about_methods_do_can_be_called_from_python() -> None:
+    assert {"Context", "Tolerance"} < set(analysis.__all__)
+    assert {"advise_recordings", "compute_chart", "stress_reducers"} < set(analysis.__all__)
+    assert {"write_advice", "write_chart", "write_stress"} < set(analysis.__all__)

@@ -197,6 +197,20 @@ def test_rounding_does_not_choose_the_sign_of_a_tone_across_the_axis() -> None:
     np.testing.assert_allclose(*found, rtol=1e-9)
 
 
+def test_what_is_all_but_across_the_axis_has_the_phase_of_its_ellipse_too() -> None:
+    found = []
+    for phase in (0.3, 2.0):
+        spectra = [np.array([4e-9 * np.exp(1j * phase)]), np.array([4j]), np.zeros(1, complex)]
+        found.append(align(spectra, measure(spectra)[0], axis=np.array([1.0, 0.0, 0.0])))
+    np.testing.assert_allclose(*found, rtol=1e-6)
+
+
+def test_rounding_of_an_offset_is_no_motion() -> None:
+    for vibration, moves in ((1e-7, False), (1e-3, True)):
+        spectra = [np.array([1e9 + 0j, vibration]), np.zeros(2, complex), np.zeros(2, complex)]
+        assert measure(spectra)[1].any() == moves
+
+
 def test_onset_is_the_first_sample_of_half_the_peak_or_the_offset_or_nothing() -> None:
     acceleration = np.zeros((3, 10))
     acceleration[:, 4], acceleration[:, 5] = (0.0, -0.6, 0.0), (1.0, 0.0, 0.0)
@@ -204,6 +218,9 @@ def test_onset_is_the_first_sample_of_half_the_peak_or_the_offset_or_nothing() -
     np.testing.assert_allclose(find_onset(acceleration)[0], (0.0, -1.0, 0.0))
     np.testing.assert_allclose(find_onset(np.outer((0.0, 3.0, 4.0), np.ones(7)))[0], (0.0, 0.6, 0.8))
     np.testing.assert_allclose(find_onset(np.zeros((2, 3, 7)))[0], np.full((2, 3), 1 / np.sqrt(3)))
+    for nothing_else in (np.outer((0.0, 3.0, 4.0), np.ones(7)), np.outer((1.1, 3.3, 4.7), np.ones(13)), np.zeros((3, 7))):
+        onset, anchor = find_onset(nothing_else)
+        np.testing.assert_allclose(anchor, np.outer(onset, onset), atol=1e-12)
 
 
 def test_noise_does_not_choose_the_onset_where_a_peak_just_reaches_half() -> None:

@@ -10,13 +10,15 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from analysis.chart import FULL, QUICK, Chart, compute_chart, find_front, read_json, write_chart
-from analysis.chart.chart import TABLES
+from analysis.chart.chart import TABLES, Chart, read_json
+from analysis.chart.compute import FULL, QUICK, compute_chart
 from analysis.chart.drawing import draw_cost, draw_latency
 from analysis.chart.explore import dump_data, list_choices
 from analysis.chart.notes import list_notes
+from analysis.chart.pareto import find_front
 from analysis.chart.records import MEASURES, SWEEPS, Precision
 from analysis.chart.telling import tell_answers
+from analysis.chart.write import write_chart
 from stimuli.reduce import REDUCERS
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-import analysis.chart
-from analysis.chart import Effort, read_json
+from analysis.chart import compute
+from analysis.chart.chart import read_json
 from stimuli.manifest import read_stimuli
 from study.cli import main
 from study.folder import StudyFolder
@@ -36,8 +36,8 @@ def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder = tmp_path / "study"
     folder.mkdir()
     (folder / "study.toml").write_text(STUDY)
-    tiny = Effort("quick", longest_s=0.2, rotations=2, sweep_rotations=2, largest_n=2000, rounds=3)
-    monkeypatch.setattr(analysis.chart, "QUICK", tiny)
+    tiny = compute.Effort("quick", longest_s=0.2, rotations=2, sweep_rotations=2, largest_n=2000, rounds=3)
+    monkeypatch.setattr(compute, "QUICK", tiny)
     return folder
 
 
