@@ -111,6 +111,16 @@ def test_a_device_that_is_not_there_takes_nobodys_number(ready: StudyFolder, pre
 
 
 @pytest.mark.usefixtures("devices")
+def test_a_device_that_is_named_by_hand_is_looked_for_in_every_host_api(
+    ready: StudyFolder, present: Callable[..., Any]
+) -> None:
+    present()
+    text = ready.rig.read_text(encoding="utf-8")
+    ready.rig.write_text(text.replace("[device]", '[device]\nhost_api = "JACK"', 1), encoding="utf-8")
+    assert visit(ready, device="other").done == TOTAL
+
+
+@pytest.mark.usefixtures("devices")
 def test_a_rehearsal_that_was_begun_otherwise_is_told_apart(ready: StudyFolder, present: Callable[..., Any]) -> None:
     present(pages={"consent": [Abort(2.0, "not today")]})
     rehearsal = replace(ready, is_rehearsal=True)
