@@ -16,6 +16,7 @@ import pytest
 from study import lab, run
 from study.actuator import stream
 from study.actuator.devices import Device
+from study.audit import audit_study
 from study.check import check_study
 from study.cli import main
 from study.folder import StudyFolder, create_study
@@ -140,6 +141,24 @@ def test_the_header_names_the_rig_and_another_one_is_refused(ready: StudyFolder,
     assert visit(ready).done == TOTAL
 
 
+@pytest.mark.usefixtures("devices")
+def test_another_rig_takes_over_where_nobody_has_done_anything_yet(
+    ready: StudyFolder, present: Callable[..., Any]
+) -> None:
+    present(pages={"welcome": [Abort(2.0, "no sound")]})
+    assert visit(ready).stopped == "no sound"
+    present(pages={"welcome": [Abort(2.0, "still none")]})
+    assert visit(ready, device="other").stopped == "still none"
+    present()
+    assert visit(ready).done == TOTAL
+    chains = [read_journal(path).records for path in ready.journals]
+    names = [records[0].data["presenter"]["rig"]["device"]["name"] for records in chains]
+    assert names == ["file", "other", "file"]
+    assert [records[-1].event for records in chains] == ["superseded", "superseded", "finished"]
+    assert audit_study(ready) == []
+    assert read_status(ready).participants[0].done == TOTAL
+
+
 def test_who_stops_is_told_how_to_go_on(
     ready: StudyFolder, present: Callable[..., Any], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -257,3 +276,13 @@ def test_the_clock_goes_on_where_it_stopped(monkeypatch: pytest.MonkeyPatch) -> 
     times = iter([100.0, 100.5])
     monkeypatch.setattr(lab, "perf_counter", lambda: next(times))
     assert lab.start_clock(40.0)() == 40.5
+
+
+def test_a_person_who_has_not_begun_is_not_taken_over_by_a_simulated_one(
+    ready: StudyFolder, present: Callable[..., Any]
+) -> None:
+    present(pages={"welcome": [Abort(2.0, "not today")]})
+    visit(ready)
+    with pytest.raises(ValueError, match="p01"):
+        visit(ready, simulated=True)
+    assert len(ready.journals) == 1
