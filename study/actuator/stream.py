@@ -9,7 +9,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from study.actuator.devices import Device
-from study.actuator.patience import Patience
+from study.actuator.patience import Patience, join
 from study.actuator.take import Block
 
 if TYPE_CHECKING:
@@ -204,8 +204,7 @@ class Line:
         self._is_closed = True
         closing = Thread(target=self._close, daemon=True)
         closing.start()
-        closing.join(CLOSING_S)
-        return not closing.is_alive()
+        return join(closing, patience_s=CLOSING_S)
 
     def _close(self) -> None:
         # A device that is gone refuses to be stopped; there is nothing left to stop then.
