@@ -11,7 +11,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from stimuli.manifest import read_stimuli
-from study.actuator.rig import read_rig
+from study.actuator.rig import read_rig, take_device
 from study.casting import cast_observers
 from study.lab import Lab, check_lab, identify_lab, open_lab
 from study.lead import lead_session
@@ -146,7 +146,7 @@ def require_rig(study: StudyFolder, settings: Settings, stimuli: StimulusSet, *,
         )
     rig = read_rig(study.rig)
     if device is not None:
-        rig = rig.model_copy(update={"device": rig.device.model_copy(update={"name": device})})
+        rig = take_device(rig, device)
     if problems := list_rig_problems(study, rig, settings=settings, stimuli=stimuli):
         raise ValueError("\n".join(problems))
     return rig

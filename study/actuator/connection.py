@@ -7,7 +7,7 @@ from time import sleep
 from typing import TYPE_CHECKING
 
 from study.actuator.devices import check_channels, find_device
-from study.actuator.patience import Patience
+from study.actuator.patience import Patience, join
 from study.actuator.stream import Line, list_devices, refresh_devices
 
 if TYPE_CHECKING:
@@ -106,8 +106,7 @@ class Connection:
             # Looking for devices can hang as long as a sound server does; the session must not.
             self._opening = Thread(target=self._reopen, daemon=True)
             self._opening.start()
-        self._opening.join(REVIVING_S)
-        if self._opening.is_alive():
+        if not join(self._opening, patience_s=REVIVING_S):
             return f"device: got {self._rig.device.name!r}, which does not answer; see to it, then go on"
         self._opening = None
         return self._error

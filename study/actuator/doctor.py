@@ -217,7 +217,7 @@ def try_stops(output: StreamOutput, *, lead_s: float) -> list[float]:
     list of float
         From the wish to stop to silence, in ms; fewer of them where some could not be measured.
     """
-    stops_s = []
+    stops_s: list[float] = []
     for wait_s in STOPS_S:
         tries_s = (_try_stop(output, lead_s=lead_s, wait_s=wait_s) for _ in range(N_TRIES))
         stops_s += islice((stop_s for stop_s in tries_s if stop_s is not None), 1)

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 from time import perf_counter
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from threading import Thread
 
 GLANCE_S = 0.25
 """So much at most counts between two looks: whoever was away for longer stood still, not what is waited for."""
@@ -31,3 +35,25 @@ class Patience:
         self._waited_s += min(now_s - self._looked_s, GLANCE_S)
         self._looked_s = now_s
         return self._waited_s
+
+
+def join(thread: Thread, *, patience_s: float) -> bool:
+    """Wait for the end of a thread, as long as this process is there to wait.
+
+    Parameters
+    ----------
+    thread : Thread
+        The thread; it was started.
+    patience_s : float
+        How long to wait, in s.
+
+    Returns
+    -------
+    bool
+        Whether it has ended.
+    """
+    for _ in range(max(round(patience_s / GLANCE_S), 1)):
+        thread.join(min(GLANCE_S, patience_s))
+        if not thread.is_alive():
+            return True
+    return False

@@ -186,6 +186,24 @@ def read_rig(path: Path) -> Rig:
     return rig
 
 
+def take_device(rig: Rig, name: str) -> Rig:
+    """Hang a rig on another device, which is looked for in all host interfaces.
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig.
+    name : str
+        Name of the device.
+
+    Returns
+    -------
+    Rig
+        The same actuators on that device.
+    """
+    return rig.model_copy(update={"device": rig.device.model_copy(update={"name": name, "host_api": None})})
+
+
 def identify(rig: Rig) -> dict[str, Any]:
     """Tell all that decides what a rig does to a stimulus, for a journal's header.
 

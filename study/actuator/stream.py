@@ -9,7 +9,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from study.actuator.devices import Device
-from study.actuator.patience import Patience
+from study.actuator.patience import Patience, join
 from study.actuator.take import Block
 
 if TYPE_CHECKING:
@@ -135,7 +135,7 @@ class Line:
         self._fill = fill
         self._column = rig.sensor.channel - 1 if rig.sensor else None
         self._rate_hz = rate_hz
-        self._held_s = OPENED_S
+        self._store = _Store()
         self._is_closed = False
         self._seen_s, self._patience = 0.0, Patience()
         try:
@@ -189,15 +189,9 @@ class Line:
             By how much the session's is ahead, in s; NaN if the device has just died.
         """
         try:
-            return min(self._read_clocks(clock) for _ in range(CLOCK_READS))[1]
+            return min(_read_clocks(clock, self._stream) for _ in range(CLOCK_READS))[1]
         except _load().PortAudioError:
             return float("nan")
-
-    def _read_clocks(self, clock: Clock) -> tuple[float, float]:
-        before_s = clock()
-        device_s = float(self._stream.time)
-        after_s = clock()
-        return after_s - before_s, (before_s + after_s) / 2 - device_s
 
     def close(self) -> bool:
         """Silence the device and let it go; one that hangs is left to itself, and finds silence if it comes back.
@@ -210,8 +204,7 @@ class Line:
         self._is_closed = True
         closing = Thread(target=self._close, daemon=True)
         closing.start()
-        closing.join(CLOSING_S)
-        return not closing.is_alive()
+        return join(closing, patience_s=CLOSING_S)
 
     def _close(self) -> None:
         # A device that is gone refuses to be stopped; there is nothing left to stop then.
@@ -227,13 +220,8 @@ class Line:
             )
 
     def _open(self, rig: Rig, *, rate_hz: float) -> Foreign:
-        sounddevice = _load()
-        settings = {
-            "device": self.device.index,
-            "samplerate": rate_hz,
-            "dtype": "float32",
-            "latency": rig.device.latency_s,
-        }
+        sounddevice, latency_s = _load(), rig.device.latency_s
+        settings = {"device": self.device.index, "samplerate": rate_hz, "dtype": "float32", "latency": latency_s}
         if rig.sensor is None:
             return sounddevice.OutputStream(channels=rig.n_channels, callback=self._answer, **settings)
         channels = (rig.sensor.channel, rig.n_channels)
@@ -254,17 +242,35 @@ class Line:
 
     def _note(self, n: int, times: Foreign, status: Foreign) -> Block:
         self._last_s, before_s = perf_counter(), self._last_s
-        left_s, block_s = self._held_s - (self._last_s - before_s), n / self._rate_hz
-        # Sound servers do not always tell; but longer than it had samples for, no device can have played.
-        self._held_s = self.latency_s + block_s if left_s < 0 else min(self.latency_s, left_s) + block_s * DRIFT
+        is_empty = self._store.refill(self._last_s - before_s, block_s=n / self._rate_hz, latency_s=self.latency_s)
         return Block(
             now_s=times.currentTime,
             # Interfaces that tell no times say 0.
             dac_s=times.outputBufferDacTime or times.currentTime + self.latency_s,
             adc_s=times.inputBufferAdcTime,
-            has_run_dry=bool(status.output_underflow) or left_s < 0,
+            has_run_dry=bool(status.output_underflow) or is_empty,
             has_lost_input=bool(status.input_overflow or status.input_underflow),
         )
+
+
+class _Store:
+    """How much a device has to play; sound servers do not always tell when it runs out."""
+
+    def __init__(self) -> None:
+        self._held_s = OPENED_S
+
+    def refill(self, waited_s: float, *, block_s: float, latency_s: float) -> bool:
+        """Take note of a block; say whether the device had waited for it longer than it had samples for."""
+        left_s = self._held_s - waited_s
+        self._held_s = latency_s + block_s if left_s < 0 else min(latency_s, left_s) + block_s * DRIFT
+        return left_s < 0
+
+
+def _read_clocks(clock: Clock, stream: Foreign) -> tuple[float, float]:
+    before_s = clock()
+    device_s = float(stream.time)
+    after_s = clock()
+    return after_s - before_s, (before_s + after_s) / 2 - device_s
 
 
 def refresh_devices() -> None:

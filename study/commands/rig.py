@@ -50,7 +50,7 @@ def doctor(context: click.Context, *, folder: Path | None, device: str | None, s
 
 def _find_rig(folder: Path | None, *, device: str | None) -> tuple[Rig | None, float]:
     """Read the study's rig, or make one of two coils for a device; None if there is nothing to play on."""
-    from study.actuator.rig import FILE_DEVICE, LimitsTable, Rig, read_rig
+    from study.actuator.rig import FILE_DEVICE, LimitsTable, Rig, read_rig, take_device
     from study.settings.reading import read_settings
 
     study = StudyFolder(Path()) if folder is None else find_study(folder)
@@ -61,8 +61,8 @@ def _find_rig(folder: Path | None, *, device: str | None) -> tuple[Rig | None, f
         rig = Rig(limits=LimitsTable(peak_m_s2=100.0, rms_m_s2=50.0, duration_s=30.0))
     else:
         return None, rate_hz
-    table = rig.device if device is None else rig.device.model_copy(update={"name": device, "host_api": None})
-    return (None if table.name == FILE_DEVICE else rig.model_copy(update={"device": table})), rate_hz
+    rig = rig if device is None else take_device(rig, device)
+    return (None if rig.device.name == FILE_DEVICE else rig), rate_hz
 
 
 def _examine(rig: Rig, *, rate_hz: float, seconds: float) -> Examination:

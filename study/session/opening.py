@@ -35,6 +35,12 @@ UNCOMPARED = ("format", "session", "versions", "system", "clock")
 OPENING_EVENTS = ("clock_stepped", "device", "recovered", "resumed")
 """What an opening records before anybody has come back to work."""
 
+UNTOUCHED = (*OPENING_EVENTS, "begun", "aborted", "superseded")
+"""What stands in a journal in which nobody has done anything yet."""
+
+OF_PLAN = ("participant", "plan_sha256", "stimuli_sha256", "seed")
+"""What a header has of the plan."""
+
 
 @dataclass(frozen=True, slots=True)
 class Stale:
@@ -82,8 +88,9 @@ def open_session(
     Raises
     ------
     ValueError
-        If the session was begun with another plan, stimulus set or presenter, saying what differs; or the
-        participant was released or withdrawn.
+        If the session was begun with another plan, stimulus set or presenter, saying what differs (another presenter
+        may take over where nobody has done anything yet, in a journal of its own); or the participant was released or
+        withdrawn.
     BlockingIOError
         If the session is running elsewhere.
     """
@@ -141,6 +148,8 @@ def _open_newest(folder: Path, header: Mapping[str, Any], *, now: Clock, stale: 
     if begun is None:
         _write_header(journal, header, session=len(journals))
         return journal
+    if _may_begin_otherwise(journal, begun, header):
+        return _supersede(journal, header, session=len(journals) + 1, now=now)
     _check_header(begun, header, path=journal.path)
     if has_event(journal.records, "finished"):
         return journal
@@ -177,6 +186,13 @@ def _describe_opening(journal: Journal) -> dict[str, Any]:
         "system": platform(),
         "clock": {"presenter_s": find_elapsed(journal.records)},
     }
+
+
+def _may_begin_otherwise(journal: Journal, begun: Mapping[str, Any], header: Mapping[str, Any]) -> bool:
+    """Say whether another rig, say, is no harm: nobody has done anything yet, and the plan is the same."""
+    is_untouched = all(record.event in UNTOUCHED for record in journal.records)
+    has_same_plan = all(begun.get(name) == header[name] for name in OF_PLAN)
+    return is_untouched and has_same_plan and bool(find_differences(begun, header, ignore=UNCOMPARED))
 
 
 def _check_header(begun: Mapping[str, Any], header: Mapping[str, Any], *, path: Path) -> None:

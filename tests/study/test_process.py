@@ -59,11 +59,9 @@ def test_nothing_heavy_is_imported_at_start_up(module: str) -> None:
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["reduce", "--help"], ["analyze", "--help"]])
-def test_help_costs_little_more_than_starting_numpy(arguments: Sequence[str]) -> None:
+def test_help_costs_little_more_than_starting_numpy(arguments: Sequence[str], tmp_path: Path) -> None:
     def measure(*command: str | Path) -> float:
-        start = time.perf_counter()
-        subprocess.run(command, check=True, capture_output=True)
-        return time.perf_counter() - start
+        return spend(*command, cwd=tmp_path)[0]
 
     pairs = [(measure(sys.executable, "-c", "import numpy"), measure(FEEL321, *arguments)) for _ in range(5)]
     numpy_alone, whole = (min(times) for times in zip(*pairs, strict=True))
@@ -123,12 +121,24 @@ def stop_when(study: StudyFolder, n_bytes: int, sent: signal.Signals) -> tuple[i
     return process.returncode, stderr
 
 
+def stop_in_time(
+    uninterrupted: StudyFolder, path: Path, *, n_bytes: int, sent: signal.Signals
+) -> tuple[StudyFolder, tuple[int, str]]:
+    """Stop copies until one was not over before: on a busy machine the signal may come late."""
+    ended = (0, "")
+    for number in range(20):
+        study = make_copy(uninterrupted, path / f"stopped{number}")
+        if (ended := stop_when(study, n_bytes, sent)) != (0, ""):
+            break
+    return study, ended
+
+
 @pytest.mark.parametrize("n_bytes", [1, 9_000, 40_000, 75_000])
 def test_a_killed_simulation_goes_on_without_loss_or_doubling(
     uninterrupted: StudyFolder, tmp_path: Path, n_bytes: int
 ) -> None:
-    study = make_copy(uninterrupted, tmp_path / "killed")
-    assert stop_when(study, n_bytes, signal.SIGKILL) == (-signal.SIGKILL, "")
+    study, ended = stop_in_time(uninterrupted, tmp_path, n_bytes=n_bytes, sent=signal.SIGKILL)
+    assert ended == (-signal.SIGKILL, "")
     # A kill between plan and journal, or inside a record, is a state that status can read.
     done = sum(entry.done for entry in read_status(study).participants)
     assert done < 3 * 60
@@ -138,11 +148,8 @@ def test_a_killed_simulation_goes_on_without_loss_or_doubling(
 
 
 def test_ctrl_c_is_answered_in_one_line_and_the_simulation_goes_on(uninterrupted: StudyFolder, tmp_path: Path) -> None:
-    study = make_copy(uninterrupted, tmp_path / "interrupted")
-    assert stop_when(study, 20_000, signal.SIGINT) == (
-        130,
-        "feel321: interrupted; what is done is kept, the same command goes on\n",
-    )
+    study, ended = stop_in_time(uninterrupted, tmp_path, n_bytes=20_000, sent=signal.SIGINT)
+    assert ended == (130, "feel321: interrupted; what is done is kept, the same command goes on\n")
     assert audit_study(study) == []
     assert run("simulate", study.path, "--participants", 3).returncode == 0
     assert study.ratings.read_bytes() == uninterrupted.ratings.read_bytes()

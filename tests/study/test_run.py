@@ -16,6 +16,7 @@ import pytest
 from study import lab, run
 from study.actuator import stream
 from study.actuator.devices import Device
+from study.audit import audit_study
 from study.check import check_study
 from study.cli import main
 from study.folder import StudyFolder, create_study
@@ -111,6 +112,16 @@ def test_a_device_that_is_not_there_takes_nobodys_number(ready: StudyFolder, pre
 
 
 @pytest.mark.usefixtures("devices")
+def test_a_device_that_is_named_by_hand_is_looked_for_in_every_host_api(
+    ready: StudyFolder, present: Callable[..., Any]
+) -> None:
+    present()
+    text = ready.rig.read_text(encoding="utf-8")
+    ready.rig.write_text(text.replace("[device]", '[device]\nhost_api = "JACK"', 1), encoding="utf-8")
+    assert visit(ready, device="other").done == TOTAL
+
+
+@pytest.mark.usefixtures("devices")
 def test_a_rehearsal_that_was_begun_otherwise_is_told_apart(ready: StudyFolder, present: Callable[..., Any]) -> None:
     present(pages={"consent": [Abort(2.0, "not today")]})
     rehearsal = replace(ready, is_rehearsal=True)
@@ -128,6 +139,24 @@ def test_the_header_names_the_rig_and_another_one_is_refused(ready: StudyFolder,
     with pytest.raises(ValueError, match=r"begun otherwise \(presenter\.rig\.device\.name 'file' -> 'other'\)"):
         visit(ready, device="other")
     assert visit(ready).done == TOTAL
+
+
+@pytest.mark.usefixtures("devices")
+def test_another_rig_takes_over_where_nobody_has_done_anything_yet(
+    ready: StudyFolder, present: Callable[..., Any]
+) -> None:
+    present(pages={"welcome": [Abort(2.0, "no sound")]})
+    assert visit(ready).stopped == "no sound"
+    present(pages={"welcome": [Abort(2.0, "still none")]})
+    assert visit(ready, device="other").stopped == "still none"
+    present()
+    assert visit(ready).done == TOTAL
+    chains = [read_journal(path).records for path in ready.journals]
+    names = [records[0].data["presenter"]["rig"]["device"]["name"] for records in chains]
+    assert names == ["file", "other", "file"]
+    assert [records[-1].event for records in chains] == ["superseded", "superseded", "finished"]
+    assert audit_study(ready) == []
+    assert read_status(ready).participants[0].done == TOTAL
 
 
 def test_who_stops_is_told_how_to_go_on(
@@ -247,3 +276,13 @@ def test_the_clock_goes_on_where_it_stopped(monkeypatch: pytest.MonkeyPatch) -> 
     times = iter([100.0, 100.5])
     monkeypatch.setattr(lab, "perf_counter", lambda: next(times))
     assert lab.start_clock(40.0)() == 40.5
+
+
+def test_a_person_who_has_not_begun_is_not_taken_over_by_a_simulated_one(
+    ready: StudyFolder, present: Callable[..., Any]
+) -> None:
+    present(pages={"welcome": [Abort(2.0, "not today")]})
+    visit(ready)
+    with pytest.raises(ValueError, match="p01"):
+        visit(ready, simulated=True)
+    assert len(ready.journals) == 1

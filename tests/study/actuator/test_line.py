@@ -13,6 +13,7 @@ import pytest
 
 from stimuli.wav import read_wav
 from study.actuator.devices import Device
+from study.actuator.patience import join
 from study.actuator.rig import DeviceTable, LimitsTable, Rig, SensorTable
 from study.actuator.stream import STALL_S, Line, list_devices, refresh_devices
 from study.actuator.stream_output import StreamOutput
@@ -438,3 +439,23 @@ def test_a_device_that_nobody_looked_at_is_given_a_moment(
     output.start("a", gap_s=0.0)
     assert output.is_playing
     assert stream.active != is_hanging  # another one was opened in its place
+
+
+class Slow:
+    """A thread that ends after so many joins, however long each of them takes."""
+
+    def __init__(self, n_joins: int) -> None:
+        self.n_joins = n_joins
+
+    def join(self, timeout: float) -> None:
+        assert timeout <= 0.25
+        self.n_joins -= 1
+
+    def is_alive(self) -> bool:
+        return self.n_joins > 0
+
+
+@pytest.mark.parametrize(("n_joins", "has_ended"), [(1, True), (8, True), (9, False)])
+def test_what_is_waited_for_has_its_time_though_this_process_stood_still(n_joins: int, has_ended: bool) -> None:
+    thread: Any = Slow(n_joins)
+    assert join(thread, patience_s=2.0) is has_ended

@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,11 +21,10 @@ from study.session.journal import read_journal
 from study.workflow import build_study
 
 if TYPE_CHECKING:
-    import signal
     from collections.abc import Callable, Iterator
 
 FEEL321 = Path(sys.executable).with_name("feel321")
-PATIENCE_S = 120.0
+PATIENCE_S = 600.0
 """How long anything is waited for: no test takes so long, only a machine under load."""
 
 STUDY = """
@@ -149,6 +150,13 @@ class Process:
             subprocess.run(["xdotool", *words], env=self.env, check=True)
             time.sleep(0.05)
 
+    @contextmanager
+    def frozen(self) -> Iterator[None]:
+        """Stop the process for a while: all that is pressed meanwhile comes to it at once."""
+        self.send(signal.SIGSTOP)
+        yield
+        self.send(signal.SIGCONT)
+
     def press(self, *keys: str) -> None:
         """Press keys by xdotool, each for longer than a frame."""
         for key in keys:
@@ -232,7 +240,7 @@ class Sound:
         command = ["pulseaudio", *options, f"--load={socket}", f"--load={sink}"]
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
         self.server = subprocess.Popen(command, env={**os.environ, **self.env}, **quiet)
-        end_s = time.monotonic() + 20
+        end_s = time.monotonic() + PATIENCE_S
         while subprocess.run(["pactl", "info"], env={**os.environ, **self.env}, **quiet, check=False).returncode:
             assert time.monotonic() < end_s, "PulseAudio did not start"
             time.sleep(0.1)

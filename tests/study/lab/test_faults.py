@@ -42,6 +42,16 @@ def check_whole(study: StudyFolder) -> None:
     assert audit_study(study) == []
 
 
+def go_on(rig: Any, study: StudyFolder) -> tuple[int, str, str]:
+    """Go on to the end; a sound server that stood still for long ends a session, as it says, and then so again."""
+    code, out, err = rig.run(study, "sim001", *HAND)
+    for _ in range(5):
+        if not code or "the device failed twice in a row" not in err:
+            break
+        code, _, err = rig.run(study, "sim001", *HAND)
+    return code, out, err
+
+
 def tell_how_to_go_on(study: StudyFolder, participant: str, *options: str) -> str:
     return f"go on with: feel321 run {study.path} --participant {participant}{''.join(f' {word}' for word in options)}"
 
@@ -67,7 +77,7 @@ def test_killed_in_the_middle_it_resumes_and_is_analysed(rig: Any, make_study: C
     session.send(signal.SIGKILL)
     session.finish()
     done = session.count_done()
-    code, out, err = rig.run(study, "sim001", *HAND)
+    code, out, err = go_on(rig, study)
     assert (code, err) == (0, "")
     assert out.startswith(f"sim001: {done} of {TOTAL} done so far\n")
     check_whole(study)
@@ -131,10 +141,12 @@ def test_a_sound_server_that_dies_in_a_trial_costs_nothing_but_time(
     sound.start()
     code, _, err = session.finish()
     spoiled = [record.data["flags"] for record in session.records if record.event == "spoiled"]
-    assert spoiled[0] == ["device_error"]
+    assert "device_error" in spoiled[0]
+    assert set(spoiled[0]) <= {"device_error", "underrun"}  # it may have run dry just before
     if code:
         assert "the device failed twice in a row" in err
-        assert rig.run(study, "sim001", *HAND)[::2] == (0, "")
+        code, _, err = go_on(rig, study)
+    assert (code, err) == (0, "")
     check_whole(study)
 
 
@@ -159,7 +171,10 @@ def test_a_rehearsal_lies_apart_and_is_no_data(
 
 
 def answer_by_keys(session: Any, *, is_felt: bool) -> None:
-    session.press(*(("7", "5", "Return") if is_felt else ("Return",)))
+    if is_felt:
+        with session.frozen():  # the second digit is in time, however late
+            session.press("7", "5")
+    session.press("Return")
 
 
 def answer_by_mouse(session: Any, *, is_felt: bool) -> None:

@@ -159,7 +159,7 @@ def test_pictures_of_every_screen(
     """The real window shows every screen; its letters are as wide as the layout takes them for."""
     script = Path(__file__).with_name("gallery.py")
     command = [sys.executable, str(script), str(tmp_path), language, *map(str, size)]
-    subprocess.run(command, env=display(*size), check=True, capture_output=True, timeout=120)
+    subprocess.run(command, env=display(*size), check=True, capture_output=True, timeout=600)
     pictures = [path for path in tmp_path.glob("*.png") if path.name != "surface.png"]
     assert len(pictures) > 30
     from matplotlib.image import imread
