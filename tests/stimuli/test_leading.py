@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stimuli import leading
+from stimuli import leading, tracking
 from stimuli.condition import Conditioning, condition
 from stimuli.fourier import dft321
 from stimuli.invariant import temporal_match_invariant
@@ -218,8 +218,8 @@ def test_onset_is_the_first_sample_of_half_the_peak_or_the_offset_or_nothing() -
     np.testing.assert_allclose(find_onset(acceleration)[0], (0.0, -1.0, 0.0))
     np.testing.assert_allclose(find_onset(np.outer((0.0, 3.0, 4.0), np.ones(7)))[0], (0.0, 0.6, 0.8))
     np.testing.assert_allclose(find_onset(np.zeros((2, 3, 7)))[0], np.full((2, 3), 1 / np.sqrt(3)))
-    for nothing_else in (np.outer((0.0, 3.0, 4.0), np.ones(7)), np.outer((1.1, 3.3, 4.7), np.ones(13)), np.zeros((3, 7))):
-        onset, anchor = find_onset(nothing_else)
+    for offset, n in (((0.0, 3.0, 4.0), 7), ((1.1, 3.3, 4.7), 13), ((0.0, 0.0, 0.0), 7)):
+        onset, anchor = find_onset(np.outer(offset, np.ones(n)))
         np.testing.assert_allclose(anchor, np.outer(onset, onset), atol=1e-12)
 
 
@@ -280,6 +280,14 @@ def test_weak_directions_are_looked_at(reduce: Callable[..., np.ndarray], monkey
     assert gain(reduce, tones) < 3
     monkeypatch.setattr(leading, "TILT", 0.0)
     assert gain(reduce, tones) > 10
+
+
+def test_the_onset_leads_frames_where_no_direction_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    turn = 2 * np.pi * 140 * np.arange(4000) / RATE
+    circle = np.array([np.cos(turn + 0.3), np.sin(turn + 0.3), 0 * turn])
+    assert gain(dft321_principal_windowed, circle) < 2
+    monkeypatch.setattr(tracking, "PULL", 0.0)
+    assert gain(dft321_principal_windowed, circle) > 3
 
 
 @settings(max_examples=60, deadline=None)
