@@ -382,8 +382,9 @@ def test_a_swing_through_zero_does_not_jump() -> None:
     np.testing.assert_allclose(*found, atol=0.1)
 
 
-def test_silence_before_the_first_sound_takes_no_part_in_the_sign() -> None:
-    motion = noise(3, 8, 20)
+@pytest.mark.parametrize("seed", range(8))
+def test_silence_before_the_first_sound_takes_no_part_in_the_sign(seed: int) -> None:
+    motion = noise(3, 8, 20, seed=seed)
     motion[:, :3] = 0
     whole = TrackingFrames((), 20).push(motion, np.ones((8, 20), dtype=bool))
     alone = TrackingFrames((), 20).push(motion[:, 2:], np.ones((6, 20), dtype=bool))
