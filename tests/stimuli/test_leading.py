@@ -389,6 +389,9 @@ def test_silence_before_the_first_sound_takes_no_part_in_the_sign(seed: int) -> 
     whole = TrackingFrames((), 20).push(motion, np.ones((8, 20), dtype=bool))
     alone = TrackingFrames((), 20).push(motion[:, 2:], np.ones((6, 20), dtype=bool))
     np.testing.assert_allclose(whole[2:], alone, atol=1e-12)
+    for turn in random_rotations(4, np.random.default_rng(seed)):
+        turned = TrackingFrames((), 20).push(np.einsum("ij,jmk->imk", turn, motion), np.ones((8, 20), dtype=bool))
+        np.testing.assert_allclose(turned, whole, atol=1e-9)
     other = TrackingFrames((), 20)
     parts = [other.push(motion[:, at : at + 1], np.ones((1, 20), dtype=bool)) for at in range(8)]
     np.testing.assert_allclose(np.concatenate(parts), whole, rtol=1e-12, atol=1e-12)
