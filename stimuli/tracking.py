@@ -57,6 +57,10 @@ def dft321_principal_windowed(
     first tap soon counts for little, and there is no threshold to cross. Loudness is the root of the amplitude, so
     that in steady motion the first frames keep the word.
 
+    Where no direction leads for long the axis may still turn within a recording, and the rotation-invariant temporal
+    match of the whole then falls: on 33 takes of the isotropic rumble its mean is 0.54, its lowest 0.43
+    (`dft321_windowed`: 0.55, hardly varying).
+
     At 0 Hz and at half the sampling rate a spectrum is real: its phase cannot turn, it can only flip. There the
     projection itself is taken, magnitude and all, so that what crosses zero does so without a jump.
     """

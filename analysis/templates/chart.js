@@ -166,7 +166,7 @@
     const dominated = points.filter((point) => !front.includes(point)).map((point) => point.method.label);
     field("front").textContent = points.length
       ? `On the front, by the values as drawn: ${front.map((point) => point.method.label).join("; ")}. ` +
-        (dominated.length ? `Dominated, by however little: ${dominated.join("; ")}.` : "None is dominated.")
+        (dominated.length ? `Off it: ${dominated.join("; ")}.` : "None is off it.")
       : "Nothing to show: choose at least one reducer and one scene.";
   }
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stimuli import leading
+from stimuli import leading, tracking
 from stimuli.condition import Conditioning, condition
 from stimuli.fourier import dft321
 from stimuli.invariant import temporal_match_invariant
@@ -218,8 +218,8 @@ def test_onset_is_the_first_sample_of_half_the_peak_or_the_offset_or_nothing() -
     np.testing.assert_allclose(find_onset(acceleration)[0], (0.0, -1.0, 0.0))
     np.testing.assert_allclose(find_onset(np.outer((0.0, 3.0, 4.0), np.ones(7)))[0], (0.0, 0.6, 0.8))
     np.testing.assert_allclose(find_onset(np.zeros((2, 3, 7)))[0], np.full((2, 3), 1 / np.sqrt(3)))
-    for nothing_else in (np.outer((0.0, 3.0, 4.0), np.ones(7)), np.outer((1.1, 3.3, 4.7), np.ones(13)), np.zeros((3, 7))):
-        onset, anchor = find_onset(nothing_else)
+    for offset, n in (((0.0, 3.0, 4.0), 7), ((1.1, 3.3, 4.7), 13), ((0.0, 0.0, 0.0), 7)):
+        onset, anchor = find_onset(np.outer(offset, np.ones(n)))
         np.testing.assert_allclose(anchor, np.outer(onset, onset), atol=1e-12)
 
 
@@ -280,6 +280,14 @@ def test_weak_directions_are_looked_at(reduce: Callable[..., np.ndarray], monkey
     assert gain(reduce, tones) < 3
     monkeypatch.setattr(leading, "TILT", 0.0)
     assert gain(reduce, tones) > 10
+
+
+def test_the_onset_leads_frames_where_no_direction_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    turn = 2 * np.pi * 140 * np.arange(4000) / RATE
+    circle = np.array([np.cos(turn + 0.3), np.sin(turn + 0.3), 0 * turn])
+    assert gain(dft321_principal_windowed, circle) < 2
+    monkeypatch.setattr(tracking, "PULL", 0.0)
+    assert gain(dft321_principal_windowed, circle) > 3
 
 
 @settings(max_examples=60, deadline=None)
@@ -374,12 +382,16 @@ def test_a_swing_through_zero_does_not_jump() -> None:
     np.testing.assert_allclose(*found, atol=0.1)
 
 
-def test_silence_before_the_first_sound_takes_no_part_in_the_sign() -> None:
-    motion = noise(3, 8, 20)
+@pytest.mark.parametrize("seed", range(8))
+def test_silence_before_the_first_sound_takes_no_part_in_the_sign(seed: int) -> None:
+    motion = noise(3, 8, 20, seed=seed)
     motion[:, :3] = 0
     whole = TrackingFrames((), 20).push(motion, np.ones((8, 20), dtype=bool))
     alone = TrackingFrames((), 20).push(motion[:, 2:], np.ones((6, 20), dtype=bool))
     np.testing.assert_allclose(whole[2:], alone, atol=1e-12)
+    for turn in random_rotations(4, np.random.default_rng(seed)):
+        turned = TrackingFrames((), 20).push(np.einsum("ij,jmk->imk", turn, motion), np.ones((8, 20), dtype=bool))
+        np.testing.assert_allclose(turned, whole, atol=1e-9)
     other = TrackingFrames((), 20)
     parts = [other.push(motion[:, at : at + 1], np.ones((1, 20), dtype=bool)) for at in range(8)]
     np.testing.assert_allclose(np.concatenate(parts), whole, rtol=1e-12, atol=1e-12)

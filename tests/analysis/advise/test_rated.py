@@ -39,7 +39,7 @@ def make_table(means: dict[str, float], *, people: int = 16, spread: float = 4.0
 def test_equivalence_must_be_shown() -> None:
     said = judge_ratings(make_table(ALIKE, people=40))["oak"]
     best = said["pca321"].best
-    assert {best} < {"pca321", "dft321"} or best in {"pca321", "dft321"}
+    assert best in {"pca321", "dft321"}
     assert said[best].is_best
     assert said["pca321"].suffices
     assert said["dft321"].suffices

@@ -185,6 +185,8 @@ def test_the_page_opens_in_a_real_browser_and_its_script_works(rated: Chart, tmp
     assert len(re.findall(r'<polygon[^>]*class="point', document)) == len(REDUCERS)
     assert len(re.findall(r"<circle", document)) == 2 * len(REDUCERS)
     assert "On the front, by the values as drawn: " in document
+    assert "Off it: " in document  # no claim of dominance: the answer above minds the noise
+    assert "Dominated in this plane" not in document
     # The reader's choices, made by a script: latency against a rating, all sweeps too, then no scene at all.
     steps = """<script>
       const set = (id, value) => { const e = document.getElementById(id); e.value = value;
