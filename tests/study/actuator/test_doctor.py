@@ -22,8 +22,9 @@ def call(pulse: Any, *arguments: str, cwd: Path) -> subprocess.CompletedProcess[
     done = subprocess.run(
         [*RUN, *arguments], env=pulse.env, cwd=cwd, capture_output=True, text=True, timeout=300, check=False
     )
-    # ALSA's own library speaks of underruns on its own account; doctor counts them too.
-    done.stderr = "".join(line for line in done.stderr.splitlines(keepends=True) if not line.startswith("ALSA lib"))
+    # ALSA and PortAudio speak of underruns on their own account; doctor counts them too.
+    foreign = ("ALSA lib", "Expression '")
+    done.stderr = "".join(line for line in done.stderr.splitlines(keepends=True) if not line.startswith(foreign))
     return done
 
 

@@ -124,8 +124,9 @@ class Process:
     def finish(self) -> tuple[int, str, str]:
         """Wait for its end: exit code, what it printed, and what it complained about."""
         out, err = self.process.communicate(timeout=PATIENCE_S)
-        # ALSA's own library speaks of underruns on its own account; the journal has them too.
-        own = [line for line in err.splitlines(keepends=True) if not line.startswith("ALSA lib")]
+        # ALSA and PortAudio speak of underruns and of dead servers on their own account; the journal has them too.
+        foreign = ("ALSA lib", "Expression '")
+        own = [line for line in err.splitlines(keepends=True) if not line.startswith(foreign)]
         return self.process.returncode, out, "".join(own)
 
     def find_window(self) -> str:

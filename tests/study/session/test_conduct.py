@@ -240,6 +240,17 @@ def test_a_clean_replay_makes_up_for_an_underrun(
         assert list_events(records, "rated")[0]["rejected"] == rejected
 
 
+@pytest.mark.parametrize("place", [0, 1])
+@pytest.mark.parametrize(("fault", "flag"), [({"underruns": 1}, "underrun"), ({"clipped": 1}, "clipped")])
+def test_one_bad_part_flags_the_trial(
+    present: Present, scripted: type, plan_task: Callable[..., Plan], place: int, fault: dict[str, int], flag: str
+) -> None:
+    playbacks = [Playback(1.0, 1.0), Playback(2.0, 2.0)]
+    playbacks[place] = replace(playbacks[place], **fault)
+    records = present(scripted(playbacks={(1, 1): playbacks}), plan=plan_task("similarity"))
+    assert list_events(records, "rated")[0]["flags"] == [flag]
+
+
 def test_numbers_of_devices_and_screens_are_taken_as_what_they_are(present: Present, scripted: type) -> None:
     odd = Playback(np.float32(1.0), float("nan"), underruns=np.int64(0), clipped=np.int64(2))
     records = present(
