@@ -17,6 +17,7 @@ from analysis.page import render_page
 from analysis.pictures import note_undrawable, number_pictures
 from analysis.replacing import list_files, replace_report
 from analysis.results import Results, collect_numbers
+from analysis.screening import RULES
 from analysis.sections.choices import Choices
 from analysis.sections.listing import SECTIONS
 from analysis.table import read_table
@@ -157,7 +158,7 @@ def gather_results(table: Table, sections: Sequence[Section], *, inputs: Mapping
     """
     pictures = [picture for section in sections for picture in section.pictures]
     tables = [name for section in sections for name in section.tables]
-    names = [*table.rows["scale"].unique(), *table.rows["level"].unique(), *table.metrics, *table.further]
+    names = [*table.rows["scale"].unique(), *table.rows["level"].unique(), *table.metrics, *table.further, *RULES]
     told = (tell_note(note, names) for section in sections for note in section.notes)
     notes = (*table.notes, *told, *note_undrawable(table))
     return Results(

@@ -13,7 +13,6 @@ from analysis.screening.judgements import make_judgements
 from analysis.screening.panel import describe_panel
 from analysis.screening.rules import EXPERTISE, RULES, choose_limits
 from analysis.tidy import leave_rejected, name_stimuli
-from analysis.words import tell_name
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterable, Mapping
@@ -177,7 +176,7 @@ def _explain_rules(found: Mapping[str, DataFrame]) -> Iterable[str]:
         silent = int(part["share"].isna().sum())
         if silent:
             whom = "anybody" if silent == len(part) else f"{silent} of {len(part)} participants"
-            yield f"Rule '{tell_name(name)}' says nothing of {whom}: it needs {RULES[name].needs}."
+            yield f"Rule '{name}' says nothing of {whom}: it needs {RULES[name].needs}."
 
 
 def _describe_excerpts(judgements: Judgements) -> DataFrame:

@@ -12,6 +12,7 @@ from analysis.pictures import Picture
 from analysis.scales import ANSWERED
 from analysis.sections.effects import SIGNIFICANCE, adjust
 from analysis.sections.section import INTERVAL, Cell, Grid, Section
+from analysis.words import tell_name
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -57,7 +58,7 @@ def compute(table: Table, choices: Choices) -> Section:  # noqa: ARG001 - every 
     found = _evaluate(rows)
     adjusted = dict(zip(found, adjust([result.p for result in found.values()]), strict=True))
     answer, counts = _judge(found, adjusted)
-    figure = draw_discrimination({f"{name} ({level})": result for (level, name), result in found.items()})
+    figure = draw_discrimination({f"{name} ({tell_name(level)})": result for (level, name), result in found.items()})
     return Section(
         key=KEY, title=TITLE, answers=(answer,), verdict=(Line(answer),), unseen=counts, grids=(_lay(found, adjusted),),
         tables={"discrimination": _tabulate(found, adjusted)},
@@ -98,7 +99,7 @@ def _lay(found: Found, adjusted: Mapping[tuple[str, str], float]) -> Grid:
         p = make_number(f"{name}.p_holm", adjusted[level, reducer], "exact binomial test, Holm's adjustment", n=n)
         counts = (count_number(f"{name}.{key}", getattr(one, key), n=n) for key in ("n_correct", "n_trials"))
         shown = (Cell(number, part=part) for number in (share, distance) for part in ("value", INTERVAL))
-        rows.append((reducer, level, *shown, Cell(p, "p"), *(Cell(count, COUNT) for count in counts)))
+        rows.append((reducer, tell_name(level), *shown, Cell(p, "p"), *(Cell(count, COUNT) for count in counts)))
     return Grid(caption, head, tuple(rows))
 
 

@@ -5,19 +5,48 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from analysis.numbers import SATTERTHWAITE, make_interval, make_number
-from analysis.primary import FEW
+from analysis.primary import FEW, fit_primary
 from analysis.sections.section import INTERVAL, Cell
 from analysis.sources import find_sources
 from analysis.words import tell_number, tell_range
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Mapping
+    from collections.abc import Hashable, Mapping, Sequence
 
     from pandas import DataFrame
 
     from analysis.numbers import Number
+    from analysis.primary import Primary
 
 SIGNIFICANCE = 0.05
+
+
+def fit_rest(rows: DataFrame, metrics: Sequence[str], *, people: int) -> Primary:
+    """Fit the primary model to the raters whom a rule leaves.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        As for `fit_primary`, of those who are left.
+    metrics : sequence of str
+        One or more.
+    people : int
+        How many there were before.
+
+    Returns
+    -------
+    Primary
+        The model, without what would settle it.
+
+    Raises
+    ------
+    ValueError
+        If one of several raters is left, or there is no model for them.
+    """
+    left = rows["participant"].nunique()
+    if left == 1 < people:
+        raise ValueError(f"One rater of {people} is left: an interval would not know how people differ.")
+    return fit_primary(rows, metrics, explain=False)
 
 
 def name_estimate(name: str, row: Mapping[Hashable, Any], method: str, *, n: int, prefix: str = "") -> Number:

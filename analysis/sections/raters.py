@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Any
 from analysis.figures.quality import draw_raters
 from analysis.numbers import COUNT, count_number, make_number, name_path
 from analysis.pictures import Picture
-from analysis.primary import fit_primary
 from analysis.scales import APART, PAIR
 from analysis.screening import RULES, screen_raters
 from analysis.sections.contrasts import find_repeat_sd
-from analysis.sections.effects import lay_estimate, name_estimate
+from analysis.sections.effects import fit_rest, lay_estimate, name_estimate
 from analysis.sections.parts import split_parts
 from analysis.sections.section import Cell, Grid, Section
 from analysis.sections.thinning import thin_parts
@@ -103,7 +102,7 @@ def _fit(part: Part, out: tuple[Hashable, ...], metrics: tuple[str, ...]) -> Ite
     left = part.rows[~part.rows["participant"].isin(out)]
     n_people = len(left["participant"].unique())
     try:
-        model = fit_primary(left, metrics, explain=False)
+        model = fit_rest(left, metrics, people=part.rows["participant"].nunique())
     except ValueError as error:
         empty: Row = dict.fromkeys(("tenth", "tenth_low", "tenth_high", "p"), float("nan"))
         yield from (empty | {"metric": name, "n_people": n_people, "reason": str(error)} for name in metrics)

@@ -10,7 +10,7 @@ from analysis.multiverse import Estimate, run_multiverse
 from analysis.numbers import COUNT, count_number, make_number, name_path
 from analysis.pictures import Picture, make_slug
 from analysis.primary import fit_primary
-from analysis.sections.effects import lay_estimate, name_estimate
+from analysis.sections.effects import fit_rest, lay_estimate, name_estimate
 from analysis.sections.parts import ITEM, split_parts
 from analysis.sections.section import Cell, Grid, Section
 from analysis.sensitivity import vary_primary
@@ -90,20 +90,20 @@ def _check_size(part: Part) -> None:
 def _run_universes(table: Table, part: Part, choices: Choices) -> dict[tuple[str, str], tuple[Part, Multiverse]]:
     rows = table.rows
     own = rows[(rows["scale"] == part.scale) & (rows["level"] == part.level)]
-    estimate = _remember_slopes(table.metrics)
+    estimate = _remember_slopes(table.metrics, people=own["participant"].nunique())
     return {
         (part.lead, metric): (part, run_multiverse(own, estimate(metric), rng=choices.make_rng(KEY, *part.place)))
         for metric in table.metrics
     }
 
 
-def _remember_slopes(metrics: tuple[str, ...]) -> Callable[[str], Callable[[DataFrame], Estimate]]:
+def _remember_slopes(metrics: tuple[str, ...], *, people: int) -> Callable[[str], Callable[[DataFrame], Estimate]]:
     """Fit each set of raters once, whichever metric is asked for."""
     known: dict[frozenset[Hashable], dict[str, Estimate]] = {}
 
     def fit(tests: DataFrame) -> dict[str, Estimate]:
         try:
-            slopes = fit_primary(tests.assign(**{ITEM: tests["stimulus_id"]}), metrics, explain=False).slopes
+            slopes = fit_rest(tests.assign(**{ITEM: tests["stimulus_id"]}), metrics, people=people).slopes
         except ValueError as error:
             return dict.fromkeys(metrics, Estimate(float("nan"), note=str(error)))
         ends = slopes[["tenth", "tenth_low", "tenth_high"]].itertuples(index=False)

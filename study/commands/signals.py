@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict
 from functools import partial
 from inspect import signature
@@ -156,6 +157,8 @@ def _choose(name: str, window_ms: float | None) -> Callable[..., Samples]:
     windowed = [other for other, reducer in REDUCERS.items() if "window_s" in signature(reducer).parameters]
     if name not in windowed:
         raise click.UsageError(f"--window-ms: {name} has no window, allowed with: {', '.join(windowed)}")
+    if not 0 < window_ms < math.inf:
+        raise click.UsageError(f"--window-ms: got {window_ms:g}, allowed is a finite time above 0 ms")
     chosen: Callable[..., Samples] = REDUCERS[name]
     return partial(chosen, window_s=window_ms / 1000)
 

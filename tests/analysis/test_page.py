@@ -14,6 +14,7 @@ import pytest
 from analysis.bootstrap import METHODS
 from analysis.lines import Line
 from analysis.page import group_lines
+from analysis.screening import RULES
 from analysis.sections.section import Section
 from analysis.words import keep_together, tell_method, tell_number, tell_range
 
@@ -135,6 +136,7 @@ def test_no_line_breaks_between_a_number_and_its_percent_sign(report: Path) -> N
 def test_notes_hold_words_instead_of_raw_names(report: Path) -> None:
     notes = [note for note in load(report)["notes"] if "as is" in note]
     assert notes
+    assert not any(rule in note for note in load(report)["notes"] for rule in RULES if "_" in rule)
     assert not any(name in note for note in notes for name in ("as_is", "spectral_match", "Intercept"))
 
 

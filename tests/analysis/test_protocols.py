@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from datetime import UTC, datetime, timedelta
 from itertools import count
 from typing import TYPE_CHECKING
@@ -74,6 +75,9 @@ def test_every_task_has_its_place_in_the_report(lab: StudyFolder) -> None:
     folder = analyze_study(lab)
     associations = pd.read_csv(folder / "tables" / "associations.csv")
     assert dict(zip(associations["scale"], associations["n_items"], strict=True)) == {"realism": 6, "similarity": 6}
+    page = re.sub(r"<svg.*?</svg>", "", (folder / "index.html").read_text(encoding="utf-8"), flags=re.DOTALL)
+    assert '<td class="text">as is</td>' in page  # of ABX, where the level has a column of its own
+    assert "as_is" not in page
     profiles = pd.read_csv(folder / "tables" / "profiles.csv")
     assert set(profiles["scale"]) == set(PROTOCOLS)
     assert set(profiles.query("role == 'test'")["n_participants"]) == {3}

@@ -70,6 +70,10 @@ def test_help_lists_every_verb_and_version_answers(capsys: Capture) -> None:
             "--window-ms: sax321 has no window, allowed with: pca321_adaptive, dft321_windowed, "
             "dft321_principal_windowed",
         ),
+        (
+            ["reduce", "{recording}", "--reducer", "dft321_windowed", "-o", "a.wav", "--window-ms", "0"],
+            "--window-ms: got 0, allowed is a finite time above 0 ms; see: feel321 reduce --help",
+        ),
     ],
 )
 def test_wrong_use_is_one_line_and_exit_2(

@@ -46,8 +46,10 @@ def test_universes_stand_in_order_over_their_rules(result: Multiverse, said: Cal
         assert part in said(figure)
 
 
-def test_nobody_excluded_is_the_red_diamond(result: Multiverse) -> None:
-    upper = draw_multiverse(result, estimate="Mean").axes[0]
+def test_nobody_excluded_is_the_diamond(result: Multiverse, said: Callable[[Figure], str]) -> None:
+    figure = draw_multiverse(result, estimate="Mean")
+    assert " Diamond, dashed line: nobody excluded." in said(figure)
+    upper = figure.axes[0]
     (diamond,) = (line for line in upper.lines if line.get_marker() == "D")
     assert list(diamond.get_ydata()) == [result.table["value"].iloc[0]]
 

@@ -135,7 +135,7 @@ def test_rules_without_data_say_so() -> None:
     found = screen_raters(bare)
     silent = {"hidden_reference", "mid_anchor", "low_anchor", "test_retest", "repeat_sd", "too_fast"}
     assert {note.split("'")[1] for note in found.notes} == silent
-    assert "Rule 'too fast' says nothing of anybody: it needs column 'response_time_s'." in found.notes
+    assert "Rule 'too_fast' says nothing of anybody: it needs column 'response_time_s'." in found.notes
     assert not found.table["hit"].any()
 
 

@@ -1,0 +1,46 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pandas as pd
+import pytest
+
+from analysis.sections import raters, robustness
+from analysis.sections.choices import Choices
+from analysis.table import read_table
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from analysis.table import Table
+
+
+@pytest.fixture
+def table(files: Callable[..., object]) -> Table:
+    """Only one of three raters knows the hidden reference again: without the others, one is left."""
+    study = files(participants=3, recordings=3, repeats=1, scales=("realism",))
+    rows = pd.read_csv(study.ratings)
+    rows.loc[(rows["participant"] == "p00") & (rows["reducer"] == "original"), "rating"] = 97.0
+    rows.to_csv(study.ratings, index=False)
+    return read_table(study.ratings, study.manifest)
+
+
+def test_one_rater_left_of_several_gives_no_slope(table: Table) -> None:
+    slopes = raters.compute(table, Choices(draws=10)).tables["slopes_without_hits"]
+    alone = slopes[slopes["panel"] == "standard"]
+    assert alone["n_people"].tolist() == [1, 1]
+    assert alone["tenth"].isna().all()
+    assert alone["reason"].str.startswith("One rater of 3 is left").all()
+    assert slopes.loc[slopes["panel"] == "everyone", "tenth"].notna().all()
+
+
+def test_a_universe_of_one_rater_is_none(table: Table) -> None:
+    choices = Choices(draws=10)
+    part = next(robustness.split_parts(table))
+    universes = robustness._run_universes(table, part, choices)
+    for _, found in universes.values():
+        lone = found.table[found.table["n_participants"] == 1]
+        assert len(lone) > 5
+        assert lone["value"].isna().all()
+        assert lone["note"].str.startswith("One rater of 3 is left").all()
+        assert len(found.curve) == len(found.table) - len(lone)
