@@ -123,7 +123,7 @@ def _find_odd(given: ArrayLike) -> str:
         cells = np.asarray(given, dtype=object).ravel().tolist()
     except ValueError:
         return uneven
-    odd = next((cell for cell in cells if not _is_number(cell)), [])
+    odd: object = next((cell for cell in cells if not _is_number(cell)), [])
     return uneven if isinstance(odd, list | tuple | np.ndarray) else repr(odd)
 
 

@@ -6,6 +6,8 @@ from dataclasses import asdict, dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from analysis.association import Association, Difference, compare_metrics, correlate
 from analysis.bootstrap import METHODS
 from analysis.profile import participant_means, profile_reducers, stimulus_means
@@ -14,7 +16,6 @@ from analysis.scales import APART, PAIR
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    import numpy as np
     from pandas import DataFrame
 
     from analysis.table import Table
@@ -134,20 +135,21 @@ def make_panel(part: DataFrame, metrics: tuple[str, ...], *, draws: int, rng: np
     Panel
         Associations, differences and stimuli.
     """
-    # Every result gets a generator of its own, so that a further metric does not change the intervals of the
-    # others.
+    # The same draws for every metric and method: a further metric changes nothing, and metrics that say the same get
+    # the same intervals.
+    seed = int(rng.integers(2**63))
     one = [(metric, method) for metric in metrics for method in METHODS]
     two = [(first, second, method) for first, second in combinations(metrics, 2) for method in METHODS]
-    streams = iter(rng.spawn(len(one) + len(two)))
     of_stimuli = part.drop_duplicates("stimulus_id").set_index("stimulus_id")[list(metrics)]
     return Panel(
         scale=str(part["scale"].iloc[0]),
         level=str(part["level"].iloc[0]),
         associations=tuple(
-            correlate(part, metric, method=method, draws=draws, rng=next(streams)) for metric, method in one
+            correlate(part, metric, method=method, draws=draws, rng=np.random.default_rng(seed))
+            for metric, method in one
         ),
         differences=tuple(
-            compare_metrics(part, first, second, method=method, draws=draws, rng=next(streams))
+            compare_metrics(part, first, second, method=method, draws=draws, rng=np.random.default_rng(seed))
             for first, second, method in two
         ),
         stimuli=stimulus_means(part).join(of_stimuli, on="stimulus_id"),

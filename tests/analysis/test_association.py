@@ -11,6 +11,8 @@ from scipy import stats
 from analysis.association import compare_metrics, correlate
 from analysis.bootstrap import METHODS, correlate_draws, draw_counts
 from analysis.ceiling import noise_ceiling_within
+from analysis.draws import count_scarcest, draw_intervals
+from analysis.findings import make_panel
 from analysis.items import make_items
 from analysis.reliability import noise_ceiling
 
@@ -340,6 +342,23 @@ def test_missing_cells_are_allowed_and_reported(tidy: Callable[..., pd.DataFrame
     assert math.isfinite(found.ceiling)
     assert math.isnan(found.disattenuated)
     assert math.isfinite(found.low)
+
+
+def test_metrics_that_say_the_same_get_the_same_intervals(tidy: Callable[..., pd.DataFrame]) -> None:
+    rows = tidy().query("role == 'test'").assign(again=lambda own: 2 * own[SPECTRAL] + 1)
+    panel = make_panel(rows, (SPECTRAL, "again", TEMPORAL), draws=40, rng=rng())
+    ends = {(one.metric, one.method): (one.low, one.high) for one in panel.associations}
+    for method in METHODS:
+        assert ends[SPECTRAL, method] == pytest.approx(ends["again", method], nan_ok=True)
+    differ = {(one.first, one.second, one.method): one for one in panel.differences}
+    alone = make_panel(rows, (SPECTRAL, TEMPORAL), draws=40, rng=rng())
+    assert alone.differences == tuple(differ[SPECTRAL, TEMPORAL, method] for method in METHODS)
+
+
+def test_a_within_interval_rests_on_whatever_is_scarcest(tidy: Callable[..., pd.DataFrame]) -> None:
+    items = make_items(tidy(participants=2, recordings=6), [SPECTRAL])
+    for method in ("pearson", "within"):
+        assert count_scarcest(items, draw_intervals(items, method, draws=5, rng=rng())) == 2
 
 
 def test_exactly_half_of_the_stimuli_make_a_ceiling(tidy: Callable[..., pd.DataFrame]) -> None:

@@ -376,3 +376,14 @@ def test_perfectly_tied_effects_are_singular_in_words() -> None:
 def test_parse_keeps_the_signs_of_fixed_terms() -> None:
     parsed = parse_formula("y ~ a + (1 | who) - 1")
     assert (parsed.fixed, parsed.random[0].name) == ("a - 1", "who")
+
+
+def test_explained_variance_by_its_definition() -> None:
+    rng = np.random.default_rng(4)
+    who, x = np.repeat(np.arange(9), 4), rng.normal(size=36)
+    y = 3 + x + rng.normal(size=9)[who] + rng.normal(size=9)[who] * x + rng.normal(size=36)
+    fit = fit_mixed("y ~ x + (1 + x || who)", pd.DataFrame({"who": who, "x": x, "y": y}))
+    level, slope = fit.variances["sd"] ** 2
+    parts = np.var(fit.fixed["estimate"]["x"] * x, ddof=1), level + slope * np.mean(x**2), fit.residual_sd**2
+    assert fit.marginal_r2 == pytest.approx(parts[0] / sum(parts))
+    assert fit.conditional_r2 == pytest.approx((parts[0] + parts[1]) / sum(parts))

@@ -83,6 +83,9 @@ def test_three_numbers_are_an_interval(ratings: pd.DataFrame, result: Any, beyon
 def test_a_sign_that_turns_is_counted(ratings: pd.DataFrame) -> None:
     found = run_multiverse(ratings, lambda table: table["participant"].nunique() - 8.5, rules=RULES, together=1)
     assert found.same_sign == 3 / 5
+    # The sign of the first universe is what counts, also where it is below zero.
+    turned = run_multiverse(ratings, lambda table: 8.5 - table["participant"].nunique(), rules=RULES, together=1)
+    assert turned.same_sign == 3 / 5
 
 
 def test_what_cannot_be_estimated_says_why(ratings: pd.DataFrame) -> None:

@@ -194,6 +194,14 @@ def test_metrics_that_tell_nothing_are_left_out_in_words(
     assert reason in primary.reductions
 
 
+def test_slopes_between_recordings_need_two_more_recordings_than_metrics(rows: pd.DataFrame) -> None:
+    # As many as coefficients, the intercept with them, would leave the spread between recordings nothing to show in.
+    three, four = (fit_primary(rows[rows["recording"] < number], METRICS) for number in (3, 4))
+    assert three.between.empty
+    assert any("No slopes between recordings: with 3 of them, 2 such" in reason for reason in three.reductions)
+    assert four.between.index.tolist() == METRICS
+
+
 def test_few_people_are_named_and_singular_fits_noted(rows: pd.DataFrame) -> None:
     primary = fit_primary(rows.query("participant < 2"), METRICS)
     assert any(note.startswith("2 participants only") for note in primary.notes)

@@ -6,6 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from analysis.agreement import krippendorff_alpha
+from analysis.reliability import intraclass
 from analysis.screening import RULES, screen_raters
 from analysis.screening.rules import EXPERTISE
 
@@ -113,6 +115,13 @@ def test_reliability_is_told_with_and_without_those_hit() -> None:
     assert (everyone["n_items"], everyone["n_complete"]) == (40, 40)
     for name in ("icc_a_1", "icc_a_k", "icc_c_1", "icc_c_k", "alpha"):
         assert everyone[name] < without[name] <= 1
+    tests = panel().query("role == 'test'")
+    means = tests.pivot_table("rating", ["recording", "reducer"], "participant").to_numpy()
+    told = screen_raters(panel()).panel.iloc[0]
+    icc = intraclass(means)
+    for name in ("icc_a_1", "icc_a_k", "icc_c_1", "icc_c_k"):
+        assert told[name] == pytest.approx(getattr(icc, name))
+    assert told["alpha"] == pytest.approx(krippendorff_alpha(means))
 
 
 def test_items_tell_two_camps() -> None:

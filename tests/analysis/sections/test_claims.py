@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 import pytest
@@ -56,6 +57,17 @@ def test_what_holds_before_holms_adjustment_only_is_not_claimed(
     _, answers, line = tell(tidy(1, participants=8, recordings=4))
     assert all("is undecided" in answer and "p (Holm) = 0.060" in answer for answer in answers)
     assert "goes with higher" not in line
+    # What is not claimed is open: what would settle it is told.
+    assert "If the slope on spectral match is what was estimated here" in line
+
+
+def test_a_slope_on_a_metric_that_runs_over_thousands_is_not_told_as_zero(tidy: Callable[..., pd.DataFrame]) -> None:
+    rows = tidy(1, participants=8, recordings=6)
+    _, (spectral, _), line = tell(rows.assign(spectral_match=1e5 * rows["spectral_match"]))
+    number = r"\d\.\de−05"
+    evidence = rf"{number} points, 95 % interval {number} to {number}; p \(Holm\)"
+    assert re.search(evidence, line)
+    assert re.search(evidence, spectral)
 
 
 def test_one_participant_speaks_of_nobody_else(tidy: Callable[..., pd.DataFrame]) -> None:
