@@ -3,41 +3,41 @@
 Importing this package loads numpy and nothing heavier; pandas, scipy and matplotlib come with the first call.
 """
 
-from analysis.advise.report import advise_recordings, write_advice
-from analysis.advise.scene import Context
-from analysis.advise.tolerance import Tolerance
-from analysis.agreement import Alpha, bootstrap_alpha, krippendorff_alpha
-from analysis.association import Association, Difference, compare_metrics, correlate
-from analysis.bradley_terry import BradleyTerry, bradley_terry, bradley_terry_by_rater
-from analysis.chart.compute import compute_chart
-from analysis.chart.write import write_chart
-from analysis.dependent import Dependent, compare_dependent
-from analysis.discrimination import Discrimination, abx_d_prime, discriminate, discriminate_pairs
-from analysis.equivalence import Equivalence, NonInferiority, equivalence, non_inferiority
-from analysis.further import Further
-from analysis.landmarks import Alignment, Ellipses, align_spaces, bootstrap_space, regress_attributes
+from analysis.agreement.alpha import Alpha, bootstrap_alpha, krippendorff_alpha
+from analysis.agreement.reliability import Intraclass, intraclass, noise_ceiling
+from analysis.association.correlate import Association, Difference, compare_metrics, correlate
+from analysis.association.dependent import Dependent, compare_dependent
+from analysis.association.repeated import RepeatedMeasures, repeated_measures_correlation
+from analysis.contrasts.bradley_terry import BradleyTerry, bradley_terry, bradley_terry_by_rater
+from analysis.contrasts.discrimination import Discrimination, abx_d_prime, discriminate, discriminate_pairs
+from analysis.contrasts.equivalence import Equivalence, NonInferiority, equivalence, non_inferiority
+from analysis.contrasts.profile import profile_reducers
 from analysis.mixed.inference import Estimate
 from analysis.mixed.model import MixedFit, contrast, fit_mixed
-from analysis.multiverse import Multiverse, run_multiverse
 from analysis.numbers import Number
-from analysis.p1401 import P1401, p1401
-from analysis.p1401_difference import P1401Difference, compare_p1401
-from analysis.precision import Precision
-from analysis.primary import Primary, fit_attributes, fit_primary, tabulate_slopes
-from analysis.profile import profile_reducers
+from analysis.p1401.difference import P1401Difference, compare_p1401
+from analysis.p1401.mapping import P1401, p1401
+from analysis.primary.model import Primary, fit_attributes, fit_primary, tabulate_slopes
+from analysis.primary.multiverse import Multiverse, run_multiverse
+from analysis.primary.precision import Precision
+from analysis.primary.sensitivity import vary_primary
 from analysis.refined.refine import Refined, refine_metric
-from analysis.reliability import Intraclass, intraclass, noise_ceiling
-from analysis.repeated import RepeatedMeasures, repeated_measures_correlation
-from analysis.report import compute_sections, write_report
-from analysis.results import Results
+from analysis.report.results import Results
+from analysis.report.sections.choices import Choices
+from analysis.report.sections.section import Section
+from analysis.report.write import compute_sections, write_report
 from analysis.screening import RULES, Screening, multimodality, screen_raters, tukey_fences
-from analysis.sections.choices import Choices
-from analysis.sections.section import Section
-from analysis.sensitivity import vary_primary
-from analysis.sources import find_sources
-from analysis.space import Space, fit_space, stress_by_dimension
-from analysis.stress.run import stress_reducers, write_stress
-from analysis.table import Table, read_table
+from analysis.space.landmarks import Alignment, Ellipses, align_spaces, bootstrap_space, regress_attributes
+from analysis.space.scaling import Space, fit_space, stress_by_dimension
+from analysis.table.further import Further
+from analysis.table.reading import Table, read_table
+from analysis.table.sources import find_sources
+from analysis.tradeoff.advise.report import advise_recordings, write_advice
+from analysis.tradeoff.advise.scene import Context
+from analysis.tradeoff.advise.tolerance import Tolerance
+from analysis.tradeoff.chart.compute import compute_chart
+from analysis.tradeoff.chart.write import write_chart
+from analysis.tradeoff.stress.run import stress_reducers, write_stress
 
 __all__ = [  # noqa: RUF022 - in the order of sorted(), which a test checks
     "Alignment",

@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.association import Association, Difference, compare_metrics, correlate
-from analysis.bootstrap import METHODS
-from analysis.profile import participant_means, profile_reducers, stimulus_means
-from analysis.scales import APART, PAIR
+from analysis.association.correlate import Association, Difference, compare_metrics, correlate
+from analysis.contrasts.profile import participant_means, profile_reducers, stimulus_means
+from analysis.resampling.bootstrap import METHODS
+from analysis.table.scales import APART, PAIR
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from pandas import DataFrame
 
-    from analysis.table import Table
+    from analysis.table.reading import Table
 
 
 @dataclass(frozen=True, slots=True, eq=False)

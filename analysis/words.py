@@ -139,7 +139,7 @@ def tell_method(name: str) -> str:
     Parameters
     ----------
     name : str
-        A name of `analysis.bootstrap.METHODS`.
+        A name of `analysis.resampling.bootstrap.METHODS`.
 
     Returns
     -------

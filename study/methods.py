@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
-    from analysis.table import Table
+    from analysis.table.reading import Table
     from stimuli.recording import Recording
 
 SUFFIXES = frozenset({".wav", ".csv", ".tsv", ".txt", ".npz", ".npy", ".mat", ".xml", ".ide"})
@@ -95,7 +95,7 @@ def find_ratings(study: StudyFolder) -> Table | None:
     ValueError
         If journals or tables are not as they must be.
     """
-    from analysis.table import read_table
+    from analysis.table.reading import read_table
 
     if study.journals:
         rated = write_ratings(study, read_stimuli(study.stimuli)) > 0

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.further import Further
+from analysis.table.further import Further
 from study.provenance import find_changes
 from study.settings.sources import make_recipe, try_recordings
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from shlex import quote
 from typing import TYPE_CHECKING
 
-from analysis.report import write_report
+from analysis.report.write import write_report
 from stimuli.manifest import read_stimuli
 from stimuli.sets import build_stimuli
 from study.ledger.roster import write_roster

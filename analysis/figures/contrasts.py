@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from analysis.figures.rows import AXIS_CM, Mark, Row, draw_rows, find_height, find_limits, fit_rows
 from analysis.figures.style import BLACK, BLUE, GREY, PALE, Look, new_figure, print_style
 from analysis.figures.text import add_title
-from analysis.sources import tell_recordings
+from analysis.table.sources import tell_recordings
 from analysis.words import tell_number
 
 if TYPE_CHECKING:
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-    from analysis.equivalence import Equivalence
+    from analysis.contrasts.equivalence import Equivalence
 
 EQUIVALENT, OPEN = Look(BLUE, "o"), Look(BLACK, "D")
 

@@ -11,8 +11,8 @@ from analysis.figures.legend import add_legend
 from analysis.figures.scatter import CUT, count_clipped, scatter_reducer
 from analysis.figures.style import BLACK, BLUE, COLUMN_CM, GREY, Look, new_canvas, print_style
 from analysis.figures.text import MARGIN_CM, add_title, fit_text, tell_scale
-from analysis.sources import tell_recordings
-from analysis.table import HIGHEST, LOWEST
+from analysis.table.reading import HIGHEST, LOWEST
+from analysis.table.sources import tell_recordings
 from analysis.words import tell_axis, tell_number, tell_range, tell_span
 
 if TYPE_CHECKING:
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from matplotlib.lines import Line2D
     from pandas import DataFrame
 
-    from analysis.association import Association
-    from analysis.p1401 import P1401
+    from analysis.association.correlate import Association
+    from analysis.p1401.mapping import P1401
 
 COLUMNS = 3
 ROW_CM, LABELS_CM, STRIP_CM = 2.5, 1.6, 1.9

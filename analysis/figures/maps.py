@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from analysis.landmarks import Ellipses
+    from analysis.space.landmarks import Ellipses
 
 MAP_CM, STRESS_CM, AXIS_CM = 6.2, 2.2, 1.2
 ORIGINAL = Look(BLACK, "*")

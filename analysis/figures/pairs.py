@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from analysis.bradley_terry import ORDER
+from analysis.contrasts.bradley_terry import ORDER
 from analysis.figures.rows import AXIS_CM, PLAIN, Mark, Row, draw_rows, find_height, find_limits, fit_rows
 from analysis.figures.style import BLUE, GREY, Look, new_figure, print_style
 from analysis.figures.text import add_title, fit_text
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-    from analysis.bradley_terry import BradleyTerry
-    from analysis.discrimination import Discrimination
+    from analysis.contrasts.bradley_terry import BradleyTerry
+    from analysis.contrasts.discrimination import Discrimination
 
 OBSERVERS = {"independent": "independent observations", "differencing": "differencing"}
 """Model of the observer -> its name in words."""

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis.agreement.reliability import SMALLEST
 from analysis.figures.style import GREY, THIN, Look, new_figure, print_style
 from analysis.figures.text import tell_scale
-from analysis.reliability import SMALLEST
-from analysis.table import HIGHEST, LOWEST, ROLES
+from analysis.table.reading import HIGHEST, LOWEST, ROLES
 from analysis.words import tell_span, wrap_name
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ import numpy as np
 from analysis.figures.legend import add_legend
 from analysis.figures.style import GREY, PRINT, THIN, Look, new_figure, print_style
 from analysis.figures.text import tell_scale
-from analysis.sources import tell_recordings
-from analysis.table import HIGHEST, LOWEST
+from analysis.table.reading import HIGHEST, LOWEST
+from analysis.table.sources import tell_recordings
 from analysis.words import tell_axis, tell_number, tell_range
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from pandas import DataFrame
 
-    from analysis.association import Association
+    from analysis.association.correlate import Association
     from analysis.findings import Panel
 
 CUT = -1.0

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
-    from analysis.primary import Primary
+    from analysis.primary.model import Primary
 
 MOST = 3
 """Attributes whose variants fit side by side."""

@@ -7,8 +7,8 @@ from bisect import bisect_right
 from typing import TYPE_CHECKING
 
 from analysis.figures.style import CM_PER_INCH, COLUMN_CM, PRINT
-from analysis.scales import tell_measure
-from analysis.table import HIGHEST, LOWEST
+from analysis.table.reading import HIGHEST, LOWEST
+from analysis.table.scales import tell_measure
 from analysis.words import tell_name, wrap_name
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from pandas import DataFrame
 
-    from analysis.multiverse import Multiverse
+    from analysis.primary.multiverse import Multiverse
 
 CURVE_CM, ROW_CM, AXIS_CM = 4.0, 0.36, 1.2
 LABEL_CM = 2.9

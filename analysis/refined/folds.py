@@ -9,7 +9,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from analysis.items import Items
+    from analysis.table.items import Items
 
     Values = NDArray[np.float64]
 

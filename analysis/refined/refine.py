@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.bootstrap import bootstrap_margin, draw_counts, fisher_z
-from analysis.ceiling import find_ceiling
-from analysis.items import make_items
+from analysis.association.ceiling import find_ceiling
 from analysis.refined.candidates import make_basis
 from analysis.refined.choice import choose, fit_candidate, sum_moments
 from analysis.refined.folds import GROUPS, average_groups, make_split
 from analysis.refined.score import Data, Outcome, join_draws, score_draws
 from analysis.refined.tables import list_candidates, list_gains, list_weights
+from analysis.resampling.bootstrap import bootstrap_margin, draw_counts, fisher_z
+from analysis.table.items import make_items
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from pandas import DataFrame
 
-    from analysis.items import Items
+    from analysis.table.items import Items
 
     Values = NDArray[np.float64]
 

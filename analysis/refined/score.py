@@ -6,18 +6,18 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from analysis.bootstrap import FLAT
 from analysis.refined.choice import choose, fit_candidate, leave_out, sum_moments
 from analysis.refined.folds import average_groups
+from analysis.resampling.bootstrap import FLAT
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from analysis.items import Items
     from analysis.refined.candidates import Basis
     from analysis.refined.folds import Means, Split
+    from analysis.table.items import Items
 
     Values = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.bootstrap import bootstrap_margin, fisher_z
+from analysis.resampling.bootstrap import bootstrap_margin, fisher_z
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.arrays import read_numbers
-from analysis.bootstrap import FEWEST_ITEMS, FLAT
+from analysis.resampling.bootstrap import FEWEST_ITEMS, FLAT
 from analysis.screening.findings import tell_values
 from analysis.screening.habits import FEWEST_JUDGEMENTS
 

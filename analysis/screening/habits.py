@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.bootstrap import FLAT
+from analysis.resampling.bootstrap import FLAT
 from analysis.screening.findings import tell_shares, tell_values
 from analysis.screening.judgements import HIGHEST
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.tidy import NAMING
+from analysis.table.tidy import NAMING
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.agreement import krippendorff_alpha
-from analysis.reliability import SMALLEST, intraclass
+from analysis.agreement.alpha import krippendorff_alpha
+from analysis.agreement.reliability import SMALLEST, intraclass
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -12,7 +12,7 @@ from analysis.screening.gauge import gauge_raters, judge_expertise
 from analysis.screening.judgements import make_judgements
 from analysis.screening.panel import describe_panel
 from analysis.screening.rules import EXPERTISE, RULES, choose_limits
-from analysis.tidy import leave_rejected, name_stimuli
+from analysis.table.tidy import leave_rejected, name_stimuli
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterable, Mapping

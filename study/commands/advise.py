@@ -1,4 +1,4 @@
-"""The verb advise: its work is done in analysis/advise."""
+"""The verb advise: its work is done in analysis/tradeoff/advise."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from study.commands.shared import print_json, show_progress
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from analysis.advise.verdict import Rated
+    from analysis.tradeoff.advise.verdict import Rated
     from study.commands.methods import Task
     from study.folder import StudyFolder
 
@@ -42,9 +42,9 @@ def advise(  # noqa: PLR0913 - every option has a name of its own
     The first, by simplicity, that is equivalent to the best within tolerance: by metrics, and by ratings where the
     study has them.
     """
-    from analysis.advise.report import advise_recordings, write_advice
-    from analysis.advise.scene import Context, check_segment
-    from analysis.advise.tolerance import Tolerance
+    from analysis.tradeoff.advise.report import advise_recordings, write_advice
+    from analysis.tradeoff.advise.scene import Context, check_segment
+    from analysis.tradeoff.advise.tolerance import Tolerance
 
     with _as_options():
         limits = Tolerance() if tolerance is None else Tolerance(tolerance)
@@ -77,7 +77,7 @@ def _as_options() -> Iterator[None]:
 
 def _hear(study: StudyFolder) -> Ratings | None:
     """Read what people said, if they have said something."""
-    from analysis.advise.rated import judge_ratings
+    from analysis.tradeoff.advise.rated import judge_ratings
     from study.methods import find_ratings
     from study.settings.reading import read_settings
 

@@ -24,8 +24,8 @@ def chart(*, task: Task, full: bool, as_json: bool) -> None:
 
     Writes a page to explore, figures for print, CSV and JSON. Times are measured on this machine: leave it idle.
     """
-    from analysis.chart.compute import FULL, QUICK, compute_chart
-    from analysis.chart.write import write_chart
+    from analysis.tradeoff.chart.compute import FULL, QUICK, compute_chart
+    from analysis.tradeoff.chart.write import write_chart
     from study.methods import find_ratings
 
     recordings, ratings = task.gather(), find_ratings(task.study)

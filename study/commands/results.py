@@ -47,7 +47,7 @@ def analyze(folder: Path, *, ratings: Path | None, manifest: Path | None, out: P
 
 
 def _analyze_tables(folder: Path, *, ratings: Path | None, manifest: Path | None, out: Path | None) -> Path:
-    from analysis.report import write_report
+    from analysis.report.write import write_report
 
     if ratings is None:
         raise click.UsageError("--manifest: got it without --ratings; give both, or --ratings alone in a study")

@@ -1,4 +1,4 @@
-"""The verb stress: its work is done in analysis/stress."""
+"""The verb stress: its work is done in analysis/tradeoff/stress."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def stress(*, task: Task, as_json: bool) -> None:
     Every reducer meets a battery of scenes: anti-phase axes, circular motion, clipping, gaps and so on. Each figure
     comes with its limit, each failure with its explanation: index.html, results.json, tables/*.csv, figures/stress.
     """
-    from analysis.stress.run import stress_reducers, write_stress
+    from analysis.tradeoff.stress.run import stress_reducers, write_stress
 
     recordings, sensor = task.gather(), task.gather_raw()
     with show_progress("stress") as progress:

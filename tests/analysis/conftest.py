@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.report import write_report
+from analysis.report.write import write_report
 from stimuli.reduce import DEFAULT_REDUCERS
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import t
 
-from analysis.agreement import LEVELS, bootstrap_alpha, krippendorff_alpha
+from analysis.agreement.alpha import LEVELS, bootstrap_alpha, krippendorff_alpha
 
 
 def make_table(seed: int = 0, *, missing: float = 0.2, targets: int = 14, raters: int = 5) -> np.ndarray:

@@ -8,13 +8,13 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from analysis.association import compare_metrics, correlate
-from analysis.bootstrap import METHODS, correlate_draws, draw_counts
-from analysis.ceiling import noise_ceiling_within
-from analysis.draws import count_scarcest, draw_intervals
+from analysis.agreement.reliability import noise_ceiling
+from analysis.association.ceiling import noise_ceiling_within
+from analysis.association.correlate import compare_metrics, correlate
 from analysis.findings import make_panel
-from analysis.items import make_items
-from analysis.reliability import noise_ceiling
+from analysis.resampling.bootstrap import METHODS, correlate_draws, draw_counts
+from analysis.resampling.draws import count_scarcest, draw_intervals
+from analysis.table.items import make_items
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -137,7 +137,7 @@ def test_order_that_no_draw_changes_has_no_interval(tidy: Callable[..., pd.DataF
 
 @pytest.mark.parametrize("block", [1, 7, 1000])
 def test_draws_in_blocks_are_as_many(tidy: Callable[..., pd.DataFrame], monkeypatch: Any, block: int) -> None:
-    monkeypatch.setattr("analysis.draws.BLOCK", 36 * block)
+    monkeypatch.setattr("analysis.resampling.draws.BLOCK", 36 * block)
     found = correlate(tidy(noise=25), SPECTRAL, draws=100, rng=rng())
     assert found.draws == 100
     assert found.low < found.value < found.high

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from analysis.bootstrap import (
+from analysis.resampling.bootstrap import (
     METHODS,
     average_recordings,
     bootstrap_margin,
@@ -19,8 +19,8 @@ from analysis.bootstrap import (
     weighted_ranks,
     weighted_spearman,
 )
-from analysis.concordance import weighted_kendall
-from analysis.items import Items
+from analysis.resampling.concordance import weighted_kendall
+from analysis.table.items import Items
 
 REFERENCE = {"pearson": stats.pearsonr, "spearman": stats.spearmanr, "kendall": stats.kendalltau}
 WITHIN = {"within": "pearson", "within_spearman": "spearman", "within_kendall": "kendall"}

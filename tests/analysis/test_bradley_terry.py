@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.bradley_terry import bradley_terry, bradley_terry_by_rater
-from analysis.duels import count_duels
+from analysis.contrasts.bradley_terry import bradley_terry, bradley_terry_by_rater
+from analysis.contrasts.duels import count_duels
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from scipy.stats import beta, binom, norm
 
-from analysis.discrimination import abx_d_prime, discriminate, discriminate_pairs
+from analysis.contrasts.discrimination import abx_d_prime, discriminate, discriminate_pairs
 
 
 def simulate(d_prime: float, model: str, *, n: int = 200_000) -> float:

@@ -14,7 +14,7 @@ from analysis.figures.profile import draw_profile
 from analysis.figures.scatter import draw_scatter
 from analysis.figures.style import CM_PER_INCH, COLUMN_CM, Look, assign_looks
 from analysis.findings import analyse
-from analysis.table import Table, order_reducers
+from analysis.table.reading import Table, order_reducers
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -7,13 +7,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis import report
-from analysis.further import Further
-from analysis.inputs import describe_inputs
-from analysis.schema import describe_further
-from analysis.sections import further, primary, refined, standard
-from analysis.sections.choices import Choices
-from analysis.table import Table, read_table
+from analysis.report import write as report
+from analysis.report.inputs import describe_inputs
+from analysis.report.sections import further, primary, refined, standard
+from analysis.report.sections.choices import Choices
+from analysis.table.further import Further
+from analysis.table.reading import Table, read_table
+from analysis.table.schema import describe_further
 from stimuli.match import METRICS
 
 if TYPE_CHECKING:

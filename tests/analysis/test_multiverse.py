@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from analysis.association import Association, correlate
-from analysis.multiverse import run_multiverse
+from analysis.association.correlate import Association, correlate
+from analysis.primary.multiverse import run_multiverse
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.stats import chi2, f, norm, pearsonr, spearmanr, t
 
-from analysis.monotone import fit_monotone_cubic
-from analysis.p1401 import P1401, p1401
-from analysis.p1401_difference import compare_p1401
-from analysis.repeated import repeated_measures_correlation
+from analysis.association.repeated import repeated_measures_correlation
+from analysis.p1401.difference import compare_p1401
+from analysis.p1401.mapping import P1401, p1401
+from analysis.p1401.monotone import fit_monotone_cubic
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

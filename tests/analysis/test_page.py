@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 import pandas as pd
 import pytest
 
-from analysis.bootstrap import METHODS
-from analysis.lines import Line
-from analysis.page import group_lines
+from analysis.report.lines import Line
+from analysis.report.page import group_lines
+from analysis.report.sections.section import Section
+from analysis.resampling.bootstrap import METHODS
 from analysis.screening import RULES
-from analysis.sections.section import Section
 from analysis.words import keep_together, tell_method, tell_number, tell_range
 
 if TYPE_CHECKING:

@@ -11,11 +11,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from analysis.contrasts.profile import profile_reducers
 from analysis.findings import analyse, stack_records
-from analysis.profile import profile_reducers
-from analysis.report import write_report
-from analysis.sections.parts import split_parts
-from analysis.table import Table, read_table
+from analysis.report.sections.parts import split_parts
+from analysis.report.write import write_report
+from analysis.table.reading import Table, read_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

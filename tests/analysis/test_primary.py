@@ -8,14 +8,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis import cells
-from analysis.cells import make_cells
+from analysis.primary import cells
 from analysis.mixed.model import fit_mixed
-from analysis.primary import fit_attributes, fit_primary, tabulate_slopes
-from analysis.sensitivity import vary_primary
+from analysis.primary.cells import make_cells
+from analysis.primary.model import fit_attributes, fit_primary, tabulate_slopes
+from analysis.primary.sensitivity import vary_primary
 
 if TYPE_CHECKING:
-    from analysis.primary import Primary
+    from analysis.primary.model import Primary
 
 METRICS = ["sm", "tm"]
 FULL = (

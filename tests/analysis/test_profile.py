@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from analysis.profile import participant_means, profile_reducers, stimulus_means
+from analysis.contrasts.profile import participant_means, profile_reducers, stimulus_means
 
 if TYPE_CHECKING:
     from collections.abc import Callable

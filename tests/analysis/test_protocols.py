@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import pandas as pd
 import pytest
 
-from analysis.table import read_table
+from analysis.table.reading import read_table
 from protocols.registry import PROTOCOLS
 from study.folder import StudyFolder
 from study.workflow import analyze_study, build_study, simulate_study

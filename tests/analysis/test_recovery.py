@@ -20,21 +20,21 @@ import pandas as pd
 import pytest
 from scipy.stats import binom
 
-from analysis.agreement import bootstrap_alpha, krippendorff_alpha
-from analysis.association import compare_metrics, correlate
-from analysis.bootstrap import METHODS, correlate_draws, fisher_z
-from analysis.bradley_terry import bradley_terry, bradley_terry_by_rater
-from analysis.dependent import compare_dependent
-from analysis.draws import Draws, measure_lean
-from analysis.equivalence import equivalence, non_inferiority
-from analysis.items import Items
+from analysis.agreement.alpha import bootstrap_alpha, krippendorff_alpha
+from analysis.agreement.reliability import intraclass
+from analysis.association.correlate import compare_metrics, correlate
+from analysis.association.dependent import compare_dependent
+from analysis.association.repeated import repeated_measures_correlation
+from analysis.contrasts.bradley_terry import bradley_terry, bradley_terry_by_rater
+from analysis.contrasts.equivalence import equivalence, non_inferiority
+from analysis.contrasts.profile import profile_reducers
 from analysis.mixed.model import contrast, fit_mixed
-from analysis.p1401 import p1401
-from analysis.p1401_difference import compare_p1401
-from analysis.primary import fit_primary, tabulate_slopes
-from analysis.profile import profile_reducers
-from analysis.reliability import intraclass
-from analysis.repeated import repeated_measures_correlation
+from analysis.p1401.difference import compare_p1401
+from analysis.p1401.mapping import p1401
+from analysis.primary.model import fit_primary, tabulate_slopes
+from analysis.resampling.bootstrap import METHODS, correlate_draws, fisher_z
+from analysis.resampling.draws import Draws, measure_lean
+from analysis.table.items import Items
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analysis.agreement import krippendorff_alpha
-from analysis.reliability import intraclass, noise_ceiling
+from analysis.agreement.alpha import krippendorff_alpha
+from analysis.agreement.reliability import intraclass, noise_ceiling
 
 
 @settings(deadline=None)  # the first call imports scipy.stats

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analysis.repeated import repeated_measures_correlation
+from analysis.association.repeated import repeated_measures_correlation
 
 
 def make_rows(seed: int = 0, n: int = 40, people: int = 5) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

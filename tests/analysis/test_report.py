@@ -14,8 +14,8 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from analysis.report import write_report
-from analysis.sections import association, profile
+from analysis.report.sections import association, profile
+from analysis.report.write import write_report
 from analysis.words import PLACES, tell_number
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ class Page(HTMLParser):
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """Shorten reports to two sections: enough for what files, names and captions are about."""
-    monkeypatch.setattr("analysis.report.SECTIONS", (association.compute, profile.compute))
+    monkeypatch.setattr("analysis.report.write.SECTIONS", (association.compute, profile.compute))
 
 
 @pytest.fixture
@@ -218,7 +218,7 @@ def test_dots_in_names_make_no_two_numbers_one(files: Callable[..., object], tmp
 
 @pytest.mark.usefixtures("short")
 def test_two_numbers_of_one_name_are_refused(study: object, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr("analysis.sections.association.name_path", lambda *parts: ".".join(parts[:1]))
+    monkeypatch.setattr("analysis.report.sections.association.name_path", lambda *parts: ".".join(parts[:1]))
     with pytest.raises(ValueError, match=r"results: got \d+ names twice, first association"):
         write_report(study.ratings, study.manifest, tmp_path / "report", draws=5, seed=0)
 
@@ -358,7 +358,7 @@ def test_every_file_is_listed(report: Path) -> None:
 def test_a_failed_run_changes_nothing(own_report: Path, files: Callable[..., object], monkeypatch: object) -> None:
     before = {path: path.read_bytes() for path in own_report.rglob("*") if path.is_file()}
     study = files(seed=9, scales=("realism",))
-    monkeypatch.setattr("analysis.report.render_page", lambda *_, **__: 1 / 0)
+    monkeypatch.setattr("analysis.report.write.render_page", lambda *_, **__: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         write_report(study.ratings, study.manifest, own_report, draws=20, seed=0)
     assert before == {path: path.read_bytes() for path in own_report.rglob("*") if path.is_file()}

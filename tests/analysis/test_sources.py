@@ -9,13 +9,13 @@ import pandas as pd
 import pytest
 from scipy.stats import binom
 
-from analysis.items import make_items
-from analysis.primary import fit_primary
-from analysis.sections import contrasts, levels
-from analysis.sections.choices import Choices
-from analysis.sensitivity import vary_primary
-from analysis.sources import find_sources, tell_recordings
-from analysis.table import read_table
+from analysis.primary.model import fit_primary
+from analysis.primary.sensitivity import vary_primary
+from analysis.report.sections import contrasts, levels
+from analysis.report.sections.choices import Choices
+from analysis.table.items import make_items
+from analysis.table.reading import read_table
+from analysis.table.sources import find_sources, tell_recordings
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.optimize import isotonic_regression
 
-from analysis.landmarks import align_spaces, bootstrap_space, regress_attributes
-from analysis.space import fit_space, refit_space, stress_by_dimension
+from analysis.space.landmarks import align_spaces, bootstrap_space, regress_attributes
+from analysis.space.scaling import fit_space, refit_space, stress_by_dimension
 
 
 def apart(place: np.ndarray) -> np.ndarray:

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 import pandas as pd
 import pytest
 
-from analysis.table import order_reducers, read_table
+from analysis.table.reading import order_reducers, read_table
 from stimuli.reduce import REDUCERS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from analysis.table import Table
+    from analysis.table.reading import Table
 
 
 def read(files: object) -> Table:

@@ -8,13 +8,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.association import compare_metrics, correlate
-from analysis.multiverse import run_multiverse
-from analysis.primary import fit_primary
-from analysis.profile import profile_reducers, stimulus_means
+from analysis.association.correlate import compare_metrics, correlate
+from analysis.contrasts.profile import profile_reducers, stimulus_means
+from analysis.primary.model import fit_primary
+from analysis.primary.multiverse import run_multiverse
+from analysis.primary.sensitivity import vary_primary
 from analysis.screening import screen_raters
-from analysis.sensitivity import vary_primary
-from analysis.tidy import leave_rejected, name_items, name_stimuli
+from analysis.table.tidy import leave_rejected, name_items, name_stimuli
 
 if TYPE_CHECKING:
     from collections.abc import Callable

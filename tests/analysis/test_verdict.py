@@ -5,8 +5,8 @@ import math
 
 import pytest
 
-from analysis.association import Association, Difference
-from analysis.verdict import judge_association, judge_difference
+from analysis.association.correlate import Association, Difference
+from analysis.report.verdict import judge_association, judge_difference
 from analysis.words import tell_method
 
 CLEAR = Association(

@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from analysis.bradley_terry import bradley_terry
+from analysis.contrasts.bradley_terry import bradley_terry
 
 ORACLE = Path(__file__).parents[3] / "shared" / "oracles" / "bradley_terry_citations"
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.agreement import LEVELS, krippendorff_alpha
+from analysis.agreement.alpha import LEVELS, krippendorff_alpha
 
 ORACLE = Path(__file__).parents[3] / "shared" / "oracles" / "krippendorff_alpha"
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from analysis.repeated import repeated_measures_correlation
+from analysis.association.repeated import repeated_measures_correlation
 
 ORACLE = Path(__file__).parents[3] / "shared" / "oracles" / "rmcorr_bland1995"
 

@@ -339,7 +339,7 @@ def test_draws_and_seed_of_a_study_reach_its_report(study: StudyFolder, monkeypa
         calls.append({name: choices[name] for name in ("draws", "seed")})
         folder.mkdir(exist_ok=True)
 
-    monkeypatch.setattr("analysis.report.write_report", write_report)
+    monkeypatch.setattr("analysis.report.write.write_report", write_report)
     monkeypatch.setattr("study.workflow.write_report", write_report)
     monkeypatch.setattr("study.workflow.read_stimuli", lambda _: None)
     monkeypatch.setattr("study.workflow.write_ratings", lambda *_: 1)

@@ -20,7 +20,7 @@ from study.workflow import build_study
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from analysis.further import Further
+    from analysis.table.further import Further
 
 REDUCERS = ("saz321", "pca321", "dft321_windowed")
 STUDY = f"""

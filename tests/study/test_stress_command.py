@@ -49,7 +49,7 @@ def test_the_default_folder_is_in_the_study(
     study: StudyFolder, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     """A study's own recordings, found as they came from the sensor, under the names that the study gives them."""
-    from analysis.stress import run
+    from analysis.tradeoff.stress import run
 
     asked: dict[str, object] = {}
     whole = run.stress_reducers

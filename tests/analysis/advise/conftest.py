@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from analysis.advise.choice import Advice, advise_scene
-from analysis.advise.scene import Context, split_recording
+from analysis.tradeoff.advise.choice import Advice, advise_scene
+from analysis.tradeoff.advise.scene import Context, split_recording
 from stimuli.condition import Conditioning, condition
 from stimuli.formats import read_recording
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from analysis.advise.scene import Context
-from analysis.advise.tolerance import Tolerance
+from analysis.tradeoff.advise.scene import Context
+from analysis.tradeoff.advise.tolerance import Tolerance
 from stimuli.recording import Recording
 from stimuli.reduce import REDUCERS
 from stimuli.synthesis import SCENES, make_scene
@@ -17,7 +17,7 @@ from stimuli.synthesis import SCENES, make_scene
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from analysis.advise.choice import Advice
+    from analysis.tradeoff.advise.choice import Advice
 
     Tell = Callable[..., Advice]
 

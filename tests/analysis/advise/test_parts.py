@@ -5,12 +5,12 @@ from math import inf, nan
 import numpy as np
 import pytest
 
-from analysis.advise.measures import SILENT_DB, Measures, find_change, find_level, make_trial, measure
-from analysis.advise.scene import Context, split_recording
-from analysis.advise.simplicity import Cost, find_cost
-from analysis.advise.tolerance import Tolerance
-from analysis.advise.verdict import Rated, Shortfall, Verdict, compare
-from analysis.advise.wording import tell_choice, tell_closest, tell_doubt, tell_fault
+from analysis.tradeoff.advise.measures import SILENT_DB, Measures, find_change, find_level, make_trial, measure
+from analysis.tradeoff.advise.scene import Context, split_recording
+from analysis.tradeoff.advise.simplicity import Cost, find_cost
+from analysis.tradeoff.advise.tolerance import Tolerance
+from analysis.tradeoff.advise.verdict import Rated, Shortfall, Verdict, compare
+from analysis.tradeoff.advise.wording import tell_choice, tell_closest, tell_doubt, tell_fault
 from stimuli.recording import Recording
 from stimuli.reduce import REDUCERS
 from stimuli.synthesis import make_scene

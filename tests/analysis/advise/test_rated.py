@@ -6,14 +6,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.advise.rated import judge_ratings
-from analysis.advise.scene import Context
-from analysis.table import Table
+from analysis.table.reading import Table
+from analysis.tradeoff.advise.rated import judge_ratings
+from analysis.tradeoff.advise.scene import Context
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from analysis.advise.choice import Advice
+    from analysis.tradeoff.advise.choice import Advice
     from stimuli.recording import Recording
 
 ALIKE = {"sax321": 30.0, "pca321": 70.0, "dft321": 70.0}

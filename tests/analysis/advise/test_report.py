@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from analysis.advise.drawing import KEYS, draw_advice, tell_state
-from analysis.advise.report import advise_recordings, lay_out, write_advice
-from analysis.advise.scene import Context
-from analysis.advise.verdict import Rated
+from analysis.tradeoff.advise.drawing import KEYS, draw_advice, tell_state
+from analysis.tradeoff.advise.report import advise_recordings, lay_out, write_advice
+from analysis.tradeoff.advise.scene import Context
+from analysis.tradeoff.advise.verdict import Rated
 from analysis.words import keep_together
 from stimuli.recording import Recording
 from stimuli.synthesis import make_scene
@@ -18,7 +18,7 @@ from stimuli.synthesis import make_scene
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from analysis.advise.report import Study
+    from analysis.tradeoff.advise.report import Study
 
 ONLINE = Context(online=True, latency_ms=5)
 

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from analysis.chart.compute import Effort, compute_chart
-from analysis.chart.records import Rated
+from analysis.tradeoff.chart.compute import Effort, compute_chart
+from analysis.tradeoff.chart.records import Rated
 from stimuli.condition import Conditioning, condition
 from stimuli.synthesis import make_scene
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from analysis.chart.chart import Chart
+    from analysis.tradeoff.chart.chart import Chart
     from stimuli.recording import Recording
 
 TINY = Effort("tiny", longest_s=0.3, rotations=4, sweep_rotations=2, largest_n=10_000, rounds=3)

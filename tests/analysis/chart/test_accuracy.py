@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from analysis.chart.accuracy import change_rate, cut_piece, draw_turns, measure_accuracy
-from analysis.chart.compute import FULL
-from analysis.chart.methods import Method, list_hops, list_methods, list_windowed, list_windows
+from analysis.tradeoff.chart.accuracy import change_rate, cut_piece, draw_turns, measure_accuracy
+from analysis.tradeoff.chart.compute import FULL
+from analysis.tradeoff.chart.methods import Method, list_hops, list_methods, list_windowed, list_windows
 from stimuli.fourier import dft321_windowed
 from stimuli.frames import sqrt_hann
 from stimuli.invariant import INVARIANTS

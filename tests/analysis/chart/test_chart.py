@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from analysis.chart.chart import TABLES, Chart, read_json
-from analysis.chart.compute import FULL, QUICK, compute_chart
-from analysis.chart.drawing import draw_cost, draw_latency
-from analysis.chart.explore import dump_data, list_choices
-from analysis.chart.notes import list_notes
-from analysis.chart.pareto import find_front
-from analysis.chart.records import MEASURES, SWEEPS, Precision
-from analysis.chart.telling import tell_answers
-from analysis.chart.write import write_chart
+from analysis.tradeoff.chart.chart import TABLES, Chart, read_json
+from analysis.tradeoff.chart.compute import FULL, QUICK, compute_chart
+from analysis.tradeoff.chart.drawing import draw_cost, draw_latency
+from analysis.tradeoff.chart.explore import dump_data, list_choices
+from analysis.tradeoff.chart.notes import list_notes
+from analysis.tradeoff.chart.pareto import find_front
+from analysis.tradeoff.chart.records import MEASURES, SWEEPS, Precision
+from analysis.tradeoff.chart.telling import tell_answers
+from analysis.tradeoff.chart.write import write_chart
 from stimuli.reduce import REDUCERS
 
 if TYPE_CHECKING:

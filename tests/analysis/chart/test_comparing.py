@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from analysis.chart.comparing import is_clear, list_dominated, mark_front, place_points
-from analysis.chart.methods import Method
-from analysis.chart.ratings import draw_interval, rate_reducers
-from analysis.chart.records import MEASURES, Accuracy, Cost, Point
-from analysis.profile import profile_reducers
+from analysis.contrasts.profile import profile_reducers
+from analysis.tradeoff.chart.comparing import is_clear, list_dominated, mark_front, place_points
+from analysis.tradeoff.chart.methods import Method
+from analysis.tradeoff.chart.ratings import draw_interval, rate_reducers
+from analysis.tradeoff.chart.records import MEASURES, Accuracy, Cost, Point
 
 if TYPE_CHECKING:
     from collections.abc import Callable

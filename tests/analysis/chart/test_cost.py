@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from analysis.chart.cost import Job, compare_precision, fit_all, list_lengths, measure_memory, time_jobs
-from analysis.chart.machine import describe_machine
-from analysis.chart.methods import Method
-from analysis.chart.timing import choose_clock, time_in_turn
+from analysis.tradeoff.chart.cost import Job, compare_precision, fit_all, list_lengths, measure_memory, time_jobs
+from analysis.tradeoff.chart.machine import describe_machine
+from analysis.tradeoff.chart.methods import Method
+from analysis.tradeoff.chart.timing import choose_clock, time_in_turn
 
 if TYPE_CHECKING:
     from pathlib import Path

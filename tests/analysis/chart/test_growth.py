@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.chart.cost import list_lengths
-from analysis.chart.growth import fit_growth
+from analysis.tradeoff.chart.cost import list_lengths
+from analysis.tradeoff.chart.growth import fit_growth
 
 N = np.array(list_lengths(1_000_000), dtype=float)
 

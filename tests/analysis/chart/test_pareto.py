@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.chart.pareto import dominates, find_front
+from analysis.tradeoff.chart.pareto import dominates, find_front
 
 
 def is_beaten(point: list[float], others: list[list[float]]) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.report import write_report
+from analysis.report.write import write_report
 from study.cli import main
 
 if TYPE_CHECKING:

@@ -9,12 +9,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.association import correlate
-from analysis.items import make_items
-from analysis.labels import ROSTER
-from analysis.schema import RATINGS, describe_further, describe_manifest, describe_ratings
-from analysis.sections.parts import split_parts
-from analysis.table import read_table
+from analysis.association.correlate import correlate
+from analysis.report.sections.parts import split_parts
+from analysis.table.items import make_items
+from analysis.table.labels import ROSTER
+from analysis.table.reading import read_table
+from analysis.table.schema import RATINGS, describe_further, describe_manifest, describe_ratings
 from stimuli.manifest import COLUMN_UNITS
 from study.ledger import roster
 from study.ratings import COLUMNS

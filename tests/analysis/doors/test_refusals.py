@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.table import read_table
+from analysis.table.reading import read_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from analysis.equivalence import equivalence
+from analysis.contrasts.equivalence import equivalence
 from analysis.figures.contrasts import draw_equivalence
 
 if TYPE_CHECKING:

@@ -7,11 +7,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.association import Association, correlate
+from analysis.association.correlate import Association, correlate
+from analysis.contrasts.profile import stimulus_means
 from analysis.figures.mapping import draw_mapping
 from analysis.figures.style import assign_looks
-from analysis.p1401 import P1401, p1401
-from analysis.profile import stimulus_means
+from analysis.p1401.mapping import P1401, p1401
 
 if TYPE_CHECKING:
     from collections.abc import Callable

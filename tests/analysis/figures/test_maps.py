@@ -7,8 +7,8 @@ import pytest
 
 from analysis.figures.maps import draw_space
 from analysis.figures.style import assign_looks
-from analysis.landmarks import Ellipses
-from analysis.space import Space
+from analysis.space.landmarks import Ellipses
+from analysis.space.scaling import Space
 
 if TYPE_CHECKING:
     from collections.abc import Callable

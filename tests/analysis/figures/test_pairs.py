@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 import pandas as pd
 import pytest
 
-from analysis.bradley_terry import bradley_terry
-from analysis.discrimination import discriminate
+from analysis.contrasts.bradley_terry import bradley_terry
+from analysis.contrasts.discrimination import discriminate
 from analysis.figures.pairs import draw_abilities, draw_discrimination
 from analysis.figures.style import assign_looks
 

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from analysis.figures.slopes import draw_slopes
-from analysis.primary import Primary, fit_primary
+from analysis.primary.model import Primary, fit_primary
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from analysis.figures.universes import draw_multiverse
-from analysis.multiverse import Multiverse, run_multiverse
+from analysis.primary.multiverse import Multiverse, run_multiverse
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -9,13 +9,13 @@ import pandas as pd
 import pytest
 from scipy.stats import binom
 
-from analysis.association import correlate
-from analysis.items import make_items
+from analysis.association.correlate import correlate
 from analysis.refined.candidates import EQUAL, make_basis
 from analysis.refined.choice import choose, fit_candidate, leave_out, sum_moments
 from analysis.refined.folds import FOLDS, GROUPS, average_groups, make_split
 from analysis.refined.refine import Refined, refine_metric
 from analysis.refined.score import Data, score_draws
+from analysis.table.items import make_items
 
 SLOPES = {"noise": (0.0, 0.0), "one": (30.0, 0.0), "both": (30.0, 30.0), "uneven": (45.0, 15.0)}
 

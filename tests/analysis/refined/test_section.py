@@ -10,9 +10,9 @@ import pandas as pd
 import pytest
 
 from analysis.refined.refine import Refined, refine_metric
-from analysis.sections.choices import Choices
-from analysis.sections.refined import LEVEL, compute
-from analysis.table import Table
+from analysis.report.sections.choices import Choices
+from analysis.report.sections.refined import LEVEL, compute
+from analysis.table.reading import Table
 from analysis.words import tell_range
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def test_one_recommendation_leaves_a_line_for_the_rest(
     def search(*given: Any, **choices: Any) -> Refined:
         return replace(refine_metric(*given, **choices), recommended=next(turns))
 
-    monkeypatch.setattr("analysis.sections.refined.refine_metric", search)
+    monkeypatch.setattr("analysis.report.sections.refined.refine_metric", search)
     rows = make_table(spectral=25, temporal=30).rows
     both = pd.concat([rows, rows.assign(scale="similarity")], ignore_index=True)
     first, second = map(str, compute(Table(both, METRICS, ()), CHOICES).verdict)
@@ -100,7 +100,7 @@ def test_a_gain_over_the_best_alone_is_no_recommendation(
     def search(*given: Any, **choices: Any) -> Refined:
         return replace(refine_metric(*given, **choices), recommended=False)
 
-    monkeypatch.setattr("analysis.sections.refined.refine_metric", search)
+    monkeypatch.setattr("analysis.report.sections.refined.refine_metric", search)
     answer = compute(make_table(spectral=25, temporal=30), CHOICES).answers[0]
     assert answer.startswith("Realism: no refined metric is recommended: ")
     assert "but one is not chosen on all ratings, or does not gain over every single metric." in answer

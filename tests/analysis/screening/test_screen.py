@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.agreement import krippendorff_alpha
-from analysis.reliability import intraclass
+from analysis.agreement.alpha import krippendorff_alpha
+from analysis.agreement.reliability import intraclass
 from analysis.screening import RULES, screen_raters
 from analysis.screening.rules import EXPERTISE
 

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from analysis.sections import primary
-from analysis.sections.choices import Choices
-from analysis.table import Table
+from analysis.report.sections import primary
+from analysis.report.sections.choices import Choices
+from analysis.table.reading import Table
 
 if TYPE_CHECKING:
     from collections.abc import Callable

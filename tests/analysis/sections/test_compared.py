@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from analysis.equivalence import equivalence, non_inferiority
-from analysis.sections import contrasts, levels
-from analysis.sections.choices import Choices
-from analysis.sections.effects import adjust
-from analysis.table import Table
+from analysis.contrasts.equivalence import equivalence, non_inferiority
+from analysis.report.sections import contrasts, levels
+from analysis.report.sections.choices import Choices
+from analysis.report.sections.effects import adjust
+from analysis.table.reading import Table
 
 if TYPE_CHECKING:
     from collections.abc import Callable

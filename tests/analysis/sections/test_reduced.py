@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import pandas as pd
 import pytest
 
-from analysis.report import write_report
+from analysis.report.write import write_report
 from protocols.registry import PROTOCOLS
 from study.folder import StudyFolder
 from study.workflow import build_study, simulate_study
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from analysis.results import Results
+    from analysis.report.results import Results
 
 STUDY = """
 [study]

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from analysis.items import make_items
-from analysis.p1401 import p1401
-from analysis.p1401_difference import compare_p1401
-from analysis.sections.choices import Choices
-from analysis.sections.parts import split_parts
-from analysis.sections.standard import compute
-from analysis.table import Table
+from analysis.p1401.difference import compare_p1401
+from analysis.p1401.mapping import p1401
+from analysis.report.sections.choices import Choices
+from analysis.report.sections.parts import split_parts
+from analysis.report.sections.standard import compute
+from analysis.table.items import make_items
+from analysis.table.reading import Table
 
 if TYPE_CHECKING:
     from collections.abc import Callable

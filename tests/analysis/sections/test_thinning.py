@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.sections import thinning
-from analysis.sections.thinning import FEWEST, thin_rows
+from analysis.report.sections import thinning
+from analysis.report.sections.thinning import FEWEST, thin_rows
 
 
 def make_rows(people: int, scenes: int, *, repeats: int = 1) -> pd.DataFrame:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from analysis.stress.battery import BATTERY
-from analysis.stress.run import stress_reducers, write_stress
+from analysis.tradeoff.stress.battery import BATTERY
+from analysis.tradeoff.stress.run import stress_reducers, write_stress
 from stimuli.recording import Recording
 from stimuli.reduce import REDUCERS
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from analysis.stress.result import StressResult
+    from analysis.tradeoff.stress.result import StressResult
 
 
 def make_recording(acceleration: object, *, rate_hz: float = 1000.0, name: str = "made") -> Recording:

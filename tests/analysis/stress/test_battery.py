@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.stress.battery import ADXL345_STEP, BATTERY
-from analysis.stress.cells import Cell, find_cell, measure_cells
-from analysis.stress.limits import MEASURES
-from analysis.stress.signs import SIGNS, diagnose
+from analysis.tradeoff.stress.battery import ADXL345_STEP, BATTERY
+from analysis.tradeoff.stress.cells import Cell, find_cell, measure_cells
+from analysis.tradeoff.stress.limits import MEASURES
+from analysis.tradeoff.stress.signs import SIGNS, diagnose
 from stimuli.reduce import REDUCERS
 
 KNOWN = [(scene.name, failing) for scene in BATTERY.values() for failing in scene.failing]

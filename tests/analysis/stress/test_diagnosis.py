@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.stress import diagnosis
-from analysis.stress.cells import Cell
-from analysis.stress.signs import SIGNS, Diagnosis, diagnose, warn_of
+from analysis.tradeoff.stress import diagnosis
+from analysis.tradeoff.stress.cells import Cell
+from analysis.tradeoff.stress.signs import SIGNS, Diagnosis, diagnose, warn_of
 from stimuli.condition import Conditioning, condition
 from stimuli.formats import read_recording
 

@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.stress.battery import BATTERY
-from analysis.stress.change import UNRELATED, relative_change
-from analysis.stress.measures import (
+from analysis.tradeoff.stress.battery import BATTERY
+from analysis.tradeoff.stress.change import UNRELATED, relative_change
+from analysis.tradeoff.stress.measures import (
     LARGEST_DB,
     edge_error,
     energy_error,
@@ -15,7 +15,7 @@ from analysis.stress.measures import (
     perturbation_gain,
     shift_change,
 )
-from analysis.stress.mounting import flip_change, metric_spread, rotation_change
+from analysis.tradeoff.stress.mounting import flip_change, metric_spread, rotation_change
 from stimuli.reduce import REDUCERS
 
 POINTWISE = ("sax321", "say321", "saz321", "soc321", "mag321")

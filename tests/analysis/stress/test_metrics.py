@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.stress.battery import BATTERY
-from analysis.stress.metrics import compare_metrics_under_rotation, say_metrics
+from analysis.tradeoff.stress.battery import BATTERY
+from analysis.tradeoff.stress.metrics import compare_metrics_under_rotation, say_metrics
 from stimuli.reduce import REDUCERS
 
 

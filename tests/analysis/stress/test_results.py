@@ -11,12 +11,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.stress.battery import BATTERY
-from analysis.stress.drawing import tell_gain
-from analysis.stress.limits import MEASURES
-from analysis.stress.page import name_anchor, tell_figure
-from analysis.stress.reasons import tell_reason
-from analysis.stress.run import stress_reducers, take_excerpt, write_stress
+from analysis.tradeoff.stress.battery import BATTERY
+from analysis.tradeoff.stress.drawing import tell_gain
+from analysis.tradeoff.stress.limits import MEASURES
+from analysis.tradeoff.stress.page import name_anchor, tell_figure
+from analysis.tradeoff.stress.reasons import tell_reason
+from analysis.tradeoff.stress.run import stress_reducers, take_excerpt, write_stress
 from stimuli.recording import Recording
 from stimuli.reduce import REDUCERS
 

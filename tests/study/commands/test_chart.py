@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from analysis.chart import compute
-from analysis.chart.chart import read_json
+from analysis.tradeoff.chart import compute
+from analysis.tradeoff.chart.chart import read_json
 from stimuli.manifest import read_stimuli
 from study.cli import main
 from study.folder import StudyFolder

@@ -1,0 +1,1 @@
+"""Reducers against one another: means, differences that matter or do not, choices between two."""

@@ -1,0 +1,1 @@
+"""ITU-T P.1401, the standard for judging objective metrics."""

@@ -1,0 +1,1 @@
+"""The report: sections, words, figures' captions, page and files."""

@@ -1,0 +1,210 @@
+"""The report: a page, its numbers, its tables and its figures, all derived from two CSV files."""
+
+from __future__ import annotations
+
+import platform
+import tempfile
+from dataclasses import replace
+from importlib.metadata import version
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from analysis.figures.files import save_figure
+from analysis.findings import refuse_untested
+from analysis.report.inputs import describe_inputs
+from analysis.report.page import render_page
+from analysis.report.pictures import note_undrawable, number_pictures
+from analysis.report.replacing import list_files, replace_report
+from analysis.report.results import Results, collect_numbers
+from analysis.report.sections.choices import Choices
+from analysis.report.sections.listing import SECTIONS
+from analysis.screening import RULES
+from analysis.table.reading import read_table
+from analysis.words import tell_note
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from analysis.report.sections.section import Section
+    from analysis.table.further import Further
+    from analysis.table.reading import Table
+
+COMPUTED_WITH = ("numpy", "scipy", "pandas", "statsmodels", "scikit-learn", "matplotlib", "jinja2")
+
+
+def write_report(  # noqa: PLR0913 - every choice that changes a report has a name of its own
+    ratings_path: Path | str,
+    manifest_path: Path | str,
+    folder: Path | str,
+    *,
+    draws: int = 2000,
+    margin: float | None = None,
+    sources: Mapping[str, str] | None = None,
+    further: Further | None = None,
+    seed: int,
+    progress: Callable[[int, int], None] | None = None,
+) -> Results:
+    """Analyse ratings against the match metrics and write the report.
+
+    Parameters
+    ----------
+    ratings_path : Path or str
+        ``ratings.csv``, from feel321 or from elsewhere.
+    manifest_path : Path or str
+        ``manifest.csv`` of the stimuli that were rated.
+    folder : Path or str
+        The report's folder. The files of a former report, which its ``results.json`` lists, are replaced;
+        all others stay.
+    draws : int
+        Bootstrap draws per interval, and random pairings per permutation test; at least 2.
+    margin : float, optional
+        Points by which reducers may differ and still count as equivalent; half the standard deviation of repeated
+        ratings if left out.
+    sources : Mapping of str to str, optional
+        Recording -> what it was made from, where several are one, turned, cut or edited, and the manifest has no column
+        ``source``: intervals then draw sources.
+    further : Further, optional
+        Metrics to explore that neither file holds, such as rotation statistics.
+    seed : int
+        Of all randomness; the same files and choices give the same bytes.
+    progress : callable, optional
+        Called with the numbers of sections done and to do.
+
+    Returns
+    -------
+    Results
+        What ``results.json`` holds.
+
+    Raises
+    ------
+    ValueError
+        If the tables cannot be analysed; names the file and the lines.
+    OSError
+        If a file cannot be read or written, or would replace one that is not of a former report.
+    """
+    ratings, manifest, target = Path(ratings_path), Path(manifest_path), Path(folder)
+    choices = Choices(draws=draws, margin=margin, seed=seed)
+    table = read_table(ratings, manifest, sources=sources, further=further)
+    sections = compute_sections(table, choices, progress=progress)
+    inputs = describe_inputs(ratings, manifest, table=table, further=further, choices=choices)
+    results = gather_results(table, sections, inputs=inputs)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    # Everything is written beside its place first: an interrupted run leaves the former report as it was.
+    with tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}-") as place:
+        _write_parts(Path(place), results, sections)
+        page = render_page(results, sections, figures=Path(place) / "figures")
+        (Path(place) / "index.html").write_text(page, encoding="utf-8", newline="")
+        replace_report(Path(place), target, files=results.files)
+    return results
+
+
+def compute_sections(
+    table: Table, choices: Choices, *, progress: Callable[[int, int], None] | None = None
+) -> tuple[Section, ...]:
+    """Run the whole analysis.
+
+    Parameters
+    ----------
+    table : Table
+        Ratings and metrics.
+    choices : Choices
+        What was chosen beforehand.
+    progress : callable, optional
+        Called with the numbers of sections done and to do.
+
+    Returns
+    -------
+    tuple of Section
+        In the report's order, figures numbered through.
+
+    Raises
+    ------
+    ValueError
+        If no test stimulus was rated.
+    """
+    import scipy.linalg  # noqa: F401 - brings a second library of linear algebra, whose threads are held too
+    from threadpoolctl import threadpool_limits
+
+    refuse_untested(table)
+    done = []
+    # Matrices here are small: threads of the linear algebra wait for each other most of the time, and take nine
+    # times as long on a busy machine.
+    with threadpool_limits(limits=1, user_api="blas"):
+        for number, compute in enumerate(SECTIONS, start=1):
+            done.append(compute(table, choices))
+            if progress is not None:
+                progress(number, len(SECTIONS))
+    pictures = number_pictures(picture for section in done for picture in section.pictures)
+    return tuple(replace(section, pictures=tuple(islice(pictures, len(section.pictures)))) for section in done)
+
+
+def gather_results(table: Table, sections: Sequence[Section], *, inputs: Mapping[str, str]) -> Results:
+    """Gather what ``results.json`` holds.
+
+    Parameters
+    ----------
+    table : Table
+        What was analysed.
+    sections : sequence of Section
+        What came out.
+    inputs : Mapping of str to str
+        Files and choices.
+
+    Returns
+    -------
+    Results
+        Every number, sentence and file.
+    """
+    pictures = [picture for section in sections for picture in section.pictures]
+    tables = [name for section in sections for name in section.tables]
+    names = [*table.rows["scale"].unique(), *table.rows["level"].unique(), *table.metrics, *table.further, *RULES]
+    told = (tell_note(note, names) for section in sections for note in section.notes)
+    notes = (*table.notes, *told, *note_undrawable(table))
+    return Results(
+        verdict=write_verdict(sections),
+        numbers=collect_numbers(table, (number for section in sections for number in section.numbers)),
+        answers={section.key: section.answers for section in sections if section.answers},
+        figures={picture.name: picture.caption for picture in pictures},
+        captions=tuple(grid.caption for section in sections for grid in section.grids),
+        notes=tuple(dict.fromkeys(notes)),
+        how=tuple(dict.fromkeys(line for section in sections for line in section.how)),
+        files=list_files([picture.name for picture in pictures], tables),
+        simulated=bool(table.rows["simulated"].any()),
+        inputs=inputs,
+        versions=_list_versions(),
+    )
+
+
+def write_verdict(sections: Sequence[Section]) -> tuple[str, ...]:
+    """Gather the sentences that open the report.
+
+    Parameters
+    ----------
+    sections : sequence of Section
+        In the report's order.
+
+    Returns
+    -------
+    tuple of str
+        What each has to say in front.
+    """
+    return tuple(dict.fromkeys(str(line) for section in sections for line in section.verdict))
+
+
+def _write_parts(place: Path, results: Results, sections: Sequence[Section]) -> None:
+    (place / "tables").mkdir()
+    for name, frame in (entry for section in sections for entry in section.tables.items()):
+        text = frame.to_csv(index=False, float_format="%.10g", lineterminator="\n")
+        (place / "tables" / f"{name}.csv").write_text(text, encoding="utf-8", newline="")
+    (place / "figures").mkdir()
+    for picture in (picture for section in sections for picture in section.pictures):
+        save_figure(picture.figure, place / "figures" / picture.name)
+    (place / "results.json").write_text(results.to_json(), encoding="utf-8", newline="")
+
+
+def _list_versions() -> dict[str, str]:
+    from stimuli.version import __version__
+
+    libraries = {name: version(name) for name in COMPUTED_WITH}
+    return {"feel321": __version__, "python": platform.python_version(), **libraries}

@@ -1,0 +1,1 @@
+"""The cluster bootstrap over participants and recordings, and the weighted correlations it draws."""

@@ -1,0 +1,1 @@
+"""What people tell apart, as a map, and what its axes mean."""

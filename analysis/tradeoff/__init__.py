@@ -1,0 +1,1 @@
+"""Speed against accuracy, stability where methods fail, and the least sufficient reducer."""

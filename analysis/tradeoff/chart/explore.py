@@ -1,0 +1,191 @@
+"""What the page's script needs to let a reader explore: axes, and what every method has on them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from analysis.table.scales import APART
+from analysis.table.scales import tell_measure as tell_scale
+from analysis.tradeoff.chart.axes import look_up, tell_measure
+from analysis.tradeoff.chart.compute import list_reference_costs
+from analysis.tradeoff.chart.cost import NS, RATE_HZ
+from analysis.tradeoff.chart.methods import list_hops, list_methods, list_windows
+from analysis.tradeoff.chart.records import MEASURES
+from analysis.words import tell_name
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from analysis.tradeoff.chart.chart import Chart
+    from analysis.tradeoff.chart.methods import Method
+    from analysis.tradeoff.chart.records import Accuracy, Cost, Rated
+
+PLACES = 5
+"""Significant digits that the page keeps; results.json keeps all."""
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """An axis that a reader can choose.
+
+    Parameters
+    ----------
+    key : str
+        Its name in the data.
+    label : str
+        Its name on the page, with unit.
+    kind : str
+        speed, accuracy or rating.
+    better : str
+        low or high.
+    log : bool
+        Whether a logarithmic axis makes sense.
+    """
+
+    key: str
+    label: str
+    kind: str
+    better: str
+    log: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _Entry:
+    """A marker of the page: what it is, what it costs, where its scores are."""
+
+    kind: str
+    label: str
+    method: Method
+    cost: Cost
+    scored: tuple[str, str, float | None]
+    waiting_s: float = 0.0
+
+
+def list_choices(chart: Chart) -> tuple[Choice, ...]:
+    """List the axes that a chart offers.
+
+    Parameters
+    ----------
+    chart : Chart
+        What was measured.
+
+    Returns
+    -------
+    tuple of Choice
+        Speed, accuracy, and ratings if there are any.
+    """
+    rated = {_name_rating(row): "low" if row.scale in APART else "high" for row in chart.rated}
+    return (
+        Choice("cost", "Cost of one sample (ns)", "speed", "low", log=True),
+        Choice("real_time", f"Speed (× real time, {RATE_HZ / 1000:g} kHz unless named)", "speed", "high", log=True),
+        Choice("latency", "Algorithmic latency (ms)", "speed", "low", log=True),
+        *(Choice(measure, tell_measure(measure), "accuracy", "high", log=False) for measure in MEASURES),
+        *(Choice(name, name, "rating", better, log=False) for name, better in rated.items()),
+    )
+
+
+def dump_data(chart: Chart, choices: Iterable[Choice]) -> str:
+    """Write what the script reads.
+
+    Parameters
+    ----------
+    chart : Chart
+        What was measured.
+    choices : iterable of Choice
+        Its axes.
+
+    Returns
+    -------
+    str
+        JSON that can stand in a page: no name in it can end its element.
+    """
+    axes = [{name: getattr(choice, name) for name in Choice.__slots__} for choice in choices]
+    methods = _list_entries(chart)
+    data = {"axes": axes, "scenes": [scene.name for scene in chart.scenes], "methods": methods}
+    return json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+
+
+def _list_entries(chart: Chart) -> list[dict[str, Any]]:
+    ratings, looks = _list_ratings(chart), look_up(chart)
+    scores: dict[tuple[str, str, float | None], list[Accuracy]] = {}
+    for row in chart.accuracies:
+        rate_hz = row.rate_hz if row.sweep == "rate" else None
+        scores.setdefault((row.sweep, row.method, rate_hz), []).append(row)
+    return [
+        {
+            "label": entry.label,
+            "reducer": entry.method.reducer,
+            "kind": entry.kind,
+            "colour": looks[entry.method.reducer].colour,
+            "marker": looks[entry.method.reducer].marker,
+            "speed": _tell_speed(entry),
+            "scores": _tell_scores(scores[entry.scored]),
+            "ratings": ratings.get(entry.method.reducer, {}) if entry.kind == "reducer" else {},
+        }
+        for entry in (*_find_whole(chart), *_find_rates(chart), *_find_streams(chart))
+        if entry.scored in scores
+    ]
+
+
+def _find_whole(chart: Chart) -> Iterator[_Entry]:
+    # A method that stands in two sweeps was timed twice, as was any other; here each needs one time only.
+    costs = {(cost.sweep, cost.method): cost for cost in list_reference_costs(chart.costs)}
+    kinds = (("reducer", "size", list_methods()), ("window", "window", list_windows()), ("hop", "hop", list_hops()))
+    for kind, sweep, methods in kinds:
+        for method in methods:
+            yield _Entry(kind, method.label, method, costs[sweep, method.label], (kind, method.label, None))
+
+
+def _find_rates(chart: Chart) -> Iterator[_Entry]:
+    methods = {method.label: method for method in list_methods()}
+    for cost in chart.costs:
+        if cost.sweep == "rate":
+            label = f"{cost.method}, {cost.rate_hz / 1000:g} kHz"
+            yield _Entry("rate", label, methods[cost.method], cost, ("rate", cost.method, cost.rate_hz))
+
+
+def _find_streams(chart: Chart) -> Iterator[_Entry]:
+    """List streams: they give what the whole signal gives, a block later."""
+    methods = {method.label: method for method in list_methods()}
+    for cost in chart.costs:
+        if cost.sweep == "block":
+            label = f"{cost.method}, blocks of {cost.block}"
+            waiting_s = (cost.block - 1) / cost.rate_hz
+            yield _Entry("block", label, methods[cost.method], cost, ("reducer", cost.method, None), waiting_s)
+
+
+def _tell_speed(entry: _Entry) -> dict[str, list[float | None]]:
+    cost, latency = entry.cost, entry.method.find_latency(entry.cost.rate_hz)
+    times = [NS / cost.rate_hz / time for time in (cost.ns_per_sample, cost.high, cost.low)]
+    return {
+        "cost": [_round(time) for time in (cost.ns_per_sample, cost.low, cost.high)],
+        "real_time": [_round(time) for time in times],
+        "latency": [None if latency is None else _round(1000 * (latency + entry.waiting_s)), None, None],
+    }
+
+
+def _tell_scores(rows: Iterable[Accuracy]) -> dict[str, dict[str, list[float]]]:
+    """Scene -> measure -> mean and standard deviation over orientations, and the value as mounted."""
+    scores: dict[str, dict[str, list[float]]] = {}
+    for row in rows:
+        scores.setdefault(row.scene, {})[row.measure] = [_round(row.mean), _round(row.sd), _round(row.as_mounted)]
+    return scores
+
+
+def _list_ratings(chart: Chart) -> dict[str, dict[str, list[float | None]]]:
+    found: dict[str, dict[str, list[float | None]]] = {}
+    for row in chart.rated:
+        ends = (row.low, row.high, row.two_way_low, row.two_way_high)
+        numbers = [_round(row.mean), *(None if end is None else _round(end) for end in ends)]
+        found.setdefault(row.reducer, {})[_name_rating(row)] = numbers
+    return found
+
+
+def _name_rating(row: Rated) -> str:
+    return f"Mean {tell_scale(row.scale)}, {tell_name(row.level)} (0 to 100)"
+
+
+def _round(value: float) -> float:
+    return float(f"{value:.{PLACES}g}")

@@ -1,0 +1,169 @@
+"""A chart on the disk: numbers first, then figures, then the page; a former chart is replaced, nothing else."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from analysis.figures.files import save_figure
+from analysis.report.page import TEMPLATES, inline_svg
+from analysis.report.pictures import Picture, make_slug, number_pictures
+from analysis.report.replacing import list_files, replace_report
+from analysis.table.scales import tell_measure as tell_scale
+from analysis.tradeoff.chart.axes import CUT, look_up
+from analysis.tradeoff.chart.drawing import draw_cost, draw_latency, draw_rated
+from analysis.tradeoff.chart.records import MEASURES
+from analysis.words import keep_together, tell_name
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from analysis.tradeoff.chart.chart import Chart
+
+MARKS = (
+    "A marker is the median over scenes of the mean over random sensor orientations, a small dot one scene, the "
+    f"vertical line their span; what lies below {CUT:g} stands at the edge."
+)
+FRONT = (
+    "The horizontal line is the quartiles of the cost. Dashed: the Pareto front; edged in black: what no other "
+    "reducer clearly beats in both. One sensor axis is as good as another where every orientation is tried, so "
+    "sax321, say321 and saz321 coincide."
+)
+
+
+def write_chart(chart: Chart, folder: Path | str) -> tuple[str, ...]:
+    """Write a chart.
+
+    Parameters
+    ----------
+    chart : Chart
+        What was measured.
+    folder : Path or str
+        Where to. The files of a former chart, which its ``results.json`` lists, are replaced; all others stay.
+
+    Returns
+    -------
+    tuple of str
+        The files, relative to the folder: ``results.json``, ``index.html``, figures and tables.
+
+    Raises
+    ------
+    OSError
+        If a file cannot be written, or would replace one that is not of a former chart.
+    """
+    from analysis.tradeoff.chart.tables import write_tables
+    from analysis.tradeoff.chart.telling import tell_answers
+
+    target = Path(folder)
+    pictures = tuple(number_pictures(_list_pictures(chart)))
+    tables = write_tables(chart)
+    files = list_files([picture.name for picture in pictures], tables)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    # Everything is written beside its place first: an interrupted run leaves the former chart as it was.
+    with tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}-") as name:
+        place = Path(name)
+        for part in ("tables", "figures"):
+            (place / part).mkdir()
+        for table, text in tables.items():
+            _write(place / "tables" / f"{table}.csv", text)
+        for picture in pictures:
+            save_figure(picture.figure, place / "figures" / picture.name)
+        captions = {picture.name: picture.caption for picture in pictures}
+        _write(place / "results.json", chart.to_json(files=files, answers=tell_answers(chart), figures=captions))
+        _write(place / "index.html", render_page(chart, pictures, figures=place / "figures"))
+        replace_report(place, target, files=files)
+    return files
+
+
+def render_page(chart: Chart, pictures: Sequence[Picture], *, figures: Path) -> str:
+    """Render the page that a reader explores.
+
+    Parameters
+    ----------
+    chart : Chart
+        What was measured.
+    pictures : sequence of Picture
+        Its figures.
+    figures : Path
+        Folder that holds the SVG file of each.
+
+    Returns
+    -------
+    str
+        One HTML file; its script is in it and asks no network.
+    """
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    from analysis.tradeoff.chart.explore import dump_data, list_choices
+    from analysis.tradeoff.chart.tables import list_sheets
+    from analysis.tradeoff.chart.telling import tell_answers
+
+    environment = Environment(
+        loader=FileSystemLoader(TEMPLATES), autoescape=True, undefined=StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, finalize=keep_together,
+    )  # fmt: skip
+    choices = list_choices(chart)
+    return environment.get_template("chart.html").render(
+        chart=chart,
+        answers=tell_answers(chart),
+        axes=[asdict(choice) for choice in choices],
+        looks=look_up(chart),
+        pictures=pictures,
+        drawings={picture.name: inline_svg(picture, figures / f"{picture.name}.svg") for picture in pictures},
+        grids=list_sheets(chart),
+        data=dump_data(chart, choices),
+        style="".join((TEMPLATES / name).read_text(encoding="utf-8") for name in ("report.css", "chart.css")),
+        script=(TEMPLATES / "chart.js").read_text(encoding="utf-8"),
+    )
+
+
+def _list_pictures(chart: Chart) -> Iterator[Picture]:
+    from analysis.tradeoff.chart.drawing_cost import draw_blocks, draw_growth, draw_rates
+
+    paper, invariant = MEASURES[:2], MEASURES[2:]
+    yield Picture("cost", "cost", f"Both of the paper's metrics against cost. {MARKS} {FRONT}", draw_cost(chart, paper))
+    yield Picture(
+        "cost_invariant", "cost",
+        f"Their rotation-invariant counterparts against cost. {MARKS} {FRONT}", draw_cost(chart, invariant),
+    )  # fmt: skip
+    yield Picture(
+        "latency", "latency",
+        "Both of the paper's metrics against algorithmic latency, windowed reducers with windows of 10 to 200 ms. A "
+        f"vertical line spans the scenes; what lies below {CUT:g} stands at the edge. Markers stand aside of each "
+        "other.",
+        draw_latency(chart, paper),
+    )  # fmt: skip
+    yield Picture(
+        "growth", "growth",
+        "Time of one call (median, shaded: quartiles) and the most memory that it holds beside its input, against the "
+        "length of the signal.",
+        draw_growth(chart),
+    )  # fmt: skip
+    yield Picture(
+        "blocks", "blocks",
+        "Cost of streaming against the samples per call (median, shaded: quartiles); reducers that need the whole "
+        "signal cannot stream.",
+        draw_blocks(chart),
+    )  # fmt: skip
+    yield Picture(
+        "rates", "rates",
+        "Both of the paper's metrics and speed against the sampling rate: medians over scenes of the means over "
+        f"orientations; what lies below {CUT:g} stands at the edge.",
+        draw_rates(chart, paper),
+    )  # fmt: skip
+    for scale, level in dict.fromkeys((row.scale, row.level) for row in chart.rated):
+        yield _picture_rated(chart, scale, level)
+
+
+def _picture_rated(chart: Chart, scale: str, level: str) -> Picture:
+    caption = (
+        f"Mean {tell_scale(scale)} (level {tell_name(level)}) against cost. Thick: 95 % t interval over participants, "
+        "for these recordings; thin: 95 % bootstrap interval over participants and recordings."
+    )
+    return Picture(make_slug("rated", scale, level), "rated", caption, draw_rated(chart, scale, level))
+
+
+def _write(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8", newline="")
