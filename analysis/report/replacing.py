@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
-RESULTS = "results.json"
+PAGE, RESULTS = "index.html", "results.json"
 OWN = re.compile(r"index\.html|results\.json|figures/[^/\\]+\.(?:svg|png)|tables/[^/\\]+\.csv")
 """What a report's files are called; a list that names anything else is not obeyed."""
 
@@ -29,7 +29,25 @@ def list_files(figures: Iterable[str], tables: Iterable[str]) -> tuple[str, ...]
         Paths relative to the report's folder.
     """
     drawn = (f"figures/{name}.{suffix}" for name in figures for suffix in ("svg", "png"))
-    return (RESULTS, "index.html", *drawn, *(f"tables/{name}.csv" for name in tables))
+    return (RESULTS, PAGE, *drawn, *(f"tables/{name}.csv" for name in tables))
+
+
+def check_target(target: Path) -> None:
+    """Find out whether a report may go to a folder, before minutes are spent on it.
+
+    Parameters
+    ----------
+    target : Path
+        The folder.
+
+    Raises
+    ------
+    FileExistsError
+        If it is a file, or holds a page or results that are not of a former report.
+    """
+    if target.exists() and not target.is_dir():
+        raise FileExistsError(f"{target}: got a file, allowed is a folder, there or not; choose another name")
+    _refuse_foreign(target, (RESULTS, PAGE))
 
 
 def replace_report(place: Path, target: Path, *, files: Iterable[str]) -> None:
@@ -52,17 +70,24 @@ def replace_report(place: Path, target: Path, *, files: Iterable[str]) -> None:
     OSError
         If a file cannot be moved.
     """
-    wanted, former = tuple(files), _list_former(target)
-    foreign = [name for name in wanted if name not in former and (target / name).exists()]
-    if foreign:
-        why = "is there, but is not of a former report; move it away or choose another folder"
-        raise FileExistsError(f"{target / foreign[0]}: {why}")
+    wanted = tuple(files)
+    former = _refuse_foreign(target, wanted)
     for name in former - set(wanted):
         (target / name).unlink(missing_ok=True)
     for name in wanted:
         (target / name).parent.mkdir(parents=True, exist_ok=True)
         # The list goes first: a run that is interrupted here leaves files that the next one knows for its own.
         (place / name).replace(target / name)
+
+
+def _refuse_foreign(target: Path, wanted: Iterable[str]) -> set[str]:
+    """Refuse to write over what is not of a former report; say what is."""
+    former = _list_former(target)
+    foreign = [name for name in wanted if name not in former and (target / name).exists()]
+    if foreign:
+        why = "is there, but is not of a former report; move it away or choose another folder"
+        raise FileExistsError(f"{target / foreign[0]}: {why}")
+    return former
 
 
 def _list_former(target: Path) -> set[str]:

@@ -15,7 +15,7 @@ from analysis.findings import refuse_untested
 from analysis.report.inputs import describe_inputs
 from analysis.report.page import render_page
 from analysis.report.pictures import note_undrawable, number_pictures
-from analysis.report.replacing import list_files, replace_report
+from analysis.report.replacing import check_target, list_files, replace_report
 from analysis.report.results import Results, collect_numbers
 from analysis.report.sections.choices import Choices
 from analysis.report.sections.listing import SECTIONS
@@ -84,6 +84,7 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
         If a file cannot be read or written, or would replace one that is not of a former report.
     """
     ratings, manifest, target = Path(ratings_path), Path(manifest_path), Path(folder)
+    check_target(target)
     choices = Choices(draws=draws, margin=margin, seed=seed)
     table = read_table(ratings, manifest, sources=sources, further=further)
     sections = compute_sections(table, choices, progress=progress)

@@ -1,9 +1,9 @@
 """Further metrics: what else may predict ratings, beside the metrics that the analysis was planned for.
 
 They are the rotation statistics of the metrics, the metrics of signals as they were delivered, and counterparts that no
-orientation of the sensor changes (`analysis.table.schema.FURTHER`). A stimulus has them from the manifest, from the ratings
-(the mean over its judgements), or from whoever asks for the report. They are explored: no primary analysis and no
-correction for several tests holds them.
+orientation of the sensor changes (`analysis.table.schema.FURTHER`). A stimulus has them from the manifest, from the
+ratings (the mean over its judgements), or from whoever asks for the report. They are explored: no primary analysis and
+no correction for several tests holds them.
 """
 
 from __future__ import annotations

@@ -100,9 +100,12 @@ def method_options(output: str) -> Callable[[Verb], Verb]:
         def ask_then_do(
             *, folder: Path, scenes: bool, extra: tuple[Path, ...], target: Path | None, seed: int | None, **own: object
         ) -> None:
-            study = _find_folder(folder)
+            from analysis.report.replacing import check_target
+
+            study, output_folder = _find_folder(folder), target or folder / output
+            check_target(output_folder)
             chosen = _find_seed(study) if seed is None else seed
-            verb(task=Task(study, scenes, extra, target or folder / output, chosen), **own)
+            verb(task=Task(study, scenes, extra, output_folder, chosen), **own)
 
         return ask_then_do
 

@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.primary import cells
 from analysis.mixed.model import fit_mixed
+from analysis.primary import cells
 from analysis.primary.cells import make_cells
 from analysis.primary.model import fit_attributes, fit_primary, tabulate_slopes
 from analysis.primary.sensitivity import vary_primary

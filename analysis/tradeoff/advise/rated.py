@@ -1,10 +1,10 @@
 """What people said of a scene: whether a reducer is shown to feel like the one that they rated highest.
 
-The model is the report's (`analysis.report.sections.contrasts`) as far as it goes for one recording: ratings on reducer, with
-a spread between participants. The margin is the study's: the one fixed beforehand, or half the spread with which people
-repeat their ratings on that scale and level. A reducer passes if two one-sided tests show its equivalence with the
-best-rated one on every scale and level that has a margin; "not significantly different" passes nobody. Without a margin
-nothing can be shown, either way.
+The model is the report's (`analysis.report.sections.contrasts`) as far as it goes for one recording: ratings on
+reducer, with a spread between participants. The margin is the study's: the one fixed beforehand, or half the spread
+with which people repeat their ratings on that scale and level. A reducer passes if two one-sided tests show its
+equivalence with the best-rated one on every scale and level that has a margin; "not significantly different" passes
+nobody. Without a margin nothing can be shown, either way.
 """
 
 from __future__ import annotations
