@@ -32,9 +32,12 @@ from analysis.space.scaling import Space, fit_space, stress_by_dimension
 from analysis.table.further import Further
 from analysis.table.reading import Table, read_table
 from analysis.table.sources import find_sources
+from analysis.tradeoff.advise.rated import judge_ratings
 from analysis.tradeoff.advise.report import advise_recordings, write_advice
 from analysis.tradeoff.advise.scene import Context
 from analysis.tradeoff.advise.tolerance import Tolerance
+from analysis.tradeoff.advise.verdict import Rated
+from analysis.tradeoff.chart.chart import Chart
 from analysis.tradeoff.chart.compute import compute_chart
 from analysis.tradeoff.chart.write import write_chart
 from analysis.tradeoff.stress.run import stress_reducers, write_stress
@@ -44,6 +47,7 @@ __all__ = [  # noqa: RUF022 - in the order of sorted(), which a test checks
     "Alpha",
     "Association",
     "BradleyTerry",
+    "Chart",
     "Choices",
     "Context",
     "Dependent",
@@ -63,6 +67,7 @@ __all__ = [  # noqa: RUF022 - in the order of sorted(), which a test checks
     "Precision",
     "Primary",
     "RULES",
+    "Rated",
     "Refined",
     "RepeatedMeasures",
     "Results",
@@ -94,6 +99,7 @@ __all__ = [  # noqa: RUF022 - in the order of sorted(), which a test checks
     "fit_primary",
     "fit_space",
     "intraclass",
+    "judge_ratings",
     "krippendorff_alpha",
     "multimodality",
     "noise_ceiling",

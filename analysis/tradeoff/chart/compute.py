@@ -67,7 +67,7 @@ def compute_chart(
     ratings: Table | None = None,
     effort: Effort = QUICK,
     seed: int = 0,
-    clock: Clock | None = None,
+    clock: Callable[[], float] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Chart:
     """Measure speed and accuracy of every method.
