@@ -86,9 +86,14 @@ def demo(folder: Path) -> None:
 
 def _open_demo(folder: Path) -> StudyFolder:
     """Begin the demonstration, or go on with one; anybody else's folder is left alone."""
+    from study.casting import NUMBERED
+
     study = StudyFolder(folder)
     if not folder.exists() or not any(folder.iterdir()):
         return create_study(folder)
     if not study.settings.is_file() or study.settings.read_text(encoding="utf-8") != read_template():
         raise FileExistsError(f"{folder}: holds files that demo did not write; name another folder with --dir")
+    if people := [entry.name for entry in study.participants if not NUMBERED.fullmatch(entry.name)]:
+        told = f"{folder}: got {people[0]}, who is no simulated participant; name another folder with --dir"
+        raise FileExistsError(told)
     return study

@@ -370,6 +370,21 @@ def test_demo_leaves_other_peoples_folders_alone(tmp_path: Path, capsys: Capture
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
 
 
+def test_demo_adds_nobody_to_a_study_in_which_people_took_part(tmp_path: Path, capsys: Capture) -> None:
+    assert main(["new", str(tmp_path / "oak")]) == 0
+    own = tmp_path / "oak" / "sessions" / "p07" / "plan.json"
+    own.parent.mkdir(parents=True)
+    own.write_text("{}", encoding="utf-8")
+    before = sorted(tmp_path.rglob("*"))
+    capsys.readouterr()
+    assert main(["demo", "--dir", str(tmp_path / "oak")]) == 1
+    assert capsys.readouterr() == (
+        "",
+        f"feel321: {tmp_path}/oak: got p07, who is no simulated participant; name another folder with --dir\n",
+    )
+    assert sorted(tmp_path.rglob("*")) == before
+
+
 def fail_with(error: BaseException) -> Callable[..., None]:
     def fail(*_: object, **__: object) -> None:
         raise error
