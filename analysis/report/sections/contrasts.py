@@ -144,9 +144,9 @@ def _find_margin(part: Part, choices: Choices) -> _Margin:
         return _Margin(choices.margin, "margin fixed beforehand", len(part.rows))
     sd, n = find_repeat_sd(part.rows)
     if not n:
-        return _Margin(float("nan"), "Nobody rated a stimulus twice, so there is no margin; set one in points.", n)
+        return _Margin(float("nan"), "Nobody rated a stimulus twice, so there is no margin: fix `margin` (points).", n)
     if not sd > 0:
-        return _Margin(float("nan"), "All repeats are alike, so there is no margin; set one in points.", n)
+        return _Margin(float("nan"), "All repeats are alike, so there is no margin: fix `margin` (points).", n)
     return _Margin(sd / 2, "half the standard deviation with which people repeat their ratings", n)
 
 
