@@ -30,7 +30,7 @@ test-analysis: # computes only, so it may wait; the others play and listen in re
 	COVERAGE_FILE=.coverage.analysis nice $(PYTEST) tests/analysis analysis
 
 test-others:
-	COVERAGE_FILE=.coverage.others $(PYTEST) --ignore=tests/analysis --ignore=analysis
+	COVERAGE_FILE=.coverage.others $(PYTEST) --ignore=tests/analysis tests stimuli protocols study
 
 check: lint types floors duplicates guards ## every guard rail; `make -k check` goes on after a failure
 
