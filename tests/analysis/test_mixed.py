@@ -161,19 +161,6 @@ def test_no_better_minimum_nearby_in_small_studies_most_of_them_singular() -> No
     assert singular >= 6
 
 
-def test_against_mixedlm_where_installed() -> None:
-    mixedlm = pytest.importorskip("mixedlm", reason="NO CROSS-CHECK: the package mixedlm is not installed")
-    from mixedlm.inference.ddf import satterthwaite_df
-
-    data = make_study(4)
-    control = mixedlm.lmerControl(check_singular=False)
-    other = mixedlm.lmer("y ~ a + b + (1 + a | who) + (1 | scene)", data, control=control)
-    fit = fit_mixed("y ~ a + b + (1 + a | who) + (1 | scene)", data)
-    assert fit.criterion == pytest.approx(other.deviance, abs=1e-5)
-    assert fit.fixed["se"].to_numpy() == pytest.approx(np.sqrt(np.diag(other.vcov())), rel=1e-3)
-    assert fit.fixed["df"].to_numpy() == pytest.approx(satterthwaite_df(other).df, rel=5e-3)
-
-
 def test_boundary_is_left_where_the_deviance_falls() -> None:
     profile = Profile(build_design("y ~ a + (1 | who)", make_study(5)), reml=True)
     stuck = profile.evaluate(np.zeros(1))
