@@ -132,7 +132,8 @@ def _tell(stimuli: DataFrame, judged: P1401, association: Association) -> str:
     ceiling = tell_number(association.ceiling)
     clipped = count_clipped(stimuli[association.metric].to_numpy(np.float64))
     edge = tell_number(CUT, kind="count")
-    hollow = f" Hollow: below {edge}, drawn there ({clipped} of {len(stimuli)})." if clipped else ""
+    there = f" Hollow: below {edge}, drawn there ({clipped} of {len(stimuli)}), the curve fitted where they are."
+    hollow = there if clipped else ""
     return (
         f"r = {tell_number(association.value)}, 95 % two-way interval "
         f"{tell_range(association.low, association.high)}, noise ceiling {ceiling}. Curve: P.1401 mapping "

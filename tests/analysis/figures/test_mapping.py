@@ -60,7 +60,7 @@ def test_far_outliers_stand_hollow_at_the_edge(parts: Parts, said: Callable[[Fig
     stimuli, judged, association = parts
     stimuli = stimuli.assign(**{METRIC: stimuli[METRIC].where(stimuli.index != 3, -7.0)})
     figure = draw((stimuli, judged, association))
-    assert "below −1, drawn there (1 of 45)" in said(figure)
+    assert "below −1, drawn there (1 of 45), the curve fitted where they are" in said(figure)
     hollow = [line for axes in figure.axes for line in axes.lines if line.get_markerfacecolor() == "white"]
     assert [list(line.get_xdata()) for line in hollow if len(line.get_xdata())] == [[-1]]
 
