@@ -297,3 +297,31 @@ def tell_range(low: float, high: float, *, kind: str = "correlation") -> str:
     if not math.isfinite(low + high):
         return ABSENT
     return f"{tell_number(low, kind=kind)} to {tell_number(high, kind=kind)}"
+
+
+def tell_ends(value: float, low: float, high: float, *, kind: str = "correlation") -> tuple[str, str]:
+    """Write an estimate and its interval as the report shows them, both in powers of ten where all would read 0.
+
+    Parameters
+    ----------
+    value, low, high : float
+        The estimate and the ends of its interval; NaN gives a dash.
+    kind : str
+        A name of `PLACES`.
+
+    Returns
+    -------
+    tuple of two str
+        The estimate; and low to high, in words.
+
+    Examples
+    --------
+    >>> tell_ends(0.3, 0.1, 0.5), tell_ends(2e-4, -1e-3, 2e-3)
+    (('0.30', '0.10 to 0.50'), ('2.0e−04', '−1.0e−03 to 2.0e−03'))
+    """
+    ends, nothing = (value, low, high), tell_number(0.0, kind=kind)
+    if any(ends) and all(tell_number(one, kind=kind) == nothing for one in ends):
+        # Of a metric that runs over hundreds, +0.1 is next to nothing, and yet not 0.
+        told, *limits = (f"{one:.1e}".replace("-", MINUS) for one in ends)
+        return told, " to ".join(limits)
+    return tell_number(value, kind=kind), tell_range(low, high, kind=kind)

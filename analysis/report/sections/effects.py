@@ -8,7 +8,7 @@ from analysis.numbers import SATTERTHWAITE, make_interval, make_number
 from analysis.primary.model import FEW, fit_primary
 from analysis.report.sections.section import INTERVAL, Cell
 from analysis.table.sources import find_sources
-from analysis.words import MINUS, tell_number, tell_range
+from analysis.words import tell_ends, tell_number
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Mapping, Sequence
@@ -132,12 +132,7 @@ def tell_estimate(number: Number, *, kind: str) -> str:
     str
         Such as ``1.83 points, 95 % interval 1.75 to 1.92``.
     """
-    value, interval = tell_number(number.value, kind=kind), tell_range(number.low, number.high, kind=kind)
-    ends, nothing = (number.value, number.low, number.high), tell_number(0.0, kind=kind)
-    if any(ends) and all(tell_number(one, kind=kind) == nothing for one in ends):
-        # Of a metric that runs over hundreds, +0.1 is next to nothing, and yet not 0.
-        value, low, high = (f"{one:.1e}".replace("-", MINUS) for one in ends)
-        interval = f"{low} to {high}"
+    value, interval = tell_ends(number.value, number.low, number.high, kind=kind)
     return f"{value} points, 95 % interval {interval}"
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from itertools import chain
 from typing import TYPE_CHECKING
 
-from analysis.words import tell_number, tell_range
+from analysis.words import tell_ends
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -40,9 +40,8 @@ class Cell:
 
     def __str__(self) -> str:
         """Write it for the page."""
-        if self.part == INTERVAL:
-            return tell_range(self.number.low, self.number.high, kind=self.kind)
-        return tell_number(self.number.value, kind=self.kind)
+        value, interval = tell_ends(self.number.value, self.number.low, self.number.high, kind=self.kind)
+        return interval if self.part == INTERVAL else value
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from analysis.numbers import SATTERTHWAITE, make_interval, make_number
 from analysis.report.sections import primary
 from analysis.report.sections.choices import Choices
+from analysis.report.sections.effects import lay_estimate, tell_estimate
 from analysis.table.reading import Table
 
 if TYPE_CHECKING:
@@ -68,6 +70,22 @@ def test_a_slope_on_a_metric_that_runs_over_thousands_is_not_told_as_zero(tidy: 
     evidence = rf"{number} points, 95 % interval {number} to {number}; p \(Holm\)"
     assert re.search(evidence, line)
     assert re.search(evidence, spectral)
+
+
+@pytest.mark.parametrize(
+    ("ends", "value", "interval"),
+    [
+        ((2.2e-4, -1.3e-3, 1.7e-3), "2.2e−04", "−1.3e−03 to 1.7e−03"),
+        ((0.002, -0.001, 0.2), "0.00", "0.00 to 0.20"),
+        ((0.0, 0.0, 0.0), "0.00", "0.00 to 0.00"),
+    ],
+)
+def test_tables_and_sentences_tell_a_slope_in_the_same_digits(
+    ends: tuple[float, float, float], value: str, interval: str
+) -> None:
+    number = make_interval(make_number("slope", ends[0], "slope", n=9), *ends[1:], uncertainty=SATTERTHWAITE)
+    assert [str(cell) for cell in lay_estimate(number, "slope")] == [value, interval]
+    assert tell_estimate(number, kind="slope") == f"{value} points, 95 % interval {interval}"
 
 
 def test_one_participant_speaks_of_nobody_else(tidy: Callable[..., pd.DataFrame]) -> None:
