@@ -13,6 +13,7 @@ import pytest
 from analysis.mixed import optimum
 from analysis.mixed.design import build_design
 from analysis.mixed.formula import parse_formula
+from analysis.mixed.inference import _invert
 from analysis.mixed.model import contrast, fit_mixed
 from analysis.mixed.optimum import find_optimum
 from analysis.mixed.profile import Profile
@@ -159,6 +160,12 @@ def test_no_better_minimum_nearby_in_small_studies_most_of_them_singular() -> No
         free = best.theta > 0
         assert np.abs(find_slope(profile, best)[free]).max() < 1e-3
     assert singular >= 6
+
+
+def test_only_directions_without_any_curvature_are_left_out_of_the_uncertainty() -> None:
+    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    weak = turn @ np.diag([2.0, 1e-3, -1e-12]) @ turn.T
+    assert _invert(weak) == pytest.approx(turn @ np.diag([0.5, 1e3, 0.0]) @ turn.T, rel=1e-9)
 
 
 def test_boundary_is_left_where_the_deviance_falls() -> None:
