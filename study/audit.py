@@ -16,7 +16,6 @@ from stimuli.inspection import check_stimuli
 from stimuli.manifest import read_stimuli
 from study.auditing.journals import audit_journals
 from study.auditing.ledgered import audit_entry, read_entries
-from study.auditing.steps import MALFORMED
 from study.ledger.rebuilding import find_lost
 from study.ledger.tombstone import find_leftovers
 from study.provenance import read_origin
@@ -88,9 +87,6 @@ def _audit_participant(folder: Path, stimuli_sha256: str | None) -> Iterator[str
         plan = require_plan(path)
     except (OSError, ValueError) as error:
         yield str(error)
-        return
-    except MALFORMED:
-        yield f"{path}: got no plan as feel321 writes them; restore the file from a copy"
         return
     if plan.participant != folder.name:
         yield f"{path}: is the plan of {plan.participant!r}, it was copied here"

@@ -160,6 +160,19 @@ def test_a_plan_forged_with_its_digest_is_betrayed_by_the_journal(copy: StudyFol
     assert find_only(copy) == f"{copy.journals[0]}: was begun with another plan than the one beside it"
 
 
+@pytest.mark.parametrize(
+    ("body", "problem"),
+    [
+        (b'{\n "format": 2', "got a plan of another make ("),
+        (b'{\n "format": 99', "got a plan of format 99, allowed is 2; use the feel321 that wrote it"),
+    ],
+)
+def test_a_sealed_file_that_is_no_plan_is_told(copy: StudyFolder, body: bytes, problem: str) -> None:
+    path = copy.sessions / "sim001" / "plan.json"
+    path.write_bytes(body + b',\n "sha256": "' + digest(body + b"\n}").encode() + b'"\n}\n')
+    assert any(finding.startswith(f"{path}: {problem}") for finding in audit_study(copy))
+
+
 def test_a_copied_journal_is_found(copy: StudyFolder) -> None:
     target = copy.sessions / "sim001" / "session-02.jsonl"
     shutil.copy(copy.journals[0], target)
