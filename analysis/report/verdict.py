@@ -85,7 +85,8 @@ def _sum_up(panel: Panel, *, several: bool) -> Line:
     if any(math.isnan(result.low) for result in leading):
         return Line(" ".join(dict.fromkeys(_judge_panel(panel, several=several))))
     subject = tell_name(panel.scale) + (f" (level {tell_name(panel.level)})" if several else "")
-    found = "; ".join(_tell_correlation(result) for result in leading)
+    ranked_by = {result.metric: result for result in panel.associations if result.method == RANKED}
+    found = "; ".join(_tell_correlation(result, ranked_by[result.metric]) for result in leading)
     ceiling = leading[0].ceiling
     most = "" if math.isnan(ceiling) else f"; ratings as noisy as these allow at most {tell_number(ceiling)}"
     by_metric = {result.metric: result for result in leading}
@@ -97,11 +98,13 @@ def _sum_up(panel: Panel, *, several: bool) -> Line:
     return Line(f"{found}{most}.{ranked}", _start(subject), f"over {_count(leading[0].n_items, 'stimulus')}")
 
 
-def _tell_correlation(result: Association) -> str:
+def _tell_correlation(result: Association, ranked: Association) -> str:
     r = f"r\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}{tell_number(result.value)}"
     covers = ", which covers zero" if _covers_zero(result) else ""
     interval = f"95 % two-way interval {tell_range(result.low, result.high)}{covers}"
-    return f"{r} with {tell_name(result.metric)} ({interval})"
+    departs = not math.isnan(ranked.low) and _list_departures(result, ranked)
+    ranks = f"; by ranks {tell_number(ranked.value)}, {tell_range(ranked.low, ranked.high)}" if departs else ""
+    return f"{r} with {tell_name(result.metric)} ({interval}{ranks})"
 
 
 def _rank(result: Difference, *, first: Association, second: Association) -> str:
@@ -203,12 +206,17 @@ def _tell_ranks(result: Association, ranked: Association) -> str:
     ranks = f"Spearman's rank correlation ({tell_number(ranked.value)}, {tell_range(ranked.low, ranked.high)})"
     if math.isnan(ranked.low):
         return f"{ranks} has no interval to compare."
+    return f"{ranks} {' and '.join(_list_departures(result, ranked)) or 'agrees'}."
+
+
+def _list_departures(result: Association, ranked: Association) -> list[str]:
+    """Say in what the ranks contradict the values: a few outlying ones may hide what all others show."""
     departures = []
     if _covers_zero(result) != _covers_zero(ranked):
         departures.append("covers zero" if _covers_zero(ranked) else "leaves zero out")
     if result.value * ranked.value < 0:
         departures.append("has the opposite direction")
-    return f"{ranks} {' and '.join(departures) or 'agrees'}."
+    return departures
 
 
 def _name_better(first: Association, second: Association) -> str:

@@ -3,10 +3,12 @@ from __future__ import annotations
 import dataclasses
 import math
 
+import pandas as pd
 import pytest
 
 from analysis.association.correlate import Association, Difference
-from analysis.report.verdict import judge_association, judge_difference
+from analysis.findings import Panel
+from analysis.report.verdict import judge_association, judge_difference, sum_up_panels
 from analysis.words import tell_method
 
 CLEAR = Association(
@@ -68,6 +70,21 @@ def test_an_interval_over_zero_claims_nothing(low: float, high: float) -> None:
 def test_ranks_agree_only_in_verdict_and_direction(ranks: dict[str, float], said: str) -> None:
     ranked = dataclasses.replace(CLEAR, method="spearman", **ranks)
     assert judge_association(CLEAR, "realism", ranked=ranked).endswith(f") {said}")
+
+
+@pytest.mark.parametrize(
+    ("ranks", "told"),
+    [
+        ({"value": 0.6, "low": 0.2, "high": 0.8}, ")"),
+        ({"value": 0.3, "low": -0.2, "high": 0.7}, "; by ranks 0.30, −0.20 to 0.70)"),
+        ({"value": -0.6, "low": -0.8, "high": -0.3}, "; by ranks −0.60, −0.80 to −0.30)"),
+        ({"low": math.nan, "high": math.nan}, ")"),
+    ],
+)
+def test_the_answer_gives_the_ranks_where_they_contradict_it(ranks: dict[str, float], told: str) -> None:
+    both = (CLEAR, dataclasses.replace(CLEAR, method="spearman", **ranks))
+    (line,) = sum_up_panels([Panel("realism", "as_is", both, (), pd.DataFrame())])
+    assert f"95 % two-way interval 0.40 to 0.90{told}; ratings" in str(line).replace("\N{NO-BREAK SPACE}", " ")
 
 
 @pytest.mark.parametrize("second_value", [0.2, -0.2])
