@@ -141,18 +141,18 @@ def fit_mixed(formula: str, data: DataFrame, *, reml: bool = True) -> MixedFit:
 
     >>> import pandas as pd
     >>> data = pd.DataFrame({"who": list("aaabbbcccddd"), "x": [0, 1, 2] * 4,
-    ...     "y": [1.0, 2, 4, 3, 5, 6, 2, 2, 4, 5, 7, 8]})
+    ...     "y": [1.0, 2, 3, 3, 5, 6, 2, 2, 4, 5, 7, 8]})
     >>> fit = fit_mixed("y ~ x + (1 | who)", data)
     >>> fit.fixed.round(2)
                  estimate    se    df     t     p   low  high
     term
-    (Intercept)      2.71  1.02  3.17  2.66  0.07 -0.43  5.85
-    x                1.37  0.17  7.00  8.29  0.00  0.98  1.77
+    (Intercept)      2.75  1.07  3.15  2.58  0.08 -0.56  6.06
+    x                1.25  0.16  7.00  7.64  0.00  0.86  1.64
     >>> fit.variances.round(2)
       group         term    sd
-    0   who  (Intercept)  1.99
+    0   who  (Intercept)  2.09
     >>> round(fit.residual_sd, 2), round(fit.criterion, 2), fit.singular
-    (0.47, 29.83, False)
+    (0.46, 29.93, False)
     """
     design = build_design(formula, data)
     profile = Profile(design, reml=reml)
