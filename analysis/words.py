@@ -32,6 +32,7 @@ PARTS = {"_w": " within recordings", "_b": " between recordings", None: ""}
 METRIC_AXES = {
     "spectral_match": "Spectral match (1 = identical energy)",
     "temporal_match": "Temporal match (1 = same waveform as all axes)",
+    "spectral_match_bounded": "Bounded spectral match (1 = identical energy)",
 }
 """Axis label of each metric; another metric is labelled by its name."""
 

@@ -13,6 +13,7 @@ from stimuli.manifest import Stimulus, StimulusSet, read_stimuli
 from stimuli.match import (
     METRICS,
     spectral_match,
+    spectral_match_bounded,
     spectral_match_details,
     temporal_match,
     temporal_match_details,
@@ -59,6 +60,7 @@ __all__ = [
     "resample",
     "rotation_statistics",
     "spectral_match",
+    "spectral_match_bounded",
     "spectral_match_details",
     "spectral_match_invariant",
     "temporal_match",

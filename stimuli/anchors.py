@@ -26,9 +26,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stimuli.match import OriginalSpectrum
 from stimuli.perception import acceleration_threshold
-from stimuli.spectrum import LOWEST_HZ, WEBER_FRACTION
+from stimuli.spectrum import LOWEST_HZ, WEBER_FRACTION, OriginalSpectrum
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

@@ -10,6 +10,7 @@ import csv
 import hashlib
 import io
 import json
+import math
 import os
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -38,6 +39,7 @@ COLUMN_UNITS = {
     "clipped": "samples limited at full scale",
     "sha256": "digest of the file",
     "recording_sha256": "digest of the recording's source",
+    "spectral_match_bounded": "0 to 1, 1 = identical energy spectra; deviations relative to the stronger of the two",
 }
 
 
@@ -59,6 +61,8 @@ class Stimulus:
         How many samples were limited.
     sha256, recording_sha256 : str
         Digests of the file and of its source.
+    spectral_match_bounded : float
+        As the other matches; NaN in a set that an earlier version built.
     """
 
     stimulus_id: str
@@ -78,6 +82,7 @@ class Stimulus:
     clipped: int
     sha256: str
     recording_sha256: str
+    spectral_match_bounded: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +105,8 @@ class StimulusSet:
 
 
 COLUMNS = tuple(field.name for field in fields(Stimulus))
+FURTHER = COLUMNS[COLUMNS.index("recording_sha256") + 1 :]
+"""Columns of further metrics: a set that an earlier version built may lack them, and a cell may be empty."""
 _READ_AS = {field.name: {"float": float, "int": int, "str": str}[str(field.type)] for field in fields(Stimulus)}
 
 
@@ -120,7 +127,7 @@ def write_manifest(folder: Path, stimuli: Sequence[Stimulus], *, details: Mappin
     StimulusSet
         The set as it now stands on disk.
     """
-    rows = [asdict(stimulus) for stimulus in stimuli]
+    rows = [describe_row(stimulus) for stimulus in stimuli]
     text = io.StringIO(newline="")
     writer = csv.DictWriter(text, COLUMNS, lineterminator="\r\n")
     writer.writeheader()
@@ -130,6 +137,23 @@ def write_manifest(folder: Path, stimuli: Sequence[Stimulus], *, details: Mappin
     write_bytes(folder / "manifest.json", (json.dumps(whole, indent=1, sort_keys=True) + "\n").encode())
     write_bytes(folder / "manifest.csv", table)
     return StimulusSet(folder, tuple(stimuli), hashlib.sha256(table).hexdigest())
+
+
+def describe_row(stimulus: Stimulus) -> dict[str, Any]:
+    """Give a row as CSV and JSON hold it: a number that is not known is an empty cell, or null.
+
+    Parameters
+    ----------
+    stimulus : Stimulus
+        The row.
+
+    Returns
+    -------
+    dict
+        Column -> value, or None.
+    """
+    row = asdict(stimulus)
+    return row | {name: None for name in FURTHER if math.isnan(row[name])}
 
 
 def read_stimuli(folder: str | Path) -> StimulusSet:
@@ -188,11 +212,12 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 
 def _row(row: dict[str, str], place: str) -> Stimulus:
-    wrong = [name for name in COLUMNS if row.get(name) is None] + [str(name) for name in row if name not in COLUMNS]
+    wrong = [name for name in COLUMNS if row.get(name) is None and not (name in FURTHER and name not in row)]
+    wrong += [str(name) for name in row if name not in COLUMNS]
     if wrong:
         raise ValueError(f"{place}: wrong or missing columns {', '.join(wrong)}; allowed are {', '.join(COLUMNS)}")
     try:
-        values = {name: _READ_AS[name](row[name]) for name in COLUMNS}
+        values = {name: _READ_AS[name](cell) for name, cell in row.items() if cell or name not in FURTHER}
     except ValueError as error:
         raise ValueError(f"{place}: {error}; build the set again") from None
     if Path(values["file"]).name != values["file"]:

@@ -6,6 +6,8 @@ that says what the figure rests on.
 
 - `spectral_match` (eq. 1): 1 minus the mean relative deviation of the smoothed energy spectra. At most 1; it may be
   negative, and very much so where the reduced signal has energy in bands in which the recording has almost none.
+- `spectral_match_bounded`: the same with each deviation taken relative to the stronger of the two spectra, so that no
+  frequency can count for more than 1. 0 to 1, equal to eq. 1 wherever the reduced signal is the weaker one.
 - `temporal_match` (eq. 2): mean absolute correlation, at zero lag, of the reduced signal with each axis. 0 to 1. No
   mean is removed: an offset counts as signal, as in the paper.
 
@@ -19,29 +21,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from stimuli.door import SAFE_PEAK, admit, check_reduced, is_safe, largest
 from stimuli.recording import check_rate
-from stimuli.spectrum import WeberSmoothing, energy_spectrum, linear_grid, log_grid
+from stimuli.spectrum import GRIDS, OriginalSpectrum
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     from numpy.typing import ArrayLike, NDArray
 
-    Grid = Literal["linear", "log"]
-
-NUMERICAL_FLOOR = 1e-12
-"""Frequencies whose smoothed energy is below this share of the recording's mean energy per bin are left out: there the
-spectrum is the rounding error of the transforms, not a vibration."""
-
-GRIDS: Mapping[str, Callable[[int, float], NDArray[np.float64]]] = MappingProxyType(
-    {"linear": linear_grid, "log": log_grid}
-)
-"""Name -> frequencies that the spectral match averages over."""
+    from stimuli.spectrum import Grid
 
 _SILENT = 1e-12
 _BEYOND_COMPARISON = 1e80
@@ -61,6 +54,8 @@ class SpectralMatch:
         Number of frequencies compared.
     n_left_out : int
         Number of frequencies left out below the numerical floor.
+    bounded : float
+        `spectral_match_bounded` of the same signals.
     """
 
     value: float
@@ -68,6 +63,7 @@ class SpectralMatch:
     highest_hz: float
     n_frequencies: int
     n_left_out: int
+    bounded: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +133,8 @@ def spectral_match(
     >>> round(spectral_match([u, u, u], u + u + u, 1000), 9)
     -1.0
     """
-    return spectral_match_details(acceleration, reduced, rate_hz, grid=grid).value
+    original, signal = _compare(acceleration, reduced, rate_hz, grid=grid)
+    return float(original.match(signal))
 
 
 def spectral_match_details(
@@ -166,82 +163,67 @@ def spectral_match_details(
     ValueError
         If shapes or values are wrong, or no frequency can be compared and the energies differ.
     """
-    if grid not in GRIDS:
-        raise ValueError(f"grid: got {grid!r}, allowed is one of {', '.join(GRIDS)}")
-    samples, signal = _admit_pair(acceleration, reduced, rate_hz)
-    if largest(signal) > _BEYOND_COMPARISON * SAFE_PEAK[1]:
-        raise ValueError("reduced: is more than 1e80 times as strong as the recording; are they in the same unit?")
-    original = OriginalSpectrum(samples, check_rate(rate_hz), grid=grid)
+    original, signal = _compare(acceleration, reduced, rate_hz, grid=grid)
     used = original.frequencies_hz
-    value = float(original.match(signal))
+    value, bounded = map(float, original.match_both(signal))
     lowest, highest = (float(used[0]), float(used[-1])) if len(used) else (float("nan"), float("nan"))
-    return SpectralMatch(value, lowest, highest, len(used), original.n_left_out)
+    return SpectralMatch(value, lowest, highest, len(used), original.n_left_out, bounded)
 
 
-class OriginalSpectrum:
-    """The smoothed spectrum of one recording, ready to be compared with many reduced signals.
-
-    The sum of the axes' energies does not change when the sensor is turned, so one such spectrum serves every
-    orientation.
+def spectral_match_bounded(
+    acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float, *, grid: Grid = "linear"
+) -> float:
+    r"""Compute the spectral match with deviations relative to the stronger spectrum: eq. 1, bounded by 0 and 1.
 
     Parameters
     ----------
-    samples : ndarray, shape (3, n_samples)
-        The recording, n_samples >= 1.
+    acceleration : array_like, shape (3, n_samples)
+        The recording, any unit.
+    reduced : array_like, shape (n_samples,)
+        The reduced signal, same unit.
     rate_hz : float
         Sampling rate in Hz.
     grid : {"linear", "log"}
-        Frequencies averaged over.
+        Frequencies averaged over, as for `spectral_match`.
+
+    Returns
+    -------
+    float
+        0 to 1: 1 if the smoothed spectra agree, 0 if one signal is silent wherever the other is not; NaN if there is no
+        frequency from 20 to 1000 Hz at which either has energy.
+
+    Raises
+    ------
+    ValueError
+        If shapes or values are wrong.
+
+    Notes
+    -----
+    With E the sum of the axes' smoothed energy spectral densities and S that of the reduced signal, both as in
+    `spectral_match`, and the mean over the same frequencies,
+
+    .. math:: M_{sb} = 1 - \frac{1}{n_f} \sum_{f = 20\,\mathrm{Hz}}^{1000\,\mathrm{Hz}} \frac{|E - S|}{\max(E, S)}
+        = \frac{1}{n_f} \sum_f \frac{\min(E, S)}{\max(E, S)}
+
+    - Where S <= E everywhere it is the paper's eq. 1. Twice the energy scores 1/2, where eq. 1 gives 0; ten times the
+      energy scores 1/10, where eq. 1 gives -8: eq. 1 has no lower bound, so that a few frequencies of a few stimuli
+      decide a mean or a slope.
+    - It is symmetric in E and S, and one factor on both signals does not change it. Like eq. 1 it depends on the
+      recording through the sum of the axes' energies, which turning the sensor does not change.
+    - Eq. 1 leaves out frequencies at which the recording has no energy (below 1e-12 of its mean energy per bin). Here
+      they are left out only where the reduced signal has none either (below 1e-12 of the stronger signal's mean energy
+      per bin): energy that the reduced signal adds to empty bands counts as a deviation of 1.
+
+    Examples
+    --------
+    >>> u = np.sin(np.arange(1000))
+    >>> round(spectral_match_bounded([u, u, u], u, 1000), 9)
+    0.333333333
+    >>> round(spectral_match_bounded([u, u, u], u + u + u, 1000), 9)
+    0.333333333
     """
-
-    def __init__(self, samples: NDArray[np.float64], rate_hz: float, *, grid: Grid = "linear") -> None:
-        n = samples.shape[-1]
-        frequencies = GRIDS[grid](n, rate_hz)
-        self._smooth = WeberSmoothing(frequencies, rate_hz / n, n // 2 + 1)
-        self._spectrum = energy_spectrum(samples, self._smooth.bins).sum(axis=-2)
-        # By Parseval's theorem the mean energy per bin of the two-sided spectrum is the energy in time.
-        self._energy = float(np.einsum("in,in->", samples, samples))
-        smoothed = self._smooth(self._spectrum)
-        self._used = smoothed > NUMERICAL_FLOOR * self._energy
-        self.smoothed = smoothed[self._used]
-        self.frequencies_hz = frequencies[self._used]
-        self.n_left_out = int(np.count_nonzero(~self._used))
-
-    def match(self, reduced: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Spectral match of one or many reduced signals.
-
-        Parameters
-        ----------
-        reduced : ndarray, shape (..., n_samples)
-            Reduced signals.
-
-        Returns
-        -------
-        ndarray of float64, shape (...)
-            Their matches.
-
-        Raises
-        ------
-        ValueError
-            If no frequency can be compared and the energies differ.
-        """
-        if not len(self.smoothed):
-            return self._match_nothing(reduced)
-        # The difference is taken before it is smoothed: what two equal spectra share cancels without rounding.
-        difference = energy_spectrum(reduced, self._smooth.bins)
-        np.subtract(self._spectrum, difference, out=difference)
-        deviation = np.abs(self._smooth(difference)[..., self._used])
-        return np.asarray(1.0 - (deviation / self.smoothed).mean(axis=-1))
-
-    def _match_nothing(self, reduced: NDArray[np.float64]) -> NDArray[np.float64]:
-        # Silence, or too short for one DFT frequency from 20 to 1000 Hz: only equal energy can still be told.
-        energy = np.einsum("...n,...n->...", reduced, reduced)
-        if np.all(np.abs(energy - self._energy) <= NUMERICAL_FLOOR * self._energy):
-            return np.ones(energy.shape)
-        raise ValueError(
-            "spectral match: the recording has no frequency with energy between 20 and 1000 Hz; record longer or at "
-            "a higher rate, and remove its offset"
-        )
+    original, signal = _compare(acceleration, reduced, rate_hz, grid=grid)
+    return float(original.match_bounded(signal))
 
 
 def temporal_match(acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float | None = None) -> float:
@@ -364,8 +346,26 @@ class Metric(Protocol):
         """Match of one reduced signal."""
 
 
-METRICS: Mapping[str, Metric] = MappingProxyType({"spectral_match": spectral_match, "temporal_match": temporal_match})
+METRICS: Mapping[str, Metric] = MappingProxyType(
+    {
+        "spectral_match": spectral_match,
+        "temporal_match": temporal_match,
+        "spectral_match_bounded": spectral_match_bounded,
+    }
+)
 """Name -> metric."""
+
+
+def _compare(
+    acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float, *, grid: Grid
+) -> tuple[OriginalSpectrum, NDArray[np.float64]]:
+    """Check a pair, and give the recording's spectrum and the reduced signal on its scale."""
+    if grid not in GRIDS:
+        raise ValueError(f"grid: got {grid!r}, allowed is one of {', '.join(GRIDS)}")
+    samples, signal = _admit_pair(acceleration, reduced, rate_hz)
+    if largest(signal) > _BEYOND_COMPARISON * SAFE_PEAK[1]:
+        raise ValueError("reduced: is more than 1e80 times as strong as the recording; are they in the same unit?")
+    return OriginalSpectrum(samples, check_rate(rate_hz), grid=grid), signal
 
 
 def _admit_pair(

@@ -18,11 +18,12 @@ from stimuli.anchors import ANCHORS
 from stimuli.condition import condition, fade, resample
 from stimuli.door import largest
 from stimuli.manifest import write_bytes
-from stimuli.match import OriginalSpectrum, axis_correlations, mean_heard
+from stimuli.match import axis_correlations, mean_heard
 from stimuli.perception import felt_level
 from stimuli.recipe import NO_REFERENCE, ORIGINAL
 from stimuli.recording import digest_samples
 from stimuli.reduce import REDUCERS
+from stimuli.spectrum import OriginalSpectrum
 from stimuli.version import __version__
 from stimuli.wav import write_wav
 
@@ -69,7 +70,7 @@ class Measured:
         Largest magnitude in m/s².
     felt_level : float
         Root mean square in multiples of the vibrotactile threshold.
-    spectral_match, temporal_match : float
+    spectral_match, temporal_match, spectral_match_bounded : float
         Matches of the reduced signal with the conditioned recording.
     """
 
@@ -77,6 +78,7 @@ class Measured:
     felt_level: float
     spectral_match: float
     temporal_match: float
+    spectral_match_bounded: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,9 +222,10 @@ def _measure(samples: Samples, rendered: Samples, *, scale: _Scale, rate_hz: flo
     level = felt_level(rendered, rate_hz)
     level = level if level > ROUNDING * scale.level else 0.0
     if samples.ndim > 1:  # the original itself, matched channel by channel
-        return Measured(largest(rendered), level, 1.0, 1.0)
+        return Measured(largest(rendered), level, 1.0, 1.0, 1.0)
+    spectral, bounded = scale.spectrum.match_both(samples)
     temporal = mean_heard(axis_correlations(scale.recording.acceleration, samples))
-    return Measured(largest(rendered), level, float(scale.spectrum.match(samples)), float(temporal))
+    return Measured(largest(rendered), level, float(spectral), float(temporal), float(bounded))
 
 
 def _read_part(parts: Path, key: str) -> Measured | None:

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stimuli.door import admit
-from stimuli.match import OriginalSpectrum, axis_correlations, mean_heard
+from stimuli.match import axis_correlations, mean_heard
 from stimuli.reduce import get_reducer
+from stimuli.spectrum import OriginalSpectrum
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,7 +30,7 @@ _SAMPLES_AT_A_TIME = 200_000
 
 @dataclass(frozen=True, slots=True)
 class RotationStatistics:
-    """Both metrics over random sensor orientations.
+    """The metrics over random sensor orientations.
 
     Parameters
     ----------
@@ -37,6 +38,8 @@ class RotationStatistics:
         Means and standard deviations (ddof 1).
     rotations : int
         Number of orientations.
+    bounded_mean, bounded_sd : float
+        The same of the bounded spectral match.
     """
 
     spectral_mean: float
@@ -44,6 +47,8 @@ class RotationStatistics:
     temporal_mean: float
     temporal_sd: float
     rotations: int
+    bounded_mean: float
+    bounded_sd: float
 
 
 def rotation_statistics(
@@ -54,7 +59,7 @@ def rotation_statistics(
     rotations: int = LEAST_ROTATIONS,
     rng: np.random.Generator,
 ) -> RotationStatistics:
-    """Reduce a recording as if the sensor had been mounted in many random ways, and describe both metrics.
+    """Reduce a recording as if the sensor had been mounted in many random ways, and describe the metrics.
 
     Parameters
     ----------
@@ -72,7 +77,7 @@ def rotation_statistics(
     Returns
     -------
     RotationStatistics
-        Mean and standard deviation of spectral and temporal match.
+        Mean and standard deviation of each metric.
 
     Raises
     ------
@@ -86,9 +91,10 @@ def rotation_statistics(
     if rotations != int(rotations) or rotations < LEAST_ROTATIONS:
         raise ValueError(f"rotations: got {rotations}, allowed is a whole number of {LEAST_ROTATIONS} or more")
     turns = random_rotations(rotations, rng)
-    both = match_rotations(acceleration, rate_hz, reducers=(reducer,), turns=turns)[0]
-    (s_mean, t_mean), (s_sd, t_sd) = (np.mean(both, axis=1), np.std(both, axis=1, ddof=1))
-    return RotationStatistics(float(s_mean), float(s_sd), float(t_mean), float(t_sd), rotations)
+    found = match_rotations(acceleration, rate_hz, reducers=(reducer,), turns=turns)[0]
+    means, sds = found.mean(axis=1).tolist(), found.std(axis=1, ddof=1).tolist()
+    spectral, temporal, bounded = zip(means, sds, strict=True)
+    return RotationStatistics(*spectral, *temporal, rotations, *bounded)
 
 
 def match_rotations(
@@ -109,8 +115,8 @@ def match_rotations(
 
     Returns
     -------
-    ndarray of float64, shape (n_reducers, 2, rotations)
-        Spectral and temporal match of what each reducer made of the turned recording with the turned recording.
+    ndarray of float64, shape (n_reducers, 3, rotations)
+        Matches, in the order of `METRICS`, of what each reducer made of the turned recording with that recording.
 
     Raises
     ------
@@ -122,14 +128,15 @@ def match_rotations(
         raise ValueError(f"acceleration: got shape {samples.shape}, allowed is (3, n), n >= 1: one recording at a time")
     reduce = [get_reducer(name) for name in reducers]
     original = OriginalSpectrum(samples, rate_hz)
-    found = np.empty((len(reduce), 2, len(turns)))
+    found = np.empty((len(reduce), 3, len(turns)))
     per_batch = max(1, _SAMPLES_AT_A_TIME // samples.size)
     for start in range(0, len(turns), per_batch):
         batch = slice(start, start + per_batch)
         turned = np.einsum("rij,jn->rin", turns[batch], samples)
         for place, one in enumerate(reduce):
             reduced = one(turned, rate_hz)
-            found[place, :, batch] = original.match(reduced), mean_heard(axis_correlations(turned, reduced))
+            spectral, bounded = original.match_both(reduced)
+            found[place, :, batch] = spectral, mean_heard(axis_correlations(turned, reduced)), bounded
     return found
 
 

@@ -238,6 +238,7 @@ def _write(order: _Order, recording: Recording, *, recipe: Recipe, parts: Path) 
         clipped=clipped,
         sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
         recording_sha256=recording.sha256,
+        spectral_match_bounded=order.measured.spectral_match_bounded,
     )
 
 

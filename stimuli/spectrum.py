@@ -17,12 +17,17 @@ References
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
     from numpy.typing import NDArray
+
+    Grid = Literal["linear", "log"]
 
 WEBER_FRACTION = 0.22
 """Smallest relative change of vibration frequency that people notice; full width of the smoothing over its centre."""
@@ -30,6 +35,10 @@ WEBER_FRACTION = 0.22
 LOWEST_HZ = 20.0
 HIGHEST_HZ = 1000.0
 """Range in which Pacinian corpuscles, and so the metrics, are sensitive."""
+
+NUMERICAL_FLOOR = 1e-12
+"""Frequencies whose smoothed energy is below this share of the recording's mean energy per bin are left out: there the
+spectrum is the rounding error of the transforms, not a vibration."""
 
 
 def energy_spectrum(samples: NDArray[np.float64], bins: slice = slice(None)) -> NDArray[np.float64]:
@@ -172,3 +181,121 @@ class _Edges(NamedTuple):
     def at(cls, position: NDArray[np.float64], n_bins: int) -> _Edges:
         whole = np.clip(position.astype(np.intp), 0, max(n_bins - 1, 0))
         return cls(whole, position - whole)
+
+
+GRIDS: Mapping[str, Callable[[int, float], NDArray[np.float64]]] = MappingProxyType(
+    {"linear": linear_grid, "log": log_grid}
+)
+"""Name -> frequencies that the spectral match averages over."""
+
+
+class OriginalSpectrum:
+    """The smoothed spectrum of one recording, ready to be compared with many reduced signals.
+
+    The sum of the axes' energies does not change when the sensor is turned, so one such spectrum serves every
+    orientation.
+
+    Parameters
+    ----------
+    samples : ndarray, shape (3, n_samples)
+        The recording, n_samples >= 1.
+    rate_hz : float
+        Sampling rate in Hz.
+    grid : {"linear", "log"}
+        Frequencies averaged over.
+    """
+
+    def __init__(self, samples: NDArray[np.float64], rate_hz: float, *, grid: Grid = "linear") -> None:
+        n = samples.shape[-1]
+        frequencies = GRIDS[grid](n, rate_hz)
+        self._smooth = WeberSmoothing(frequencies, rate_hz / n, n // 2 + 1)
+        self._spectrum = energy_spectrum(samples, self._smooth.bins).sum(axis=-2)
+        # By Parseval's theorem the mean energy per bin of the two-sided spectrum is the energy in time.
+        self._energy = float(np.einsum("in,in->", samples, samples))
+        self._smoothed = self._smooth(self._spectrum)
+        self._used = self._smoothed > NUMERICAL_FLOOR * self._energy
+        self.smoothed = self._smoothed[self._used]
+        self.frequencies_hz = frequencies[self._used]
+        self.n_left_out = int(np.count_nonzero(~self._used))
+
+    def match(self, reduced: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Spectral match of one or many reduced signals.
+
+        Parameters
+        ----------
+        reduced : ndarray, shape (..., n_samples)
+            Reduced signals.
+
+        Returns
+        -------
+        ndarray of float64, shape (...)
+            Their matches.
+
+        Raises
+        ------
+        ValueError
+            If no frequency can be compared and the energies differ.
+        """
+        return self._relate(self._subtract(reduced)) if len(self.smoothed) else self._match_nothing(reduced)
+
+    def match_bounded(self, reduced: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Bounded spectral match of one or many reduced signals.
+
+        Parameters
+        ----------
+        reduced : ndarray, shape (..., n_samples)
+            Reduced signals.
+
+        Returns
+        -------
+        ndarray of float64, shape (...)
+            `spectral_match_bounded` of each; NaN where no frequency can be compared.
+        """
+        return self._relate_bounded(reduced, self._subtract(reduced))
+
+    def match_both(self, reduced: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Both spectral matches from one spectrum of each reduced signal.
+
+        Parameters
+        ----------
+        reduced : ndarray, shape (..., n_samples)
+            Reduced signals.
+
+        Returns
+        -------
+        tuple of ndarray of float64, each of shape (...)
+            `match` and `match_bounded`.
+        """
+        difference = self._subtract(reduced)
+        plain = self._relate(difference) if len(self.smoothed) else self._match_nothing(reduced)
+        return plain, self._relate_bounded(reduced, difference)
+
+    def _subtract(self, reduced: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Smoothed energy of the recording minus that of the reduced signals, shape (..., n_frequencies)."""
+        # The difference is taken before it is smoothed: what two equal spectra share cancels without rounding.
+        difference = energy_spectrum(reduced, self._smooth.bins)
+        np.subtract(self._spectrum, difference, out=difference)
+        return self._smooth(difference)
+
+    def _relate(self, difference: NDArray[np.float64]) -> NDArray[np.float64]:
+        deviation = np.abs(difference[..., self._used])
+        return np.asarray(1.0 - (deviation / self.smoothed).mean(axis=-1))
+
+    def _relate_bounded(self, reduced: NDArray[np.float64], difference: NDArray[np.float64]) -> NDArray[np.float64]:
+        strongest = self._smoothed + np.maximum(-difference, 0.0)  # max(E, S) = E + max(S - E, 0)
+        energy = np.maximum(np.einsum("...n,...n->...", reduced, reduced), self._energy)
+        used = self._used | (strongest > NUMERICAL_FLOOR * energy[..., None])
+        deviation = np.divide(np.abs(difference), strongest, out=np.zeros_like(strongest), where=used)
+        count = used.sum(axis=-1)
+        match = 1.0 - np.minimum(deviation, 1.0).sum(axis=-1) / np.maximum(count, 1)
+        return np.where(count > 0, np.maximum(match, 0.0), np.nan)
+
+    def _match_nothing(self, reduced: NDArray[np.float64]) -> NDArray[np.float64]:
+        # Silence, or too short for one DFT frequency from 20 to 1000 Hz: only equal energy can still be told.
+        energy = np.einsum("...n,...n->...", reduced, reduced)
+        if np.all(np.abs(energy - self._energy) <= NUMERICAL_FLOOR * self._energy):
+            return np.ones(energy.shape)
+        raise ValueError(
+            "spectral match: the recording has no frequency with energy between 20 and 1000 Hz; record longer or at "
+            "a higher rate, and remove its offset"
+        )

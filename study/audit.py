@@ -9,11 +9,10 @@ recipe with the settings.
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from stimuli.inspection import check_stimuli
-from stimuli.manifest import read_stimuli
+from stimuli.manifest import FURTHER, describe_row, read_stimuli
 from study.auditing.journals import audit_journals
 from study.auditing.ledgered import audit_entry, read_entries
 from study.ledger.rebuilding import find_lost
@@ -71,8 +70,8 @@ def _audit_stimuli(folder: Path) -> tuple[list[str], str | None]:
         rows = read_origin(folder).rows
     except ValueError as error:
         return [*findings, str(error)], stimuli.sha256
-    # As text, in which a figure that is NaN equals itself.
-    same = json.dumps(rows, sort_keys=True) == json.dumps([asdict(row) for row in stimuli.stimuli], sort_keys=True)
+    listed = [{**dict.fromkeys(FURTHER), **row} for row in rows]  # an earlier version wrote fewer columns
+    same = json.dumps(listed, sort_keys=True) == json.dumps([*map(describe_row, stimuli.stimuli)], sort_keys=True)
     if not same:
         findings.append(f"{folder}: manifest.csv and manifest.json differ; one was changed, build the set again")
     return findings, stimuli.sha256

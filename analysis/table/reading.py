@@ -48,7 +48,7 @@ class Table:
         whether the metrics speak of that judgement (`find_matched`); a dissimilarity is about the stimulus compared
         with the reference.
     metrics : tuple of str
-        The metric columns, in the order of `stimuli.match.METRICS`.
+        The primary metric columns, in the order of `analysis.table.schema.PRIMARY`.
     notes : tuple of str
         What was left out and what was assumed, one sentence each.
     further : tuple of str

@@ -61,6 +61,9 @@ RATINGS: Mapping[str, Column] = {
 }
 """One row per judgement."""
 
+PRIMARY = ("spectral_match", "temporal_match")
+"""Metrics that the primary analysis is planned for; the other ones of `stimuli.match.METRICS` are explored."""
+
 FURTHER: Mapping[str, Column] = {
     "rotation_mean": Column("mean of the {metric} over random orientations of the sensor", unit="1 = perfect match"),
     "rotation_sd": Column("standard deviation of the {metric} over random orientations of the sensor", unit="1"),
@@ -77,19 +80,24 @@ def describe_further() -> dict[str, Column]:
     Returns
     -------
     dict of str to Column
-        By metric, in the order of `stimuli.match.METRICS`, and by kind, in that of `FURTHER`.
+        Metrics that are not primary, in the order of `stimuli.match.METRICS`; then, by metric in that order, the kinds
+        in the order of `FURTHER`. A metric that has no entry in `stimuli.invariant.INVARIANTS` is invariant itself.
 
     Examples
     --------
     >>> list(describe_further())[:3]
-    ['spectral_match_rotation_mean', 'spectral_match_rotation_sd', 'spectral_match_delivered']
+    ['spectral_match_bounded', 'spectral_match_rotation_mean', 'spectral_match_rotation_sd']
     """
+    from stimuli.invariant import INVARIANTS
+    from stimuli.manifest import COLUMN_UNITS
     from stimuli.match import METRICS
 
-    return {
+    explored = {name: Column("how well a stimulus matches its recording", COLUMN_UNITS[name]) for name in METRICS}
+    return {name: column for name, column in explored.items() if name not in PRIMARY} | {
         f"{metric}_{kind}": replace(column, meaning=column.meaning.format(metric=metric.replace("_", " ")))
         for metric in METRICS
         for kind, column in FURTHER.items()
+        if kind != "invariant" or metric in INVARIANTS
     }
 
 

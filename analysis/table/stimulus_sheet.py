@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from analysis.table.gaps import list_names
-from analysis.table.schema import describe_further, describe_manifest
+from analysis.table.schema import PRIMARY, describe_further, describe_manifest
 from analysis.table.sheet import check_names, read_known, read_metric, read_sheet, refuse_lines
 from analysis.table.sources import read_sources
 
@@ -38,7 +38,7 @@ def read_manifest(
         Indexed by stimulus_id: recording, source, reducer, level, role, one column per metric, and, where the file has
         them, rms_m_s2 and further metrics (`describe_further`).
     metrics : tuple of str
-        The metrics found, in the order of `stimuli.match.METRICS`.
+        The primary metrics found, in the order of `PRIMARY`.
     notes : list of str
         What was assumed.
 
@@ -47,14 +47,12 @@ def read_manifest(
     ValueError
         If a column or cell is not as it must be, or a stimulus is listed twice.
     """
-    from stimuli.match import METRICS
-
     sheet, notes = read_sheet(path, describe_manifest())
-    metrics = tuple(name for name in METRICS if name in sheet)
+    metrics = tuple(name for name in PRIMARY if name in sheet)
     if not metrics:
-        allowed = f"at least one of the columns {', '.join(METRICS)} is needed"
+        allowed = f"at least one of the columns {', '.join(PRIMARY)} is needed"
         raise ValueError(f"{path.name}: got no metric; {allowed}: feel321 match computes them")
-    absent = [name for name in METRICS if name not in sheet]
+    absent = [name for name in PRIMARY if name not in sheet]
     notes += [f"{path.name} has nothing in a column '{name}', so that metric is not reported." for name in absent]
     notes += _fill_column(sheet, "level", value="as_is", what=path.name)
     notes += _fill_column(sheet, "role", value="test", what=path.name)

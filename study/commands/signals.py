@@ -198,6 +198,7 @@ def _match(recording: Recording, samples: Samples) -> dict[str, Any]:
     return {
         "spectral_match": spectral.pop("value"),
         "temporal_match": temporal.pop("value"),
+        "spectral_match_bounded": spectral.pop("bounded"),
         "rate_hz": recording.rate_hz,
         "n_samples": recording.n_samples,
         **spectral,
@@ -210,5 +211,6 @@ def _print_matches(facts: dict[str, Any]) -> None:
         f"spectral match {facts['spectral_match']:.4f} ({facts['n_frequencies']} frequencies, "
         f"{facts['lowest_hz']:.1f} to {facts['highest_hz']:.1f} Hz, {facts['n_left_out']} left out)"
     )
+    click.echo(f"spectral match, bounded {facts['spectral_match_bounded']:.4f}")
     silent = ", ".join("xyz"[axis] for axis in facts["silent_axes"]) or "none"
     click.echo(f"temporal match {facts['temporal_match']:.4f} (silent axes: {silent})")

@@ -187,7 +187,7 @@ def test_a_silent_reduced_signal_scores_zero_and_is_reported() -> None:
 
 
 def test_every_metric_is_called_alike() -> None:
-    assert list(METRICS) == ["spectral_match", "temporal_match"]
+    assert list(METRICS) == ["spectral_match", "temporal_match", "spectral_match_bounded"]
     acceleration = noise(3, 400)
     for metric in METRICS.values():
         value = metric(acceleration, acceleration[0], RATE)

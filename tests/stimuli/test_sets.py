@@ -1,7 +1,9 @@
 from __future__ import annotations
 
+import csv
 import hashlib
 import json
+import math
 import os
 import signal
 import subprocess
@@ -18,8 +20,8 @@ from stimuli.anchors import ANCHORS, quietest_hz
 from stimuli.condition import Conditioning, condition
 from stimuli.inspection import check_stimuli
 from stimuli.lock import hold_lock
-from stimuli.manifest import COLUMN_UNITS, Stimulus, read_stimuli, write_bytes
-from stimuli.match import spectral_match, temporal_match
+from stimuli.manifest import COLUMN_UNITS, Stimulus, read_stimuli, write_bytes, write_manifest
+from stimuli.match import METRICS, spectral_match, temporal_match
 from stimuli.perception import felt_level
 from stimuli.recipe import Recipe
 from stimuli.recording import Recording
@@ -35,6 +37,7 @@ if TYPE_CHECKING:
 CONTRACT = [
     "stimulus_id", "recording", "reducer", "level", "role", "file", "rate_hz", "n_samples", "duration_s", "peak",
     "rms_m_s2", "gain", "spectral_match", "temporal_match", "clipped", "sha256", "recording_sha256",
+    "spectral_match_bounded",
 ]
 BOTH = ("as_is", "equal_intensity")
 
@@ -112,8 +115,8 @@ def test_scores_are_those_of_the_conditioned_recording(built: StimulusSet, scene
         if row.role == "test":
             acceleration, rate = conditioned[row.recording].acceleration, conditioned[row.recording].rate_hz
             reduced = REDUCERS[row.reducer](acceleration, rate)
-            assert row.spectral_match == pytest.approx(spectral_match(acceleration, reduced, rate), abs=1e-12)
-            assert row.temporal_match == pytest.approx(temporal_match(acceleration, reduced), abs=1e-12)
+            for name, metric in METRICS.items():
+                assert getattr(row, name) == pytest.approx(metric(acceleration, reduced, rate), abs=1e-12)
 
 
 def test_the_file_is_the_reduced_signal_at_the_rigs_rate(built: StimulusSet, scenes: list[Recording]) -> None:
@@ -512,7 +515,7 @@ def test_a_gain_that_clips_is_counted_and_reported(scenes: list[Recording], tmp_
     [
         ("", "holds no stimulus"),
         ("a,b\n1,2\n", "line 2: wrong or missing columns stimulus_id"),
-        (",".join(CONTRACT) + "\n" + "x," * 6 + "fast" + ",1" * 10 + "\n", "line 2: could not convert string to float"),
+        (",".join(CONTRACT) + "\n" + "x," * 6 + "fast" + ",1" * 11 + "\n", "line 2: could not convert string to float"),
         (b"\xff\xfe", "UTF-8"),
     ],
 )
@@ -526,6 +529,28 @@ def test_a_manifest_that_is_none_is_refused(table: str | bytes, message: str, tm
 
 def test_a_set_that_was_not_built_says_so(tmp_path: Path) -> None:
     assert "feel321 build" in check_stimuli(tmp_path)[0]
+
+
+def test_a_set_of_an_earlier_version_has_no_further_metric(built: StimulusSet, tmp_path: Path) -> None:
+    with (built.folder / "manifest.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    older = [name for name in CONTRACT if name != "spectral_match_bounded"]
+    with (tmp_path / "manifest.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, older, extrasaction="ignore")
+        writer.writeheader()
+        writer.writerows(rows)
+    for row, one in zip(read_stimuli(tmp_path).stimuli, built.stimuli, strict=True):
+        assert math.isnan(row.spectral_match_bounded)
+        assert replace(row, spectral_match_bounded=one.spectral_match_bounded) == one
+
+
+def test_a_further_metric_that_is_not_known_is_an_empty_cell(built: StimulusSet, tmp_path: Path) -> None:
+    unknown = replace(built.stimuli[0], spectral_match_bounded=math.nan)
+    write_manifest(tmp_path, [unknown], details={})
+    assert (tmp_path / "manifest.csv").read_bytes().endswith(b",\r\n")
+    assert json.loads((tmp_path / "manifest.json").read_text())["stimuli"][0]["spectral_match_bounded"] is None
+    (again,) = read_stimuli(tmp_path).stimuli
+    assert math.isnan(again.spectral_match_bounded)
 
 
 def test_real_recordings_build_and_pass(shared_recordings: Path, tmp_path: Path) -> None:

@@ -67,11 +67,13 @@ def test_every_test_stimulus_has_the_statistics_of_its_recording_and_reducer(
     for reducer in REDUCERS:
         one = rotation_statistics(bumps.acceleration, bumps.rate_hz, reducer=reducer, rng=np.random.default_rng(6))
         expected = (one.spectral_mean, one.spectral_sd, one.temporal_mean, one.temporal_sd)
+        expected += (one.bounded_mean, one.bounded_sd)
         for level in ("as_is", "equal_intensity"):
             np.testing.assert_allclose(found.loc[f"bumps__{reducer}__{level}"], expected, atol=1e-9)
     assert list(found) == [
         "spectral_match_rotation_mean", "spectral_match_rotation_sd",
         "temporal_match_rotation_mean", "temporal_match_rotation_sd",
+        "spectral_match_bounded_rotation_mean", "spectral_match_bounded_rotation_sd",
     ]  # fmt: skip
 
 

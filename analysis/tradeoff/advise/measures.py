@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stimuli.invariant import spectral_match_invariant, temporal_match_invariant
-from stimuli.match import OriginalSpectrum, temporal_match
+from stimuli.match import temporal_match
 from stimuli.perception import felt_level
+from stimuli.spectrum import OriginalSpectrum
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

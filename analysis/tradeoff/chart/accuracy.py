@@ -19,9 +19,9 @@ import numpy as np
 from analysis.tradeoff.chart.records import MEASURES, Accuracy
 from stimuli.condition import resample
 from stimuli.invariant import spectral_match_invariant, temporal_match_invariant
-from stimuli.match import OriginalSpectrum, axis_correlations, mean_heard
+from stimuli.match import axis_correlations, mean_heard
 from stimuli.rotation import random_rotations
-from stimuli.spectrum import WeberSmoothing, energy_spectrum, linear_grid
+from stimuli.spectrum import OriginalSpectrum, WeberSmoothing, energy_spectrum, linear_grid
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from analysis.tradeoff.stress.change import Change, admit_moving, relative_change, summarise
-from stimuli.match import OriginalSpectrum, axis_correlations, mean_heard
+from stimuli.match import axis_correlations, mean_heard
 from stimuli.rotation import random_rotations
+from stimuli.spectrum import OriginalSpectrum
 
 if TYPE_CHECKING:
     from analysis.tradeoff.stress.change import Free

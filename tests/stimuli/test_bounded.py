@@ -1,0 +1,168 @@
+"""The bounded spectral match: brute force over frequencies, and its laws."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from stimuli.condition import Conditioning, condition
+from stimuli.formats import read_recording
+from stimuli.match import spectral_match, spectral_match_bounded, spectral_match_details
+from stimuli.reduce import REDUCERS
+from stimuli.rotation import random_rotations
+from stimuli.spectrum import OriginalSpectrum
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+RATE = 4000.0
+SIZES = st.floats(-9.0, 9.0).map(lambda exponent: 10.0**exponent)
+
+
+def noise(*shape: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).standard_normal(shape)
+
+
+def tone(frequency_hz: float, n: int = 4000) -> np.ndarray:
+    return np.sin(2 * np.pi * frequency_hz * np.arange(n) / RATE)
+
+
+def stand_in(energy_of: np.ndarray) -> np.ndarray:
+    """Three axes, two of them silent: E is the spectrum of this one signal."""
+    return np.array([energy_of, 0 * energy_of, 0 * energy_of])
+
+
+def brute_force(acceleration: np.ndarray, reduced: np.ndarray, rate_hz: float) -> float:
+    """Go through the frequencies one by one, with the smoothing window bin by bin."""
+    n = reduced.size
+    original = (np.abs(np.fft.rfft(acceleration)) ** 2).sum(axis=0)
+    kept = np.abs(np.fft.rfft(reduced)) ** 2
+    energy, energies = (acceleration**2).sum(), max((acceleration**2).sum(), (reduced**2).sum())
+    bins, deviations = np.arange(original.size), []
+    for k in bins:
+        if not 20 <= k * rate_hz / n <= 1000:
+            continue
+        half = max(0.11 * k, 0.5)
+        low, high = max(k + 0.5 - half, 0), min(k + 0.5 + half, original.size)
+        covered = np.clip(np.minimum(bins + 1, high) - np.maximum(bins, low), 0, 1) / (high - low)
+        e, s = covered @ original, covered @ kept
+        if e > 1e-12 * energy or s > 1e-12 * energies:
+            deviations.append(abs(e - s) / max(e, s))
+    return 1 - sum(deviations) / len(deviations)
+
+
+@pytest.mark.parametrize("n", [401, 2000, 3001])
+@pytest.mark.parametrize("name", ["sax321", "soc321", "mag321", "pca321", "dft321_windowed"])
+def test_it_is_the_mean_over_frequencies(name: str, n: int) -> None:
+    acceleration = noise(3, n, seed=n) * np.array([[1.0], [2.0], [0.3]])
+    reduced = REDUCERS[name](acceleration, RATE)
+    expected = brute_force(acceleration, reduced, RATE)
+    assert spectral_match_bounded(acceleration, reduced, RATE) == pytest.approx(expected, abs=1e-12)
+    assert spectral_match_details(acceleration, reduced, RATE).bounded == pytest.approx(expected, abs=1e-12)
+
+
+@settings(deadline=None, max_examples=60)
+@given(SIZES, SIZES, st.integers(40, 300), st.integers(0, 9), st.floats(100.0, 50_000.0))
+def test_it_lies_between_0_and_1_and_one_factor_changes_nothing(
+    size: float, factor: float, n: int, seed: int, rate_hz: float
+) -> None:
+    acceleration, reduced = noise(3, n, seed=seed), size * noise(n, seed=seed + 10)
+    match = spectral_match_bounded(acceleration, reduced, rate_hz)
+    scaled = spectral_match_bounded(factor * acceleration, factor * reduced, rate_hz)
+    if np.isnan(match):
+        assert not len(OriginalSpectrum(acceleration, rate_hz).frequencies_hz)
+        assert np.isnan(scaled)
+    else:
+        assert 0.0 <= match <= 1.0
+        assert scaled == pytest.approx(match, abs=1e-9)
+
+
+@settings(deadline=None, max_examples=30)
+@given(SIZES, st.integers(0, 9))
+def test_it_does_not_matter_which_is_the_recording(size: float, seed: int) -> None:
+    one, other = noise(2, 800, seed=seed) * [[1.0], [size]]
+    forth = spectral_match_bounded(stand_in(one), other, RATE)
+    assert spectral_match_bounded(stand_in(other), one, RATE) == pytest.approx(forth, abs=1e-9)
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.floats(0.0, 1.0), st.integers(0, 9))
+def test_it_is_the_papers_where_the_reduced_signal_is_the_weaker(share: float, seed: int) -> None:
+    acceleration = noise(3, 900, seed=seed)
+    reduced = share * REDUCERS["dft321"](acceleration, RATE)
+    paper = spectral_match(acceleration, reduced, RATE)
+    assert spectral_match_bounded(acceleration, reduced, RATE) == pytest.approx(paper, abs=1e-12)
+    one_axis = acceleration[1]
+    assert spectral_match_bounded(acceleration, one_axis, RATE) == pytest.approx(
+        spectral_match(acceleration, one_axis, RATE), abs=1e-12
+    )
+
+
+@pytest.mark.parametrize(("gain", "expected"), [(2.0, 0.5), (0.5, 0.5), (10.0, 0.1), (1e9, 1e-9), (1.0, 1.0)])
+def test_a_gain_of_the_energy_scores_itself_or_its_inverse(gain: float, expected: float) -> None:
+    acceleration = noise(3, 3000)
+    reduced = np.sqrt(gain) * REDUCERS["dft321"](acceleration, RATE)
+    assert spectral_match_bounded(acceleration, reduced, RATE) == pytest.approx(expected, rel=1e-9)
+
+
+def test_energy_in_bands_that_the_recording_left_empty_is_seen() -> None:
+    recording = stand_in(tone(100.0))
+    assert spectral_match_bounded(recording, tone(100.0), RATE) == 1.0
+    # A tone fills 89 to 113 Hz of the smoothed spectrum; another one, 100 times weaker, 10 times as many frequencies.
+    added = tone(100.0) + 0.01 * tone(900.0)
+    assert spectral_match(recording, added, RATE) == pytest.approx(1.0, abs=1e-9)
+    n_own = spectral_match_details(recording, tone(100.0), RATE).n_frequencies
+    n_added = spectral_match_details(stand_in(tone(900.0)), tone(900.0), RATE).n_frequencies
+    assert spectral_match_bounded(recording, added, RATE) == pytest.approx(n_own / (n_own + n_added), abs=1e-9)
+    assert spectral_match_bounded(recording, tone(900.0), RATE) == 0.0
+
+
+def test_silence_of_one_scores_zero_and_of_both_nothing() -> None:
+    sound, silence = noise(500), np.zeros(500)
+    assert spectral_match_bounded(stand_in(sound), silence, RATE) == 0.0
+    assert spectral_match_bounded(stand_in(silence), sound, RATE) == 0.0
+    assert np.isnan(spectral_match_bounded(stand_in(silence), silence, RATE))
+    assert np.isnan(spectral_match_bounded(noise(3, 3), noise(3), RATE))  # too short for 20 to 1000 Hz
+    assert np.isnan(spectral_match_bounded(stand_in(silence + 9.81), silence + 3.0, RATE))  # offsets only
+
+
+def test_turning_the_sensor_changes_nothing() -> None:
+    acceleration = noise(3, 900) * np.array([[1.0], [5.0], [0.1]])
+    reduced = 1.4 * acceleration[0]
+    expected = spectral_match_bounded(acceleration, reduced, RATE)
+    for turn in random_rotations(5, np.random.default_rng(0)):
+        assert spectral_match_bounded(turn @ acceleration, reduced, RATE) == pytest.approx(expected, rel=1e-9)
+
+
+def test_many_signals_at_once_are_matched_as_each_alone() -> None:
+    acceleration, reduced = noise(3, 700), noise(2, 4, 700, seed=2)
+    original = OriginalSpectrum(acceleration, RATE)
+    plain, bounded = original.match_both(reduced)
+    for place in np.ndindex(2, 4):
+        assert plain[place] == pytest.approx(spectral_match(acceleration, reduced[place], RATE), abs=1e-12)
+        assert bounded[place] == pytest.approx(spectral_match_bounded(acceleration, reduced[place], RATE), abs=1e-12)
+    np.testing.assert_array_equal(original.match_bounded(reduced), bounded)
+
+
+@pytest.mark.parametrize("grid", ["linear", "log"])
+def test_both_grids(grid: str) -> None:
+    acceleration = noise(3, 50_000)
+    reduced = 2 * REDUCERS["dft321"](acceleration, RATE)
+    assert spectral_match_bounded(acceleration, reduced, RATE, grid=grid) == pytest.approx(0.25, rel=1e-9)
+
+
+def test_the_published_exception_stays_within_bounds_on_real_recordings(shared_recordings: Path) -> None:
+    lowest = {}
+    for path in sorted(shared_recordings.iterdir()):
+        if path.suffix not in {".csv", ".npz", ".wav"}:
+            continue
+        recording = condition(read_recording(path), Conditioning())
+        reduced = REDUCERS["mag321"](recording.acceleration, recording.rate_hz)
+        original = OriginalSpectrum(recording.acceleration, recording.rate_hz)
+        lowest[path.stem] = tuple(map(float, original.match_both(reduced)))
+    assert min(paper for paper, _ in lowest.values()) < -2000
+    assert all(0.0 <= bounded <= 1.0 for _, bounded in lowest.values())
