@@ -13,7 +13,7 @@ import numpy as np
 from analysis.arrays import read_numbers
 from analysis.resampling.bootstrap import CONFIDENCE
 from analysis.table.reading import HIGHEST, LOWEST
-from analysis.table.tidy import leave_rejected
+from analysis.table.tidy import leave_rejected, open_ratings
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -92,7 +92,7 @@ def stimulus_means(ratings: DataFrame) -> DataFrame:
 
 def _read_rows(ratings: DataFrame, names: list[str]) -> DataFrame:
     """Leave out rejected rows; refuse what would drop out of a mean unseen."""
-    wanted = [*names, "rating"]
+    ratings, wanted = open_ratings(ratings), [*names, "rating"]
     if missing := [name for name in wanted if name not in ratings]:
         raise ValueError(f"ratings: column {', '.join(missing)} is missing; needed are {', '.join(wanted)}")
     rows, _ = leave_rejected(ratings)

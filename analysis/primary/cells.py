@@ -15,7 +15,7 @@ import numpy as np
 
 from analysis.arrays import read_numbers
 from analysis.table.sources import find_sources
-from analysis.table.tidy import leave_rejected, leave_untested, name_items
+from analysis.table.tidy import leave_rejected, leave_untested, name_items, open_ratings, refuse_pooled
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame, Series
 
 WHO, SCENE, ITEM, RATING = "participant", "recording", "item", "rating"
-SOURCE, REDUCER, SCALE = "source", "reducer", "scale"
+SOURCE, REDUCER = "source", "reducer"
 KEYS = (WHO, SCENE, ITEM)
 FLAT = 1e-10
 """Share of a metric's size below which its spread is rounding."""
@@ -124,8 +124,8 @@ def make_cells(rows: DataFrame, metrics: Sequence[str]) -> Cells:
     Raises
     ------
     ValueError
-        If columns are missing, several scales are mixed, values are not finite, or an item has two recordings, two
-        reducers or two values of a metric, or a recording two sources.
+        If columns are missing, several scales or levels are mixed, values are not finite, or an item has two
+        recordings, two reducers or two values of a metric, or a recording two sources.
 
     Notes
     -----
@@ -137,7 +137,7 @@ def make_cells(rows: DataFrame, metrics: Sequence[str]) -> Cells:
     if not metrics or isinstance(metrics, str):
         raise ValueError(f"metrics: got {metrics!r}, allowed is one name or more, in a list")
     metrics = tuple(dict.fromkeys(metrics))
-    rows, notes = leave_rejected(name_items(rows))
+    rows, notes = leave_rejected(name_items(open_ratings(rows, what="rows")))
     rows, untested = leave_untested(rows)
     rows = _read_rows(rows, metrics)
     items = _list_items(rows, metrics)
@@ -188,9 +188,7 @@ def _read_rows(rows: DataFrame, metrics: Sequence[str]) -> DataFrame:
         raise ValueError(f"rows: got no column {missing[0]!r}, allowed is a table with {', '.join(wanted)}")
     if rows.empty:
         raise ValueError("rows: got none, allowed is one per rating")
-    scales = sorted(map(str, rows[SCALE].unique())) if SCALE in rows else []
-    if len(scales) > 1:
-        raise ValueError(f"rows: got the scales {', '.join(scales)}, allowed is one attribute; use fit_attributes")
+    refuse_pooled(rows, metrics=metrics, what="rows")
     numbers = {name: read_numbers(rows[name], what=f"rows, {name!r}") for name in (RATING, *metrics)}
     for name, values in numbers.items():
         if bad := int((~np.isfinite(values)).sum()):

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 from analysis.mixed.model import contrast, fit_mixed
 from analysis.primary.cells import ITEM, RATING, SCENE, WHO, Cells, make_cells
 from analysis.primary.plan import ALIKE, plan_terms
+from analysis.table.tidy import open_ratings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -119,8 +120,8 @@ def fit_primary(
     Raises
     ------
     ValueError
-        If the table is not as described, mixes several scales, ratings or all metrics are constant, or too few rows
-        are left for any model.
+        If the table is not as described, mixes several scales or levels, ratings or all metrics are constant, or too
+        few rows are left for any model.
 
     Notes
     -----
@@ -190,6 +191,7 @@ def fit_attributes(rows: DataFrame, metrics: Sequence[str], *, attribute: str = 
     ValueError
         If there is no such column, or as for `fit_primary`.
     """
+    rows = open_ratings(rows, what="rows")
     if attribute not in rows:
         raise ValueError(f"rows: got no column {attribute!r}, which tells the attributes; name it with attribute=")
     groups = rows.groupby(attribute, observed=True, sort=True)

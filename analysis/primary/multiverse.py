@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from analysis.screening.screen import screen_raters
-from analysis.table.tidy import leave_rejected
+from analysis.table.tidy import leave_rejected, open_ratings
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
@@ -146,6 +146,7 @@ def run_multiverse(
 
     if together < 1:
         raise ValueError(f"together: got {together}, allowed is 1 or more rules in a combination")
+    ratings = open_ratings(ratings)
     screening = screen_raters(ratings, rules=rules, rng=rng)
     ratings, _ = leave_rejected(ratings)
     universes = list(_list_universes(screening.rules, together))

@@ -11,7 +11,7 @@ from analysis.primary.cells import RATING, REDUCER, SCENE, SOURCE, WHO
 from analysis.primary.model import fit_primary
 from analysis.table.reading import order_reducers
 from analysis.table.sources import find_sources
-from analysis.table.tidy import leave_rejected, leave_untested, name_items
+from analysis.table.tidy import leave_rejected, leave_untested, name_items, open_ratings
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -63,7 +63,7 @@ def vary_primary(rows: DataFrame, metrics: Sequence[str], *, top: float = 100.0)
     """
     import pandas as pd
 
-    rows, notes = leave_rejected(name_items(rows))
+    rows, notes = leave_rejected(name_items(open_ratings(rows, what="rows")))
     rows, untested = leave_untested(rows)
     ratings = read_numbers(rows[RATING], what=f"rows, {RATING!r}")
     rows = rows.assign(**{RATING: ratings})

@@ -112,7 +112,7 @@ def make_judgements(ratings: DataFrame) -> Judgements:
     if "repeat" in ratings:
         ratings = ratings.sort_values("repeat", kind="stable")
     excerpt = [name for name in ("scale", "recording", "level") if name in ratings] or named
-    item = list(dict.fromkeys([name for name in ("scale", *named, "reference_id") if name in ratings]))
+    item = ["scale", *key_stimulus(ratings)] if "scale" in ratings else key_stimulus(ratings)
     numbers = ratings.groupby(excerpt, observed=True, dropna=False).ngroup().to_numpy()
     rows = pd.DataFrame({
         "participant": ratings["participant"].to_numpy(),
@@ -127,6 +127,24 @@ def make_judgements(ratings: DataFrame) -> Judgements:
     first = ratings[item].assign(number=rows["item"].to_numpy()).drop_duplicates("number").set_index("number")
     items = first.astype(str).agg("/".join, axis=1)
     return Judgements(rows, pd.Index(sorted(rows["participant"].unique()), name="participant"), names, items)
+
+
+def key_stimulus(ratings: DataFrame) -> list[str]:
+    """List the columns that together name what was judged against what; the level too, where there are several.
+
+    Parameters
+    ----------
+    ratings : DataFrame
+        One row per judgement.
+
+    Returns
+    -------
+    list of str
+        Names of columns.
+    """
+    named = ["stimulus_id"] if "stimulus_id" in ratings else [name for name in NAMING if name in ratings]
+    arms = ["level"] if "level" in ratings and len(ratings["level"].unique()) > 1 else []
+    return list(dict.fromkeys([*named, *arms, *(["reference_id"] if "reference_id" in ratings else [])]))
 
 
 def _check_columns(ratings: DataFrame) -> list[str]:

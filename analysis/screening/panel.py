@@ -8,6 +8,7 @@ import numpy as np
 
 from analysis.agreement.alpha import krippendorff_alpha
 from analysis.agreement.reliability import SMALLEST, intraclass
+from analysis.screening.judgements import key_stimulus
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -49,9 +50,7 @@ def describe_panel(ratings: DataFrame, hit: Iterable[object]) -> DataFrame:
 
 
 def _describe(tests: DataFrame) -> dict[str, object]:
-    names = ["stimulus_id"] if "stimulus_id" in tests else ["recording", "reducer", "level"]
-    key = [name for name in (*names, "reference_id") if name in tests]
-    table = tests.pivot_table("rating", key, "participant", observed=True).to_numpy(np.float64)
+    table = tests.pivot_table("rating", key_stimulus(tests), "participant", observed=True).to_numpy(np.float64)
     complete = table[np.isfinite(table).all(axis=1)]
     figures = dict.fromkeys(FIGURES, float("nan"))
     if min(complete.shape) >= SMALLEST:

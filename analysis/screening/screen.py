@@ -12,7 +12,7 @@ from analysis.screening.gauge import gauge_raters, judge_expertise
 from analysis.screening.judgements import make_judgements
 from analysis.screening.panel import describe_panel
 from analysis.screening.rules import EXPERTISE, RULES, choose_limits
-from analysis.table.tidy import leave_rejected, name_stimuli
+from analysis.table.tidy import leave_rejected, name_stimuli, open_ratings
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterable, Mapping
@@ -145,7 +145,7 @@ def screen_raters(
     import pandas as pd
 
     limits = choose_limits(rules, random=rng is not None)
-    ratings, left_out = leave_rejected(name_stimuli(ratings))
+    ratings, left_out = leave_rejected(name_stimuli(open_ratings(ratings)))
     if "rating" in ratings:
         ratings = ratings.assign(rating=read_numbers(ratings["rating"], what="ratings, 'rating'"))
     judgements = make_judgements(ratings)

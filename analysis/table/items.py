@@ -14,7 +14,7 @@ import numpy as np
 
 from analysis.arrays import read_numbers
 from analysis.table.sources import find_sources
-from analysis.table.tidy import NAMING, leave_rejected, name_stimuli
+from analysis.table.tidy import NAMING, leave_rejected, name_stimuli, open_ratings, refuse_pooled
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -102,14 +102,15 @@ def make_items(ratings: DataFrame, metrics: Sequence[str]) -> Items:
     Raises
     ------
     ValueError
-        If a column is missing, several scales are mixed, no test stimulus is left, a name is missing, a number
-        is not finite, or a metric or the recording differs between ratings of the same item.
+        If a column is missing, several scales or levels are mixed, no test stimulus is left, a name is missing, a
+        number is not finite, or a metric or the recording differs between ratings of the same item.
     """
-    ratings, notes = leave_rejected(name_stimuli(ratings))
+    ratings, notes = leave_rejected(name_stimuli(open_ratings(ratings)))
     keys = _check_columns(ratings, metrics)
     rows = ratings[ratings["role"] == "test"] if "role" in ratings else ratings
     if rows.empty:
         raise ValueError("ratings: got no row with role 'test'; an association needs rated test stimuli")
+    refuse_pooled(rows, metrics=metrics)
     _check_names(rows, ["participant", "recording"])
     rows = rows.assign(**_read_values(rows, ["rating", *metrics]))
     # Sorting by rating too makes the sums below, and so the last digit of every result, independent of row
@@ -142,9 +143,6 @@ def _check_columns(ratings: DataFrame, metrics: Sequence[str]) -> list[str]:
     if missing:
         got = ", ".join(map(str, ratings.columns))
         raise ValueError(f"ratings: column {missing} is missing; got {got}")
-    scales = sorted(map(str, ratings["scale"].unique())) if "scale" in ratings else []
-    if len(scales) > 1:
-        raise ValueError(f"ratings: got the scales {', '.join(scales)}, allowed is one; select it first")
     return keys
 
 

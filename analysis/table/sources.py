@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from analysis.table.sheet import refuse_lines
+from analysis.table.tidy import open_ratings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -72,6 +73,7 @@ def find_sources(rows: DataFrame) -> Series:
     >>> find_sources(pd.DataFrame({"recording": ["b-r1", "b-r2", "c"], "source": ["b", "b", None]})).to_dict()
     {'b-r1': 'b', 'b-r2': 'b', 'c': 'c'}
     """
+    rows = open_ratings(rows, what="rows")
     if "recording" not in rows:
         raise ValueError(f"rows: column recording is missing; got {', '.join(map(str, rows))}")
     told = rows["source"] if "source" in rows else rows["recording"]

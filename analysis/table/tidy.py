@@ -1,7 +1,9 @@
-"""Tidy tables in memory, from anywhere: which judgements count, and which column names the stimulus.
+"""Tidy tables in memory, from anywhere: what they may look like, which judgements count, what names the stimulus.
 
-Conventions: a judgement marked in a column ``rejected`` does not count, whatever its rating; its number is told. A
-stimulus is named by ``stimulus_id``, or by recording, reducer and level together, or else by ``stimulus`` or ``item``.
+Conventions: every public function that takes such a table passes it through `open_ratings` first. The index of a table
+means nothing; a row is one judgement. A judgement marked in a column ``rejected`` does not count, whatever its rating;
+the notes count them. A stimulus is named by ``stimulus_id``, or by recording, reducer and level together, or else by
+``stimulus`` or ``item``.
 """
 
 from __future__ import annotations
@@ -11,6 +13,8 @@ from typing import TYPE_CHECKING
 from analysis.table.sheet import NO, YES
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from pandas import DataFrame, Series
 
 STIMULUS, REJECTED = "stimulus_id", "rejected"
@@ -20,6 +24,78 @@ NAMING = ("recording", "reducer", "level")
 
 SPOKEN = ("stimulus", "item")
 """What else the column is called."""
+
+
+ARMS = ("scale", "level")
+"""Columns of which one model or one correlation takes a single value."""
+
+
+def open_ratings(ratings: DataFrame, *, what: str = "ratings") -> DataFrame:
+    """Give a table a plain index, so that no row is matched with another by a label that both happen to have.
+
+    Parameters
+    ----------
+    ratings : DataFrame
+        One row per judgement, with any index: tables put together by ``pandas.concat`` repeat theirs.
+    what : str
+        What to call it in a message.
+
+    Returns
+    -------
+    DataFrame
+        The same rows in the same order, numbered from 0. A level of the index that has a name which no column has
+        becomes a column.
+
+    Raises
+    ------
+    TypeError
+        If it is no DataFrame.
+    ValueError
+        If two columns have one name.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> day = pd.DataFrame({"rating": [40.0, 60.0]})
+    >>> open_ratings(pd.concat([day, day])).index.tolist()
+    [0, 1, 2, 3]
+    """
+    from pandas import DataFrame
+
+    if not isinstance(ratings, DataFrame):
+        raise TypeError(f"{what}: got {type(ratings).__name__}, allowed is a pandas DataFrame, one row per judgement")
+    named = ratings.index.to_frame(index=False) if any(ratings.index.names) else DataFrame()
+    kept = [name for name in named if name in ratings.index.names and name not in ratings]
+    table = ratings.reset_index(drop=True).assign(**{str(name): named[name] for name in kept})
+    if twice := table.columns[table.columns.duplicated()].tolist():
+        raise ValueError(f"{what}: got two columns {twice[0]!r}, allowed is one of each name; rename or drop one")
+    return table
+
+
+def refuse_pooled(rows: DataFrame, *, metrics: Collection[str] = (), what: str = "ratings") -> None:
+    """Refuse rows of several scales or several levels: their ratings are not about one thing.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        Judgements that count: scale and level, where there are such columns.
+    metrics : collection of str
+        Columns that are used as metrics; a level among them (in dB, say) is a number and no arm of a study.
+    what : str
+        What to call the table in the message.
+
+    Raises
+    ------
+    ValueError
+        If there are two or more of either.
+    """
+    for column in ARMS:
+        names = sorted(map(str, rows[column].unique())) if column in rows and column not in metrics else []
+        if len(names) > 1:
+            raise ValueError(
+                f"{what}: got the {column}s {', '.join(names)}, allowed is one {column}; select its rows first, or fit "
+                f"a model to each with fit_attributes(..., attribute={column!r})"
+            )
 
 
 def leave_rejected(ratings: DataFrame) -> tuple[DataFrame, tuple[str, ...]]:

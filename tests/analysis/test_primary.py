@@ -265,7 +265,7 @@ def test_shapes_refused(rows: pd.DataFrame) -> None:
         fit_primary(rows, "sm")
     with pytest.raises(ValueError, match="rows, 'sm': got 'high', allowed are numbers"):
         fit_primary(rows.assign(sm="high"), METRICS)
-    with pytest.raises(ValueError, match="rows: got the scales realism, similarity, allowed is one attribute"):
+    with pytest.raises(ValueError, match="rows: got the scales realism, similarity, allowed is one scale; select"):
         fit_primary(rows.assign(scale=np.where(rows["repeat"] == 0, "realism", "similarity")), METRICS)
     with pytest.raises(ValueError, match="rows: got no column 'scale', which tells the attributes"):
         fit_attributes(rows, METRICS)
