@@ -15,12 +15,27 @@ KNOWN = [(scene.name, failing) for scene in BATTERY.values() for failing in scen
 NEAR_A_LIMIT = 1.4
 
 
+TIED = ("circular", "equal_eigenvalues")
+"""Scenes whose two largest eigenvalues are equal."""
+
+
+def test_two_scenes_have_no_principal_axis() -> None:
+    for name, scene in BATTERY.items():
+        variances = np.linalg.eigvalsh(np.cov(scene.make(8).acceleration))
+        assert (variances[-1] - variances[-2] < 1e-9 * variances[-1]) == (name in TIED)
+
+
+def rests_on_rounding(cell: Cell) -> bool:
+    """Whether rounding chose the axis; another processor finds another figure then, but `gain` fails everywhere."""
+    return cell.recording in TIED and cell.reducer == "pca321" and cell.measure != "gain"
+
+
 def find_firm_failures(result: Any) -> set[tuple[str, str, str]]:
     """Failures that are not near their limit."""
     found = set()
     for cell in result:
         value = cell.worst if cell.measure == "flip" else cell.value
-        if abs(value) >= NEAR_A_LIMIT * MEASURES[cell.measure].fails:
+        if abs(value) >= NEAR_A_LIMIT * MEASURES[cell.measure].fails and not rests_on_rounding(cell):
             found.add((cell.recording, cell.reducer, cell.measure))
     return found
 
