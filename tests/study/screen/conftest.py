@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from runpy import run_path
@@ -21,9 +22,8 @@ HERE = Path(__file__).parent
 PATIENCE_S = 120.0
 """How long anything is waited for: nothing takes so long, only a machine under load."""
 
-PRESS_S = 0.04
 GLANCE_S = 0.3
-"""How long a key is down: longer than a frame."""
+"""How long a window that was put away gets to hear a key before it is pressed again."""
 
 Display = "Callable[[int, int], dict[str, str]]"
 
@@ -35,13 +35,9 @@ def display() -> Iterator[Callable[[int, int], dict[str, str]]]:
 
     def open_display(width: int = 1024, height: int = 768) -> dict[str, str]:
         reading, writing = os.pipe()
-        servers.append(
-            subprocess.Popen(
-                ["Xvfb", "-displayfd", str(writing), "-screen", "0", f"{width}x{height}x24", "-nolisten", "tcp"],
-                pass_fds=[writing],
-                stderr=subprocess.DEVNULL,
-            )
-        )
+        screen = ["-screen", "0", f"{width}x{height}x24"]
+        command = ["Xvfb", "-displayfd", str(writing), *screen, "-nolisten", "tcp", "-noreset"]
+        servers.append(subprocess.Popen(command, pass_fds=[writing], stderr=subprocess.DEVNULL))
         os.close(writing)
         with os.fdopen(reading) as numbers:
             number = numbers.readline().strip()
@@ -60,9 +56,11 @@ class Seat:
 
     process: subprocess.Popen[str]
     env: dict[str, str]
+    is_held: bool
     told: list[dict[str, Any]] = field(default_factory=list)
     lines: queue.Queue[str] = field(default_factory=queue.Queue)
     view: dict[str, Any] = field(default_factory=dict)
+    seen: int = 0
     reader: threading.Thread = field(init=False)
 
     def start_reading(self) -> None:
@@ -79,40 +77,62 @@ class Seat:
         """What the journal would hold so far."""
         return [words for words in self.told if "event" in words]
 
+    @property
+    def now(self) -> int:
+        """Where what is on the screen now was told."""
+        return max((place for place, words in enumerate(self.told) if "view" in words), default=0)
+
     def find(self, event: str) -> list[dict[str, Any]]:
         return [words for words in self.events if words["event"] == event]
 
     def until(self, test: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
-        """Read on until the screen is as it is to be."""
-        end_s = time.monotonic() + PATIENCE_S
-        while not (self.view and test(self.view)):
-            self._take(self._read_line(end_s))
-        return self.view
-
-    def _read_line(self, end_s: float) -> str:
-        try:
-            line = self.lines.get(timeout=max(0.1, end_s - time.monotonic()))
-        except queue.Empty:
-            pytest.fail(f"the screen stays as it is: {self.view}; {self.told[-5:]}")
-        assert line, f"the screen is gone; it was {self.view}\n{self.read_errors()}"
-        return line
-
-    def order(self, word: str) -> None:
-        """Have the clock held or go on, or only look (see lead.py); a frame later at least it is done.
-
-        What was pressed before was heeded by then.
-        """
-        assert self.process.stdin is not None
-        n_before = sum("obeyed" in words for words in self.told)
-        self.process.stdin.write(f"{word}\n")
-        self.process.stdin.flush()
-        self.until(lambda _: sum("obeyed" in words for words in self.told) > n_before)
+        """Read on until the screen is, or since the last key or click was, as it is to be; gives it as it was then."""
+        end_s, fresh = time.monotonic() + PATIENCE_S, self.seen
+        while True:
+            for place in range(fresh, len(self.told)):
+                if "view" in self.told[place] and test(self.told[place]["view"]):
+                    self.seen = place
+                    return self.told[place]["view"]
+            fresh = len(self.told)
+            self._read_on(end_s)
 
     def heed(self, event: str, **wanted: Any) -> None:
         """Wait until the journal would hold such an event."""
-        self.until(
-            lambda _: any(all(told[name] == value for name, value in wanted.items()) for told in self.find(event))
-        )
+        end_s = time.monotonic() + PATIENCE_S
+        while not any(all(told[name] == value for name, value in wanted.items()) for told in self.find(event)):
+            self._read_on(end_s)
+
+    def _read_on(self, end_s: float) -> None:
+        line = self._read_line(end_s)
+        assert line, f"the screen is gone; it was {self.view}\n{self.read_errors()}"
+        self._take(line)
+
+    def _read_line(self, end_s: float) -> str:
+        try:
+            return self.lines.get(timeout=max(0.1, end_s - time.monotonic()))
+        except queue.Empty:
+            pytest.fail(f"the screen stays as it is: {self.view}; {self.told[-5:]}")
+
+    def order(self, word: str) -> None:
+        """Have the clock held or go on, or only look (see lead.py), and wait until the next frame is over.
+
+        What was pressed before has taken effect by then. The last key of all closes the screen, which answers nothing.
+        """
+        assert self.process.stdin is not None
+        self.is_held = {"hold": True, "go on": False}.get(word, self.is_held)
+        n_before = self.count_obeyed()
+        with suppress(BrokenPipeError):
+            os.write(self.process.stdin.fileno(), f"{word}\n".encode())
+        end_s = time.monotonic() + PATIENCE_S
+        while self.count_obeyed() == n_before:
+            line = self._read_line(end_s)
+            if not line:
+                self.lines.put(line)
+                return
+            self._take(line)
+
+    def count_obeyed(self) -> int:
+        return sum("obeyed" in words for words in self.told)
 
     def see(self, **wanted: Any) -> dict[str, Any]:
         return self.until(lambda view: all(view[name] == value for name, value in wanted.items()))
@@ -136,28 +156,29 @@ class Seat:
         return self.events
 
     def press(self, *keys: str) -> None:
-        self.order("look")  # before its first frame a window hears no keys
+        """Press keys with the clock held: however slow the machine is, none of them repeats or comes too late."""
+        was_held, self.seen = self.is_held, self.now
+        self.order("hold")  # before its first frame a window hears no keys
         for key in keys:
-            self.do("keydown", key)
-            time.sleep(PRESS_S)
-            self.do("keyup", key)
-            time.sleep(PRESS_S)
-
-    def hold(self, key: str, duration_s: float) -> None:
-        self.do("keydown", key)
-        time.sleep(duration_s)
-        self.do("keyup", key)
+            self.reach("keydown", key)
+            self.reach("keyup", key)
+        if not was_held:
+            self.order("go on")
 
     def click(self, target: str, *, at: float = 0.5, to: float | None = None) -> None:
         """Click on a target at a share of its width, and drag to another."""
         self.order("look")  # a window's first frame takes the pointer to a corner
+        self.seen = self.now
         box = self.view["targets"][target]
         for share, act in ((at, "mousedown"), (at if to is None else to, "mouseup")):
             x, y = box["left"] + share * box["width"], box["top"] + box["height"] / 2
-            self.do("mousemove", str(round(x)), str(round(y)))
-            time.sleep(PRESS_S)
-            self.do(act, "1")
-            time.sleep(PRESS_S)
+            self.reach("mousemove", str(round(x)), str(round(y)))
+            self.reach(act, "1")
+
+    def reach(self, *words: str) -> None:
+        """Move a key or the mouse, and wait until the screen has shown a frame since."""
+        self.do(*words, "getmouselocation")  # once the X server answers this, the rest has been sent to the window
+        self.order("look")
 
     def do(self, *words: str) -> str:
         return subprocess.run(["xdotool", *words], env=self.env, check=True, capture_output=True, text=True).stdout
@@ -181,7 +202,7 @@ def seat(display: Callable[[int, int], dict[str, str]]) -> Iterator[Callable[...
         command = [sys.executable, str(HERE / "lead.py"), json.dumps({"steps": steps, "size": size, **spec})]
         pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
         process = subprocess.Popen(command, env=env, **pipes, text=True)
-        seats.append(Seat(process, env))
+        seats.append(Seat(process, env, spec.get("held", False)))
         seats[-1].start_reading()
         return seats[-1]
 

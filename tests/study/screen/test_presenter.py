@@ -175,8 +175,9 @@ def test_pages_stand_and_count_down(seat: Callable[..., Any]) -> None:
     here.until(lambda view: view["notice"] == "Please rest a little longer.")
     assert "confirm" not in here.view["targets"]
     here.order("go on")
-    here.see(left_s=1)
     here.see(left_s=0)
+    left_s = [words["view"]["left_s"] for words in here.told if "view" in words]
+    assert left_s == sorted(left_s, reverse=True)
     here.press("Return")
     here.see(page="training_failed")
     here.press("Return", "space")
@@ -235,16 +236,14 @@ def test_escape_pauses_then_ends(seat: Callable[..., Any]) -> None:
 
 def test_space_stops_at_once(seat: Callable[..., Any]) -> None:
     here = seat({"trial": "realism"}, duration_s=300.0)
-    took_s = []
-    for _ in range(5):
+    for number in range(1, 6):
         here.see(state="feeling")
         here.order("look")
-        pressed_s = time.perf_counter()
-        here.press("space")
+        here.reach("keydown", "space")
+        assert sum("stopped" in words for words in here.told) == number  # in the first frame that knows of the key
+        here.reach("keyup", "space")
         here.see(state="answering", felt=[])
-        took_s.append(time.perf_counter() - pressed_s)
         here.press("r")
-    assert min(took_s) < 1.0  # all of them on a machine that does nothing else
     here.see(state="feeling")
     here.order("hold")
     here.press("Escape", "Escape")
@@ -273,10 +272,10 @@ def test_held_arrows_repeat_and_speed_up(seat: Callable[..., Any]) -> None:
     here.order("hold")
     here.do("keydown", "Right")
     here.see(markers={"test": 1.0})
-    pressed_s = here.told[-1]["time_s"]
+    pressed_s = here.told[here.seen]["time_s"]
     here.order("go on")
     value = here.until(lambda view: view["markers"]["test"] > 12)["markers"]["test"]
-    last_s = here.told[-1]["time_s"]
+    last_s = here.told[here.seen]["time_s"]
     here.do("keyup", "Right")
     here.order("look")
     final = here.view["markers"]["test"]
