@@ -8,7 +8,12 @@ from stimuli.condition import Conditioning, condition, fade, resample
 from stimuli.conform import check_dft321, golden_vectors
 from stimuli.formats import read_recording
 from stimuli.inspection import check_stimuli
-from stimuli.invariant import INVARIANTS, spectral_match_invariant, temporal_match_invariant
+from stimuli.invariant import (
+    INVARIANTS,
+    spectral_match_energy_weighted,
+    spectral_match_invariant,
+    temporal_match_invariant,
+)
 from stimuli.manifest import Stimulus, StimulusSet, read_stimuli
 from stimuli.match import (
     METRICS,
@@ -62,6 +67,7 @@ __all__ = [
     "spectral_match",
     "spectral_match_bounded",
     "spectral_match_details",
+    "spectral_match_energy_weighted",
     "spectral_match_invariant",
     "temporal_match",
     "temporal_match_details",

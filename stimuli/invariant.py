@@ -1,15 +1,17 @@
-r"""INVARIANTS: for each of the paper's metrics, a counterpart that turning the sensor cannot change.
+r"""INVARIANTS: for each of the paper's metrics, a bounded counterpart that turning the sensor cannot change.
 
 Conventions as in `match`: acceleration (3, n_samples) and reduced (n_samples,), both finite; every counterpart is
 called alike, `INVARIANTS[name](acceleration, reduced, rate_hz)`, and `name` is the name of its metric in `METRICS`.
-Both lie between 0 and 1, always: a comparison with one of them never fails for want of energy.
+Both lie between 0 and 1, or are NaN where the recording leaves nothing to match.
 
 - The paper's temporal match takes the mean of three correlations, whatever the axes' strengths. It thereby rewards a
   signal that lines up with the sensor's own diagonal, lets a whisper on one axis count as much as the motion on the
   others, and changes with the mounting. Its counterpart weighs the axes by their energy.
-- The paper's spectral match divides by the recording's energy at every frequency. It is unbounded below: a little
-  energy in a band that the recording left empty outweighs everything else. Its counterpart divides once, by what
-  either signal has. Where the strongest band holds nearly all energy it tells little about the others: read both.
+- The paper's spectral match is rotation-invariant already. But it divides by the recording's energy at every frequency
+  and so is unbounded below: a little energy in a band that the recording left empty outweighs everything else. Its
+  counterpart divides once, by what either signal has: it is named for that, `spectral_match_energy_weighted`. (It was
+  called `spectral_match_invariant`; that name still works.) Where the strongest band holds nearly all energy it says
+  little about the others, which `match.spectral_match_bounded` weighs alike: read both.
 
 References
 ----------
@@ -19,6 +21,7 @@ References
 
 from __future__ import annotations
 
+import math
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -40,8 +43,8 @@ if TYPE_CHECKING:
 _ROUNDING = 32 * np.finfo(np.float64).eps
 
 
-def spectral_match_invariant(acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float) -> float:
-    r"""Tell which share of the energy that either signal has is common to both, frequency by frequency.
+def spectral_match_energy_weighted(acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float) -> float:
+    r"""Compute the share of the energy that either signal has which is common to both, frequency by frequency.
 
     Parameters
     ----------
@@ -55,8 +58,8 @@ def spectral_match_invariant(acceleration: ArrayLike, reduced: ArrayLike, rate_h
     Returns
     -------
     float
-        0 to 1: 1 if the smoothed spectra agree, 0 if one signal is silent wherever the other is not. Two signals that
-        are both silent from 20 to 1000 Hz agree. Signals too short for any frequency there are compared by energy.
+        0 to 1: 1 if the smoothed spectra agree, 0 if one signal is silent wherever the other is not; NaN if both are
+        silent from 20 to 1000 Hz, or too short for any frequency there.
 
     Raises
     ------
@@ -87,9 +90,9 @@ def spectral_match_invariant(acceleration: ArrayLike, reduced: ArrayLike, rate_h
     Examples
     --------
     >>> u = np.sin(np.arange(1000))
-    >>> round(spectral_match_invariant([u, u, u], u, 1000), 9)
+    >>> round(spectral_match_energy_weighted([u, u, u], u, 1000), 9)
     0.333333333
-    >>> round(spectral_match_invariant([u, u, u], u + u + u, 1000), 9)
+    >>> round(spectral_match_energy_weighted([u, u, u], u + u + u, 1000), 9)
     0.333333333
     """
     rate = check_rate(rate_hz)
@@ -102,17 +105,17 @@ def spectral_match_invariant(acceleration: ArrayLike, reduced: ArrayLike, rate_h
     original, kept = energy_spectrum(samples, smooth.bins).sum(axis=0), energy_spectrum(signal, smooth.bins)
     energies = float(np.einsum("in,in->", samples, samples)), float(signal @ signal)
     if not len(frequencies):
-        return _ratio(*energies)
+        return math.nan
     # Smoothed after they are added or subtracted: what two equal spectra share cancels without rounding.
     total = smooth(original + kept).sum()
     if total <= _ROUNDING**2 * len(frequencies) * sum(energies):
-        return 1.0
+        return math.nan
     apart = np.abs(smooth(original - kept)).sum()
     return max(float((total - apart) / (total + apart)), 0.0)
 
 
 def temporal_match_invariant(acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float | None = None) -> float:
-    r"""Tell which share of the recording's motion goes along with the reduced signal, in amplitude.
+    r"""Compute the share of the recording's motion that goes along with the reduced signal, in amplitude.
 
     Parameters
     ----------
@@ -126,7 +129,8 @@ def temporal_match_invariant(acceleration: ArrayLike, reduced: ArrayLike, rate_h
     Returns
     -------
     float
-        0 to 1: 1 if the tool moved along one line and the reduced signal is that motion; 0 if either is silent.
+        0 to 1: 1 if the tool moved along one line and the reduced signal is that motion; 0 if the reduced signal is
+        silent; NaN if the recording is.
 
     Raises
     ------
@@ -163,13 +167,18 @@ def temporal_match_invariant(acceleration: ArrayLike, reduced: ArrayLike, rate_h
     (samples,), (signal,) = _bring_into_range(samples), _bring_into_range(signal)  # each in its own unit
     together = np.linalg.norm(np.einsum("in,n->i", samples, signal))
     scale = np.linalg.norm(samples) * np.linalg.norm(signal)
+    if not samples.any():
+        return math.nan
     return min(float(together / scale), 1.0) if scale > 0 else 0.0
 
 
+spectral_match_invariant = spectral_match_energy_weighted
+"""The former name of `spectral_match_energy_weighted`."""
+
 INVARIANTS: Mapping[str, Metric] = MappingProxyType(
-    {"spectral_match": spectral_match_invariant, "temporal_match": temporal_match_invariant}
+    {"spectral_match": spectral_match_energy_weighted, "temporal_match": temporal_match_invariant}
 )
-"""Name of a metric of `METRICS` -> its rotation-invariant counterpart."""
+"""Name of one of the paper's metrics -> its bounded, rotation-invariant counterpart."""
 
 
 def _bring_into_range(*signals: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
@@ -179,8 +188,3 @@ def _bring_into_range(*signals: NDArray[np.float64]) -> tuple[NDArray[np.float64
         return signals
     exponent = int(np.frexp(peak)[1])
     return tuple(np.ldexp(signal, -exponent) for signal in signals)
-
-
-def _ratio(one: float, other: float) -> float:
-    """Smaller over larger; two nothings are equal."""
-    return min(one, other) / max(one, other) if max(one, other) > 0 else 1.0

@@ -11,6 +11,9 @@ that says what the figure rests on.
 - `temporal_match` (eq. 2): mean absolute correlation, at zero lag, of the reduced signal with each axis. 0 to 1. No
   mean is removed: an offset counts as signal, as in the paper.
 
+Where there is nothing to match (no frequency from 20 to 1000 Hz with energy, a silent recording) a match is NaN, never
+1 or 0, and the details hold the reason. A silent reduced signal of a recording that is not silent scores 0.
+
 References
 ----------
 .. [1] N. Landin, J. M. Romano, W. McMahan, K. J. Kuchenbecker, "Dimensional reduction of high-frequency accelerations
@@ -47,7 +50,7 @@ class SpectralMatch:
     Parameters
     ----------
     value : float
-        The match.
+        The match; NaN if no frequency could be compared.
     lowest_hz, highest_hz : float
         Lowest and highest frequency compared in Hz; NaN if none could be.
     n_frequencies : int
@@ -56,6 +59,8 @@ class SpectralMatch:
         Number of frequencies left out below the numerical floor.
     bounded : float
         `spectral_match_bounded` of the same signals.
+    reason : str
+        Why the match is NaN; empty otherwise.
     """
 
     value: float
@@ -64,6 +69,7 @@ class SpectralMatch:
     n_frequencies: int
     n_left_out: int
     bounded: float
+    reason: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,19 +79,22 @@ class TemporalMatch:
     Parameters
     ----------
     value : float
-        The match.
+        The match; NaN if all three axes are silent.
     correlations : tuple of float
         Absolute correlation with x, y and z; NaN for a silent axis.
     silent_axes : tuple of int
         Axes left out: 0, 1, 2 for x, y, z.
     silent_reduced : bool
         Whether the reduced signal is silent.
+    reason : str
+        Why the match is NaN; empty otherwise.
     """
 
     value: float
     correlations: tuple[float, float, float]
     silent_axes: tuple[int, ...]
     silent_reduced: bool
+    reason: str = ""
 
 
 def spectral_match(
@@ -107,12 +116,13 @@ def spectral_match(
     Returns
     -------
     float
-        1 if the smoothed spectra agree, 0 for silence, negative for more than twice the energy on average.
+        1 if the smoothed spectra agree, 0 for silence, negative for more than twice the energy on average; NaN for a
+        recording without energy, or without any frequency, from 20 to 1000 Hz (`spectral_match_details` says which).
 
     Raises
     ------
     ValueError
-        If shapes or values are wrong, or no frequency can be compared and the energies differ.
+        If shapes or values are wrong.
 
     Notes
     -----
@@ -161,13 +171,13 @@ def spectral_match_details(
     Raises
     ------
     ValueError
-        If shapes or values are wrong, or no frequency can be compared and the energies differ.
+        If shapes or values are wrong.
     """
     original, signal = _compare(acceleration, reduced, rate_hz, grid=grid)
     used = original.frequencies_hz
     value, bounded = map(float, original.match_both(signal))
     lowest, highest = (float(used[0]), float(used[-1])) if len(used) else (float("nan"), float("nan"))
-    return SpectralMatch(value, lowest, highest, len(used), original.n_left_out, bounded)
+    return SpectralMatch(value, lowest, highest, len(used), original.n_left_out, bounded, original.reason)
 
 
 def spectral_match_bounded(
@@ -223,7 +233,7 @@ def spectral_match_bounded(
     0.333333333
     """
     original, signal = _compare(acceleration, reduced, rate_hz, grid=grid)
-    return float(original.match_bounded(signal))
+    return float(original.match_both(signal)[1])
 
 
 def temporal_match(acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float | None = None) -> float:
@@ -241,7 +251,8 @@ def temporal_match(acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float |
     Returns
     -------
     float
-        0 to 1: mean of the absolute correlations with the axes that are not silent; 0 for a silent reduced signal.
+        0 to 1: mean of the absolute correlations with the axes that are not silent; 0 for a silent reduced signal; NaN
+        for a silent recording, in which there is nothing to match.
 
     Raises
     ------
@@ -296,7 +307,8 @@ def temporal_match_details(
     correlations = axis_correlations(samples, signal)
     x, y, z = (float(r) for r in correlations)
     silent = tuple(int(axis) for axis in np.flatnonzero(np.isnan(correlations)))
-    return TemporalMatch(float(mean_heard(correlations)), (x, y, z), silent, not signal.any())
+    reason = "all three axes of the recording are silent" if len(silent) == len(correlations) else ""
+    return TemporalMatch(float(mean_heard(correlations)), (x, y, z), silent, not signal.any(), reason)
 
 
 def mean_heard(correlations: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -310,10 +322,12 @@ def mean_heard(correlations: NDArray[np.float64]) -> NDArray[np.float64]:
     Returns
     -------
     ndarray of float64, shape (...)
-        Temporal matches; 0 where all axes are silent.
+        Temporal matches; NaN where all axes are silent.
     """
     heard = ~np.isnan(correlations)
-    return np.asarray(np.where(heard, correlations, 0.0).sum(axis=-1) / np.maximum(heard.sum(axis=-1), 1))
+    count = heard.sum(axis=-1)
+    mean = np.where(heard, correlations, 0.0).sum(axis=-1) / np.maximum(count, 1)
+    return np.where(count > 0, mean, np.nan)
 
 
 def axis_correlations(samples: NDArray[np.float64], reduced: NDArray[np.float64]) -> NDArray[np.float64]:

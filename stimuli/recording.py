@@ -6,7 +6,7 @@ Units: acceleration in m/s², rate in Hz, time in s.
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -39,6 +39,9 @@ class Recording:
         What the reader noticed (saturated runs, silent axes, an assumed unit); never repaired.
     sha256 : str
         Digest of the source file; if left out, of the samples and the rate.
+    sha256_of : str
+        Set by the class: the digest of source and of samples for which `sha256` was given. So a copy made by
+        `dataclasses.replace` with other samples or another rate gets a digest of its own.
 
     Raises
     ------
@@ -57,6 +60,7 @@ class Recording:
     name: str
     warnings: tuple[str, ...] = ()
     sha256: str = ""
+    sha256_of: str = field(default="", repr=False, kw_only=True)
 
     def __post_init__(self) -> None:
         """Coerce once, at the door."""
@@ -66,8 +70,11 @@ class Recording:
         samples.flags.writeable = False
         object.__setattr__(self, "acceleration", samples)
         object.__setattr__(self, "rate_hz", check_rate(self.rate_hz))
-        if not self.sha256:
-            object.__setattr__(self, "sha256", digest_samples(self))
+        own = digest_samples(self)
+        source, _, of_samples = self.sha256_of.rpartition(" ")
+        stale = source == self.sha256 and of_samples != own
+        object.__setattr__(self, "sha256", own if stale else self.sha256 or own)
+        object.__setattr__(self, "sha256_of", f"{self.sha256} {own}")
 
     @property
     def n_samples(self) -> int:

@@ -185,11 +185,10 @@ def part_path(parts: Path, key: str) -> Path:
 
 def _render(recording: Recording, missing: Sequence[Candidate], *, recipe: Recipe, parts: Path) -> dict[str, Measured]:
     conditioned = condition(recording, recipe.conditioning)
-    scale = _Scale(
-        conditioned,
-        OriginalSpectrum(conditioned.acceleration, conditioned.rate_hz),
-        felt_level(conditioned.acceleration, conditioned.rate_hz),
-    )
+    spectrum = OriginalSpectrum(conditioned.acceleration, conditioned.rate_hz)
+    if spectrum.reason:
+        raise ValueError(f"{spectrum.reason}: nothing can be felt or matched; leave it out")
+    scale = _Scale(conditioned, spectrum, felt_level(conditioned.acceleration, conditioned.rate_hz))
     measured = {}
     for candidate in missing:
         samples = _make(candidate.reducer, conditioned)

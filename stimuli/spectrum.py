@@ -218,6 +218,21 @@ class OriginalSpectrum:
         self.frequencies_hz = frequencies[self._used]
         self.n_left_out = int(np.count_nonzero(~self._used))
 
+    @property
+    def reason(self) -> str:
+        """Why `match` is NaN; empty where it is not.
+
+        Returns
+        -------
+        str
+            A clause that says what is wrong with the recording.
+        """
+        if len(self.smoothed):
+            return ""
+        if len(self._smoothed):
+            return "the recording has no energy from 20 to 1000 Hz (silence, or an offset alone)"
+        return "the recording is too short, or its rate too low, for any frequency from 20 to 1000 Hz"
+
     def match(self, reduced: NDArray[np.float64]) -> NDArray[np.float64]:
         """Spectral match of one or many reduced signals.
 
@@ -229,32 +244,12 @@ class OriginalSpectrum:
         Returns
         -------
         ndarray of float64, shape (...)
-            Their matches.
-
-        Raises
-        ------
-        ValueError
-            If no frequency can be compared and the energies differ.
+            Their matches; NaN where no frequency can be compared.
         """
-        return self._relate(self._subtract(reduced)) if len(self.smoothed) else self._match_nothing(reduced)
-
-    def match_bounded(self, reduced: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Bounded spectral match of one or many reduced signals.
-
-        Parameters
-        ----------
-        reduced : ndarray, shape (..., n_samples)
-            Reduced signals.
-
-        Returns
-        -------
-        ndarray of float64, shape (...)
-            `spectral_match_bounded` of each; NaN where no frequency can be compared.
-        """
-        return self._relate_bounded(reduced, self._subtract(reduced))
+        return self._relate(self._subtract(reduced))
 
     def match_both(self, reduced: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Both spectral matches from one spectrum of each reduced signal.
+        """Spectral match and bounded spectral match, from one spectrum of each reduced signal.
 
         Parameters
         ----------
@@ -264,11 +259,10 @@ class OriginalSpectrum:
         Returns
         -------
         tuple of ndarray of float64, each of shape (...)
-            `match` and `match_bounded`.
+            `spectral_match` and `spectral_match_bounded`; NaN where no frequency can be compared.
         """
         difference = self._subtract(reduced)
-        plain = self._relate(difference) if len(self.smoothed) else self._match_nothing(reduced)
-        return plain, self._relate_bounded(reduced, difference)
+        return self._relate(difference), self._relate_bounded(reduced, difference)
 
     def _subtract(self, reduced: NDArray[np.float64]) -> NDArray[np.float64]:
         """Smoothed energy of the recording minus that of the reduced signals, shape (..., n_frequencies)."""
@@ -278,6 +272,8 @@ class OriginalSpectrum:
         return self._smooth(difference)
 
     def _relate(self, difference: NDArray[np.float64]) -> NDArray[np.float64]:
+        if not len(self.smoothed):
+            return np.full(difference.shape[:-1], np.nan)
         deviation = np.abs(difference[..., self._used])
         return np.asarray(1.0 - (deviation / self.smoothed).mean(axis=-1))
 
@@ -289,13 +285,3 @@ class OriginalSpectrum:
         count = used.sum(axis=-1)
         match = 1.0 - np.minimum(deviation, 1.0).sum(axis=-1) / np.maximum(count, 1)
         return np.where(count > 0, np.maximum(match, 0.0), np.nan)
-
-    def _match_nothing(self, reduced: NDArray[np.float64]) -> NDArray[np.float64]:
-        # Silence, or too short for one DFT frequency from 20 to 1000 Hz: only equal energy can still be told.
-        energy = np.einsum("...n,...n->...", reduced, reduced)
-        if np.all(np.abs(energy - self._energy) <= NUMERICAL_FLOOR * self._energy):
-            return np.ones(energy.shape)
-        raise ValueError(
-            "spectral match: the recording has no frequency with energy between 20 and 1000 Hz; record longer or at "
-            "a higher rate, and remove its offset"
-        )

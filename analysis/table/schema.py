@@ -68,10 +68,14 @@ FURTHER: Mapping[str, Column] = {
     "rotation_mean": Column("mean of the {metric} over random orientations of the sensor", unit="1 = perfect match"),
     "rotation_sd": Column("standard deviation of the {metric} over random orientations of the sensor", unit="1"),
     "delivered": Column("{metric} of the signal as it was delivered", unit="1 = perfect match"),
+    "energy_weighted": Column("{metric} with frequencies weighted by their energy", unit="1 = perfect match"),
     "invariant": Column("counterpart of the {metric} that no orientation changes", unit="1 = perfect match"),
 }
 """What may follow the name of a metric and an underscore: per stimulus in the manifest, or per judgement in the
-ratings, where a stimulus has the mean over its judgements."""
+ratings, where a stimulus has the mean over its judgements. `spectral_match_invariant` is the former name of
+`spectral_match_energy_weighted`; tables that use it are read as before."""
+
+_ONLY_OF = {"energy_weighted": ("spectral_match",), "invariant": ("spectral_match", "temporal_match")}
 
 
 def describe_further() -> dict[str, Column]:
@@ -81,14 +85,13 @@ def describe_further() -> dict[str, Column]:
     -------
     dict of str to Column
         Metrics that are not primary, in the order of `stimuli.match.METRICS`; then, by metric in that order, the kinds
-        in the order of `FURTHER`. A metric that has no entry in `stimuli.invariant.INVARIANTS` is invariant itself.
+        in the order of `FURTHER`.
 
     Examples
     --------
     >>> list(describe_further())[:3]
     ['spectral_match_bounded', 'spectral_match_rotation_mean', 'spectral_match_rotation_sd']
     """
-    from stimuli.invariant import INVARIANTS
     from stimuli.manifest import COLUMN_UNITS
     from stimuli.match import METRICS
 
@@ -97,7 +100,7 @@ def describe_further() -> dict[str, Column]:
         f"{metric}_{kind}": replace(column, meaning=column.meaning.format(metric=metric.replace("_", " ")))
         for metric in METRICS
         for kind, column in FURTHER.items()
-        if kind != "invariant" or metric in INVARIANTS
+        if metric in _ONLY_OF.get(kind, METRICS)
     }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import asdict
 from functools import partial
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from study.commands.shared import FILE, dump_json, json_option, print_json, recording_argument
+from study.commands.shared import FILE, dump_json, json_option, print_json, recording_argument, warn
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,9 +20,12 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from stimuli.condition import Conditioning
     from stimuli.recording import Recording
 
     Samples = NDArray[np.float64]
+
+RAW = "Take the recording as it was measured; a study removes the offset and keeps 20 to 1000 Hz."
 
 RATE_TOLERANCE_HZ = 1.0
 """A WAV header holds whole Hz only; a recording's true rate may lie between."""
@@ -94,15 +98,18 @@ def _check_wav(_context: click.Context, _parameter: click.Parameter, path: Path)
     help="The .wav file to write; a JSON file goes beside it.",
 )
 @click.option("--window-ms", type=float, help="Window of the reducers that have one.  [default: 35]")
+@click.option("--raw", is_flag=True, help=RAW)
 @click.option("--force", is_flag=True, help="Replace the output if it is there.")
 @json_option
-def reduce(
-    *, recording: Recording, reducer: str, output: Path, window_ms: float | None, force: bool, as_json: bool
+def reduce(  # noqa: PLR0913 - one per option
+    *, recording: Recording, reducer: str, output: Path, window_ms: float | None, raw: bool, force: bool, as_json: bool
 ) -> None:
     """Reduce a recording to one axis.
 
-    The result is a float32 WAV file in m/s^2, unconditioned, with a JSON file that says how it was made.
+    The recording is conditioned as for a study: offset removed, 20 to 1000 Hz. The result is a float32 WAV file in
+    m/s^2 with a JSON file that says how it was made.
     """
+    from stimuli.condition import Conditioning
     from stimuli.wav import write_wav
     from study.files import write_text
 
@@ -113,8 +120,10 @@ def reduce(
         raise FileExistsError(f"{', '.join(taken)}: is there already; name another file or add --force")
     if not output.parent.is_dir():
         raise FileNotFoundError(f"{output.parent}: there is no such folder; make it first")
-    reduced = _choose(reducer, window_ms)(recording.acceleration, recording.rate_hz)
-    facts = _describe(recording, reducer, window_ms) | _match(recording, reduced)
+    reduce_it, steps = _choose(reducer, window_ms), None if raw else Conditioning()
+    conditioned = _condition(recording, steps)
+    reduced = reduce_it(conditioned.acceleration, conditioned.rate_hz)
+    facts = _describe(recording, reducer, window_ms) | _tell_steps(recording, steps) | _match(conditioned, reduced)
     write_wav(output, reduced, round(recording.rate_hz))
     write_text(sidecar, dump_json(facts) + "\n")
     if as_json:
@@ -127,18 +136,28 @@ def reduce(
 @click.command(epilog="Example: feel321 match oak.csv oak-dft321.wav --json")
 @recording_argument
 @click.argument("reduced", metavar="REDUCED.wav", type=FILE)
+@click.option("--raw", is_flag=True, help=RAW)
 @json_option
-def match(*, recording: Recording, reduced: Path, as_json: bool) -> None:
-    """Match a reduced WAV file, in m/s^2, against its recording."""
+def match(*, recording: Recording, reduced: Path, raw: bool, as_json: bool) -> None:
+    """Match a reduced WAV file, in m/s^2, against its recording.
+
+    The recording is conditioned as the JSON file beside the WAV says; without one, as for a study: offset removed, 20
+    to 1000 Hz. The exit code is 1 if there is nothing to match; --json then holds null and the reason.
+    """
     from stimuli.wav import read_wav
 
     samples, rate_hz = read_wav(reduced)
     _check_pair(recording, samples, rate_hz=rate_hz, name=reduced.name)
-    facts = _match(recording, samples)
+    steps, source = _settle_steps(recording, reduced.with_suffix(".json"), raw=raw)
+    facts = _tell_steps(recording, steps) | {"conditioning_from": source}
+    facts |= _match(_condition(recording, steps), samples)
     if as_json:
         print_json(facts)
     else:
         _print_matches(facts)
+    if facts["reasons"]:
+        told = "; ".join(f"{name}: {reason}" for name, reason in facts["reasons"].items())
+        raise ValueError(f"{recording.name}: {told}")
 
 
 def _spare_source(source: Path, *targets: Path) -> None:
@@ -161,6 +180,58 @@ def _choose(name: str, window_ms: float | None) -> Callable[..., Samples]:
         raise click.UsageError(f"--window-ms: got {window_ms:g}, allowed is a finite time above 0 ms")
     chosen: Callable[..., Samples] = REDUCERS[name]
     return partial(chosen, window_s=window_ms / 1000)
+
+
+def _condition(recording: Recording, steps: Conditioning | None) -> Recording:
+    from stimuli.condition import condition
+
+    try:
+        return recording if steps is None else condition(recording, steps)
+    except ValueError as error:
+        raise ValueError(f"{recording.name}: {error}; or take it as it was measured, with --raw") from None
+
+
+def _tell_steps(recording: Recording, steps: Conditioning | None) -> dict[str, Any]:
+    from stimuli.condition import list_steps
+
+    if steps is None:
+        return {"conditioning": None, "steps": []}
+    return {"conditioning": asdict(steps), "steps": list_steps(steps, recording.rate_hz)}
+
+
+def _settle_steps(recording: Recording, sidecar: Path, *, raw: bool) -> tuple[Conditioning | None, str]:
+    """Find out how the recording was conditioned before it was reduced, and where that is known from."""
+    from stimuli.condition import Conditioning
+
+    facts = _read_sidecar(sidecar)
+    if facts is None:
+        return (None, "--raw") if raw else (Conditioning(), f"assumed: no {sidecar.name} of reduce beside it")
+    if facts["recording_sha256"] != recording.sha256:
+        warn(f"{sidecar.name}: was written for another recording or file than {recording.name}")
+    # None for --raw, and in the files of versions that conditioned nothing.
+    source, told = f"as {sidecar.name} says", facts.get("conditioning")
+    if told is None:
+        return None, source
+    if raw:
+        raise click.UsageError(
+            f"--raw: {sidecar.name} says that its WAV was reduced from the conditioned recording; leave out --raw, or "
+            "reduce the recording again with --raw"
+        )
+    try:
+        return Conditioning(**told), source
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{sidecar.name}: no conditioning ({error}); reduce the recording again") from None
+
+
+def _read_sidecar(path: Path) -> dict[str, Any] | None:
+    """Read what `reduce` wrote beside a WAV file; None where there is no such file, or it is of another kind."""
+    if not path.is_file():
+        return None
+    try:
+        facts = json.loads(path.read_bytes())
+    except ValueError as error:
+        raise ValueError(f"{path.name}: not JSON ({error}); remove it, or reduce the recording again") from None
+    return facts if isinstance(facts, dict) and {"recording_sha256", "reducer"} <= set(facts) else None
 
 
 def _check_pair(recording: Recording, samples: Samples, *, rate_hz: int, name: str) -> None:
@@ -193,8 +264,12 @@ def _describe(recording: Recording, reducer: str, window_ms: float | None) -> di
 def _match(recording: Recording, samples: Samples) -> dict[str, Any]:
     from stimuli.match import spectral_match_details, temporal_match_details
 
-    spectral = asdict(spectral_match_details(recording.acceleration, samples, recording.rate_hz))
-    temporal = asdict(temporal_match_details(recording.acceleration, samples))
+    conditioned, rate_hz = recording.acceleration, recording.rate_hz
+    spectral = asdict(spectral_match_details(conditioned, samples, rate_hz))
+    temporal = asdict(temporal_match_details(conditioned, samples))
+    told = {"spectral_match": spectral.pop("reason"), "temporal_match": temporal.pop("reason")}
+    if math.isnan(spectral["bounded"]):
+        told["spectral_match_bounded"] = told["spectral_match"]
     return {
         "spectral_match": spectral.pop("value"),
         "temporal_match": temporal.pop("value"),
@@ -203,14 +278,23 @@ def _match(recording: Recording, samples: Samples) -> dict[str, Any]:
         "n_samples": recording.n_samples,
         **spectral,
         **temporal,
+        "reasons": {name: reason for name, reason in told.items() if reason},
     }
 
 
 def _print_matches(facts: dict[str, Any]) -> None:
-    click.echo(
-        f"spectral match {facts['spectral_match']:.4f} ({facts['n_frequencies']} frequencies, "
-        f"{facts['lowest_hz']:.1f} to {facts['highest_hz']:.1f} Hz, {facts['n_left_out']} left out)"
+    from stimuli.match import METRICS
+
+    told = ", ".join(facts["steps"]) or "none, as it was measured"
+    source = f" ({facts['conditioning_from']})" if "conditioning_from" in facts else ""
+    click.echo(f"conditioning of the recording: {told}{source}")
+    compared = (
+        f"{facts['n_frequencies']} frequencies, {facts['lowest_hz']:.1f} to {facts['highest_hz']:.1f} Hz, "
+        f"{facts['n_left_out']} left out"
     )
-    click.echo(f"spectral match, bounded {facts['spectral_match_bounded']:.4f}")
     silent = ", ".join("xyz"[axis] for axis in facts["silent_axes"]) or "none"
-    click.echo(f"temporal match {facts['temporal_match']:.4f} (silent axes: {silent})")
+    details = {"spectral_match": compared, "temporal_match": f"silent axes: {silent}"}
+    for name in METRICS:
+        detail = f" ({details[name]})" if name in details else ""
+        value = f"none: {facts['reasons'][name]}" if name in facts["reasons"] else f"{facts[name]:.4f}{detail}"
+        click.echo(f"{name.replace('_', ' ')} {value}")

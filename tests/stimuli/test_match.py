@@ -129,15 +129,27 @@ def test_log_grid_weighs_octaves_alike() -> None:
     assert log == pytest.approx(np.log(200 / 20) / np.log(1000 / 20), abs=0.02)
 
 
-def test_silence_and_too_short_signals_can_only_be_equal() -> None:
+@pytest.mark.parametrize("metric", METRICS.values(), ids=list(METRICS))
+def test_nothing_to_match_is_no_number(metric: object) -> None:
     silence = np.zeros((3, 100))
-    assert spectral_match(silence, silence[0], RATE) == 1.0
-    with pytest.raises(ValueError, match="no frequency with energy between 20 and 1000 Hz"):
-        spectral_match(silence, np.ones(100), RATE)
-    short = noise(3, 2)
-    assert spectral_match_details(short, REDUCERS["dft321"](short, RATE), RATE).n_frequencies == 0
-    with pytest.raises(ValueError, match="record longer"):
-        spectral_match(short, short[0], RATE)
+    assert np.isnan(metric(silence, silence[0], RATE))
+
+
+@pytest.mark.parametrize(
+    ("acceleration", "reason"),
+    [
+        (np.zeros((3, 100)), "no energy from 20 to 1000 Hz"),
+        (np.outer((0.0, 9.81, 1.0), np.ones(100)), "no energy from 20 to 1000 Hz"),
+        (noise(3, 3), "too short, or its rate too low"),
+    ],
+)
+def test_a_match_over_no_frequency_has_a_reason(acceleration: np.ndarray, reason: str) -> None:
+    for reduced in (acceleration[1], REDUCERS["dft321"](acceleration, RATE)):
+        details = spectral_match_details(acceleration, reduced, RATE)
+        assert np.isnan([details.value, details.bounded, details.lowest_hz]).all()
+        assert details.n_frequencies == 0
+        assert reason in details.reason
+    assert spectral_match_details(noise(3, 300), noise(300), RATE).reason == ""
 
 
 def test_temporal_match_is_the_mean_absolute_correlation() -> None:
@@ -182,8 +194,14 @@ def test_a_silent_reduced_signal_scores_zero_and_is_reported() -> None:
     details = temporal_match_details(noise(3, 50), np.zeros(50))
     assert details.value == 0.0
     assert details.silent_reduced
-    nothing = temporal_match_details(np.zeros((3, 50)), np.zeros(50))
-    assert (nothing.value, nothing.silent_axes) == (0.0, (0, 1, 2))
+    assert details.reason == ""
+
+
+@pytest.mark.parametrize("reduced", [np.zeros(50), np.ones(50)])
+def test_a_silent_recording_has_no_temporal_match(reduced: np.ndarray) -> None:
+    nothing = temporal_match_details(np.zeros((3, 50)), reduced)
+    assert np.isnan(nothing.value)
+    assert (nothing.silent_axes, nothing.reason) == ((0, 1, 2), "all three axes of the recording are silent")
 
 
 def test_every_metric_is_called_alike() -> None:

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -80,3 +82,23 @@ def test_a_rate_is_a_finite_number_above_zero(rate: float) -> None:
 def test_units_are_multiples_of_metres_per_second_squared() -> None:
     assert UNITS["g"] == STANDARD_GRAVITY == 9.80665
     assert UNITS["mg"] * 1000 == pytest.approx(UNITS["g"])
+
+
+@pytest.mark.parametrize("sha256", ["", "the digest of a file"])
+def test_a_copy_with_other_samples_or_another_rate_has_a_digest_of_its_own(sha256: str) -> None:
+    samples = np.arange(12.0).reshape(3, 4)
+    recording = Recording(samples, 100, "a", sha256=sha256)
+    for changes in ({"acceleration": 2 * samples}, {"rate_hz": 101}, {"acceleration": samples[:, :3]}):
+        copy = replace(recording, **changes)
+        assert copy.sha256 == Recording(copy.acceleration, copy.rate_hz, "b").sha256 != recording.sha256
+        assert replace(copy, name="c").sha256 == copy.sha256
+        assert replace(copy, acceleration=samples, rate_hz=100).sha256 == Recording(samples, 100, "b").sha256
+        assert replace(recording, **changes, sha256="another file's").sha256 == "another file's"
+
+
+@pytest.mark.parametrize("sha256", ["", "the digest of a file"])
+def test_a_copy_with_the_same_samples_keeps_its_digest(sha256: str) -> None:
+    recording = Recording(np.ones((3, 4)), 100, "a", sha256=sha256)
+    for copy in (replace(recording, name="b"), replace(recording, acceleration=np.ones((3, 4)), warnings=("x",))):
+        assert copy.sha256 == recording.sha256
+        assert copy.sha256_of == recording.sha256_of

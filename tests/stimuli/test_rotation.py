@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stimuli.match import spectral_match, temporal_match
+from stimuli.match import spectral_match, spectral_match_bounded, temporal_match
 from stimuli.reduce import REDUCERS
 from stimuli.rotation import random_rotations, rotation_statistics
 
@@ -54,9 +54,18 @@ def test_a_single_axis_of_one_line_of_motion() -> None:
     assert found.temporal_mean == pytest.approx(1.0)
 
 
-def test_silence_scores_as_the_metrics_say() -> None:
+def test_silence_has_no_statistics() -> None:
     found = rotation_statistics(np.zeros((3, 50)), RATE, reducer="dft321", rng=rng())
-    assert (found.spectral_mean, found.temporal_mean) == (1.0, 0.0)
+    assert np.isnan([found.spectral_mean, found.temporal_mean, found.bounded_mean, found.bounded_sd]).all()
+
+
+def test_no_orientation_changes_the_bounded_match_of_what_none_changes() -> None:
+    acceleration = np.random.default_rng(2).standard_normal((3, 400)) * np.array([[1.0], [3.0], [0.2]])
+    found = rotation_statistics(acceleration, RATE, reducer="mag321", rng=rng())
+    reduced = REDUCERS["mag321"](acceleration, RATE)
+    assert found.bounded_mean == pytest.approx(spectral_match_bounded(acceleration, reduced, RATE), abs=1e-12)
+    assert found.bounded_sd == pytest.approx(0, abs=1e-12)
+    assert rotation_statistics(acceleration, RATE, reducer="sax321", rng=rng()).bounded_sd > 0.1
 
 
 def test_bad_calls_are_refused() -> None:

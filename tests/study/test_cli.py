@@ -6,11 +6,15 @@ import errno
 import json
 import re
 import sys
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
+from stimuli.condition import Conditioning, condition, list_steps
+from stimuli.formats import read_recording
+from stimuli.match import METRICS, spectral_match
 from stimuli.reduce import REDUCERS
 from stimuli.synthesis import make_scene
 from stimuli.wav import read_wav, write_wav
@@ -107,7 +111,7 @@ def test_reduce_writes_what_the_reducer_gives_and_match_reads_it(
     assert main(["reduce", str(recording), "--reducer", name, "-o", str(output), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     samples, rate_hz = read_wav(output)
-    bumps = make_scene("bumps", duration_s=0.5)
+    bumps = condition(make_scene("bumps", duration_s=0.5), Conditioning())
     assert rate_hz == 10000
     np.testing.assert_allclose(samples, REDUCERS[name](bumps.acceleration, 10000.0), atol=1e-4)
     assert facts == json.loads(output.with_suffix(".json").read_text(encoding="utf-8"))
@@ -116,6 +120,9 @@ def test_reduce_writes_what_the_reducer_gives_and_match_reads_it(
     matches = json.loads(capsys.readouterr().out)
     assert matches["spectral_match"] == pytest.approx(facts["spectral_match"], abs=1e-4)
     assert matches["temporal_match"] == pytest.approx(facts["temporal_match"], abs=1e-4)
+    for metric in METRICS:
+        direct = METRICS[metric](bumps.acceleration, REDUCERS[name](bumps.acceleration, 10000.0), 10000.0)
+        assert facts[metric] == pytest.approx(direct, abs=1e-9)
     details = {"n_frequencies", "n_left_out", "lowest_hz", "highest_hz", "silent_axes", "n_samples", "rate_hz"}
     assert details <= set(matches)
 
@@ -149,7 +156,7 @@ def test_the_window_is_that_of_the_option(recording: Path, tmp_path: Path) -> No
         assert main(["reduce", str(recording), *options]) == 0
     short, long = (read_wav(tmp_path / f"{window}.wav")[0] for window in ("20", "50"))
     assert np.abs(short - long).max() > 0.01
-    bumps = make_scene("bumps", duration_s=0.5)
+    bumps = condition(make_scene("bumps", duration_s=0.5), Conditioning())
     expected = REDUCERS["dft321_windowed"](bumps.acceleration, 10000.0, window_s=0.02)  # type: ignore[call-arg] - not in the common calling form
     np.testing.assert_allclose(short, expected, atol=1e-4)
 
@@ -196,12 +203,90 @@ def test_what_is_undefined_is_null_in_json(tmp_path: Path, capsys: Capture) -> N
     assert main(["reduce", *arguments, "--reducer", "sax321", "-o", str(output)]) == 0
     for text in (capsys.readouterr().out, output.with_suffix(".json").read_text(encoding="utf-8")):
         assert json.loads(text, parse_constant=pytest.fail)["lowest_hz"] is None
+    assert main(["match", *arguments[:1], str(output), *arguments[1:]]) == 1
+    shown, blamed = capsys.readouterr()
+    facts = json.loads(shown, parse_constant=pytest.fail)
+    assert [facts[name] for name in METRICS] == [None, None, None]
+    assert set(facts["reasons"]) == set(METRICS)
+    assert blamed.splitlines()[-1].startswith("feel321: silent: spectral_match: the recording has no energy from 20 to")
+    assert main(["match", *arguments[:1], str(output), *arguments[1:-1]]) == 1
+    assert "temporal match none: all three axes of the recording are silent\n" in capsys.readouterr().out
+
+
+def test_reduce_conditions_as_a_study_does_and_raw_opts_out(tmp_path: Path, capsys: Capture) -> None:
+    path, output = tmp_path / "swing.csv", tmp_path / "o.wav"
+    time = np.arange(4000) / 2000
+    wanted = make_scene("bumps", duration_s=2.0).acceleration[:, ::5]
+    swing = wanted + 9.81 + 3 * np.sin(2 * np.pi * 1.5 * time)
+    head = "time_s,x_m/s^2,y_m/s^2,z_m/s^2"
+    np.savetxt(path, np.column_stack([time, swing.T]), delimiter=",", header=head, comments="")
+    reduce, match = ["reduce", str(path), "--reducer", "say321", "--force", "-o", str(output)], ["match", str(path)]
+
+    def run(*arguments: str) -> dict[str, Any]:
+        assert main([*arguments, "--json"]) == 0
+        return json.loads(capsys.readouterr().out)
+
+    recording = read_recording(path)
+    for options, steps, source in (([], Conditioning(), recording), (["--raw"], None, recording)):
+        as_study = source if steps is None else condition(source, steps)
+        facts = run(*reduce, *options)
+        np.testing.assert_allclose(read_wav(output)[0], as_study.acceleration[1], atol=1e-5)
+        assert facts["conditioning"] == (None if steps is None else asdict(steps))
+        assert facts["steps"] == ([] if steps is None else list_steps(steps, 2000.0))
+        expected = spectral_match(as_study.acceleration, as_study.acceleration[1], 2000.0)
+        told = run(*match, str(output))  # as the JSON beside it says
+        assert told["spectral_match"] == pytest.approx(expected, abs=1e-4)
+        assert (told["conditioning"], told["conditioning_from"]) == (facts["conditioning"], "as o.json says")
+        output.with_suffix(".json").rename(tmp_path / "other.json")
+        told = run(*match, str(output), *options)  # nothing says it: as for a study, unless --raw
+        assert told["spectral_match"] == pytest.approx(expected, abs=1e-4)
+        assert told["conditioning_from"] == ("assumed: no o.json of reduce beside it" if steps else "--raw")
+
+
+def test_match_compares_like_with_like_or_says_why_not(recording: Path, tmp_path: Path, capsys: Capture) -> None:
+    output, sidecar = tmp_path / "o.wav", tmp_path / "o.json"
+    assert main(["reduce", str(recording), "--reducer", "dft321", "-o", str(output)]) == 0
+    done = "conditioning of the recording: offset removed, high-pass 20 Hz, low-pass 1000 Hz\n"
+    assert done in capsys.readouterr().out
+    match = ["match", str(recording), str(output)]
+    assert main([*match, "--raw"]) == 2
+    assert "--raw: o.json says that its WAV was reduced from the conditioned recording" in capsys.readouterr().err
+    facts = json.loads(sidecar.read_text(encoding="utf-8"))
+    for change, code, message in (
+        ({"conditioning": {"speed": 3}}, 1, "feel321: o.json: no conditioning ("),
+        ({"conditioning": {"high_pass_hz": -1}}, 1, "feel321: o.json: no conditioning (high_pass_hz: got -1"),
+        ({"recording_sha256": "0"}, 0, "feel321: warning: o.json: was written for another recording or file than"),
+    ):
+        sidecar.write_text(json.dumps(facts | change), encoding="utf-8")
+        assert main(match) == code
+        assert capsys.readouterr().err.startswith(message)
+    sidecar.write_text("{", encoding="utf-8")
+    assert main(match) == 1
+    assert capsys.readouterr().err.startswith("feel321: o.json: not JSON (")
+    sidecar.write_text('{"unit": "g"}', encoding="utf-8")
+    assert main([*match, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["conditioning_from"] == "assumed: no o.json of reduce beside it"
+    older = {name: value for name, value in facts.items() if name not in {"conditioning", "steps"}}
+    sidecar.write_text(json.dumps(older), encoding="utf-8")
+    assert main([*match, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["conditioning"] is None
+
+
+def test_a_recording_that_cannot_be_conditioned_can_still_be_taken_raw(tmp_path: Path, capsys: Capture) -> None:
+    path = tmp_path / "slow.csv"
+    np.savetxt(path, np.random.default_rng(1).normal(size=(50, 3)), delimiter=",", header="x_g,y_g,z_g", comments="")
+    arguments = ["reduce", str(path), "--rate-hz", "30", "--reducer", "sax321", "-o", str(tmp_path / "o.wav")]
+    assert main(arguments) == 1
+    told = "feel321: slow: highpass: got 20.0 Hz, allowed is below the Nyquist frequency of 15 Hz"
+    assert capsys.readouterr().err.endswith(f"{told}; or take it as it was measured, with --raw\n")
+    assert main([*arguments, "--raw"]) == 0
+    assert "spectral match none: the recording is too short, or its rate too low" in capsys.readouterr().out
 
 
 def test_reading_options_reach_the_reader_and_warnings_go_to_stderr(tmp_path: Path, capsys: Capture) -> None:
     path = tmp_path / "plain.csv"
     np.savetxt(path, np.random.default_rng(1).normal(size=(500, 3)), delimiter=",", header="a,b,c", comments="")
-    options = ["--rate-hz", "5000", "--columns", "2,b,0", "--reducer", "sax321", "-o", str(tmp_path / "o.wav")]
+    options = ["--rate-hz", "5000", "--columns", "2,b,0", "--raw", "--reducer", "sax321", "-o", str(tmp_path / "o.wav")]
     assert main(["reduce", str(path), *options]) == 0
     assert "feel321: warning: plain: " in capsys.readouterr().err
     third = np.loadtxt(path, delimiter=",", skiprows=1)[:, 2]

@@ -17,7 +17,7 @@ from analysis.tradeoff.advise.measures import NOISE, Measures, Trial, find_chang
 from analysis.tradeoff.advise.scene import ALL_AXES
 from analysis.tradeoff.advise.simplicity import COVARIANCE, MEAN, PROJECTION, Cost
 from stimuli.fourier import dft321
-from stimuli.invariant import spectral_match_invariant
+from stimuli.invariant import spectral_match_energy_weighted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -58,7 +58,7 @@ def _measure_two(trial: Trial) -> Measures:
     kept = _keep_two(samples)
     return Measures(
         level_db=find_level(kept, trial),
-        spectrum=spectral_match_invariant(samples, dft321(kept, rate_hz), rate_hz),
+        spectrum=spectral_match_energy_weighted(samples, dft321(kept, rate_hz), rate_hz),
         time=float(np.sqrt(np.square(kept).sum() / np.square(samples).sum())),
         change=find_change(kept, _keep_two(trial.disturbed)),
         spectral_match=nan,

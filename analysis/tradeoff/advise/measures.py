@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stimuli.invariant import spectral_match_invariant, temporal_match_invariant
+from stimuli.invariant import spectral_match_energy_weighted, temporal_match_invariant
 from stimuli.match import temporal_match
 from stimuli.perception import felt_level
 from stimuli.spectrum import OriginalSpectrum
@@ -41,7 +41,7 @@ class Measures:
     level_db : float
         Felt level of the output against the recording's, from 20 to 1000 Hz; -120 stands for silence.
     spectrum : float
-        `spectral_match_invariant`.
+        `spectral_match_energy_weighted`.
     time : float
         `temporal_match_invariant`.
     change : float
@@ -137,7 +137,7 @@ def measure(name: str, reduce: Reducer, trial: Trial) -> Measures:
     reduced = reduce(samples, rate_hz)
     return Measures(
         level_db=find_level(reduced, trial),
-        spectrum=spectral_match_invariant(samples, reduced, rate_hz),
+        spectrum=spectral_match_energy_weighted(samples, reduced, rate_hz),
         time=temporal_match_invariant(samples, reduced, rate_hz),
         change=find_change(reduced, reduce(trial.disturbed, rate_hz)),
         spectral_match=float(trial.spectrum.match(reduced)),

@@ -6,8 +6,9 @@ end of that range: "sufficient" is a claim that nothing is felt to be missing, a
 Energy is also what the metrics compare, so one number serves all of them:
 
 - *Level* (felt level of the output against the recording's, in dB): ``10 log10(1 + w)``, weaker or stronger.
-- *Spectrum* (`spectral_match_invariant`, the share of energy common to both spectra, in bands as wide as people confuse
-  frequencies): ``w``. A match that is lower by w means that a further share w of the energy is missing or misplaced.
+- *Spectrum* (`spectral_match_energy_weighted`, the share of energy common to both spectra, in bands as wide as people
+  confuse frequencies): ``w``. A match that is lower by w means that a further share w of the energy is missing or
+  misplaced.
 - *Time* (`temporal_match_invariant`; its square is the share of the motion's energy that goes along with the output):
   that share may fall by ``w`` of the best's. The best is the projection on the first principal axis, by theorem.
 - *Steadiness* (change of the output, up to its sign, under sensor noise of -60 dB): ``sqrt(1 + w) - 1``, the amplitude

@@ -18,7 +18,7 @@ import numpy as np
 
 from analysis.tradeoff.chart.records import MEASURES, Accuracy
 from stimuli.condition import resample
-from stimuli.invariant import spectral_match_invariant, temporal_match_invariant
+from stimuli.invariant import temporal_match_invariant
 from stimuli.match import axis_correlations, mean_heard
 from stimuli.rotation import random_rotations
 from stimuli.spectrum import OriginalSpectrum, WeberSmoothing, energy_spectrum, linear_grid
@@ -139,19 +139,19 @@ class _Scene:
         self.recording = recording
         samples, rate, n = recording.acceleration, recording.rate_hz, recording.n_samples
         self._original = OriginalSpectrum(samples, rate)
+        if self._original.reason:
+            raise ValueError(self._original.reason)
         self._smooth = WeberSmoothing(linear_grid(n, rate), rate / n, n // 2 + 1)
         self._energy = energy_spectrum(samples, self._smooth.bins).sum(axis=0)
 
     def score(self, turned: Samples, reduced: Samples) -> list[float]:
-        """Give the four measures of one reduced signal."""
+        """Give the measures of one reduced signal, in the order of `MEASURES`."""
         energy = energy_spectrum(reduced, self._smooth.bins)
         total, apart = self._smooth(self._energy + energy).sum(), np.abs(self._smooth(self._energy - energy)).sum()
-        spectral, temporal = float(self._original.match(reduced)), float(mean_heard(axis_correlations(turned, reduced)))
-        if total > 0:
-            shared = float((total - apart) / (total + apart))
-        else:  # silence, or too short for any frequency: the counterpart itself knows what to say
-            shared = spectral_match_invariant(turned, reduced, self.recording.rate_hz)
-        return [spectral, temporal, shared, temporal_match_invariant(turned, reduced)]
+        spectral, bounded = map(float, self._original.match_both(reduced))
+        temporal = float(mean_heard(axis_correlations(turned, reduced)))
+        shared = float((total - apart) / (total + apart))
+        return [spectral, temporal, bounded, shared, temporal_match_invariant(turned, reduced)]
 
 
 def _measure(scene: _Scene, method: Method, *, turned: list[Samples], sweep: str) -> list[Accuracy]:

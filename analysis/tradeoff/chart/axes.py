@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from analysis.figures.style import Look, assign_looks
-from analysis.words import start, tell_name
+from analysis.words import start
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -73,8 +73,8 @@ def tell_measure(measure: str) -> str:
     >>> tell_measure("temporal_match_invariant")
     'Temporal match, invariant'
     """
-    name = tell_name(measure.removesuffix("_invariant"))
-    return start(name) + (", invariant" if measure.endswith("_invariant") else "")
+    metric, _, kind = measure.partition("_match")
+    return start(f"{metric} match") + (f", {kind.strip('_').replace('_', '-')}" if kind else "")
 
 
 def limit_accuracy(values: Iterable[float]) -> tuple[float, float]:

@@ -7,8 +7,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-MEASURES = ("spectral_match", "temporal_match", "spectral_match_invariant", "temporal_match_invariant")
-"""The paper's two metrics and their rotation-invariant counterparts."""
+MEASURES = (
+    "spectral_match", "temporal_match",
+    "spectral_match_bounded", "spectral_match_energy_weighted", "temporal_match_invariant",
+)  # fmt: skip
+"""The paper's two metrics, then their bounded counterparts, which no orientation of the sensor changes."""
 
 SWEEPS = ("size", "window", "hop", "block", "rate", "bits")
 """What is varied where cost is measured."""

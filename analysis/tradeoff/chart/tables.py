@@ -91,7 +91,7 @@ def _lay_reducers(chart: Chart) -> Sheet:
     caption = (
         "Reducers as they are. Cost: median and quartiles. Accuracy: median over scenes of the mean over sensor "
         "orientations, and the lowest and highest scene. On a front: of cost and the named measures, s(pectral), "
-        "t(emporal), i(nvariant)."
+        "t(emporal), b(ounded), e(nergy-weighted), i(nvariant)."
     )
     return Sheet(caption, head, tuple(_lay_reducer(points) for points in by_reducer.values()))
 
@@ -99,7 +99,7 @@ def _lay_reducers(chart: Chart) -> Sheet:
 def _lay_reducer(points: Sequence[Point]) -> tuple[str, ...]:
     first = points[0]
     latency = "whole signal" if first.latency_s is None else f"{1000 * first.latency_s:.3g} ms"
-    fronts = [name for name, point in zip(("s", "t", "s i", "t i"), points, strict=True) if point.on_front]
+    fronts = [name for name, point in zip(("s", "t", "s b", "s e", "t i"), points, strict=True) if point.on_front]
     return (
         first.reducer, f"{first.ns_per_sample:.3g} [{first.low:.3g} to {first.high:.3g}]",
         tell_plainly(float(f"{NS / RATE_HZ / first.ns_per_sample:.2g}")), latency,

@@ -122,11 +122,12 @@ def render_page(chart: Chart, pictures: Sequence[Picture], *, figures: Path) -> 
 def _list_pictures(chart: Chart) -> Iterator[Picture]:
     from analysis.tradeoff.chart.drawing_cost import draw_blocks, draw_growth, draw_rates
 
-    paper, invariant = MEASURES[:2], MEASURES[2:]
+    paper, bounded = MEASURES[:2], MEASURES[2:]
     yield Picture("cost", "cost", f"Both of the paper's metrics against cost. {MARKS} {FRONT}", draw_cost(chart, paper))
     yield Picture(
         "cost_invariant", "cost",
-        f"Their rotation-invariant counterparts against cost. {MARKS} {FRONT}", draw_cost(chart, invariant),
+        f"Their bounded counterparts, which no orientation of the sensor changes, against cost. {MARKS} {FRONT}",
+        draw_cost(chart, bounded),
     )  # fmt: skip
     yield Picture(
         "latency", "latency",

@@ -12,7 +12,7 @@ from analysis.tradeoff.chart.methods import Method, list_hops, list_methods, lis
 from stimuli.fourier import dft321_windowed
 from stimuli.frames import sqrt_hann
 from stimuli.invariant import INVARIANTS
-from stimuli.match import METRICS
+from stimuli.match import METRICS, spectral_match_bounded
 from stimuli.reduce import REDUCERS
 from stimuli.rotation import rotation_statistics
 
@@ -39,10 +39,13 @@ def test_as_mounted_is_what_the_metrics_themselves_say(reducer: str, make_record
     scene = make_recording("bumps")
     found = {row.measure: row.as_mounted for row in measure_accuracy(scene, [Method(reducer)], turns=draw_turns(2, 0))}
     reduced = REDUCERS[reducer](scene.acceleration, scene.rate_hz)
+    bounded = spectral_match_bounded(scene.acceleration, reduced, scene.rate_hz)
+    assert found["spectral_match_bounded"] == pytest.approx(bounded, abs=1e-9)
     for name in INVARIANTS:
         assert found[name] == pytest.approx(METRICS[name](scene.acceleration, reduced, scene.rate_hz), abs=1e-9)
         invariant = INVARIANTS[name](scene.acceleration, reduced, scene.rate_hz)
-        assert found[f"{name}_invariant"] == pytest.approx(invariant, abs=1e-9)
+        own = "spectral_match_energy_weighted" if name == "spectral_match" else f"{name}_invariant"
+        assert found[own] == pytest.approx(invariant, abs=1e-9)
 
 
 def test_the_same_seed_gives_the_same_accuracies_and_another_does_not(make_recording: Make) -> None:
@@ -52,17 +55,17 @@ def test_the_same_seed_gives_the_same_accuracies_and_another_does_not(make_recor
     assert first != other
 
 
-def test_silence_is_measured_and_matches_nothing(make_recording: Make) -> None:
+def test_silence_is_refused(make_recording: Make) -> None:
     silent = replace(make_recording("bumps"), acceleration=np.zeros((3, 1000)), sha256="")
-    found = measure_accuracy(silent, [Method("soc321")], turns=draw_turns(2, 0))
-    assert [row.mean for row in found] == [1.0, 0.0, 1.0, 0.0]
+    with pytest.raises(ValueError, match="recording 'bumps': the recording has no energy from 20 to 1000 Hz"):
+        measure_accuracy(silent, [Method("soc321")], turns=draw_turns(2, 0))
 
 
 def test_bad_input_is_refused_by_name(make_recording: Make) -> None:
     with pytest.raises(ValueError, match="rotations: got 1, allowed is 2 or more"):
         measure_accuracy(make_recording("bumps"), [], turns=draw_turns(1, 0))
     short = cut_piece(make_recording("bumps"), 0.0003)
-    with pytest.raises(ValueError, match="recording 'bumps': spectral match: the recording has no frequency"):
+    with pytest.raises(ValueError, match="recording 'bumps': the recording is too short, or its rate too low"):
         measure_accuracy(short, [Method("soc321")], turns=draw_turns(2, 0))
 
 
