@@ -37,7 +37,7 @@ def find_slope(profile: Profile, state: State, weight: float | None = None) -> N
     tr(D_k⁻¹ dD), and d log rss = z' dD z with z = (-coefficients, 1) / sqrt(rss).
     """
     lower = profile.blocks[0].triangle(state.theta)
-    outer = _find_adjoint(profile, state, profile.freedom if weight is None else weight)
+    outer = _find_adjoint(profile, state, profile.weight if weight is None else weight)
     # Through the dense part's own scale.
     half = profile.eliminate(lower @ state.inner @ lower.T)
     for place, other in profile.tail(state.theta):
