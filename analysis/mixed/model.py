@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.mixed.balanced import Balanced, find_frame
 from analysis.mixed.design import build_design
 from analysis.mixed.inference import Estimate, Uncertainty, estimate_sum, find_uncertainty
 from analysis.mixed.optimum import find_optimum
@@ -125,7 +126,8 @@ def fit_mixed(formula: str, data: DataFrame, *, reml: bool = True, penalty: Sequ
     for grouping factors of two or three levels if their spread is the question, nor for ratings piled up at
     the ends of the scale.
 
-    The deviance is profiled and minimised over relative spreads (Bates et al. 2015) with its exact slope;
+    The deviance is profiled and minimised over relative spreads (Bates et al. 2015) with its exact slope; where every
+    participant rated every stimulus equally often, it is the same function of two small matrices (see `balanced`);
     degrees of freedom are Satterthwaite's, as in lmerTest. With few levels a spread is often estimated as zero when it
     is only unknown; for the factors named in `penalty`, -2 log of the spread is added to the deviance,
     which is the mode under a gamma(2, λ) prior with λ -> 0 (Chung et al. 2013). It enters the degrees of freedom too,
@@ -164,9 +166,12 @@ def fit_mixed(formula: str, data: DataFrame, *, reml: bool = True, penalty: Sequ
     """
     design = build_design(formula, data)
     profile = Profile(design, reml=reml, penalty=penalty)
+    frame = find_frame(design)
+    quick = Balanced(design, frame, reml=reml, penalty=penalty) if frame else profile
     with hold_threads(profile.n_random):
-        best = find_optimum(profile)
-        uncertainty = find_uncertainty(profile, best)
+        found = find_optimum(quick)
+        uncertainty = find_uncertainty(quick, found)
+        best = profile.evaluate(found.theta)
     coefficients, _ = find_coefficients(profile, best)
     variances, correlations = _table_spreads(profile, best)
     fitted, effects = _predict(profile, best)
