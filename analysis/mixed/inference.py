@@ -88,7 +88,8 @@ def find_uncertainty(profile: Profile, best: State) -> Uncertainty:
     -----
     With f(theta, log s) the deviance before s is profiled out, the spreads' covariance is 2 H⁻¹, H the matrix of
     second derivatives, none of which hangs on units; directions in which H is not positive carry no information
-    and are left out, as lmerTest does. Derivatives along theta are central differences of the exact slope.
+    and are left out, as lmerTest does. Derivatives along theta are central differences of the exact slope. A penalty
+    of -2 log theta adds 2 / theta².
     """
     sigma, size, unit = find_sigma(profile, best), profile.n_theta, np.maximum(np.abs(best.theta), 1)
     covariance = find_coefficients(profile, best)[1] * sigma**2
@@ -101,7 +102,9 @@ def find_uncertainty(profile: Profile, best: State) -> Uncertainty:
         hessian[place, size] = hessian[size, place] = -(above.rss - below.rss) / STEP / sigma**2
         wider = find_coefficients(profile, above)[1] - find_coefficients(profile, below)[1]
         slopes[place] = wider * sigma**2 / (2 * STEP)
-    hessian[size, size] = 4 * profile.freedom
+    held = np.flatnonzero(profile.penalised)
+    hessian[held, held] += 2 * (unit[held] / best.theta[held]) ** 2
+    hessian[size, size] = 4 * profile.weight
     slopes[size] = 2 * covariance
     return Uncertainty(covariance, slopes, 2 * _invert((hessian + hessian.T) / 2))
 

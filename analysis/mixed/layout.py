@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
     from scipy.sparse import csr_array
@@ -91,6 +91,35 @@ def lay_out(factors: tuple[Factor, ...]) -> Iterator[Block]:
         scale = np.sqrt(np.mean(factor.columns**2, axis=0))
         yield Block(factor, scale, slice(start, start + size), np.concatenate(rows), np.concatenate(columns))
         start += size
+
+
+def find_penalised(blocks: Sequence[Block], names: Sequence[str]) -> NDArray[np.bool_]:
+    """Find the parameters whose logarithm is penalised: the spreads of the factors named.
+
+    Parameters
+    ----------
+    blocks : sequence of Block
+        The factors' places.
+    names : sequence of str
+        Factors.
+
+    Returns
+    -------
+    ndarray of bool, shape (n_theta,)
+        Which.
+
+    Raises
+    ------
+    ValueError
+        If a name is not a grouping factor, or its effects are correlated: they have no spreads of their own then.
+    """
+    if strangers := [name for name in names if name not in {block.factor.name for block in blocks}]:
+        allowed = ", ".join(block.factor.name for block in blocks)
+        raise ValueError(f"penalty: got {strangers[0]!r}, allowed are the formula's groups: {allowed}")
+    chosen = [np.full(len(block.rows), block.factor.name in names) for block in blocks]
+    if any(one.any() and (block.rows != block.columns).any() for one, block in zip(chosen, blocks, strict=True)):
+        raise ValueError("penalty: got a group with correlated effects, allowed are uncorrelated ones: (1 + x || g)")
+    return np.concatenate(chosen)
 
 
 def spread_columns(block: Block) -> csr_array:

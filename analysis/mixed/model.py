@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.mixed.balanced import Balanced, find_frame
 from analysis.mixed.design import build_design
 from analysis.mixed.inference import Estimate, Uncertainty, estimate_sum, find_uncertainty
 from analysis.mixed.optimum import find_optimum
@@ -15,7 +16,7 @@ from analysis.mixed.solution import find_coefficients, find_modes, find_sigma, f
 from analysis.mixed.threads import hold_threads
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
     from pandas import DataFrame
@@ -47,7 +48,8 @@ class MixedFit:
     residual_sd : float
         Standard deviation of the residual.
     criterion : float
-        -2 log restricted likelihood at its maximum (lme4's REML criterion), or -2 log likelihood.
+        -2 log restricted likelihood at its maximum (lme4's REML criterion), or -2 log likelihood; without the penalty,
+        where there is one.
     singular : bool
         Whether a spread is estimated as zero, or effects as perfectly tied to each other.
     marginal_r2, conditional_r2 : float
@@ -85,7 +87,7 @@ class MixedFit:
     notes: tuple[str, ...] = ()
 
 
-def fit_mixed(formula: str, data: DataFrame, *, reml: bool = True) -> MixedFit:
+def fit_mixed(formula: str, data: DataFrame, *, reml: bool = True, penalty: Sequence[str] = ()) -> MixedFit:
     """Fit a linear mixed model.
 
     Parameters
@@ -100,6 +102,8 @@ def fit_mixed(formula: str, data: DataFrame, *, reml: bool = True) -> MixedFit:
     reml : bool
         Restricted maximum likelihood, right for everything but the comparison of models with different fixed
         parts, for which give False.
+    penalty : sequence of str
+        Grouping factors whose spreads are kept away from zero, such as those with few levels.
 
     Returns
     -------
@@ -122,8 +126,12 @@ def fit_mixed(formula: str, data: DataFrame, *, reml: bool = True) -> MixedFit:
     for grouping factors of two or three levels if their spread is the question, nor for ratings piled up at
     the ends of the scale.
 
-    The deviance is profiled and minimised over relative spreads (Bates et al. 2015) with its exact slope;
-    degrees of freedom are Satterthwaite's, as in lmerTest. A spread of zero (a singular fit) is normal in
+    The deviance is profiled and minimised over relative spreads (Bates et al. 2015) with its exact slope; where every
+    participant rated every stimulus equally often, it is the same function of two small matrices (see `balanced`);
+    degrees of freedom are Satterthwaite's, as in lmerTest. With few levels a spread is often estimated as zero when it
+    is only unknown; for the factors named in `penalty`, -2 log of the spread is added to the deviance,
+    which is the mode under a gamma(2, λ) prior with λ -> 0 (Chung et al. 2013). It enters the degrees of freedom too,
+    not the criterion. A spread of zero (a singular fit) is normal in
     small studies: it stays in the model as zero, and the notes say so. R² is Nakagawa's and Schielzeth's with
     Johnson's extension to slopes: the fixed predictions' variance, plus the mean over rows of the random
     effects' variance, plus s².
@@ -132,7 +140,9 @@ def fit_mixed(formula: str, data: DataFrame, *, reml: bool = True) -> MixedFit:
     ----------
     Bates, Mächler, Bolker & Walker (2015), Fitting linear mixed-effects models using lme4, Journal of
     Statistical Software 67(1), doi 10.18637/jss.v067.i01. Kuznetsova et al. (2017), doi
-    10.18637/jss.v082.i13. Nakagawa & Schielzeth (2013), doi 10.1111/j.2041-210x.2012.00261.x; Johnson (2014),
+    10.18637/jss.v082.i13. Chung, Rabe-Hesketh, Dorie, Gelman & Liu (2013), A nondegenerate penalized likelihood
+    estimator for variance parameters in multilevel models, Psychometrika 78, 685-709, doi
+    10.1007/s11336-013-9328-2. Nakagawa & Schielzeth (2013), doi 10.1111/j.2041-210x.2012.00261.x; Johnson (2014),
     doi 10.1111/2041-210X.12225.
 
     Examples
@@ -155,10 +165,13 @@ def fit_mixed(formula: str, data: DataFrame, *, reml: bool = True) -> MixedFit:
     (0.46, 29.93, False)
     """
     design = build_design(formula, data)
-    profile = Profile(design, reml=reml)
+    profile = Profile(design, reml=reml, penalty=penalty)
+    frame = find_frame(design)
+    quick = Balanced(design, frame, reml=reml, penalty=penalty) if frame else profile
     with hold_threads(profile.n_random):
-        best = find_optimum(profile)
-        uncertainty = find_uncertainty(profile, best)
+        found = find_optimum(quick)
+        uncertainty = find_uncertainty(quick, found)
+        best = profile.evaluate(found.theta)
     coefficients, _ = find_coefficients(profile, best)
     variances, correlations = _table_spreads(profile, best)
     fitted, effects = _predict(profile, best)

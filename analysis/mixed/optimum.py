@@ -33,7 +33,7 @@ def find_optimum(profile: Profile) -> State:
     Returns
     -------
     State
-        The equations at the best theta, spreads below 1e-4 set to 0.
+        The equations at the best theta, spreads below 1e-4 set to 0 unless they are penalised.
 
     Raises
     ------
@@ -45,7 +45,7 @@ def find_optimum(profile: Profile) -> State:
     L-BFGS from theta = 1 (off the diagonal 0), without bounds because the deviance does not change with a
     spread's sign. For the same reason 0 is always stationary; at every spread of 0 the deviance is therefore
     probed at a small positive value, which shows the sign of its derivative in theta², and the search resumed
-    where that is lower.
+    where that is lower. The penalty, -2 log (theta s), goes to infinity at 0.
     """
     start = profile.diagonal.astype(np.float64)
     best = _descend(profile, start)
@@ -62,7 +62,9 @@ def _descend(profile: Profile, start: NDArray[np.float64]) -> State:
 
     def value(theta: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
         state = profile.evaluate(theta)
-        return profile.deviance(state), find_slope(profile, state)
+        slope = find_slope(profile, state)
+        slope[profile.penalised] -= 2 / theta[profile.penalised]
+        return _find_target(profile, state), slope
 
     # Without bounds: the deviance is even in a spread, and a search that is stopped at 0 may rest there in vain.
     try:
@@ -75,6 +77,12 @@ def _descend(profile: Profile, start: NDArray[np.float64]) -> State:
     if np.abs(found.x).max() > LARGEST:
         raise ValueError(_NO_RESIDUAL)
     return _snap(profile, _turn(profile, found.x))
+
+
+def _find_target(profile: Profile, state: State) -> float:
+    """Add the penalty, -2 log of every spread it names, to the deviance: what is minimised."""
+    spreads = state.theta[profile.penalised] ** 2 * state.rss / profile.weight
+    return profile.deviance(state) - float(np.log(spreads).sum())
 
 
 _NO_RESIDUAL = (
@@ -95,17 +103,18 @@ def _turn(profile: Profile, theta: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _snap(profile: Profile, theta: NDArray[np.float64]) -> State:
     """Set spreads that are zero but for the search's tolerance to zero."""
-    return profile.evaluate(np.where(profile.diagonal & (theta < ZERO), 0.0, theta))
+    none = profile.diagonal & (theta < ZERO) & ~profile.penalised
+    return profile.evaluate(np.where(none, 0.0, theta))
 
 
 def _leave_boundary(profile: Profile, state: State) -> State | None:
     """Find a better minimum where a spread of 0 is above 0, or None."""
-    here = profile.deviance(state)
+    here = _find_target(profile, state)
     for place in np.flatnonzero(profile.diagonal & (state.theta == 0)):
         probe = state.theta.copy()
         probe[place] = PROBE
-        if profile.deviance(profile.evaluate(probe)) < here - 1e-9:
+        if _find_target(profile, profile.evaluate(probe)) < here - 1e-9:
             probe[place] = RESTART
             better = _descend(profile, probe)
-            return better if profile.deviance(better) < here else None
+            return better if _find_target(profile, better) < here else None
     return None

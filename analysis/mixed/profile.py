@@ -20,10 +20,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.mixed.layout import lay_out, pick_blocks, scale_columns, spread_columns
+from analysis.mixed.layout import find_penalised, lay_out, pick_blocks, scale_columns, spread_columns
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -71,13 +71,18 @@ class Profile:
         Response, fixed columns and grouping factors.
     reml : bool
         Restricted likelihood, or the full one.
+    penalty : sequence of str
+        Grouping factors whose spreads are kept away from zero.
     """
 
-    def __init__(self, design: Design, *, reml: bool) -> None:
+    def __init__(self, design: Design, *, reml: bool, penalty: Sequence[str] = ()) -> None:
         self.design, self.reml = design, reml
         self.n_rows, self.n_fixed = design.fixed.shape
         self.freedom = self.n_rows - self.n_fixed if reml else self.n_rows
         self.blocks = tuple(lay_out(design.factors))
+        self.penalised = find_penalised(self.blocks, penalty)
+        # Every spread whose logarithm is penalised takes one residual's along, for spreads are in units of it.
+        self.weight = self.freedom - int(self.penalised.sum())
         self.n_random = sum(block.n_levels * block.width for block in self.blocks[1:])
         if self.n_random > MOST_LEVELS:
             raise ValueError(
@@ -204,5 +209,5 @@ class Profile:
         float
             What lme4 calls the REML criterion, or the deviance.
         """
-        spread = 1 + np.log(2 * np.pi * state.rss / self.freedom)
-        return float(state.log_random + self.reml * state.log_fixed + self.freedom * spread)
+        spread = np.log(2 * np.pi * state.rss / self.weight)
+        return float(state.log_random + self.reml * state.log_fixed + self.freedom * spread + self.weight)

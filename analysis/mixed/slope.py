@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.mixed.balanced import Balanced
 from analysis.mixed.layout import scale_columns
 
 if TYPE_CHECKING:
@@ -36,8 +37,11 @@ def find_slope(profile: Profile, state: State, weight: float | None = None) -> N
     The determinants of the leading parts of the dense matrix D are all there is: d log |D_k| =
     tr(D_k⁻¹ dD), and d log rss = z' dD z with z = (-coefficients, 1) / sqrt(rss).
     """
+    weight = profile.weight if weight is None else weight
+    if isinstance(profile, Balanced):
+        return profile.find_slope(state, weight)
     lower = profile.blocks[0].triangle(state.theta)
-    outer = _find_adjoint(profile, state, profile.freedom if weight is None else weight)
+    outer = _find_adjoint(profile, state, weight)
     # Through the dense part's own scale.
     half = profile.eliminate(lower @ state.inner @ lower.T)
     for place, other in profile.tail(state.theta):

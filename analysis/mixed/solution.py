@@ -25,9 +25,9 @@ def find_sigma(profile: Profile, state: State) -> float:
     Returns
     -------
     float
-        sqrt(rss / (n - p)), or rss / n for the full likelihood.
+        sqrt(rss / (n - p)), or rss / n for the full likelihood; with k penalised spreads, k less.
     """
-    return float(np.sqrt(state.rss / profile.freedom))
+    return float(np.sqrt(state.rss / profile.weight))
 
 
 def find_coefficients(profile: Profile, state: State) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -16,8 +16,14 @@ from analysis.primary.cells import ITEM, RATING, REDUCER, SCENE, SOURCE, WHO, Ce
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from numpy.typing import NDArray
+    from pandas import DataFrame
+
 ALIKE = f"{SOURCE}:{REDUCER}"
 """Stimuli of one source that were reduced alike."""
+
+FEW_REDUCERS = 8
+"""Fewer reducers than this get the boundary-avoiding penalty: their spread is estimated as 0 too often."""
 
 DEPENDENT = 1e-8
 """Share of a column's spread below which what others leave of it is rounding."""
@@ -35,11 +41,14 @@ class Plan:
         Brackets in lme4's notation.
     reductions : tuple of str
         What the full model has and this one has not, and why, one sentence each.
+    penalty : tuple of str
+        Grouping factors whose spread is kept away from zero, because they have few levels.
     """
 
     fixed: tuple[str, ...]
     random: tuple[str, ...]
     reductions: tuple[str, ...]
+    penalty: tuple[str, ...] = ()
 
     @property
     def formula(self) -> str:
@@ -47,7 +56,7 @@ class Plan:
         return " + ".join([f"{RATING} ~ 1", *map(_quote, self.fixed), *self.random])
 
 
-def plan_terms(cells: Cells, *, correlated: bool, by_reducer: bool) -> Plan:
+def plan_terms(cells: Cells, *, correlated: bool, reducers: bool) -> Plan:
     """Choose the terms of the primary model.
 
     Parameters
@@ -56,8 +65,8 @@ def plan_terms(cells: Cells, *, correlated: bool, by_reducer: bool) -> Plan:
         What it is to be fitted to.
     correlated : bool
         Whether people's slopes correlate.
-    by_reducer : bool
-        Whether reducers differ whatever their metrics.
+    reducers : bool
+        Whether reducers may differ for reasons that no metric knows.
 
     Returns
     -------
@@ -75,7 +84,7 @@ def plan_terms(cells: Cells, *, correlated: bool, by_reducer: bool) -> Plan:
     bar = "|" if correlated else "||"
     random = [
         *_plan_people(cells, slopes, reductions, bar=bar), *_plan_groups(cells, reductions),
-        *_plan_sources(cells, reductions), *(_plan_reducers(cells) if by_reducer else ()),
+        *_plan_sources(cells, reductions), *(_plan_reducers(cells, slopes, reductions) if reducers else ()),
     ]  # fmt: skip
     if cells.rough:
         reductions.append(
@@ -86,7 +95,10 @@ def plan_terms(cells: Cells, *, correlated: bool, by_reducer: bool) -> Plan:
             "rows: got one participant and one recording, allowed is more of either; "
             "for one of each, use ordinary regression"
         )
-    return Plan(tuple(fixed), tuple(random), tuple(reductions))
+    few = f"(1 | {REDUCER})" in random and cells.count(REDUCER) < FEW_REDUCERS
+    # Of a single difference the penalised likelihood has no maximum: it grows with the spread as fast as it falls.
+    penalty = (REDUCER,) if few and _count_free(cells, slopes) > 1 else ()
+    return Plan(tuple(fixed), tuple(random), tuple(reductions), penalty)
 
 
 def _plan_fixed(cells: Cells, reductions: list[str]) -> list[str]:
@@ -173,14 +185,58 @@ def _plan_sources(cells: Cells, reductions: list[str]) -> Iterator[str]:
         yield f"(1 | {ALIKE})"
 
 
-def _plan_reducers(cells: Cells) -> Iterator[str]:
-    """Name what stimuli of one reducer share, for everyone and for one person."""
-    if REDUCER not in cells.table or min(cells.count(REDUCER), cells.count(SCENE)) == 1:
-        raise ValueError("rows: got no reducers that are crossed with recordings, needed are several of both")
+def _plan_reducers(cells: Cells, slopes: list[str], reductions: list[str]) -> Iterator[str]:
+    """Name what stimuli of one reducer share, for everyone and for one person, as far as recordings repeat reducers."""
+    if REDUCER not in cells.table:
+        reductions.append("No spread between reducers: no column 'reducer' says which stimuli were reduced alike.")
+        return
+    number = cells.count(REDUCER)
+    if cells.count(SCENE) == 1 or number in {1, cells.count(ITEM)}:
+        why = "one recording only" if cells.count(SCENE) == 1 else "no reducer was used on several recordings"
+        reductions.append(f"No spread between reducers: {'one reducer only' if number == 1 else why}.")
+        return
+    # Of one source, (1 | source:reducer) is this term.
     if not cells.shared or cells.n_sources > 1:
-        yield f"(1 | {REDUCER})"
-    if cells.count(WHO) > 1 and cells.count(WHO, REDUCER) < len(cells.table):
+        if _count_free(cells, slopes):
+            yield f"(1 | {REDUCER})"
+        else:
+            reductions.append("No spread between reducers: too few stimuli to tell it from the slopes.")
+    if cells.count(WHO) == 1:
+        return
+    if _has_residual(cells, slopes):
         yield f"(1 | {WHO}:{REDUCER})"
+    else:
+        reductions.append("No spread of people's reducers: too few stimuli to tell it from the residual.")
+
+
+def _count_free(cells: Cells, slopes: list[str]) -> int:
+    """Count the differences between reducers that neither recordings nor slopes account for."""
+    items = cells.table.drop_duplicates(ITEM)
+    others = np.hstack([_mark_levels(items, SCENE), _read_slopes(items, slopes)])
+    both = np.hstack([others, _mark_levels(items, REDUCER)])
+    return int(np.linalg.matrix_rank(both) - np.linalg.matrix_rank(others))
+
+
+def _has_residual(cells: Cells, slopes: list[str]) -> bool:
+    """Tell whether anybody's ratings have a dimension besides their recordings, reducers and slopes."""
+    rated = cells.table.drop_duplicates([WHO, ITEM])
+    groups = (_mark_levels(rated, name) for name in (SCENE, REDUCER))
+    columns = np.hstack([*groups, _read_slopes(rated, slopes)])
+    places = rated.groupby(WHO, observed=True).indices.values()
+    return any(np.linalg.matrix_rank(columns[place]) < len(place) for place in places)
+
+
+def _mark_levels(table: DataFrame, name: str) -> NDArray[np.float64]:
+    codes, levels = table[name].factorize()
+    marks: NDArray[np.float64] = np.eye(len(levels))[codes]
+    return marks
+
+
+def _read_slopes(table: DataFrame, names: list[str]) -> NDArray[np.float64]:
+    """Read metrics within recordings, each in units of its spread so that none counts as rounding."""
+    values = table[names].to_numpy(np.float64)
+    scaled: NDArray[np.float64] = values / values.std(axis=0)
+    return scaled
 
 
 def _quote(name: str) -> str:

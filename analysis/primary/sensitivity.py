@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from pandas import DataFrame
 
-CORRELATED, BY_REDUCER = "correlated slopes", "reducers differ"
+CORRELATED, WITHOUT_REDUCERS = "correlated slopes", "without reducers"
 COLUMNS = ("estimate", "se", "df", "t", "p", "low", "high", "standardised", "standardised_low", "standardised_high")
 
 
@@ -48,11 +48,11 @@ def vary_primary(rows: DataFrame, metrics: Sequence[str], *, top: float = 100.0)
 
     Notes
     -----
-    Variants: people's slopes correlated; reducers that differ for everyone and for each person, whatever their metrics
-    (`fit_primary`, by_reducer); without each recording (without each source, where several recordings come
-    from one: the others of it would stand in for what is left out); without each reducer (metrics are split anew
-    over what is left, so that nothing of it leaks in); each rater's ratings standardised, which takes out how
-    much of the scale they use (raters whose ratings are all the same cannot be, and are left out, as the
+    Variants: people's slopes correlated; the model without its terms for reducers, which takes what a reducer feels
+    like for other reasons for evidence of its metric; without each recording (without each source, where several
+    recordings come from one: the others of it would stand in for what is left out); without each reducer (metrics
+    are split anew over what is left, so that nothing of it leaks in); each rater's ratings standardised, which takes
+    out how much of the scale they use (raters whose ratings are all the same cannot be, and are left out, as the
     reason says); ratings as logits
     of (y (n - 1) + 1/2) / n, y = rating / top and n their number (Smithson & Verkuilen 2006), which takes out the
     crowding at the scale's ends. Only standardised slopes compare across units.
@@ -69,7 +69,7 @@ def vary_primary(rows: DataFrame, metrics: Sequence[str], *, top: float = 100.0)
     rows = rows.assign(**{RATING: ratings})
     if ratings.min() < 0 or ratings.max() > top:
         raise ValueError(f"rows: got ratings {ratings.min():g} to {ratings.max():g}, allowed is 0 to {top:g}; give top")
-    tables = [_tabulate(variant, rows, metrics) for variant in ("primary", CORRELATED, BY_REDUCER)]
+    tables = [_tabulate(variant, rows, metrics) for variant in ("primary", CORRELATED, WITHOUT_REDUCERS)]
     tables += [_tabulate(name, part, metrics) for name, part in _leave_out(rows)]
     tables.append(_tabulate_standardised(rows, metrics))
     tables.append(_tabulate("logits", _squeeze(rows, top), metrics, unit="logits"))
@@ -116,7 +116,7 @@ def _tabulate(variant: str, rows: DataFrame, metrics: Sequence[str], *, unit: st
 
     try:
         model = fit_primary(
-            rows, metrics, correlated=variant == CORRELATED, by_reducer=variant == BY_REDUCER, explain=False
+            rows, metrics, correlated=variant == CORRELATED, reducers=variant != WITHOUT_REDUCERS, explain=False
         )
     except ValueError as error:
         if variant == "primary":

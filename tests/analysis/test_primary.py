@@ -22,6 +22,7 @@ FULL = (
     "rating ~ 1 + sm_w + tm_w + sm_b + tm_b + (1 + sm_w + tm_w || participant) + (1 | recording) + (1 | item)"
     " + (1 | participant:recording)"
 )
+REDUCERS = " + (1 | reducer) + (1 | participant:reducer)"
 
 
 def make_rows(
@@ -57,7 +58,7 @@ def primary(rows: pd.DataFrame) -> Primary:
 
 
 def test_balanced_study_gets_the_full_model_on_means(primary: Primary) -> None:
-    assert primary.formula == FULL
+    assert primary.formula == FULL + REDUCERS
     assert primary.averaged
     assert (primary.n_rows, primary.n_participants, primary.n_recordings, primary.n_items) == (240, 8, 6, 30)
     assert primary.reductions == ()
@@ -78,7 +79,7 @@ def test_slopes_in_every_unit_say_the_same(rows: pd.DataFrame, primary: Primary)
     )
     cells = make_cells(rows, METRICS).table
     z = cells.assign(rating=cells["rating"] / cells["rating"].std(), sm_w=cells["sm_w"] / cells["sm_w"].std())
-    standard = fit_mixed(FULL, z).fixed.loc["sm_w"]
+    standard = fit_mixed(FULL + REDUCERS, z, penalty=["reducer"]).fixed.loc["sm_w"]
     wanted = standard[["estimate", "low", "high"]].tolist()
     assert sm[["standardised", "standardised_low", "standardised_high"]].tolist() == pytest.approx(wanted, rel=1e-4)
 
@@ -87,8 +88,10 @@ def test_what_is_not_to_be_explained_costs_no_second_model_and_changes_no_slope(
     rows: pd.DataFrame, primary: Primary
 ) -> None:
     plain = fit_primary(rows, METRICS, explain=False)
-    pd.testing.assert_frame_equal(plain.slopes, primary.slopes)
+    shared = [name for name in primary.slopes if not name.startswith("centred")]
+    pd.testing.assert_frame_equal(plain.slopes[shared], primary.slopes[shared])
     assert np.isnan(plain.item_variance_explained)
+    assert plain.slopes["centred"].isna().all()
     assert 0 < primary.item_variance_explained <= 1
 
 
@@ -121,7 +124,7 @@ def test_adding_to_all_metrics_of_a_recording_changes_no_slope_within(rows: pd.D
 
 def test_unequal_repeats_keep_rows_and_get_a_term_for_the_cell(rows: pd.DataFrame) -> None:
     primary = fit_primary(rows.drop(index=7), METRICS)
-    assert primary.formula == FULL + " + (1 | participant:item)"
+    assert primary.formula == FULL + " + (1 | participant:item)" + REDUCERS
     assert not primary.averaged
     assert primary.n_rows == 479
 
@@ -133,7 +136,7 @@ def test_unequal_repeats_of_too_many_levels_are_averaged_in_words(
     whole = fit_primary(few, METRICS)
     monkeypatch.setattr(cells, "MOST_LEVELS", 50)
     rough = fit_primary(few, METRICS)
-    assert rough.formula == FULL
+    assert rough.formula == FULL + REDUCERS
     assert rough.averaged
     assert "unequal numbers of repeats" in rough.reductions[0]
     shift = (rough.slopes["estimate"] - whole.slopes["estimate"]) / whole.slopes["se"]
@@ -298,7 +301,7 @@ def test_variants_stand_in_one_order_whatever_that_of_the_rows(rows: pd.DataFram
 def test_sensitivity_runs_every_variant(rows: pd.DataFrame, primary: Primary) -> None:
     table = vary_primary(rows, METRICS)
     assert table["variant"].unique().tolist() == [
-        "primary", "correlated slopes", "reducers differ", *(f"without recording {n}" for n in range(6)),
+        "primary", "correlated slopes", "without reducers", *(f"without recording {n}" for n in range(6)),
         *(f"without reducer {n}" for n in range(5)), "rater-standardised", "logits",
     ]  # fmt: skip
     first = table[table["variant"] == "primary"].set_index("metric")
@@ -310,22 +313,72 @@ def test_sensitivity_runs_every_variant(rows: pd.DataFrame, primary: Primary) ->
     assert table.loc[table["metric"] == "sm", "standardised_low"].min() > 0
 
 
-def test_reducers_that_differ_whatever_their_metrics_widen_the_slopes(rows: pd.DataFrame) -> None:
+def test_reducers_that_differ_whatever_their_metrics_are_in_the_model(rows: pd.DataFrame) -> None:
     odd = np.array([0.0, 8.0, -8.0, 8.0, -8.0])[rows["reducer"].to_numpy()]
     planted = rows.assign(rating=rows["rating"] + odd)
-    plain, own = fit_primary(planted, METRICS), fit_primary(planted, METRICS, by_reducer=True)
-    assert "(1 | reducer)" in own.formula
-    assert "(1 | participant:reducer)" in own.formula
+    own, plain = fit_primary(planted, METRICS), fit_primary(planted, METRICS, reducers=False)
+    assert plain.formula == FULL
     spread = own.fit.variances.set_index("group")["sd"]
     assert spread["reducer"] > 4
-    assert own.slopes.loc["sm", "se"] != pytest.approx(plain.slopes.loc["sm", "se"], rel=0.01)
     assert own.fit.criterion < plain.fit.criterion - 10
+    # What a reducer adds to all its stimuli is no part of a slope that knows of reducers only by their recordings.
+    before = fit_primary(rows, METRICS)
+    for column in ("centred", "centred_se", "centred_df"):
+        assert own.slopes[column].tolist() == pytest.approx(before.slopes[column].tolist(), rel=1e-4)
 
 
-def test_reducers_need_a_column_and_recordings_to_be_told_apart(rows: pd.DataFrame) -> None:
-    for part in (rows.drop(columns="reducer"), rows.query("recording == 0")):
-        with pytest.raises(ValueError, match="crossed with recordings"):
-            fit_primary(part, METRICS, by_reducer=True)
+def test_centred_slope_is_that_of_a_model_with_reducers_as_fixed_effects(rows: pd.DataFrame, primary: Primary) -> None:
+    table = make_cells(rows, METRICS).table
+    grid = {name: table.drop_duplicates("item").pivot_table(f"{name}_w", "recording", "reducer")
+            for name in METRICS}  # fmt: skip
+    twice = {name: values - values.mean(axis=0) for name, values in grid.items()}  # recordings' means are 0 already
+    places = list(zip(table["recording"], table["reducer"], strict=True))
+    centred = {f"{name}_w": [values.loc[place] for place in places] for name, values in twice.items()}
+    formula = FULL.replace("tm_b", "tm_b + factor(reducer)") + " + (1 | participant:reducer)"
+    wanted = fit_mixed(formula, table.assign(**centred)).fixed.loc[["sm_w", "tm_w"]]
+    for ours, theirs in (("centred", "estimate"), ("centred_se", "se"), ("centred_df", "df"), ("centred_low", "low")):
+        assert primary.slopes[ours].tolist() == pytest.approx(wanted[theirs].tolist(), rel=1e-5)
+
+
+def test_tables_that_cannot_carry_reducers_say_so(rows: pd.DataFrame) -> None:
+    own = rows.assign(reducer=rows["item"])
+    for part, why in (
+        (rows.drop(columns="reducer"), "no column 'reducer'"), (rows.query("recording == 0"), "one recording only"),
+        (own, "no reducer was used on several recordings"),
+    ):  # fmt: skip
+        model = fit_primary(part, METRICS)
+        assert "reducer" not in model.formula
+        assert any(f"No spread between reducers: {why}" in reason for reason in model.reductions)
+        assert model.slopes["centred"].isna().all()
+
+
+@pytest.mark.parametrize(
+    ("query", "estimable", "why"),
+    [
+        ("participant < 2", False, "with 2 participants, where 3 are needed"),
+        ("recording < 2 and participant < 1", False, "with 1 participant and 2 recordings, where 3 are needed"),
+        ("participant < 3 and recording < 3", True, ""),
+    ],
+)
+def test_slopes_of_too_few_are_not_estimable(rows: pd.DataFrame, query: str, estimable: bool, why: str) -> None:
+    primary = fit_primary(rows.query(query), METRICS)
+    assert primary.slopes["estimable"].eq(estimable).all()
+    assert np.isfinite(primary.slopes[["estimate", "tenth", "quartile_effect"]].to_numpy()).all()
+    tests = primary.slopes[["se", "df", "p", "low", "high", "tenth_low", "quartile_high", "standardised_low"]]
+    assert tests.notna().to_numpy().all() == estimable == tests.notna().to_numpy().any()
+    assert any(why and why in note for note in primary.notes) != estimable
+    assert tabulate_slopes({"realism": primary})["p_holm"].notna().all() == estimable
+
+
+def test_effect_from_quartile_to_quartile_is_over_stimuli(rows: pd.DataFrame, primary: Primary) -> None:
+    items = rows.drop_duplicates("item")
+    own = items["sm"] - items.groupby("recording")["sm"].transform("mean")
+    span = own.quantile(0.75) - own.quantile(0.25)
+    sm = primary.slopes.loc["sm"]
+    assert sm["quartile_span"] == pytest.approx(span)
+    assert sm[["quartile_effect", "quartile_low", "quartile_high"]].tolist() == pytest.approx(
+        (sm[["estimate", "low", "high"]] * span).tolist()
+    )
 
 
 def test_logits_and_rater_standardised_ratings_by_their_definitions(rows: pd.DataFrame) -> None:

@@ -41,12 +41,17 @@ if TYPE_CHECKING:
 
 KEY, TITLE = "primary", "What +0.1 of a metric goes with"
 IN_SD = "slope in this study's standard deviations"
+QUARTILES = "mixed model, points of rating from the metric's lower to its upper quartile within recordings"
+CENTRED = "mixed model with reducers fixed, points of rating per +0.1 of the metric centred on recordings and reducers"
 HOW = (
     "Primary analysis: a linear mixed model per scale and level, on means over repeats, of ratings on each metric's "
     "deviation from its recording's mean and on that mean, with spreads between participants (of level and of slopes), "
-    "recordings, stimuli, and participants' recordings (and, where several recordings come from one source, between "
-    "sources and between what was reduced alike from one source); restricted maximum likelihood, Satterthwaite's "
-    "degrees of freedom (Barr et al. 2013, doi 10.1016/j.jml.2012.11.001). The claim is the slope within recordings. "
+    "recordings, stimuli, participants' recordings, reducers and participants' reducers (and, where several recordings "
+    "come from one source, between sources and between what was reduced alike from one source); restricted maximum "
+    "likelihood, Satterthwaite's degrees of freedom (Barr et al. 2013, doi 10.1016/j.jml.2012.11.001). With fewer than "
+    "8 reducers their spread is kept from zero (Chung et al. 2013, doi 10.1007/s11336-013-9328-2). The claim is the "
+    "slope within recordings; beside it the slope with reducers as fixed effects, on the metric centred on recordings "
+    "and on reducers. Below 3 participants, 3 recordings (or sources) or 2 degrees of freedom: not estimable. "
     "Spreads estimated as zero stay in the model. p are adjusted by Holm over all slopes of the table.",
 )
 
@@ -129,16 +134,24 @@ def _draw_models(fits: Fits) -> Iterator[Picture]:
 def _name_slope(row: Row, fit: tuple[Part, Primary]) -> tuple[Number, ...]:
     part, model = fit
     name, n = name_path("slope", *part.place, row["metric"]), model.n_rows
+    quartile: Row = {"estimate": row["quartile_effect"], "low": row["quartile_low"], "high": row["quartile_high"]}
+    centred: Row = {
+        "estimate": row["centred"] / 10, "low": row["centred_low"] / 10, "high": row["centred_high"] / 10
+    }  # fmt: skip
     return (
         name_estimate(name, row, "mixed model, points of rating per +0.1 of the metric", n=n, prefix="tenth"),
         name_estimate(f"{name}.standardised", row, IN_SD, n=n, prefix="standardised"),
         *name_tests(name, row, n=n),
+        name_estimate(f"{name}.quartile_effect", quartile, QUARTILES, n=n),
+        name_estimate(f"{name}.centred", centred, CENTRED, n=n),
     )
 
 
 def _judge_slope(row: Row, slope: Number, part: Part, model: Primary) -> str:  # noqa: PLR0917 - as they are kept
-    metric, evidence = tell_name(row["metric"]), f"{tell_estimate(slope, kind='slope')}; {tell_p(row['p_holm'])}"
-    evidence = f"per +0.1: {evidence}; {_tell_size(model)}"
+    metric = tell_name(row["metric"])
+    if not row["estimable"]:
+        return f"The slope of {part.ratings} on {metric} within recordings is not estimable ({_tell_size(model)})."
+    evidence = f"per +0.1: {tell_estimate(slope, kind='slope')}; {tell_p(row['p_holm'])}; {_tell_size(model)}"
     if not row["p_holm"] < SIGNIFICANCE:
         return f"Whether {part.ratings} follow {metric} within recordings is undecided ({evidence})."
     way = "higher" if slope.value > 0 else "lower"
@@ -159,7 +172,10 @@ def _sum_up(told: list[tuple[Row, tuple[Number, ...], tuple[Number, ...]]], part
 
 
 def _tell_slope(row: Row, slope: Number) -> str:
-    metric, evidence = tell_name(row["metric"]), f"{tell_estimate(slope, kind='slope')}; {tell_p(row['p_holm'])}"
+    metric = tell_name(row["metric"])
+    if not row["estimable"]:
+        return f"the slope on {metric} is not estimable"
+    evidence = f"{tell_estimate(slope, kind='slope')}; {tell_p(row['p_holm'])}"
     if row["p_holm"] < SIGNIFICANCE:
         return f"+0.1 of {metric} goes with {'higher' if slope.value > 0 else 'lower'} ratings ({evidence})"
     return f"what +0.1 of {metric} goes with is undecided ({evidence})"
@@ -178,15 +194,20 @@ def _tell_reach(model: Primary, *, claimed: bool = True) -> str:
 def _lay_slopes(rows: list[Row], numbers: list[tuple[Number, ...]]) -> Grid:
     caption = (
         "Slope of ratings on each metric within recordings, from a mixed model that holds all metrics, so at the same "
-        "values of the others: points per +0.1 of it, and standardised: in this study's standard deviations, which "
-        "differ from other studies'. 95 % t intervals with Satterthwaite's df; p adjusted by Holm over this "
-        f"table's {len(rows)} slopes."
+        "values of the others: points from the lower to the upper quartile of the metric within recordings; points per "
+        "+0.1 of it; standardised, in this study's standard deviations, which differ from other studies'; and per +0.1 "
+        "again with the metric centred on recordings and on reducers. 95 % t intervals with Satterthwaite's df; p "
+        f"adjusted by Holm over this table's {len(rows)} slopes. A dash: not estimable."
     )
-    head = ("Ratings", "Metric", "Points per +0.1", "Interval", "Standardised", "Interval", "df", "p", "p (Holm)")
+    head = (
+        "Ratings", "Metric", "Quartile to quartile", "Interval", "Points per +0.1", "Interval", "Standardised",
+        "Interval", "Centred on reducers", "Interval", "df", "p", "p (Holm)",
+    )  # fmt: skip
     laid = [
-        (tell_name(row["attribute"]), tell_name(row["metric"]), *lay_estimate(tenth, "slope"),
-         *lay_estimate(standard, "slope"), Cell(df, "df"), Cell(p, "p"), Cell(holm, "p"))
-        for row, (tenth, standard, df, p, holm) in zip(rows, numbers, strict=True)
+        (tell_name(row["attribute"]), tell_name(row["metric"]), *lay_estimate(quartile, "slope"),
+         *lay_estimate(tenth, "slope"), *lay_estimate(standard, "slope"), *lay_estimate(centred, "slope"),
+         Cell(df, "df"), Cell(p, "p"), Cell(holm, "p"))
+        for row, (tenth, standard, df, p, holm, quartile, centred) in zip(rows, numbers, strict=True)
     ]  # fmt: skip
     return Grid(caption, head, tuple(laid), detail=False)
 

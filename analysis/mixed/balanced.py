@@ -1,0 +1,248 @@
+"""The profiled deviance of a balanced design, in which every participant rated every stimulus equally often.
+
+With P participants and n rows each, the covariance of all rows is I ⊗ A + J ⊗ B: A holds what is one person's own
+(level, slopes, own recordings, residual), B what everybody shares (stimuli, recordings, reducers). The mean over
+participants, times √P, has the covariance M = A + P B, and the P - 1 directions orthogonal to it A each. Fixed effects
+are the same for everybody and stand in the mean alone. The restricted likelihood then needs two small matrices only,
+whatever P is; it is the same function of theta as `Profile`'s, to rounding.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from analysis.mixed.layout import find_penalised, lay_out
+from analysis.mixed.profile import Profile, State
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from analysis.mixed.design import Design, Factor
+    from analysis.mixed.layout import Block
+
+
+class Place(NamedTuple):
+    """Where a factor stands: its columns for one participant's rows, and whether they are everybody's levels."""
+
+    columns: NDArray[np.float64]
+    shared: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """A design's rows in the order participant by participant.
+
+    Parameters
+    ----------
+    order : ndarray of int, shape (n_people, n_each)
+        Rows of the design.
+    places : dict
+        Factor's name -> where it stands.
+    """
+
+    order: NDArray[np.intp]
+    places: dict[str, Place]
+
+
+def find_frame(design: Design) -> Frame | None:
+    """Order the rows of a design participant by participant, alike for all.
+
+    Parameters
+    ----------
+    design : Design
+        Response, fixed columns and grouping factors.
+
+    Returns
+    -------
+    Frame or None
+        None where no grouping factor divides the rows into equal parts, or effects of one factor are correlated.
+    """
+    if any(len(term.names) > 1 for factor in design.factors for term in factor.terms):
+        return None
+    frames = (_order_by(design, factor) for factor in design.factors)
+    return next((frame for frame in frames if frame is not None), None)
+
+
+def _order_by(design: Design, who: Factor) -> Frame | None:
+    people, n_rows = len(who.levels), len(who.index)
+    if n_rows % people or (np.bincount(who.index) != n_rows // people).any():
+        return None
+    keys = [*design.fixed.T, *(factor.index for factor in design.factors), who.index]
+    order = np.lexsort(keys).reshape(people, -1)
+    if not _is_same(design.fixed[order]):
+        return None
+    places = {factor.name: _find_place(factor, order) for factor in design.factors}
+    known = {name: place for name, place in places.items() if place is not None}
+    return Frame(order, known) if len(known) == len(places) else None
+
+
+def _is_same(values: NDArray[np.generic]) -> bool:
+    return bool((values == values[0]).all())
+
+
+def _find_place(factor: Factor, order: NDArray[np.intp]) -> Place | None:
+    """Read the columns of one participant's rows; None if they differ, or levels are neither own nor everybody's."""
+    levels = factor.index[order]
+    shared = _is_same(levels)
+    own = [np.unique(one, return_inverse=True)[1] for one in levels]
+    if not shared and (len(factor.levels) != len(order) * (own[0].max() + 1) or not _is_same(np.array(own))):
+        return None
+    values = factor.columns[order]
+    if not _is_same(values):
+        return None
+    marks = np.eye(own[0].max() + 1)[own[0]]
+    columns = (marks[:, :, None] * values[0][:, None, :]).reshape(len(marks), -1)
+    return Place(columns, shared)
+
+
+class Balanced(Profile):
+    """The deviance as a function of theta, for a balanced design.
+
+    Parameters
+    ----------
+    design : Design
+        Response, fixed columns and grouping factors.
+    frame : Frame
+        Its rows, participant by participant.
+    reml : bool
+        Restricted likelihood, or the full one.
+    penalty : sequence of str
+        Grouping factors whose spreads are kept away from zero.
+    """
+
+    def __init__(self, design: Design, frame: Frame, *, reml: bool, penalty: Sequence[str] = ()) -> None:
+        self.design, self.reml, self.frame = design, reml, frame
+        self.n_rows, self.n_fixed = design.fixed.shape
+        self.n_people, self.n_each = frame.order.shape
+        self.freedom = self.n_rows - self.n_fixed if reml else self.n_rows
+        self.blocks = tuple(lay_out(design.factors))
+        self.penalised = find_penalised(self.blocks, penalty)
+        self.weight = self.freedom - int(self.penalised.sum())
+        own = [block for block in self.blocks if not frame.places[block.factor.name].shared]
+        common = [block for block in self.blocks if frame.places[block.factor.name].shared]
+        # One level for every row of a participant: a multiple of the identity, not worth columns.
+        self.each = next((block for block in common if _is_identity(frame.places[block.factor.name])), None)
+        self._read_columns(own, [block for block in common if block is not self.each])
+        self._reduce_rows()
+
+    def _read_columns(self, own: list[Block], common: list[Block]) -> None:
+        def spread(block: Block) -> NDArray[np.float64]:
+            columns = self.frame.places[block.factor.name].columns
+            scaled: NDArray[np.float64] = columns / np.tile(block.scale, columns.shape[1] // block.width)
+            return scaled
+
+        def point(block: Block) -> NDArray[np.intp]:
+            levels = self.frame.places[block.factor.name].columns.shape[1] // block.width
+            return np.tile(np.arange(block.theta.start, block.theta.stop), levels)
+
+        self.n_own = sum(self.frame.places[block.factor.name].columns.shape[1] for block in own)
+        parts = [*map(spread, own), *(np.sqrt(self.n_people) * spread(block) for block in common)]
+        self.columns = np.hstack([np.empty((self.n_each, 0)), *parts])
+        self.parameters = np.concatenate([np.empty(0, np.intp), *map(point, [*own, *common])])
+        self.n_random = len(self.parameters)
+
+    def _reduce_rows(self) -> None:
+        """Keep the mean over participants and what deviates from it as cross products."""
+        values = self.design.response[self.frame.order]
+        mean = values.mean(axis=0)
+        basis, triangle = np.linalg.qr(self.design.fixed[self.frame.order[0]])
+        self.triangle_x = triangle * np.sqrt(self.n_people)
+        centre = mean * np.sqrt(self.n_people)
+        self.offset = basis.T @ centre
+        rest, deviation = centre - basis @ self.offset, values - mean
+        scatter = float((deviation**2).sum())
+        self.unit = float(np.sqrt((rest @ rest + scatter) / self.n_rows))
+        self.scatter = scatter / self.unit**2
+        seen = deviation @ self.columns[:, : self.n_own] / self.unit
+        self.own_scatter = seen.T @ seen
+        dense = np.column_stack([self.columns, basis, rest / self.unit])
+        self.products = dense.T @ dense
+
+    def evaluate(self, theta: NDArray[np.float64]) -> State:
+        """Factorise both matrices at theta.
+
+        Parameters
+        ----------
+        theta : ndarray, shape (n_theta,)
+            Relative spreads.
+
+        Returns
+        -------
+        State
+            Determinants, residual and factors; ``inner`` is the inverse of the participants' own equations.
+        """
+        spreads, ratio = self._find_spreads(theta)
+        scaled = self.products * np.outer(spreads, spreads) / ratio
+        place = np.arange(self.n_random)
+        scaled[place, place] += 1
+        factor = np.linalg.cholesky(scaled)
+        own = spreads[: self.n_own]
+        blocks = self.products[: self.n_own, : self.n_own] * np.outer(own, own) + np.eye(self.n_own)
+        inner, (sign, log_own) = np.linalg.inv(blocks), np.linalg.slogdet(blocks)
+        logs = 2 * np.log(np.diag(factor))
+        left = self.scatter - float((inner * self.own_scatter * np.outer(own, own)).sum())
+        if sign < 0 or left < 0:
+            raise np.linalg.LinAlgError("the residual is lost in rounding")
+        return State(
+            theta=theta, log_random=float((self.n_people - 1) * log_own + self.n_each * np.log(ratio)
+                                          + logs[: self.n_random].sum()),
+            log_fixed=float(logs[self.n_random : -1].sum() + 2 * np.log(np.abs(np.diag(self.triangle_x))).sum()),
+            rss=(float(factor[-1, -1] ** 2) + left) * self.unit**2, factor=factor, inner=inner,
+        )  # fmt: skip
+
+    def _find_spreads(self, theta: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+        """Spread of every column, 1 for the fixed ones and y, and the variance of a mean's own row beside residual."""
+        spreads = np.concatenate([theta[self.parameters], np.ones(self.n_fixed + 1)])
+        each = 0.0 if self.each is None else float(theta[self.each.theta][0])
+        return spreads, 1 + self.n_people * each**2
+
+    def find_slope(self, state: State, weight: float) -> NDArray[np.float64]:
+        """Differentiate the deviance with respect to theta.
+
+        Parameters
+        ----------
+        state : State
+            The equations, factorised.
+        weight : float
+            rss / s².
+
+        Returns
+        -------
+        ndarray, shape (n_theta,)
+            The derivative.
+        """
+        spreads, ratio = self._find_spreads(state.theta)
+        share = weight / state.rss * self.unit**2
+        # Of the mean: log |D| of the leading rows, and the last pivot; D = products spreads spreads' / ratio + I.
+        size = self.n_random + (self.n_fixed if self.reml else 0)
+        adjoint = np.zeros_like(state.factor)
+        half = np.linalg.inv(state.factor)
+        adjoint[:size, :size] = half[:size, :size].T @ half[:size, :size]
+        direction = half[-1] * state.factor[-1, -1]
+        adjoint += share * np.outer(direction, direction)
+        adjoint *= self.products
+        along = adjoint @ spreads / ratio
+        slope = 2 * along[: self.n_random]
+        # Of what deviates from it.
+        own, inner = spreads[: self.n_own], state.inner
+        met = inner @ (self.own_scatter * np.outer(own, own)) @ inner
+        through = self.products[: self.n_own, : self.n_own] * ((self.n_people - 1) * inner + share * met)
+        slope[: self.n_own] += 2 * (through - share * inner * self.own_scatter) @ own
+        found = np.zeros(len(state.theta))
+        np.add.at(found, self.parameters, slope)
+        if self.each is not None:
+            wider = (self.n_each - float(spreads @ along)) / ratio
+            found[self.each.theta] += wider * 2 * self.n_people * state.theta[self.each.theta]
+        return found
+
+
+def _is_identity(place: Place) -> bool:
+    rows, levels = place.columns.shape
+    return rows == levels and bool((np.abs(np.diag(place.columns)) == np.abs(place.columns[0, 0])).all()) and (
+        np.count_nonzero(place.columns) == rows
+    )  # fmt: skip

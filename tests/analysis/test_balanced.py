@@ -1,0 +1,153 @@
+"""The short way to the deviance of a balanced design: the same function of the spreads as the general one."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from analysis.mixed.balanced import Balanced, find_frame
+from analysis.mixed.design import build_design
+from analysis.mixed.inference import estimate_sum, find_uncertainty
+from analysis.mixed.optimum import find_optimum
+from analysis.mixed.profile import Profile
+from analysis.mixed.slope import find_slope
+from analysis.mixed.solution import find_coefficients, find_sigma
+
+if TYPE_CHECKING:
+    from analysis.mixed.design import Design
+    from analysis.mixed.inference import Estimate
+
+GROUPS = (
+    "(1 + a + b || who) + (1 | scene) + (1 | item) + (1 | who:scene) + (1 | kind) + (1 | who:kind)"
+)  # fmt: skip
+FULL = f"y ~ a + b + c + {GROUPS}"
+
+
+def make_study(seed: int, *, people: int = 7, scenes: int = 4, kinds: int = 4, spread: float = 1.0) -> pd.DataFrame:
+    """Ratings of a crossed study; with a spread of 0, most variances are estimated as zero."""
+    rng = np.random.default_rng(seed)
+    who, scene, kind = (axis.ravel() for axis in np.indices((people, scenes, kinds)))
+    item = scene * kinds + kind
+    a, b = rng.normal(size=(2, scenes * kinds))
+    y = 50 + 2 * a[item] + rng.normal(0, 4, len(who))
+    for group, sd in ((who, 5), (scene, 3), (item, 2), (kind, 3), (who * scenes + scene, 2), (who * kinds + kind, 2)):
+        y = y + spread * sd * rng.normal(size=group.max() + 1)[group]
+    y += spread * rng.normal(0, 2, people)[who] * a[item]
+    table = pd.DataFrame({"who": who, "scene": scene, "kind": kind, "item": item, "a": a[item], "b": b[item], "y": y})
+    return table.assign(c=rng.normal(size=scenes)[scene])
+
+
+def pair_engines(design: Design, *, reml: bool = True, penalty: tuple[str, ...] = ()) -> tuple[Profile, Balanced]:
+    frame = find_frame(design)
+    assert frame is not None
+    return Profile(design, reml=reml, penalty=penalty), Balanced(design, frame, reml=reml, penalty=penalty)
+
+
+@pytest.mark.parametrize("reml", [True, False])
+@pytest.mark.parametrize("formula", [FULL, f"y ~ {GROUPS}", "y ~ a + (1 | who)", "y ~ a + (1 | who) + (1 | item)"])
+def test_same_deviance_and_slope_at_any_spreads(formula: str, *, reml: bool) -> None:
+    full, quick = pair_engines(build_design(formula, make_study(1)), reml=reml)
+    rng = np.random.default_rng(2)
+    for theta in rng.uniform(0, 2, (4, full.n_theta)):
+        one, two = full.evaluate(theta), quick.evaluate(theta)
+        assert quick.deviance(two) == pytest.approx(full.deviance(one), rel=1e-10)
+        assert (two.log_random, two.log_fixed) == pytest.approx((one.log_random, one.log_fixed), rel=1e-9, abs=1e-9)
+        assert two.rss == pytest.approx(one.rss, rel=1e-9)
+        for weight in (None, 55.0):
+            assert find_slope(quick, two, weight) == pytest.approx(find_slope(full, one, weight), rel=1e-7, abs=1e-7)
+        for ours, theirs in zip(find_coefficients(quick, two), find_coefficients(full, one), strict=True):
+            assert ours == pytest.approx(theirs, rel=1e-8, abs=1e-10)
+
+
+def fit_terms(engine: Profile) -> tuple[float, float, list[Estimate]]:
+    best = find_optimum(engine)
+    uncertainty, (effects, _) = find_uncertainty(engine, best), find_coefficients(engine, best)
+    terms = [estimate_sum(effects, weights, uncertainty) for weights in np.eye(len(effects))]
+    return engine.deviance(best), find_sigma(engine, best), terms
+
+
+@pytest.mark.parametrize("penalty", [(), ("kind",)])
+@pytest.mark.parametrize(("seed", "spread"), [(1, 1.0), (2, 1.0), (3, 0.3), (4, 0.0), (5, 0.0)])
+def test_same_fit_on_regular_and_singular_studies(seed: int, spread: float, penalty: tuple[str, ...]) -> None:
+    full, quick = pair_engines(build_design(FULL, make_study(seed, spread=spread)), penalty=penalty)
+    (criterion, sigma, terms), (found, residual, others) = fit_terms(full), fit_terms(quick)
+    assert found == pytest.approx(criterion, abs=1e-5)
+    assert residual == pytest.approx(sigma, rel=1e-4)
+    for one, two in zip(terms, others, strict=True):
+        assert two.estimate == pytest.approx(one.estimate, rel=1e-4, abs=1e-4)
+        assert two.se == pytest.approx(one.se, rel=1e-4)
+        assert two.df == pytest.approx(one.df, rel=1e-3)
+
+
+def test_order_of_rows_is_found_whatever_it_was() -> None:
+    data = make_study(1)
+    mixed = data.sample(frac=1, random_state=1)
+    (full, _), (_, quick) = (pair_engines(build_design(FULL, table)) for table in (data, mixed))
+    theta = np.linspace(0.2, 1.2, full.n_theta)
+    assert quick.deviance(quick.evaluate(theta)) == pytest.approx(full.deviance(full.evaluate(theta)), rel=1e-10)
+
+
+def test_designs_that_are_not_balanced_have_no_frame() -> None:
+    data = make_study(1)
+    own = data.assign(a=data["a"] + 0.1 * data["who"])
+    for formula, table in (
+        (FULL, data.iloc[1:]), (FULL, own), (FULL.replace("||", "|"), data),
+        (FULL, data.assign(kind=np.where(data["who"] == 0, data["kind"].to_numpy()[::-1], data["kind"]))),
+    ):  # fmt: skip
+        assert find_frame(build_design(formula, table)) is None
+
+
+def test_penalised_spread_is_never_zero_and_vanishes_in_the_mass() -> None:
+    data = make_study(4, spread=0.0)
+    quick = pair_engines(build_design(FULL, data), penalty=("kind",))[1]
+    best = find_optimum(quick)
+    (place,) = np.flatnonzero(quick.penalised)
+    assert best.theta[place] > 0.02
+    # The derivative of deviance - 2 log (theta s) is zero there, s following from rss / (freedom - 1).
+    step = np.where(quick.penalised, 1e-5, 0)
+
+    def find_target(theta: np.ndarray) -> float:
+        state = quick.evaluate(theta)
+        return quick.deviance(state) - 2 * np.log(theta[place] * find_sigma(quick, state))
+
+    rise = (find_target(best.theta + step) - find_target(best.theta - step)) / 2e-5
+    assert rise == pytest.approx(0, abs=1e-2)
+    many = make_study(6, people=5, scenes=3, kinds=40)
+    plain, held = (find_optimum(pair_engines(build_design(FULL, many), penalty=which)[1]) for which in ((), ("kind",)))
+    assert held.theta[place] == pytest.approx(plain.theta[place], rel=0.05)
+
+
+def test_spreads_are_known_as_well_as_the_curvature_of_what_was_minimised_says() -> None:
+    quick = pair_engines(build_design(FULL, make_study(1)), penalty=("kind",))[1]
+    best = find_optimum(quick)
+    free = np.flatnonzero(best.theta > 0)
+    start, size = np.append(best.theta, np.log(find_sigma(quick, best))), len(best.theta)
+
+    def find_target(point: np.ndarray) -> float:
+        state, log_s = quick.evaluate(point[:-1]), point[-1]
+        deviance = state.log_random + state.log_fixed + quick.freedom * (np.log(2 * np.pi) + 2 * log_s)
+        spread = float(np.log(np.abs(point[:-1][quick.penalised])).sum()) + log_s
+        return float(deviance + state.rss / np.exp(2 * log_s) - 2 * spread)
+
+    places = [*free, size]
+    steps = 1e-3 * np.eye(size + 1)[places]
+    hessian = [
+        [(find_target(start + a + b) - find_target(start + a - b) - find_target(start - a + b)
+          + find_target(start - a - b)) / 4e-6 for a in steps] for b in steps
+    ]  # fmt: skip
+    unit = np.append(np.maximum(best.theta, 1), 1)[places]
+    wanted = 2 * np.linalg.inv(np.array(hessian) * np.outer(unit, unit))
+    known = find_uncertainty(quick, best).parameters[np.ix_(places, places)]
+    assert known == pytest.approx(wanted, rel=2e-2, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("penalty", "formula", "message"),
+    [(["kin"], FULL, "got 'kin', allowed are the formula's groups: "), (["who"], "y ~ a + (a | who)", "correlated")],
+)
+def test_penalties_refused(penalty: list[str], formula: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Profile(build_design(formula, make_study(1)), reml=True, penalty=penalty)

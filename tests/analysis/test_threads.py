@@ -1,0 +1,88 @@
+"""Fits in several threads leave the process's linear algebra with the threads it had."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+from threadpoolctl import threadpool_info
+
+from analysis.mixed.threads import LARGE, hold_threads
+
+COUNT = """
+import scipy.linalg
+from threading import Event, Thread
+from concurrent.futures import ThreadPoolExecutor
+from threadpoolctl import threadpool_info
+from analysis.mixed.model import fit_mixed
+from analysis.mixed.threads import hold_threads
+
+def count():
+    return [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
+
+before = count()
+"""
+
+OVERLAP = """
+entered, leave = [Event(), Event()], [Event(), Event()]
+
+def stay(number):
+    with hold_threads(10):
+        entered[number].set()
+        leave[number].wait(60)
+
+threads = [Thread(target=stay, args=[number]) for number in (0, 1)]
+for number in (0, 1):
+    threads[number].start()
+    entered[number].wait(60)
+during = count()
+for number in (0, 1):
+    leave[number].set()
+    threads[number].join()
+print(before, during, count(), sep=";")
+"""
+
+POOL = """
+import pandas as pd
+data = pd.DataFrame({"who": list("aaabbbcccddd"), "x": [0, 1, 2] * 4, "y": [1.0, 2, 4, 3, 5, 6, 2, 2, 4, 5, 7, 8]})
+with ThreadPoolExecutor(4) as pool:
+    found = set(pool.map(lambda _: fit_mixed("y ~ x + (1 | who)", data).criterion, range(12)))
+print(before, count(), len(found), sep=";")
+"""
+
+
+def run_apart(code: str) -> list[str]:
+    """Run in a process of its own, where linear algebra has two threads and nobody else limits them."""
+    told = dict(os.environ, OPENBLAS_NUM_THREADS="2", MKL_NUM_THREADS="2", OMP_NUM_THREADS="2")
+    done = subprocess.run([sys.executable, "-c", COUNT + code], env=told, check=True, capture_output=True, text=True)
+    return done.stdout.strip().split(";")
+
+
+def test_who_overlaps_with_whom_leaves_no_trace() -> None:
+    # First in, first out: the second, on its own, would restore the one thread that the first had set.
+    before, during, after = run_apart(OVERLAP)
+    assert after == before
+    if "2" in before:
+        assert during != before
+
+
+def test_fits_in_a_pool_agree_and_leave_the_threads_as_they_were() -> None:
+    before, after, different = run_apart(POOL)
+    assert after == before
+    assert different == "1"
+
+
+def test_large_matrices_keep_their_threads_and_an_error_frees_the_limit() -> None:
+    def count() -> list[int]:
+        return [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
+
+    before = count()
+    with hold_threads(LARGE):
+        assert count() == before
+    with pytest.raises(KeyError), hold_threads(LARGE - 1):
+        raise KeyError
+    assert count() == before
+    with hold_threads(LARGE - 1):
+        assert set(count()) <= {1}
