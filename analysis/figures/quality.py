@@ -24,7 +24,7 @@ STRIP_CM, LINE_CM, GAP_CM, AXIS_CM = 0.45, 0.31, 0.28, 1.5
 """Height of a rule's points, of a line of text, between rules, and of the axis."""
 
 NAMED = 4
-"""Raters whom a rule hit that are named; the table names all."""
+"""Flagged raters that are named; the table names all."""
 
 NAME_CM = 1.4
 GOLDEN = 0.618
@@ -42,7 +42,7 @@ def draw_raters(screening: Screening) -> Figure:
     Returns
     -------
     Figure
-        A strip per rule: a point per rater, a line at the limit, hits as crosses, named above.
+        A strip per rule: a point per rater, a line at the limit, flagged raters as crosses, named above.
     """
     table = screening.table
     with print_style():
@@ -61,8 +61,9 @@ def draw_raters(screening: Screening) -> Figure:
         number = table["participant"].nunique()
         add_title(
             figure,
-            f"Screening, n = {number} participants, a point each; line: the rule's limit; cross: hit. No intervals: "
-            "the values describe what was judged. A hit is a reason to ask, not to delete.",
+            f"Screening, n = {number} participants, a point each; line: the rule's limit; cross: flagged. No "
+            "intervals: values describe these ratings. Flagged raters should be followed up, not automatically "
+            "excluded.",
         )
     return figure
 
@@ -74,18 +75,18 @@ def _tell(rule: str, part: DataFrame, limit: float) -> str:
     source = fit_text(f"{says[:1].upper()}{says[1:]} ({known.source})", width, lines=3)
     silent = int(part["share"].isna().sum())
     if silent == len(part):
-        return f"{source}\n{fit_text(f'Says nothing: it needs {known.needs}.', width)}"
-    few = f"; nothing to say of {silent}" if silent else ""
+        return f"{source}\n{fit_text(f'Not applied: it needs {known.needs}.', width)}"
+    few = f"; not applied to {silent}" if silent else ""
     hits = _name_hits(part.loc[part["hit"], "participant"].tolist())
     return f"{source}\n{fit_text(f'{hits}{few}', width)}"
 
 
 def _name_hits(names: Sequence[Hashable]) -> str:
     if not names:
-        return "No hit"
+        return "Nobody flagged"
     shown = ", ".join(fit_text(str(name), NAME_CM, lines=1) for name in names[:NAMED])
     more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    return f"Hit: {shown}{more}"
+    return f"Flagged: {shown}{more}"
 
 
 def _draw_strip(axes: Axes, part: DataFrame, *, bottom: float) -> None:

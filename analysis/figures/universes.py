@@ -23,7 +23,7 @@ LABEL_CM = 2.9
 
 
 def draw_multiverse(result: Multiverse, *, estimate: str, interval: str = "95 % intervals") -> Figure:
-    """Draw the estimate of every universe, from the smallest up, and which rules make the universe.
+    """Draw the estimate for every distinct set of raters, from the smallest up, and the rules that leave it.
 
     Parameters
     ----------
@@ -37,8 +37,8 @@ def draw_multiverse(result: Multiverse, *, estimate: str, interval: str = "95 % 
     Returns
     -------
     Figure
-        Above the curve, with everybody's estimate as a red diamond and a dashed line; below a square for every rule
-        applied.
+        Above the curve, with everybody's estimate as a red diamond and a dashed line; below a square for every rule of
+        the smallest combination that leaves these raters.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def draw_multiverse(result: Multiverse, *, estimate: str, interval: str = "95 % 
         _draw_curve(upper, curve, alone=~curve[rules].any(axis=1).to_numpy(bool))
         _draw_rules(lower, curve[rules].to_numpy(bool).T, names=rules)
         upper.set_ylabel(fit_text(estimate, CURVE_CM, lines=3))
-        lower.set_xlabel("Universes, from the smallest estimate up")
+        lower.set_xlabel("Sets of raters, from the smallest estimate up")
         add_title(figure, _tell(result, curve, interval))
     return figure
 
@@ -88,8 +88,9 @@ def _tell(result: Multiverse, curve: DataFrame, interval: str) -> str:
     lost = len(result.table) - len(curve)
     without = f" {lost} without an estimate are left out." if lost else ""
     bars = f"Bars: {interval}. " if curve["low"].notna().any() else "No intervals. "
+    sets = "set" if len(curve) == 1 else "sets"
     return (
-        f"{len(curve)} choices of screening rules, {result.n_distinct} different sets of raters; "
+        f"{len(curve)} distinct {sets} of raters from {result.n_combinations} combinations of screening rules; "
         f"n = {tell_span(curve['n_participants'])} participants. {bars}"
-        f"Diamond, dashed line: nobody excluded. Below: rules applied.{without}"
+        f"Diamond, dashed line: nobody excluded. Below: the fewest rules that leave a set.{without}"
     )

@@ -1,11 +1,12 @@
-"""Does a conclusion hang on who was excluded? One estimate under every combination of screening rules.
+"""Does a conclusion depend on who was excluded? One estimate for every set of raters that screening rules leave.
 
-Conventions: a universe is a set of rules; it leaves out every rater whom at least one of them hits. The first universe
-has no rule and leaves out nobody.
+Conventions: a combination of rules leaves out every rater whom at least one of them flags. A universe is a set of
+raters: combinations that leave the same raters are one universe, not several that agree. The first is everyone.
 """
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple
@@ -24,6 +25,9 @@ if TYPE_CHECKING:
 
 EVERYONE = "none"
 """Name of the universe without a rule."""
+
+BETWEEN = "; "
+"""What parts combinations that leave the same raters."""
 
 
 class Estimate(NamedTuple):
@@ -50,12 +54,16 @@ class Multiverse:
     Parameters
     ----------
     table : DataFrame
-        One row per universe: universe (names of its rules, joined by ``+``), one column of flags per rule,
-        n_excluded, excluded (tuple of participants), n_participants, value, low, high, note (why there is no value).
+        One row per distinct set of raters: universe (the smallest combination of rules that leaves it, names joined by
+        ``+``), one column of flags per rule of it, n_combinations and combinations (all that leave it, parted by
+        ``;``), n_excluded, excluded (tuple of participants), n_participants, value, low, high, note (why there is no
+        value).
     screening : Screening
-        Whom each rule hit, and why.
+        Whom each rule flagged, and why.
+    n_combinations : int
+        Combinations of rules, none at all among them.
     n_distinct : int
-        Different sets of raters among the universes; the estimator ran once for each.
+        Distinct sets of raters that they leave: universes. The estimator ran once for each.
     median, smallest, largest : float
         Of the values that are defined; NaN if none is.
     same_sign : float
@@ -68,6 +76,7 @@ class Multiverse:
 
     table: DataFrame
     screening: Screening
+    n_combinations: int
     n_distinct: int
     median: float
     smallest: float
@@ -121,9 +130,10 @@ def run_multiverse(
 
     Notes
     -----
-    Universes are not independent and not equally sensible: the shares describe how far the conclusion hangs on the
-    choice of rules, they are no test. An estimator's ValueError in a universe becomes that row's note; any other error
-    is a fault and is passed on. Where nobody is left, the estimator is not asked.
+    Universes are not independent and not equally sensible: the shares describe how far the conclusion depends on the
+    choice of rules, they are no test. Each distinct set of raters counts once, however many combinations leave it, so
+    that rules which flag nobody do not add agreement. An estimator's ValueError in a universe becomes that row's note;
+    any other error is a fault and is passed on. Where nobody is left, the estimator is not called.
 
     References
     ----------
@@ -149,22 +159,22 @@ def run_multiverse(
     ratings = open_ratings(ratings)
     screening = screen_raters(ratings, rules=rules, rng=rng)
     ratings, _ = leave_rejected(ratings)
-    universes = list(_list_universes(screening.rules, together))
-    hits = screening.hits
-    excluded = [frozenset(who for rule in chosen for who in hits[rule]) for chosen in universes]
-    found = {who: _estimate(ratings, estimator, who) for who in dict.fromkeys(excluded)}
+    hits, sets = screening.hits, defaultdict(list)
+    for chosen in _list_combinations(screening.rules, together):
+        sets[frozenset(who for rule in chosen for who in hits[rule])].append(chosen)
     everyone = ratings["participant"].nunique()
     rows = [
-        {**_describe(chosen, screening.rules), **_count(who, everyone), **found[who]._asdict()}
-        for chosen, who in zip(universes, excluded, strict=True)
+        {**_describe(chosen, screening.rules), **_count(who, everyone), **_estimate(ratings, estimator, who)._asdict()}
+        for who, chosen in sets.items()
     ]
     table = pd.DataFrame(rows)
     return Multiverse(
-        table=table, screening=screening, n_distinct=len(found), **_summarise(table), notes=_explain(table, screening)
-    )
+        table=table, screening=screening, n_combinations=int(table["n_combinations"].sum()), n_distinct=len(table),
+        **_summarise(table), notes=_explain(table, screening),
+    )  # fmt: skip
 
 
-def _list_universes(rules: tuple[str, ...], together: int) -> Iterator[tuple[str, ...]]:
+def _list_combinations(rules: tuple[str, ...], together: int) -> Iterator[tuple[str, ...]]:
     """List no rule, each rule, each combination, all rules."""
     for size in range(min(together, len(rules)) + 1):
         yield from combinations(rules, size)
@@ -199,8 +209,11 @@ def _read_estimate(result: object) -> Estimate:
     return Estimate(numbers[0], low, high)
 
 
-def _describe(chosen: tuple[str, ...], rules: tuple[str, ...]) -> dict[str, object]:
-    return {"universe": " + ".join(chosen) or EVERYONE, **{rule: rule in chosen for rule in rules}}
+def _describe(leaving: list[tuple[str, ...]], rules: tuple[str, ...]) -> dict[str, object]:
+    """Name a universe by the first, which is the smallest, of the combinations that leave its raters."""
+    names = [" + ".join(chosen) or EVERYONE for chosen in leaving]
+    flags = {rule: rule in leaving[0] for rule in rules}
+    return {"universe": names[0], **flags, "n_combinations": len(names), "combinations": BETWEEN.join(names)}
 
 
 def _count(who: frozenset[Hashable], everyone: int) -> dict[str, object]:
@@ -227,5 +240,5 @@ def _explain(table: DataFrame, screening: Screening) -> tuple[str, ...]:
     notes = [f"Universe '{name}' has no value: {note.rstrip('.')}." for name, note in undefined.to_numpy()]
     idle = [rule for rule, hit in screening.hits.items() if not hit]
     if idle:
-        notes.append(f"Rules that hit nobody, and so change nothing: {', '.join(idle)}.")
+        notes.append(f"Rules that flagged nobody, and so change nothing: {', '.join(idle)}.")
     return (*notes, *screening.notes)

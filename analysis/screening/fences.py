@@ -16,7 +16,7 @@ import numpy as np
 from analysis.arrays import read_numbers
 from analysis.resampling.bootstrap import FEWEST_ITEMS, FLAT
 from analysis.screening.findings import tell_values
-from analysis.screening.habits import FEWEST_JUDGEMENTS
+from analysis.screening.judgements import FEWEST_JUDGEMENTS
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -66,13 +66,16 @@ def tukey_hinges(values: ArrayLike) -> tuple[float, float]:
     return float(np.median(ordered[:half])), float(np.median(ordered[-half:]))
 
 
-def tukey_fences(values: ArrayLike) -> tuple[float, float]:
-    """Tell where outlying begins: 1.5 hinge spreads outside the hinges.
+def tukey_fences(values: ArrayLike, *, step: float = 0.0) -> tuple[float, float]:
+    """Find where outlying begins: 1.5 hinge spreads outside the hinges.
 
     Parameters
     ----------
     values : array_like, shape (n,)
         Finite numbers, at least one.
+    step : float
+        Points between neighbouring values of a scale of few steps: the hinge spread counts as one step at least, for
+        where most raters choose one step, their neighbours on the next are no outliers.
 
     Returns
     -------
@@ -85,7 +88,8 @@ def tukey_fences(values: ArrayLike) -> tuple[float, float]:
     (-1.0, 7.0)
     """
     low, high = tukey_hinges(values)
-    return low - REACH * (high - low), high + REACH * (high - low)
+    reach = REACH * max(high - low, step)
+    return low - reach, high + reach
 
 
 def multimodality(values: ArrayLike) -> float:
@@ -140,7 +144,8 @@ def judge_outliers(judgements: Judgements, limit: float) -> DataFrame:
     judgements : Judgements
         All of them; repeats of test stimuli are averaged.
     limit : float
-        Largest share of items, of those that five or more raters rated.
+        Largest share of items, of those that five or more raters rated. On a scale of few steps a hinge spread counts
+        as one step at least.
 
     Returns
     -------
@@ -149,7 +154,8 @@ def judge_outliers(judgements: Judgements, limit: float) -> DataFrame:
     """
     means = judgements.means()
     means = means.loc[:, means.notna().sum() >= FEWEST_RATERS]
-    fences = np.array([tukey_fences(means[item].dropna()) for item in means]).reshape(-1, 2)
+    steps = judgements.rows.groupby("item")["step"].max()
+    fences = np.array([tukey_fences(means[item].dropna(), step=steps[item]) for item in means]).reshape(-1, 2)
     outside = means.lt(fences[:, 0], axis=1) | means.gt(fences[:, 1], axis=1)
     count, n = outside.sum(axis=1), means.notna().sum(axis=1)
     return tell_values(count, n, count / n.where(n > 0), limit=limit)

@@ -7,19 +7,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.resampling.bootstrap import FLAT
+from analysis.screening.fences import tukey_fences
 from analysis.screening.findings import tell_shares, tell_values
-from analysis.screening.judgements import HIGHEST
+from analysis.screening.judgements import FEWEST_JUDGEMENTS, HIGHEST, SAME_POINTS
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
     from analysis.screening.judgements import Judgements
 
-SAME_POINTS = 2.0
-"""Ratings of a slider that lie no farther apart than this are at the same place."""
-
-FEWEST_JUDGEMENTS = 8
-"""With fewer judgements, or pairs of them, a habit cannot be told from chance."""
+ALL_BUT = 0.95
+"""Share of ratings at one step from which on nobody is taken to have used the scale."""
 
 ONE_SIDED = 1.6448536269514722
 """95 % point of the normal distribution."""
@@ -36,7 +34,9 @@ def judge_straight_lining(judgements: Judgements, limit: float) -> DataFrame:
     judgements : Judgements
         All of them; only test stimuli are looked at, as the reference belongs at one place.
     limit : float
-        Largest share of ratings within two points of the scale of each other.
+        Largest share of ratings within two points of the scale of each other. On a scale of few steps, where a
+        lenient rater uses the top step often, it is half as far from 1; or Tukey's upper fence of all raters' shares,
+        if that is higher, because they agree on one step; but at most 95 %.
 
     Returns
     -------
@@ -46,7 +46,10 @@ def judge_straight_lining(judgements: Judgements, limit: float) -> DataFrame:
     grouped = judgements.of_kind("test").groupby("participant", observed=True)["rating"]
     count = grouped.agg(_count_densest).reindex(judgements.participants, fill_value=0)
     n = grouped.size().reindex(judgements.participants, fill_value=0)
-    return tell_values(count, n, count / n.where(n >= FEWEST_JUDGEMENTS), limit=limit)
+    share = count / n.where(n >= FEWEST_JUDGEMENTS)
+    usual = tukey_fences(share.dropna())[1] if share.notna().any() else limit
+    widened = max(limit, min(ALL_BUT, max((1 + limit) / 2, usual)))
+    return tell_values(count, n, share, limit=np.where(judgements.rounding().to_numpy() > 0, widened, limit))
 
 
 def _count_densest(ratings: object) -> int:
@@ -64,7 +67,8 @@ def judge_test_retest(judgements: Judgements, limit: float) -> DataFrame:
     limit : float
         Smallest correlation of first and second ratings; where n pairs would show a smaller one to be above zero,
         tanh(1.645 / sqrt(n - 3)) at the 5 % level, that one. Stimuli that hardly differ make small correlations of
-        careful raters, too.
+        careful raters, too. On a scale of few steps it is lowered by what rounding takes off a correlation, the
+        factor 1 - step² / (12 variance).
 
     Returns
     -------
@@ -81,8 +85,11 @@ def judge_test_retest(judgements: Judgements, limit: float) -> DataFrame:
     n = whose.value_counts().reindex(judgements.participants, fill_value=0)
     constant = sums[["first", "second"]].min(axis=1) <= FLAT * HIGHEST**2 * n
     r = (sums["both"] / (sums["first"] * sums["second"]).mask(constant) ** 0.5).clip(-1, 1)
+    variance = (sums[["first", "second"]].mean(axis=1) / n.where(n > 0)).mask(constant)
+    left = (1 - judgements.rounding() / variance).clip(0, 1).fillna(1.0).to_numpy()
     shown = np.tanh(ONE_SIDED / np.sqrt(n.clip(lower=FEWEST_JUDGEMENTS).to_numpy() - 3))
-    return tell_values(n, n, r.where(n >= FEWEST_JUDGEMENTS), limit=np.minimum(limit, shown), below=True)
+    floor = np.minimum(limit, shown) * (left if limit > 0 else 1.0)
+    return tell_values(n, n, r.where(n >= FEWEST_JUDGEMENTS), limit=floor, below=True)
 
 
 def judge_repeat_sd(judgements: Judgements, limit: float) -> DataFrame:
@@ -93,7 +100,8 @@ def judge_repeat_sd(judgements: Judgements, limit: float) -> DataFrame:
     judgements : Judgements
         All of them; the first two ratings of each test stimulus are looked at.
     limit : float
-        Largest within-rater standard deviation, as a share of the scale's 100 points.
+        Largest within-rater standard deviation, as a share of the scale's 100 points; on a scale of few steps,
+        whose rounding adds step² / 12 to the variance, that much more.
 
     Returns
     -------
@@ -105,7 +113,8 @@ def judge_repeat_sd(judgements: Judgements, limit: float) -> DataFrame:
     squares = ((pairs["first"] - pairs["second"]) ** 2).groupby(pairs["participant"], observed=True)
     n = squares.size().reindex(judgements.participants, fill_value=0)
     share = np.sqrt(squares.mean().reindex(judgements.participants) / 2) / HIGHEST
-    return tell_values(n, n, share.where(n >= FEWEST_JUDGEMENTS), limit=limit)
+    widened = np.sqrt(limit**2 + judgements.rounding().to_numpy() / HIGHEST**2)
+    return tell_values(n, n, share.where(n >= FEWEST_JUDGEMENTS), limit=widened)
 
 
 def judge_too_fast(judgements: Judgements, limit: float) -> DataFrame:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from analysis.screening.anchors import judge_hidden_reference, judge_low_anchor, judge_mid_anchor
 from analysis.screening.fences import judge_outliers, judge_reversed_scale
 from analysis.screening.habits import judge_repeat_sd, judge_straight_lining, judge_test_retest, judge_too_fast
+from protocols.mushra import MUSHRA
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -41,7 +42,9 @@ class Rule:
     judge : callable or None
         Judgements and limit -> table by participant; None for `EXPERTISE`, which is judged from its gauge.
     needs : str
-        What the data must hold for it to say anything.
+        What the data must hold for it to be applied.
+    protocols : tuple of str
+        Protocols whose judgements it applies to; empty for all.
     """
 
     says: str
@@ -49,21 +52,26 @@ class Rule:
     limit: float
     judge: Callable[[Judgements, float], DataFrame] | None
     needs: str
+    protocols: tuple[str, ...] = ()
 
+
+SIGHTED = (MUSHRA.name,)
+"""Protocols that show the reference beside the stimuli. Limits near the end of the scale presuppose that: somebody who
+rates realism by itself, or a similarity from memory, has no reason to put the original at 90 or above."""
 
 RULES: Mapping[str, Rule] = MappingProxyType(
     {
         "hidden_reference": Rule(
             "hidden reference below 90 on more than {limit:.0%} of items",
-            STANDARD, 0.15, judge_hidden_reference, "ratings of a stimulus with role 'reference'",
+            STANDARD, 0.15, judge_hidden_reference, "MUSHRA ratings of a stimulus with role 'reference'", SIGHTED,
         ),
         "mid_anchor": Rule(
             "mid anchor above 90 on more than {limit:.0%} of items",
-            STANDARD, 0.15, judge_mid_anchor, "ratings of an anchor named mid",
+            STANDARD, 0.15, judge_mid_anchor, "MUSHRA ratings of an anchor named mid", SIGHTED,
         ),
         "low_anchor": Rule(
             "low anchor above 50 on more than {limit:.0%} of items",
-            EXTENSION, 0.15, judge_low_anchor, "ratings of an anchor named low",
+            EXTENSION, 0.15, judge_low_anchor, "MUSHRA ratings of an anchor named low", SIGHTED,
         ),
         "straight_lining": Rule(
             "more than {limit:.0%} of ratings within 2 points of each other",

@@ -11,7 +11,7 @@ from analysis.screening.fences import UNIMODAL, multimodality, tukey_fences
 from analysis.screening.gauge import gauge_raters, judge_expertise
 from analysis.screening.judgements import make_judgements
 from analysis.screening.panel import describe_panel
-from analysis.screening.rules import EXPERTISE, RULES, choose_limits
+from analysis.screening.rules import EXPERTISE, RULES, SIGHTED, choose_limits
 from analysis.table.tidy import leave_rejected, name_stimuli, open_ratings
 
 if TYPE_CHECKING:
@@ -96,14 +96,14 @@ def screen_raters(
     rules: Iterable[str] | Mapping[str, float] | None = None,
     rng: np.random.Generator | None = None,
 ) -> Screening:
-    """Ask of every rater what every rule says. Nobody is removed.
+    """Apply every screening rule to every rater. Nobody is removed.
 
     Parameters
     ----------
     ratings : DataFrame
         One row per judgement: participant, rating (0 to 100), and stimulus_id or recording and reducer (and level);
-        role, scale, repeat and response_time_s where there are any; rejected ones are left out. Anchors are told by
-        ``mid`` or ``low`` in their reducer's name.
+        role, scale, protocol, repeat and response_time_s where there are any; rejected ones are left out. Anchors are
+        known by ``mid`` or ``low`` in their reducer's name.
     rules : iterable of str, mapping of str to float, or None
         Names of `RULES`, or names with limits of one's own; None for all (``expertise`` with an rng only).
     rng : Generator or None
@@ -123,9 +123,15 @@ def screen_raters(
     -----
     ITU-R BS.1534-3 excludes a rater whose hidden reference is below 90 on more than 15 % of items, or whose mid anchor
     is above 90 on more than 15 %; an item (here: scale, recording and level) whose mid anchor more than 25 % of raters
-    put above 90 does not count for either. All other rules are extensions with limits by convention: use them to find
-    whom to ask about, state the rules before the data are seen, and report results with and without
-    (`run_multiverse`). A hit is not a documented error; do not delete because of it alone.
+    put above 90 does not count for either. These rules, and that about the low anchor, are for MUSHRA, where the
+    reference is in sight: on realism or similarity they flagged 11 of 16 ordinary raters. Ratings without a protocol
+    are of the protocol that their scale is named after; others count as MUSHRA only if such a rule is asked by name.
+    The notes say what was assumed.
+
+    All other rules are extensions with limits by convention: use them to find whom to ask about, state the rules before
+    the data are seen, and report results with and without (`run_multiverse`). A scale with 11 steps or fewer is
+    recognised by its ratings, and no rule flags a rater for what rounding to its steps does. A flagged rater should be
+    followed up, not automatically excluded.
 
     References
     ----------
@@ -148,7 +154,7 @@ def screen_raters(
     ratings, left_out = leave_rejected(name_stimuli(open_ratings(ratings)))
     if "rating" in ratings:
         ratings = ratings.assign(rating=read_numbers(ratings["rating"], what="ratings, 'rating'"))
-    judgements = make_judgements(ratings)
+    judgements = make_judgements(ratings, assumed="" if rules is None else SIGHTED[0])
     gauge = pd.DataFrame(columns=["participant", "measure", "value", "floor", "p"])
     if rng is not None and EXPERTISE in limits:
         gauge = gauge_raters(judgements, rng=rng)
@@ -157,26 +163,40 @@ def screen_raters(
     hit = table.loc[table["hit"], "participant"].unique()
     return Screening(
         table=table[["participant", "rule", "count", "n", "share", "limit", "hit"]],
-        excerpts=_describe_excerpts(judgements),
+        excerpts=_describe_excerpts(judgements.of_protocols(SIGHTED)),
         items=_describe_items(judgements),
         gauge=gauge,
         panel=describe_panel(ratings, hit),
         limits=limits,
-        notes=(*left_out, *_explain_rules(found)),
+        notes=(*left_out, *_explain_protocols(judgements, limits), *_explain_rules(found, judgements)),
     )
 
 
 def _judge(name: str, judgements: Judgements, gauge: DataFrame, *, limit: float) -> DataFrame:
-    judge = RULES[name].judge
-    return judge(judgements, limit) if judge else judge_expertise(gauge, judgements, limit)
+    judge, meant = RULES[name].judge, judgements.of_protocols(RULES[name].protocols)
+    return judge(meant, limit) if judge else judge_expertise(gauge, judgements, limit)
 
 
-def _explain_rules(found: Mapping[str, DataFrame]) -> Iterable[str]:
+def _explain_protocols(judgements: Judgements, limits: Mapping[str, float]) -> Iterable[str]:
+    """Say which protocol was assumed, and which rules are not meant for what was rated."""
+    bound = [name for name in limits if RULES[name].protocols]
+    if not bound:
+        return
+    yield from judgements.notes
+    if judgements.of_protocols(SIGHTED).rows.empty:
+        known = sorted(set(judgements.rows["protocol"]) - {""})
+        of = f"these are of {' and '.join(known)}" if known else "a column protocol that says so is missing"
+        names = f"Rule{'' if len(bound) == 1 else 's'} {', '.join(map(repr, bound))}"
+        yield f"{names} not applied: for MUSHRA ratings, where the reference is in sight; {of}."
+
+
+def _explain_rules(found: Mapping[str, DataFrame], judgements: Judgements) -> Iterable[str]:
     for name, part in found.items():
         silent = int(part["share"].isna().sum())
-        if silent:
-            whom = "anybody" if silent == len(part) else f"{silent} of {len(part)} participants"
-            yield f"Rule '{name}' says nothing of {whom}: it needs {RULES[name].needs}."
+        meant = not judgements.of_protocols(RULES[name].protocols).rows.empty
+        if silent and meant:
+            whom = "" if silent == len(part) else f" to {silent} of {len(part)} participants"
+            yield f"Rule '{name}' not applied{whom}: it needs {RULES[name].needs}."
 
 
 def _describe_excerpts(judgements: Judgements) -> DataFrame:
@@ -189,8 +209,9 @@ def _describe_items(judgements: Judgements) -> DataFrame:
 
     tests = judgements.of_kind("test")
     rows = []
+    steps = tests.groupby("item")["step"].max()
     for item, own in tests.groupby(["item", "participant"], observed=True)["rating"].mean().groupby("item"):
-        low, high = tukey_fences(own)
+        low, high = tukey_fences(own, step=steps[item])
         rows.append(
             {
                 "item": item, "n": len(own), "low_fence": low, "high_fence": high,

@@ -42,11 +42,11 @@ class Table:
     ----------
     rows : DataFrame
         One row per judgement: participant, stimulus_id, reference_id and reference_reducer (may be empty), source,
-        recording, reducer, level, role, matched, scale, repeat, rating, simulated, response_time_s if there is one, one
-        column per metric and further metric, rms_m_s2 if there is one, and one per label of the participants
-        (`join_labels`). The role is the one that the stimulus had in that judgement (`find_roles`); matched tells
-        whether the metrics speak of that judgement (`find_matched`); a dissimilarity is about the stimulus compared
-        with the reference.
+        recording, reducer, level, role, matched, scale, repeat, rating, simulated, protocol and response_time_s if
+        there are any, one column per metric and further metric, rms_m_s2 if there is one, and one per label of the
+        participants (`join_labels`). The role is the one that the stimulus had in that judgement (`find_roles`);
+        matched tells whether the metrics speak of that judgement (`find_matched`); a dissimilarity is about the
+        stimulus compared with the reference.
     metrics : tuple of str
         The primary metric columns, in the order of `analysis.table.schema.PRIMARY`.
     notes : tuple of str
@@ -111,7 +111,7 @@ def read_table(
     notes += [*note_lookalikes(rows), *note_lacking(rows)]
     explored = list_further(rows)
     judged = ["role", "matched", "scale", "repeat", "rating", "simulated"]
-    optional = [name for name in ("response_time_s", AMPLITUDE) if name in rows]
+    optional = [name for name in ("protocol", "response_time_s", AMPLITUDE) if name in rows]
     identity = ["participant", "stimulus_id", "reference_id", "reference_reducer", "source"]
     rows = rows[[*identity, *ECHOED, *judged, *optional, *metrics, *explored]].reset_index(drop=True)
     labelled, more_notes = join_labels(rows, ratings_path)

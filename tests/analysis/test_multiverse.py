@@ -20,7 +20,7 @@ RULES = ["hidden_reference", "low_anchor", "straight_lining"]
 @pytest.fixture
 def ratings(tidy: Callable[..., pd.DataFrame]) -> pd.DataFrame:
     """Ten raters: p01 breaks the first rule, p02 the first and the second, nobody the third."""
-    table = tidy(participants=10, noise=4)
+    table = tidy(participants=10, noise=4).assign(protocol="mushra")
     table.loc[table["role"] == "reference", "rating"] = 99.0
     table.loc[table["role"] == "anchor", "rating"] = 20.0
     table.loc[table["participant"].isin(["p01", "p02"]) & (table["role"] == "reference"), "rating"] = 60.0
@@ -32,14 +32,31 @@ def mean_rating(table: pd.DataFrame) -> float:
     return float(table["rating"].mean())
 
 
-def test_universes_are_none_each_combinations_and_all(ratings: pd.DataFrame) -> None:
-    table = run_multiverse(ratings, mean_rating, rules=RULES, together=1).table
-    assert table["universe"].tolist() == ["none", *RULES, " + ".join(RULES)]
-    assert table["excluded"].tolist() == [(), ("p01", "p02"), ("p02",), (), ("p01", "p02")]
-    assert table["n_participants"].tolist() == [10, 8, 9, 10, 8]
-    assert table[RULES].sum(axis=1).tolist() == [0, 1, 1, 1, 3]
-    assert len(run_multiverse(ratings, mean_rating, rules=RULES, together=2).table) == 1 + 3 + 3 + 1
-    assert len(run_multiverse(ratings, mean_rating, rules=RULES, together=9).table) == 2**3
+def test_a_universe_is_a_set_of_raters(ratings: pd.DataFrame) -> None:
+    found = run_multiverse(ratings, mean_rating, rules=RULES, together=1)
+    table = found.table
+    assert table["universe"].tolist() == ["none", *RULES[:2]]
+    every = " + ".join(RULES)
+    combined = ["none; straight_lining", f"hidden_reference; {every}", "low_anchor"]
+    assert table["combinations"].tolist() == combined
+    assert table["n_combinations"].tolist() == [2, 2, 1]
+    assert table["excluded"].tolist() == [(), ("p01", "p02"), ("p02",)]
+    assert table["n_participants"].tolist() == [10, 8, 9]
+    assert table[RULES].to_numpy().tolist() == [[False] * 3, [True, False, False], [False, True, False]]
+
+
+@pytest.mark.parametrize(("together", "combinations"), [(1, 1 + 3 + 1), (2, 1 + 3 + 3 + 1), (9, 2**3)])
+def test_none_each_combinations_and_all_are_counted(ratings: pd.DataFrame, together: int, combinations: int) -> None:
+    found = run_multiverse(ratings, mean_rating, rules=RULES, together=together)
+    assert (found.n_combinations, found.n_distinct, len(found.table)) == (combinations, 3, 3)
+
+
+def test_rules_that_flag_nobody_do_not_weigh(ratings: pd.DataFrame) -> None:
+    few = run_multiverse(ratings, mean_rating, rules=["hidden_reference", "low_anchor"])
+    more = run_multiverse(ratings, mean_rating, rules=[*RULES, "too_fast", "reversed_scale"], together=5)
+    assert more.n_combinations == 2**5 > few.n_combinations
+    for name in ("n_distinct", "median", "smallest", "largest", "same_sign"):
+        assert getattr(more, name) == getattr(few, name)
 
 
 def test_values_are_those_of_the_raters_left(ratings: pd.DataFrame) -> None:
@@ -60,7 +77,7 @@ def test_values_are_those_of_the_raters_left(ratings: pd.DataFrame) -> None:
     assert found.same_sign == 1
     assert math.isnan(found.beyond_zero)
     assert found.curve["value"].is_monotonic_increasing
-    assert "Rules that hit nobody, and so change nothing: straight_lining." in found.notes
+    assert "Rules that flagged nobody, and so change nothing: straight_lining." in found.notes
 
 
 def test_a_result_brings_its_interval(ratings: pd.DataFrame) -> None:
@@ -82,10 +99,10 @@ def test_three_numbers_are_an_interval(ratings: pd.DataFrame, result: Any, beyon
 
 def test_a_sign_that_turns_is_counted(ratings: pd.DataFrame) -> None:
     found = run_multiverse(ratings, lambda table: table["participant"].nunique() - 8.5, rules=RULES, together=1)
-    assert found.same_sign == 3 / 5
+    assert found.same_sign == 2 / 3
     # The sign of the first universe is what counts, also where it is below zero.
     turned = run_multiverse(ratings, lambda table: 8.5 - table["participant"].nunique(), rules=RULES, together=1)
-    assert turned.same_sign == 3 / 5
+    assert turned.same_sign == 2 / 3
 
 
 def test_what_cannot_be_estimated_says_why(ratings: pd.DataFrame) -> None:
@@ -95,9 +112,9 @@ def test_what_cannot_be_estimated_says_why(ratings: pd.DataFrame) -> None:
         return math.nan if table["participant"].nunique() == 9 else 1.0
 
     found = run_multiverse(ratings, estimator, rules=RULES, together=1)
-    assert found.table["note"].tolist() == ["", "eight are too few", "the estimator gave NaN", "", "eight are too few"]
+    assert found.table["note"].tolist() == ["", "eight are too few", "the estimator gave NaN"]
     assert "Universe 'hidden_reference' has no value: eight are too few." in found.notes
-    assert len(found.curve) == 2
+    assert len(found.curve) == 1
 
 
 def test_nobody_left(ratings: pd.DataFrame) -> None:

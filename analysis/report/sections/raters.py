@@ -1,4 +1,4 @@
-"""The raters: who was screened by which rule, how far they agree, and what changes without those hit."""
+"""The raters: who was flagged by which screening rule, how far they agree, and the slopes without those flagged."""
 
 from __future__ import annotations
 
@@ -30,13 +30,16 @@ if TYPE_CHECKING:
 
 KEY, TITLE = "raters", "Raters"
 HOW = (
-    "Raters are screened by the rules of ITU-R BS.1534-3 and by extensions of them, each named; limits were fixed "
-    "beforehand. A hit is a reason to ask, not to delete: every result above rests on everyone, and the primary slopes "
-    "are shown with and without those whom a rule of the standard hit, and without those whom any rule hit. Agreement: "
+    "Raters are screened by the rules of ITU-R BS.1534-3, where the protocol is MUSHRA, and by extensions of them, "
+    "each named; limits were fixed beforehand and allow for the rounding of a scale with few steps. A flagged rater "
+    "should be followed up, not automatically excluded: all results above include everyone, and the primary slopes are "
+    "also shown without raters flagged by a rule of the standard, and without raters flagged by any rule. Agreement: "
     "intraclass correlations (two-way; C consistency, A absolute agreement; of one rater, and of the mean of k) over "
     "stimuli rated by everyone, and Krippendorff's alpha for interval ratings, repeats averaged.",
 )
-PANELS = {"everyone": "everyone", "standard": "without hits of BS.1534-3", "any": "without hits of any rule"}
+PANELS = {
+    "everyone": "everyone", "standard": "without those flagged by BS.1534-3", "any": "without anyone flagged",
+}  # fmt: skip
 FIGURES = {
     "icc_c_1": "ICC(C,1)", "icc_a_1": "ICC(A,1)", "icc_c_k": "ICC(C,k)", "icc_a_k": "ICC(A,k)",
     "alpha": "Krippendorff's α",
@@ -44,7 +47,7 @@ FIGURES = {
 
 
 def compute(table: Table, choices: Choices) -> Section:
-    """Screen raters, measure their agreement, and repeat the primary analysis without those hit.
+    """Screen raters, measure their agreement, and repeat the primary analysis without those flagged.
 
     Parameters
     ----------
@@ -56,12 +59,12 @@ def compute(table: Table, choices: Choices) -> Section:
     Returns
     -------
     Section
-        Hits per rule, reliability, slopes with and without exclusion.
+        Flagged raters per rule, reliability, slopes with and without them.
     """
     rows = table.rows
     single = rows[~rows["scale"].isin(APART) & (rows["role"] != PAIR)]
     if single.empty:
-        return Section(KEY, TITLE, notes=("Raters are not screened: nobody rated a stimulus by itself.",))
+        return Section(KEY, TITLE, notes=("Raters were not screened: no stimulus was rated by itself.",))
     screening = screen_raters(single, rng=choices.make_rng(KEY))
     slopes = list(_vary(table, screening, choices))
     grids = [_lay_rules(screening), _lay_panel(screening.panel)]
@@ -77,7 +80,7 @@ def compute(table: Table, choices: Choices) -> Section:
 
 CAPTION = (
     "Every rater under every screening rule: share of judgements (or the rule's correlation or standard deviation), "
-    "the rule's limit, and hits as crosses. The values describe what was judged and have no intervals."
+    "the rule's limit, and flagged raters as crosses. The values describe what was rated and have no intervals."
 )
 
 
@@ -113,8 +116,8 @@ def _fit(part: Part, out: tuple[Hashable, ...], metrics: tuple[str, ...]) -> Ite
 
 def _lay_slopes(rows: list[Row]) -> Grid:
     caption = (
-        "Slopes of the primary analysis (points per +0.1) with and without the raters whom rules hit; 95 % t "
-        "intervals with Satterthwaite's df, p not adjusted. A dash: too few are left for a model."
+        "Slopes of the primary analysis (points per +0.1) with and without flagged raters; 95 % t intervals with "
+        "Satterthwaite's df, p not adjusted. A dash: too few raters are left to fit the model."
     )
     head = ("Ratings", "Metric", "Raters", "Points per +0.1", "Interval", "p", "Participants")
     laid = []
@@ -129,14 +132,15 @@ def _lay_slopes(rows: list[Row]) -> Grid:
 
 
 def _lay_rules(screening: Screening) -> Grid:
-    caption = "Screening rules, where they come from, and whom they hit; a dash: nobody."
-    head = ("Rule", "Source", "Raters hit", "Raters judged")
+    caption = "Screening rules, their source, the protocols they apply to, and the raters they flagged; a dash: nobody."
+    head = ("Rule", "Source", "Protocols", "Flagged", "Raters screened")
     rows = []
     for rule, hits in screening.hits.items():
         own = screening.table[screening.table["rule"] == rule]
         judged, name = int(own["share"].notna().sum()), name_path("screening", rule)
         count = Cell(count_number(f"{name}.n_judged", judged, n=len(own)), COUNT)
-        rows.append((tell_name(rule), RULES[rule].source, ", ".join(map(str, hits)) or "–", count))
+        protocols = ", ".join(map(tell_name, RULES[rule].protocols)) or "all"
+        rows.append((tell_name(rule), RULES[rule].source, protocols, ", ".join(map(str, hits)) or "–", count))
     return Grid(caption, head, tuple(rows))
 
 
@@ -147,9 +151,9 @@ def _tell_rules(screening: Screening) -> str:
 
 def _lay_panel(panel: DataFrame) -> Grid:
     caption = (
-        "How far raters agree, of everyone and of those whom no rule hit. The values describe these raters and these "
-        "stimuli and have no intervals: those that take stimuli of one recording for independent are too narrow. A "
-        "dash: fewer than two raters or stimuli."
+        "Agreement of all raters, and of those not flagged by any rule. The values describe these raters and these "
+        "stimuli and have no intervals: the usual ones treat stimuli of one recording as independent and are too "
+        "narrow. A dash: fewer than two raters or stimuli."
     )
     counts = {"n_participants": "Participants", "n_complete": "Stimuli rated by all"}
     head = ("Scale", "Raters", *FIGURES.values(), *counts.values())
@@ -172,14 +176,22 @@ def _name_noise(table: Table) -> Iterator[tuple[str | Cell, ...]]:
 
 
 def _lay_noise(rows: list[tuple[str | Cell, ...]]) -> Grid:
-    caption = "Standard deviation, in points, with which people repeat their ratings of a stimulus."
+    caption = "Standard deviation, in points, of a rater's repeated ratings of the same stimulus."
     return Grid(caption, ("Ratings", "SD of repeats"), tuple(rows))
 
 
 def _judge(screening: Screening) -> str:
     standard, everyone = len(_hit(screening, "standard")), screening.table["participant"].nunique()
     whole = len(_hit(screening, "any"))
-    return f"Of {everyone} raters, rules of ITU-R BS.1534-3 hit {standard} and any rule {whole}. Nobody was removed."
+    own = screening.table["rule"].isin([rule for rule in screening.rules if RULES[rule].source.startswith("ITU-R")])
+    applied = bool(screening.table.loc[own, "share"].notna().any())
+    of_standard = f"{standard} of them by ITU-R BS.1534-3 rules"
+    if not applied:
+        of_standard = "the ITU-R BS.1534-3 rules do not apply to these ratings"
+    elif standard == whole:
+        of_standard = "all by ITU-R BS.1534-3 rules" if whole else "those of ITU-R BS.1534-3 included"
+    raters = f"{whole or 'None'} of {everyone} raters {'was' if whole == 1 else 'were'} flagged"
+    return f"{raters} by screening rules ({of_standard}). Nobody was removed."
 
 
 def _count_hit(screening: Screening) -> Iterator[Any]:

@@ -33,13 +33,14 @@ KEY, TITLE = "robustness", "Under other choices"
 MOST_CELLS = 20_000
 """Participants x stimuli beyond which some sixty models would take many minutes."""
 
-SIZES = ("Universes", "With a model")
+SIZES = ("Combinations of rules", "Sets of raters", "With a model")
 
 HOW = (
-    "Under other choices, the primary slopes are estimated anew: people's slopes correlated, reducers that differ for "
-    "everyone and for each person whatever their metrics, without each recording (each source, where several "
-    "recordings come from one), without each reducer, ratings standardised within raters, ratings as logits; and, as a "
-    "multiverse, without the raters whom each screening rule hits on these ratings, each two of them, and all.",
+    "The primary slopes are re-estimated under other choices: correlated slopes of participants; reducers that differ "
+    "for everyone and for each participant for reasons other than their metrics; without each recording (each source, "
+    "where several recordings come from one); without each reducer; ratings standardised within raters; ratings as "
+    "logits; and, as a multiverse, without the raters flagged by each screening rule, each pair of rules, and all of "
+    "them. Combinations that leave the same raters are one set and count once.",
 )
 
 
@@ -136,8 +137,8 @@ def _draw_variants(part: Part, metrics: tuple[str, ...], table: DataFrame) -> Pi
 
 def _draw_universes(metric: str, part: Part, result: Multiverse) -> Picture:
     caption = (
-        f"Slope of {part.ratings} on {tell_name(metric)}, points per +0.1, in every universe of screening "
-        "rules, from the smallest up; 95 % Satterthwaite intervals. Below: which rules were applied."
+        f"Slope of {part.ratings} on {tell_name(metric)}, points per +0.1, for every distinct set of raters that the "
+        "screening rules leave, from the smallest up; 95 % Satterthwaite intervals. Below: the rules applied."
     )
     figure = draw_multiverse(result, estimate="Points per +0.1")
     return Picture(make_slug("multiverse", *part.place, metric), "multiverse", caption, figure, detail=True)
@@ -147,17 +148,19 @@ def _judge(found: tuple[tuple[str, str], tuple[Part, Multiverse]]) -> str:
     (_, metric), (part, result) = found
     what = f"Slope of {part.ratings} on {tell_name(metric)}"
     if not len(result.curve):
-        return f"{what}: no set of raters allows a model."
+        return f"{what}: no set of raters is large enough to fit the model."
     reach = tell_range(result.smallest, result.largest, kind="slope")
-    universes = f"{len(result.curve)} of {len(result.table)} universes of screening rules"
-    sets = f"{result.n_distinct} different set{'s' if result.n_distinct != 1 else ''} of raters"
-    return f"{what}: {reach} points per +0.1, in the {universes} ({sets}) that leave raters enough for a model."
+    sets = f"{result.n_distinct} distinct set{'s' if result.n_distinct != 1 else ''} of raters"
+    some = f"{len(result.curve)} of " if len(result.curve) < result.n_distinct else ""
+    few = "; the others leave too few raters to fit the model" if some else ""
+    rules = f"{result.n_combinations} combinations of screening rules"
+    return f"{what}: {reach} points per +0.1 across {some}{sets} from {rules}{few}."
 
 
 def _lay_variants(parts: dict[str, Part], varied: dict[str, DataFrame]) -> Grid:
     caption = (
-        "Slope in standard deviations of this study under other choices, with 95 % t intervals (Satterthwaite's df); p "
-        "not adjusted. Only standardised slopes compare across units. A dash: no model; the notes say why."
+        "Standardised slope under other choices, with 95 % t intervals (Satterthwaite's df); p not adjusted. Only "
+        "standardised slopes can be compared across units. A dash: no model; the notes say why."
     )
     head = ("Ratings", "Choice", "Metric", "Standardised slope", "Interval", "p")
     rows = [_lay_variant(parts[lead], row) for lead, table in varied.items() for row in table.to_dict("records")]
@@ -181,21 +184,21 @@ def _count_left(part: Part, variant: str) -> int:
 
 def _lay_universes(universes: dict[tuple[str, str], tuple[Part, Multiverse]]) -> Grid:
     caption = (
-        "Slope (points per +0.1) over all universes of screening rules: median, smallest, largest, share with the sign "
-        "that everyone's has, share of intervals that leave zero out, how many sets of raters differ, how many "
-        "universes there are, and in how many enough raters are left for a model."
+        "Slope (points per +0.1) across the distinct sets of raters that combinations of screening rules leave: "
+        "median, smallest, largest, share with the same sign as with everyone, share of intervals that exclude zero, "
+        "number of combinations, of distinct sets, and of sets with enough raters to fit the model."
     )
-    head = ("Ratings", "Metric", "Median", "Smallest", "Largest", "Same sign", "Beyond zero", "Sets of raters", *SIZES)
+    head = ("Ratings", "Metric", "Median", "Smallest", "Largest", "Same sign", "Excludes zero", *SIZES)
     rows: list[tuple[str | Cell, ...]] = []
     for (_, metric), (part, result) in universes.items():
-        name, n = name_path("multiverse", *part.place, metric), len(result.table)
+        name, n = name_path("multiverse", *part.place, metric), result.n_distinct
         kinds = {"median": "slope", "smallest": "slope", "largest": "slope", "same_sign": "correlation",
                  "beyond_zero": "correlation"}  # fmt: skip
         values = [
-            Cell(make_number(f"{name}.{key}", getattr(result, key), f"{key} over universes", n=n), kind)
+            Cell(make_number(f"{name}.{key}", getattr(result, key), f"{key} over distinct sets of raters", n=n), kind)
             for key, kind in kinds.items()
         ]
-        counts = {"n_distinct": result.n_distinct, "n_universes": n, "n_defined": len(result.curve)}
+        counts = {"n_combinations": result.n_combinations, "n_distinct": n, "n_defined": len(result.curve)}
         sizes = [Cell(count_number(f"{name}.{key}", count, n=n), COUNT) for key, count in counts.items()]
         rows.append((tell_name(part.lead), tell_name(metric), *values, *sizes))
     return Grid(caption, head, tuple(rows))

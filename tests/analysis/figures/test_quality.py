@@ -63,7 +63,7 @@ def test_many_pairs_do_not_change_what_the_rule_says(
 
 def test_a_rule_that_says_nothing_says_why(screening: Screening, said: Callable[[Figure], str]) -> None:
     assert screening.share["too_fast"].isna().all()
-    assert f"Says nothing: it needs {RULES['too_fast'].needs}." in said(draw_raters(screening))
+    assert f"Not applied: it needs {RULES['too_fast'].needs}." in said(draw_raters(screening))
 
 
 def test_raters_without_a_share_are_counted(screening: Screening, said: Callable[[Figure], str]) -> None:
@@ -72,7 +72,7 @@ def test_raters_without_a_share_are_counted(screening: Screening, said: Callable
         np.nan,
         False,
     )
-    assert "nothing to say of 2" in said(draw_raters(replace(screening, table=table)))
+    assert "not applied to 2" in said(draw_raters(replace(screening, table=table)))
 
 
 def test_many_hits_are_counted_and_long_names_cut(

@@ -42,7 +42,7 @@ def test_universes_stand_in_order_over_their_rules(result: Multiverse, said: Cal
     assert bars == sorted(zip(place, curve["low"], place, curve["high"], strict=True))
     for rule, line in zip(result.screening.rules, lower.lines, strict=True):
         assert list(line.get_xdata() - 1) == list(np.flatnonzero(curve[rule]))
-    for part in ("95 % intervals", "participants", f"{len(curve)} choices", "Mean above 50 (points)", "test retest"):
+    for part in ("95 % intervals", "participants", f"{len(curve)} distinct", "Mean above 50 (points)", "test retest"):
         assert part in said(figure)
 
 
