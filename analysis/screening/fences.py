@@ -154,8 +154,10 @@ def judge_outliers(judgements: Judgements, limit: float) -> DataFrame:
     """
     means = judgements.means()
     means = means.loc[:, means.notna().sum() >= FEWEST_RATERS]
-    steps = judgements.rows.groupby("item")["step"].max()
-    fences = np.array([tukey_fences(means[item].dropna(), step=steps[item]) for item in means]).reshape(-1, 2)
+    steps = judgements.rows.groupby("item")["step"].max().reindex(means.columns)
+    fences = np.array(
+        [tukey_fences(means[item].dropna(), step=step) for item, step in zip(means, steps, strict=True)]
+    ).reshape(-1, 2)
     outside = means.lt(fences[:, 0], axis=1) | means.gt(fences[:, 1], axis=1)
     count, n = outside.sum(axis=1), means.notna().sum(axis=1)
     return tell_values(count, n, count / n.where(n > 0), limit=limit)
