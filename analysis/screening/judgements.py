@@ -176,7 +176,9 @@ def make_judgements(ratings: DataFrame, *, assumed: str = "") -> Judgements:
     names = ratings[excerpt].assign(number=numbers).drop_duplicates("number").set_index("number").sort_index()
     first = ratings[item].assign(number=rows["item"].to_numpy()).drop_duplicates("number").set_index("number")
     items = first.astype(str).agg("/".join, axis=1)
-    return Judgements(rows, pd.Index(sorted(rows["participant"].unique()), name="participant"), names, items, notes)
+    # Numbers and words cannot be compared with each other; each kind keeps its own order.
+    everyone = sorted(rows["participant"].unique(), key=lambda name: (isinstance(name, str), name))
+    return Judgements(rows, pd.Index(everyone, name="participant"), names, items, notes)
 
 
 def key_stimulus(ratings: DataFrame) -> list[str]:

@@ -179,6 +179,19 @@ def test_numbers_written_as_text_are_numbers() -> None:
     pd.testing.assert_frame_equal(screen_raters(plain.astype({"rating": str})).table, screen_raters(plain).table)
 
 
+def test_participants_may_be_numbers_words_and_categories() -> None:
+    plain = screen_raters(SPOILED["reversed_scale"](panel()), rng=np.random.default_rng(0))
+    for names in ({"p00": 1, "p01": 0}, {f"p{number:02d}": number for number in range(PEOPLE)}):
+        table = SPOILED["reversed_scale"](panel())
+        renamed = screen_raters(table.assign(participant=[names.get(who, who) for who in table["participant"]]))
+        assert renamed.hits["reversed_scale"] == tuple(names.get(who, who) for who in plain.hits["reversed_scale"])
+        assert renamed.hit.any(axis=1).sum() == plain.hit.any(axis=1).sum()
+    words = ["participant", "recording", "reducer", "scale", "level", "role"]
+    for kind in ("category", "string"):
+        table = SPOILED["reversed_scale"](panel()).astype(dict.fromkeys(words, kind))
+        assert screen_raters(table, rng=np.random.default_rng(0)).hits == plain.hits
+
+
 def test_order_of_rows_does_not_matter() -> None:
     table = panel()
     shuffled = table.sample(frac=1, random_state=0)
