@@ -162,7 +162,8 @@ def _lay_panel(panel: DataFrame) -> Grid:
         name, n = name_path("reliability", row["scale"], row["panel"].replace(" ", "_")), row["n_complete"]
         values = [Cell(make_number(f"{name}.{key}", row[key], told, n=n)) for key, told in FIGURES.items()]
         sizes = [Cell(count_number(f"{name}.{key}", row[key], n=row["n_items"]), COUNT) for key in counts]
-        rows.append((tell_name(row["scale"]), row["panel"], *values, *sizes))
+        whose = PANELS["any" if row["panel"] == "without hits" else "everyone"]
+        rows.append((tell_name(row["scale"]), whose, *values, *sizes))
     return Grid(caption, head, tuple(rows))
 
 

@@ -14,7 +14,7 @@ from analysis.report.pictures import Picture, make_slug
 from analysis.report.sections.effects import fit_rest, lay_estimate, name_estimate
 from analysis.report.sections.parts import ITEM, split_parts
 from analysis.report.sections.section import Cell, Grid, Section
-from analysis.words import tell_name, tell_range
+from analysis.words import tell_name, tell_number, tell_range
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterator
@@ -149,8 +149,11 @@ def _judge(found: tuple[tuple[str, str], tuple[Part, Multiverse]]) -> str:
     what = f"Slope of {part.ratings} on {tell_name(metric)}"
     if not len(result.curve):
         return f"{what}: no set of raters is large enough to fit the model."
+    if result.n_distinct == 1:
+        alone = f"the {result.n_combinations} combinations of screening rules leave 1 distinct set of raters, everyone"
+        return f"{what}: {tell_number(result.median, kind='slope')} points per +0.1; {alone}."
     reach = tell_range(result.smallest, result.largest, kind="slope")
-    sets = f"{result.n_distinct} distinct set{'s' if result.n_distinct != 1 else ''} of raters"
+    sets = f"{result.n_distinct} distinct sets of raters"
     some = f"{len(result.curve)} of " if len(result.curve) < result.n_distinct else ""
     few = "; the others leave too few raters to fit the model" if some else ""
     rules = f"{result.n_combinations} combinations of screening rules"

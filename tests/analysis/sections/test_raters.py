@@ -50,7 +50,7 @@ def test_sets_of_raters_are_counted_and_not_combinations(read: Callable[[str], T
     part = next(split_parts(table))
     rules = ["hidden_reference", "too_fast", "mid_anchor"]
 
-    def say(fewest: int) -> str:
+    def say(fewest: int, rules: list[str] = rules) -> str:
         def estimate(rows: pd.DataFrame) -> tuple[float, float, float]:
             if rows["participant"].nunique() < fewest:
                 raise ValueError("too few")
@@ -63,4 +63,6 @@ def test_sets_of_raters_are_counted_and_not_combinations(read: Callable[[str], T
     sets = "2 distinct sets of raters from 8 combinations of screening rules"
     assert say(1) == f"{lead}4.00 to 6.00 points per +0.1 across {sets}."
     assert say(5).endswith(f"across 1 of {sets}; the others leave too few raters to fit the model.")
+    alone = "the 2 combinations of screening rules leave 1 distinct set of raters, everyone"
+    assert say(1, ["too_fast"]) == f"{lead}6.00 points per +0.1; {alone}."
     assert say(9) == f"{lead}no set of raters is large enough to fit the model."
