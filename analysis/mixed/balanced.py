@@ -180,23 +180,24 @@ class Balanced(Profile):
 
         spreads, ratio = self._find_spreads(theta)
         own, size = spreads[: self.n_own], np.arange(self.n_random)
-        scaled = self.products * (spreads[:, None] * (spreads / ratio))
-        scaled[size, size] += 1
-        factor, failed = dpotrf(scaled, lower=1, clean=1)
         blocks = self.products[: self.n_own, : self.n_own] * (own[:, None] * own)
         blocks[size[: self.n_own], size[: self.n_own]] += 1
-        root, failed_too = dpotrf(blocks, lower=1, clean=1)
+        root, failed = dpotrf(blocks, lower=1, clean=1)
         half = dpotri(root, lower=1)[0]
         inner = half + np.tril(half, -1).T
-        left = self.scatter - float(own @ (inner * self.own_scatter) @ own)
-        if failed or failed_too or left < 0:
+        scaled = self.products * (spreads[:, None] * (spreads / ratio))
+        scaled[size, size] += 1
+        # The residual of what deviates goes along with that of the mean, which may be nothing but rounding.
+        scaled[-1, -1] += self.scatter - float(own @ (inner * self.own_scatter) @ own)
+        factor, failed_too = dpotrf(scaled, lower=1, clean=1)
+        if failed or failed_too:
             raise np.linalg.LinAlgError("the residual is lost in rounding")
         logs, log_own = 2 * np.log(factor.diagonal()), 2 * float(np.log(root.diagonal()).sum())
         return State(
             theta=theta, log_random=float((self.n_people - 1) * log_own + self.n_each * np.log(ratio)
                                           + logs[: self.n_random].sum()),
             log_fixed=float(logs[self.n_random : -1].sum() + 2 * np.log(np.abs(np.diag(self.triangle_x))).sum()),
-            rss=(float(factor[-1, -1] ** 2) + left) * self.unit**2, factor=factor, inner=inner,
+            rss=float(factor[-1, -1] ** 2) * self.unit**2, factor=factor, inner=inner,
         )  # fmt: skip
 
     def _find_spreads(self, theta: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
@@ -224,7 +225,7 @@ class Balanced(Profile):
 
         spreads, ratio = self._find_spreads(state.theta)
         share = weight / state.rss * self.unit**2
-        # Of the mean: log |D| of the leading rows, and the last pivot; D = products spreads spreads' / ratio + I.
+        # Of the mean: log |D| of the leading rows, and the residual; D = products spreads spreads' / ratio + I.
         size = self.n_random + (self.n_fixed if self.reml else 0)
         half = dtrtri(state.factor, lower=1)[0]
         direction = half[-1] * state.factor[-1, -1]

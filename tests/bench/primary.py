@@ -5,8 +5,9 @@ each for 12), with the metrics that these reducers really have there. Ratings de
 different for other reasons by 0, 3 or 8 points (SD). Adding a slope to such ratings changes no standard error, so the
 share of false positives is also that of intervals that miss a planted slope, and power follows for any slope.
 
-First the models' small matrices directly (`Balanced`), then whole studies through `fit_primary`, with planted slopes and
-ratings cut at the ends of the scale, and the agreement of both. Each condition and study has its own seed.
+First the power of studies planned for 80 %; then whole studies through `fit_primary`, half of them with planted slopes
+and ratings cut at the ends of the scale, and their agreement with the models' small matrices (`Balanced`); then many
+more by these directly. Each condition and study has its own seed.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import sys
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -24,20 +26,25 @@ from analysis.mixed.balanced import Balanced, find_frame
 from analysis.mixed.design import build_design
 from analysis.mixed.inference import Estimate, estimate_sum, find_uncertainty
 from analysis.mixed.optimum import find_optimum
-from analysis.mixed.solution import find_coefficients
+from analysis.mixed.solution import find_coefficients, find_sigma, find_spreads
 from analysis.primary.cells import make_cells
 from analysis.primary.model import _centre, fit_primary
 from analysis.primary.plan import Plan, plan_terms
+from analysis.primary.precision import Precision, find_own
 from stimuli.condition import Conditioning, condition
 from stimuli.match import METRICS
 from stimuli.reduce import DEFAULT_REDUCERS, REDUCERS
 from stimuli.synthesis import SCENES, make_scene
 
+if TYPE_CHECKING:
+    from analysis.mixed.profile import State
+
 USED = ["spectral_match_bounded", "temporal_match"]
 SIX = ("sax321", "soc321", "mag321", "pca321", "pca321_adaptive", "dft321")
 PEOPLE, REPEATS, ALPHA = 12, 2, 0.05
-PLANT = {"spectral_match_bounded": 45.0, "temporal_match": 35.0}
-"""Points per unit of the metric; 4.5 and 3.5 per +0.1."""
+PLANT = {"spectral_match_bounded": 20.0, "temporal_match": 15.0}
+"""Points per unit of the metric: 2 and 1.5 per +0.1. With slopes as steep as 4.5 the ends of the scale cut ratings off
+and flatten the slopes themselves."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +117,8 @@ class Quick:
         self.penalty = () if model == "without penalty" else plan.penalty
         self.design = build_design(plan.formula, table)
         self.frame = find_frame(self.design)
-        place = {(who, item): row for row, (who, item) in enumerate(zip(table["participant"], table["item"]))}
+        pairs = table[["participant", "item"]].itertuples(index=False, name=None)
+        place = {pair: row for row, pair in enumerate(pairs)}
         self.rows = np.array([[place[who, item] for item in items["item"]] for who in range(people)])
         self.terms = [self.design.names.index(name) for name in within]
 
@@ -119,8 +127,19 @@ class Quick:
         response[self.rows] = ratings.mean(axis=-1)
         profile = Balanced(replace(self.design, response=response), self.frame, reml=True, penalty=self.penalty)
         best = find_optimum(profile)
+        self.spreads = self._read_spreads(profile, best)
         uncertainty, (effects, _) = find_uncertainty(profile, best), find_coefficients(profile, best)
         return [estimate_sum(effects, row, uncertainty) for row in np.eye(len(effects))[self.terms]]
+
+
+    def _read_spreads(self, profile: Balanced, best: State) -> dict[str, float]:
+        sigma = find_sigma(profile, best)
+        found = {"reducer": 0.0, "participant:reducer": 0.0, "residual": sigma}
+        for block, covariance in zip(profile.blocks, find_spreads(profile, best), strict=True):
+            names = [name for term in block.factor.terms for name in term.names]
+            for name, sd in zip(names, sigma * np.sqrt(np.diag(covariance)), strict=True):
+                found[block.factor.name if name == "(Intercept)" else name] = float(sd)
+        return found
 
 
 def run_quick(model: str, shape: tuple[int, int], spread: int, studies: int) -> np.ndarray:
@@ -141,7 +160,7 @@ def find_power(found: np.ndarray, slope: float) -> float:
 
 
 def show_quick(models: dict[str, int]) -> None:
-    print("recordings reducers SD  model               studies  false: bounded temporal  power at 20, 40 points per unit")
+    print("recordings reducers SD  model               studies  false: bounded temporal  power at 20, 40 per unit")
     for shape, spread in product(product((6, 12), (6, 9)), SPREADS):
         for model, studies in models.items():
             found = run_quick(model, shape, spread, studies)
@@ -178,7 +197,53 @@ def show_whole(studies: int) -> None:
     print("largest difference of se and df from the quick way:", np.max(apart, axis=0), flush=True)
 
 
+def plan_study(items: pd.DataFrame, spreads: dict[str, float], place: int, *, people: int) -> Precision:
+    """What estimated spreads say of a study."""
+    within = (items[USED] - items.groupby("recording")[USED].transform("mean")).to_numpy()
+    kinds = items["reducer"].nunique()
+    study = Precision(
+        spreads[f"{USED[place]}_w"], spreads["item"], spreads["residual"], 1.0, n_participants=people,
+        n_recordings=items["recording"].nunique(), n_items=len(items), n_slopes=len(USED),
+        reducer_sd=spreads["reducer"], rater_reducer_sd=spreads["participant:reducer"], n_reducers=kinds,
+        n_alike=len(items) / kinds, level=ALPHA / len(USED),
+    )  # fmt: skip
+    own, alike = find_own(within, place, items["reducer"].factorize()[0], variances=study.find_variances())
+    return replace(study, square=float((own**2).sum()), reducer_square=float((alike**2).sum()))
+
+
+def find_share(slope: float, slopes: list[Estimate], level: float) -> float:
+    """Share of studies that find a slope."""
+    return float(np.mean([abs(one.estimate + slope) > student.ppf(1 - level / 2, one.df) * one.se for one in slopes]))
+
+
+def show_plans(studies: int) -> None:
+    """Power at Holm's first step for the slope that a study's own spreads call detectable with 80 %, in other studies.
+
+    Beside it what this was for plans without reducers and without Holm.
+    """
+    print("recordings reducers SD people metric    detectable  found  found for plans without reducers and Holm")
+    for shape, spread, people in product(((6, 6), (12, 9)), SPREADS, (12, 24)):
+        items = list_items(*shape)
+        quick = Quick(items, "with reducers", people=people)
+        found, spreads = [], []
+        for study in range(studies):
+            rng = np.random.default_rng([323, *shape, spread, people, study])
+            found.append(quick.fit(simulate(items, SPREADS[spread], rng, people=people)))
+            spreads.append(quick.spreads)
+        for place, metric in enumerate(USED):
+            slopes, level = [one[place] for one in found], ALPHA / len(USED)
+            plans = [plan_study(items, one, place, people=people) for one in spreads]
+            careless = [replace(one, reducer_sd=0, rater_reducer_sd=0, level=ALPHA) for one in plans]
+            wanted = np.mean([one.find_slope() for one in plans])
+            shares = [
+                np.mean([find_share(one.find_slope(), slopes, level) for one in kind]) for kind in (plans, careless)
+            ]
+            print(f"{shape[0]:10} {shape[1]:8} {spread:2} {people:6} {metric[:8]} {wanted:11.1f} {shares[0]:6.2f} "
+                  f"{shares[1]:6.2f}", flush=True)  # fmt: skip
+
+
 if __name__ == "__main__":
     most = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
+    show_plans(most // 5)
     show_whole(max(2, 30 * most // 1000))
     show_quick({"with reducers": most, "without reducers": most // 4, "reducers fixed": most // 4})
