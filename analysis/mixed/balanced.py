@@ -176,23 +176,28 @@ class Balanced(Profile):
         State
             Determinants, residual and factors; ``inner`` is the inverse of the participants' own equations.
         """
+        from scipy.linalg.lapack import dpotrf, dpotri
+
         spreads, ratio = self._find_spreads(theta)
-        scaled = self.products * np.outer(spreads, spreads) / ratio
-        place = np.arange(self.n_random)
-        scaled[place, place] += 1
-        factor = np.linalg.cholesky(scaled)
-        own = spreads[: self.n_own]
-        blocks = self.products[: self.n_own, : self.n_own] * np.outer(own, own) + np.eye(self.n_own)
-        inner, (sign, log_own) = np.linalg.inv(blocks), np.linalg.slogdet(blocks)
-        logs = 2 * np.log(np.diag(factor))
-        left = self.scatter - float((inner * self.own_scatter * np.outer(own, own)).sum())
-        if sign < 0 or left < 0:
+        own, size = spreads[: self.n_own], np.arange(self.n_random)
+        blocks = self.products[: self.n_own, : self.n_own] * (own[:, None] * own)
+        blocks[size[: self.n_own], size[: self.n_own]] += 1
+        root, failed = dpotrf(blocks, lower=1, clean=1)
+        half = dpotri(root, lower=1)[0]
+        inner = half + np.tril(half, -1).T
+        scaled = self.products * (spreads[:, None] * (spreads / ratio))
+        scaled[size, size] += 1
+        # The residual of what deviates goes along with that of the mean, which may be nothing but rounding.
+        scaled[-1, -1] += self.scatter - float(own @ (inner * self.own_scatter) @ own)
+        factor, failed_too = dpotrf(scaled, lower=1, clean=1)
+        if failed or failed_too:
             raise np.linalg.LinAlgError("the residual is lost in rounding")
+        logs, log_own = 2 * np.log(factor.diagonal()), 2 * float(np.log(root.diagonal()).sum())
         return State(
             theta=theta, log_random=float((self.n_people - 1) * log_own + self.n_each * np.log(ratio)
                                           + logs[: self.n_random].sum()),
             log_fixed=float(logs[self.n_random : -1].sum() + 2 * np.log(np.abs(np.diag(self.triangle_x))).sum()),
-            rss=(float(factor[-1, -1] ** 2) + left) * self.unit**2, factor=factor, inner=inner,
+            rss=float(factor[-1, -1] ** 2) * self.unit**2, factor=factor, inner=inner,
         )  # fmt: skip
 
     def _find_spreads(self, theta: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
@@ -216,21 +221,22 @@ class Balanced(Profile):
         ndarray, shape (n_theta,)
             The derivative.
         """
+        from scipy.linalg.lapack import dtrtri
+
         spreads, ratio = self._find_spreads(state.theta)
         share = weight / state.rss * self.unit**2
-        # Of the mean: log |D| of the leading rows, and the last pivot; D = products spreads spreads' / ratio + I.
+        # Of the mean: log |D| of the leading rows, and the residual; D = products spreads spreads' / ratio + I.
         size = self.n_random + (self.n_fixed if self.reml else 0)
-        adjoint = np.zeros_like(state.factor)
-        half = np.linalg.inv(state.factor)
-        adjoint[:size, :size] = half[:size, :size].T @ half[:size, :size]
+        half = dtrtri(state.factor, lower=1)[0]
         direction = half[-1] * state.factor[-1, -1]
-        adjoint += share * np.outer(direction, direction)
+        adjoint = share * (direction[:, None] * direction)
+        adjoint[:size, :size] += half[:size, :size].T @ half[:size, :size]
         adjoint *= self.products
         along = adjoint @ spreads / ratio
         slope = 2 * along[: self.n_random]
         # Of what deviates from it.
         own, inner = spreads[: self.n_own], state.inner
-        met = inner @ (self.own_scatter * np.outer(own, own)) @ inner
+        met = inner @ (self.own_scatter * (own[:, None] * own)) @ inner
         through = self.products[: self.n_own, : self.n_own] * ((self.n_people - 1) * inner + share * met)
         slope[: self.n_own] += 2 * (through - share * inner * self.own_scatter) @ own
         found = np.zeros(len(state.theta))

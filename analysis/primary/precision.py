@@ -18,6 +18,9 @@ ENOUGH = 0.8
 MOST = 10_000
 """Nobody recruits more."""
 
+FEWEST_PEOPLE, FEWEST_RECORDINGS = 6, 4
+"""No smaller study is advised, however large the slope: intervals over fewer are too unsure of themselves."""
+
 
 @dataclass(frozen=True, slots=True)
 class Precision:
@@ -37,11 +40,25 @@ class Precision:
         Size of the study.
     n_slopes : int
         Metrics in the model.
+    reducer_sd, rater_reducer_sd : float
+        Between reducers, of what the metrics leave unexplained, for everyone and for one participant; points.
+    reducer_square : float
+        The part of `square` that is the same for a reducer in every recording: n_alike Σ over reducers of its mean
+        squared.
+    n_reducers : int
+        Reducers in the study; 0 where the model has no spread between them.
+    n_alike : float
+        Stimuli of one reducer.
+    level : float
+        Of the test: 0.05 over the number of slopes tested, which is Holm's first step.
 
     Notes
     -----
-    SE² = σ_S²/P + σ_I²/SS + (σ_PI² + σ_e²/K)/(P SS). The second part does not shrink with participants: stimuli set
-    the ceiling of what a study can know.
+    SE² = σ_S²/P + 1 / (SS_w/v + SS_r/(v + m v_r)), with v = σ_I² + (σ_PI² + σ_e²/K)/P of a stimulus, v_r = σ_R² +
+    σ_PR²/P of a reducer in m recordings, SS_r the sum of squares of the metric that is the same for a reducer in all
+    recordings and SS_w what is left. Without reducers this is σ_S²/P + σ_I²/SS + (σ_PI² + σ_e²/K)/(P SS). Stimuli do
+    not become more with participants: they set the ceiling of what a study can know. What only reducers tell (SS_r)
+    becomes no more with recordings either, because m grows with SS_r.
     """
 
     slope_sd: float
@@ -52,6 +69,12 @@ class Precision:
     n_recordings: int
     n_items: int
     n_slopes: int = 1
+    reducer_sd: float = 0.0
+    rater_reducer_sd: float = 0.0
+    reducer_square: float = 0.0
+    n_reducers: int = 0
+    n_alike: float = 1.0
+    level: float = SIGNIFICANCE
 
     def find_se(self) -> tuple[float, float]:
         """Compute the standard error of the slope and its degrees of freedom.
@@ -61,7 +84,8 @@ class Precision:
         se : float
             Standard error.
         df : float
-            Degrees of freedom by Welch and Satterthwaite, from P - 1 and from stimuli - recordings - metrics.
+            Degrees of freedom by Welch and Satterthwaite, from P - 1 participants, stimuli - recordings - metrics
+            (- reducers + 1) and reducers - 1 - metrics.
 
         Examples
         --------
@@ -72,10 +96,29 @@ class Precision:
         [2.53, 79.06]
         """
         people = self.slope_sd**2 / self.n_participants
-        stimuli = self.item_sd**2 / self.square + self.noise_sd**2 / (self.n_participants * self.square)
-        spare = max(self.n_items - self.n_recordings - self.n_slopes, 1)
-        spread = people**2 / max(self.n_participants - 1, 1) + stimuli**2 / spare
+        stimulus, reducer = self.find_variances()
+        # What a slope is known by: within reducers, and between them.
+        within, between = (self.square - self.reducer_square) / stimulus, self.reducer_square / reducer
+        stimuli = 1 / (within + between)
+        others = max(self.n_reducers - 1, 0)
+        spare = max(self.n_items - self.n_recordings - self.n_slopes - others, 1), max(others - self.n_slopes, 1)
+        unsure = stimuli**4 * (within**2 / spare[0] + between**2 / spare[1])
+        spread = people**2 / max(self.n_participants - 1, 1) + unsure
         return math.sqrt(people + stimuli), (people + stimuli) ** 2 / spread if spread else math.inf
+
+    def find_variances(self) -> tuple[float, float]:
+        """Compute the variance of a stimulus's mean rating, and that times n of the mean over n stimuli of a reducer.
+
+        Returns
+        -------
+        stimulus, reducer : float
+            v and v + m v_r.
+        """
+        stimulus = self.item_sd**2 + self.noise_sd**2 / self.n_participants
+        alike = self.reducer_sd**2 + self.rater_reducer_sd**2 / self.n_participants
+        # Nothing is known exactly: without any noise the sums above would divide by zero.
+        stimulus = max(stimulus, 1e-300)
+        return stimulus, stimulus + self.n_alike * alike
 
     def enlarge(self, *, participants: int | None = None, recordings: int | None = None) -> Precision:
         """Imagine the same study with other numbers.
@@ -83,7 +126,8 @@ class Precision:
         Parameters
         ----------
         participants, recordings : int, optional
-            How many; each recording brings as many stimuli, and as different ones, as those here do on average.
+            How many; each recording brings as many stimuli, and as different ones, as those here do on average, of
+            the same reducers.
 
         Returns
         -------
@@ -93,11 +137,12 @@ class Precision:
         share = (recordings or self.n_recordings) / self.n_recordings
         return replace(
             self, n_participants=participants or self.n_participants, n_recordings=recordings or self.n_recordings,
-            square=self.square * share, n_items=round(self.n_items * share),
+            square=self.square * share, reducer_square=self.reducer_square * share, n_alike=self.n_alike * share,
+            n_items=round(self.n_items * share),
         )  # fmt: skip
 
     def find_power(self, slope: float) -> float:
-        """Compute the chance that the 5 % test finds a slope.
+        """Compute the chance that the test at `level` finds a slope.
 
         Parameters
         ----------
@@ -114,7 +159,7 @@ class Precision:
         se, df = self.find_se()
         if not 0 < se < math.inf:
             return math.nan
-        limit, shift = float(t.ppf(1 - SIGNIFICANCE / 2, df)), abs(slope) / se
+        limit, shift = float(t.ppf(1 - self.level / 2, df)), abs(slope) / se
         power = float(nct.sf(limit, df, shift) + nct.cdf(-limit, df, shift))
         # SciPy's noncentral t gives up far out, where the normal distribution is as good.
         return power if math.isfinite(power) else float(norm.sf(limit - shift))
@@ -130,9 +175,9 @@ class Precision:
         Returns
         -------
         float
-            2 or more; NaN where not even 10 000 would do.
+            6 or more; NaN where not even 10 000 would do.
         """
-        return _find_least(lambda number: self.enlarge(participants=number).find_power(slope))
+        return _find_least(lambda number: self.enlarge(participants=number).find_power(slope), least=FEWEST_PEOPLE)
 
     def find_recordings(self, slope: float) -> float:
         """Find how many recordings give 80 % power with these participants.
@@ -145,9 +190,9 @@ class Precision:
         Returns
         -------
         float
-            2 or more; NaN where not even 10 000 would do.
+            4 or more; NaN where not even 10 000 would do.
         """
-        return _find_least(lambda number: self.enlarge(recordings=number).find_power(slope))
+        return _find_least(lambda number: self.enlarge(recordings=number).find_power(slope), least=FEWEST_RECORDINGS)
 
     def find_slope(self) -> float:
         """Find the smallest slope that this study would find with 80 % power.
@@ -165,8 +210,10 @@ class Precision:
         return float(brentq(lambda slope: self.find_power(slope) - ENOUGH, 0, 20 * se))
 
 
-def find_own(metrics: np.ndarray, column: int) -> np.ndarray:
-    """Find what one metric has and the others do not.
+def find_own(
+    metrics: np.ndarray, column: int, reducers: np.ndarray | None = None, *, variances: tuple[float, float] = (1, 1)
+) -> tuple[np.ndarray, np.ndarray]:
+    """Find what one metric has and the others do not, and the part of it that is the same for a reducer.
 
     Parameters
     ----------
@@ -174,27 +221,40 @@ def find_own(metrics: np.ndarray, column: int) -> np.ndarray:
         Less their recordings' means.
     column : int
         Which.
+    reducers : ndarray of int, shape (n_items,), optional
+        Which reducer made each stimulus.
+    variances : tuple of two float
+        Of a stimulus, and of reducers (`Precision.find_variances`), by which the regression on the other metrics is
+        weighted.
 
     Returns
     -------
-    ndarray, shape (n_items,)
+    own : ndarray, shape (n_items,)
         Residuals of the metric on the others.
+    alike : ndarray, shape (n_items,)
+        Their means over reducers; 0 without reducers.
 
     Examples
     --------
-    >>> find_own(np.array([[1.0, 0], [-1, 0], [0, 2], [0, -2]]), 0).tolist()
-    [1.0, -1.0, 0.0, 0.0]
+    >>> own, alike = find_own(np.array([[1.0, 0], [-1, 0], [0, 2], [0, -2]]), 0, np.array([0, 1, 0, 1]))
+    >>> own.tolist(), alike.tolist()
+    ([1.0, -1.0, 0.0, 0.0], [0.5, -0.5, 0.5, -0.5])
     """
-    own, others = metrics[:, column], np.delete(metrics, column, axis=1)
-    found: np.ndarray = own - others @ np.linalg.lstsq(others, own, rcond=None)[0] if others.shape[1] else own
-    return found
+    alike = np.zeros_like(metrics)
+    if reducers is not None:
+        marks = np.eye(int(reducers.max()) + 1)[reducers]
+        alike = marks @ (marks.T @ metrics / marks.sum(axis=0)[:, None])
+    weighted = np.vstack([(metrics - alike) / math.sqrt(variances[0]), alike / math.sqrt(variances[1])])
+    others = np.delete(weighted, column, axis=1)
+    weights = np.insert(-np.linalg.lstsq(others, weighted[:, column], rcond=None)[0], column, 1.0)
+    return metrics @ weights, alike @ weights
 
 
-def _find_least(power: Callable[[int], float]) -> float:
-    """Search a number upwards of 2 by doubling, then by halving; power grows with it."""
+def _find_least(power: Callable[[int], float], *, least: int) -> float:
+    """Search a number from the least up by doubling, then by halving; power grows with it."""
     if not power(MOST) >= ENOUGH:
         return math.nan
-    low, high = 1, 2
+    low, high = least - 1, least
     while not power(high) >= ENOUGH:
         low, high = high, min(2 * high, MOST)
     while high - low > 1:

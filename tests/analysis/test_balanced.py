@@ -82,6 +82,15 @@ def test_same_fit_on_regular_and_singular_studies(seed: int, spread: float, pena
         assert two.df == pytest.approx(one.df, rel=1e-3)
 
 
+def test_means_that_lie_on_the_fixed_effects_leave_the_residual_of_what_deviates() -> None:
+    who, x = (axis.ravel() for axis in np.indices((4, 3)))
+    data = pd.DataFrame({"who": who, "x": x, "y": [1.0, 2, 3, 3, 5, 6, 2, 2, 4, 5, 7, 8]})
+    full, quick = pair_engines(build_design("y ~ x + (1 | who)", data))
+    (criterion, sigma, terms), (found, residual, others) = fit_terms(full), fit_terms(quick)
+    assert (found, residual) == pytest.approx((criterion, sigma), rel=1e-6)
+    assert others[1].df == pytest.approx(terms[1].df, rel=1e-4)
+
+
 def test_order_of_rows_is_found_whatever_it_was() -> None:
     data = make_study(1)
     mixed = data.sample(frac=1, random_state=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from analysis.mixed.model import fit_mixed
 from analysis.primary import cells
 from analysis.primary.cells import make_cells
 from analysis.primary.model import fit_attributes, fit_primary, tabulate_slopes
+from analysis.primary.precision import Precision, find_own
 from analysis.primary.sensitivity import vary_primary
 
 if TYPE_CHECKING:
@@ -409,6 +411,49 @@ def test_sensitivity_refuses_another_scale_and_what_the_primary_refuses(rows: pd
         vary_primary(rows, METRICS, top=7)
     with pytest.raises(ValueError, match="none of which differs"):
         vary_primary(rows.assign(sm=1.0), ["sm"])
+
+
+def test_precision_is_that_of_the_model_with_its_own_spreads() -> None:
+    """With equal numbers everywhere the standard error of generalised least squares has a closed form."""
+    people, scenes, kinds = 9, 7, 5
+    rng = np.random.default_rng(3)
+    metrics = rng.normal(size=(2, scenes, kinds)) + rng.normal(size=(2, 1, kinds))
+    metrics -= metrics.mean(axis=2, keepdims=True)
+    within = metrics.reshape(2, -1).T
+    scene, kind = (axis.ravel() for axis in np.indices((scenes, kinds)))
+    of_item, noise, of_kind, own_kind, slopes = 2.0, 6.0, 3.0, 1.5, 4.0
+    levels = np.eye(kinds)[kind]
+    spread = (of_item**2 + noise**2 / people) * np.eye(scenes * kinds)
+    spread += (of_kind**2 + own_kind**2 / people) * levels @ levels.T
+    # Recordings differ by anything at all: their means say nothing of slopes within.
+    design = np.column_stack([within, np.eye(scenes)[scene]])
+    weighted = np.linalg.inv(design.T @ np.linalg.solve(spread, design))
+    for place in (0, 1):
+        study = Precision(slopes, of_item, noise, 1.0, n_participants=people, n_recordings=scenes,
+                          n_items=len(within), n_slopes=2, reducer_sd=of_kind, rater_reducer_sd=own_kind,
+                          n_reducers=kinds, n_alike=scenes)  # fmt: skip
+        own, alike = find_own(within, place, kind, variances=study.find_variances())
+        study = replace(study, square=float(own @ own), reducer_square=float(alike @ alike))
+        assert study.find_se()[0] ** 2 == pytest.approx(weighted[place, place] + slopes**2 / people, rel=1e-9)
+
+
+def test_plans_grow_with_what_they_need() -> None:
+    study = Precision(5, 4, 10, 2.5, n_participants=20, n_recordings=10, n_items=90)
+    shared = replace(study, reducer_sd=6.0, n_reducers=9, n_alike=10.0)
+    alike, partly = (replace(shared, reducer_square=share * study.square) for share in (1.0, 0.5))
+    # What is the same in all recordings does not become more with recordings, what differs does.
+    assert shared.find_se()[0] == pytest.approx(study.find_se()[0])
+    many = [one.enlarge(recordings=10_000, participants=10_000).find_se()[0] for one in (study, partly, alike)]
+    assert many[0] < many[1] < 0.2
+    assert many[2] == pytest.approx(6.0 / np.sqrt(study.square / 10), rel=1e-2)
+    assert study.find_participants(12.0) < partly.find_participants(12.0) < np.inf
+    assert study.find_recordings(9.0) < partly.find_recordings(9.0) < np.inf
+    assert np.isnan(alike.find_recordings(9.0))
+    stricter = replace(study, level=0.05 / 4)
+    assert stricter.find_power(9.0) < study.find_power(9.0)
+    assert stricter.find_participants(9.0) > study.find_participants(9.0)
+    assert stricter.find_power(stricter.find_slope()) == pytest.approx(0.8)
+    assert (study.find_participants(1e4), study.find_recordings(1e4)) == (6, 4)
 
 
 @pytest.mark.soak

@@ -77,7 +77,8 @@ def compute(table: Table, choices: Choices) -> Section:
     slopes = tabulate_slopes({lead: model for lead, (_, model) in fits.items()})
     rows = list(slopes.to_dict("records"))
     numbers = [_name_slope(row, fits[row["attribute"]]) for row in rows]
-    precisions = [name_precision(row, *fits[row["attribute"]]) for row in rows]
+    tests = sum(row["estimable"] for row in rows)
+    precisions = [name_precision(row, *fits[row["attribute"]], n_tests=tests) for row in rows]
     told = list(zip(rows, numbers, precisions, strict=True))
     answers = [_judge_slope(row, number[0], *fits[row["attribute"]]) for row, number, _ in told]
     verdict = [_sum_up([one for one in told if one[0]["attribute"] == lead], *fit) for lead, fit in fits.items()]
