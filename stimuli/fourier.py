@@ -27,7 +27,6 @@ ROUNDING = 32 * np.finfo(np.float64).eps
 
 # So few that what is worked on stays in the processor's cache and no memory is asked from the system.
 _BINS_AT_A_TIME = 16384
-_PAGE = 4096  # bytes
 # Axes whose strengths differ by less than this are equally strong; the first of them counts.
 _TIE = 1e-6
 
@@ -182,9 +181,10 @@ class FourierFrames:
 
 
 def transform(samples: NDArray[np.float64]) -> list[NDArray[np.complex128]]:
-    """Give the spectra of the three axes, all at once where that is faster.
+    """Give the spectra of the three axes.
 
-    Axes that lie a whole number of memory pages apart fight for the same places in the processor's cache.
+    One after the other: at once they would ask for one large piece of fresh memory, and axes that lie a whole number of
+    memory pages apart would fight for the same places in the processor's cache.
 
     Parameters
     ----------
@@ -198,8 +198,6 @@ def transform(samples: NDArray[np.float64]) -> list[NDArray[np.complex128]]:
     """
     from scipy import fft
 
-    if samples.shape[-1] * samples.itemsize % _PAGE:
-        return [*np.moveaxis(fft.rfft(samples), -2, 0)]
     return [fft.rfft(axis) for axis in np.moveaxis(samples, -2, 0)]
 
 

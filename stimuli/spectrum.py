@@ -209,7 +209,10 @@ class OriginalSpectrum:
         n = samples.shape[-1]
         frequencies = GRIDS[grid](n, rate_hz)
         self._smooth = WeberSmoothing(frequencies, rate_hz / n, n // 2 + 1)
-        self._spectrum = energy_spectrum(samples, self._smooth.bins).sum(axis=-2)
+        # Axis by axis: three spectra at once cost more in fresh memory than they save in calls.
+        self._spectrum = energy_spectrum(samples[0], self._smooth.bins)
+        for axis in samples[1:]:
+            self._spectrum += energy_spectrum(axis, self._smooth.bins)
         # By Parseval's theorem the mean energy per bin of the two-sided spectrum is the energy in time.
         self._energy = float(np.einsum("in,in->", samples, samples))
         self._smoothed = self._smooth(self._spectrum)
