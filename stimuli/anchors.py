@@ -7,7 +7,8 @@ all, one at the quietest of those that are easily felt, half the energy in each:
 - the *low* anchor is steady: wrong frequency, and nothing happens when the tool touches something;
 - the *mid* anchor follows the recording's envelope: wrong frequency, but at the right times.
 
-What correlates with an axis by chance is taken out, so the temporal match of both is 0. `inspection.check_stimuli`
+What correlates with an axis by chance is taken out, so the temporal match of both is 0. In a stimulus set they are
+played at the sensation level of their recording, so that strength does not mark them. `inspection.check_stimuli`
 refuses a set in which an anchor does not score below every test stimulus of its recording on both metrics.
 
 References
