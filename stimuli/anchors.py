@@ -139,8 +139,9 @@ def _hum(recording: Recording, rng: np.random.Generator) -> Samples:
     hum = np.zeros(n)
     for centre in quietest_hz(recording):
         band = np.abs(frequency - centre) <= max(WEBER_FRACTION / 2 * centre, 0.5 * recording.rate_hz / n)
-        noise = fft.irfft(fft.rfft(rng.standard_normal(n)) * band, n)
-        hum += noise / noise.std()
+        # The phase of noise in the band, at a constant amplitude: peaks of noise would cost all stimuli their headroom.
+        analytic = fft.ifft(np.pad(fft.rfft(rng.standard_normal(n)) * band, (0, n - len(frequency))))
+        hum += analytic.real / np.abs(analytic)
     return hum
 
 

@@ -24,7 +24,7 @@ from study.settings.reading import read_settings
 from study.settings.remarks import list_remarks
 from study.settings.sources import make_recipe, try_recordings
 from study.settings.wording import find_language, read_study_texts
-from study.strength import Findings, find_reach, find_rig_limits, find_strength
+from study.strength import Findings, find_clipping, find_reach, find_rig_limits, find_strength
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -118,10 +118,12 @@ def _find_strength(
     """Find out how strong stimuli are, and, where there is a rig, how it brings them to the hand."""
     foreseen = foresee_stimuli(recordings, study.stimuli, recipe=recipe, progress=progress)
     found = find_strength(settings, foreseen, recipe)
+    is_built = (study.stimuli / "manifest.csv").exists()  # then its files are examined themselves
+    found.problems.extend([] if is_built else find_clipping(foreseen, recipe))
     if rig is None:
         return found
     name = study.rig.name
-    limits = [] if (study.stimuli / "manifest.csv").exists() else find_rig_limits(rig, foreseen, recipe.reference)
+    limits = [] if is_built else find_rig_limits(rig, foreseen, recipe.reference)
     reach = find_reach(rig, recordings, recipe)
     return Findings(
         [*found.problems, *(f"{name}: {line}" for line in limits)],

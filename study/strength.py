@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from protocols.trial import SURFACE
 from stimuli.condition import condition
 from stimuli.levels import find_headroom_cost
-from stimuli.perception import THRESHOLDS
+from stimuli.perception import THRESHOLDS, to_db
 from stimuli.recipe import GAIN_PER_RECORDING, ONE_GAIN, ORIGINAL
 from stimuli.sets import foresee_stimuli
 from study.actuator.limiter import ROUNDING
@@ -114,14 +114,14 @@ def describe_gains(foreseen: Sequence[Foreseen], recipe: Recipe) -> list[str]:
     lines = [f"{how}: {_write_range(gains)} m/s² played per m/s² recorded" if gains else how]
     if recipe.gain != ONE_GAIN:
         return lines
-    peaks = {name: max(one.peak_m_s2 / one.gain for one in own) for name, own in _group(foreseen).items()}
-    recording, cost_db = find_headroom_cost(peaks)
+    loudest = {name: max(own, key=_unit_peak) for name, own in _group(foreseen).items()}
+    recording, cost_db = find_headroom_cost({name: _unit_peak(one) for name, one in loudest.items()})
     if cost_db < COSTLY_DB:
         return lines
     return [
         *lines,
-        f"headroom: the peak of recording {recording!r} sets the gain; all other recordings are played {cost_db:.1f} "
-        f'dB weaker for it; gain = "{GAIN_PER_RECORDING}" avoids that',
+        f"headroom: the peak of recording {recording!r} ({loudest[recording].reducer}) sets the gain; all other "
+        f'recordings are played {cost_db:.1f} dB weaker for it; gain = "{GAIN_PER_RECORDING}" avoids that',
     ]
 
 
@@ -216,6 +216,20 @@ def find_reach(rig: Rig, recordings: Sequence[Recording], recipe: Recipe) -> Fin
     return Findings(warnings=[_tell_apart(rig, worst, name, among=differences)], figures=figures)
 
 
+def find_clipping(foreseen: Sequence[Foreseen], recipe: Recipe) -> list[str]:
+    """Find stimuli that are not built yet and will be limited at full scale: one line per recording."""
+    lines = []
+    for recording, own in _group(foreseen).items():
+        over = [one.peak_m_s2 / recipe.full_scale_m_s2 for one in own if one.peak_m_s2 > recipe.full_scale_m_s2]
+        if over:
+            lines.append(
+                f"recording {recording!r}: {len(over)} of {len(own)} stimuli will be clipped at full scale "
+                f"({recipe.full_scale_m_s2:g} m/s²), by up to {to_db(max(over)):.1f} dB; lower the gain or raise "
+                "full_scale_m_s2"
+            )
+    return lines
+
+
 def find_rig_limits(rig: Rig, foreseen: Sequence[Foreseen], reference: str) -> list[str]:
     """Find what a rig cannot play, by the peaks of stimuli that are not built yet."""
     needed = (REDUCED, *AXES) if reference == ORIGINAL else (REDUCED,)
@@ -241,6 +255,10 @@ def _group(foreseen: Sequence[Foreseen]) -> dict[str, list[Foreseen]]:
     for one in foreseen:
         groups.setdefault(one.recording, []).append(one)
     return groups
+
+
+def _unit_peak(one: Foreseen) -> float:
+    return one.peak_m_s2 / one.gain
 
 
 def _own_level(one: Foreseen, recipe: Recipe) -> float:
