@@ -23,7 +23,7 @@ from stimuli.match import (
     temporal_match,
     temporal_match_details,
 )
-from stimuli.perception import acceleration_threshold, felt_level
+from stimuli.perception import THRESHOLDS, acceleration_threshold, felt_level, sensation_level_db
 from stimuli.recipe import LEVELS, Recipe
 from stimuli.recording import UNITS, Recording
 from stimuli.reduce import REDUCERS
@@ -41,6 +41,7 @@ __all__ = [
     "METRICS",
     "REDUCERS",
     "SCENES",
+    "THRESHOLDS",
     "UNITS",
     "Conditioning",
     "Recipe",
@@ -64,6 +65,7 @@ __all__ = [
     "read_wav",
     "resample",
     "rotation_statistics",
+    "sensation_level_db",
     "spectral_match",
     "spectral_match_bounded",
     "spectral_match_details",

@@ -7,7 +7,8 @@ all, one at the quietest of those that are easily felt, half the energy in each:
 - the *low* anchor is steady: wrong frequency, and nothing happens when the tool touches something;
 - the *mid* anchor follows the recording's envelope: wrong frequency, but at the right times.
 
-What correlates with an axis by chance is taken out, so the temporal match of both is 0. `inspection.check_stimuli`
+What correlates with an axis by chance is taken out, so the temporal match of both is 0. In a stimulus set they are
+played at the sensation level of their recording, so that strength does not mark them. `inspection.check_stimuli`
 refuses a set in which an anchor does not score below every test stimulus of its recording on both metrics.
 
 References
@@ -138,8 +139,9 @@ def _hum(recording: Recording, rng: np.random.Generator) -> Samples:
     hum = np.zeros(n)
     for centre in quietest_hz(recording):
         band = np.abs(frequency - centre) <= max(WEBER_FRACTION / 2 * centre, 0.5 * recording.rate_hz / n)
-        noise = fft.irfft(fft.rfft(rng.standard_normal(n)) * band, n)
-        hum += noise / noise.std()
+        # The phase of noise in the band, at a constant amplitude: peaks of noise would cost all stimuli their headroom.
+        analytic = fft.ifft(np.pad(fft.rfft(rng.standard_normal(n)) * band, (0, n - len(frequency))))
+        hum += analytic.real / np.abs(analytic)
     return hum
 
 

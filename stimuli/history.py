@@ -50,10 +50,11 @@ def read_history(folder: Path) -> History:
 
     try:
         details = json.loads((folder / "manifest.json").read_bytes())
-        stimuli = TypeAdapter(list[Stimulus]).validate_python(details["stimuli"])
+        known = [{name: cell for name, cell in row.items() if cell is not None} for row in details["stimuli"]]
+        stimuli = TypeAdapter(list[Stimulus]).validate_python(known)
         keys = TypeAdapter(dict[str, str]).validate_python(details["keys"])
         measured = TypeAdapter(dict[str, Measured]).validate_python(details["measured"])
-    except (OSError, ValueError, TypeError, KeyError, RecursionError):
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return History()
     own = {row.stimulus_id: row for row in stimuli if PurePath(row.file).name == row.file == f"{row.stimulus_id}.wav"}
     return History(own, keys, measured)

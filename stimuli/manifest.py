@@ -33,13 +33,14 @@ COLUMN_UNITS = {
     "duration_s": "s",
     "peak": "largest magnitude in the file, 1 = full scale",
     "rms_m_s2": "m/s^2, root mean square that the actuators are to give (of all channels together)",
-    "gain": "m/s^2 given per m/s^2 recorded",
+    "gain": "m/s^2 played per m/s^2 recorded; per m/s^2 of an anchor that was made as strong as its recording",
     "spectral_match": "1 = identical energy spectra; conditioned recording and reduced signal, before level and rate",
     "temporal_match": "1 = perfectly correlated with every axis (as for spectral_match)",
     "clipped": "samples limited at full scale",
     "sha256": "digest of the file",
     "recording_sha256": "digest of the recording's source",
     "spectral_match_bounded": "0 to 1, 1 = identical energy spectra; deviations relative to the stronger of the two",
+    "sensation_level_db": "dB over the detection threshold of the recipe, as it will be played, in its loudest 200 ms",
 }
 
 
@@ -63,6 +64,8 @@ class Stimulus:
         Digests of the file and of its source.
     spectral_match_bounded : float
         As the other matches; NaN in a set that an earlier version built.
+    sensation_level_db : float
+        How strong it is felt; NaN for silence, and in a set that an earlier version built.
     """
 
     stimulus_id: str
@@ -83,6 +86,7 @@ class Stimulus:
     sha256: str
     recording_sha256: str
     spectral_match_bounded: float = math.nan
+    sensation_level_db: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)

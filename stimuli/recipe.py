@@ -6,17 +6,22 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from stimuli.condition import Conditioning
+from stimuli.perception import CONTACTOR, check_threshold
 from stimuli.recording import check_rate
 from stimuli.reduce import DEFAULT_REDUCERS, REDUCERS, get_reducer
 
 LEVELS = ("as_is", "equal_intensity")
-"""Level arms: one physical gain for the whole set, so that lost energy is felt as loss; or every stimulus brought to
-the same felt level, so that a rating cannot be one of strength."""
+"""Level arms: one physical gain, so that lost energy is felt as loss; or every stimulus brought to the same sensation
+level, so that a rating cannot be one of strength."""
 
 ORIGINAL = "original"
 """The reference that is the recording itself, on three channels."""
 
 NO_REFERENCE = "none"
+
+ONE_GAIN, GAIN_PER_RECORDING = GAINS = ("set", "per_recording")
+"""Automatic gains: one for the whole set, so that recordings differ in strength as they did when recorded; or one for
+each recording with its reference and anchors, so that no spike of one recording weakens the others."""
 
 RIG_RATES_HZ = (2000, 384_000)
 """Rates at which 1000 Hz can be played and sound devices run."""
@@ -44,10 +49,13 @@ class Recipe:
         The rig's sampling rate in Hz, a whole number.
     headroom : float
         Largest magnitude in a file that an automatic gain gives, as a share of full scale.
-    gain : float, optional
-        Physical gain of the `as_is` arm; chosen so that the loudest stimulus reaches the headroom if left out.
+    gain : float or {"set", "per_recording"}
+        Physical gain of the `as_is` arm, in m/s² played per m/s² recorded; or what an automatic gain is common to, in
+        both arms: the loudest stimulus of the whole set, or of each recording, reaches the headroom.
     fade_s : float
         Raised-cosine fade at both ends in s.
+    threshold : str
+        Detection threshold curve for sensation levels, a name of `THRESHOLDS`.
 
     Raises
     ------
@@ -63,8 +71,9 @@ class Recipe:
     reference: str = ORIGINAL
     rate_hz: float = 48000.0
     headroom: float = 0.9
-    gain: float | None = None
+    gain: float | str = ONE_GAIN
     fade_s: float = 0.01
+    threshold: str = CONTACTOR
 
     def __post_init__(self) -> None:
         """Refuse unknown names and numbers out of range."""
@@ -87,14 +96,17 @@ class Recipe:
     def _check_levels(self) -> None:
         if not 0 < self.headroom <= 1:
             raise ValueError(f"headroom: got {self.headroom}, allowed is above 0 and up to 1 (full scale)")
-        for name, value in (("full_scale_m_s2", self.full_scale_m_s2), ("gain", self.gain)):
-            if value is not None and not 0 < value < float("inf"):
-                raise ValueError(f"{name}: got {value}, allowed is a finite number above 0")
+        if not 0 < self.full_scale_m_s2 < float("inf"):
+            raise ValueError(f"full_scale_m_s2: got {self.full_scale_m_s2}, allowed is a finite number above 0")
+        if self.gain not in GAINS and (isinstance(self.gain, str) or not 0 < self.gain < float("inf")):
+            allowed = " or ".join(f"{name!r}" for name in GAINS)
+            raise ValueError(f"gain: got {self.gain!r}, allowed is a finite number above 0, {allowed}")
+        check_threshold(self.threshold)
         if not 0 <= self.fade_s < float("inf"):
             raise ValueError(f"fade_s: got {self.fade_s}, allowed is 0 s or more")
 
     def rendering(self) -> dict[str, Any]:
-        """Tell what decides a file besides its gain, for the key under which it is remembered.
+        """Give what decides a file besides its gain, for the key under which it is remembered.
 
         Returns
         -------
@@ -110,4 +122,5 @@ class Recipe:
             "rate_hz": self.rate_hz,
             "fade_s": self.fade_s,
             "full_scale_m_s2": self.full_scale_m_s2,
+            "threshold": self.threshold,  # anchors are made as strong as their recording
         }

@@ -19,7 +19,7 @@ from stimuli.condition import condition, fade, resample
 from stimuli.door import largest
 from stimuli.manifest import write_bytes
 from stimuli.match import axis_correlations, mean_heard
-from stimuli.perception import felt_level
+from stimuli.perception import THRESHOLDS, loudest_level
 from stimuli.recipe import NO_REFERENCE, ORIGINAL
 from stimuli.recording import digest_samples
 from stimuli.reduce import REDUCERS
@@ -28,7 +28,7 @@ from stimuli.version import __version__
 from stimuli.wav import write_wav
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     Samples = NDArray[np.float64]
 
 ROUNDING = 1e-9
-"""A stimulus below this share of its recording's felt level is what rounding left of axes that cancelled: silence."""
+"""A stimulus below this share of its recording's level is what rounding left of axes that cancelled: silence."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,14 +68,14 @@ class Measured:
     ----------
     peak : float
         Largest magnitude in m/s².
-    felt_level : float
-        Root mean square in multiples of the vibrotactile threshold.
+    levels : dict of str to float
+        Name of a threshold curve -> largest root mean square in any 200 ms, in multiples of the threshold.
     spectral_match, temporal_match, spectral_match_bounded : float
         Matches of the reduced signal with the conditioned recording.
     """
 
     peak: float
-    felt_level: float
+    levels: dict[str, float]
     spectral_match: float
     temporal_match: float
     spectral_match_bounded: float
@@ -87,7 +87,8 @@ class _Scale:
 
     recording: Recording
     spectrum: OriginalSpectrum
-    level: float
+    played: Samples
+    levels: dict[str, float]
 
 
 def list_candidates(recording: Recording, recipe: Recipe) -> tuple[Candidate, ...]:
@@ -157,12 +158,19 @@ def render_recording(
         If the recording cannot be conditioned, or is silent where people feel.
     """
     measured = {c.key: found for c in candidates if (found := _read_part(parts, c.key)) is not None}
-    missing = [c for c in candidates if c.key not in measured]
-    try:
-        measured.update(_render(recording, missing, recipe=recipe, parts=parts) if missing else {})
-    except ValueError as error:
-        raise ValueError(f"recording {recording.name!r}: {error}") from None
+    for candidate, samples, note in _render(recording, [c for c in candidates if c.key not in measured], recipe):
+        path = part_path(parts, candidate.key)
+        write_wav(path, samples, recipe.rate_hz)
+        write_bytes(_note_path(path), json.dumps({"bytes": path.stat().st_size, **asdict(note)}).encode())
+        measured[candidate.key] = note
     return measured
+
+
+def measure_recording(
+    recording: Recording, candidates: Sequence[Candidate], *, recipe: Recipe
+) -> dict[str, Measured]:
+    """Measure candidates of one recording as `render_recording` does, without writing anything."""
+    return {candidate.key: note for candidate, _, note in _render(recording, candidates, recipe)}
 
 
 def part_path(parts: Path, key: str) -> Path:
@@ -183,27 +191,42 @@ def part_path(parts: Path, key: str) -> Path:
     return parts / f"{key}.wav"
 
 
-def _render(recording: Recording, missing: Sequence[Candidate], *, recipe: Recipe, parts: Path) -> dict[str, Measured]:
-    conditioned = condition(recording, recipe.conditioning)
+def _render(
+    recording: Recording, wanted: Sequence[Candidate], recipe: Recipe
+) -> Iterator[tuple[Candidate, Samples, Measured]]:
+    """Make candidates one after the other: each with its samples for the rig in m/s², and what was measured."""
+    if not wanted:
+        return
+    try:
+        scale = _make_scale(condition(recording, recipe.conditioning), recipe)
+        for candidate in wanted:
+            samples, played = _play(candidate.reducer, scale, recipe)
+            yield candidate, played, _measure(samples, played, scale=scale, rate_hz=recipe.rate_hz)
+    except ValueError as error:
+        raise ValueError(f"recording {recording.name!r}: {error}") from None
+
+
+def _make_scale(conditioned: Recording, recipe: Recipe) -> _Scale:
     spectrum = OriginalSpectrum(conditioned.acceleration, conditioned.rate_hz)
     if spectrum.reason:
         raise ValueError(f"{spectrum.reason}: nothing can be felt or matched; leave it out")
-    scale = _Scale(conditioned, spectrum, felt_level(conditioned.acceleration, conditioned.rate_hz))
-    measured = {}
-    for candidate in missing:
-        samples = _make(candidate.reducer, conditioned)
-        rendered = _for_the_rig(samples, conditioned.rate_hz, recipe)
-        note = _measure(samples, rendered, scale=scale, rate_hz=recipe.rate_hz)
-        path = part_path(parts, candidate.key)
-        write_wav(path, rendered, recipe.rate_hz)
-        write_bytes(_note_path(path), json.dumps({"bytes": path.stat().st_size, **asdict(note)}).encode())
-        measured[candidate.key] = note
-    return measured
+    played = _for_the_rig(conditioned.acceleration, conditioned.rate_hz, recipe)
+    return _Scale(conditioned, spectrum, played, _measure_levels(played, recipe.rate_hz))
+
+
+def _play(reducer: str, scale: _Scale, recipe: Recipe) -> tuple[Samples, Samples]:
+    """Give what is made of a recording, at its own rate and for the rig; there, anchors are as strong as it is."""
+    if reducer == ORIGINAL:
+        return scale.recording.acceleration, scale.played
+    samples = _make(reducer, scale.recording)
+    played = _for_the_rig(samples, scale.recording.rate_hz, recipe)
+    if reducer not in ANCHORS:
+        return samples, played
+    own = loudest_level(played, recipe.rate_hz, threshold=recipe.threshold)
+    return samples, scale.levels[recipe.threshold] / own * played
 
 
 def _make(reducer: str, recording: Recording) -> Samples:
-    if reducer == ORIGINAL:
-        return recording.acceleration
     if reducer in ANCHORS:
         seed = [int(recording.sha256[:16], 16), *reducer.encode()]
         return ANCHORS[reducer](recording, np.random.default_rng(seed))
@@ -218,13 +241,17 @@ def _for_the_rig(samples: Samples, rate_hz: float, recipe: Recipe) -> Samples:
 
 def _measure(samples: Samples, rendered: Samples, *, scale: _Scale, rate_hz: float) -> Measured:
     # The level is that of what is played: fades and a removed offset change it. The metrics are those of the reduction.
-    level = felt_level(rendered, rate_hz)
-    level = level if level > ROUNDING * scale.level else 0.0
+    found = _measure_levels(rendered, rate_hz)
+    levels = {name: level if level > ROUNDING * scale.levels[name] else 0.0 for name, level in found.items()}
     if samples.ndim > 1:  # the original itself, matched channel by channel
-        return Measured(largest(rendered), level, 1.0, 1.0, 1.0)
+        return Measured(largest(rendered), levels, 1.0, 1.0, 1.0)
     spectral, bounded = scale.spectrum.match_both(samples)
     temporal = mean_heard(axis_correlations(scale.recording.acceleration, samples))
-    return Measured(largest(rendered), level, float(spectral), float(temporal), float(bounded))
+    return Measured(largest(rendered), levels, float(spectral), float(temporal), float(bounded))
+
+
+def _measure_levels(played: Samples, rate_hz: float) -> dict[str, float]:
+    return {name: loudest_level(played, rate_hz, threshold=name) for name in THRESHOLDS}
 
 
 def _read_part(parts: Path, key: str) -> Measured | None:

@@ -10,6 +10,7 @@ killed, or found the disk full, is continued by the next.
 from __future__ import annotations
 
 import hashlib
+import math
 import re
 import shutil
 from dataclasses import asdict, dataclass
@@ -24,7 +25,16 @@ from stimuli.history import History, read_history
 from stimuli.levels import choose_gains
 from stimuli.lock import hold_lock
 from stimuli.manifest import Stimulus, StimulusSet, write_manifest
-from stimuli.render import Candidate, Measured, list_candidates, part_path, render_recording, versions
+from stimuli.perception import sensation_level_db, to_db
+from stimuli.render import (
+    Candidate,
+    Measured,
+    list_candidates,
+    measure_recording,
+    part_path,
+    render_recording,
+    versions,
+)
 from stimuli.version import __version__
 from stimuli.wav import read_wav, write_wav
 
@@ -55,6 +65,36 @@ class _Order:
     def stimulus_id(self) -> str:
         made = "reference" if self.candidate.role == "reference" else self.candidate.reducer
         return f"{self.candidate.recording}__{made}__{self.level}"
+
+    @property
+    def sensation_levels_db(self) -> dict[str, float]:
+        """By threshold curve, as it will be played; minus infinity for silence."""
+        return {name: to_db(level * self.gain) for name, level in self.measured.levels.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class Foreseen:
+    """A stimulus as a build would make it.
+
+    Parameters
+    ----------
+    recording, reducer, role, level : str
+        As in the manifest.
+    gain : float
+        As in the manifest.
+    peak_m_s2 : float
+        Largest magnitude as it will be played, not limited.
+    sensation_levels_db : dict of str to float
+        Name of a threshold curve -> sensation level; minus infinity for silence.
+    """
+
+    recording: str
+    reducer: str
+    role: str
+    level: str
+    gain: float
+    peak_m_s2: float
+    sensation_levels_db: dict[str, float]
 
 
 def build_stimuli(
@@ -122,6 +162,54 @@ def _build(
     return _publish([written[order.stimulus_id] for order in in_order], folder, history=history, details=details)
 
 
+def foresee_stimuli(
+    recordings: Sequence[Recording], folder: Path, *, recipe: Recipe, progress: Progress | None = None
+) -> list[Foreseen]:
+    """Compute how strong the stimuli of a set will be; nothing is written.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        What the set is made from.
+    folder : Path
+        Where the set is, or will be; what an earlier build measured is not measured again.
+    recipe : Recipe
+        What is made of every recording.
+    progress : callable, optional
+        Called with (recordings done, recordings in all) after each.
+
+    Returns
+    -------
+    list of Foreseen
+        In the manifest's order.
+
+    Raises
+    ------
+    ValueError
+        If a recording cannot be used.
+    """
+    measured = dict(read_history(folder).measured)
+    wanted = {recording.name: list_candidates(recording, recipe) for recording in recordings}
+    for done, recording in enumerate(recordings, start=1):
+        new = [candidate for candidate in wanted[recording.name] if candidate.key not in measured]
+        measured.update(measure_recording(recording, new, recipe=recipe))
+        if progress:
+            progress(done, len(recordings))
+    return [
+        Foreseen(
+            order.candidate.recording,
+            order.candidate.reducer,
+            order.candidate.role,
+            order.level,
+            order.gain,
+            order.measured.peak * order.gain,
+            order.sensation_levels_db,
+        )
+        for orders in _place_orders(wanted, measured, recipe).values()
+        for order in orders
+    ]
+
+
 def _publish(
     rows: Sequence[Stimulus], folder: Path, *, history: History, details: Mapping[str, Any]
 ) -> StimulusSet:
@@ -180,8 +268,8 @@ def _make_parts_folder(folder: Path) -> Path:
 def _place_orders(
     wanted: Mapping[str, Sequence[Candidate]], measured: Mapping[str, Measured], recipe: Recipe
 ) -> dict[str, list[_Order]]:
-    keys = {candidate.key for candidates in wanted.values() for candidate in candidates}
-    gains = choose_gains({key: measured[key] for key in keys}, recipe)
+    keys = {name: [candidate.key for candidate in candidates] for name, candidates in wanted.items()}
+    gains = choose_gains(measured, recipe, recordings=keys)
     return {
         name: [
             _Order(candidate, measured[candidate.key], level, gains[level, candidate.key])
@@ -220,6 +308,10 @@ def _write(order: _Order, recording: Recording, *, recipe: Recipe, parts: Path) 
     path = parts / FINISHED / f"{order.stimulus_id}.wav"
     write_wav(path, samples, recipe.rate_hz)
     mean_square = np.einsum("...n,...n->...", samples, samples).sum() / samples.shape[-1]
+    sensation = order.sensation_levels_db[recipe.threshold]
+    if clipped:
+        played = samples * recipe.full_scale_m_s2
+        sensation = sensation_level_db(played, recipe.rate_hz, threshold=recipe.threshold)
     return Stimulus(
         stimulus_id=order.stimulus_id,
         recording=recording.name,
@@ -239,15 +331,22 @@ def _write(order: _Order, recording: Recording, *, recipe: Recipe, parts: Path) 
         sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
         recording_sha256=recording.sha256,
         spectral_match_bounded=order.measured.spectral_match_bounded,
+        sensation_level_db=sensation if np.isfinite(sensation) else math.nan,
     )
 
 
 def _details(orders: Sequence[_Order], recipe: Recipe, recordings: Sequence[Recording]) -> dict[str, Any]:
-    """Tell what `manifest.json` holds beside the rows: enough to rebuild the set and to tell what has changed."""
+    """Give what `manifest.json` holds beside the rows: enough to rebuild the set and to find what has changed."""
     return {
         "recipe": asdict(recipe),
         "conditioning": {r.name: list_steps(recipe.conditioning, r.rate_hz) for r in recordings},
         "versions": {"feel321": __version__, **versions()},
+        "sensation_levels_db": {
+            order.stimulus_id: {
+                name: value if np.isfinite(value) else None for name, value in order.sensation_levels_db.items()
+            }
+            for order in orders
+        },
         "keys": {order.stimulus_id: order.candidate.key for order in orders},
         "measured": {order.candidate.key: asdict(order.measured) for order in orders},
     }

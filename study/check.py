@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from protocols.groups import CHOOSING
 from protocols.spaced import find_crowding
@@ -12,6 +12,8 @@ from stimuli.anchors import quietest_hz
 from stimuli.condition import condition, fade
 from stimuli.inspection import check_stimuli
 from stimuli.manifest import read_stimuli
+from stimuli.sets import foresee_stimuli
+from study.actuator.reach import find_mix
 from study.actuator.rig import read_rig
 from study.preparing import list_rig_problems
 from study.provenance import find_changes
@@ -22,43 +24,67 @@ from study.settings.reading import read_settings
 from study.settings.remarks import list_remarks
 from study.settings.sources import make_recipe, try_recordings
 from study.settings.wording import find_language, read_study_texts
+from study.strength import Findings, find_clipping, find_reach, find_rig_limits, find_strength
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from stimuli.recipe import Recipe
     from stimuli.recording import Recording
+    from study.actuator.rig import Rig
     from study.folder import StudyFolder
     from study.settings.tables import Settings
 
 
-def check_study(study: StudyFolder) -> tuple[list[Recording], list[str]]:
-    """Check settings, recordings, pictures, texts, rig and, once it is built, the stimulus set of a study.
+class Checked(NamedTuple):
+    """What a check found.
+
+    Parameters
+    ----------
+    recordings : list of Recording
+        Those that can be read; each with its warnings.
+    problems : list of str
+        What keeps the study from running, one line each.
+    strength : Findings
+        How strongly stimuli are felt: warnings, notes and figures.
+    """
+
+    recordings: list[Recording]
+    problems: list[str]
+    strength: Findings
+
+
+def check_study(study: StudyFolder, *, progress: Callable[[int, int], None] | None = None) -> Checked:
+    """Check settings, recordings, pictures, texts, strength of the stimuli, rig and, once built, the stimulus set.
 
     Parameters
     ----------
     study : StudyFolder
         The study.
+    progress : callable, optional
+        Called with the numbers of recordings measured and to measure.
 
     Returns
     -------
-    recordings : list of Recording
-        Those that can be read; each with its warnings.
-    problems : list of str
-        One line each; empty if there is nothing to mend.
+    Checked
+        Recordings, problems (none if the study can run), and how strongly its stimuli are felt.
     """
     try:
         settings = read_settings(study.settings)
     except ValueError as error:
-        return [], str(error).splitlines()
-    recordings, problems = try_recordings(settings, study.path)
-    problems += [*_check_pictures(study, settings), *_check_texts(study, settings), *_check_rig(study, settings)]
-    recipe = None
-    try:
-        recipe = make_recipe(settings)
-        problems += _check_recordings(recordings, recipe)
-    except ValueError as error:
-        problems.append(f"{study.settings.name}: {error}")
+        return Checked([], str(error).splitlines(), Findings())
+    recordings, unread = try_recordings(settings, study.path)
+    rig, rig_problems = _check_rig(study, settings)
+    problems = [*unread, *_check_pictures(study, settings), *_check_texts(study, settings), *rig_problems]
+    recipe, unusable = _check_recipe(study, settings, recordings)
+    problems += unusable
+    strength = Findings()
+    if recipe is not None and not unread and not unusable:
+        try:
+            strength = _find_strength(study, settings, recordings, recipe=recipe, rig=rig, progress=progress)
+        except ValueError as error:
+            problems.append(str(error))
+    problems += strength.problems
     if study.stimuli.exists():
         problems += check_stimuli(study.stimuli) or _check_plan(study, settings)
         if recipe is not None:
@@ -67,7 +93,44 @@ def check_study(study: StudyFolder) -> tuple[list[Recording], list[str]]:
             problems += _check_origin(study, recipe, named)
     elif study.participants:
         problems.append(f"{study.stimuli}: is missing, but sessions were run with it; put it back or build it again")
-    return recordings, problems
+    return Checked(recordings, problems, strength)
+
+
+def _check_recipe(
+    study: StudyFolder, settings: Settings, recordings: Sequence[Recording]
+) -> tuple[Recipe | None, list[str]]:
+    try:
+        recipe = make_recipe(settings)
+    except ValueError as error:
+        return None, [f"{study.settings.name}: {error}"]
+    return recipe, list(_check_recordings(recordings, recipe))
+
+
+def _find_strength(
+    study: StudyFolder,
+    settings: Settings,
+    recordings: Sequence[Recording],
+    *,
+    recipe: Recipe,
+    rig: Rig | None,
+    progress: Callable[[int, int], None] | None,
+) -> Findings:
+    """Find out how strong stimuli are, and, where there is a rig, how it brings them to the hand."""
+    foreseen = foresee_stimuli(recordings, study.stimuli, recipe=recipe, progress=progress)
+    found = find_strength(settings, foreseen, recipe)
+    is_built = (study.stimuli / "manifest.csv").exists()  # then its files are examined themselves
+    found.problems.extend([] if is_built else find_clipping(foreseen, recipe))
+    if rig is None:
+        return found
+    name = study.rig.name
+    limits = [] if is_built else find_rig_limits(rig, foreseen, recipe.reference)
+    reach = find_reach(rig, recordings, recipe)
+    return Findings(
+        [*found.problems, *(f"{name}: {line}" for line in limits)],
+        [*found.warnings, *(f"{name}: {line}" for line in reach.warnings)],
+        [*(f"{name}: {line}" for line in reach.notes), *found.notes],
+        {**found.figures, **reach.figures},
+    )
 
 
 def _check_origin(study: StudyFolder, recipe: Recipe, recordings: Mapping[str, str | None]) -> list[str]:
@@ -134,19 +197,23 @@ def find_warnings(study: StudyFolder) -> list[str]:
     return remarks + [f"order 'random': {line}" for line in find_crowding(plan.trials)]
 
 
-def _check_rig(study: StudyFolder, settings: Settings) -> list[str]:
-    """Check the rig, where there is one: simulated participants need none."""
+def _check_rig(study: StudyFolder, settings: Settings) -> tuple[Rig | None, list[str]]:
+    """Check the rig, where there is one: simulated participants need none. One that serves for nothing is None."""
     if not study.rig.is_file():
-        return []
+        return None, []
     try:
         rig = read_rig(study.rig)
     except ValueError as error:
-        return str(error).splitlines()
+        return None, str(error).splitlines()
+    try:
+        find_mix(rig)
+    except ValueError as error:
+        return None, [f"{study.rig.name}: {error}"]
     try:
         stimuli = read_stimuli(study.stimuli)
     except (OSError, ValueError):
-        return []  # Not built yet, or damaged: others look at that.
-    return list_rig_problems(study, rig, settings=settings, stimuli=stimuli)
+        return rig, []  # Not built yet, or damaged: others look at that.
+    return rig, list_rig_problems(study, rig, settings=settings, stimuli=stimuli)
 
 
 def _check_plan(study: StudyFolder, settings: Settings) -> list[str]:

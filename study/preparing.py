@@ -66,7 +66,12 @@ def list_rig_problems(study: StudyFolder, rig: Rig, *, settings: Settings, stimu
         One line per kind of problem; empty if there is none.
     """
     from study.actuator.inspection import find_rig_problems
+    from study.actuator.reach import find_mix
 
+    try:
+        find_mix(rig)
+    except ValueError as error:
+        return [f"{study.rig.name}: {error}"]
     own = settings.rig
     problems = find_rig_problems(rig, stimuli, rate_hz=own.rate_hz, full_scale_m_s2=own.full_scale_m_s2)
     return [f"{study.rig.name}: {problem}" for problem in problems]

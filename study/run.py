@@ -20,6 +20,7 @@ from study.preparing import list_rig_problems, open_room, plan_sessions, require
 from study.session.engine import Outcome
 from study.settings.designs import make_identity
 from study.settings.reading import read_settings
+from study.strength import find_unfelt
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -90,12 +91,17 @@ def run_participant(
     Raises
     ------
     ValueError
-        If the stimulus set or the rig does not serve, or the session was begun otherwise.
+        If the stimulus set or the rig does not serve, stimuli of a real session cannot be felt and nobody accepted
+        that, or the session was begun otherwise.
     OSError
         If the device or the screen is not there.
     """
     settings, stimuli = read_settings(study.settings), read_stimuli(study.stimuli)
     require_current_set(study, settings)
+    if unfelt := find_unfelt(settings, stimuli):
+        if not (study.is_rehearsal or visit.simulated):
+            raise ValueError(f"{study.settings}: {unfelt}")
+        (warn or (lambda _: None))(unfelt)
     lab = _prepare_lab(study, visit, settings=settings, stimuli=stimuli)
     room, notice = open_room(study, settings, stimuli, now=now)
     plan = plan_sessions(room, settings, [visit.participant], simulated=visit.simulated)[0]

@@ -17,6 +17,7 @@ from study.session.opening import PLAN_FILE
 from study.settings.reading import read_settings
 from study.settings.sources import list_origins, make_recipe, open_recordings
 from study.simulate import Simulation, run_simulation
+from study.strength import find_unfelt
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -105,9 +106,10 @@ def simulate_study(
     stimuli = read_stimuli(study.stimuli)
     require_current_set(study, settings)
     seed = settings.study.seed if seed is None else seed
+    unfelt = find_unfelt(settings, stimuli)
     notices = run_simulation(Simulation(study, settings, stimuli, seed, now), participants, progress=progress)
     if warn is not None:
-        for notice in notices:
+        for notice in filter(None, (unfelt, *notices)):
             warn(notice)
     write_roster(study)
     return write_ratings(study, stimuli)

@@ -8,6 +8,7 @@ import numpy as np
 
 from stimuli.recording import check_finite
 from stimuli.wav import read_wav
+from study.actuator.reach import find_mix
 from study.actuator.rig import AXES, REDUCED
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ SOURCES = {1: (REDUCED,), len(AXES): AXES}
 def render_stimulus(stimulus: Stimulus, folder: Path, rig: Rig, *, full_scale_m_s2: float) -> NDArray[np.float32]:
     """Render one stimulus for a rig.
 
-    Where study and actuator have the same full scale, the samples are those of the file.
+    Where study and actuator have the same full scale, the samples are those of the file times the coil's weight.
 
     Parameters
     ----------
@@ -67,8 +68,12 @@ def render_stimulus(stimulus: Stimulus, folder: Path, rig: Rig, *, full_scale_m_
             "reference in study.toml that the rig can play"
         )
     rendered = np.zeros((stimulus.n_samples, rig.n_channels), dtype=np.float32)
+    mix = find_mix(rig)
     for actuator in rig.actuators:
-        played = [track for source, track in zip(sources, tracks, strict=True) if source in actuator.plays]
+        factors = mix[actuator.name]
+        played = [
+            factors[source] * track for source, track in zip(sources, tracks, strict=True) if source in actuator.plays
+        ]
         scale = full_scale_m_s2 / actuator.full_scale_m_s2
         rendered[:, actuator.channel - 1] = sum(played, np.zeros(stimulus.n_samples)) * scale
     return rendered

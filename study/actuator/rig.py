@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from study.settings.fields import Count, NotNegative, Positive, Some, Table, Words, one_of
+from study.settings.fields import Count, Finite, NotNegative, Positive, Some, Table, Words, one_of
 from study.settings.parsing import parse_toml
 
 if TYPE_CHECKING:
@@ -42,13 +42,24 @@ class DeviceTable(Table):
     latency_s: Annotated[Positive, Field(le=2)] = 0.05
 
 
+def _check_direction(direction: tuple[float, float, float]) -> tuple[float, float, float]:
+    if not any(direction):
+        raise ValueError("allowed is a direction of motion, such as [1, 0, 0]; its length does not matter")
+    return direction
+
+
+Direction = Annotated[tuple[Finite, Finite, Finite], AfterValidator(_check_direction)]
+
+
 class ActuatorTable(Table):
-    """`[[actuators]]`: one actuator."""
+    """`[[actuators]]`: one actuator; `reach` says what directions and weights do."""
 
     name: Words
     channel: Channel
     full_scale_m_s2: Acceleration = 100.0
     plays: Annotated[tuple[Annotated[str, one_of((REDUCED, *AXES))], ...], Some] = (REDUCED,)
+    direction: Direction | None = None
+    weight: Annotated[Positive, Field(le=100)] | None = None
 
 
 class LimitsTable(Table):
@@ -205,7 +216,7 @@ def take_device(rig: Rig, name: str) -> Rig:
 
 
 def identify(rig: Rig) -> dict[str, Any]:
-    """Tell all that decides what a rig does to a stimulus, for a journal's header.
+    """List all that decides what a rig does to a stimulus, for a journal's header.
 
     Parameters
     ----------
@@ -215,6 +226,13 @@ def identify(rig: Rig) -> dict[str, Any]:
     Returns
     -------
     dict
-        All settings, as JSON has them; tables that the rig does not have are None.
+        All settings, as JSON has them; tables that the rig does not have are None. Directions and weights stand there
+        where they are given, so that sessions of rigs without them can be resumed.
     """
-    return rig.model_dump(mode="json")
+    settings = rig.model_dump(mode="json")
+    late = ("direction", "weight")
+    actuators = [
+        {name: value for name, value in actuator.items() if name not in late or value is not None}
+        for actuator in settings["actuators"]
+    ]
+    return {**settings, "actuators": actuators}

@@ -36,17 +36,21 @@ def new(folder: Path, *, bundled: str | None) -> None:
 @json_option
 @click.pass_context
 def check(context: click.Context, *, study: StudyFolder, as_json: bool) -> None:
-    """Check settings, recordings and stimuli, all at once."""
+    """Check settings, recordings, strength of the stimuli, rig and stimulus set, all at once."""
     from study.check import check_study, find_warnings
 
-    recordings, problems = check_study(study)
+    with show_progress("check") as progress:
+        recordings, problems, strength = check_study(study, progress=progress)
     report_warnings(recordings)
-    for warning in [] if problems else find_warnings(study):
+    warnings = [*strength.warnings, *([] if problems else find_warnings(study))]
+    for warning in warnings:
         warn(warning)
     if as_json:
-        print_json({"problems": problems})
+        print_json({"problems": problems, "warnings": warnings, "notes": strength.notes, **strength.figures})
     else:
-        click.echo("\n".join(problems) or f"{study.path}: nothing to mend")
+        count = len(warnings) + sum(len(recording.warnings) for recording in recordings)
+        good = f"{study.path}: no problems" + (f", {count} warning{'s' * (count > 1)}" if count else "")
+        click.echo("\n".join([*(problems or [good]), *strength.notes]))
     context.exit(1 if problems else 0)
 
 
@@ -56,16 +60,18 @@ def check(context: click.Context, *, study: StudyFolder, as_json: bool) -> None:
 @json_option
 def build(*, study: StudyFolder, workers: int, as_json: bool) -> None:
     """Build the stimulus set; only what changed is made again."""
+    from study.strength import describe_built
     from study.workflow import build_study
 
     with show_progress("build") as progress:
         recordings, stimuli = build_study(study, workers=workers, progress=progress)
     report_warnings(recordings)
+    notes = describe_built(study.settings, recordings, stimuli)
     summary = {"stimuli": len(stimuli.stimuli), "folder": str(stimuli.folder), "sha256": stimuli.sha256}
     if as_json:
-        print_json(summary)
+        print_json({**summary, "notes": notes})
     else:
-        click.echo(f"{stimuli.folder}: {len(stimuli.stimuli)} stimuli, set {stimuli.sha256[:12]}")
+        click.echo("\n".join([f"{stimuli.folder}: {len(stimuli.stimuli)} stimuli, set {stimuli.sha256[:12]}", *notes]))
 
 
 @click.command(epilog="Example: feel321 demo --dir demo-study")

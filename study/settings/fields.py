@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, WrapValidator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, WrapValidator
 from pydantic_core import PydanticCustomError
 
 if TYPE_CHECKING:
@@ -116,14 +116,33 @@ def check_words(text: str) -> str:
     return text
 
 
+def number_or(names: Collection[str], *, least: float, most: float) -> WrapValidator:
+    """Make the rule that a value is a number in a range, or one of some words."""
+    number = TypeAdapter(Annotated[float, Field(ge=least, le=most)])
+
+    def check(value: object, _read: ValidatorFunctionWrapHandler) -> object:
+        if isinstance(value, str) and value in names:
+            return value
+        try:
+            return number.validate_python(value, strict=True)
+        except ValidationError as error:
+            raise _refuse(error, names) from None
+
+    return WrapValidator(check)
+
+
 def _take_off(value: object, read: ValidatorFunctionWrapHandler) -> object:
     if value == OFF:
         return None
     try:
         return read(value)
     except ValidationError as error:
-        reason = {"reason": error.errors()[0]["msg"]}
-        raise PydanticCustomError("off_or", '{reason}, or "off"', reason) from None
+        raise _refuse(error, [OFF]) from None
+
+
+def _refuse(error: ValidationError, words: Collection[str]) -> PydanticCustomError:
+    allowed = {"reason": error.errors()[0]["msg"], "words": " or ".join(f'"{word}"' for word in words)}
+    return PydanticCustomError("word_or", "{reason}, or {words}", allowed)
 
 
 Distinct = AfterValidator(check_distinct)

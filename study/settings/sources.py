@@ -160,6 +160,7 @@ def make_recipe(settings: Settings) -> Recipe:
         reference=stimuli.reference,
         gain=stimuli.gain,
         fade_s=stimuli.fade_s,
+        threshold=stimuli.threshold,
         rate_hz=rig.rate_hz,
         full_scale_m_s2=rig.full_scale_m_s2,
         headroom=rig.headroom,

@@ -11,7 +11,8 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Discriminator, Field, Tag
 
-from stimuli.recipe import LEVELS, NO_REFERENCE, ORIGINAL
+from stimuli.perception import CONTACTOR, THRESHOLDS
+from stimuli.recipe import GAINS, LEVELS, NO_REFERENCE, ONE_GAIN, ORIGINAL
 from stimuli.recording import UNITS
 from stimuli.reduce import DEFAULT_REDUCERS, REDUCERS
 from stimuli.sets import check_names
@@ -27,6 +28,7 @@ from study.settings.fields import (
     Table,
     Words,
     check_some,
+    number_or,
     one_of,
 )
 from study.settings.session_tables import Between, SessionTable, Tasks
@@ -118,6 +120,11 @@ class ConditioningTable(Table):
     crop_s: tuple[NotNegative, Positive] | None = None
 
 
+ACCEPT = "accept"
+BELOW_THRESHOLD = ("refuse", ACCEPT)
+"""Whether stimuli that are weaker than the detection threshold keep a study from running."""
+
+
 class StimuliTable(Table):
     """`[stimuli]`: what is made of each recording."""
 
@@ -125,8 +132,10 @@ class StimuliTable(Table):
     levels: Annotated[tuple[Annotated[str, one_of(LEVELS)], ...], Some] = LEVELS[:1]
     anchors: bool = True
     reference: Annotated[str, one_of((ORIGINAL, NO_REFERENCE, *REDUCERS))] = ORIGINAL
-    gain: Annotated[float, Field(ge=1e-6, le=1e6)] | None = None
+    gain: Annotated[float | str, number_or(GAINS, least=1e-6, most=1e6)] = ONE_GAIN
     fade_s: NotNegative = 0.01
+    threshold: Annotated[str, one_of(THRESHOLDS)] = CONTACTOR
+    below_threshold: Annotated[str, one_of(BELOW_THRESHOLD)] = "refuse"
     conditioning: ConditioningTable = ConditioningTable()
 
 

@@ -3,7 +3,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stimuli.perception import acceleration_threshold, displacement_threshold, felt_level
+from stimuli.condition import fade
+from stimuli.perception import (
+    THRESHOLDS,
+    acceleration_threshold,
+    displacement_threshold,
+    felt_level,
+    loudest_level,
+    sensation_level_db,
+)
 
 
 def test_the_hand_is_most_sensitive_near_250_hz_with_12_db_per_octave_on_either_side() -> None:
@@ -48,3 +56,66 @@ def test_the_nyquist_bin_counts_once() -> None:
     alternating = np.cos(np.pi * np.arange(1000))  # 500 Hz at 1000 Hz: RMS 1
     expected = 1 / (acceleration_threshold(500.0) / np.sqrt(2))
     assert felt_level(alternating, 1000.0) == pytest.approx(expected)
+
+
+# --- sensation levels -------------------------------------------------------------------------------------------
+
+
+def tone(frequency: float, *, seconds: float = 1.0, rate_hz: float = 8000.0) -> np.ndarray:
+    time = np.arange(round(seconds * rate_hz)) / rate_hz
+    return fade(np.sin(2 * np.pi * frequency * time), rate_hz, fade_s=seconds / 10)
+
+
+@pytest.mark.parametrize("threshold", THRESHOLDS)
+@pytest.mark.parametrize("frequency", [20.0, 45.0, 100.0, 250.0, 320.0, 700.0, 1000.0])
+def test_a_tone_at_its_threshold_has_0_db_and_20_db_more_has_20_db(frequency: float, threshold: str) -> None:
+    at_threshold = acceleration_threshold(frequency, threshold=threshold) * tone(frequency)
+    level = sensation_level_db(at_threshold, 8000.0, threshold=threshold)
+    assert level == pytest.approx(0.0, abs=0.15)
+    assert sensation_level_db(10 * at_threshold, 8000.0, threshold=threshold) == pytest.approx(level + 20, abs=1e-9)
+
+
+@pytest.mark.parametrize("n", [1, 77, 1600, 20_011])
+def test_silence_around_a_vibration_changes_no_level(n: int) -> None:
+    burst = np.random.default_rng(n).standard_normal((3, 900)) * np.hanning(900)
+    quiet = np.zeros((3, n))
+    alone = loudest_level(burst, 8000.0)
+    for longer in ([burst, quiet], [quiet, burst], [quiet, burst, quiet, quiet]):
+        assert loudest_level(np.hstack(longer), 8000.0) == pytest.approx(alone, rel=2e-3)
+
+
+def test_the_loudest_window_is_found_by_brute_force() -> None:
+    rng = np.random.default_rng(3)
+    signal = rng.standard_normal((2, 6000)) * rng.random(6000) ** 8
+    frequency = np.fft.rfftfreq(16_000, 1 / 8000)
+    weights = np.zeros(len(frequency))
+    inside = (frequency >= 20) & (frequency <= 1000)
+    edge = np.cos(np.pi / 2 * np.clip(np.log2(np.maximum(20 / frequency[1:], frequency[1:] / 1000)) / 0.5, 0, 1))
+    weights[1:] = edge / (acceleration_threshold(frequency[1:]) / np.sqrt(2))
+    assert inside.sum() > 1000
+    weighted = np.fft.irfft(np.fft.rfft(signal, 16_000) * weights)
+    sums = [np.sum(weighted[:, start : start + 1600] ** 2) for start in range(7600)]
+    assert loudest_level(signal, 8000.0) == pytest.approx(np.sqrt(max(sums) / 1600), rel=1e-4)
+
+
+def test_energy_is_summed_over_200_ms() -> None:
+    short, long = (loudest_level(tone(250.0, seconds=seconds), 8000.0) for seconds in (0.05, 0.1))
+    assert long / short == pytest.approx(np.sqrt(2), rel=0.01)
+
+
+def test_silence_has_no_level() -> None:
+    assert sensation_level_db(np.zeros((3, 100)), 1000.0) == -np.inf
+
+
+def test_the_stylus_keeps_the_published_numbers() -> None:
+    points = displacement_threshold([10.0, 20.0, 320.0], threshold="grasped_stylus")
+    np.testing.assert_allclose(points, [26e-6, 8.5e-6, 0.06e-6], rtol=1e-12)
+    first, last = displacement_threshold([10.0, 160.0], threshold="grasped_stylus")
+    assert 20 * np.log10(last / first) / 4 == pytest.approx(-13, abs=1e-9)  # mean slope per octave
+    above = displacement_threshold([400.0, 800.0], threshold="grasped_stylus")
+    assert 20 * np.log10(above[1] / above[0]) == pytest.approx(12.04, abs=0.01)
+
+
+def test_an_unknown_curve_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"threshold: got 'finger', allowed is one of contactor, grasped_stylus"):
+        acceleration_threshold(100.0, threshold="finger")

@@ -19,15 +19,16 @@ import pytest
 from stimuli.anchors import ANCHORS, quietest_hz
 from stimuli.condition import Conditioning, condition
 from stimuli.inspection import check_stimuli
+from stimuli.levels import find_headroom_cost
 from stimuli.lock import hold_lock
 from stimuli.manifest import COLUMN_UNITS, Stimulus, read_stimuli, write_bytes, write_manifest
 from stimuli.match import METRICS, spectral_match, temporal_match
-from stimuli.perception import felt_level
-from stimuli.recipe import Recipe
+from stimuli.perception import THRESHOLDS, felt_level, loudest_level, sensation_level_db
+from stimuli.recipe import GAINS, Recipe
 from stimuli.recording import Recording
 from stimuli.reduce import DEFAULT_REDUCERS, REDUCERS
 from stimuli.render import list_candidates
-from stimuli.sets import PARTS, build_stimuli
+from stimuli.sets import PARTS, build_stimuli, foresee_stimuli
 from stimuli.synthesis import SCENES, make_scene
 from stimuli.wav import read_wav, write_wav
 
@@ -38,6 +39,7 @@ CONTRACT = [
     "stimulus_id", "recording", "reducer", "level", "role", "file", "rate_hz", "n_samples", "duration_s", "peak",
     "rms_m_s2", "gain", "spectral_match", "temporal_match", "clipped", "sha256", "recording_sha256",
     "spectral_match_bounded",
+    "sensation_level_db",
 ]
 BOTH = ("as_is", "equal_intensity")
 
@@ -104,9 +106,106 @@ def test_as_is_has_one_gain_and_lets_lost_energy_be_felt(built: StimulusSet) -> 
 
 def test_equal_intensity_is_felt_alike(built: StimulusSet) -> None:
     rows = [row for row in built.stimuli if row.level == "equal_intensity"]
-    levels = [felt_level(read_wav(built.folder / row.file)[0], 48000.0) for row in rows]
+    levels = [loudest_level(read_wav(built.folder / row.file)[0], 48000.0) for row in rows]
     assert max(levels) / min(levels) == pytest.approx(1.0, abs=1e-5)
     assert max(row.peak for row in rows) == pytest.approx(Recipe().headroom, rel=1e-6)
+
+
+def test_taps_and_hum_are_made_equally_strong_where_they_are_loudest(tmp_path: Path) -> None:
+    taps, hum = (make_scene(name, duration_s=1.5) for name in ("hard_taps", "circular_motion"))
+    recipe = Recipe(reducers=("dft321",), levels=("equal_intensity",))
+    late = np.pad(taps.acceleration, ((0, 0), (0, 20_000)))
+    recordings = [taps, hum, replace(taps, acceleration=late, name="late", sha256="late")]
+    rows = {(row.recording, row.reducer): row for row in build_stimuli(recordings, tmp_path, recipe=recipe).stimuli}
+    played = {key: read_wav(tmp_path / row.file)[0] * recipe.full_scale_m_s2 for key, row in rows.items()}
+    levels = [sensation_level_db(samples, 48000.0) for samples in played.values()]
+    assert max(levels) - min(levels) < 1e-3
+    whole = {key: 20 * np.log10(felt_level(samples, 48000.0)) for key, samples in played.items()}
+    assert whole["circular_motion", "dft321"] - whole["hard_taps", "dft321"] > 3  # made equal, taps would be stronger
+    silence = rows["late", "original"].gain / rows["hard_taps", "original"].gain
+    assert silence == pytest.approx(1.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("threshold", THRESHOLDS)
+def test_rows_give_the_sensation_level_as_it_is_played(threshold: str, scenes: list[Recording], tmp_path: Path) -> None:
+    recipe = Recipe(reducers=("sax321", "dft321"), levels=BOTH, threshold=threshold)
+    built = build_stimuli(scenes, tmp_path, recipe=recipe)
+    details = json.loads((tmp_path / "manifest.json").read_text())
+    for row in built.stimuli:
+        played = read_wav(tmp_path / row.file)[0] * recipe.full_scale_m_s2
+        found = {name: sensation_level_db(played, 48000.0, threshold=name) for name in THRESHOLDS}
+        assert details["sensation_levels_db"][row.stimulus_id] == pytest.approx(found, abs=1e-4)
+        assert details["sensation_levels_db"][row.stimulus_id][threshold] == row.sensation_level_db
+
+
+def test_what_is_clipped_is_felt_as_it_is_limited(scenes: list[Recording], tmp_path: Path) -> None:
+    recipe = Recipe(reducers=("dft321",), anchors=False, reference="none", gain=50.0)
+    (row,) = build_stimuli(scenes[:1], tmp_path, recipe=recipe).stimuli
+    played = read_wav(tmp_path / row.file)[0] * recipe.full_scale_m_s2
+    assert row.clipped
+    assert row.sensation_level_db == pytest.approx(sensation_level_db(played, 48000.0), abs=1e-4)
+
+
+def test_anchors_are_as_strong_as_their_recording(built: StimulusSet) -> None:
+    levels = {(row.recording, row.level, row.reducer): row.sensation_level_db for row in built.stimuli}
+    anchors = [key for key in levels if key[2] in ANCHORS]
+    assert len(anchors) == 12
+    for recording, level, reducer in anchors:
+        assert levels[recording, level, reducer] == pytest.approx(levels[recording, level, "original"], abs=1e-6)
+
+
+def test_a_gain_per_recording_spares_the_others_the_cost_of_a_spike(scenes: list[Recording], tmp_path: Path) -> None:
+    spike = scenes[1].acceleration.copy()
+    spike[0, 3000:3020] += 40 * np.abs(spike).max() * np.hanning(20)
+    spiked = [scenes[0], replace(scenes[1], acceleration=spike, sha256="spiked")]
+    recipe = Recipe(reducers=("sax321", "dft321"), levels=BOTH)
+    gains, levels = {}, {}
+    for gain in GAINS:
+        rows = build_stimuli(spiked, tmp_path / gain, recipe=replace(recipe, gain=gain)).stimuli
+        for name in ("bumps", "texture_drag"):
+            own = [row for row in rows if row.recording == name]
+            (gains[gain, name],) = {row.gain for row in own if row.level == "as_is"}
+            equal = [row.sensation_level_db for row in own if row.level == "equal_intensity"]
+            assert max(equal) - min(equal) < 1e-9
+            levels[gain, name] = equal[0]
+        quiet = max(row.peak for row in rows if (row.recording, row.level) == ("bumps", "as_is"))
+        assert quiet == pytest.approx(0.9, rel=1e-6) if gain == "per_recording" else quiet < 0.1
+    assert gains["set", "bumps"] == gains["set", "texture_drag"] == gains["per_recording", "texture_drag"]
+    assert levels["per_recording", "bumps"] > levels["set", "bumps"] + 3
+    foreseen = foresee_stimuli(spiked, tmp_path / "set", recipe=replace(recipe, levels=("as_is",)))
+    names = ("bumps", "texture_drag")
+    peaks = {name: max(one.peak_m_s2 for one in foreseen if one.recording == name) for name in names}
+    cost_db = pytest.approx(20 * np.log10(gains["per_recording", "bumps"] / gains["set", "bumps"]))
+    assert find_headroom_cost(peaks) == ("texture_drag", cost_db)
+
+
+def test_what_is_foreseen_is_what_is_built(scenes: list[Recording], tmp_path: Path) -> None:
+    recipe = Recipe(reducers=("sax321", "dft321_windowed"), levels=BOTH, gain="per_recording")
+    steps: list[tuple[int, int]] = []
+    foreseen = foresee_stimuli(scenes, tmp_path, recipe=recipe, progress=lambda *step: steps.append(step))
+    assert steps == [(1, 3), (2, 3), (3, 3)]
+    assert not list(tmp_path.iterdir())
+    rows = build_stimuli(scenes, tmp_path, recipe=recipe).stimuli
+    assert {(one.recording, one.reducer, one.level, one.role, one.gain) for one in foreseen} == {
+        (row.recording, row.reducer, row.level, row.role, row.gain) for row in rows
+    }
+    for one, row in zip(foreseen, rows_by_recording(rows), strict=True):
+        assert one.sensation_levels_db["contactor"] == row.sensation_level_db
+        assert one.peak_m_s2 == pytest.approx(row.peak * recipe.full_scale_m_s2, rel=1e-6)
+    assert foresee_stimuli(scenes, tmp_path, recipe=recipe) == foreseen  # from what the build remembers
+
+
+def rows_by_recording(rows: tuple[Stimulus, ...]) -> list[Stimulus]:
+    names = list(dict.fromkeys(row.recording for row in rows))
+    return sorted(rows, key=lambda row: names.index(row.recording))
+
+
+def test_a_set_of_an_earlier_version_is_read_without_levels(built: StimulusSet, tmp_path: Path) -> None:
+    lines = (built.folder / "manifest.csv").read_text().splitlines()
+    (tmp_path / "manifest.csv").write_text("\n".join(line.rsplit(",", 1)[0] for line in lines))
+    rows = read_stimuli(tmp_path).stimuli
+    assert all(np.isnan(row.sensation_level_db) for row in rows)
+    assert [row.stimulus_id for row in rows] == [row.stimulus_id for row in built.stimuli]
 
 
 def test_scores_are_those_of_the_conditioned_recording(built: StimulusSet, scenes: list[Recording]) -> None:
@@ -462,7 +561,9 @@ def test_a_set_whose_anchor_is_no_anchor_is_refused(scenes: list[Recording], tmp
         ({"rate_hz": 100.0}, "from 2000 to 384000"),
         ({"headroom": 1.5}, "up to 1"),
         ({"full_scale_m_s2": 0.0}, "full_scale_m_s2: got 0.0"),
-        ({"gain": float("inf")}, "gain: got inf"),
+        ({"gain": float("inf")}, "gain: got inf, allowed is a finite number above 0, 'set' or 'per_recording'"),
+        ({"gain": "loud"}, "gain: got 'loud'"),
+        ({"threshold": "finger"}, "threshold: got 'finger', allowed is one of contactor, grasped_stylus"),
         ({"fade_s": -1.0}, "fade_s: got -1.0"),
     ],
 )
@@ -499,6 +600,8 @@ def test_silence_cannot_be_made_equally_strong(scenes: list[Recording], tmp_path
         build_stimuli([*scenes, silent], tmp_path, recipe=recipe)
     as_is = build_stimuli([silent], tmp_path, recipe=Recipe(anchors=False))
     assert {row.peak for row in as_is.stimuli} == {0.0}
+    assert (tmp_path / "manifest.csv").read_text().splitlines()[1].endswith(",")  # no level, neither 0 nor infinity
+    assert "Infinity" not in (tmp_path / "manifest.json").read_text()
 
 
 def test_a_gain_that_clips_is_counted_and_reported(scenes: list[Recording], tmp_path: Path) -> None:
@@ -515,7 +618,7 @@ def test_a_gain_that_clips_is_counted_and_reported(scenes: list[Recording], tmp_
     [
         ("", "holds no stimulus"),
         ("a,b\n1,2\n", "line 2: wrong or missing columns stimulus_id"),
-        (",".join(CONTRACT) + "\n" + "x," * 6 + "fast" + ",1" * 11 + "\n", "line 2: could not convert string to float"),
+        (",".join(CONTRACT) + "\n" + "x," * 6 + "fast" + ",1" * 12 + "\n", "line 2: could not convert string to float"),
         (b"\xff\xfe", "UTF-8"),
     ],
 )

@@ -118,7 +118,7 @@ def test_a_silent_recording_is_found_where_it_shall_have_anchors(study: StudyFol
     study.settings.write_text(text, encoding="utf-8")
     (problem,) = check_study(study)[1]
     assert problem.startswith("recording 'still': 'still' is silent between 20 and 1000 Hz: it can have no anchors")
-    study.settings.write_text(f"{text}anchors = false", encoding="utf-8")
+    study.settings.write_text(f'{text}anchors = false\nbelow_threshold = "accept"', encoding="utf-8")
     assert check_study(study)[1] == []
     build_study(study)
 

@@ -1,0 +1,166 @@
+"""How strongly stimuli are felt: what `check`, `build`, `run` and `simulate` say of it."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from stimuli.formats import read_recording
+from stimuli.manifest import read_stimuli
+from stimuli.recipe import Recipe
+from stimuli.sets import foresee_stimuli
+from stimuli.synthesis import make_scene
+from stimuli.wav import write_wav
+from study.check import check_study
+from study.cli import main
+from study.folder import StudyFolder, create_study
+from study.run import Visit, run_participant
+from study.workflow import build_study
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from datetime import datetime
+    from pathlib import Path
+
+    Capture = pytest.CaptureFixture[str]
+
+
+def set_up(study: StudyFolder, lines: str) -> StudyFolder:
+    """Add lines under [stimuli]."""
+    text = study.settings.read_text(encoding="utf-8").replace("[stimuli]", f"[stimuli]\n{lines}")
+    study.settings.write_text(text, encoding="utf-8")
+    return study
+
+
+def test_what_cannot_be_felt_is_a_problem_until_it_is_accepted(study: StudyFolder, capsys: Capture) -> None:
+    set_up(study, "gain = 0.01")
+    assert main(["check", str(study.path)]) == 1
+    out = capsys.readouterr().out.splitlines()
+    assert out[0].startswith("recording 'bumps': 6 of 6 stimuli below the detection threshold (contactor), not to be")
+    assert 'gain = "per_recording" plays this recording' in out[0]
+    assert out[0].endswith('or accept it: below_threshold = "accept" under [stimuli]')
+    set_up(study, 'below_threshold = "accept"')
+    assert main(["check", str(study.path)]) == 0
+    shown = capsys.readouterr()
+    assert shown.out.splitlines()[0] == f"{study.path}: no problems, 2 warnings"
+    assert f"feel321: warning: {out[0]}" in shown.err
+    assert main(["check", str(study.path), "--json"]) == 0
+    figures = json.loads(capsys.readouterr().out)
+    assert (figures["problems"], figures["below_threshold"], figures["stimuli"]) == ([], 12, 12)
+    assert figures["warnings"][0] == out[0]
+    assert set(figures["sensation_levels_db"]["bumps"]) == {"contactor", "grasped_stylus"}
+
+
+def test_check_says_the_same_before_and_after_the_build(study: StudyFolder, capsys: Capture) -> None:
+    set_up(study, 'gain = 0.2\nthreshold = "grasped_stylus"')
+    before = check_study(study)
+    build_study(study)
+    assert check_study(study).strength == before.strength
+    rows = read_stimuli(study.stimuli).stimuli
+    low, high = before.strength.figures["sensation_levels_db"]["hard_taps"]["grasped_stylus"]
+    levels = [row.sensation_level_db for row in rows if row.recording == "hard_taps"]
+    assert (min(levels), max(levels)) == (low, high)
+    weak = [row.reducer for row in rows if 0 <= row.sensation_level_db < 10 and row.recording == "hard_taps"]
+    lines = [line for line in before.strength.warnings if line.startswith("recording 'hard_taps'")]
+    assert bool(weak) == bool(lines)
+    assert all(name in lines[0] for name in weak)
+    assert main(["build", str(study.path)]) == 0
+    assert "gain, as given in study.toml: 0.2 m/s² played per m/s² recorded" in capsys.readouterr().out
+
+
+def test_sessions_of_what_cannot_be_felt_are_refused_and_simulated_with_a_warning(
+    study: StudyFolder, now: Callable[[], datetime], capsys: Capture
+) -> None:
+    build_study(set_up(study, "gain = 0.01"))
+    with pytest.raises(ValueError, match=r"12 of 12 stimuli, such as bumps__sax321__as_is, are below") as caught:
+        run_participant(study, Visit("p01"), now=now)
+    assert 'accept it: below_threshold = "accept"' in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert not study.ledger.exists()
+    assert main(["simulate", str(study.path), "--participants", "2"]) == 0
+    assert "feel321: warning: 12 of 12 stimuli" in capsys.readouterr().err
+    set_up(study, 'below_threshold = "accept"')  # needs no new set
+    with pytest.raises(FileNotFoundError, match=r"rig\.toml: there is none"):
+        run_participant(study, Visit("p01"), now=now)
+
+
+def test_one_spike_costs_the_other_recordings_headroom(study: StudyFolder, capsys: Capture) -> None:
+    samples = make_scene("texture_drag", duration_s=0.5).acceleration.copy()
+    samples[:, 2000:2020] += 300 * np.hanning(20)
+    write_wav(study.path / "spike.wav", samples, 10_000)
+    text = study.settings.read_text(encoding="utf-8") + '[[recordings]]\nfile = "spike.wav"\nunit = "m/s^2"\n'
+    study.settings.write_text(text, encoding="utf-8")
+    levels = {}
+    for gain in ("set", "per_recording"):
+        set_up(study, "") if gain == "set" else set_up(study, 'gain = "per_recording"')
+        assert main(["check", str(study.path), "--json"]) == 0
+        levels[gain] = json.loads(capsys.readouterr().out)
+    (line,) = [line for line in levels["set"]["notes"] if line.startswith("headroom: ")]
+    cost = float(line.split(" dB weaker")[0].rsplit(" ", 1)[1])
+    assert line.startswith("headroom: the peak of recording 'spike' (")
+    assert ") sets the gain; all other recordings are played " in line
+    assert line.endswith('gain = "per_recording" avoids that')
+    gained = {
+        name: levels["per_recording"]["sensation_levels_db"][name]["contactor"][1]
+        - levels["set"]["sensation_levels_db"][name]["contactor"][1]
+        for name in ("bumps", "hard_taps", "spike")
+    }
+    assert gained["spike"] == pytest.approx(0, abs=1e-6)
+    assert min(gained["bumps"], gained["hard_taps"]) == pytest.approx(cost, abs=0.06)  # of whose peak comes next
+    assert not any(line.startswith("headroom") for line in levels["per_recording"]["notes"])
+
+
+def test_beside_a_real_surface_the_gain_is_one_or_named(study: StudyFolder) -> None:
+    text = study.settings.read_text(encoding="utf-8").replace("duration_s = 0.5", 'duration_s = 0.5\nsample = "oak"')
+    text += "[tasks.realism]\nsurface = true\n[rig]\nfull_scale_m_s2 = 20\n"
+    study.settings.write_text(text, encoding="utf-8")
+    (line,) = check_study(study).strength.warnings
+    assert line.startswith("tasks realism: the real surface is felt, but stimuli are played at 0.")
+    assert line.endswith('set gain = 1.0 and levels = ["as_is"] under [stimuli]')
+    checked = check_study(set_up(study, "gain = 1.0"))
+    assert checked.strength.warnings == []
+    assert len(checked.problems) == 2
+    assert "stimuli will be clipped at full scale (20 m/s²), by up to " in checked.problems[0]
+    study.settings.write_text(study.settings.read_text(encoding="utf-8").replace("= 20\n", "= 400\n"), encoding="utf-8")
+    assert check_study(study).problems == []
+    build_study(study)
+    assert check_study(study).problems == []
+
+
+def test_the_rig_is_compared_before_anything_is_built(tmp_path: Path) -> None:
+    study = create_study(tmp_path / "study")
+    study.settings.write_text('[[recordings]]\nscene = "bumps"\nduration_s = 0.5\n', encoding="utf-8")
+    checked = check_study(study)
+    assert checked.problems == []
+    assert checked.strength.notes[0].endswith("reference reach the hand with equal energy (difference 0.0 dB)")
+    text = study.rig.read_text(encoding="utf-8")
+    study.rig.write_text(text.replace("peak_m_s2 = 100.0", "peak_m_s2 = 20.0"), encoding="utf-8")
+    problems = check_study(study).problems
+    assert [line.split(": ")[1] for line in problems] == ["actuator 'left coil'", "actuator 'right coil'"]
+    assert "above limits.peak_m_s2 of 20; lower gain or headroom" in problems[0]
+    study.rig.write_text(text.replace('"reduced", "y"', '"reduced"'), encoding="utf-8")
+    assert check_study(study).problems == [
+        "rig.toml: no actuator plays y; add it to `plays`, or name a reference in study.toml that the rig can play"
+    ]
+    study.rig.write_text(text.replace("[0, 1, 0]", "[-1, 0, 0]"), encoding="utf-8")
+    (problem,) = check_study(study).problems
+    assert problem.startswith("rig.toml: 'left coil' and 'right coil' play 'reduced' in opposite directions")
+
+
+def test_real_recordings_below_threshold_are_found_and_a_gain_of_their_own_helps(
+    shared_recordings: Path, tmp_path: Path
+) -> None:
+    names = ("decay_5k.csv", "handheld_7k.csv", "impacts_20k.wav", "knocks_26k.wav")
+    recordings = [read_recording(shared_recordings / name) for name in names]
+    found = {
+        gain: foresee_stimuli(recordings, tmp_path, recipe=Recipe(reducers=("pca321", "dft321"), gain=gain))
+        for gain in ("set", "per_recording")
+    }
+    unfelt = {
+        gain: {one.recording for one in foreseen if one.sensation_levels_db["contactor"] < 0}
+        for gain, foreseen in found.items()
+    }
+    assert unfelt == {"set": {"decay_5k", "handheld_7k"}, "per_recording": set()}
