@@ -157,7 +157,7 @@ def _lay_panel(panel: DataFrame) -> Grid:
     )
     counts = {"n_participants": "Participants", "n_complete": "Stimuli rated by all"}
     head = ("Scale", "Raters", *FIGURES.values(), *counts.values())
-    rows = []
+    rows: list[tuple[str | Cell, ...]] = []
     for row in panel.to_dict("records"):
         name, n = name_path("reliability", row["scale"], row["panel"].replace(" ", "_")), row["n_complete"]
         values = [Cell(make_number(f"{name}.{key}", row[key], told, n=n)) for key, told in FIGURES.items()]
