@@ -209,7 +209,7 @@ def _render(
 def _make_scale(conditioned: Recording, recipe: Recipe) -> _Scale:
     spectrum = OriginalSpectrum(conditioned.acceleration, conditioned.rate_hz)
     if spectrum.reason:
-        raise ValueError(f"{spectrum.reason}: nothing can be felt or matched; leave it out")
+        raise ValueError(f"{spectrum.reason}; nothing can be felt or matched, leave it out")
     played = _for_the_rig(conditioned.acceleration, conditioned.rate_hz, recipe)
     return _Scale(conditioned, spectrum, played, _measure_levels(played, recipe.rate_hz))
 

@@ -233,7 +233,10 @@ class OriginalSpectrum:
         if len(self.smoothed):
             return ""
         if len(self._smoothed):
-            return "the recording has no energy from 20 to 1000 Hz (silence, or an offset alone)"
+            return (
+                "the recording has no energy from 20 to 1000 Hz: it is silent there, or its offset, a million times as "
+                "large, must be removed first"
+            )
         return "the recording is too short, or its rate too low, for any frequency from 20 to 1000 Hz"
 
     def match(self, reduced: NDArray[np.float64]) -> NDArray[np.float64]:

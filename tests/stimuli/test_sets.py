@@ -634,6 +634,16 @@ def test_a_set_that_was_not_built_says_so(tmp_path: Path) -> None:
     assert "feel321 build" in check_stimuli(tmp_path)[0]
 
 
+@pytest.mark.parametrize("anchors", [True, False])
+@pytest.mark.parametrize("steps", [Conditioning(), Conditioning(remove_offset=False, high_pass_hz=None)])
+def test_a_recording_without_anything_to_match_is_refused(steps: Conditioning, anchors: bool, tmp_path: Path) -> None:
+    still = Recording(np.outer((0.0, 9.81, 0.0), np.ones(3000)), 3000.0, "still")
+    recipe = Recipe(conditioning=steps, anchors=anchors)
+    with pytest.raises(ValueError, match=r"^recording 'still': the recording has no energy from 20 .*, leave it out$"):
+        build_stimuli([still], tmp_path, recipe=recipe)
+    assert not (tmp_path / "manifest.csv").exists()
+
+
 def test_a_set_of_an_earlier_version_has_no_further_metric(built: StimulusSet, tmp_path: Path) -> None:
     with (built.folder / "manifest.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))

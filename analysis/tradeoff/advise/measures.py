@@ -50,6 +50,8 @@ class Measures:
         The paper's metrics, for the mounting as it is; NaN where there are none.
     gain_db : float
         Gain that the reducer applies to what it keeps.
+    spectral_match_bounded : float
+        As the paper's metrics.
     """
 
     level_db: float
@@ -59,6 +61,7 @@ class Measures:
     spectral_match: float
     temporal_match: float
     gain_db: float = 0.0
+    spectral_match_bounded: float = math.nan
 
     @property
     def deviation_db(self) -> float:
@@ -135,14 +138,16 @@ def measure(name: str, reduce: Reducer, trial: Trial) -> Measures:
     """
     samples, rate_hz = trial.recording.acceleration, trial.recording.rate_hz
     reduced = reduce(samples, rate_hz)
+    spectral, bounded = map(float, trial.spectrum.match_both(reduced))
     return Measures(
         level_db=find_level(reduced, trial),
         spectrum=spectral_match_energy_weighted(samples, reduced, rate_hz),
         time=temporal_match_invariant(samples, reduced, rate_hz),
         change=find_change(reduced, reduce(trial.disturbed, rate_hz)),
-        spectral_match=float(trial.spectrum.match(reduced)),
+        spectral_match=spectral,
         temporal_match=temporal_match(samples, reduced, rate_hz),
         gain_db=GAIN_DB.get(name, 0.0),
+        spectral_match_bounded=bounded,
     )
 
 

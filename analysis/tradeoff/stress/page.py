@@ -216,5 +216,6 @@ def _show_metrics(row: MetricRow) -> tuple[str, list[Shown]]:
         Shown(f"{still} (moves by {moved})"),
         Shown(tell_figure(row.spectral), "fails" if row.explodes else "good"),
         Shown(row.worst_reducer or ABSENT),
-        Shown(tell_figure(row.spectral_invariant)),
+        Shown(tell_figure(row.spectral_bounded)),
+        Shown(tell_figure(row.spectral_energy_weighted)),
     ]

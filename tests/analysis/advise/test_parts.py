@@ -118,6 +118,7 @@ def test_measures_of_known_outputs() -> None:
     assert found.time == pytest.approx(1)
     assert found.temporal_match == pytest.approx(1)
     assert found.spectral_match == pytest.approx(0.8)
+    assert found.spectral_match_bounded == pytest.approx(0.8)
     assert found.change == pytest.approx(1e-3 * np.sqrt(5 / 4 / 3), rel=0.05)
 
 
