@@ -122,7 +122,18 @@ def acceleration_threshold(frequency_hz: ArrayLike, *, threshold: str = CONTACTO
 
 
 def check_threshold(name: str) -> str:
-    """Refuse a name that is not one of `THRESHOLDS`."""
+    """Refuse a name that is not one of `THRESHOLDS`.
+
+    Parameters
+    ----------
+    name : str
+        The name.
+
+    Returns
+    -------
+    str
+        The same.
+    """
     if name not in THRESHOLDS:
         raise ValueError(f"threshold: got {name!r}, allowed is one of {', '.join(THRESHOLDS)}")
     return name
@@ -162,6 +173,20 @@ def loudest_level(acceleration: NDArray[np.float64], rate_hz: float, *, threshol
 
     Before and after the signal is silence, so that appending some changes nothing, and a signal shorter than 200 ms
     has the level that its energy gives over 200 ms.
+
+    Parameters
+    ----------
+    acceleration : ndarray, shape (n_samples,) or (axes, n_samples)
+        Acceleration in m/s².
+    rate_hz : float
+        Sampling rate in Hz.
+    threshold : str
+        Name of `THRESHOLDS`.
+
+    Returns
+    -------
+    float
+        Multiple of the threshold; 0 for silence.
     """
     from scipy import fft
 
@@ -217,7 +242,18 @@ def sensation_level_db(acceleration: NDArray[np.float64], rate_hz: float, *, thr
 
 
 def to_db(level: float) -> float:
-    """Give a ratio of amplitudes in dB; minus infinity for 0."""
+    """Give a ratio of amplitudes in dB; minus infinity for 0.
+
+    Parameters
+    ----------
+    level : float
+        The ratio.
+
+    Returns
+    -------
+    float
+        20 log10 of it.
+    """
     return 20 * float(np.log10(level)) if level > 0 else -np.inf
 
 

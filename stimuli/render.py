@@ -169,7 +169,22 @@ def render_recording(
 def measure_recording(
     recording: Recording, candidates: Sequence[Candidate], *, recipe: Recipe
 ) -> dict[str, Measured]:
-    """Measure candidates of one recording as `render_recording` does, without writing anything."""
+    """Measure candidates of one recording as `render_recording` does, without writing anything.
+
+    Parameters
+    ----------
+    recording : Recording
+        The recording as read.
+    candidates : sequence of Candidate
+        Stimuli of this recording.
+    recipe : Recipe
+        How they are made.
+
+    Returns
+    -------
+    dict
+        Key -> what was measured.
+    """
     return {candidate.key: note for candidate, _, note in _render(recording, candidates, recipe)}
 
 

@@ -17,6 +17,7 @@ from study.actuator.reach import find_mix
 from study.actuator.rig import read_rig
 from study.preparing import list_rig_problems
 from study.provenance import find_changes
+from study.rig_strength import find_reach, find_rig_limits
 from study.session.plan import make_plan
 from study.settings.designs import make_design
 from study.settings.factors import count_groups
@@ -24,7 +25,7 @@ from study.settings.reading import read_settings
 from study.settings.remarks import list_remarks
 from study.settings.sources import make_recipe, try_recordings
 from study.settings.wording import find_language, read_study_texts
-from study.strength import Findings, find_clipping, find_reach, find_rig_limits, find_strength
+from study.strength import Findings, find_clipping, find_strength
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -10,14 +10,10 @@ from math import inf, log10
 from typing import TYPE_CHECKING
 
 from protocols.trial import SURFACE
-from stimuli.condition import condition
 from stimuli.levels import find_headroom_cost
 from stimuli.perception import THRESHOLDS, to_db
-from stimuli.recipe import GAIN_PER_RECORDING, ONE_GAIN, ORIGINAL
+from stimuli.recipe import GAIN_PER_RECORDING, ONE_GAIN
 from stimuli.sets import foresee_stimuli
-from study.actuator.limiter import ROUNDING
-from study.actuator.reach import EQUAL_DB, find_directions, find_mix, original_energy, reduced_energy
-from study.actuator.rig import AXES, REDUCED
 from study.settings.designs import make_design
 from study.settings.reading import read_settings
 from study.settings.sources import make_recipe
@@ -27,14 +23,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    import numpy as np
-    from numpy.typing import NDArray
-
     from stimuli.manifest import StimulusSet
     from stimuli.recipe import Recipe
     from stimuli.recording import Recording
     from stimuli.sets import Foreseen
-    from study.actuator.rig import Rig
     from study.settings.tables import Settings
 
 WEAK_DB = 10.0
@@ -107,7 +99,20 @@ def find_strength(settings: Settings, foreseen: Sequence[Foreseen], recipe: Reci
 
 
 def describe_gains(foreseen: Sequence[Foreseen], recipe: Recipe) -> list[str]:
-    """Say by which gains stimuli are played, and what one recording's peak costs the others."""
+    """Say by which gains stimuli are played, and what one recording's peak costs the others.
+
+    Parameters
+    ----------
+    foreseen : sequence of Foreseen
+        Stimuli as a build would make them.
+    recipe : Recipe
+        That of the settings.
+
+    Returns
+    -------
+    list of str
+        One or two lines.
+    """
     gains = [one.gain for one in foreseen if one.level == "as_is"]
     scope = {ONE_GAIN: "one for the whole set", GAIN_PER_RECORDING: "one per recording"}
     how = f"gain, {scope.get(str(recipe.gain), 'as given in study.toml')}"
@@ -173,51 +178,21 @@ def describe_built(path: Path, recordings: Sequence[Recording], stimuli: Stimulu
     return [*describe_gains(foreseen, recipe), *filter(None, [find_unfelt(settings, stimuli)])]
 
 
-def find_reach(rig: Rig, recordings: Sequence[Recording], recipe: Recipe) -> Findings:
-    """Compare the energy with which one-axis stimuli and the three-axis reference reach the hand.
+def find_clipping(foreseen: Sequence[Foreseen], recipe: Recipe) -> list[str]:
+    """Find stimuli that are not built yet and will be limited at full scale: one line per recording.
 
     Parameters
     ----------
-    rig : Rig
-        The rig.
-    recordings : sequence of Recording
-        Recordings of the study; their axes' covariance counts where coils are not at right angles.
+    foreseen : sequence of Foreseen
+        Stimuli as a build would make them.
     recipe : Recipe
-        Whether there is a three-axis reference, and how recordings are conditioned.
+        That of the settings.
 
     Returns
     -------
-    Findings
-        Equality as a note, a difference as a warning, with the weights that would remove it.
+    list of str
+        Empty if there is none.
     """
-    if recipe.reference != ORIGINAL:
-        return Findings()
-    directions, unknown = find_directions(rig)
-    if unknown:
-        return Findings(
-            warnings=[
-                f"actuators {', '.join(map(repr, unknown))}: no direction is known, so nobody can say whether one-axis "
-                "stimuli and the three-axis reference reach the hand with equal energy; add direction = [x, y, z] "
-                "to every actuator"
-            ]
-        )
-    mix = find_mix(rig)
-    reduced = reduced_energy(mix, directions)
-    differences = {
-        recording.name: _to_db(reduced, original_energy(mix, directions, _covariance(recording, recipe)))
-        for recording in recordings
-    }
-    name = max(differences, key=lambda name: abs(differences[name]))
-    figures: dict[str, object] = {"reduced_over_reference_db": differences}
-    worst = differences[name]
-    if abs(worst) < EQUAL_DB:
-        same = "one-axis stimuli and the three-axis reference reach the hand with equal energy"
-        return Findings(notes=[f"{same} (difference {_flat(worst)} dB)"], figures=figures)
-    return Findings(warnings=[_tell_apart(rig, worst, name, among=differences)], figures=figures)
-
-
-def find_clipping(foreseen: Sequence[Foreseen], recipe: Recipe) -> list[str]:
-    """Find stimuli that are not built yet and will be limited at full scale: one line per recording."""
     lines = []
     for recording, own in _group(foreseen).items():
         over = [one.peak_m_s2 / recipe.full_scale_m_s2 for one in own if one.peak_m_s2 > recipe.full_scale_m_s2]
@@ -226,26 +201,6 @@ def find_clipping(foreseen: Sequence[Foreseen], recipe: Recipe) -> list[str]:
                 f"recording {recording!r}: {len(over)} of {len(own)} stimuli will be clipped at full scale "
                 f"({recipe.full_scale_m_s2:g} m/s²), by up to {to_db(max(over)):.1f} dB; lower the gain or raise "
                 "full_scale_m_s2"
-            )
-    return lines
-
-
-def find_rig_limits(rig: Rig, foreseen: Sequence[Foreseen], reference: str) -> list[str]:
-    """Find what a rig cannot play, by the peaks of stimuli that are not built yet."""
-    needed = (REDUCED, *AXES) if reference == ORIGINAL else (REDUCED,)
-    missing = [source for source in needed if not any(source in actuator.plays for actuator in rig.actuators)]
-    remedy = "add it to `plays`, or name a reference in study.toml that the rig can play"
-    lines = [f"no actuator plays {', '.join(missing)}; {remedy}"] if missing else []
-    mix = find_mix(rig)
-    worst = max((one for one in foreseen if one.reducer != ORIGINAL), key=lambda one: one.peak_m_s2)
-    for actuator in rig.actuators:
-        asked = worst.peak_m_s2 * mix[actuator.name].get(REDUCED, 0.0)
-        limits = {"limits.peak_m_s2": rig.limits.peak_m_s2, "its full_scale_m_s2": actuator.full_scale_m_s2}
-        limit = min(limits, key=lambda name: limits[name])
-        if asked > limits[limit] * (1 + ROUNDING):
-            lines.append(
-                f"actuator {actuator.name!r}: {worst.recording} {worst.reducer} will ask for {asked:.4g} m/s², above "
-                f"{limit} of {limits[limit]:g}; lower gain or headroom in study.toml, or raise that if the coil allows"
             )
     return lines
 
@@ -290,14 +245,14 @@ def _list_weak(weak: Sequence[Foreseen], recipe: Recipe) -> str:
     def describe(one: Foreseen) -> str:
         level = _own_level(one, recipe)
         name = f"{one.reducer} {one.level}" if several else one.reducer
-        return f"{name} silent" if level == -inf else f"{name} {_flat(level)} dB"
+        return f"{name} silent" if level == -inf else f"{name} {write_db(level)} dB"
 
     return ", ".join(describe(one) for one in sorted(weak, key=lambda one: _own_level(one, recipe)))
 
 
 def _advise(own: Sequence[Foreseen], weak: Sequence[Foreseen], recipe: Recipe) -> str:
     """Say what helps weak stimuli of a recording: its own gain, a stronger rig, or leaving something out."""
-    room_db = _to_db(recipe.headroom * recipe.full_scale_m_s2, max(one.peak_m_s2 for one in own)) * 2
+    room_db = energy_db(recipe.headroom * recipe.full_scale_m_s2, max(one.peak_m_s2 for one in own)) * 2
     least = min((_own_level(one, recipe) for one in weak), default=0.0)
     if least == -inf:
         return "leave out the recording or these reducers"
@@ -335,40 +290,37 @@ def _list_levels(foreseen: Sequence[Foreseen]) -> Iterator[str]:
     yield "sensation levels, dB over the detection threshold in the loudest 200 ms, weakest to strongest stimulus:"
     yield f"  {'recording':{width}}" + "".join(f"  {curve:>16}" for curve in THRESHOLDS)
     for recording, own in _group(foreseen).items():
-        ranges = (" to ".join(_flat(level) for level in _find_range(own, curve)) for curve in THRESHOLDS)
+        ranges = (" to ".join(write_db(level) for level in _find_range(own, curve)) for curve in THRESHOLDS)
         yield f"  {recording:{width}}" + "".join(f"  {text:>16}" for text in ranges)
 
 
-def _covariance(recording: Recording, recipe: Recipe) -> NDArray[np.float64]:
-    import numpy as np
+def energy_db(energy: float, other: float) -> float:
+    """Give a ratio of energies in dB.
 
-    acceleration = condition(recording, recipe.conditioning).acceleration
-    return np.asarray(np.einsum("in,jn->ij", acceleration, acceleration))
+    Parameters
+    ----------
+    energy, other : float
+        What is compared.
 
-
-def _tell_apart(rig: Rig, difference_db: float, recording: str, *, among: dict[str, float]) -> str:
-    """Put into words that strength tells the reference from reduced stimuli, and which weights would hide it."""
-    mix = find_mix(rig)
-    factor = 10 ** (-difference_db / 20)
-    weights = {name: factors[REDUCED] * factor for name, factors in mix.items() if REDUCED in factors}
-    how = ", ".join(f"{name!r} {weight:.4g}" for name, weight in weights.items())
-    where = "" if max(among.values()) - min(among.values()) < EQUAL_DB else f" in recording {recording!r}"
-    than = "stronger" if difference_db > 0 else "weaker"
-    remedy = f"set weight: {how}"
-    if not all(actuator.direction for actuator in rig.actuators):
-        remedy += "; or add direction = [x, y, z] to every actuator, then these weights are the default"
-    elif where:
-        remedy += ", or put the coils of x, y and z at right angles"
-    return (
-        f"one-axis stimuli reach the hand {abs(difference_db):.1f} dB {than} than the three-axis reference{where}, so "
-        f"that strength tells them apart; {remedy}"
-    )
-
-
-def _to_db(energy: float, other: float) -> float:
+    Returns
+    -------
+    float
+        10 log10 of their ratio, infinite where one is 0.
+    """
     return 10 * log10(energy / other) if energy > 0 and other > 0 else inf * (1 if energy > other else -1)
 
 
-def _flat(value: float) -> str:
-    """Write dB to one place, and no -0.0."""
+def write_db(value: float) -> str:
+    """Write dB to one place, without -0.0.
+
+    Parameters
+    ----------
+    value : float
+        A level, minus infinity for silence.
+
+    Returns
+    -------
+    str
+        The number, or `silent`.
+    """
     return "silent" if value == -inf else f"{round(value, 1) + 0.0:.1f}"

@@ -18,7 +18,7 @@ from analysis.table.pairs import find_matched, find_roles, note_references, turn
 from analysis.table.schema import HIGHEST, LOWEST
 from analysis.table.sheet import refuse_lines
 from analysis.table.sources import note_sources
-from analysis.table.stimulus_sheet import AMPLITUDE, ROLES, read_manifest
+from analysis.table.stimulus_sheet import AMPLITUDE, ROLES, SENSATION, read_manifest
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -111,7 +111,7 @@ def read_table(
     notes += [*note_lookalikes(rows), *note_lacking(rows)]
     explored = list_further(rows)
     judged = ["role", "matched", "scale", "repeat", "rating", "simulated"]
-    optional = [name for name in ("protocol", "response_time_s", AMPLITUDE) if name in rows]
+    optional = [name for name in ("protocol", "response_time_s", AMPLITUDE, SENSATION) if name in rows]
     identity = ["participant", "stimulus_id", "reference_id", "reference_reducer", "source"]
     rows = rows[[*identity, *ECHOED, *judged, *optional, *metrics, *explored]].reset_index(drop=True)
     labelled, more_notes = join_labels(rows, ratings_path)

@@ -126,7 +126,8 @@ def describe_manifest() -> dict[str, Column]:
     from stimuli.manifest import COLUMN_UNITS
     from stimuli.match import METRICS
 
-    needed, used = ("stimulus_id", "recording", "reducer"), ("level", "role", "rms_m_s2", *METRICS)
+    needed = ("stimulus_id", "recording", "reducer")
+    used = ("level", "role", "rms_m_s2", "gain", "sensation_level_db", *METRICS)
     source = "what the recording was made from, where several are one and the same, turned, cut or edited"
     return {
         **{

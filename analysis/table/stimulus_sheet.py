@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 ROLES = ("test", "reference", "anchor")
 IDENTITY = ("stimulus_id", "recording", "reducer")
-AMPLITUDE = "rms_m_s2"
+AMPLITUDE, GAIN, SENSATION = "rms_m_s2", "gain", "sensation_level_db"
 
 
 def read_manifest(
@@ -36,7 +36,7 @@ def read_manifest(
     -------
     manifest : DataFrame
         Indexed by stimulus_id: recording, source, reducer, level, role, one column per metric, and, where the file has
-        them, rms_m_s2 and further metrics (`describe_further`).
+        them, rms_m_s2, sensation_level_db, gain and further metrics (`describe_further`).
     metrics : tuple of str
         The primary metrics found, in the order of `PRIMARY`.
     notes : list of str
@@ -61,6 +61,7 @@ def read_manifest(
         sheet[name] = _read_metric(sheet, name, what=path.name)
     if AMPLITUDE in sheet:
         sheet[AMPLITUDE] = _read_amplitude(sheet[AMPLITUDE], path.name)
+    notes += _note_strength(sheet, path.name)
     sheet["source"] = read_sources(sheet, sources or {}, what=path.name)
     notes += [note for name in metrics for note in _note_excess(sheet, name)]
     return sheet.set_index("stimulus_id"), metrics, notes + _name_strangers(sheet)
@@ -94,6 +95,24 @@ def _read_amplitude(cells: Series, what: str) -> Series:
     known = read_known(cells, what)
     refuse_lines(cells[known < 0], what, why=f"in column '{cells.name}', allowed is 0 or more, in m/s², or nothing")
     return known
+
+
+def _note_strength(sheet: DataFrame, what: str) -> list[str]:
+    """Read gains and sensation levels, where there are any, and say by which gains stimuli were played."""
+    notes = []
+    for name in (GAIN, SENSATION):
+        if name in sheet:
+            sheet[name] = read_known(sheet[name], what)
+    as_is = sheet[sheet["level"] == "as_is"]
+    if GAIN in sheet and as_is[GAIN].notna().any():
+        low, high = as_is[GAIN].min(), as_is[GAIN].max()
+        within = as_is.groupby("recording")[GAIN].nunique().max()
+        scope = "one gain for the whole set" if low == high else "one gain per recording" if within == 1 else "gains"
+        values = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
+        notes.append(f"Stimuli as is were played with {scope}: {values} m/s² per m/s² recorded.")
+    if SENSATION in sheet and (weak := int((sheet[SENSATION] < 0).sum())):
+        notes.append(f"{weak} of {len(sheet)} stimuli were played below the detection threshold.")
+    return notes
 
 
 def _note_excess(sheet: DataFrame, name: str) -> list[str]:

@@ -81,12 +81,40 @@ def find_directions(rig: Rig) -> tuple[dict[str, Vector], list[str]]:
 
 
 def reduced_energy(mix: Mix, directions: Mapping[str, Vector]) -> float:
-    """Mean square at the hand of a one-axis stimulus with mean square 1."""
+    """Mean square at the hand of a one-axis stimulus with mean square 1.
+
+    Parameters
+    ----------
+    mix : mapping
+        From `find_mix`.
+    directions : mapping
+        From `find_directions`, all known.
+
+    Returns
+    -------
+    float
+        Mean square, 1 where nothing is lost or added.
+    """
     return float(np.sum(_sum_motion(mix, directions, REDUCED) ** 2))
 
 
 def original_energy(mix: Mix, directions: Mapping[str, Vector], covariance: Vector) -> float:
-    """Mean square at the hand of a three-axis stimulus, relative to that of its axes; their covariance is (3, 3)."""
+    """Mean square at the hand of a three-axis stimulus, relative to that of its axes; their covariance is (3, 3).
+
+    Parameters
+    ----------
+    mix : mapping
+        From `find_mix`.
+    directions : mapping
+        From `find_directions`, all known.
+    covariance : ndarray, shape (3, 3)
+        Of the axes; its scale does not matter.
+
+    Returns
+    -------
+    float
+        Mean square, 1 where nothing is lost or added.
+    """
     motion = np.stack([_sum_motion(mix, directions, axis) for axis in AXES], axis=1)
     covariance = covariance if np.trace(covariance) > 0 else np.eye(3)  # of silence, any will do
     return float(np.trace(motion @ covariance @ motion.T) / np.trace(covariance))

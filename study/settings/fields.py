@@ -117,7 +117,20 @@ def check_words(text: str) -> str:
 
 
 def number_or(names: Collection[str], *, least: float, most: float) -> WrapValidator:
-    """Make the rule that a value is a number in a range, or one of some words."""
+    """Make the rule that a value is a number in a range, or one of some words.
+
+    Parameters
+    ----------
+    names : collection of str
+        The words.
+    least, most : float
+        The range.
+
+    Returns
+    -------
+    WrapValidator
+        The rule, for an annotation.
+    """
     number = TypeAdapter(Annotated[float, Field(ge=least, le=most)])
 
     def check(value: object, _read: ValidatorFunctionWrapHandler) -> object:

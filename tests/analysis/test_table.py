@@ -207,3 +207,28 @@ def test_a_missing_file_is_an_oserror_that_names_it(files: Callable[..., object]
 
 def test_reducers_keep_the_one_order() -> None:
     assert order_reducers(["zebra", *reversed(REDUCERS), "ape"]) == [*REDUCERS, "ape", "zebra"]
+
+
+def test_gains_and_sensation_levels_are_carried_and_said(files: Callable[..., object]) -> None:
+    study = files()
+    plain = read(study)
+    assert "sensation_level_db" not in plain.rows
+    assert not any("played" in note for note in plain.notes)
+    manifest = pd.read_csv(study.manifest)
+    levels = pd.Series(range(len(manifest)), dtype=float) - 2.5
+    by_recording = manifest["recording"].rank(method="dense")
+    felt = levels.where(levels > -2)
+    for gain, said in (
+        (0.5 + 0 * by_recording, "one gain for the whole set: 0.5 m/s² per m/s² recorded."),
+        (by_recording, "one gain per recording: 1 to "),
+        (1.0 + manifest.index, "gains: 1 to "),
+    ):
+        manifest.assign(gain=gain, sensation_level_db=felt).to_csv(study.manifest, index=False)
+        table = read(study)
+        assert any(note.startswith(f"Stimuli as is were played with {said}") for note in table.notes)
+        assert f"2 of {len(manifest)} stimuli were played below the detection threshold." in table.notes
+        expected = table.rows["stimulus_id"].map(dict(zip(manifest["stimulus_id"], felt, strict=True)))
+        pd.testing.assert_series_equal(table.rows["sensation_level_db"], expected, check_names=False)
+    edit(study.manifest, set_cell("sensation_level_db", "loud"))
+    with pytest.raises(ValueError, match=r"sensation_level_db"):
+        read(study)

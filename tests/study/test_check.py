@@ -112,15 +112,17 @@ def test_what_a_build_would_refuse_is_found_for_every_recording(study: StudyFold
     assert str(caught.value) == first
 
 
-def test_a_silent_recording_is_found_where_it_shall_have_anchors(study: StudyFolder) -> None:
+def test_a_silent_recording_is_found_before_the_build(study: StudyFolder) -> None:
     write_wav(study.path / "still.wav", [[0.0] * 8000] * 3, 8000)
     text = '[[recordings]]\nfile = "still.wav"\nunit = "g"\n[stimuli]\nreducers = ["sax321"]\n'
     study.settings.write_text(text, encoding="utf-8")
     (problem,) = check_study(study)[1]
     assert problem.startswith("recording 'still': 'still' is silent between 20 and 1000 Hz: it can have no anchors")
-    study.settings.write_text(f'{text}anchors = false\nbelow_threshold = "accept"', encoding="utf-8")
-    assert check_study(study)[1] == []
-    build_study(study)
+    study.settings.write_text(f"{text}anchors = false", encoding="utf-8")
+    (problem,) = check_study(study)[1]
+    assert problem.startswith("recording 'still': the recording has no energy from 20 to 1000 Hz")
+    with pytest.raises(ValueError, match="has no energy from 20 to 1000 Hz"):
+        build_study(study)
 
 
 def test_remarks_on_settings_need_no_stimuli(study: StudyFolder) -> None:

@@ -15,7 +15,7 @@ from stimuli.wav import write_wav
 from study.actuator.reach import find_directions, find_mix, original_energy, reduced_energy
 from study.actuator.render import render_stimulus
 from study.actuator.rig import AXES, ActuatorTable, LimitsTable, Rig, identify, read_rig
-from study.strength import find_reach
+from study.rig_strength import find_reach
 
 if TYPE_CHECKING:
     from pathlib import Path
