@@ -86,7 +86,7 @@ def _list_variants(table: DataFrame, looks: Mapping[str, Look]) -> Iterator[Row]
     headed = ""
     for variant, part in table.groupby("variant", sort=False):
         name = str(variant)
-        heading = next((lead for lead in LEFT_OUT if name.startswith(lead)), "")
+        heading = next((lead for lead in LEFT_OUT if name.startswith(f"{lead} ")), "")
         if heading != headed:
             yield Row(heading or RESCALED)
         headed = heading

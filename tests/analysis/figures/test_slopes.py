@@ -32,8 +32,9 @@ def model() -> Primary:
 
 
 def make_variants(names: list[str], metrics: list[str]) -> pd.DataFrame:
-    variants = ["primary", "correlated slopes", *(f"without recording {name}" for name in names[:10]),
-                *(f"without reducer {name}" for name in names), "rater-standardised", "logits"]  # fmt: skip
+    variants = ["primary", "correlated slopes", "without reducers",
+                *(f"without recording {name}" for name in names[:10]), *(f"without reducer {name}" for name in names),
+                "rater-standardised", "logits"]  # fmt: skip
     table = pd.DataFrame(
         [(variant, metric) for variant in variants for metric in metrics], columns=["variant", "metric"]
     )
@@ -70,14 +71,25 @@ def test_a_singular_fit_is_hollow_and_said(model: Primary, said: Callable[[Figur
     assert "Hollow" not in said(draw_slopes({"similarity": regular}))
 
 
+def test_a_slope_that_is_not_estimable_is_a_point_without_a_bar(model: Primary) -> None:
+    slopes = model.slopes.assign(tenth_low=np.nan, tenth_high=np.nan)
+    axes = draw_slopes({"realism": replace(model, slopes=slopes), "similarity": model}).axes[0]
+    points = [line.get_xdata()[0] for line in axes.lines if line.get_marker() in {"o", "s"}]
+    assert points == [*model.slopes["tenth"]] * 2
+    bars = [tuple(line.get_xdata()) for line in axes.lines[1:] if len(line.get_xdata()) == 2]
+    assert [bar for bar in bars if np.isfinite(bar).all()] == [
+        *zip(model.slopes["tenth_low"], model.slopes["tenth_high"], strict=True)
+    ]
+
+
 def test_variants_stand_below_under_their_headings(model: Primary, said: Callable[[Figure], str]) -> None:
     table = make_variants(["one", "two"], METRICS)
     figure = draw_slopes({"realism": model}, variants={"realism": table})
     axes = figure.axes[1]
     labels = [label.get_text() for label in axes.get_yticklabels()]
-    assert labels[:2] == ["primary", "correlated slopes"]
-    assert labels[2:8] == ["without recording", "one", "two", "without reducer", "one", "two"]
-    assert labels[8:] == ["ratings rescaled", "rater-standardised", "logits"]
+    assert labels[:3] == ["primary", "correlated slopes", "without reducers"]
+    assert labels[3:9] == ["without recording", "one", "two", "without reducer", "one", "two"]
+    assert labels[9:] == ["ratings rescaled", "rater-standardised", "logits"]
     points = [line.get_xdata()[0] for line in axes.lines if line.get_marker() in {"o", "s"}]
     np.testing.assert_array_equal(points, table["standardised"].dropna())
     assert "SD of ratings per SD of metric" in said(figure)
