@@ -116,14 +116,15 @@ def files(tmp_path: Path) -> Callable[..., Files]:
 
 
 @pytest.fixture(scope="session")
-def study(tmp_path_factory: pytest.TempPathFactory) -> Files:
+def study(make_once: Callable[[str, Callable[[Path], object]], Path]) -> Files:
     """Files of the default study; not to be changed."""
-    return write_files(tmp_path_factory.mktemp("study"))
+    folder = make_once("study", write_files)
+    return Files(folder / "ratings.csv", folder / "manifest.csv")
 
 
 @pytest.fixture(scope="session")
-def report(study: Files, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def report(study: Files, make_once: Callable[[str, Callable[[Path], object]], Path]) -> Path:
     """Write a report to be read only."""
-    folder = tmp_path_factory.mktemp("reports") / "report"
-    write_report(study.ratings, study.manifest, folder, draws=50, seed=3)
-    return folder
+    return make_once(
+        "report", lambda folder: write_report(study.ratings, study.manifest, folder / "report", draws=50, seed=3)
+    ) / "report"
