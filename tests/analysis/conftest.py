@@ -10,12 +10,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from analysis.report.sections import association, profile
 from analysis.report.write import write_report
 from stimuli.reduce import DEFAULT_REDUCERS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
+
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -113,6 +116,23 @@ def write_files(folder: Path, *, seed: int = 0, **changes: object) -> Files:
 def files(tmp_path: Path) -> Callable[..., Files]:
     """Write ratings.csv and manifest.csv of a synthetic study."""
     return partial(write_files, tmp_path)
+
+
+@pytest.fixture
+def sketched(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw the figures of reports, but save empty files, which takes no time."""
+
+    def save(figure: Figure, stem: Path) -> None:  # noqa: ARG001 - the form of save_figure
+        for suffix, text in ((".svg", '<svg xmlns="http://www.w3.org/2000/svg"></svg>'), (".png", "")):
+            stem.with_name(f"{stem.name}{suffix}").write_text(text, encoding="utf-8")
+
+    monkeypatch.setattr("analysis.report.write.save_figure", save)
+
+
+@pytest.fixture
+def short(monkeypatch: pytest.MonkeyPatch, sketched: None) -> None:  # noqa: ARG001 - figures are empty too
+    """Shorten reports to two sections: enough for what files, names and captions are about."""
+    monkeypatch.setattr("analysis.report.write.SECTIONS", (association.compute, profile.compute))
 
 
 @pytest.fixture(scope="session")

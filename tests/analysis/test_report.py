@@ -14,14 +14,11 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from analysis.report.sections import association, profile
 from analysis.report.write import write_report
 from analysis.words import PLACES, tell_number
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-    from matplotlib.figure import Figure
 
 NUMBER = re.compile(r"(?<![\w.])[−-]?\d+(?:\.\d+)?(?![\w])")
 """A number that stands alone: neither the 321 of dft321 nor a version's parts."""
@@ -49,19 +46,6 @@ class Page(HTMLParser):
 
     def find(self, tag: str) -> list[dict[str, str | None]]:
         return [attrs for name, attrs in self.tags if name == tag]
-
-
-def sketch(figure: Figure, stem: Path) -> None:  # noqa: ARG001 - the form of save_figure
-    """Save an empty figure, which takes no time."""
-    for suffix, text in ((".svg", '<svg xmlns="http://www.w3.org/2000/svg"></svg>'), (".png", "")):
-        stem.with_name(f"{stem.name}{suffix}").write_text(text, encoding="utf-8")
-
-
-@pytest.fixture
-def short(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Shorten reports to two sections with empty figures: enough for what files, names and captions are about."""
-    monkeypatch.setattr("analysis.report.write.SECTIONS", (association.compute, profile.compute))
-    monkeypatch.setattr("analysis.report.write.save_figure", sketch)
 
 
 @pytest.fixture
