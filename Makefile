@@ -16,7 +16,7 @@ demo: .venv/.runs ## set up, run the whole chain on the bundled study, say where
 
 test: .venv/.tests ## set up, run every test
 ifdef ARGS
-	$(PYTEST) $(ARGS)
+	$(PYTHON) -m pytest $(ARGS)
 else
 	$(MAKE) -j2 realtime computing
 endif
@@ -28,13 +28,13 @@ coverage: .venv/.tests ## the same with branch coverage, which takes longer
 	.venv/bin/coverage report
 
 # One process per processor and one thread per process.
-PYTEST := OPENBLAS_NUM_THREADS=1 $(PYTHON) -m pytest
+test realtime computing: export OPENBLAS_NUM_THREADS = 1
 
 realtime: # one after the other; what computes beside them is nice, so that keys and sounds come in time
-	COVERAGE_FILE=.coverage.realtime $(PYTEST) -m realtime $(COVER)
+	COVERAGE_FILE=.coverage.realtime $(PYTHON) -m pytest -m realtime $(COVER)
 
 computing:
-	COVERAGE_FILE=.coverage.computing nice $(PYTEST) -m "not realtime" -n logical --dist loadgroup $(COVER)
+	COVERAGE_FILE=.coverage.computing nice $(PYTHON) -m pytest -m "not realtime" -n logical --dist loadgroup $(COVER)
 
 check: lint types floors duplicates guards ## every guard rail; `make -k check` goes on after a failure
 
