@@ -6,7 +6,7 @@ PIP := $(PYTHON) -m pip install --disable-pip-version-check -q -c constraints.tx
 ROOMS := stimuli protocols study analysis
 
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-analysis test-others check lint types floors duplicates guards bench soak constraints clean
+.PHONY: help demo test coverage realtime computing check lint types floors duplicates guards bench soak constraints clean
 
 help: ## list the commands
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile | expand -t 20
@@ -14,23 +14,27 @@ help: ## list the commands
 demo: .venv/.runs ## set up, run the whole chain on the bundled study, say where the report is
 	.venv/bin/feel321 demo
 
-test: .venv/.tests ## set up, run every test with branch coverage, those of the analysis beside the others
+test: .venv/.tests ## set up, run every test
 ifdef ARGS
-	$(PYTHON) -m pytest --cov --cov-report=term $(ARGS)
+	$(PYTHON) -m pytest $(ARGS)
 else
-	rm -f .coverage .coverage.*
-	$(MAKE) -j2 test-analysis test-others
-	.venv/bin/coverage combine -q
-	.venv/bin/coverage report
+	$(MAKE) -j2 realtime computing
 endif
 
-PYTEST := $(PYTHON) -m pytest --cov --cov-report= --cov-fail-under=0
+coverage: .venv/.tests ## the same with branch coverage, which takes longer
+	rm -f .coverage .coverage.*
+	$(MAKE) -j2 realtime computing COVER="--cov --cov-report= --cov-fail-under=0"
+	.venv/bin/coverage combine -q
+	.venv/bin/coverage report
 
-test-analysis: # computes only, so it may wait; the others play and listen in real time
-	COVERAGE_FILE=.coverage.analysis nice $(PYTEST) tests/analysis analysis
+# One process per processor and one thread per process.
+test realtime computing: export OPENBLAS_NUM_THREADS = 1
 
-test-others:
-	COVERAGE_FILE=.coverage.others $(PYTEST) --ignore=tests/analysis tests stimuli protocols study
+realtime: # one after the other; what computes beside them is nice, so that keys and sounds come in time
+	COVERAGE_FILE=.coverage.realtime $(PYTHON) -m pytest -m realtime $(COVER)
+
+computing:
+	COVERAGE_FILE=.coverage.computing nice $(PYTHON) -m pytest -m "not realtime" -n logical --dist loadgroup $(COVER)
 
 check: lint types floors duplicates guards ## every guard rail; `make -k check` goes on after a failure
 
@@ -54,7 +58,7 @@ bench: .venv/.tests ## speed against the floor of the FFTs, memory, real-time fa
 	$(PYTHON) tests/bench/engine.py
 
 soak: .venv/.tests ## the tests that take minutes
-	$(PYTHON) -m pytest -m soak $(ARGS) || [ $$? -eq 5 ]  # pytest's 5: there is none
+	$(PYTHON) -m pytest -m "soak or hypothesis" --hypothesis-profile=soak $(ARGS) || [ $$? -eq 5 ]  # pytest's 5: there is none
 
 constraints: .venv/.tests ## pin what is installed now, after an upgrade
 	{ sed -n '/^#/p' constraints.txt; $(PYTHON) -m pip freeze --all --exclude-editable | grep -v '^pip==' | sort -f; } > .venv/pins

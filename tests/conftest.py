@@ -2,21 +2,51 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
+from filelock import FileLock
 from hypothesis import settings
 
-settings.register_profile("feel321", deadline=None)
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+settings.register_profile("feel321", deadline=None, max_examples=25)
+settings.register_profile("soak", deadline=None)
 settings.load_profile("feel321")
-"""No deadlines: how long an example takes says how busy the machine is."""
+"""No deadlines: how long an example takes says how busy the machine is. `make soak` tries 100 examples of each law."""
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # A shell starts what runs in its background deaf to Ctrl-C; sessions that tests start would inherit that.
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 RECORDINGS = Path(__file__).resolve().parents[2] / "shared" / "recordings"
+
+
+DEVICES = {"seat", "screen", "sound", "pulse"}
+"""Fixtures that start a participant's screen or a sound server."""
+
+TOGETHER = (
+    "tests/analysis/stress",
+    "tests/analysis/chart",
+    "tests/analysis/advise/test_report.py",
+    "tests/analysis/sections/test_reduced.py",
+    "tests/analysis/test_primary.py",
+    "tests/analysis/test_protocols.py",
+)
+"""Where tests share what takes seconds to make: the worker that makes it runs them all."""
+
+
+def pytest_itemcollected(item: pytest.Item) -> None:
+    """Mark what runs in real time, and what one worker is to run."""
+    if DEVICES & set(getattr(item, "fixturenames", ())):
+        item.add_marker("realtime")
+        item.add_marker(pytest.mark.xdist_group("realtime"))
+    elif item.nodeid.startswith(TOGETHER):
+        item.add_marker(pytest.mark.xdist_group(next(filter(item.nodeid.startswith, TOGETHER))))
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -27,6 +57,24 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if soaking:
         config.hook.pytest_deselected(items=soaking)
         items[:] = [item for item in items if item not in soaking]
+
+
+@pytest.fixture(scope="session")
+def make_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[Path], object]], Path]:
+    """Makes a folder that all workers of a run read; the first that needs it fills it."""
+    root = tmp_path_factory.getbasetemp()
+    root = root.parent if "PYTEST_XDIST_WORKER" in os.environ else root
+
+    def make(name: str, fill: Callable[[Path], object]) -> Path:
+        folder = root / f"shared-{name}"
+        with FileLock(folder.with_suffix(".lock")):
+            if not (done := folder.with_suffix(".done")).exists():
+                folder.mkdir()
+                fill(folder)
+                done.touch()
+        return folder
+
+    return make
 
 
 @pytest.fixture(scope="session")

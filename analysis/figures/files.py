@@ -50,3 +50,4 @@ def save_figure(figure: Figure, stem: Path, *, formats: Sequence[str] = ("svg", 
             # A name may end in what looks like a suffix: dft_v1.5.
             path = stem.with_name(f"{stem.name}.{name}")
             figure.savefig(path, dpi=PNG_DPI, metadata=dict.fromkeys(STAMPS[name]))
+            figure.set_layout_engine("none")  # everything has its place now, in every format

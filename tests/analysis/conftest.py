@@ -10,12 +10,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from analysis.report.sections import association, profile
 from analysis.report.write import write_report
 from stimuli.reduce import DEFAULT_REDUCERS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
+
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -115,15 +118,33 @@ def files(tmp_path: Path) -> Callable[..., Files]:
     return partial(write_files, tmp_path)
 
 
+@pytest.fixture
+def sketched(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw the figures of reports, but save empty files, which takes no time."""
+
+    def save(figure: Figure, stem: Path) -> None:  # noqa: ARG001 - the form of save_figure
+        for suffix, text in ((".svg", '<svg xmlns="http://www.w3.org/2000/svg"></svg>'), (".png", "")):
+            stem.with_name(f"{stem.name}{suffix}").write_text(text, encoding="utf-8")
+
+    monkeypatch.setattr("analysis.report.write.save_figure", save)
+
+
+@pytest.fixture
+def short(monkeypatch: pytest.MonkeyPatch, sketched: None) -> None:  # noqa: ARG001 - figures are empty too
+    """Shorten reports to two sections: enough for what files, names and captions are about."""
+    monkeypatch.setattr("analysis.report.write.SECTIONS", (association.compute, profile.compute))
+
+
 @pytest.fixture(scope="session")
-def study(tmp_path_factory: pytest.TempPathFactory) -> Files:
+def study(make_once: Callable[[str, Callable[[Path], object]], Path]) -> Files:
     """Files of the default study; not to be changed."""
-    return write_files(tmp_path_factory.mktemp("study"))
+    folder = make_once("study", write_files)
+    return Files(folder / "ratings.csv", folder / "manifest.csv")
 
 
 @pytest.fixture(scope="session")
-def report(study: Files, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def report(study: Files, make_once: Callable[[str, Callable[[Path], object]], Path]) -> Path:
     """Write a report to be read only."""
-    folder = tmp_path_factory.mktemp("reports") / "report"
-    write_report(study.ratings, study.manifest, folder, draws=50, seed=3)
-    return folder
+    return make_once(
+        "report", lambda folder: write_report(study.ratings, study.manifest, folder / "report", draws=50, seed=3)
+    ) / "report"

@@ -235,6 +235,7 @@ def test_pairs_of_reducers_alone_are_a_page_too(write: Callable[..., tuple[Path,
     assert "Ratings per reducer" not in read_page(tmp_path / "report")
 
 
+@pytest.mark.usefixtures("short")
 def test_groups_that_felt_different_levels_are_counted_apart(files: Callable[..., object], tmp_path: Path) -> None:
     study = files(levels=("as_is", "equal_intensity"), scales=("realism", "mushra"), anchors=False)
     ratings = pd.read_csv(study.ratings)

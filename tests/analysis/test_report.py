@@ -14,7 +14,6 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from analysis.report.sections import association, profile
 from analysis.report.write import write_report
 from analysis.words import PLACES, tell_number
 
@@ -47,12 +46,6 @@ class Page(HTMLParser):
 
     def find(self, tag: str) -> list[dict[str, str | None]]:
         return [attrs for name, attrs in self.tags if name == tag]
-
-
-@pytest.fixture
-def short(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Shorten reports to two sections: enough for what files, names and captions are about."""
-    monkeypatch.setattr("analysis.report.write.SECTIONS", (association.compute, profile.compute))
 
 
 @pytest.fixture
@@ -128,8 +121,6 @@ def test_the_same_seed_gives_the_same_bytes(report: Path, study: object, tmp_pat
 
 
 @pytest.mark.usefixtures("short")
-@pytest.mark.usefixtures("short")
-@pytest.mark.usefixtures("short")
 @pytest.mark.parametrize(
     "scales", [("粗さ", "硬さ"), ("very rough", "very-rough"), ("Realism", "realism"), ("x" * 300, "x" * 300 + "y")]
 )
@@ -192,6 +183,7 @@ def test_far_outliers_are_told_in_the_caption(files: Callable[..., object], tmp_
     assert found["scatter.realism.as_is.temporal_match.n_below_edge"] == 0
 
 
+@pytest.mark.usefixtures("short")
 @pytest.mark.parametrize("simulated", [True, False])
 def test_simulated_ratings_carry_a_banner(files: Callable[..., object], tmp_path: Path, simulated: bool) -> None:
     study = files(simulated=simulated, scales=("realism",))

@@ -17,7 +17,7 @@ from packaging.utils import canonicalize_name
 if TYPE_CHECKING:
     from pathlib import Path
 
-COMMANDS = {"demo", "test", "check", "bench", "soak", "clean", "help"}
+COMMANDS = {"demo", "test", "coverage", "check", "bench", "soak", "clean", "help"}
 
 
 def make(root: Path, *arguments: str) -> str:

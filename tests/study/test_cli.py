@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from analysis.report.sections import association
 from stimuli.condition import Conditioning, condition, list_steps
 from stimuli.formats import read_recording
 from stimuli.match import METRICS, spectral_match
@@ -322,7 +323,9 @@ def test_match_refuses_what_does_not_belong_together(
     assert capsys.readouterr().err == f"feel321: r.wav: {message}\n"
 
 
-def test_a_study_from_new_to_report(study: StudyFolder, tmp_path: Path, capsys: Capture) -> None:
+def test_a_study_from_new_to_report(
+    study: StudyFolder, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder = str(study.path)
     assert main(["check", folder]) == 0
     assert capsys.readouterr().out.splitlines()[0] == f"{folder}: no problems"
@@ -351,6 +354,7 @@ def test_a_study_from_new_to_report(study: StudyFolder, tmp_path: Path, capsys: 
     assert main(["analyze", folder]) == 0
     assert capsys.readouterr().out == f"{study.report / 'index.html'}\n"
     assert (study.report / "index.html").stat().st_size > 1000
+    monkeypatch.setattr("analysis.report.write.SECTIONS", (association.compute,))  # what follows is about files only
     tables = ["--ratings", str(study.ratings), "--manifest", str(study.manifest), "--out", str(tmp_path / "else")]
     assert main(["analyze", *tables, "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == json.loads((tmp_path / "else" / "results.json").read_text())

@@ -160,6 +160,7 @@ def list_cases(cases: dict[str, tuple[Change, str]]) -> list[object]:
     ]
 
 
+@pytest.mark.usefixtures("sketched")
 @pytest.mark.parametrize(("change", "note"), list_cases(REDUCED))
 def test_what_little_there_is_becomes_a_page(small: object, folder: Path, change: Change, note: str) -> None:
     edit(small.ratings, change)
@@ -181,6 +182,7 @@ METRICS = {
 }  # fmt: skip
 
 
+@pytest.mark.usefixtures("sketched")
 @pytest.mark.parametrize(("change", "note"), list_cases(METRICS))
 def test_odd_metrics_become_a_page(small: object, folder: Path, change: Change, note: str) -> None:
     edit(small.manifest, change)

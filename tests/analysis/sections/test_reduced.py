@@ -59,6 +59,7 @@ def report_on(rows: pd.DataFrame, manifest: Path, folder: Path) -> Results:
     return results
 
 
+@pytest.mark.usefixtures("sketched")
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_a_protocol_alone_is_a_report(lab: StudyFolder, tmp_path: Path, protocol: str) -> None:
     rows = pd.read_csv(lab.ratings).query("protocol == @protocol")
@@ -83,6 +84,7 @@ CASES: dict[str, Callable[[pd.DataFrame], pd.DataFrame]] = {
 }
 
 
+@pytest.mark.usefixtures("sketched")
 @pytest.mark.parametrize("case", CASES)
 def test_what_is_missing_is_said(lab: StudyFolder, tmp_path: Path, case: str) -> None:
     rows = pd.read_csv(lab.ratings)

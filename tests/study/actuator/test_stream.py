@@ -344,15 +344,18 @@ def test_what_the_sensor_measures_is_kept_from_the_onset_on(
         assert rate_hz == RATE_HZ
         # The sink's monitor is the sensor: what was played comes back, later by the way there and back.
         lag = int(np.argmax(np.correlate(samples, sound[:, 0].astype(float), mode="valid")))
+        back = samples[lag : lag + len(sound)]
+        if not back @ sound[:, 0] > 0.5 * np.linalg.norm(back) * np.linalg.norm(sound[:, 0]):
+            return -1  # the way took longer than the file: a busy server has long buffers
         if not (delivery["underruns"] or delivery["measured"]["sensor_gaps"]):
-            assert samples[lag : lag + len(sound)] == pytest.approx(100 * sound[:, 0], abs=1e-3)
+            assert back == pytest.approx(100 * sound[:, 0], abs=1e-3)
         return lag
 
     def is_disturbed(found: tuple[list[Any], list[int]]) -> bool:
         # Between two playbacks nobody counts underruns; each of them changes the way there and back for good.
         deliveries, (one, other) = found
         has_gaps = any(delivery["measured"]["sensor_gaps"] for delivery in deliveries)
-        return has_run_dry(deliveries) or has_gaps or one != other
+        return has_run_dry(deliveries) or has_gaps or one != other or one < 0
 
     deliveries, lags = insist(play, is_disturbed=is_disturbed)
     assert [delivery["error"] for delivery in deliveries] == ["", ""]

@@ -1,10 +1,13 @@
 """Sudden death: SIGKILL between and inside the records of every protocol, and again while going on.
 
+Every protocol dies once in each way; the soak tests go through all instants, presenters and ways.
+
 `k` counts the calls that leave a trace on the disk (or, with `j`, the records); an instant is a share of a session.
 """
 
 from __future__ import annotations
 
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -12,6 +15,7 @@ import pytest
 from study.session.journal import read_journal
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
     from pathlib import Path
 
 TASKS = ("realism", "similarity-strict", "similarity-replay", "dissimilarity", "mushra", "abx")
@@ -24,14 +28,26 @@ every_session = pytest.mark.parametrize(
 )
 
 
-@pytest.mark.parametrize("instant", [0.3, 0.8])
-@every_session
+def vary(names: str, rows: Iterable[tuple[Any, ...]], *, every: Callable[..., bool]) -> pytest.MarkDecorator:
+    """Parametrize with all rows; those that `every` does not pick wait for `make soak`."""
+    return pytest.mark.parametrize(
+        names.split(), [pytest.param(*row, marks=[] if every(*row) else [pytest.mark.soak]) for row in rows]
+    )
+
+
+@vary(
+    "task presenter instant", product(TASKS, PRESENTERS, (0.3, 0.8)),
+    every=lambda task, presenter, instant: (presenter, instant) == (("scripted", 0.3), ("observer", 0.8))[
+        TASKS.index(task) % 2
+    ],
+)
 def test_between_two_calls(lab: Any, task: str, presenter: str, instant: float, tmp_path: Path) -> None:
     lab.endure(task, presenter, [lab.place(instant, task=task, presenter=presenter)], tmp_path / "killed")
 
 
-@pytest.mark.parametrize(
-    ("task", "presenter", "j"), [(task, *end) for task in TASKS for end in [("observer", 0.5), ("scripted", 1.0)]]
+@vary(
+    "task presenter j", [(task, *end) for task in TASKS for end in [("observer", 0.5), ("scripted", 1.0)]],
+    every=lambda task, presenter, _: presenter == PRESENTERS[TASKS.index(task) % 2],
 )
 def test_inside_a_record(lab: Any, task: str, presenter: str, j: float, tmp_path: Path) -> None:
     lab.endure(task, presenter, [lab.place(0.6, task=task, presenter=presenter, j=j)], tmp_path / "killed")
@@ -42,19 +58,26 @@ def test_after_the_last_record(lab: Any, instant: float, tmp_path: Path) -> None
     lab.endure("abx", "observer", [lab.place(instant, task="abx", presenter="observer")], tmp_path / "killed")
 
 
-@pytest.mark.parametrize("k", [6, 15, 26, *range(35, 54, 4)])
+@vary("k", [(k,) for k in (6, 15, 26, *range(35, 54, 4))], every=lambda k: k in {15, 39, 51})
 def test_before_the_first_record(lab: Any, k: int, tmp_path: Path) -> None:
     lab.endure("similarity-replay", "scripted", [lab.at(k)], tmp_path / "killed")
 
 
-@pytest.mark.parametrize("k", range(29, 49, 4))
+@vary("k", [(k,) for k in range(29, 49, 4)], every=lambda k: k in {33, 45})
 def test_again_while_a_torn_line_is_mended(lab: Any, k: int, tmp_path: Path) -> None:
     torn = lab.place(0.6, task="dissimilarity", presenter="observer", j=0.5)
     lab.endure("dissimilarity", "observer", [torn, lab.at(k), lab.at(k + 1)], tmp_path / "killed")
 
 
-@pytest.mark.parametrize("policy", ["warm_up", "restart"])
-@pytest.mark.parametrize(("k", "torn"), [*((k, None) for k in (29, 32, 35, 38, 41, 53)), (39, 0.5), (42, 0.5)])
+@vary(
+    "policy k torn",
+    [
+        (policy, *when)
+        for policy in ("warm_up", "restart")
+        for when in [*((k, None) for k in (29, 32, 35, 38, 41, 53)), (39, 0.5), (42, 0.5)]
+    ],
+    every=lambda _, k, __: k in {35, 42},
+)
 def test_again_the_next_day(lab: Any, k: int, torn: float | None, policy: str, tmp_path: Path) -> None:
     first = lab.place(0.6, task="abx", presenter="observer", j=torn)
     assert_one_day(lab.endure("abx", "observer", [first, lab.at(k)], tmp_path / "killed", policy=policy), policy)
@@ -67,8 +90,10 @@ def assert_one_day(study: Any, policy: str) -> None:
     assert len(study.journals) == {"warm_up": 1, "restart": 2}[policy]
 
 
-@pytest.mark.parametrize("instant", [0.2, 0.6])
-@pytest.mark.parametrize("task", ["realism", "mushra"])
+@vary(
+    "task instant", product(TASKS, (0.2, 0.6)),
+    every=lambda task, instant: instant == (0.2, 0.6)[TASKS.index(task) % 2],
+)
 def test_from_outside(lab: Any, task: str, instant: float, tmp_path: Path) -> None:
     lab.endure(task, "scripted", [instant], tmp_path / "killed")
 
