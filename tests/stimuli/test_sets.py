@@ -287,10 +287,12 @@ def test_every_setting_that_decides_a_file_makes_it_again(
 def test_the_same_file_read_otherwise_is_another_recording(scenes: list[Recording], tmp_path: Path) -> None:
     recipe = Recipe(reducers=("dft321",), gain=0.1, anchors=False, reference="none")
     (before,) = build_stimuli(scenes[:1], tmp_path, recipe=recipe).stimuli
-    in_g = replace(scenes[0], acceleration=9.80665 * scenes[0].acceleration, sha256=scenes[0].sha256)
+    source = {"name": scenes[0].name, "sha256": scenes[0].sha256}  # the digest of the file, given by the reader
+    in_g = Recording(9.80665 * scenes[0].acceleration, scenes[0].rate_hz, **source)
+    assert in_g.sha256 == scenes[0].sha256
     (after,) = build_stimuli([in_g], tmp_path, recipe=recipe).stimuli
     assert after.rms_m_s2 == pytest.approx(9.80665 * before.rms_m_s2, rel=1e-5)
-    slower = replace(scenes[0], rate_hz=scenes[0].rate_hz / 2)
+    slower = Recording(scenes[0].acceleration, scenes[0].rate_hz / 2, **source)
     (slow,) = build_stimuli([slower], tmp_path, recipe=recipe).stimuli
     assert slow.duration_s == pytest.approx(2 * before.duration_s)
 
