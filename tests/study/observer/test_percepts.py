@@ -216,11 +216,16 @@ def test_dft321_keeps_the_felt_spectrum_and_mag321_does_not(percepts: dict[str, 
 
 
 def test_the_level_arms_differ_in_level_alone(built: StimulusSet, percepts: dict[str, Percept]) -> None:
+    raised = {}
+    for row in built.stimuli:
+        factor = row.gain if row.level == "equal_intensity" else 1 / row.gain
+        raised[row.recording, row.reducer] = raised.get((row.recording, row.reducer), 1.0) * factor
     for stimulus in built.stimuli:
         if stimulus.level == "equal_intensity":
+            factor = raised[stimulus.recording, stimulus.reducer] / raised[stimulus.recording, "original"]
             equal = percepts[stimulus.stimulus_id]
             as_is = percepts[stimulus.stimulus_id.replace("equal_intensity", "as_is")]
-            assert equal.level_db == pytest.approx(0.0, abs=0.01)
+            assert equal.level_db - as_is.level_db == pytest.approx(20 * np.log10(factor), abs=0.01)
             assert equal.envelope == pytest.approx(as_is.envelope, abs=1e-4)
 
 
@@ -237,8 +242,10 @@ def test_files_are_taken_at_the_acceleration_that_the_rig_gives(built: StimulusS
 def test_a_common_original_serves_all_level_arms(built: StimulusSet) -> None:
     rows = tuple(s for s in built.stimuli if s.role != "reference" or s.level == "as_is")
     percepts = read_percepts(replace(built, stimuli=rows))
-    assert percepts["bumps__dft321__equal_intensity"].level_db < -0.5
-    assert percepts["bumps__dft321__equal_intensity"].spectral_db < 0.5
+    equal, as_is = (percepts[f"bumps__dft321__{level}"] for level in ("equal_intensity", "as_is"))
+    gains = {row.level: row.gain for row in rows if (row.recording, row.reducer) == ("bumps", "dft321")}
+    assert equal.level_db - as_is.level_db == pytest.approx(20 * np.log10(gains["equal_intensity"] / gains["as_is"]))
+    assert equal.spectral_db < 0.5
 
 
 def test_a_set_without_originals_is_refused(built: StimulusSet) -> None:
