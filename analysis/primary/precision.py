@@ -75,7 +75,7 @@ class Precision:
 
         Returns
         -------
-        se, df : float
+        tuple of two float
             By Welch and Satterthwaite, from participants, stimuli and reducers less what is estimated from each.
 
         Examples
@@ -192,7 +192,7 @@ def find_variances(study: Precision) -> tuple[float, float]:
 
     Returns
     -------
-    stimulus, reducer : float
+    tuple of two float
         The terms v and v + m v_r above.
     """
     alike = study.reducer_sd**2 + study.rater_reducer_sd**2 / study.n_participants
