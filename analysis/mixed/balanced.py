@@ -27,7 +27,15 @@ if TYPE_CHECKING:
 
 
 class Place(NamedTuple):
-    """Where a factor stands: its columns for one participant's rows, and whether they are everybody's levels."""
+    """Where a factor stands.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (n_each, n_levels * width)
+        Its columns of Z for one participant's rows.
+    shared : bool
+        Whether its levels are everybody's, not each participant's own.
+    """
 
     columns: NDArray[np.float64]
     shared: bool

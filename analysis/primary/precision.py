@@ -1,4 +1,11 @@
-"""How well would more participants or more recordings know a slope? The standard error, taken apart."""
+"""How well would more participants or more recordings know a slope? The standard error, taken apart.
+
+SE² = σ_S²/P + 1 / (SS_w/v + SS_r/(v + m v_r)), with v = σ_I² + (σ_PI² + σ_e²/K)/P of a stimulus and v_r = σ_R² +
+σ_PR²/P of a reducer in m recordings; SS_r is the sum of squares of the metric that is the same for a reducer in all
+recordings, SS_w what is left. Without reducers this is σ_S²/P + σ_I²/SS + (σ_PI² + σ_e²/K)/(P SS). Stimuli do not
+become more with participants: they set the ceiling of what a study can know. What only reducers tell (SS_r) becomes no
+more with recordings either, because m grows with SS_r.
+"""
 
 from __future__ import annotations
 
@@ -36,29 +43,16 @@ class Precision:
         Of one participant's mean rating of a stimulus, √(σ_PI² + σ_e²/K) for K repeats; points.
     square : float
         Σ over stimuli of the metric squared, less its recording's mean and less what the other metrics share.
-    n_participants, n_recordings, n_items : int
-        Size of the study.
-    n_slopes : int
-        Metrics in the model.
+    n_participants, n_recordings, n_items, n_slopes : int
+        Size of the study, and metrics in the model.
     reducer_sd, rater_reducer_sd : float
         Between reducers, of what the metrics leave unexplained, for everyone and for one participant; points.
     reducer_square : float
-        The part of `square` that is the same for a reducer in every recording: n_alike Σ over reducers of its mean
-        squared.
-    n_reducers : int
-        Reducers in the study; 0 where the model has no spread between them.
-    n_alike : float
-        Stimuli of one reducer.
+        The part of `square` that is the same for a reducer in every recording.
+    n_reducers, n_alike : float
+        Reducers, 0 where the model has no spread between them, and stimuli of each.
     level : float
         Of the test: 0.05 over the number of slopes tested, which is Holm's first step.
-
-    Notes
-    -----
-    SE² = σ_S²/P + 1 / (SS_w/v + SS_r/(v + m v_r)), with v = σ_I² + (σ_PI² + σ_e²/K)/P of a stimulus, v_r = σ_R² +
-    σ_PR²/P of a reducer in m recordings, SS_r the sum of squares of the metric that is the same for a reducer in all
-    recordings and SS_w what is left. Without reducers this is σ_S²/P + σ_I²/SS + (σ_PI² + σ_e²/K)/(P SS). Stimuli do
-    not become more with participants: they set the ceiling of what a study can know. What only reducers tell (SS_r)
-    becomes no more with recordings either, because m grows with SS_r.
     """
 
     slope_sd: float
@@ -81,23 +75,16 @@ class Precision:
 
         Returns
         -------
-        se : float
-            Standard error.
-        df : float
-            Degrees of freedom by Welch and Satterthwaite, from P - 1 participants, stimuli - recordings - metrics
-            (- reducers + 1) and reducers - 1 - metrics.
+        tuple of two float
+            By Welch and Satterthwaite, from participants, stimuli and reducers less what is estimated from each.
 
         Examples
         --------
         >>> study = Precision(5, 4, 10, 2.5, n_participants=20, n_recordings=10, n_items=90)
         >>> [round(value, 2) for value in study.find_se()]
         [3.11, 95.47]
-        >>> [round(value, 2) for value in study.enlarge(participants=10_000).find_se()]
-        [2.53, 79.06]
         """
-        people = self.slope_sd**2 / self.n_participants
-        stimulus, reducer = self.find_variances()
-        # What a slope is known by: within reducers, and between them.
+        people, (stimulus, reducer) = self.slope_sd**2 / self.n_participants, find_variances(self)
         within, between = (self.square - self.reducer_square) / stimulus, self.reducer_square / reducer
         stimuli = 1 / (within + between)
         others = max(self.n_reducers - 1, 0)
@@ -106,28 +93,13 @@ class Precision:
         spread = people**2 / max(self.n_participants - 1, 1) + unsure
         return math.sqrt(people + stimuli), (people + stimuli) ** 2 / spread if spread else math.inf
 
-    def find_variances(self) -> tuple[float, float]:
-        """Compute the variance of a stimulus's mean rating, and that times n of the mean over n stimuli of a reducer.
-
-        Returns
-        -------
-        stimulus, reducer : float
-            v and v + m v_r.
-        """
-        stimulus = self.item_sd**2 + self.noise_sd**2 / self.n_participants
-        alike = self.reducer_sd**2 + self.rater_reducer_sd**2 / self.n_participants
-        # Nothing is known exactly: without any noise the sums above would divide by zero.
-        stimulus = max(stimulus, 1e-300)
-        return stimulus, stimulus + self.n_alike * alike
-
     def enlarge(self, *, participants: int | None = None, recordings: int | None = None) -> Precision:
         """Imagine the same study with other numbers.
 
         Parameters
         ----------
         participants, recordings : int, optional
-            How many; each recording brings as many stimuli, and as different ones, as those here do on average, of
-            the same reducers.
+            How many; each recording brings as many stimuli, of the same reducers, as those here.
 
         Returns
         -------
@@ -210,6 +182,25 @@ class Precision:
         return float(brentq(lambda slope: self.find_power(slope) - ENOUGH, 0, 20 * se))
 
 
+def find_variances(study: Precision) -> tuple[float, float]:
+    """Compute the variance of a stimulus's mean rating, and n times that of the mean over n stimuli of a reducer.
+
+    Parameters
+    ----------
+    study : Precision
+        Its spreads.
+
+    Returns
+    -------
+    tuple of two float
+        The terms v and v + m v_r above.
+    """
+    alike = study.reducer_sd**2 + study.rater_reducer_sd**2 / study.n_participants
+    # Nothing is known exactly: without any noise the sums of squares would be divided by zero.
+    stimulus = max(study.item_sd**2 + study.noise_sd**2 / study.n_participants, 1e-300)
+    return stimulus, stimulus + study.n_alike * alike
+
+
 def find_own(
     metrics: np.ndarray, column: int, reducers: np.ndarray | None = None, *, variances: tuple[float, float] = (1, 1)
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -224,7 +215,7 @@ def find_own(
     reducers : ndarray of int, shape (n_items,), optional
         Which reducer made each stimulus.
     variances : tuple of two float
-        Of a stimulus, and of reducers (`Precision.find_variances`), by which the regression on the other metrics is
+        Of a stimulus, and of reducers (`find_variances`), by which the regression on the other metrics is
         weighted.
 
     Returns

@@ -13,7 +13,7 @@ from analysis.mixed.model import fit_mixed
 from analysis.primary import cells
 from analysis.primary.cells import make_cells
 from analysis.primary.model import fit_attributes, fit_primary, tabulate_slopes
-from analysis.primary.precision import Precision, find_own
+from analysis.primary.precision import Precision, find_own, find_variances
 from analysis.primary.sensitivity import vary_primary
 
 if TYPE_CHECKING:
@@ -432,7 +432,7 @@ def test_precision_is_that_of_the_model_with_its_own_spreads() -> None:
         study = Precision(slopes, of_item, noise, 1.0, n_participants=people, n_recordings=scenes,
                           n_items=len(within), n_slopes=2, reducer_sd=of_kind, rater_reducer_sd=own_kind,
                           n_reducers=kinds, n_alike=scenes)  # fmt: skip
-        own, alike = find_own(within, place, kind, variances=study.find_variances())
+        own, alike = find_own(within, place, kind, variances=find_variances(study))
         study = replace(study, square=float(own @ own), reducer_square=float(alike @ alike))
         assert study.find_se()[0] ** 2 == pytest.approx(weighted[place, place] + slopes**2 / people, rel=1e-9)
 

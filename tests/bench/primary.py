@@ -30,7 +30,7 @@ from analysis.mixed.solution import find_coefficients, find_sigma, find_spreads
 from analysis.primary.cells import make_cells
 from analysis.primary.model import _centre, fit_primary
 from analysis.primary.plan import Plan, plan_terms
-from analysis.primary.precision import Precision, find_own
+from analysis.primary.precision import Precision, find_own, find_variances
 from stimuli.condition import Conditioning, condition
 from stimuli.match import METRICS
 from stimuli.reduce import DEFAULT_REDUCERS, REDUCERS
@@ -207,7 +207,7 @@ def plan_study(items: pd.DataFrame, spreads: dict[str, float], place: int, *, pe
         reducer_sd=spreads["reducer"], rater_reducer_sd=spreads["participant:reducer"], n_reducers=kinds,
         n_alike=len(items) / kinds, level=ALPHA / len(USED),
     )  # fmt: skip
-    own, alike = find_own(within, place, items["reducer"].factorize()[0], variances=study.find_variances())
+    own, alike = find_own(within, place, items["reducer"].factorize()[0], variances=find_variances(study))
     return replace(study, square=float((own**2).sum()), reducer_square=float((alike**2).sum()))
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from analysis.numbers import COUNT, make_number, name_path
 from analysis.primary.cells import REDUCER, SOURCE, make_cells
-from analysis.primary.precision import ENOUGH, Precision, find_own
+from analysis.primary.precision import ENOUGH, Precision, find_own, find_variances
 from analysis.report.sections.effects import SIGNIFICANCE
 from analysis.report.sections.parts import ITEM
 from analysis.report.sections.section import Cell, Grid
@@ -116,7 +116,7 @@ def find_precision(metric: str, part: Part, model: Primary, *, n_tests: int = 1)
         level=SIGNIFICANCE / n_tests,
     )  # fmt: skip
     place, values = within.index(f"{metric}_w"), items[within].to_numpy()
-    own, alike = find_own(values, place, codes, variances=study.find_variances())
+    own, alike = find_own(values, place, codes, variances=find_variances(study))
     study = replace(study, square=float((own**2).sum()), reducer_square=float((alike**2).sum()))
     if not cells.shared:
         return study

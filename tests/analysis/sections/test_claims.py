@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from typing import TYPE_CHECKING
 
@@ -61,6 +62,30 @@ def test_what_holds_before_holms_adjustment_only_is_not_claimed(
     assert "goes with higher" not in line
     # What is not claimed is open: what would settle it is told.
     assert "If the slope on spectral match is what was estimated here" in line
+
+
+def test_what_is_not_estimable_has_no_interval_and_plans_nothing(tidy: Callable[..., pd.DataFrame]) -> None:
+    section = primary.compute(Table(tidy(1, participants=2, recordings=4), METRICS, ()), Choices(draws=2))
+    words = " ".join([*map(str, section.verdict), *section.answers])
+    assert words.count("is not estimable") == 4
+    for stranger in ("interval", "p (Holm)", "would find it", "undecided", "e+"):
+        assert stranger not in words
+    for number in section.numbers:
+        planned = number.name.startswith("precision.") or number.name.endswith((".df", ".p", ".p_holm"))
+        assert not planned or math.isnan(number.value)
+        assert not number.name.startswith("slope") or math.isnan(number.low)
+
+
+def test_nothing_is_planned_from_a_slope_that_one_stimulus_turns(
+    tidy: Callable[..., pd.DataFrame], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tabulate = primary.tabulate_slopes
+    monkeypatch.setattr(primary, "tabulate_slopes", lambda models: tabulate(models).assign(p_holm=0.06, turns=True))
+    section = primary.compute(Table(tidy(1, participants=8, recordings=4), METRICS, ()), Choices(draws=2))
+    assert "would find it" not in str(section.verdict[0])
+    plans = [number.value for number in section.numbers if number.name.startswith("precision.")]
+    assert len(plans) == 8
+    assert all(map(math.isnan, plans))
 
 
 def test_a_slope_on_a_metric_that_runs_over_thousands_is_not_told_as_zero(tidy: Callable[..., pd.DataFrame]) -> None:
