@@ -163,7 +163,7 @@ def fit_primary(
     ===================  =====  ========  ========
     this one             0.038  0.054     0.052
     without reducers     0.044  0.173     0.363
-    reducers fixed       0.046  0.049     0.05
+    reducers fixed       0.046  0.049     0.046
     ===================  =====  ========  ========
 
     Single designs lie between 0.013 and 0.068 (this one) and 0.00 and 0.48 (without reducers). A slope of 2 points per
