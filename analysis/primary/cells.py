@@ -212,3 +212,31 @@ def _split(items: DataFrame, metrics: Sequence[str]) -> DataFrame:
     means = items.groupby(SCENE, observed=True)[list(metrics)].transform("mean")
     within = (items[list(metrics)] - means).add_suffix("_w")
     return items[[SCENE, ITEM]].join(within).join(means.add_suffix("_b"))
+
+
+def centre_twice(table: DataFrame, names: Sequence[str]) -> DataFrame:
+    """Take out of metrics what their recording and their reducer give, over stimuli.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Cells with a column of reducers.
+    names : sequence of str
+        Columns of metrics.
+
+    Returns
+    -------
+    DataFrame
+        The same table with what is left of the metrics, exactly 0 where that is rounding; reducers as words.
+    """
+    import pandas as pd
+
+    items = table.drop_duplicates(ITEM).set_index(ITEM)
+    dummies = pd.get_dummies(items[[SCENE, REDUCER]].astype(str)).to_numpy(np.float64)
+    values = items[list(names)].to_numpy()
+    left = values - dummies @ np.linalg.lstsq(dummies, values, rcond=None)[0]
+    left *= np.abs(left).max(axis=0) > FLAT * np.abs(values).max(axis=0)
+    known = pd.DataFrame(left, items.index, list(names))
+    return table.assign(
+        **{REDUCER: table[REDUCER].astype(str)}, **{name: table[ITEM].map(known[name]) for name in names}
+    )

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.mixed.model import contrast, fit_mixed
-from analysis.primary.cells import FLAT, ITEM, RATING, REDUCER, SCENE, SOURCE, WHO, Cells, make_cells
+from analysis.primary.cells import ITEM, RATING, REDUCER, SCENE, SOURCE, WHO, Cells, centre_twice, make_cells
 from analysis.primary.plan import ALIKE, Plan, plan_terms
 from analysis.table.tidy import open_ratings
 
@@ -333,27 +333,11 @@ def _centre_slopes(
     names = [f"{name}_w" for name in within]
     fixed = Plan((*plan.fixed, REDUCER), tuple(one for one in plan.random if one != term), ())
     try:
-        found = fit_mixed(fixed.formula, _centre(cells.table, names)).fixed.loc[names]
+        found = fit_mixed(fixed.formula, centre_twice(cells.table, names)).fixed.loc[names]
     except ValueError as error:
         return empty, [f"No slopes centred on reducers: {error}"]
     values = found[["estimate", *(name for name in TESTED if name != "t")]]
     return values.set_axis(empty.columns, axis=1).set_axis(empty.index), []
-
-
-def _centre(table: DataFrame, names: Sequence[str]) -> DataFrame:
-    """Take out of metrics what their recording and their reducer give, over stimuli."""
-    import pandas as pd
-
-    items = table.drop_duplicates(ITEM).set_index(ITEM)
-    dummies = pd.get_dummies(items[[SCENE, REDUCER]].astype(str)).to_numpy(np.float64)
-    values = items[list(names)].to_numpy()
-    left = values - dummies @ np.linalg.lstsq(dummies, values, rcond=None)[0]
-    # What is left of a metric that differs between reducers only is rounding.
-    left *= np.abs(left).max(axis=0) > FLAT * np.abs(values).max(axis=0)
-    known = pd.DataFrame(left, items.index, list(names))
-    return table.assign(
-        **{REDUCER: table[REDUCER].astype(str)}, **{name: table[ITEM].map(known[name]) for name in names}
-    )
 
 
 def _table_between(fit: MixedFit, plan: Plan) -> DataFrame:

@@ -27,8 +27,8 @@ from analysis.mixed.design import build_design
 from analysis.mixed.inference import Estimate, estimate_sum, find_uncertainty
 from analysis.mixed.optimum import find_optimum
 from analysis.mixed.solution import find_coefficients, find_sigma, find_spreads
-from analysis.primary.cells import make_cells
-from analysis.primary.model import _centre, fit_primary
+from analysis.primary.cells import centre_twice, make_cells
+from analysis.primary.model import fit_primary
 from analysis.primary.plan import Plan, plan_terms
 from analysis.primary.precision import Precision, find_own, find_variances
 from stimuli.condition import Conditioning, condition
@@ -113,7 +113,7 @@ class Quick:
         table, within = self.cells.table, [f"{name}_w" for name in USED]
         if model == "reducers fixed":
             random = tuple(term for term in plan.random if term != "(1 | reducer)")
-            plan, table = Plan((*plan.fixed, "reducer"), random, ()), _centre(table, within)
+            plan, table = Plan((*plan.fixed, "reducer"), random, ()), centre_twice(table, within)
         self.penalty = () if model == "without penalty" else plan.penalty
         self.design = build_design(plan.formula, table)
         self.frame = find_frame(self.design)
