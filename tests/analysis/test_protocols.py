@@ -38,7 +38,7 @@ reference = "surface"
 [tasks.mushra]
 reference = "dft321"
 [analysis]
-draws = 20
+draws = 100
 """
 
 
