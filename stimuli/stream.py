@@ -1,13 +1,18 @@
 """Reducers that run while the vibration is still being made: blocks in, blocks out, a constant delay.
 
 A streamed reducer gives, sample by sample, what its offline form gives for the whole signal, `latency_samples` later.
-It allocates a little per call and never looks ahead.
+It allocates a little per call and never looks ahead. The work of a window is done in the block that completes half a
+window, it is not spread: `feel321 chart` measures what that block costs.
+
+A *gap* is a run of samples that did not arrive: samples of which an axis is not a finite number, or that `skip`
+declares. Time goes on during a gap, so as many samples are given as are missing.
 """
 
 from __future__ import annotations
 
+from functools import partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -15,8 +20,9 @@ from stimuli.axes import mag321, sax321, say321, saz321, soc321
 from stimuli.door import SAFE_PEAK, largest
 from stimuli.fourier import FourierFrames
 from stimuli.frames import DEFAULT_WINDOW_S, BlockProcessor, cut_blocks, window_samples
+from stimuli.matched import RunningAxis, frames_at
 from stimuli.principal import PrincipalFrames
-from stimuli.recording import check_acceleration, check_rate
+from stimuli.recording import check_finite, check_rate, coerce_acceleration
 from stimuli.reduce import get_reducer
 from stimuli.tracking import TrackingFrames
 
@@ -25,14 +31,23 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-_SAMPLEWISE = MappingProxyType(
+    OnGap = Literal["raise", "hold", "zero"]
+
+ON_GAP = ("raise", "hold", "zero")
+"""What can stand for a missing sample: an error, the last sample that arrived (0 before the first), or 0."""
+
+_NO_MEMORY = MappingProxyType(
     {"sax321": sax321, "say321": say321, "saz321": saz321, "soc321": soc321, "mag321": mag321}
 )
-_IN_FRAMES: Mapping[str, Callable[[tuple[int, ...], int], BlockProcessor]] = MappingProxyType(
+_RUNNING = MappingProxyType(
+    {"sax321_matched_running": 0, "say321_matched_running": 1, "saz321_matched_running": 2}
+)
+_IN_FRAMES: Mapping[str, Callable[[float], Callable[[tuple[int, ...], int], BlockProcessor]]] = MappingProxyType(
     {
-        "pca321_adaptive": PrincipalFrames,
-        "dft321_windowed": FourierFrames,
-        "dft321_principal_windowed": TrackingFrames,
+        "pca321_adaptive": lambda _: PrincipalFrames,
+        "dft321_windowed": lambda _: FourierFrames,
+        "dft321_principal_windowed": lambda _: TrackingFrames,
+        "pca321_matched_windowed": frames_at,
     }
 )
 WHY_NOT_STREAMING: Mapping[str, str] = MappingProxyType(
@@ -40,6 +55,10 @@ WHY_NOT_STREAMING: Mapping[str, str] = MappingProxyType(
         "pca321": "its axis and its mean need the whole recording; stream pca321_adaptive instead",
         "dft321": "its spectrum needs the whole recording; stream dft321_windowed instead",
         "dft321_principal": "its axis needs the whole recording; stream dft321_principal_windowed instead",
+        "sax321_matched": "its gain needs the whole recording; stream sax321_matched_running instead",
+        "say321_matched": "its gain needs the whole recording; stream say321_matched_running instead",
+        "saz321_matched": "its gain needs the whole recording; stream saz321_matched_running instead",
+        "pca321_matched": "its axis and its gain need the whole recording; stream pca321_matched_windowed instead",
     }
 )
 """Name -> reason, for the reducers that cannot run causally."""
@@ -56,74 +75,127 @@ class StreamingReducer:
         Sampling rate in Hz.
     window_s : float
         Length of a frame in s, for the reducers that work in frames.
+    on_gap : {"raise", "hold", "zero"}
+        What stands for missing samples: nothing, they are an error; the last sample that arrived; or 0.
 
     Attributes
     ----------
     latency_samples : int
         Delay of the output, constant: 0 for samplewise reducers, one frame less a sample for the others.
+    missing_samples : int
+        Samples so far that did not arrive.
+    gaps : int
+        Runs of such samples, however they were cut into blocks.
 
     Raises
     ------
     ValueError
-        If the reducer is unknown or needs the whole recording.
+        If the reducer is unknown or needs the whole recording, or `on_gap` is none of the three.
 
     Examples
     --------
-    >>> stream = StreamingReducer("soc321", rate_hz=1000)
+    >>> stream = StreamingReducer("soc321", rate_hz=1000, on_gap="hold")
     >>> stream.process([[1, 2], [3, 4], [5, 6]])
     array([ 9., 12.])
+    >>> stream.skip(2), stream.gaps, stream.missing_samples
+    (array([12., 12.]), 1, 2)
     """
 
-    def __init__(self, name: str, rate_hz: float, window_s: float = DEFAULT_WINDOW_S) -> None:
+    def __init__(
+        self, name: str, rate_hz: float, window_s: float = DEFAULT_WINDOW_S, *, on_gap: OnGap = "raise"
+    ) -> None:
         get_reducer(name)
         if name in WHY_NOT_STREAMING:
             raise ValueError(f"{name} cannot stream: {WHY_NOT_STREAMING[name]}")
+        if on_gap not in ON_GAP:
+            raise ValueError(f"on_gap: got {on_gap!r}, allowed is one of {', '.join(ON_GAP)}")
         self._name = name
         self._rate_hz = check_rate(rate_hz)
-        self._processor: BlockProcessor | None = None
-        self.latency_samples = 0
-        if name in _IN_FRAMES:
-            hop = window_samples(window_s, rate_hz) // 2
-            self._processor = _IN_FRAMES[name]((), hop)
-            self.latency_samples = 2 * hop - 1
+        self._hop = window_samples(window_s, rate_hz) // 2 if name in _IN_FRAMES else 0
+        self._on_gap = on_gap
+        self.latency_samples = max(2 * self._hop - 1, 0)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything that was fed, the counts of gaps included: as new, also after `flush`."""
+        self._processor = _IN_FRAMES[self._name](self._rate_hz)((), self._hop) if self._hop else None
+        self._step = self._make_step()
         self._waiting = np.zeros((3, 0))
         self._ready = np.zeros(self.latency_samples)
-        self._to_drop = self._processor.hop if self._processor else 0
-        self._flushed = False
+        self._to_drop = self._hop
+        self._last = np.zeros((3, 1))
+        self._in_gap = self._flushed = False
+        self.gaps = self.missing_samples = 0
 
-    def process(self, block: ArrayLike) -> NDArray[np.float64]:
+    def process(self, block: ArrayLike, *, out: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
         """Reduce the next samples.
 
         Parameters
         ----------
         block : array_like, shape (3, k)
-            The next k >= 0 samples of the three axes.
+            The next k >= 0 samples of the three axes; those that are missing are not finite in one of the axes.
+        out : ndarray of float64, shape (k,), optional
+            Where the output is written to; a new array if left out.
 
         Returns
         -------
         ndarray of float64, shape (k,)
-            The output, delayed by `latency_samples`; before the first sample of the signal it is 0.
+            The output, delayed by `latency_samples`; before the first sample of the signal it is 0. It is `out`, if
+            that was given.
 
         Raises
         ------
         ValueError
-            If the block is not three axes of finite numbers up to 1e60, or the stream was flushed.
+            If the block is not three axes of numbers up to 1e60, samples are missing and `on_gap` is "raise", `out` is
+            not fit to hold the output, or the stream was flushed. The stream is then as it was before.
         """
-        samples = check_acceleration(block)
+        samples = coerce_acceleration(block)
         if samples.ndim != 2:  # noqa: PLR2004 - axes x samples
             raise ValueError(f"block: got shape {samples.shape}, allowed is (3, k): one stream at a time")
         if self._flushed:
-            raise ValueError("the stream was flushed, its signal has ended; make a new StreamingReducer")
-        if self._processor is None:
-            return _SAMPLEWISE[self._name](samples, self._rate_hz)
+            raise ValueError("the stream was flushed, its signal has ended; reset it or make a new StreamingReducer")
+        if out is None:
+            out = np.empty(samples.shape[1])
+        elif out.shape != samples.shape[1:] or out.dtype != np.float64:
+            raise ValueError(
+                f"out: got {out.dtype} of shape {out.shape}, allowed is float64 of shape {samples.shape[1:]}"
+            )
+        there = np.asarray(np.isfinite(samples).all(axis=0))
+        if self._on_gap == "raise":
+            check_finite(samples, "block")
+        elif not there.all():
+            samples = self._fill(samples, there)
         # A whole recording can be scaled by its peak; a stream cannot know the peak that is to come.
-        if largest(samples) > SAFE_PEAK[1]:
+        if self._name not in _NO_MEMORY and largest(samples) > SAFE_PEAK[1]:
             raise ValueError(f"block: got a peak of {largest(samples):.3g}, allowed is up to {SAFE_PEAK[1]:g}")
-        self._waiting = np.concatenate([self._waiting, samples], axis=1)
-        n_blocks = self._waiting.shape[1] // self._processor.hop
-        if n_blocks:
-            self._push(self._processor, n_blocks)
-        return self._take(samples.shape[1])
+        self._count(there)
+        self._last = samples[:, -1:].copy() if there.size else self._last
+        self._step(samples, out)
+        return out
+
+    def skip(self, n_samples: int, *, out: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
+        """Declare that the next samples were lost on their way, as a driver reports it after an overrun.
+
+        Parameters
+        ----------
+        n_samples : int
+            How many, 0 or more.
+        out : ndarray of float64, shape (n_samples,), optional
+            As in `process`.
+
+        Returns
+        -------
+        ndarray of float64, shape (n_samples,)
+            As many samples of the output.
+
+        Raises
+        ------
+        ValueError
+            As `process`.
+        """
+        if n_samples < 0:
+            raise ValueError(f"n_samples: got {n_samples}, allowed is 0 or more")
+        return self.process(np.full((3, n_samples), np.nan), out=out)
 
     def flush(self) -> NDArray[np.float64]:
         """End the signal and give what the delay still holds back.
@@ -134,10 +206,43 @@ class StreamingReducer:
             The last samples of the output.
         """
         if self._processor is not None and not self._flushed:
-            self._push(self._processor, -(-self._waiting.shape[1] // self._processor.hop) + 1)
+            self._push(self._processor, -(-self._waiting.shape[1] // self._hop) + 1)
         rest = self._take(0 if self._flushed else self.latency_samples)
         self._flushed = True
         return rest
+
+    def _make_step(self) -> Callable[[NDArray[np.float64], NDArray[np.float64]], None]:
+        """Make what writes the output of samples into an array, in the way of this reducer."""
+        if self._processor is not None:
+            return self._step_in_frames
+        if self._name in _RUNNING:
+            push = RunningAxis((), _RUNNING[self._name], self._rate_hz).push
+        else:
+            push = partial(_NO_MEMORY[self._name], rate_hz=self._rate_hz)
+        return lambda samples, out: np.copyto(out, push(samples))
+
+    def _step_in_frames(self, samples: NDArray[np.float64], out: NDArray[np.float64]) -> None:
+        self._waiting = np.concatenate([self._waiting, samples], axis=1)
+        n_blocks = self._waiting.shape[1] // self._hop
+        if n_blocks and self._processor is not None:
+            self._push(self._processor, n_blocks)
+        out[:] = self._take(samples.shape[1])
+
+    def _fill(self, samples: NDArray[np.float64], there: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """Put what stands for missing samples in their place."""
+        which = np.where(there, np.arange(1, there.size + 1), 0)
+        if self._on_gap == "hold":
+            # Place 0 is the last sample before this block.
+            which = np.maximum.accumulate(which)
+        before = self._last if self._on_gap == "hold" else np.zeros((3, 1))
+        return np.asarray(np.concatenate([before, samples], axis=1)[:, which])
+
+    def _count(self, there: NDArray[np.bool_]) -> None:
+        """Count missing samples, and gaps where they begin."""
+        missing = ~np.concatenate([[not self._in_gap], there])
+        self.gaps += int(np.count_nonzero(missing[1:] & ~missing[:-1]))
+        self.missing_samples += int(np.count_nonzero(missing[1:]))
+        self._in_gap = bool(missing[-1])
 
     def _push(self, processor: BlockProcessor, n_blocks: int) -> None:
         used = n_blocks * processor.hop
