@@ -315,7 +315,7 @@ class MatchedFrames:
         own = np.einsum("...imt,...jmt->...mij", blocks, blocks)
         moments, self._moment = lfilter([1.0], [1.0, -self._memory], own, axis=-3, zi=self._moment)
         first = self._axis
-        axes = self._follow(moments)
+        axes = self._follow(moments, own)
         kept = np.einsum("...mi,...mij,...mj->...m", axes, moments, axes)
         gains = np.concatenate([self._gain, match_energy(np.trace(moments, axis1=-2, axis2=-1), kept)], axis=-1)
         axes = np.concatenate([first[..., None, :], axes], axis=-2)
@@ -330,15 +330,20 @@ class MatchedFrames:
         """Fade from one value to the next: (..., m + 1) in, (..., m, hop) out."""
         return np.asarray(values[..., :-1, None] + np.diff(values)[..., None] * self._fading_in)
 
-    def _follow(self, moments: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Leading axes (..., m, 3) of moments (..., m, 3, 3), each leaning and pointing towards the one before it."""
+    def _follow(self, moments: NDArray[np.float64], own: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Leading axes (..., m, 3) of moments (..., m, 3, 3), each leaning and pointing towards the one before it.
+
+        An axis is held by the share of the energy that it rests on: noise before the first tap has no say.
+        """
         axes = np.zeros((*moments.shape[:-3], moments.shape[-3] + 1, 3))
         axes[..., 0, :] = self._axis
         energy = np.trace(moments, axis1=-2, axis2=-1)[..., None, None]
         shares = np.divide(moments, energy, out=np.zeros_like(moments), where=energy > 0)
+        past = energy - np.trace(own, axis1=-2, axis2=-1)[..., None, None]
+        hold = HOLD * np.divide(past, energy, out=np.zeros_like(energy), where=energy > 0)
         for place in range(moments.shape[-3]):
             before = axes[..., place, :]
-            leaning = shares[..., place, :, :] + HOLD * before[..., :, None] * before[..., None, :]
+            leaning = shares[..., place, :, :] + hold[..., place, :, :] * before[..., :, None] * before[..., None, :]
             axes[..., place + 1, :] = np.where(energy[..., place, :, 0] > 0, leading_axis(leaning), before)
         axes[..., 1:, :] = with_sign(axes[..., 1:, :])
         along = np.einsum("...mi,...mi->...m", axes[..., 1:, :], axes[..., :-1, :])

@@ -64,6 +64,44 @@ WHY_NOT_STREAMING: Mapping[str, str] = MappingProxyType(
 """Name -> reason, for the reducers that cannot run causally."""
 
 
+class _Gaps:
+    """What stands for missing samples, and how many there were.
+
+    Parameters
+    ----------
+    on_gap : {"raise", "hold", "zero"}
+        What stands for them.
+    """
+
+    def __init__(self, on_gap: OnGap) -> None:
+        self._on_gap = on_gap
+        self._last = np.zeros((3, 1))
+        self._inside = False
+        self.gaps = self.samples = 0
+
+    def fill(self, samples: NDArray[np.float64], there: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """Put something in the place of missing samples, or raise ValueError; nothing is remembered yet."""
+        if self._on_gap == "raise":
+            check_finite(samples, "block")
+        if there.all():
+            return samples
+        which = np.where(there, np.arange(1, there.size + 1), 0)
+        if self._on_gap == "hold":
+            which = np.maximum.accumulate(which)
+        # Place 0 is the last sample before this block.
+        before = self._last if self._on_gap == "hold" else np.zeros((3, 1))
+        return np.asarray(np.concatenate([before, samples], axis=1)[:, which])
+
+    def count(self, samples: NDArray[np.float64], there: NDArray[np.bool_]) -> None:
+        """Count missing samples, and gaps where they begin; remember the last of the filled samples."""
+        missing = ~np.concatenate([[not self._inside], there])
+        self.gaps += int(np.count_nonzero(missing[1:] & ~missing[:-1]))
+        self.samples += int(np.count_nonzero(missing[1:]))
+        self._inside = bool(missing[-1])
+        if there.size:
+            self._last = samples[:, -1:].copy()
+
+
 class StreamingReducer:
     """One reducer, fed block by block.
 
@@ -82,10 +120,6 @@ class StreamingReducer:
     ----------
     latency_samples : int
         Delay of the output, constant: 0 for samplewise reducers, one frame less a sample for the others.
-    missing_samples : int
-        Samples so far that did not arrive.
-    gaps : int
-        Runs of such samples, however they were cut into blocks.
 
     Raises
     ------
@@ -123,9 +157,18 @@ class StreamingReducer:
         self._waiting = np.zeros((3, 0))
         self._ready = np.zeros(self.latency_samples)
         self._to_drop = self._hop
-        self._last = np.zeros((3, 1))
-        self._in_gap = self._flushed = False
-        self.gaps = self.missing_samples = 0
+        self._flushed = False
+        self._gaps = _Gaps(self._on_gap)
+
+    @property
+    def missing_samples(self) -> int:
+        """Samples so far that did not arrive."""
+        return self._gaps.samples
+
+    @property
+    def gaps(self) -> int:
+        """Runs of such samples, however they were cut into blocks."""
+        return self._gaps.gaps
 
     def process(self, block: ArrayLike, *, out: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
         """Reduce the next samples.
@@ -161,15 +204,11 @@ class StreamingReducer:
                 f"out: got {out.dtype} of shape {out.shape}, allowed is float64 of shape {samples.shape[1:]}"
             )
         there = np.asarray(np.isfinite(samples).all(axis=0))
-        if self._on_gap == "raise":
-            check_finite(samples, "block")
-        elif not there.all():
-            samples = self._fill(samples, there)
+        samples = self._gaps.fill(samples, there)
         # A whole recording can be scaled by its peak; a stream cannot know the peak that is to come.
         if self._name not in _NO_MEMORY and largest(samples) > SAFE_PEAK[1]:
             raise ValueError(f"block: got a peak of {largest(samples):.3g}, allowed is up to {SAFE_PEAK[1]:g}")
-        self._count(there)
-        self._last = samples[:, -1:].copy() if there.size else self._last
+        self._gaps.count(samples, there)
         self._step(samples, out)
         return out
 
@@ -227,22 +266,6 @@ class StreamingReducer:
         if n_blocks and self._processor is not None:
             self._push(self._processor, n_blocks)
         out[:] = self._take(samples.shape[1])
-
-    def _fill(self, samples: NDArray[np.float64], there: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Put what stands for missing samples in their place."""
-        which = np.where(there, np.arange(1, there.size + 1), 0)
-        if self._on_gap == "hold":
-            # Place 0 is the last sample before this block.
-            which = np.maximum.accumulate(which)
-        before = self._last if self._on_gap == "hold" else np.zeros((3, 1))
-        return np.asarray(np.concatenate([before, samples], axis=1)[:, which])
-
-    def _count(self, there: NDArray[np.bool_]) -> None:
-        """Count missing samples, and gaps where they begin."""
-        missing = ~np.concatenate([[not self._in_gap], there])
-        self.gaps += int(np.count_nonzero(missing[1:] & ~missing[:-1]))
-        self.missing_samples += int(np.count_nonzero(missing[1:]))
-        self._in_gap = bool(missing[-1])
 
     def _push(self, processor: BlockProcessor, n_blocks: int) -> None:
         used = n_blocks * processor.hop

@@ -182,4 +182,4 @@ def test_skipped_samples_are_a_gap() -> None:
 
 def test_an_unknown_way_with_gaps_is_answered_with_the_list() -> None:
     with pytest.raises(ValueError, match="on_gap: got 'mend', allowed is one of raise, hold, zero"):
-        StreamingReducer("say321", RATE, on_gap="mend")  # type: ignore[arg-type]
+        StreamingReducer("say321", RATE, on_gap="mend")  # type: ignore[arg-type]  # that is the test

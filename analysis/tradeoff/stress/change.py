@@ -32,12 +32,13 @@ class Change(NamedTuple):
 
     Parameters
     ----------
-    median, worst : float
-        Over the draws.
+    median, worst, p90 : float
+        Over the draws; nine of ten are not above `p90`, which is NaN where nothing is drawn.
     """
 
     median: float
     worst: float
+    p90: float = float("nan")
 
 
 def relative_change(changed: Samples, output: Samples, *, free: Free = "sign") -> Samples:
@@ -131,9 +132,9 @@ def summarise(changes: Samples) -> Change:
     Returns
     -------
     Change
-        Median and worst.
+        Median, worst and 90th percentile.
     """
-    return Change(float(np.median(changes)), float(changes.max()))
+    return Change(float(np.median(changes)), float(changes.max()), float(np.quantile(changes, 0.9)))
 
 
 def _sign_free(changed: Samples, output: Samples) -> Samples:
