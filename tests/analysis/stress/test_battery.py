@@ -165,7 +165,7 @@ def test_takes_are_measured_as_single_recordings_are(name: str, scene: str) -> N
 def test_quantiles_are_those_over_takes(monkeypatch: pytest.MonkeyPatch) -> None:
     sizes = np.arange(1.0, 41.0)
 
-    def measured(_reduce: Any, takes: Any) -> dict[str, np.ndarray]:
+    def measured(*_: Any) -> dict[str, np.ndarray]:
         return {key: -sizes if key == "energy" else sizes for key in (*MEASURES, "phase")}
 
     monkeypatch.setattr("analysis.tradeoff.stress.takes.measure_takes", measured)
