@@ -160,7 +160,7 @@ class Segment:
         return max(10 * math.log10(ratio), SILENT_DB) if ratio > 0 else SILENT_DB
 
     def _compare(self, power: Samples) -> float:
-        """`spectral_match_invariant`, of spectra that are there already."""
+        """`spectral_match_energy_weighted`, of spectra that are there already."""
         own, kept = self._power[self._smooth.bins], power[self._smooth.bins]
         total, apart = self._smooth(own + kept).sum(), np.abs(self._smooth(own - kept)).sum()
         return float(max((total - apart) / (total + apart), 0.0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
@@ -49,9 +50,9 @@ class Cell:
     measure: str
     value: float
     worst: float
-    up_to_phase: float = float("nan")
-    p90: float = float("nan")
-    p95: float = float("nan")
+    up_to_phase: float = math.nan
+    p90: float = math.nan
+    p95: float = math.nan
 
     @property
     def grade(self) -> Grade:
@@ -112,7 +113,7 @@ def measure_cells(  # noqa: PLR0913 - every choice that changes the figures has 
         figures = {key: damage if key == "fault" else measure(key) for key in measures}
         for key, figure in figures.items():
             failing = key == "gain" and MEASURES[key].grade(figure.median) == "fails"
-            phase = _measure_phase(reduce, recording, draws=draws, seed=seed) if failing else float("nan")
+            phase = _measure_phase(reduce, recording, draws=draws, seed=seed) if failing else math.nan
             cells.append(Cell(recording.name, name, key, figure.median, figure.worst, phase, figure.p90))
         if progress is not None:
             progress(number, len(pairs))
@@ -139,7 +140,7 @@ def _measure(reduce: Reducer, recording: Recording, key: str, *, draws: int, see
 
 
 def _measure_fault(reduce: Reducer, recording: Recording, clean: Recording | None) -> Change:
-    damage = float("nan") if clean is None else fault_gain(reduce, recording, clean=clean)
+    damage = math.nan if clean is None else fault_gain(reduce, recording, clean=clean)
     return Change(damage, damage)
 
 

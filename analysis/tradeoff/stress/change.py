@@ -11,6 +11,7 @@ and stays silent has changed by 0, one that is silent and becomes anything by sq
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
@@ -38,7 +39,7 @@ class Change(NamedTuple):
 
     median: float
     worst: float
-    p90: float = float("nan")
+    p90: float = math.nan
 
 
 def relative_change(changed: Samples, output: Samples, *, free: Free = "sign") -> Samples:

@@ -6,6 +6,7 @@ shift. The figures are those of `measures` and `mounting`, which say what they m
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -17,8 +18,9 @@ from analysis.tradeoff.stress.limits import MEASURES
 from analysis.tradeoff.stress.measures import LARGEST_DB
 from analysis.tradeoff.stress.mounting import FLIPS
 from stimuli.frames import DEFAULT_WINDOW_S, window_samples
-from stimuli.match import OriginalSpectrum, axis_correlations, mean_heard
+from stimuli.match import axis_correlations, mean_heard
 from stimuli.rotation import random_rotations
+from stimuli.spectrum import OriginalSpectrum
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -230,6 +232,6 @@ def _summarise(scene: str, reducer: str, found: Mapping[str, Samples]) -> list[C
         median, *upper = np.quantile(sizes, QUANTILES).tolist()
         sign = -1.0 if np.median(found[key]) < 0 else 1.0
         failing = key == "gain" and MEASURES[key].grade(median) == "fails"
-        phase = float(np.median(found["phase"])) if failing else float("nan")
+        phase = float(np.median(found["phase"])) if failing else math.nan
         cells.append(Cell(scene, reducer, key, sign * median, upper[-1], phase, *upper[:2]))
     return cells

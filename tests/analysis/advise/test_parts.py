@@ -24,7 +24,7 @@ from analysis.tradeoff.advise.simplicity import Cost, find_cost
 from analysis.tradeoff.advise.tolerance import Tolerance
 from analysis.tradeoff.advise.verdict import Rated, Shortfall, Verdict, compare
 from analysis.tradeoff.advise.wording import tell_choice, tell_closest, tell_doubt, tell_fault
-from stimuli.invariant import spectral_match_invariant, temporal_match_invariant
+from stimuli.invariant import spectral_match_energy_weighted, temporal_match_invariant
 from stimuli.perception import felt_level
 from stimuli.recording import Recording
 from stimuli.reduce import REDUCERS
@@ -152,7 +152,7 @@ def test_scores_are_the_published_metrics(name: str) -> None:
     level_db, spectrum, time, _ = segment.score(REDUCERS[name], segment.both)
     felt = felt_level(reduced, rate_hz) / felt_level(samples, rate_hz)
     assert level_db == pytest.approx(20 * np.log10(felt), abs=0.02)
-    assert spectrum == pytest.approx(spectral_match_invariant(samples, reduced, rate_hz))
+    assert spectrum == pytest.approx(spectral_match_energy_weighted(samples, reduced, rate_hz))
     assert time == pytest.approx(temporal_match_invariant(samples, reduced))
 
 

@@ -143,7 +143,8 @@ def test_progress_reaches_the_end(drag: Any) -> None:
 
 def test_without_recordings_the_page_is_about_the_battery(tmp_path: Path) -> None:
     few = {"mag321": REDUCERS["mag321"]}
-    page = write_stress(stress_reducers(reducers=few, seeds=2, draws=2, seed=0), tmp_path / "out").read_text(encoding="utf-8")
+    alone = stress_reducers(reducers=few, seeds=2, draws=2, seed=0)
+    page = write_stress(alone, tmp_path / "out").read_text(encoding="utf-8")
     assert "Recordings that come near" not in page
     assert "No reducer fails here." in page
 
