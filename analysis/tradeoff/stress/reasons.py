@@ -49,7 +49,7 @@ REASONS: Mapping[tuple[str, str], str] = MappingProxyType({
     ("fault", "dft321_windowed"): "the fault changes the phase of x + y + z at frequencies whose energy it spares.",
     ("energy", "dft321_windowed"): _STEPS, ("energy", "dft321_principal_windowed"): _STEPS,
     **{("gain", name): _SILENT for name in _ONE_AXIS}, **{("rotation", name): _OWN_AXIS for name in _ONE_AXIS},
-    **{("energy", name): "the gain is at most 10: an axis with less than 1 % of the energy stays weak."
+    **{("energy", name): "the gain is at most 10: an axis with less than a hundredth of the energy stays weak."
        for name in _ONE_AXIS},
     **{("gain", name): _CHANCE for name in _LEADING_MATCHED},
     ("rotation", "pca321_matched"): "equal eigenvalues: rounding chooses among equally good axes.",

@@ -156,8 +156,9 @@ def _say_invariance(result: StressResult) -> Iterable[str]:
         unmoved = [name for name in result.reducers if not counts[name]]
         moved = (f"{name} ({counts[name]})" for name in result.reducers if counts[name])
         yield (
-            f"The output does not change under {words} in any scene with {', '.join(unmoved) or 'no reducer'}; "
-            f"scenes of {len(BATTERY)} in which it does: {', '.join(moved) or 'none'}."
+            f"Under {words} the output changes by less than {100 * MEASURES[key].fails:.0f} % in every scene with "
+            f"{', '.join(unmoved) or 'no reducer'}; scenes of {len(BATTERY)} in which it changes more: "
+            f"{', '.join(moved) or 'none'} (median takes)."
         )
 
 

@@ -127,7 +127,7 @@ def test_the_page_tells_a_budget_and_what_is_closest(tmp_path: Path) -> None:
     write_advice(advise_recordings(scenes()[:2], ONLINE), tmp_path / "advice")
     page = (tmp_path / "advice" / "index.html").read_text(encoding="utf-8")
     assert "at most 5 ms late" in page
-    assert "latency, state, operations, parameters" in page
+    assert "ranked by latency, then memory, operations" in page
 
 
 def test_a_page_of_nothing_but_silence_is_written(tmp_path: Path) -> None:
