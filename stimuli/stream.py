@@ -102,6 +102,61 @@ class _Gaps:
             self._last = samples[:, -1:].copy()
 
 
+class _Samplewise:
+    """A reducer without frames: as many samples out as in.
+
+    Parameters
+    ----------
+    push : callable
+        Samples in, output out.
+    """
+
+    def __init__(self, push: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> None:
+        self._push = push
+
+    def step(self, samples: NDArray[np.float64], out: NDArray[np.float64]) -> None:
+        """Write the output of samples (3, k) to `out`."""
+        np.copyto(out, self._push(samples))
+
+    def end(self) -> NDArray[np.float64]:
+        """Give nothing: nothing is held back."""
+        return np.zeros(0)
+
+
+class _InFrames:
+    """A block processor, fed samples as they come.
+
+    Parameters
+    ----------
+    processor : BlockProcessor
+        Fresh.
+    """
+
+    def __init__(self, processor: BlockProcessor) -> None:
+        self._processor, self._to_drop = processor, processor.hop
+        self._waiting = np.zeros((3, 0))
+        self._ready = np.zeros(2 * processor.hop - 1)
+
+    def step(self, samples: NDArray[np.float64], out: NDArray[np.float64]) -> None:
+        """Write the output of samples (3, k) to `out`."""
+        self._waiting = np.concatenate([self._waiting, samples], axis=1)
+        if n_blocks := self._waiting.shape[1] // self._processor.hop:
+            self._push(n_blocks)
+        out[:], self._ready = self._ready[: out.size], self._ready[out.size :]
+
+    def end(self) -> NDArray[np.float64]:
+        """Give what the delay still holds back."""
+        self._push(-(-self._waiting.shape[1] // self._processor.hop) + 1)
+        return self._ready[: 2 * self._processor.hop - 1]
+
+    def _push(self, n_blocks: int) -> None:
+        used = n_blocks * self._processor.hop
+        finished = self._processor.push(*cut_blocks(self._waiting[:, :used], self._processor.hop, n_blocks)).ravel()
+        self._waiting = self._waiting[:, used:]
+        dropped, self._to_drop = self._to_drop, 0
+        self._ready = np.concatenate([self._ready, finished[dropped:]])
+
+
 class StreamingReducer:
     """One reducer, fed block by block.
 
@@ -152,11 +207,7 @@ class StreamingReducer:
 
     def reset(self) -> None:
         """Forget everything that was fed, the counts of gaps included: as new, also after `flush`."""
-        self._processor = _IN_FRAMES[self._name](self._rate_hz)((), self._hop) if self._hop else None
-        self._step = self._make_step()
-        self._waiting = np.zeros((3, 0))
-        self._ready = np.zeros(self.latency_samples)
-        self._to_drop = self._hop
+        self._stream = self._make_stream()
         self._flushed = False
         self._gaps = _Gaps(self._on_gap)
 
@@ -209,7 +260,7 @@ class StreamingReducer:
         if self._name not in _NO_MEMORY and largest(samples) > SAFE_PEAK[1]:
             raise ValueError(f"block: got a peak of {largest(samples):.3g}, allowed is up to {SAFE_PEAK[1]:g}")
         self._gaps.count(samples, there)
-        self._step(samples, out)
+        self._stream.step(samples, out)
         return out
 
     def skip(self, n_samples: int, *, out: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
@@ -244,36 +295,13 @@ class StreamingReducer:
         ndarray of float64, shape (latency_samples,)
             The last samples of the output.
         """
-        if self._processor is not None and not self._flushed:
-            self._push(self._processor, -(-self._waiting.shape[1] // self._hop) + 1)
-        rest = self._take(0 if self._flushed else self.latency_samples)
+        rest = np.zeros(0) if self._flushed else self._stream.end()
         self._flushed = True
         return rest
 
-    def _make_step(self) -> Callable[[NDArray[np.float64], NDArray[np.float64]], None]:
-        """Make what writes the output of samples into an array, in the way of this reducer."""
-        if self._processor is not None:
-            return self._step_in_frames
+    def _make_stream(self) -> _Samplewise | _InFrames:
+        if self._hop:
+            return _InFrames(_IN_FRAMES[self._name](self._rate_hz)((), self._hop))
         if self._name in _RUNNING:
-            push = RunningAxis((), _RUNNING[self._name], self._rate_hz).push
-        else:
-            push = partial(_NO_MEMORY[self._name], rate_hz=self._rate_hz)
-        return lambda samples, out: np.copyto(out, push(samples))
-
-    def _step_in_frames(self, samples: NDArray[np.float64], out: NDArray[np.float64]) -> None:
-        self._waiting = np.concatenate([self._waiting, samples], axis=1)
-        n_blocks = self._waiting.shape[1] // self._hop
-        if n_blocks and self._processor is not None:
-            self._push(self._processor, n_blocks)
-        out[:] = self._take(samples.shape[1])
-
-    def _push(self, processor: BlockProcessor, n_blocks: int) -> None:
-        used = n_blocks * processor.hop
-        finished = processor.push(*cut_blocks(self._waiting[:, :used], processor.hop, n_blocks)).ravel()
-        self._waiting = self._waiting[:, used:]
-        dropped, self._to_drop = self._to_drop, 0
-        self._ready = np.concatenate([self._ready, finished[dropped:]])
-
-    def _take(self, count: int) -> NDArray[np.float64]:
-        taken, self._ready = self._ready[:count], self._ready[count:]
-        return taken
+            return _Samplewise(RunningAxis((), _RUNNING[self._name], self._rate_hz).push)
+        return _Samplewise(partial(_NO_MEMORY[self._name], rate_hz=self._rate_hz))

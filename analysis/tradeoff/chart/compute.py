@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from functools import partial
 from itertools import count
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from analysis.table.reading import Table
-    from analysis.tradeoff.chart.records import Accuracy, Cost, Memory, Precision, RealTime
+    from analysis.tradeoff.chart.records import Accuracy, Cost, Memory, Precision
     from analysis.tradeoff.chart.timing import Clock
     from stimuli.recording import Recording
 
@@ -107,10 +107,9 @@ def compute_chart(
     """
     from threadpoolctl import threadpool_limits
 
-    from analysis.tradeoff.chart.cost import RATE_HZ, REFERENCE_N, fit_all
+    from analysis.tradeoff.chart.cost import RATE_HZ, fit_all
     from analysis.tradeoff.chart.methods import list_methods
     from analysis.tradeoff.chart.notes import list_notes
-    from analysis.tradeoff.chart.realtime import list_resources, measure_stability
 
     _require_names(recordings)
     name, clock = choose_clock() if clock is None else ("given", clock)
@@ -121,9 +120,7 @@ def compute_chart(
         accuracies = _measure_scenes(recordings, effort, seed=seed, tick=tick)
         costs = _time_methods(effort, seed=seed, clock=clock, tick=tick)
         memory, precision = _measure_memory(effort, seed=seed, tick=tick)
-        realtime = _time_blocks(effort, seed=seed, clock=clock, tick=tick)
-        stability = tuple(measure_stability(recordings, seed=seed))
-        tick()
+        running = _measure_running(recordings, effort, seed=seed, clock=clock, tick=tick)
     usual = [row for row in accuracies if row.sweep == "reducer"]
     points = place_points(list_methods(), usual, list_reference_costs(costs), rate_hz=RATE_HZ)
     return Chart(
@@ -137,9 +134,7 @@ def compute_chart(
         memory=tuple(memory),
         precision=tuple(precision),
         rated=() if ratings is None else tuple(rate_reducers(ratings.rows, seed=seed)),
-        realtime=realtime,
-        resources=tuple(list_resources(REFERENCE_N, RATE_HZ)),
-        stability=stability,
+        **running,
         seed=seed,
         effort=effort.name,
         simulated=ratings is not None and bool(ratings.rows["simulated"].any()),
@@ -226,15 +221,25 @@ def _measure_memory(effort: Effort, *, seed: int, tick: Tick) -> tuple[list[Memo
     return memory, precision
 
 
-def _time_blocks(effort: Effort, *, seed: int, clock: Clock, tick: Tick) -> tuple[RealTime, ...]:
+def _measure_running(
+    recordings: Sequence[Recording], effort: Effort, *, seed: int, clock: Clock, tick: Tick
+) -> dict[str, Any]:
+    """Measure what reducers need while they run: the chart's fields by name."""
+    from analysis.tradeoff.chart.cost import RATE_HZ, REFERENCE_N
     from analysis.tradeoff.chart.methods import list_methods
-    from analysis.tradeoff.chart.realtime import time_blocks
+    from analysis.tradeoff.chart.realtime import list_resources, measure_stability, time_blocks
 
     found = []
     for method in list_methods():
         found.append(time_blocks(method, rounds=effort.rounds, clock=clock, rng=np.random.default_rng(seed)))
         tick()
-    return tuple(row for row in found if row is not None)
+    stability = tuple(measure_stability(recordings, seed=seed))
+    tick()
+    return {
+        "realtime": tuple(row for row in found if row is not None),
+        "resources": tuple(list_resources(REFERENCE_N, RATE_HZ)),
+        "stability": stability,
+    }
 
 
 def _describe_scene(recording: Recording, effort: Effort) -> Scene:
