@@ -47,8 +47,8 @@ class MetricRow:
         The one with the lowest spectral match (paper, eq. 1); empty where none is defined.
     spectral : float
         That match; NaN where none is defined.
-    spectral_bounded : float
-        The counterpart's value for the same reducer.
+    spectral_bounded, spectral_energy_weighted : float
+        Bounded spectral matches of the same reducer.
     """
 
     recording: str
@@ -60,6 +60,7 @@ class MetricRow:
     worst_reducer: str
     spectral: float
     spectral_bounded: float
+    spectral_energy_weighted: float
 
     @property
     def moves(self) -> bool:
@@ -107,10 +108,11 @@ def compare_metrics_under_rotation(
     temporal = mean_heard(axis_correlations(turned, reduced))
     invariant = [INVARIANTS["temporal_match"](one, reduced, rate_hz) for one in turned[:5]]
     worst, spectral = _find_lowest(recording, reducers)
-    counterpart = _match(METRICS["spectral_match_bounded"], recording, reducers[worst]) if worst else float("nan")
+    metrics = METRICS["spectral_match_bounded"], INVARIANTS["spectral_match"]
+    bounded, weighted = (_match(metric, recording, reducers[worst]) if worst else np.nan for metric in metrics)
     return MetricRow(
         recording.name, chosen, float(temporal.min()), float(temporal.max()), min(invariant), max(invariant),
-        worst, spectral, counterpart,
+        worst, spectral, bounded, weighted,
     )  # fmt: skip
 
 
@@ -155,7 +157,7 @@ def say_metrics(rows: Sequence[MetricRow]) -> tuple[str, ...]:
         worst = min(exploding, key=lambda row: row.spectral)
         lines.append(
             f"Spectral match falls below {EXPLODED:g} in {len(exploding)} of {len(rows)}, lowest on {worst.recording} "
-            f"({worst.worst_reducer}: {worst.spectral:.3g}); its bounded form stays between 0 and 1 "
+            f"({worst.worst_reducer}: {worst.spectral:.3g}); the bounded one stays between 0 and 1 "
             f"({worst.spectral_bounded:.2f} there)."
         )
     return tuple(lines)

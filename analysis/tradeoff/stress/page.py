@@ -222,4 +222,5 @@ def _show_metrics(row: MetricRow) -> tuple[str, list[Shown]]:
         Shown(tell_figure(row.spectral), "fails" if row.explodes else "good"),
         Shown(row.worst_reducer or ABSENT),
         Shown(tell_figure(row.spectral_bounded)),
+        Shown(tell_figure(row.spectral_energy_weighted)),
     ]

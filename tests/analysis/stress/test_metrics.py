@@ -29,6 +29,8 @@ def test_the_spectral_match_explodes_in_empty_bands_and_its_counterpart_does_not
     assert row.explodes
     assert row.worst_reducer == "mag321"
     assert 0 <= row.spectral_bounded <= 1
+    assert 0 <= row.spectral_energy_weighted <= 1
+    assert f"({row.spectral_bounded:.2f} there)" in say_metrics([row])[1]
 
 
 def test_another_reducer_is_held_where_the_usual_one_is_not_there(drag: Any) -> None:
@@ -41,7 +43,7 @@ def test_without_a_frequency_there_is_no_spectral_match(made: Any) -> None:
     slow = made(np.random.default_rng(0).standard_normal((3, 4)), rate_hz=30.0)
     row = compare_metrics_under_rotation(slow, {"sax321": REDUCERS["sax321"]}, rng=np.random.default_rng(0))
     assert row.worst_reducer == ""
-    assert np.isnan(row.spectral)
+    assert np.isnan([row.spectral, row.spectral_bounded, row.spectral_energy_weighted]).all()
     assert not row.explodes
 
 
