@@ -46,7 +46,18 @@ hold noticeably more before the axis turns. Without it the axis of isotropic mot
 
 
 def match_energy(total: NDArray[np.float64], kept: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Gain that gives what is kept the energy of all; at most `MOST_GAIN`, and 0 for silence."""
+    """Find the gain that gives what is kept the energy of all; at most `MOST_GAIN`, and 0 for silence.
+
+    Parameters
+    ----------
+    total, kept : ndarray of float64
+        Energies of all axes and of what is kept, same shape.
+
+    Returns
+    -------
+    ndarray of float64
+        Gains of the amplitude, same shape.
+    """
     limited = np.maximum(kept, total / MOST_GAIN**2)
     return np.asarray(np.sqrt(np.divide(total, limited, out=np.zeros_like(total), where=limited > 0)))
 

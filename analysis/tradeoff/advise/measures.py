@@ -34,10 +34,12 @@ class Measures:
         `temporal_match_invariant`.
     change : float
         Relative change of the output, up to its sign, under sensor noise of -60 dB.
-    spectral_match, temporal_match, spectral_match_bounded : float
-        The paper's metrics, and the bounded form of the first; NaN where there are none.
+    spectral_match, temporal_match : float
+        The paper's metrics; NaN where there are none.
     gain_db : float
         Gain that the reducer applies to what it keeps, whatever that is.
+    spectral_match_bounded : float
+        As the paper's metrics.
     """
 
     level_db: float
@@ -62,7 +64,18 @@ class Measures:
 
 
 def find_gains(candidates: list[Candidate]) -> NDArray[np.float64]:
-    """Look up the fixed gains of candidates in dB, one row each, to be set against draws."""
+    """Look up the fixed gains of candidates, one row each, to be set against draws.
+
+    Parameters
+    ----------
+    candidates : list of Candidate
+        The candidates.
+
+    Returns
+    -------
+    ndarray of float64, shape (n_candidates, 1)
+        In dB.
+    """
     return np.array([[GAIN_DB.get(candidate.name, 0.0)] for candidate in candidates])
 
 
