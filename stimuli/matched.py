@@ -138,8 +138,8 @@ def pca321_matched(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.float6
 
     Examples
     --------
-    >>> np.round(pca321_matched([[3, -3, 3, -3], [4, -4, 4, -4], [5, 5, -5, -5]], 1000), 9)
-    array([ 7.071067812, -7.071067812,  7.071067812, -7.071067812])
+    >>> np.round(pca321_matched([[3, -3, 3, -3], [4, -4, 4, -4], [3.75, 3.75, -3.75, -3.75]], 1000), 9)
+    array([ 6.25, -6.25,  6.25, -6.25])
     """
     admitted = admit(acceleration, rate_hz)
     samples = admitted.samples

@@ -114,7 +114,7 @@ def advise_recordings(
     >>> from stimuli.synthesis import make_scene
     >>> scenes = [make_scene(name, duration_s=0.5) for name in ("constrained_drag", "circular_motion")]
     >>> advise_recordings(scenes, Context()).common[0]
-    'dft321'
+    'pca321_matched'
     """
     from threadpoolctl import threadpool_limits
 
