@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 # Below this the sum of an axis's components is rounding, and cannot choose its sign.
-_NO_SIGN = 1e-9
+NO_SIGN = 1e-9
 # A segment whose variation is below this share of its second moment is constant but for rounding.
 _CONSTANT = 1e-20
 
@@ -125,9 +125,9 @@ def with_sign(axes: NDArray[np.float64]) -> NDArray[np.float64]:
     """
     along = axes.sum(axis=-1, keepdims=True)
     strength = np.abs(axes)
-    first = np.argmax(strength >= (1 - _NO_SIGN) * strength.max(axis=-1, keepdims=True), axis=-1)
+    first = np.argmax(strength >= (1 - NO_SIGN) * strength.max(axis=-1, keepdims=True), axis=-1)
     largest = np.take_along_axis(axes, first[..., None], axis=-1)
-    return np.asarray(axes * np.where(np.where(np.abs(along) > _NO_SIGN, along, largest) < 0, -1.0, 1.0))
+    return np.asarray(axes * np.where(np.where(np.abs(along) > NO_SIGN, along, largest) < 0, -1.0, 1.0))
 
 
 class PrincipalFrames:
@@ -182,7 +182,7 @@ class PrincipalFrames:
         axes = np.take_along_axis(axes, own[..., None], axis=-2)
         along = np.einsum("...mi,...mi->...m", axes[..., 1:, :], axes[..., :-1, :])
         # An axis across the one before it keeps the sign that it has by itself: rounding must not choose.
-        signs = np.cumprod(np.where(along < -_NO_SIGN, -1.0, 1.0), axis=-1)
+        signs = np.cumprod(np.where(along < -NO_SIGN, -1.0, 1.0), axis=-1)
         return np.asarray(axes[..., 1:, :] * signs[..., None])
 
 

@@ -18,6 +18,16 @@ from typing import TYPE_CHECKING, Protocol
 from stimuli.axes import mag321, sax321, say321, saz321, soc321
 from stimuli.fourier import dft321, dft321_windowed
 from stimuli.leading import dft321_principal
+from stimuli.matched import (
+    pca321_matched,
+    pca321_matched_windowed,
+    sax321_matched,
+    sax321_matched_running,
+    say321_matched,
+    say321_matched_running,
+    saz321_matched,
+    saz321_matched_running,
+)
 from stimuli.principal import pca321, pca321_adaptive
 from stimuli.tracking import dft321_principal_windowed
 
@@ -48,11 +58,19 @@ REDUCERS: Mapping[str, Reducer] = MappingProxyType(
         "dft321_windowed": dft321_windowed,
         "dft321_principal": dft321_principal,
         "dft321_principal_windowed": dft321_principal_windowed,
+        "sax321_matched": sax321_matched,
+        "say321_matched": say321_matched,
+        "saz321_matched": saz321_matched,
+        "pca321_matched": pca321_matched,
+        "sax321_matched_running": sax321_matched_running,
+        "say321_matched_running": say321_matched_running,
+        "saz321_matched_running": saz321_matched_running,
+        "pca321_matched_windowed": pca321_matched_windowed,
     }
 )
 """Name -> reducer."""
 
-DEFAULT_REDUCERS = tuple(name for name in REDUCERS if not name.startswith("dft321_principal"))
+DEFAULT_REDUCERS = tuple(REDUCERS)[:9]
 """What a study compares unless it says otherwise: as many as a MUSHRA page holds beside the reference and anchors."""
 
 

@@ -14,6 +14,8 @@ from stimuli.reduce import REDUCERS, get_reducer
 CONTRACT = [
     "sax321", "say321", "saz321", "soc321", "mag321", "pca321", "pca321_adaptive", "dft321", "dft321_windowed",
     "dft321_principal", "dft321_principal_windowed",
+    "sax321_matched", "say321_matched", "saz321_matched", "pca321_matched",
+    "sax321_matched_running", "say321_matched_running", "saz321_matched_running", "pca321_matched_windowed",
 ]
 RATE = 1000.0
 LENGTHS = st.integers(1, 200)

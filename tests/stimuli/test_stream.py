@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import pytest
@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stimuli.fourier import dft321_windowed
+from stimuli.matched import pca321_matched_windowed
 from stimuli.principal import pca321_adaptive
 from stimuli.reduce import REDUCERS
 from stimuli.stream import WHY_NOT_STREAMING, StreamingReducer
@@ -42,7 +43,7 @@ def test_any_partition_gives_the_offline_result_after_a_constant_delay(
     np.testing.assert_array_equal(streamed[: min(n, stream.latency_samples)], 0.0)
 
 
-@pytest.mark.parametrize("offline", [dft321_windowed, pca321_adaptive])
+@pytest.mark.parametrize("offline", [dft321_windowed, pca321_adaptive, pca321_matched_windowed])
 @pytest.mark.parametrize("window_s", [0.002, 0.01, 0.2])
 def test_window_length_is_the_offline_one(offline: Callable[..., np.ndarray], window_s: float) -> None:
     acceleration = np.random.default_rng(3).standard_normal((3, 500))
@@ -96,3 +97,89 @@ def test_bad_blocks_are_refused(block: np.ndarray, message: str) -> None:
 def test_an_unknown_name_is_answered_with_the_list() -> None:
     with pytest.raises(ValueError, match="allowed is one of sax321"):
         StreamingReducer("sum", RATE)
+
+
+@pytest.mark.parametrize("name", STREAMING)
+@pytest.mark.parametrize("on_gap", ["hold", "zero"])
+@settings(max_examples=15)
+@given(data=st.data(), seed=st.integers(0, 99))
+def test_gaps_are_filled_and_counted_alike_for_any_partition(
+    name: str, on_gap: Literal["hold", "zero"], data: st.DataObject, seed: int
+) -> None:
+    n = 200
+    acceleration = np.random.default_rng(seed).standard_normal((3, n))
+    missing = np.zeros(n, dtype=bool)
+    for start in data.draw(st.lists(st.integers(0, n - 1), max_size=4)):
+        missing[start : start + 7] = True
+    filled, holed = acceleration.copy(), acceleration.copy()
+    for place in np.flatnonzero(missing):
+        holed[seed % 3, place] = np.inf if place % 2 else np.nan
+        filled[:, place] = filled[:, place - 1] if on_gap == "hold" and place else 0.0
+    stream = StreamingReducer(name, RATE, on_gap=on_gap)
+    got = run(stream, holed, data.draw(st.lists(st.integers(0, n), max_size=20)))
+    np.testing.assert_allclose(got, run(StreamingReducer(name, RATE), filled, [n]), rtol=1e-12, atol=1e-11)
+    assert stream.missing_samples == missing.sum()
+    assert stream.gaps == np.count_nonzero(np.diff(missing.astype(int), prepend=0) == 1)
+
+
+@pytest.mark.parametrize("name", STREAMING)
+def test_reset_makes_a_stream_as_new(name: str) -> None:
+    first, second = np.random.default_rng(7).standard_normal((2, 3, 150))
+    used, fresh = (StreamingReducer(name, RATE, on_gap="hold") for _ in range(2))
+    run(used, first, [50])
+    used.reset()
+    used.skip(3)
+    used.reset()
+    np.testing.assert_array_equal(run(used, second, [9, 77]), run(fresh, second, [9, 77]))
+    assert (used.gaps, used.missing_samples) == (0, 0)
+
+
+@pytest.mark.parametrize("name", STREAMING)
+def test_out_is_the_result_and_holds_the_same_samples(name: str) -> None:
+    acceleration = np.random.default_rng(7).standard_normal((3, 200))
+    one, other = StreamingReducer(name, RATE), StreamingReducer(name, RATE)
+    out = np.empty(20)
+    for start in range(0, 200, 20):
+        block = acceleration[:, start : start + 20]
+        assert one.process(block, out=out) is out
+        np.testing.assert_array_equal(out, other.process(block))
+
+
+@pytest.mark.parametrize("out", [np.empty(4), np.empty((1, 5)), np.empty(5, dtype=np.float32)])
+def test_an_out_that_does_not_fit_is_refused(out: np.ndarray) -> None:
+    with pytest.raises(ValueError, match=r"out: got float.* allowed is float64 of shape \(5,\)"):
+        StreamingReducer("say321", RATE).process(np.ones((3, 5)), out=out)
+
+
+def test_a_refused_block_changes_nothing() -> None:
+    bad = np.ones((3, 4))
+    bad[0, 1] = np.nan
+    refusing = StreamingReducer("say321_matched_running", RATE)
+    with pytest.raises(ValueError, match="not finite"):
+        refusing.process(bad)
+    with pytest.raises(ValueError, match="not finite"):
+        refusing.skip(2)
+    holding = StreamingReducer("say321_matched_running", RATE, on_gap="hold")
+    bad[1, 2] = 1e160
+    with pytest.raises(ValueError, match="got a peak"):
+        holding.process(bad)
+    assert (refusing.gaps, holding.gaps, holding.missing_samples) == (0, 0, 0)
+    samples = np.random.default_rng(1).standard_normal((3, 30))
+    for stream in (refusing, holding):
+        stream_out = stream.process(samples)
+        np.testing.assert_array_equal(stream_out, StreamingReducer("say321_matched_running", RATE).process(samples))
+
+
+def test_skipped_samples_are_a_gap() -> None:
+    stream = StreamingReducer("say321", RATE, on_gap="hold")
+    stream.process([[1, 1], [2, 3], [4, 4]])
+    np.testing.assert_array_equal(stream.skip(3), 3.0)
+    np.testing.assert_array_equal(stream.process([[1, 1], [np.nan, 7], [4, 4]]), [3.0, 7.0])
+    assert (stream.gaps, stream.missing_samples) == (1, 4)
+    with pytest.raises(ValueError, match="got -1, allowed is 0 or more"):
+        stream.skip(-1)
+
+
+def test_an_unknown_way_with_gaps_is_answered_with_the_list() -> None:
+    with pytest.raises(ValueError, match="on_gap: got 'mend', allowed is one of raise, hold, zero"):
+        StreamingReducer("say321", RATE, on_gap="mend")  # type: ignore[arg-type]  # that is the test

@@ -57,7 +57,7 @@ def test_the_default_folder_is_in_the_study(
     def note(recordings: object, **options: object) -> object:
         asked.update(recordings=recordings, **options)
         few = {"mag321": REDUCERS["mag321"]}
-        return whole(recordings, few, **{**options, "draws": 2})
+        return whole(recordings, few, **{**options, "seeds": 2, "draws": 2})
 
     monkeypatch.setattr(run, "stress_reducers", note)
     assert main(["stress", str(study.path)]) == 0

@@ -65,7 +65,8 @@
       const rating = method.ratings[axis.key];
       return rating ? { value: rating[0], low: rating[3], high: rating[4], scenes: null } : undefined;
     }
-    const own = scenes.map((scene) => method.scores[scene][axis.key][0]);
+    // Not everything was measured of every method: the stability of other windows was not.
+    const own = scenes.map((scene) => method.scores[scene][axis.key]).filter(Boolean).map((one) => one[0]);
     if (!own.length) return undefined;
     return { value: median(own), low: Math.min(...own), high: Math.max(...own), scenes: own };
   }

@@ -6,14 +6,19 @@ it does not make what is left any better. Where nothing that is left suffices, t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
-from analysis.tradeoff.advise.axes import measure_axes
-from analysis.tradeoff.advise.measures import make_trial, measure
-from analysis.tradeoff.advise.scene import SHORTEST_S
-from analysis.tradeoff.advise.simplicity import find_cost
-from analysis.tradeoff.advise.verdict import Verdict, compare
+import numpy as np
+
+from analysis.tradeoff.advise.axes import list_axes
+from analysis.tradeoff.advise.draws import SEGMENTS, Candidate, score_scene
+from analysis.tradeoff.advise.measures import find_gains, measure
+from analysis.tradeoff.advise.scene import ANY, SHORTEST_S
+from analysis.tradeoff.advise.simplicity import find_cost, list_windows
+from analysis.tradeoff.advise.verdict import Shortfall, Verdict, compare
 from analysis.tradeoff.advise.wording import tell_choice, tell_closest, tell_doubt
 from stimuli.perception import felt_level
 from stimuli.reduce import REDUCERS
@@ -22,7 +27,9 @@ from stimuli.spectrum import LOWEST_HZ
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from analysis.tradeoff.advise.measures import Measures
+    from numpy.typing import NDArray
+
+    from analysis.tradeoff.advise.draws import Draw
     from analysis.tradeoff.advise.scene import Context, Scene
     from analysis.tradeoff.advise.simplicity import Cost
     from analysis.tradeoff.advise.verdict import Rated
@@ -120,22 +127,33 @@ def advise_scene(
     >>> (scene,) = split_recording(make_scene("constrained_drag", duration_s=1.0))
     >>> advise_scene(scene, Context()).answer
     'pca321'
+    >>> advise_scene(scene, Context(online=True, latency_ms=20)).answer
+    'pca321_adaptive@10ms'
     """
     if problem := _find_problem(scene):
         return Advice(scene, (), None, None, None, (), float("nan"), problem)
-    verdicts = judge(list(_measure_all(scene, context, seed=seed, reducers=reducers)), context, ratings=ratings)
-    return choose(scene, verdicts, context)
+    candidates = dict(_list_candidates(scene, context, reducers))
+    named = {cost.name: candidate for cost, candidate in candidates.items()}
+    compared = partial(compare, gains_db=find_gains(list(named.values())), tolerance=context.tolerance)
+    scored = score_scene(scene.recording, named, compared, any_mounting=context.mounting == ANY, seed=seed)
+    return choose(scene, judge(candidates, scored, context, ratings=ratings), context)
 
 
 def judge(
-    measured: Sequence[tuple[Cost, Measures]], context: Context, *, ratings: Mapping[str, Rated] | None = None
+    candidates: Mapping[Cost, Candidate],
+    scored: tuple[list[Draw], NDArray[np.float64]],
+    context: Context,
+    *,
+    ratings: Mapping[str, Rated] | None = None,
 ) -> list[Verdict]:
-    """Judge reducers against the best of them.
+    """Judge reducers against the best of them, by the draw that decides.
 
     Parameters
     ----------
-    measured : sequence of (Cost, Measures)
+    candidates : Mapping of Cost to Candidate
         All reducers, in any order.
+    scored : tuple of (list of Draw, ndarray)
+        What `draws.score_scene` gave of them.
     context : Context
         Budget and tolerance.
     ratings : Mapping of str to Rated, optional
@@ -146,16 +164,45 @@ def judge(
     list of Verdict
         The simplest first; of equally simple ones the better, of equally good ones by alphabet.
     """
-    rated = ratings or {}
-    shortfalls = compare([measures for _, measures in measured], context.tolerance)
-    verdicts = [
-        Verdict(
-            cost, measures, shortfall, in_budget=cost.latency_ms <= context.budget_ms,
-            rated=rated.get(cost.name), needs_ratings=bool(rated),
-        )
-        for (cost, measures), shortfall in zip(measured, shortfalls, strict=True)
-    ]  # fmt: skip
+    rated, (draws, scores) = ratings or {}, scored
+    shortfalls = compare(scores, find_gains(list(candidates.values())), context.tolerance)
+    best = np.fmax.reduce(scores[..., 1:3], axis=0)
+    verdicts = []
+    for row, (cost, candidate) in enumerate(candidates.items()):
+        decides, suits = find_deciding(draws, shortfalls[row].max(axis=-1))
+        verdicts.append(Verdict(
+            cost, measure(candidate, draws[decides], scores[row, decides]),
+            Shortfall(*shortfalls[row, decides].tolist()), in_budget=cost.latency_ms <= context.room_ms,
+            rated=rated.get(cost.name), needs_ratings=bool(rated), best_spectrum=float(best[decides, 0]),
+            best_time=float(best[decides, 1]), suits=sum(suits), segments=len(suits),
+        ))  # fmt: skip
     return sorted(verdicts, key=lambda verdict: _place(verdict, context))
+
+
+def find_deciding(draws: Sequence[Draw], worst: NDArray[np.float64]) -> tuple[int, list[bool]]:
+    """Find the draw that decides: the worst mounting of the worst segment, or of that at the 90th percentile.
+
+    Parameters
+    ----------
+    draws : sequence of Draw
+        The draws.
+    worst : ndarray, shape (n_draws,)
+        Largest shortfall of a reducer in each; NaN where it was not tried.
+
+    Returns
+    -------
+    decides : int
+        Which draw.
+    suits : list of bool
+        By segment, whether the reducer is within tolerance whatever the mounting.
+    """
+    known = np.where(np.isnan(worst), -np.inf, worst)
+    places: dict[int, list[int]] = {}
+    for place, draw in enumerate(draws):
+        places.setdefault(id(draw.segment), []).append(place)
+    of_segments = [max(own, key=lambda place: known[place]) for own in places.values()]
+    ordered = sorted(of_segments, key=lambda place: known[place])
+    return ordered[math.ceil(SEGMENTS * len(ordered) - SAME) - 1], [bool(known[place] <= 1) for place in of_segments]
 
 
 def choose(scene: Scene, verdicts: Sequence[Verdict], context: Context) -> Advice:
@@ -207,15 +254,16 @@ def find_common(advices: Sequence[Advice]) -> tuple[str, ...]:
     return tuple(each.name for each in (judged[0] if judged else ()) if all(each.name in names for names in serving))
 
 
-def _measure_all(
-    scene: Scene, context: Context, *, seed: int, reducers: Mapping[str, Reducer]
-) -> Iterator[tuple[Cost, Measures]]:
-    recording = scene.recording
-    trial = make_trial(recording, scene.name, seed=seed)
+def _list_candidates(
+    scene: Scene, context: Context, reducers: Mapping[str, Reducer]
+) -> Iterator[tuple[Cost, Candidate]]:
+    n_samples, rate_hz = scene.recording.n_samples, scene.recording.rate_hz
     for name, reducer in reducers.items():
-        cost = find_cost(name, reducer, n_samples=recording.n_samples, rate_hz=recording.rate_hz)
-        yield cost, measure(name, reducer, trial)
-    yield from measure_axes(trial, axes=context.axes)
+        for label, window_s in list_windows(name, reducer, longest_ms=context.room_ms):
+            cost = find_cost(name, reducer, n_samples=n_samples, rate_hz=rate_hz, window_s=window_s)
+            chosen = {} if label == name else {"window_s": window_s}
+            yield replace(cost, name=label), Candidate(name, partial(reducer, **chosen))
+    yield from list_axes(context.axes, n_samples)
 
 
 def _find_problem(scene: Scene) -> str:

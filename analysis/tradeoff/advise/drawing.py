@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from analysis.figures.style import BLUE, GREY, PALE, RED, new_figure, print_style
+from analysis.figures.style import BLUE, CM_PER_INCH, COLUMN_CM, GREY, PALE, RED, new_figure, print_style
 from analysis.figures.text import add_title, fit_text
 
 if TYPE_CHECKING:
@@ -20,6 +20,9 @@ ROW_CM, LETTER_CM, REST_CM = 0.42, 0.15, 2.0
 """Height of a row, of a letter of an upright label, and of key and gaps."""
 
 NAME_CM = 2.9
+COLUMN_WIDE_CM = 0.36
+"""Least width of a reducer's column: its upright name must not touch the next."""
+
 TITLE = "Least sufficient reducer of every scene: the simplest (from left to right) that is as good as the best."
 CLOSEST = "closest, not sufficient"
 KEYS = ("simplest sufficient", "sufficient", "not sufficient", CLOSEST, "beyond the latency budget")
@@ -42,6 +45,7 @@ def draw_advice(advices: Sequence[Advice]) -> Figure:
     with print_style():
         head = LETTER_CM * max(map(len, names), default=0)
         figure, axes = new_figure(head + ROW_CM * len(advices) + REST_CM)
+        figure.set_figwidth(max(figure.get_figwidth(), (COLUMN_WIDE_CM * len(names) + NAME_CM + 0.5) / CM_PER_INCH))
         states = set()
         for row, advice in enumerate(advices):
             for verdict in advice.verdicts:
@@ -53,7 +57,7 @@ def draw_advice(advices: Sequence[Advice]) -> Figure:
         axes.xaxis.tick_top()
         axes.tick_params(length=0)
         axes.spines[:].set_visible(False)
-        _add_key(axes, [key for key in KEYS if key in states])
+        _add_key(axes, [key for key in KEYS if key in states], wide=figure.get_figwidth() * CM_PER_INCH / COLUMN_CM)
         add_title(figure, TITLE)
     return figure
 
@@ -91,11 +95,11 @@ _MARKS: dict[str, Any] = {
 }
 
 
-def _add_key(axes: Axes, keys: Sequence[str]) -> None:
+def _add_key(axes: Axes, keys: Sequence[str], *, wide: float) -> None:
     from matplotlib.lines import Line2D
 
     handles = [Line2D([], [], linestyle="none", label=key, **_MARKS[key]) for key in keys]
     axes.legend(
-        handles=handles, loc="upper left", bbox_to_anchor=(-0.45, 0.0), ncols=2, frameon=False,
+        handles=handles, loc="upper left", bbox_to_anchor=(-0.45 / wide, 0.0), ncols=2, frameon=False,
         columnspacing=1.0, handletextpad=0.3,
     )  # fmt: skip

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from analysis.report.replacing import RESULTS, list_files, replace_report
-from analysis.tradeoff.advise.scene import split_recording
+from analysis.tradeoff.advise.draws import SEGMENT_S, TURNS
+from analysis.tradeoff.advise.scene import ANY, split_recording
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -113,7 +114,7 @@ def advise_recordings(
     >>> from stimuli.synthesis import make_scene
     >>> scenes = [make_scene(name, duration_s=0.5) for name in ("constrained_drag", "circular_motion")]
     >>> advise_recordings(scenes, Context()).common[0]
-    'dft321'
+    'pca321_matched'
     """
     from threadpoolctl import threadpool_limits
 
@@ -200,7 +201,12 @@ def lay_out(study: Study) -> Row:
     return {
         "summary": study.summary,
         "common": study.common,
-        "context": {"online": context.online, "latency_ms": budget, "axes": context.axes},
+        "context": {
+            "online": context.online, "latency_ms": budget, "axes": context.axes, "mounting": context.mounting,
+            "block_ms": context.block_ms if context.online else None,
+            "device_ms": context.device_ms if context.online else None,
+            "segment_s": SEGMENT_S, "mountings": 3 * TURNS if context.mounting == ANY else 1,
+        },
         "tolerance": {
             "weber_fraction": tolerance.weber, "level_db": tolerance.level_db, "spectrum": tolerance.spectrum,
             "time": tolerance.time, "change": tolerance.change,
@@ -263,6 +269,7 @@ def _lay_verdict(advice: Advice, place: int) -> Row:
     cost = {key: _tell(value) for key, value in asdict(verdict.cost).items() if key != "name"}
     return {
         "scene": advice.scene.name, "reducer": verdict.name, "order": place + 1, **cost, **measures, **shortfall,
+        "segments_within": verdict.suits, "segments": verdict.segments,
         "in_budget": verdict.in_budget, "fits": verdict.fits, "sufficient": verdict.is_sufficient,
         "rated_best": verdict.rated.best if verdict.rated else None,
         "p_equivalence": _tell(verdict.rated.p) if verdict.rated else None,

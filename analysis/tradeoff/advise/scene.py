@@ -17,6 +17,15 @@ if TYPE_CHECKING:
 LATENCY_MS = 45.0
 """Shortest delay between sight and touch that people notice, by the paper: the budget where none is named."""
 
+BLOCK_MS = 1000 * 64 / 48_000
+"""Time that a block of 64 samples at 48 kHz takes to come together."""
+
+DEVICE_MS = 5.0
+"""Assumed delay of converters and drivers where nobody has measured it; a sound card may need ten times as much."""
+
+ANY, RECORDED = "any", "recorded"
+"""Mountings of the sensor that advice must hold for: all of them, or the one that was recorded."""
+
 SHORTEST_S = 0.1
 """Shortest segment: two periods of the lowest frequency that the metrics compare."""
 
@@ -37,11 +46,15 @@ class Context:
         Axes that the actuator can move, 1 to 3.
     tolerance : Tolerance
         What is as good as the best.
+    mounting : {"any", "recorded"}
+        Whether advice must hold however the sensor is mounted, or for the mounting that was recorded.
+    block_ms, device_ms : float
+        What a block of samples and the device take of the longest delay.
 
     Raises
     ------
     ValueError
-        If there are other axes, or a budget that is no time or belongs to no online context.
+        If there are other axes or mountings, or a budget that is no time, leaves none or belongs to no online context.
 
     Examples
     --------
@@ -53,21 +66,42 @@ class Context:
     latency_ms: float | None = None
     axes: int = 1
     tolerance: Tolerance = field(default_factory=Tolerance)
+    mounting: str = ANY
+    block_ms: float = BLOCK_MS
+    device_ms: float = DEVICE_MS
 
     def __post_init__(self) -> None:
         """Refuse what cannot be."""
+        if self.mounting not in {ANY, RECORDED}:
+            raise ValueError(f"mounting: got {self.mounting!r}, allowed is {ANY} or {RECORDED}")
         if self.axes not in range(1, ALL_AXES + 1):
             raise ValueError(f"axes: got {self.axes}, allowed is 1, 2 or 3: what the actuator can move")
-        if self.latency_ms is None:
-            return
-        if not (isfinite(self.latency_ms) and self.latency_ms >= 0):
-            raise ValueError(f"latency-ms: got {self.latency_ms:g}, allowed is a finite time of 0 ms or more")
-        if not self.online:
+        times = {"latency-ms": self.latency_ms, "block-ms": self.block_ms, "device-ms": self.device_ms}
+        for name, value in times.items():
+            if value is not None and not (isfinite(value) and value >= 0):
+                raise ValueError(f"{name}: got {value:g}, allowed is a finite time of 0 ms or more")
+        if self.latency_ms is not None and not self.online:
             raise ValueError(f"latency-ms: got {self.latency_ms:g} offline, where nobody waits; add --online")
+        if self.online and self.room_ms < 0:
+            raise ValueError(
+                f"latency-ms: got {self.budget_ms:g}, but block ({self.block_ms:.3g} ms) and device "
+                f"({self.device_ms:.3g} ms) alone take {self.overhead_ms:.3g} ms; allow more, or lower --block-ms or "
+                "--device-ms"
+            )
+
+    @property
+    def overhead_ms(self) -> float:
+        """What block and device take, in ms."""
+        return self.block_ms + self.device_ms
+
+    @property
+    def room_ms(self) -> float:
+        """What is left for the reducer, in ms; infinite offline."""
+        return self.budget_ms - self.overhead_ms
 
     @property
     def budget_ms(self) -> float:
-        """The longest delay in ms; infinite offline."""
+        """The longest delay in ms, of reducer, block and device together; infinite offline."""
         if not self.online:
             return float("inf")
         return LATENCY_MS if self.latency_ms is None else self.latency_ms

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from inspect import signature
-from math import inf, log2
+from math import inf, isfinite, log2
 from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -27,11 +27,14 @@ from stimuli.frames import DEFAULT_WINDOW_S, window_samples
 from stimuli.stream import WHY_NOT_STREAMING, StreamingReducer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     from stimuli.reduce import Reducer
 
 MS_PER_S = 1000.0
+WINDOWS_MS = (10.0, 15.0, 20.0, 25.0, 35.0, 50.0)
+"""Windows in ms that are tried where the delay matters."""
+
 PROJECTION, COVARIANCE, MEAN = 5.0, 12.0, 6.0
 SPECTRA_TO_ONE = 11.0
 """Per sample, of three spectra: squared magnitudes and their root, the phase of the sum, and their product."""
@@ -72,7 +75,15 @@ _WORK: Mapping[str, Callable[[_Size], _Work]] = MappingProxyType({
     "saz321": _no_memory(0.0),
     "soc321": _no_memory(2.0),
     "mag321": _no_memory(6.0),
+    **dict.fromkeys(("sax321_matched", "say321_matched", "saz321_matched"), lambda size: _Work(size.n + 2.0, 7.0)),
+    # Three squares and their sums, two sums that forget, the limit, division, root and product.
+    **dict.fromkeys(
+        ("sax321_matched_running", "say321_matched_running", "saz321_matched_running"), lambda _: _Work(2.0, 14.0)
+    ),
     "pca321": lambda size: _Work(3.0 * size.n, MEAN + COVARIANCE + PROJECTION),
+    "pca321_matched": lambda size: _Work(3.0 * size.n, MEAN + COVARIANCE + PROJECTION + 1),
+    # One covariance, axis and gain are remembered; axis and gain fade from one estimate to the next.
+    "pca321_matched_windowed": lambda size: _Work(3.0 * size.window + 10, COVARIANCE + 16 + PROJECTION),
     # Each sample lies in two frames; its axis is mixed from theirs and brought to unit length.
     "pca321_adaptive": lambda size: _Work(3.0 * size.window + 3, 2 * (MEAN + COVARIANCE) + 18 + PROJECTION),
     "dft321": lambda size: _Work(4.0 * size.n, _transforms(size.n) + SPECTRA_TO_ONE),
@@ -132,7 +143,41 @@ class Cost:
         return self.axes, self.parameters, self.operations, self.state
 
 
-def find_cost(name: str, reducer: Reducer, *, n_samples: int, rate_hz: float) -> Cost:
+def list_windows(name: str, reducer: Reducer, *, longest_ms: float) -> Iterator[tuple[str, float]]:
+    """List a reducer as it is and, if it has a window, with other windows whose delay is short enough.
+
+    Parameters
+    ----------
+    name : str
+        Of the reducer.
+    reducer : callable
+        The reducer.
+    longest_ms : float
+        The longest delay in ms; where it does not matter (infinite) the usual window is enough.
+
+    Yields
+    ------
+    label : str
+        What to call it: such as ``dft321_windowed@20ms`` if the window is not the usual one.
+    window_s : float
+        The window in s.
+
+    Examples
+    --------
+    >>> from stimuli.reduce import REDUCERS
+    >>> [label for label, _ in list_windows("dft321_windowed", REDUCERS["dft321_windowed"], longest_ms=15.0)]
+    ['dft321_windowed', 'dft321_windowed@10ms', 'dft321_windowed@15ms']
+    """
+    yield name, DEFAULT_WINDOW_S
+    if "window_s" in signature(reducer).parameters and isfinite(longest_ms):
+        for window_ms in WINDOWS_MS:
+            if window_ms <= longest_ms and window_ms != MS_PER_S * DEFAULT_WINDOW_S:
+                yield f"{name}@{window_ms:g}ms", window_ms / MS_PER_S
+
+
+def find_cost(
+    name: str, reducer: Reducer, *, n_samples: int, rate_hz: float, window_s: float = DEFAULT_WINDOW_S
+) -> Cost:
     """Find what a reducer costs on a scene.
 
     Parameters
@@ -145,6 +190,8 @@ def find_cost(name: str, reducer: Reducer, *, n_samples: int, rate_hz: float) ->
         Length of the scene.
     rate_hz : float
         Its sampling rate in Hz.
+    window_s : float
+        Window in s, if it has one.
 
     Returns
     -------
@@ -164,12 +211,12 @@ def find_cost(name: str, reducer: Reducer, *, n_samples: int, rate_hz: float) ->
     """
     if name not in _WORK:
         raise ValueError(f"reducer: got {name!r}, whose state and operations are not recorded in {__name__}; add them")
-    work = _WORK[name](_Size(n_samples, window_samples(DEFAULT_WINDOW_S, rate_hz)))
+    work = _WORK[name](_Size(n_samples, window_samples(window_s, rate_hz)))
     chosen = [each for each in signature(reducer).parameters.values() if each.kind is each.KEYWORD_ONLY]
-    return Cost(name, 1, work.state, _find_latency(name, rate_hz), work.operations, len(chosen))
+    return Cost(name, 1, work.state, _find_latency(name, rate_hz, window_s), work.operations, len(chosen))
 
 
-def _find_latency(name: str, rate_hz: float) -> float:
+def _find_latency(name: str, rate_hz: float, window_s: float) -> float:
     if name in WHY_NOT_STREAMING:
         return inf
-    return MS_PER_S * StreamingReducer(name, rate_hz).latency_samples / rate_hz
+    return MS_PER_S * StreamingReducer(name, rate_hz, window_s).latency_samples / rate_hz

@@ -5,8 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from analysis.tradeoff.advise.draws import TURNS_ALONG
+
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from numpy.typing import NDArray
 
     from analysis.tradeoff.advise.measures import Measures
     from analysis.tradeoff.advise.simplicity import Cost
@@ -77,15 +81,19 @@ class Verdict:
     cost : Cost
         Its record.
     measures : Measures
-        What it makes of the scene.
+        What it makes of the scene in the draw that decides.
     shortfall : Shortfall
-        Against the best of all reducers, in the budget or not.
+        Against the best of all reducers in that draw, in the budget or not.
     in_budget : bool
         Whether it may run in the context.
     rated : Rated or None
         What people said; None where nobody was asked about it.
     needs_ratings : bool
         Whether the scene was rated, so that a reducer which was not cannot be called sufficient.
+    best_spectrum, best_time : float
+        The best reducer's, in the draw that decides.
+    suits, segments : int
+        In how many segments it is within tolerance whatever the mounting, and of how many.
     """
 
     cost: Cost
@@ -94,6 +102,10 @@ class Verdict:
     in_budget: bool
     rated: Rated | None = None
     needs_ratings: bool = False
+    best_spectrum: float = 1.0
+    best_time: float = 1.0
+    suits: int = 1
+    segments: int = 1
 
     @property
     def name(self) -> str:
@@ -111,36 +123,43 @@ class Verdict:
         return self.fits and (self.rated.suffices if self.rated else not self.needs_ratings)
 
     @property
+    def suits_partly(self) -> bool:
+        """Whether it suffices in some segments and not in others, by no chance of the mounting."""
+        return 0 < self.suits < self.segments and not self.fits and self.name.partition("@")[0] in TURNS_ALONG
+
+    @property
     def margin(self) -> float:
         """Share of the tolerance that is left."""
         return 1 - self.shortfall.worst
 
 
-def compare(measured: Sequence[Measures], tolerance: Tolerance) -> list[Shortfall]:
-    """Compare every reducer with the best one of each criterion.
+def compare(
+    scores: NDArray[np.float64], gains_db: NDArray[np.float64], tolerance: Tolerance
+) -> NDArray[np.float64]:
+    """Compare every reducer with the best one of each criterion, draw by draw.
 
     Parameters
     ----------
-    measured : sequence of Measures
-        All reducers of a scene.
+    scores : ndarray, shape (n_reducers, n_draws, 4)
+        Level in dB, spectrum, time and change; NaN where a reducer was not tried.
+    gains_db : ndarray, shape (n_reducers, 1)
+        Fixed gains, as `Measures.gain_db`.
     tolerance : Tolerance
         What is as good.
 
     Returns
     -------
-    list of Shortfall
-        In the same order.
+    ndarray, shape (n_reducers, n_draws, 4)
+        Shortfalls, in the order of `Shortfall`'s fields; NaN as before.
     """
-    level = min(each.deviation_db for each in measured)
-    spectrum = max(each.spectrum for each in measured)
-    time = max(each.time for each in measured)
-    change = min(each.change for each in measured)
-    return [
-        Shortfall(
-            level=(each.deviation_db - level) / tolerance.level_db,
-            spectrum=(spectrum - each.spectrum) / tolerance.spectrum,
-            time=(1 - (each.time / time) ** 2 if time > 0 else 0.0) / tolerance.time,
-            change=(each.change - change) / tolerance.change,
-        )
-        for each in measured
-    ]
+    level_db, spectrum, time, change = np.moveaxis(scores, -1, 0)
+    deviation = np.maximum(np.abs(level_db), gains_db - level_db)
+    best_time = np.fmax.reduce(time, axis=0)
+    shares = np.divide(time, best_time, out=np.where(np.isnan(time), np.nan, 1.0), where=best_time > 0)
+    shortfalls = (
+        (deviation - np.fmin.reduce(deviation, axis=0)) / tolerance.level_db,
+        (np.fmax.reduce(spectrum, axis=0) - spectrum) / tolerance.spectrum,
+        (1 - shares**2) / tolerance.time,
+        (change - np.fmin.reduce(change, axis=0)) / tolerance.change,
+    )
+    return np.stack(shortfalls, axis=-1)

@@ -12,8 +12,12 @@ if TYPE_CHECKING:
     from analysis.tradeoff.advise.verdict import Verdict
 
 CLOSE = 0.2
-"""Who is nearer to the limit than this share of the tolerance is a close call. In eight takes of every bundled scene
-(4 s each, other seeds) the shortfall of reducers near the limit has a standard deviation of 0.1; this is twice that."""
+"""A reducer that is nearer to the limit than this share of the tolerance makes a close call. In eight takes of every
+bundled scene (4 s each, other seeds) the shortfall of reducers near the limit has a standard deviation of 0.1; this is
+twice that. A simpler reducer that suffices in some segments only makes one too."""
+
+NAMED = 2
+"""So many of them are named, the nearest first."""
 
 
 def tell_choice(chosen: Verdict, verdicts: Sequence[Verdict]) -> str:
@@ -32,7 +36,7 @@ def tell_choice(chosen: Verdict, verdicts: Sequence[Verdict]) -> str:
         One sentence, without a full stop.
     """
     simpler = verdicts[: list(verdicts).index(chosen)]
-    parts = [_tell_kept(chosen), _tell_simpler([verdict for verdict in simpler if verdict.in_budget], verdicts)]
+    parts = [_tell_kept(chosen), _tell_simpler([verdict for verdict in simpler if verdict.in_budget])]
     parts += [f"{each.name} is simpler and would do, but {_tell_wait(each)}" for each in _list_barred(simpler)[:1]]
     if chosen.rated:
         parts.append("simulated participants agree" if chosen.rated.simulated else "people agree")
@@ -59,7 +63,7 @@ def tell_closest(closest: Verdict, verdicts: Sequence[Verdict]) -> str:
     if any(verdict.fits and verdict.in_budget for verdict in verdicts):
         alone = "none of those within tolerance by the metrics is shown by ratings to feel like the best"
     would = f"{barred[0].name} would do, but {_tell_wait(barred[0])}" if barred else alone
-    return "; ".join(filter(None, [f"it {tell_fault(closest, verdicts)}", would, tell_doubt(closest, verdicts)]))
+    return "; ".join(filter(None, [f"it {tell_fault(closest)}", would, tell_doubt(closest, verdicts)]))
 
 
 def tell_doubt(answer: Verdict, verdicts: Sequence[Verdict]) -> str:
@@ -78,20 +82,22 @@ def tell_doubt(answer: Verdict, verdicts: Sequence[Verdict]) -> str:
         Who is within the noise of the limit, on which side; empty if nobody is who matters.
     """
     simpler = verdicts[: list(verdicts).index(answer)]
-    near = [each for each in (*simpler, answer) if each.in_budget and abs(each.margin) < CLOSE]
-    told = (f"{each.name} {'passes' if each.fits else 'misses'} by {abs(100 * each.margin):.0f} %" for each in near)
-    return f"a close call, another take may go the other way: {', '.join(told)} of the tolerance" if near else ""
+    running = [each for each in (*simpler, answer) if each.in_budget]
+    near = sorted((each for each in running if abs(each.margin) < CLOSE), key=lambda each: abs(each.margin))
+    told = [f"{one.name} {'passes' if one.fits else 'misses'} by {abs(100 * one.margin):.0f} %" for one in near[:NAMED]]
+    told[-1:] = [f"{last} of the tolerance" for last in told[-1:]]
+    partly = [each for each in running if each.suits_partly and each not in near]
+    told += [f"{each.name} suffices in {each.suits} of {each.segments} segments" for each in partly[-1:]]
+    return f"a close call, another take may go the other way: {', '.join(told)}" if told else ""
 
 
-def tell_fault(verdict: Verdict, verdicts: Sequence[Verdict]) -> str:
+def tell_fault(verdict: Verdict) -> str:
     """Say what is most wrong with a reducer's output.
 
     Parameters
     ----------
     verdict : Verdict
         One that does not suffice.
-    verdicts : sequence of Verdict
-        All, among them the best.
 
     Returns
     -------
@@ -104,10 +110,10 @@ def tell_fault(verdict: Verdict, verdicts: Sequence[Verdict]) -> str:
     if verdict.shortfall.criterion == "level":
         return _tell_level(measures)
     if verdict.shortfall.criterion == "spectrum":
-        best = max(other.measures.spectrum for other in verdicts)
+        best = verdict.best_spectrum
         return f"has {100 * measures.spectrum:.0f} % of the spectrum right, the best {100 * best:.0f} %"
     if verdict.shortfall.criterion == "time":
-        best = max(other.measures.time for other in verdicts) ** 2
+        best = verdict.best_time**2
         return f"goes along with {100 * measures.time**2:.0f} % of the motion's energy, the best {100 * best:.0f} %"
     return f"changes by {100 * measures.change:.0f} % with sensor noise of -60 dB"
 
@@ -133,12 +139,12 @@ def _tell_raters(verdict: Verdict) -> str:
     return f"is not shown to feel like {verdict.rated.best} (p of equivalence {verdict.rated.p:.2g})"
 
 
-def _tell_simpler(simpler: Sequence[Verdict], verdicts: Sequence[Verdict]) -> str:
+def _tell_simpler(simpler: Sequence[Verdict]) -> str:
     if not simpler:
         return "nothing is simpler"
-    # Those that the metrics would let pass come first: people's word against them is the reason to be told.
-    nearest = min(simpler, key=lambda verdict: (not verdict.fits, verdict.shortfall.worst))
-    return f"the best of the simpler, {nearest.name}, {tell_fault(nearest, verdicts)}"
+    # Prefer those that pass the metrics but fail the ratings: that disagreement is the interesting reason.
+    nearest = min(simpler, key=lambda verdict: (not verdict.fits, verdict.rated is None, verdict.shortfall.worst))
+    return f"the best of the simpler, {nearest.name}, {tell_fault(nearest)}"
 
 
 def _list_barred(verdicts: Sequence[Verdict]) -> list[Verdict]:

@@ -17,7 +17,10 @@ from analysis.tradeoff.chart.records import (
     Point,
     Precision,
     Rated,
+    RealTime,
+    Resources,
     Scene,
+    Stability,
 )
 
 if TYPE_CHECKING:
@@ -33,6 +36,9 @@ TABLES: Mapping[str, type] = MappingProxyType({
     "memory": Memory,
     "precision": Precision,
     "rated": Rated,
+    "realtime": RealTime,
+    "resources": Resources,
+    "stability": Stability,
 })
 """Name of a table -> its record; also the names of the CSV files."""
 
@@ -63,6 +69,12 @@ class Chart:
         What 32-bit input changes.
     rated : tuple of Rated
         Mean ratings; empty where nobody has rated.
+    realtime : tuple of RealTime
+        Of the reducers that stream.
+    resources : tuple of Resources
+        Of all reducers.
+    stability : tuple of Stability
+        All reducers and scenes.
     seed : int
         Of the orientations, signals and bootstrap.
     effort : str
@@ -83,6 +95,9 @@ class Chart:
     memory: tuple[Memory, ...]
     precision: tuple[Precision, ...]
     rated: tuple[Rated, ...]
+    realtime: tuple[RealTime, ...]
+    resources: tuple[Resources, ...]
+    stability: tuple[Stability, ...]
     seed: int
     effort: str
     simulated: bool

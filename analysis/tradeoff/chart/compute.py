@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from functools import partial
 from itertools import count
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -114,12 +114,13 @@ def compute_chart(
     _require_names(recordings)
     name, clock = choose_clock() if clock is None else ("given", clock)
     machine = describe_machine(name)
-    tick = _make_tick(progress, total=2 * len(recordings) + effort.rounds + 1 + len(list_methods()))
+    tick = _make_tick(progress, total=2 * len(recordings) + effort.rounds + 2 + 2 * len(list_methods()))
     # Threads of the linear algebra would be timed with the methods.
     with threadpool_limits(limits=THREADS):
         accuracies = _measure_scenes(recordings, effort, seed=seed, tick=tick)
         costs = _time_methods(effort, seed=seed, clock=clock, tick=tick)
         memory, precision = _measure_memory(effort, seed=seed, tick=tick)
+        running = _measure_running(recordings, effort, seed=seed, clock=clock, tick=tick)
     usual = [row for row in accuracies if row.sweep == "reducer"]
     points = place_points(list_methods(), usual, list_reference_costs(costs), rate_hz=RATE_HZ)
     return Chart(
@@ -130,9 +131,9 @@ def compute_chart(
         accuracies=tuple(accuracies),
         costs=tuple(costs),
         growth=tuple(fit_all(costs)),
-        memory=tuple(memory),
-        precision=tuple(precision),
+        memory=tuple(memory), precision=tuple(precision),
         rated=() if ratings is None else tuple(rate_reducers(ratings.rows, seed=seed)),
+        **running,
         seed=seed,
         effort=effort.name,
         simulated=ratings is not None and bool(ratings.rows["simulated"].any()),
@@ -217,6 +218,27 @@ def _measure_memory(effort: Effort, *, seed: int, tick: Tick) -> tuple[list[Memo
         precision.append(compare_precision(method, make_rng()))
         tick()
     return memory, precision
+
+
+def _measure_running(
+    recordings: Sequence[Recording], effort: Effort, *, seed: int, clock: Clock, tick: Tick
+) -> dict[str, Any]:
+    """Measure what reducers need while they run: the chart's fields by name."""
+    from analysis.tradeoff.chart.cost import RATE_HZ, REFERENCE_N
+    from analysis.tradeoff.chart.methods import list_methods
+    from analysis.tradeoff.chart.realtime import list_resources, measure_stability, time_blocks
+
+    found = []
+    for method in list_methods():
+        found.append(time_blocks(method, rounds=effort.rounds, clock=clock, rng=np.random.default_rng(seed)))
+        tick()
+    stability = tuple(measure_stability(recordings, seed=seed))
+    tick()
+    return {
+        "realtime": tuple(row for row in found if row is not None),
+        "resources": tuple(list_resources(REFERENCE_N, RATE_HZ)),
+        "stability": stability,
+    }
 
 
 def _describe_scene(recording: Recording, effort: Effort) -> Scene:

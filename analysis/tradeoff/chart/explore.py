@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from analysis.tradeoff.chart.methods import Method
     from analysis.tradeoff.chart.records import Accuracy, Cost, Rated
 
+STABILITY = "stability"
 PLACES = 5
 """Significant digits that the page keeps; results.json keeps all."""
 
@@ -82,6 +83,7 @@ def list_choices(chart: Chart) -> tuple[Choice, ...]:
         Choice("real_time", f"Speed (× real time, {RATE_HZ / 1000:g} kHz unless named)", "speed", "high", log=True),
         Choice("latency", "Algorithmic latency (ms)", "speed", "low", log=True),
         *(Choice(measure, tell_measure(measure), "accuracy", "high", log=False) for measure in MEASURES),
+        Choice(STABILITY, "Perturbation gain (1: sensor noise passes as it is)", "stability", "low", log=True),
         *(Choice(name, name, "rating", better, log=False) for name, better in rated.items()),
     )
 
@@ -109,6 +111,7 @@ def dump_data(chart: Chart, choices: Iterable[Choice]) -> str:
 
 def _list_entries(chart: Chart) -> list[dict[str, Any]]:
     ratings, looks = _list_ratings(chart), look_up(chart)
+    gains = {(row.reducer, row.scene): row.gain for row in chart.stability}
     scores: dict[tuple[str, str, float | None], list[Accuracy]] = {}
     for row in chart.accuracies:
         rate_hz = row.rate_hz if row.sweep == "rate" else None
@@ -121,7 +124,7 @@ def _list_entries(chart: Chart) -> list[dict[str, Any]]:
             "colour": looks[entry.method.reducer].colour,
             "marker": looks[entry.method.reducer].marker,
             "speed": _tell_speed(entry),
-            "scores": _tell_scores(scores[entry.scored]),
+            "scores": _add_gains(_tell_scores(scores[entry.scored]), gains, entry),
             "ratings": ratings.get(entry.method.reducer, {}) if entry.kind == "reducer" else {},
         }
         for entry in (*_find_whole(chart), *_find_rates(chart), *_find_streams(chart))
@@ -171,6 +174,17 @@ def _tell_scores(rows: Iterable[Accuracy]) -> dict[str, dict[str, list[float]]]:
     scores: dict[str, dict[str, list[float]]] = {}
     for row in rows:
         scores.setdefault(row.scene, {})[row.measure] = [_round(row.mean), _round(row.sd), _round(row.as_mounted)]
+    return scores
+
+
+def _add_gains(
+    scores: dict[str, dict[str, list[float]]], gains: dict[tuple[str, str], float], entry: _Entry
+) -> dict[str, dict[str, list[float]]]:
+    """Add the perturbation gain of each scene, for reducers as they are: that of other windows was not measured."""
+    for scene, own in scores.items():
+        gain = gains.get((entry.method.reducer, scene))
+        if gain is not None and entry.kind in {"reducer", "block"}:
+            own[STABILITY] = [_round(gain)]
     return scores
 
 

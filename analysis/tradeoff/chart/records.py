@@ -186,6 +186,77 @@ class Precision:
 
 
 @dataclass(frozen=True, slots=True)
+class RealTime:
+    """Time that a stream takes for a block, against the time until the next one.
+
+    Parameters
+    ----------
+    reducer : str
+        The reducer.
+    rate_hz : float
+        Sampling rate in Hz.
+    block, blocks : int
+        Samples per block, and blocks that were timed.
+    median_us, p99_us, worst_us : float
+        Over the blocks, in microseconds.
+    deadline_us : float
+        Time until the next block.
+    """
+
+    reducer: str
+    rate_hz: float
+    block: int
+    blocks: int
+    median_us: float
+    p99_us: float
+    worst_us: float
+    deadline_us: float
+
+
+@dataclass(frozen=True, slots=True)
+class Resources:
+    """What a reducer holds and does, by its definition.
+
+    Parameters
+    ----------
+    reducer : str
+        The reducer.
+    state_bytes : float
+        Numbers that must be held at once, of 8 bytes each.
+    operations : float
+        Per sample.
+    parameters : int
+        Values that have to be chosen.
+    """
+
+    reducer: str
+    state_bytes: float
+    operations: float
+    parameters: int
+
+
+@dataclass(frozen=True, slots=True)
+class Stability:
+    """How many times more the output changes than the input, under sensor noise 60 dB below the recording.
+
+    Parameters
+    ----------
+    reducer, scene : str
+        Of what on what.
+    gain, worst : float
+        Median and worst over noises.
+    draws : int
+        Noises.
+    """
+
+    reducer: str
+    scene: str
+    gain: float
+    worst: float
+    draws: int
+
+
+@dataclass(frozen=True, slots=True)
 class Point:
     """One method in the plane of speed and accuracy, for one measure.
 

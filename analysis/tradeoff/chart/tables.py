@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from analysis.table.scales import tell_measure as tell_scale
 from analysis.tradeoff.chart.axes import tell_measure, tell_plainly
 from analysis.tradeoff.chart.chart import TABLES
-from analysis.tradeoff.chart.cost import NS, RATE_HZ
+from analysis.tradeoff.chart.cost import NS, RATE_HZ, REFERENCE_N
 from analysis.tradeoff.chart.records import MEASURES
 from analysis.words import tell_name, tell_number, tell_range
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from analysis.tradeoff.chart.chart import Chart
-    from analysis.tradeoff.chart.records import Accuracy, Growth, Point
+    from analysis.tradeoff.chart.records import Accuracy, Growth, Point, RealTime, Stability
 
 NO = "no"
 
@@ -54,10 +54,10 @@ def list_sheets(chart: Chart) -> tuple[Sheet, ...]:
     Returns
     -------
     tuple of Sheet
-        Reducers, hops, growth, precision, ratings if there are any.
+        Reducers, what they need while they run, hops, growth, precision, ratings if there are any.
     """
-    return tuple(sheet for sheet in (_lay_reducers(chart), _lay_hops(chart), _lay_growth(chart), _lay_precision(chart),
-                                     _lay_rated(chart)) if sheet.rows)  # fmt: skip
+    return tuple(sheet for sheet in (_lay_reducers(chart), _lay_running(chart), _lay_hops(chart), _lay_growth(chart),
+                                     _lay_precision(chart), _lay_rated(chart)) if sheet.rows)  # fmt: skip
 
 
 def write_tables(chart: Chart) -> dict[str, str]:
@@ -106,6 +106,41 @@ def _lay_reducer(points: Sequence[Point]) -> tuple[str, ...]:
         *(f"{tell_number(point.median)} [{tell_range(point.lowest, point.highest)}]" for point in points),
         ", ".join(fronts) or NO,
     )  # fmt: skip
+
+
+def _lay_running(chart: Chart) -> Sheet:
+    timed = {row.reducer: row for row in chart.realtime}
+    gains: dict[str, list[Stability]] = {}
+    for row in chart.stability:
+        gains.setdefault(row.reducer, []).append(row)
+    deadline = f"{next(iter(timed.values())).deadline_us:.0f} µs" if timed else "none"
+    caption = (
+        f"While it runs. Time per block of 64 samples at 48 kHz (deadline {deadline}): median, 99th percentile and "
+        "worst; the block that completes half a window does the work of all of it, which is not spread. State of what "
+        f"needs the whole signal: {tell_plainly(REFERENCE_N)} samples. Stability: perturbation gain under sensor noise "
+        "of -60 dB, median and worst scene (1: noise passes as it is)."
+    )
+    head = ("Reducer", "Block: median (µs)", "99 % (µs)", "Worst (µs)", "Worst, share of the deadline (%)",
+            "State (bytes)", "Operations per sample", "Perturbation gain, median", "Worst scene")  # fmt: skip
+    return Sheet(caption, head, tuple(
+        (
+            row.reducer, *_tell_times(timed.get(row.reducer)),
+            tell_plainly(row.state_bytes) if row.state_bytes else "0", f"{row.operations:.0f}",
+            *_tell_gains([one.gain for one in gains.get(row.reducer, [])]),
+        )
+        for row in chart.resources
+    ))  # fmt: skip
+
+
+def _tell_times(row: RealTime | None) -> tuple[str, ...]:
+    if row is None:
+        return ("whole signal", "–", "–", "–")
+    times = (f"{time:.0f}" for time in (row.median_us, row.p99_us, row.worst_us))
+    return (*times, f"{100 * row.worst_us / row.deadline_us:.0f}")
+
+
+def _tell_gains(gains: Sequence[float]) -> tuple[str, str]:
+    return (f"{median(gains):.2g}", f"{max(gains):.3g}") if gains else ("–", "–")
 
 
 def _lay_hops(chart: Chart) -> Sheet:

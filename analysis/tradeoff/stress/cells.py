@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
@@ -34,11 +35,14 @@ class Cell:
     recording, reducer, measure : str
         Of what; a recording may be a scene of the battery.
     value : float
-        The median over draws, or the figure itself where nothing is drawn; NaN where it is not defined.
+        The median over takes of a scene or draws of noise, or the figure itself where nothing is drawn; NaN where it is
+        not defined.
     worst : float
-        The worst over draws.
+        The worst of them.
     up_to_phase : float
         For a failing gain: the median gain if a constant phase does not count either; NaN elsewhere.
+    p90, p95 : float
+        Nine and nineteen of twenty are not worse; NaN where too few were drawn to say so.
     """
 
     recording: str
@@ -46,12 +50,16 @@ class Cell:
     measure: str
     value: float
     worst: float
-    up_to_phase: float = float("nan")
+    up_to_phase: float = math.nan
+    p90: float = math.nan
+    p95: float = math.nan
 
     @property
     def grade(self) -> Grade:
-        """How the figure is judged; of axis flips there are three only, so the worst of them."""
-        return MEASURES[self.measure].grade(self.worst if self.measure == "flip" else self.value)
+        """How the figure is judged: by the median, and a caution where one take in ten fails."""
+        measure = MEASURES[self.measure]
+        grade = measure.grade(self.value)
+        return "caution" if grade == "good" and measure.grade(self.p90) == "fails" else grade
 
 
 def measure_cells(  # noqa: PLR0913 - every choice that changes the figures has a name of its own
@@ -103,22 +111,25 @@ def measure_cells(  # noqa: PLR0913 - every choice that changes the figures has 
         measure = partial(_measure, reduce, recording, draws=draws, seed=seed)
         damage = _measure_fault(reduce, recording, clean.get(recording.name))
         figures = {key: damage if key == "fault" else measure(key) for key in measures}
-        cells += [Cell(recording.name, name, key, *figure) for key, figure in figures.items()]
+        for key, figure in figures.items():
+            failing = key == "gain" and MEASURES[key].grade(figure.median) == "fails"
+            phase = _measure_phase(reduce, recording, draws=draws, seed=seed) if failing else math.nan
+            cells.append(Cell(recording.name, name, key, figure.median, figure.worst, phase, figure.p90))
         if progress is not None:
             progress(number, len(pairs))
     return tuple(cells)
 
 
-def _measure(reduce: Reducer, recording: Recording, key: str, *, draws: int, seed: int) -> tuple[float, ...]:
-    """Value and worst, and for a gain that fails the one up to a phase."""
+def _measure(reduce: Reducer, recording: Recording, key: str, *, draws: int, seed: int) -> Change:
     rng = np.random.default_rng([seed, *recording.name.encode(), *key.encode()])
     match key:
         case "gain":
-            return _measure_gain(reduce, recording, draws=draws, rng=rng)
+            return perturbation_gain(reduce, recording, rng=rng, draws=draws)
         case "rotation":
             return rotation_change(reduce, recording, rng=rng, draws=draws)
-        case "flip":
-            return flip_change(reduce, recording)
+        case "flip":  # of axis flips there are three only, so the worst of them
+            worst = flip_change(reduce, recording).worst
+            return Change(worst, worst)
         case "shift":
             return shift_change(reduce, recording, rng=rng, draws=draws)
         case "spread":
@@ -129,18 +140,14 @@ def _measure(reduce: Reducer, recording: Recording, key: str, *, draws: int, see
 
 
 def _measure_fault(reduce: Reducer, recording: Recording, clean: Recording | None) -> Change:
-    damage = float("nan") if clean is None else fault_gain(reduce, recording, clean=clean)
+    damage = math.nan if clean is None else fault_gain(reduce, recording, clean=clean)
     return Change(damage, damage)
 
 
-def _measure_gain(
-    reduce: Reducer, recording: Recording, *, draws: int, rng: np.random.Generator
-) -> tuple[float, ...]:
-    again = np.random.default_rng(rng.integers(2**63))
-    gain = perturbation_gain(reduce, recording, rng=rng, draws=draws)
-    if MEASURES["gain"].grade(gain.median) != "fails":
-        return gain
-    return (*gain, perturbation_gain(reduce, recording, rng=again, draws=draws, free="phase").median)
+def _measure_phase(reduce: Reducer, recording: Recording, *, draws: int, seed: int) -> float:
+    """Median gain if a constant phase does not count either."""
+    rng = np.random.default_rng([seed, *recording.name.encode()])
+    return perturbation_gain(reduce, recording, rng=rng, draws=draws, free="phase").median
 
 
 def find_cell(cells: Sequence[Cell], recording: str, reducer: str, *, measure: str) -> Cell:

@@ -11,6 +11,7 @@ and stays silent has changed by 0, one that is silent and becomes anything by sq
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
@@ -32,12 +33,13 @@ class Change(NamedTuple):
 
     Parameters
     ----------
-    median, worst : float
-        Over the draws.
+    median, worst, p90 : float
+        Over the draws; nine of ten are not above `p90`, which is NaN where nothing is drawn.
     """
 
     median: float
     worst: float
+    p90: float = math.nan
 
 
 def relative_change(changed: Samples, output: Samples, *, free: Free = "sign") -> Samples:
@@ -131,9 +133,9 @@ def summarise(changes: Samples) -> Change:
     Returns
     -------
     Change
-        Median and worst.
+        Median, worst and 90th percentile.
     """
-    return Change(float(np.median(changes)), float(changes.max()))
+    return Change(float(np.median(changes)), float(changes.max()), float(np.quantile(changes, 0.9)))
 
 
 def _sign_free(changed: Samples, output: Samples) -> Samples:

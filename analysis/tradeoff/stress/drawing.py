@@ -25,6 +25,9 @@ ROW_CM, HEAD_CM, KEY_CM, LABEL_CM, MARGIN_CM = 0.66, 1.2, 1.3, 3.7, 0.1
 FILLS = {"good": "#FFFFFF", "caution": "#F6D68F", "fails": "#D55E00", "undefined": "#E6E6E6"}
 """White, Okabe and Ito's orange made paler, and their vermilion: three steps of lightness, so that grey prints tell."""
 
+NARROW_CM, UPRIGHT_CM = 1.2, 3.4
+"""Columns narrower than this have upright names, which need so much height."""
+
 LETTERS = {"good": BLACK, "caution": BLACK, "fails": "#FFFFFF", "undefined": BLACK}
 VALUE_SIZE, MARK_SIZE, KEY_SIZE, HEAD_LINES = 6.5, 5.5, 6.0, 3
 
@@ -46,13 +49,15 @@ def draw_stress(result: StressResult) -> Figure:
     from matplotlib.figure import Figure
 
     wide = (WIDTH_CM - LABEL_CM - MARGIN_CM) / max(len(result.reducers), 1)
-    names = [fit_text(name, wide, lines=HEAD_LINES, size=VALUE_SIZE) for name in result.reducers]
-    height = HEAD_CM + ROW_CM * len(BATTERY) + KEY_CM
+    upright = wide < NARROW_CM
+    names = [name if upright else fit_text(name, wide, lines=HEAD_LINES, size=VALUE_SIZE) for name in result.reducers]
+    head = UPRIGHT_CM if upright else HEAD_CM
+    height = head + ROW_CM * len(BATTERY) + KEY_CM
     with print_style():
         figure = Figure(figsize=(WIDTH_CM / CM_PER_INCH, height / CM_PER_INCH))
         left, bottom = LABEL_CM / WIDTH_CM, KEY_CM / height
         axes = figure.add_axes((left, bottom, 1 - left - MARGIN_CM / WIDTH_CM, ROW_CM * len(BATTERY) / height))
-        _prepare(axes, names)
+        _prepare(axes, names, rotation=90 if upright else 0)
         grouped = _group(result.cells)
         for row, scene in enumerate(BATTERY):
             for column, reducer in enumerate(result.reducers):
@@ -63,10 +68,10 @@ def draw_stress(result: StressResult) -> Figure:
     return figure
 
 
-def _prepare(axes: Axes, names: Sequence[str]) -> None:
+def _prepare(axes: Axes, names: Sequence[str], *, rotation: int) -> None:
     axes.set(xlim=(0, len(names)), ylim=(len(BATTERY), 0))
     axes.xaxis.tick_top()
-    axes.set_xticks([column + 0.5 for column in range(len(names))], names, fontsize=VALUE_SIZE)
+    axes.set_xticks([column + 0.5 for column in range(len(names))], names, fontsize=VALUE_SIZE, rotation=rotation)
     axes.set_yticks([row + 0.5 for row in range(len(BATTERY))], [scene.title for scene in BATTERY.values()])
     axes.tick_params(length=0)
     for spine in axes.spines.values():

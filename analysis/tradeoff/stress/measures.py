@@ -123,7 +123,7 @@ def shift_change(reduce: Reducer, recording: Recording, *, rng: np.random.Genera
     >>> from stimuli.reduce import REDUCERS
     >>> drag = Recording(np.random.default_rng(1).standard_normal((3, 50)), 1000, "drag")
     >>> shift_change(REDUCERS["mag321"], drag, rng=np.random.default_rng(0))
-    Change(median=0.0, worst=0.0)
+    Change(median=0.0, worst=0.0, p90=0.0)
     """
     samples, _ = admit_moving(recording, draws)
     most = window_samples(DEFAULT_WINDOW_S, recording.rate_hz)

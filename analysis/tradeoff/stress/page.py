@@ -161,9 +161,15 @@ def tell_figure(value: float, unit: str = "") -> str:
 
 
 def _show(cell: Cell, *, linked: bool = True) -> Shown:
-    value = cell.worst if cell.measure == "flip" else cell.value
     link = f"#{name_anchor(cell.recording, cell.reducer)}" if linked and cell.grade == "fails" else ""
-    return Shown(tell_figure(value, MEASURES[cell.measure].unit), cell.grade, link)
+    return Shown(_tell_spread(cell), cell.grade, link)
+
+
+def _tell_spread(cell: Cell) -> str:
+    """Median, and the 90th percentile and the worst where they differ from it."""
+    unit = MEASURES[cell.measure].unit
+    told = [tell_figure(cell.value, unit), tell_figure(cell.p90), tell_figure(cell.worst)]
+    return told[0] if math.isnan(cell.p90) or (told[1] == told[2] and told[1] in told[0]) else " / ".join(told)
 
 
 def _list_rows(result: StressResult, measure: str) -> Iterator[tuple[str, list[Shown]]]:
@@ -184,10 +190,9 @@ def _explain(result: StressResult, scene: str) -> Iterator[Explained]:
 
 def _tell_failure(cell: Cell) -> str:
     measure = MEASURES[cell.measure]
-    value = tell_figure(cell.worst if cell.measure == "flip" else cell.value, measure.unit)
-    notes = [f"limit {measure.fails:g}"]
-    if cell.measure in {"gain", "rotation", "shift"}:
-        notes.append(f"worst draw {tell_figure(cell.worst)}")
+    value = tell_figure(cell.value, measure.unit)
+    upper = zip(("90 %", "95 %", "worst"), (cell.p90, cell.p95, cell.worst), strict=True)
+    notes = [f"limit {measure.fails:g}", *(f"{name} {tell_figure(at)}" for name, at in upper)]
     if not math.isnan(cell.up_to_phase):
         notes.append(f"{tell_figure(cell.up_to_phase)} up to a constant phase")
     return f"{measure.title} {value} ({', '.join(notes)}): {tell_reason(cell.measure, cell.reducer)}"

@@ -20,6 +20,10 @@ _STEPS = "within a frame slow motion is an offset, whose axes are merged like a 
 _FRAMES = "frames cut the motion elsewhere, and each frame chooses anew."
 _LOST = "it keeps one direction and drops the energy of the two others."
 
+_MATCHED = ("sax321_matched", "say321_matched", "saz321_matched")
+_ONE_AXIS = (*_MATCHED, *(f"{name}_running" for name in _MATCHED))
+_LEADING_MATCHED = ("pca321_matched", "pca321_matched_windowed")
+
 REASONS: Mapping[tuple[str, str], str] = MappingProxyType({
     ("gain", "sax321"): _SILENT, ("gain", "say321"): _SILENT, ("gain", "saz321"): _SILENT,
     ("gain", "soc321"): "the sum cancels; what is left of it is noise.",
@@ -44,6 +48,12 @@ REASONS: Mapping[tuple[str, str], str] = MappingProxyType({
     ("fault", "dft321"): "the fault changes the phase of x + y + z at frequencies whose energy it spares.",
     ("fault", "dft321_windowed"): "the fault changes the phase of x + y + z at frequencies whose energy it spares.",
     ("energy", "dft321_windowed"): _STEPS, ("energy", "dft321_principal_windowed"): _STEPS,
+    **{("gain", name): _SILENT for name in _ONE_AXIS}, **{("rotation", name): _OWN_AXIS for name in _ONE_AXIS},
+    **{("energy", name): "the gain is at most 10: an axis with less than a hundredth of the energy stays weak."
+       for name in _ONE_AXIS},
+    **{("gain", name): _CHANCE for name in _LEADING_MATCHED},
+    ("rotation", "pca321_matched"): "equal eigenvalues: rounding chooses among equally good axes.",
+    ("shift", "pca321_matched_windowed"): "where none leads the axis depends on what came first, and is held there.",
 })  # fmt: skip
 """(measure, reducer) -> why."""
 

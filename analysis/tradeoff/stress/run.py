@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.tradeoff.stress.takes import SEEDS, measure_battery
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
@@ -18,19 +20,20 @@ if TYPE_CHECKING:
 
     Progress = Callable[[int, int], None]
 
-EXCERPT_S, METRICS_S = 5.0, 1.0
+EXCERPT_S, METRICS_S = 2.0, 1.0
 """Longest part of a recording whose gains are measured, and whose metrics are, in s."""
 
-GAIN_DRAWS = 4
-"""Noises per recording; the battery, which is shorter, gets more."""
+DRAWS = 16
+"""Noises per recording."""
 
 
-def stress_reducers(
+def stress_reducers(  # noqa: PLR0913 - every choice that changes the figures has a name of its own
     recordings: Sequence[Recording] = (),
     reducers: Mapping[str, Reducer] | None = None,
     *,
     sensor: Mapping[str, Recording] | None = None,
-    draws: int = 16,
+    seeds: int = SEEDS,
+    draws: int = DRAWS,
     seed: int,
     progress: Progress | None = None,
 ) -> StressResult:
@@ -44,8 +47,10 @@ def stress_reducers(
         Name -> reducer; `REDUCERS` if left out.
     sensor : Mapping of str to Recording, optional
         The same recordings as they came from the sensor, by name; needed to see offsets, clipping and steps.
+    seeds : int
+        Takes of every scene, at least 2, each with a noise, orientations and a shift of its own.
     draws : int
-        Noises, orientations and shifts per figure, at least 2.
+        Noises per recording, at least 2.
     seed : int
         Of all randomness.
     progress : callable, optional
@@ -64,7 +69,7 @@ def stress_reducers(
     Examples
     --------
     >>> from stimuli.reduce import REDUCERS
-    >>> stress_reducers(reducers={"soc321": REDUCERS["soc321"]}, draws=2, seed=0).failures[0].recording
+    >>> stress_reducers(reducers={"soc321": REDUCERS["soc321"]}, seeds=2, seed=0).failures[0].recording
     'ordinary_drag'
     """
     from threadpoolctl import threadpool_limits
@@ -83,18 +88,16 @@ def stress_reducers(
     known, excerpts = sensor or {}, [take_excerpt(recording) for recording in moving]
     # Signals here are short: threads of the linear algebra wait for each other most of the time.
     with threadpool_limits(limits=1, user_api="blas"):
-        cells = measure_cells(
-            scenes, reducers, clean={scene.name: scene.make_clean(seed) for scene in BATTERY.values() if scene.fault},
-            draws=draws, seed=seed, progress=lambda done, _: tell(done, total),
-        )  # fmt: skip
+        cells = measure_battery(reducers, seeds=seeds, seed=seed, progress=lambda done, _: tell(done, total))
         gains = measure_cells(
-            excerpts, reducers, measures=("gain",), draws=max(2, min(draws, GAIN_DRAWS)), seed=seed,
+            excerpts, reducers, measures=("gain",), draws=draws, seed=seed,
             progress=lambda done, _: tell(len(scenes) * len(reducers) + done, total),
         )  # fmt: skip
         metrics = tuple(_compare(recording, reducers, seed) for recording in (*scenes, *excerpts))
         diagnoses = tuple(diagnose(recording, known.get(recording.name)) for recording in moving)
     notes = _note(recordings, moving, known)
-    inputs = {"seed": seed, "draws": draws, **{f"recording {one.name}": one.sha256 for one in recordings}}
+    digests = {f"recording {one.name}": one.sha256 for one in recordings}
+    inputs = {"seed": seed, "seeds": seeds, "draws": draws, **digests}
     return StressResult(tuple(reducers), cells, gains, metrics, diagnoses, notes, inputs)
 
 
@@ -203,5 +206,5 @@ def _note(
             f"{', '.join(unseen)}: seen after conditioning only, which hides offsets, clipping and the sensor's steps."
         )
     told = [f"{one.name}: {warning}" for one in recordings for warning in one.warnings]
-    excerpt = f"Gains are of a recording's strongest {EXCERPT_S:g} s, metrics of its strongest {METRICS_S:g} s."
+    excerpt = f"Gains are those of a recording's strongest {EXCERPT_S:g} s, metrics of its strongest {METRICS_S:g} s."
     return (excerpt, *silent, *told) if recordings else ()

@@ -94,9 +94,9 @@ class Sign:
         return f"<{smallest:g}{unit}" if 0 < shown < smallest else f"{shown:.3g}{unit}"
 
 
-_SINGLE = ("sax321", "say321", "saz321")
+_SINGLE = tuple(f"sa{axis}321{form}" for form in ("", "_matched", "_matched_running") for axis in "xyz")
 _FOURIER = ("dft321", "dft321_windowed")
-_PRINCIPAL = ("pca321", "pca321_adaptive")
+_PRINCIPAL = ("pca321", "pca321_adaptive", "pca321_matched", "pca321_matched_windowed")
 _LEADING = (*_PRINCIPAL, "dft321_principal", "dft321_principal_windowed")
 _IN_FRAMES = ("pca321_adaptive", "dft321_principal_windowed")
 _SIGNS = (

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from analysis.tradeoff.advise.report import Study
 
-ONLINE = Context(online=True, latency_ms=5)
+ONLINE = Context(online=True, latency_ms=5, block_ms=0, device_ms=0)
 
 
 def scenes() -> list[Recording]:
@@ -40,8 +40,8 @@ def test_the_order_of_recordings_does_not_matter(study: Study) -> None:
 
 
 def test_one_reducer_for_all_scenes_is_named(study: Study) -> None:
-    assert study.common[0] == "dft321"
-    assert study.summary.startswith("One for all 2 scenes: dft321 (or ")
+    assert study.common[0] == "pca321_matched"
+    assert study.summary.startswith("One for all 2 scenes: pca321_matched (or ")
     assert advise_recordings(scenes(), ONLINE).summary == "No one reducer suffices for all 2 scenes."
 
 
@@ -49,9 +49,9 @@ def test_segments_of_one_recording_may_differ() -> None:
     rng = np.random.default_rng(1)
     line, noise = rng.standard_normal(4000), rng.standard_normal((3, 4000))
     both = np.concatenate([np.array([0 * line, line, 0 * line]) + 0.01 * noise, noise], axis=1)
-    study = advise_recordings([Recording(both, 4000.0, "oak")], Context(), segment_s=1.0)
+    study = advise_recordings([Recording(both, 4000.0, "oak")], Context(mounting="recorded"), segment_s=1.0)
     assert [advice.scene.name for advice in study.advices] == ["oak 0.00-1.00 s", "oak 1.00-2.00 s"]
-    assert [advice.answer for advice in study.advices] == ["say321", "dft321"]
+    assert [advice.answer for advice in study.advices] == ["say321", "sax321_matched"]
 
 
 def test_ratings_are_heard_for_whole_recordings_only() -> None:
@@ -103,7 +103,7 @@ def test_files_hold_the_same_as_the_json(study: Study, tmp_path: Path) -> None:
         assert (tmp_path / "advice" / name).is_file()
     with (tmp_path / "advice" / "tables" / "advice.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
-    assert [row["answer"] for row in rows] == ["pca321", "dft321", ""]
+    assert [row["answer"] for row in rows] == ["pca321", "pca321_matched", ""]
     assert [row["line"] for row in rows] == [advice.line for advice in study.advices]
     with (tmp_path / "advice" / "tables" / "measures.csv").open(encoding="utf-8", newline="") as file:
         measures = list(csv.DictReader(file))
@@ -127,7 +127,7 @@ def test_the_page_tells_a_budget_and_what_is_closest(tmp_path: Path) -> None:
     write_advice(advise_recordings(scenes()[:2], ONLINE), tmp_path / "advice")
     page = (tmp_path / "advice" / "index.html").read_text(encoding="utf-8")
     assert "at most 5 ms late" in page
-    assert "latency, state, operations, parameters" in page
+    assert "ranked by latency, then memory, operations" in page
 
 
 def test_a_page_of_nothing_but_silence_is_written(tmp_path: Path) -> None:

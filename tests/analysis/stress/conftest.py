@@ -49,13 +49,13 @@ def recordings(drag: Recording) -> tuple[Recording, ...]:
 
 @pytest.fixture(scope="session")
 def result(recordings: tuple[Recording, ...]) -> StressResult:
-    return stress_reducers(recordings, sensor={"drag": recordings[0]}, draws=4, seed=3)
+    return stress_reducers(recordings, sensor={"drag": recordings[0]}, seeds=4, draws=4, seed=3)
 
 
 @pytest.fixture(scope="session")
 def small(drag: Recording) -> StressResult:
     """Test one reducer on one harmless recording, quickly."""
-    return stress_reducers([drag], {"mag321": REDUCERS["mag321"]}, draws=2, seed=0)
+    return stress_reducers([drag], {"mag321": REDUCERS["mag321"]}, seeds=2, draws=2, seed=0)
 
 
 @pytest.fixture(scope="session")

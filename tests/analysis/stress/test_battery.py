@@ -7,8 +7,12 @@ import pytest
 
 from analysis.tradeoff.stress.battery import ADXL345_STEP, BATTERY
 from analysis.tradeoff.stress.cells import Cell, find_cell, measure_cells
+from analysis.tradeoff.stress.change import relative_change
 from analysis.tradeoff.stress.limits import MEASURES
+from analysis.tradeoff.stress.measures import edge_error, energy_error, fault_gain
+from analysis.tradeoff.stress.mounting import flip_change
 from analysis.tradeoff.stress.signs import SIGNS, diagnose
+from analysis.tradeoff.stress.takes import make_takes, measure_battery, measure_takes
 from stimuli.reduce import REDUCERS
 
 KNOWN = [(scene.name, failing) for scene in BATTERY.values() for failing in scene.failing]
@@ -34,8 +38,7 @@ def find_firm_failures(result: Any) -> set[tuple[str, str, str]]:
     """Failures that are not near their limit."""
     found = set()
     for cell in result:
-        value = cell.worst if cell.measure == "flip" else cell.value
-        if abs(value) >= NEAR_A_LIMIT * MEASURES[cell.measure].fails and not rests_on_rounding(cell):
+        if abs(cell.value) >= NEAR_A_LIMIT * MEASURES[cell.measure].fails and not rests_on_rounding(cell):
             found.add((cell.recording, cell.reducer, cell.measure))
     return found
 
@@ -112,9 +115,9 @@ def test_a_figure_depends_on_its_own_recording_alone(drag: Any, made: Any) -> No
     assert find_cell(together, "drag", "dft321", measure="rotation") == alone[0]
 
 
-def test_flips_are_judged_by_the_worst_of_three() -> None:
-    assert Cell("a", "b", "flip", value=0.0, worst=1.0).grade == "fails"
+def test_a_figure_is_judged_by_its_median_and_a_caution_where_one_take_in_ten_fails() -> None:
     assert Cell("a", "b", "shift", value=0.0, worst=1.0).grade == "good"
+    assert Cell("a", "b", "shift", value=0.0, worst=1.0, p90=0.3).grade == "caution"  # one take in ten fails
     assert Cell("a", "b", "energy", value=-4.0, worst=-4.0).grade == "fails"
     assert Cell("a", "b", "fault", value=float("nan"), worst=float("nan")).grade == "undefined"
 
@@ -136,3 +139,40 @@ def test_doors(drag: Any) -> None:
         measure_cells([drag], REDUCERS, draws=1, seed=0)
     with pytest.raises(ValueError, match="cells: got a / b / gain, which was not measured"):
         find_cell([], "a", "b", measure="gain")
+
+
+@pytest.mark.parametrize("name", ["soc321", "dft321", "pca321_adaptive", "mag321", "pca321_matched_windowed"])
+@pytest.mark.parametrize("scene", ["missing_samples", "impulse_at_edge", "very_short"])
+def test_takes_are_measured_as_single_recordings_are(name: str, scene: str) -> None:
+    takes, reduce = make_takes(scene, seeds=3, seed=2), REDUCERS[name]
+    found = measure_takes(reduce, takes)
+    for place in range(3):
+        take = BATTERY[scene].make(2000 + place)
+        np.testing.assert_array_equal(takes.samples[place], take.acceleration)
+        assert found["edge"][place] == pytest.approx(edge_error(reduce, take), abs=1e-9)
+        assert found["energy"][place] == pytest.approx(energy_error(reduce, take), abs=1e-9)
+        assert found["flip"][place] == pytest.approx(flip_change(reduce, take).worst, abs=1e-9)
+        once = reduce(take.acceleration, take.rate_hz)
+        noisy = reduce(take.acceleration + takes.noise[place], take.rate_hz)
+        assert found["gain"][place] == pytest.approx(relative_change(noisy, once) / 1e-3, rel=1e-6)
+        if BATTERY[scene].fault:
+            damage = fault_gain(reduce, take, clean=BATTERY[scene].make_clean(2000 + place))
+            assert found["fault"][place] == pytest.approx(damage, rel=1e-6)
+        else:
+            assert np.isnan(found["fault"][place])
+
+
+def test_quantiles_are_those_over_takes(monkeypatch: pytest.MonkeyPatch) -> None:
+    sizes = np.arange(1.0, 41.0)
+
+    def measured(*_: Any) -> dict[str, np.ndarray]:
+        return {key: -sizes if key == "energy" else sizes for key in (*MEASURES, "phase")}
+
+    monkeypatch.setattr("analysis.tradeoff.stress.takes.measure_takes", measured)
+    gain, *_ = cells = measure_battery({"mag321": REDUCERS["mag321"]}, seeds=40, seed=0)
+    assert (gain.value, gain.p90, gain.p95, gain.worst) == pytest.approx((20.5, 36.1, 38.05, 40.0))
+    assert gain.up_to_phase == 20.5
+    energy = next(cell for cell in cells if cell.measure == "energy")
+    assert (energy.value, energy.p90, energy.worst) == pytest.approx((-20.5, 36.1, 40.0))
+    with pytest.raises(ValueError, match="seeds: got 1, allowed is 2 or more"):
+        measure_battery({"mag321": REDUCERS["mag321"]}, seeds=1, seed=0)

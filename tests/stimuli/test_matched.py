@@ -1,0 +1,134 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from stimuli.matched import FORGETTING_S, MOST_GAIN, match_energy, pca321_matched, pca321_matched_windowed
+from stimuli.principal import pca321
+from stimuli.reduce import DEFAULT_REDUCERS, REDUCERS
+
+RATE = 1000.0
+MATCHED = [name for name in REDUCERS if "matched" in name]
+WHOLE = [f"sa{axis}321_matched" for axis in "xyz"]
+RUNNING = [f"{name}_running" for name in WHOLE]
+
+
+def noise(*shape: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).standard_normal(shape)
+
+
+def change(before: np.ndarray, after: np.ndarray) -> float:
+    apart = min(np.linalg.norm(after - before), np.linalg.norm(after + before))
+    return float(apart / np.linalg.norm(before))
+
+
+def test_they_are_not_among_a_studys_default_nine() -> None:
+    assert len(DEFAULT_REDUCERS) == 9
+    assert not set(MATCHED) & set(DEFAULT_REDUCERS)
+
+
+@given(seed=st.integers(0, 999), shares=st.tuples(*[st.floats(0.7, 2.0)] * 3))
+def test_one_axis_with_the_energy_of_all(seed: int, shares: tuple[float, ...]) -> None:
+    acceleration = noise(3, 60, seed=seed) * np.array(shares)[:, None]
+    for axis, name in enumerate(WHOLE):
+        reduced = REDUCERS[name](acceleration, RATE)
+        assert np.sum(reduced**2) == pytest.approx(np.sum(acceleration**2))
+        gain = np.sqrt(np.sum(acceleration**2) / np.sum(acceleration[axis] ** 2))
+        np.testing.assert_allclose(reduced, gain * acceleration[axis])  # its sign is the axis's own
+
+
+@given(seed=st.integers(0, 999))
+def test_the_principal_axis_with_the_energy_of_all_about_their_means(seed: int) -> None:
+    acceleration = noise(3, 60, seed=seed) + np.array([[9.8], [0], [1]])
+    reduced, plain = pca321_matched(acceleration, RATE), pca321(acceleration, RATE)
+    assert np.var(reduced) == pytest.approx(np.var(acceleration, axis=1).sum())
+    gains = reduced / plain
+    np.testing.assert_allclose(gains, gains[0])
+    assert 1 <= gains[0] <= np.sqrt(3) + 1e-9
+
+
+@pytest.mark.parametrize("name", MATCHED)
+def test_a_motion_along_one_line_comes_out_whole(name: str) -> None:
+    wave = noise(2000)
+    reduced = REDUCERS[name](np.outer((2.0, 6.0, 3.0), wave), RATE)
+    np.testing.assert_allclose(reduced, 7 * (wave - wave.mean() * (name == "pca321_matched")), atol=1e-9)
+
+
+@pytest.mark.parametrize("name", [*WHOLE, *RUNNING])
+def test_a_silent_axis_stays_silent_and_a_weak_one_is_not_blown_up(name: str) -> None:
+    axis = "xyz".index(name[2])
+    acceleration = noise(3, 500)
+    acceleration[axis] = 0.0
+    np.testing.assert_array_equal(REDUCERS[name](acceleration, RATE), 0.0)
+    acceleration[axis, ::50] = 1e-4
+    reduced = REDUCERS[name](acceleration, RATE)
+    np.testing.assert_allclose(reduced, MOST_GAIN * acceleration[axis])
+
+
+@given(seed=st.integers(0, 99), place=st.integers(0, 299))
+def test_a_running_gain_never_spikes(seed: int, place: int) -> None:
+    acceleration = noise(3, 300, seed=seed)
+    acceleration[1, :place] = 0.0
+    for name in RUNNING:
+        reduced = REDUCERS[name](acceleration, RATE)
+        assert np.all(np.abs(reduced) <= MOST_GAIN * np.abs(acceleration["xyz".index(name[2])]) * (1 + 1e-12))
+
+
+@pytest.mark.parametrize("name", RUNNING)
+def test_the_running_gain_is_the_one_of_the_forgotten_past(name: str) -> None:
+    acceleration = noise(3, 400, seed=4) * np.array([[1.0], [2.0], [0.5]])
+    axis, last = "xyz".index(name[2]), 399
+    weights = np.exp(-(last - np.arange(400)) / RATE / FORGETTING_S)
+    energies = (weights * acceleration**2).sum(axis=1)
+    expected = np.sqrt(energies.sum() / energies[axis]) * acceleration[axis, last]
+    assert REDUCERS[name](acceleration, RATE)[last] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("causal", "whole"), [*zip(RUNNING, WHOLE, strict=True),
+                                               ("pca321_matched_windowed", "pca321_matched")])
+def test_causal_forms_come_to_the_whole_one_in_steady_motion(causal: str, whole: str) -> None:
+    mixing = np.array([[1.0, 0.2, 0.1], [0.5, 0.6, 0.0], [0.3, -0.2, 0.4]])
+    acceleration = mixing @ noise(3, 6000, seed=2)
+    steady = slice(3000, None)
+    expected = REDUCERS[whole](acceleration, RATE)[steady]
+    assert change(expected, REDUCERS[causal](acceleration, RATE)[steady]) < 0.06
+
+
+@pytest.mark.parametrize("window_s", [0.01, 0.035, 0.05])
+def test_the_windowed_form_turns_with_the_sensor(window_s: float) -> None:
+    acceleration = noise(3, 1500, seed=3) * np.array([[1.0], [2.0], [0.7]])
+    turn = np.linalg.qr(noise(3, 3, seed=8))[0]
+    once = pca321_matched_windowed(acceleration, RATE, window_s=window_s)
+    assert change(once, pca321_matched_windowed(turn @ acceleration, RATE, window_s=window_s)) < 1e-9
+
+
+def test_the_axis_of_a_circle_is_held_where_it_is() -> None:
+    angle = 2 * np.pi * 0.15 * np.arange(3000)
+    circle = np.array([np.cos(angle), np.sin(angle), 0 * angle])
+    once = pca321_matched_windowed(circle, RATE)
+    hiss = 1e-3 * noise(3, 3000, seed=5)
+    assert change(once, pca321_matched_windowed(circle + hiss, RATE)) < 0.05
+    assert np.sum(once**2) == pytest.approx(np.sum(circle**2), rel=0.05)
+
+
+def test_an_axis_that_begins_after_silence_is_there_at_once() -> None:
+    tap = np.zeros(400)
+    tap[200:260] = np.exp(-np.arange(60) / 15) * np.sin(np.arange(60))
+    reduced = pca321_matched_windowed(np.outer((0.0, 0.8, -0.6), tap), RATE)
+    np.testing.assert_allclose(reduced, tap, atol=1e-9)
+
+
+def test_noise_before_a_tap_does_not_hold_the_axis() -> None:
+    taps = np.zeros((3, 600))
+    for axis, period in enumerate((7.0, 11.0, 17.0)):
+        taps[axis, 216:] = np.exp(-np.arange(384) / 30) * np.sin(2 * np.pi * np.arange(384) / period)
+    hiss = 1e-3 * np.linalg.norm(taps) / np.sqrt(taps.size) * noise(3, 600, seed=6)
+    once = pca321_matched_windowed(taps, RATE)
+    assert change(once, pca321_matched_windowed(taps + hiss, RATE)) < 0.02
+
+
+def test_gains_where_there_is_nothing_to_divide_by() -> None:
+    total, kept = np.array([0.0, 4.0, 4.0, 4.0]), np.array([0.0, 0.0, 1.0, 1e-9])
+    np.testing.assert_allclose(match_energy(total, kept), [0.0, MOST_GAIN, 2.0, MOST_GAIN])
