@@ -115,13 +115,21 @@ def simulate_study(
     return write_ratings(study, stimuli)
 
 
-def analyze_study(study: StudyFolder, *, out: Path | None = None, progress: Progress | None = None) -> Path:
+def analyze_study(
+    study: StudyFolder,
+    *,
+    metrics: Sequence[str] | None = None,
+    out: Path | None = None,
+    progress: Progress | None = None,
+) -> Path:
     """Derive the table of ratings and write the report.
 
     Parameters
     ----------
     study : StudyFolder
         The study; its stimuli are built and sessions have begun.
+    metrics : sequence of str, optional
+        Metrics of the primary analysis, instead of those that the study declares.
     out : Path, optional
         The report's folder; the study's own if left out.
     progress : callable, optional
@@ -146,7 +154,8 @@ def analyze_study(study: StudyFolder, *, out: Path | None = None, progress: Prog
     folder = out or study.report
     chosen, origins = settings.analysis, list_origins(settings)
     write_report(
-        study.ratings, study.manifest, folder, draws=chosen.draws, margin=chosen.margin, sources=origins,
+        study.ratings, study.manifest, folder, draws=chosen.draws, margin=chosen.margin,
+        metrics=metrics or chosen.metrics, sources=origins,
         further=measure_rotations(study, settings, stimuli), seed=settings.study.seed, progress=progress,
     )  # fmt: skip
     return folder

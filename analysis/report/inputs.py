@@ -47,6 +47,7 @@ def describe_inputs(
         **(_describe_file("participants", roster) if roster.is_file() else {}),
         **_describe_sources(table),
         **({} if further is None or further.metrics.empty else _describe_further(further)),
+        "metrics": ", ".join(table.metrics),
         **_tell_choices(choices),
     }
 

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.table.gaps import list_names
-from analysis.table.schema import describe_further
+from analysis.table.schema import describe_explored, describe_further
 from analysis.table.sheet import LARGEST
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from pandas import DataFrame
 
@@ -100,30 +100,34 @@ def _check_handed(handed: DataFrame) -> None:
         raise ValueError("further metrics: got a stimulus twice in the index; allowed is one row per stimulus_id")
 
 
-def list_further(rows: DataFrame) -> tuple[str, ...]:
-    """List the further metrics that every rated test stimulus has.
+def list_further(rows: DataFrame, metrics: Sequence[str]) -> tuple[str, ...]:
+    """List the metrics that every rated test stimulus has and that the primary analysis is not about.
 
     Parameters
     ----------
     rows : DataFrame
         Judgements: role, and columns of metrics.
+    metrics : sequence of str
+        Those of the primary analysis.
 
     Returns
     -------
     tuple of str
-        In the order of `analysis.table.schema.describe_further`.
+        In the order of `analysis.table.schema.describe_explored`.
     """
-    tests = rows["role"] == "test"
-    return tuple(name for name in describe_further() if name in rows and rows.loc[tests, name].notna().all())
+    tests, explored = rows["role"] == "test", describe_explored(metrics)
+    return tuple(name for name in explored if name in rows and rows.loc[tests, name].notna().all())
 
 
-def note_lacking(rows: DataFrame) -> Iterator[str]:
+def note_lacking(rows: DataFrame, metrics: Sequence[str]) -> Iterator[str]:
     """Say which further metrics some rated test stimuli lack.
 
     Parameters
     ----------
     rows : DataFrame
         Judgements: stimulus_id, role, and columns of metrics.
+    metrics : sequence of str
+        Those of the primary analysis.
 
     Yields
     ------
@@ -131,7 +135,7 @@ def note_lacking(rows: DataFrame) -> Iterator[str]:
         One sentence each.
     """
     tests = rows[rows["role"] == "test"]
-    for name in (name for name in describe_further() if name in rows):
+    for name in (name for name in describe_explored(metrics) if name in rows):
         lacking = tests.loc[tests[name].isna(), "stimulus_id"].unique()
         if len(lacking):
             told = f"{len(lacking)} rated test stimuli have none, first {list_names([str(lacking[0])])}"

@@ -21,7 +21,7 @@ from analysis.table.sources import note_sources
 from analysis.table.stimulus_sheet import AMPLITUDE, ROLES, SENSATION, read_manifest
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
     from pandas import DataFrame
@@ -48,7 +48,7 @@ class Table:
         matched tells whether the metrics speak of that judgement (`find_matched`); a dissimilarity is about the
         stimulus compared with the reference.
     metrics : tuple of str
-        The primary metric columns, in the order of `analysis.table.schema.PRIMARY`.
+        The metrics that the primary analysis is about, as they were declared.
     notes : tuple of str
         What was left out and what was assumed, one sentence each.
     further : tuple of str
@@ -65,6 +65,7 @@ def read_table(
     ratings_path: Path,
     manifest_path: Path,
     *,
+    metrics: Sequence[str] | None = None,
     sources: Mapping[str, str] | None = None,
     further: Further | None = None,
 ) -> Table:
@@ -77,6 +78,9 @@ def read_table(
         Labels of the participants are read from ``participants.csv`` beside it, if there is one.
     manifest_path : Path
         ``manifest.csv``: stimulus_id, recording, reducer and at least one metric are enough (`describe_manifest`).
+    metrics : sequence of str, optional
+        Numeric columns of the manifest that the primary analysis is about; ``spectral_match_bounded`` and
+        ``temporal_match`` if left out, and where the former is missing, ``spectral_match``. Other metrics are explored.
     sources : Mapping of str to str, optional
         Recording -> what it was made from, where several are one, turned, cut or edited, and the manifest has no column
         ``source`` that says so.
@@ -95,7 +99,7 @@ def read_table(
     OSError
         If a file cannot be opened.
     """
-    manifest, metrics, notes = read_manifest(manifest_path, sources=sources)
+    manifest, planned, notes = read_manifest(manifest_path, sources=sources, metrics=metrics)
     ratings, more_notes = read_ratings(ratings_path)
     names = ratings_path.name, manifest_path.name
     _check_stimuli(ratings, manifest, names=names)
@@ -108,14 +112,15 @@ def read_table(
     rows["matched"] = find_matched(rows, manifest)
     rows["reference_reducer"] = rows["reference_id"].map(manifest["reducer"]).fillna("")
     notes += [*more_notes, *note_gaps(rows, manifest), *note_references(rows, manifest), *note_sources(rows)]
-    notes += [*note_lookalikes(rows), *note_lacking(rows)]
-    explored = list_further(rows)
+    notes += [*note_lookalikes(rows), *note_lacking(rows, planned)]
+    explored = list_further(rows, planned)
     judged = ["role", "matched", "scale", "repeat", "rating", "simulated"]
-    optional = [name for name in ("protocol", "response_time_s", AMPLITUDE, SENSATION) if name in rows]
+    optional = ["protocol", "response_time_s", AMPLITUDE, SENSATION]
+    optional = [name for name in optional if name in rows and name not in planned]
     identity = ["participant", "stimulus_id", "reference_id", "reference_reducer", "source"]
-    rows = rows[[*identity, *ECHOED, *judged, *optional, *metrics, *explored]].reset_index(drop=True)
+    rows = rows[[*identity, *ECHOED, *judged, *optional, *planned, *explored]].reset_index(drop=True)
     labelled, more_notes = join_labels(rows, ratings_path)
-    return Table(labelled, metrics, (*notes, *more_notes), explored)
+    return Table(labelled, planned, (*notes, *more_notes), explored)
 
 
 def order_reducers(names: Iterable[str]) -> list[str]:

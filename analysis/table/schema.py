@@ -11,7 +11,11 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
+
+MATCH = "how well a stimulus matches its recording"
+MATCHES = {"spectral_match": "eq. 1 of Landin et al. 2010, which has no lower bound"}
+"""What some metrics are, in words."""
 
 LOWEST, HIGHEST = 0.0, 100.0
 """The ends of every rating scale."""
@@ -61,8 +65,11 @@ RATINGS: Mapping[str, Column] = {
 }
 """One row per judgement."""
 
-PRIMARY = ("spectral_match", "temporal_match")
-"""Metrics that the primary analysis is planned for; the other ones of `stimuli.match.METRICS` are explored."""
+PLANNED = ("spectral_match_bounded", "temporal_match")
+"""The metrics of the primary analysis, unless a study declares others."""
+
+STAND_INS = {"spectral_match_bounded": "spectral_match"}
+"""What is used for a planned metric that a manifest does not have."""
 
 FURTHER: Mapping[str, Column] = {
     "rotation_mean": Column("mean of the {metric} over random orientations of the sensor", unit="1 = perfect match"),
@@ -84,24 +91,45 @@ def describe_further() -> dict[str, Column]:
     Returns
     -------
     dict of str to Column
-        Metrics that are not primary, in the order of `stimuli.match.METRICS`; then, by metric in that order, the kinds
-        in the order of `FURTHER`.
+        By metric, in the order of `stimuli.match.METRICS`, and by kind, in that of `FURTHER`.
 
     Examples
     --------
     >>> list(describe_further())[:3]
-    ['spectral_match_bounded', 'spectral_match_rotation_mean', 'spectral_match_rotation_sd']
+    ['spectral_match_rotation_mean', 'spectral_match_rotation_sd', 'spectral_match_delivered']
     """
-    from stimuli.manifest import COLUMN_UNITS
     from stimuli.match import METRICS
 
-    explored = {name: Column("how well a stimulus matches its recording", COLUMN_UNITS[name]) for name in METRICS}
-    return {name: column for name, column in explored.items() if name not in PRIMARY} | {
+    return {
         f"{metric}_{kind}": replace(column, meaning=column.meaning.format(metric=metric.replace("_", " ")))
         for metric in METRICS
         for kind, column in FURTHER.items()
         if metric in _ONLY_OF.get(kind, METRICS)
     }
+
+
+def describe_explored(metrics: Sequence[str]) -> dict[str, Column]:
+    """List the columns of metrics that an analysis of other metrics explores.
+
+    Parameters
+    ----------
+    metrics : sequence of str
+        Those of the primary analysis.
+
+    Returns
+    -------
+    dict of str to Column
+        First the other metrics of `stimuli.match.METRICS`, then those of `describe_further`.
+
+    Examples
+    --------
+    >>> list(describe_explored(["spectral_match_bounded", "temporal_match"]))[:2]
+    ['spectral_match', 'spectral_match_rotation_mean']
+    """
+    from stimuli.match import METRICS
+
+    others = {name: Column(MATCHES.get(name, MATCH), unit="1 = perfect match") for name in METRICS}
+    return {name: column for name, column in {**others, **describe_further()}.items() if name not in metrics}
 
 
 def describe_ratings() -> dict[str, Column]:
@@ -115,8 +143,13 @@ def describe_ratings() -> dict[str, Column]:
     return {**RATINGS, **describe_further()}
 
 
-def describe_manifest() -> dict[str, Column]:
+def describe_manifest(metrics: Sequence[str] = ()) -> dict[str, Column]:
     """List the columns that a manifest may have: one row per stimulus.
+
+    Parameters
+    ----------
+    metrics : sequence of str
+        Numeric columns that are to be used as metrics, beside those of `stimuli.match.METRICS`.
 
     Returns
     -------
@@ -134,9 +167,10 @@ def describe_manifest() -> dict[str, Column]:
             name: Column(unit, needed=name in needed, used=name in (*needed, *used))
             for name, unit in COLUMN_UNITS.items()
         },
-        **{name: Column("how well a stimulus matches its recording") for name in METRICS},
+        **{name: Column(MATCH) for name in METRICS},
         "source": Column(source),
         **describe_further(),
+        **{name: Column("a metric that the study declares") for name in metrics if name not in needed},
     }
 
 

@@ -11,6 +11,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Discriminator, Field, Tag
 
+from analysis.table.schema import PLANNED
 from stimuli.perception import CONTACTOR, THRESHOLDS
 from stimuli.recipe import GAINS, LEVELS, NO_REFERENCE, ONE_GAIN, ORIGINAL
 from stimuli.recording import UNITS
@@ -170,8 +171,9 @@ class ObserverTable(Table):
 
 
 class AnalysisTable(Table):
-    """`[analysis]`: how ratings are set against metrics; chosen before they are seen."""
+    """`[analysis]`: how ratings are related to metrics; chosen before they are seen."""
 
+    metrics: Annotated[tuple[Words, ...], Some] = PLANNED
     draws: Annotated[int, Field(ge=100)] = 2000
     margin: Annotated[float, Field(gt=0, le=100)] | None = None
 

@@ -14,7 +14,7 @@ from analysis.report.sections import further, primary, refined, standard
 from analysis.report.sections.choices import Choices
 from analysis.table.further import Further
 from analysis.table.reading import Table, read_table
-from analysis.table.schema import PRIMARY, describe_further
+from analysis.table.schema import describe_further
 from stimuli.match import METRICS
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ def test_every_metric_may_be_told_in_four_more_ways() -> None:
         "spectral_match_bounded": [],  # bounded, and no orientation changes it
     }
     every = [[*(f"{metric}_{kind}" for kind in kinds), *own[metric]] for metric in METRICS]
-    assert list(describe_further()) == ["spectral_match_bounded", *chain(*every)]
+    assert list(describe_further()) == list(chain(*every))
     meanings = [column.meaning for column in describe_further().values()]
     assert len(set(meanings)) == len(meanings)
     assert all(column.unit and not column.needed for column in describe_further().values())
@@ -70,7 +70,7 @@ def test_a_planted_effect_of_a_rotation_mean_is_found(small: object) -> None:
     add_to_manifest(small, **{MEAN: values, INVARIANT: draw_column(small, seed=5)})
     plant(small, values, points=60)
     table = read_table(small.ratings, small.manifest)
-    assert (table.metrics, table.further) == (PRIMARY, (MEAN, INVARIANT))
+    assert (table.metrics, table.further) == (("spectral_match", "temporal_match"), (MEAN, INVARIANT))
     section = further.compute(table, Choices(draws=200, seed=1))
     numbers = {number.name: number for number in section.numbers}
     for method in ("pearson", "spearman", "within"):
@@ -98,9 +98,10 @@ def test_further_metrics_have_no_part_in_the_primary_analysis(small: object) -> 
 def test_p1401_judges_them_too_and_compares_the_planned_ones_only(small: object) -> None:
     add_to_manifest(small, **{MEAN: draw_column(small)})
     tables = standard.compute(read_table(small.ratings, small.manifest), Choices(draws=2)).tables
-    assert set(tables["p1401"]["metric"]) == {*PRIMARY, MEAN}
-    assert set(tables["p1401_differences"]["first"]) | set(tables["p1401_differences"]["second"]) == set(PRIMARY)
-    assert set(tables["repeated"]["metric"]) == set(PRIMARY)
+    planned = {"spectral_match", "temporal_match"}
+    assert set(tables["p1401"]["metric"]) == {*planned, MEAN}
+    assert set(tables["p1401_differences"]["first"]) | set(tables["p1401_differences"]["second"]) == planned
+    assert set(tables["repeated"]["metric"]) == planned
 
 
 def test_what_holds_for_all_of_them_is_said_once(small: object) -> None:
@@ -208,7 +209,7 @@ def test_what_is_handed_over_must_be_metrics(small: object) -> None:
         return read_table(small.ratings, small.manifest, further=Further(frame))
 
     values = draw_column(small)
-    with pytest.raises(ValueError, match="got column 'loudness', allowed is one of spectral_match_bounded,"):
+    with pytest.raises(ValueError, match="got column 'loudness', allowed is one of spectral_match_rotation_mean,"):
         hand(pd.DataFrame({"loudness": values}))
     with pytest.raises(ValueError, match=f"got infinite or huge values of '{MEAN}'"):
         hand(pd.DataFrame({MEAN: values.where(values > 0.1, np.inf)}))
@@ -223,7 +224,7 @@ def test_inputs_hold_digests_of_whatever_decided(small: object) -> None:
 
     plain = describe()
     assert list(plain) == [
-        "ratings", "ratings_sha256", "manifest", "manifest_sha256", "draws", "margin", "seed",
+        "ratings", "ratings_sha256", "manifest", "manifest_sha256", "metrics", "draws", "margin", "seed",
     ]  # fmt: skip
     assert plain["ratings_sha256"] == hashlib.sha256(small.ratings.read_bytes()).hexdigest()
     roster = small.ratings.with_name("participants.csv")

@@ -232,3 +232,51 @@ def test_gains_and_sensation_levels_are_carried_and_said(files: Callable[..., ob
     edit(study.manifest, set_cell("sensation_level_db", "loud"))
     with pytest.raises(ValueError, match=r"sensation_level_db"):
         read(study)
+
+
+def add_columns(study: object, **columns: object) -> None:
+    edit(study.manifest, lambda frame: frame.assign(**columns))
+
+
+def test_the_bounded_metric_is_primary_and_the_papers_is_explored(files: Callable[..., object]) -> None:
+    study = files()
+    add_columns(study, spectral_match_bounded=0.5)
+    table = read(study)
+    assert table.metrics == ("spectral_match_bounded", "temporal_match")
+    assert "spectral_match" in table.further
+
+
+def test_any_numeric_column_may_be_declared(files: Callable[..., object]) -> None:
+    study = files()
+    add_columns(study, roughness=lambda frame: frame["temporal_match"] * 40 + 3)
+    table = read_table(study.ratings, study.manifest, metrics=["roughness", "spectral_match"])
+    assert table.metrics == ("roughness", "spectral_match")
+    assert "temporal_match" in table.further
+    manifest = pd.read_csv(study.manifest, index_col="stimulus_id")["roughness"]
+    assert list(table.rows["roughness"].fillna(0)) == list(manifest[table.rows["stimulus_id"]].fillna(0))
+
+
+@pytest.mark.parametrize(
+    ("metrics", "message"),
+    [
+        (["loudness"], "got no column 'loudness' as a metric; its numeric columns are spectral_match, temporal_match"),
+        (["reducer", "temporal_match"], "got no numbers in column 'reducer' as a metric; its numeric columns are"),
+        (["level"], "got no numbers in column 'level' as a metric"),
+        (["temporal_match", "temporal_match"], "got temporal_match, temporal_match, allowed is one name or more, each"),
+        (["spectral_match_bounded"], "(built before it existed: build the set again, or use spectral_match)"),
+    ],
+)
+def test_metrics_that_a_manifest_does_not_have(
+    files: Callable[..., object], metrics: list[str], message: str
+) -> None:
+    study = files()
+    with pytest.raises(ValueError, match=re.escape(message)) as caught:
+        read_table(study.ratings, study.manifest, metrics=metrics)
+    assert "\n" not in str(caught.value)
+
+
+def test_without_any_metric_the_numeric_columns_are_listed(files: Callable[..., object]) -> None:
+    study = files()
+    edit(study.manifest, lambda frame: frame.drop(columns=["spectral_match", "temporal_match"]).assign(mine=0.5))
+    with pytest.raises(ValueError, match=r"--metric\); its numeric columns are mine$"):
+        read(study)

@@ -10,7 +10,7 @@ from analysis.association.correlate import correlate
 from analysis.numbers import COUNT, TWO_WAY, count_number, make_interval, make_number, name_path
 from analysis.report.sections.parts import split_parts
 from analysis.report.sections.section import INTERVAL, Cell, Grid, Section
-from analysis.table.schema import describe_further
+from analysis.table.schema import describe_explored
 from analysis.words import tell_method, tell_name
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def compute(table: Table, choices: Choices) -> Section:
     ]
     if not found:
         return Section(KEY, TITLE)
-    known = describe_further()
+    known = describe_explored(table.metrics)
     meanings = "; ".join(f"{tell_name(name)}: {known[name].meaning}" for name in table.further)
     return Section(
         key=KEY, title=TITLE, grids=(_lay(found),), tables={"further_associations": _stack(found)},
