@@ -7,8 +7,9 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from study.observer.judging import Touch
 from study.observer.percepts import read_percepts
-from study.observer.raters import ObserverModel
+from study.observer.raters import SPECTRAL, ObserverModel, expect_rating
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -40,8 +41,46 @@ class Casting:
     percepts: Mapping[str, Percept]
 
 
+def find_planted(settings: Settings, stimuli: StimulusSet) -> dict[str, float]:
+    """Compute the slopes that simulated participants plant in realism ratings, after the ends of the scale.
+
+    Parameters
+    ----------
+    settings : Settings
+        The study's settings.
+    stimuli : StimulusSet
+        What is felt.
+
+    Returns
+    -------
+    dict of str to float
+        Metric -> points per +0.1 within recordings, of the mean ratings of careful participants; empty where they feel
+        more than the two matches, or realism is not rated.
+    """
+    import numpy as np
+
+    model = _make_model(settings)
+    tests = [stimulus for stimulus in stimuli.stimuli if stimulus.role == "test"]
+    if model.uses_percepts or "realism" not in settings.session.protocols or not tests:
+        return {}
+    touch = Touch(model, {})
+    points = [touch.locate(stimulus) for stimulus in tests]
+    ratings = expect_rating(model, [touch.feel(point) for point in points])
+    values = np.array([[point.spectral, point.temporal, rating] for point, rating in zip(points, ratings, strict=True)])
+    arms = np.unique([f"{stimulus.recording}/{stimulus.level}" for stimulus in tests], return_inverse=True)[1]
+    for arm in range(arms.max() + 1):
+        values[arms == arm] -= values[arms == arm].mean(axis=0)
+    slopes = np.linalg.lstsq(values[:, :2], values[:, 2], rcond=None)[0] / 10
+    return dict(zip((model.spectral_metric, "temporal_match"), slopes.tolist(), strict=True))
+
+
+def _make_model(settings: Settings) -> ObserverModel:
+    declared = [name for name in settings.analysis.metrics if name in SPECTRAL]
+    return ObserverModel(**settings.observer.model_dump(), spectral_metric=(declared or SPECTRAL)[0])
+
+
 def cast_observers(settings: Settings, stimuli: StimulusSet, *, seed: int) -> Casting:
-    """Read off from a study how its simulated participants feel.
+    """Read off from a study how its simulated participants feel: by the spectral match that it declares.
 
     Parameters
     ----------
@@ -57,7 +96,7 @@ def cast_observers(settings: Settings, stimuli: StimulusSet, *, seed: int) -> Ca
     Casting
         The participants.
     """
-    model = ObserverModel(**settings.observer.model_dump())
+    model = _make_model(settings)
     return Casting(model, seed, read_percepts(stimuli) if model.uses_percepts else {})
 
 

@@ -23,14 +23,21 @@ if TYPE_CHECKING:
 @json_option
 def simulate(*, study: StudyFolder, participants: int, seed: int | None, as_json: bool) -> None:
     """Run sessions with simulated participants, or resume them."""
+    from stimuli.manifest import read_stimuli
+    from study.casting import find_planted
+    from study.settings.reading import read_settings
     from study.workflow import simulate_study
 
     with show_progress("simulate") as progress:
         rows = simulate_study(study, participants=participants, seed=seed, now=now, progress=progress, warn=warn)
+    planted = find_planted(read_settings(study.settings), read_stimuli(study.stimuli))
     if as_json:
-        print_json({"participants": participants, "ratings": rows, "file": str(study.ratings)})
+        facts = {"participants": participants, "ratings": rows, "file": str(study.ratings), "planted": planted}
+        print_json(facts)
     else:
         click.echo(f"{study.ratings}: {rows} ratings")
+        told = ", ".join(f"{slope:.2f} per +0.1 of {metric}" for metric, slope in planted.items())
+        click.echo(f"planted in realism, in points: {told}" if planted else "planted: more than the two matches")
 
 
 _rehearsals_option = click.option("--rehearsals", is_flag=True, help="Those of run --rehearse instead.")

@@ -1,7 +1,7 @@
 """What a stimulus feels like to a simulated participant, and how far two are apart.
 
-A stimulus is a point with five coordinates: spectral match (cut to 0..1), temporal match, and the three of its
-`Percept`. The original and the real surface are the point where nothing is lost.
+A stimulus is a point with five coordinates: its spectral match (the one that the model names, cut to 0..1), its
+temporal match, and the three of its `Percept`. The original and the real surface are the point where nothing is lost.
 
 - *Realism* is the weighted sum of the coordinates.
 - *Distance* is the weighted sum of five differences (city block). Those of a percept are between the two vibrations
@@ -13,6 +13,7 @@ A stimulus is a point with five coordinates: spectral match (cut to 0..1), tempo
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -162,7 +163,12 @@ class Touch:
                 f"stimulus {stimulus.stimulus_id}: got no percept, the observer's weights need one; "
                 "read the percepts of the whole set first"
             )
-        return Point(min(max(stimulus.spectral_match, 0.0), 1.0), stimulus.temporal_match, percept)
+        return Point(self._match_spectra(stimulus), stimulus.temporal_match, percept)
+
+    def _match_spectra(self, stimulus: Stimulus) -> float:
+        """Give the spectral match that counts; a set that was built before the bounded one existed has only eq. 1."""
+        value: float = getattr(stimulus, self.model.spectral_metric)
+        return min(max(stimulus.spectral_match if math.isnan(value) else value, 0.0), 1.0)
 
     def feel(self, point: Point) -> float:
         """Tell how real something feels.

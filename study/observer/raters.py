@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 from protocols.trial import RATING_RANGE
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     import numpy as np
 
@@ -37,6 +37,12 @@ STRAIGHT_SD = 1.0
 UNHURRIED, HASTY = (0.7, 0.4), (-0.7, 0.3)
 """Mean and standard deviation of the logarithm of the time in s that an answer takes: medians of 2.0 s and 0.5 s."""
 
+SPECTRAL = ("spectral_match_bounded", "spectral_match")
+"""Spectral matches that simulated participants may feel by."""
+
+NODES = 15
+"""Of the quadrature over gains and over sizes of the noise."""
+
 _SHARES = ("lapse_rate", "straight_liners", "random_clickers", "scale_reversers")
 _SIZES = ("bias_sd", "gain_sd", "noise_sd", "noise_spread", "fatigue_noise")
 
@@ -50,8 +56,9 @@ class ObserverModel:
     intercept : float
         Percept of a stimulus that matches in nothing, in points.
     spectral, temporal : float
-        What a perfect spectral or temporal match adds, in points. Matches put stimuli on a line, not in a space:
-        two that match equally well feel the same, however they differ; the next three weights tell them apart.
+        What a perfect spectral or temporal match adds, in points; +0.1 of a match adds a tenth of it. Matches put
+        stimuli on a line, not in a space: two that match equally well feel the same, however they differ; the next
+        three weights tell them apart.
     bias_sd : float
         Standard deviation of the participants' biases, in points.
     gain_sd : float
@@ -76,11 +83,14 @@ class ObserverModel:
         Share by which the noise grows in 100 trials.
     straight_liners, random_clickers, scale_reversers : float
         Shares of the participants who are such bad raters, 0 to 1, and at most 1 together.
+    spectral_metric : str
+        Which spectral match that is, one of `SPECTRAL`. The paper's eq. 1 counts as 0 where it is negative: a slope on
+        it is planted from 0 to 1 only.
 
     Raises
     ------
     ValueError
-        If a share is not one, or a size is negative.
+        If a share is not one, a size is negative, or there is no such spectral match.
     """
 
     intercept: float
@@ -100,9 +110,12 @@ class ObserverModel:
     straight_liners: float = 0.0
     random_clickers: float = 0.0
     scale_reversers: float = 0.0
+    spectral_metric: str = SPECTRAL[0]
 
     def __post_init__(self) -> None:
         """Refuse numbers out of range."""
+        if self.spectral_metric not in SPECTRAL:
+            raise ValueError(f"spectral_metric: got {self.spectral_metric!r}, allowed is {' or '.join(SPECTRAL)}")
         for name in _SHARES:
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name}: got {getattr(self, name)}, allowed is a share from 0 to 1")
@@ -232,6 +245,46 @@ class Rater:
             Time in s.
         """
         return float(rng.lognormal(*(HASTY if self.kind == RANDOM_CLICKER else UNHURRIED)))
+
+
+def expect_rating(model: ObserverModel, percepts: Sequence[float], *, sure: float = RATING_RANGE[0]) -> list[float]:
+    """Compute the mean rating that careful participants give to percepts, without order and fatigue.
+
+    Parameters
+    ----------
+    model : ObserverModel
+        How participants differ.
+    percepts : sequence of float
+        What is felt, in points.
+    sure : float
+        The points that mean the same to everybody.
+
+    Returns
+    -------
+    list of float
+        Points: less far apart than the percepts, because the slider's ends cut bias and noise off, and lapses go to the
+        middle. This is what is really planted.
+
+    Notes
+    -----
+    Given gain and size of the noise, a rating is a normal variable cut to the scale, whose mean is known; over their
+    lognormal distributions it is averaged by Gauss-Hermite quadrature.
+    """
+    import numpy as np
+    from scipy.stats import norm
+
+    low, high = RATING_RANGE
+    nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
+    weights /= weights.sum()
+    gain = np.exp(model.gain_sd * nodes)[:, None, None]
+    spread = np.hypot(model.bias_sd, model.noise_sd * np.exp(model.noise_spread * nodes))[None, :, None] + 1e-12
+    mean = sure + gain * (np.asarray(percepts, dtype=np.float64) - sure)
+    below, above = (low - mean) / spread, (high - mean) / spread
+    inside = norm.cdf(above) - norm.cdf(below)
+    cut = low * norm.cdf(below) + high * norm.sf(above) + mean * inside + spread * (norm.pdf(below) - norm.pdf(above))
+    careful = np.einsum("i,j,ijk->k", weights, weights, cut)
+    found: list[float] = (careful + model.lapse_rate * ((low + high) / 2 - careful)).tolist()
+    return found
 
 
 def draw_rater(model: ObserverModel, rng: np.random.Generator) -> Rater:

@@ -334,9 +334,14 @@ def test_a_study_from_new_to_report(
     assert main(["build", folder]) == 0
     assert "12 stimuli, set " in capsys.readouterr().out
     assert main(["simulate", folder, "--participants", "4", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {"participants": 4, "ratings": 96, "file": str(study.ratings)}
+    facts = json.loads(capsys.readouterr().out)
+    planted = facts.pop("planted")
+    assert facts == {"participants": 4, "ratings": 96, "file": str(study.ratings)}
+    assert planted == pytest.approx({"spectral_match_bounded": 4.5, "temporal_match": 3.5}, rel=0.05)
     assert main(["simulate", folder, "--participants", "4"]) == 0
-    assert capsys.readouterr().out == f"{study.ratings}: 96 ratings\n"
+    said = f"{planted['spectral_match_bounded']:.2f} per +0.1 of spectral_match_bounded, "
+    said += f"{planted['temporal_match']:.2f} per +0.1 of temporal_match"
+    assert capsys.readouterr().out == f"{study.ratings}: 96 ratings\nplanted in realism, in points: {said}\n"
     assert main(["status", folder, "--json"]) == 0
     assert [entry["done"] for entry in json.loads(capsys.readouterr().out)["participants"]] == [24] * 4
     with study.journals[0].open("ab") as file:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest, norm
 
-from study.observer.raters import KINDS, ObserverModel, Rater, draw_rater
+from study.observer.raters import KINDS, ObserverModel, Rater, draw_rater, expect_rating
 
 MODEL = ObserverModel(
     intercept=10.0, spectral=45.0, temporal=35.0, bias_sd=6.0, gain_sd=0.15, noise_sd=8.0, noise_spread=0.25
@@ -165,3 +165,26 @@ def test_who_chooses_how_when_the_difference_is_plain(change: dict[str, str | fl
 @pytest.mark.parametrize(("favourite", "share"), [(0.3, 0.0), (0.7, 1.0)])
 def test_a_straight_liner_always_makes_the_same_choice(favourite: float, share: float) -> None:
     assert share_correct(replace(CAREFUL, kind="straight_liner", favourite=favourite), 200.0, n=50) == share
+
+
+@pytest.mark.parametrize(("sure", "lapse_rate"), [(0.0, 0.0), (100.0, 0.0), (0.0, 0.3)])
+def test_the_expected_rating_is_the_mean_of_many_people(sure: float, lapse_rate: float) -> None:
+    model = replace(MODEL, lapse_rate=lapse_rate)
+    percepts = [5.0, 50.0, 95.0]
+    rng = np.random.default_rng(5)
+    raters = draw_many(model, 4000)
+    given = np.array([[r.rate(p, sure=sure, shift=0, growth=1, rng=rng) for p in percepts] for r in raters])
+    error = given.std(axis=0) / np.sqrt(len(given))
+    assert np.all(np.abs(given.mean(axis=0) - expect_rating(model, percepts, sure=sure)) < 5 * error)
+
+
+def test_the_ends_of_the_slider_bring_ratings_together() -> None:
+    low, middle, high = expect_rating(MODEL, [0.0, 50.0, 100.0])
+    assert 0 < low < middle < high < 100
+    steady = replace(MODEL, bias_sd=0.0, noise_sd=0.0, gain_sd=0.0)
+    assert expect_rating(steady, [0.0, 30.0, 100.0]) == pytest.approx([0, 30, 100], abs=1e-9)
+
+
+def test_a_spectral_match_that_nobody_feels_by_is_refused() -> None:
+    with pytest.raises(ValueError, match="spectral_metric: got 'mine', allowed is spectral_match_bounded or spectral"):
+        replace(MODEL, spectral_metric="mine")

@@ -9,7 +9,9 @@ import pytest
 from protocols.flow import Page
 from protocols.trial import SURFACE, Judgement, Part, Scale, Trial
 from stimuli.manifest import Stimulus
+from study.observer.judging import Touch
 from study.observer.percepts import Percept
+from study.observer.raters import SPECTRAL
 from study.observer.simulated import ObserverModel, SimulatedObserver, identify_observer
 from study.session.chain import Record
 from study.session.ports import Confirm, Feel, Place
@@ -431,3 +433,13 @@ def test_identity_names_everything_that_answers_depend_on() -> None:
     identity = identify_observer(MODEL, seed=3)
     assert (identity["simulated"], identity["seed"]) == (True, 3)
     assert ObserverModel(**identity["observer"]) == MODEL
+
+
+def test_people_feel_by_the_spectral_match_that_is_declared() -> None:
+    stimulus = replace(make_stimulus("s", -3.0, 0.5), spectral_match_bounded=0.25)
+    bounded, raw = (Touch(replace(MODEL, spectral_metric=name), {}) for name in SPECTRAL)
+    assert bounded.locate(stimulus).spectral == 0.25
+    assert raw.locate(stimulus).spectral == 0.0
+    assert raw.locate(replace(stimulus, spectral_match=0.5)).spectral == 0.5
+    # A set that was built before the bounded match existed has eq. 1 only.
+    assert bounded.locate(make_stimulus("s", 0.5, 0.5)).spectral == 0.5

@@ -82,8 +82,9 @@ def test_defaults_are_those_of_the_rules_and_the_observer(read: Callable[[str], 
     assert (design.flow, make_stale(settings)) == (Flow(), Stale())
     assert design.tasks == tuple(make_task(name, training=4, practice=2) for name in ("realism", "similarity"))
     defaults = {field.name: field.default for field in fields(ObserverModel) if field.default is not MISSING}
+    assert settings.analysis.metrics[0] == defaults.pop("spectral_metric")
     assert settings.observer.model_dump().items() >= defaults.items()
-    assert set(ObserverTable.model_fields) == {field.name for field in fields(ObserverModel)}
+    assert {*ObserverTable.model_fields, "spectral_metric"} == {field.name for field in fields(ObserverModel)}
 
 
 def test_every_setting_of_the_session_reaches_the_design(read: Callable[[str], Settings]) -> None:

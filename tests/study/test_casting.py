@@ -1,0 +1,59 @@
+"""What simulated participants plant: the slopes of the metric that the study declares, after the slider's ends."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import pytest
+
+from study.casting import find_planted
+from study.settings.reading import read_settings
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from stimuli.manifest import StimulusSet
+    from study.settings.tables import Settings
+
+STUDY = """
+[[recordings]]
+scene = "bumps"
+"""
+EXACT = "[observer]\nbias_sd = 0.0\ngain_sd = 0.0\nnoise_sd = 0.0\n"
+
+
+def read(folder: Path, more: str = "") -> Settings:
+    path = folder / "study.toml"
+    path.write_text(STUDY + more, encoding="utf-8")
+    return read_settings(path)
+
+
+def bound(stimuli: StimulusSet) -> StimulusSet:
+    """Give every stimulus a bounded match of its own."""
+    rows = [
+        replace(one, spectral_match_bounded=0.2 + 0.6 * math.exp(-one.temporal_match) ** 2) for one in stimuli.stimuli
+    ]
+    return replace(stimuli, stimuli=tuple(rows))
+
+
+def test_exact_people_plant_the_weights(tmp_path: Path, stimuli: StimulusSet) -> None:
+    planted = find_planted(read(tmp_path, EXACT), bound(stimuli))
+    assert planted == pytest.approx({"spectral_match_bounded": 4.5, "temporal_match": 3.5})
+
+
+def test_people_with_habits_plant_less(tmp_path: Path, stimuli: StimulusSet) -> None:
+    planted = find_planted(read(tmp_path), bound(stimuli))
+    assert 4.0 < planted["spectral_match_bounded"] < 4.6
+    assert 3.0 < planted["temporal_match"] < 3.6
+
+
+def test_the_declared_metric_is_the_one_that_is_felt(tmp_path: Path, stimuli: StimulusSet) -> None:
+    declared = '[analysis]\nmetrics = ["spectral_match", "temporal_match"]\n'
+    assert list(find_planted(read(tmp_path, declared), stimuli)) == ["spectral_match", "temporal_match"]
+
+
+def test_where_more_is_felt_than_the_matches_no_slope_is_told(tmp_path: Path, stimuli: StimulusSet) -> None:
+    assert find_planted(read(tmp_path, "[observer]\nenvelope = 5.0\n"), stimuli) == {}
+    assert find_planted(read(tmp_path, '[session]\nprotocols = ["similarity"]\n'), stimuli) == {}
