@@ -8,7 +8,7 @@ import textwrap
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
 MINUS = "\N{MINUS SIGN}"
 ABSENT = "\N{EN DASH}"
@@ -52,10 +52,10 @@ def tell_name(name: str) -> str:
 
     Examples
     --------
-    >>> tell_name("equal_intensity")
-    'equal intensity'
+    >>> tell_name("equal_intensity"), tell_name("spectral_match_bounded_delivered")
+    ('equal intensity', 'bounded spectral match delivered')
     """
-    return name.replace("_", " ")
+    return name.replace("spectral_match_bounded", "bounded_spectral_match").replace("_", " ")
 
 
 def keep_together(value: object) -> object:
@@ -220,6 +220,29 @@ def tell_axis(metric: str) -> str:
     """
     words = tell_name(metric)
     return METRIC_AXES.get(metric, words[:1].upper() + words[1:])
+
+
+def list_words(names: Sequence[str], last: str = "and") -> str:
+    """List names in a sentence.
+
+    Parameters
+    ----------
+    names : sequence of str
+        One or more.
+    last : str
+        What joins the last one.
+
+    Returns
+    -------
+    str
+        The names.
+
+    Examples
+    --------
+    >>> list_words(["a"]), list_words(["a", "b", "c"])
+    ('a', 'a, b and c')
+    """
+    return f" {last} ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
 def tell_span(counts: Iterable[int]) -> str:

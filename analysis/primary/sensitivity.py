@@ -22,7 +22,9 @@ CORRELATED, WITHOUT_REDUCERS = "correlated slopes", "without reducers"
 COLUMNS = ("estimate", "se", "df", "t", "p", "low", "high", "standardised", "standardised_low", "standardised_high")
 
 
-def vary_primary(rows: DataFrame, metrics: Sequence[str], *, top: float = 100.0) -> DataFrame:
+def vary_primary(
+    rows: DataFrame, metrics: Sequence[str], *, top: float = 100.0, leave_out: bool = True
+) -> DataFrame:
     """Repeat the primary analysis under other choices.
 
     Parameters
@@ -33,6 +35,8 @@ def vary_primary(rows: DataFrame, metrics: Sequence[str], *, top: float = 100.0)
         One or more.
     top : float
         Upper end of the rating scale, which starts at 0.
+    leave_out : bool
+        Whether to leave each recording and each reducer out in turn.
 
     Returns
     -------
@@ -70,7 +74,7 @@ def vary_primary(rows: DataFrame, metrics: Sequence[str], *, top: float = 100.0)
     if ratings.min() < 0 or ratings.max() > top:
         raise ValueError(f"rows: got ratings {ratings.min():g} to {ratings.max():g}, allowed is 0 to {top:g}; give top")
     tables = [_tabulate(variant, rows, metrics) for variant in ("primary", CORRELATED, WITHOUT_REDUCERS)]
-    tables += [_tabulate(name, part, metrics) for name, part in _leave_out(rows)]
+    tables += [_tabulate(name, part, metrics) for name, part in (_leave_out(rows) if leave_out else ())]
     tables.append(_tabulate_standardised(rows, metrics))
     tables.append(_tabulate("logits", _squeeze(rows, top), metrics, unit="logits"))
     table = pd.concat(tables, ignore_index=True)

@@ -15,7 +15,12 @@ from analysis.table.sources import find_sources
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
+    from analysis.report.lines import Claim
     from analysis.table.reading import Table
+
+
+SCHEMA_VERSION = 1
+"""Version of ``results.schema.json``, which describes ``results.json``: raised when a field changes or goes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +31,8 @@ class Results:
     ----------
     verdict : tuple of str
         The answer in words.
+    verdicts : tuple of Claim
+        The answer for programs: one per scale, level and metric.
     numbers : tuple of Number
         Every number shown.
     answers : Mapping of str to tuple of str
@@ -49,6 +56,7 @@ class Results:
     """
 
     verdict: tuple[str, ...]
+    verdicts: tuple[Claim, ...]
     numbers: tuple[Number, ...]
     answers: Mapping[str, tuple[str, ...]]
     figures: Mapping[str, str]
@@ -69,7 +77,9 @@ class Results:
             UTF-8 JSON; a number that is not defined is null.
         """
         content = {
+            "schema_version": SCHEMA_VERSION,
             "verdict": self.verdict,
+            "verdicts": [asdict(claim) for claim in self.verdicts],
             "simulated": self.simulated,
             "numbers": [_without_nan(asdict(number)) for number in self.numbers],
             "answers": dict(self.answers),

@@ -13,12 +13,14 @@ from typing import TYPE_CHECKING
 from analysis.figures.files import save_figure
 from analysis.findings import refuse_untested
 from analysis.report.inputs import describe_inputs
+from analysis.report.lines import Line
 from analysis.report.page import render_page
 from analysis.report.pictures import note_undrawable, number_pictures
 from analysis.report.replacing import check_target, list_files, replace_report
 from analysis.report.results import Results, collect_numbers
 from analysis.report.sections.choices import Choices
 from analysis.report.sections.listing import SECTIONS
+from analysis.report.sections.pooled import name_subject, reconcile
 from analysis.screening import RULES
 from analysis.table.reading import read_table
 from analysis.words import tell_note
@@ -40,6 +42,7 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     *,
     draws: int = 2000,
     margin: float | None = None,
+    metrics: Sequence[str] | None = None,
     sources: Mapping[str, str] | None = None,
     further: Further | None = None,
     seed: int,
@@ -61,6 +64,9 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     margin : float, optional
         Points by which reducers may differ and still count as equivalent; half the standard deviation of repeated
         ratings if left out.
+    metrics : sequence of str, optional
+        Numeric columns of the manifest that the primary analysis is about, declared before the ratings were seen;
+        ``spectral_match_bounded`` and ``temporal_match`` if left out (`read_table`).
     sources : Mapping of str to str, optional
         Recording -> what it was made from, where several are one, turned, cut or edited, and the manifest has no column
         ``source``: intervals then draw sources.
@@ -86,7 +92,7 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     ratings, manifest, target = Path(ratings_path), Path(manifest_path), Path(folder)
     check_target(target)
     choices = Choices(draws=draws, margin=margin, seed=seed)
-    table = read_table(ratings, manifest, sources=sources, further=further)
+    table = read_table(ratings, manifest, metrics=metrics, sources=sources, further=further)
     sections = compute_sections(table, choices, progress=progress)
     inputs = describe_inputs(ratings, manifest, table=table, further=further, choices=choices)
     results = gather_results(table, sections, inputs=inputs)
@@ -136,8 +142,22 @@ def compute_sections(
             done.append(compute(table, choices))
             if progress is not None:
                 progress(number, len(SECTIONS))
+    done = _reconcile(done)
     pictures = number_pictures(picture for section in done for picture in section.pictures)
     return tuple(replace(section, pictures=tuple(islice(pictures, len(section.pictures)))) for section in done)
+
+
+def _reconcile(sections: Sequence[Section]) -> list[Section]:
+    """Say in front where correlations over all stimuli pooled point elsewhere than the primary model."""
+    claims = [claim for section in sections for claim in section.claims]
+    several = len({claim.level for claim in claims}) > 1
+
+    def add(section: Section) -> Section:
+        told = {panel: reconcile(panel, claims) for panel in section.panels}
+        lines = [Line(text, name_subject(panel, several=several), "pooled") for panel, text in told.items() if text]
+        return replace(section, verdict=(*section.verdict, *lines))
+
+    return [add(section) if section.panels else section for section in sections]
 
 
 def gather_results(table: Table, sections: Sequence[Section], *, inputs: Mapping[str, str]) -> Results:
@@ -164,6 +184,7 @@ def gather_results(table: Table, sections: Sequence[Section], *, inputs: Mapping
     notes = (*table.notes, *told, *note_undrawable(table))
     return Results(
         verdict=write_verdict(sections),
+        verdicts=tuple(claim for section in sections for claim in section.claims),
         numbers=collect_numbers(table, (number for section in sections for number in section.numbers)),
         answers={section.key: section.answers for section in sections if section.answers},
         figures={picture.name: picture.caption for picture in pictures},

@@ -86,7 +86,7 @@ def test_the_page_shows_no_number_that_is_not_in_the_results(report: Path) -> No
 def test_the_verdict_speaks_in_numbers_of_the_results(report: Path) -> None:
     results = load(report)
     spoken = set(NUMBER.findall(" ".join(results["verdict"])))
-    assert spoken - gather_numbers(results) == {"95"}
+    assert spoken - gather_numbers(results) <= {"95", "0.1", "1"}  # 95 % intervals, per +0.1, eq. 1
 
 
 def test_every_number_says_what_it_is(report: Path) -> None:
@@ -219,8 +219,7 @@ def test_two_numbers_of_one_name_are_refused(study: object, monkeypatch: pytest.
 def test_levels_are_kept_apart(files: Callable[..., object], tmp_path: Path) -> None:
     study = files(levels=("as_is", "equal_intensity"), scales=("realism",), anchors=False)
     results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
-    assert sum("level equal intensity" in line for line in results.verdict) == 1
-    assert sum("level equal intensity" in line for line in results.answers["metrics"]) == 3
+    assert sum("level equal intensity" in line for line in results.answers["metrics"]) == 1
     kinds = [path.name.split("_")[0] for path in (tmp_path / "report" / "figures").glob("*.svg")]
     assert {kind: kinds.count(kind) for kind in kinds} == {"scatter": 4, "mapping": 4, "profile": 2}
 
@@ -286,7 +285,8 @@ def test_constant_ratings_are_a_report_too(files: Callable[..., object], tmp_pat
     study = files(scales=("realism",))
     pd.read_csv(study.ratings).assign(rating=50).to_csv(study.ratings, index=False)
     results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
-    assert "the mean rating is the same for every stimulus" in results.verdict[0]
+    assert results.verdict[0].endswith("cannot be estimated: all ratings are the same.")
+    assert {claim.verdict for claim in results.verdicts} == {"not_estimable"}
 
 
 @pytest.mark.usefixtures("short")

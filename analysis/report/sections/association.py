@@ -15,7 +15,7 @@ from analysis.report.pictures import picture_mapping, picture_scatter
 from analysis.report.sections.means import name_mean
 from analysis.report.sections.parts import split_parts
 from analysis.report.sections.section import INTERVAL, VALUE, Cell, Grid, Section
-from analysis.report.verdict import LEADING, UNADJUSTED, judge_absence, judge_panels, sum_up_panels
+from analysis.report.verdict import LEADING, UNADJUSTED, judge_absence, sum_up_panels
 from analysis.table.items import make_items
 from analysis.table.reading import order_reducers
 from analysis.table.scales import APART, note_apart
@@ -62,7 +62,7 @@ def compute(table: Table, choices: Choices) -> Section:
         make_panel(part.rows, table.metrics, draws=choices.draws, rng=choices.make_rng(KEY, *part.place))
         for part in parts
     ]
-    title = "Ratings against metrics"
+    title = "Correlations of mean ratings with metrics"
     notes = (*_note_roles(table), *_note_panels(panels))
     if not panels:
         return Section(KEY, title, notes=notes, verdict=judge_absence(table.rows["scale"].unique()))
@@ -70,7 +70,7 @@ def compute(table: Table, choices: Choices) -> Section:
     mappings = [found for pair in zip(parts, panels, strict=True) for found in _map_panel(*pair)]
     grids = [_lay_associations(panels), *([_lay_differences(panels)] if panels[0].differences else [])]
     return Section(
-        key=KEY, title=title, answers=(*judge_panels(panels), UNADJUSTED), verdict=sum_up_panels(panels),
+        key=KEY, title=title, answers=(*sum_up_panels(panels), UNADJUSTED), panels=tuple(panels),
         grids=tuple(grids),
         unseen=(*(number for panel in panels for number in _collect_panel(panel)), *_name_mappings(mappings)),
         tables=_make_tables(panels),

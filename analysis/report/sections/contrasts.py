@@ -12,10 +12,10 @@ from analysis.contrasts.equivalence import equivalence, non_inferiority
 from analysis.figures.contrasts import draw_equivalence
 from analysis.mixed.model import contrast, fit_mixed
 from analysis.numbers import count_number, make_number, name_path
+from analysis.primary.influence import adjust
 from analysis.report.pictures import Picture, make_slug
 from analysis.report.sections.effects import (
     SIGNIFICANCE,
-    adjust,
     count_units,
     lay_estimate,
     name_estimate,

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 from analysis.contrasts.discrimination import discriminate_pairs
 from analysis.figures.pairs import draw_discrimination
 from analysis.numbers import COUNT, Number, count_number, make_interval, make_number, name_path
+from analysis.primary.influence import adjust
 from analysis.report.lines import Line
 from analysis.report.pictures import Picture
-from analysis.report.sections.effects import SIGNIFICANCE, adjust
+from analysis.report.sections.effects import SIGNIFICANCE
 from analysis.report.sections.section import INTERVAL, Cell, Grid, Section
 from analysis.table.scales import ANSWERED
 from analysis.words import tell_name

@@ -195,36 +195,3 @@ def tell_p(p: float) -> str:
     """
     told = tell_number(p, kind="p")
     return f"p (Holm) {told if told.startswith('<') else f'= {told}'}"
-
-
-def adjust(p: list[float]) -> list[float]:
-    """Adjust probabilities for their number by Holm's step-down method.
-
-    Parameters
-    ----------
-    p : list of float
-        NaN stays NaN and does not count.
-
-    Returns
-    -------
-    list of float
-        In the same order.
-
-    References
-    ----------
-    Holm (1979), Scandinavian Journal of Statistics 6, 65-70.
-
-    Examples
-    --------
-    >>> [round(value, 2) for value in adjust([0.01, float("nan"), 0.04, 0.03])]
-    [0.03, nan, 0.06, 0.06]
-    """
-    import numpy as np
-    from statsmodels.stats.multitest import multipletests
-
-    values = np.asarray(p, dtype=np.float64)
-    known = np.isfinite(values)
-    if known.any():
-        values[known] = multipletests(values[known], method="holm")[1]
-    adjusted: list[float] = values.tolist()
-    return adjusted

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 from analysis.mixed.model import contrast, fit_mixed
 from analysis.numbers import name_path
 from analysis.primary.cells import make_cells
+from analysis.primary.influence import adjust
 from analysis.report.sections.effects import (
     SIGNIFICANCE,
-    adjust,
     count_units,
     lay_estimate,
     name_estimate,

@@ -7,23 +7,17 @@ from typing import TYPE_CHECKING, Any
 from analysis.figures.residuals import draw_residuals
 from analysis.figures.slopes import draw_slopes
 from analysis.numbers import COUNT, count_number, make_number, name_path
+from analysis.primary.influence import measure_influence
 from analysis.primary.model import fit_primary, tabulate_slopes
-from analysis.report.lines import Line
 from analysis.report.pictures import Picture, make_slug
-from analysis.report.sections.effects import (
-    SIGNIFICANCE,
-    lay_estimate,
-    name_estimate,
-    name_tests,
-    tell_estimate,
-    tell_p,
-    tell_reach,
-)
+from analysis.report.sections.answer import Finding, Lost, tell_findings
+from analysis.report.sections.effects import lay_estimate, name_estimate, name_tests
+from analysis.report.sections.influence import INFLUENCE, lay_exceptions, lay_influence, tabulate_influence
+from analysis.report.sections.paper import lay_paper
 from analysis.report.sections.section import Cell, Grid, Section
 from analysis.report.sections.settling import SETTLING, lay_precision, name_precision, tell_need
 from analysis.report.sections.thinning import thin_parts
-from analysis.table.sources import tell_recordings
-from analysis.words import start, tell_name
+from analysis.words import tell_name
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterator
@@ -39,7 +33,7 @@ if TYPE_CHECKING:
     Row = dict[Hashable, Any]
     Fits = dict[str, tuple[Part, Primary]]
 
-KEY, TITLE = "primary", "What +0.1 of a metric goes with"
+KEY, TITLE = "primary", "Change in rating with each metric, within recordings"
 IN_SD = "slope in this study's standard deviations"
 QUARTILES = "mixed model, points of rating from the metric's lower to its upper quartile within recordings"
 CENTRED = "mixed model with reducers fixed, points of rating per +0.1 of the metric centred on recordings and reducers"
@@ -71,29 +65,57 @@ def compute(table: Table, choices: Choices) -> Section:
     Section
         Slopes, their differences, explained variance, precision.
     """
-    fits, notes = fit_parts(table, choices)
+    fits, notes, lost = fit_parts(table, choices)
     if not fits:
-        return Section(KEY, TITLE, notes=notes)
+        return Section(KEY, TITLE, notes=notes, verdict=lost.lines, claims=lost.claims)
     slopes = tabulate_slopes({lead: model for lead, (_, model) in fits.items()})
-    rows = list(slopes.to_dict("records"))
-    numbers = [_name_slope(row, fits[row["attribute"]]) for row in rows]
+    findings = _list_findings(table, fits, slopes)
+    rows = [one.row for one in findings]
+    numbers = [_name_slope(one.row, (one.part, one.model)) for one in findings]
     tests = sum(row["estimable"] for row in rows)
-    precisions = [name_precision(row, *fits[row["attribute"]], n_tests=tests) for row in rows]
-    told = list(zip(rows, numbers, precisions, strict=True))
-    answers = [_judge_slope(row, number[0], *fits[row["attribute"]]) for row, number, _ in told]
-    verdict = [_sum_up([one for one in told if one[0]["attribute"] == lead], *fit) for lead, fit in fits.items()]
+    precisions = [name_precision(one.row, one.part, one.model, n_tests=tests) for one in findings]
+    verdict = [
+        line
+        for lead in fits
+        for line in tell_findings(*zip(*_list_needs(findings, precisions, lead=lead), strict=True))
+    ]
     grids = [_lay_slopes(rows, numbers), _lay_standardised(rows, numbers), _lay_models(fits)]
     grids.append(lay_precision(rows, precisions))
     differences = list(_list_differences(fits))
+    influences = {one.part.lead: one for one in findings}
+    beside = [*lay_influence(influences.values()), *lay_exceptions(influences.values())]
+    beside += lay_paper(table, fits, choices)
     return Section(
-        key=KEY, title=TITLE, answers=tuple(answers), verdict=tuple(verdict),
-        grids=(*grids[:1], *([_lay_differences(fits, differences)] if differences else []), *grids[1:]),
-        tables=_make_tables(fits, slopes), pictures=tuple(_draw_models(fits)),
-        notes=(*notes, *_note_models(fits)), how=(*HOW, SETTLING),
+        key=KEY, title=TITLE, answers=tuple(map(str, verdict)), verdict=(*verdict, *lost.lines),
+        claims=(*(one.make_claim(name_path("slope", *one.part.place, one.metric)) for one in findings), *lost.claims),
+        grids=(*grids[:1], *([_lay_differences(fits, differences)] if differences else []), *beside, *grids[1:]),
+        tables=_make_tables(fits, slopes) | tabulate_influence(influences.values()), pictures=tuple(_draw_models(fits)),
+        notes=(*notes, *_note_models(fits)), how=(*HOW, INFLUENCE, SETTLING),
     )  # fmt: skip
 
 
-def fit_parts(table: Table, choices: Choices) -> tuple[Fits, tuple[str, ...]]:
+def _list_findings(table: Table, fits: Fits, slopes: DataFrame) -> list[Finding]:
+    """Put every slope together with what single stimuli, recordings and reducers do to it."""
+    found: list[Finding] = []
+    for lead, (part, model) in fits.items():
+        own = slopes["attribute"] == lead
+        influence = measure_influence(part.rows, table.metrics, model, others=slopes.loc[~own, "p"].tolist())
+        for row in slopes[own].to_dict("records"):
+            moved = not influence.find_moves(row["metric"]).empty
+            found.append(Finding({"turns": moved, **row}, part, model, influence))
+    return found
+
+
+def _list_needs(
+    findings: list[Finding], precisions: list[tuple[Number, ...]], *, lead: str
+) -> Iterator[tuple[Finding, str]]:
+    for one, known in zip(findings, precisions, strict=True):
+        if one.part.lead == lead:
+            scenes = "sources" if one.model.n_sources < one.model.n_recordings else "recordings"
+            yield one, tell_need(one.row, known, scenes=scenes).strip()
+
+
+def fit_parts(table: Table, choices: Choices) -> tuple[Fits, tuple[str, ...], Lost]:
     """Fit every part that can be fitted.
 
     Parameters
@@ -109,15 +131,18 @@ def fit_parts(table: Table, choices: Choices) -> tuple[Fits, tuple[str, ...]]:
         Part's lead -> part and model.
     notes : tuple of str
         Why a part has no model.
+    lost : Lost
+        The same as sentences and claims.
     """
-    fits, notes = {}, []
+    fits, notes, lost = {}, [], Lost()
     for part in thin_parts(table, choices):
         notes += [part.thinned] if part.thinned else []
         try:
             fits[part.lead] = part, fit_primary(part.rows, table.metrics)
         except ValueError as error:
             notes.append(f"{part.lead}: no primary model. {error}")
-    return fits, tuple(notes)
+            lost = lost.add(part, table.metrics, str(error))
+    return fits, tuple(notes), lost
 
 
 def _draw_models(fits: Fits) -> Iterator[Picture]:
@@ -147,50 +172,6 @@ def _name_slope(row: Row, fit: tuple[Part, Primary]) -> tuple[Number, ...]:
         name_estimate(f"{name}.quartile_effect", quartile, QUARTILES, n=n),
         name_estimate(f"{name}.centred", centred, CENTRED, n=n),
     )
-
-
-def _judge_slope(row: Row, slope: Number, part: Part, model: Primary) -> str:  # noqa: PLR0917 - as they are kept
-    metric = tell_name(row["metric"])
-    if not row["estimable"]:
-        return f"The slope of {part.ratings} on {metric} within recordings is not estimable ({_tell_size(model)})."
-    evidence = f"per +0.1: {tell_estimate(slope, kind='slope')}; {tell_p(row['p_holm'])}; {_tell_size(model)}"
-    if not row["p_holm"] < SIGNIFICANCE:
-        return f"Whether {part.ratings} follow {metric} within recordings is undecided ({evidence})."
-    way = "higher" if slope.value > 0 else "lower"
-    claim = f"Within recordings, stimuli with a higher {metric} got {way} {part.ratings}"
-    return f"{claim} ({evidence}){_tell_reach(model)}."
-
-
-def _sum_up(told: list[tuple[Row, tuple[Number, ...], tuple[Number, ...]]], part: Part, model: Primary) -> Line:
-    """Say in one line what the model of a part shows, and what would settle what it leaves open."""
-    found = "; ".join(_tell_slope(row, numbers[0]) for row, numbers, _ in told)
-    scenes = "sources" if model.n_sources < model.n_recordings else "recordings"
-    needs = "".join(tell_need(row, settled, scenes=scenes) for row, _, settled in told)
-    together = ", the metrics in one model" if len(told) > 1 else ""
-    lead = f"within recordings{together} ({_tell_size(model)})"
-    claimed = any(row["p_holm"] < SIGNIFICANCE for row, _, _ in told)
-    reach = _tell_reach(model, claimed=claimed).removeprefix(",")
-    return Line(f"{found}.{f' This is{reach}.' if reach else ''}{needs}", start(part.subject), lead)
-
-
-def _tell_slope(row: Row, slope: Number) -> str:
-    metric = tell_name(row["metric"])
-    if not row["estimable"]:
-        return f"the slope on {metric} is not estimable"
-    evidence = f"{tell_estimate(slope, kind='slope')}; {tell_p(row['p_holm'])}"
-    if row["p_holm"] < SIGNIFICANCE:
-        return f"+0.1 of {metric} goes with {'higher' if slope.value > 0 else 'lower'} ratings ({evidence})"
-    return f"what +0.1 of {metric} goes with is undecided ({evidence})"
-
-
-def _tell_size(model: Primary) -> str:
-    people = f"{model.n_participants} participant{'s' if model.n_participants > 1 else ''}"
-    return f"{people}, {tell_recordings(model.n_recordings, model.n_sources)}"
-
-
-def _tell_reach(model: Primary, *, claimed: bool = True) -> str:
-    scene = "source" if model.n_sources < model.n_recordings else "recording"
-    return tell_reach({"participant": model.n_participants, scene: model.n_sources}, claimed=claimed)
 
 
 def _lay_slopes(rows: list[Row], numbers: list[tuple[Number, ...]]) -> Grid:

@@ -36,11 +36,10 @@ MOST_CELLS = 20_000
 SIZES = ("Combinations of rules", "Sets of raters", "With a model")
 
 HOW = (
-    "The primary slopes are re-estimated under other choices: correlated slopes of participants; reducers that differ "
-    "for everyone and for each participant for reasons other than their metrics; without each recording (each source, "
-    "where several recordings come from one); without each reducer; ratings standardised within raters; ratings as "
-    "logits; and, as a multiverse, without the raters flagged by each screening rule, each pair of rules, and all of "
-    "them. Combinations that leave the same raters are one set and count once.",
+    "The primary slopes are re-estimated under other choices: correlated slopes of participants; no terms for "
+    "reducers; ratings standardised within raters; ratings as logits; and, as a multiverse, without the raters flagged "
+    "by each screening rule, each pair of rules, and all of them. Combinations that leave the same raters are one set "
+    "and count once.",
 )
 
 
@@ -67,7 +66,7 @@ def compute(table: Table, choices: Choices) -> Section:
     for part in parts.values():
         try:
             _check_size(part)
-            varied[part.lead] = vary_primary(part.rows, table.metrics)
+            varied[part.lead] = vary_primary(part.rows, table.metrics, leave_out=False)
             pictures.append(_draw_variants(part, table.metrics, varied[part.lead]))
             universes |= _run_universes(table, part, choices)
         except ValueError as error:
@@ -171,18 +170,10 @@ def _lay_variants(parts: dict[str, Part], varied: dict[str, DataFrame]) -> Grid:
 
 
 def _lay_variant(part: Part, row: Row) -> tuple[str | Cell, ...]:
-    name, n = name_path("variant", *part.place, row["variant"], row["metric"]), _count_left(part, row["variant"])
+    name, n = name_path("variant", *part.place, row["variant"], row["metric"]), len(part.rows)
     value = name_estimate(name, row, "standardised slope", n=n, prefix="standardised")
     p = Cell(make_number(f"{name}.p", row["p"], "two-sided t test", n=n), "p")
     return (tell_name(part.lead), row["variant"], tell_name(row["metric"]), *lay_estimate(value, "slope"), p)
-
-
-def _count_left(part: Part, variant: str) -> int:
-    """Count the ratings that a variant rests on."""
-    for column in ("recording", "source", "reducer"):
-        if variant.startswith(lead := f"without {column} "):
-            return int((part.rows[column].astype(str) != variant.removeprefix(lead)).sum())
-    return len(part.rows)
 
 
 def _lay_universes(universes: dict[tuple[str, str], tuple[Part, Multiverse]]) -> Grid:

@@ -13,8 +13,9 @@ if TYPE_CHECKING:
 
     from pandas import DataFrame
 
+    from analysis.findings import Panel
     from analysis.numbers import Number
-    from analysis.report.lines import Line
+    from analysis.report.lines import Claim, Line
     from analysis.report.pictures import Picture
 
 VALUE, INTERVAL = "value", "interval"
@@ -108,6 +109,10 @@ class Section:
         What was left out or assumed, and why; one sentence each.
     how : tuple of str
         How it was computed.
+    claims : tuple of Claim
+        What it concludes, for a program.
+    panels : tuple of Panel
+        Correlations, to be held against the claims of other sections.
     """
 
     key: str
@@ -120,6 +125,8 @@ class Section:
     pictures: tuple[Picture, ...] = ()
     notes: tuple[str, ...] = ()
     how: tuple[str, ...] = ()
+    claims: tuple[Claim, ...] = ()
+    panels: tuple[Panel, ...] = ()
 
     @property
     def numbers(self) -> tuple[Number, ...]:

@@ -34,7 +34,7 @@ SETTLING = (
     "it was overestimated. Nothing is planned from a slope that is not estimable, or that one stimulus, recording or "
     "reducer turns."
 )
-IF_SO = "If the slope on {} is what was estimated here,"
+IF_SO = "If the true slope on {} is the one estimated here,"
 
 
 def name_precision(row: Row, part: Part, model: Primary, *, n_tests: int = 1) -> tuple[Number, ...]:
@@ -151,11 +151,11 @@ def tell_need(row: Row, settled: tuple[Number, ...], *, scenes: str = "recording
     if_so = IF_SO.format(metric)
     if math.isfinite(participants):
         told = tell_number(participants, kind=COUNT)
-        return f" {if_so} {told} participants with these recordings would find it in 80 % of studies."
+        return f" {if_so} {told} participants with these recordings would give 80 % power."
     if math.isfinite(recordings):
         told = tell_number(recordings, kind=COUNT)
-        none = f"no number of participants settles it with these recordings (power at most {tell_number(infinite)})"
-        return f" {if_so} {none}; {told} {scenes} with as many participants would find it in 80 % of studies."
+        none = f"adding participants alone would not settle it (power at most {tell_number(infinite)})"
+        return f" {if_so} {none}; {told} {scenes} with as many participants would give 80 % power."
     return f" A slope on {metric} as small as the one estimated here is out of reach of any study of this kind."
 
 

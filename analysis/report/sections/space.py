@@ -9,9 +9,10 @@ import numpy as np
 
 from analysis.figures.maps import draw_space
 from analysis.numbers import COUNT, Number, count_number, make_number, name_path
+from analysis.primary.influence import adjust
 from analysis.report.lines import Line
 from analysis.report.pictures import Picture, make_slug
-from analysis.report.sections.effects import SIGNIFICANCE, adjust
+from analysis.report.sections.effects import SIGNIFICANCE
 from analysis.report.sections.section import Cell, Grid, Section
 from analysis.space.landmarks import align_spaces, bootstrap_space, regress_attributes
 from analysis.space.scaling import stress_by_dimension

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from analysis.contrasts.equivalence import equivalence, non_inferiority
+from analysis.primary.influence import adjust
 from analysis.report.sections import contrasts, levels
 from analysis.report.sections.choices import Choices
-from analysis.report.sections.effects import adjust
 from analysis.table.reading import Table
 
 if TYPE_CHECKING:

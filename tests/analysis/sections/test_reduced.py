@@ -67,7 +67,7 @@ def test_a_protocol_alone_is_a_report(lab: StudyFolder, tmp_path: Path, protocol
     assert results.verdict
     shown = {"dissimilarity": "space", "abx": "discrimination"}.get(protocol, "slope")
     assert any(shown in name for name in [*results.figures, *(number.name for number in results.numbers)])
-    assert ("do not tell whether the metrics predict" in results.verdict[0]) == (protocol in {"dissimilarity", "abx"})
+    assert ("do not show whether the metrics predict" in results.verdict[0]) == (protocol in {"dissimilarity", "abx"})
 
 
 CASES: dict[str, Callable[[pd.DataFrame], pd.DataFrame]] = {
