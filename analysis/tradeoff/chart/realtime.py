@@ -14,7 +14,7 @@ from analysis.tradeoff.advise.simplicity import find_cost
 from analysis.tradeoff.chart.methods import list_methods
 from analysis.tradeoff.chart.records import RealTime, Resources, Stability
 from analysis.tradeoff.stress.measures import perturbation_gain
-from analysis.tradeoff.stress.run import take_excerpt
+from analysis.tradeoff.stress.signals import take_excerpt
 from stimuli.reduce import REDUCERS
 from stimuli.stream import WHY_NOT_STREAMING, StreamingReducer
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.tradeoff.stress.signals import EXCERPT_S, take_excerpt
 from analysis.tradeoff.stress.takes import SEEDS, measure_battery
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
     Progress = Callable[[int, int], None]
 
-EXCERPT_S, METRICS_S = 2.0, 1.0
+METRICS_S = 1.0
 """Longest part of a recording whose gains are measured, and whose metrics are, in s."""
 
 DRAWS = 16
@@ -99,39 +100,6 @@ def stress_reducers(  # noqa: PLR0913 - every choice that changes the figures ha
     digests = {f"recording {one.name}": one.sha256 for one in recordings}
     inputs = {"seed": seed, "seeds": seeds, "draws": draws, **digests}
     return StressResult(tuple(reducers), cells, gains, metrics, diagnoses, notes, inputs)
-
-
-def take_excerpt(recording: Recording, *, duration_s: float = EXCERPT_S) -> Recording:
-    """Take the strongest part of a recording.
-
-    Parameters
-    ----------
-    recording : Recording
-        The recording.
-    duration_s : float
-        How long, in s.
-
-    Returns
-    -------
-    Recording
-        The part with most energy, of a length that is fast to transform; the whole one if it is shorter.
-
-    Examples
-    --------
-    >>> from analysis.tradeoff.stress.battery import BATTERY
-    >>> take_excerpt(BATTERY["circular"].make(0), duration_s=0.1).n_samples
-    400
-    """
-    from scipy.fft import prev_fast_len
-
-    from stimuli.recording import Recording
-
-    length = prev_fast_len(max(1, round(duration_s * recording.rate_hz)))
-    if recording.n_samples <= length:
-        return recording
-    energy = np.cumsum(np.square(recording.acceleration).sum(axis=0))
-    start = int(np.argmax(energy[length - 1 :] - np.concatenate([[0.0], energy[:-length]])))
-    return Recording(recording.acceleration[:, start : start + length], recording.rate_hz, recording.name)
 
 
 def write_stress(result: StressResult, folder: Path | str) -> Path:

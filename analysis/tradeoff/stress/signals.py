@@ -1,4 +1,4 @@
-"""What the battery's scenes are made of: textures, taps, and what sensors do to them."""
+"""Signals that are stressed: what the battery's scenes are made of, and the strongest part of a recording."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stimuli.frames import DEFAULT_WINDOW_S, window_samples
+from stimuli.recording import Recording
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -16,6 +17,9 @@ if TYPE_CHECKING:
 RATE_HZ = 4000.0
 N_SAMPLES = 4000
 """One second; a length that is fast to transform."""
+
+EXCERPT_S = 2.0
+"""How much of a recording is stressed, s."""
 
 WINDOW = window_samples(DEFAULT_WINDOW_S, RATE_HZ)
 TIME_S = np.arange(N_SAMPLES) / RATE_HZ
@@ -92,3 +96,34 @@ def whiten(axes: Samples) -> Samples:
     centred = axes - axes.mean(axis=-1, keepdims=True)
     factor = np.linalg.cholesky(centred @ centred.T / axes.shape[-1])
     return np.asarray(np.linalg.solve(factor, centred))
+
+
+def take_excerpt(recording: Recording, *, duration_s: float = EXCERPT_S) -> Recording:
+    """Take the strongest part of a recording.
+
+    Parameters
+    ----------
+    recording : Recording
+        The recording.
+    duration_s : float
+        How long, in s.
+
+    Returns
+    -------
+    Recording
+        The part with most energy, of a length that is fast to transform; the whole one if it is shorter.
+
+    Examples
+    --------
+    >>> from analysis.tradeoff.stress.battery import BATTERY
+    >>> take_excerpt(BATTERY["circular"].make(0), duration_s=0.1).n_samples
+    400
+    """
+    from scipy.fft import prev_fast_len
+
+    length = prev_fast_len(max(1, round(duration_s * recording.rate_hz)))
+    if recording.n_samples <= length:
+        return recording
+    energy = np.cumsum(np.square(recording.acceleration).sum(axis=0))
+    start = int(np.argmax(energy[length - 1 :] - np.concatenate([[0.0], energy[:-length]])))
+    return Recording(recording.acceleration[:, start : start + length], recording.rate_hz, recording.name)

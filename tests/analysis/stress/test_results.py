@@ -16,7 +16,8 @@ from analysis.tradeoff.stress.drawing import tell_gain
 from analysis.tradeoff.stress.limits import MEASURES
 from analysis.tradeoff.stress.page import name_anchor, tell_figure
 from analysis.tradeoff.stress.reasons import tell_reason
-from analysis.tradeoff.stress.run import stress_reducers, take_excerpt, write_stress
+from analysis.tradeoff.stress.run import stress_reducers, write_stress
+from analysis.tradeoff.stress.signals import take_excerpt
 from stimuli.recording import Recording
 from stimuli.reduce import REDUCERS
 
