@@ -176,12 +176,14 @@ def _lay_variant(part: Part, row: Row) -> tuple[str | Cell, ...]:
     return (tell_name(part.lead), row["variant"], tell_name(row["metric"]), *lay_estimate(value, "slope"), p)
 
 
+UNIVERSES = (
+    "Slope (points per +0.1) across the distinct sets of raters that combinations of screening rules leave: "
+    "median, smallest, largest, share with the same sign as with everyone, share of intervals that exclude zero, "
+    "number of combinations, of distinct sets, and of sets with enough raters to fit the model."
+)
+
+
 def _lay_universes(universes: dict[tuple[str, str], tuple[Part, Multiverse]]) -> Grid:
-    caption = (
-        "Slope (points per +0.1) across the distinct sets of raters that combinations of screening rules leave: "
-        "median, smallest, largest, share with the same sign as with everyone, share of intervals that exclude zero, "
-        "number of combinations, of distinct sets, and of sets with enough raters to fit the model."
-    )
     head = ("Ratings", "Metric", "Median", "Smallest", "Largest", "Same sign", "Excludes zero", *SIZES)
     rows: list[tuple[str | Cell, ...]] = []
     for (_, metric), (part, result) in universes.items():
@@ -195,7 +197,7 @@ def _lay_universes(universes: dict[tuple[str, str], tuple[Part, Multiverse]]) ->
         counts = {"n_combinations": result.n_combinations, "n_distinct": n, "n_defined": len(result.curve)}
         sizes = [Cell(count_number(f"{name}.{key}", count, n=n), COUNT) for key, count in counts.items()]
         rows.append((tell_name(part.lead), tell_name(metric), *values, *sizes))
-    return Grid(caption, head, tuple(rows))
+    return Grid(UNIVERSES, head, tuple(rows))
 
 
 def _note_variants(varied: dict[str, DataFrame]) -> Iterator[str]:

@@ -107,13 +107,12 @@ def compute_chart(
     """
     from threadpoolctl import threadpool_limits
 
-    from analysis.tradeoff.chart.cost import RATE_HZ, fit_all
+    from analysis.tradeoff.chart.cost import fit_all
     from analysis.tradeoff.chart.methods import list_methods
     from analysis.tradeoff.chart.notes import list_notes
 
     _require_names(recordings)
     name, clock = choose_clock() if clock is None else ("given", clock)
-    machine = describe_machine(name)
     tick = _make_tick(progress, total=2 * len(recordings) + effort.rounds + 2 + 2 * len(list_methods()))
     # Threads of the linear algebra would be timed with the methods.
     with threadpool_limits(limits=THREADS):
@@ -121,13 +120,11 @@ def compute_chart(
         costs = _time_methods(effort, seed=seed, clock=clock, tick=tick)
         memory, precision = _measure_memory(effort, seed=seed, tick=tick)
         running = _measure_running(recordings, effort, seed=seed, clock=clock, tick=tick)
-    usual = [row for row in accuracies if row.sweep == "reducer"]
-    points = place_points(list_methods(), usual, list_reference_costs(costs), rate_hz=RATE_HZ)
+    machine = describe_machine(name)
     return Chart(
         machine=machine,
         scenes=tuple(_describe_scene(recording, effort) for recording in recordings),
-        points=tuple(points),
-        dominated=tuple(list_dominated(points, usual)),
+        **_place_methods(accuracies, costs),
         accuracies=tuple(accuracies),
         costs=tuple(costs),
         growth=tuple(fit_all(costs)),
@@ -139,6 +136,16 @@ def compute_chart(
         simulated=ratings is not None and bool(ratings.rows["simulated"].any()),
         notes=list_notes(recordings, effort.longest_s, precision=precision, machine=machine),
     )
+
+
+def _place_methods(accuracies: Sequence[Accuracy], costs: Sequence[Cost]) -> dict[str, Any]:
+    """Place every method by cost and accuracy, and list those that another beats in everything."""
+    from analysis.tradeoff.chart.cost import RATE_HZ
+    from analysis.tradeoff.chart.methods import list_methods
+
+    usual = [row for row in accuracies if row.sweep == "reducer"]
+    points = place_points(list_methods(), usual, list_reference_costs(costs), rate_hz=RATE_HZ)
+    return {"points": tuple(points), "dominated": tuple(list_dominated(points, usual))}
 
 
 def _make_tick(progress: Callable[[int, int], None] | None, *, total: int) -> Tick:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from dataclasses import asdict
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -57,7 +58,8 @@ def write_chart(chart: Chart, folder: Path | str) -> tuple[str, ...]:
     from analysis.tradeoff.chart.telling import tell_answers
 
     target = Path(folder)
-    pictures = tuple(number_pictures(_list_pictures(chart)))
+    rated = (_picture_rated(chart, *place) for place in dict.fromkeys((row.scale, row.level) for row in chart.rated))
+    pictures = tuple(number_pictures(chain(_list_pictures(chart), rated)))
     tables = write_tables(chart)
     files = list_files([picture.name for picture in pictures], tables)
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -154,8 +156,6 @@ def _list_pictures(chart: Chart) -> Iterator[Picture]:
         f"orientations; what lies below {CUT:g} stands at the edge.",
         draw_rates(chart, paper),
     )  # fmt: skip
-    for scale, level in dict.fromkeys((row.scale, row.level) for row in chart.rated):
-        yield _picture_rated(chart, scale, level)
 
 
 def _picture_rated(chart: Chart, scale: str, level: str) -> Picture:
