@@ -212,7 +212,7 @@ def test_comparisons_alone_are_a_page_without_a_claim(
         ratings["rating"] = np.where(ratings["rating"] > 50, 100.0, 0.0)
     ratings.assign(reference_id=ratings["recording"] + "_original_as_is").to_csv(study.ratings, index=False)
     results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
-    assert results.verdict[0].startswith("These ratings do not tell whether the metrics predict what people feel")
+    assert results.verdict[0].startswith("These ratings do not show whether the metrics predict what people feel")
     assert ("The space of what was felt" in results.verdict[-1]) == (scale == "dissimilarity")
     lead = f"Scale '{scale}': none of its 576 judgements enters an association, because {reason}"
     assert results.notes[0].startswith(lead)

@@ -25,9 +25,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from stimuli.perception import acceleration_threshold
-from stimuli.spectrum import HIGHEST_HZ, LOWEST_HZ, WeberSmoothing, linear_grid
-
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
@@ -117,6 +114,9 @@ class Segment:
     """
 
     def __init__(self, samples: Samples, rate_hz: float, rng: np.random.Generator) -> None:
+        from stimuli.perception import acceleration_threshold
+        from stimuli.spectrum import HIGHEST_HZ, LOWEST_HZ, WeberSmoothing, linear_grid
+
         self.samples, self.rate_hz = samples, rate_hz
         noise = rng.standard_normal(samples.shape)
         noise *= NOISE * np.linalg.norm(samples) / (np.linalg.norm(noise) or 1.0)

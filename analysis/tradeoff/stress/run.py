@@ -8,9 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.tradeoff.stress.signals import EXCERPT_S, take_excerpt
-from analysis.tradeoff.stress.takes import SEEDS, measure_battery
-
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
@@ -21,8 +18,11 @@ if TYPE_CHECKING:
 
     Progress = Callable[[int, int], None]
 
-METRICS_S = 1.0
+EXCERPT_S, METRICS_S = 2.0, 1.0
 """Longest part of a recording whose gains are measured, and whose metrics are, in s."""
+
+SEEDS = 40
+"""Takes of every scene of the battery."""
 
 DRAWS = 16
 """Noises per recording."""
@@ -78,7 +78,9 @@ def stress_reducers(  # noqa: PLR0913 - every choice that changes the figures ha
     from analysis.tradeoff.stress.battery import BATTERY
     from analysis.tradeoff.stress.cells import measure_cells
     from analysis.tradeoff.stress.result import StressResult
+    from analysis.tradeoff.stress.signals import take_excerpt
     from analysis.tradeoff.stress.signs import diagnose
+    from analysis.tradeoff.stress.takes import measure_battery
     from stimuli.reduce import REDUCERS
 
     reducers = REDUCERS if reducers is None else reducers
@@ -86,7 +88,7 @@ def stress_reducers(  # noqa: PLR0913 - every choice that changes the figures ha
     scenes = [scene.make(seed) for scene in BATTERY.values()]
     moving = [recording for recording in recordings if recording.acceleration.any()]
     tell, total = progress or _stay_silent, (len(scenes) + len(moving)) * len(reducers)
-    known, excerpts = sensor or {}, [take_excerpt(recording) for recording in moving]
+    known, excerpts = sensor or {}, [take_excerpt(recording, duration_s=EXCERPT_S) for recording in moving]
     # Signals here are short: threads of the linear algebra wait for each other most of the time.
     with threadpool_limits(limits=1, user_api="blas"):
         cells = measure_battery(reducers, seeds=seeds, seed=seed, progress=lambda done, _: tell(done, total))
@@ -159,6 +161,7 @@ def _stay_silent(done: int, total: int) -> None:
 
 def _compare(recording: Recording, reducers: Mapping[str, Reducer], seed: int) -> MetricRow:
     from analysis.tradeoff.stress.metrics import compare_metrics_under_rotation
+    from analysis.tradeoff.stress.signals import take_excerpt
 
     rng = np.random.default_rng([seed, *recording.name.encode()])
     return compare_metrics_under_rotation(take_excerpt(recording, duration_s=METRICS_S), reducers, rng=rng)

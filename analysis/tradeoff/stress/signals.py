@@ -18,9 +18,6 @@ RATE_HZ = 4000.0
 N_SAMPLES = 4000
 """One second; a length that is fast to transform."""
 
-EXCERPT_S = 2.0
-"""How much of a recording is stressed, s."""
-
 WINDOW = window_samples(DEFAULT_WINDOW_S, RATE_HZ)
 TIME_S = np.arange(N_SAMPLES) / RATE_HZ
 
@@ -98,7 +95,7 @@ def whiten(axes: Samples) -> Samples:
     return np.asarray(np.linalg.solve(factor, centred))
 
 
-def take_excerpt(recording: Recording, *, duration_s: float = EXCERPT_S) -> Recording:
+def take_excerpt(recording: Recording, *, duration_s: float) -> Recording:
     """Take the strongest part of a recording.
 
     Parameters

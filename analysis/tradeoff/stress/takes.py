@@ -31,9 +31,6 @@ if TYPE_CHECKING:
 
     Samples = NDArray[np.float64]
 
-SEEDS = 40
-"""Takes of every scene."""
-
 TURNS = 4
 """Orientations of every take."""
 
@@ -77,7 +74,7 @@ class Takes(NamedTuple):
 def measure_battery(
     reducers: Mapping[str, Reducer],
     *,
-    seeds: int = SEEDS,
+    seeds: int,
     seed: int,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Cell, ...]:
