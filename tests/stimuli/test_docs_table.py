@@ -1,0 +1,41 @@
+"""The matches of the bundled scenes in docs/metrics.md are what the code computes."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stimuli.condition import Conditioning, condition
+from stimuli.match import spectral_match, spectral_match_bounded, temporal_match
+from stimuli.reduce import REDUCERS
+from stimuli.synthesis import SCENES, make_scene
+
+COLUMNS = ["sax321", "say321", "saz321", "soc321", "mag321", "pca321", "dft321", "dft321_windowed"]
+HALF_A_DIGIT = 0.005 + 1e-6
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "metrics.md"
+
+
+def matches(name: str) -> list[list[float]]:
+    """Spectral, temporal and bounded spectral match of every column's reducer."""
+    scene = condition(make_scene(name), Conditioning())
+    acceleration, rate = scene.acceleration, scene.rate_hz
+    reductions = (REDUCERS[reducer](acceleration, rate) for reducer in COLUMNS)
+    return [
+        [
+            spectral_match(acceleration, reduced, rate),
+            temporal_match(acceleration, reduced),
+            spectral_match_bounded(acceleration, reduced, rate),
+        ]
+        for reduced in reductions
+    ]
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_the_rows_of_a_scene_are_computed(name: str) -> None:
+    paper, bounded = re.findall(rf"^\| `{name}` \|(.*)\|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
+    cells = zip(paper.split("|"), bounded.split("|"), strict=True)
+    numbers = [[float(match) for match in [*pair.split("/"), one]] for pair, one in cells]
+    assert np.array(numbers) == pytest.approx(np.array(matches(name)), abs=HALF_A_DIGIT)
