@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 DELIVERED = "delivered"
 """Folder, in the participant's, of what was rendered or measured at each playback."""
 
-INSTALL = "pip install 'feel321[rig]'"
+INSTALL = "install it from feel321's source folder: pip install -c constraints.txt '.[rig]'"
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +82,7 @@ def check_lab(rig: Rig) -> None:
     """
     needed = ["psychopy"] if rig.device.name == FILE_DEVICE else ["psychopy", "sounddevice"]
     if missing := [name for name in needed if find_spec(name) is None]:
-        raise OSError(f"run: got no {' and no '.join(missing)}, no session goes without; install: {INSTALL}")
+        raise OSError(f"run: {' and '.join(missing)} not found, which sessions need; {INSTALL}")
     if sys.platform == "linux" and not os.environ.get("DISPLAY"):
         raise OSError("run: got no display (DISPLAY is not set); run it on the lab's own screen, or under xvfb-run")
     if rig.device.name != FILE_DEVICE:

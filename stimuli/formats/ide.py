@@ -45,7 +45,8 @@ def read_ide(path: Path, _: Request) -> Decoded:
     try:
         from idelib import importer
     except ImportError:
-        raise ValueError("got an enDAQ recording, which idelib reads; install it: pip install 'feel321[ide]'") from None
+        how = "install it from feel321's source folder: pip install -c constraints.txt '.[ide]'"
+        raise ValueError(f"got an enDAQ recording, which idelib reads; {how}") from None
     # Opened here, because idelib leaves a file that it cannot read open.
     with foreign_errors("an enDAQ recording"), path.open("rb") as stream:
         dataset = importer.openFile(stream, quiet=True)

@@ -301,7 +301,8 @@ def _load() -> ModuleType:
 
             module: ModuleType = sounddevice
     except ImportError:
-        raise OSError("device: got no sounddevice, actuators need it; install: pip install 'feel321[rig]'") from None
+        how = "install it from feel321's source folder: pip install -c constraints.txt '.[rig]'"
+        raise OSError(f"device: sounddevice not found, which actuators need; {how}") from None
     except OSError:
         raise OSError("device: got no PortAudio, sounddevice needs it; install the package libportaudio2") from None
     return module

@@ -207,16 +207,16 @@ def test_what_was_mended_is_told(ready: StudyFolder, present: Callable[..., Any]
 @pytest.mark.parametrize(
     ("missing", "device", "words"),
     [
-        ({"psychopy"}, "file", "got no psychopy"),
-        ({"psychopy", "sounddevice"}, "other", "got no psychopy and no sounddevice"),
-        ({"sounddevice"}, "other", "got no sounddevice"),
+        ({"psychopy"}, "file", "psychopy not found"),
+        ({"psychopy", "sounddevice"}, "other", "psychopy and sounddevice not found"),
+        ({"sounddevice"}, "other", "sounddevice not found"),
     ],
 )
 def test_a_machine_without_the_extra_is_told_what_to_install(
     ready: StudyFolder, monkeypatch: pytest.MonkeyPatch, missing: set[str], device: str, words: str
 ) -> None:
     monkeypatch.setattr(lab, "find_spec", lambda name: None if name in missing else "there")
-    with pytest.raises(OSError, match=rf"run: {words}, .*; install: pip install 'feel321\[rig\]'"):
+    with pytest.raises(OSError, match=rf"run: {words}, .*: pip install -c constraints.txt '.\[rig\]'"):
         visit(ready, device=device)
     assert not ready.ledger.exists()  # Nobody got a number.
 

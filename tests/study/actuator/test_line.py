@@ -210,7 +210,8 @@ def test_another_rate_than_was_asked_for_is_refused(sounddevice: SimpleNamespace
 
 
 @pytest.mark.parametrize(
-    ("module", "message"), [(None, r"got no sounddevice.*pip install 'feel321\[rig\]'"), ("broken", "libportaudio2")]
+    ("module", "message"),
+    [(None, r"sounddevice not found.*pip install -c constraints.txt '.\[rig\]'"), ("broken", "libportaudio2")],
 )
 def test_what_is_not_installed_is_one_line(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, module: str | None, message: str
