@@ -147,6 +147,8 @@
     const reducers = checked("reducer"), sweeps = checked("sweep");
     const scenes = data.scenes.filter((scene) => checked("scene").has(scene));
     const points = data.methods
+      // Methods that are equal by construction are one point; as mounted, people rated each of them.
+      .filter((method) => !method.member || xAxis.kind === "rating" || yAxis.kind === "rating")
       .filter((method) => reducers.has(method.reducer) && (method.kind === "reducer" || sweeps.has(method.kind)))
       .map((method) => ({ method, x: valueOf(method, xAxis, scenes), y: valueOf(method, yAxis, scenes) }))
       .filter((point) => point.x && point.y);

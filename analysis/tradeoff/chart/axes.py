@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from analysis.figures.style import Look, assign_looks
+from analysis.tradeoff.chart.equal import list_members
 from analysis.words import start
 
 if TYPE_CHECKING:
@@ -32,9 +33,11 @@ def look_up(chart: Chart) -> dict[str, Look]:
     Returns
     -------
     dict of str to Look
-        In the order of the chart.
+        In the order of the chart; methods merged to one point have the look of the first.
     """
-    return assign_looks(list(dict.fromkeys(point.reducer for point in chart.points)))
+    names = list(dict.fromkeys(point.reducer for point in chart.points))
+    looks = assign_looks([member for name in names for member in list_members(name)])
+    return {name: looks[list_members(name)[0]] for name in names}
 
 
 def find_size(look: Look, points: float) -> float:

@@ -52,7 +52,7 @@ def place_points(
     points: list[Point] = []
     for measure in MEASURES:
         points += mark_front([
-            _place(found[method.label, measure], cost_of[method.label], latency_s=method.find_latency(rate_hz))
+            locate(found[method.label, measure], cost_of[method.label], latency_s=method.find_latency(rate_hz))
             for method in methods
         ])  # fmt: skip
     return points
@@ -128,7 +128,23 @@ def list_dominated(points: Sequence[Point], accuracies: Sequence[Accuracy]) -> l
     ]
 
 
-def _place(own: Sequence[Accuracy], cost: Cost, *, latency_s: float | None) -> Point:
+def locate(own: Sequence[Accuracy], cost: Cost | Point, *, latency_s: float | None) -> Point:
+    """Place a method by its scenes' accuracies and its cost.
+
+    Parameters
+    ----------
+    own : sequence of Accuracy
+        One per scene.
+    cost : Cost or Point
+        What holds its median time and quartiles.
+    latency_s : float or None
+        None if the whole signal is needed.
+
+    Returns
+    -------
+    Point
+        Not yet on any front.
+    """
     means = [row.mean for row in own]
     # The orientations are the same in all scenes: their errors may all go one way, and the median with them.
     high, low = (np.median([row.mean + sign * row.sd / math.sqrt(row.rotations) for row in own]) for sign in (1, -1))

@@ -141,11 +141,14 @@ def compute_chart(
 def _place_methods(accuracies: Sequence[Accuracy], costs: Sequence[Cost]) -> dict[str, Any]:
     """Place every method by cost and accuracy, and list those that another beats in everything."""
     from analysis.tradeoff.chart.cost import RATE_HZ
+    from analysis.tradeoff.chart.equal import merge_points, merge_rows, name_groups
     from analysis.tradeoff.chart.methods import list_methods
 
     usual = [row for row in accuracies if row.sweep == "reducer"]
     points = place_points(list_methods(), usual, list_reference_costs(costs), rate_hz=RATE_HZ)
-    return {"points": tuple(points), "dominated": tuple(list_dominated(points, usual))}
+    together = merge_rows(usual)
+    merged = merge_points(points, together)
+    return {"points": tuple(name_groups(points, merged)), "dominated": tuple(list_dominated(merged, together))}
 
 
 def _make_tick(progress: Callable[[int, int], None] | None, *, total: int) -> Tick:

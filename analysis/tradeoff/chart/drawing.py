@@ -14,6 +14,7 @@ from analysis.figures.legend import add_legend, make_handles
 from analysis.figures.style import BLACK, GREY, THIN, Look, new_canvas, print_style
 from analysis.table.scales import tell_measure as tell_scale
 from analysis.tradeoff.chart.axes import CUT, find_size, limit_accuracy, look_up, tell_measure, write_plainly
+from analysis.tradeoff.chart.equal import merge_equal
 from analysis.tradeoff.chart.pareto import find_front
 from analysis.tradeoff.chart.records import MEASURES
 
@@ -47,6 +48,7 @@ def draw_cost(chart: Chart, measures: Sequence[str] = MEASURES[:2]) -> Figure:
     Figure
         Markers: medians over scenes; small dots: scenes; dashed: the front.
     """
+    chart = merge_equal(chart)
     looks = look_up(chart)
     with print_style():
         figure = new_canvas(5.2 * len(measures))
@@ -80,6 +82,7 @@ def draw_latency(chart: Chart, measures: Sequence[str] = MEASURES[:2]) -> Figure
     Figure
         Left: no latency; right: the whole signal is needed; bars span the scenes.
     """
+    chart = merge_equal(chart)
     looks = look_up(chart)
     with print_style():
         figure = new_canvas(5.2 * len(measures))

@@ -10,6 +10,7 @@ from analysis.figures.legend import add_legend, make_handles
 from analysis.figures.style import GREY, THIN, new_canvas, print_style
 from analysis.tradeoff.chart.axes import CUT, find_size, limit_accuracy, look_up, tell_measure, write_plainly
 from analysis.tradeoff.chart.cost import RATE_HZ
+from analysis.tradeoff.chart.equal import merge_equal
 from analysis.tradeoff.chart.records import MEASURES
 
 if TYPE_CHECKING:
@@ -40,6 +41,7 @@ def draw_growth(chart: Chart) -> Figure:
     Figure
         Above: medians, quartiles and the time that the signal lasts; below: memory as a multiple of the input.
     """
+    chart = merge_equal(chart)
     looks = look_up(chart)
     with print_style():
         figure = new_canvas(9.5)
@@ -75,6 +77,7 @@ def draw_blocks(chart: Chart) -> Figure:
     Figure
         Medians and quartiles; dashed: as fast as the signal comes.
     """
+    chart = merge_equal(chart)
     looks = look_up(chart)
     blocks = [cost for cost in chart.costs if cost.sweep == "block"]
     shown = {name: look for name, look in looks.items() if any(cost.reducer == name for cost in blocks)}
@@ -110,6 +113,7 @@ def draw_rates(chart: Chart, measures: Sequence[str] = MEASURES[:2]) -> Figure:
     Figure
         Medians over scenes, and at the bottom how many times faster than real time each reducer is.
     """
+    chart = merge_equal(chart)
     looks = look_up(chart)
     with print_style():
         figure = new_canvas(4.2 * (len(measures) + 1))

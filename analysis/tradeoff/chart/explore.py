@@ -11,7 +11,8 @@ from analysis.table.scales import tell_measure as tell_scale
 from analysis.tradeoff.chart.axes import look_up, tell_measure
 from analysis.tradeoff.chart.compute import list_reference_costs
 from analysis.tradeoff.chart.cost import NS, RATE_HZ
-from analysis.tradeoff.chart.methods import list_hops, list_methods, list_windows
+from analysis.tradeoff.chart.equal import find_group, merge_equal, name_point
+from analysis.tradeoff.chart.methods import Method, list_hops, list_methods, list_windows
 from analysis.tradeoff.chart.records import MEASURES
 from analysis.words import tell_name
 
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from analysis.tradeoff.chart.chart import Chart
-    from analysis.tradeoff.chart.methods import Method
     from analysis.tradeoff.chart.records import Accuracy, Cost, Rated
 
 STABILITY = "stability"
@@ -110,7 +110,9 @@ def dump_data(chart: Chart, choices: Iterable[Choice]) -> str:
 
 
 def _list_entries(chart: Chart) -> list[dict[str, Any]]:
-    ratings, looks = _list_ratings(chart), look_up(chart)
+    ratings = _list_ratings(chart)
+    chart = merge_equal(chart)
+    looks = look_up(chart)
     gains = {(row.reducer, row.scene): row.gain for row in chart.stability}
     scores: dict[tuple[str, str, float | None], list[Accuracy]] = {}
     for row in chart.accuracies:
@@ -119,15 +121,16 @@ def _list_entries(chart: Chart) -> list[dict[str, Any]]:
     return [
         {
             "label": entry.label,
-            "reducer": entry.method.reducer,
+            "reducer": name_point(entry.method.reducer),
             "kind": entry.kind,
-            "colour": looks[entry.method.reducer].colour,
-            "marker": looks[entry.method.reducer].marker,
+            "member": bool(find_group(entry.label)),
+            "colour": looks[name_point(entry.method.reducer)].colour,
+            "marker": looks[name_point(entry.method.reducer)].marker,
             "speed": _tell_speed(entry),
             "scores": _add_gains(_tell_scores(scores[entry.scored]), gains, entry),
-            "ratings": ratings.get(entry.method.reducer, {}) if entry.kind == "reducer" else {},
+            "ratings": ratings.get(entry.label, {}) if entry.kind == "reducer" else {},
         }
-        for entry in (*_find_whole(chart), *_find_rates(chart), *_find_streams(chart))
+        for entry in (*_find_whole(chart), *_find_rated(chart), *_find_rates(chart), *_find_streams(chart))
         if entry.scored in scores
     ]
 
@@ -137,12 +140,29 @@ def _find_whole(chart: Chart) -> Iterator[_Entry]:
     costs = {(cost.sweep, cost.method): cost for cost in list_reference_costs(chart.costs)}
     kinds = (("reducer", "size", list_methods()), ("window", "window", list_windows()), ("hop", "hop", list_hops()))
     for kind, sweep, methods in kinds:
-        for method in methods:
-            yield _Entry(kind, method.label, method, costs[sweep, method.label], (kind, method.label, None))
+        for label, method in _name_methods(methods).items():
+            yield _Entry(kind, label, method, costs[sweep, label], (kind, label, None))
+
+
+def _find_rated(chart: Chart) -> Iterator[_Entry]:
+    """List the members of a point that were rated: people rated each as the sensor was mounted."""
+    costs = {cost.method: cost for cost in list_reference_costs(chart.costs) if cost.sweep == "size"}
+    for reducer in dict.fromkeys(row.reducer for row in chart.rated if find_group(row.reducer)):
+        label = name_point(reducer)
+        if label in costs:
+            yield _Entry("reducer", reducer, Method(reducer), costs[label], ("reducer", label, None))
+
+
+def _name_methods(methods: Iterable[Method]) -> dict[str, Method]:
+    """Name of a point -> a method behind it: the first of those that are equal by construction."""
+    named: dict[str, Method] = {}
+    for method in methods:
+        named.setdefault(find_group(method.label) or method.label, method)
+    return named
 
 
 def _find_rates(chart: Chart) -> Iterator[_Entry]:
-    methods = {method.label: method for method in list_methods()}
+    methods = _name_methods(list_methods())
     for cost in chart.costs:
         if cost.sweep == "rate":
             label = f"{cost.method}, {cost.rate_hz / 1000:g} kHz"
@@ -151,7 +171,7 @@ def _find_rates(chart: Chart) -> Iterator[_Entry]:
 
 def _find_streams(chart: Chart) -> Iterator[_Entry]:
     """List streams: they give what the whole signal gives, a block later."""
-    methods = {method.label: method for method in list_methods()}
+    methods = _name_methods(list_methods())
     for cost in chart.costs:
         if cost.sweep == "block":
             label = f"{cost.method}, blocks of {cost.block}"
@@ -182,7 +202,7 @@ def _add_gains(
 ) -> dict[str, dict[str, list[float]]]:
     """Add the perturbation gain of each scene, for reducers as they are: that of other windows was not measured."""
     for scene, own in scores.items():
-        gain = gains.get((entry.method.reducer, scene))
+        gain = gains.get((name_point(entry.method.reducer), scene))
         if gain is not None and entry.kind in {"reducer", "block"}:
             own[STABILITY] = [_round(gain)]
     return scores

@@ -44,6 +44,9 @@ def list_notes(
         "Over scenes the median is told and compared, not the mean: spectral match has no lower bound, so that one "
         "scene with a band nearly without energy would decide. The means stand in tables/points.csv.",
         *_note_pieces(recordings, longest_s),
+        "sax/say/saz321 is any single axis: averaged over sensor orientations the three are equal by construction, and "
+        "so are their matched and their running forms. Each kind is one point, the mean of its three members; tables "
+        "and results.json keep all names. Ratings are those of the axes as mounted.",
         "Scenes were resampled to every sampling rate and compared with the recording at that rate: above a "
         "recording's own rate nothing is added, below it what lies above half the new rate is lost to both.",
         *_note_precision(precision),

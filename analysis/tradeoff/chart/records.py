@@ -281,6 +281,8 @@ class Point:
         Algorithmic latency; None if the whole signal is needed.
     on_front : bool
         Whether no other reducer is at least as cheap and as good by this measure, and clearly better in one.
+    group : str
+        Label of the methods that are equal by construction, drawn as one point; empty for all others.
     """
 
     method: str
@@ -296,6 +298,7 @@ class Point:
     high: float
     latency_s: float | None
     on_front: bool
+    group: str = ""
 
 
 @dataclass(frozen=True, slots=True)

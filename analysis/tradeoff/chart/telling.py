@@ -8,6 +8,7 @@ from analysis.table.scales import APART
 from analysis.table.scales import tell_measure as tell_scale
 from analysis.tradeoff.chart.axes import tell_measure, tell_plainly
 from analysis.tradeoff.chart.cost import NS, RATE_HZ, REFERENCE_N
+from analysis.tradeoff.chart.equal import merge_equal
 from analysis.tradeoff.chart.records import MEASURES
 from analysis.words import tell_name, tell_range
 
@@ -31,6 +32,7 @@ def tell_answers(chart: Chart) -> tuple[str, ...]:
     tuple of str
         Speed, fronts, who is dominated, growth, ratings.
     """
+    chart = merge_equal(chart)
     return (
         _tell_speed([point for point in chart.points if point.measure == MEASURES[0]]),
         *(_tell_front(chart, measure) for measure in MEASURES),
@@ -115,7 +117,8 @@ def _tell_dominated(dominated: Iterable[Dominance]) -> Iterator[str]:
     clear: dict[str, list[str]] = {}
     unclear: dict[str, list[str]] = {}
     for row in dominated:
-        (clear if row.clear else unclear).setdefault(row.reducer, []).append(f"{row.by} ({row.scenes} of {row.of})")
+        winner = f"{row.by} ({row.scenes} of {row.of})"
+        (clear if row.clear else unclear).setdefault(row.reducer, []).append(winner)
     named = "; ".join(f"{reducer} by {join(winners)}" for reducer, winners in clear.items())
     yield (
         f"Dominated in cost, latency and both of the paper's metrics together: {named}. In brackets: scenes in which "

@@ -15,6 +15,7 @@ from analysis.report.replacing import list_files, replace_report
 from analysis.table.scales import tell_measure as tell_scale
 from analysis.tradeoff.chart.axes import CUT, look_up
 from analysis.tradeoff.chart.drawing import draw_cost, draw_latency, draw_rated
+from analysis.tradeoff.chart.equal import merge_equal
 from analysis.tradeoff.chart.records import MEASURES
 from analysis.words import keep_together, tell_name
 
@@ -111,7 +112,7 @@ def render_page(chart: Chart, pictures: Sequence[Picture], *, figures: Path) -> 
         chart=chart,
         answers=tell_answers(chart),
         axes=[asdict(choice) for choice in choices],
-        looks=look_up(chart),
+        looks=look_up(merge_equal(chart)),
         pictures=pictures,
         drawings={picture.name: inline_svg(picture, figures / f"{picture.name}.svg") for picture in pictures},
         grids=list_sheets(chart),

@@ -6,14 +6,19 @@ import re
 import shutil
 import subprocess
 from dataclasses import replace
+from itertools import product
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
+from analysis.tradeoff.chart.accuracy import draw_turns, measure_accuracy
 from analysis.tradeoff.chart.chart import TABLES, Chart, read_json
 from analysis.tradeoff.chart.compute import FULL, QUICK, compute_chart
 from analysis.tradeoff.chart.drawing import draw_cost, draw_latency
+from analysis.tradeoff.chart.equal import GROUPS, merge_equal, merge_rows, name_point
 from analysis.tradeoff.chart.explore import dump_data, list_choices
+from analysis.tradeoff.chart.methods import Method
 from analysis.tradeoff.chart.notes import list_notes
 from analysis.tradeoff.chart.pareto import find_front
 from analysis.tradeoff.chart.records import MEASURES, SWEEPS, Precision
@@ -26,6 +31,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from stimuli.recording import Recording
+
+SHOWN = tuple(dict.fromkeys(map(name_point, REDUCERS)))
+"""What is drawn: methods that are equal by construction once."""
 
 BROWSER = next((path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), "")
 
@@ -44,7 +52,7 @@ def test_every_reducer_scene_measure_and_sweep_is_there(tiny: Chart) -> None:
 
 def test_strict_front_members_are_marked(tiny: Chart) -> None:
     for measure in MEASURES:
-        points = [point for point in tiny.points if point.measure == measure]
+        points = [point for point in merge_equal(tiny).points if point.measure == measure]
         strict = find_front([[point.ns_per_sample, -point.median] for point in points])
         assert all(point.on_front for point, on in zip(points, strict, strict=True) if on)
 
@@ -53,6 +61,47 @@ def test_medians_lie_between_their_scenes_and_known_ones_are_right(tiny: Chart) 
     assert all(point.lowest <= point.median <= point.highest for point in tiny.points)
     spectral = {point.reducer: point.median for point in tiny.points if point.measure == "spectral_match"}
     assert spectral["dft321"] == pytest.approx(1.0, abs=1e-9)
+
+
+def test_equal_by_construction_is_one_point_and_loses_no_name(tiny: Chart) -> None:
+    merged = merge_equal(tiny)
+    assert [point.reducer for point in merged.points if point.measure == MEASURES[0]] == list(SHOWN)
+    assert len(SHOWN) == len(REDUCERS) - 6
+    own = {(point.reducer, point.measure): point for point in tiny.points}
+    for label, members in GROUPS.items():
+        for member, measure in product(members, MEASURES):
+            assert own[member, measure].group == label
+            (point,) = [one for one in merged.points if (one.reducer, one.measure) == (label, measure)]
+            assert own[member, measure].on_front == point.on_front
+            assert point.ns_per_sample == pytest.approx(np.mean([own[one, measure].ns_per_sample for one in members]))
+            means = [[row.mean for row in tiny.accuracies if row.sweep == "reducer" and row.reducer in members
+                      and (row.measure, row.scene) == (measure, scene.name)] for scene in tiny.scenes]  # fmt: skip
+            assert point.median == pytest.approx(np.median(np.mean(means, axis=1)))
+    assert {point.group for point in tiny.points if point.reducer == name_point(point.reducer)} == {""}
+    assert merge_rows(merged.costs) == list(merged.costs)
+    assert {name for row in tiny.dominated for name in (row.reducer, row.by)} <= set(SHOWN)
+
+
+def test_single_axes_are_equal_over_many_orientations(make_recording: Callable[[str], Recording]) -> None:
+    """The law that the groups rest on; as mounted, the axes are far from equal."""
+    methods = [Method(name) for members in GROUPS.values() for name in members]
+    rows = measure_accuracy(make_recording("bumps"), methods, turns=draw_turns(300, 5))
+    for members, measure in product(GROUPS.values(), MEASURES[1:3]):
+        own = [row for row in rows if row.reducer in members and row.measure == measure]
+        error = max(row.sd for row in own) / np.sqrt(300)
+        assert np.ptp([row.mean for row in own]) < 6 * error
+        assert np.ptp([row.as_mounted for row in own]) > 6 * error
+
+
+def test_rated_members_of_a_point_stand_beside_it(rated: Chart) -> None:
+    means = {"sax321": 40.0, "saz321": 60.0}
+    rows = tuple(replace(rated.rated[0], reducer=name, mean=mean) for name, mean in means.items())
+    chart = replace(rated, rated=rows)
+    members = [entry for entry in json.loads(dump_data(chart, list_choices(chart)))["methods"] if entry["member"]]
+    assert [(entry["label"], *entry["ratings"].values()) for entry in members] == [
+        ("sax321", [40.0, 55.0, 70.0, 50.0, 75.0]), ("saz321", [60.0, 55.0, 70.0, 50.0, 75.0])
+    ]  # fmt: skip
+    assert {entry["reducer"] for entry in members} == {name_point("sax321")}
 
 
 def test_json_gives_the_same_chart_back(rated: Chart) -> None:
@@ -129,8 +178,8 @@ def test_what_is_not_a_former_chart_is_not_replaced(tiny: Chart, tmp_path: Path)
 def test_no_mean_hides_its_scenes(tiny: Chart) -> None:
     for axes, measure in zip(draw_cost(tiny).axes, MEASURES[:2], strict=True):
         dots = [line for line in axes.lines if line.get_marker() == "."]
-        assert len(dots) == 2 * len(REDUCERS)
-        means = {row.mean for row in tiny.accuracies if row.sweep == "reducer" and row.measure == measure}
+        assert len(dots) == 2 * len(SHOWN)
+        means = {row.mean for row in merge_equal(tiny).accuracies if row.sweep == "reducer" and row.measure == measure}
         shown = {float(dot.get_ydata()[0]) for dot in dots}
         assert shown == {max(mean, -1.0) for mean in means}
 
@@ -149,8 +198,9 @@ def test_no_name_can_end_the_pages_data(tiny: Chart) -> None:
 
 def test_the_page_holds_every_method_and_spans_that_rise(rated: Chart) -> None:
     data = json.loads(dump_data(rated, list_choices(rated)))
-    measured = {(row.sweep, row.method, row.rate_hz if row.sweep == "rate" else 0) for row in rated.accuracies}
-    streams = [cost for cost in rated.costs if cost.sweep == "block"]
+    merged = merge_equal(rated)
+    measured = {(row.sweep, row.method, row.rate_hz if row.sweep == "rate" else 0) for row in merged.accuracies}
+    streams = [cost for cost in merged.costs if cost.sweep == "block"]
     assert len(data["methods"]) == len(measured) + len(streams)
     for method in data["methods"]:
         for value, low, high in (method["speed"]["cost"], method["speed"]["real_time"]):
@@ -163,7 +213,7 @@ def test_the_page_holds_every_method_and_spans_that_rise(rated: Chart) -> None:
     assert found["soc321, 2 kHz"]["speed"]["latency"][0] == 0
     ratings = {method["reducer"]: method["ratings"] for method in data["methods"] if method["kind"] == "reducer"}
     assert ratings["dft321"] == {"Mean realism rating, as is (0 to 100)": [71.0, None, None, 60.0, 80.0]}
-    assert ratings["sax321"] == {}
+    assert ratings[name_point("sax321")] == {}
 
 
 def open_page(page: Path, tmp_path: Path) -> tuple[str, str]:
@@ -182,8 +232,8 @@ def test_the_page_opens_in_a_real_browser_and_its_script_works(rated: Chart, tmp
     page = tmp_path / "chart" / "index.html"
     document, console = open_page(page, tmp_path)
     assert console == ""
-    assert len(re.findall(r'<polygon[^>]*class="point', document)) == len(REDUCERS)
-    assert len(re.findall(r"<circle", document)) == 2 * len(REDUCERS)
+    assert len(re.findall(r'<polygon[^>]*class="point', document)) == len(SHOWN)
+    assert len(re.findall(r"<circle", document)) == 2 * len(SHOWN)
     assert "On the front, by the values as drawn: " in document
     assert "Off it: " in document  # no claim of dominance: the answer above minds the noise
     assert "Dominated in this plane" not in document
@@ -205,5 +255,5 @@ def test_the_page_opens_in_a_real_browser_and_its_script_works(rated: Chart, tmp
     assert console == ""
     points = len(json.loads(dump_data(rated, list_choices(rated)))["methods"])
     assert f'data-points="{points}"' in document
-    assert re.search(r'data-tip="sax321[^"]*Cost of one sample \(ns\): [\d.]+ \[[\d.]+ to', document)
+    assert re.search(r'data-tip="sax/say/saz321[^"]*Cost of one sample \(ns\): [\d.]+ \[[\d.]+ to', document)
     assert "Nothing to show: choose at least one reducer and one scene." in document
