@@ -70,7 +70,8 @@ def _audit_stimuli(folder: Path) -> tuple[list[str], str | None]:
         rows = read_origin(folder).rows
     except ValueError as error:
         return [*findings, str(error)], stimuli.sha256
-    listed = [{**dict.fromkeys(FURTHER), **row} for row in rows]  # an earlier version wrote fewer columns
+    # An earlier version wrote fewer columns.
+    listed = [{**dict.fromkeys(FURTHER), **row} for row in rows]
     same = json.dumps(listed, sort_keys=True) == json.dumps([*map(describe_row, stimuli.stimuli)], sort_keys=True)
     if not same:
         findings.append(f"{folder}: manifest.csv and manifest.json differ; one was changed, build the set again")

@@ -102,7 +102,8 @@ def make_basis(names: Sequence[str], values: Values, *, n_plain: int, groups: ND
     standard = {name: column / column.std() for name, column in kept.items()}
     if len(plain) > 1:
         standard[EQUAL] = np.sum([standard[name] for name in plain], axis=0)
-    candidates = tuple(_list_candidates(tuple(standard), plain, [name for name in names if name in kept]))
+    varying = [name for name in names if name in kept]
+    candidates = tuple(_list_candidates(tuple(standard), plain, varying))
     scales = np.array([kept[name].std() if name in kept else np.nan for name in standard])
     stacked = np.array(list(standard.values())).T if standard else np.empty((values.shape[1], 0))
     return Basis(tuple(standard), stacked, scales, candidates, notes)

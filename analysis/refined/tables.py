@@ -72,7 +72,7 @@ def list_gains(basis: Basis, whole: Outcome, drawn: Outcome, *, n_units: int) ->
         value, low, high = np.tanh((z + plain + gain) / 2) - np.tanh((z + plain - gain) / 2)
         rows.append({
             "metric": name, "plain": float(np.tanh(plain)), "value": value, "low": low, "high": high,
-            "z_value": gain[0], "z_low": gain[1], "z_high": gain[2], "rmse": whole.errors[1 + place, 0],
+            **dict(zip(("z_value", "z_low", "z_high"), gain, strict=True)), "rmse": whole.errors[1 + place, 0],
         })  # fmt: skip
     return pd.DataFrame(rows)
 

@@ -210,7 +210,8 @@ def _describe_items(judgements: Judgements) -> DataFrame:
     tests = judgements.of_kind("test")
     rows = []
     steps = tests.groupby("item")["step"].max()
-    for item, own in tests.groupby(["item", "participant"], observed=True)["rating"].mean().groupby("item"):
+    means = tests.groupby(["item", "participant"], observed=True)["rating"].mean()
+    for item, own in means.groupby("item"):
         low, high = tukey_fences(own, step=steps[item])
         rows.append(
             {

@@ -71,7 +71,9 @@ def build(*, study: StudyFolder, workers: int, as_json: bool) -> None:
     if as_json:
         print_json({**summary, "notes": notes})
     else:
-        click.echo("\n".join([f"{stimuli.folder}: {len(stimuli.stimuli)} stimuli, set {stimuli.sha256[:12]}", *notes]))
+        click.echo(f"{stimuli.folder}: {len(stimuli.stimuli)} stimuli, set {stimuli.sha256[:12]}")
+        for note in notes:
+            click.echo(note)
 
 
 @click.command(epilog="Example: feel321 demo --dir demo-study")

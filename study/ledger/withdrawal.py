@@ -183,7 +183,8 @@ def _renew_tables(study: StudyFolder) -> Iterator[str]:
         roster: lambda: write_roster(study),
     }
     for path, write in tables.items():
-        for unfinished in path.parent.glob(f".{path.name}.*.part"):  # What a kill may have left of an earlier writing.
+        # What a kill may have left of an earlier writing.
+        for unfinished in path.parent.glob(f".{path.name}.*.part"):
             unfinished.unlink()
         if path.exists():
             try:
