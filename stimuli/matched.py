@@ -279,7 +279,7 @@ class RunningAxis:
         if not kept.size:
             return np.zeros(kept.shape)
         powers = np.stack([np.einsum("...in,...in->...n", samples, samples), np.square(kept)], axis=-2)
-        energies, self._energies = lfilter([1.0], [1.0, -self._memory], powers, zi=self._energies)
+        energies, self._energies = lfilter(np.ones(1), np.array([1.0, -self._memory]), powers, zi=self._energies)
         return np.asarray(kept * match_energy(energies[..., 0, :], energies[..., 1, :]))
 
 
@@ -324,7 +324,7 @@ class MatchedFrames:
 
         del valid
         own = np.einsum("...imt,...jmt->...mij", blocks, blocks)
-        moments, self._moment = lfilter([1.0], [1.0, -self._memory], own, axis=-3, zi=self._moment)
+        moments, self._moment = lfilter(np.ones(1), np.array([1.0, -self._memory]), own, axis=-3, zi=self._moment)
         first = self._axis
         axes = self._follow(moments, own)
         kept = np.einsum("...mi,...mij,...mj->...m", axes, moments, axes)

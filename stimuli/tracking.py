@@ -150,5 +150,5 @@ def _remember(
     """Sum up what frame after frame brings, forgetting slowly; give the sums, and the state for the next frames."""
     from scipy.signal import lfilter
 
-    sums, state = lfilter([1.0], [1.0, -MEMORY], values, axis=axis, zi=state)
+    sums, state = lfilter(np.ones(1), np.array([1.0, -MEMORY]), values, axis=axis, zi=state)
     return sums, state

@@ -118,7 +118,7 @@ def compute_chart(
     with threadpool_limits(limits=THREADS):
         accuracies = _measure_scenes(recordings, effort, seed=seed, tick=tick)
         costs = _time_methods(effort, seed=seed, clock=clock, tick=tick)
-        memory, precision = _measure_memory(effort, seed=seed, tick=tick)
+        memory, precision = _measure_memory(recordings, effort, seed=seed, tick=tick)
         running = _measure_running(recordings, effort, seed=seed, clock=clock, tick=tick)
     machine = describe_machine(name)
     return Chart(
@@ -216,16 +216,20 @@ def _time_methods(effort: Effort, *, seed: int, clock: Clock, tick: Tick) -> lis
     return time_jobs(jobs, rounds=effort.rounds, clock=clock, rng=rng, done=tick)
 
 
-def _measure_memory(effort: Effort, *, seed: int, tick: Tick) -> tuple[list[Memory], list[Precision]]:
+def _measure_memory(
+    recordings: Sequence[Recording], effort: Effort, *, seed: int, tick: Tick
+) -> tuple[list[Memory], list[Precision]]:
+    from analysis.tradeoff.chart.accuracy import cut_piece
     from analysis.tradeoff.chart.cost import compare_precision, list_lengths, measure_memory
     from analysis.tradeoff.chart.methods import list_methods
 
     make_rng = partial(np.random.default_rng, seed)
+    pieces = [cut_piece(recording, effort.longest_s) for recording in recordings]
     memory, precision = [], []
     for method in list_methods():
         lengths = [n for n in list_lengths(effort.largest_n) if str(n).startswith("1")]
         memory += [measure_memory(method, n, make_rng()) for n in lengths]
-        precision.append(compare_precision(method, make_rng()))
+        precision.append(compare_precision(method, make_rng(), pieces))
         tick()
     return memory, precision
 

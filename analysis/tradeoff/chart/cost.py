@@ -14,17 +14,19 @@ import numpy as np
 
 from analysis.tradeoff.chart.growth import fit_growth
 from analysis.tradeoff.chart.methods import Method, list_hops, list_methods, list_windows
+from analysis.tradeoff.chart.narrow import measure_loss
 from analysis.tradeoff.chart.records import Cost, Growth, Memory, Precision
 from analysis.tradeoff.chart.timing import time_in_turn
 from stimuli.frames import DEFAULT_WINDOW_S, window_samples
 from stimuli.stream import WHY_NOT_STREAMING, StreamingReducer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from numpy.typing import NDArray
 
     from analysis.tradeoff.chart.timing import Clock
+    from stimuli.recording import Recording
 
     Samples = NDArray[np.float64]
 
@@ -213,8 +215,10 @@ def measure_memory(method: Method, n_samples: int, rng: np.random.Generator) -> 
     return Memory(method.reducer, n_samples, peak, peak / signal.nbytes)
 
 
-def compare_precision(method: Method, rng: np.random.Generator) -> Precision:
-    """Find out what becomes of 32-bit input.
+def compare_precision(
+    method: Method, rng: np.random.Generator, recordings: Iterable[Recording] = ()
+) -> Precision:
+    """Find out what becomes of 32-bit input, and what 32-bit arithmetic loses.
 
     Parameters
     ----------
@@ -222,16 +226,19 @@ def compare_precision(method: Method, rng: np.random.Generator) -> Precision:
         What works.
     rng : numpy.random.Generator
         Source of the signal.
+    recordings : iterable of Recording
+        What is reduced in 32-bit arithmetic.
 
     Returns
     -------
     Precision
-        Type and change of the output.
+        Type and change of the output; error of the worst recording.
     """
     signal = rng.standard_normal((3, REFERENCE_N))
     exact, rough = method.reduce(signal, RATE_HZ), method.reduce(signal.astype(np.float32), RATE_HZ)
     change = float(np.sum((rough - exact) ** 2) / np.sum(exact**2))
-    return Precision(method.reducer, str(rough.dtype), 10 * float(np.log10(change)) if change > 0 else None)
+    change_db = 10 * float(np.log10(change)) if change > 0 else None
+    return Precision(method.reducer, str(rough.dtype), change_db, *measure_loss(method, recordings))
 
 
 def _streams(method: Method) -> bool:

@@ -168,7 +168,7 @@ class Memory:
 
 @dataclass(frozen=True, slots=True)
 class Precision:
-    """What 32-bit input changes.
+    """What 32-bit input and 32-bit arithmetic change.
 
     Parameters
     ----------
@@ -178,11 +178,18 @@ class Precision:
         Type of what it gives back for 32-bit input.
     difference_db : float
         Energy of the change of the output relative to the output for 64-bit input; None where nothing changes.
+    arithmetic_db : float or None
+        Energy of the error of 32-bit samples, coefficients and transforms relative to the output in 64 bits, of the
+        worst recording; None where none has an error.
+    worst : str
+        That recording; empty where there is none.
     """
 
     reducer: str
     output: str
     difference_db: float | None
+    arithmetic_db: float | None = None
+    worst: str = ""
 
 
 @dataclass(frozen=True, slots=True)

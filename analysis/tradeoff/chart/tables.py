@@ -189,12 +189,17 @@ def _tell_interval(row: Growth) -> str:
 
 def _lay_precision(chart: Chart) -> Sheet:
     costs = {(cost.reducer, cost.bits): cost for cost in chart.costs if cost.sweep == "bits"}
-    caption = "32-bit input: time beside that of 64-bit input, type of the output, and energy of its change."
-    head = ("Reducer", "32 bit: ns per sample", "64 bit: ns per sample", "Output", "Change (dB)")
+    caption = (
+        "32-bit input: time beside that of 64-bit input, type of the output, and energy of its change. 32-bit "
+        "arithmetic: energy of the error where samples, coefficients and transforms are all 32 bits wide, relative to "
+        "the output in 64 bits, and the recording where it is largest."
+    )
+    head = ("Reducer", "32 bit: ns per sample", "64 bit: ns per sample", "Output", "Change (dB)",
+            "32-bit arithmetic, error at worst (dB)", "Worst recording")  # fmt: skip
     return Sheet(caption, head, tuple(
         (
             row.reducer, *(f"{costs[row.reducer, bits].ns_per_sample:.3g}" for bits in (32, 64)), row.output,
-            "none" if row.difference_db is None else f"{row.difference_db:.0f}",
+            *("none" if loss is None else f"{loss:.0f}" for loss in (row.difference_db, row.arithmetic_db)), row.worst,
         )
         for row in chart.precision
     ))  # fmt: skip

@@ -1,0 +1,90 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import scipy.fft
+import scipy.signal
+
+from analysis.tradeoff.chart.methods import Method, list_methods
+from analysis.tradeoff.chart.narrow import in_32_bit, measure_loss, reduce_in_32_bit
+from analysis.tradeoff.chart.notes import list_notes
+from analysis.tradeoff.chart.tables import list_sheets
+from stimuli import fourier, leading
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from analysis.tradeoff.chart.chart import Chart
+    from stimuli.recording import Recording
+
+
+@pytest.fixture
+def noise(make_recording: Callable[[str], Recording]) -> Recording:
+    samples = np.random.default_rng(6).standard_normal((3, 20_000))
+    return replace(make_recording("bumps"), name="noise", acceleration=samples, sha256="")
+
+
+def test_the_error_is_that_of_32_bits(noise: Recording) -> None:
+    loss, worst = measure_loss(Method("dft321"), [noise])
+    assert loss is not None
+    assert -170 < loss < -100
+    assert worst == "noise"
+    rounding, _ = measure_loss(Method("sax321"), [noise])
+    exact = noise.acceleration[0]
+    rounded = exact.astype(np.float32).astype(np.float64)
+    assert rounding == pytest.approx(10 * np.log10(np.sum((rounded - exact) ** 2) / np.sum(exact**2)))
+
+
+@pytest.mark.parametrize("method", list_methods(), ids=lambda method: method.label)
+def test_transforms_and_recursions_see_nothing_wider_than_32_bits(
+    method: Method, noise: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every output is checked where it is made; so is what goes in and comes out of scipy."""
+    seen: set[str] = set()
+
+    def spy(function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*given: object, **named: object) -> object:
+            result = function(*given, **named)
+            every = (*given, *named.values(), *(result if isinstance(result, tuple) else (result,)))
+            seen.update(str(one.dtype) for one in every if isinstance(one, np.ndarray))
+            return result
+
+        return call
+
+    for module, name in ((scipy.fft, "rfft"), (scipy.fft, "irfft"), (scipy.signal, "lfilter")):
+        monkeypatch.setattr(module, name, spy(getattr(module, name)))
+    reduced = reduce_in_32_bit(method, noise)
+    assert seen <= {"float32", "complex64"}
+    assert bool(seen) == any(part in method.reducer for part in ("dft", "running", "matched_windowed"))
+    exact = method.reduce(noise.acceleration, noise.rate_hz)
+    assert 1e-17 < np.sum((reduced - exact) ** 2) / np.sum(exact**2) < 1e-8
+
+
+def test_the_error_does_not_depend_on_the_unit(noise: Recording) -> None:
+    """Powers of two are exact in both widths."""
+    loud = replace(noise, acceleration=2.0**9 * noise.acceleration, sha256="")
+    for name in ("dft321", "pca321", "saz321_matched_running"):
+        assert measure_loss(Method(name), [loud])[0] == measure_loss(Method(name), [noise])[0]
+
+
+def test_everything_is_as_before_even_after_an_error(noise: Recording) -> None:
+    before = Method("dft321").reduce(noise.acceleration, noise.rate_hz)
+    with pytest.raises(ZeroDivisionError), in_32_bit():
+        raise ZeroDivisionError
+    assert (fourier.np, leading.np) == (np, np)
+    assert np.array_equal(Method("dft321").reduce(noise.acceleration, noise.rate_hz), before)
+
+
+def test_the_worst_recording_is_named_and_silence_left_out(noise: Recording, tiny: Chart) -> None:
+    silent = replace(noise, name="silent", acceleration=np.zeros((3, 100)), sha256="")
+    exact = replace(noise, name="exact", acceleration=np.ones((3, 64)), sha256="")
+    assert measure_loss(Method("soc321"), [silent, exact]) == (None, "")
+    assert measure_loss(Method("soc321"), [silent, noise, exact])[1] == "noise"
+    worst = max(tiny.precision, key=lambda row: -np.inf if row.arithmetic_db is None else row.arithmetic_db)
+    notes = "\n".join(list_notes([noise], 9.0, precision=tiny.precision, machine=tiny.machine))
+    assert f"{worst.arithmetic_db:.0f} dB relative to the output in 64 bits, of {worst.reducer} on" in notes
+    (sheet,) = [sheet for sheet in list_sheets(tiny) if "Worst recording" in sheet.head]
+    assert {row[-1] for row in sheet.rows} <= {scene.name for scene in tiny.scenes}
