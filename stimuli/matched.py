@@ -257,7 +257,7 @@ class RunningAxis:
 
     def __init__(self, batch: tuple[int, ...], axis: int, rate_hz: float) -> None:
         self._axis = axis
-        self._memory = forget(1 / rate_hz)
+        self._memory = _forget(1 / rate_hz)
         self._energies = np.zeros((*batch, 2, 1))
 
     def push(self, samples: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -299,7 +299,7 @@ class MatchedFrames:
     def __init__(self, batch: tuple[int, ...], hop: int, rate_hz: float) -> None:
         self.hop = hop
         self._fading_in = np.arange(hop) / hop
-        self._memory = forget(hop / rate_hz)
+        self._memory = _forget(hop / rate_hz)
         self._previous = np.zeros((*batch, 3, 1, hop))
         self._moment = np.zeros((*batch, 1, 3, 3))
         self._axis = np.zeros((*batch, 3))
@@ -379,19 +379,8 @@ def frames_at(rate_hz: float) -> Callable[[tuple[int, ...], int], MatchedFrames]
     return partial(MatchedFrames, rate_hz=rate_hz)
 
 
-def forget(duration_s: float) -> float:
-    """Share of an energy that still counts after some time.
-
-    Parameters
-    ----------
-    duration_s : float
-        The time in s.
-
-    Returns
-    -------
-    float
-        exp(-duration / `FORGETTING_S`).
-    """
+def _forget(duration_s: float) -> float:
+    """Share of an energy that still counts after some time: exp(-duration / `FORGETTING_S`)."""
     return math.exp(-duration_s / FORGETTING_S)
 
 
