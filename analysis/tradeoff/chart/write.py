@@ -30,8 +30,8 @@ MARKS = (
 )
 FRONT = (
     "The horizontal line is the quartiles of the cost. Dashed: the Pareto front; edged in black: what no other "
-    "reducer clearly beats in both. One sensor axis is as good as another where every orientation is tried, so "
-    "sax321, say321 and saz321 coincide."
+    "reducer clearly beats in both. Averaged over sensor orientations the three single axes are equal by "
+    "construction: they are one point, sax/say/saz321, as are their matched and running forms."
 )
 
 
