@@ -68,12 +68,12 @@ def measure_loss(method: Method, recordings: Iterable[Recording]) -> tuple[float
         The worst recording; empty where there is none.
     """
     worst: tuple[float | None, str] = (None, "")
-    for recording in recordings:
-        exact = method.reduce(recording.acceleration, recording.rate_hz)
-        error = float(np.sum((reduce_in_32_bit(method, recording) - exact) ** 2))
+    for scene in recordings:
+        exact = method.reduce(scene.acceleration, scene.rate_hz)
+        error = float(np.sum((reduce_in_32_bit(method, scene) - exact) ** 2))
         if error > 0 and exact.any():
             loss = 10 * float(np.log10(error / np.sum(exact**2)))
-            worst = max(worst, (loss, recording.name), key=lambda one: -np.inf if one[0] is None else one[0])
+            worst = max(worst, (loss, scene.name), key=lambda one: -np.inf if one[0] is None else one[0])
     return worst
 
 
