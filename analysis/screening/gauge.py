@@ -75,8 +75,9 @@ def gauge_raters(judgements: Judgements, *, permutations: int = PERMUTATIONS, rn
     tests = judgements.of_kind("test")
     means = judgements.means()
     panel_square = _average_square(judgements)
-    rows, items = [], range(int(tests["item"].max()) + 1)
+    rows = []
     for participant, own in tests.groupby("participant", observed=True):
+        items = range(int(tests["item"].max()) + 1)
         others = means.drop(index=participant).mean().reindex(items).to_numpy()
         trials = _Trials(own["item"].to_numpy(), own["rating"].to_numpy(), others, panel_square)
         rows += [{"participant": participant, **row} for row in _gauge(trials, permutations, rng=rng)]

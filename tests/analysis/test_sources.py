@@ -135,13 +135,15 @@ def copy_files(files: Callable[..., object], **design: object) -> tuple[object, 
     return study, {f"rec{number}-r{turn}": f"rec{number}" for number in range(4) for turn in range(3)}
 
 
-@pytest.mark.parametrize(("section", "design"), [(contrasts, {}), (levels, {"levels": ("as_is", "equal_intensity")})])
+@pytest.mark.parametrize(
+    ("compute", "design"), [(contrasts.compute, {}), (levels.compute, {"levels": ("as_is", "equal_intensity")})]
+)
 def test_copies_add_no_certainty_to_what_is_said_of_reducers_and_levels(
-    files: Callable[..., object], section: object, design: dict[str, object]
+    files: Callable[..., object], compute: Callable[..., object], design: dict[str, object]
 ) -> None:
     def measure(study: object, sources: dict[str, str] | None) -> np.ndarray:
         table = read_table(study.ratings, study.manifest, sources=sources)
-        (found,) = section.compute(table, Choices()).tables.values()
+        (found,) = compute(table, Choices()).tables.values()
         return found["se"].to_numpy()
 
     one = measure(files(participants=6, recordings=4, scales=("realism",), anchors=False, **design), None)

@@ -387,7 +387,7 @@ def test_a_damaged_ide_file_is_refused(tmp_path: Path) -> None:
 def test_without_idelib_the_way_to_get_it_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "a.ide").write_bytes(b"\x1aE\xdf\xa3" + bytes(40))
     monkeypatch.setitem(sys.modules, "idelib", None)
-    with pytest.raises(ValueError, match=r"pip install 'feel321\[ide\]'"):
+    with pytest.raises(ValueError, match=r"pip install -c constraints.txt '\.\[ide\]'"):
         read_recording(tmp_path / "a.ide")
 
 
