@@ -14,7 +14,6 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from analysis.tradeoff.chart.comparing import locate, mark_front
-from analysis.tradeoff.chart.cost import fit_all
 from analysis.tradeoff.chart.records import MEASURES, Accuracy, Cost, Memory, Point, Stability
 
 if TYPE_CHECKING:
@@ -113,6 +112,8 @@ def merge_equal(chart: Chart) -> Chart:
     Chart
         With one row for each group; a merged chart stays as it is.
     """
+    from analysis.tradeoff.chart.cost import fit_all
+
     accuracies, costs = merge_rows(chart.accuracies), merge_rows(chart.costs)
     return replace(
         chart,
