@@ -3,7 +3,7 @@
 
 PYTHON := .venv/bin/python
 PIP := $(PYTHON) -m pip install --disable-pip-version-check -q -c constraints.txt
-ROOMS := stimuli protocols study analysis
+PACKAGE := feel321
 
 .DELETE_ON_ERROR:
 .PHONY: help demo test coverage realtime computing check lint types floors duplicates guards bench soak constraints clean
@@ -40,6 +40,7 @@ check: lint types floors duplicates guards ## every guard rail; `make -k check` 
 
 lint: .venv/.tests
 	.venv/bin/ruff check .
+	.venv/bin/ruff format --check .
 
 types: .venv/.tests
 	.venv/bin/mypy
@@ -48,7 +49,7 @@ floors: .venv/.tests
 	.venv/bin/lint-imports --no-logo
 
 duplicates: .venv/.tests
-	.venv/bin/pylint $(ROOMS)
+	.venv/bin/pylint $(PACKAGE)
 
 guards: .venv/.tests # sizes, docstrings, faces, wheel, pins, exclusions
 	$(PYTHON) -m pytest tests/house

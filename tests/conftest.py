@@ -60,7 +60,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 @pytest.fixture(scope="session")
-def make_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[Path], object]], Path]:
+def make_once(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Callable[[str, Callable[[Path], object]], Path]:
     """Makes a folder that all workers of a run read; the first that needs it fills it."""
     root = tmp_path_factory.getbasetemp()
     root = root.parent if "PYTEST_XDIST_WORKER" in os.environ else root
@@ -81,5 +83,7 @@ def make_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callab
 def shared_recordings() -> Path:
     """The folder of real recordings that lies beside the project."""
     if not RECORDINGS.is_dir():
-        pytest.skip("NO REAL RECORDINGS: the folder shared/recordings beside the project is missing")
+        pytest.skip(
+            "NO REAL RECORDINGS: the folder shared/recordings beside the project is missing"
+        )
     return RECORDINGS

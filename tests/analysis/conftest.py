@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.report.sections import association, profile
-from analysis.report.write import write_report
-from stimuli.reduce import DEFAULT_REDUCERS
+from feel321.analysis.report import association, reducers
+from feel321.analysis.report.write import write_report
+from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -59,17 +59,25 @@ def list_stimuli(design: Design, rng: np.random.Generator) -> Iterator[tuple[obj
 def make_manifest(design: Design, rng: np.random.Generator) -> pd.DataFrame:
     columns = ["recording", "reducer", "level", "role", "spectral_match", "temporal_match"]
     table = pd.DataFrame(list_stimuli(design, rng), columns=columns)
-    table.insert(0, "stimulus_id", table["recording"] + "_" + table["reducer"] + "_" + table["level"])
+    table.insert(
+        0, "stimulus_id", table["recording"] + "_" + table["reducer"] + "_" + table["level"]
+    )
     return table
 
 
-def make_session(design: Design, manifest: pd.DataFrame, base: np.ndarray, rng: np.random.Generator) -> pd.DataFrame:
+def make_session(
+    design: Design, manifest: pd.DataFrame, base: np.ndarray, rng: np.random.Generator
+) -> pd.DataFrame:
     bias, blocks = rng.normal(0, 6), []
     for scale in design.scales:
         for repeat in range(1, design.repeats + 1):
             rating = np.clip(base + bias + rng.normal(0, design.noise, len(base)), 0, 100).round(1)
             block = manifest[["stimulus_id", "recording", "reducer", "level"]]
-            blocks.append(block.assign(scale=scale, protocol=scale, repeat=repeat, block=repeat, rating=rating))
+            blocks.append(
+                block.assign(
+                    scale=scale, protocol=scale, repeat=repeat, block=repeat, rating=rating
+                )
+            )
     session = pd.concat(blocks, ignore_index=True)
     return session.assign(trial=np.arange(1, len(session) + 1))
 
@@ -84,7 +92,9 @@ def make_ratings(design: Design, manifest: pd.DataFrame, rng: np.random.Generato
         make_session(design, manifest, base, rng).assign(participant=f"p{person:02d}")
         for person in range(design.participants)
     ]
-    return pd.concat(sessions, ignore_index=True).assign(session=1, rejected=False, simulated=design.simulated)
+    return pd.concat(sessions, ignore_index=True).assign(
+        session=1, rejected=False, simulated=design.simulated
+    )
 
 
 @pytest.fixture
@@ -123,16 +133,22 @@ def sketched(monkeypatch: pytest.MonkeyPatch) -> None:
     """Draw the figures of reports, but save empty files, which takes no time."""
 
     def save(figure: Figure, stem: Path) -> None:  # noqa: ARG001 - the form of save_figure
-        for suffix, text in ((".svg", '<svg xmlns="http://www.w3.org/2000/svg"></svg>'), (".png", "")):
+        for suffix, text in (
+            (".svg", '<svg xmlns="http://www.w3.org/2000/svg"></svg>'),
+            (".png", ""),
+        ):
             stem.with_name(f"{stem.name}{suffix}").write_text(text, encoding="utf-8")
 
-    monkeypatch.setattr("analysis.report.write.save_figure", save)
+    monkeypatch.setattr("feel321.analysis.report.write.save_figure", save)
 
 
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch, sketched: None) -> None:  # noqa: ARG001 - figures are empty too
     """Shorten reports to two sections: enough for what files, names and captions are about."""
-    monkeypatch.setattr("analysis.report.write.SECTIONS", (association.compute, profile.compute))
+    monkeypatch.setattr(
+        "feel321.analysis.report.write.SECTIONS",
+        (association.compute_association, reducers.compute_profile),
+    )
 
 
 @pytest.fixture(scope="session")
@@ -145,6 +161,12 @@ def study(make_once: Callable[[str, Callable[[Path], object]], Path]) -> Files:
 @pytest.fixture(scope="session")
 def report(study: Files, make_once: Callable[[str, Callable[[Path], object]], Path]) -> Path:
     """Write a report to be read only."""
-    return make_once(
-        "report", lambda folder: write_report(study.ratings, study.manifest, folder / "report", draws=50, seed=3)
-    ) / "report"
+    return (
+        make_once(
+            "report",
+            lambda folder: write_report(
+                study.ratings, study.manifest, folder / "report", draws=50, seed=3
+            ),
+        )
+        / "report"
+    )

@@ -6,12 +6,16 @@ import numpy as np
 import pytest
 from scipy.stats import t
 
-from analysis.agreement.alpha import LEVELS, bootstrap_alpha, krippendorff_alpha
+from feel321.analysis.agreement.alpha import LEVELS, bootstrap_alpha, krippendorff_alpha
 
 
-def make_table(seed: int = 0, *, missing: float = 0.2, targets: int = 14, raters: int = 5) -> np.ndarray:
+def make_table(
+    seed: int = 0, *, missing: float = 0.2, targets: int = 14, raters: int = 5
+) -> np.ndarray:
     rng = np.random.default_rng(seed)
-    table = np.clip(np.round(rng.uniform(0, 6, (targets, 1)) + rng.normal(0, 1, (targets, raters))), 0, 7)
+    table = np.clip(
+        np.round(rng.uniform(0, 6, (targets, 1)) + rng.normal(0, 1, (targets, raters))), 0, 7
+    )
     table[rng.uniform(size=table.shape) < missing] = np.nan
     table[0, 0] = table[0, 1] = 3
     return table
@@ -28,11 +32,15 @@ def brute_alpha(table: np.ndarray, level: str) -> float:
             return float(v != w)
         if level == "ordinal":
             between = ((pool >= min(v, w)) & (pool <= max(v, w))).sum()
-            return 0.0 if v == w else float(between - ((pool == v).sum() + (pool == w).sum()) / 2) ** 2
+            return (
+                0.0 if v == w else float(between - ((pool == v).sum() + (pool == w).sum()) / 2) ** 2
+            )
         return (v - w) ** 2 if level == "interval" else ((v - w) / (v + w)) ** 2 if v + w else 0.0
 
     def pairs(values: np.ndarray) -> float:
-        return sum(distance(v, w) for i, v in enumerate(values) for j, w in enumerate(values) if i != j)
+        return sum(
+            distance(v, w) for i, v in enumerate(values) for j, w in enumerate(values) if i != j
+        )
 
     observed = sum(pairs(row) / (len(row) - 1) for row in rows) / len(pool)
     return 1 - observed / (pairs(pool) / (len(pool) * (len(pool) - 1)))
@@ -42,7 +50,9 @@ def test_names_agree_as_their_numbers_do() -> None:
     table = make_table(3)
     words = [[None if math.isnan(cell) else f"kind {abs(cell):g}" for cell in row] for row in table]
     assert krippendorff_alpha(words, level="nominal") == krippendorff_alpha(table, level="nominal")
-    with pytest.raises(ValueError, match=r"table: got 'kind .*', allowed are numbers; .*, or use level='nominal'"):
+    with pytest.raises(
+        ValueError, match=r"table: got 'kind .*', allowed are numbers; .*, or use level='nominal'"
+    ):
         krippendorff_alpha(words, level="ordinal")
 
 
@@ -51,14 +61,20 @@ def test_names_agree_as_their_numbers_do() -> None:
 def test_alpha_by_its_definition(level: str, missing: float) -> None:
     for seed in range(4):
         table = make_table(seed, missing=missing)
-        assert krippendorff_alpha(table, level=level) == pytest.approx(brute_alpha(table, level), abs=1e-12)
+        assert krippendorff_alpha(table, level=level) == pytest.approx(
+            brute_alpha(table, level), abs=1e-12
+        )
 
 
 @pytest.mark.parametrize("level", LEVELS)
 def test_perfect_agreement_is_one_and_noise_is_none(level: str) -> None:
     rng = np.random.default_rng(3)
-    assert krippendorff_alpha(np.repeat(np.arange(8.0)[:, None], 4, axis=1), level=level) == pytest.approx(1)
-    assert krippendorff_alpha(rng.integers(1, 6, (400, 4)), level=level) == pytest.approx(0, abs=0.06)
+    assert krippendorff_alpha(
+        np.repeat(np.arange(8.0)[:, None], 4, axis=1), level=level
+    ) == pytest.approx(1)
+    assert krippendorff_alpha(rng.integers(1, 6, (400, 4)), level=level) == pytest.approx(
+        0, abs=0.06
+    )
 
 
 def test_order_alone_decides_on_an_ordinal_scale() -> None:
@@ -67,7 +83,9 @@ def test_order_alone_decides_on_an_ordinal_scale() -> None:
         krippendorff_alpha(table, level="ordinal")
     )
     assert krippendorff_alpha(40 - 3 * table) == pytest.approx(krippendorff_alpha(table))
-    assert krippendorff_alpha(9 * table, level="ratio") == pytest.approx(krippendorff_alpha(table, level="ratio"))
+    assert krippendorff_alpha(9 * table, level="ratio") == pytest.approx(
+        krippendorff_alpha(table, level="ratio")
+    )
 
 
 @pytest.mark.parametrize("level", LEVELS)
@@ -95,7 +113,10 @@ def test_the_interval_is_the_bootstrap_of_targets(level: str) -> None:
     counts = np.random.default_rng(8).multinomial(14, np.full(14, 1 / 14), size=200)
     drawn = [krippendorff_alpha(np.repeat(table, times, axis=0), level=level) for times in counts]
     margin = t.ppf(0.975, 13) * math.sqrt(14 / 13) * np.std(drawn, ddof=1)
-    assert [result.low, result.high] == pytest.approx([result.value - margin, min(result.value + margin, 1)])
+    assert [result.low, result.high] == pytest.approx([
+        result.value - margin,
+        min(result.value + margin, 1),
+    ])
     assert result.low < result.value < result.high <= 1
 
 
@@ -109,7 +130,9 @@ def test_groups_are_drawn_with_all_their_targets() -> None:
     of = [left[recordings[left] == name] for name in sorted(set(recordings))]
     counts = np.random.default_rng(4).multinomial(7, np.full(7, 1 / 7), size=100)
     drawn = [
-        krippendorff_alpha(np.concatenate([table[np.tile(of[place], n)] for place, n in enumerate(row)]))
+        krippendorff_alpha(
+            np.concatenate([table[np.tile(of[place], n)] for place, n in enumerate(row)])
+        )
         for row in counts
     ]
     margin = t.ppf(0.975, 6) * math.sqrt(7 / 6) * np.std(drawn, ddof=1)
@@ -126,14 +149,19 @@ def test_groups_widen_what_clusters() -> None:
 
 
 def test_one_group_has_no_interval() -> None:
-    result = bootstrap_alpha(make_table(missing=0.0), groups=["a"] * 14, draws=20, rng=np.random.default_rng(0))
+    result = bootstrap_alpha(
+        make_table(missing=0.0), groups=["a"] * 14, draws=20, rng=np.random.default_rng(0)
+    )
     assert math.isnan(result.low)
     assert math.isnan(result.high)
     assert result.notes[0].startswith("No interval: one group only")
 
 
 def test_groups_must_be_those_of_the_targets() -> None:
-    with pytest.raises(ValueError, match=r"groups: got shape \(3,\) for 14 targets, allowed is one group per target"):
+    with pytest.raises(
+        ValueError,
+        match=r"groups: got shape \(3,\) for 14 targets, allowed is one group per target",
+    ):
         bootstrap_alpha(make_table(), groups=["a", "b", "c"], rng=np.random.default_rng(0))
 
 
@@ -158,7 +186,11 @@ def test_one_odd_target_makes_too_many_draws_undefined() -> None:
 @pytest.mark.parametrize(
     ("table", "level", "message"),
     [
-        ([[1, 2]], "cardinal", "level: got 'cardinal', allowed is one of nominal, ordinal, interval, ratio"),
+        (
+            [[1, 2]],
+            "cardinal",
+            "level: got 'cardinal', allowed is one of nominal, ordinal, interval, ratio",
+        ),
         ([1, 2], "interval", r"table: got shape \(2,\), allowed is \(targets, raters\)"),
         ([[1, math.inf]], "interval", "table: got 1 infinite ratings; use NaN"),
         ([[1, -2]], "ratio", "table: got the negative rating -2.0 on a ratio scale"),

@@ -8,13 +8,16 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from analysis.agreement.reliability import noise_ceiling
-from analysis.association.ceiling import noise_ceiling_within
-from analysis.association.correlate import compare_metrics, correlate
-from analysis.findings import make_panel
-from analysis.resampling.bootstrap import METHODS, correlate_draws, draw_counts
-from analysis.resampling.draws import count_scarcest, draw_intervals
-from analysis.table.items import make_items
+from feel321.analysis.agreement.reliability import noise_ceiling, noise_ceiling_within
+from feel321.analysis.association.correlate import compare_metrics, correlate, make_panel
+from feel321.analysis.resampling import (
+    METHODS,
+    correlate_draws,
+    count_scarcest,
+    draw_counts,
+    draw_intervals,
+)
+from feel321.analysis.table.items import make_items
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,8 +31,15 @@ def rng(seed: int = 1) -> np.random.Generator:
 
 def item_means(table: pd.DataFrame) -> pd.DataFrame:
     tests = table[table["role"] == "test"]
-    cells = tests.groupby(["stimulus_id", "participant"])["rating"].mean().groupby("stimulus_id").mean()
-    return tests.drop_duplicates("stimulus_id").set_index("stimulus_id")[[SPECTRAL, TEMPORAL]].assign(mean=cells)
+    cells = (
+        tests.groupby(["stimulus_id", "participant"])["rating"].mean().groupby("stimulus_id").mean()
+    )
+    return (
+        tests
+        .drop_duplicates("stimulus_id")
+        .set_index("stimulus_id")[[SPECTRAL, TEMPORAL]]
+        .assign(mean=cells)
+    )
 
 
 @pytest.mark.parametrize(
@@ -42,13 +52,19 @@ def test_value_is_the_correlation_of_item_means(
     table = tidy()
     means = item_means(table)
     found = correlate(table, SPECTRAL, method=method, draws=20, rng=rng())
-    assert found.value == pytest.approx(reference(means[SPECTRAL], means["mean"]).statistic, abs=1e-12)
+    assert found.value == pytest.approx(
+        reference(means[SPECTRAL], means["mean"]).statistic, abs=1e-12
+    )
     assert (found.n_items, found.n_participants, found.n_recordings) == (36, 6, 4)
 
 
 @pytest.mark.parametrize(
     ("method", "reference"),
-    [("within", stats.pearsonr), ("within_spearman", stats.spearmanr), ("within_kendall", stats.kendalltau)],
+    [
+        ("within", stats.pearsonr),
+        ("within_spearman", stats.spearmanr),
+        ("within_kendall", stats.kendalltau),
+    ],
 )
 def test_within_is_the_average_over_recordings(
     tidy: Callable[..., pd.DataFrame], method: str, reference: Callable[..., object]
@@ -63,9 +79,13 @@ def test_within_is_the_average_over_recordings(
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("column", ["temporal_match", "spectral_match_sd"])
-def test_every_method_takes_any_column(tidy: Callable[..., pd.DataFrame], method: str, column: str) -> None:
+def test_every_method_takes_any_column(
+    tidy: Callable[..., pd.DataFrame], method: str, column: str
+) -> None:
     table = tidy()
-    table["spectral_match_sd"] = 0.1 - 0.05 * table[SPECTRAL]  # as the statistics over sensor orientations
+    table["spectral_match_sd"] = (
+        0.1 - 0.05 * table[SPECTRAL]
+    )  # as the statistics over sensor orientations
     found = correlate(table, column, method=method, draws=100, rng=rng())
     compared = compare_metrics(table, SPECTRAL, column, method=method, draws=100, rng=rng())
     assert compared.second_value == found.value
@@ -76,7 +96,10 @@ def test_every_method_takes_any_column(tidy: Callable[..., pd.DataFrame], method
 def test_what_lifts_whole_recordings_is_not_within() -> None:
     table = simulate(rng(3), people=8, scenes=6)
     plain = correlate(table, "metric", method="within", draws=100, rng=rng())
-    lifted = table.assign(rating=table["rating"] + 40 * table["recording"], metric=table["metric"] + table["recording"])
+    lifted = table.assign(
+        rating=table["rating"] + 40 * table["recording"],
+        metric=table["metric"] + table["recording"],
+    )
     shifted = correlate(lifted, "metric", method="within", draws=100, rng=rng())
     for name in ("value", "low", "high", "ceiling", "disattenuated"):
         assert getattr(shifted, name) == pytest.approx(getattr(plain, name))
@@ -102,9 +125,14 @@ def test_one_group_has_the_plain_ceiling() -> None:
 @pytest.mark.parametrize(
     ("change", "note"),
     [
-        (lambda table: table.assign(spectral_match=0.3), "No correlation within any of 4 recordings, where it takes"),
         (
-            lambda table: table[(table["recording"] != "rec0") | table["reducer"].isin(["dft321", "sax321"])],
+            lambda table: table.assign(spectral_match=0.3),
+            "No correlation within any of 4 recordings, where it takes",
+        ),
+        (
+            lambda table: table[
+                (table["recording"] != "rec0") | table["reducer"].isin(["dft321", "sax321"])
+            ],
             "1 of 4 recordings are left out where it takes three rated stimuli that differ",
         ),
         (
@@ -117,7 +145,10 @@ def test_one_group_has_the_plain_ceiling() -> None:
             ),
             "In 1 of 4 recordings the correlation with 'spectral_match' is perfect: Fisher's z is held.",
         ),
-        (lambda table: table.assign(rating=table["spectral_match"]), "No interval: the correlation with"),
+        (
+            lambda table: table.assign(rating=table["spectral_match"]),
+            "No interval: the correlation with",
+        ),
     ],
 )
 def test_within_says_what_it_rests_on(
@@ -132,27 +163,40 @@ def test_order_that_no_draw_changes_has_no_interval(tidy: Callable[..., pd.DataF
     table = tidy(noise=0)
     found = correlate(table, TEMPORAL, method="kendall", draws=50, rng=rng())
     assert math.isnan(found.participants_low)
-    assert "All 50 participants-only draws gave the same: no interval without spread." in found.notes
+    assert (
+        "All 50 participants-only draws gave the same: no interval without spread." in found.notes
+    )
 
 
 @pytest.mark.parametrize("block", [1, 7, 1000])
-def test_draws_in_blocks_are_as_many(tidy: Callable[..., pd.DataFrame], monkeypatch: Any, block: int) -> None:
-    monkeypatch.setattr("analysis.resampling.draws.BLOCK", 36 * block)
+def test_draws_in_blocks_are_as_many(
+    tidy: Callable[..., pd.DataFrame], monkeypatch: Any, block: int
+) -> None:
+    monkeypatch.setattr("feel321.analysis.resampling.BLOCK", 36 * block)
     found = correlate(tidy(noise=25), SPECTRAL, draws=100, rng=rng())
     assert found.draws == 100
     assert found.low < found.value < found.high
 
 
-def test_intervals_within_allow_for_the_lean_of_few_stimuli(tidy: Callable[..., pd.DataFrame]) -> None:
+def test_intervals_within_allow_for_the_lean_of_few_stimuli(
+    tidy: Callable[..., pd.DataFrame],
+) -> None:
     table = tidy(noise=25)
     groups = item_means(table).groupby(lambda name: name.split("_")[0])
-    leans = [stats.pearsonr(part[SPECTRAL], part["mean"]).statistic / (2 * (len(part) - 1)) for _, part in groups]
+    leans = [
+        stats.pearsonr(part[SPECTRAL], part["mean"]).statistic / (2 * (len(part) - 1))
+        for _, part in groups
+    ]
     found = correlate(table, SPECTRAL, method="within", draws=100, rng=rng())
     for low, high in ((found.low, found.high), (found.participants_low, found.participants_high)):
-        assert np.mean(np.arctanh([low, high])) == pytest.approx(math.atanh(found.value) - np.mean(leans))
+        assert np.mean(np.arctanh([low, high])) == pytest.approx(
+            math.atanh(found.value) - np.mean(leans)
+        )
     turned = table.assign(other=-table[SPECTRAL])
     compared = compare_metrics(turned, SPECTRAL, "other", method="within", draws=100, rng=rng())
-    assert (compared.z_low + compared.z_high) / 2 == pytest.approx(compared.z_value - 2 * np.mean(leans))
+    assert (compared.z_low + compared.z_high) / 2 == pytest.approx(
+        compared.z_value - 2 * np.mean(leans)
+    )
 
 
 @pytest.mark.soak
@@ -160,8 +204,12 @@ def test_interval_within_covers_a_planted_correlation() -> None:
     generator, studies, covered = rng(78), 400, 0
     for _ in range(studies):
         table = simulate(generator)
-        planted = table["rating"] + 8 * table["metric"]  # to noise of stimuli, SD 8, and of people, SD 8 / sqrt(12)
-        found = correlate(table.assign(rating=planted), "metric", method="within", draws=400, rng=generator)
+        planted = (
+            table["rating"] + 8 * table["metric"]
+        )  # to noise of stimuli, SD 8, and of people, SD 8 / sqrt(12)
+        found = correlate(
+            table.assign(rating=planted), "metric", method="within", draws=400, rng=generator
+        )
         covered += found.low <= 8 / math.sqrt(64 + 64 + 64 / 12) <= found.high
     assert 0.92 <= covered / studies <= 0.985
 
@@ -170,7 +218,10 @@ def test_interval_within_covers_a_planted_correlation() -> None:
 @pytest.mark.parametrize("method", METHODS)
 def test_two_way_intervals_cover_what_is_planted(method: str) -> None:
     generator, studies = rng(77), 400
-    found = [correlate(simulate(generator), "metric", method=method, draws=400, rng=generator) for _ in range(studies)]
+    found = [
+        correlate(simulate(generator), "metric", method=method, draws=400, rng=generator)
+        for _ in range(studies)
+    ]
     covered = sum(result.low <= 0 <= result.high for result in found)
     assert 0.92 <= covered / studies <= 0.985
 
@@ -190,12 +241,19 @@ def test_two_way_interval_is_wider_on_clustered_data(tidy: Callable[..., pd.Data
     assert found.high - found.low > 2 * (found.participants_high - found.participants_low)
 
 
-def simulate(generator: np.random.Generator, *, people: int = 12, scenes: int = 8, reducers: int = 6) -> pd.DataFrame:
+def simulate(
+    generator: np.random.Generator, *, people: int = 12, scenes: int = 8, reducers: int = 6
+) -> pd.DataFrame:
     """Make a study whose metric predicts nothing, though metric and ratings both cluster in recordings."""
     scene = np.repeat(np.arange(scenes), reducers)
     metric = generator.normal(size=scenes)[scene] + generator.normal(size=scene.size)
     item = generator.normal(size=scenes)[scene] * 8 + generator.normal(size=scene.size) * 8
-    rating = 50 + item + generator.normal(0, 5, (people, 1)) + generator.normal(0, 8, (people, scene.size))
+    rating = (
+        50
+        + item
+        + generator.normal(0, 5, (people, 1))
+        + generator.normal(0, 8, (people, scene.size))
+    )
     return pd.DataFrame({
         "participant": np.repeat(np.arange(people), scene.size),
         "recording": np.tile(scene, people),
@@ -207,7 +265,9 @@ def simulate(generator: np.random.Generator, *, people: int = 12, scenes: int = 
 
 def test_two_way_interval_covers_and_the_narrow_one_does_not() -> None:
     generator, studies = rng(2024), 60
-    found = [correlate(simulate(generator), "metric", draws=300, rng=generator) for _ in range(studies)]
+    found = [
+        correlate(simulate(generator), "metric", draws=300, rng=generator) for _ in range(studies)
+    ]
     two_way = sum(result.low <= 0 <= result.high for result in found)
     narrow = sum(result.participants_low <= 0 <= result.participants_high for result in found)
     # Binomial limits at 0.1 %: of 60 studies a true 95 % interval covers 50 or more; one of .60 covers 48 or fewer.
@@ -220,7 +280,9 @@ def test_the_interval_of_few_participants_covers_too() -> None:
     covered = 0
     for _ in range(studies):
         table = simulate(generator, people=3, scenes=10)
-        slope = generator.normal(0, 6, 3)[table["participant"]]  # people differ in what the metric means to them
+        slope = generator.normal(0, 6, 3)[
+            table["participant"]
+        ]  # people differ in what the metric means to them
         table["rating"] += slope * table["metric"]
         found = correlate(table, "metric", draws=200, rng=generator)
         covered += found.low <= 0 <= found.high
@@ -228,27 +290,40 @@ def test_the_interval_of_few_participants_covers_too() -> None:
 
 
 @pytest.mark.parametrize(("people", "scenes"), [(3, 6), (6, 3), (4, 4)])
-def test_intervals_are_rebuilt_from_the_draws(tidy: Callable[..., pd.DataFrame], people: int, scenes: int) -> None:
+def test_intervals_are_rebuilt_from_the_draws(
+    tidy: Callable[..., pd.DataFrame], people: int, scenes: int
+) -> None:
     table = tidy(participants=people, recordings=scenes)
     found = correlate(table, SPECTRAL, draws=200, rng=rng())
     same, items = rng(), make_items(table, [SPECTRAL])
     drawn = draw_counts(people, 200, rng=same), draw_counts(scenes, 200, rng=same)
     intervals = (found.low, found.high), (found.participants_low, found.participants_high)
     counted = (drawn[1], np.ones((200, scenes)))
-    for counts, units, interval in zip(counted, (min(people, scenes), people), intervals, strict=True):
-        z = np.arctanh(correlate_draws(items, "pearson", participants=drawn[0], recordings=counts)[0])
+    for counts, units, interval in zip(
+        counted, (min(people, scenes), people), intervals, strict=True
+    ):
+        z = np.arctanh(
+            correlate_draws(items, "pearson", participants=drawn[0], recordings=counts)[0]
+        )
         margin = stats.t.ppf(0.975, units - 1) * math.sqrt(units / (units - 1)) * z.std(ddof=1)
-        assert np.arctanh(interval) == pytest.approx(math.atanh(found.value) + margin * np.array([-1, 1]))
+        assert np.arctanh(interval) == pytest.approx(
+            math.atanh(found.value) + margin * np.array([-1, 1])
+        )
 
 
-def test_a_small_study_whose_draws_are_undefined_has_no_interval(tidy: Callable[..., pd.DataFrame]) -> None:
+def test_a_small_study_whose_draws_are_undefined_has_no_interval(
+    tidy: Callable[..., pd.DataFrame],
+) -> None:
     table = tidy(recordings=4)
     found = correlate(table[table["reducer"] == "dft321"], SPECTRAL, draws=400, rng=rng())
     assert math.isfinite(found.value)
     assert math.isnan(found.low)
     assert found.draws < 360
     left_out = f"{400 - found.draws} of 400 two-way draws gave no correlation"
-    assert any(note.startswith(left_out) and note.endswith("too many for an interval.") for note in found.notes)
+    assert any(
+        note.startswith(left_out) and note.endswith("too many for an interval.")
+        for note in found.notes
+    )
 
 
 def test_a_few_undefined_draws_are_counted(tidy: Callable[..., pd.DataFrame]) -> None:
@@ -257,9 +332,13 @@ def test_a_few_undefined_draws_are_counted(tidy: Callable[..., pd.DataFrame]) ->
     assert 1800 < found.draws < 2000
     assert math.isfinite(found.low)
     assert any(note.endswith("are left out.") for note in found.notes)
-    compared = compare_metrics(table[table["reducer"] == "dft321"], SPECTRAL, TEMPORAL, draws=2000, rng=rng())
+    compared = compare_metrics(
+        table[table["reducer"] == "dft321"], SPECTRAL, TEMPORAL, draws=2000, rng=rng()
+    )
     assert 1800 < compared.draws < 2000
-    assert any(note.startswith(f"{2000 - compared.draws} of 2000 two-way draws") for note in compared.notes)
+    assert any(
+        note.startswith(f"{2000 - compared.draws} of 2000 two-way draws") for note in compared.notes
+    )
 
 
 def test_a_perfect_line_has_no_interval(tidy: Callable[..., pd.DataFrame]) -> None:
@@ -290,7 +369,9 @@ def test_unit_of_ratings_and_order_of_rows_do_not_matter(tidy: Callable[..., pd.
     for seed in range(5):
         shuffled = table.sample(frac=1, random_state=seed)
         assert correlate(shuffled, SPECTRAL, draws=100, rng=rng()) == plain
-    scaled = correlate(table.assign(rating=table["rating"] * 0.07 - 3), SPECTRAL, draws=100, rng=rng())
+    scaled = correlate(
+        table.assign(rating=table["rating"] * 0.07 - 3), SPECTRAL, draws=100, rng=rng()
+    )
     for name in ("value", "low", "high", "ceiling", "disattenuated"):
         assert getattr(scaled, name) == pytest.approx(getattr(plain, name), abs=1e-10)
 
@@ -299,18 +380,26 @@ def test_ratings_turned_round_turn_the_sign(tidy: Callable[..., pd.DataFrame]) -
     table = tidy()
     plain = correlate(table, SPECTRAL, draws=100, rng=rng())
     turned = correlate(table.assign(rating=100 - table["rating"]), SPECTRAL, draws=100, rng=rng())
-    assert (turned.value, turned.low, turned.high) == pytest.approx((-plain.value, -plain.high, -plain.low))
+    assert (turned.value, turned.low, turned.high) == pytest.approx((
+        -plain.value,
+        -plain.high,
+        -plain.low,
+    ))
 
 
 def test_reference_and_anchors_do_not_count(tidy: Callable[..., pd.DataFrame]) -> None:
     table = tidy()
     tests = table[table["role"] == "test"]
-    assert correlate(table, SPECTRAL, draws=50, rng=rng()) == correlate(tests, SPECTRAL, draws=50, rng=rng())
+    assert correlate(table, SPECTRAL, draws=50, rng=rng()) == correlate(
+        tests, SPECTRAL, draws=50, rng=rng()
+    )
 
 
 def test_items_may_be_named_by_recording_and_reducer(tidy: Callable[..., pd.DataFrame]) -> None:
     table = tidy()
-    bare = table[table["role"] == "test"][["participant", "recording", "reducer", "rating", SPECTRAL]]
+    bare = table[table["role"] == "test"][
+        ["participant", "recording", "reducer", "rating", SPECTRAL]
+    ]
     assert correlate(bare, SPECTRAL, draws=50, rng=rng()).n_items == 36
 
 
@@ -338,13 +427,18 @@ def test_missing_cells_are_allowed_and_reported(tidy: Callable[..., pd.DataFrame
     found = correlate(table[~gone], SPECTRAL, draws=50, rng=rng())
     assert found.n_missing == 9
     assert found.notes[0] == "9 of 216 participant x stimulus cells hold no rating."
-    assert "27 stimuli that every participant rated, r on all 36; r / ceiling is left out." in found.notes[1]
+    assert (
+        "27 stimuli that every participant rated, r on all 36; r / ceiling is left out."
+        in found.notes[1]
+    )
     assert math.isfinite(found.ceiling)
     assert math.isnan(found.disattenuated)
     assert math.isfinite(found.low)
 
 
-def test_metrics_that_say_the_same_get_the_same_intervals(tidy: Callable[..., pd.DataFrame]) -> None:
+def test_metrics_that_say_the_same_get_the_same_intervals(
+    tidy: Callable[..., pd.DataFrame],
+) -> None:
     rows = tidy().query("role == 'test'").assign(again=lambda own: 2 * own[SPECTRAL] + 1)
     panel = make_panel(rows, (SPECTRAL, "again", TEMPORAL), draws=40, rng=rng())
     ends = {(one.metric, one.method): (one.low, one.high) for one in panel.associations}
@@ -366,7 +460,10 @@ def test_exactly_half_of_the_stimuli_make_a_ceiling(tidy: Callable[..., pd.DataF
     gone = (table["participant"] == "p00") & table["recording"].isin(["rec0", "rec1"])
     found = correlate(table[~gone], SPECTRAL, draws=50, rng=rng())
     assert math.isfinite(found.ceiling)
-    assert any("rests on the 18 stimuli that every participant rated, r on all 36" in note for note in found.notes)
+    assert any(
+        "rests on the 18 stimuli that every participant rated, r on all 36" in note
+        for note in found.notes
+    )
 
 
 def test_half_the_stimuli_make_no_ceiling(tidy: Callable[..., pd.DataFrame]) -> None:
@@ -377,7 +474,9 @@ def test_half_the_stimuli_make_no_ceiling(tidy: Callable[..., pd.DataFrame]) -> 
     assert "No noise ceiling: only 9 of 36 stimuli were rated by everyone." in found.notes
 
 
-def test_ranks_are_not_divided_by_the_ceiling_of_straight_relations(tidy: Callable[..., pd.DataFrame]) -> None:
+def test_ranks_are_not_divided_by_the_ceiling_of_straight_relations(
+    tidy: Callable[..., pd.DataFrame],
+) -> None:
     found = correlate(tidy(), SPECTRAL, method="spearman", draws=50, rng=rng())
     assert math.isfinite(found.ceiling)
     assert math.isnan(found.disattenuated)
@@ -418,7 +517,9 @@ def test_one_of_a_kind_is_a_stated_reduced_analysis(
         (SPECTRAL, "No correlation: 'spectral_match' is the same for every stimulus."),
     ],
 )
-def test_constants_have_no_correlation(tidy: Callable[..., pd.DataFrame], column: str, note: str) -> None:
+def test_constants_have_no_correlation(
+    tidy: Callable[..., pd.DataFrame], column: str, note: str
+) -> None:
     table = tidy().assign(**{column: 0.1})
     found = correlate(table, SPECTRAL, draws=20, rng=rng())
     assert math.isnan(found.value)
@@ -436,7 +537,9 @@ def test_contradicting_raters_leave_no_ceiling() -> None:
         }
     )  # fmt: skip
     found = correlate(table, "metric", draws=20, rng=rng())
-    assert "No noise ceiling: mean ratings do not differ between stimuli beyond noise." in found.notes
+    assert (
+        "No noise ceiling: mean ratings do not differ between stimuli beyond noise." in found.notes
+    )
 
 
 def test_two_items_are_no_correlation(tidy: Callable[..., pd.DataFrame]) -> None:
@@ -449,7 +552,9 @@ def test_two_items_are_no_correlation(tidy: Callable[..., pd.DataFrame]) -> None
 @pytest.mark.parametrize("method", ["pearson", "spearman"])
 def test_one_item_is_no_correlation(tidy: Callable[..., pd.DataFrame], method: str) -> None:
     table = tidy(recordings=1)
-    found = correlate(table[table["reducer"] == "dft321"], SPECTRAL, method=method, draws=20, rng=rng())
+    found = correlate(
+        table[table["reducer"] == "dft321"], SPECTRAL, method=method, draws=20, rng=rng()
+    )
     assert math.isnan(found.value)
     assert "No correlation: it needs 3 test stimuli, got 1." in found.notes
 
@@ -463,7 +568,11 @@ def test_difference_is_told_in_both_units(tidy: Callable[..., pd.DataFrame]) -> 
     assert (found.first_value, found.second_value) == pytest.approx((one, two))
     assert found.z_value == pytest.approx(math.atanh(one) - math.atanh(two))
     assert np.sign(found.low) == np.sign(found.z_low)
-    assert (turned.value, turned.low, turned.high) == pytest.approx((-found.value, -found.high, -found.low))
+    assert (turned.value, turned.low, turned.high) == pytest.approx((
+        -found.value,
+        -found.high,
+        -found.low,
+    ))
 
 
 @pytest.mark.parametrize(
@@ -474,7 +583,9 @@ def test_difference_is_told_in_both_units(tidy: Callable[..., pd.DataFrame]) -> 
         ({"metric": "loudness"}, "column loudness is missing; got participant, .*"),
     ],
 )
-def test_requests_not_met(tidy: Callable[..., pd.DataFrame], change: dict[str, object], message: str) -> None:
+def test_requests_not_met(
+    tidy: Callable[..., pd.DataFrame], change: dict[str, object], message: str
+) -> None:
     request = {"metric": SPECTRAL, "draws": 5, **change}
     with pytest.raises(ValueError, match=message):
         correlate(tidy(), rng=rng(), **request)
@@ -510,6 +621,8 @@ def spoil(table: pd.DataFrame, what: str) -> pd.DataFrame:
         ("columns", "column reducer is missing"),
     ],
 )
-def test_tables_that_cannot_be_used(tidy: Callable[..., pd.DataFrame], what: str, message: str) -> None:
+def test_tables_that_cannot_be_used(
+    tidy: Callable[..., pd.DataFrame], what: str, message: str
+) -> None:
     with pytest.raises(ValueError, match=message):
         correlate(spoil(tidy(), what), SPECTRAL, draws=5, rng=rng())

@@ -8,57 +8,83 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.mixed.balanced import Balanced, find_frame
-from analysis.mixed.design import build_design
-from analysis.mixed.inference import estimate_sum, find_uncertainty
-from analysis.mixed.optimum import find_optimum
-from analysis.mixed.profile import Profile
-from analysis.mixed.slope import find_slope
-from analysis.mixed.solution import find_coefficients, find_sigma
+from feel321.analysis.mixed.design import build_design
+from feel321.analysis.mixed.model import estimate_sum, find_uncertainty
+from feel321.analysis.mixed.optimum import Balanced, find_frame, find_optimum, find_slope
+from feel321.analysis.mixed.profile import Profile, find_coefficients, find_sigma
 
 if TYPE_CHECKING:
-    from analysis.mixed.design import Design
-    from analysis.mixed.inference import Estimate
+    from feel321.analysis.mixed.design import Design
+    from feel321.analysis.mixed.model import Estimate
 
 GROUPS = (
     "(1 + a + b || who) + (1 | scene) + (1 | item) + (1 | who:scene) + (1 | kind) + (1 | who:kind)"
-)  # fmt: skip
+)
 FULL = f"y ~ a + b + c + {GROUPS}"
 
 
-def make_study(seed: int, *, people: int = 7, scenes: int = 4, kinds: int = 4, spread: float = 1.0) -> pd.DataFrame:
+def make_study(
+    seed: int, *, people: int = 7, scenes: int = 4, kinds: int = 4, spread: float = 1.0
+) -> pd.DataFrame:
     """Ratings of a crossed study; with a spread of 0, most variances are estimated as zero."""
     rng = np.random.default_rng(seed)
     who, scene, kind = (axis.ravel() for axis in np.indices((people, scenes, kinds)))
     item = scene * kinds + kind
     a, b = rng.normal(size=(2, scenes * kinds))
     y = 50 + 2 * a[item] + rng.normal(0, 4, len(who))
-    for group, sd in ((who, 5), (scene, 3), (item, 2), (kind, 3), (who * scenes + scene, 2), (who * kinds + kind, 2)):
+    for group, sd in (
+        (who, 5),
+        (scene, 3),
+        (item, 2),
+        (kind, 3),
+        (who * scenes + scene, 2),
+        (who * kinds + kind, 2),
+    ):
         y = y + spread * sd * rng.normal(size=group.max() + 1)[group]
     y += spread * rng.normal(0, 2, people)[who] * a[item]
-    table = pd.DataFrame({"who": who, "scene": scene, "kind": kind, "item": item, "a": a[item], "b": b[item], "y": y})
+    table = pd.DataFrame({
+        "who": who,
+        "scene": scene,
+        "kind": kind,
+        "item": item,
+        "a": a[item],
+        "b": b[item],
+        "y": y,
+    })
     return table.assign(c=rng.normal(size=scenes)[scene])
 
 
-def pair_engines(design: Design, *, reml: bool = True, penalty: tuple[str, ...] = ()) -> tuple[Profile, Balanced]:
+def pair_engines(
+    design: Design, *, reml: bool = True, penalty: tuple[str, ...] = ()
+) -> tuple[Profile, Balanced]:
     frame = find_frame(design)
     assert frame is not None
-    return Profile(design, reml=reml, penalty=penalty), Balanced(design, frame, reml=reml, penalty=penalty)
+    return Profile(design, reml=reml, penalty=penalty), Balanced(
+        design, frame, reml=reml, penalty=penalty
+    )
 
 
 @pytest.mark.parametrize("reml", [True, False])
-@pytest.mark.parametrize("formula", [FULL, f"y ~ {GROUPS}", "y ~ a + (1 | who)", "y ~ a + (1 | who) + (1 | item)"])
+@pytest.mark.parametrize(
+    "formula", [FULL, f"y ~ {GROUPS}", "y ~ a + (1 | who)", "y ~ a + (1 | who) + (1 | item)"]
+)
 def test_same_deviance_and_slope_at_any_spreads(formula: str, *, reml: bool) -> None:
     full, quick = pair_engines(build_design(formula, make_study(1)), reml=reml)
     rng = np.random.default_rng(2)
     for theta in rng.uniform(0, 2, (4, full.n_theta)):
         one, two = full.evaluate(theta), quick.evaluate(theta)
         assert quick.deviance(two) == pytest.approx(full.deviance(one), rel=1e-10)
-        assert (two.log_random, two.log_fixed) == pytest.approx((one.log_random, one.log_fixed), rel=1e-9, abs=1e-9)
+        assert (two.log_random, two.log_fixed) == pytest.approx(
+            (one.log_random, one.log_fixed), rel=1e-9, abs=1e-9
+        )
         assert two.rss == pytest.approx(one.rss, rel=1e-9)
         for weight in (None, 55.0):
-            assert find_slope(quick, two, weight) == pytest.approx(find_slope(full, one, weight), rel=1e-7, abs=1e-7)
-        for ours, theirs in zip(find_coefficients(quick, two), find_coefficients(full, one), strict=True):
+            assert find_slope(quick, two, weight) == pytest.approx(
+                find_slope(full, one, weight), rel=1e-7, abs=1e-7
+            )
+        for ours, theirs in zip(
+            find_coefficients(quick, two), find_coefficients(full, one), strict=True
+        ):
             assert ours == pytest.approx(theirs, rel=1e-8, abs=1e-10)
 
 
@@ -71,7 +97,9 @@ def fit_terms(engine: Profile) -> tuple[float, float, list[Estimate]]:
 
 @pytest.mark.parametrize("penalty", [(), ("kind",)])
 @pytest.mark.parametrize(("seed", "spread"), [(1, 1.0), (2, 1.0), (3, 0.3), (4, 0.0), (5, 0.0)])
-def test_same_fit_on_regular_and_singular_studies(seed: int, spread: float, penalty: tuple[str, ...]) -> None:
+def test_same_fit_on_regular_and_singular_studies(
+    seed: int, spread: float, penalty: tuple[str, ...]
+) -> None:
     full, quick = pair_engines(build_design(FULL, make_study(seed, spread=spread)), penalty=penalty)
     (criterion, sigma, terms), (found, residual, others) = fit_terms(full), fit_terms(quick)
     assert found == pytest.approx(criterion, abs=1e-5)
@@ -96,16 +124,25 @@ def test_order_of_rows_is_found_whatever_it_was() -> None:
     mixed = data.sample(frac=1, random_state=1)
     (full, _), (_, quick) = (pair_engines(build_design(FULL, table)) for table in (data, mixed))
     theta = np.linspace(0.2, 1.2, full.n_theta)
-    assert quick.deviance(quick.evaluate(theta)) == pytest.approx(full.deviance(full.evaluate(theta)), rel=1e-10)
+    assert quick.deviance(quick.evaluate(theta)) == pytest.approx(
+        full.deviance(full.evaluate(theta)), rel=1e-10
+    )
 
 
 def test_designs_that_are_not_balanced_have_no_frame() -> None:
     data = make_study(1)
     own = data.assign(a=data["a"] + 0.1 * data["who"])
     for formula, table in (
-        (FULL, data.iloc[1:]), (FULL, own), (FULL.replace("||", "|"), data),
-        (FULL, data.assign(kind=np.where(data["who"] == 0, data["kind"].to_numpy()[::-1], data["kind"]))),
-    ):  # fmt: skip
+        (FULL, data.iloc[1:]),
+        (FULL, own),
+        (FULL.replace("||", "|"), data),
+        (
+            FULL,
+            data.assign(
+                kind=np.where(data["who"] == 0, data["kind"].to_numpy()[::-1], data["kind"])
+            ),
+        ),
+    ):
         assert find_frame(build_design(formula, table)) is None
 
 
@@ -125,7 +162,10 @@ def test_penalised_spread_is_never_zero_and_vanishes_in_the_mass() -> None:
     rise = (find_target(best.theta + step) - find_target(best.theta - step)) / 2e-5
     assert rise == pytest.approx(0, abs=1e-2)
     many = make_study(6, people=5, scenes=3, kinds=40)
-    plain, held = (find_optimum(pair_engines(build_design(FULL, many), penalty=which)[1]) for which in ((), ("kind",)))
+    plain, held = (
+        find_optimum(pair_engines(build_design(FULL, many), penalty=which)[1])
+        for which in ((), ("kind",))
+    )
     assert held.theta[place] == pytest.approx(plain.theta[place], rel=0.05)
 
 
@@ -137,16 +177,27 @@ def test_spreads_are_known_as_well_as_the_curvature_of_what_was_minimised_says()
 
     def find_target(point: np.ndarray) -> float:
         state, log_s = quick.evaluate(point[:-1]), point[-1]
-        deviance = state.log_random + state.log_fixed + quick.freedom * (np.log(2 * np.pi) + 2 * log_s)
+        deviance = (
+            state.log_random + state.log_fixed + quick.freedom * (np.log(2 * np.pi) + 2 * log_s)
+        )
         spread = float(np.log(np.abs(point[:-1][quick.penalised])).sum()) + log_s
         return float(deviance + state.rss / np.exp(2 * log_s) - 2 * spread)
 
     places = [*free, size]
     steps = 1e-3 * np.eye(size + 1)[places]
     hessian = [
-        [(find_target(start + a + b) - find_target(start + a - b) - find_target(start - a + b)
-          + find_target(start - a - b)) / 4e-6 for a in steps] for b in steps
-    ]  # fmt: skip
+        [
+            (
+                find_target(start + a + b)
+                - find_target(start + a - b)
+                - find_target(start - a + b)
+                + find_target(start - a - b)
+            )
+            / 4e-6
+            for a in steps
+        ]
+        for b in steps
+    ]
     unit = np.append(np.maximum(best.theta, 1), 1)[places]
     wanted = 2 * np.linalg.inv(np.array(hessian) * np.outer(unit, unit))
     known = find_uncertainty(quick, best).parameters[np.ix_(places, places)]
@@ -155,7 +206,10 @@ def test_spreads_are_known_as_well_as_the_curvature_of_what_was_minimised_says()
 
 @pytest.mark.parametrize(
     ("penalty", "formula", "message"),
-    [(["kin"], FULL, "got 'kin', allowed are the formula's groups: "), (["who"], "y ~ a + (a | who)", "correlated")],
+    [
+        (["kin"], FULL, "got 'kin', allowed are the formula's groups: "),
+        (["who"], "y ~ a + (a | who)", "correlated"),
+    ],
 )
 def test_penalties_refused(penalty: list[str], formula: str, message: str) -> None:
     with pytest.raises(ValueError, match=message):

@@ -8,19 +8,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from analysis.resampling.bootstrap import (
+from feel321.analysis.resampling import (
     METHODS,
     average_recordings,
     bootstrap_margin,
     correlate_draws,
     draw_counts,
     fisher_z,
+    weighted_kendall,
     weighted_pearson,
     weighted_ranks,
     weighted_spearman,
 )
-from analysis.resampling.concordance import weighted_kendall
-from analysis.table.items import Items
+from feel321.analysis.table.items import Items
 
 REFERENCE = {"pearson": stats.pearsonr, "spearman": stats.spearmanr, "kendall": stats.kendalltau}
 WITHIN = {"within": "pearson", "within_spearman": "spearman", "within_kendall": "kendall"}
@@ -33,7 +33,9 @@ def make_items(rng: np.random.Generator, *, missing: float = 0.0) -> Items:
     return Items(tuple(map(str, range(12))), ratings, metrics, np.repeat(np.arange(4), 3))
 
 
-def correlate_slowly(items: Items, method: str, people: np.ndarray, scenes: np.ndarray) -> np.ndarray:
+def correlate_slowly(
+    items: Items, method: str, people: np.ndarray, scenes: np.ndarray
+) -> np.ndarray:
     """Write every drawn participant and item out, then ask scipy."""
     drawn_people = np.repeat(np.arange(len(people)), people.astype(int))
     means = {}
@@ -59,7 +61,9 @@ def test_draws_equal_a_loop_over_the_written_out_samples(method: str, missing: f
     items = make_items(rng, missing=missing)
     people, scenes = draw_counts(5, 60, rng=rng), draw_counts(4, 60, rng=rng)
     fast = correlate_draws(items, method, participants=people, recordings=scenes)
-    slow = np.array([correlate_slowly(items, method, *pair) for pair in zip(people, scenes, strict=True)]).T
+    slow = np.array([
+        correlate_slowly(items, method, *pair) for pair in zip(people, scenes, strict=True)
+    ]).T
     np.testing.assert_allclose(fast, slow, rtol=0, atol=1e-12)
 
 
@@ -76,7 +80,9 @@ def test_weights_mean_repetition(seed: int) -> None:
     np.testing.assert_array_equal(ranks, stats.rankdata(many_x))
     for name, reference in REFERENCE.items():
         expected = reference(many_x, many_y).statistic
-        assert METHODS[name].correlation(x, y, weights=weights.astype(float)) == pytest.approx(expected, abs=1e-12)
+        assert METHODS[name].correlation(x, y, weights=weights.astype(float)) == pytest.approx(
+            expected, abs=1e-12
+        )
 
 
 @given(seed=st.integers(0, 10_000))
@@ -142,7 +148,9 @@ def test_draws_of_fewer_than_three_stimuli_are_undefined(method: str) -> None:
 @pytest.mark.parametrize("method", METHODS)
 def test_one_item_has_no_correlation(method: str) -> None:
     items = Items(("a",), np.ones((3, 1)), np.ones((1, 1)), np.zeros(1, int))
-    assert np.isnan(correlate_draws(items, method, participants=np.ones((1, 3)), recordings=np.ones((1, 1)))).all()
+    assert np.isnan(
+        correlate_draws(items, method, participants=np.ones((1, 3)), recordings=np.ones((1, 1)))
+    ).all()
 
 
 @pytest.mark.parametrize("scale", [1e200, 1e-200])
@@ -153,7 +161,9 @@ def test_huge_and_tiny_values_neither_overflow_nor_vanish(scale: float) -> None:
     assert np.isfinite(weighted_pearson(np.array([-1e200, 0.3, 0.7, 0.2]), y, weights=weights))
 
 
-def correlate_within_slowly(items: Items, method: str, people: np.ndarray, scenes: np.ndarray) -> float:
+def correlate_within_slowly(
+    items: Items, method: str, people: np.ndarray, scenes: np.ndarray
+) -> float:
     """Average Fisher's z of scipy's correlations, recording by recording, none of them perfect."""
     drawn = np.repeat(items.ratings, people.astype(int), axis=0)
     z = []
@@ -168,11 +178,16 @@ def correlate_within_slowly(items: Items, method: str, people: np.ndarray, scene
 def test_within_averages_the_recordings_over_fishers_z(method: str) -> None:
     rng = np.random.default_rng(5)
     items = Items(
-        tuple(map(str, range(60))), rng.normal(size=(6, 60)), rng.normal(size=(1, 60)), np.repeat([0, 1, 2], 20)
+        tuple(map(str, range(60))),
+        rng.normal(size=(6, 60)),
+        rng.normal(size=(1, 60)),
+        np.repeat([0, 1, 2], 20),
     )
     people, scenes = draw_counts(6, 40, rng=rng), draw_counts(3, 40, rng=rng)
     fast = correlate_draws(items, method, participants=people, recordings=scenes)[0]
-    slow = [correlate_within_slowly(items, method, *pair) for pair in zip(people, scenes, strict=True)]
+    slow = [
+        correlate_within_slowly(items, method, *pair) for pair in zip(people, scenes, strict=True)
+    ]
     np.testing.assert_allclose(fast, slow, rtol=0, atol=1e-12)
 
 
@@ -190,26 +205,46 @@ def test_within_averages_the_recordings_over_fishers_z(method: str) -> None:
         ([0.5, np.nan], [0, 2], math.nan),
     ],
 )
-def test_average_of_recordings(correlations: list[float], counts: list[float], expected: float) -> None:
-    found = average_recordings(np.array([correlations]), np.full((1, 2), 4.0), counts=np.array([counts], float))
+def test_average_of_recordings(
+    correlations: list[float], counts: list[float], expected: float
+) -> None:
+    found = average_recordings(
+        np.array([correlations]), np.full((1, 2), 4.0), counts=np.array([counts], float)
+    )
     assert found == pytest.approx(np.array([expected]), nan_ok=True)
 
 
-weighted_items = st.lists(st.tuples(st.integers(0, 5), st.integers(0, 5), st.integers(0, 3)), min_size=2, max_size=25)
+weighted_items = st.lists(
+    st.tuples(st.integers(0, 5), st.integers(0, 5), st.integers(0, 3)), min_size=2, max_size=25
+)
 
 
 @given(weighted_items)
-def test_weighted_kendall_is_scipys_of_the_written_out_sample(items: list[tuple[int, int, int]]) -> None:
+def test_weighted_kendall_is_scipys_of_the_written_out_sample(
+    items: list[tuple[int, int, int]],
+) -> None:
     x, y, weights = np.array(items, float).T
     counts = weights.astype(int)
-    expected = stats.kendalltau(np.repeat(x, counts), np.repeat(y, counts)).statistic if counts.sum() > 1 else math.nan
-    assert weighted_kendall(x, y, weights=weights) == pytest.approx(expected, nan_ok=True, abs=1e-12)
+    expected = (
+        stats.kendalltau(np.repeat(x, counts), np.repeat(y, counts)).statistic
+        if counts.sum() > 1
+        else math.nan
+    )
+    assert weighted_kendall(x, y, weights=weights) == pytest.approx(
+        expected, nan_ok=True, abs=1e-12
+    )
 
 
 @pytest.mark.parametrize("method", ["spearman", "kendall"])
 def test_means_apart_by_rounding_only_are_ties(method: str) -> None:
-    ratings = np.array([[0.1, 0.2, 0.3, 0.7], [0.2, 0.1, 0.0, 0.1], [0.3, 0.3, 0.3, 0.4]])  # 0.6, 0.6, 0.6, 1.2
-    assert len(set(ratings.sum(axis=0).tolist())) > 2  # the sums of the first three differ in the last digit
+    ratings = np.array([
+        [0.1, 0.2, 0.3, 0.7],
+        [0.2, 0.1, 0.0, 0.1],
+        [0.3, 0.3, 0.3, 0.4],
+    ])  # 0.6, 0.6, 0.6, 1.2
+    assert (
+        len(set(ratings.sum(axis=0).tolist())) > 2
+    )  # the sums of the first three differ in the last digit
     items = Items(tuple("abcd"), ratings, np.array([[1.0, 2, 3, 4]]), np.zeros(4, int))
     found = correlate_draws(items, method, participants=np.ones((1, 3)), recordings=np.ones((1, 1)))
     assert found[0, 0] == pytest.approx(REFERENCE[method]([1, 2, 3, 4], [1, 1, 1, 2]).statistic)

@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.contrasts.bradley_terry import bradley_terry, bradley_terry_by_rater
-from analysis.contrasts.duels import count_duels
+from feel321.analysis.contrasts.bradley_terry import bradley_terry, bradley_terry_by_rater
+from feel321.analysis.contrasts.duels import count_duels
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -62,16 +62,21 @@ def read_baseball() -> pd.DataFrame:
     ("home", "fit", "expected"),
     [
         (
-            False, (44.0534612286, 36, -64.2593004953),
+            False,
+            (44.0534612286, 36, -64.2593004953),
             {"Boston": (1.107697705, 0.333877908), "Detroit": (1.436408432, 0.339568187)},
         ),
         (
-            True, (38.642852144, 35, -61.553995953),
-            {"Boston": (1.143802653, 0.337842189), "Milwaukee": (1.619554994, 0.347365306),
-             "order": (0.302260656, 0.130943643)},
+            True,
+            (38.642852144, 35, -61.553995953),
+            {
+                "Boston": (1.143802653, 0.337842189),
+                "Milwaukee": (1.619554994, 0.347365306),
+                "order": (0.302260656, 0.130943643),
+            },
         ),
     ],
-)  # fmt: skip
+)
 def test_baseball_with_and_without_the_advantage_of_home(
     home: bool, fit: tuple[float, ...], expected: dict[str, tuple[float, float]]
 ) -> None:
@@ -91,7 +96,8 @@ def test_forms_without_an_order_say_the_same() -> None:
     square = pd.crosstab(outcomes["winner"], outcomes["loser"])
     plain = bradley_terry(trials).fixed
     met = counts(*[
-        (one, two, square.loc[one, two], square.loc[two, one]) for one, two in itertools.combinations("abcd", 2)
+        (one, two, square.loc[one, two], square.loc[two, one])
+        for one, two in itertools.combinations("abcd", 2)
     ])
     deviance = bradley_terry(met).deviance
     for form in (outcomes, square, square.astype(float).mask(square == 0)):
@@ -136,7 +142,9 @@ def test_leaving_the_order_effect_out_leaves_balanced_abilities() -> None:
     without, within = bradley_terry(trials), bradley_terry(trials, order_effect=True)
     assert without.deviance > within.deviance + 50
     assert without.df == within.df + 1
-    assert without.fixed.loc["c", "estimate"] == pytest.approx(within.fixed.loc["c", "estimate"], rel=0.25)
+    assert without.fixed.loc["c", "estimate"] == pytest.approx(
+        within.fixed.loc["c", "estimate"], rel=0.25
+    )
 
 
 def test_the_reference_shifts_all_abilities_alike() -> None:
@@ -170,8 +178,14 @@ def test_swapping_a_row_changes_nothing_without_order() -> None:
 
 @pytest.mark.parametrize("tie", ["tie", None])
 def test_ties_are_refused_or_count_half(tie: str | None) -> None:
-    trials = pd.DataFrame({"first": ["a"] * 6, "second": ["b"] * 6, "winner": ["a", "a", "a", "b", tie, tie]})
-    with pytest.raises(ValueError, match="pairs: got 2 ties; leave them out, or count them with ties='half'"):
+    trials = pd.DataFrame({
+        "first": ["a"] * 6,
+        "second": ["b"] * 6,
+        "winner": ["a", "a", "a", "b", tie, tie],
+    })
+    with pytest.raises(
+        ValueError, match="pairs: got 2 ties; leave them out, or count them with ties='half'"
+    ):
         bradley_terry(trials)
     result = bradley_terry(trials, ties="half")
     assert result.fixed.loc["b", "estimate"] == pytest.approx(-math.log(4 / 2))
@@ -181,12 +195,15 @@ def test_ties_are_refused_or_count_half(tie: str | None) -> None:
 @pytest.mark.parametrize(
     ("rows", "message"),
     [
-        ([("a", "b", 5, 0), ("b", "c", 3, 2)], "separation, 'a' always won against all others.*use prior=0.5"),
         (
-            [("a", "b", 5, 2), ("b", "c", 3, 0), ("a", "c", 4, 0)],
-            "separation, 'c' always lost",
+            [("a", "b", 5, 0), ("b", "c", 3, 2)],
+            "separation, 'a' always won against all others.*use prior=0.5",
         ),
-        ([("a", "b", 5, 2), ("c", "d", 3, 1)], "'a' and 'b' never compared with 'c' and 'd', even through others"),
+        ([("a", "b", 5, 2), ("b", "c", 3, 0), ("a", "c", 4, 0)], "separation, 'c' always lost"),
+        (
+            [("a", "b", 5, 2), ("c", "d", 3, 1)],
+            "'a' and 'b' never compared with 'c' and 'd', even through others",
+        ),
     ],
 )
 def test_separation_is_named(rows: list[tuple[object, ...]], message: str) -> None:
@@ -209,7 +226,9 @@ def test_a_chain_of_close_pairs_reaches_far() -> None:
     steps = -math.log(19) * np.arange(9)
     assert result.fixed["estimate"].to_numpy() == pytest.approx(steps, abs=1e-6)
     # Independent pairs: variances add along the chain.
-    assert result.fixed["se"].to_numpy() == pytest.approx(np.sqrt(np.arange(9) * (1 / 19 + 1)), rel=1e-6)
+    assert result.fixed["se"].to_numpy() == pytest.approx(
+        np.sqrt(np.arange(9) * (1 / 19 + 1)), rel=1e-6
+    )
 
 
 def test_draws_in_which_an_item_met_nobody_have_no_estimate() -> None:
@@ -228,7 +247,9 @@ def test_raters_who_are_all_alike_tell_nothing_of_others() -> None:
     rows = [(who, "a", "b", winner) for who in "xyz" for winner in "aab"]
     trials = pd.DataFrame(rows, columns=["participant", "first", "second", "winner"])
     notes = bradley_terry_by_rater(trials, draws=50, rng=np.random.default_rng(0)).notes
-    assert notes == ("No interval: all draws gave the same, so that nothing tells how raters differ.",)
+    assert notes == (
+        "No interval: all draws gave the same, so that nothing tells how raters differ.",
+    )
 
 
 def test_an_order_that_always_decides_is_separation() -> None:
@@ -247,15 +268,27 @@ def test_an_order_that_never_varies_cannot_be_told() -> None:
     ("table", "message"),
     [
         (counts(), "pairs: got no row"),
-        (pd.DataFrame({"a": ["x"], "b": ["y"]}), "pairs: got columns a, b; allowed is first, second, winner, or two"),
-        (pd.DataFrame({"first": ["x"], "winner": ["x"]}), "pairs: column second is missing; trials need"),
+        (
+            pd.DataFrame({"a": ["x"], "b": ["y"]}),
+            "pairs: got columns a, b; allowed is first, second, winner, or two",
+        ),
+        (
+            pd.DataFrame({"first": ["x"], "winner": ["x"]}),
+            "pairs: column second is missing; trials need",
+        ),
         (counts(("a", None, 1, 2)), "pairs: got 1 rows without a name in column 'two'"),
         (counts(("a", "b", -1, 2)), "pairs: got a count of wins that is negative or not finite"),
         (counts(("a", "b", "many", 2)), "pairs: got text in columns wins_one and wins_two"),
         (counts(("a", "b", 0, 0)), "pairs: got no win in any row"),
-        (pd.DataFrame([[1, 2], [3, 0]], index=["a", "b"], columns=["a", "b"]), "pairs: got a square table"),
+        (
+            pd.DataFrame([[1, 2], [3, 0]], index=["a", "b"], columns=["a", "b"]),
+            "pairs: got a square table",
+        ),
         (counts(("a", "a", 1, 2)), "pairs: got 'a' against itself"),
-        (pd.DataFrame({"first": ["x"], "second": ["y"], "winner": ["z"]}), "pairs: got the winner 'z'"),
+        (
+            pd.DataFrame({"first": ["x"], "second": ["y"], "winner": ["z"]}),
+            "pairs: got the winner 'z'",
+        ),
     ],
 )
 def test_bad_tables_are_refused_in_words(table: pd.DataFrame, message: str) -> None:
@@ -281,20 +314,27 @@ def test_raters_alike_give_walds_errors_and_raters_unlike_give_larger() -> None:
     alike = bradley_terry_by_rater(make_trials(raters=40), draws=400, rng=rng).fixed
     wald = bradley_terry(make_trials(raters=40)).fixed
     assert alike["estimate"].to_numpy() == pytest.approx(wald["estimate"].to_numpy())
-    assert alike.loc["b":, "se"].to_numpy() == pytest.approx(wald.loc["b":, "se"].to_numpy(), rel=0.35)
+    assert alike.loc["b":, "se"].to_numpy() == pytest.approx(
+        wald.loc["b":, "se"].to_numpy(), rel=0.35
+    )
     unlike = make_trials(raters=40, spread=1.0)
-    assert (bradley_terry_by_rater(unlike, draws=400, rng=rng).fixed["se"] / bradley_terry(unlike).fixed["se"])[
-        "d"
-    ] > 1.5
+    assert (
+        bradley_terry_by_rater(unlike, draws=400, rng=rng).fixed["se"]
+        / bradley_terry(unlike).fixed["se"]
+    )["d"] > 1.5
 
 
 def test_a_draw_is_a_fit_of_the_raters_drawn() -> None:
     trials = make_trials(raters=5, rounds=6, order=0.3)
-    result = bradley_terry_by_rater(trials, order_effect=True, reference="b", draws=40, rng=np.random.default_rng(3))
+    result = bradley_terry_by_rater(
+        trials, order_effect=True, reference="b", draws=40, rng=np.random.default_rng(3)
+    )
     weights = np.random.default_rng(3).multinomial(5, np.full(5, 0.2), size=40)
     drawn = []
     for row in weights:
-        rows = pd.concat([trials[trials["participant"] == f"p{rater}"] for rater in np.repeat(np.arange(5), row)])
+        rows = pd.concat([
+            trials[trials["participant"] == f"p{rater}"] for rater in np.repeat(np.arange(5), row)
+        ])
         drawn.append(bradley_terry(rows, reference="b", order_effect=True).fixed["estimate"])
     expected = pd.DataFrame(drawn).std(ddof=1) * math.sqrt(5 / 4)
     assert result.fixed["se"].to_numpy() == pytest.approx(expected.to_numpy(), abs=1e-6)
@@ -302,7 +342,12 @@ def test_a_draw_is_a_fit_of_the_raters_drawn() -> None:
 
 
 def test_draws_without_an_estimate_are_counted() -> None:
-    one_sided = [("p0", "a", "b", "a"), ("p1", "a", "b", "a"), ("p2", "a", "b", "a"), ("p2", "a", "b", "b")]
+    one_sided = [
+        ("p0", "a", "b", "a"),
+        ("p1", "a", "b", "a"),
+        ("p2", "a", "b", "a"),
+        ("p2", "a", "b", "b"),
+    ]
     trials = pd.DataFrame(one_sided, columns=["participant", "first", "second", "winner"])
     result = bradley_terry_by_rater(trials, draws=300, rng=np.random.default_rng(0))
     assert math.isnan(result.fixed.loc["b", "low"])
@@ -319,20 +364,28 @@ def test_draws_without_an_estimate_are_counted() -> None:
         ({}, {"draws": 1}, "draws: got 1, allowed is 2 or more"),
     ],
 )
-def test_bad_raters_are_refused(change: dict[str, object], options: dict[str, object], message: str) -> None:
+def test_bad_raters_are_refused(
+    change: dict[str, object], options: dict[str, object], message: str
+) -> None:
     with pytest.raises(ValueError, match=message):
-        bradley_terry_by_rater(make_trials().assign(**change), rng=np.random.default_rng(0), **options)
+        bradley_terry_by_rater(
+            make_trials().assign(**change), rng=np.random.default_rng(0), **options
+        )
 
 
 @pytest.mark.soak
 def test_intervals_over_raters_cover_and_walds_do_not() -> None:
     # Averaged over raters who differ, log odds are smaller than a single rater's: the truth is that of a large panel.
-    truth = bradley_terry(make_trials(10_000, raters=3000, rounds=2, spread=0.7)).fixed.loc["c", "estimate"]
+    truth = bradley_terry(make_trials(10_000, raters=3000, rounds=2, spread=0.7)).fixed.loc[
+        "c", "estimate"
+    ]
     covered = []
     for seed in range(400):
         trials = make_trials(seed, raters=15, rounds=2, spread=0.7)
         rows = [
-            bradley_terry_by_rater(trials, draws=300, rng=np.random.default_rng(seed)).fixed.loc["c"],
+            bradley_terry_by_rater(trials, draws=300, rng=np.random.default_rng(seed)).fixed.loc[
+                "c"
+            ],
             bradley_terry(trials).fixed.loc["c"],
         ]
         covered.append([row["low"] <= truth <= row["high"] for row in rows])

@@ -14,8 +14,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.mixed import profile
-from analysis.mixed.model import fit_mixed
+from feel321.analysis.mixed import profile
+from feel321.analysis.mixed.model import fit_mixed
 
 HERE = Path(__file__).parent
 FITS = json.loads((HERE / "crossed" / "expected.json").read_text(encoding="utf-8"))["fits"]
@@ -25,18 +25,26 @@ FULL = "y ~ a + b + (1 + a + b || who) + (1 | scene) + (1 | scene:kind) + (1 | w
 def make_study(seed: int) -> pd.DataFrame:
     """Six people, five scenes, four kinds."""
     rng = np.random.default_rng(seed)
-    places = pd.MultiIndex.from_product([range(6), range(5), range(4)], names=["who", "scene", "kind"])
+    places = pd.MultiIndex.from_product(
+        [range(6), range(5), range(4)], names=["who", "scene", "kind"]
+    )
     table = places.to_frame(index=False)
     item = table["scene"] * 4 + table["kind"]
     table["a"], table["b"] = rng.normal(size=(2, 20))[:, item]
     table["y"] = 50 + 3 * table["a"] + rng.normal(0, 5, len(table)) + 2 * rng.normal(size=20)[item]
-    for index, sd in ((table["who"], 6), (table["scene"], 3), (table["who"] * 5 + table["scene"], 1)):
+    for index, sd in (
+        (table["who"], 6),
+        (table["scene"], 3),
+        (table["who"] * 5 + table["scene"], 1),
+    ):
         table["y"] += sd * rng.normal(size=index.max() + 1)[index]
     table["y"] += rng.normal(size=6)[table["who"]] * table["a"]
     return table
 
 
-@pytest.mark.parametrize("expected", FITS, ids=lambda fit: f"{fit['data']}: {fit['formula']} {fit['reml']}")
+@pytest.mark.parametrize(
+    "expected", FITS, ids=lambda fit: f"{fit['data']}: {fit['formula']} {fit['reml']}"
+)
 def test_against_lme4(expected: dict[str, Any]) -> None:
     data = pd.read_csv(HERE / "crossed" / f"{expected['data']}.csv")
     fit = fit_mixed(expected["formula"], data, reml=expected["reml"])
@@ -51,7 +59,9 @@ def test_against_lme4(expected: dict[str, Any]) -> None:
     assert fit.singular is expected["singular"]
     got = fit.variances.set_index(["group", "term"])["sd"].to_dict()
     assert set(got) == {(group, term) for group, term, _ in expected["spreads"]}
-    if "(f||p)" in expected["formula"]:  # what its intercept takes, its levels lack: only the sum is known
+    if (
+        "(f||p)" in expected["formula"]
+    ):  # what its intercept takes, its levels lack: only the sum is known
         return
     for group, term, sd in expected["spreads"]:
         assert got[group, term] == pytest.approx(sd, rel=2e-3, abs=2e-3 * fit.residual_sd)
@@ -62,17 +72,26 @@ def test_scales_from_a_millionth_to_a_million_change_nothing() -> None:
     data = make_study(7)
     hard = data.assign(a=data["a"] * 1e-6 + 3e-6, b=data["b"] * 1e6 + 5e6, y=data["y"] * 1e4)
     moved = data.assign(a=data["a"] + 3, b=data["b"] + 5)
-    for formula in (FULL, "y ~ a + b + (a | who) + (1 | scene)", "y ~ a + b + (b | who) + (1 | scene)"):
+    for formula in (
+        FULL,
+        "y ~ a + b + (a | who) + (1 | scene)",
+        "y ~ a + b + (b | who) + (1 | scene)",
+    ):
         plain, scaled = fit_mixed(formula, moved), fit_mixed(formula, hard)
         for column in ("t", "df"):
-            assert scaled.fixed[column].tolist() == pytest.approx(plain.fixed[column].tolist(), rel=2e-3)
+            assert scaled.fixed[column].tolist() == pytest.approx(
+                plain.fixed[column].tolist(), rel=2e-3
+            )
         assert scaled.singular is plain.singular
 
 
 @pytest.mark.parametrize("ratio", [10, 1e3, 1e4])
 def test_large_spreads_keep_their_degrees_of_freedom(ratio: float) -> None:
     rng = np.random.default_rng(3)
-    level, data = rng.normal(size=10), pd.DataFrame({"who": np.repeat(range(10), 5), "x": np.tile(np.arange(5.0), 10)})
+    level, data = (
+        rng.normal(size=10),
+        pd.DataFrame({"who": np.repeat(range(10), 5), "x": np.tile(np.arange(5.0), 10)}),
+    )
     data["y"] = ratio * level[data["who"]] + data["x"] + rng.normal(0, 1, 50)
     df = fit_mixed("y ~ x + (1 | who)", data).fixed["df"]
     # Balanced: people less one, and rows less people and the slope.
@@ -110,9 +129,20 @@ def test_names_are_those_of_r_whatever_pandas_keeps_the_columns_in() -> None:
     data = make_study(4)
     data["flag"], data["number"] = data["kind"] > 1, data["a"].astype(object)
     data["word"] = ("w" + (data["kind"] % 2).astype(str)).astype("string")
-    fit = fit_mixed("y ~ flag + word + number + as.factor(scene) + factor(scene):b + (flag | (who))", data)
-    terms = ["(Intercept)", "flagTRUE", "wordw1", *(f"as.factor(scene){scene}" for scene in range(1, 5)), "number"]
-    assert sorted(fit.fixed.index) == sorted([*terms, *(f"factor(scene){scene}:b" for scene in range(5))])
+    fit = fit_mixed(
+        "y ~ flag + word + number + as.factor(scene) + factor(scene):b + (flag | (who))", data
+    )
+    terms = [
+        "(Intercept)",
+        "flagTRUE",
+        "wordw1",
+        *(f"as.factor(scene){scene}" for scene in range(1, 5)),
+        "number",
+    ]
+    assert sorted(fit.fixed.index) == sorted([
+        *terms,
+        *(f"factor(scene){scene}:b" for scene in range(5)),
+    ])
     assert fit.variances["term"].tolist() == ["(Intercept)", "flagTRUE"]
     assert fit.n_levels == {"who": 6}
 
@@ -120,7 +150,9 @@ def test_names_are_those_of_r_whatever_pandas_keeps_the_columns_in() -> None:
 def test_double_bar_slash_and_backticks_are_short_for_what_they_say() -> None:
     data = make_study(8).rename(columns={"a": "my a"})
     short = fit_mixed("y ~ `my a` + (`my a` || who) + (1 | scene/kind)", data)
-    long = fit_mixed("y ~ `my a` + (1 | who) + (0 + `my a` | who) + (1 | scene) + (1 | scene:kind)", data)
+    long = fit_mixed(
+        "y ~ `my a` + (1 | who) + (0 + `my a` | who) + (1 | scene) + (1 | scene:kind)", data
+    )
     assert short.criterion == pytest.approx(long.criterion)
     assert short.variances["group"].tolist() == ["who", "who", "scene", "kind:scene"]
     assert short.variances["sd"].tolist() == pytest.approx(long.variances["sd"].tolist())

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import norm, t
 
-from analysis.association.dependent import compare_dependent
+from feel321.analysis.association.dependent import compare_dependent
 
 
 def test_zou_2007_overlapping_example() -> None:
@@ -26,7 +26,9 @@ def test_steiger_1980_case_a() -> None:
 
 def test_williams_of_psych() -> None:
     result = compare_dependent(0.9, -0.2, -0.3, 12)
-    assert (result.williams_t, result.williams_p) == pytest.approx((3.702096, 0.004904615), abs=1e-6)
+    assert (result.williams_t, result.williams_p) == pytest.approx(
+        (3.702096, 0.004904615), abs=1e-6
+    )
     result = compare_dependent(0.396, 0.179, 0.088, 66)
     assert (result.williams_t, result.williams_p) == pytest.approx((1.380949, 0.1721738), abs=1e-6)
     # r.test(n = 103, r12 = .5, r13 = .4, r23 = .3) and so on, psych 2.2.9
@@ -46,7 +48,13 @@ def test_meng_1992_example() -> None:
 def test_cocor_output() -> None:
     """What cocor 1.1 (doi 10.1371/journal.pone.0121945) prints in the documentation of R's rmcorr."""
     result = compare_dependent(0.8065821, 0.2383, 0.2255, 177)
-    printed = {"williams_t": 9.3823, "steiger_z": 8.5460, "meng_z": 8.3907, "zou_low": 0.4288, "zou_high": 0.7139}
+    printed = {
+        "williams_t": 9.3823,
+        "steiger_z": 8.5460,
+        "meng_z": 8.3907,
+        "zou_low": 0.4288,
+        "zou_high": 0.7139,
+    }
     assert {name: getattr(result, name) for name in printed} == pytest.approx(printed, abs=3e-4)
     assert result.williams_df == 174
 
@@ -119,6 +127,8 @@ def test_variables_that_determine_each_other_have_no_williams() -> None:
         ((0.1, 0.2, 0.3, math.inf), "n: got inf, allowed is a whole number"),
     ],
 )
-def test_bad_input_is_refused_in_words(arguments: tuple[float, float, float, int], message: str) -> None:
+def test_bad_input_is_refused_in_words(
+    arguments: tuple[float, float, float, int], message: str
+) -> None:
     with pytest.raises(ValueError, match=message):
         compare_dependent(*arguments)

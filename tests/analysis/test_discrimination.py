@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from scipy.stats import beta, binom, norm
 
-from analysis.contrasts.discrimination import abx_d_prime, discriminate, discriminate_pairs
+from feel321.analysis.contrasts.discrimination import abx_d_prime, discriminate, discriminate_pairs
 
 
 def simulate(d_prime: float, model: str, *, n: int = 200_000) -> float:
@@ -30,26 +30,31 @@ def test_the_model_is_what_an_observer_does(model: str, d_prime: float) -> None:
 @pytest.mark.parametrize("share", [0.51, 0.6, 0.75, 0.9, 0.99])
 def test_the_formulas_of_macmillan_and_creelman(share: float) -> None:
     d = abx_d_prime(share)
-    assert norm.cdf(d / math.sqrt(2)) * norm.cdf(d / 2) + norm.cdf(-d / math.sqrt(2)) * norm.cdf(-d / 2) == (
-        pytest.approx(share, abs=1e-9)
-    )
+    assert norm.cdf(d / math.sqrt(2)) * norm.cdf(d / 2) + norm.cdf(-d / math.sqrt(2)) * norm.cdf(
+        -d / 2
+    ) == (pytest.approx(share, abs=1e-9))
     d = abx_d_prime(share, model="differencing")
-    assert norm.cdf(d / math.sqrt(2)) * norm.cdf(d / math.sqrt(6)) + norm.cdf(-d / math.sqrt(2)) * norm.cdf(
-        -d / math.sqrt(6)
-    ) == pytest.approx(share, abs=1e-9)
+    assert norm.cdf(d / math.sqrt(2)) * norm.cdf(d / math.sqrt(6)) + norm.cdf(
+        -d / math.sqrt(2)
+    ) * norm.cdf(-d / math.sqrt(6)) == pytest.approx(share, abs=1e-9)
     assert d > abx_d_prime(share)
 
 
 def test_share_and_intervals_by_their_definitions() -> None:
     k, n, z = 18, 24, norm.ppf(0.975)
     result = discriminate(k, n)
-    middle, half = (k + z**2 / 2) / (n + z**2), z / (n + z**2) * math.sqrt(k * (n - k) / n + z**2 / 4)
+    middle, half = (
+        (k + z**2 / 2) / (n + z**2),
+        z / (n + z**2) * math.sqrt(k * (n - k) / n + z**2 / 4),
+    )
     assert (result.wilson_low, result.wilson_high) == pytest.approx((middle - half, middle + half))
     assert result.exact_low == pytest.approx(beta.ppf(0.025, k, n - k + 1))
     assert result.exact_high == pytest.approx(beta.ppf(0.975, k + 1, n - k))
     assert result.p == pytest.approx(binom.sf(k - 1, n, 0.5))
     assert result.d_independent_low == pytest.approx(abx_d_prime(result.wilson_low))
-    assert result.d_differencing_high == pytest.approx(abx_d_prime(result.wilson_high, model="differencing"))
+    assert result.d_differencing_high == pytest.approx(
+        abx_d_prime(result.wilson_high, model="differencing")
+    )
 
 
 def test_all_correct_has_a_lower_end_only() -> None:
@@ -80,11 +85,15 @@ def test_pairs_in_either_order_are_one() -> None:
     trials.loc[3, "first"] = "c"
     results = discriminate_pairs(trials)
     assert {pair: (r.n_correct, r.n_trials) for pair, r in results.items()} == {
-        ("a", "b"): (1, 2), ("a", "c"): (2, 2), None: (3, 4),
-    }  # fmt: skip
+        ("a", "b"): (1, 2),
+        ("a", "c"): (2, 2),
+        None: (3, 4),
+    }
 
 
-@pytest.mark.parametrize("counts", [(-1, 4), (5, 4), (0, 0), (1.5, 4), (math.nan, 4), (1, math.inf)])
+@pytest.mark.parametrize(
+    "counts", [(-1, 4), (5, 4), (0, 0), (1.5, 4), (math.nan, 4), (1, math.inf)]
+)
 def test_impossible_counts_are_refused(counts: tuple[int, int]) -> None:
     with pytest.raises(ValueError, match=r"n_correct: got .* allowed is 0 to n_trials"):
         discriminate(*counts)
@@ -95,10 +104,19 @@ def test_impossible_counts_are_refused(counts: tuple[int, int]) -> None:
     [
         ({"first": ["a"], "second": ["b"]}, "trials: column correct is missing"),
         ({"first": [], "second": [], "correct": []}, "trials: got no row"),
-        ({"first": ["a"], "second": [None], "correct": [1]}, "trials: got 1 rows without a first or second"),
+        (
+            {"first": ["a"], "second": [None], "correct": [1]},
+            "trials: got 1 rows without a first or second",
+        ),
         ({"first": ["a"], "second": ["a"], "correct": [1]}, "trials: got 'a' against itself"),
-        ({"first": ["a"], "second": ["b"], "correct": [2]}, "trials: got .*2.* in column 'correct'"),
-        ({"first": ["a"], "second": ["b"], "correct": [None]}, "trials: got .* in column 'correct'.*leave lapses out"),
+        (
+            {"first": ["a"], "second": ["b"], "correct": [2]},
+            "trials: got .*2.* in column 'correct'",
+        ),
+        (
+            {"first": ["a"], "second": ["b"], "correct": [None]},
+            "trials: got .* in column 'correct'.*leave lapses out",
+        ),
     ],
 )
 def test_bad_trials_are_refused_in_words(trials: dict[str, list[object]], message: str) -> None:
@@ -107,7 +125,9 @@ def test_bad_trials_are_refused_in_words(trials: dict[str, list[object]], messag
 
 
 def test_unknown_models_and_shares_are_refused() -> None:
-    with pytest.raises(ValueError, match="model: got 'guess', allowed is one of independent, differencing"):
+    with pytest.raises(
+        ValueError, match="model: got 'guess', allowed is one of independent, differencing"
+    ):
         abx_d_prime(0.7, model="guess")
     with pytest.raises(ValueError, match=r"share: got 1.2, allowed is 0 to 1"):
         abx_d_prime(1.2)

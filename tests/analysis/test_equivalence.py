@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from analysis.contrasts.equivalence import equivalence, non_inferiority
+from feel321.analysis.contrasts.equivalence import equivalence, non_inferiority
 
 
 def test_lakens_2017_example() -> None:
@@ -27,13 +27,17 @@ def test_statsmodels_agrees() -> None:
     x, y = rng.normal(0, 1, 20), rng.normal(0.2, 1, 20)
     p, low, high = ttost_paired(x, y, -0.8, 0.8)
     difference = x - y
-    result = equivalence(difference.mean(), difference.std(ddof=1) / math.sqrt(20), 19, low=-0.8, high=0.8)
+    result = equivalence(
+        difference.mean(), difference.std(ddof=1) / math.sqrt(20), 19, low=-0.8, high=0.8
+    )
     assert (result.p, result.t_low, result.t_high) == pytest.approx((p, low[0], high[0]))
     assert (result.p_low, result.p_high) == pytest.approx((low[1], high[1]))
 
 
 @settings(deadline=None)  # the first call imports scipy.stats
-@given(estimate=st.floats(-9, 9), se=st.floats(0.1, 5), df=st.floats(1, 500), low=st.floats(-8, -0.1))
+@given(
+    estimate=st.floats(-9, 9), se=st.floats(0.1, 5), df=st.floats(1, 500), low=st.floats(-8, -0.1)
+)
 def test_the_interval_says_what_p_says(estimate: float, se: float, df: float, low: float) -> None:
     result = equivalence(estimate, se, df, low=low, high=3)
     inside = min(result.low90 - low, 3 - result.high90)
@@ -47,7 +51,9 @@ def test_at_the_margin_it_errs_in_five_percent() -> None:
     rng = np.random.default_rng(1)
     samples = rng.normal(2.0, 1, (4000, 30))
     means, errors = samples.mean(axis=1), samples.std(axis=1, ddof=1) / math.sqrt(30)
-    hits = [equivalence(m, s, 29, low=-2, high=2).equivalent for m, s in zip(means, errors, strict=True)]
+    hits = [
+        equivalence(m, s, 29, low=-2, high=2).equivalent for m, s in zip(means, errors, strict=True)
+    ]
     assert 0.04 < np.mean(hits) < 0.06
 
 
@@ -59,7 +65,10 @@ def test_infinite_df_is_normal() -> None:
 
 def test_non_inferiority_is_one_half_of_equivalence() -> None:
     both = equivalence(-1.0, 0.7, 12, low=-3, high=3)
-    lower, upper = non_inferiority(-1.0, 0.7, 12, margin=-3), non_inferiority(-1.0, 0.7, 12, margin=3)
+    lower, upper = (
+        non_inferiority(-1.0, 0.7, 12, margin=-3),
+        non_inferiority(-1.0, 0.7, 12, margin=3),
+    )
     assert (lower.t, lower.p, lower.bound) == pytest.approx((both.t_low, both.p_low, both.low90))
     assert (upper.t, upper.p, upper.bound) == pytest.approx((both.t_high, both.p_high, both.high90))
     assert non_inferiority(50.0, 0.7, 12, margin=-3).non_inferior
@@ -70,7 +79,11 @@ def test_non_inferiority_is_one_half_of_equivalence() -> None:
     ("arguments", "margin", "message"),
     [
         ((math.nan, 1, 5), (-1, 1), "estimate: got nan, allowed is a finite number"),
-        ((0, 0, 5), (-1, 1), "se: got 0, allowed is a finite number above 0; a singular fit tests nothing"),
+        (
+            (0, 0, 5),
+            (-1, 1),
+            "se: got 0, allowed is a finite number above 0; a singular fit tests nothing",
+        ),
         ((0, math.inf, 5), (-1, 1), "se: got inf"),
         ((0, 1, 0), (-1, 1), "df: got 0, allowed is above 0"),
         ((0, 1, math.nan), (-1, 1), "df: got nan"),

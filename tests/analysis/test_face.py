@@ -7,9 +7,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-import analysis
+from feel321 import analysis
 
-HEAVY = ("pandas", "scipy", "matplotlib", "statsmodels", "jinja2", "stimuli")
+HEAVY = ("pandas", "scipy", "matplotlib", "statsmodels", "jinja2", "feel321.stimuli")
 
 
 def test_face_is_flat_and_sorted() -> None:
@@ -18,7 +18,7 @@ def test_face_is_flat_and_sorted() -> None:
 
 
 def test_import_loads_nothing_heavy() -> None:
-    code = f"import sys, analysis; print([name for name in {HEAVY} if name in sys.modules])"
+    code = f"import sys, feel321.analysis; print([name for name in {HEAVY} if name in sys.modules])"
     assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "[]"
 
 
@@ -29,9 +29,20 @@ def test_what_public_functions_take_and_give_is_public() -> None:
             continue
         tree = ast.parse(Path(inspect.getfile(thing)).read_text(encoding="utf-8"))
         imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
-        own = {alias.name for node in imports if str(node.module).startswith("analysis") for alias in node.names}
-        named = {word for text in thing.__annotations__.values() for word in re.findall(r"[A-Za-z_]\w*", str(text))}
-        own -= {"StressResult"}  # its module loads stimuli; whoever has one got it from stress_reducers
+        own = {
+            alias.name
+            for node in imports
+            if str(node.module).startswith("feel321.analysis")
+            for alias in node.names
+        }
+        named = {
+            word
+            for text in thing.__annotations__.values()
+            for word in re.findall(r"[A-Za-z_]\w*", str(text))
+        }
+        own -= {
+            "StressResult"
+        }  # its module loads stimuli; whoever has one got it from stress_reducers
         assert own & named <= set(analysis.__all__), name
 
 

@@ -9,12 +9,18 @@ import pytest
 from matplotlib import rc_context, rcParams
 from matplotlib.image import imread
 
-from analysis.figures.files import PNG_DPI, save_figure
-from analysis.figures.profile import draw_profile
-from analysis.figures.scatter import draw_scatter
-from analysis.figures.style import CM_PER_INCH, COLUMN_CM, Look, assign_looks
-from analysis.findings import analyse
-from analysis.table.reading import Table, order_reducers
+from feel321.analysis.association.correlate import analyse
+from feel321.analysis.figures.estimates import draw_profile
+from feel321.analysis.figures.scatter import draw_scatter
+from feel321.analysis.figures.style import (
+    CM_PER_INCH,
+    COLUMN_CM,
+    PNG_DPI,
+    Look,
+    assign_looks,
+    save_figure,
+)
+from feel321.analysis.table.reading import Table, order_reducers
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -23,7 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.text import Text
 
-    from analysis.findings import Findings
+    from feel321.analysis.association.correlate import Findings
 
 SMALLEST_PT = 7
 
@@ -40,19 +46,24 @@ def find(table: pd.DataFrame) -> Findings:
 
 def scatter(table: pd.DataFrame) -> Figure:
     panel = find(table).panels[0]
-    return draw_scatter(panel, panel.associations[0], looks=assign_looks(order_reducers(table["reducer"])))
+    return draw_scatter(
+        panel, panel.associations[0], looks=assign_looks(order_reducers(table["reducer"]))
+    )
 
 
 def profile(table: pd.DataFrame) -> Figure:
     found = find(table)
-    return draw_profile(found.profile, found.participants, looks=assign_looks(order_reducers(table["reducer"])))
+    return draw_profile(
+        found.profile, found.participants, looks=assign_looks(order_reducers(table["reducer"]))
+    )
 
 
 def name_at_length(table: pd.DataFrame, stem: str) -> pd.DataFrame:
     """Give 17 reducers and the scale long names."""
     tests = table[table["role"] == "test"]
     more = tests[tests["reducer"] != "dft321"].assign(
-        reducer=lambda rows: rows["reducer"] + "b", stimulus_id=lambda rows: rows["stimulus_id"] + "b"
+        reducer=lambda rows: rows["reducer"] + "b",
+        stimulus_id=lambda rows: rows["stimulus_id"] + "b",
     )
     whole = pd.concat([table, more], ignore_index=True)
     names = {name: f"{stem}{number}" for number, name in enumerate(whole["reducer"].unique())}
@@ -66,7 +77,9 @@ def list_texts(figure: Figure) -> list[Text]:
     legend = [text for legend in figure.legends for text in legend.get_texts()]
     of_figure = filter(None, [figure._suptitle, figure._supxlabel])
     titles = [*of_figure, axes.title, axes._left_title, axes.xaxis.label, axes.yaxis.label]
-    return [text for text in (*titles, *axes.texts, *axes.get_yticklabels(), *legend) if text.get_text()]
+    return [
+        text for text in (*titles, *axes.texts, *axes.get_yticklabels(), *legend) if text.get_text()
+    ]
 
 
 def test_no_two_reducers_look_alike() -> None:
@@ -75,7 +88,9 @@ def test_no_two_reducers_look_alike() -> None:
 
 
 @pytest.mark.parametrize("draw", [scatter, profile])
-def test_text_is_readable_and_inside_the_figure(draw: Callable[..., Figure], table: pd.DataFrame) -> None:
+def test_text_is_readable_and_inside_the_figure(
+    draw: Callable[..., Figure], table: pd.DataFrame
+) -> None:
     figure = draw(table)
     assert figure.get_figwidth() * CM_PER_INCH == pytest.approx(COLUMN_CM)
     for text in list_texts(figure):
@@ -119,7 +134,13 @@ def test_the_legend_shows_every_reducer(table: pd.DataFrame, name: str) -> None:
 def test_scatter_tells_n_and_both_intervals(table: pd.DataFrame) -> None:
     axes = scatter(table).axes[0]
     title = axes.get_title(loc="left")
-    for part in ("Pearson r = ", "36 stimuli", "4 recordings", "two-way interval", "over 6 participants only"):
+    for part in (
+        "Pearson r = ",
+        "36 stimuli",
+        "4 recordings",
+        "two-way interval",
+        "over 6 participants only",
+    ):
         assert part in title
     assert axes.get_ylabel() == "Mean realism rating (0–100)"
     assert axes.get_xlabel() == "Spectral match (1 = identical energy)"
@@ -142,7 +163,11 @@ def test_points_and_bars_stand_where_the_numbers_say(table: pd.DataFrame, number
     assert sorted(drawn) == sorted(zip(stimuli[association.metric], stimuli["mean"], strict=True))
     x = stimuli[association.metric]
     assert sorted(bars) == sorted(zip(x, stimuli["low"], x, stimuli["high"], strict=True))
-    by_look = {Look(line.get_color(), line.get_marker()): line for line in axes.lines if len(line.get_xdata())}
+    by_look = {
+        Look(line.get_color(), line.get_marker()): line
+        for line in axes.lines
+        if len(line.get_xdata())
+    }
     for name, part in stimuli.groupby("reducer"):
         assert set(by_look[looks[name]].get_xdata()) == set(part[association.metric])
 
@@ -168,7 +193,11 @@ def test_far_outliers_stand_hollow_at_the_edge_and_are_counted(table: pd.DataFra
     axes = scatter(table).axes[0]
     points = np.concatenate([line.get_xdata() for line in axes.lines])
     assert points.min() == -1
-    hollow = [line for line in axes.lines if line.get_markerfacecolor() == "white" and len(line.get_xdata())]
+    hollow = [
+        line
+        for line in axes.lines
+        if line.get_markerfacecolor() == "white" and len(line.get_xdata())
+    ]
     assert [list(line.get_xdata()) for line in hollow] == [[-1]]
     assert "1 of 36 stimuli below −1\n    (lowest −31.40)" in axes.texts[0].get_text()
     table.loc[outlying, "spectral_match"] = -1e200
@@ -205,7 +234,13 @@ def test_clouds_show_where_the_participants_are(table: pd.DataFrame) -> None:
     assert len(clouds) == len(heights) == 12
     for name, part in means.groupby("reducer"):
         outline = clouds[round(heights[name] + 0.14, 6)]
-        assert outline[:, 0].min() < part["rating"].min() < part["rating"].max() < outline[:, 0].max() <= 100
+        assert (
+            outline[:, 0].min()
+            < part["rating"].min()
+            < part["rating"].max()
+            < outline[:, 0].max()
+            <= 100
+        )
         assert outline[:, 1].max() == pytest.approx(heights[name] + 0.64)
     assert "clouds: their distribution" in axes.figure.get_suptitle()
 
@@ -238,7 +273,9 @@ def test_names_are_never_read_as_formulas(table: pd.DataFrame, tmp_path: Path) -
     assert name in (tmp_path / "figure.svg").read_text(encoding="utf-8")
 
 
-def test_files_are_made_for_print_and_repeat_to_the_byte(table: pd.DataFrame, tmp_path: Path) -> None:
+def test_files_are_made_for_print_and_repeat_to_the_byte(
+    table: pd.DataFrame, tmp_path: Path
+) -> None:
     before = dict(rcParams)
     for name in ("one", "two"):
         save_figure(scatter(table), tmp_path / name)
@@ -249,7 +286,9 @@ def test_files_are_made_for_print_and_repeat_to_the_byte(table: pd.DataFrame, tm
     assert dict(rcParams) == before
 
 
-def test_a_pdf_repeats_to_the_byte_and_nothing_else_is_known(table: pd.DataFrame, tmp_path: Path) -> None:
+def test_a_pdf_repeats_to_the_byte_and_nothing_else_is_known(
+    table: pd.DataFrame, tmp_path: Path
+) -> None:
     figure = scatter(table)
     for name in ("v1.0", "v1.1"):
         save_figure(figure, tmp_path / name, formats=["pdf"])
@@ -259,7 +298,9 @@ def test_a_pdf_repeats_to_the_byte_and_nothing_else_is_known(table: pd.DataFrame
         save_figure(figure, tmp_path / "figure", formats=["bmp"])
 
 
-def test_a_setting_of_the_working_folder_changes_no_byte(table: pd.DataFrame, tmp_path: Path) -> None:
+def test_a_setting_of_the_working_folder_changes_no_byte(
+    table: pd.DataFrame, tmp_path: Path
+) -> None:
     save_figure(scatter(table), tmp_path / "one")
     with rc_context({"axes.grid": True, "savefig.bbox": "tight", "axes.facecolor": "yellow"}):
         save_figure(scatter(table), tmp_path / "two")

@@ -8,32 +8,38 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.report import write as report
-from analysis.report.inputs import describe_inputs
-from analysis.report.sections import further, primary, refined, standard
-from analysis.report.sections.choices import Choices
-from analysis.table.further import Further
-from analysis.table.reading import Table, read_table
-from analysis.table.schema import describe_further
-from stimuli.match import METRICS
+from feel321.analysis.report import association, primary, robustness, standard
+from feel321.analysis.report import write as report
+from feel321.analysis.report.section import Choices
+from feel321.analysis.report.write import describe_inputs
+from feel321.analysis.table.reading import Further, Table, read_table
+from feel321.analysis.table.schema import describe_further
+from feel321.stimuli.match import METRICS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 MEAN, SD = "spectral_match_rotation_mean", "temporal_match_rotation_sd"
-DELIVERED, INVARIANT = "temporal_match_delivered", "spectral_match_invariant"  # the second is a former name
+DELIVERED, INVARIANT = (
+    "temporal_match_delivered",
+    "spectral_match_invariant",
+)  # the second is a former name
 
 
 def draw_column(study: object, seed: int = 4) -> pd.Series:
     """Draw values of a metric that no other metric has anything to do with."""
     ids = pd.read_csv(study.manifest)["stimulus_id"]
-    return pd.Series(np.random.default_rng(seed).uniform(0, 1, len(ids)), index=pd.Index(ids, name="stimulus_id"))
+    return pd.Series(
+        np.random.default_rng(seed).uniform(0, 1, len(ids)), index=pd.Index(ids, name="stimulus_id")
+    )
 
 
 def add_to_manifest(study: object, **columns: object) -> None:
     manifest = pd.read_csv(study.manifest)
     for name, values in columns.items():
-        manifest[name] = manifest["stimulus_id"].map(values) if isinstance(values, pd.Series) else values
+        manifest[name] = (
+            manifest["stimulus_id"].map(values) if isinstance(values, pd.Series) else values
+        )
     manifest.to_csv(study.manifest, index=False)
 
 
@@ -54,7 +60,10 @@ def small(files: Callable[..., object]) -> object:
 def test_every_metric_may_be_told_in_four_more_ways() -> None:
     kinds = "rotation_mean", "rotation_sd", "delivered"
     own = {
-        "spectral_match": ["spectral_match_energy_weighted", "spectral_match_invariant"],  # the latter is a former name
+        "spectral_match": [
+            "spectral_match_energy_weighted",
+            "spectral_match_invariant",
+        ],  # the latter is a former name
         "temporal_match": ["temporal_match_invariant"],
         "spectral_match_bounded": [],  # bounded, and no orientation changes it
     }
@@ -70,11 +79,16 @@ def test_a_planted_effect_of_a_rotation_mean_is_found(small: object) -> None:
     add_to_manifest(small, **{MEAN: values, INVARIANT: draw_column(small, seed=5)})
     plant(small, values, points=60)
     table = read_table(small.ratings, small.manifest)
-    assert (table.metrics, table.further) == (("spectral_match", "temporal_match"), (MEAN, INVARIANT))
-    section = further.compute(table, Choices(draws=200, seed=1))
+    assert (table.metrics, table.further) == (
+        ("spectral_match", "temporal_match"),
+        (MEAN, INVARIANT),
+    )
+    section = association.compute_further(table, Choices(draws=200, seed=1))
     numbers = {number.name: number for number in section.numbers}
     for method in ("pearson", "spearman", "within"):
-        found, other = (numbers[f"further.realism.as_is.{name}.{method}"] for name in (MEAN, INVARIANT))
+        found, other = (
+            numbers[f"further.realism.as_is.{name}.{method}"] for name in (MEAN, INVARIANT)
+        )
         assert found.value > 0.9
         assert found.low > 0.5
         assert other.high < found.low
@@ -100,24 +114,39 @@ def test_p1401_judges_them_too_and_compares_the_planned_ones_only(small: object)
     tables = standard.compute(read_table(small.ratings, small.manifest), Choices(draws=2)).tables
     planned = {"spectral_match", "temporal_match"}
     assert set(tables["p1401"]["metric"]) == {*planned, MEAN}
-    assert set(tables["p1401_differences"]["first"]) | set(tables["p1401_differences"]["second"]) == planned
+    assert (
+        set(tables["p1401_differences"]["first"]) | set(tables["p1401_differences"]["second"])
+        == planned
+    )
     assert set(tables["repeated"]["metric"]) == planned
 
 
 def test_what_holds_for_all_of_them_is_said_once(small: object) -> None:
     add_to_manifest(small, **{MEAN: draw_column(small), SD: draw_column(small, seed=5)})
     sources = {f"rec{number}": f"of{number // 2}" for number in range(4)}
-    section = further.compute(read_table(small.ratings, small.manifest, sources=sources), Choices(draws=20))
-    told = [note for note in section.notes if "Two-way intervals draw the 2 sources of the 4 recordings." in note]
-    assert told == ["realism, as_is, further metrics: Two-way intervals draw the 2 sources of the 4 recordings."]
+    section = association.compute_further(
+        read_table(small.ratings, small.manifest, sources=sources), Choices(draws=20)
+    )
+    told = [
+        note
+        for note in section.notes
+        if "Two-way intervals draw the 2 sources of the 4 recordings." in note
+    ]
+    assert told == [
+        "realism, as_is, further metrics: Two-way intervals draw the 2 sources of the 4 recordings."
+    ]
 
 
 def test_they_and_the_level_may_enter_a_refined_metric(files: Callable[..., object]) -> None:
     small = files(scales=("realism",), recordings=6, anchors=False)
-    add_to_manifest(small, **{MEAN: draw_column(small), "rms_m_s2": draw_column(small, seed=6) + 0.1})
+    add_to_manifest(
+        small, **{MEAN: draw_column(small), "rms_m_s2": draw_column(small, seed=6) + 0.1}
+    )
     table = read_table(small.ratings, small.manifest)
-    candidates = refined.compute(table, Choices(draws=2)).tables["refined_candidates"]["name"]
-    assert {f"spectral_match + {MEAN}", f"temporal_match + {refined.LEVEL}"} <= set(candidates)
+    candidates = robustness.compute_refined(table, Choices(draws=2)).tables["refined_candidates"][
+        "name"
+    ]
+    assert {f"spectral_match + {MEAN}", f"temporal_match + {robustness.LEVEL}"} <= set(candidates)
     assert MEAN not in set(candidates)
 
 
@@ -125,7 +154,9 @@ def test_a_stimulus_has_the_mean_over_its_judgements(small: object) -> None:
     ratings = pd.read_csv(small.ratings)
     told = np.random.default_rng(0).uniform(0, 1, len(ratings))
     told[::5] = np.nan
-    ratings.assign(**{DELIVERED: told, "rejected": ratings.index < 3}).to_csv(small.ratings, index=False)
+    ratings.assign(**{DELIVERED: told, "rejected": ratings.index < 3}).to_csv(
+        small.ratings, index=False
+    )
     table = read_table(small.ratings, small.manifest)
     counted = ratings.assign(told=told).iloc[3:]
     means = counted.groupby("stimulus_id")["told"].mean()
@@ -141,10 +172,16 @@ def test_values_may_be_handed_over_and_are_told(small: object) -> None:
     table = read_table(small.ratings, small.manifest, further=handed)
     np.testing.assert_array_equal(table.rows[MEAN], values[table.rows["stimulus_id"]])
     assert "They were drawn." in table.notes
-    inputs = describe_inputs(small.ratings, small.manifest, table=table, further=handed, choices=Choices())
+    inputs = describe_inputs(
+        small.ratings, small.manifest, table=table, further=handed, choices=Choices()
+    )
     assert inputs["further_metrics"] == MEAN
     other = describe_inputs(
-        small.ratings, small.manifest, table=table, further=Further(handed.metrics + 1e-15), choices=Choices()
+        small.ratings,
+        small.manifest,
+        table=table,
+        further=Further(handed.metrics + 1e-15),
+        choices=Choices(),
     )
     assert inputs["further_metrics_sha256"] != other["further_metrics_sha256"]
 
@@ -156,19 +193,28 @@ def test_what_some_stimuli_lack_is_left_out_and_said(small: object) -> None:
     assert MEAN not in table.rows
     lacking = "2 rated test stimuli have none, first 'rec0_sax321_as_is'."
     assert table.notes == (f"'{MEAN}' is not reported: {lacking}",)
-    nothing = further.compute(table, Choices(draws=2))
+    nothing = association.compute_further(table, Choices(draws=2))
     assert nothing.is_empty
 
 
 @pytest.mark.parametrize(
     ("columns", "message"),
     [
-        ({"spectral_match_Rotation_mean": 0.5}, f"got column 'spectral_match_Rotation_mean', allowed is '{MEAN}'"),
+        (
+            {"spectral_match_Rotation_mean": 0.5},
+            f"got column 'spectral_match_Rotation_mean', allowed is '{MEAN}'",
+        ),
         ({"spectral_match_rotationmean": 0.5}, f"allowed is '{MEAN}'; rename or remove it"),
-        ({MEAN: ["", *[0.5] * 35]}, f"line 2: got '' in column '{MEAN}', allowed is a finite number"),
+        (
+            {MEAN: ["", *[0.5] * 35]},
+            f"line 2: got '' in column '{MEAN}', allowed is a finite number",
+        ),
         ({MEAN: 1e13}, f"in column '{MEAN}', allowed is 1 or less and no more than 1e"),
         ({SD: "wide"}, f"got 'wide' in column '{SD}', allowed is a finite number"),
-        ({"rms_m_s2": -1}, "got '-1' in column 'rms_m_s2', allowed is 0 or more, in m/s², or nothing"),
+        (
+            {"rms_m_s2": -1},
+            "got '-1' in column 'rms_m_s2', allowed is 0 or more, in m/s², or nothing",
+        ),
     ],
 )
 def test_columns_that_cannot_be(small: object, columns: dict[str, object], message: str) -> None:
@@ -181,12 +227,18 @@ def test_columns_that_cannot_be(small: object, columns: dict[str, object], messa
 @pytest.mark.parametrize(
     ("column", "values", "message"),
     [
-        ("Temporal_match_delivered", 0.5, f"got column 'Temporal_match_delivered', allowed is '{DELIVERED}'"),
+        (
+            "Temporal_match_delivered",
+            0.5,
+            f"got column 'Temporal_match_delivered', allowed is '{DELIVERED}'",
+        ),
         (DELIVERED, "good", f"got 'good' in column '{DELIVERED}', allowed is a finite number"),
         (DELIVERED, -1e13, f"in column '{DELIVERED}', allowed is 1 or less and no more than 1e"),
     ],
 )
-def test_judgements_that_cannot_be(small: object, column: str, values: object, message: str) -> None:
+def test_judgements_that_cannot_be(
+    small: object, column: str, values: object, message: str
+) -> None:
     pd.read_csv(small.ratings).assign(**{column: values}).to_csv(small.ratings, index=False)
     with pytest.raises(ValueError, match=r"^ratings\.csv") as caught:
         read_table(small.ratings, small.manifest)
@@ -197,10 +249,14 @@ def test_a_metric_comes_from_one_place(small: object) -> None:
     values = draw_column(small)
     add_to_manifest(small, **{DELIVERED: values})
     handed = Further(pd.DataFrame({DELIVERED: values}))
-    with pytest.raises(ValueError, match=f"the files and what was handed over: got '{DELIVERED}' in both"):
+    with pytest.raises(
+        ValueError, match=f"the files and what was handed over: got '{DELIVERED}' in both"
+    ):
         read_table(small.ratings, small.manifest, further=handed)
     pd.read_csv(small.ratings).assign(**{DELIVERED: 0.5}).to_csv(small.ratings, index=False)
-    with pytest.raises(ValueError, match=rf"manifest.csv and ratings.csv: got '{DELIVERED}' in both; keep one"):
+    with pytest.raises(
+        ValueError, match=rf"manifest.csv and ratings.csv: got '{DELIVERED}' in both; keep one"
+    ):
         read_table(small.ratings, small.manifest)
 
 
@@ -209,7 +265,9 @@ def test_what_is_handed_over_must_be_metrics(small: object) -> None:
         return read_table(small.ratings, small.manifest, further=Further(frame))
 
     values = draw_column(small)
-    with pytest.raises(ValueError, match="got column 'loudness', allowed is one of spectral_match_rotation_mean,"):
+    with pytest.raises(
+        ValueError, match="got column 'loudness', allowed is one of spectral_match_rotation_mean,"
+    ):
         hand(pd.DataFrame({"loudness": values}))
     with pytest.raises(ValueError, match=f"got infinite or huge values of '{MEAN}'"):
         hand(pd.DataFrame({MEAN: values.where(values > 0.1, np.inf)}))
@@ -220,12 +278,21 @@ def test_what_is_handed_over_must_be_metrics(small: object) -> None:
 def test_inputs_hold_digests_of_whatever_decided(small: object) -> None:
     def describe(**how: object) -> dict[str, str]:
         table = read_table(small.ratings, small.manifest, **how)
-        return describe_inputs(small.ratings, small.manifest, table=table, further=None, choices=Choices(seed=7))
+        return describe_inputs(
+            small.ratings, small.manifest, table=table, further=None, choices=Choices(seed=7)
+        )
 
     plain = describe()
     assert list(plain) == [
-        "ratings", "ratings_sha256", "manifest", "manifest_sha256", "metrics", "draws", "margin", "seed",
-    ]  # fmt: skip
+        "ratings",
+        "ratings_sha256",
+        "manifest",
+        "manifest_sha256",
+        "metrics",
+        "draws",
+        "margin",
+        "seed",
+    ]
     assert plain["ratings_sha256"] == hashlib.sha256(small.ratings.read_bytes()).hexdigest()
     roster = small.ratings.with_name("participants.csv")
     roster.write_text("participant,grip\np00,firm\n")
@@ -239,13 +306,20 @@ def test_inputs_hold_digests_of_whatever_decided(small: object) -> None:
 
 
 def test_the_report_holds_them(small: object, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(report, "SECTIONS", (further.compute,))  # all others are another test's, and slow
+    monkeypatch.setattr(
+        report, "SECTIONS", (association.compute_further,)
+    )  # all others are another test's, and slow
     values = draw_column(small)
     folder = small.ratings.with_name("report")
     results = report.write_report(
-        small.ratings, small.manifest, folder, draws=20, seed=1, further=Further(pd.DataFrame({MEAN: values}))
+        small.ratings,
+        small.manifest,
+        folder,
+        draws=20,
+        seed=1,
+        further=Further(pd.DataFrame({MEAN: values})),
     )
     assert any(number.name == f"further.realism.as_is.{MEAN}.pearson" for number in results.numbers)
     assert results.inputs["further_metrics"] == MEAN
     assert "tables/further_associations.csv" in results.files
-    assert further.TITLE in (folder / "index.html").read_text(encoding="utf-8")
+    assert association.TITLE in (folder / "index.html").read_text(encoding="utf-8")

@@ -11,48 +11,69 @@ import numpy as np
 import pandas as pd
 import pytest
 
-import analysis.report.results
-from analysis.findings import make_panel
-from analysis.primary import influence
-from analysis.primary.influence import conclude, find_candidates, measure_influence
-from analysis.primary.model import fit_primary
-from analysis.report.lines import Claim
-from analysis.report.sections import primary
-from analysis.report.sections.choices import Choices
-from analysis.report.sections.pooled import reconcile
-from analysis.table.reading import Table
-from stimuli.reduce import DEFAULT_REDUCERS
+import feel321.analysis.report.folder
+from feel321.analysis.association.correlate import make_panel
+from feel321.analysis.primary import influence
+from feel321.analysis.primary.influence import conclude, find_candidates, measure_influence
+from feel321.analysis.primary.model import fit_primary
+from feel321.analysis.report import primary
+from feel321.analysis.report.association import reconcile
+from feel321.analysis.report.section import Choices
+from feel321.analysis.table.reading import Table
+from feel321.analysis.words import Claim
+from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS
 
 if TYPE_CHECKING:
-
-    from analysis.report.sections.section import Section
+    from feel321.analysis.report.section import Section
 
 METRICS = ("spectral_match_bounded", "temporal_match")
 SAID = ((METRICS[0], "open", ""), (METRICS[1], "predicts", "higher"))
 
 
 def plant(
-    *, seed: int = 1, people: int = 6, recordings: int = 6, spectral: float = 40.0, temporal: float = 30.0, **odd: Any
+    *,
+    seed: int = 1,
+    people: int = 6,
+    recordings: int = 6,
+    spectral: float = 40.0,
+    temporal: float = 30.0,
+    **odd: Any,
 ) -> pd.DataFrame:
     """Rate stimuli by two metrics, both drawn evenly from 0 to 1; `odd` changes what one reducer has or is felt as."""
     rng = np.random.default_rng(seed)
-    stimuli = pd.MultiIndex.from_product([range(recordings), DEFAULT_REDUCERS], names=["recording", "reducer"])
-    items = stimuli.to_frame(index=False).assign(recording=lambda frame: "rec" + frame["recording"].astype(str))
+    stimuli = pd.MultiIndex.from_product(
+        [range(recordings), DEFAULT_REDUCERS], names=["recording", "reducer"]
+    )
+    items = stimuli.to_frame(index=False).assign(
+        recording=lambda frame: "rec" + frame["recording"].astype(str)
+    )
     for name in METRICS:
         items[name] = rng.uniform(0, 1, len(items))
     own = items["reducer"] == odd.get("reducer")
     if "metric" in odd:
         items.loc[own, METRICS[0]] = odd["metric"][: own.sum()]
     slope = np.where(own, odd.get("slope", spectral), spectral)
-    felt = 20 + slope * items[METRICS[0]] + temporal * items[METRICS[1]] + own * odd.get("points", 0.0)
+    felt = (
+        20 + slope * items[METRICS[0]] + temporal * items[METRICS[1]] + own * odd.get("points", 0.0)
+    )
     items["stimulus_id"] = items["recording"] + "_" + items["reducer"]
     rows = [
-        items.assign(participant=f"p{person}", rating=felt + rng.normal(0, 4) + rng.normal(0, 4, len(items)))
+        items.assign(
+            participant=f"p{person}", rating=felt + rng.normal(0, 4) + rng.normal(0, 4, len(items))
+        )
         for person in range(people)
     ]
     whole = pd.concat(rows, ignore_index=True)
-    common = {"scale": "realism", "level": "as_is", "role": "test", "simulated": True, "repeat": "1"}
-    return whole.assign(**common, source=whole["recording"], reference_id="", item=whole["stimulus_id"])
+    common = {
+        "scale": "realism",
+        "level": "as_is",
+        "role": "test",
+        "simulated": True,
+        "repeat": "1",
+    }
+    return whole.assign(
+        **common, source=whole["recording"], reference_id="", item=whole["stimulus_id"]
+    )
 
 
 def compute(rows: pd.DataFrame, metrics: tuple[str, ...] = METRICS) -> Section:
@@ -73,26 +94,38 @@ def test_a_verdict_that_one_reducer_turns_names_it_first(flipping: Section) -> N
     assert (temporal.verdict, temporal.hinges_on) == ("predicts", ())
     first = str(flipping.verdict[0]).split(". ")[0]
     assert "hinges on the reducer mag321: without it the association is open" in first
-    assert "better" not in " ".join(map(str, flipping.verdict)).replace("predicts better is left open", "")
+    assert "better" not in " ".join(map(str, flipping.verdict)).replace(
+        "predicts better is left open", ""
+    )
 
 
 def test_nothing_is_planned_from_a_slope_that_turns(flipping: Section) -> None:
     numbers = {number.name: number.value for number in flipping.numbers}
-    planned = [numbers[f"precision.realism.as_is.{METRICS[0]}.{what}"] for what in ("participants", "recordings")]
+    planned = [
+        numbers[f"precision.realism.as_is.{METRICS[0]}.{what}"]
+        for what in ("participants", "recordings")
+    ]
     assert all(map(math.isnan, planned))
     assert "sample size" not in " ".join(line.lead for line in flipping.verdict)
 
 
 def test_every_omission_is_a_refit_of_the_rest(flipping: Section) -> None:
     rows = plant(spectral=0.0, reducer="mag321", metric=np.linspace(-3, 3, 6), slope=8.0)
-    left = fit_primary(rows[rows["reducer"] != "mag321"], METRICS, explain=False).slopes.loc[METRICS[0]]
+    left = fit_primary(rows[rows["reducer"] != "mag321"], METRICS, explain=False).slopes.loc[
+        METRICS[0]
+    ]
     table = flipping.tables["influence"].set_index(["kind", "unit", "metric"])
-    assert table.loc[("reducer", "mag321", METRICS[0]), "estimate"] == pytest.approx(left["estimate"], rel=1e-6)
+    assert table.loc[("reducer", "mag321", METRICS[0]), "estimate"] == pytest.approx(
+        left["estimate"], rel=1e-6
+    )
     numbers = {number.name: number.value for number in flipping.numbers}
     name = f"influence.realism.as_is.{METRICS[0]}.reducer.mag321"
     assert numbers[name] == pytest.approx(left["tenth"], rel=1e-6)
     kinds = table.index.get_level_values("kind")
-    assert {kind: (kinds == kind).sum() for kind in ("recording", "reducer")} == {"recording": 12, "reducer": 18}
+    assert {kind: (kinds == kind).sum() for kind in ("recording", "reducer")} == {
+        "recording": 12,
+        "reducer": 18,
+    }
 
 
 def test_points_planted_on_a_reducer_are_named_and_the_slopes_hold() -> None:
@@ -126,20 +159,32 @@ def test_candidates_are_those_that_move_a_regression_most(outlying: float | None
     rows = plant(people=3, recordings=4, seed=5)
     if outlying is not None:
         rows.loc[rows["item"] == "rec1_pca321", METRICS[0]] = outlying
-    items = rows.groupby("item", sort=False).agg(
-        {"recording": "first", "rating": "mean", METRICS[0]: "first", METRICS[1]: "first"}
-    )
+    items = rows.groupby("item", sort=False).agg({
+        "recording": "first",
+        "rating": "mean",
+        METRICS[0]: "first",
+        METRICS[1]: "first",
+    })
 
     def regress(table: pd.DataFrame) -> np.ndarray:
-        design = np.column_stack([table[list(METRICS)], pd.get_dummies(table["recording"]).astype(float)])
+        design = np.column_stack([
+            table[list(METRICS)],
+            pd.get_dummies(table["recording"]).astype(float),
+        ])
         return np.linalg.lstsq(design, table["rating"], rcond=None)[0][:2]
 
     whole = regress(items)
-    moved = pd.DataFrame([regress(items.drop(name)) - whole for name in items.index], index=items.index).abs()
+    moved = pd.DataFrame(
+        [regress(items.drop(name)) - whole for name in items.index], index=items.index
+    ).abs()
     groups = influence._list_dummies(items, ["recording"])
-    x, y = (influence._centre(groups, items[names].to_numpy()) for names in (list(METRICS), ["rating"]))
+    x, y = (
+        influence._centre(groups, items[names].to_numpy()) for names in (list(METRICS), ["rating"])
+    )
     share = np.einsum("ij,ji->i", groups, np.linalg.pinv(groups))
-    np.testing.assert_allclose(np.abs(influence._measure_changes(x, y[:, 0], share=share)), moved, rtol=1e-6)
+    np.testing.assert_allclose(
+        np.abs(influence._measure_changes(x, y[:, 0], share=share)), moved, rtol=1e-6
+    )
     for count in (1, 3):
         found = find_candidates(rows.drop(columns="reducer"), METRICS, count=count)
         assert set(found) == {*moved[0].nlargest(count).index, *moved[1].nlargest(count).index}
@@ -150,7 +195,9 @@ def test_too_much_to_leave_out_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = plant(people=3, recordings=3)
     found = measure_influence(rows, METRICS, fit_primary(rows, METRICS, explain=False))
     assert found.table.empty
-    assert found.notes == ("Influence was not measured: more than 10 participant x stimulus cells.",)
+    assert found.notes == (
+        "Influence was not measured: more than 10 participant x stimulus cells.",
+    )
     assert found.find_turns(METRICS[0]).empty
 
 
@@ -159,7 +206,10 @@ def test_too_much_to_leave_out_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     [
         (plant(people=2), "cannot be estimated with 2 participants: at least 3 are needed."),
         (plant(recordings=1), "cannot be estimated with 1 recording: at least 3 are needed."),
-        (plant(people=1, recordings=2), "with 1 participant and 2 recordings: at least 3 are needed of each."),
+        (
+            plant(people=1, recordings=2),
+            "with 1 participant and 2 recordings: at least 3 are needed of each.",
+        ),
         (plant(people=3).assign(rating=50.0), "cannot be estimated: all ratings are the same."),
     ],
 )
@@ -168,30 +218,47 @@ def test_what_cannot_be_estimated_is_said_and_nothing_else(rows: pd.DataFrame, w
     assert [claim.verdict for claim in section.claims] == ["not_estimable"] * 2
     assert not any(claim.direction or claim.hinges_on for claim in section.claims)
     (line,) = section.verdict
-    assert str(line).startswith("Realism: Whether bounded spectral match or temporal match predicts realism ratings")
+    assert str(line).startswith(
+        "Realism: Whether bounded spectral match or temporal match predicts realism ratings"
+    )
     assert str(line).endswith(why)
     shown = [number for number in section.numbers if number.name.startswith(("precision", "slope"))]
     assert all(math.isnan(number.low) for number in shown)
     assert all(math.isnan(number.value) for number in shown if number.name.startswith("precision"))
 
 
-@pytest.mark.parametrize(("p", "verdict"), [(0.049, "predicts"), (0.05, "open"), (math.nan, "not_estimable")])
+@pytest.mark.parametrize(
+    ("p", "verdict"), [(0.049, "predicts"), (0.05, "open"), (math.nan, "not_estimable")]
+)
 def test_verdicts(p: float, verdict: str) -> None:
     assert conclude(p) == verdict
 
 
 def check(value: object, schema: dict[str, Any], place: str = "$") -> list[str]:
     """Hold a value against the parts of JSON Schema that results.schema.json uses."""
-    kinds = {"object": dict, "array": list, "string": str, "boolean": bool, "integer": int, "null": type(None),
-             "number": (int, float)}  # fmt: skip
+    kinds = {
+        "object": dict,
+        "array": list,
+        "string": str,
+        "boolean": bool,
+        "integer": int,
+        "null": type(None),
+        "number": (int, float),
+    }
     wanted = schema.get("type", [])
     names = [wanted] if isinstance(wanted, str) else wanted
     if names and not any(isinstance(value, kinds[name]) for name in names):
         return [f"{place}: {value!r} is not {wanted}"]
-    if ("const" in schema and value != schema["const"]) or ("enum" in schema and value not in schema["enum"]):
+    if ("const" in schema and value != schema["const"]) or (
+        "enum" in schema and value not in schema["enum"]
+    ):
         return [f"{place}: {value!r}"]
     if isinstance(value, list):
-        return [told for number, one in enumerate(value) for told in check(one, schema["items"], f"{place}[{number}]")]
+        return [
+            told
+            for number, one in enumerate(value)
+            for told in check(one, schema["items"], f"{place}[{number}]")
+        ]
     if not isinstance(value, dict):
         return []
     known, others = schema.get("properties", {}), schema["additionalProperties"]
@@ -205,7 +272,7 @@ def check(value: object, schema: dict[str, Any], place: str = "$") -> list[str]:
 
 
 def test_results_follow_their_schema(report: Path) -> None:
-    folder = Path(analysis.report.results.__file__).parent
+    folder = Path(feel321.analysis.report.folder.__file__).parent
     schema = json.loads((folder / "results.schema.json").read_text(encoding="utf-8"))
     results = json.loads((report / "results.json").read_text(encoding="utf-8"))
     assert check(results, schema) == []
@@ -222,11 +289,15 @@ def test_the_pooled_question_is_told_apart_where_it_disagrees() -> None:
     rows = plant(spectral=0.0, people=8, recordings=8)
     # Recordings that score higher are rated higher, stimuli of the same recording are not.
     number = rows["recording"].str.removeprefix("rec").astype(int)
-    rows = rows.assign(**{METRICS[0]: rows[METRICS[0]] + number}, rating=rows["rating"] + 8 * number)
+    rows = rows.assign(
+        **{METRICS[0]: rows[METRICS[0]] + number}, rating=rows["rating"] + 8 * number
+    )
     claims = [Claim("realism", "as_is", name, verdict, way, "") for name, verdict, way in SAID]
     panel = make_panel(rows, METRICS, draws=200, rng=np.random.default_rng(1))
     told = reconcile(panel, claims)
-    assert told.startswith("over all stimuli pooled, mean ratings correlate with bounded spectral match at r = 0.9")
+    assert told.startswith(
+        "over all stimuli pooled, mean ratings correlate with bounded spectral match at r = 0.9"
+    )
     assert "That is another question: it also counts differences between recordings" in told
     agreeing = plant(people=8, recordings=8, temporal=0.0, spectral=60.0)
     panel = make_panel(agreeing, METRICS[:1], draws=200, rng=np.random.default_rng(1))

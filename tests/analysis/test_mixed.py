@@ -10,17 +10,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.mixed import optimum
-from analysis.mixed.design import build_design
-from analysis.mixed.formula import parse_formula
-from analysis.mixed.inference import _invert
-from analysis.mixed.model import contrast, fit_mixed
-from analysis.mixed.optimum import find_optimum
-from analysis.mixed.profile import Profile
-from analysis.mixed.slope import find_slope
+from feel321.analysis.mixed import optimum
+from feel321.analysis.mixed.design import build_design, parse_formula
+from feel321.analysis.mixed.model import _invert, contrast, fit_mixed
+from feel321.analysis.mixed.optimum import find_optimum, find_slope
+from feel321.analysis.mixed.profile import Profile
 
 if TYPE_CHECKING:
-    from analysis.mixed.model import MixedFit
+    from feel321.analysis.mixed.model import MixedFit
 
 HERE = Path(__file__).parent
 ORACLES = HERE.parents[2] / "shared" / "oracles"
@@ -36,9 +33,13 @@ def find_oracle(name: str, model: str) -> tuple[pd.DataFrame, dict[str, Any], di
     return pd.read_csv(folder / "data.csv"), expected[model], expected["tol"]
 
 
-def make_study(seed: int, *, spread: float = 1.0, people: int = 6, scenes: int = 5, kinds: int = 4) -> pd.DataFrame:
+def make_study(
+    seed: int, *, spread: float = 1.0, people: int = 6, scenes: int = 5, kinds: int = 4
+) -> pd.DataFrame:
     rng = np.random.default_rng(seed)
-    table = pd.MultiIndex.from_product([range(people), range(scenes), range(kinds)], names=["who", "scene", "kind"])
+    table = pd.MultiIndex.from_product(
+        [range(people), range(scenes), range(kinds)], names=["who", "scene", "kind"]
+    )
     table = table.to_frame(index=False)
     item = table["scene"] * kinds + table["kind"]
     metrics = rng.normal(size=(2, scenes * kinds))
@@ -73,30 +74,42 @@ def fit() -> MixedFit:
 def test_shared_oracles(name: str, model: str) -> None:
     data, expected, tolerance = find_oracle(name, model)
     fit = fit_mixed(expected["formula"], data, reml=expected["method"] == "REML")
-    assert fit.fixed["estimate"].to_dict() == pytest.approx(expected["fixef"], rel=tolerance["fixef_rel"])
+    assert fit.fixed["estimate"].to_dict() == pytest.approx(
+        expected["fixef"], rel=tolerance["fixef_rel"]
+    )
     assert fit.fixed["se"].to_dict() == pytest.approx(expected["se"], rel=tolerance["se_rel"])
-    assert fit.fixed["df"].to_dict() == pytest.approx(expected["df_satterthwaite"], rel=tolerance["df_rel"])
+    assert fit.fixed["df"].to_dict() == pytest.approx(
+        expected["df_satterthwaite"], rel=tolerance["df_rel"]
+    )
     assert fit.criterion == pytest.approx(expected["criterion"], abs=tolerance["criterion_abs"])
     assert fit.residual_sd == pytest.approx(expected["sigma"], rel=tolerance["sd_rel"])
     assert fit.singular is expected["singular"]
     wanted = {
-        (row["grp"].split(".")[0], row["var1"]): row["sdcor"] for row in expected["varcomp"] if row["var2"] is None
+        (row["grp"].split(".")[0], row["var1"]): row["sdcor"]
+        for row in expected["varcomp"]
+        if row["var2"] is None
     }
     wanted.pop(("Residual", "(Intercept)"), None)
     wanted.pop(("Residual", None), None)
     got = fit.variances.set_index(["group", "term"])["sd"].to_dict()
-    assert {key: got[key] for key in wanted if key in got} == pytest.approx(got, rel=tolerance["sd_rel"])
+    assert {key: got[key] for key in wanted if key in got} == pytest.approx(
+        got, rel=tolerance["sd_rel"]
+    )
     ties = [row["sdcor"] for row in expected["varcomp"] if row["var2"] is not None]
     assert fit.correlations["correlation"].tolist() == pytest.approx(ties, rel=0.01)
 
 
-@pytest.mark.parametrize("expected", CLASSIC, ids=lambda fit: f"{fit['data']}: {fit['formula']} {fit['reml']}")
+@pytest.mark.parametrize(
+    "expected", CLASSIC, ids=lambda fit: f"{fit['data']}: {fit['formula']} {fit['reml']}"
+)
 def test_classic_data_against_lme4(expected: dict[str, Any]) -> None:
     data = pd.read_csv(HERE / "classic" / f"{expected['data']}.csv")
     fit = fit_mixed(expected["formula"], data, reml=expected["reml"])
     assert fit.fixed.index.tolist() == expected["terms"]
     assert fit.criterion <= expected["criterion"] + 1e-6
-    if fit.criterion < expected["criterion"] - 0.01:  # lme4 had not found the minimum: cake with a curve and slopes
+    if (
+        fit.criterion < expected["criterion"] - 0.01
+    ):  # lme4 had not found the minimum: cake with a curve and slopes
         assert "I(temp^2)" in expected["formula"]
         return
     assert fit.criterion == pytest.approx(expected["criterion"], abs=1e-4)
@@ -124,7 +137,9 @@ def deviance_written_out(profile: Profile, theta: np.ndarray) -> float:
         covariance += same * (columns @ lower @ lower.T @ columns.T)
     inverse = np.linalg.inv(covariance)
     information = design.fixed.T @ inverse @ design.fixed
-    rest = design.response - design.fixed @ np.linalg.solve(information, design.fixed.T @ inverse @ design.response)
+    rest = design.response - design.fixed @ np.linalg.solve(
+        information, design.fixed.T @ inverse @ design.response
+    )
     scale = rest @ inverse @ rest / profile.freedom
     logs = np.linalg.slogdet(covariance)[1] + profile.reml * np.linalg.slogdet(information)[1]
     return float(logs + profile.freedom * (1 + np.log(2 * np.pi * scale)))
@@ -133,15 +148,23 @@ def deviance_written_out(profile: Profile, theta: np.ndarray) -> float:
 @pytest.mark.parametrize("reml", [True, False])
 @pytest.mark.parametrize(
     "formula",
-    [FULL, "y ~ a + (a + b | who) + (1 | scene)", "y ~ 1 + (1 | who)", "y ~ a + (0 + a | who) + (b || scene)"],
+    [
+        FULL,
+        "y ~ a + (a + b | who) + (1 | scene)",
+        "y ~ 1 + (1 | who)",
+        "y ~ a + (0 + a | who) + (b || scene)",
+    ],
 )
 def test_deviance_and_slope_by_definition(formula: str, reml: bool) -> None:
     profile = Profile(build_design(formula, make_study(2)), reml=reml)
     theta = np.random.default_rng(3).uniform(0.2, 1.5, profile.n_theta)
-    assert profile.deviance(profile.evaluate(theta)) == pytest.approx(deviance_written_out(profile, theta), abs=1e-8)
+    assert profile.deviance(profile.evaluate(theta)) == pytest.approx(
+        deviance_written_out(profile, theta), abs=1e-8
+    )
     steps = np.eye(profile.n_theta) * 1e-5
     slope = [
-        (deviance_written_out(profile, theta + s) - deviance_written_out(profile, theta - s)) / 2e-5 for s in steps
+        (deviance_written_out(profile, theta + s) - deviance_written_out(profile, theta - s)) / 2e-5
+        for s in steps
     ]
     assert find_slope(profile, profile.evaluate(theta)) == pytest.approx(np.array(slope), abs=1e-4)
 
@@ -156,7 +179,9 @@ def test_no_better_minimum_nearby_in_small_studies_most_of_them_singular() -> No
         rng = np.random.default_rng(seed)
         for width in (0.01, 0.1, 1.0):
             others = np.abs(best.theta + rng.normal(0, width, (20, profile.n_theta)))
-            assert min(profile.deviance(profile.evaluate(other)) for other in others) > lowest - 1e-7
+            assert (
+                min(profile.deviance(profile.evaluate(other)) for other in others) > lowest - 1e-7
+            )
         free = best.theta > 0
         assert np.abs(find_slope(profile, best)[free]).max() < 1e-3
     assert singular >= 6
@@ -191,7 +216,9 @@ def test_a_search_that_rests_at_zero_is_resumed(monkeypatch: pytest.MonkeyPatch)
     assert len(starts) == 2
 
 
-def test_equations_that_cannot_be_solved_are_refused_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_equations_that_cannot_be_solved_are_refused_in_words(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     profile = Profile(build_design("y ~ a + (1 | who)", make_study(5)), reml=True)
 
     def fail(_: np.ndarray) -> None:
@@ -221,7 +248,9 @@ def test_groups_that_differ_less_than_chance_leave_ordinary_regression() -> None
     fit = fit_mixed("y ~ 1 + (1 | g)", data)
     assert fit.singular
     assert fit.variances["sd"].tolist() == [0.0]
-    assert fit.notes == ("Singular fit: the spread of (Intercept) over g is estimated as zero, and kept.",)
+    assert fit.notes == (
+        "Singular fit: the spread of (Intercept) over g is estimated as zero, and kept.",
+    )
     assert fit.fixed.loc["(Intercept)", ["estimate", "se", "df"]].tolist() == pytest.approx([
         data["y"].mean(),
         data["y"].std() / np.sqrt(30),
@@ -261,9 +290,21 @@ def test_fit_hangs_together(fit: MixedFit) -> None:
     assert fit.fitted + fit.residuals == pytest.approx(data["y"].to_numpy())
     assert fit.n_rows == 120
     assert dict(fit.n_levels) == {"who": 6, "scene": 5, "scene:kind": 20, "who:scene": 30}
-    assert fit.variances["group"].tolist() == ["who", "who", "who", "scene", "scene:kind", "who:scene"]
+    assert fit.variances["group"].tolist() == [
+        "who",
+        "who",
+        "who",
+        "scene",
+        "scene:kind",
+        "who:scene",
+    ]
     assert 0 < fit.marginal_r2 < fit.conditional_r2 < 1
-    assert fit.effects.groupby("group").size().to_dict() == {"who": 18, "scene": 5, "scene:kind": 20, "who:scene": 30}
+    assert fit.effects.groupby("group").size().to_dict() == {
+        "who": 18,
+        "scene": 5,
+        "scene:kind": 20,
+        "who:scene": 30,
+    }
 
 
 def test_units_change_nothing_but_units() -> None:
@@ -352,7 +393,9 @@ def test_no_residual_refused(formula: str) -> None:
 
 def test_categories_without_rows_are_no_effects() -> None:
     data = make_study(1).query("kind < 3")
-    kinds = pd.Categorical(data["kind"].map({0: "x", 1: "y", 2: "z"}), categories=["y", "w", "x", "z"])
+    kinds = pd.Categorical(
+        data["kind"].map({0: "x", 1: "y", 2: "z"}), categories=["y", "w", "x", "z"]
+    )
     fit = fit_mixed("y ~ kind + (1 | who)", data.assign(kind=kinds))
     assert fit.fixed.index.tolist() == ["(Intercept)", "kindx", "kindz"]
 
@@ -361,7 +404,9 @@ def test_perfectly_tied_effects_are_singular_in_words() -> None:
     rng = np.random.default_rng(3)
     data = make_study(1)
     shift = np.array([-2.0, -1, 0, 1, 2, 3])[data["who"]]
-    fit = fit_mixed("y ~ a + (a | who)", data.assign(y=0.5 * shift * (1 + data["a"]) + rng.normal(size=120)))
+    fit = fit_mixed(
+        "y ~ a + (a | who)", data.assign(y=0.5 * shift * (1 + data["a"]) + rng.normal(size=120))
+    )
     assert fit.singular
     assert "perfectly correlated" in fit.notes[0]
     assert fit.correlations.loc[0, "correlation"] == pytest.approx(1)
@@ -378,6 +423,10 @@ def test_explained_variance_by_its_definition() -> None:
     y = 3 + x + rng.normal(size=9)[who] + rng.normal(size=9)[who] * x + rng.normal(size=36)
     fit = fit_mixed("y ~ x + (1 + x || who)", pd.DataFrame({"who": who, "x": x, "y": y}))
     level, slope = fit.variances["sd"] ** 2
-    parts = np.var(fit.fixed["estimate"]["x"] * x, ddof=1), level + slope * np.mean(x**2), fit.residual_sd**2
+    parts = (
+        np.var(fit.fixed["estimate"]["x"] * x, ddof=1),
+        level + slope * np.mean(x**2),
+        fit.residual_sd**2,
+    )
     assert fit.marginal_r2 == pytest.approx(parts[0] / sum(parts))
     assert fit.conditional_r2 == pytest.approx((parts[0] + parts[1]) / sum(parts))

@@ -11,10 +11,9 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.stats import chi2, f, norm, pearsonr, spearmanr, t
 
-from analysis.association.repeated import repeated_measures_correlation
-from analysis.p1401.difference import compare_p1401
-from analysis.p1401.mapping import P1401, p1401
-from analysis.p1401.monotone import fit_monotone_cubic
+from feel321.analysis.association.repeated import repeated_measures_correlation
+from feel321.analysis.p1401.difference import compare_p1401
+from feel321.analysis.p1401.mapping import P1401, fit_monotone_cubic, p1401
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -22,7 +21,9 @@ if TYPE_CHECKING:
     Values = NDArray[np.float64]
 
 
-def make_votes(n_items: int = 40, n_raters: int = 12, *, seed: int = 0, noise: float = 8.0) -> tuple[Values, Values]:
+def make_votes(
+    n_items: int = 40, n_raters: int = 12, *, seed: int = 0, noise: float = 8.0
+) -> tuple[Values, Values]:
     rng = np.random.default_rng(seed)
     metric = rng.uniform(0, 1, n_items)
     return 30 + 40 * metric[:, None] + rng.normal(0, noise, (n_items, n_raters)), metric
@@ -42,7 +43,10 @@ def brute_misfit(u: Values, y: Values, rng: np.random.Generator) -> float:
             rise = al**2 * u + al * be * u**2 + be**2 * u**3 / 3 + ga**2 * (u**2 / 2 - u**3 / 3)
             return sign * y - start - rise
 
-        fits = [least_squares(residuals, rng.normal(0, 3, 4), xtol=1e-14, ftol=1e-14, gtol=1e-14) for _ in range(8)]
+        fits = [
+            least_squares(residuals, rng.normal(0, 3, 4), xtol=1e-14, ftol=1e-14, gtol=1e-14)
+            for _ in range(8)
+        ]
         best = min(best, *(2 * fit.cost for fit in fits))
     return best
 
@@ -94,7 +98,9 @@ def test_every_number_by_its_definition(order: int) -> None:
     result = p1401(votes, x, order=order)
     mos, predicted = np.nanmean(votes, axis=1), np.polynomial.Polynomial(result.coefficients)(x)
     if order:
-        assert predicted == pytest.approx(np.polynomial.Polynomial.fit(x, mos, order)(x))  # the constraint is idle
+        assert predicted == pytest.approx(
+            np.polynomial.Polynomial.fit(x, mos, order)(x)
+        )  # the constraint is idle
     n = len(x)
     counts = np.isfinite(votes).sum(axis=1)
     spread = np.array([np.std(row[np.isfinite(row)], ddof=1) for row in votes])
@@ -109,11 +115,17 @@ def test_every_number_by_its_definition(order: int) -> None:
     ratio = result.outlier_ratio
     assert result.outlier_ratio_sd == pytest.approx(math.sqrt(ratio * (1 - ratio) / n))
     assert result.plcc == pytest.approx(pearsonr(mos, predicted)[0])
-    assert math.atanh(result.plcc_high) - math.atanh(result.plcc) == pytest.approx(1.96 / math.sqrt(n - 3))
+    assert math.atanh(result.plcc_high) - math.atanh(result.plcc) == pytest.approx(
+        1.96 / math.sqrt(n - 3)
+    )
     assert result.plcc_low < result.plcc
     assert result.srocc == pytest.approx(spearmanr(mos, x)[0])
-    assert result.rmse_high == pytest.approx(result.rmse * math.sqrt((n - spent) / chi2.ppf(0.025, n - spent)))
-    assert result.rmse_low == pytest.approx(result.rmse * math.sqrt((n - spent) / chi2.ppf(0.975, n - spent)))
+    assert result.rmse_high == pytest.approx(
+        result.rmse * math.sqrt((n - spent) / chi2.ppf(0.025, n - spent))
+    )
+    assert result.rmse_low == pytest.approx(
+        result.rmse * math.sqrt((n - spent) / chi2.ppf(0.975, n - spent))
+    )
 
 
 def test_known_traps_give_other_numbers() -> None:
@@ -163,27 +175,34 @@ def test_a_falling_metric_is_mapped_by_a_falling_cubic() -> None:
     ("metric", "mos", "expected"),
     [
         (
-            np.linspace(0, 1, 12), [10, 30, 38, 35, 33, 30, 34, 36, 35, 50, 70, 88],
+            np.linspace(0, 1, 12),
+            [10, 30, 38, 35, 33, 30, 34, 36, 35, 50, 70, 88],
             (4.891254728, 0.9787522463, 14.21469059, 141.0198056, -339.8681836, 273.0358367),
         ),
         (
-            [0.2, 0.25, 0.4, 0.41, 0.5, 0.55, 0.6, 0.7, 0.8, 0.95], [80, 82, 60, 66, 70, 58, 60, 40, 45, 10],
+            [0.2, 0.25, 0.4, 0.41, 0.5, 0.55, 0.6, 0.7, 0.8, 0.95],
+            [80, 82, 60, 66, 70, 58, 60, 40, 45, 10],
             (6.909899424, 0.9641179479, 117.5302337, -247.3667224, 417.8937218, -289.9717678),
         ),
         (
-            np.arange(11) / 10, [5, 20, 45, 60, 72, 80, 86, 84, 80, 76, 75],
+            np.arange(11) / 10,
+            [5, 20, 45, 60, 72, 80, 86, 84, 80, 76, 75],
             (5.451089954, 0.9859961295, 0.9284889487, 288.9124131, -347.365311, 139.214809),
         ),
     ],
     ids=["touches inside", "falls freely", "stops at the end"],
-)  # fmt: skip
-def test_against_quadratic_programming_in_r(metric: object, mos: list[int], expected: tuple[float, ...]) -> None:
+)
+def test_against_quadratic_programming_in_r(
+    metric: object, mos: list[int], expected: tuple[float, ...]
+) -> None:
     # R 4.2.2, quadprog 1.5-8: solve.QP(crossprod(X), crossprod(X, y), s * rbind(0, 1, 2 * g, 3 * g^2), 0), with
     # X = cbind(1, x, x^2, x^3), g 20001 points of the range, and the better of s = 1 and s = -1.
     votes = np.asarray(mos, dtype=float)[:, None] + np.array([-3, 3, 0, 1, -1])
     result = p1401(votes, metric)
     assert (result.rmse, result.plcc) == pytest.approx(expected[:2], rel=1e-7)
-    assert result.coefficients == pytest.approx(expected[2:], rel=3e-4)  # the grid lets a slope dip below 0 by a hair
+    assert result.coefficients == pytest.approx(
+        expected[2:], rel=3e-4
+    )  # the grid lets a slope dip below 0 by a hair
 
 
 def test_an_active_constraint_fits_worse_but_monotonely() -> None:
@@ -251,9 +270,19 @@ GOOD = ([[1, 2], [2, 3], [4, 4], [5, 6], [6, 8]], [1, 2, 3, 4, 5])
     [
         ([1, 2, 3], [1, 2, 3], {}, r"votes: got shape \(3,\), allowed is \(items, raters\)"),
         ([[1, np.inf]], [1], {}, "votes: got 1 infinite votes; use NaN"),
-        ([[1, 2], [3, np.nan]], [1, 2], {}, r"votes: got item 1 with 1 votes \(1 such items\), allowed is 2 or more"),
+        (
+            [[1, 2], [3, np.nan]],
+            [1, 2],
+            {},
+            r"votes: got item 1 with 1 votes \(1 such items\), allowed is 2 or more",
+        ),
         (GOOD[0], [[1], [2]], {}, r"metric: got shape \(2, 1\), allowed is one value per item"),
-        (GOOD[0], [1, 2, np.nan, 4, 5], {}, "metric: got 1 values that are not finite, first of item 2"),
+        (
+            GOOD[0],
+            [1, 2, np.nan, 4, 5],
+            {},
+            "metric: got 1 values that are not finite, first of item 2",
+        ),
         (*GOOD, {"order": 2}, r"order: got 2, allowed is 3 \(monotone cubic\), 1 \(line\) or 0"),
         (*GOOD, {"order": 3.0}, "order: got 3.0, allowed is 3"),
         (*GOOD, {"order": True}, "order: got True, allowed is 3"),
@@ -261,11 +290,30 @@ GOOD = ([[1, 2], [2, 3], [4, 4], [5, 6], [6, 8]], [1, 2, 3, 4, 5])
         ([[1, 2], [3]], [1, 2], {}, "votes: got rows of different lengths, allowed are numbers"),
         (GOOD[0], [1, "two", 3, 4, 5], {}, "metric: got 'two', allowed are numbers"),
         (GOOD[0], [1, 2], {}, "metric: got 2 values for 5 items"),
-        (GOOD[0][:4], [1, 2, 3, 4], {}, "votes: got 4 items, order 3 needs at least 5; lower the order"),
-        (GOOD[0], [1, 1, 2, 2, 3], {}, "metric: got 3 different values over the items, order 3 needs 4"),
-        (GOOD[0], [7] * 5, {"order": 1}, "metric: got 1 different values over the items, order 1 needs 2"),
+        (
+            GOOD[0][:4],
+            [1, 2, 3, 4],
+            {},
+            "votes: got 4 items, order 3 needs at least 5; lower the order",
+        ),
+        (
+            GOOD[0],
+            [1, 1, 2, 2, 3],
+            {},
+            "metric: got 3 different values over the items, order 3 needs 4",
+        ),
+        (
+            GOOD[0],
+            [7] * 5,
+            {"order": 1},
+            "metric: got 1 different values over the items, order 1 needs 2",
+        ),
         (*GOOD, {"groups": [1, 2]}, r"groups: got shape \(2,\) for 5 items"),
-        (*GOOD, {"groups": [1, 1, 2, np.nan, np.nan]}, "groups: got 2 items without a group; name it or leave them"),
+        (
+            *GOOD,
+            {"groups": [1, 1, 2, np.nan, np.nan]},
+            "groups: got 2 items without a group; name it or leave them",
+        ),
         (*GOOD, {"groups": [None, "a", "b", "a", "b"]}, "groups: got 1 items without a group"),
         (*GOOD, {"groups": ["a"] * 5}, "groups: got the one group .*leave groups out"),
         (
@@ -275,7 +323,9 @@ GOOD = ([[1, 2], [2, 3], [4, 4], [5, 6], [6, 8]], [1, 2, 3, 4, 5])
         ),
     ],
 )
-def test_bad_input_is_refused_in_words(votes: object, metric: object, options: dict[str, object], message: str) -> None:
+def test_bad_input_is_refused_in_words(
+    votes: object, metric: object, options: dict[str, object], message: str
+) -> None:
     with pytest.raises(ValueError, match=message):
         p1401(votes, metric, **options)
 
@@ -332,7 +382,10 @@ def test_different_votes_or_mappings_are_not_compared() -> None:
     good, poor = pair()
     with pytest.raises(ValueError, match="second: got results on other votes"):
         compare_p1401(good, pair(seed=2)[1])
-    with pytest.raises(ValueError, match=r"second: got order 1, held_out False, but the first has order 3.*map both"):
+    with pytest.raises(
+        ValueError,
+        match=r"second: got order 1, held_out False, but the first has order 3.*map both",
+    ):
         compare_p1401(good, pair(order=1)[1])
     assert compare_p1401(good, poor).n_items == 40
 

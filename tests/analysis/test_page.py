@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING
 import pandas as pd
 import pytest
 
-from analysis.report.lines import Line
-from analysis.report.page import group_lines
-from analysis.report.sections.section import Section
-from analysis.resampling.bootstrap import METHODS
-from analysis.screening import RULES
-from analysis.words import keep_together, tell_method, tell_number, tell_range
+from feel321.analysis.report.page import group_lines
+from feel321.analysis.report.section import Section
+from feel321.analysis.resampling import METHODS
+from feel321.analysis.screening.rules import RULES
+from feel321.analysis.words import Line, keep_together, tell_method, tell_number, tell_range
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -31,20 +30,29 @@ def load(report: Path) -> dict[str, object]:
 
 def gather_rows(report: Path) -> list[list[dict[str, str]]]:
     """Read the page's tables: per table, per row, cell by column; what came twice is told apart by its place."""
-    text = re.sub(r"<svg.*?</svg>", "", (report / "index.html").read_text(encoding="utf-8"), flags=re.DOTALL)
+    text = re.sub(
+        r"<svg.*?</svg>", "", (report / "index.html").read_text(encoding="utf-8"), flags=re.DOTALL
+    )
     tables = []
     for table in re.findall(r"<table>.*?</table>", text, flags=re.DOTALL):
         header, *rows = [
-            [" ".join(html.unescape(cell).split()) for cell in re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row, re.DOTALL)]
+            [
+                " ".join(html.unescape(cell).split())
+                for cell in re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row, re.DOTALL)
+            ]
             for row in re.findall(r"<tr>(.*?)</tr>", table, flags=re.DOTALL)
         ]
-        header = [f"{name} of z" if name in header[:place] else name for place, name in enumerate(header)]
+        header = [
+            f"{name} of z" if name in header[:place] else name for place, name in enumerate(header)
+        ]
         tables.append([dict(zip(header, row, strict=True)) for row in rows])
     return tables
 
 
 def pair(entry: dict[str, object], kind: str = "correlation") -> str:
-    return tell_range(*(math.nan if entry[key] is None else entry[key] for key in ("low", "high")), kind=kind)
+    return tell_range(
+        *(math.nan if entry[key] is None else entry[key] for key in ("low", "high")), kind=kind
+    )
 
 
 def single(entry: dict[str, object], kind: str = "correlation") -> str:
@@ -55,8 +63,14 @@ def test_every_cell_stands_under_its_header(report: Path) -> None:
     found = {entry["name"]: entry for entry in load(report)["numbers"]}
     tables = gather_rows(report)
     heads = ("r / ceiling", "Difference of r", "Judgements")
-    correlations, differences, profiles = (next(table for table in tables if head in table[0]) for head in heads)
-    assert (len(correlations), len(differences), len(profiles)) == (2 * 2 * 6, 2 * 6, 24)  # scales x metrics x methods
+    correlations, differences, profiles = (
+        next(table for table in tables if head in table[0]) for head in heads
+    )
+    assert (len(correlations), len(differences), len(profiles)) == (
+        2 * 2 * 6,
+        2 * 6,
+        24,
+    )  # scales x metrics x methods
     for row in correlations:
         scale, metric = row["Ratings"].split(",")[0], row["Metric"].replace(" ", "_")
         name = f"association.{scale}.as_is.{metric}.{KINDS[row['Method']]}"
@@ -65,12 +79,18 @@ def test_every_cell_stands_under_its_header(report: Path) -> None:
         assert row["Participants only"] == pair(found[f"{name}.participants_only"])
         assert row["Noise ceiling"] == single(found[f"{name}.ceiling"])
         assert row["r / ceiling"] == single(found[f"{name}.disattenuated"])
-        for column, what in (("Stimuli", "items"), ("Participants", "participants"), ("Recordings", "recordings")):
+        for column, what in (
+            ("Stimuli", "items"),
+            ("Participants", "participants"),
+            ("Recordings", "recordings"),
+        ):
             assert row[column] == f"{found[f'{name}.n_{what}']['value']}"
         assert row["Draws"] == f"{found[f'{name}.draws']['value']}"
     for row in differences:
         scale, *pairs = row["Ratings"].split(",")[0], row["First"], row["Second"]
-        name = f"difference.{scale}.as_is.{'.'.join(pairs).replace(' ', '_')}.{KINDS[row['Method']]}"
+        name = (
+            f"difference.{scale}.as_is.{'.'.join(pairs).replace(' ', '_')}.{KINDS[row['Method']]}"
+        )
         assert row["Difference of r"] == single(found[name])
         assert row["Two-way interval"] == pair(found[name])
         assert row["Difference of Fisher’s z"] == single(found[f"{name}.z"])
@@ -79,15 +99,23 @@ def test_every_cell_stands_under_its_header(report: Path) -> None:
         name = f"profile.{row['Ratings'].split(',')[0]}.as_is.{row['Role']}.{row['Reducer']}"
         assert row["Mean"] == single(found[name], "rating")
         assert row["Interval"] == pair(found[name], "rating")
-        for column, what in (("Participants", "participants"), ("Stimuli", "stimuli"), ("Judgements", "ratings")):
+        for column, what in (
+            ("Participants", "participants"),
+            ("Stimuli", "stimuli"),
+            ("Judgements", "ratings"),
+        ):
             assert row[column] == f"{found[f'{name}.n_{what}']['value']}"
 
 
 def test_every_caption_has_its_own_drawing(report: Path) -> None:
     figures = load(report)["figures"]
     text = (report / "index.html").read_text(encoding="utf-8")
-    shown = re.findall(r"<figure>.*?<svg(.*?)</svg>.*?<figcaption>(.*?)</figcaption>", text, flags=re.DOTALL)
-    drawings = {html.unescape(caption): re.findall(r' d="([^"]*)"', drawing) for drawing, caption in shown}
+    shown = re.findall(
+        r"<figure>.*?<svg(.*?)</svg>.*?<figcaption>(.*?)</figcaption>", text, flags=re.DOTALL
+    )
+    drawings = {
+        html.unescape(caption): re.findall(r' d="([^"]*)"', drawing) for drawing, caption in shown
+    }
     assert set(drawings) == set(map(keep_together, figures.values()))
     for name, caption in figures.items():
         drawn = (report / "figures" / f"{name}.svg").read_text(encoding="utf-8")
@@ -100,7 +128,9 @@ def test_differences_and_clipped_values_are_in_the_results(report: Path, study: 
     found = {entry["name"]: entry["value"] for entry in results["numbers"]}
     name = "difference.realism.as_is.spectral_match.temporal_match.pearson"
     assert found[f"{name}.first_value"] == found["association.realism.as_is.spectral_match.pearson"]
-    assert found[f"{name}.second_value"] == found["association.realism.as_is.temporal_match.pearson"]
+    assert (
+        found[f"{name}.second_value"] == found["association.realism.as_is.temporal_match.pearson"]
+    )
     assert found[name] == found[f"{name}.first_value"] - found[f"{name}.second_value"]
     assert (found[f"{name}.draws"], found[f"{name}.n_missing"]) == (50, 0)
     lowest = pd.read_csv(study.manifest).query("role == 'test'")["spectral_match"].min()
@@ -109,11 +139,17 @@ def test_differences_and_clipped_values_are_in_the_results(report: Path, study: 
     assert results["inputs"]["draws"] == "50"
 
 
-@pytest.mark.skipif(not shutil.which("chromium"), reason="PAGE NOT RENDERED: chromium is not installed")
+@pytest.mark.skipif(
+    not shutil.which("chromium"), reason="PAGE NOT RENDERED: chromium is not installed"
+)
 @pytest.mark.parametrize("width", [500, 1400])
 def test_a_browser_shows_it_without_overflow(report: Path, tmp_path: Path, width: int) -> None:
     probe = "document.title = document.documentElement.scrollWidth + ' of ' + innerWidth"
-    page = (report / "index.html").read_text(encoding="utf-8").replace("</body>", f"<script>{probe}</script></body>")
+    page = (
+        (report / "index.html")
+        .read_text(encoding="utf-8")
+        .replace("</body>", f"<script>{probe}</script></body>")
+    )
     (tmp_path / "probe.html").write_text(page, encoding="utf-8")
     quiet = [
         "--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-sync",
@@ -128,7 +164,9 @@ def test_a_browser_shows_it_without_overflow(report: Path, tmp_path: Path, width
 
 
 def test_no_line_breaks_between_a_number_and_its_percent_sign(report: Path) -> None:
-    text = re.sub(r"<svg.*?</svg>", "", (report / "index.html").read_text(encoding="utf-8"), flags=re.DOTALL)
+    text = re.sub(
+        r"<svg.*?</svg>", "", (report / "index.html").read_text(encoding="utf-8"), flags=re.DOTALL
+    )
     assert len(re.findall("95\N{NO-BREAK SPACE}% ", text)) > 20
     assert re.findall(r"\d\s*[ \n]\s*%", text) == []
 
@@ -137,26 +175,43 @@ def test_notes_hold_words_instead_of_raw_names(report: Path) -> None:
     notes = [note for note in load(report)["notes"] if "as is" in note]
     assert notes
     assert not any(rule in note for note in load(report)["notes"] for rule in RULES if "_" in rule)
-    assert not any(name in note for note in notes for name in ("as_is", "spectral_match", "Intercept"))
+    assert not any(
+        name in note for note in notes for name in ("as_is", "spectral_match", "Intercept")
+    )
 
 
 def test_the_answer_stands_by_subject_and_the_rest_last() -> None:
-    first = Section("a", "A", verdict=(Line("x", "Realism", "over 36 stimuli"), Line("all"), Line("y", "Similarity")))
+    first = Section(
+        "a",
+        "A",
+        verdict=(Line("x", "Realism", "over 36 stimuli"), Line("all"), Line("y", "Similarity")),
+    )
     second = Section("b", "B", verdict=(Line("z", "Realism"), Line("all")))
-    told = {subject: [str(line) for line in lines] for subject, lines in group_lines([first, second]).items()}
+    told = {
+        subject: [str(line) for line in lines]
+        for subject, lines in group_lines([first, second]).items()
+    }
     assert list(told.items()) == [
-        ("Realism", ["Realism, over 36 stimuli: x", "Realism: z"]), ("Similarity", ["Similarity: y"]), ("", ["all"]),
-    ]  # fmt: skip
+        ("Realism", ["Realism, over 36 stimuli: x", "Realism: z"]),
+        ("Similarity", ["Similarity: y"]),
+        ("", ["all"]),
+    ]
 
 
 def test_what_a_reader_meets_first_is_not_folded(report: Path) -> None:
     results = load(report)
-    text = re.sub(r"<svg.*?</svg>", "", (report / "index.html").read_text(encoding="utf-8"), flags=re.DOTALL)
+    text = re.sub(
+        r"<svg.*?</svg>", "", (report / "index.html").read_text(encoding="utf-8"), flags=re.DOTALL
+    )
     met = html.unescape(re.sub(r"<details>.*?</details>", "", text, flags=re.DOTALL))
     # Whose ratings a line is about stands above it, once.
     lines = [keep_together(line.split(": ", 1)[-1]) for line in results["verdict"]]
     assert all(line in met for line in lines)
-    assert met.index(lines[0]) < met.index("Points per +0.1") < met.index("Correlations of mean ratings with metrics")
+    assert (
+        met.index(lines[0])
+        < met.index("Points per +0.1")
+        < met.index("Correlations of mean ratings with metrics")
+    )
     # What opens the report is not said again.
     assert not any(keep_together(line) in text for line in results["answers"]["primary"])
     assert len(re.findall("<details>", text)) == len(re.findall("<summary>", text)) > 5

@@ -11,11 +11,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.contrasts.profile import profile_reducers
-from analysis.findings import analyse, stack_records
-from analysis.report.sections.parts import split_parts
-from analysis.report.write import write_report
-from analysis.table.reading import Table, read_table
+from feel321.analysis.association.correlate import analyse, stack_records
+from feel321.analysis.contrasts.equivalence import profile_reducers
+from feel321.analysis.report.section import split_parts
+from feel321.analysis.report.write import write_report
+from feel321.analysis.table.reading import Table, read_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -34,9 +34,19 @@ def write(tmp_path: Path) -> Callable[..., tuple[Path, Path]]:
         names = ["participant", "scale", "stimulus_id", "reference_id", "rating"]
         ratings, manifest = tmp_path / "ratings.csv", tmp_path / "manifest.csv"
         table = pd.DataFrame(judgements, columns=names)
-        table.assign(**{"trial": range(1, len(judgements) + 1), **(more or {})}).to_csv(ratings, index=False)
+        table.assign(**{"trial": range(1, len(judgements) + 1), **(more or {})}).to_csv(
+            ratings, index=False
+        )
         rows = [(name, "rec", name, "as_is", role, 0.5, 0.5) for name, role in STIMULI.items()]
-        columns = ["stimulus_id", "recording", "reducer", "level", "role", "spectral_match", "temporal_match"]
+        columns = [
+            "stimulus_id",
+            "recording",
+            "reducer",
+            "level",
+            "role",
+            "spectral_match",
+            "temporal_match",
+        ]
         pd.DataFrame(rows, columns=columns).to_csv(manifest, index=False)
         return ratings, manifest
 
@@ -59,22 +69,38 @@ PAIRS = [
 ]
 
 
-def test_a_dissimilarity_is_about_what_was_compared_with_the_reference(write: Callable[..., tuple[Path, Path]]) -> None:
+def test_a_dissimilarity_is_about_what_was_compared_with_the_reference(
+    write: Callable[..., tuple[Path, Path]],
+) -> None:
     table = read_table(*write(PAIRS))
     assert list_judged(table) == [
-        ("mag321", "test"), ("dft321", "test"), ("orig", "reference"), ("dft321", "pair"),
-        ("dft321", "reference"), ("anchor_low", "anchor"), ("anchor_low", "anchor"), ("mag321", "pair"),
-    ]  # fmt: skip
+        ("mag321", "test"),
+        ("dft321", "test"),
+        ("orig", "reference"),
+        ("dft321", "pair"),
+        ("dft321", "reference"),
+        ("anchor_low", "anchor"),
+        ("anchor_low", "anchor"),
+        ("mag321", "pair"),
+    ]
     assert list(table.rows["reducer"]) == list(table.rows["stimulus_id"])
     assert list(table.rows["rating"]) == [row[-1] for row in PAIRS]
 
 
 def test_other_scales_keep_their_direction(write: Callable[..., tuple[Path, Path]]) -> None:
-    judgements = [("p", "similarity", "orig", "dft321", 80), ("p", "similarity", "dft321", "mag321", 30)]
-    assert list_judged(read_table(*write(judgements))) == [("orig", "reference"), ("dft321", "test")]
+    judgements = [
+        ("p", "similarity", "orig", "dft321", 80),
+        ("p", "similarity", "dft321", "mag321", 30),
+    ]
+    assert list_judged(read_table(*write(judgements))) == [
+        ("orig", "reference"),
+        ("dft321", "test"),
+    ]
 
 
-def test_a_reducer_judged_against_itself_is_the_hidden_reference(write: Callable[..., tuple[Path, Path]]) -> None:
+def test_a_reducer_judged_against_itself_is_the_hidden_reference(
+    write: Callable[..., tuple[Path, Path]],
+) -> None:
     judgements = [("p", "mushra", name, "dft321", 50) for name in STIMULI]
     table = read_table(*write(judgements))
     assert list_judged(table) == list((STIMULI | {"dft321": "reference"}).items())
@@ -85,13 +111,20 @@ def test_profiles_leave_out_pairs_of_two_reducers(write: Callable[..., tuple[Pat
     profile = analyse(table, draws=5, rng=np.random.default_rng(0)).profile
     found = {(row["role"], row["reducer"]): row["mean"] for row in profile.to_dict("records")}
     assert found == {
-        ("test", "mag321"): 60, ("test", "dft321"): 20, ("reference", "orig"): 0,
-        ("reference", "dft321"): 5, ("anchor", "anchor_low"): 85,
-    }  # fmt: skip
+        ("test", "mag321"): 60,
+        ("test", "dft321"): 20,
+        ("reference", "orig"): 0,
+        ("reference", "dft321"): 5,
+        ("anchor", "anchor_low"): 85,
+    }
 
 
-def test_without_reference_every_dissimilarity_is_from_the_reference(write: Callable[..., tuple[Path, Path]]) -> None:
-    table = read_table(*write([("p", "dissimilarity", "mag321", "", 60), ("p", "dissimilarity", "orig", "", 3)]))
+def test_without_reference_every_dissimilarity_is_from_the_reference(
+    write: Callable[..., tuple[Path, Path]],
+) -> None:
+    table = read_table(
+        *write([("p", "dissimilarity", "mag321", "", 60), ("p", "dissimilarity", "orig", "", 3)])
+    )
     assert list_judged(table) == [("mag321", "test"), ("orig", "reference")]
     note = "2 judgements of scale 'dissimilarity' name no reference_id: they are taken as from the reference."
     assert note in table.notes
@@ -103,8 +136,13 @@ def test_an_unknown_partner_is_refused(write: Callable[..., tuple[Path, Path]]) 
         read_table(*write([PAIRS[0], ("p", "dissimilarity", "mag321", "ghost", 60)]))
 
 
-def test_pairs_are_told_apart_by_both_where_repeats_count(write: Callable[..., tuple[Path, Path]]) -> None:
-    judgements = [("p", "dissimilarity", "mag321", "orig", 60), ("p", "dissimilarity", "mag321", "dft321", 40)]
+def test_pairs_are_told_apart_by_both_where_repeats_count(
+    write: Callable[..., tuple[Path, Path]],
+) -> None:
+    judgements = [
+        ("p", "dissimilarity", "mag321", "orig", 60),
+        ("p", "dissimilarity", "mag321", "dft321", 40),
+    ]
     paths = write(judgements)
     frame = pd.read_csv(paths[0]).drop(columns="trial")
     frame.to_csv(paths[0], index=False)
@@ -116,7 +154,9 @@ def test_pairs_are_told_apart_by_both_where_repeats_count(write: Callable[..., t
         read_table(*paths)
 
 
-def test_other_references_than_the_recording_are_noted(write: Callable[..., tuple[Path, Path]]) -> None:
+def test_other_references_than_the_recording_are_noted(
+    write: Callable[..., tuple[Path, Path]],
+) -> None:
     references = ["surface", "surface", "dft321", "ghost", "orig", ""]
     table = read_table(*write([("p", "similarity", "mag321", name, 40) for name in references]))
     assert [note for note in table.notes if note.startswith("Scale")] == [
@@ -128,16 +168,25 @@ def test_other_references_than_the_recording_are_noted(write: Callable[..., tupl
     ]
 
 
-def test_metrics_speak_only_of_what_was_judged_against_its_recording(write: Callable[..., tuple[Path, Path]]) -> None:
+def test_metrics_speak_only_of_what_was_judged_against_its_recording(
+    write: Callable[..., tuple[Path, Path]],
+) -> None:
     references = ["surface", "dft321", "ghost", "orig", "", "elsewhere"]
     paths = write([("p", "similarity", "mag321", name, 40) for name in references])
     manifest = pd.read_csv(paths[1])
-    other = manifest[manifest["stimulus_id"] == "orig"].assign(stimulus_id="elsewhere", recording="s")
+    other = manifest[manifest["stimulus_id"] == "orig"].assign(
+        stimulus_id="elsewhere", recording="s"
+    )
     pd.concat([manifest, other]).to_csv(paths[1], index=False)
     table = read_table(*paths)
     assert dict(zip(references, table.rows["matched"], strict=True)) == {
-        "surface": True, "dft321": False, "ghost": True, "orig": True, "": True, "elsewhere": False,
-    }  # fmt: skip
+        "surface": True,
+        "dft321": False,
+        "ghost": True,
+        "orig": True,
+        "": True,
+        "elsewhere": False,
+    }
     assert any("were made against a stimulus of another recording" in note for note in table.notes)
     assert [len(part.rows) for part in split_parts(table)] == [4]
     assert [len(part.rows) for part in split_parts(table, matched=False)] == [6]
@@ -147,16 +196,22 @@ def test_both_stimuli_of_a_pair_count_as_rated(write: Callable[..., tuple[Path, 
     notes = read_table(*write([("p", "dissimilarity", "mag321", "dft321", 40)])).notes
     assert "2 of 4 stimuli of the manifest were rated by nobody: 'orig', 'anchor_low'." in notes
     notes = read_table(*write([("p", "similarity", "mag321", "dft321", 40)])).notes
-    assert any(note.startswith("3 of 4 stimuli of the manifest were rated by nobody") for note in notes)
+    assert any(
+        note.startswith("3 of 4 stimuli of the manifest were rated by nobody") for note in notes
+    )
 
 
-def test_a_bad_attempt_and_the_good_one_share_a_trial(write: Callable[..., tuple[Path, Path]]) -> None:
+def test_a_bad_attempt_and_the_good_one_share_a_trial(
+    write: Callable[..., tuple[Path, Path]],
+) -> None:
     page = [("p", "mushra", name, "orig", 50) for name in STIMULI]
     more = {"trial": [1] * 12, "session": [1] * 8 + [2] * 4, "rejected": [True] * 4 + [False] * 8}
     table = read_table(*write([*page, *page, *page], more=more))
     assert len(table.rows) == 8
     assert "4 judgements marked as rejected are left out." in table.notes
-    with pytest.raises(ValueError, match="lines 6, 7, 8 and 1 more: got '1' in column 'trial', but an earlier line"):
+    with pytest.raises(
+        ValueError, match="lines 6, 7, 8 and 1 more: got '1' in column 'trial', but an earlier line"
+    ):
         read_table(*write([*page, *page, *page], more=more | {"rejected": [False] * 12}))
 
 
@@ -168,7 +223,9 @@ def test_who_has_no_valid_judgement_is_named(write: Callable[..., tuple[Path, Pa
 
 
 @pytest.mark.parametrize("scale", ["dissimilarity", "abx"])
-def test_no_metric_is_set_against_comparisons(tidy: Callable[..., pd.DataFrame], scale: str) -> None:
+def test_no_metric_is_set_against_comparisons(
+    tidy: Callable[..., pd.DataFrame], scale: str
+) -> None:
     rated = tidy()
     whole = Table(pd.concat([rated, tidy(scales=(scale,))]), ("spectral_match",), ())
     findings = analyse(whole, draws=20, rng=np.random.default_rng(0))
@@ -184,8 +241,16 @@ def test_everybody_right_is_no_interval(tidy: Callable[..., pd.DataFrame]) -> No
     answers = np.where(table["reducer"] == "dft321", 100.0 * (table["repeat"] == 1), 100.0)
     everyone = profile_reducers(table.assign(rating=answers))
     assert everyone["low"].isna().all()
-    missed = (table["reducer"] == "mag321") & (table["participant"] == "p01") & (table["recording"] == "rec0")
-    row = profile_reducers(table.assign(rating=np.where(missed, 0.0, 100.0))).set_index("reducer").loc["mag321"]
+    missed = (
+        (table["reducer"] == "mag321")
+        & (table["participant"] == "p01")
+        & (table["recording"] == "rec0")
+    )
+    row = (
+        profile_reducers(table.assign(rating=np.where(missed, 0.0, 100.0)))
+        .set_index("reducer")
+        .loc["mag321"]
+    )
     means = np.array([100, 75, 100, 100, 100, 100.0])
     assert row["mean"] == pytest.approx(means.mean())
     assert row["high"] == 100
@@ -193,13 +258,19 @@ def test_everybody_right_is_no_interval(tidy: Callable[..., pd.DataFrame]) -> No
 
 
 def read_page(folder: Path) -> str:
-    return re.sub(r"<svg.*?</svg>", "", (folder / "index.html").read_text(encoding="utf-8"), flags=re.DOTALL)
+    return re.sub(
+        r"<svg.*?</svg>", "", (folder / "index.html").read_text(encoding="utf-8"), flags=re.DOTALL
+    )
 
 
 @pytest.mark.parametrize(
     ("scale", "reason", "measure"),
     [
-        ("dissimilarity", "a metric speaks of one stimulus and they compare two", "Mean dissimilarity from the refer"),
+        (
+            "dissimilarity",
+            "a metric speaks of one stimulus and they compare two",
+            "Mean dissimilarity from the refer",
+        ),
         ("abx", "they are right (100) or wrong (0)", "Mean percentage correct per reducer"),
     ],
 )
@@ -210,14 +281,24 @@ def test_comparisons_alone_are_a_page_without_a_claim(
     ratings = pd.read_csv(study.ratings)
     if scale == "abx":
         ratings["rating"] = np.where(ratings["rating"] > 50, 100.0, 0.0)
-    ratings.assign(reference_id=ratings["recording"] + "_original_as_is").to_csv(study.ratings, index=False)
+    ratings.assign(reference_id=ratings["recording"] + "_original_as_is").to_csv(
+        study.ratings, index=False
+    )
     results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
-    assert results.verdict[0].startswith("These ratings do not show whether the metrics predict what people feel")
+    assert results.verdict[0].startswith(
+        "These ratings do not show whether the metrics predict what people feel"
+    )
     assert ("The space of what was felt" in results.verdict[-1]) == (scale == "dissimilarity")
     lead = f"Scale '{scale}': none of its 576 judgements enters an association, because {reason}"
     assert results.notes[0].startswith(lead)
-    assert not [number for number in results.numbers if number.name.startswith(("association", "difference"))]
-    assert len([number for number in results.numbers if number.name.startswith("profile")]) == 12 * 4
+    assert not [
+        number
+        for number in results.numbers
+        if number.name.startswith(("association", "difference"))
+    ]
+    assert (
+        len([number for number in results.numbers if number.name.startswith("profile")]) == 12 * 4
+    )
     page = read_page(tmp_path / "report")
     assert measure in page
     assert "bootstrap" not in page
@@ -227,16 +308,26 @@ def test_comparisons_alone_are_a_page_without_a_claim(
     json.loads((tmp_path / "report" / "results.json").read_text(encoding="utf-8"))
 
 
-def test_pairs_of_reducers_alone_are_a_page_too(write: Callable[..., tuple[Path, Path]], tmp_path: Path) -> None:
-    paths = write([("p", "dissimilarity", "mag321", "dft321", 40), ("q", "dissimilarity", "dft321", "mag321", 50)])
+def test_pairs_of_reducers_alone_are_a_page_too(
+    write: Callable[..., tuple[Path, Path]], tmp_path: Path
+) -> None:
+    paths = write([
+        ("p", "dissimilarity", "mag321", "dft321", 40),
+        ("q", "dissimilarity", "dft321", "mag321", 50),
+    ])
     results = write_report(*paths, tmp_path / "report", draws=5, seed=0)
     assert results.figures == {}
-    assert any("holds the 0 that compare with the reference, and leaves out 2." in note for note in results.notes)
+    assert any(
+        "holds the 0 that compare with the reference, and leaves out 2." in note
+        for note in results.notes
+    )
     assert "Ratings per reducer" not in read_page(tmp_path / "report")
 
 
 @pytest.mark.usefixtures("short")
-def test_groups_that_felt_different_levels_are_counted_apart(files: Callable[..., object], tmp_path: Path) -> None:
+def test_groups_that_felt_different_levels_are_counted_apart(
+    files: Callable[..., object], tmp_path: Path
+) -> None:
     study = files(levels=("as_is", "equal_intensity"), scales=("realism", "mushra"), anchors=False)
     ratings = pd.read_csv(study.ratings)
     is_odd = ratings["participant"].isin(["p01", "p03"])
@@ -244,7 +335,11 @@ def test_groups_that_felt_different_levels_are_counted_apart(files: Callable[...
     ratings[own & ((ratings["scale"] == "mushra") == is_odd)].to_csv(study.ratings, index=False)
     results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
     found = {number.name: number.value for number in results.numbers}
-    people = {name: value for name, value in found.items() if name.endswith("spectral_match.pearson.n_participants")}
+    people = {
+        name: value
+        for name, value in found.items()
+        if name.endswith("spectral_match.pearson.n_participants")
+    }
     assert people == {
         "association.mushra.equal_intensity.spectral_match.pearson.n_participants": 2,
         "association.realism.as_is.spectral_match.pearson.n_participants": 4,

@@ -9,15 +9,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.mixed.model import fit_mixed
-from analysis.primary import cells
-from analysis.primary.cells import make_cells
-from analysis.primary.model import fit_attributes, fit_primary, tabulate_slopes
-from analysis.primary.precision import Precision, find_own, find_variances
-from analysis.primary.sensitivity import vary_primary
+from feel321.analysis.mixed.model import fit_mixed
+from feel321.analysis.primary import plan
+from feel321.analysis.primary.model import fit_attributes, fit_primary, tabulate_slopes
+from feel321.analysis.primary.plan import make_cells
+from feel321.analysis.primary.sensitivity import Precision, find_own, find_variances, vary_primary
 
 if TYPE_CHECKING:
-    from analysis.primary.model import Primary
+    from feel321.analysis.primary.model import Primary
 
 METRICS = ["sm", "tm"]
 FULL = (
@@ -28,21 +27,32 @@ REDUCERS = " + (1 | reducer) + (1 | participant:reducer)"
 
 
 def make_rows(
-    seed: int = 0, *, people: int = 8, recordings: int = 6, reducers: int = 5, repeats: int = 2, slope: float = 20.0
+    seed: int = 0,
+    *,
+    people: int = 8,
+    recordings: int = 6,
+    reducers: int = 5,
+    repeats: int = 2,
+    slope: float = 20.0,
 ) -> pd.DataFrame:
     """A study with a planted slope of the first metric, and none of the second."""
     rng = np.random.default_rng(seed)
     levels = [range(people), range(recordings), range(reducers), range(repeats)]
-    rows = pd.MultiIndex.from_product(levels, names=["participant", "recording", "reducer", "repeat"]).to_frame(
-        index=False
-    )
+    rows = pd.MultiIndex.from_product(
+        levels, names=["participant", "recording", "reducer", "repeat"]
+    ).to_frame(index=False)
     rows["item"] = rows["recording"] * reducers + rows["reducer"]
     scenes = rng.normal(0.5, 0.1, (2, recordings))
-    sm, tm = rng.uniform(-0.3, 0.3, (2, recordings * reducers)) + np.repeat(scenes, reducers, axis=1)
+    sm, tm = rng.uniform(-0.3, 0.3, (2, recordings * reducers)) + np.repeat(
+        scenes, reducers, axis=1
+    )
     rows["sm"], rows["tm"] = sm[rows["item"]], tm[rows["item"]]
     own = slope + rng.normal(0, 4, people)
     rating = 50 + own[rows["participant"]] * (rows["sm"] - scenes[0][rows["recording"]])
-    rating += rng.normal(0, 8, people)[rows["participant"]] + rng.normal(0, 5, recordings)[rows["recording"]]
+    rating += (
+        rng.normal(0, 8, people)[rows["participant"]]
+        + rng.normal(0, 5, recordings)[rows["recording"]]
+    )
     rating += rng.normal(0, 2, recordings * reducers)[rows["item"]]
     rating += rng.normal(0, 3, (people, recordings))[rows["participant"], rows["recording"]]
     rows["rating"] = (rating + rng.normal(0, 8, len(rows))).clip(0, 100)
@@ -62,7 +72,12 @@ def primary(rows: pd.DataFrame) -> Primary:
 def test_balanced_study_gets_the_full_model_on_means(primary: Primary) -> None:
     assert primary.formula == FULL + REDUCERS
     assert primary.averaged
-    assert (primary.n_rows, primary.n_participants, primary.n_recordings, primary.n_items) == (240, 8, 6, 30)
+    assert (primary.n_rows, primary.n_participants, primary.n_recordings, primary.n_items) == (
+        240,
+        8,
+        6,
+        30,
+    )
     assert primary.reductions == ()
 
 
@@ -80,10 +95,14 @@ def test_slopes_in_every_unit_say_the_same(rows: pd.DataFrame, primary: Primary)
         (sm[["estimate", "low", "high"]] / 10).tolist()
     )
     cells = make_cells(rows, METRICS).table
-    z = cells.assign(rating=cells["rating"] / cells["rating"].std(), sm_w=cells["sm_w"] / cells["sm_w"].std())
+    z = cells.assign(
+        rating=cells["rating"] / cells["rating"].std(), sm_w=cells["sm_w"] / cells["sm_w"].std()
+    )
     standard = fit_mixed(FULL + REDUCERS, z, penalty=["reducer"]).fixed.loc["sm_w"]
     wanted = standard[["estimate", "low", "high"]].tolist()
-    assert sm[["standardised", "standardised_low", "standardised_high"]].tolist() == pytest.approx(wanted, rel=1e-4)
+    assert sm[["standardised", "standardised_low", "standardised_high"]].tolist() == pytest.approx(
+        wanted, rel=1e-4
+    )
 
 
 def test_what_is_not_to_be_explained_costs_no_second_model_and_changes_no_slope(
@@ -101,7 +120,9 @@ def test_difference_is_that_of_the_slopes(primary: Primary) -> None:
     difference = primary.differences.iloc[0]
     assert (difference["first"], difference["second"]) == ("sm", "tm")
     slopes = primary.slopes
-    assert difference["estimate"] == pytest.approx(slopes["estimate"]["sm"] - slopes["estimate"]["tm"])
+    assert difference["estimate"] == pytest.approx(
+        slopes["estimate"]["sm"] - slopes["estimate"]["tm"]
+    )
     assert difference["standardised_estimate"] == pytest.approx(
         slopes["standardised"]["sm"] - slopes["standardised"]["tm"]
     )
@@ -136,7 +157,7 @@ def test_unequal_repeats_of_too_many_levels_are_averaged_in_words(
 ) -> None:
     few = rows.drop(index=rows.index[::7])
     whole = fit_primary(few, METRICS)
-    monkeypatch.setattr(cells, "MOST_LEVELS", 50)
+    monkeypatch.setattr(plan, "MOST_LEVELS", 50)
     rough = fit_primary(few, METRICS)
     assert rough.formula == FULL + REDUCERS
     assert rough.averaged
@@ -158,8 +179,10 @@ def test_any_number_of_metrics_of_any_name(rows: pd.DataFrame) -> None:
     primary = fit_primary(third, ["sm", "tm", "my metric"])
     assert primary.slopes.index.tolist() == ["sm", "tm", "my metric"]
     assert list(zip(primary.differences["first"], primary.differences["second"], strict=True)) == [
-        ("sm", "tm"), ("sm", "my metric"), ("tm", "my metric"),
-    ]  # fmt: skip
+        ("sm", "tm"),
+        ("sm", "my metric"),
+        ("tm", "my metric"),
+    ]
     alone = fit_primary(rows, ["sm"])
     assert alone.differences.empty
     assert alone.slopes.index.tolist() == ["sm"]
@@ -174,7 +197,9 @@ def test_any_number_of_metrics_of_any_name(rows: pd.DataFrame) -> None:
         ("participant == 0", "item", "each has one row only"),
     ],
 )
-def test_small_studies_are_reduced_in_words(rows: pd.DataFrame, query: str, gone: str, reason: str) -> None:
+def test_small_studies_are_reduced_in_words(
+    rows: pd.DataFrame, query: str, gone: str, reason: str
+) -> None:
     primary = fit_primary(rows.query(query), METRICS)
     assert gone not in primary.formula
     assert reason in " ".join(primary.reductions)
@@ -199,11 +224,16 @@ def test_metrics_that_tell_nothing_are_left_out_in_words(
     assert reason in primary.reductions
 
 
-def test_slopes_between_recordings_need_two_more_recordings_than_metrics(rows: pd.DataFrame) -> None:
+def test_slopes_between_recordings_need_two_more_recordings_than_metrics(
+    rows: pd.DataFrame,
+) -> None:
     # As many as coefficients, the intercept with them, would leave the spread between recordings nothing to show in.
     three, four = (fit_primary(rows[rows["recording"] < number], METRICS) for number in (3, 4))
     assert three.between.empty
-    assert any("No slopes between recordings: with 3 of them, 2 such" in reason for reason in three.reductions)
+    assert any(
+        "No slopes between recordings: with 3 of them, 2 such" in reason
+        for reason in three.reductions
+    )
     assert four.between.index.tolist() == METRICS
 
 
@@ -241,14 +271,18 @@ def test_tables_refused(rows: pd.DataFrame, change: dict[str, Any], message: str
 
 
 def test_references_and_anchors_inflate_no_slope(rows: pd.DataFrame, primary: Primary) -> None:
-    best = rows[rows["reducer"] == 0].assign(item=lambda own: -1 - own["recording"], sm=1.0, tm=1.0, rating=100.0)
+    best = rows[rows["reducer"] == 0].assign(
+        item=lambda own: -1 - own["recording"], sm=1.0, tm=1.0, rating=100.0
+    )
     both = pd.concat([rows.assign(role="test"), best.assign(role="reference")])
     told = f"{len(best)} ratings of other stimuli than test stimuli (hidden references, anchors) are left out."
     found = fit_primary(both, METRICS)
     pd.testing.assert_frame_equal(found.slopes, primary.slopes)
     assert found.notes == (told, *primary.notes)
     varied = vary_primary(both, METRICS)
-    pd.testing.assert_frame_equal(varied.drop(columns="reason"), vary_primary(rows, METRICS).drop(columns="reason"))
+    pd.testing.assert_frame_equal(
+        varied.drop(columns="reason"), vary_primary(rows, METRICS).drop(columns="reason")
+    )
     assert varied["reason"].str.startswith(told).all()
     with pytest.raises(ValueError, match="got no row with role 'test'"):
         fit_primary(best.assign(role="reference"), METRICS)
@@ -266,12 +300,18 @@ def test_shapes_refused(rows: pd.DataFrame) -> None:
         fit_primary(rows, [])
     with pytest.raises(ValueError, match="got none"):
         fit_primary(rows.iloc[:0], METRICS)
-    with pytest.raises(ValueError, match="metrics: got 'sm', allowed is one name or more, in a list"):
+    with pytest.raises(
+        ValueError, match="metrics: got 'sm', allowed is one name or more, in a list"
+    ):
         fit_primary(rows, "sm")
     with pytest.raises(ValueError, match="rows, 'sm': got 'high', allowed are numbers"):
         fit_primary(rows.assign(sm="high"), METRICS)
-    with pytest.raises(ValueError, match="rows: got the scales realism, similarity, allowed is one scale; select"):
-        fit_primary(rows.assign(scale=np.where(rows["repeat"] == 0, "realism", "similarity")), METRICS)
+    with pytest.raises(
+        ValueError, match="rows: got the scales realism, similarity, allowed is one scale; select"
+    ):
+        fit_primary(
+            rows.assign(scale=np.where(rows["repeat"] == 0, "realism", "similarity")), METRICS
+        )
     with pytest.raises(ValueError, match="rows: got no column 'scale', which tells the attributes"):
         fit_attributes(rows, METRICS)
     with pytest.raises(ValueError, match="models: got none"):
@@ -281,7 +321,9 @@ def test_shapes_refused(rows: pd.DataFrame) -> None:
 
 
 def test_holm_counts_every_attribute_and_metric(rows: pd.DataFrame) -> None:
-    models = fit_attributes(pd.concat([rows.assign(scale="realism"), make_rows(5).assign(scale="similarity")]), METRICS)
+    models = fit_attributes(
+        pd.concat([rows.assign(scale="realism"), make_rows(5).assign(scale="similarity")]), METRICS
+    )
     table = tabulate_slopes(models)
     assert table["attribute"].tolist() == ["realism", "realism", "similarity", "similarity"]
     order = table["p"].to_numpy().argsort()
@@ -291,7 +333,9 @@ def test_holm_counts_every_attribute_and_metric(rows: pd.DataFrame) -> None:
 
 def test_variants_stand_in_one_order_whatever_that_of_the_rows(rows: pd.DataFrame) -> None:
     reducers = {0: "dft321", 1: "mine", 2: "sax321", 3: "mag321", 4: "soc321"}
-    named = rows[rows["reducer"].isin([0, 1, 2])].assign(reducer=lambda table: table["reducer"].map(reducers))
+    named = rows[rows["reducer"].isin([0, 1, 2])].assign(
+        reducer=lambda table: table["reducer"].map(reducers)
+    )
     shuffled = named[named["recording"] < 3].sample(frac=1, random_state=3)
     variants = list(dict.fromkeys(vary_primary(shuffled, METRICS)["variant"]))
     assert variants[3:-2] == [
@@ -303,15 +347,20 @@ def test_variants_stand_in_one_order_whatever_that_of_the_rows(rows: pd.DataFram
 def test_sensitivity_runs_every_variant(rows: pd.DataFrame, primary: Primary) -> None:
     table = vary_primary(rows, METRICS)
     assert table["variant"].unique().tolist() == [
-        "primary", "correlated slopes", "without reducers", *(f"without recording {n}" for n in range(6)),
-        *(f"without reducer {n}" for n in range(5)), "rater-standardised", "logits",
-    ]  # fmt: skip
+        "primary",
+        "correlated slopes",
+        "without reducers",
+        *(f"without recording {n}" for n in range(6)),
+        *(f"without reducer {n}" for n in range(5)),
+        "rater-standardised",
+        "logits",
+    ]
     first = table[table["variant"] == "primary"].set_index("metric")
     assert first["estimate"].to_dict() == pytest.approx(primary.slopes["estimate"].to_dict())
     without = fit_primary(rows.query("reducer != 2"), METRICS).slopes["estimate"].to_dict()
-    assert table[table["variant"] == "without reducer 2"].set_index("metric")["estimate"].to_dict() == pytest.approx(
-        without
-    )
+    assert table[table["variant"] == "without reducer 2"].set_index("metric")[
+        "estimate"
+    ].to_dict() == pytest.approx(without)
     assert table.loc[table["metric"] == "sm", "standardised_low"].min() > 0
 
 
@@ -326,28 +375,44 @@ def test_reducers_that_differ_whatever_their_metrics_are_in_the_model(rows: pd.D
     # What a reducer adds to all its stimuli is no part of a slope that knows of reducers only by their recordings.
     before = fit_primary(rows, METRICS)
     for column in ("centred", "centred_se", "centred_df"):
-        assert own.slopes[column].tolist() == pytest.approx(before.slopes[column].tolist(), rel=1e-4)
+        assert own.slopes[column].tolist() == pytest.approx(
+            before.slopes[column].tolist(), rel=1e-4
+        )
 
 
-def test_centred_slope_is_that_of_a_model_with_reducers_as_fixed_effects(rows: pd.DataFrame, primary: Primary) -> None:
+def test_centred_slope_is_that_of_a_model_with_reducers_as_fixed_effects(
+    rows: pd.DataFrame, primary: Primary
+) -> None:
     table = make_cells(rows, METRICS).table
-    grid = {name: table.drop_duplicates("item").pivot_table(f"{name}_w", "recording", "reducer")
-            for name in METRICS}  # fmt: skip
-    twice = {name: values - values.mean(axis=0) for name, values in grid.items()}  # recordings' means are 0 already
+    grid = {
+        name: table.drop_duplicates("item").pivot_table(f"{name}_w", "recording", "reducer")
+        for name in METRICS
+    }
+    twice = {
+        name: values - values.mean(axis=0) for name, values in grid.items()
+    }  # recordings' means are 0 already
     places = list(zip(table["recording"], table["reducer"], strict=True))
-    centred = {f"{name}_w": [values.loc[place] for place in places] for name, values in twice.items()}
+    centred = {
+        f"{name}_w": [values.loc[place] for place in places] for name, values in twice.items()
+    }
     formula = FULL.replace("tm_b", "tm_b + factor(reducer)") + " + (1 | participant:reducer)"
     wanted = fit_mixed(formula, table.assign(**centred)).fixed.loc[["sm_w", "tm_w"]]
-    for ours, theirs in (("centred", "estimate"), ("centred_se", "se"), ("centred_df", "df"), ("centred_low", "low")):
+    for ours, theirs in (
+        ("centred", "estimate"),
+        ("centred_se", "se"),
+        ("centred_df", "df"),
+        ("centred_low", "low"),
+    ):
         assert primary.slopes[ours].tolist() == pytest.approx(wanted[theirs].tolist(), rel=1e-5)
 
 
 def test_tables_that_cannot_carry_reducers_say_so(rows: pd.DataFrame) -> None:
     own = rows.assign(reducer=rows["item"])
     for part, why in (
-        (rows.drop(columns="reducer"), "no column 'reducer'"), (rows.query("recording == 0"), "one recording only"),
+        (rows.drop(columns="reducer"), "no column 'reducer'"),
+        (rows.query("recording == 0"), "one recording only"),
         (own, "no reducer was used on several recordings"),
-    ):  # fmt: skip
+    ):
         model = fit_primary(part, METRICS)
         assert "reducer" not in model.formula
         assert any(f"No spread between reducers: {why}" in reason for reason in model.reductions)
@@ -358,21 +423,31 @@ def test_tables_that_cannot_carry_reducers_say_so(rows: pd.DataFrame) -> None:
     ("query", "estimable", "why"),
     [
         ("participant < 2", False, "with 2 participants, where 3 are needed"),
-        ("recording < 2 and participant < 1", False, "with 1 participant and 2 recordings, where 3 are needed"),
+        (
+            "recording < 2 and participant < 1",
+            False,
+            "with 1 participant and 2 recordings, where 3 are needed",
+        ),
         ("participant < 3 and recording < 3", True, ""),
     ],
 )
-def test_slopes_of_too_few_are_not_estimable(rows: pd.DataFrame, query: str, estimable: bool, why: str) -> None:
+def test_slopes_of_too_few_are_not_estimable(
+    rows: pd.DataFrame, query: str, estimable: bool, why: str
+) -> None:
     primary = fit_primary(rows.query(query), METRICS)
     assert primary.slopes["estimable"].eq(estimable).all()
     assert np.isfinite(primary.slopes[["estimate", "tenth", "quartile_effect"]].to_numpy()).all()
-    tests = primary.slopes[["se", "df", "p", "low", "high", "tenth_low", "quartile_high", "standardised_low"]]
+    tests = primary.slopes[
+        ["se", "df", "p", "low", "high", "tenth_low", "quartile_high", "standardised_low"]
+    ]
     assert tests.notna().to_numpy().all() == estimable == tests.notna().to_numpy().any()
     assert any(why and why in note for note in primary.notes) != estimable
     assert tabulate_slopes({"realism": primary})["p_holm"].notna().all() == estimable
 
 
-def test_effect_from_quartile_to_quartile_is_over_stimuli(rows: pd.DataFrame, primary: Primary) -> None:
+def test_effect_from_quartile_to_quartile_is_over_stimuli(
+    rows: pd.DataFrame, primary: Primary
+) -> None:
     items = rows.drop_duplicates("item")
     own = items["sm"] - items.groupby("recording")["sm"].transform("mean")
     span = own.quantile(0.75) - own.quantile(0.25)
@@ -390,15 +465,21 @@ def test_logits_and_rater_standardised_ratings_by_their_definitions(rows: pd.Dat
     share = (few["rating"] / 100 * (len(few) - 1) + 0.5) / len(few)
     logits = fit_primary(few.assign(rating=np.log(share / (1 - share))), METRICS).slopes
     own = few.groupby("participant")["rating"]
-    standard = fit_primary(few.assign(rating=own.transform(lambda y: (y - y.mean()) / y.std())), METRICS).slopes
+    standard = fit_primary(
+        few.assign(rating=own.transform(lambda y: (y - y.mean()) / y.std())), METRICS
+    ).slopes
     for variant, wanted in (("logits", logits), ("rater-standardised", standard)):
         for column in ("estimate", "se", "p", "standardised"):
-            assert table.loc[variant, column].tolist() == pytest.approx(wanted[column].tolist(), rel=1e-6)
+            assert table.loc[variant, column].tolist() == pytest.approx(
+                wanted[column].tolist(), rel=1e-6
+            )
 
 
 def test_sensitivity_tells_why_a_variant_has_no_numbers(rows: pd.DataFrame) -> None:
     small = rows.query("recording < 2 and reducer < 2")
-    table = vary_primary(small.assign(rating=small["rating"].where(small["participant"] > 0, 50.0)), METRICS)
+    table = vary_primary(
+        small.assign(rating=small["rating"].where(small["participant"] > 0, 50.0)), METRICS
+    )
     gone = table[table["variant"] == "without reducer 0"]
     assert gone["estimate"].isna().all()
     assert gone["reason"].str.contains("none of which differs").all()
@@ -429,12 +510,25 @@ def test_precision_is_that_of_the_model_with_its_own_spreads() -> None:
     design = np.column_stack([within, np.eye(scenes)[scene]])
     weighted = np.linalg.inv(design.T @ np.linalg.solve(spread, design))
     for place in (0, 1):
-        study = Precision(slopes, of_item, noise, 1.0, n_participants=people, n_recordings=scenes,
-                          n_items=len(within), n_slopes=2, reducer_sd=of_kind, rater_reducer_sd=own_kind,
-                          n_reducers=kinds, n_alike=scenes)  # fmt: skip
+        study = Precision(
+            slopes,
+            of_item,
+            noise,
+            1.0,
+            n_participants=people,
+            n_recordings=scenes,
+            n_items=len(within),
+            n_slopes=2,
+            reducer_sd=of_kind,
+            rater_reducer_sd=own_kind,
+            n_reducers=kinds,
+            n_alike=scenes,
+        )
         own, alike = find_own(within, place, kind, variances=find_variances(study))
         study = replace(study, square=float(own @ own), reducer_square=float(alike @ alike))
-        assert study.find_se()[0] ** 2 == pytest.approx(weighted[place, place] + slopes**2 / people, rel=1e-9)
+        assert study.find_se()[0] ** 2 == pytest.approx(
+            weighted[place, place] + slopes**2 / people, rel=1e-9
+        )
 
 
 def test_plans_grow_with_what_they_need() -> None:
@@ -443,7 +537,10 @@ def test_plans_grow_with_what_they_need() -> None:
     alike, partly = (replace(shared, reducer_square=share * study.square) for share in (1.0, 0.5))
     # What is the same in all recordings does not become more with recordings, what differs does.
     assert shared.find_se()[0] == pytest.approx(study.find_se()[0])
-    many = [one.enlarge(recordings=10_000, participants=10_000).find_se()[0] for one in (study, partly, alike)]
+    many = [
+        one.enlarge(recordings=10_000, participants=10_000).find_se()[0]
+        for one in (study, partly, alike)
+    ]
     assert many[0] < many[1] < 0.2
     assert many[2] == pytest.approx(6.0 / np.sqrt(study.square / 10), rel=1e-2)
     assert study.find_participants(12.0) < partly.find_participants(12.0) < np.inf
@@ -467,7 +564,9 @@ def test_reducers_that_feel_odd_for_other_reasons_are_no_evidence() -> None:
         like = np.random.default_rng([seed, 9]).normal(0, 0.2, 6)
         rows["tm"] += like[rows["reducer"]]
         rows["rating"] += odd[rows["reducer"]]
-        models = (fit_primary(rows, METRICS, reducers=known, explain=False) for known in (True, False))
+        models = (
+            fit_primary(rows, METRICS, reducers=known, explain=False) for known in (True, False)
+        )
         wrong.append([model.slopes.loc["tm", "p"] < 0.05 for model in models])
     known, unknown = np.mean(wrong, axis=0)
     print(f"false positives with reducers {known:.3f}, without {unknown:.3f}")  # noqa: T201 - the figure

@@ -7,7 +7,11 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from analysis.contrasts.profile import participant_means, profile_reducers, stimulus_means
+from feel321.analysis.contrasts.equivalence import (
+    participant_means,
+    profile_reducers,
+    stimulus_means,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -23,7 +27,12 @@ def test_means_by_hand() -> None:
     )  # fmt: skip
     assert list(participant_means(table)["rating"]) == [25, 70]
     row = profile_reducers(table).iloc[0]
-    assert (row["mean"], row["n_participants"], row["n_stimuli"], row["n_ratings"]) == (47.5, 2, 2, 5)
+    assert (row["mean"], row["n_participants"], row["n_stimuli"], row["n_ratings"]) == (
+        47.5,
+        2,
+        2,
+        5,
+    )
     assert list(stimulus_means(table)["mean"]) == [(15 + 60) / 2, (35 + 80) / 2]
 
 
@@ -52,10 +61,22 @@ def test_one_participant_has_no_interval(tidy: Callable[..., pd.DataFrame]) -> N
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda table: table.drop(columns="scale"), "ratings: column scale is missing; needed are scale, level"),
-        (lambda table: table.assign(rating=table["rating"].where(table.index > 1)), "ratings: got 2 rows without"),
-        (lambda table: table.assign(reducer=table["reducer"].where(table.index > 0)), "ratings: got 1 rows without"),
-        (lambda table: table.assign(rating="good"), "ratings, 'rating': got 'good', allowed are numbers"),
+        (
+            lambda table: table.drop(columns="scale"),
+            "ratings: column scale is missing; needed are scale, level",
+        ),
+        (
+            lambda table: table.assign(rating=table["rating"].where(table.index > 1)),
+            "ratings: got 2 rows without",
+        ),
+        (
+            lambda table: table.assign(reducer=table["reducer"].where(table.index > 0)),
+            "ratings: got 1 rows without",
+        ),
+        (
+            lambda table: table.assign(rating="good"),
+            "ratings, 'rating': got 'good', allowed are numbers",
+        ),
     ],
 )
 def test_nothing_drops_out_of_a_mean_unseen(

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING
 import pandas as pd
 import pytest
 
-from analysis.table.reading import read_table
-from protocols.registry import PROTOCOLS
-from study.folder import StudyFolder
-from study.workflow import analyze_study, build_study, simulate_study
+from feel321.analysis.table.reading import read_table
+from feel321.protocols.tasks import PROTOCOLS
+from feel321.study.analyze import analyze_study
+from feel321.study.folder import StudyFolder
+from feel321.study.workflow import build_study, simulate_study
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -75,8 +76,13 @@ def test_every_task_loads(lab: StudyFolder) -> None:
 def test_every_task_has_its_place_in_the_report(lab: StudyFolder) -> None:
     folder = analyze_study(lab)
     associations = pd.read_csv(folder / "tables" / "associations.csv")
-    assert dict(zip(associations["scale"], associations["n_items"], strict=True)) == {"realism": 6, "similarity": 6}
-    page = re.sub(r"<svg.*?</svg>", "", (folder / "index.html").read_text(encoding="utf-8"), flags=re.DOTALL)
+    assert dict(zip(associations["scale"], associations["n_items"], strict=True)) == {
+        "realism": 6,
+        "similarity": 6,
+    }
+    page = re.sub(
+        r"<svg.*?</svg>", "", (folder / "index.html").read_text(encoding="utf-8"), flags=re.DOTALL
+    )
     assert '<td class="text">as is</td>' in page  # of ABX, where the level has a column of its own
     assert "as_is" not in page
     profiles = pd.read_csv(folder / "tables" / "profiles.csv")

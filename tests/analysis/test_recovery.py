@@ -20,21 +20,19 @@ import pandas as pd
 import pytest
 from scipy.stats import binom
 
-from analysis.agreement.alpha import bootstrap_alpha, krippendorff_alpha
-from analysis.agreement.reliability import intraclass
-from analysis.association.correlate import compare_metrics, correlate
-from analysis.association.dependent import compare_dependent
-from analysis.association.repeated import repeated_measures_correlation
-from analysis.contrasts.bradley_terry import bradley_terry, bradley_terry_by_rater
-from analysis.contrasts.equivalence import equivalence, non_inferiority
-from analysis.contrasts.profile import profile_reducers
-from analysis.mixed.model import contrast, fit_mixed
-from analysis.p1401.difference import compare_p1401
-from analysis.p1401.mapping import p1401
-from analysis.primary.model import fit_primary, tabulate_slopes
-from analysis.resampling.bootstrap import METHODS, correlate_draws, fisher_z
-from analysis.resampling.draws import Draws, measure_lean
-from analysis.table.items import Items
+from feel321.analysis.agreement.alpha import bootstrap_alpha, krippendorff_alpha
+from feel321.analysis.agreement.reliability import intraclass
+from feel321.analysis.association.correlate import compare_metrics, correlate
+from feel321.analysis.association.dependent import compare_dependent
+from feel321.analysis.association.repeated import repeated_measures_correlation
+from feel321.analysis.contrasts.bradley_terry import bradley_terry, bradley_terry_by_rater
+from feel321.analysis.contrasts.equivalence import equivalence, non_inferiority, profile_reducers
+from feel321.analysis.mixed.model import contrast, fit_mixed
+from feel321.analysis.p1401.difference import compare_p1401
+from feel321.analysis.p1401.mapping import p1401
+from feel321.analysis.primary.model import fit_primary, tabulate_slopes
+from feel321.analysis.resampling import METHODS, Draws, correlate_draws, fisher_z, measure_lean
+from feel321.analysis.table.items import Items
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -92,7 +90,14 @@ EQUAL = Plant(slopes=(15.0, 15.0))
 OWN = Plant(slopes=(0.0, 0.0), own=3.0)
 PLAIN = Plant(reducer_step=0, scene=0, item=0, recording=0, pair=0, slope=0)
 PLAIN_EQUAL = replace(PLAIN, slopes=(15.0, 15.0))
-PLANTS = {"crossed": CROSSED, "null": NULL, "equal": EQUAL, "own": OWN, "plain": PLAIN, "plain equal": PLAIN_EQUAL}
+PLANTS = {
+    "crossed": CROSSED,
+    "null": NULL,
+    "equal": EQUAL,
+    "own": OWN,
+    "plain": PLAIN,
+    "plain equal": PLAIN_EQUAL,
+}
 
 
 @dataclass(frozen=True)
@@ -123,14 +128,24 @@ def simulate(plant: Plant, rng: np.random.Generator, *, people: np.ndarray | Non
     """Make a study; `people` are levels and slopes of given participants, (people, 3)."""
     scenes = np.repeat(np.arange(plant.recordings), REDUCERS)
     reducers = np.tile(np.arange(REDUCERS), plant.recordings)
-    metrics = plant.reducer_step * (RANKS - RANKS.mean()).T[reducers].T + rng.normal(0, 0.12, (2, len(scenes)))
+    metrics = plant.reducer_step * (RANKS - RANKS.mean()).T[reducers].T + rng.normal(
+        0, 0.12, (2, len(scenes))
+    )
     metrics += plant.scene * rng.normal(size=(2, plant.recordings))[:, scenes]
     people = make_people(plant, rng) if people is None else people
-    item = rng.normal(0, plant.item, len(scenes)) + plant.recording * rng.normal(size=plant.recordings)[scenes]
+    item = (
+        rng.normal(0, plant.item, len(scenes))
+        + plant.recording * rng.normal(size=plant.recordings)[scenes]
+    )
     middle = 50 + item + plant.slopes @ metrics + plant.own * rng.normal(size=REDUCERS)[reducers]
     felt = middle + people[:, :1] + people[:, 1:] @ metrics
     felt += plant.pair * rng.normal(size=(len(people), plant.recordings))[:, scenes]
-    return Study(metrics, felt[:, :, None] + rng.normal(0, plant.noise, (*felt.shape, plant.repeats)), scenes, middle)
+    return Study(
+        metrics,
+        felt[:, :, None] + rng.normal(0, plant.noise, (*felt.shape, plant.repeats)),
+        scenes,
+        middle,
+    )
 
 
 def make_people(plant: Plant, rng: np.random.Generator) -> np.ndarray:
@@ -156,16 +171,26 @@ def find_truth(plant: Plant, studies: int = 60) -> Truth:
     rows = [correlate_people(study) for study in huge]
     reliability = [intraclass(study.table) for study in huge]
     return Truth(
-        z={method: np.mean([find_z(study, method) for study in large], axis=0) for method in METHODS},
+        z={
+            method: np.mean([find_z(study, method) for study in large], axis=0)
+            for method in METHODS
+        },
         rmse=float(np.sqrt(np.mean([find_residual(study) ** 2 for study in large]))),
         repeated=np.mean(rows, axis=0),
-        reliability={name: float(np.mean([getattr(one, name) for one in reliability])) for name in SINGLE},
+        reliability={
+            name: float(np.mean([getattr(one, name) for one in reliability])) for name in SINGLE
+        },
         scales=np.mean([find_scales(study) for study in large], axis=0),
     )
 
 
 def find_z(study: Study, method: str) -> np.ndarray:
-    items = Items(tuple(map(str, study.recordings)), study.table.mean(axis=1)[None], study.metrics, study.recordings)
+    items = Items(
+        tuple(map(str, study.recordings)),
+        study.table.mean(axis=1)[None],
+        study.metrics,
+        study.recordings,
+    )
     ones = np.ones((1, 1)), np.ones((1, items.n_recordings))
     point = correlate_draws(items, method, participants=ones[0], recordings=ones[1])[:, 0]
     each = np.broadcast_to(point[:, None], (2, items.n_recordings))
@@ -182,8 +207,12 @@ def find_residual(study: Study) -> float:
 def correlate_people(study: Study) -> list[float]:
     inside = study.table - study.table.mean(axis=0)
     metrics = study.metrics - study.metrics.mean(axis=1, keepdims=True)
-    return [float((inside.T @ one).sum() / np.sqrt((inside**2).sum() * inside.shape[1] * (one**2).sum()))
-            for one in metrics]  # fmt: skip
+    return [
+        float(
+            (inside.T @ one).sum() / np.sqrt((inside**2).sum() * inside.shape[1] * (one**2).sum())
+        )
+        for one in metrics
+    ]
 
 
 def find_scales(study: Study) -> np.ndarray:
@@ -194,10 +223,15 @@ def find_scales(study: Study) -> np.ndarray:
 
 def judge_primary(plant: Plant, study: Study) -> Iterator[tuple[str, bool]]:
     truth, model = find_truth(plant), fit_primary(study.rows, ["sm", "tm"])
-    for (name, row), slope, scale in zip(model.slopes.iterrows(), plant.slopes, truth.scales, strict=True):
+    for (name, row), slope, scale in zip(
+        model.slopes.iterrows(), plant.slopes, truth.scales, strict=True
+    ):
         yield f"slope per 0.1, {name}", row["tenth_low"] <= slope / 10 <= row["tenth_high"]
         standard = slope * scale
-        yield f"standardised slope, {name}", row["standardised_low"] <= standard <= row["standardised_high"]
+        yield (
+            f"standardised slope, {name}",
+            row["standardised_low"] <= standard <= row["standardised_high"],
+        )
     difference, wanted = model.differences.iloc[0], plant.slopes[0] - plant.slopes[1]
     yield "difference of slopes", difference["low"] <= wanted <= difference["high"]
     scaled = plant.slopes[0] * truth.scales[0] - plant.slopes[1] * truth.scales[1]
@@ -205,17 +239,24 @@ def judge_primary(plant: Plant, study: Study) -> Iterator[tuple[str, bool]]:
     yield "difference of standardised slopes", inside
 
 
-def judge_associations(plant: Plant, study: Study, rng: np.random.Generator) -> Iterator[tuple[str, bool]]:
+def judge_associations(
+    plant: Plant, study: Study, rng: np.random.Generator
+) -> Iterator[tuple[str, bool]]:
     truth, rows = find_truth(plant), study.rows
     for method in METHODS:
         found = correlate(rows, "sm", method=method, draws=DRAWS, rng=rng)
         yield f"correlation, {method}", found.low <= np.tanh(truth.z[method][0]) <= found.high
         if method in {"pearson", "within"}:
             pair = compare_metrics(rows, "sm", "tm", method=method, draws=DRAWS, rng=rng)
-            yield f"difference of metrics, {method}", pair.z_low <= np.subtract(*truth.z[method]) <= pair.z_high
+            yield (
+                f"difference of metrics, {method}",
+                pair.z_low <= np.subtract(*truth.z[method]) <= pair.z_high,
+            )
 
 
-def judge_classics(plant: Plant, study: Study, rng: np.random.Generator) -> Iterator[tuple[str, bool]]:
+def judge_classics(
+    plant: Plant, study: Study, rng: np.random.Generator
+) -> Iterator[tuple[str, bool]]:
     truth, rows = find_truth(plant), study.rows
     r = np.tanh(truth.z["pearson"][0])
     standard = p1401(study.table, study.metrics[0], order=1)
@@ -223,7 +264,10 @@ def judge_classics(plant: Plant, study: Study, rng: np.random.Generator) -> Iter
     yield "P.1401 rmse", standard.rmse_low <= truth.rmse <= standard.rmse_high
     cells = rows.groupby(["participant", "item"])[["sm", "rating"]].mean().reset_index()
     repeated = repeated_measures_correlation(cells["sm"], cells["rating"], cells["participant"])
-    yield "repeated-measures correlation, shared stimuli", repeated.low <= truth.repeated[0] <= repeated.high
+    yield (
+        "repeated-measures correlation, shared stimuli",
+        repeated.low <= truth.repeated[0] <= repeated.high,
+    )
     icc = intraclass(study.table)
     for name, wanted in {**truth.reliability, **step_up(truth.reliability, plant.people)}.items():
         yield name, getattr(icc, f"{name}_low") <= wanted <= getattr(icc, f"{name}_high")
@@ -233,7 +277,11 @@ def judge_classics(plant: Plant, study: Study, rng: np.random.Generator) -> Iter
 
 def step_up(single: dict[str, float], k: int) -> dict[str, float]:
     """Spearman and Brown: from one rater to the mean of k."""
-    return {f"icc_{kind}_k": k * one / (1 + (k - 1) * one) for kind in "ac" for one in [single[f"icc_{kind}_1"]]}
+    return {
+        f"icc_{kind}_k": k * one / (1 + (k - 1) * one)
+        for kind in "ac"
+        for one in [single[f"icc_{kind}_1"]]
+    }
 
 
 def judge_alpha(plant: Plant, rng: np.random.Generator) -> Iterator[tuple[str, bool]]:
@@ -248,14 +296,23 @@ def judge_rows(rng: np.random.Generator) -> Iterator[tuple[str, bool]]:
     """Rows that are what the repeated-measures correlation takes them for: correlation 0.6 within people."""
     person = np.repeat(np.arange(12), 48)
     x, noise = rng.normal(size=(2, len(person)))
-    found = repeated_measures_correlation(x, 0.6 * x + 0.8 * noise + rng.normal(0, 2, 12)[person], person)
+    found = repeated_measures_correlation(
+        x, 0.6 * x + 0.8 * noise + rng.normal(0, 2, 12)[person], person
+    )
     yield "repeated-measures correlation, own rows", found.low <= 0.6 <= found.high
 
 
 def judge_contrasts(plant: Plant, study: Study) -> Iterator[tuple[str, bool]]:
-    means = study.rows.groupby(["participant", "recording", "reducer", "item"])["rating"].mean().reset_index()
+    means = (
+        study.rows
+        .groupby(["participant", "recording", "reducer", "item"])["rating"]
+        .mean()
+        .reset_index()
+    )
     groups = "(1|participant) + (1|recording) + (1|item) + (1|participant:recording) + (1|participant:which)"
-    fit = fit_mixed(f"rating ~ 0 + which + {groups}", means.assign(which="c" + means["reducer"].astype(str)))
+    fit = fit_mixed(
+        f"rating ~ 0 + which + {groups}", means.assign(which="c" + means["reducer"].astype(str))
+    )
     ps = []
     for other in range(1, REDUCERS):
         found = contrast(fit, {"whichc0": 1, f"whichc{other}": -1})
@@ -268,13 +325,18 @@ def judge_contrasts(plant: Plant, study: Study) -> Iterator[tuple[str, bool]]:
         yield "finds: contrast of reducers", ps[0] < 0.05
 
 
-def judge_equivalence(numbers: tuple[float, float, float], wanted: float, *, other: int) -> Iterator[tuple[str, bool]]:
+def judge_equivalence(
+    numbers: tuple[float, float, float], wanted: float, *, other: int
+) -> Iterator[tuple[str, bool]]:
     margin = abs(wanted) or 1.0
     test = equivalence(*numbers, low=-margin, high=margin)
     yield f"tost 90 % interval, {other}", test.low90 <= wanted <= test.high90
     if wanted:
         yield f"finds: equivalence at the margin, {other}", test.p < 0.05
-        yield f"finds: non-inferiority at the margin, {other}", non_inferiority(*numbers, margin=wanted).p < 0.05
+        yield (
+            f"finds: non-inferiority at the margin, {other}",
+            non_inferiority(*numbers, margin=wanted).p < 0.05,
+        )
 
 
 def judge_tests(study: Study, rng: np.random.Generator) -> Iterator[tuple[str, bool]]:
@@ -295,7 +357,9 @@ def judge_tests(study: Study, rng: np.random.Generator) -> Iterator[tuple[str, b
 def judge_null(plant: Plant, study: Study, rng: np.random.Generator) -> Iterator[tuple[str, bool]]:
     """Two attributes, two metrics, and nothing to be found."""
     models = {"one": study, "two": simulate(plant, rng)}
-    table = tabulate_slopes({name: fit_primary(one.rows, ["sm", "tm"]) for name, one in models.items()})
+    table = tabulate_slopes({
+        name: fit_primary(one.rows, ["sm", "tm"]) for name, one in models.items()
+    })
     yield "finds: slope", table["p"][0] < 0.05
     yield "finds: any of four slopes after Holm", bool((table["p_holm"] < 0.05).any())
     cells = study.rows.groupby(["participant", "item"])[["sm", "rating"]].mean().reset_index()
@@ -306,9 +370,14 @@ def judge_null(plant: Plant, study: Study, rng: np.random.Generator) -> Iterator
 
 
 def judge_profile(study: Study) -> Iterator[tuple[str, bool]]:
-    rows = study.rows.assign(scale="realism", level="as_is", role="test", stimulus_id=study.rows["item"])
+    rows = study.rows.assign(
+        scale="realism", level="as_is", role="test", stimulus_id=study.rows["item"]
+    )
     found = profile_reducers(rows).set_index("reducer").loc[2]
-    yield "mean of a reducer, these recordings", found["low"] <= study.middle[2::REDUCERS].mean() <= found["high"]
+    yield (
+        "mean of a reducer, these recordings",
+        found["low"] <= study.middle[2::REDUCERS].mean() <= found["high"],
+    )
 
 
 def run_study(name: str, seed: int) -> dict[str, bool]:
@@ -342,7 +411,12 @@ def make_duels(rng: np.random.Generator, *, raters: int, spread: float) -> pd.Da
     won = rng.random(len(rater)) < 1 / (1 + np.exp(own[rater, second] - own[rater, first]))
     names = np.array(list("abcd"))
     winner = names[np.where(won, first, second)]
-    return pd.DataFrame({"participant": rater, "first": names[first], "second": names[second], "winner": winner})
+    return pd.DataFrame({
+        "participant": rater,
+        "first": names[first],
+        "second": names[second],
+        "winner": winner,
+    })
 
 
 @cache
@@ -367,13 +441,19 @@ def expect(name: str, check: str) -> tuple[float, float]:
     """Say what share of studies a check may hit."""
     if check.startswith(SHOWN) or (check.startswith(CLASSIC) and "plain" not in name):
         return WRONG
-    if name == "own":  # reducers feel different for reasons that no metric knows and the model has no term for
+    if (
+        name == "own"
+    ):  # reducers feel different for reasons that no metric knows and the model has no term for
         return WRONG
     if check.startswith("alpha"):
         return SKEWED
     if check.startswith("finds"):
         # Drawing both ways counts noise twice: where there is nothing but noise, too little is found, never too much.
-        cautious = ("Holm" in check, "margin" in check, name == "plain equal" and "two-way" in check)
+        cautious = (
+            "Holm" in check,
+            "margin" in check,
+            name == "plain equal" and "two-way" in check,
+        )
         return AT_MOST if any(cautious) else TEST
     return NINETY if check.startswith("tost") else INTERVAL
 
@@ -386,7 +466,9 @@ def test_intervals_cover_and_tests_hold_their_level(name: str) -> None:
     for check in hits.index:
         least, most = expect(name, check)
         # What 400 studies of a share at the edge of its range give in 95 of 100 runs.
-        table.loc[check, "least":"most"] = binom.ppf([0.025, 0.975], STUDIES, [least, most]) / STUDIES
+        table.loc[check, "least":"most"] = (
+            binom.ppf([0.025, 0.975], STUDIES, [least, most]) / STUDIES
+        )
     print(f"\n{STUDIES} studies, {name}\n{table.round(4).to_string()}")  # noqa: T201 - the figure
     outside = table[~table["share"].between(table["least"], table["most"])]
     assert outside.empty, outside.to_string()
@@ -395,8 +477,13 @@ def test_intervals_cover_and_tests_hold_their_level(name: str) -> None:
 @pytest.mark.soak
 def test_planted_slopes_are_recovered_without_bias() -> None:
     studies = (simulate(CROSSED, np.random.default_rng([seed, 5])) for seed in range(200))
-    found = np.array([fit_primary(study.rows, ["sm", "tm"]).slopes["estimate"] for study in studies])
-    bias, error = found.mean(axis=0) - CROSSED.slopes, found.std(axis=0, ddof=1) / np.sqrt(len(found))
+    found = np.array([
+        fit_primary(study.rows, ["sm", "tm"]).slopes["estimate"] for study in studies
+    ])
+    bias, error = (
+        found.mean(axis=0) - CROSSED.slopes,
+        found.std(axis=0, ddof=1) / np.sqrt(len(found)),
+    )
     print(f"bias per 0.1: {bias / 10}, its standard error {error / 10}")  # noqa: T201 - the figure
     assert (np.abs(bias) < 3 * error).all()
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analysis.agreement.alpha import krippendorff_alpha
-from analysis.agreement.reliability import intraclass, noise_ceiling
+from feel321.analysis.agreement.alpha import krippendorff_alpha
+from feel321.analysis.agreement.reliability import intraclass, noise_ceiling
 
 
 @settings(deadline=None)  # the first call imports scipy.stats
@@ -42,7 +42,14 @@ BOOK = (
             },
         ),
         (
-            [[9, 2], [6, 1], [8, 4], [7, 1], [10, 5], [6, 2]],  # two raters far apart: negative, and all the same
+            [
+                [9, 2],
+                [6, 1],
+                [8, 4],
+                [7, 1],
+                [10, 5],
+                [6, 2],
+            ],  # two raters far apart: negative, and all the same
             {
                 "1_1": (-0.496415770609, -0.8935730402821, 0.402661387942),
                 "a_1": (0.125654450262, -0.0236532215433, 0.599851484038),
@@ -63,7 +70,9 @@ BOOK = (
     ],
     ids=["ten targets", "two raters", "noise"],
 )
-def test_every_form_and_interval_against_psych(table: list[list[int]], expected: dict[str, tuple[float, ...]]) -> None:
+def test_every_form_and_interval_against_psych(
+    table: list[list[int]], expected: dict[str, tuple[float, ...]]
+) -> None:
     # R 4.2.2, psych 2.2.9: ICC(x, lmer = FALSE)$results
     icc = intraclass(table)
     for form, printed in expected.items():
@@ -103,7 +112,9 @@ def test_equal_ratings_are_undefined_not_perfect(rating: float, offset: float) -
 
 @pytest.mark.parametrize("table", [[[1, 2]], [[1], [2]], [1, 2, 3]])
 def test_tables_too_small_are_refused(table: list[object]) -> None:
-    with pytest.raises(ValueError, match=r"table: got shape .*allowed is \(targets, raters\), at least 2 by 2"):
+    with pytest.raises(
+        ValueError, match=r"table: got shape .*allowed is \(targets, raters\), at least 2 by 2"
+    ):
         intraclass(table)
 
 
@@ -138,7 +149,11 @@ NAMES = ("icc_1_1", "icc_a_1", "icc_c_1", "icc_1_k", "icc_a_k", "icc_c_k")
 def test_intervals_hold_their_values_in_order() -> None:
     icc = intraclass(planted(20, 6, np.random.default_rng(1)))
     for name in NAMES:
-        low, value, high = getattr(icc, f"{name}_low"), getattr(icc, name), getattr(icc, f"{name}_high")
+        low, value, high = (
+            getattr(icc, f"{name}_low"),
+            getattr(icc, name),
+            getattr(icc, f"{name}_high"),
+        )
         assert low < value < high < 1
         assert low != round(low, 2)
     assert (icc.n_targets, icc.n_raters) == (20, 6)
@@ -150,14 +165,19 @@ def test_intervals_cover_the_truth() -> None:
     studies = [intraclass(planted(15, 12, rng)) for _ in range(400)]
     truth = {"icc_a_1": 1 / 2.25, "icc_c_1": 1 / 2, "icc_a_k": 12 / 13.25, "icc_c_k": 12 / 13}
     for name, value in truth.items():
-        covered = [getattr(icc, f"{name}_low") <= value <= getattr(icc, f"{name}_high") for icc in studies]
+        covered = [
+            getattr(icc, f"{name}_low") <= value <= getattr(icc, f"{name}_high") for icc in studies
+        ]
         assert 0.925 < np.mean(covered) < 0.975
 
 
 def test_ratings_without_error_have_no_interval() -> None:
     icc = intraclass(np.arange(6.0)[:, None] + np.array([0.0, 5.0]))
     assert icc.icc_c_1 == pytest.approx(1)
-    assert all(math.isnan(getattr(icc, f"{name}_low")) for name in ("icc_a_1", "icc_c_1", "icc_a_k", "icc_c_k"))
+    assert all(
+        math.isnan(getattr(icc, f"{name}_low"))
+        for name in ("icc_a_1", "icc_c_1", "icc_a_k", "icc_c_k")
+    )
     assert math.isfinite(icc.icc_1_1_low)
 
 

@@ -7,10 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analysis.association.repeated import repeated_measures_correlation
+from feel321.analysis.association.repeated import repeated_measures_correlation
 
 
-def make_rows(seed: int = 0, n: int = 40, people: int = 5) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def make_rows(
+    seed: int = 0, n: int = 40, people: int = 5
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
     participant = rng.permutation(np.arange(n) % people)
     x = rng.normal(size=n)
@@ -45,7 +47,9 @@ def test_one_participant_is_pearson() -> None:
 
 def test_a_single_row_changes_nothing() -> None:
     x, y, participant = make_rows()
-    more = repeated_measures_correlation(np.append(x, 99), np.append(y, -99), np.append(participant, 77))
+    more = repeated_measures_correlation(
+        np.append(x, 99), np.append(y, -99), np.append(participant, 77)
+    )
     here = repeated_measures_correlation(x, y, participant)
     assert (more.r, more.p, more.df) == pytest.approx((here.r, here.p, here.df))
 
@@ -61,7 +65,9 @@ def test_no_variation_inside_is_said(place: int, name: str) -> None:
 
 
 def test_a_perfect_line_has_no_interval() -> None:
-    result = repeated_measures_correlation([1, 2, 3, 1, 2, 3], [2, 4, 6, 12, 14, 16], list("aaabbb"))
+    result = repeated_measures_correlation(
+        [1, 2, 3, 1, 2, 3], [2, 4, 6, 12, 14, 16], list("aaabbb")
+    )
     assert (result.r, result.p) == (1, 0)
     assert math.isnan(result.low)
     assert len(result.notes) == 1

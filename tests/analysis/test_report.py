@@ -14,8 +14,8 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from analysis.report.write import write_report
-from analysis.words import PLACES, tell_number
+from feel321.analysis.report.write import write_report
+from feel321.analysis.words import PLACES, tell_number
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -64,14 +64,27 @@ def load(report: Path) -> dict[str, object]:
 def gather_strings(content: object) -> list[str]:
     if isinstance(content, str):
         return [content]
-    parts = content.values() if isinstance(content, dict) else content if isinstance(content, list) else ()
+    parts = (
+        content.values()
+        if isinstance(content, dict)
+        else content
+        if isinstance(content, list)
+        else ()
+    )
     return [text for part in parts for text in gather_strings(part)]
 
 
 def gather_numbers(results: dict[str, object]) -> set[str]:
     """List every number of the results in every way that it may be written."""
-    values = {entry[key] for entry in results["numbers"] for key in ("value", "low", "high")} - {None}
-    return {word for value in values for kind in PLACES for word in NUMBER.findall(tell_number(value, kind=kind))}
+    values = {entry[key] for entry in results["numbers"] for key in ("value", "low", "high")} - {
+        None
+    }
+    return {
+        word
+        for value in values
+        for kind in PLACES
+        for word in NUMBER.findall(tell_number(value, kind=kind))
+    }
 
 
 def test_the_page_shows_no_number_that_is_not_in_the_results(report: Path) -> None:
@@ -108,7 +121,9 @@ def test_numbers_are_those_of_the_files(report: Path, study: object) -> None:
     found = {entry["name"]: entry for entry in load(report)["numbers"]}
     r = found["association.similarity.as_is.temporal_match.spearman"]["value"]
     assert r == pytest.approx(stats.spearmanr(means, manifest["temporal_match"]).statistic)
-    assert found["stimulus.similarity.as_is.rec0_dft321_as_is"]["value"] == pytest.approx(means["rec0_dft321_as_is"])
+    assert found["stimulus.similarity.as_is.rec0_dft321_as_is"]["value"] == pytest.approx(
+        means["rec0_dft321_as_is"]
+    )
     assert found["size.judgements"]["value"] == 1152
 
 
@@ -122,7 +137,13 @@ def test_the_same_seed_gives_the_same_bytes(report: Path, study: object, tmp_pat
 
 @pytest.mark.usefixtures("short")
 @pytest.mark.parametrize(
-    "scales", [("粗さ", "硬さ"), ("very rough", "very-rough"), ("Realism", "realism"), ("x" * 300, "x" * 300 + "y")]
+    "scales",
+    [
+        ("粗さ", "硬さ"),
+        ("very rough", "very-rough"),
+        ("Realism", "realism"),
+        ("x" * 300, "x" * 300 + "y"),
+    ],
 )
 def test_every_figure_has_a_file_of_its_own(
     files: Callable[..., object], tmp_path: Path, scales: tuple[str, ...]
@@ -141,7 +162,9 @@ def test_another_seed_moves_intervals_only(report: Path, study: object, tmp_path
     write_report(study.ratings, study.manifest, tmp_path / "other", draws=50, seed=4)
     first = {entry["name"]: entry for entry in load(report)["numbers"]}
     second = {entry["name"]: entry for entry in load(tmp_path / "other")["numbers"]}
-    assert {name: first[name]["value"] for name in second} == {name: entry["value"] for name, entry in second.items()}
+    assert {name: first[name]["value"] for name in second} == {
+        name: entry["value"] for name, entry in second.items()
+    }
     moved = [name for name, entry in second.items() if first[name]["low"] != entry["low"]]
     assert moved
     assert all(name.startswith(("association", "difference")) for name in moved)
@@ -185,7 +208,9 @@ def test_far_outliers_are_told_in_the_caption(files: Callable[..., object], tmp_
 
 @pytest.mark.usefixtures("short")
 @pytest.mark.parametrize("simulated", [True, False])
-def test_simulated_ratings_carry_a_banner(files: Callable[..., object], tmp_path: Path, simulated: bool) -> None:
+def test_simulated_ratings_carry_a_banner(
+    files: Callable[..., object], tmp_path: Path, simulated: bool
+) -> None:
     study = files(simulated=simulated, scales=("realism",))
     results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
     text = (tmp_path / "report" / "index.html").read_text(encoding="utf-8")
@@ -194,7 +219,9 @@ def test_simulated_ratings_carry_a_banner(files: Callable[..., object], tmp_path
 
 
 @pytest.mark.usefixtures("short")
-def test_dots_in_names_make_no_two_numbers_one(files: Callable[..., object], tmp_path: Path) -> None:
+def test_dots_in_names_make_no_two_numbers_one(
+    files: Callable[..., object], tmp_path: Path
+) -> None:
     study = files(scales=("a", "a.b"), recordings=3, anchors=False)
     manifest, ratings = pd.read_csv(study.manifest), pd.read_csv(study.ratings)
     manifest["reducer"] = manifest["reducer"].replace("mag321", "dft321.n_stimuli")
@@ -205,12 +232,19 @@ def test_dots_in_names_make_no_two_numbers_one(files: Callable[..., object], tmp
     results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
     names = [number.name for number in results.numbers]
     assert len(names) == len(set(names))
-    assert {"profile.a%2Eb.c.test.dft321%2En_stimuli", "profile.a.b%2Ec.test.dft321.n_stimuli"} <= set(names)
+    assert {
+        "profile.a%2Eb.c.test.dft321%2En_stimuli",
+        "profile.a.b%2Ec.test.dft321.n_stimuli",
+    } <= set(names)
 
 
 @pytest.mark.usefixtures("short")
-def test_two_numbers_of_one_name_are_refused(study: object, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr("analysis.report.sections.association.name_path", lambda *parts: ".".join(parts[:1]))
+def test_two_numbers_of_one_name_are_refused(
+    study: object, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(
+        "feel321.analysis.report.association.name_path", lambda *parts: ".".join(parts[:1])
+    )
     with pytest.raises(ValueError, match=r"results: got \d+ names twice, first association"):
         write_report(study.ratings, study.manifest, tmp_path / "report", draws=5, seed=0)
 
@@ -225,7 +259,9 @@ def test_levels_are_kept_apart(files: Callable[..., object], tmp_path: Path) -> 
 
 
 @pytest.mark.usefixtures("short")
-def test_captions_speak_of_what_is_there(files: Callable[..., object], report: Path, tmp_path: Path) -> None:
+def test_captions_speak_of_what_is_there(
+    files: Callable[..., object], report: Path, tmp_path: Path
+) -> None:
     whole = load(report)["figures"]
     scatter, raincloud = (
         next(caption for name, caption in whole.items() if name.startswith(f"{kind}_realism"))
@@ -242,13 +278,22 @@ def test_captions_speak_of_what_is_there(files: Callable[..., object], report: P
     assert not any("t interval" in number.uncertainty for number in results.numbers)
 
 
-def test_every_metric_is_drawn_recording_by_recording_with_its_mapping_and_ceiling(report: Path) -> None:
+def test_every_metric_is_drawn_recording_by_recording_with_its_mapping_and_ceiling(
+    report: Path,
+) -> None:
     results, table = load(report), pd.read_csv(report / "tables" / "p1401.csv")
     found = {entry["name"]: entry["value"] for entry in results["numbers"]}
     for scale, metric in product(("realism", "similarity"), ("spectral_match", "temporal_match")):
-        drawn = [name for name in results["figures"] if name.startswith(f"mapping_{scale}_as_is_{metric}")]
+        drawn = [
+            name
+            for name in results["figures"]
+            if name.startswith(f"mapping_{scale}_as_is_{metric}")
+        ]
         assert len(drawn) == 1
-        assert {path.suffix for path in (report / "figures").glob(f"{drawn[0]}.*")} == {".svg", ".png"}
+        assert {path.suffix for path in (report / "figures").glob(f"{drawn[0]}.*")} == {
+            ".svg",
+            ".png",
+        }
         asked = "scale == @scale and metric == @metric and order == 3 and not held_out"
         fitted = [float(value) for value in table.query(asked)["coefficients"].item().split()]
         shown = [found[f"mapping.{scale}.as_is.{metric}.coefficient_{power}"] for power in range(4)]
@@ -307,7 +352,9 @@ def test_names_cannot_break_the_page(files: Callable[..., object], tmp_path: Pat
 
 
 @pytest.mark.usefixtures("short")
-def test_an_old_report_is_replaced_and_other_files_stay(own_report: Path, files: Callable[..., object]) -> None:
+def test_an_old_report_is_replaced_and_other_files_stay(
+    own_report: Path, files: Callable[..., object]
+) -> None:
     (own_report / "notes.txt").write_text("mine", encoding="utf-8")
     study = files(scales=("realism",))
     write_report(study.ratings, study.manifest, own_report, draws=20, seed=0)
@@ -326,15 +373,21 @@ def test_files_of_the_same_folders_that_are_not_ours_stay(study: object, tmp_pat
             assert (tmp_path / "mine" / name).read_text(encoding="utf-8") == "mine"
 
 
-@pytest.mark.parametrize("results", [None, "no JSON", "[]", '{"files": ["figures/../../precious.csv"]}'])
-def test_a_file_in_the_way_is_never_replaced(study: object, tmp_path: Path, results: str | None) -> None:
+@pytest.mark.parametrize(
+    "results", [None, "no JSON", "[]", '{"files": ["figures/../../precious.csv"]}']
+)
+def test_a_file_in_the_way_is_never_replaced(
+    study: object, tmp_path: Path, results: str | None
+) -> None:
     page = tmp_path / "mine" / "index.html"
     page.parent.mkdir()
     page.write_text("mine", encoding="utf-8")
     if results:
         (page.parent / "results.json").write_text(results, encoding="utf-8")
     (tmp_path / "precious.csv").write_text("1", encoding="utf-8")
-    with pytest.raises(FileExistsError, match="is not of a former report; move it away or choose another folder"):
+    with pytest.raises(
+        FileExistsError, match="is not of a former report; move it away or choose another folder"
+    ):
         write_report(study.ratings, study.manifest, page.parent, draws=5, seed=0)
     assert page.read_text(encoding="utf-8") == "mine"
     assert not (page.parent / "figures").exists()
@@ -347,14 +400,18 @@ def test_every_file_is_listed(report: Path) -> None:
 
 
 @pytest.mark.usefixtures("short")
-def test_a_failed_run_changes_nothing(own_report: Path, files: Callable[..., object], monkeypatch: object) -> None:
+def test_a_failed_run_changes_nothing(
+    own_report: Path, files: Callable[..., object], monkeypatch: object
+) -> None:
     before = {path: path.read_bytes() for path in own_report.rglob("*") if path.is_file()}
     study = files(seed=9, scales=("realism",))
-    monkeypatch.setattr("analysis.report.write.render_page", lambda *_, **__: 1 / 0)
+    monkeypatch.setattr("feel321.analysis.report.write.render_page", lambda *_, **__: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         write_report(study.ratings, study.manifest, own_report, draws=20, seed=0)
     assert before == {path: path.read_bytes() for path in own_report.rglob("*") if path.is_file()}
-    assert [path.name for path in own_report.parent.iterdir() if path.name.startswith(".report-")] == []
+    assert [
+        path.name for path in own_report.parent.iterdir() if path.name.startswith(".report-")
+    ] == []
 
 
 def test_tables_hold_the_same_numbers(report: Path) -> None:

@@ -9,13 +9,13 @@ import pandas as pd
 import pytest
 from scipy.stats import binom
 
-from analysis.primary.model import fit_primary
-from analysis.primary.sensitivity import vary_primary
-from analysis.report.sections import contrasts, levels
-from analysis.report.sections.choices import Choices
-from analysis.table.items import make_items
-from analysis.table.reading import read_table
-from analysis.table.sources import find_sources, tell_recordings
+from feel321.analysis.primary.model import fit_primary
+from feel321.analysis.primary.sensitivity import vary_primary
+from feel321.analysis.report import reducers as contrasts
+from feel321.analysis.report import reducers as levels
+from feel321.analysis.report.section import Choices
+from feel321.analysis.table.items import find_sources, make_items, tell_recordings
+from feel321.analysis.table.reading import read_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -30,19 +30,29 @@ SHARED = " + (1 | source) + (1 | source:reducer)"
 REDUCERS = " + (1 | reducer) + (1 | participant:reducer)"
 
 
-def make_rows(seed: int, *, people: int = 8, sources: int = 5, turns: int = 3, reducers: int = 5) -> pd.DataFrame:
+def make_rows(
+    seed: int, *, people: int = 8, sources: int = 5, turns: int = 3, reducers: int = 5
+) -> pd.DataFrame:
     """A study of turned recordings: nothing to be found, and much that is felt alike however a source is turned."""
     rng = np.random.default_rng([seed, 9])
     scenes, n = sources * turns, sources * turns * reducers
-    source, scene = np.repeat(np.arange(sources), turns * reducers), np.repeat(np.arange(scenes), reducers)
+    source, scene = (
+        np.repeat(np.arange(sources), turns * reducers),
+        np.repeat(np.arange(scenes), reducers),
+    )
     reducer = np.tile(np.arange(reducers), scenes)
     alike = source * reducers + reducer
     metrics = rng.normal(0, 0.15, (2, sources * reducers))[:, alike] + rng.normal(0, 0.06, (2, n))
-    metrics += rng.normal(0, 0.1, (2, sources))[:, source] + rng.normal(0, 0.05, (2, scenes))[:, scene]
+    metrics += (
+        rng.normal(0, 0.1, (2, sources))[:, source] + rng.normal(0, 0.05, (2, scenes))[:, scene]
+    )
     felt = 50 + rng.normal(0, 5, sources)[source] + rng.normal(0, 2, scenes)[scene]
     felt = felt + rng.normal(0, 3, sources * reducers)[alike] + rng.normal(0, 1.5, n)
     own = rng.normal(0, 8, people)[:, None] + rng.normal(0, 6, (people, 2)) @ metrics
-    own += rng.normal(0, 2, (people, scenes))[:, scene] + rng.normal(0, 2, (people, sources))[:, source]
+    own += (
+        rng.normal(0, 2, (people, scenes))[:, scene]
+        + rng.normal(0, 2, (people, sources))[:, source]
+    )
     own += rng.normal(0, 3, (people, sources * reducers))[:, alike]
     rating = felt + own + rng.normal(0, 5, own.shape)
     who, item = (axis.ravel() for axis in np.indices(rating.shape))
@@ -81,7 +91,10 @@ def test_one_source_speaks_of_no_other(rows: pd.DataFrame) -> None:
     assert "(1 | source)" not in model.formula
     assert model.formula.endswith(" + (1 | source:reducer) + (1 | participant:reducer)")
     assert not model.slopes["estimable"].any()
-    assert "No spread between sources: all recordings come from one; nothing here speaks of others." in model.reductions
+    assert (
+        "No spread between sources: all recordings come from one; nothing here speaks of others."
+        in model.reductions
+    )
     assert "No slopes between recordings: with 1 source, 2" in " ".join(model.reductions)
 
 
@@ -100,8 +113,14 @@ def test_sources_are_left_out_whole(rows: pd.DataFrame) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda rows: rows.drop(columns="reducer"), "15 recordings of 5 sources and no column 'reducer'"),
-        (lambda rows: rows.assign(source=rows["reducer"]), "two sources of recording 0; a recording has one"),
+        (
+            lambda rows: rows.drop(columns="reducer"),
+            "15 recordings of 5 sources and no column 'reducer'",
+        ),
+        (
+            lambda rows: rows.assign(source=rows["reducer"]),
+            "two sources of recording 0; a recording has one",
+        ),
         (lambda rows: rows.assign(reducer=rows["participant"]), "got item 0 with two reducers"),
     ],
 )
@@ -126,17 +145,27 @@ def copy_files(files: Callable[..., object], **design: object) -> tuple[object, 
     study = files(participants=6, recordings=4, scales=("realism",), anchors=False, **design)
     for path in (study.ratings, study.manifest):
         table = pd.read_csv(path, dtype=str)
-        copies = [table.assign(**{name: table[name] + f"-r{turn}" for name in ("recording", "stimulus_id")})
-                  for turn in range(3)]  # fmt: skip
+        copies = [
+            table.assign(**{
+                name: table[name] + f"-r{turn}" for name in ("recording", "stimulus_id")
+            })
+            for turn in range(3)
+        ]
         copied = pd.concat(copies, ignore_index=True)
         if "trial" in copied:
             copied["trial"] = copied.groupby("participant").cumcount() + 1
         copied.to_csv(path, index=False)
-    return study, {f"rec{number}-r{turn}": f"rec{number}" for number in range(4) for turn in range(3)}
+    return study, {
+        f"rec{number}-r{turn}": f"rec{number}" for number in range(4) for turn in range(3)
+    }
 
 
 @pytest.mark.parametrize(
-    ("compute", "design"), [(contrasts.compute, {}), (levels.compute, {"levels": ("as_is", "equal_intensity")})]
+    ("compute", "design"),
+    [
+        (contrasts.compute_contrasts, {}),
+        (levels.compute_levels, {"levels": ("as_is", "equal_intensity")}),
+    ],
 )
 def test_copies_add_no_certainty_to_what_is_said_of_reducers_and_levels(
     files: Callable[..., object], compute: Callable[..., object], design: dict[str, object]
@@ -146,7 +175,9 @@ def test_copies_add_no_certainty_to_what_is_said_of_reducers_and_levels(
         (found,) = compute(table, Choices()).tables.values()
         return found["se"].to_numpy()
 
-    one = measure(files(participants=6, recordings=4, scales=("realism",), anchors=False, **design), None)
+    one = measure(
+        files(participants=6, recordings=4, scales=("realism",), anchors=False, **design), None
+    )
     study, sources = copy_files(files, **design)
     known, believed = measure(study, sources), measure(study, None)
     assert np.median(known / one) == pytest.approx(1, abs=0.15)
@@ -155,7 +186,10 @@ def test_copies_add_no_certainty_to_what_is_said_of_reducers_and_levels(
 
 def test_copies_add_no_certainty_to_slopes(rows: pd.DataFrame) -> None:
     alone = rows[rows["recording"] % 3 == 0]
-    copies = [alone.assign(recording=alone["recording"] + turn, item=alone["item"] + 1000 * turn) for turn in range(3)]
+    copies = [
+        alone.assign(recording=alone["recording"] + turn, item=alone["item"] + 1000 * turn)
+        for turn in range(3)
+    ]
     copied = pd.concat(copies, ignore_index=True)
     one, known = (fit_primary(table, METRICS).slopes["se"] for table in (alone, copied))
     believed = fit_primary(copied.drop(columns="source"), METRICS).slopes["se"]
@@ -174,5 +208,7 @@ def test_the_primary_test_holds_its_level_where_recordings_are_turned() -> None:
 
 
 def test_a_table_without_recordings_has_no_sources() -> None:
-    with pytest.raises(ValueError, match="rows: column recording is missing; got participant, rating"):
+    with pytest.raises(
+        ValueError, match="rows: column recording is missing; got participant, rating"
+    ):
         find_sources(pd.DataFrame({"participant": ["a"], "rating": [1.0]}))

@@ -4,15 +4,23 @@ import numpy as np
 import pytest
 from scipy.optimize import isotonic_regression
 
-from analysis.space.landmarks import align_spaces, bootstrap_space, regress_attributes
-from analysis.space.scaling import fit_space, refit_space, stress_by_dimension
+from feel321.analysis.space import (
+    align_spaces,
+    bootstrap_space,
+    fit_space,
+    refit_space,
+    regress_attributes,
+    stress_by_dimension,
+)
 
 
 def apart(place: np.ndarray) -> np.ndarray:
     return np.sqrt(((place[:, None] - place) ** 2).sum(axis=-1))
 
 
-def make_people(n: int = 12, *, noise: float = 0.3, seed: int = 0, stimuli: int = 8) -> tuple[np.ndarray, np.ndarray]:
+def make_people(
+    n: int = 12, *, noise: float = 0.3, seed: int = 0, stimuli: int = 8
+) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
     place = rng.normal(size=(stimuli, 2)) * [2, 1]
     people = np.abs(apart(place) + noise * rng.normal(size=(n, stimuli, stimuli)))
@@ -36,7 +44,12 @@ def test_an_ordinal_map_uses_the_order_only() -> None:
     distances = apart(place)
     bent = fit_space(np.exp(distances / 2) - 1, ordinal=True, rng=np.random.default_rng(0))
     assert bent.stress < 0.02
-    assert align_spaces(bent.positions, place, permutations=50, rng=np.random.default_rng(0)).correlation > 0.97
+    assert (
+        align_spaces(
+            bent.positions, place, permutations=50, rng=np.random.default_rng(0)
+        ).correlation
+        > 0.97
+    )
 
 
 SHUFFLED = [18, 9, 10, 17, 4, 21, 16, 14, 13, 7, 2, 11, 3, 12, 19, 1, 15, 5, 8, 6, 20]
@@ -79,14 +92,18 @@ def test_a_stack_is_averaged_over_those_who_rated() -> None:
     _, people = make_people(5)
     people[0, 1, 2] = people[0, 2, 1] = np.nan
     mean = np.nanmean(people, axis=0)
-    here, there = (fit_space(given, rng=np.random.default_rng(4)).positions for given in (people, mean))
+    here, there = (
+        fit_space(given, rng=np.random.default_rng(4)).positions for given in (people, mean)
+    )
     assert here == pytest.approx(there)
 
 
 def test_a_group_map_recovers_the_planted_one() -> None:
     place, people = make_people()
     result = align_spaces(
-        fit_space(people, rng=np.random.default_rng(0)).positions, place, rng=np.random.default_rng(1)
+        fit_space(people, rng=np.random.default_rng(0)).positions,
+        place,
+        rng=np.random.default_rng(1),
     )
     assert result.correlation > 0.95
     assert result.p == pytest.approx(1 / 2001)
@@ -107,7 +124,10 @@ def test_procrustes_is_scipys() -> None:
 
 def test_unrelated_maps_agree_by_chance_only() -> None:
     rng = np.random.default_rng(0)
-    p = [align_spaces(rng.normal(size=(7, 2)), rng.normal(size=(7, 2)), permutations=99, rng=rng).p for _ in range(300)]
+    p = [
+        align_spaces(rng.normal(size=(7, 2)), rng.normal(size=(7, 2)), permutations=99, rng=rng).p
+        for _ in range(300)
+    ]
     assert 0.02 < np.mean(np.array(p) <= 0.05) < 0.09
 
 
@@ -115,7 +135,9 @@ def test_a_map_with_fewer_dimensions_is_filled_up() -> None:
     rng = np.random.default_rng(0)
     line = np.arange(6.0)[:, None]
     flat = np.hstack([line, np.zeros((6, 1))])
-    assert align_spaces(line, flat, permutations=9, rng=rng).disparity == pytest.approx(0, abs=1e-12)
+    assert align_spaces(line, flat, permutations=9, rng=rng).disparity == pytest.approx(
+        0, abs=1e-12
+    )
 
 
 def test_an_attributes_direction_is_found() -> None:
@@ -123,7 +145,9 @@ def test_an_attributes_direction_is_found() -> None:
     rng = np.random.default_rng(0)
     attributes = {"rough": place @ [3, 4] + rng.normal(0, 0.1, 40), "noise": rng.normal(size=40)}
     table = regress_attributes(place, attributes)
-    assert table.loc["rough", ["axis_1", "axis_2"]].to_numpy(float) == pytest.approx([0.6, 0.8], abs=0.03)
+    assert table.loc["rough", ["axis_1", "axis_2"]].to_numpy(float) == pytest.approx(
+        [0.6, 0.8], abs=0.03
+    )
     assert table.loc["rough", "r2"] > 0.99
     assert table.loc["noise", "p"] > 0.01
     assert table.loc["noise", "df"] == 37
@@ -151,10 +175,14 @@ def test_an_ellipse_by_its_definition() -> None:
         covariance = np.cov(np.stack(laid)[:, stimulus].T)
         # 95 % of a plane's normal distribution lie within chi-square(2) = -2 log(.05); P / (P - 1) for P people.
         scale = -2 * np.log(0.05) * 7 / 6
-        assert [long**2, short**2] == pytest.approx(scale * np.linalg.eigvalsh(covariance)[::-1], rel=1e-6)
+        assert [long**2, short**2] == pytest.approx(
+            scale * np.linalg.eigvalsh(covariance)[::-1], rel=1e-6
+        )
         angle = np.radians(result.angle[stimulus])
         along = np.array([np.cos(angle), np.sin(angle)])
-        assert along @ covariance @ along == pytest.approx(np.linalg.eigvalsh(covariance)[1], rel=1e-6)
+        assert along @ covariance @ along == pytest.approx(
+            np.linalg.eigvalsh(covariance)[1], rel=1e-6
+        )
 
 
 def test_people_who_agree_have_no_ellipse() -> None:
@@ -169,12 +197,18 @@ GOOD = apart(np.random.default_rng(0).normal(size=(4, 2)))
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda d: d[:2, :2], r"dissimilarities: got shape \(2, 2\), allowed is \(stimuli, stimuli\)"),
+        (
+            lambda d: d[:2, :2],
+            r"dissimilarities: got shape \(2, 2\), allowed is \(stimuli, stimuli\)",
+        ),
         (lambda d: d[0], r"dissimilarities: got shape \(4,\)"),
         (lambda d: -d, "dissimilarities: got a negative or infinite value"),
         (lambda d: d + np.eye(4), "dissimilarities: got a stimulus unlike itself"),
         (np.triu, "dissimilarities: got a matrix that is not symmetric"),
-        (lambda d: np.where(d == d[0, 1], np.nan, d), "dissimilarities: got no rating of stimuli 0 and 1"),
+        (
+            lambda d: np.where(d == d[0, 1], np.nan, d),
+            "dissimilarities: got no rating of stimuli 0 and 1",
+        ),
         (lambda d: 0 * d, "dissimilarities: got 0 for every pair"),
     ],
 )
@@ -199,13 +233,17 @@ def test_impossible_requests_are_refused() -> None:
         align_spaces(np.where(place == 0, np.nan, place), place, rng=rng)
     with pytest.raises(ValueError, match="reference: got all stimuli in one place"):
         align_spaces(place, np.full((4, 2), 33.3), rng=rng)
-    with pytest.raises(ValueError, match="positions: got 3 stimuli in 2 dimensions, a regression needs 4"):
+    with pytest.raises(
+        ValueError, match="positions: got 3 stimuli in 2 dimensions, a regression needs 4"
+    ):
         regress_attributes(place[:3], {})
     with pytest.raises(ValueError, match="attributes: 'a' is not 4 finite numbers"):
         regress_attributes(place, {"a": [1, 2]})
     with pytest.raises(ValueError, match="attributes: 'a' is the same for all"):
         regress_attributes(place, {"a": [33.3] * 4})
-    with pytest.raises(ValueError, match="positions: got 2 dimensions, one of which follows from the others"):
+    with pytest.raises(
+        ValueError, match="positions: got 2 dimensions, one of which follows from the others"
+    ):
         regress_attributes(place, {"a": [1, 2, 3, 5]})
     with pytest.raises(ValueError, match="positions: got 'x', allowed are numbers"):
         regress_attributes([["x", 1], [2, 3], [4, 5], [5, 9]], {"a": [1, 2, 3, 5]})

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 import pandas as pd
 import pytest
 
-from analysis.table.reading import order_reducers, read_table
-from stimuli.reduce import REDUCERS
+from feel321.analysis.table.reading import order_reducers, read_table
+from feel321.stimuli.reducers.registry import REDUCERS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from analysis.table.reading import Table
+    from feel321.analysis.table.reading import Table
 
 
 def read(files: object) -> Table:
@@ -37,7 +37,10 @@ def set_cell(column: str, value: object, row: int = 0) -> Callable[[pd.DataFrame
 def test_ratings_and_metrics_come_together(files: Callable[..., object]) -> None:
     study = files()
     table = read(study)
-    ratings, manifest = pd.read_csv(study.ratings), pd.read_csv(study.manifest, index_col="stimulus_id")
+    ratings, manifest = (
+        pd.read_csv(study.ratings),
+        pd.read_csv(study.manifest, index_col="stimulus_id"),
+    )
     assert list(table.rows["rating"]) == list(ratings["rating"])
     expected = manifest.loc[ratings["stimulus_id"]]
     for name in ("spectral_match", "temporal_match"):
@@ -52,7 +55,10 @@ def test_ratings_and_metrics_come_together(files: Callable[..., object]) -> None
 def test_four_columns_from_elsewhere_are_enough(files: Callable[..., object]) -> None:
     study = files()
     edit(study.ratings, lambda frame: frame[["participant", "stimulus_id", "scale", "rating"]])
-    edit(study.manifest, lambda frame: frame[["stimulus_id", "recording", "reducer", "spectral_match"]].fillna(0))
+    edit(
+        study.manifest,
+        lambda frame: frame[["stimulus_id", "recording", "reducer", "spectral_match"]].fillna(0),
+    )
     table = read(study)
     assert table.metrics == ("spectral_match",)
     assert not table.rows["simulated"].any()
@@ -90,7 +96,9 @@ def test_blank_lines_and_byte_order_mark_are_no_trouble(files: Callable[..., obj
     study = files()
     lines = study.ratings.read_text().splitlines()
     plain = read(study)
-    study.ratings.write_text("\ufeff" + "\r\n".join([*lines[:5], "", *lines[5:], "", ""]), encoding="utf-8")
+    study.ratings.write_text(
+        "\ufeff" + "\r\n".join([*lines[:5], "", *lines[5:], "", ""]), encoding="utf-8"
+    )
     assert read(study).rows.equals(plain.rows)
 
 
@@ -106,7 +114,9 @@ def test_without_trials_the_repeat_tells_judgements_apart(files: Callable[..., o
     edit(study.ratings, lambda frame: frame.drop(columns=["trial", "block"]))
     assert read(study).notes == ()
     edit(study.ratings, lambda frame: pd.concat([frame, frame.iloc[[4]]]))
-    with pytest.raises(ValueError, match="line 1154: got '1' in column 'repeat', but an earlier line has the same"):
+    with pytest.raises(
+        ValueError, match="line 1154: got '1' in column 'repeat', but an earlier line has the same"
+    ):
         read(study)
 
 
@@ -135,38 +145,111 @@ def test_a_match_above_one_is_noted(files: Callable[..., object]) -> None:
     study = files()
     edit(study.manifest, set_cell("spectral_match", 1.5, row=2))
     (note,) = read(study).notes
-    assert note.startswith("'spectral_match' is above 1, which no match can be, for 1 stimuli, first 'rec0_")
+    assert note.startswith(
+        "'spectral_match' is above 1, which no match can be, for 1 stimuli, first 'rec0_"
+    )
 
 
 @pytest.mark.parametrize(
     ("file", "change", "message"),
     [
-        ("ratings", lambda f: f.drop(columns=["scale", "rating"]), "ratings.csv, line 1: column scale, rating is miss"),
+        (
+            "ratings",
+            lambda f: f.drop(columns=["scale", "rating"]),
+            "ratings.csv, line 1: column scale, rating is miss",
+        ),
         ("ratings", lambda f: f.iloc[:0], "ratings.csv: got no rows below the header"),
-        ("ratings", set_cell("rating", "high"), "ratings.csv, line 2: got 'high' in column 'rating', allowed"),
+        (
+            "ratings",
+            set_cell("rating", "high"),
+            "ratings.csv, line 2: got 'high' in column 'rating', allowed",
+        ),
         ("ratings", set_cell("rating", "inf"), "ratings.csv, line 2: got 'inf' in column 'rating'"),
         ("ratings", set_cell("rating", ""), "ratings.csv, line 2: got '' in column 'rating'"),
-        ("ratings", set_cell("rating", 100.5, row=3), "line 5: got 100.5 in column 'rating', allowed is 0"),
+        (
+            "ratings",
+            set_cell("rating", 100.5, row=3),
+            "line 5: got 100.5 in column 'rating', allowed is 0",
+        ),
         ("ratings", lambda f: f.assign(rating=-1), r"lines 2, 3, 4 and \d+ more: got -1 in"),
-        ("ratings", set_cell("participant", ""), "line 2: got '' in column 'participant', which must not be empty"),
-        ("ratings", set_cell("participant", "p00 "), "got 'p00 ' in column 'participant', which must not begin"),
-        ("manifest", set_cell("recording", " rec0"), "line 2: got ' rec0' in column 'recording', which must not begin"),
-        ("ratings", set_cell("scale", "", row=1), "line 3: got '' in column 'scale', which must not be empty"),
-        ("ratings", set_cell("stimulus_id", "ghost"), "got 'ghost' in column 'stimulus_id', which manifest"),
-        ("ratings", set_cell("reducer", "dft321"), "got 'dft321' in column 'reducer', but manifest.csv says"),
+        (
+            "ratings",
+            set_cell("participant", ""),
+            "line 2: got '' in column 'participant', which must not be empty",
+        ),
+        (
+            "ratings",
+            set_cell("participant", "p00 "),
+            "got 'p00 ' in column 'participant', which must not begin",
+        ),
+        (
+            "manifest",
+            set_cell("recording", " rec0"),
+            "line 2: got ' rec0' in column 'recording', which must not begin",
+        ),
+        (
+            "ratings",
+            set_cell("scale", "", row=1),
+            "line 3: got '' in column 'scale', which must not be empty",
+        ),
+        (
+            "ratings",
+            set_cell("stimulus_id", "ghost"),
+            "got 'ghost' in column 'stimulus_id', which manifest",
+        ),
+        (
+            "ratings",
+            set_cell("reducer", "dft321"),
+            "got 'dft321' in column 'reducer', but manifest.csv says",
+        ),
         ("ratings", set_cell("rejected", "perhaps"), "got 'perhaps' in column 'rejected', allowed"),
-        ("ratings", lambda f: f.assign(rejected=True), "all 1152 judgements are marked as rejected"),
-        ("ratings", lambda f: pd.concat([f, f.iloc[[4]]]), "line 1154: got '5' in column 'trial', but an"),
-        ("manifest", lambda f: f.drop(columns="reducer"), "manifest.csv, line 1: column reducer is missing"),
-        ("manifest", lambda f: f.drop(columns=["spectral_match", "temporal_match"]), "manifest.csv: got no metric"),
-        ("manifest", set_cell("role", "distractor"), "got 'distractor' in column 'role', allowed is test, ref"),
-        ("manifest", set_cell("spectral_match", "", row=1), "manifest.csv, line 3: got '' in column 'spectral_match'"),
-        ("manifest", set_cell("recording", ""), "manifest.csv, line 2: got '' in column 'recording'"),
-        ("manifest", lambda f: pd.concat([f, f.iloc[[0]]]), "in column 'stimulus_id', but an earlier line lists"),
+        (
+            "ratings",
+            lambda f: f.assign(rejected=True),
+            "all 1152 judgements are marked as rejected",
+        ),
+        (
+            "ratings",
+            lambda f: pd.concat([f, f.iloc[[4]]]),
+            "line 1154: got '5' in column 'trial', but an",
+        ),
+        (
+            "manifest",
+            lambda f: f.drop(columns="reducer"),
+            "manifest.csv, line 1: column reducer is missing",
+        ),
+        (
+            "manifest",
+            lambda f: f.drop(columns=["spectral_match", "temporal_match"]),
+            "manifest.csv: got no metric",
+        ),
+        (
+            "manifest",
+            set_cell("role", "distractor"),
+            "got 'distractor' in column 'role', allowed is test, ref",
+        ),
+        (
+            "manifest",
+            set_cell("spectral_match", "", row=1),
+            "manifest.csv, line 3: got '' in column 'spectral_match'",
+        ),
+        (
+            "manifest",
+            set_cell("recording", ""),
+            "manifest.csv, line 2: got '' in column 'recording'",
+        ),
+        (
+            "manifest",
+            lambda f: pd.concat([f, f.iloc[[0]]]),
+            "in column 'stimulus_id', but an earlier line lists",
+        ),
     ],
 )
 def test_every_fault_gets_one_clear_line(
-    files: Callable[..., object], file: str, change: Callable[[pd.DataFrame], pd.DataFrame], message: str
+    files: Callable[..., object],
+    file: str,
+    change: Callable[[pd.DataFrame], pd.DataFrame],
+    message: str,
 ) -> None:
     study = files()
     edit(getattr(study, file), change)
@@ -179,18 +262,38 @@ def test_every_fault_gets_one_clear_line(
     ("content", "message"),
     [
         (b"", "ratings.csv: the file is empty; its first line must name the columns participant"),
-        (b"participant;stimulus_id;scale;rating\na;b;c;5\n", "separated by semicolons: save it with commas, and with"),
+        (
+            b"participant;stimulus_id;scale;rating\na;b;c;5\n",
+            "separated by semicolons: save it with commas, and with",
+        ),
         (b"participant,stimulus_id,scale,rating,rating\n", "column rating appears more than once"),
-        (b"participant,stimulus_id,scale,rating\na,b,c,5,6\n", "line 2: got 5 cells, but the header has 4; put a cell"),
-        (b"participant,stimulus_id,scale,rating\na,b,c,5\na,b,c,5,6\n", "ratings.csv, line 3: got 5 cells"),
+        (
+            b"participant,stimulus_id,scale,rating\na,b,c,5,6\n",
+            "line 2: got 5 cells, but the header has 4; put a cell",
+        ),
+        (
+            b"participant,stimulus_id,scale,rating\na,b,c,5\na,b,c,5,6\n",
+            "ratings.csv, line 3: got 5 cells",
+        ),
         (b'participant,stimulus_id,scale,rating\na,"b,c,5\n', "not a regular CSV file"),
         (b"participant,stimulus_id,scale,rating\nJ\xf6rg,b,c,5\n", "not UTF-8 text .* at byte"),
-        (b"participant,stimulus_id,scale,rating\na,b,c\n", "ratings.csv, line 2: got 3 cells, but the header has 4"),
-        (b"participant,stimulus_id,scale,rating,protocol\na,b,c,5,d\na,b,c,6", "line 3: got 4 cells, but the header"),
-        (b"\nparticipant,stimulus_id,scale,rating\na,b,c,5\n", "ratings.csv: line 1 is blank; its first line must"),
+        (
+            b"participant,stimulus_id,scale,rating\na,b,c\n",
+            "ratings.csv, line 2: got 3 cells, but the header has 4",
+        ),
+        (
+            b"participant,stimulus_id,scale,rating,protocol\na,b,c,5,d\na,b,c,6",
+            "line 3: got 4 cells, but the header",
+        ),
+        (
+            b"\nparticipant,stimulus_id,scale,rating\na,b,c,5\n",
+            "ratings.csv: line 1 is blank; its first line must",
+        ),
     ],
 )
-def test_files_that_are_no_tables(files: Callable[..., object], content: bytes, message: str) -> None:
+def test_files_that_are_no_tables(
+    files: Callable[..., object], content: bytes, message: str
+) -> None:
     study = files()
     study.ratings.write_bytes(content)
     with pytest.raises(ValueError, match=message) as caught:
@@ -225,10 +328,19 @@ def test_gains_and_sensation_levels_are_carried_and_said(files: Callable[..., ob
     ):
         manifest.assign(gain=gain, sensation_level_db=felt).to_csv(study.manifest, index=False)
         table = read(study)
-        assert any(note.startswith(f"Stimuli as is were played with {said}") for note in table.notes)
-        assert f"2 of {len(manifest)} stimuli were played below the detection threshold." in table.notes
-        expected = table.rows["stimulus_id"].map(dict(zip(manifest["stimulus_id"], felt, strict=True)))
-        pd.testing.assert_series_equal(table.rows["sensation_level_db"], expected, check_names=False)
+        assert any(
+            note.startswith(f"Stimuli as is were played with {said}") for note in table.notes
+        )
+        assert (
+            f"2 of {len(manifest)} stimuli were played below the detection threshold."
+            in table.notes
+        )
+        expected = table.rows["stimulus_id"].map(
+            dict(zip(manifest["stimulus_id"], felt, strict=True))
+        )
+        pd.testing.assert_series_equal(
+            table.rows["sensation_level_db"], expected, check_names=False
+        )
     edit(study.manifest, set_cell("sensation_level_db", "loud"))
     with pytest.raises(ValueError, match=r"sensation_level_db"):
         read(study)
@@ -238,7 +350,9 @@ def add_columns(study: object, **columns: object) -> None:
     edit(study.manifest, lambda frame: frame.assign(**columns))
 
 
-def test_the_bounded_metric_is_primary_and_the_papers_is_explored(files: Callable[..., object]) -> None:
+def test_the_bounded_metric_is_primary_and_the_papers_is_explored(
+    files: Callable[..., object],
+) -> None:
     study = files()
     add_columns(study, spectral_match_bounded=0.5)
     table = read(study)
@@ -253,17 +367,31 @@ def test_any_numeric_column_may_be_declared(files: Callable[..., object]) -> Non
     assert table.metrics == ("roughness", "spectral_match")
     assert "temporal_match" in table.further
     manifest = pd.read_csv(study.manifest, index_col="stimulus_id")["roughness"]
-    assert list(table.rows["roughness"].fillna(0)) == list(manifest[table.rows["stimulus_id"]].fillna(0))
+    assert list(table.rows["roughness"].fillna(0)) == list(
+        manifest[table.rows["stimulus_id"]].fillna(0)
+    )
 
 
 @pytest.mark.parametrize(
     ("metrics", "message"),
     [
-        (["loudness"], "got no column 'loudness' as a metric; its numeric columns are spectral_match, temporal_match"),
-        (["reducer", "temporal_match"], "got no numbers in column 'reducer' as a metric; its numeric columns are"),
+        (
+            ["loudness"],
+            "got no column 'loudness' as a metric; its numeric columns are spectral_match, temporal_match",
+        ),
+        (
+            ["reducer", "temporal_match"],
+            "got no numbers in column 'reducer' as a metric; its numeric columns are",
+        ),
         (["level"], "got no numbers in column 'level' as a metric"),
-        (["temporal_match", "temporal_match"], "got temporal_match, temporal_match, allowed is one name or more, each"),
-        (["spectral_match_bounded"], "(built before it existed: build the set again, or use spectral_match)"),
+        (
+            ["temporal_match", "temporal_match"],
+            "got temporal_match, temporal_match, allowed is one name or more, each",
+        ),
+        (
+            ["spectral_match_bounded"],
+            "(built before it existed: build the set again, or use spectral_match)",
+        ),
     ],
 )
 def test_metrics_that_a_manifest_does_not_have(
@@ -277,6 +405,9 @@ def test_metrics_that_a_manifest_does_not_have(
 
 def test_without_any_metric_the_numeric_columns_are_listed(files: Callable[..., object]) -> None:
     study = files()
-    edit(study.manifest, lambda frame: frame.drop(columns=["spectral_match", "temporal_match"]).assign(mine=0.5))
+    edit(
+        study.manifest,
+        lambda frame: frame.drop(columns=["spectral_match", "temporal_match"]).assign(mine=0.5),
+    )
     with pytest.raises(ValueError, match=r"--metric\); its numeric columns are mine$"):
         read(study)

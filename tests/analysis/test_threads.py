@@ -9,15 +9,15 @@ import sys
 import pytest
 from threadpoolctl import threadpool_info
 
-from analysis.mixed.threads import LARGE, hold_threads
+from feel321.analysis.mixed.profile import LARGE, hold_threads
 
 COUNT = """
 import scipy.linalg
 from threading import Event, Thread
 from concurrent.futures import ThreadPoolExecutor
 from threadpoolctl import threadpool_info
-from analysis.mixed.model import fit_mixed
-from analysis.mixed.threads import hold_threads
+from feel321.analysis.mixed.model import fit_mixed
+from feel321.analysis.mixed.profile import hold_threads
 
 def count():
     return [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
@@ -56,7 +56,9 @@ print(before, count(), len(found), sep=";")
 def run_apart(code: str) -> list[str]:
     """Run in a process of its own, where linear algebra has two threads and nobody else limits them."""
     told = dict(os.environ, OPENBLAS_NUM_THREADS="2", MKL_NUM_THREADS="2", OMP_NUM_THREADS="2")
-    done = subprocess.run([sys.executable, "-c", COUNT + code], env=told, check=True, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", COUNT + code], env=told, check=True, capture_output=True, text=True
+    )
     return done.stdout.strip().split(";")
 
 

@@ -8,13 +8,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.association.correlate import compare_metrics, correlate
-from analysis.contrasts.profile import profile_reducers, stimulus_means
-from analysis.primary.model import fit_primary
-from analysis.primary.multiverse import run_multiverse
-from analysis.primary.sensitivity import vary_primary
-from analysis.screening import screen_raters
-from analysis.table.tidy import leave_rejected, name_items, name_stimuli
+from feel321.analysis.association.correlate import compare_metrics, correlate
+from feel321.analysis.contrasts.equivalence import profile_reducers, stimulus_means
+from feel321.analysis.primary.model import fit_primary
+from feel321.analysis.primary.multiverse import run_multiverse
+from feel321.analysis.primary.sensitivity import vary_primary
+from feel321.analysis.screening.screen import screen_raters
+from feel321.analysis.table.items import leave_rejected, name_items, name_stimuli
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -39,21 +39,31 @@ def count(rows: pd.DataFrame, metric: str) -> Any:
     return correlate(rows, metric, draws=20, rng=np.random.default_rng(0))
 
 
-def test_correlations_leave_rejected_judgements_out_and_say_so(rated: pd.DataFrame, marked: pd.DataFrame) -> None:
+def test_correlations_leave_rejected_judgements_out_and_say_so(
+    rated: pd.DataFrame, marked: pd.DataFrame
+) -> None:
     one, other = count(rated, METRICS[0]), count(marked, METRICS[0])
     assert other.notes == (TOLD, *one.notes)
     assert (other.value, other.low, other.high) == (one.value, one.low, one.high)
     assert TOLD in compare_metrics(marked, *METRICS, draws=20, rng=np.random.default_rng(0)).notes
 
 
-def test_models_leave_rejected_judgements_out_and_say_so(rated: pd.DataFrame, marked: pd.DataFrame) -> None:
+def test_models_leave_rejected_judgements_out_and_say_so(
+    rated: pd.DataFrame, marked: pd.DataFrame
+) -> None:
     one, other = fit_primary(rated, METRICS), fit_primary(marked, METRICS)
     pd.testing.assert_frame_equal(one.slopes, other.slopes)
     assert other.notes == (TOLD, *one.notes)
-    assert vary_primary(marked[marked["recording"] != "rec2"], METRICS)["reason"].str.startswith(TOLD).all()
+    assert (
+        vary_primary(marked[marked["recording"] != "rec2"], METRICS)["reason"]
+        .str.startswith(TOLD)
+        .all()
+    )
 
 
-def test_screening_and_means_leave_rejected_judgements_out(rated: pd.DataFrame, marked: pd.DataFrame) -> None:
+def test_screening_and_means_leave_rejected_judgements_out(
+    rated: pd.DataFrame, marked: pd.DataFrame
+) -> None:
     assert TOLD in screen_raters(marked).notes
     pd.testing.assert_frame_equal(screen_raters(marked).table, screen_raters(rated).table)
     found = run_multiverse(marked, lambda rows: float(len(rows)), rules=["hidden_reference"])
@@ -69,7 +79,14 @@ def test_what_is_not_rejected_must_have_a_rating(marked: pd.DataFrame) -> None:
 
 
 @pytest.mark.parametrize(
-    "marks", [[True, False, False], ["TRUE", "false", ""], [1, 0, 0], [1.0, np.nan, 0.0], ["yes", None, "no"]]
+    "marks",
+    [
+        [True, False, False],
+        ["TRUE", "false", ""],
+        [1, 0, 0],
+        [1.0, np.nan, 0.0],
+        ["yes", None, "no"],
+    ],
 )
 def test_marks_as_tables_hold_them(marks: list[object]) -> None:
     rows, notes = leave_rejected(pd.DataFrame({"rating": [1, 2, 3], "rejected": marks}))
@@ -78,7 +95,9 @@ def test_marks_as_tables_hold_them(marks: list[object]) -> None:
 
 
 def test_marks_refused() -> None:
-    with pytest.raises(ValueError, match="got 'perhaps' in column 'rejected', allowed is true, false"):
+    with pytest.raises(
+        ValueError, match="got 'perhaps' in column 'rejected', allowed is true, false"
+    ):
         leave_rejected(pd.DataFrame({"rejected": ["no", "perhaps"]}))
     with pytest.raises(ValueError, match="all 2 judgements are marked as rejected"):
         leave_rejected(pd.DataFrame({"rejected": [True, True]}))
@@ -89,14 +108,18 @@ def test_a_stimulus_may_be_called_otherwise(rated: pd.DataFrame, called: str) ->
     plain = rated.drop(columns=["reducer", "level"])
     other = plain.rename(columns={"stimulus_id": called})
     assert count(other, METRICS[0]) == count(plain, METRICS[0])
-    pd.testing.assert_frame_equal(fit_primary(other, METRICS).slopes, fit_primary(plain, METRICS).slopes)
+    pd.testing.assert_frame_equal(
+        fit_primary(other, METRICS).slopes, fit_primary(plain, METRICS).slopes
+    )
     pd.testing.assert_frame_equal(screen_raters(other).table, screen_raters(plain).table)
 
 
 def test_recording_and_reducer_name_the_items_of_a_model(rated: pd.DataFrame) -> None:
     unnamed = rated.drop(columns="stimulus_id")
     assert fit_primary(unnamed, METRICS).n_items == fit_primary(rated, METRICS).n_items
-    pd.testing.assert_frame_equal(fit_primary(unnamed, METRICS).slopes, fit_primary(rated, METRICS).slopes)
+    pd.testing.assert_frame_equal(
+        fit_primary(unnamed, METRICS).slopes, fit_primary(rated, METRICS).slopes
+    )
 
 
 def test_a_coarser_column_does_not_name_the_stimulus(rated: pd.DataFrame) -> None:
@@ -108,9 +131,18 @@ def test_a_coarser_column_does_not_name_the_stimulus(rated: pd.DataFrame) -> Non
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda f: f.assign(item=f["repeat"]), "several values of 'item' for recording x reducer x level rec0/"),
-        (lambda f: f.drop(columns="reducer").assign(item=1, stimulus=f["reducer"]), "of 'stimulus' for item 1; which"),
-        (lambda f: f.drop(columns="reducer").assign(item=f["reducer"], stimulus=1), "of 'item' for stimulus 1; which"),
+        (
+            lambda f: f.assign(item=f["repeat"]),
+            "several values of 'item' for recording x reducer x level rec0/",
+        ),
+        (
+            lambda f: f.drop(columns="reducer").assign(item=1, stimulus=f["reducer"]),
+            "of 'stimulus' for item 1; which",
+        ),
+        (
+            lambda f: f.drop(columns="reducer").assign(item=f["reducer"], stimulus=1),
+            "of 'item' for stimulus 1; which",
+        ),
     ],
 )
 def test_names_that_contradict_each_other_are_refused(

@@ -6,25 +6,55 @@ import math
 import pandas as pd
 import pytest
 
-from analysis.association.correlate import Association, Difference
-from analysis.findings import Panel
-from analysis.report.verdict import sum_up_panels
-from analysis.words import tell_method
+from feel321.analysis.association.correlate import Association, Difference, Panel
+from feel321.analysis.report.verdict import sum_up_panels
+from feel321.analysis.words import tell_method
 
 CLEAR = Association(
-    value=0.7, low=0.4, high=0.9, n_items=36, ceiling=0.9, disattenuated=0.78, draws=2000, participants_low=0.6,
-    participants_high=0.8, n_participants=12, n_recordings=4, n_sources=4, n_missing=0,
-    metric="spectral_match_bounded", method="pearson",
-)  # fmt: skip
+    value=0.7,
+    low=0.4,
+    high=0.9,
+    n_items=36,
+    ceiling=0.9,
+    disattenuated=0.78,
+    draws=2000,
+    participants_low=0.6,
+    participants_high=0.8,
+    n_participants=12,
+    n_recordings=4,
+    n_sources=4,
+    n_missing=0,
+    metric="spectral_match_bounded",
+    method="pearson",
+)
 
 APART = Difference(
-    value=0.5, low=0.2, high=0.8, z_value=0.6, z_low=0.2, z_high=1.0, first_value=0.7, second_value=0.2, n_items=36,
-    n_participants=12, n_recordings=4, n_sources=4, n_missing=0, draws=2000, first="spectral_match_bounded",
-    second="temporal_match", method="pearson",
-)  # fmt: skip
+    value=0.5,
+    low=0.2,
+    high=0.8,
+    z_value=0.6,
+    z_low=0.2,
+    z_high=1.0,
+    first_value=0.7,
+    second_value=0.2,
+    n_items=36,
+    n_participants=12,
+    n_recordings=4,
+    n_sources=4,
+    n_missing=0,
+    draws=2000,
+    first="spectral_match_bounded",
+    second="temporal_match",
+    method="pearson",
+)
 
 
-def say(*, ranks: dict[str, float] | None = None, differences: tuple[Difference, ...] = (), **changes: object) -> str:
+def say(
+    *,
+    ranks: dict[str, float] | None = None,
+    differences: tuple[Difference, ...] = (),
+    **changes: object,
+) -> str:
     alone = dataclasses.replace(CLEAR, **changes)
     both = (alone, dataclasses.replace(CLEAR, method="spearman", **(ranks or {})))
     (line,) = sum_up_panels([Panel("realism", "as_is", both, differences, pd.DataFrame())])
@@ -48,7 +78,10 @@ def test_an_interval_over_zero_is_said_to_be_one(low: float, high: float) -> Non
     [
         ({"value": 0.6, "low": 0.2, "high": 0.8}, "0.40 to 0.90)"),
         ({"value": 0.3, "low": -0.2, "high": 0.7}, "0.40 to 0.90; by ranks 0.30, −0.20 to 0.70)"),
-        ({"value": -0.6, "low": -0.8, "high": -0.3}, "0.40 to 0.90; by ranks −0.60, −0.80 to −0.30)"),
+        (
+            {"value": -0.6, "low": -0.8, "high": -0.3},
+            "0.40 to 0.90; by ranks −0.60, −0.80 to −0.30)",
+        ),
         ({"low": math.nan, "high": math.nan}, "0.40 to 0.90)"),
     ],
 )
@@ -57,9 +90,16 @@ def test_the_ranks_are_given_where_they_contradict(ranks: dict[str, float], told
 
 
 def test_without_interval_or_value_that_is_said() -> None:
-    assert "r = 0.70 with bounded spectral match, without an interval" in say(low=math.nan, high=math.nan)
-    said = say(value=math.nan, low=math.nan, notes=("No correlation: why.", "More."), ceiling=math.nan)
-    assert said == "Realism, over all 36 stimuli pooled: no correlation with bounded spectral match (why)."
+    assert "r = 0.70 with bounded spectral match, without an interval" in say(
+        low=math.nan, high=math.nan
+    )
+    said = say(
+        value=math.nan, low=math.nan, notes=("No correlation: why.", "More."), ceiling=math.nan
+    )
+    assert (
+        said
+        == "Realism, over all 36 stimuli pooled: no correlation with bounded spectral match (why)."
+    )
 
 
 @pytest.mark.parametrize(
@@ -77,7 +117,8 @@ def test_a_difference_names_no_better_metric(changes: dict[str, float], told: st
 
 
 @pytest.mark.parametrize(
-    ("name", "told"), [("pearson", "Pearson"), ("within", "Pearson within recordings"), ("kendall", "Kendall")]
+    ("name", "told"),
+    [("pearson", "Pearson"), ("within", "Pearson within recordings"), ("kendall", "Kendall")],
 )
 def test_methods_have_names(name: str, told: str) -> None:
     assert tell_method(name) == told

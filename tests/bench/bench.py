@@ -18,20 +18,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import fft
 
-from stimuli.formats import read_recording
-from stimuli.fourier import dft321, dft321_windowed
-from stimuli.leading import dft321_principal
-from stimuli.match import spectral_match, spectral_match_details, temporal_match
-from stimuli.recipe import Recipe
-from stimuli.reduce import REDUCERS
-from stimuli.sets import build_stimuli
-from stimuli.synthesis import SCENES, make_scene
-from stimuli.tracking import dft321_principal_windowed
+from feel321.stimuli.formats.read import read_recording
+from feel321.stimuli.match import spectral_match, spectral_match_details, temporal_match
+from feel321.stimuli.reducers.fourier import (
+    dft321,
+    dft321_principal,
+    dft321_principal_windowed,
+    dft321_windowed,
+)
+from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.sets.build import build_stimuli
+from feel321.stimuli.sets.recipe import Recipe
+from feel321.stimuli.synthesis import SCENES, make_scene
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from stimuli.recording import Recording
+    from feel321.stimuli.recording import Recording
 
 RATE_HZ = 10_000.0
 LENGTHS = (100_000, 99_991, 131_072)
@@ -77,11 +80,17 @@ def bench_ratios() -> bool:
         for what, limit, work in (
             ("dft321", 1.5, lambda a=acceleration: dft321(a, RATE_HZ)),
             ("dft321_windowed", 2.5, lambda a=acceleration: dft321_windowed(a, RATE_HZ)),
-            ("spectral_match", 2.0, lambda a=acceleration, s=reduced: spectral_match(a, s, RATE_HZ)),
+            (
+                "spectral_match",
+                2.0,
+                lambda a=acceleration, s=reduced: spectral_match(a, s, RATE_HZ),
+            ),
             ("temporal_match", 2.0, lambda a=acceleration, s=reduced: temporal_match(a, s)),
         ):
             got = ratio_to_floor(work, n)
-            kept &= report(f"{what}, n = {n}", got, f"times four FFTs, at most {limit}", kept=got <= limit)
+            kept &= report(
+                f"{what}, n = {n}", got, f"times four FFTs, at most {limit}", kept=got <= limit
+            )
         got = ratio(
             lambda a=acceleration, s=reduced: spectral_match_details(a, s, RATE_HZ),
             lambda a=acceleration, s=reduced: spectral_match(a, s, RATE_HZ),
@@ -93,9 +102,13 @@ def bench_ratios() -> bool:
             (dft321_principal_windowed, dft321_windowed, 2.25),
         ):
             got = ratio(
-                lambda a=acceleration, f=principal: f(a, RATE_HZ), lambda a=acceleration, f=plain: f(a, RATE_HZ)
+                lambda a=acceleration, f=principal: f(a, RATE_HZ),
+                lambda a=acceleration, f=plain: f(a, RATE_HZ),
             )
-            what, promised = f"{principal.__name__}, n = {n}", f"times {plain.__name__}, at most {limit}"
+            what, promised = (
+                f"{principal.__name__}, n = {n}",
+                f"times {plain.__name__}, at most {limit}",
+            )
             kept &= report(what, got, promised, kept=got <= limit)
     for name in set(REDUCERS) - {"dft321", "dft321_windowed"}:
         acceleration = np.random.default_rng(1).standard_normal((3, LENGTHS[0]))
@@ -106,7 +119,9 @@ def bench_ratios() -> bool:
 
 def bench_build() -> bool:
     files = [path for path in sorted(SHARED.glob("*")) if path.suffix in {".csv", ".npz", ".wav"}]
-    recordings: list[Recording] = [read_recording(path) for path in files] or [make_scene(name) for name in SCENES]
+    recordings: list[Recording] = [read_recording(path) for path in files] or [
+        make_scene(name) for name in SCENES
+    ]
     source = "shared recordings" if files else "bundled scenes (NO shared recordings here)"
     factors = []
     for _ in range(5):
@@ -116,7 +131,9 @@ def bench_build() -> bool:
             spent = time.process_time() - begun
         factors.append(sum(stimulus.duration_s for stimulus in built.stimuli) / spent)
     got = float(np.median(factors))
-    return report(f"building the {source}", got, "s of stimuli per core second, at least 150", kept=got >= 150)
+    return report(
+        f"building the {source}", got, "s of stimuli per core second, at least 150", kept=got >= 150
+    )
 
 
 # Linux keeps the high-water mark of this process alone; getrusage would inherit that of its parent.
@@ -124,7 +141,7 @@ MEMORY = """
 import re, sys
 from pathlib import Path
 import numpy as np
-from stimuli.reduce import REDUCERS
+from feel321.stimuli.reducers.registry import REDUCERS
 
 def high_water_kib():
     return int(re.search(r"VmHWM:\\s+(\\d+)", Path("/proc/self/status").read_text())[1])
@@ -140,14 +157,23 @@ print(1 + (high_water_kib() - before) * 1024 / acceleration.nbytes)
 def bench_memory() -> bool:
     kept = True
     for name in REDUCERS:
-        done = subprocess.run([sys.executable, "-c", MEMORY, name], capture_output=True, text=True, check=True)
+        done = subprocess.run(
+            [sys.executable, "-c", MEMORY, name], capture_output=True, text=True, check=True
+        )
         got = float(done.stdout)
-        kept &= report(f"{name}, 10 minutes at 10 kHz", got, "times the input in memory, at most 6", kept=got <= 6)
+        kept &= report(
+            f"{name}, 10 minutes at 10 kHz",
+            got,
+            "times the input in memory, at most 6",
+            kept=got <= 6,
+        )
     return kept
 
 
 def main() -> int:
-    print(f"Python {sys.version.split()[0]}, numpy {np.__version__}, {os.cpu_count()} processors, {PAIRS} pairs")
+    print(
+        f"Python {sys.version.split()[0]}, numpy {np.__version__}, {os.cpu_count()} processors, {PAIRS} pairs"
+    )
     kept = [bench_ratios(), bench_build(), bench_memory()]
     return 0 if all(kept) else 1
 

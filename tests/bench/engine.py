@@ -14,16 +14,16 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from protocols.flow import Flow
-from protocols.tasks import make_task
-from protocols.texts import read_scales
-from stimuli.manifest import Stimulus, StimulusSet
-from stimuli.reduce import REDUCERS
-from study.observer.simulated import ObserverModel, SimulatedObserver
-from study.session.conduct import Stage
-from study.session.engine import run_session
-from study.session.opening import Stale, open_session
-from study.session.plan import Design, list_codes, make_plan
+from feel321.protocols.tasks import make_task
+from feel321.protocols.texts import read_scales
+from feel321.protocols.trial import Flow
+from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
+from feel321.study.observer.judging import ObserverModel
+from feel321.study.observer.participant import SimulatedObserver
+from feel321.study.session.engine import Stage, run_session
+from feel321.study.session.opening import Stale, open_session
+from feel321.study.session.plan import Design, list_codes, make_plan
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -51,26 +51,46 @@ def make_stimuli() -> Iterator[Stimulus]:
     for number in range(RECORDINGS):
         for place, reducer in enumerate(("original", *REDUCERS)):
             yield Stimulus(
-                stimulus_id=f"r{number}-{reducer}", recording=f"r{number}", reducer=reducer, level="as_is",
-                role="test" if place else "reference", file="", rate_hz=48000.0, n_samples=48000, duration_s=1.0,
-                spectral_match=place / 10, temporal_match=1 - place / 10, clipped=0, sha256="", recording_sha256="",
+                stimulus_id=f"r{number}-{reducer}",
+                recording=f"r{number}",
+                reducer=reducer,
+                level="as_is",
+                role="test" if place else "reference",
+                file="",
+                rate_hz=48000.0,
+                n_samples=48000,
+                duration_s=1.0,
+                spectral_match=place / 10,
+                temporal_match=1 - place / 10,
+                clipped=0,
+                sha256="",
+                recording_sha256="",
                 **zeros,
-            )  # fmt: skip
+            )
 
 
 def run_all(folder: Path) -> int:
     """Lead everybody through the session; the number of trials."""
     stimuli = StimulusSet(folder, tuple(make_stimuli()), "5" * 64)
     design = Design(321, "williams", REPEATS, (make_task("realism"),), {}, Flow())
-    by_code = {code: row for row, code in zip(stimuli.stimuli, list_codes(stimuli, seed=321).values(), strict=True)}
+    by_code = {
+        code: row
+        for row, code in zip(stimuli.stimuli, list_codes(stimuli, seed=321).values(), strict=True)
+    }
     model = ObserverModel(10, 45, 35, bias_sd=6, gain_sd=0.15, noise_sd=8, noise_spread=0.25)
     scales, trials = read_scales(), 0
     for number in range(1, PARTICIPANTS + 1):
         plan = make_plan(design, stimuli, f"sim{number:03d}", number=number, simulated=True)
-        options = {"identity": {"presenter": {"simulated": True}}, "now": lambda: datetime.now(UTC), "stale": Stale()}
+        options = {
+            "identity": {"presenter": {"simulated": True}},
+            "now": lambda: datetime.now(UTC),
+            "stale": Stale(),
+        }
         with open_session(folder / plan.participant, plan, **options) as (stored, journal):
             observer = SimulatedObserver(model, seed=1, number=number)
-            trials += run_session(stored, Stage(observer, by_code, scales, journal, stored.flow)).done
+            trials += run_session(
+                stored, Stage(observer, by_code, scales, journal, stored.flow)
+            ).done
     return trials
 
 

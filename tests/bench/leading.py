@@ -13,16 +13,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stimuli.condition import Conditioning, condition
-from stimuli.formats import read_recording
-from stimuli.invariant import temporal_match_invariant
-from stimuli.match import spectral_match, temporal_match
-from stimuli.reduce import REDUCERS
-from stimuli.rotation import random_rotations
-from stimuli.synthesis import SCENES, make_scene
+from feel321.stimuli.condition import Conditioning, condition
+from feel321.stimuli.formats.read import read_recording
+from feel321.stimuli.match import spectral_match, temporal_match
+from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.rotation import random_rotations, temporal_match_invariant
+from feel321.stimuli.synthesis import SCENES, make_scene
 
 if TYPE_CHECKING:
-    from stimuli.recording import Recording
+    from feel321.stimuli.recording import Recording
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "recordings"
 COMPARED = ("pca321", "dft321", "dft321_principal", "dft321_windowed", "dft321_principal_windowed")
@@ -49,7 +48,11 @@ def matches(name: str, recording: Recording) -> tuple[float, float, float]:
         turned = turn @ recording.acceleration
         reduced = REDUCERS[name](turned, rate)
         spectral = spectral_match(turned, reduced, rate)
-        found.append((temporal_match_invariant(turned, reduced), spectral, temporal_match(turned, reduced)))
+        found.append((
+            temporal_match_invariant(turned, reduced),
+            spectral,
+            temporal_match(turned, reduced),
+        ))
     inv, spectral, temporal = np.mean(found, axis=0)
     return float(inv), float(spectral), float(temporal)
 
@@ -75,10 +78,18 @@ def main() -> int:
         values = np.linalg.eigvalsh(np.cov(recording.acceleration))
         cells = []
         for name in COMPARED:
-            (median, worst), (inv, spectral, temporal) = gains(name, recording), matches(name, recording)
+            (median, worst), (inv, spectral, temporal) = (
+                gains(name, recording),
+                matches(name, recording),
+            )
             spent = cost(name, recording)
-            cells.append(f"{median:5.1f} {worst:5.1f} {inv:.3f} {spectral:5.2f} {temporal:.3f} {spent:4.2f}")
-        print(f"{recording.name:20} {values[-2] / values[-1]:5.3f}  {'  '.join(f'{c:>34}' for c in cells)}", flush=True)
+            cells.append(
+                f"{median:5.1f} {worst:5.1f} {inv:.3f} {spectral:5.2f} {temporal:.3f} {spent:4.2f}"
+            )
+        print(
+            f"{recording.name:20} {values[-2] / values[-1]:5.3f}  {'  '.join(f'{c:>34}' for c in cells)}",
+            flush=True,
+        )
     return 0
 
 

@@ -22,22 +22,20 @@ import numpy as np
 import pandas as pd
 from scipy.stats import t as student
 
-from analysis.mixed.balanced import Balanced, find_frame
-from analysis.mixed.design import build_design
-from analysis.mixed.inference import Estimate, estimate_sum, find_uncertainty
-from analysis.mixed.optimum import find_optimum
-from analysis.mixed.solution import find_coefficients, find_sigma, find_spreads
-from analysis.primary.cells import centre_twice, make_cells
-from analysis.primary.model import fit_primary
-from analysis.primary.plan import Plan, plan_terms
-from analysis.primary.precision import Precision, find_own, find_variances
-from stimuli.condition import Conditioning, condition
-from stimuli.match import METRICS
-from stimuli.reduce import DEFAULT_REDUCERS, REDUCERS
-from stimuli.synthesis import SCENES, make_scene
+from feel321.analysis.mixed.design import build_design
+from feel321.analysis.mixed.model import Estimate, estimate_sum, find_uncertainty
+from feel321.analysis.mixed.optimum import Balanced, find_frame, find_optimum
+from feel321.analysis.mixed.profile import find_coefficients, find_sigma, find_spreads
+from feel321.analysis.primary.model import fit_primary
+from feel321.analysis.primary.plan import Plan, centre_twice, make_cells, plan_terms
+from feel321.analysis.primary.sensitivity import Precision, find_own, find_variances
+from feel321.stimuli.condition import Conditioning, condition
+from feel321.stimuli.match import METRICS
+from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
+from feel321.stimuli.synthesis import SCENES, make_scene
 
 if TYPE_CHECKING:
-    from analysis.mixed.profile import State
+    from feel321.analysis.mixed.profile import State
 
 USED = ["spectral_match_bounded", "temporal_match"]
 SIX = ("sax321", "soc321", "mag321", "pca321", "pca321_adaptive", "dft321")
@@ -69,28 +67,41 @@ def measure(scene: str, take: int, reducer: str) -> tuple[float, ...]:
     """The two metrics of a reduced scene."""
     recording = condition(make_scene(scene, seed=take, duration_s=2.0), Conditioning())
     reduced = REDUCERS[reducer](recording.acceleration, recording.rate_hz)
-    return tuple(float(METRICS[name](recording.acceleration, reduced, recording.rate_hz)) for name in USED)
+    return tuple(
+        float(METRICS[name](recording.acceleration, reduced, recording.rate_hz)) for name in USED
+    )
 
 
 def list_items(n_recordings: int, n_reducers: int) -> pd.DataFrame:
     """One row per stimulus: recording, reducer and both metrics."""
-    takes = [(scene, take) for take in range(n_recordings // len(SCENES) + 1) for scene in SCENES][:n_recordings]
+    takes = [(scene, take) for take in range(n_recordings // len(SCENES) + 1) for scene in SCENES][
+        :n_recordings
+    ]
     names = SIX if n_reducers == len(SIX) else DEFAULT_REDUCERS[:n_reducers]
     rows = [
-        {"recording": f"{scene}-{take}", "reducer": name, **dict(zip(USED, measure(scene, take, name), strict=True))}
+        {
+            "recording": f"{scene}-{take}",
+            "reducer": name,
+            **dict(zip(USED, measure(scene, take, name), strict=True)),
+        }
         for (scene, take), name in product(takes, names)
     ]
     return pd.DataFrame(rows).assign(item=lambda table: table["recording"] + "/" + table["reducer"])
 
 
-def simulate(items: pd.DataFrame, truth: Truth, rng: np.random.Generator, *, people: int = PEOPLE) -> np.ndarray:
+def simulate(
+    items: pd.DataFrame, truth: Truth, rng: np.random.Generator, *, people: int = PEOPLE
+) -> np.ndarray:
     """Ratings without any slope, shape (people, items, repeats)."""
     scene, kind = (items[name].factorize()[0] for name in ("recording", "reducer"))
     within = items[USED] - items.groupby("recording")[USED].transform("mean")
     n, scenes, kinds = len(items), scene.max() + 1, kind.max() + 1
     everybody = rng.normal(0, truth.item, n) + rng.normal(0, truth.recording, scenes)[scene]
     everybody += rng.normal(0, truth.reducer, kinds)[kind]
-    own = rng.normal(0, truth.person, (people, 1)) + rng.normal(0, truth.slope, (people, 2)) @ within.to_numpy().T
+    own = (
+        rng.normal(0, truth.person, (people, 1))
+        + rng.normal(0, truth.slope, (people, 2)) @ within.to_numpy().T
+    )
     own = own + rng.normal(0, truth.person_recording, (people, scenes))[:, scene]
     own += rng.normal(0, truth.person_reducer, (people, kinds))[:, kind]
     return 50 + (everybody + own)[:, :, None] + rng.normal(0, truth.rating, (people, n, REPEATS))
@@ -119,18 +130,24 @@ class Quick:
         self.frame = find_frame(self.design)
         pairs = table[["participant", "item"]].itertuples(index=False, name=None)
         place = {pair: row for row, pair in enumerate(pairs)}
-        self.rows = np.array([[place[who, item] for item in items["item"]] for who in range(people)])
+        self.rows = np.array([
+            [place[who, item] for item in items["item"]] for who in range(people)
+        ])
         self.terms = [self.design.names.index(name) for name in within]
 
     def fit(self, ratings: np.ndarray) -> list[Estimate]:
         response = np.empty(ratings[..., 0].size)
         response[self.rows] = ratings.mean(axis=-1)
-        profile = Balanced(replace(self.design, response=response), self.frame, reml=True, penalty=self.penalty)
+        profile = Balanced(
+            replace(self.design, response=response), self.frame, reml=True, penalty=self.penalty
+        )
         best = find_optimum(profile)
         self.spreads = self._read_spreads(profile, best)
-        uncertainty, (effects, _) = find_uncertainty(profile, best), find_coefficients(profile, best)
+        uncertainty, (effects, _) = (
+            find_uncertainty(profile, best),
+            find_coefficients(profile, best),
+        )
         return [estimate_sum(effects, row, uncertainty) for row in np.eye(len(effects))[self.terms]]
-
 
     def _read_spreads(self, profile: Balanced, best: State) -> dict[str, float]:
         sigma = find_sigma(profile, best)
@@ -160,14 +177,19 @@ def find_power(found: np.ndarray, slope: float) -> float:
 
 
 def show_quick(models: dict[str, int]) -> None:
-    print("recordings reducers SD  model               studies  false: bounded temporal  power at 20, 40 per unit")
+    print(
+        "recordings reducers SD  model               studies  false: bounded temporal  power at 20, 40 per unit"
+    )
     for shape, spread in product(product((6, 12), (6, 9)), SPREADS):
         for model, studies in models.items():
             found = run_quick(model, shape, spread, studies)
             wrong = [find_power(found[:, place : place + 1], 0) for place in (0, 1)]
             power = [find_power(found, slope) for slope in (20.0, 40.0)]
-            print(f"{shape[0]:10} {shape[1]:8} {spread:2}  {model:18} {studies:8} {wrong[0]:15.3f} {wrong[1]:8.3f} "
-                  f"{power[0]:10.2f} {power[1]:4.2f}", flush=True)  # fmt: skip
+            print(
+                f"{shape[0]:10} {shape[1]:8} {spread:2}  {model:18} {studies:8} {wrong[0]:15.3f} {wrong[1]:8.3f} "
+                f"{power[0]:10.2f} {power[1]:4.2f}",
+                flush=True,
+            )
 
 
 def show_whole(studies: int) -> None:
@@ -179,7 +201,9 @@ def show_whole(studies: int) -> None:
         slope = sum(PLANT[name] * items[name] for name in USED).to_numpy()
         for study in range(studies):
             planted = study % 2
-            ratings = simulate(items, SPREADS[spread], np.random.default_rng([322, *shape, spread, study]))
+            ratings = simulate(
+                items, SPREADS[spread], np.random.default_rng([322, *shape, spread, study])
+            )
             ratings = ratings + planted * (slope - slope.mean())[:, None]
             seen = ratings.clip(0, 100) if planted else ratings
             slopes = fit_primary(tabulate(items, seen), USED, explain=False).slopes
@@ -188,32 +212,56 @@ def show_whole(studies: int) -> None:
             rows += [(shape, spread, planted, bool(one)) for one in missed]
             if study < 2:
                 other = pd.DataFrame(quick.fit(seen))
-                apart.append(np.abs(slopes[["se", "df"]].to_numpy() / other[["se", "df"]].to_numpy() - 1).max(axis=0))
+                apart.append(
+                    np.abs(
+                        slopes[["se", "df"]].to_numpy() / other[["se", "df"]].to_numpy() - 1
+                    ).max(axis=0)
+                )
     table = pd.DataFrame(rows, columns=["shape", "spread", "planted", "missed"])
-    print("through fit_primary: share of intervals that miss the slope (planted 0: false positives)")
+    print(
+        "through fit_primary: share of intervals that miss the slope (planted 0: false positives)"
+    )
     print(table.groupby(["planted", "spread"])["missed"].agg(["mean", "size"]).round(3))
     print(table.groupby(["planted", "shape"])["missed"].agg(["mean", "size"]).round(3))
     print(table.groupby("planted")["missed"].agg(["mean", "size"]).round(3))
     print("largest difference of se and df from the quick way:", np.max(apart, axis=0), flush=True)
 
 
-def plan_study(items: pd.DataFrame, spreads: dict[str, float], place: int, *, people: int) -> Precision:
+def plan_study(
+    items: pd.DataFrame, spreads: dict[str, float], place: int, *, people: int
+) -> Precision:
     """What estimated spreads say of a study."""
     within = (items[USED] - items.groupby("recording")[USED].transform("mean")).to_numpy()
     kinds = items["reducer"].nunique()
     study = Precision(
-        spreads[f"{USED[place]}_w"], spreads["item"], spreads["residual"], 1.0, n_participants=people,
-        n_recordings=items["recording"].nunique(), n_items=len(items), n_slopes=len(USED),
-        reducer_sd=spreads["reducer"], rater_reducer_sd=spreads["participant:reducer"], n_reducers=kinds,
-        n_alike=len(items) / kinds, level=ALPHA / len(USED),
-    )  # fmt: skip
-    own, alike = find_own(within, place, items["reducer"].factorize()[0], variances=find_variances(study))
+        spreads[f"{USED[place]}_w"],
+        spreads["item"],
+        spreads["residual"],
+        1.0,
+        n_participants=people,
+        n_recordings=items["recording"].nunique(),
+        n_items=len(items),
+        n_slopes=len(USED),
+        reducer_sd=spreads["reducer"],
+        rater_reducer_sd=spreads["participant:reducer"],
+        n_reducers=kinds,
+        n_alike=len(items) / kinds,
+        level=ALPHA / len(USED),
+    )
+    own, alike = find_own(
+        within, place, items["reducer"].factorize()[0], variances=find_variances(study)
+    )
     return replace(study, square=float((own**2).sum()), reducer_square=float((alike**2).sum()))
 
 
 def find_share(slope: float, slopes: list[Estimate], level: float) -> float:
     """Share of studies that find a slope."""
-    return float(np.mean([abs(one.estimate + slope) > student.ppf(1 - level / 2, one.df) * one.se for one in slopes]))
+    return float(
+        np.mean([
+            abs(one.estimate + slope) > student.ppf(1 - level / 2, one.df) * one.se
+            for one in slopes
+        ])
+    )
 
 
 def show_plans(studies: int) -> None:
@@ -221,7 +269,9 @@ def show_plans(studies: int) -> None:
 
     Beside it what this was for plans without reducers and without Holm.
     """
-    print("recordings reducers SD people metric    detectable  found  found for plans without reducers and Holm")
+    print(
+        "recordings reducers SD people metric    detectable  found  found for plans without reducers and Holm"
+    )
     for shape, spread, people in product(((6, 6), (12, 9)), SPREADS, (12, 24)):
         items = list_items(*shape)
         quick = Quick(items, "with reducers", people=people)
@@ -233,13 +283,19 @@ def show_plans(studies: int) -> None:
         for place, metric in enumerate(USED):
             slopes, level = [one[place] for one in found], ALPHA / len(USED)
             plans = [plan_study(items, one, place, people=people) for one in spreads]
-            careless = [replace(one, reducer_sd=0, rater_reducer_sd=0, level=ALPHA) for one in plans]
+            careless = [
+                replace(one, reducer_sd=0, rater_reducer_sd=0, level=ALPHA) for one in plans
+            ]
             wanted = np.mean([one.find_slope() for one in plans])
             shares = [
-                np.mean([find_share(one.find_slope(), slopes, level) for one in kind]) for kind in (plans, careless)
+                np.mean([find_share(one.find_slope(), slopes, level) for one in kind])
+                for kind in (plans, careless)
             ]
-            print(f"{shape[0]:10} {shape[1]:8} {spread:2} {people:6} {metric[:8]} {wanted:11.1f} {shares[0]:6.2f} "
-                  f"{shares[1]:6.2f}", flush=True)  # fmt: skip
+            print(
+                f"{shape[0]:10} {shape[1]:8} {spread:2} {people:6} {metric[:8]} {wanted:11.1f} {shares[0]:6.2f} "
+                f"{shares[1]:6.2f}",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

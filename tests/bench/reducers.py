@@ -16,16 +16,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import fft
 
-from stimuli import leading
-from stimuli.condition import Conditioning, condition
-from stimuli.formats import read_recording
-from stimuli.fourier import dft321
-from stimuli.invariant import temporal_match_invariant
-from stimuli.leading import align, dft321_principal, measure
-from stimuli.principal import leading_axis, pca321
-from stimuli.rotation import random_rotations
-from stimuli.spectrum import WEBER_FRACTION
-from stimuli.synthesis import SCENES, make_scene
+from feel321.stimuli.condition import Conditioning, condition
+from feel321.stimuli.formats.read import read_recording
+from feel321.stimuli.match import WEBER_FRACTION
+from feel321.stimuli.reducers import fourier
+from feel321.stimuli.reducers.axes import leading_axis, pca321
+from feel321.stimuli.reducers.fourier import align, dft321, dft321_principal, measure
+from feel321.stimuli.rotation import random_rotations, temporal_match_invariant
+from feel321.stimuli.synthesis import SCENES, make_scene
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -121,7 +119,11 @@ CANDIDATES: dict[str, Reduce] = {
 def scenes() -> Iterator[tuple[str, Samples, float]]:
     """Bundled scenes, recordings, and motion made to have no leading axis or phases left open."""
     made = [make_scene(name) for name in SCENES]
-    read = [read_recording(path) for path in sorted(SHARED.glob("*")) if path.suffix in {".csv", ".npz", ".wav"}]
+    read = [
+        read_recording(path)
+        for path in sorted(SHARED.glob("*"))
+        if path.suffix in {".csv", ".npz", ".wav"}
+    ]
     for recording in made + read:
         conditioned = condition(recording, Conditioning())
         yield recording.name, conditioned.acceleration, recording.rate_hz
@@ -132,7 +134,11 @@ def scenes() -> Iterator[tuple[str, Samples, float]]:
     yield "two tones", tones + hiss, 10_000.0
     yield "two tones, 2 % across", tones + np.array([[0.0], [0.0], [20.0]]) * hiss, 10_000.0
     yield "circle", np.array([np.cos(150 * turn), np.sin(150 * turn), 0 * turn]) + hiss, 10_000.0
-    yield "ellipse", np.array([np.cos(150 * turn), 0.8 * np.sin(150 * turn), 0 * turn]) + hiss, 10_000.0
+    yield (
+        "ellipse",
+        np.array([np.cos(150 * turn), 0.8 * np.sin(150 * turn), 0 * turn]) + hiss,
+        10_000.0,
+    )
     yield "isotropic", rng.standard_normal((3, 20_000)), 10_000.0
 
 
@@ -146,7 +152,9 @@ def gains(reduce: Reduce, acceleration: Samples, rate_hz: float) -> tuple[float,
         other = fft.rfft(reduce(acceleration + hiss, rate_hz))
         together = np.vdot(once, other)
         turns = np.sign(together.real) or 1.0, together / (abs(together) or 1.0)
-        found.append([np.linalg.norm(other - turn * once) / np.linalg.norm(once) / LEVEL for turn in turns])
+        found.append([
+            np.linalg.norm(other - turn * once) / np.linalg.norm(once) / LEVEL for turn in turns
+        ])
     by_sign, by_phase = np.median(found, axis=0)
     return float(by_sign), float(by_phase)
 
@@ -154,7 +162,10 @@ def gains(reduce: Reduce, acceleration: Samples, rate_hz: float) -> tuple[float,
 def inv(reduce: Reduce, acceleration: Samples, rate_hz: float) -> float:
     """Rotation-invariant temporal match, mean over mountings where the output depends on them."""
     count = MOUNTINGS if reduce is dft321 else 1
-    turned = [turn @ acceleration for turn in random_rotations(count, np.random.default_rng(1)).reshape(-1, 3, 3)]
+    turned = [
+        turn @ acceleration
+        for turn in random_rotations(count, np.random.default_rng(1)).reshape(-1, 3, 3)
+    ]
     return float(np.mean([temporal_match_invariant(one, reduce(one, rate_hz)) for one in turned]))
 
 
@@ -165,14 +176,14 @@ def cell(reduce: Reduce, acceleration: Samples, rate_hz: float) -> str:
 
 def trade_off(acceleration: Samples, rate_hz: float) -> None:
     """Gain against inv over the two numbers that `dft321_principal` rests on."""
-    chosen = leading.PULL, leading.TILT
+    chosen = fourier.PULL, fourier.TILT
     for tilt in (0.0, 0.05, 0.1, 0.2):
         cells = []
         for pull in (0.0, 0.003, 0.01, 0.03, 0.1, 0.3):
-            leading.PULL, leading.TILT = pull, tilt
+            fourier.PULL, fourier.TILT = pull, tilt
             cells.append(f"{pull:5.3f}: {cell(dft321_principal, acceleration, rate_hz)}")
         print(f"    tilt {tilt:4.2f}, pull  {'   '.join(cells)}", flush=True)
-    leading.PULL, leading.TILT = chosen
+    fourier.PULL, fourier.TILT = chosen
 
 
 def main() -> int:

@@ -1,8 +1,10 @@
-"""Every public thing has a docstring, and numpydoc finds nothing wrong with it."""
+"""Everything that a face shows has a docstring that numpydoc finds nothing wrong with."""
 
 from __future__ import annotations
 
 import ast
+import importlib
+import inspect
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -14,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+ROOMS = ("analysis", "protocols", "stimuli", "study")
 DEFINITIONS = (ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
 
 
@@ -32,7 +35,9 @@ class HouseValidator(Validator):
         if getattr(self.obj, "_is_protocol", False) or hasattr(self.obj, "model_fields"):
             return ()
         told = {name for name, _, _ in NumpyDocString(self.clean_doc)["Attributes"]}
-        return tuple(name for name in super().signature_parameters if name[0] != "_" and name not in told)
+        return tuple(
+            name for name in super().signature_parameters if name[0] != "_" and name not in told
+        )
 
 
 def module_name(path: str) -> str:
@@ -40,7 +45,11 @@ def module_name(path: str) -> str:
 
 
 def definitions(node: ast.Module | ast.ClassDef) -> Iterator[Any]:
-    return (inner for inner in node.body if isinstance(inner, DEFINITIONS) and not inner.name.startswith("_"))
+    return (
+        inner
+        for inner in node.body
+        if isinstance(inner, DEFINITIONS) and not inner.name.startswith("_")
+    )
 
 
 def public_names(path: str, tree: ast.Module) -> Iterator[str]:
@@ -60,13 +69,31 @@ def faults(name: str, checks: set[str]) -> list[str]:
     return [f"{name}: {code} {text}" for code, text in errors if code not in checks]
 
 
+def shown_names() -> set[str]:
+    """Dotted names, where they are defined, of the functions and classes in the faces' `__all__`."""
+    faces = [importlib.import_module(f"feel321.{room}") for room in ROOMS]
+    things = [vars(face)[name] for face in faces for name in face.__all__]
+    return {
+        f"{thing.__module__}.{thing.__qualname__}"
+        for thing in things
+        if inspect.isclass(thing) or inspect.isfunction(thing)
+    }
+
+
 def test_every_module_says_what_it_is(sources: Any) -> None:
     assert [source.path for source in sources if ast.get_docstring(source.tree) is None] == []
 
 
 def test_every_public_docstring_keeps_the_form(sources: Any, pyproject: Any) -> None:
     checks = set(pyproject["tool"]["numpydoc_validation"]["checks"])
-    names = [name for source in sources for name in public_names(source.path, source.tree)]
+    shown = shown_names()
+    names = [
+        name
+        for source in sources
+        for name in public_names(source.path, source.tree)
+        if any(name == one or name.startswith(f"{one}.") for one in shown)
+    ]
+    assert len(names) > len(shown) / 2
     assert [fault for name in names for fault in faults(name, checks)] == []
 
 
@@ -104,7 +131,7 @@ class K:
     ],
 )
 def test_a_false_docstring_is_found(
-    name: str, codes: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    name: str, codes: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tmp_path.joinpath("house_snippet.py").write_text(SNIPPET, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)

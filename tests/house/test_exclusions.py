@@ -24,7 +24,9 @@ def bare_switches(path: str, text: str) -> list[str]:
     """Comments that switch a rule off without naming the rule and a reason."""
     lines = enumerate(text.splitlines(), 1)
     found = ((number, match[0]) for number, line in lines if (match := SWITCH.search(line)))
-    return [f"{path}:{number} {comment}" for number, comment in found if not REASONED.match(comment)]
+    return [
+        f"{path}:{number} {comment}" for number, comment in found if not REASONED.match(comment)
+    ]
 
 
 def unexplained_entries(text: str) -> list[str]:

@@ -7,7 +7,7 @@ import types
 
 import pytest
 
-ROOMS = ("analysis", "protocols", "stimuli", "study")
+ROOMS = ("feel321.analysis", "feel321.protocols", "feel321.stimuli", "feel321.study")
 
 
 def faults(package: types.ModuleType) -> list[str]:
@@ -22,7 +22,11 @@ def faults(package: types.ModuleType) -> list[str]:
 
 def is_public(name: str, value: object) -> bool:
     """Modules appear on a package as soon as somebody imports them; `annotations` is the future's import."""
-    return not name.startswith("_") and not isinstance(value, types.ModuleType) and name != "annotations"
+    return (
+        not name.startswith("_")
+        and not isinstance(value, types.ModuleType)
+        and name != "annotations"
+    )
 
 
 @pytest.mark.parametrize("room", ROOMS)

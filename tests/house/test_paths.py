@@ -11,14 +11,18 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 # A root folder that only a particular machine has; a path that goes on from a word or a dot is relative.
-MACHINE = re.compile(r"(?<![\w.~/-])/(?:work|root|home|Users|tmp/\w+|opt/(?:pypi|wheels))[\w-]*/[\w.-]+")
+MACHINE = re.compile(
+    r"(?<![\w.~/-])/(?:work|root|home|Users|tmp/\w+|opt/(?:pypi|wheels))[\w-]*/[\w.-]+"
+)
 PIN = re.compile(r"[A-Za-z0-9][\w.-]*==[\w.+!]+")
 HOST = re.compile(r"https?://|--|(?:^|\W)file:|@")
 
 
 def machine_paths(name: str, text: str) -> list[str]:
     lines = enumerate(text.splitlines(), 1)
-    return [f"{name}:{number} {match[0]}" for number, line in lines for match in MACHINE.finditer(line)]
+    return [
+        f"{name}:{number} {match[0]}" for number, line in lines for match in MACHINE.finditer(line)
+    ]
 
 
 def text_of(path: Path) -> str:
@@ -56,6 +60,8 @@ def test_a_machine_path_is_found(parts: tuple[str, ...], found: int) -> None:
     assert len(machine_paths("m.py", "".join(parts))) == found
 
 
-@pytest.mark.parametrize("line", ["numpy @ file://numpy.whl", "numpy>=2", "--index-url https://example.org"])
+@pytest.mark.parametrize(
+    "line", ["numpy @ file://numpy.whl", "numpy>=2", "--index-url https://example.org"]
+)
 def test_a_loose_pin_is_found(line: str) -> None:
     assert not PIN.fullmatch(line)

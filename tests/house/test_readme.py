@@ -13,11 +13,11 @@ import click
 import numpy as np
 import pytest
 
-from stimuli.reduce import REDUCERS
-from stimuli.synthesis import make_scene
-from study import cli
-from study.actuator.rig import read_rig
-from study.settings.reading import read_settings
+from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.synthesis import make_scene
+from feel321.study import cli
+from feel321.study.actuator.rig import read_rig
+from feel321.study.settings.read import read_settings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -76,7 +76,9 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     manifest = [f"{','.join(names)},{rng.random()},{rng.random()}" for names in stimuli]
     header = "stimulus_id,recording,reducer,spectral_match_bounded,temporal_match"
     write(folder / "stimuli" / "manifest.csv", "\n".join([header, *manifest]))
-    ratings = [f"p{who},{names[0]},realism,{rng.uniform(20, 80)}" for who in range(4) for names in stimuli]
+    ratings = [
+        f"p{who},{names[0]},realism,{rng.uniform(20, 80)}" for who in range(4) for names in stimuli
+    ]
     write(folder / "ratings.csv", "\n".join(["participant,stimulus_id,scale,rating", *ratings]))
     return folder
 
@@ -118,7 +120,12 @@ def unknown_options(text: str, verbs: dict[str, click.Command]) -> list[str]:
         verb: {"--help"}.union(*(set(each.opts + each.secondary_opts) for each in command.params))
         for verb, command in verbs.items()
     }
-    return [f"{verb} {option}" for verb, options in calls_in(text) for option in options if option not in known[verb]]
+    return [
+        f"{verb} {option}"
+        for verb, options in calls_in(text)
+        for option in options
+        if option not in known[verb]
+    ]
 
 
 def anchor(heading: str) -> str:
@@ -133,7 +140,11 @@ def dead_links(path: Path, text: str) -> list[str]:
         if name.startswith("https://"):
             continue
         file = path.parent / name if name else path
-        headings = re.findall(r"^#+ (.*)$", file.read_text(encoding="utf-8"), re.MULTILINE) if heading else []
+        headings = (
+            re.findall(r"^#+ (.*)$", file.read_text(encoding="utf-8"), re.MULTILINE)
+            if heading
+            else []
+        )
         if not file.is_file() or (heading and heading not in map(anchor, headings)):
             found.append(target)
     return found
@@ -142,9 +153,18 @@ def dead_links(path: Path, text: str) -> list[str]:
 def missing_imports(text: str) -> list[str]:
     """What a Python block imports from the project and is in no face there."""
     imports = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.ImportFrom)]
-    ours = [node for node in imports if node.module and node.module.split(".")[-1] in {"stimuli", "analysis"}]
+    ours = [
+        node
+        for node in imports
+        if node.module and node.module.split(".")[-1] in {"stimuli", "analysis"}
+    ]
     faces = {node.module: import_module(node.module).__all__ for node in ours if node.module}
-    return [each.name for node in ours for each in node.names if node.module and each.name not in faces[node.module]]
+    return [
+        each.name
+        for node in ours
+        for each in node.names
+        if node.module and each.name not in faces[node.module]
+    ]
 
 
 def reducers_in(table: str) -> list[str]:
@@ -161,16 +181,24 @@ def test_the_two_commands_come_first(readme: str) -> None:
 
 
 def test_every_make_command_is_a_target(pages: dict[str, str], root: Path) -> None:
-    targets = set(re.findall(r"^([a-z]+):", (root / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
-    assert {command for text in pages.values() for command in make_commands(text)} - targets == set()
+    targets = set(
+        re.findall(r"^([a-z]+):", (root / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    )
+    assert {
+        command for text in pages.values() for command in make_commands(text)
+    } - targets == set()
 
 
-def test_every_verb_is_described_and_no_other(pages: dict[str, str], verbs: dict[str, click.Command]) -> None:
+def test_every_verb_is_described_and_no_other(
+    pages: dict[str, str], verbs: dict[str, click.Command]
+) -> None:
     assert set().union(*map(verbs_in, pages.values())) == set(verbs)
 
 
 def test_every_option_exists(pages: dict[str, str], verbs: dict[str, click.Command]) -> None:
-    assert [(page, each) for page, text in pages.items() for each in unknown_options(text, verbs)] == []
+    assert [
+        (page, each) for page, text in pages.items() for each in unknown_options(text, verbs)
+    ] == []
 
 
 def test_every_page_is_linked_from_the_readme(pages: dict[str, str]) -> None:
@@ -179,16 +207,22 @@ def test_every_page_is_linked_from_the_readme(pages: dict[str, str]) -> None:
 
 
 def test_every_link_leads_somewhere(pages: dict[str, str], root: Path) -> None:
-    assert [(page, each) for page, text in pages.items() for each in dead_links(root / page, text)] == []
+    assert [
+        (page, each) for page, text in pages.items() for each in dead_links(root / page, text)
+    ] == []
 
 
 def test_every_import_is_public(blocks: tuple[Block, ...]) -> None:
     python = [block for block in blocks if block.language == "python"]
     assert python
-    assert [(block.page, missing) for block in python if (missing := missing_imports(block.text))] == []
+    assert [
+        (block.page, missing) for block in python if (missing := missing_imports(block.text))
+    ] == []
 
 
-def test_every_python_block_runs(blocks: tuple[Block, ...], lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_python_block_runs(
+    blocks: tuple[Block, ...], lab: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(lab)
     for block in blocks:
         if block.language == "python":
@@ -204,7 +238,9 @@ def test_every_setting_is_accepted(blocks: tuple[Block, ...], tmp_path: Path) ->
         if "actuators" in given:
             read_rig(write(tmp_path / "rig.toml", RIG + text))
         else:
-            read_settings(write(tmp_path / "study.toml", ("" if "recordings" in given else RECORDING) + text))
+            read_settings(
+                write(tmp_path / "study.toml", ("" if "recordings" in given else RECORDING) + text)
+            )
 
 
 def test_the_table_has_every_reducer_once(pages: dict[str, str]) -> None:
@@ -236,7 +272,9 @@ def test_a_dead_link_is_found(tmp_path: Path) -> None:
 
 
 def test_a_private_import_is_found() -> None:
-    assert missing_imports("from stimuli import REDUCERS, no_such_reducer\nimport numpy\n") == ["no_such_reducer"]
+    assert missing_imports(
+        "from feel321.stimuli import REDUCERS, no_such_reducer\nimport numpy\n"
+    ) == ["no_such_reducer"]
 
 
 def test_reducers_are_read_from_first_cells_only() -> None:

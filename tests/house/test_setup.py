@@ -59,14 +59,18 @@ def test_no_pin_asks_for_a_later_python(root: Path, python: str) -> None:
 
 
 def test_every_dependency_has_its_reason(root: Path, pyproject: Any) -> None:
-    _, _, section = (root / "CONTRIBUTING.md").read_text(encoding="utf-8").partition("## Dependencies")
+    _, _, section = (
+        (root / "CONTRIBUTING.md").read_text(encoding="utf-8").partition("## Dependencies")
+    )
     explained = {canonicalize_name(name) for name in re.findall(r"`([\w.-]+)`", section)}
     assert requirements(pyproject["project"]) - explained == set()
 
 
 def test_every_system_package_has_its_reason(root: Path) -> None:
     lines = (root / ".ci" / "packages.txt").read_text(encoding="utf-8").splitlines()
-    assert [line for line in lines if not re.fullmatch(r"[a-z0-9][a-z0-9.+-]+  # .{10,}", line)] == []
+    assert [
+        line for line in lines if not re.fullmatch(r"[a-z0-9][a-z0-9.+-]+  # .{10,}", line)
+    ] == []
 
 
 @pytest.mark.parametrize("script", ["run", "make-venv", "apt-install"])
@@ -78,7 +82,9 @@ def test_scripts_run_and_parse(root: Path, script: str) -> None:
 
 
 def test_present_packages_install_nothing(root: Path) -> None:
-    done = subprocess.run([root / ".ci" / "apt-install", "dpkg"], text=True, capture_output=True, check=True)
+    done = subprocess.run(
+        [root / ".ci" / "apt-install", "dpkg"], text=True, capture_output=True, check=True
+    )
     assert done.stdout == ""
 
 
@@ -94,13 +100,27 @@ def test_changelog_starts_with_what_is_not_released(root: Path) -> None:
     assert re.findall(r"^## \[(.+?)\]", text, re.MULTILINE)[:1] == ["Unreleased"]
 
 
-@pytest.mark.parametrize(("chosen", "left_out"), [([], "test_long"), (["-m", "soak"], "test_quick")])
-def test_soak_tests_wait_to_be_asked(chosen: list[str], left_out: str, root: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("chosen", "left_out"), [([], "test_long"), (["-m", "soak"], "test_quick")]
+)
+def test_soak_tests_wait_to_be_asked(
+    chosen: list[str], left_out: str, root: Path, tmp_path: Path
+) -> None:
     (tmp_path / "conftest.py").write_bytes((root / "tests" / "conftest.py").read_bytes())
     (tmp_path / "test_both.py").write_text(
-        "import pytest\ndef test_quick(): pass\n@pytest.mark.soak\ndef test_long(): pass\n", encoding="utf-8",
+        "import pytest\ndef test_quick(): pass\n@pytest.mark.soak\ndef test_long(): pass\n",
+        encoding="utf-8",
     )
-    command = [sys.executable, "-m", "pytest", "-v", "-c", root / "pyproject.toml", *chosen, tmp_path]
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-v",
+        "-c",
+        root / "pyproject.toml",
+        *chosen,
+        tmp_path,
+    ]
     done = subprocess.run(command, cwd=tmp_path, text=True, capture_output=True, check=True)
     assert "1 passed, 1 deselected" in done.stdout
     assert left_out not in done.stdout

@@ -13,14 +13,24 @@ import pytest
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-MODULE_LINES, MODULE_MEDIAN = 600, 200
-CLASS_LINES = 150
-FUNCTION_LINES, FUNCTION_P90, FUNCTION_MEDIAN = 40, 20, 8
+MODULE_LINES = 600
+CLASS_LINES = 200
+FUNCTION_LINES, FUNCTION_P90, FUNCTION_MEDIAN = 40, 20, 10
 NESTING = 3
 
 FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 DOCUMENTED = (*FUNCTIONS, ast.ClassDef, ast.Module)
-BLOCKS = (ast.If, ast.For, ast.AsyncFor, ast.While, ast.With, ast.AsyncWith, ast.Try, ast.TryStar, ast.Match)
+BLOCKS = (
+    ast.If,
+    ast.For,
+    ast.AsyncFor,
+    ast.While,
+    ast.With,
+    ast.AsyncWith,
+    ast.Try,
+    ast.TryStar,
+    ast.Match,
+)
 SPACE = {tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
 SILENT = SPACE | {tokenize.COMMENT}
 
@@ -84,7 +94,6 @@ def above(sizes: list[tuple[str, int]], limit: int) -> list[tuple[str, int]]:
 def test_modules(sources: Any) -> None:
     lengths = [(source.path, len(source.text.splitlines())) for source in sources]
     assert above(lengths, MODULE_LINES) == []
-    assert median(length for _, length in lengths) <= MODULE_MEDIAN
 
 
 def test_classes(sources: Any) -> None:
@@ -134,7 +143,9 @@ def test_only_code_is_counted() -> None:
     ],
 )
 def test_depth_counts_blocks_not_branches(body: str, expected: int) -> None:
-    assert [found for _, found in function_depths("m.py", ast.parse(f"def f():\n {body}"))] == [expected]
+    assert [found for _, found in function_depths("m.py", ast.parse(f"def f():\n {body}"))] == [
+        expected
+    ]
 
 
 def test_a_long_class_is_found() -> None:

@@ -1,9 +1,10 @@
-"""What stands on disk is what is imported: the wheel holds the four rooms and nothing else."""
+"""What stands on disk is what is imported: the wheel holds `feel321` and nothing else."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
+import tarfile
 import zipfile
 from typing import TYPE_CHECKING
 
@@ -22,7 +23,9 @@ def wheel(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(*arguments: str, cwd: Path) -> str:
-    done = subprocess.run([sys.executable, *arguments], cwd=cwd, text=True, capture_output=True, check=False)
+    done = subprocess.run(
+        [sys.executable, *arguments], cwd=cwd, text=True, capture_output=True, check=False
+    )
     if done.returncode:
         pytest.fail(f"{' '.join(arguments)}: {done.stdout}{done.stderr}")
     return done.stdout
@@ -38,14 +41,38 @@ def check_contents(wheel: Path, *, cwd: Path) -> str:
 
 
 def test_every_file_of_the_rooms_is_in_the_wheel(
-    wheel: Path, root: Path, tracked: tuple[Path, ...], rooms: tuple[str, ...],
+    wheel: Path, root: Path, tracked: tuple[Path, ...]
 ) -> None:
     names = {path.relative_to(root).as_posix() for path in tracked}
-    assert {name for name in names if name.split("/")[0] in rooms} - files_in(wheel) == set()
+    assert {name for name in names if name.startswith("feel321/")} - files_in(wheel) == set()
 
 
-def test_top_level(wheel: Path, rooms: tuple[str, ...]) -> None:
-    assert {name.split("/")[0] for name in files_in(wheel)} == set(rooms)
+def test_top_level(wheel: Path) -> None:
+    assert {name.split("/")[0] for name in files_in(wheel)} == {"feel321"}
+
+
+def test_the_sdist_holds_the_whole_package(
+    root: Path, tmp_path: Path, tracked: tuple[Path, ...]
+) -> None:
+    """The links at the top level must not hide folders from the builder."""
+    run("-m", "hatchling", "build", "-t", "sdist", "-d", str(tmp_path), cwd=root)
+    (built,) = tmp_path.glob("*.tar.gz")
+    with tarfile.open(built) as archive:
+        held = {name.partition("/")[2] for name in archive.getnames()}
+    names = {path.relative_to(root).as_posix() for path in tracked}
+    assert {name for name in names if name.startswith(("feel321/", "tests/"))} - held == set()
+
+
+def test_the_top_level_shows_the_rooms(root: Path, rooms: tuple[str, ...]) -> None:
+    """Each is a link that works wherever the checkout stands; without links it is a file of that text."""
+    for room in rooms:
+        link = root / room
+        told = (
+            link.readlink().as_posix()
+            if link.is_symlink()
+            else link.read_text(encoding="utf-8").strip()
+        )
+        assert told == f"feel321/{room}"
 
 
 def test_check_wheel_contents(wheel: Path, root: Path) -> None:

@@ -8,14 +8,16 @@ from pathlib import Path
 
 import pytest
 
-from analysis.association.repeated import repeated_measures_correlation
+from feel321.analysis.association.repeated import repeated_measures_correlation
 
 ORACLE = Path(__file__).parents[3] / "shared" / "oracles" / "rmcorr_bland1995"
 
 
 def test_rmcorr_is_reproduced() -> None:
     if not ORACLE.is_dir():
-        pytest.skip(f"ORACLE NOT CHECKED: {ORACLE.name} is not beside this checkout, in shared/oracles")
+        pytest.skip(
+            f"ORACLE NOT CHECKED: {ORACLE.name} is not beside this checkout, in shared/oracles"
+        )
     expected = json.loads((ORACLE / "expected.json").read_text(encoding="utf-8"))
     with (ORACLE / "data.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))

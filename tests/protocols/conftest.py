@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from protocols.trial import Item
+from feel321.protocols.trial import Item
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -13,7 +13,9 @@ NAMES = ("sax321", "soc321", "dft321", "dft321_windowed", "original", "low")
 ROLES = {"original": "reference", "low": "anchor", "mid": "anchor"}
 
 
-def name_items(recording: str, names: Iterable[str], levels: Iterable[str] = ("as_is",)) -> list[Item]:
+def name_items(
+    recording: str, names: Iterable[str], levels: Iterable[str] = ("as_is",)
+) -> list[Item]:
     return [
         Item(f"{recording}-{name}-{level}", recording, name, level, ROLES.get(name, "test"))
         for level in levels
@@ -24,7 +26,9 @@ def name_items(recording: str, names: Iterable[str], levels: Iterable[str] = ("a
 @pytest.fixture
 def items() -> list[Item]:
     """Three recordings of six stimuli each: four reducers, a reference, an anchor."""
-    return [item for recording in ("bumps", "drag", "taps") for item in name_items(recording, NAMES)]
+    return [
+        item for recording in ("bumps", "drag", "taps") for item in name_items(recording, NAMES)
+    ]
 
 
 @pytest.fixture(scope="session")

@@ -5,14 +5,14 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from protocols.abx import ABX, CHOICES
-from protocols.tasks import make_task
-from protocols.texts import list_languages, read_scales
+from feel321.protocols.abx import ABX, CHOICES
+from feel321.protocols.tasks import make_task
+from feel321.protocols.texts import list_languages, read_scales
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from protocols.trial import Comparison, Item
+    from feel321.protocols.trial import Comparison, Item
 
     MakeItems = Callable[..., list[Item]]
 
@@ -29,9 +29,17 @@ def stimuli_of(comparison: Comparison) -> dict[str, str | None]:
 
 
 @pytest.mark.parametrize("reference", ["original", "dft321"])
-def test_everything_but_the_reference_is_told_from_it(reference: str, make_items: MakeItems) -> None:
-    judged = [judgement for comparison in compare(make_items, reference) for judgement in comparison.judgements]
-    assert [j.stimulus_id for j in judged] == [f"tap-{name}-as_is" for name in NAMES if name != reference]
+def test_everything_but_the_reference_is_told_from_it(
+    reference: str, make_items: MakeItems
+) -> None:
+    judged = [
+        judgement
+        for comparison in compare(make_items, reference)
+        for judgement in comparison.judgements
+    ]
+    assert [j.stimulus_id for j in judged] == [
+        f"tap-{name}-as_is" for name in NAMES if name != reference
+    ]
     assert {(j.part, j.reference_id) for j in judged} == {("x", f"tap-{reference}-as_is")}
 
 
@@ -40,7 +48,9 @@ def test_four_successive_turns_give_each_arrangement_once(make_items: MakeItems)
     for start in range(5):
         arranged = [ABX.arrange(comparison, turn) for turn in range(start, start + 4)]
         assert Counter(tuple(stimuli_of(c).items()) for c in arranged) == Counter(
-            (("a", a), ("b", b), ("x", x)) for a, b in [(TEST, REFERENCE), (REFERENCE, TEST)] for x in (a, b)
+            (("a", a), ("b", b), ("x", x))
+            for a, b in [(TEST, REFERENCE), (REFERENCE, TEST)]
+            for x in (a, b)
         )
 
 
@@ -48,7 +58,9 @@ def test_an_arrangement_does_not_depend_on_the_one_before(make_items: MakeItems)
     comparison = compare(make_items)[1]
     for before in range(4):
         for turn in range(4):
-            assert ABX.arrange(ABX.arrange(comparison, before), turn) == ABX.arrange(comparison, turn)
+            assert ABX.arrange(ABX.arrange(comparison, before), turn) == ABX.arrange(
+                comparison, turn
+            )
 
 
 def score_four(comparison: Comparison, answer: Callable[[dict[str, str | None]], str]) -> float:

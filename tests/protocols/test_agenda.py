@@ -10,9 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocols.agenda import Agenda
-from protocols.flow import PAGES, Flow, Page
-from protocols.trial import Judgement, Part, Trial
+from feel321.protocols.agenda import Agenda
+from feel321.protocols.trial import PAGES, Flow, Judgement, Page, Part, Trial
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -21,14 +20,18 @@ CALM = Flow(break_trials=None, break_min=None)
 Answer = tuple[bool, bool | None]
 
 
-def make_trial(number: int, *, protocol: str = "realism", phase: str = "main", block: int = 1) -> Trial:
+def make_trial(
+    number: int, *, protocol: str = "realism", phase: str = "main", block: int = 1
+) -> Trial:
     expected = (100.0, 100.0) if phase == "training" else None  # which nobody hits by guessing
     part, judgement = Part("test", f"s{number}"), Judgement("test", f"s{number}", expected=expected)
     at = block if phase == "main" else 0
     return Trial(number, at, 1, protocol, protocol, "replay", "oak", (part,), (judgement,), phase)
 
 
-def walk(agenda: Agenda, answer: Callable[[Trial, int], Answer] = lambda *_: (True, None)) -> list[str | int]:
+def walk(
+    agenda: Agenda, answer: Callable[[Trial, int], Answer] = lambda *_: (True, None)
+) -> list[str | int]:
     """Go to the end; every step takes ten seconds. Pages by key, trials by number."""
     steps: list[str | int] = []
     time_s = 0.0
@@ -41,7 +44,9 @@ def walk(agenda: Agenda, answer: Callable[[Trial, int], Answer] = lambda *_: (Tr
         else:
             steps.append(step.number)
             accepted, as_expected = answer(step, agenda.attempt(step.number))
-            agenda.tell_trial(step.number, accepted=accepted, as_expected=as_expected, time_s=time_s)
+            agenda.tell_trial(
+                step.number, accepted=accepted, as_expected=as_expected, time_s=time_s
+            )
     return steps
 
 
@@ -51,35 +56,71 @@ def trials_of(steps: Sequence[str | int]) -> list[int]:
 
 def test_a_plain_session_has_a_rest_half_way() -> None:
     assert walk(Agenda([make_trial(n) for n in (1, 2, 3)], CALM)) == [
-        "welcome", "consent", "instructions.realism", "main", 1, 2, "rest", 3, "end",
-    ]  # fmt: skip
+        "welcome",
+        "consent",
+        "instructions.realism",
+        "main",
+        1,
+        2,
+        "rest",
+        3,
+        "end",
+    ]
 
 
 def test_tasks_are_introduced_rehearsed_and_kept_apart_by_a_rest() -> None:
     trials = [make_trial(1), make_trial(2, protocol="similarity"), make_trial(3, phase="training")]
-    trials += [make_trial(4, phase="practice"), make_trial(5, protocol="similarity", phase="practice")]
+    trials += [
+        make_trial(4, phase="practice"),
+        make_trial(5, protocol="similarity", phase="practice"),
+    ]
     agenda = Agenda(trials, CALM)
     assert (agenda.done, agenda.total) == (0, 2)
     assert walk(agenda) == [
-        "welcome", "consent",
-        "instructions.realism", "training", 3, "practice", 4, "main", 1,
+        "welcome",
+        "consent",
+        "instructions.realism",
+        "training",
+        3,
+        "practice",
+        4,
+        "main",
+        1,
         "rest",
-        "instructions.similarity", "practice", 5, "main", 2,
+        "instructions.similarity",
+        "practice",
+        5,
+        "main",
+        2,
         "end",
-    ]  # fmt: skip
+    ]
     assert (agenda.done, agenda.total) == (2, 2)
 
 
 def test_every_page_has_a_text_to_be_found() -> None:
     known = {*PAGES} - {"instructions"}
-    trials = [make_trial(1), make_trial(2), make_trial(3, phase="training"), make_trial(4, phase="practice")]
-    seen = set(walk(Agenda(trials, replace(CALM, break_trials=1)), lambda t, _: (True, t.phase != "training")))
-    assert {key for key in seen if isinstance(key, str) and not key.startswith("instructions.")} <= known
+    trials = [
+        make_trial(1),
+        make_trial(2),
+        make_trial(3, phase="training"),
+        make_trial(4, phase="practice"),
+    ]
+    seen = set(
+        walk(
+            Agenda(trials, replace(CALM, break_trials=1)),
+            lambda t, _: (True, t.phase != "training"),
+        )
+    )
+    assert {
+        key for key in seen if isinstance(key, str) and not key.startswith("instructions.")
+    } <= known
 
 
 @pytest.mark.parametrize(("understood", "told"), [(True, "expected"), (False, "unexpected")])
 def test_training_tells_right_from_wrong(understood: bool, told: str) -> None:
-    agenda = Agenda([make_trial(1), make_trial(2, phase="training")], replace(CALM, training_rounds=1))
+    agenda = Agenda(
+        [make_trial(1), make_trial(2, phase="training")], replace(CALM, training_rounds=1)
+    )
     steps = walk(agenda, lambda trial, _: (True, understood if trial.phase == "training" else None))
     verdict = "training_passed" if understood else "training_failed"
     assert steps[3:7] == ["training", 2, told, verdict]
@@ -88,15 +129,32 @@ def test_training_tells_right_from_wrong(understood: bool, told: str) -> None:
 def test_training_is_repeated_until_it_is_passed() -> None:
     trials = [make_trial(1), *(make_trial(n, phase="training") for n in (2, 3, 4, 5))]
     answers = iter([True, False, False, True, True, True, True, False])
-    steps = walk(Agenda(trials, CALM), lambda t, _: (True, next(answers) if t.phase == "training" else None))
+    steps = walk(
+        Agenda(trials, CALM), lambda t, _: (True, next(answers) if t.phase == "training" else None)
+    )
     assert [step for step in steps if step not in {"expected", "unexpected"}][3:] == [
-        "training", 2, 3, 4, 5, "training_again", 2, 3, 4, 5, "training_passed", "main", 1, "end",
-    ]  # fmt: skip
+        "training",
+        2,
+        3,
+        4,
+        5,
+        "training_again",
+        2,
+        3,
+        4,
+        5,
+        "training_passed",
+        "main",
+        1,
+        "end",
+    ]
 
 
 def test_training_ends_after_its_last_round_whatever_the_answers() -> None:
     trials = [make_trial(1), make_trial(2, phase="training")]
-    steps = walk(Agenda(trials, CALM), lambda t, _: (True, False if t.phase == "training" else None))
+    steps = walk(
+        Agenda(trials, CALM), lambda t, _: (True, False if t.phase == "training" else None)
+    )
     assert trials_of(steps) == [2, 2, 2, 1]
     assert [steps.count(f"training_{key}") for key in ("again", "failed", "passed")] == [2, 1, 0]
 
@@ -111,21 +169,36 @@ def test_training_ends_after_its_last_round_whatever_the_answers() -> None:
         ("abx", (100.0, 100.0), 8, 7),
     ],
 )
-def test_who_guesses_does_not_pass_training(protocol: str, expected: tuple[float, float], n: int, needed: int) -> None:
+def test_who_guesses_does_not_pass_training(
+    protocol: str, expected: tuple[float, float], n: int, needed: int
+) -> None:
     known = (Judgement("test", "s", expected=expected),)
-    training = [replace(make_trial(k, protocol=protocol, phase="training"), judgements=known) for k in range(2, n + 2)]
+    training = [
+        replace(make_trial(k, protocol=protocol, phase="training"), judgements=known)
+        for k in range(2, n + 2)
+    ]
     trials = [make_trial(1, protocol=protocol), *training]
     for right in range(n + 1):
         agenda = Agenda(trials, replace(CALM, training_rounds=1))
-        steps = walk(agenda, lambda t, _, right=right: (True, t.number < right + 2 if t.phase == "training" else None))
+        steps = walk(
+            agenda,
+            lambda t, _, right=right: (
+                True,
+                t.number < right + 2 if t.phase == "training" else None,
+            ),
+        )
         assert ("training_passed" in steps) == (right >= needed)
 
 
 def test_a_share_of_nothing_lets_everybody_pass() -> None:
     known = (Judgement("x", "s", expected=(100.0, 100.0)),)
-    training = [replace(make_trial(k, protocol="abx", phase="training"), judgements=known) for k in (2, 3)]
+    training = [
+        replace(make_trial(k, protocol="abx", phase="training"), judgements=known) for k in (2, 3)
+    ]
     agenda = Agenda([make_trial(1, protocol="abx"), *training], replace(CALM, training_pass=0.0))
-    assert "training_passed" in walk(agenda, lambda t, _: (True, False if t.phase == "training" else None))
+    assert "training_passed" in walk(
+        agenda, lambda t, _: (True, False if t.phase == "training" else None)
+    )
 
 
 def test_training_in_which_nothing_is_right_or_wrong_is_neither_passed_nor_failed() -> None:
@@ -145,7 +218,10 @@ def test_breaks_come_by_minutes_since_the_hand_last_rested() -> None:
 
 
 def test_a_break_stands_as_long_as_the_flow_says() -> None:
-    agenda = Agenda([make_trial(1), make_trial(2), make_trial(3)], replace(CALM, break_trials=1, break_s=7, rest_s=9))
+    agenda = Agenda(
+        [make_trial(1), make_trial(2), make_trial(3)],
+        replace(CALM, break_trials=1, break_s=7, rest_s=9),
+    )
     pages: dict[str, float] = {}
     while (step := agenda.ask()) is not None:
         if isinstance(step, Page):
@@ -183,8 +259,15 @@ def test_a_trial_that_stays_bad_is_given_up_and_the_session_goes_on() -> None:
 
 
 def test_warming_up_repeats_the_practice_of_the_task_at_hand() -> None:
-    trials = [make_trial(1), make_trial(2, protocol="similarity"), make_trial(3, protocol="similarity")]
-    trials += [make_trial(4, phase="practice"), make_trial(5, protocol="similarity", phase="practice")]
+    trials = [
+        make_trial(1),
+        make_trial(2, protocol="similarity"),
+        make_trial(3, protocol="similarity"),
+    ]
+    trials += [
+        make_trial(4, phase="practice"),
+        make_trial(5, protocol="similarity", phase="practice"),
+    ]
     agenda = Agenda(trials, CALM)
     steps: list[Any] = []
     while (step := agenda.ask()) is not None and step != trials[2]:
@@ -207,7 +290,9 @@ def test_nobody_warms_up_before_or_during_practice_or_for_nothing() -> None:
 
 
 def test_who_has_no_practice_to_repeat_is_not_asked_to_warm_up() -> None:
-    agenda = Agenda([make_trial(1), make_trial(2, protocol="similarity"), make_trial(3, phase="practice")], CALM)
+    agenda = Agenda(
+        [make_trial(1), make_trial(2, protocol="similarity"), make_trial(3, phase="practice")], CALM
+    )
     while agenda.ask() != make_trial(2, protocol="similarity"):
         step = agenda.ask()
         if isinstance(step, Page):
@@ -243,16 +328,22 @@ def test_a_step_that_was_not_next_is_refused() -> None:
 
 
 @given(st.data())
-def test_whatever_goes_wrong_everything_is_tried_until_it_is_good_or_given_up(data: st.DataObject) -> None:
+def test_whatever_goes_wrong_everything_is_tried_until_it_is_good_or_given_up(
+    data: st.DataObject,
+) -> None:
     blocks = data.draw(st.lists(st.integers(1, 4), min_size=1, max_size=4))
     names = [data.draw(st.sampled_from(["realism", "similarity"])) for _ in blocks]
     trials: list[Trial] = []
-    for block, (size, name) in enumerate(sorted(zip(blocks, names, strict=True), key=lambda b: b[1]), start=1):
+    for block, (size, name) in enumerate(
+        sorted(zip(blocks, names, strict=True), key=lambda b: b[1]), start=1
+    ):
         trials += [make_trial(len(trials) + 1 + n, protocol=name, block=block) for n in range(size)]
     attempts = {trial.number: data.draw(st.integers(1, 4)) for trial in trials}
     agenda = Agenda(trials, replace(CALM, break_trials=data.draw(st.integers(1, 5))))
     steps = walk(agenda, lambda trial, attempt: (attempt >= attempts[trial.number], None))
-    assert Counter(trials_of(steps)) == {number: min(times, CALM.max_attempts) for number, times in attempts.items()}
+    assert Counter(trials_of(steps)) == {
+        number: min(times, CALM.max_attempts) for number, times in attempts.items()
+    }
     assert agenda.done == agenda.total == len(trials)
     # Tasks stay together: each is introduced once, and none of its trials comes before or after its section.
     order = [trials[step - 1].protocol for step in trials_of(steps)]

@@ -10,20 +10,25 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from protocols.balance import measure_balance, pool_balances
-from protocols.design import make_order
-from protocols.square import williams_square
-from protocols.tasks import make_task
-from protocols.trial import Item
+from feel321.protocols.balance import measure_balance, pool_balances, williams_square
+from feel321.protocols.order import make_order
+from feel321.protocols.tasks import make_task
+from feel321.protocols.trial import Item
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from protocols.balance import Balance
+    from feel321.protocols.balance import Balance
 
 N_RECORDINGS, N_STIMULI, CYCLE = 8, 12, 24
 ITEMS = [
-    Item(f"{r}-{s}", str(r), str(s), "as_is", "anchor" if s in {1, 2} else "test" if s else "reference")
+    Item(
+        f"{r}-{s}",
+        str(r),
+        str(s),
+        "as_is",
+        "anchor" if s in {1, 2} else "test" if s else "reference",
+    )
     for r in range(N_RECORDINGS)
     for s in range(N_STIMULI)
 ]
@@ -36,7 +41,9 @@ def list_sequences(number: int, order: str, seed: int) -> dict[str, list[str]]:
     """Order of the stimuli of each recording in the session of a participant."""
     own: dict[str, list[str]] = defaultdict(list)
     rng = np.random.default_rng(seed)
-    for t in make_order(ITEMS, [make_task("realism")], number=number, repeats=1, order=order, rng=rng):
+    for t in make_order(
+        ITEMS, [make_task("realism")], number=number, repeats=1, order=order, rng=rng
+    ):
         own[t.recording].append(t.judgements[0].stimulus_id)
     return own
 
@@ -44,19 +51,32 @@ def list_sequences(number: int, order: str, seed: int) -> dict[str, list[str]]:
 def run(numbers: Iterable[int], order: str = "williams", seed: int = 1) -> Balance:
     """Balance inside the recordings, after the sessions of these participants."""
     sessions = [list_sequences(number, order, seed) for number in numbers]
-    return pool_balances(measure_balance([own[recording] for own in sessions]) for recording in sessions[0])
+    return pool_balances(
+        measure_balance([own[recording] for own in sessions]) for recording in sessions[0]
+    )
 
 
 def test_counts_by_hand() -> None:
     balance = measure_balance(["ABC", "BA", "AAC"])
     assert balance.positions == {
-        ("A", 1): 2, ("A", 2): 2, ("A", 3): 0,
-        ("B", 1): 1, ("B", 2): 1, ("B", 3): 0,
-        ("C", 1): 0, ("C", 2): 0, ("C", 3): 2,
-    }  # fmt: skip
+        ("A", 1): 2,
+        ("A", 2): 2,
+        ("A", 3): 0,
+        ("B", 1): 1,
+        ("B", 2): 1,
+        ("B", 3): 0,
+        ("C", 1): 0,
+        ("C", 2): 0,
+        ("C", 3): 2,
+    }
     assert balance.carry_over == {
-        ("A", "B"): 1, ("A", "C"): 1, ("B", "A"): 1, ("B", "C"): 1, ("C", "A"): 0, ("C", "B"): 0
-    }  # fmt: skip
+        ("A", "B"): 1,
+        ("A", "C"): 1,
+        ("B", "A"): 1,
+        ("B", "C"): 1,
+        ("C", "A"): 0,
+        ("C", "B"): 0,
+    }
     assert balance.repeats == 1
     # Positions: mean 8/9, squares sum to 14, so the variance is 14/9 - 64/81.
     assert balance.position_index == pytest.approx(sqrt(14 / 9 - 64 / 81) / (8 / 9))
@@ -64,11 +84,15 @@ def test_counts_by_hand() -> None:
 
 
 @given(letters)
-def test_every_condition_that_was_run_is_counted_once_at_its_place_and_once_with_its_neighbour(rows: list[str]) -> None:
+def test_every_condition_that_was_run_is_counted_once_at_its_place_and_once_with_its_neighbour(
+    rows: list[str],
+) -> None:
     assume(any(rows))
     balance = measure_balance(rows)
     assert sum(balance.positions.values()) == sum(map(len, rows))
-    assert sum(balance.carry_over.values()) + balance.repeats == sum(max(0, len(row) - 1) for row in rows)
+    assert sum(balance.carry_over.values()) + balance.repeats == sum(
+        max(0, len(row) - 1) for row in rows
+    )
 
 
 @given(letters, st.integers(2, 4))
@@ -106,7 +130,9 @@ def test_pooled_groups_add_up_and_are_not_held_against_each_other() -> None:
 
 
 def test_nothing_run_is_refused() -> None:
-    with pytest.raises(ValueError, match="sequences: got no condition, balance needs at least one that was run"):
+    with pytest.raises(
+        ValueError, match="sequences: got no condition, balance needs at least one that was run"
+    ):
         measure_balance([[], []])
     with pytest.raises(ValueError, match="balances: got none, a pool needs at least one"):
         pool_balances([])
@@ -143,12 +169,16 @@ def test_slots_that_stay_empty_cost_as_much_as_counts_of_none_and_one_can(lost: 
 
 @pytest.mark.parametrize("n_participants", [6, 12, 15, 16, 24])
 @pytest.mark.parametrize("order", ["blocked", "random"])
-def test_shuffled_orders_are_worse_than_williams_and_as_good_as_chance(order: str, n_participants: int) -> None:
+def test_shuffled_orders_are_worse_than_williams_and_as_good_as_chance(
+    order: str, n_participants: int
+) -> None:
     numbers = range(1, n_participants + 1)
     shuffled, williams = run(numbers, order), run(numbers)
     chance = sqrt((N_STIMULI - 1) / n_participants)
     assert shuffled.position_index > williams.position_index
     assert shuffled.position_index == pytest.approx(chance, rel=0.1)
-    if order == "blocked":  # in a mixed order, neighbours within a recording did not follow each other
+    if (
+        order == "blocked"
+    ):  # in a mixed order, neighbours within a recording did not follow each other
         assert shuffled.carry_over_index > williams.carry_over_index
         assert shuffled.carry_over_index == pytest.approx(chance, rel=0.1)

@@ -9,16 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocols.design import ORDERS, make_order
-from protocols.registry import PROTOCOLS
-from protocols.square import williams_square
-from protocols.tasks import make_task
-from protocols.trial import Item
+from feel321.protocols.balance import williams_square
+from feel321.protocols.order import ORDERS, make_order
+from feel321.protocols.tasks import PROTOCOLS, make_task
+from feel321.protocols.trial import Item
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from protocols.trial import Trial
+    from feel321.protocols.trial import Trial
 
 REALISM = ("realism",)
 BOTH = ("realism", "similarity")
@@ -28,10 +27,17 @@ orders = st.sampled_from(list(ORDERS))
 
 
 def order(
-    items: Sequence[Item], number: int = 1, repeats: int = 1, *, tasks: Iterable[str] = REALISM, **more: Any
+    items: Sequence[Item],
+    number: int = 1,
+    repeats: int = 1,
+    *,
+    tasks: Iterable[str] = REALISM,
+    **more: Any,
 ) -> tuple[Trial, ...]:
     rng = np.random.default_rng(more.pop("seed", 1))
-    return make_order(items, [make_task(name) for name in tasks], number=number, repeats=repeats, rng=rng, **more)
+    return make_order(
+        items, [make_task(name) for name in tasks], number=number, repeats=repeats, rng=rng, **more
+    )
 
 
 def list_items(n_recordings: int, n_stimuli: int) -> list[Item]:
@@ -58,7 +64,9 @@ def list_blocks(trials: Iterable[Trial]) -> dict[tuple[str, int, str], list[str]
     """Order of the reducers, per protocol, repeat and recording."""
     blocks: dict[tuple[str, int, str], list[str]] = defaultdict(list)
     for t in trials:
-        blocks[t.protocol, t.repeat, t.recording].append(get_stimulus(t).removeprefix(f"{t.recording}-"))
+        blocks[t.protocol, t.repeat, t.recording].append(
+            get_stimulus(t).removeprefix(f"{t.recording}-")
+        )
     return blocks
 
 
@@ -73,7 +81,9 @@ def test_every_order_is_a_permutation_of_what_is_to_be_judged(
     items = list_items(n_recordings, n_stimuli)
     trials = order(items, number, repeats, tasks=PROTOCOLS, order=name, seed=seed)
     assert [t.number for t in trials] == list(range(1, len(trials) + 1))
-    assert [t.protocol for t in trials] == sorted((t.protocol for t in trials), key=list(PROTOCOLS).index)
+    assert [t.protocol for t in trials] == sorted(
+        (t.protocol for t in trials), key=list(PROTOCOLS).index
+    )
     counts = Counter((name_comparison(t), t.repeat) for t in trials)
     per_recording = 2 * n_stimuli + n_stimuli * (n_stimuli - 1) // 2 + 1 + 1 + n_stimuli - 1
     assert set(counts.values()) == {1}
@@ -105,7 +115,9 @@ def test_a_lone_stimulus_may_follow_itself(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ORDERS)
-def test_order_depends_on_seed_and_participant_and_on_nothing_else(items: list[Item], name: str) -> None:
+def test_order_depends_on_seed_and_participant_and_on_nothing_else(
+    items: list[Item], name: str
+) -> None:
     assert order(items, 3, order=name) == order(items, 3, order=name)
     assert order(items, 3, order=name) != order(items, 4, order=name)
     assert len({order(items, 3, seed=seed, order=name) for seed in range(5)}) == 5
@@ -113,7 +125,12 @@ def test_order_depends_on_seed_and_participant_and_on_nothing_else(items: list[I
 
 @pytest.mark.parametrize("name", ["blocked", "random"])
 def test_shuffled_orders_are_the_participants_own(items: list[Item], name: str) -> None:
-    assert len({tuple(map(get_stimulus, order(items, number, order=name))) for number in range(1, 101)}) == 100
+    assert (
+        len({
+            tuple(map(get_stimulus, order(items, number, order=name))) for number in range(1, 101)
+        })
+        == 100
+    )
 
 
 @pytest.mark.parametrize("name", ["williams", "blocked"])
@@ -147,10 +164,18 @@ def test_a_full_cycle_balances_place_and_carry_over_in_every_recording_and_round
 
 @pytest.mark.parametrize("repeat", [1, 2, 3])
 @pytest.mark.parametrize("n_recordings", [2, 3, 4, 5, 8])
-def test_a_full_cycle_balances_the_recordings_in_every_round(n_recordings: int, repeat: int) -> None:
+def test_a_full_cycle_balances_the_recordings_in_every_round(
+    n_recordings: int, repeat: int
+) -> None:
     cycle = len(williams_square(n_recordings))
-    sessions = [order(list_items(n_recordings, 2), number, 3, seed=n_recordings) for number in range(1, cycle + 1)]
-    rows = [list(dict.fromkeys(t.recording for t in trials if t.repeat == repeat)) for trials in sessions]
+    sessions = [
+        order(list_items(n_recordings, 2), number, 3, seed=n_recordings)
+        for number in range(1, cycle + 1)
+    ]
+    rows = [
+        list(dict.fromkeys(t.recording for t in trials if t.repeat == repeat))
+        for trials in sessions
+    ]
     neighbours = count_neighbours(rows)
     assert len(neighbours) == n_recordings * (n_recordings - 1)
     assert len(set(neighbours.values())) == 1
@@ -162,7 +187,11 @@ def test_places_of_reducers_pooled_over_recordings_are_near_balance_after_any_nu
     n_participants: int,
 ) -> None:
     items = list_items(8, 12)
-    rows = [row for number in range(1, n_participants + 1) for row in list_blocks(order(items, number)).values()]
+    rows = [
+        row
+        for number in range(1, n_participants + 1)
+        for row in list_blocks(order(items, number)).values()
+    ]
     places = Counter((name, place) for row in rows for place, name in enumerate(row))
     counts = [places[str(s), place] for s in range(12) for place in range(12)]
     # Rows that moved on by one per participant would give a range of up to 5.
@@ -170,20 +199,26 @@ def test_places_of_reducers_pooled_over_recordings_are_near_balance_after_any_nu
 
 
 @pytest.mark.parametrize("number", range(1, 7))
-def test_no_two_recordings_or_repeats_of_one_participant_share_an_order(items: list[Item], number: int) -> None:
+def test_no_two_recordings_or_repeats_of_one_participant_share_an_order(
+    items: list[Item], number: int
+) -> None:
     blocks = list_blocks(order(items, number, repeats=2, tasks=BOTH))
     for this, that in combinations(blocks, 2):
         if sum(a != b for a, b in zip(this, that, strict=True)) == 1:
             assert blocks[this] != blocks[that], (this, that)
 
 
-def test_two_conditions_change_their_order_from_repeat_to_repeat_where_other_recordings_stand_between() -> None:
+def test_two_conditions_change_their_order_from_repeat_to_repeat_where_other_recordings_stand_between() -> (
+    None
+):
     blocks = list_blocks(order(list_items(3, 2), repeats=2))
     assert all(blocks["realism", 1, str(r)] == blocks["realism", 2, str(r)][::-1] for r in range(3))
 
 
 @given(st.integers(0, 40), st.integers(2, 5))
-def test_either_of_a_pair_comes_first_equally_often_over_participants_and_over_repeats(start: int, n: int) -> None:
+def test_either_of_a_pair_comes_first_equally_often_over_participants_and_over_repeats(
+    start: int, n: int
+) -> None:
     items = list_items(2, n)
     two_participants = [t for k in (1, 2) for t in order(items, start + k, tasks=["dissimilarity"])]
     for trials in (two_participants, order(items, start + 1, 2, tasks=["dissimilarity"])):
@@ -201,7 +236,10 @@ def test_four_participants_meet_every_arrangement_of_abx_once(start: int) -> Non
             a, b, x = (part.stimulus_id for part in t.parts)
             met[name_comparison(t)].append((a, x == a))
             assert x in {a, b}
-    assert all(sorted(found) == sorted(product(stimuli, (False, True))) for (_, _, stimuli), found in met.items())
+    assert all(
+        sorted(found) == sorted(product(stimuli, (False, True)))
+        for (_, _, stimuli), found in met.items()
+    )
 
 
 @given(st.integers(0, 40), st.integers(2, 7))
@@ -232,7 +270,9 @@ def test_the_slots_of_a_page_change_from_recording_to_recording() -> None:
     assert len(slots) == 6
 
 
-def test_trials_carry_what_the_protocol_and_the_task_say(make_items: Callable[..., list[Item]]) -> None:
+def test_trials_carry_what_the_protocol_and_the_task_say(
+    make_items: Callable[..., list[Item]],
+) -> None:
     task = make_task("similarity", timing="strict")
     items = make_items("tap", ("original", "dft321", "low"))
     trials = make_order(items, [task], number=1, repeats=1, rng=np.random.default_rng(1))
@@ -255,7 +295,9 @@ def test_trials_carry_what_the_protocol_and_the_task_say(make_items: Callable[..
         ({"order": "latin"}, "order: got 'latin', allowed: williams, blocked, random"),
     ],
 )
-def test_orders_of_nothing_are_refused(items: list[Item], changes: dict[str, Any], message: str) -> None:
+def test_orders_of_nothing_are_refused(
+    items: list[Item], changes: dict[str, Any], message: str
+) -> None:
     with pytest.raises(ValueError, match=message):
         order(items, **changes)
 
@@ -265,7 +307,9 @@ def test_no_items_are_refused() -> None:
         order([])
 
 
-def test_a_recording_without_anything_to_judge_is_left_out_and_a_task_without_any_is_refused() -> None:
+def test_a_recording_without_anything_to_judge_is_left_out_and_a_task_without_any_is_refused() -> (
+    None
+):
     def order_abx(items: list[Item]) -> tuple[Trial, ...]:
         task = make_task("abx", reference="1")
         return make_order(items, [task], number=1, repeats=1, rng=np.random.default_rng(1))
@@ -274,5 +318,8 @@ def test_a_recording_without_anything_to_judge_is_left_out_and_a_task_without_an
     assert {t.recording for t in order_abx(lone + pair)} == {"tap", "0"}
     only = [item for item in lone if item.role == "test"]
     assert {t.recording for t in order_abx(only + pair)} == {"tap"}
-    with pytest.raises(ValueError, match="abx: got stimuli of which none is to be judged; build a set with reducers"):
+    with pytest.raises(
+        ValueError,
+        match="abx: got stimuli of which none is to be judged; build a set with reducers",
+    ):
         order_abx(only)

@@ -5,13 +5,14 @@ from itertools import product
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocols.groups import place_in_groups, select_items, select_tasks
-from protocols.tasks import make_task
-from protocols.trial import Item
+from feel321.protocols.tasks import make_task
+from feel321.protocols.trial import Item, place_in_groups, select_items, select_tasks
 
 
 @given(st.lists(st.integers(1, 4), max_size=4), st.integers(1, 600))
-def test_successive_participants_go_through_all_combinations_in_order(sizes: list[int], number: int) -> None:
+def test_successive_participants_go_through_all_combinations_in_order(
+    sizes: list[int], number: int
+) -> None:
     between = {f"factor{f}": [f"level{n}" for n in range(size)] for f, size in enumerate(sizes)}
     combinations = list(product(*between.values()))
     groups, place = place_in_groups(between, number)

@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from protocols.mushra import MOST, MUSHRA
-from protocols.tasks import make_task
-from protocols.trial import Part
+from feel321.protocols.mushra import MOST, MUSHRA
+from feel321.protocols.tasks import make_task
+from feel321.protocols.trial import Part
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from protocols.trial import Comparison, Item
+    from feel321.protocols.trial import Comparison, Item
 
     MakeItems = Callable[..., list[Item]]
 
@@ -26,20 +26,33 @@ def name_pages(n: int) -> tuple[str, ...]:
 
 
 def slots_of(page: Comparison) -> list[str | None]:
-    assert [part.name for part in page.parts] == ["reference", *(str(n) for n in range(1, len(page.parts)))]
-    assert [(j.part, j.stimulus_id) for j in page.judgements] == [(p.name, p.stimulus_id) for p in page.parts[1:]]
+    assert [part.name for part in page.parts] == [
+        "reference",
+        *(str(n) for n in range(1, len(page.parts))),
+    ]
+    assert [(j.part, j.stimulus_id) for j in page.judgements] == [
+        (p.name, p.stimulus_id) for p in page.parts[1:]
+    ]
     return [part.stimulus_id for part in page.parts[1:]]
 
 
-def test_a_page_holds_one_arm_of_one_recording_and_names_its_reference(make_items: MakeItems) -> None:
+def test_a_page_holds_one_arm_of_one_recording_and_names_its_reference(
+    make_items: MakeItems,
+) -> None:
     levels = ("as_is", "equal_intensity")
     pages = MUSHRA.compare(make_items("tap", NAMES, levels), make_task("mushra"))
-    assert [page.parts[0] for page in pages] == [Part("reference", f"tap-original-{level}") for level in levels]
-    assert [slots_of(page) for page in pages] == [[f"tap-{name}-{level}" for name in NAMES] for level in levels]
+    assert [page.parts[0] for page in pages] == [
+        Part("reference", f"tap-original-{level}") for level in levels
+    ]
+    assert [slots_of(page) for page in pages] == [
+        [f"tap-{name}-{level}" for name in NAMES] for level in levels
+    ]
     assert {j.reference_id for j in pages[1].judgements} == {"tap-original-equal_intensity"}
 
 
-def test_the_hidden_reference_and_the_anchors_are_expected_where_the_standard_puts_them(make_items: MakeItems) -> None:
+def test_the_hidden_reference_and_the_anchors_are_expected_where_the_standard_puts_them(
+    make_items: MakeItems,
+) -> None:
     (page,) = MUSHRA.compare(make_items("tap", NAMES), make_task("mushra"))
     assert [j.expected for j in page.judgements] == [None, None, (75, 100), (0, 50), (0, 50)]
 

@@ -12,19 +12,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from protocols.catch import EXPECTED
-from protocols.realism import REALISM
-from protocols.registry import PROTOCOLS
-from protocols.scoring import measure_chance
-from protocols.tasks import make_task
-from protocols.texts import list_languages, read_scales
-from protocols.trial import RATING_RANGE, SURFACE, TIMINGS, Judgement, Trial
+from feel321.protocols.realism import REALISM
+from feel321.protocols.tasks import PROTOCOLS, make_task, measure_chance
+from feel321.protocols.texts import list_languages, read_scales
+from feel321.protocols.trial import EXPECTED, RATING_RANGE, SURFACE, TIMINGS, Judgement, Trial
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from protocols.protocol import Task
-    from protocols.trial import Comparison, Item
+    from feel321.protocols.trial import Comparison, Item, Task
 
     Drawn = dict[str, tuple[str, ...]]
     MakeItems = Callable[..., list[Item]]
@@ -43,7 +39,10 @@ def all_tasks() -> list[Task]:
         make_task(name, timing=timing, reference=reference, surface=surface)
         for name, protocol in PROTOCOLS.items()
         for timing in protocol.timings
-        for reference in [kind if kind != "reducer" else REDUCERS[0] for kind in protocol.references] or [None]
+        for reference in [
+            kind if kind != "reducer" else REDUCERS[0] for kind in protocol.references
+        ]
+        or [None]
         for surface in ([False] if protocol.references else [False, True])
     ]
 
@@ -70,14 +69,17 @@ def test_registry_lists_every_protocol_under_its_own_name() -> None:
 
 @pytest.mark.parametrize("name", PROTOCOLS)
 def test_each_is_one_module_of_one_shape(name: str) -> None:
-    module = importlib.import_module(f"protocols.{name}")
+    module = importlib.import_module(f"feel321.protocols.{name}")
     protocol = vars(module)[name.upper()]
     assert protocol is PROTOCOLS[name]
     assert protocol.compare is module.compare
     assert list(inspect.signature(protocol.compare).parameters) == ["items", "task"]
     assert list(inspect.signature(protocol.arrange).parameters) == ["comparison", "turn"]
     assert list(inspect.signature(protocol.score).parameters) == ["judgement", "answer", "parts"]
-    assert str(module.__doc__).startswith((f"{name.capitalize()}: the participant", f"{name.upper()}: "))
+    assert str(module.__doc__).startswith((
+        f"{name.capitalize()}: the participant",
+        f"{name.upper()}: ",
+    ))
     assert set(protocol.timings) <= set(TIMINGS)
     assert {"recording", "level"} <= set(protocol.factors)
 
@@ -85,7 +87,9 @@ def test_each_is_one_module_of_one_shape(name: str) -> None:
 @every_task
 @few
 @given(drawn=SETS, turn=st.integers(0, 50))
-def test_every_part_and_every_judgement_is_whole(task: Task, drawn: Drawn, turn: int, make_items: MakeItems) -> None:
+def test_every_part_and_every_judgement_is_whole(
+    task: Task, drawn: Drawn, turn: int, make_items: MakeItems
+) -> None:
     for comparison in draw_comparisons(task, drawn, make_items):
         arranged = PROTOCOLS[task.protocol].arrange(comparison, turn)
         parts = {part.name: part for part in arranged.parts}
@@ -103,7 +107,9 @@ def test_every_part_and_every_judgement_is_whole(task: Task, drawn: Drawn, turn:
 @every_task
 @few
 @given(drawn=SETS)
-def test_what_is_judged_against_something_was_felt_beside_it(task: Task, drawn: Drawn, make_items: MakeItems) -> None:
+def test_what_is_judged_against_something_was_felt_beside_it(
+    task: Task, drawn: Drawn, make_items: MakeItems
+) -> None:
     absolute = not PROTOCOLS[task.protocol].references
     for comparison in draw_comparisons(task, drawn, make_items):
         assert {judgement.reference_id is None for judgement in comparison.judgements} == {absolute}
@@ -126,9 +132,16 @@ def test_names_of_parts_reveal_nothing(task: Task, drawn: Drawn, make_items: Mak
 @every_task
 @few
 @given(drawn=SETS)
-def test_nothing_is_judged_across_level_arms(task: Task, drawn: Drawn, make_items: MakeItems) -> None:
+def test_nothing_is_judged_across_level_arms(
+    task: Task, drawn: Drawn, make_items: MakeItems
+) -> None:
     for comparison in draw_comparisons(task, drawn, make_items):
-        assert len({part.stimulus_id.rpartition("-")[2] for part in comparison.parts if part.stimulus_id}) == 1
+        assert (
+            len({
+                part.stimulus_id.rpartition("-")[2] for part in comparison.parts if part.stimulus_id
+            })
+            == 1
+        )
 
 
 @every_task
@@ -136,7 +149,9 @@ def test_nothing_is_judged_across_level_arms(task: Task, drawn: Drawn, make_item
 @given(drawn=SETS)
 def test_no_comparison_comes_twice(task: Task, drawn: Drawn, make_items: MakeItems) -> None:
     comparisons = draw_comparisons(task, drawn, make_items)
-    felt = Counter(frozenset(Counter(part.stimulus_id for part in c.parts).items()) for c in comparisons)
+    felt = Counter(
+        frozenset(Counter(part.stimulus_id for part in c.parts).items()) for c in comparisons
+    )
     assert set(felt.values()) == {1}
 
 
@@ -161,7 +176,9 @@ def test_arranging_moves_what_is_felt_and_changes_nothing_else(
 @every_task
 @few
 @given(drawn=SETS)
-def test_a_catch_is_where_something_is_expected(task: Task, drawn: Drawn, make_items: MakeItems) -> None:
+def test_a_catch_is_where_something_is_expected(
+    task: Task, drawn: Drawn, make_items: MakeItems
+) -> None:
     for comparison in draw_comparisons(task, drawn, make_items):
         expected = [judgement.expected for judgement in comparison.judgements if judgement.expected]
         assert comparison.catch in {"", *EXPECTED}
@@ -192,11 +209,19 @@ def test_training_shows_what_is_judged_and_all_that_is_known_of_it(
 def test_a_guess_is_right_on_every_slider_or_by_one_choice_of_all(make_items: MakeItems) -> None:
     chances = {}
     for name, protocol in PROTOCOLS.items():
-        *_, last = protocol.compare(make_items("tap", ("dft321", "original", "low", "mid")), make_task(name))
+        *_, last = protocol.compare(
+            make_items("tap", ("dft321", "original", "low", "mid")), make_task(name)
+        )
         chances[name] = measure_chance(
             Trial(1, 0, 0, name, name, "replay", "tap", last.parts, last.judgements, "training")
         )
-    assert chances == {"realism": 0.5, "similarity": 0.5, "dissimilarity": 0.25, "mushra": 0.25 * 0.5**2, "abx": 0.5}
+    assert chances == {
+        "realism": 0.5,
+        "similarity": 0.5,
+        "dissimilarity": 0.25,
+        "mushra": 0.25 * 0.5**2,
+        "abx": 0.5,
+    }
 
 
 @pytest.mark.parametrize("name", [name for name in PROTOCOLS if name != "abx"])
@@ -207,12 +232,15 @@ def test_a_slider_gives_its_points(name: str) -> None:
 @pytest.mark.parametrize("name", ["dissimilarity", "mushra", "abx"])
 def test_a_recording_without_anything_to_test_is_refused(name: str, make_items: MakeItems) -> None:
     with pytest.raises(
-        ValueError, match="recording 'tap': got no stimulus to test, allowed is one or more; name reducers and build"
+        ValueError,
+        match="recording 'tap': got no stimulus to test, allowed is one or more; name reducers and build",
     ):
         PROTOCOLS[name].compare(make_items("tap", ["original", "low"]), make_task(name))
 
 
-@pytest.mark.parametrize("name", [name for name, protocol in PROTOCOLS.items() if protocol.references])
+@pytest.mark.parametrize(
+    "name", [name for name, protocol in PROTOCOLS.items() if protocol.references]
+)
 def test_a_recording_without_its_reference_is_refused(name: str, make_items: MakeItems) -> None:
     with pytest.raises(
         ValueError,
@@ -222,13 +250,22 @@ def test_a_recording_without_its_reference_is_refused(name: str, make_items: Mak
 
 
 @pytest.mark.parametrize("name", ["dissimilarity", "mushra", "abx"])
-def test_a_reference_that_the_set_has_once_serves_every_arm(name: str, make_items: MakeItems) -> None:
-    shared = [*make_items("tap", ["original"]), *make_items("tap", ["dft321"], ["as_is", "equal_intensity"])]
+def test_a_reference_that_the_set_has_once_serves_every_arm(
+    name: str, make_items: MakeItems
+) -> None:
+    shared = [
+        *make_items("tap", ["original"]),
+        *make_items("tap", ["dft321"], ["as_is", "equal_intensity"]),
+    ]
     comparisons = PROTOCOLS[name].compare(shared, make_task(name))
     arms = [
-        {part.stimulus_id for part in comparison.parts} for comparison in comparisons if comparison.catch != "identical"
+        {part.stimulus_id for part in comparison.parts}
+        for comparison in comparisons
+        if comparison.catch != "identical"
     ]
-    assert arms == [{"tap-original-as_is", f"tap-dft321-{level}"} for level in ("as_is", "equal_intensity")]
+    assert arms == [
+        {"tap-original-as_is", f"tap-dft321-{level}"} for level in ("as_is", "equal_intensity")
+    ]
 
 
 @pytest.mark.parametrize("language", list_languages())

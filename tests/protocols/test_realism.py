@@ -2,21 +2,25 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from protocols.realism import REALISM
-from protocols.tasks import make_task
-from protocols.trial import Part
+from feel321.protocols.realism import REALISM
+from feel321.protocols.tasks import make_task
+from feel321.protocols.trial import Part
 
 if TYPE_CHECKING:
-    from protocols.trial import Item
+    from feel321.protocols.trial import Item
 
 
 def test_every_stimulus_is_judged_by_itself(items: list[Item]) -> None:
     comparisons = REALISM.compare(items, make_task("realism"))
     assert [c.parts for c in comparisons] == [(Part("test", item.stimulus_id),) for item in items]
-    assert [c.judgements[0].stimulus_id for c in comparisons] == [item.stimulus_id for item in items]
+    assert [c.judgements[0].stimulus_id for c in comparisons] == [
+        item.stimulus_id for item in items
+    ]
 
 
-def test_the_real_surface_of_the_recording_is_felt_first_where_the_lab_has_it(items: list[Item]) -> None:
+def test_the_real_surface_of_the_recording_is_felt_first_where_the_lab_has_it(
+    items: list[Item],
+) -> None:
     comparisons = REALISM.compare(items, make_task("realism", surface=True))
     assert [c.parts for c in comparisons] == [
         (Part("surface", surface=item.recording), Part("test", item.stimulus_id)) for item in items

@@ -8,15 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocols.design import make_order
-from protocols.registry import PROTOCOLS
-from protocols.rehearsal import make_rehearsal
-from protocols.scoring import is_as_expected
-from protocols.tasks import make_task
-from protocols.trial import Item
+from feel321.protocols.order import make_order, make_rehearsal
+from feel321.protocols.tasks import PROTOCOLS, is_as_expected, make_task
+from feel321.protocols.trial import Item
 
 if TYPE_CHECKING:
-    from protocols.trial import Trial
+    from feel321.protocols.trial import Trial
 
 ROLES = {"original": "reference", "low": "anchor", "mid": "anchor"}
 ITEMS = [
@@ -26,7 +23,9 @@ ITEMS = [
 ]
 
 
-def rehearse(*names: str, seed: int = 1, items: list[Item] = ITEMS, **counts: Any) -> tuple[Trial, ...]:
+def rehearse(
+    *names: str, seed: int = 1, items: list[Item] = ITEMS, **counts: Any
+) -> tuple[Trial, ...]:
     tasks = [make_task(name, **counts) for name in names]
     return make_rehearsal(items, tasks, first_number=50, rng=np.random.default_rng(seed))
 
@@ -43,11 +42,17 @@ def test_each_task_has_its_training_then_its_practice_and_never_more_than_there_
     trials = rehearse(*PROTOCOLS, training=training, practice=practice, seed=seed)
     n_comparisons = {"realism": 18, "similarity": 18, "dissimilarity": 21, "mushra": 3, "abx": 15}
     asked = {"training": training, "practice": practice}
-    expected = {(name, phase): min(n, asked[phase]) for name, n in n_comparisons.items() for phase in asked}
-    expected["dissimilarity", "training"] = min(21 + 6, training)  # anchors are felt in training only
+    expected = {
+        (name, phase): min(n, asked[phase]) for name, n in n_comparisons.items() for phase in asked
+    }
+    expected["dissimilarity", "training"] = min(
+        21 + 6, training
+    )  # anchors are felt in training only
     expected["abx", "training"] = min(15, 2 * training)  # half of the guesses are right
     assert Counter((t.protocol, t.phase) for t in trials) == Counter(expected)
-    assert list(dict.fromkeys((t.protocol, t.phase) for t in trials)) == [key for key, n in expected.items() if n]
+    assert list(dict.fromkeys((t.protocol, t.phase) for t in trials)) == [
+        key for key, n in expected.items() if n
+    ]
     assert [t.number for t in trials] == list(range(50, 50 + len(trials)))
     assert {(t.block, t.repeat) for t in trials} <= {(0, 0)}
 
@@ -57,13 +62,20 @@ def test_nothing_comes_twice_in_a_phase_and_practice_takes_what_training_left(
     training: int, practice: int, seed: int
 ) -> None:
     trials = rehearse("realism", training=training, practice=practice, seed=seed)
-    chosen = {phase: [t.judgements for t in trials if t.phase == phase] for phase in ("training", "practice")}
+    chosen = {
+        phase: [t.judgements for t in trials if t.phase == phase]
+        for phase in ("training", "practice")
+    }
     assert all(len(set(judgements)) == len(judgements) for judgements in chosen.values())
-    assert len(set(chosen["training"]) & set(chosen["practice"])) == max(0, training + practice - 18)
+    assert len(set(chosen["training"]) & set(chosen["practice"])) == max(
+        0, training + practice - 18
+    )
 
 
 @given(st.integers(1, 18), st.integers(0, 999))
-def test_trials_with_a_known_answer_come_first_and_no_answer_is_right_for_most(training: int, seed: int) -> None:
+def test_trials_with_a_known_answer_come_first_and_no_answer_is_right_for_most(
+    training: int, seed: int
+) -> None:
     sides = [get_side(t) for t in rehearse("similarity", training=training, seed=seed)]
     n_known = sum(map(bool, sides))
     assert all(sides[:n_known])
@@ -71,7 +83,11 @@ def test_trials_with_a_known_answer_come_first_and_no_answer_is_right_for_most(t
     assert max(sides.count("high"), sides.count("low")) <= (training + 1) // 2
 
 
-@given(st.sampled_from(["similarity", "realism", "dissimilarity"]), st.integers(1, 6), st.integers(0, 999))
+@given(
+    st.sampled_from(["similarity", "realism", "dissimilarity"]),
+    st.integers(1, 6),
+    st.integers(0, 999),
+)
 def test_where_only_one_answer_is_known_it_is_right_for_half_of_the_training(
     name: str, training: int, seed: int
 ) -> None:
@@ -81,7 +97,9 @@ def test_where_only_one_answer_is_known_it_is_right_for_half_of_the_training(
 
 
 @given(st.integers(0, 999))
-def test_anchors_are_what_differs_from_the_original_in_the_training_of_dissimilarity(seed: int) -> None:
+def test_anchors_are_what_differs_from_the_original_in_the_training_of_dissimilarity(
+    seed: int,
+) -> None:
     trials = rehearse("dissimilarity", training=4, practice=21, seed=seed)
     training = [t for t in trials if t.phase == "training"]
     assert Counter((t.catch, t.judgements[0].expected) for t in training) == {
@@ -107,7 +125,9 @@ def test_every_choice_in_training_is_right_or_wrong_and_the_plainest_come_first(
 
 @pytest.mark.parametrize("name", ["realism", "similarity", "dissimilarity", "mushra"])
 @given(training=st.integers(2, 12), points=st.floats(0, 100), seed=st.integers(0, 999))
-def test_nobody_passes_training_who_always_answers_the_same(name: str, training: int, points: float, seed: int) -> None:
+def test_nobody_passes_training_who_always_answers_the_same(
+    name: str, training: int, points: float, seed: int
+) -> None:
     rounds = [t for t in rehearse(name, training=training, seed=seed) if t.phase == "training"]
     met = [is_as_expected(t, {j.part: points for j in t.judgements}) for t in rounds]
     right = [understood for understood in met if understood is not None]
@@ -136,7 +156,12 @@ def test_sides_do_not_alternate_predictably() -> None:
 
 
 def test_arrangements_are_drawn_too() -> None:
-    pages = [t for seed in range(40) for t in rehearse("mushra", training=3, seed=seed) if t.recording == "taps"]
+    pages = [
+        t
+        for seed in range(40)
+        for t in rehearse("mushra", training=3, seed=seed)
+        if t.recording == "taps"
+    ]
     assert len({t.judgements for t in pages}) == 6  # the rows of a square of six
 
 
@@ -151,7 +176,9 @@ def test_rehearsal_leaves_the_main_order_as_it_is(name: str) -> None:
     undisturbed, rng = np.random.default_rng(3), np.random.default_rng(3)
     make_rehearsal(ITEMS, [task], first_number=1, rng=rng)
     arguments = {"number": 2, "repeats": 2, "order": name}
-    assert make_order(ITEMS, [task], rng=rng, **arguments) == make_order(ITEMS, [task], rng=undisturbed, **arguments)
+    assert make_order(ITEMS, [task], rng=rng, **arguments) == make_order(
+        ITEMS, [task], rng=undisturbed, **arguments
+    )
 
 
 def test_rehearsal_depends_on_the_generator_alone() -> None:

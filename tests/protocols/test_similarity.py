@@ -4,21 +4,23 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from protocols.similarity import SIMILARITY
-from protocols.tasks import make_task
-from protocols.trial import SURFACE, Part
+from feel321.protocols.similarity import SIMILARITY
+from feel321.protocols.tasks import make_task
+from feel321.protocols.trial import SURFACE, Part
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from protocols.trial import Item
+    from feel321.protocols.trial import Item
 
     MakeItems = Callable[..., list[Item]]
 
 NAMES = ("sax321", "dft321", "original", "low", "mid")
 
 
-def test_every_stimulus_is_felt_after_the_original_and_judged_against_it(make_items: MakeItems) -> None:
+def test_every_stimulus_is_felt_after_the_original_and_judged_against_it(
+    make_items: MakeItems,
+) -> None:
     tap = make_items("tap", NAMES)
     comparisons = SIMILARITY.compare(tap, make_task("similarity"))
     assert [c.parts for c in comparisons] == [
@@ -37,15 +39,21 @@ def test_every_stimulus_is_felt_after_the_original_and_judged_against_it(make_it
         (SURFACE, ["", "", "hidden_reference", "anchor", "anchor"]),
     ],
 )
-def test_catches_follow_from_the_reference(reference: str, catches: list[str], make_items: MakeItems) -> None:
-    comparisons = SIMILARITY.compare(make_items("tap", NAMES), make_task("similarity", reference=reference))
+def test_catches_follow_from_the_reference(
+    reference: str, catches: list[str], make_items: MakeItems
+) -> None:
+    comparisons = SIMILARITY.compare(
+        make_items("tap", NAMES), make_task("similarity", reference=reference)
+    )
     assert [c.catch for c in comparisons] == catches
     expected = {"": None, "identical": (75, 100), "hidden_reference": (55, 100), "anchor": (0, 50)}
     assert [c.judgements[0].expected for c in comparisons] == [expected[catch] for catch in catches]
 
 
 def test_the_real_surface_can_be_the_reference(make_items: MakeItems) -> None:
-    comparison = SIMILARITY.compare(make_items("tap", ["dft321"]), make_task("similarity", reference=SURFACE))[0]
+    comparison = SIMILARITY.compare(
+        make_items("tap", ["dft321"]), make_task("similarity", reference=SURFACE)
+    )[0]
     assert comparison.parts == (Part("reference", surface="tap"), Part("test", "tap-dft321-as_is"))
     assert comparison.judgements[0].reference_id == SURFACE
 
@@ -54,7 +62,9 @@ def test_the_real_surface_can_be_the_reference(make_items: MakeItems) -> None:
 def test_the_reference_is_of_the_items_own_level(reference: str, make_items: MakeItems) -> None:
     own = make_items("tap", NAMES, ["as_is", "equal_intensity"])
     comparisons = SIMILARITY.compare(own, make_task("similarity", reference=reference))
-    assert [c.judgements[0].reference_id for c in comparisons] == [f"tap-{reference}-{item.level}" for item in own]
+    assert [c.judgements[0].reference_id for c in comparisons] == [
+        f"tap-{reference}-{item.level}" for item in own
+    ]
 
 
 def test_falls_back_on_the_only_reference(make_items: MakeItems) -> None:
@@ -64,11 +74,19 @@ def test_falls_back_on_the_only_reference(make_items: MakeItems) -> None:
 
 
 def test_two_references_of_other_arms_are_refused(make_items: MakeItems) -> None:
-    unclear = [*make_items("tap", ["dft321"], ["loud"]), *make_items("tap", ["original"], ["as_is", "soft"])]
-    with pytest.raises(ValueError, match="recording 'tap', level 'loud': got 2 stimuli for the reference 'original'"):
+    unclear = [
+        *make_items("tap", ["dft321"], ["loud"]),
+        *make_items("tap", ["original"], ["as_is", "soft"]),
+    ]
+    with pytest.raises(
+        ValueError,
+        match="recording 'tap', level 'loud': got 2 stimuli for the reference 'original'",
+    ):
         SIMILARITY.compare(unclear, make_task("similarity"))
 
 
 def test_a_reducer_that_the_set_does_not_have_is_refused(make_items: MakeItems) -> None:
-    with pytest.raises(ValueError, match="got 0 stimuli for the reference 'pca321', allowed is exactly one"):
+    with pytest.raises(
+        ValueError, match="got 0 stimuli for the reference 'pca321', allowed is exactly one"
+    ):
         SIMILARITY.compare(make_items("tap", NAMES), make_task("similarity", reference="pca321"))

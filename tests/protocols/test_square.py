@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocols.square import shuffle_rows, williams_square
+from feel321.protocols.balance import shuffle_rows, williams_square
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 @pytest.mark.parametrize("n", [5, 6])
 def test_square_is_the_reference_table(n: int, shared_recordings: Path) -> None:
     oracle = shared_recordings.parent / "oracles" / "williams_design" / "expected.json"
-    assert [list(row) for row in williams_square(n)] == json.loads(oracle.read_text())[f"example_n{n}"]
+    assert [list(row) for row in williams_square(n)] == json.loads(oracle.read_text())[
+        f"example_n{n}"
+    ]
 
 
 @pytest.mark.parametrize("n", range(2, 13))
@@ -40,7 +42,9 @@ def test_every_row_of_a_square_is_a_permutation(n: int) -> None:
 
 
 def test_square_of_nothing_is_refused() -> None:
-    with pytest.raises(ValueError, match="n: got 0, allowed is a number of conditions of at least 1"):
+    with pytest.raises(
+        ValueError, match="n: got 0, allowed is a number of conditions of at least 1"
+    ):
         williams_square(0)
 
 
@@ -51,7 +55,9 @@ def test_shuffled_rows_are_the_same_rows(n: int, seed: int) -> None:
 
 
 @given(st.integers(3, 24), st.integers(0, 2**32))
-def test_no_shuffled_row_begins_with_what_the_one_before_ended_with_all_round(n: int, seed: int) -> None:
+def test_no_shuffled_row_begins_with_what_the_one_before_ended_with_all_round(
+    n: int, seed: int
+) -> None:
     rows = shuffle_rows(williams_square(n), np.random.default_rng(seed))
     assert all(this[-1] != after[0] for this, after in pairwise((*rows, rows[0])))
 

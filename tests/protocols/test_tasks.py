@@ -5,9 +5,8 @@ from typing import Any
 
 import pytest
 
-from protocols.protocol import Task
-from protocols.registry import PROTOCOLS
-from protocols.tasks import make_task
+from feel321.protocols.tasks import PROTOCOLS, make_task
+from feel321.protocols.trial import Task
 
 
 @pytest.mark.parametrize("name", PROTOCOLS)
@@ -35,9 +34,17 @@ def test_what_is_asked_for_is_what_the_task_says() -> None:
 @pytest.mark.parametrize(
     ("name", "changes", "message"),
     [
-        ("loudness", {}, "protocol: got 'loudness', allowed: realism, similarity, dissimilarity, mushra, abx"),
+        (
+            "loudness",
+            {},
+            "protocol: got 'loudness', allowed: realism, similarity, dissimilarity, mushra, abx",
+        ),
         ("mushra", {"timing": "strict"}, "tasks.mushra.timing: got 'strict', allowed: free"),
-        ("similarity", {"timing": "free"}, "tasks.similarity.timing: got 'free', allowed: replay, strict"),
+        (
+            "similarity",
+            {"timing": "free"},
+            "tasks.similarity.timing: got 'free', allowed: replay, strict",
+        ),
         (
             "realism",
             {"reference": "original"},
@@ -48,8 +55,16 @@ def test_what_is_asked_for_is_what_the_task_says() -> None:
             {"reference": "surface"},
             "tasks.abx.reference: got 'surface', allowed: original, the name of a reducer",
         ),
-        ("dissimilarity", {"reference": "dft321"}, "tasks.dissimilarity.reference: got 'dft321', allowed: original"),
-        ("similarity", {"reference": ""}, "tasks.similarity.reference: got '', allowed: original, surface, the name"),
+        (
+            "dissimilarity",
+            {"reference": "dft321"},
+            "tasks.dissimilarity.reference: got 'dft321', allowed: original",
+        ),
+        (
+            "similarity",
+            {"reference": ""},
+            "tasks.similarity.reference: got '', allowed: original, surface, the name",
+        ),
         (
             "similarity",
             {"surface": True},
@@ -57,11 +72,21 @@ def test_what_is_asked_for_is_what_the_task_says() -> None:
             "leave it out, or set reference = 'surface'",
         ),
         ("abx", {"surface": True}, "nothing is judged by itself here; leave it out"),
-        ("abx", {"training": -1}, "tasks.abx.training: got -1, allowed is a whole number of at least 0"),
-        ("abx", {"practice": -2}, "tasks.abx.practice: got -2, allowed is a whole number of at least 0"),
+        (
+            "abx",
+            {"training": -1},
+            "tasks.abx.training: got -1, allowed is a whole number of at least 0",
+        ),
+        (
+            "abx",
+            {"practice": -2},
+            "tasks.abx.practice: got -2, allowed is a whole number of at least 0",
+        ),
     ],
 )
-def test_what_a_protocol_does_not_have_is_refused(name: str, changes: dict[str, Any], message: str) -> None:
+def test_what_a_protocol_does_not_have_is_refused(
+    name: str, changes: dict[str, Any], message: str
+) -> None:
     with pytest.raises(ValueError, match=re.escape(message)) as refusal:
         make_task(name, **changes)
     assert "\n" not in str(refusal.value)

@@ -6,11 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from protocols.abx import CHOICES
-from protocols.flow import PAGES
-from protocols.registry import PROTOCOLS
-from protocols.tasks import make_task
-from protocols.texts import (
+from feel321.protocols.abx import CHOICES
+from feel321.protocols.tasks import PROTOCOLS, make_task
+from feel321.protocols.texts import (
     CATALOG,
     MODEL,
     find_gaps,
@@ -21,7 +19,7 @@ from protocols.texts import (
     read_scales,
     read_texts,
 )
-from protocols.trial import SURFACE, Item
+from feel321.protocols.trial import PAGES, SURFACE, Item
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -74,34 +72,58 @@ def test_every_language_has_the_scale_of_every_protocol(language: str) -> None:
     scales = read_scales(language)
     assert set(scales) == {protocol.scale for protocol in PROTOCOLS.values()}
     assert all(name == scale.name for name, scale in scales.items())
-    assert all(scale.question.endswith("?") and scale.low_label != scale.high_label for scale in scales.values())
-    assert {name: scale.choices for name, scale in scales.items() if scale.choices} == {"abx": CHOICES}
-    assert {name: len(scale.anchors) for name, scale in scales.items() if scale.anchors} == {"mushra": 5}
+    assert all(
+        scale.question.endswith("?") and scale.low_label != scale.high_label
+        for scale in scales.values()
+    )
+    assert {name: scale.choices for name, scale in scales.items() if scale.choices} == {
+        "abx": CHOICES
+    }
+    assert {name: len(scale.anchors) for name, scale in scales.items() if scale.anchors} == {
+        "mushra": 5
+    }
 
 
 @pytest.mark.parametrize("language", list_languages())
 def test_both_ends_of_every_scale_are_where_they_belong(language: str) -> None:
     scales = read_scales(language)
-    assert {name: (scale.low_label, scale.high_label) for name, scale in scales.items()} == ENDS[language]
+    assert {name: (scale.low_label, scale.high_label) for name, scale in scales.items()} == ENDS[
+        language
+    ]
     assert scales["mushra"].anchors == ALONG[language]
 
 
 @pytest.mark.parametrize("language", list_languages())
 def test_every_part_that_is_not_numbered_has_a_name(language: str) -> None:
-    made = (("low", "anchor"), ("mid", "anchor"), ("sax321", "test"), ("dft321", "test"), ("original", "reference"))
+    made = (
+        ("low", "anchor"),
+        ("mid", "anchor"),
+        ("sax321", "test"),
+        ("dft321", "test"),
+        ("original", "reference"),
+    )
     items = [Item(reducer, "oak", reducer, "as_is", role) for reducer, role in made]
     tasks = [make_task(name) for name in PROTOCOLS]
     tasks += [make_task("realism", surface=True), make_task("similarity", reference=SURFACE)]
-    compared = [comparison for task in tasks for comparison in PROTOCOLS[task.protocol].compare(items, task)]
-    parts = {part.name for comparison in compared for part in comparison.parts if not part.name.isdigit()}
+    compared = [
+        comparison for task in tasks for comparison in PROTOCOLS[task.protocol].compare(items, task)
+    ]
+    parts = {
+        part.name for comparison in compared for part in comparison.parts if not part.name.isdigit()
+    }
     assert set(read_part_names(language)) == parts
 
 
 @pytest.mark.parametrize(
-    ("language", "slider"), [("en", "markers?|slider|ends|left|right"), ("de", "Marken?|Regler|Enden|links|rechts")]
+    ("language", "slider"),
+    [("en", "markers?|slider|ends|left|right"), ("de", "Marken?|Regler|Enden|links|rechts")],
 )
 def test_pages_of_all_tasks_speak_of_no_slider(language: str, slider: str) -> None:
-    texts = {key: page.text for key, page in read_pages(language).items() if not key.startswith("instructions.")}
+    texts = {
+        key: page.text
+        for key, page in read_pages(language).items()
+        if not key.startswith("instructions.")
+    }
     texts |= read_refusals(language)
     assert [key for key, text in texts.items() if re.search(rf"\b({slider})\b", text)] == []
     assert re.search(slider, read_pages(language)["instructions.realism"].text)
@@ -117,7 +139,9 @@ def test_every_language_has_every_page(language: str) -> None:
 
 @pytest.mark.parametrize("language", list_languages())
 def test_every_text_can_be_read_at_a_glance(language: str) -> None:
-    too_long = [key for key, page in read_pages(language).items() if len(page.text) > MOST_CHARACTERS]
+    too_long = [
+        key for key, page in read_pages(language).items() if len(page.text) > MOST_CHARACTERS
+    ]
     assert too_long == []
     assert all(len(page.title) <= 40 for page in read_pages(language).values())
     assert all(len(text) <= 120 for text in read_refusals(language).values())
@@ -141,10 +165,15 @@ def test_a_lab_can_bring_a_file_of_its_own(own: Path) -> None:
 
 
 def test_keys_with_dots_want_quotes(own: Path, english: str) -> None:
-    own.write_text(english.replace('[pages."instructions.realism"]', "[pages.instructions.realism]"), encoding="utf-8")
+    own.write_text(
+        english.replace('[pages."instructions.realism"]', "[pages.instructions.realism]"),
+        encoding="utf-8",
+    )
     with pytest.raises(ValueError, match="is missing") as caught:
         read_pages(own)
-    assert [line.split(": ", 1)[1].partition(";")[0] for line in str(caught.value).splitlines()] == [
+    assert [
+        line.split(": ", 1)[1].partition(";")[0] for line in str(caught.value).splitlines()
+    ] == [
         'pages."instructions.realism".title: is missing',
         'pages."instructions.realism".text: is missing',
         "pages.instructions.realism.title: is no known text",
@@ -171,7 +200,9 @@ def test_tables_that_nobody_reads_are_told_though_they_are_empty(
 
 
 def test_a_table_is_no_list(own: Path, english: str) -> None:
-    text = re.sub(r"(?m)^anchors = .*$", 'anchors = {1 = "a", 2 = "b", 3 = "c", 4 = "d", 5 = "e"}', english)
+    text = re.sub(
+        r"(?m)^anchors = .*$", 'anchors = {1 = "a", 2 = "b", 3 = "c", 4 = "d", 5 = "e"}', english
+    )
     own.write_text(text, encoding="utf-8")
     with pytest.raises(ValueError, match=r"scales\.mushra\.anchors\[5\]: is missing"):
         read_scales(own)
@@ -189,7 +220,10 @@ def test_all_gaps_of_an_own_file_are_told_at_once(own: Path, english: str) -> No
     own.write_text(text.replace('title = "Just so"', "title = 5"), encoding="utf-8")
     with pytest.raises(ValueError, match="is missing") as caught:
         read_pages(own)
-    told = [line.removeprefix(f"{own}: ").partition("; compare ") for line in str(caught.value).splitlines()]
+    told = [
+        line.removeprefix(f"{own}: ").partition("; compare ")
+        for line in str(caught.value).splitlines()
+    ]
     assert {remedy for _, _, remedy in told} == {"protocols/catalog/en.toml"}
     assert [gap for gap, _, _ in told] == [
         "scales.abx.choices[2]: got 'c', allowed is 'b': choices are names of parts, the same in every language",
@@ -219,7 +253,9 @@ def test_a_gap_says_what_was_got_and_what_is_allowed(texts: dict[str, Any], gap:
 @pytest.mark.parametrize("text", [b"a = ", b"\xff", b"a = " + b"[" * 99999])
 def test_an_own_file_that_is_no_toml_is_one_line(text: bytes, own: Path) -> None:
     own.write_bytes(text)
-    with pytest.raises(ValueError, match=r"^[^\n]*fr\.toml: got no TOML \([^\n]*\); mend that place$"):
+    with pytest.raises(
+        ValueError, match=r"^[^\n]*fr\.toml: got no TOML \([^\n]*\); mend that place$"
+    ):
         read_scales(own)
 
 

@@ -9,12 +9,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stimuli.condition import Conditioning, condition
-from stimuli.formats import read_recording
-from stimuli.match import spectral_match, spectral_match_bounded, spectral_match_details
-from stimuli.reduce import REDUCERS
-from stimuli.rotation import random_rotations
-from stimuli.spectrum import OriginalSpectrum
+from feel321.stimuli.condition import Conditioning, condition
+from feel321.stimuli.formats.read import read_recording
+from feel321.stimuli.match import (
+    OriginalSpectrum,
+    spectral_match,
+    spectral_match_bounded,
+    spectral_match_details,
+)
+from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.rotation import random_rotations
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -62,7 +66,9 @@ def test_it_is_the_mean_over_frequencies(name: str, n: int) -> None:
     reduced = REDUCERS[name](acceleration, RATE)
     expected = brute_force(acceleration, reduced, RATE)
     assert spectral_match_bounded(acceleration, reduced, RATE) == pytest.approx(expected, abs=1e-12)
-    assert spectral_match_details(acceleration, reduced, RATE).bounded == pytest.approx(expected, abs=1e-12)
+    assert spectral_match_details(acceleration, reduced, RATE).bounded == pytest.approx(
+        expected, abs=1e-12
+    )
 
 
 @settings(deadline=None, max_examples=60)
@@ -102,7 +108,9 @@ def test_it_is_the_papers_where_the_reduced_signal_is_the_weaker(share: float, s
     )
 
 
-@pytest.mark.parametrize(("gain", "expected"), [(2.0, 0.5), (0.5, 0.5), (10.0, 0.1), (1e9, 1e-9), (1.0, 1.0)])
+@pytest.mark.parametrize(
+    ("gain", "expected"), [(2.0, 0.5), (0.5, 0.5), (10.0, 0.1), (1e9, 1e-9), (1.0, 1.0)]
+)
 def test_a_gain_of_the_energy_scores_itself_or_its_inverse(gain: float, expected: float) -> None:
     acceleration = noise(3, 3000)
     reduced = np.sqrt(gain) * REDUCERS["dft321"](acceleration, RATE)
@@ -117,7 +125,9 @@ def test_energy_in_bands_that_the_recording_left_empty_is_seen() -> None:
     assert spectral_match(recording, added, RATE) == pytest.approx(1.0, abs=1e-9)
     n_own = spectral_match_details(recording, tone(100.0), RATE).n_frequencies
     n_added = spectral_match_details(stand_in(tone(900.0)), tone(900.0), RATE).n_frequencies
-    assert spectral_match_bounded(recording, added, RATE) == pytest.approx(n_own / (n_own + n_added), abs=1e-9)
+    assert spectral_match_bounded(recording, added, RATE) == pytest.approx(
+        n_own / (n_own + n_added), abs=1e-9
+    )
     assert spectral_match_bounded(recording, tone(900.0), RATE) == 0.0
 
 
@@ -126,8 +136,12 @@ def test_silence_of_one_scores_zero_and_of_both_nothing() -> None:
     assert spectral_match_bounded(stand_in(sound), silence, RATE) == 0.0
     assert spectral_match_bounded(stand_in(silence), sound, RATE) == 0.0
     assert np.isnan(spectral_match_bounded(stand_in(silence), silence, RATE))
-    assert np.isnan(spectral_match_bounded(noise(3, 3), noise(3), RATE))  # too short for 20 to 1000 Hz
-    assert np.isnan(spectral_match_bounded(stand_in(silence + 9.81), silence + 3.0, RATE))  # offsets only
+    assert np.isnan(
+        spectral_match_bounded(noise(3, 3), noise(3), RATE)
+    )  # too short for 20 to 1000 Hz
+    assert np.isnan(
+        spectral_match_bounded(stand_in(silence + 9.81), silence + 3.0, RATE)
+    )  # offsets only
 
 
 def test_turning_the_sensor_changes_nothing() -> None:
@@ -135,7 +149,9 @@ def test_turning_the_sensor_changes_nothing() -> None:
     reduced = 1.4 * acceleration[0]
     expected = spectral_match_bounded(acceleration, reduced, RATE)
     for turn in random_rotations(5, np.random.default_rng(0)):
-        assert spectral_match_bounded(turn @ acceleration, reduced, RATE) == pytest.approx(expected, rel=1e-9)
+        assert spectral_match_bounded(turn @ acceleration, reduced, RATE) == pytest.approx(
+            expected, rel=1e-9
+        )
 
 
 def test_many_signals_at_once_are_matched_as_each_alone() -> None:
@@ -143,8 +159,12 @@ def test_many_signals_at_once_are_matched_as_each_alone() -> None:
     original = OriginalSpectrum(acceleration, RATE)
     plain, bounded = original.match_both(reduced)
     for place in np.ndindex(2, 4):
-        assert plain[place] == pytest.approx(spectral_match(acceleration, reduced[place], RATE), abs=1e-12)
-        assert bounded[place] == pytest.approx(spectral_match_bounded(acceleration, reduced[place], RATE), abs=1e-12)
+        assert plain[place] == pytest.approx(
+            spectral_match(acceleration, reduced[place], RATE), abs=1e-12
+        )
+        assert bounded[place] == pytest.approx(
+            spectral_match_bounded(acceleration, reduced[place], RATE), abs=1e-12
+        )
     np.testing.assert_array_equal(original.match(reduced), plain)
 
 
@@ -152,10 +172,14 @@ def test_many_signals_at_once_are_matched_as_each_alone() -> None:
 def test_both_grids(grid: str) -> None:
     acceleration = noise(3, 50_000)
     reduced = 2 * REDUCERS["dft321"](acceleration, RATE)
-    assert spectral_match_bounded(acceleration, reduced, RATE, grid=grid) == pytest.approx(0.25, rel=1e-9)
+    assert spectral_match_bounded(acceleration, reduced, RATE, grid=grid) == pytest.approx(
+        0.25, rel=1e-9
+    )
 
 
-def test_the_published_exception_stays_within_bounds_on_real_recordings(shared_recordings: Path) -> None:
+def test_the_published_exception_stays_within_bounds_on_real_recordings(
+    shared_recordings: Path,
+) -> None:
     lowest = {}
     for path in sorted(shared_recordings.iterdir()):
         if path.suffix not in {".csv", ".npz", ".wav"}:

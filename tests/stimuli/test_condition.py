@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stimuli.condition import Conditioning, condition, fade, filter_zero_phase, resample
-from stimuli.recording import Recording
+from feel321.stimuli.condition import Conditioning, condition, fade, filter_zero_phase, resample
+from feel321.stimuli.recording import Recording
 
 RATE = 8000.0
 NOTHING = Conditioning(remove_offset=False, high_pass_hz=None, low_pass_hz=None)
@@ -32,7 +32,9 @@ def test_without_steps_nothing_changes() -> None:
 
 
 def test_the_offset_goes_and_the_rest_stays() -> None:
-    conditioned = condition(recording(tones(100) + 3), Conditioning(high_pass_hz=None, low_pass_hz=None))
+    conditioned = condition(
+        recording(tones(100) + 3), Conditioning(high_pass_hz=None, low_pass_hz=None)
+    )
     np.testing.assert_allclose(conditioned.acceleration[0], tones(100), atol=1e-12)
 
 
@@ -105,7 +107,9 @@ def test_the_filter_is_linear_and_looks_both_ways_alike() -> None:
 def test_fades_are_raised_cosines_at_both_ends() -> None:
     faded = fade(np.ones((2, 1000)), 1000.0, fade_s=0.1)
     np.testing.assert_allclose(faded[:, 100:900], 1.0)
-    np.testing.assert_allclose(faded[0, :100], 0.5 - 0.5 * np.cos(np.pi * (np.arange(100) + 0.5) / 100))
+    np.testing.assert_allclose(
+        faded[0, :100], 0.5 - 0.5 * np.cos(np.pi * (np.arange(100) + 0.5) / 100)
+    )
     np.testing.assert_allclose(faded, faded[:, ::-1])
     np.testing.assert_array_equal(fade(np.ones(10), 1000.0, fade_s=0.0), 1.0)
 

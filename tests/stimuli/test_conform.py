@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from stimuli.__main__ import main
-from stimuli.conform import check_dft321, check_outputs, golden_vectors, write_vectors
-from stimuli.fourier import dft321, dft321_windowed
-from stimuli.wav import read_wav, write_wav
+from feel321.stimuli.__main__ import main
+from feel321.stimuli.conform import check_dft321, check_outputs, golden_vectors, write_vectors
+from feel321.stimuli.reducers.fourier import dft321, dft321_windowed
+from feel321.stimuli.wav import read_wav, write_wav
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -37,7 +37,9 @@ def without_conjugates(acceleration: np.ndarray, _rate_hz: float) -> np.ndarray:
     return np.fft.ifft(magnitude * np.exp(1j * np.angle(spectra.sum(axis=0)))).real
 
 
-def divided_by_window_sum(acceleration: np.ndarray, _rate_hz: float, *, length: int = 36) -> np.ndarray:
+def divided_by_window_sum(
+    acceleration: np.ndarray, _rate_hz: float, *, length: int = 36
+) -> np.ndarray:
     n, hop = acceleration.shape[1], length // 2
     window = np.hanning(length)
     padded = np.pad(acceleration, ((0, 0), (0, length + (-n) % hop)))
@@ -99,7 +101,9 @@ def test_energy_is_judged_where_the_shape_has_slack() -> None:
         collinear = np.linalg.matrix_rank(acceleration, tol=1e-9) <= 1
         return reduced if collinear else 0.95 * reduced
 
-    with pytest.raises(ValueError, match=r"circular_motion_in_frames: holds 0.90\d times the energy"):
+    with pytest.raises(
+        ValueError, match=r"circular_motion_in_frames: holds 0.90\d times the energy"
+    ):
         check_dft321(weaker, form="windowed")
 
 
@@ -110,7 +114,17 @@ def test_an_unknown_form_is_refused() -> None:
 
 def test_the_vectors_cover_what_the_field_got_wrong() -> None:
     names = " ".join(vector.name for vector in golden_vectors())
-    for topic in ("_1 ", "_2 ", "_3 ", "offset", "nyquist", "silent", "circular", "anti_phase", "window_edges"):
+    for topic in (
+        "_1 ",
+        "_2 ",
+        "_3 ",
+        "offset",
+        "nyquist",
+        "silent",
+        "circular",
+        "anti_phase",
+        "window_edges",
+    ):
         assert topic in names
     lengths = {vector.expected.size % 2 for vector in golden_vectors()}
     assert lengths == {0, 1}
@@ -137,12 +151,18 @@ def test_a_port_in_another_language_is_judged_by_its_files(tmp_path: Path) -> No
 def test_the_module_is_a_program(tmp_path: Path) -> None:
     program = [sys.executable, "-m", "stimuli"]
     assert subprocess.run([*program, "write-vectors", str(tmp_path)], check=False).returncode == 0
-    refused = subprocess.run([*program, "check-vectors", str(tmp_path)], check=False, capture_output=True, text=True)
+    refused = subprocess.run(
+        [*program, "check-vectors", str(tmp_path)], check=False, capture_output=True, text=True
+    )
     assert refused.returncode == 1
-    assert refused.stderr.startswith("dft321 does not conform: equal_axes_1: equal_axes_1.out.wav is missing")
+    assert refused.stderr.startswith(
+        "dft321 does not conform: equal_axes_1: equal_axes_1.out.wav is missing"
+    )
 
 
-def test_the_module_runs_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_module_runs_from_the_command_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["write-vectors", str(tmp_path), "--form", "windowed"]) == 0
     assert main(["check-vectors", str(tmp_path), "--form", "windowed"]) == 1
     assert "is missing" in capsys.readouterr().err

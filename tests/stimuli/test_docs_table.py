@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stimuli.condition import Conditioning, condition
-from stimuli.match import spectral_match, spectral_match_bounded, temporal_match
-from stimuli.reduce import REDUCERS
-from stimuli.synthesis import SCENES, make_scene
+from feel321.stimuli.condition import Conditioning, condition
+from feel321.stimuli.match import spectral_match, spectral_match_bounded, temporal_match
+from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.synthesis import SCENES, make_scene
 
 COLUMNS = ["sax321", "say321", "saz321", "soc321", "mag321", "pca321", "dft321", "dft321_windowed"]
 HALF_A_DIGIT = 0.005 + 1e-6
@@ -35,7 +35,9 @@ def matches(name: str) -> list[list[float]]:
 
 @pytest.mark.parametrize("name", SCENES)
 def test_the_rows_of_a_scene_are_computed(name: str) -> None:
-    paper, bounded = re.findall(rf"^\| `{name}` \|(.*)\|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
+    paper, bounded = re.findall(
+        rf"^\| `{name}` \|(.*)\|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE
+    )
     cells = zip(paper.split("|"), bounded.split("|"), strict=True)
     numbers = [[float(match) for match in [*pair.split("/"), one]] for pair, one in cells]
     assert np.array(numbers) == pytest.approx(np.array(matches(name)), abs=HALF_A_DIGIT)

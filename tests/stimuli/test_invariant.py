@@ -5,12 +5,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import stimuli
-from stimuli.invariant import INVARIANTS, spectral_match_energy_weighted, temporal_match_invariant
-from stimuli.match import METRICS, spectral_match, temporal_match, temporal_match_details
-from stimuli.reduce import REDUCERS
-from stimuli.rotation import random_rotations
-from stimuli.spectrum import WeberSmoothing, energy_spectrum, linear_grid
+from feel321 import stimuli
+from feel321.stimuli.match import (
+    METRICS,
+    WeberSmoothing,
+    energy_spectrum,
+    linear_grid,
+    spectral_match,
+    temporal_match,
+    temporal_match_details,
+)
+from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.rotation import (
+    INVARIANTS,
+    random_rotations,
+    spectral_match_energy_weighted,
+    temporal_match_invariant,
+)
 
 RATE = 4000.0
 SEEDS = st.integers(0, 2**32 - 1)
@@ -22,17 +33,23 @@ def noise(*shape: int, seed: int = 0) -> np.ndarray:
 
 def uneven(n: int, seed: int) -> np.ndarray:
     rng = np.random.default_rng(seed)
-    return rng.standard_normal((3, 3)) @ (rng.standard_normal((3, n)) * rng.uniform(0.01, 3, (3, 1)))
+    return rng.standard_normal((3, 3)) @ (
+        rng.standard_normal((3, n)) * rng.uniform(0.01, 3, (3, 1))
+    )
 
 
 def smoothed(acceleration: np.ndarray, reduced: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     n = reduced.size
     smooth = WeberSmoothing(linear_grid(n, RATE), RATE / n, n // 2 + 1)
-    return smooth(energy_spectrum(acceleration, smooth.bins).sum(axis=0)), smooth(energy_spectrum(reduced, smooth.bins))
+    return smooth(energy_spectrum(acceleration, smooth.bins).sum(axis=0)), smooth(
+        energy_spectrum(reduced, smooth.bins)
+    )
 
 
 def test_every_metric_has_a_counterpart_of_its_name() -> None:
-    assert list(INVARIANTS) == [name for name in METRICS if name != "spectral_match_bounded"]  # invariant itself
+    assert list(INVARIANTS) == [
+        name for name in METRICS if name != "spectral_match_bounded"
+    ]  # invariant itself
     for counterpart in INVARIANTS.values():
         assert isinstance(counterpart(noise(3, 400), noise(400), RATE), float)
 
@@ -40,12 +57,16 @@ def test_every_metric_has_a_counterpart_of_its_name() -> None:
 @pytest.mark.parametrize("counterpart", INVARIANTS.values(), ids=list(INVARIANTS))
 @settings(max_examples=40, deadline=None)
 @given(seed=SEEDS, n=st.integers(1, 600))
-def test_turning_or_mirroring_the_sensor_changes_nothing(counterpart: object, seed: int, n: int) -> None:
+def test_turning_or_mirroring_the_sensor_changes_nothing(
+    counterpart: object, seed: int, n: int
+) -> None:
     acceleration, reduced = uneven(n, seed), noise(n, seed=seed)
     (turn,) = random_rotations(1, np.random.default_rng(seed))
     once = counterpart(acceleration, reduced, RATE)
     for way in (turn, -turn, np.diag([1, -1, 1]), np.eye(3)[[2, 0, 1]]):
-        assert counterpart(way @ acceleration, reduced, RATE) == pytest.approx(once, abs=1e-9, nan_ok=True)
+        assert counterpart(way @ acceleration, reduced, RATE) == pytest.approx(
+            once, abs=1e-9, nan_ok=True
+        )
 
 
 @pytest.mark.parametrize("counterpart", INVARIANTS.values(), ids=list(INVARIANTS))
@@ -54,7 +75,11 @@ def test_turning_or_mirroring_the_sensor_changes_nothing(counterpart: object, se
 def test_between_0_and_1_whatever_the_signals(
     counterpart: object, seed: int, n: int, size: float, exponent: float
 ) -> None:
-    assert 0 <= counterpart(10.0**exponent * uneven(n, seed), 10.0**size * noise(n, seed=seed), RATE) <= 1
+    assert (
+        0
+        <= counterpart(10.0**exponent * uneven(n, seed), 10.0**size * noise(n, seed=seed), RATE)
+        <= 1
+    )
 
 
 # --- temporal --------------------------------------------------------------------------------------------------------
@@ -66,7 +91,9 @@ def test_the_leading_axis_reaches_the_upper_bound_and_nothing_passes_it(seed: in
     acceleration = uneven(n, seed)
     values, axes = np.linalg.eigh(acceleration @ acceleration.T)
     bound = np.sqrt(values[-1] / values.sum())
-    assert temporal_match_invariant(acceleration, axes[:, -1] @ acceleration) == pytest.approx(bound, abs=1e-9)
+    assert temporal_match_invariant(acceleration, axes[:, -1] @ acceleration) == pytest.approx(
+        bound, abs=1e-9
+    )
     for reducer in REDUCERS.values():
         assert temporal_match_invariant(acceleration, reducer(acceleration, RATE)) <= bound + 1e-9
 
@@ -75,7 +102,10 @@ def test_the_leading_axis_reaches_the_upper_bound_and_nothing_passes_it(seed: in
 @given(seed=SEEDS, n=st.integers(2, 300))
 def test_bounds_between_the_papers_temporal_match_and_its_counterpart(seed: int, n: int) -> None:
     acceleration, reduced = uneven(n, seed), noise(n, seed=seed)
-    paper, own = temporal_match(acceleration, reduced), temporal_match_invariant(acceleration, reduced)
+    paper, own = (
+        temporal_match(acceleration, reduced),
+        temporal_match_invariant(acceleration, reduced),
+    )
     correlations = np.array(temporal_match_details(acceleration, reduced).correlations)
     shares = (acceleration**2).sum(axis=1) / (acceleration**2).sum()
     assert own == pytest.approx(np.sqrt(shares @ correlations**2), rel=1e-9)
@@ -88,13 +118,18 @@ def test_on_equally_strong_axes_it_is_at_least_the_papers() -> None:
     for seed in range(20):
         acceleration, reduced = uneven(200, seed), noise(200, seed=seed)
         acceleration /= np.linalg.norm(acceleration, axis=1, keepdims=True)
-        paper, own = temporal_match(acceleration, reduced), temporal_match_invariant(acceleration, reduced)
+        paper, own = (
+            temporal_match(acceleration, reduced),
+            temporal_match_invariant(acceleration, reduced),
+        )
         assert own / np.sqrt(3) <= paper <= own
 
 
 def test_motion_along_one_line_is_matched_by_itself_in_any_unit() -> None:
     wave = noise(500)
-    assert temporal_match_invariant(np.outer((1, -2, 3e-5), wave), -7e-200 * wave) == pytest.approx(1.0, abs=1e-12)
+    assert temporal_match_invariant(np.outer((1, -2, 3e-5), wave), -7e-200 * wave) == pytest.approx(
+        1.0, abs=1e-12
+    )
 
 
 def test_a_whisper_on_one_axis_does_not_count_as_much_as_the_motion() -> None:
@@ -115,12 +150,16 @@ def test_silence_in_time_matches_nothing() -> None:
 
 @settings(max_examples=40, deadline=None)
 @given(seed=SEEDS, n=st.integers(400, 900), name=st.sampled_from(list(REDUCERS)))
-def test_it_is_the_ratio_of_minima_to_maxima_and_obeys_its_bounds(seed: int, n: int, name: str) -> None:
+def test_it_is_the_ratio_of_minima_to_maxima_and_obeys_its_bounds(
+    seed: int, n: int, name: str
+) -> None:
     acceleration = uneven(n, seed)
     reduced = REDUCERS[name](acceleration, RATE)
     own = spectral_match_energy_weighted(acceleration, reduced, RATE)
     there, kept = smoothed(acceleration, reduced)
-    assert own == pytest.approx(np.minimum(there, kept).sum() / np.maximum(there, kept).sum(), abs=1e-9)
+    assert own == pytest.approx(
+        np.minimum(there, kept).sum() / np.maximum(there, kept).sum(), abs=1e-9
+    )
     assert own >= 1 - np.abs(there - kept).sum() / there.sum() - 1e-9
     assert own >= 1 - (np.abs(there - kept) / there).max() - 1e-9
     assert own <= min(there.sum(), kept.sum()) / max(there.sum(), kept.sum()) + 1e-9
@@ -131,15 +170,21 @@ def test_it_is_the_ratio_of_minima_to_maxima_and_obeys_its_bounds(seed: int, n: 
 def test_a_gain_of_the_energy_scores_itself_or_its_inverse(gain: float) -> None:
     acceleration = noise(3, 2000)
     reduced = np.sqrt(gain) * REDUCERS["dft321"](acceleration, RATE)
-    assert spectral_match_energy_weighted(acceleration, reduced, RATE) == pytest.approx(min(gain, 1 / gain), rel=1e-9)
+    assert spectral_match_energy_weighted(acceleration, reduced, RATE) == pytest.approx(
+        min(gain, 1 / gain), rel=1e-9
+    )
 
 
 def test_it_is_one_where_the_papers_is_and_equals_it_for_a_loss_alike_everywhere() -> None:
     acceleration = noise(3, 3000) + 1e6  # a large offset must not cost accuracy
     reduced = REDUCERS["dft321"](acceleration, RATE)
-    assert spectral_match_energy_weighted(acceleration, reduced, RATE) == pytest.approx(1.0, abs=1e-9)
+    assert spectral_match_energy_weighted(acceleration, reduced, RATE) == pytest.approx(
+        1.0, abs=1e-9
+    )
     weaker = spectral_match(acceleration, 0.6 * reduced, RATE)
-    assert spectral_match_energy_weighted(acceleration, 0.6 * reduced, RATE) == pytest.approx(weaker, abs=1e-9)
+    assert spectral_match_energy_weighted(acceleration, 0.6 * reduced, RATE) == pytest.approx(
+        weaker, abs=1e-9
+    )
 
 
 def test_bands_without_energy_do_not_explode() -> None:
@@ -179,7 +224,11 @@ def test_the_former_name_still_works() -> None:
     [
         (np.ones((3, 5)), np.ones(4), r"got shape \(4,\), allowed is \(5,\)"),
         (np.ones((2, 3, 5)), np.ones(5), "one recording at a time"),
-        (np.ones((3, 5)), np.array([1, 2, np.nan, 4, 5]), "reduced: got 1 values that are not finite"),
+        (
+            np.ones((3, 5)),
+            np.array([1, 2, np.nan, 4, 5]),
+            "reduced: got 1 values that are not finite",
+        ),
         (np.full((3, 5), np.inf), np.ones(5), "acceleration: got 15 values"),
         (np.ones((2, 5)), np.ones(5), "three axes"),
     ],

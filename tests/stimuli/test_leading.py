@@ -9,15 +9,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stimuli import leading, tracking
-from stimuli.condition import Conditioning, condition
-from stimuli.fourier import dft321
-from stimuli.invariant import temporal_match_invariant
-from stimuli.leading import align, dft321_principal, find_onset, measure, tilt
-from stimuli.match import spectral_match, spectral_match_details
-from stimuli.rotation import random_rotations
-from stimuli.synthesis import SCENES, make_scene
-from stimuli.tracking import TrackingFrames, dft321_principal_windowed
+from feel321.stimuli.condition import Conditioning, condition
+from feel321.stimuli.match import spectral_match, spectral_match_details
+from feel321.stimuli.reducers import fourier
+from feel321.stimuli.reducers.fourier import (
+    TrackingFrames,
+    align,
+    dft321,
+    dft321_principal,
+    dft321_principal_windowed,
+    find_onset,
+    measure,
+    tilt,
+)
+from feel321.stimuli.rotation import random_rotations, temporal_match_invariant
+from feel321.stimuli.synthesis import SCENES, make_scene
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -101,13 +107,21 @@ def test_even_where_no_axis_leads(reduce: Callable[..., np.ndarray], n: int) -> 
 
 
 @settings(max_examples=80, deadline=None)
-@given(seed=SEEDS, n=st.integers(1, 600), size=st.floats(-150, 150), offset=st.sampled_from([0.0, 10.0, 1e4]))
+@given(
+    seed=SEEDS,
+    n=st.integers(1, 600),
+    size=st.floats(-150, 150),
+    offset=st.sampled_from([0.0, 10.0, 1e4]),
+)
 def test_equation_3_holds_at_every_frequency(seed: int, n: int, size: float, offset: float) -> None:
     acceleration = 10.0**size * (uneven(n, seed) + offset)
     reduced = dft321_principal(acceleration, RATE)
     energy = np.sum(np.abs(np.fft.rfft(acceleration / 10.0**size)) ** 2, axis=0)
     np.testing.assert_allclose(
-        np.abs(np.fft.rfft(reduced / 10.0**size)), np.sqrt(energy), rtol=1e-9, atol=1e-12 * np.sqrt(energy.max())
+        np.abs(np.fft.rfft(reduced / 10.0**size)),
+        np.sqrt(energy),
+        rtol=1e-9,
+        atol=1e-12 * np.sqrt(energy.max()),
     )
     details = spectral_match_details(acceleration, reduced, RATE)
     assert details.reason or details.value == pytest.approx(1.0, abs=1e-9)
@@ -116,7 +130,9 @@ def test_equation_3_holds_at_every_frequency(seed: int, n: int, size: float, off
 @BOTH
 @settings(max_examples=40, deadline=None)
 @given(seed=SEEDS, n=st.integers(1, 400))
-def test_motion_along_one_line_is_that_motion(reduce: Callable[..., np.ndarray], seed: int, n: int) -> None:
+def test_motion_along_one_line_is_that_motion(
+    reduce: Callable[..., np.ndarray], seed: int, n: int
+) -> None:
     wave, line = noise(n, seed=seed), noise(3, seed=seed + 1)
     assert change(np.linalg.norm(line) * wave, reduce(np.outer(line, wave), RATE)) < 1e-9
 
@@ -124,7 +140,9 @@ def test_motion_along_one_line_is_that_motion(reduce: Callable[..., np.ndarray],
 def test_the_onset_goes_up() -> None:
     wave = np.r_[np.zeros(50), -1.0, 3.0, -4.0, noise(200)]
     wave -= wave.mean()
-    np.testing.assert_allclose(dft321_principal(np.outer((0.6, 0.0, -0.8), -wave), RATE), wave, atol=1e-12)
+    np.testing.assert_allclose(
+        dft321_principal(np.outer((0.6, 0.0, -0.8), -wave), RATE), wave, atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("name", ["bumps", "hard_taps", "isotropic_rumble"])
@@ -159,7 +177,9 @@ def test_no_other_phase_does_better_than_the_best_axis() -> None:
     axes = noise(4000, 3)
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     best = np.max(np.abs(axes @ spectra) @ np.sqrt(energy)) / energy.sum()
-    assert temporal_match_invariant(acceleration, dft321_principal(acceleration, RATE)) <= best * 1.001
+    assert (
+        temporal_match_invariant(acceleration, dft321_principal(acceleration, RATE)) <= best * 1.001
+    )
     for seed in range(50):
         phases = np.exp(2j * np.pi * np.random.default_rng(seed).uniform(size=energy.size))
         random = np.fft.irfft(np.sqrt(energy) * phases, 301)
@@ -169,7 +189,11 @@ def test_no_other_phase_does_better_than_the_best_axis() -> None:
 def test_two_tones_across_each_other_are_not_left_to_noise() -> None:
     """The second tone is perpendicular to the first principal axis: its phase would be that of the sensor's noise."""
     time = np.arange(8000) / RATE
-    acceleration = np.array([np.sin(2 * np.pi * 100 * time), 0.6 * np.sin(2 * np.pi * 231 * time + 0.4), 0 * time])
+    acceleration = np.array([
+        np.sin(2 * np.pi * 100 * time),
+        0.6 * np.sin(2 * np.pi * 231 * time + 0.4),
+        0 * time,
+    ])
     acceleration += 1e-4 * noise(3, 8000)
     assert gain(dft321_principal, acceleration) < 3
 
@@ -217,7 +241,9 @@ def test_onset_is_the_first_sample_of_half_the_peak_or_the_offset_or_nothing() -
     acceleration[:, 4], acceleration[:, 5] = (0.0, -0.6, 0.0), (1.0, 0.0, 0.0)
     acceleration[:, 6], acceleration[:, 7] = (-1.0, 0.0, 0.0), (0.0, 0.6, 0.0)
     np.testing.assert_allclose(find_onset(acceleration)[0], (0.0, -1.0, 0.0))
-    np.testing.assert_allclose(find_onset(np.outer((0.0, 3.0, 4.0), np.ones(7)))[0], (0.0, 0.6, 0.8))
+    np.testing.assert_allclose(
+        find_onset(np.outer((0.0, 3.0, 4.0), np.ones(7)))[0], (0.0, 0.6, 0.8)
+    )
     np.testing.assert_allclose(find_onset(np.zeros((2, 3, 7)))[0], np.full((2, 3), 1 / np.sqrt(3)))
     for offset, n in (((0.0, 3.0, 4.0), 7), ((1.1, 3.3, 4.7), 13), ((0.0, 0.0, 0.0), 7)):
         onset, anchor = find_onset(np.outer(offset, np.ones(n)))
@@ -242,7 +268,9 @@ def test_noise_does_not_choose_the_onset_where_a_peak_just_reaches_half() -> Non
 @pytest.mark.parametrize("seed", [301, 303])
 def test_noise_does_not_choose_the_onset_of_a_drag(seed: int) -> None:
     """In these takes a peak of the first loud frame just reaches half: the gain was 35 and 57 while that was a step."""
-    drag = condition(make_scene("texture_drag", duration_s=4.0, seed=seed), Conditioning()).acceleration[:, :20000]
+    drag = condition(
+        make_scene("texture_drag", duration_s=4.0, seed=seed), Conditioning()
+    ).acceleration[:, :20000]
     once = dft321_principal_windowed(drag, 10000.0)
     for draw in range(5):
         hiss = noise(*drag.shape, seed=draw)
@@ -274,12 +302,14 @@ def test_the_match_is_better_on_average() -> None:
 
 
 @BOTH
-def test_weak_directions_are_looked_at(reduce: Callable[..., np.ndarray], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_weak_directions_are_looked_at(
+    reduce: Callable[..., np.ndarray], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Noise of 2 % across two tones: its phase must be its own, not that of what is added at -60 dB."""
     time = 2 * np.pi * np.arange(8000) / RATE
     tones = np.array([np.sin(100 * time), 0.6 * np.sin(231.7 * time + 0.4), 0.02 * noise(8000)])
     assert gain(reduce, tones) < 3
-    monkeypatch.setattr(leading, "TILT", 0.0)
+    monkeypatch.setattr(fourier, "TILT", 0.0)
     assert gain(reduce, tones) > 10
 
 
@@ -287,7 +317,7 @@ def test_the_onset_leads_frames_where_no_direction_does(monkeypatch: pytest.Monk
     turn = 2 * np.pi * 140 * np.arange(4000) / RATE
     circle = np.array([np.cos(turn + 0.3), np.sin(turn + 0.3), 0 * turn])
     assert gain(dft321_principal_windowed, circle) < 2
-    monkeypatch.setattr(tracking, "PULL", 0.0)
+    monkeypatch.setattr(fourier, "PULL_PER_FRAME", 0.0)
     assert gain(dft321_principal_windowed, circle) > 3
 
 
@@ -313,7 +343,7 @@ def test_axes_of_neighbouring_frames_never_turn_about(monkeypatch: pytest.Monkey
         used.append(axis)
         return align(spectra, energy, axis=axis)
 
-    monkeypatch.setattr("stimuli.tracking.align", watch)
+    monkeypatch.setattr("feel321.stimuli.reducers.fourier.align", watch)
     for name in SCENES:
         used.clear()
         dft321_principal_windowed(scene(name), 10000.0)
@@ -328,9 +358,14 @@ def test_the_axis_follows_motion_that_turns_slowly() -> None:
     n = 60_000
     angle = np.linspace(0, np.pi, n)  # half a turn in 15 s
     wave = np.sin(2 * np.pi * 123.4 * np.arange(n) / RATE)
-    reduced = dft321_principal_windowed(np.array([np.cos(angle), np.sin(angle), 0 * angle]) * wave, RATE)
+    reduced = dft321_principal_windowed(
+        np.array([np.cos(angle), np.sin(angle), 0 * angle]) * wave, RATE
+    )
     np.testing.assert_allclose(np.abs(reduced[8000:-200]), np.abs(wave[8000:-200]), atol=0.1)
-    kept = [reduced[start : start + 200] @ wave[start : start + 200] for start in range(8000, n - 200, 200)]
+    kept = [
+        reduced[start : start + 200] @ wave[start : start + 200]
+        for start in range(8000, n - 200, 200)
+    ]
     assert min(kept) > 0 or max(kept) < 0
 
 
@@ -341,7 +376,10 @@ def test_silence_before_and_between_costs_nothing() -> None:
 
 
 def test_members_of_a_batch_have_onsets_of_their_own() -> None:
-    early, late = noise(3, 3000), np.roll(np.pad(noise(3, 1500, seed=1), ((0, 0), (0, 1500))), 1400, axis=1)
+    early, late = (
+        noise(3, 3000),
+        np.roll(np.pad(noise(3, 1500, seed=1), ((0, 0), (0, 1500))), 1400, axis=1),
+    )
     together = dft321_principal_windowed(np.array([early, late]), RATE)
     alone = [dft321_principal_windowed(one, RATE) for one in (early, late)]
     np.testing.assert_allclose(together, alone, atol=1e-12)
@@ -359,14 +397,18 @@ def test_pushes_of_any_size_give_the_same_frames() -> None:
     valid = np.ones((12, 20), dtype=bool)
     whole = TrackingFrames((), 20).push(blocks, valid)
     other = TrackingFrames((), 20)
-    parts = [other.push(blocks[:, at : at + k], valid[at : at + k]) for at, k in ((0, 1), (1, 4), (5, 7))]
+    parts = [
+        other.push(blocks[:, at : at + k], valid[at : at + k]) for at, k in ((0, 1), (1, 4), (5, 7))
+    ]
     np.testing.assert_allclose(np.concatenate(parts), whole, rtol=1e-12, atol=1e-12)
 
 
 def test_frames_before_the_first_tap_do_not_choose_the_axis() -> None:
     """A tap where one frame ends: the frames before it hold nothing, or noise."""
     lag = np.maximum(np.arange(4000) - 20 * 70, 0) / RATE
-    tap = np.array([np.sin(2 * np.pi * f * lag) * np.exp(-lag / d) for f, d in ((95, 0.0075), (210, 0.0045))])
+    tap = np.array([
+        np.sin(2 * np.pi * f * lag) * np.exp(-lag / d) for f, d in ((95, 0.0075), (210, 0.0045))
+    ])
     assert gain(dft321_principal_windowed, np.array([*tap, 0.3 * tap[1]])) < 3
 
 
@@ -379,7 +421,9 @@ def test_a_swing_through_zero_does_not_jump() -> None:
         processor.merge(spectra, np.ones((3, 1, 40)) * np.array([1.0, 0.0, 0.0])[:, None, None])
         turned = [part.copy() for part in spectra]
         turned[0][:, [0, -1]], turned[1][:, [0, -1]] = across, 1.0
-        found.append(processor.merge(turned, np.ones((3, 1, 40)) * np.array([1.0, 0.0, 0.0])[:, None, None]))
+        found.append(
+            processor.merge(turned, np.ones((3, 1, 40)) * np.array([1.0, 0.0, 0.0])[:, None, None])
+        )
     np.testing.assert_allclose(*found, atol=0.1)
 
 
@@ -391,7 +435,9 @@ def test_silence_before_the_first_sound_takes_no_part_in_the_sign(seed: int) -> 
     alone = TrackingFrames((), 20).push(motion[:, 2:], np.ones((6, 20), dtype=bool))
     np.testing.assert_allclose(whole[2:], alone, atol=1e-12)
     for turn in random_rotations(4, np.random.default_rng(seed)):
-        turned = TrackingFrames((), 20).push(np.einsum("ij,jmk->imk", turn, motion), np.ones((8, 20), dtype=bool))
+        turned = TrackingFrames((), 20).push(
+            np.einsum("ij,jmk->imk", turn, motion), np.ones((8, 20), dtype=bool)
+        )
         np.testing.assert_allclose(turned, whole, atol=1e-9)
     other = TrackingFrames((), 20)
     parts = [other.push(motion[:, at : at + 1], np.ones((1, 20), dtype=bool)) for at in range(8)]

@@ -5,14 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stimuli.match import (
+from feel321.stimuli.match import (
     METRICS,
     spectral_match,
     spectral_match_details,
     temporal_match,
     temporal_match_details,
 )
-from stimuli.reduce import REDUCERS
+from feel321.stimuli.reducers.registry import REDUCERS
 
 RATE = 4000.0
 
@@ -48,10 +48,14 @@ def test_spectral_match_against_brute_force(name: str, n: int) -> None:
     )
 
 
-@pytest.mark.parametrize(("axis", "expected"), [("sax321", 1 / 6), ("say321", 2 / 6), ("saz321", 3 / 6)])
+@pytest.mark.parametrize(
+    ("axis", "expected"), [("sax321", 1 / 6), ("say321", 2 / 6), ("saz321", 3 / 6)]
+)
 def test_white_axes_with_energies_1_2_3(axis: str, expected: float) -> None:
     acceleration = noise(3, 100_000) * np.sqrt([[1.0], [2.0], [3.0]])
-    assert spectral_match(acceleration, REDUCERS[axis](acceleration, RATE), RATE) == pytest.approx(expected, abs=0.01)
+    assert spectral_match(acceleration, REDUCERS[axis](acceleration, RATE), RATE) == pytest.approx(
+        expected, abs=0.01
+    )
 
 
 def test_anti_phase_axes_cancel_in_their_sum() -> None:
@@ -62,11 +66,15 @@ def test_anti_phase_axes_cancel_in_their_sum() -> None:
 
 def test_three_equal_axes_triple_in_their_sum() -> None:
     acceleration = np.tile(noise(5000), (3, 1))
-    assert spectral_match(acceleration, REDUCERS["soc321"](acceleration, RATE), RATE) == pytest.approx(-1.0, abs=1e-12)
+    assert spectral_match(
+        acceleration, REDUCERS["soc321"](acceleration, RATE), RATE
+    ) == pytest.approx(-1.0, abs=1e-12)
 
 
 @settings(max_examples=40)
-@given(exponent=st.integers(-900, 900), seed=st.integers(0, 99), name=st.sampled_from(list(REDUCERS)))
+@given(
+    exponent=st.integers(-900, 900), seed=st.integers(0, 99), name=st.sampled_from(list(REDUCERS))
+)
 def test_scaling_a_recording_changes_neither_metric(exponent: int, seed: int, name: str) -> None:
     acceleration = noise(3, 500, seed=seed)
     scaled = np.ldexp(acceleration, exponent)
@@ -81,7 +89,9 @@ def test_spectral_match_of_a_gain_is_known(gain: float) -> None:
     """A reduced signal with g squared times the energy everywhere scores 1 - |1 - g squared|."""
     acceleration = noise(3, 2000)
     reduced = gain * REDUCERS["dft321"](acceleration, RATE)
-    assert spectral_match(acceleration, reduced, RATE) == pytest.approx(1 - abs(1 - gain**2), abs=1e-9)
+    assert spectral_match(acceleration, reduced, RATE) == pytest.approx(
+        1 - abs(1 - gain**2), abs=1e-9
+    )
 
 
 def test_spectral_match_is_blind_to_time_and_temporal_match_to_gain() -> None:
@@ -89,7 +99,9 @@ def test_spectral_match_is_blind_to_time_and_temporal_match_to_gain() -> None:
     reduced = REDUCERS["dft321"](acceleration, RATE)
     assert spectral_match(acceleration, reduced[::-1], RATE) == pytest.approx(1.0, abs=1e-9)
     assert temporal_match(acceleration, reduced[::-1]) < 0.2
-    assert temporal_match(acceleration, -7 * reduced) == pytest.approx(temporal_match(acceleration, reduced), rel=1e-12)
+    assert temporal_match(acceleration, -7 * reduced) == pytest.approx(
+        temporal_match(acceleration, reduced), rel=1e-12
+    )
 
 
 def test_details_name_the_range_and_count_what_is_left_out() -> None:
@@ -154,7 +166,9 @@ def test_a_match_over_no_frequency_has_a_reason(acceleration: np.ndarray, reason
 
 def test_temporal_match_is_the_mean_absolute_correlation() -> None:
     acceleration, reduced = noise(3, 700), noise(700, seed=9)
-    expected = np.mean([abs(axis @ reduced) / np.sqrt((axis @ axis) * (reduced @ reduced)) for axis in acceleration])
+    expected = np.mean([
+        abs(axis @ reduced) / np.sqrt((axis @ axis) * (reduced @ reduced)) for axis in acceleration
+    ])
     assert temporal_match(acceleration, reduced) == pytest.approx(expected, rel=1e-12)
 
 
@@ -201,7 +215,10 @@ def test_a_silent_reduced_signal_scores_zero_and_is_reported() -> None:
 def test_a_silent_recording_has_no_temporal_match(reduced: np.ndarray) -> None:
     nothing = temporal_match_details(np.zeros((3, 50)), reduced)
     assert np.isnan(nothing.value)
-    assert (nothing.silent_axes, nothing.reason) == ((0, 1, 2), "all three axes of the recording are silent")
+    assert (nothing.silent_axes, nothing.reason) == (
+        (0, 1, 2),
+        "all three axes of the recording are silent",
+    )
 
 
 def test_every_metric_is_called_alike() -> None:
@@ -220,11 +237,17 @@ def test_every_metric_is_called_alike() -> None:
         (np.ones((3, 5)), np.ones((3, 5)), "one axis"),
         (np.ones((2, 3, 5)), np.ones(5), "one recording at a time"),
         (np.ones((3, 0)), np.ones(0), "n >= 1"),
-        (np.ones((3, 5)), np.array([1, 2, np.nan, 4, 5]), "reduced: got 1 values that are not finite"),
+        (
+            np.ones((3, 5)),
+            np.array([1, 2, np.nan, 4, 5]),
+            "reduced: got 1 values that are not finite",
+        ),
         (np.full((3, 5), np.inf), np.ones(5), "acceleration: got 15 values"),
         (np.ones((2, 5)), np.ones(5), "three axes"),
     ],
 )
-def test_bad_pairs_are_refused(metric: object, acceleration: np.ndarray, reduced: np.ndarray, message: str) -> None:
+def test_bad_pairs_are_refused(
+    metric: object, acceleration: np.ndarray, reduced: np.ndarray, message: str
+) -> None:
     with pytest.raises(ValueError, match=message):
         metric(acceleration, reduced, RATE)

@@ -5,9 +5,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stimuli.matched import FORGETTING_S, MOST_GAIN, match_energy, pca321_matched, pca321_matched_windowed
-from stimuli.principal import pca321
-from stimuli.reduce import DEFAULT_REDUCERS, REDUCERS
+from feel321.stimuli.reducers.axes import pca321
+from feel321.stimuli.reducers.matched import (
+    FORGETTING_S,
+    MOST_GAIN,
+    match_energy,
+    pca321_matched,
+    pca321_matched_windowed,
+)
+from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
 
 RATE = 1000.0
 MATCHED = [name for name in REDUCERS if "matched" in name]
@@ -53,7 +59,9 @@ def test_the_principal_axis_with_the_energy_of_all_about_their_means(seed: int) 
 def test_a_motion_along_one_line_comes_out_whole(name: str) -> None:
     wave = noise(2000)
     reduced = REDUCERS[name](np.outer((2.0, 6.0, 3.0), wave), RATE)
-    np.testing.assert_allclose(reduced, 7 * (wave - wave.mean() * (name == "pca321_matched")), atol=1e-9)
+    np.testing.assert_allclose(
+        reduced, 7 * (wave - wave.mean() * (name == "pca321_matched")), atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("name", [*WHOLE, *RUNNING])
@@ -73,7 +81,9 @@ def test_a_running_gain_never_spikes(seed: int, place: int) -> None:
     acceleration[1, :place] = 0.0
     for name in RUNNING:
         reduced = REDUCERS[name](acceleration, RATE)
-        assert np.all(np.abs(reduced) <= MOST_GAIN * np.abs(acceleration["xyz".index(name[2])]) * (1 + 1e-12))
+        assert np.all(
+            np.abs(reduced) <= MOST_GAIN * np.abs(acceleration["xyz".index(name[2])]) * (1 + 1e-12)
+        )
 
 
 @pytest.mark.parametrize("name", RUNNING)
@@ -86,8 +96,10 @@ def test_the_running_gain_is_the_one_of_the_forgotten_past(name: str) -> None:
     assert REDUCERS[name](acceleration, RATE)[last] == pytest.approx(expected)
 
 
-@pytest.mark.parametrize(("causal", "whole"), [*zip(RUNNING, WHOLE, strict=True),
-                                               ("pca321_matched_windowed", "pca321_matched")])
+@pytest.mark.parametrize(
+    ("causal", "whole"),
+    [*zip(RUNNING, WHOLE, strict=True), ("pca321_matched_windowed", "pca321_matched")],
+)
 def test_causal_forms_come_to_the_whole_one_in_steady_motion(causal: str, whole: str) -> None:
     mixing = np.array([[1.0, 0.2, 0.1], [0.5, 0.6, 0.0], [0.3, -0.2, 0.4]])
     acceleration = mixing @ noise(3, 6000, seed=2)
@@ -101,7 +113,9 @@ def test_the_windowed_form_turns_with_the_sensor(window_s: float) -> None:
     acceleration = noise(3, 1500, seed=3) * np.array([[1.0], [2.0], [0.7]])
     turn = np.linalg.qr(noise(3, 3, seed=8))[0]
     once = pca321_matched_windowed(acceleration, RATE, window_s=window_s)
-    assert change(once, pca321_matched_windowed(turn @ acceleration, RATE, window_s=window_s)) < 1e-9
+    assert (
+        change(once, pca321_matched_windowed(turn @ acceleration, RATE, window_s=window_s)) < 1e-9
+    )
 
 
 def test_the_axis_of_a_circle_is_held_where_it_is() -> None:
@@ -123,7 +137,9 @@ def test_an_axis_that_begins_after_silence_is_there_at_once() -> None:
 def test_noise_before_a_tap_does_not_hold_the_axis() -> None:
     taps = np.zeros((3, 600))
     for axis, period in enumerate((7.0, 11.0, 17.0)):
-        taps[axis, 216:] = np.exp(-np.arange(384) / 30) * np.sin(2 * np.pi * np.arange(384) / period)
+        taps[axis, 216:] = np.exp(-np.arange(384) / 30) * np.sin(
+            2 * np.pi * np.arange(384) / period
+        )
     hiss = 1e-3 * np.linalg.norm(taps) / np.sqrt(taps.size) * noise(3, 600, seed=6)
     once = pca321_matched_windowed(taps, RATE)
     assert change(once, pca321_matched_windowed(taps + hiss, RATE)) < 0.02

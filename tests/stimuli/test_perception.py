@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stimuli.condition import fade
-from stimuli.perception import (
+from feel321.stimuli.condition import fade
+from feel321.stimuli.sets.anchors import (
     THRESHOLDS,
     acceleration_threshold,
     displacement_threshold,
@@ -19,7 +19,10 @@ def test_the_hand_is_most_sensitive_near_250_hz_with_12_db_per_octave_on_either_
     thresholds = displacement_threshold(frequencies)
     assert frequencies[np.argmin(thresholds)] == pytest.approx(250, rel=2e-3)
     assert thresholds.min() == pytest.approx(1e-7, rel=1e-4)
-    octave_below, octave_above = displacement_threshold([10.0, 5.0]), displacement_threshold([4000.0, 8000.0])
+    octave_below, octave_above = (
+        displacement_threshold([10.0, 5.0]),
+        displacement_threshold([4000.0, 8000.0]),
+    )
     for near, far in (octave_below, octave_above):
         assert 20 * np.log10(far / near) == pytest.approx(12.04, abs=0.01)
 
@@ -68,11 +71,15 @@ def tone(frequency: float, *, seconds: float = 1.0, rate_hz: float = 8000.0) -> 
 
 @pytest.mark.parametrize("threshold", THRESHOLDS)
 @pytest.mark.parametrize("frequency", [20.0, 45.0, 100.0, 250.0, 320.0, 700.0, 1000.0])
-def test_a_tone_at_its_threshold_has_0_db_and_20_db_more_has_20_db(frequency: float, threshold: str) -> None:
+def test_a_tone_at_its_threshold_has_0_db_and_20_db_more_has_20_db(
+    frequency: float, threshold: str
+) -> None:
     at_threshold = acceleration_threshold(frequency, threshold=threshold) * tone(frequency)
     level = sensation_level_db(at_threshold, 8000.0, threshold=threshold)
     assert level == pytest.approx(0.0, abs=0.15)
-    assert sensation_level_db(10 * at_threshold, 8000.0, threshold=threshold) == pytest.approx(level + 20, abs=1e-9)
+    assert sensation_level_db(10 * at_threshold, 8000.0, threshold=threshold) == pytest.approx(
+        level + 20, abs=1e-9
+    )
 
 
 @pytest.mark.parametrize("n", [1, 77, 1600, 20_011])
@@ -90,7 +97,11 @@ def test_the_loudest_window_is_found_by_brute_force() -> None:
     frequency = np.fft.rfftfreq(16_000, 1 / 8000)
     weights = np.zeros(len(frequency))
     inside = (frequency >= 20) & (frequency <= 1000)
-    edge = np.cos(np.pi / 2 * np.clip(np.log2(np.maximum(20 / frequency[1:], frequency[1:] / 1000)) / 0.5, 0, 1))
+    edge = np.cos(
+        np.pi
+        / 2
+        * np.clip(np.log2(np.maximum(20 / frequency[1:], frequency[1:] / 1000)) / 0.5, 0, 1)
+    )
     weights[1:] = edge / (acceleration_threshold(frequency[1:]) / np.sqrt(2))
     assert inside.sum() > 1000
     weighted = np.fft.irfft(np.fft.rfft(signal, 16_000) * weights)
@@ -117,5 +128,7 @@ def test_the_stylus_keeps_the_published_numbers() -> None:
 
 
 def test_an_unknown_curve_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"threshold: got 'finger', allowed is one of contactor, grasped_stylus"):
+    with pytest.raises(
+        ValueError, match=r"threshold: got 'finger', allowed is one of contactor, grasped_stylus"
+    ):
         acceleration_threshold(100.0, threshold="finger")

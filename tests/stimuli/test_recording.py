@@ -5,7 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stimuli.recording import STANDARD_GRAVITY, UNITS, Recording, check_acceleration, check_rate
+from feel321.stimuli.recording import (
+    STANDARD_GRAVITY,
+    UNITS,
+    Recording,
+    check_acceleration,
+    check_rate,
+)
 
 
 def test_samples_are_copied_and_cannot_be_changed() -> None:
@@ -70,7 +76,9 @@ def test_what_is_not_a_table_of_real_numbers_is_refused(values: object, message:
 
 
 def test_integers_and_booleans_are_numbers() -> None:
-    np.testing.assert_array_equal(check_acceleration(np.array([[1], [0], [-3]], dtype=np.int8)), [[1.0], [0.0], [-3.0]])
+    np.testing.assert_array_equal(
+        check_acceleration(np.array([[1], [0], [-3]], dtype=np.int8)), [[1.0], [0.0], [-3.0]]
+    )
 
 
 @pytest.mark.parametrize("rate", [0, -1, np.nan, np.inf, None, "fast"])
@@ -88,17 +96,31 @@ def test_units_are_multiples_of_metres_per_second_squared() -> None:
 def test_a_copy_with_other_samples_or_another_rate_has_a_digest_of_its_own(sha256: str) -> None:
     samples = np.arange(12.0).reshape(3, 4)
     recording = Recording(samples, 100, "a", sha256=sha256)
-    for changes in ({"acceleration": 2 * samples}, {"rate_hz": 101}, {"acceleration": samples[:, :3]}):
+    for changes in (
+        {"acceleration": 2 * samples},
+        {"rate_hz": 101},
+        {"acceleration": samples[:, :3]},
+    ):
         copy = replace(recording, **changes)
-        assert copy.sha256 == Recording(copy.acceleration, copy.rate_hz, "b").sha256 != recording.sha256
+        assert (
+            copy.sha256
+            == Recording(copy.acceleration, copy.rate_hz, "b").sha256
+            != recording.sha256
+        )
         assert replace(copy, name="c").sha256 == copy.sha256
-        assert replace(copy, acceleration=samples, rate_hz=100).sha256 == Recording(samples, 100, "b").sha256
+        assert (
+            replace(copy, acceleration=samples, rate_hz=100).sha256
+            == Recording(samples, 100, "b").sha256
+        )
         assert replace(recording, **changes, sha256="another file's").sha256 == "another file's"
 
 
 @pytest.mark.parametrize("sha256", ["", "the digest of a file"])
 def test_a_copy_with_the_same_samples_keeps_its_digest(sha256: str) -> None:
     recording = Recording(np.ones((3, 4)), 100, "a", sha256=sha256)
-    for copy in (replace(recording, name="b"), replace(recording, acceleration=np.ones((3, 4)), warnings=("x",))):
+    for copy in (
+        replace(recording, name="b"),
+        replace(recording, acceleration=np.ones((3, 4)), warnings=("x",)),
+    ):
         assert copy.sha256 == recording.sha256
         assert copy.sha256_of == recording.sha256_of

@@ -6,16 +6,31 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from stimuli.fourier import dft321_windowed
-from stimuli.match import spectral_match, spectral_match_details
-from stimuli.principal import pca321_adaptive
-from stimuli.reduce import REDUCERS, get_reducer
+from feel321.stimuli.match import spectral_match, spectral_match_details
+from feel321.stimuli.reducers.axes import pca321_adaptive
+from feel321.stimuli.reducers.fourier import dft321_windowed
+from feel321.stimuli.reducers.registry import REDUCERS, get_reducer
 
 CONTRACT = [
-    "sax321", "say321", "saz321", "soc321", "mag321", "pca321", "pca321_adaptive", "dft321", "dft321_windowed",
-    "dft321_principal", "dft321_principal_windowed",
-    "sax321_matched", "say321_matched", "saz321_matched", "pca321_matched",
-    "sax321_matched_running", "say321_matched_running", "saz321_matched_running", "pca321_matched_windowed",
+    "sax321",
+    "say321",
+    "saz321",
+    "soc321",
+    "mag321",
+    "pca321",
+    "pca321_adaptive",
+    "dft321",
+    "dft321_windowed",
+    "dft321_principal",
+    "dft321_principal_windowed",
+    "sax321_matched",
+    "say321_matched",
+    "saz321_matched",
+    "pca321_matched",
+    "sax321_matched_running",
+    "say321_matched_running",
+    "saz321_matched_running",
+    "pca321_matched_windowed",
 ]
 RATE = 1000.0
 LENGTHS = st.integers(1, 200)
@@ -32,7 +47,9 @@ def finite(n: int) -> st.SearchStrategy[np.ndarray]:
 def brute_dft321(acceleration: np.ndarray) -> np.ndarray:
     """Equations 3 and 4 on the two-sided spectrum, as they stand."""
     spectra = np.fft.fft(acceleration)
-    merged = np.sqrt((np.abs(spectra) ** 2).sum(axis=0)) * np.exp(1j * np.angle(spectra.sum(axis=0)))
+    merged = np.sqrt((np.abs(spectra) ** 2).sum(axis=0)) * np.exp(
+        1j * np.angle(spectra.sum(axis=0))
+    )
     return np.fft.ifft(merged).real
 
 
@@ -85,8 +102,13 @@ def test_the_largest_finite_numbers_stay_finite(name: str) -> None:
 def test_layout_and_type_do_not_matter(name: str) -> None:
     base = np.round(100 * noise(3, 200))
     expected = REDUCERS[name](base[:, ::2], RATE)
-    for same in (np.asfortranarray(base)[:, ::2], base[:, ::2].astype(np.int16), base[:, ::2].astype(">f4"),
-                 base[:, ::2].tolist(), base.T.copy().T[:, ::2]):
+    for same in (
+        np.asfortranarray(base)[:, ::2],
+        base[:, ::2].astype(np.int16),
+        base[:, ::2].astype(">f4"),
+        base[:, ::2].tolist(),
+        base.T.copy().T[:, ::2],
+    ):
         np.testing.assert_allclose(REDUCERS[name](same, RATE), expected, rtol=1e-12, atol=1e-12)
 
 
@@ -100,7 +122,9 @@ def test_an_empty_batch_gives_an_empty_batch(name: str) -> None:
 def test_scaling_the_recording_scales_the_output(name: str, factor: float) -> None:
     acceleration = noise(3, 97)
     expected = factor * REDUCERS[name](acceleration, RATE)
-    np.testing.assert_allclose(REDUCERS[name](factor * acceleration, RATE), expected, rtol=1e-9, atol=1e-12 * factor)
+    np.testing.assert_allclose(
+        REDUCERS[name](factor * acceleration, RATE), expected, rtol=1e-9, atol=1e-12 * factor
+    )
 
 
 @pytest.mark.parametrize("name", CONTRACT)
@@ -128,7 +152,9 @@ def test_samplewise_reducers_against_their_definitions() -> None:
     x, y, z = acceleration = noise(3, 50)
     for name, expected in {"sax321": x, "say321": y, "saz321": z, "soc321": x + y + z}.items():
         np.testing.assert_allclose(REDUCERS[name](acceleration, RATE), expected, rtol=0, atol=1e-15)
-    np.testing.assert_allclose(REDUCERS["mag321"](acceleration, RATE), np.linalg.norm(acceleration, axis=0), rtol=1e-14)
+    np.testing.assert_allclose(
+        REDUCERS["mag321"](acceleration, RATE), np.linalg.norm(acceleration, axis=0), rtol=1e-14
+    )
 
 
 # --- PCA -----------------------------------------------------------------------------------------------------------
@@ -155,7 +181,9 @@ def test_pca_sign_is_not_left_to_rounding_where_the_sum_vanishes() -> None:
     wave -= wave.mean()
     for tiny in (0.0, 1e-16, -1e-16):
         acceleration = np.array([wave, -wave * (1 + tiny), 0 * wave])
-        np.testing.assert_allclose(REDUCERS["pca321"](acceleration, RATE), np.sqrt(2) * wave, atol=1e-9)
+        np.testing.assert_allclose(
+            REDUCERS["pca321"](acceleration, RATE), np.sqrt(2) * wave, atol=1e-9
+        )
 
 
 def test_adaptive_pca_is_pca_where_the_axis_does_not_change() -> None:
@@ -163,12 +191,16 @@ def test_adaptive_pca_is_pca_where_the_axis_does_not_change() -> None:
     wave = noise(900)
     acceleration = np.outer(direction, wave - wave.mean())
     expected = REDUCERS["pca321"](acceleration, RATE)
-    np.testing.assert_allclose(REDUCERS["pca321_adaptive"](acceleration, RATE), expected, atol=1e-12)
+    np.testing.assert_allclose(
+        REDUCERS["pca321_adaptive"](acceleration, RATE), expected, atol=1e-12
+    )
 
 
 def test_adaptive_pca_follows_an_axis_that_turns_without_jumping() -> None:
     n = 20000
-    angle = np.linspace(0, np.pi, n)  # half a turn: the axis ends where it began, pointing the other way
+    angle = np.linspace(
+        0, np.pi, n
+    )  # half a turn: the axis ends where it began, pointing the other way
     wave = np.sin(2 * np.pi * 123.4 * np.arange(n) / RATE)
     acceleration = np.array([np.cos(angle), np.sin(angle), 0 * angle]) * wave
     reduced = REDUCERS["pca321_adaptive"](acceleration, RATE)
@@ -189,7 +221,9 @@ def test_adaptive_pca_sign_is_not_left_to_rounding_either() -> None:
     wave = noise(400)
     for tiny in (0.0, 2e-16, -2e-16, 1e-15, -1e-15):
         acceleration = np.array([wave, -wave * (1 + tiny), 0 * wave])
-        np.testing.assert_allclose(pca321_adaptive(acceleration, RATE), np.sqrt(2) * wave, atol=1e-9)
+        np.testing.assert_allclose(
+            pca321_adaptive(acceleration, RATE), np.sqrt(2) * wave, atol=1e-9
+        )
 
 
 def test_adaptive_pca_against_a_loop_over_segments() -> None:
@@ -209,7 +243,9 @@ def test_adaptive_pca_against_a_loop_over_segments() -> None:
         before = axis
     turning /= np.maximum(np.linalg.norm(turning, axis=0), 1e-300)
     expected = (turning * padded).sum(axis=0)[hop : hop + n]
-    np.testing.assert_allclose(pca321_adaptive(acceleration, RATE, window_s=0.04), expected, atol=1e-9)
+    np.testing.assert_allclose(
+        pca321_adaptive(acceleration, RATE, window_s=0.04), expected, atol=1e-9
+    )
 
 
 # --- DFT321, whole signal --------------------------------------------------------------------------------------------
@@ -218,19 +254,25 @@ def test_adaptive_pca_against_a_loop_over_segments() -> None:
 def test_dft_phase_is_the_sums_wherever_the_sum_is_more_than_rounding() -> None:
     wave = noise(1000)
     acceleration = np.outer((1.0, -3.0, 2.0 + 1e-9), wave)
-    expected = np.linalg.norm((1.0, -3.0, 2.0)) * wave  # the sum points with the wave, the strongest axis against it
+    expected = (
+        np.linalg.norm((1.0, -3.0, 2.0)) * wave
+    )  # the sum points with the wave, the strongest axis against it
     np.testing.assert_allclose(REDUCERS["dft321"](acceleration, RATE), expected, atol=1e-4)
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 64, 97, 1000, 1009])
 def test_dft_is_equations_3_and_4(n: int) -> None:
     acceleration = noise(3, n, seed=n)
-    np.testing.assert_allclose(REDUCERS["dft321"](acceleration, RATE), brute_dft321(acceleration), atol=1e-12)
+    np.testing.assert_allclose(
+        REDUCERS["dft321"](acceleration, RATE), brute_dft321(acceleration), atol=1e-12
+    )
 
 
 @settings(max_examples=200)
 @given(LENGTHS.flatmap(finite))
-def test_dft_keeps_the_energy_and_the_spectrum_of_any_finite_input(acceleration: np.ndarray) -> None:
+def test_dft_keeps_the_energy_and_the_spectrum_of_any_finite_input(
+    acceleration: np.ndarray,
+) -> None:
     reduced = REDUCERS["dft321"](acceleration, RATE)
     peak = np.abs(acceleration).max()
     if peak > 0:
@@ -243,13 +285,19 @@ def test_dft_keeps_the_energy_and_the_spectrum_of_any_finite_input(acceleration:
 @pytest.mark.parametrize("offset", [10.0, 1e4, 1e5])
 def test_dft_spectral_match_survives_a_large_offset(offset: float) -> None:
     acceleration = noise(3, 5000) + offset
-    assert spectral_match(acceleration, REDUCERS["dft321"](acceleration, RATE), RATE) == pytest.approx(1.0, abs=1e-9)
+    assert spectral_match(
+        acceleration, REDUCERS["dft321"](acceleration, RATE), RATE
+    ) == pytest.approx(1.0, abs=1e-9)
 
 
 def test_dft_offset_and_nyquist_keep_their_sign() -> None:
     alternating = np.cos(np.pi * np.arange(48))
-    np.testing.assert_allclose(REDUCERS["dft321"](np.outer((2.0, -6.0, 3.0), alternating), RATE), -7 * alternating)
-    np.testing.assert_allclose(REDUCERS["dft321"](np.outer((-1.0, -2.0, 2.0), np.ones(48)), RATE), -3 * np.ones(48))
+    np.testing.assert_allclose(
+        REDUCERS["dft321"](np.outer((2.0, -6.0, 3.0), alternating), RATE), -7 * alternating
+    )
+    np.testing.assert_allclose(
+        REDUCERS["dft321"](np.outer((-1.0, -2.0, 2.0), np.ones(48)), RATE), -3 * np.ones(48)
+    )
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-16, 1e-15])
@@ -276,7 +324,9 @@ def test_three_equal_axes_give_sqrt_three_up_to_both_ends(n: int, window: int, s
     wave = noise(n, seed=seed)
     for reducer in (dft321_windowed, pca321_adaptive):
         reduced = reducer(np.array([wave, wave, wave]), RATE, window_s=window / RATE)
-        np.testing.assert_allclose(reduced, np.sqrt(3) * wave, rtol=0, atol=1e-12 * np.abs(wave).max())
+        np.testing.assert_allclose(
+            reduced, np.sqrt(3) * wave, rtol=0, atol=1e-12 * np.abs(wave).max()
+        )
 
 
 def test_windowed_dft_against_a_loop_over_frames() -> None:
@@ -286,7 +336,9 @@ def test_windowed_dft_against_a_loop_over_frames() -> None:
     padded = np.pad(acceleration, ((0, 0), (hop, 3 * hop)))
     total = np.zeros(padded.shape[1])
     for start in range(0, n + hop, hop):
-        total[start : start + 2 * hop] += window * brute_dft321(window * padded[:, start : start + 2 * hop])
+        total[start : start + 2 * hop] += window * brute_dft321(
+            window * padded[:, start : start + 2 * hop]
+        )
     reduced = dft321_windowed(acceleration, RATE, window_s=0.036)
     np.testing.assert_allclose(reduced, total[hop : hop + n], atol=1e-12)
 

@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stimuli.match import spectral_match, spectral_match_bounded, temporal_match
-from stimuli.reduce import REDUCERS
-from stimuli.rotation import random_rotations, rotation_statistics
+from feel321.stimuli.match import spectral_match, spectral_match_bounded, temporal_match
+from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.rotation import random_rotations, rotation_statistics
 
 RATE = 2000.0
 
@@ -16,7 +16,9 @@ def rng() -> np.random.Generator:
 
 def test_rotations_are_proper_and_uniform() -> None:
     turns = random_rotations(4000, rng())
-    np.testing.assert_allclose(turns @ turns.transpose(0, 2, 1), np.broadcast_to(np.eye(3), turns.shape), atol=1e-12)
+    np.testing.assert_allclose(
+        turns @ turns.transpose(0, 2, 1), np.broadcast_to(np.eye(3), turns.shape), atol=1e-12
+    )
     np.testing.assert_allclose(np.linalg.det(turns), 1.0)
     # Of a uniform rotation every entry has mean 0 and mean square 1/3.
     np.testing.assert_allclose(turns.mean(axis=0), 0.0, atol=0.04)
@@ -25,13 +27,22 @@ def test_rotations_are_proper_and_uniform() -> None:
 
 @pytest.mark.parametrize("name", ["say321", "dft321_windowed", "pca321"])
 def test_against_one_rotation_after_the_other(name: str) -> None:
-    acceleration = np.random.default_rng(0).standard_normal((3, 700)) * np.array([[1.0], [4.0], [0.2]])
+    acceleration = np.random.default_rng(0).standard_normal((3, 700)) * np.array([
+        [1.0],
+        [4.0],
+        [0.2],
+    ])
     found = rotation_statistics(acceleration, RATE, reducer=name, rotations=200, rng=rng())
     turned = [turn @ acceleration for turn in random_rotations(200, rng())]
     reduced = [REDUCERS[name](one, RATE) for one in turned]
     spectral = [spectral_match(a, s, RATE) for a, s in zip(turned, reduced, strict=True)]
     temporal = [temporal_match(a, s) for a, s in zip(turned, reduced, strict=True)]
-    expected = (np.mean(spectral), np.std(spectral, ddof=1), np.mean(temporal), np.std(temporal, ddof=1))
+    expected = (
+        np.mean(spectral),
+        np.std(spectral, ddof=1),
+        np.mean(temporal),
+        np.std(temporal, ddof=1),
+    )
     got = (found.spectral_mean, found.spectral_sd, found.temporal_mean, found.temporal_sd)
     np.testing.assert_allclose(got, expected, atol=1e-9)
 
@@ -42,7 +53,9 @@ def test_what_turning_the_sensor_cannot_change() -> None:
         found = rotation_statistics(acceleration, RATE, reducer=name, rng=rng())
         assert found.spectral_sd < 1e-9
         assert found.rotations == 200
-    assert rotation_statistics(acceleration, RATE, reducer="dft321", rng=rng()).spectral_mean == pytest.approx(1.0)
+    assert rotation_statistics(
+        acceleration, RATE, reducer="dft321", rng=rng()
+    ).spectral_mean == pytest.approx(1.0)
 
 
 def test_a_single_axis_of_one_line_of_motion() -> None:
@@ -56,14 +69,25 @@ def test_a_single_axis_of_one_line_of_motion() -> None:
 
 def test_silence_has_no_statistics() -> None:
     found = rotation_statistics(np.zeros((3, 50)), RATE, reducer="dft321", rng=rng())
-    assert np.isnan([found.spectral_mean, found.temporal_mean, found.bounded_mean, found.bounded_sd]).all()
+    assert np.isnan([
+        found.spectral_mean,
+        found.temporal_mean,
+        found.bounded_mean,
+        found.bounded_sd,
+    ]).all()
 
 
 def test_no_orientation_changes_the_bounded_match_of_what_none_changes() -> None:
-    acceleration = np.random.default_rng(2).standard_normal((3, 400)) * np.array([[1.0], [3.0], [0.2]])
+    acceleration = np.random.default_rng(2).standard_normal((3, 400)) * np.array([
+        [1.0],
+        [3.0],
+        [0.2],
+    ])
     found = rotation_statistics(acceleration, RATE, reducer="mag321", rng=rng())
     reduced = REDUCERS["mag321"](acceleration, RATE)
-    assert found.bounded_mean == pytest.approx(spectral_match_bounded(acceleration, reduced, RATE), abs=1e-12)
+    assert found.bounded_mean == pytest.approx(
+        spectral_match_bounded(acceleration, reduced, RATE), abs=1e-12
+    )
     assert found.bounded_sd == pytest.approx(0, abs=1e-12)
     assert rotation_statistics(acceleration, RATE, reducer="sax321", rng=rng()).bounded_sd > 0.1
 

@@ -16,28 +16,54 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from stimuli.anchors import ANCHORS, quietest_hz
-from stimuli.condition import Conditioning, condition
-from stimuli.inspection import check_stimuli
-from stimuli.levels import find_headroom_cost
-from stimuli.lock import hold_lock
-from stimuli.manifest import COLUMN_UNITS, Stimulus, read_stimuli, write_bytes, write_manifest
-from stimuli.match import METRICS, spectral_match, temporal_match
-from stimuli.perception import THRESHOLDS, felt_level, loudest_level, sensation_level_db
-from stimuli.recipe import GAINS, Recipe
-from stimuli.recording import Recording
-from stimuli.reduce import DEFAULT_REDUCERS, REDUCERS
-from stimuli.render import list_candidates
-from stimuli.sets import PARTS, build_stimuli, foresee_stimuli
-from stimuli.synthesis import SCENES, make_scene
-from stimuli.wav import read_wav, write_wav
+from feel321.stimuli.condition import Conditioning, condition
+from feel321.stimuli.lock import hold_lock
+from feel321.stimuli.match import METRICS, spectral_match, temporal_match
+from feel321.stimuli.recording import Recording
+from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
+from feel321.stimuli.sets.anchors import (
+    ANCHORS,
+    THRESHOLDS,
+    felt_level,
+    loudest_level,
+    quietest_hz,
+    sensation_level_db,
+)
+from feel321.stimuli.sets.build import PARTS, build_stimuli, foresee_stimuli
+from feel321.stimuli.sets.inspection import check_stimuli
+from feel321.stimuli.sets.manifest import (
+    COLUMN_UNITS,
+    Stimulus,
+    read_stimuli,
+    write_bytes,
+    write_manifest,
+)
+from feel321.stimuli.sets.recipe import GAINS, Recipe
+from feel321.stimuli.sets.render import find_headroom_cost, list_candidates
+from feel321.stimuli.synthesis import SCENES, make_scene
+from feel321.stimuli.wav import read_wav, write_wav
 
 if TYPE_CHECKING:
-    from stimuli.manifest import StimulusSet
+    from feel321.stimuli.sets.manifest import StimulusSet
 
 CONTRACT = [
-    "stimulus_id", "recording", "reducer", "level", "role", "file", "rate_hz", "n_samples", "duration_s", "peak",
-    "rms_m_s2", "gain", "spectral_match", "temporal_match", "clipped", "sha256", "recording_sha256",
+    "stimulus_id",
+    "recording",
+    "reducer",
+    "level",
+    "role",
+    "file",
+    "rate_hz",
+    "n_samples",
+    "duration_s",
+    "peak",
+    "rms_m_s2",
+    "gain",
+    "spectral_match",
+    "temporal_match",
+    "clipped",
+    "sha256",
+    "recording_sha256",
     "spectral_match_bounded",
     "sensation_level_db",
 ]
@@ -46,7 +72,9 @@ BOTH = ("as_is", "equal_intensity")
 
 @pytest.fixture(scope="module")
 def scenes() -> list[Recording]:
-    return [make_scene(name, duration_s=0.6) for name in ("bumps", "texture_drag", "circular_motion")]
+    return [
+        make_scene(name, duration_s=0.6) for name in ("bumps", "texture_drag", "circular_motion")
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -63,8 +91,12 @@ def stamps(folder: Path) -> dict[str, int]:
     return {p.name: p.stat().st_mtime_ns for p in folder.glob("*.wav")}
 
 
-def test_every_recording_reducer_level_and_role_is_there(built: StimulusSet, scenes: list[Recording]) -> None:
-    assert len(built.stimuli) == len(scenes) * len(BOTH) * (len(DEFAULT_REDUCERS) + 1 + len(ANCHORS))
+def test_every_recording_reducer_level_and_role_is_there(
+    built: StimulusSet, scenes: list[Recording]
+) -> None:
+    assert len(built.stimuli) == len(scenes) * len(BOTH) * (
+        len(DEFAULT_REDUCERS) + 1 + len(ANCHORS)
+    )
     roles = [stimulus.role for stimulus in built.stimuli]
     assert roles.count("reference") == 6
     assert roles.count("anchor") == 12
@@ -74,13 +106,20 @@ def test_every_recording_reducer_level_and_role_is_there(built: StimulusSet, sce
 
 def test_the_manifest_keeps_the_contract(built: StimulusSet) -> None:
     header = (built.folder / "manifest.csv").read_text().splitlines()[0]
-    assert header.split(",") == CONTRACT == [field.name for field in fields(Stimulus)] == list(COLUMN_UNITS)
+    assert (
+        header.split(",")
+        == CONTRACT
+        == [field.name for field in fields(Stimulus)]
+        == list(COLUMN_UNITS)
+    )
     assert read_stimuli(built.folder) == built
     details = json.loads((built.folder / "manifest.json").read_text())
     assert details["columns"] == COLUMN_UNITS
     assert set(details["versions"]) == {"feel321", "numpy", "scipy", "soxr"}
     assert details["recipe"]["conditioning"]["high_pass_hz"] == 20.0
-    assert [row["stimulus_id"] for row in details["stimuli"]] == [s.stimulus_id for s in built.stimuli]
+    assert [row["stimulus_id"] for row in details["stimuli"]] == [
+        s.stimulus_id for s in built.stimuli
+    ]
 
 
 def test_rows_tell_what_the_files_hold(built: StimulusSet) -> None:
@@ -100,7 +139,10 @@ def test_as_is_has_one_gain_and_lets_lost_energy_be_felt(built: StimulusSet) -> 
     assert len({row.gain for row in rows}) == 1
     assert max(row.peak for row in rows) == pytest.approx(Recipe().headroom, rel=1e-6)
     by_name = {(row.recording, row.reducer): row for row in rows}
-    lost = by_name["circular_motion", "sax321"].rms_m_s2 / by_name["circular_motion", "dft321"].rms_m_s2
+    lost = (
+        by_name["circular_motion", "sax321"].rms_m_s2
+        / by_name["circular_motion", "dft321"].rms_m_s2
+    )
     assert lost == pytest.approx(np.sqrt(0.49), abs=0.02)
 
 
@@ -116,18 +158,27 @@ def test_taps_and_hum_are_made_equally_strong_where_they_are_loudest(tmp_path: P
     recipe = Recipe(reducers=("dft321",), levels=("equal_intensity",))
     late = np.pad(taps.acceleration, ((0, 0), (0, 20_000)))
     recordings = [taps, hum, replace(taps, acceleration=late, name="late", sha256="late")]
-    rows = {(row.recording, row.reducer): row for row in build_stimuli(recordings, tmp_path, recipe=recipe).stimuli}
-    played = {key: read_wav(tmp_path / row.file)[0] * recipe.full_scale_m_s2 for key, row in rows.items()}
+    rows = {
+        (row.recording, row.reducer): row
+        for row in build_stimuli(recordings, tmp_path, recipe=recipe).stimuli
+    }
+    played = {
+        key: read_wav(tmp_path / row.file)[0] * recipe.full_scale_m_s2 for key, row in rows.items()
+    }
     levels = [sensation_level_db(samples, 48000.0) for samples in played.values()]
     assert max(levels) - min(levels) < 1e-3
     whole = {key: 20 * np.log10(felt_level(samples, 48000.0)) for key, samples in played.items()}
-    assert whole["circular_motion", "dft321"] - whole["hard_taps", "dft321"] > 3  # made equal, taps would be stronger
+    assert (
+        whole["circular_motion", "dft321"] - whole["hard_taps", "dft321"] > 3
+    )  # made equal, taps would be stronger
     silence = rows["late", "original"].gain / rows["hard_taps", "original"].gain
     assert silence == pytest.approx(1.0, rel=1e-3)
 
 
 @pytest.mark.parametrize("threshold", THRESHOLDS)
-def test_rows_give_the_sensation_level_as_it_is_played(threshold: str, scenes: list[Recording], tmp_path: Path) -> None:
+def test_rows_give_the_sensation_level_as_it_is_played(
+    threshold: str, scenes: list[Recording], tmp_path: Path
+) -> None:
     recipe = Recipe(reducers=("sax321", "dft321"), levels=BOTH, threshold=threshold)
     built = build_stimuli(scenes, tmp_path, recipe=recipe)
     details = json.loads((tmp_path / "manifest.json").read_text())
@@ -147,14 +198,20 @@ def test_what_is_clipped_is_felt_as_it_is_limited(scenes: list[Recording], tmp_p
 
 
 def test_anchors_are_as_strong_as_their_recording(built: StimulusSet) -> None:
-    levels = {(row.recording, row.level, row.reducer): row.sensation_level_db for row in built.stimuli}
+    levels = {
+        (row.recording, row.level, row.reducer): row.sensation_level_db for row in built.stimuli
+    }
     anchors = [key for key in levels if key[2] in ANCHORS]
     assert len(anchors) == 12
     for recording, level, reducer in anchors:
-        assert levels[recording, level, reducer] == pytest.approx(levels[recording, level, "original"], abs=1e-6)
+        assert levels[recording, level, reducer] == pytest.approx(
+            levels[recording, level, "original"], abs=1e-6
+        )
 
 
-def test_a_gain_per_recording_spares_the_others_the_cost_of_a_spike(scenes: list[Recording], tmp_path: Path) -> None:
+def test_a_gain_per_recording_spares_the_others_the_cost_of_a_spike(
+    scenes: list[Recording], tmp_path: Path
+) -> None:
     spike = scenes[1].acceleration.copy()
     spike[0, 3000:3020] += 40 * np.abs(spike).max() * np.hanning(20)
     spiked = [scenes[0], replace(scenes[1], acceleration=spike, sha256="spiked")]
@@ -170,11 +227,17 @@ def test_a_gain_per_recording_spares_the_others_the_cost_of_a_spike(scenes: list
             levels[gain, name] = equal[0]
         quiet = max(row.peak for row in rows if (row.recording, row.level) == ("bumps", "as_is"))
         assert quiet == pytest.approx(0.9, rel=1e-6) if gain == "per_recording" else quiet < 0.1
-    assert gains["set", "bumps"] == gains["set", "texture_drag"] == gains["per_recording", "texture_drag"]
+    assert (
+        gains["set", "bumps"]
+        == gains["set", "texture_drag"]
+        == gains["per_recording", "texture_drag"]
+    )
     assert levels["per_recording", "bumps"] > levels["set", "bumps"] + 3
     foreseen = foresee_stimuli(spiked, tmp_path / "set", recipe=replace(recipe, levels=("as_is",)))
     names = ("bumps", "texture_drag")
-    peaks = {name: max(one.peak_m_s2 for one in foreseen if one.recording == name) for name in names}
+    peaks = {
+        name: max(one.peak_m_s2 for one in foreseen if one.recording == name) for name in names
+    }
     cost_db = pytest.approx(20 * np.log10(gains["per_recording", "bumps"] / gains["set", "bumps"]))
     assert find_headroom_cost(peaks) == ("texture_drag", cost_db)
 
@@ -182,7 +245,9 @@ def test_a_gain_per_recording_spares_the_others_the_cost_of_a_spike(scenes: list
 def test_what_is_foreseen_is_what_is_built(scenes: list[Recording], tmp_path: Path) -> None:
     recipe = Recipe(reducers=("sax321", "dft321_windowed"), levels=BOTH, gain="per_recording")
     steps: list[tuple[int, int]] = []
-    foreseen = foresee_stimuli(scenes, tmp_path, recipe=recipe, progress=lambda *step: steps.append(step))
+    foreseen = foresee_stimuli(
+        scenes, tmp_path, recipe=recipe, progress=lambda *step: steps.append(step)
+    )
     assert steps == [(1, 3), (2, 3), (3, 3)]
     assert not list(tmp_path.iterdir())
     rows = build_stimuli(scenes, tmp_path, recipe=recipe).stimuli
@@ -192,7 +257,9 @@ def test_what_is_foreseen_is_what_is_built(scenes: list[Recording], tmp_path: Pa
     for one, row in zip(foreseen, rows_by_recording(rows), strict=True):
         assert one.sensation_levels_db["contactor"] == row.sensation_level_db
         assert one.peak_m_s2 == pytest.approx(row.peak * recipe.full_scale_m_s2, rel=1e-6)
-    assert foresee_stimuli(scenes, tmp_path, recipe=recipe) == foreseen  # from what the build remembers
+    assert (
+        foresee_stimuli(scenes, tmp_path, recipe=recipe) == foreseen
+    )  # from what the build remembers
 
 
 def rows_by_recording(rows: tuple[Stimulus, ...]) -> list[Stimulus]:
@@ -200,24 +267,43 @@ def rows_by_recording(rows: tuple[Stimulus, ...]) -> list[Stimulus]:
     return sorted(rows, key=lambda row: names.index(row.recording))
 
 
-def test_scores_are_those_of_the_conditioned_recording(built: StimulusSet, scenes: list[Recording]) -> None:
+def test_scores_are_those_of_the_conditioned_recording(
+    built: StimulusSet, scenes: list[Recording]
+) -> None:
     conditioned = {r.name: condition(r, Conditioning()) for r in scenes}
     for row in built.stimuli:
         if row.role == "test":
-            acceleration, rate = conditioned[row.recording].acceleration, conditioned[row.recording].rate_hz
+            acceleration, rate = (
+                conditioned[row.recording].acceleration,
+                conditioned[row.recording].rate_hz,
+            )
             reduced = REDUCERS[row.reducer](acceleration, rate)
             for name, metric in METRICS.items():
-                assert getattr(row, name) == pytest.approx(metric(acceleration, reduced, rate), abs=1e-12)
+                assert getattr(row, name) == pytest.approx(
+                    metric(acceleration, reduced, rate), abs=1e-12
+                )
 
 
-def test_the_file_is_the_reduced_signal_at_the_rigs_rate(built: StimulusSet, scenes: list[Recording]) -> None:
-    row = next(s for s in built.stimuli if (s.recording, s.reducer, s.level) == ("bumps", "dft321", "as_is"))
+def test_the_file_is_the_reduced_signal_at_the_rigs_rate(
+    built: StimulusSet, scenes: list[Recording]
+) -> None:
+    row = next(
+        s
+        for s in built.stimuli
+        if (s.recording, s.reducer, s.level) == ("bumps", "dft321", "as_is")
+    )
     bumps = condition(scenes[0], Conditioning())
-    reduced = REDUCERS["dft321"](bumps.acceleration, bumps.rate_hz) * row.gain / Recipe().full_scale_m_s2
+    reduced = (
+        REDUCERS["dft321"](bumps.acceleration, bumps.rate_hz) * row.gain / Recipe().full_scale_m_s2
+    )
     samples, _ = read_wav(built.folder / row.file)
-    at = np.arange(1000, 5000)  # 10 kHz, away from the fades; band-limited to 1 kHz, so interpolation is exact enough
+    at = np.arange(
+        1000, 5000
+    )  # 10 kHz, away from the fades; band-limited to 1 kHz, so interpolation is exact enough
     at_rig = np.interp(at / bumps.rate_hz, np.arange(len(samples)) / 48000, samples)
-    np.testing.assert_allclose(at_rig, reduced[at] - reduced.mean(), atol=2e-3 * np.abs(reduced).max())
+    np.testing.assert_allclose(
+        at_rig, reduced[at] - reduced.mean(), atol=2e-3 * np.abs(reduced).max()
+    )
 
 
 def test_a_second_build_writes_no_stimulus(scenes: list[Recording], tmp_path: Path) -> None:
@@ -228,16 +314,26 @@ def test_a_second_build_writes_no_stimulus(scenes: list[Recording], tmp_path: Pa
     assert stamps(tmp_path) == before
 
 
-def test_two_builds_and_two_workers_give_the_same_bytes(scenes: list[Recording], tmp_path: Path) -> None:
+def test_two_builds_and_two_workers_give_the_same_bytes(
+    scenes: list[Recording], tmp_path: Path
+) -> None:
     steps: list[tuple[int, int]] = []
     recipe = Recipe(levels=BOTH)
     for name, workers in (("one", 1), ("again", 1), ("two", 2)):
-        build_stimuli(scenes, tmp_path / name, recipe=recipe, workers=workers, progress=lambda *s: steps.append(s))
+        build_stimuli(
+            scenes,
+            tmp_path / name,
+            recipe=recipe,
+            workers=workers,
+            progress=lambda *s: steps.append(s),
+        )
     assert contents(tmp_path / "one") == contents(tmp_path / "again") == contents(tmp_path / "two")
     assert steps == [(done, 6) for done in range(1, 7)] * 3
 
 
-def test_a_new_recording_is_added_and_an_old_one_removed(scenes: list[Recording], tmp_path: Path) -> None:
+def test_a_new_recording_is_added_and_an_old_one_removed(
+    scenes: list[Recording], tmp_path: Path
+) -> None:
     recipe = Recipe(reducers=("sax321",), gain=1.0)
     build_stimuli(scenes[:2], tmp_path, recipe=recipe)
     before = stamps(tmp_path)
@@ -271,7 +367,9 @@ def test_every_setting_that_decides_a_file_makes_it_again(
     changes: dict[str, object], scenes: list[Recording], tmp_path: Path
 ) -> None:
     offset = Recording(scenes[0].acceleration + 3.0, scenes[0].rate_hz, "with_offset")
-    base = Recipe(reducers=("mag321",), reference="none", anchors=False, gain=1.0, conditioning=WITH_OFFSET)
+    base = Recipe(
+        reducers=("mag321",), reference="none", anchors=False, gain=1.0, conditioning=WITH_OFFSET
+    )
     (row,) = build_stimuli([offset], tmp_path / "set", recipe=base).stimuli
     before, samples = contents(tmp_path / "set"), read_wav(tmp_path / "set" / row.file)[0]
     changed = replace(base, **changes)
@@ -279,15 +377,22 @@ def test_every_setting_that_decides_a_file_makes_it_again(
     after = read_wav(tmp_path / "set" / row.file)[0]
     assert not set(before.values()) & set(contents(tmp_path / "set").values())
     # Far above rounding, so that the answer is the same on every processor.
-    assert len(after) != len(samples) or np.abs(after - samples).max() > 1e-3 * np.abs(samples).max()
+    assert (
+        len(after) != len(samples) or np.abs(after - samples).max() > 1e-3 * np.abs(samples).max()
+    )
     build_stimuli([offset], tmp_path / "fresh", recipe=changed)
     assert contents(tmp_path / "fresh") == contents(tmp_path / "set")
 
 
-def test_the_same_file_read_otherwise_is_another_recording(scenes: list[Recording], tmp_path: Path) -> None:
+def test_the_same_file_read_otherwise_is_another_recording(
+    scenes: list[Recording], tmp_path: Path
+) -> None:
     recipe = Recipe(reducers=("dft321",), gain=0.1, anchors=False, reference="none")
     (before,) = build_stimuli(scenes[:1], tmp_path, recipe=recipe).stimuli
-    source = {"name": scenes[0].name, "sha256": scenes[0].sha256}  # the digest of the file, given by the reader
+    source = {
+        "name": scenes[0].name,
+        "sha256": scenes[0].sha256,
+    }  # the digest of the file, given by the reader
     in_g = Recording(9.80665 * scenes[0].acceleration, scenes[0].rate_hz, **source)
     assert in_g.sha256 == scenes[0].sha256
     (after,) = build_stimuli([in_g], tmp_path, recipe=recipe).stimuli
@@ -302,7 +407,9 @@ def test_steps_that_were_taken_are_recorded(scenes: list[Recording], tmp_path: P
     build_stimuli([scenes[0], slow], tmp_path, recipe=Recipe(reducers=("dft321",), anchors=False))
     steps = json.loads((tmp_path / "manifest.json").read_text())["conditioning"]
     assert steps["bumps"] == ["offset removed", "high-pass 20 Hz", "low-pass 1000 Hz"]
-    assert steps["slow"][-1] == "low-pass 1000 Hz left out: not below the Nyquist frequency of 900 Hz"
+    assert (
+        steps["slow"][-1] == "low-pass 1000 Hz left out: not below the Nyquist frequency of 900 Hz"
+    )
 
 
 def test_the_actuators_get_no_offset(scenes: list[Recording], tmp_path: Path) -> None:
@@ -319,13 +426,20 @@ def test_what_rounding_left_of_axes_that_cancelled_is_silence(tmp_path: Path) ->
     with pytest.raises(ValueError, match="1 stimuli are silent"):
         build_stimuli([cancelling], tmp_path, recipe=recipe)
     rows = build_stimuli([cancelling], tmp_path, recipe=replace(recipe, levels=("as_is",))).stimuli
-    assert [np.isnan(row.sensation_level_db) for row in rows] == [True, False, False]  # neither 0 nor infinity
+    assert [np.isnan(row.sensation_level_db) for row in rows] == [
+        True,
+        False,
+        False,
+    ]  # neither 0 nor infinity
     assert "Infinity" not in (tmp_path / "manifest.json").read_text()
 
 
 def test_two_builds_in_one_folder_do_not_meet(scenes: list[Recording], tmp_path: Path) -> None:
     recipe = Recipe(reducers=("dft321",), anchors=False)
-    with hold_lock(tmp_path / ".lock", busy="x"), pytest.raises(BlockingIOError, match="another build is running here"):
+    with (
+        hold_lock(tmp_path / ".lock", busy="x"),
+        pytest.raises(BlockingIOError, match="another build is running here"),
+    ):
         build_stimuli(scenes[:1], tmp_path, recipe=recipe)
     build_stimuli(scenes[:1], tmp_path, recipe=recipe)
 
@@ -343,7 +457,7 @@ def test_a_disk_that_fills_up_leaves_the_old_set_whole(
             raise OSError(28, "No space left on device")
         write_wav(path, samples, rate_hz)
 
-    monkeypatch.setattr("stimuli.sets.write_wav", write_until_full)
+    monkeypatch.setattr("feel321.stimuli.sets.build.write_wav", write_until_full)
     with pytest.raises(OSError, match="No space left"):
         build_stimuli(scenes, tmp_path, recipe=replace(base, gain=2.0))
     monkeypatch.undo()
@@ -363,13 +477,15 @@ def test_a_set_that_is_being_replaced_has_no_manifest(
     def stop(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("stimuli.sets.write_manifest", stop)
+    monkeypatch.setattr("feel321.stimuli.sets.build.write_manifest", stop)
     with pytest.raises(KeyboardInterrupt):
         build_stimuli(scenes, tmp_path, recipe=replace(base, gain=2.0))
     assert "there is no manifest" in check_stimuli(tmp_path)[0]
 
 
-def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_is_replaced_whole_or_not_at_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "manifest.json"
     write_bytes(path, b"old")
 
@@ -382,8 +498,12 @@ def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path, monkeypatch: pyt
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == {"manifest.json": b"old"}
 
 
-@pytest.mark.parametrize("damage", [b"", b"{", b"[1]", b'{"bytes": 1}', b'{"bytes": "a", "peak": 1}'])
-def test_damaged_parts_are_made_again(damage: bytes, scenes: list[Recording], tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "damage", [b"", b"{", b"[1]", b'{"bytes": 1}', b'{"bytes": "a", "peak": 1}']
+)
+def test_damaged_parts_are_made_again(
+    damage: bytes, scenes: list[Recording], tmp_path: Path
+) -> None:
     recipe = Recipe(reducers=("dft321",), anchors=False)
     build_stimuli(scenes[:1], tmp_path / "good", recipe=recipe)
     parts = tmp_path / "set" / PARTS
@@ -395,7 +515,9 @@ def test_damaged_parts_are_made_again(damage: bytes, scenes: list[Recording], tm
     assert contents(tmp_path / "set") == contents(tmp_path / "good")
 
 
-def test_an_earlier_manifest_cannot_reach_outside_its_folder(scenes: list[Recording], tmp_path: Path) -> None:
+def test_an_earlier_manifest_cannot_reach_outside_its_folder(
+    scenes: list[Recording], tmp_path: Path
+) -> None:
     precious = tmp_path / "precious.txt"
     precious.write_text("mine")
     folder = tmp_path / "set"
@@ -431,18 +553,27 @@ def test_a_damaged_file_is_found_and_mended(scenes: list[Recording], tmp_path: P
     assert contents(tmp_path) == good
 
 
-def test_a_manifest_that_contradicts_its_files_is_found(scenes: list[Recording], tmp_path: Path) -> None:
+def test_a_manifest_that_contradicts_its_files_is_found(
+    scenes: list[Recording], tmp_path: Path
+) -> None:
     recipe = Recipe(reducers=("dft321",), anchors=False, reference="none")
     build_stimuli(scenes[:1], tmp_path, recipe=recipe)
     manifest = tmp_path / "manifest.csv"
     manifest.write_text(manifest.read_text().replace(",28800,", ",28801,"))
     (problem,) = check_stimuli(tmp_path)
-    assert problem.startswith("bumps__dft321__as_is.wav: 28800 samples at 48000 Hz, but the manifest says otherwise")
+    assert problem.startswith(
+        "bumps__dft321__as_is.wav: 28800 samples at 48000 Hz, but the manifest says otherwise"
+    )
 
 
-def test_what_a_killed_build_was_writing_is_cleared_away(scenes: list[Recording], tmp_path: Path) -> None:
+def test_what_a_killed_build_was_writing_is_cleared_away(
+    scenes: list[Recording], tmp_path: Path
+) -> None:
     recipe = Recipe(reducers=("dft321",), anchors=False)
-    unfinished = [tmp_path / ".bumps__dft321__as_is.wav.77.part", tmp_path / PARTS / ".abc.wav.77.part"]
+    unfinished = [
+        tmp_path / ".bumps__dft321__as_is.wav.77.part",
+        tmp_path / PARTS / ".abc.wav.77.part",
+    ]
     for path in unfinished:
         path.parent.mkdir(exist_ok=True)
         path.write_bytes(b"half")
@@ -454,7 +585,13 @@ def test_a_damaged_manifest_costs_only_a_new_build(scenes: list[Recording], tmp_
     recipe = Recipe(reducers=("sax321",))
     build_stimuli(scenes, tmp_path, recipe=recipe)
     good = contents(tmp_path)
-    for damage in ("{", "[]", '{"stimuli": [{"stimulus_id": "x"}]}', '{"stimuli": [], "measured": []}', "[" * 9000):
+    for damage in (
+        "{",
+        "[]",
+        '{"stimuli": [{"stimulus_id": "x"}]}',
+        '{"stimuli": [], "measured": []}',
+        "[" * 9000,
+    ):
         (tmp_path / "manifest.json").write_text(damage)
         build_stimuli(scenes, tmp_path, recipe=recipe)
         assert contents(tmp_path) == good
@@ -462,9 +599,9 @@ def test_a_damaged_manifest_costs_only_a_new_build(scenes: list[Recording], tmp_
 
 KILLED = """
 import sys
-from stimuli.recipe import Recipe
-from stimuli.sets import build_stimuli
-from stimuli.synthesis import SCENES, make_scene
+from feel321.stimuli.sets.recipe import Recipe
+from feel321.stimuli.sets.build import build_stimuli
+from feel321.stimuli.synthesis import SCENES, make_scene
 scenes = [make_scene(name, duration_s=1.0) for name in SCENES]
 print("ready", flush=True)
 build_stimuli(scenes, sys.argv[1], recipe=Recipe(levels=("as_is", "equal_intensity")), workers=int(sys.argv[2]))
@@ -472,10 +609,14 @@ build_stimuli(scenes, sys.argv[1], recipe=Recipe(levels=("as_is", "equal_intensi
 
 
 @pytest.mark.parametrize(("delay_s", "workers"), [(0.05, 1), (0.2, 1), (0.5, 1), (1.5, 2)])
-def test_a_killed_build_leaves_no_half_file_and_is_continued(tmp_path: Path, delay_s: float, workers: int) -> None:
+def test_a_killed_build_leaves_no_half_file_and_is_continued(
+    tmp_path: Path, delay_s: float, workers: int
+) -> None:
     folder = tmp_path / "killed"
     process = subprocess.Popen(
-        [sys.executable, "-c", KILLED, str(folder), str(workers)], stdout=subprocess.PIPE, start_new_session=True
+        [sys.executable, "-c", KILLED, str(folder), str(workers)],
+        stdout=subprocess.PIPE,
+        start_new_session=True,
     )
     assert process.stdout is not None
     assert process.stdout.readline() == b"ready\n"
@@ -529,7 +670,9 @@ def test_anchors_hum_where_the_recording_is_quiet() -> None:
     assert quietest_hz(quiet) == (pytest.approx(700, abs=30), pytest.approx(150, abs=5))
 
 
-def test_a_set_whose_anchor_is_no_anchor_is_refused(scenes: list[Recording], tmp_path: Path) -> None:
+def test_a_set_whose_anchor_is_no_anchor_is_refused(
+    scenes: list[Recording], tmp_path: Path
+) -> None:
     build_stimuli(scenes[:1], tmp_path, recipe=Recipe(reducers=("sax321",)))
     table = (tmp_path / "manifest.csv").read_text()
     line = next(row for row in table.splitlines() if "anchor_mid" in row)
@@ -557,13 +700,21 @@ def test_a_set_whose_anchor_is_no_anchor_is_refused(scenes: list[Recording], tmp
         ({"rate_hz": 100.0}, "from 2000 to 384000"),
         ({"headroom": 1.5}, "up to 1"),
         ({"full_scale_m_s2": 0.0}, "full_scale_m_s2: got 0.0"),
-        ({"gain": float("inf")}, "gain: got inf, allowed is a finite number above 0, 'set' or 'per_recording'"),
+        (
+            {"gain": float("inf")},
+            "gain: got inf, allowed is a finite number above 0, 'set' or 'per_recording'",
+        ),
         ({"gain": "loud"}, "gain: got 'loud'"),
-        ({"threshold": "finger"}, "threshold: got 'finger', allowed is one of contactor, grasped_stylus"),
+        (
+            {"threshold": "finger"},
+            "threshold: got 'finger', allowed is one of contactor, grasped_stylus",
+        ),
         ({"fade_s": -1.0}, "fade_s: got -1.0"),
     ],
 )
-def test_recipes_that_cannot_be_cooked_are_refused(changes: dict[str, object], message: str) -> None:
+def test_recipes_that_cannot_be_cooked_are_refused(
+    changes: dict[str, object], message: str
+) -> None:
     with pytest.raises(ValueError, match=message):
         Recipe(**changes)
 
@@ -600,7 +751,10 @@ def test_a_gain_that_clips_is_counted_and_reported(scenes: list[Recording], tmp_
     samples, _ = read_wav(tmp_path / row.file)
     assert row.clipped == np.count_nonzero(np.abs(samples) == 1.0) > 0
     (problem,) = check_stimuli(tmp_path)
-    assert problem == f"{row.file}: {row.clipped} samples clipped; lower the gain or raise full_scale_m_s2"
+    assert (
+        problem
+        == f"{row.file}: {row.clipped} samples clipped; lower the gain or raise full_scale_m_s2"
+    )
 
 
 @pytest.mark.parametrize(
@@ -608,11 +762,16 @@ def test_a_gain_that_clips_is_counted_and_reported(scenes: list[Recording], tmp_
     [
         ("", "holds no stimulus"),
         ("a,b\n1,2\n", "line 2: wrong or missing columns stimulus_id"),
-        (",".join(CONTRACT) + "\n" + "x," * 6 + "fast" + ",1" * 12 + "\n", "line 2: could not convert string to float"),
+        (
+            ",".join(CONTRACT) + "\n" + "x," * 6 + "fast" + ",1" * 12 + "\n",
+            "line 2: could not convert string to float",
+        ),
         (b"\xff\xfe", "UTF-8"),
     ],
 )
-def test_a_manifest_that_is_none_is_refused(table: str | bytes, message: str, tmp_path: Path) -> None:
+def test_a_manifest_that_is_none_is_refused(
+    table: str | bytes, message: str, tmp_path: Path
+) -> None:
     (tmp_path / "manifest.csv").write_bytes(table if isinstance(table, bytes) else table.encode())
     with pytest.raises(ValueError, match=message):
         read_stimuli(tmp_path)
@@ -625,17 +784,26 @@ def test_a_set_that_was_not_built_says_so(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("anchors", [True, False])
-@pytest.mark.parametrize("steps", [Conditioning(), Conditioning(remove_offset=False, high_pass_hz=None)])
-def test_a_recording_without_anything_to_match_is_refused(steps: Conditioning, anchors: bool, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "steps", [Conditioning(), Conditioning(remove_offset=False, high_pass_hz=None)]
+)
+def test_a_recording_without_anything_to_match_is_refused(
+    steps: Conditioning, anchors: bool, tmp_path: Path
+) -> None:
     still = Recording(np.outer((0.0, 9.81, 0.0), np.ones(3000)), 3000.0, "still")
     recipe = Recipe(conditioning=steps, anchors=anchors)
-    with pytest.raises(ValueError, match=r"^recording 'still': the recording has no energy from 20 .*, leave it out$"):
+    with pytest.raises(
+        ValueError,
+        match=r"^recording 'still': the recording has no energy from 20 .*, leave it out$",
+    ):
         build_stimuli([still], tmp_path, recipe=recipe)
     assert not (tmp_path / "manifest.csv").exists()
 
 
 @pytest.mark.parametrize("name", ["spectral_match_bounded", "sensation_level_db"])
-def test_a_set_of_an_earlier_version_has_no_further_metric(name: str, built: StimulusSet, tmp_path: Path) -> None:
+def test_a_set_of_an_earlier_version_has_no_further_metric(
+    name: str, built: StimulusSet, tmp_path: Path
+) -> None:
     with (built.folder / "manifest.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     older = [column for column in CONTRACT if column != name]
@@ -649,7 +817,9 @@ def test_a_set_of_an_earlier_version_has_no_further_metric(name: str, built: Sti
 
 
 @pytest.mark.parametrize("name", ["spectral_match_bounded", "sensation_level_db"])
-def test_a_further_metric_that_is_not_known_is_an_empty_cell(name: str, built: StimulusSet, tmp_path: Path) -> None:
+def test_a_further_metric_that_is_not_known_is_an_empty_cell(
+    name: str, built: StimulusSet, tmp_path: Path
+) -> None:
     unknown = replace(built.stimuli[0], **{name: math.nan})
     write_manifest(tmp_path, [unknown], details={})
     with (tmp_path / "manifest.csv").open(newline="") as file:
@@ -660,13 +830,19 @@ def test_a_further_metric_that_is_not_known_is_an_empty_cell(name: str, built: S
 
 
 def test_real_recordings_build_and_pass(shared_recordings: Path, tmp_path: Path) -> None:
-    from stimuli.formats import read_recording
+    from feel321.stimuli.formats.read import read_recording
 
-    files = [path for path in sorted(shared_recordings.iterdir()) if path.suffix in {".csv", ".npz", ".wav"}]
+    files = [
+        path
+        for path in sorted(shared_recordings.iterdir())
+        if path.suffix in {".csv", ".npz", ".wav"}
+    ]
     recordings = [read_recording(path) for path in files]
     assert len(recordings) == 11
     built = build_stimuli(recordings, tmp_path, recipe=Recipe(levels=BOTH), workers=2)
-    assert len(built.stimuli) == 11 * 2 * (len(DEFAULT_REDUCERS) + 3)  # the reference and two anchors
+    assert len(built.stimuli) == 11 * 2 * (
+        len(DEFAULT_REDUCERS) + 3
+    )  # the reference and two anchors
     assert check_stimuli(tmp_path) == []
     exact = [row.spectral_match for row in built.stimuli if row.reducer == "dft321"]
     np.testing.assert_allclose(exact, 1.0, atol=1e-9)

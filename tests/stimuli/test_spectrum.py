@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stimuli.spectrum import WeberSmoothing, energy_spectrum, linear_grid, log_grid
+from feel321.stimuli.match import WeberSmoothing, energy_spectrum, linear_grid, log_grid
 
 
 def smoothed_at(frequencies: np.ndarray, spacing: float, spectrum: np.ndarray) -> np.ndarray:
@@ -31,7 +31,9 @@ def test_one_line_becomes_a_rectangle_as_wide_as_the_weber_fraction() -> None:
 def test_a_window_narrower_than_a_bin_is_the_bin() -> None:
     frequencies = np.array([20.0, 25.0, 30.0])
     spectrum = np.random.default_rng(0).random(201)
-    np.testing.assert_allclose(smoothed_at(frequencies, 10.0, spectrum)[[0, 2]], spectrum[[2, 3]], rtol=1e-12)
+    np.testing.assert_allclose(
+        smoothed_at(frequencies, 10.0, spectrum)[[0, 2]], spectrum[[2, 3]], rtol=1e-12
+    )
 
 
 def test_the_window_is_cut_off_at_the_last_bin() -> None:
@@ -46,23 +48,31 @@ def test_the_window_is_cut_off_at_the_last_bin() -> None:
 def test_a_strong_tone_costs_its_weak_neighbours_no_accuracy() -> None:
     n, rate = 40_000, 10_000.0
     noise = np.random.default_rng(0).standard_normal(n)
-    spectrum = energy_spectrum(1e5 * np.sin(2 * np.pi * 50 * np.arange(n) / rate) + noise)  # noise at -97 dB
+    spectrum = energy_spectrum(
+        1e5 * np.sin(2 * np.pi * 50 * np.arange(n) / rate) + noise
+    )  # noise at -97 dB
     frequencies = linear_grid(n, rate)
     smoothed = smoothed_at(frequencies, rate / n, spectrum)
     bins = np.arange(spectrum.size)
     for wanted in (400.0, 700.0, 950.0):
         k = wanted / (rate / n)
-        covered = np.clip(np.minimum(bins + 1, k * 1.11 + 0.5) - np.maximum(bins, k * 0.89 + 0.5), 0, 1)
+        covered = np.clip(
+            np.minimum(bins + 1, k * 1.11 + 0.5) - np.maximum(bins, k * 0.89 + 0.5), 0, 1
+        )
         expected = covered @ spectrum / (0.22 * k)
         # Extended precision gives 1e-7; where the platform has none (Windows), the running sum's rounding shows.
         tolerance = 1e-6 if np.finfo(np.longdouble).eps < np.finfo(np.float64).eps else 1e-2
-        assert smoothed[np.argmin(abs(frequencies - wanted))] == pytest.approx(expected, rel=tolerance)
+        assert smoothed[np.argmin(abs(frequencies - wanted))] == pytest.approx(
+            expected, rel=tolerance
+        )
 
 
 @pytest.mark.parametrize(("n", "rate"), [(1000, 1601.57), (134636, 26927.2), (10, 300.0), (3, 1e4)])
 def test_the_linear_grid_is_the_dfts_between_20_and_1000_hz(n: int, rate: float) -> None:
     grid = np.fft.rfftfreq(n, 1 / rate)
-    np.testing.assert_allclose(linear_grid(n, rate), grid[(grid >= 20) & (grid <= 1000)], rtol=1e-12)
+    np.testing.assert_allclose(
+        linear_grid(n, rate), grid[(grid >= 20) & (grid <= 1000)], rtol=1e-12
+    )
 
 
 def test_limits_on_the_grid_survive_a_rate_that_is_rounded() -> None:

@@ -7,11 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stimuli.fourier import dft321_windowed
-from stimuli.matched import pca321_matched_windowed
-from stimuli.principal import pca321_adaptive
-from stimuli.reduce import REDUCERS
-from stimuli.stream import WHY_NOT_STREAMING, StreamingReducer
+from feel321.stimuli.reducers.axes import pca321_adaptive
+from feel321.stimuli.reducers.fourier import dft321_windowed
+from feel321.stimuli.reducers.matched import pca321_matched_windowed
+from feel321.stimuli.reducers.registry import REDUCERS, WHY_NOT_STREAMING, StreamingReducer
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -33,19 +32,27 @@ def run(stream: StreamingReducer, acceleration: np.ndarray, cuts: list[int]) -> 
 def test_any_partition_gives_the_offline_result_after_a_constant_delay(
     name: str, data: st.DataObject, n: int, seed: int
 ) -> None:
-    acceleration = np.random.default_rng(seed).standard_normal((3, n)) + np.array([[9.8], [0.0], [0.0]])
+    acceleration = np.random.default_rng(seed).standard_normal((3, n)) + np.array([
+        [9.8],
+        [0.0],
+        [0.0],
+    ])
     cuts = data.draw(st.lists(st.integers(0, n), max_size=30))
     stream = StreamingReducer(name, RATE)
     streamed = run(stream, acceleration, cuts)
     assert len(streamed) == n + stream.latency_samples
     offline = REDUCERS[name](acceleration, RATE)
-    np.testing.assert_allclose(streamed[stream.latency_samples :], offline, rtol=1e-12, atol=1e-12 * 10)
+    np.testing.assert_allclose(
+        streamed[stream.latency_samples :], offline, rtol=1e-12, atol=1e-12 * 10
+    )
     np.testing.assert_array_equal(streamed[: min(n, stream.latency_samples)], 0.0)
 
 
 @pytest.mark.parametrize("offline", [dft321_windowed, pca321_adaptive, pca321_matched_windowed])
 @pytest.mark.parametrize("window_s", [0.002, 0.01, 0.2])
-def test_window_length_is_the_offline_one(offline: Callable[..., np.ndarray], window_s: float) -> None:
+def test_window_length_is_the_offline_one(
+    offline: Callable[..., np.ndarray], window_s: float
+) -> None:
     acceleration = np.random.default_rng(3).standard_normal((3, 500))
     stream = StreamingReducer(offline.__name__, RATE, window_s)
     streamed = run(stream, acceleration, [7, 8, 8, 300])
@@ -59,13 +66,17 @@ def test_no_output_depends_on_input_that_has_not_arrived() -> None:
     second = first.copy()
     second[:, 200:] += 100.0
     for name in STREAMING:
-        one, two = (StreamingReducer(name, RATE).process(signal)[:200] for signal in (first, second))
+        one, two = (
+            StreamingReducer(name, RATE).process(signal)[:200] for signal in (first, second)
+        )
         np.testing.assert_array_equal(one, two)
 
 
 @pytest.mark.parametrize("name", sorted(WHY_NOT_STREAMING))
 def test_reducers_that_need_the_whole_recording_say_so(name: str) -> None:
-    with pytest.raises(ValueError, match=f"{name} cannot stream: .* needs? the whole recording; stream"):
+    with pytest.raises(
+        ValueError, match=f"{name} cannot stream: .* needs? the whole recording; stream"
+    ):
         StreamingReducer(name, RATE)
 
 
@@ -86,8 +97,12 @@ def test_a_flushed_stream_has_ended() -> None:
 
 @pytest.mark.parametrize(
     ("block", "message"),
-    [(np.ones((2, 5)), "three axes"), (np.ones((4, 3, 5)), "one stream"), (np.full((3, 2), np.nan), "not finite"),
-     (np.full((3, 2), 1e160), r"got a peak of 1e\+160, allowed is up to 1e\+60")],
+    [
+        (np.ones((2, 5)), "three axes"),
+        (np.ones((4, 3, 5)), "one stream"),
+        (np.full((3, 2), np.nan), "not finite"),
+        (np.full((3, 2), 1e160), r"got a peak of 1e\+160, allowed is up to 1e\+60"),
+    ],
 )
 def test_bad_blocks_are_refused(block: np.ndarray, message: str) -> None:
     with pytest.raises(ValueError, match=message):
@@ -117,7 +132,9 @@ def test_gaps_are_filled_and_counted_alike_for_any_partition(
         filled[:, place] = filled[:, place - 1] if on_gap == "hold" and place else 0.0
     stream = StreamingReducer(name, RATE, on_gap=on_gap)
     got = run(stream, holed, data.draw(st.lists(st.integers(0, n), max_size=20)))
-    np.testing.assert_allclose(got, run(StreamingReducer(name, RATE), filled, [n]), rtol=1e-12, atol=1e-11)
+    np.testing.assert_allclose(
+        got, run(StreamingReducer(name, RATE), filled, [n]), rtol=1e-12, atol=1e-11
+    )
     assert stream.missing_samples == missing.sum()
     assert stream.gaps == np.count_nonzero(np.diff(missing.astype(int), prepend=0) == 1)
 
@@ -167,7 +184,9 @@ def test_a_refused_block_changes_nothing() -> None:
     samples = np.random.default_rng(1).standard_normal((3, 30))
     for stream in (refusing, holding):
         stream_out = stream.process(samples)
-        np.testing.assert_array_equal(stream_out, StreamingReducer("say321_matched_running", RATE).process(samples))
+        np.testing.assert_array_equal(
+            stream_out, StreamingReducer("say321_matched_running", RATE).process(samples)
+        )
 
 
 def test_skipped_samples_are_a_gap() -> None:

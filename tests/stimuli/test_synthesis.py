@@ -5,14 +5,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from stimuli.condition import Conditioning, condition
-from stimuli.fourier import dft321_windowed
-from stimuli.match import spectral_match, temporal_match
-from stimuli.reduce import REDUCERS
-from stimuli.synthesis import SCENES, make_scene
+from feel321.stimuli.condition import Conditioning, condition
+from feel321.stimuli.match import spectral_match, temporal_match
+from feel321.stimuli.reducers.fourier import dft321_windowed
+from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.synthesis import SCENES, make_scene
 
 if TYPE_CHECKING:
-    from stimuli.recording import Recording
+    from feel321.stimuli.recording import Recording
 
 
 def shares(recording: Recording) -> np.ndarray:
@@ -22,7 +22,14 @@ def shares(recording: Recording) -> np.ndarray:
 
 
 def test_at_least_the_six_scenes_of_the_contract() -> None:
-    contract = {"bumps", "texture_drag", "hard_taps", "constrained_drag", "isotropic_rumble", "circular_motion"}
+    contract = {
+        "bumps",
+        "texture_drag",
+        "hard_taps",
+        "constrained_drag",
+        "isotropic_rumble",
+        "circular_motion",
+    }
     assert contract <= set(SCENES)
 
 
@@ -53,7 +60,9 @@ def test_scenes_move_as_their_names_say() -> None:
 def test_the_pattern_of_the_papers_table_1(name: str, seed: int) -> None:
     recording = condition(make_scene(name, seed=seed), Conditioning())
     acceleration, rate = recording.acceleration, recording.rate_hz
-    spectral = {r: spectral_match(acceleration, f(acceleration, rate), rate) for r, f in REDUCERS.items()}
+    spectral = {
+        r: spectral_match(acceleration, f(acceleration, rate), rate) for r, f in REDUCERS.items()
+    }
     assert spectral["dft321"] == pytest.approx(1.0, abs=1e-9)
     windowed = [
         spectral_match(acceleration, dft321_windowed(acceleration, rate, window_s=ms / 1000), rate)

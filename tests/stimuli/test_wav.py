@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.io import wavfile
 
-from stimuli.wav import read_wav, read_wav_header, write_wav
+from feel321.stimuli.wav import read_wav, read_wav_header, write_wav
 
 if TYPE_CHECKING:
     from typing import BinaryIO
@@ -54,7 +54,12 @@ def _refuse(*_: object) -> None:
     ],
 )
 def test_a_write_that_fails_leaves_the_old_file_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, owner: object, name: str, fault: object, error: type
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    owner: object,
+    name: str,
+    fault: object,
+    error: type,
 ) -> None:
     write_wav(tmp_path / "a.wav", [1.0], 8000)
     before = (tmp_path / "a.wav").read_bytes()
@@ -65,7 +70,9 @@ def test_a_write_that_fails_leaves_the_old_file_alone(
     assert [p.name for p in tmp_path.iterdir()] == ["a.wav"]
 
 
-def test_a_file_takes_its_name_when_all_of_it_is_on_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_takes_its_name_when_all_of_it_is_on_the_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     on_disk: list[int] = []
     monkeypatch.setattr(os, "fsync", lambda number: on_disk.append(os.fstat(number).st_size))
     replace = Path.replace
@@ -104,13 +111,17 @@ def test_a_damaged_file_is_refused_in_one_way_only(tmp_path: Path) -> None:
         (np.array([-(2**31), 0, 2**30], np.int32), [-1, 0, 0.5]),
     ],
 )
-def test_integers_are_fractions_of_full_scale(tmp_path: Path, stored: np.ndarray, fractions: list[float]) -> None:
+def test_integers_are_fractions_of_full_scale(
+    tmp_path: Path, stored: np.ndarray, fractions: list[float]
+) -> None:
     wavfile.write(tmp_path / "a.wav", 8000, stored)
     np.testing.assert_array_equal(read_wav(tmp_path / "a.wav")[0], fractions)
 
 
 def _header(data_bytes: int, *, coding: int = 1, channels: int = 1, frame_bytes: int = 1) -> bytes:
-    layout = struct.pack("<HHIIHH", coding, channels, 8000, 8000 * frame_bytes, frame_bytes, 8 * frame_bytes)
+    layout = struct.pack(
+        "<HHIIHH", coding, channels, 8000, 8000 * frame_bytes, frame_bytes, 8 * frame_bytes
+    )
     data = struct.pack("<4sI", b"data", data_bytes)
     size = min(36 + data_bytes, 2**32 - 1)
     return b"RIFF" + struct.pack("<I8sI", size, b"WAVEfmt ", 16) + layout + data
@@ -131,7 +142,9 @@ def test_unknown_chunks_are_passed_over(tmp_path: Path) -> None:
 
 
 def test_big_endian_container_is_read(tmp_path: Path) -> None:
-    head = struct.pack(">4sI4s4sIHHIIHH", b"RIFX", 40, b"WAVE", b"fmt ", 16, 1, 1, 8000, 16000, 2, 16)
+    head = struct.pack(
+        ">4sI4s4sIHHIIHH", b"RIFX", 40, b"WAVE", b"fmt ", 16, 1, 1, 8000, 16000, 2, 16
+    )
     (tmp_path / "a.wav").write_bytes(head + struct.pack(">4sIhh", b"data", 4, 1, -2))
     np.testing.assert_array_equal(read_wav(tmp_path / "a.wav")[0], np.array([1, -2]) / 32768)
 
@@ -139,7 +152,12 @@ def test_big_endian_container_is_read(tmp_path: Path) -> None:
 def test_the_header_says_what_is_there(tmp_path: Path) -> None:
     write_wav(tmp_path / "a.wav", np.zeros((3, 10)), 26753)
     header = read_wav_header(tmp_path / "a.wav")
-    assert (header.channels, header.rate_hz, header.frame_bytes, header.data_bytes) == (3, 26753, 12, 120)
+    assert (header.channels, header.rate_hz, header.frame_bytes, header.data_bytes) == (
+        3,
+        26753,
+        12,
+        120,
+    )
 
 
 def test_a_truncated_file_is_refused_with_both_numbers(tmp_path: Path) -> None:
@@ -164,10 +182,16 @@ def test_a_header_of_two_to_the_31_samples_is_refused_without_allocating(tmp_pat
         (b"\x00garbage in the file", "allowed is RIFF/WAVE"),
         (b"RIFF\x00\x00\x00\x00WAVEdata\x00\x00\x00\x00", "before any format chunk"),
         (_header(8, channels=0, frame_bytes=0), "0 channels at 8000 Hz in frames of 0 bytes"),
-        (_header(4, coding=7) + b"abcd", "WAV coding 0x0007 of 8 bits, which is not read; save as PCM or float"),
+        (
+            _header(4, coding=7) + b"abcd",
+            "WAV coding 0x0007 of 8 bits, which is not read; save as PCM or float",
+        ),
         (_header(4, channels=3) + b"abcd", "frames of 1 bytes for 3 channels of 8 bits"),
         (_header(9, coding=3, channels=1, frame_bytes=5) + bytes(9), "coding 0x0003 of 40 bits"),
-        (_header(16, coding=3, channels=3, frame_bytes=8) + bytes(16), "frames of 8 bytes for 3 channels of 64 bits"),
+        (
+            _header(16, coding=3, channels=3, frame_bytes=8) + bytes(16),
+            "frames of 8 bytes for 3 channels of 64 bits",
+        ),
         (_header(4)[:34] + bytes(2) + _header(4)[36:] + b"abcd", "coding 0x0001 of 0 bits"),
         (b"RIFF" + bytes(4) + _header(4)[8:] + b"abcd", "chunks cannot be read"),
         (_header(0), "without samples"),
@@ -191,7 +215,9 @@ def test_what_is_not_a_wav_file_is_refused(tmp_path: Path, content: bytes, messa
         ([1.0], 0, "above 0"),
     ],
 )
-def test_what_a_wav_cannot_hold_is_refused(tmp_path: Path, samples: list[float], rate: float, message: str) -> None:
+def test_what_a_wav_cannot_hold_is_refused(
+    tmp_path: Path, samples: list[float], rate: float, message: str
+) -> None:
     with pytest.raises(ValueError, match=message):
         write_wav(tmp_path / "a.wav", samples, rate)
     assert not list(tmp_path.iterdir())

@@ -9,25 +9,22 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from protocols.flow import Flow
-from protocols.tasks import make_task
-from protocols.texts import read_scales
-from stimuli.manifest import Stimulus, StimulusSet
-from study.folder import StudyFolder
-from study.session.conduct import Stage
-from study.session.engine import run_session
-from study.session.opening import Stale, open_session
-from study.session.plan import Design, Plan, list_codes, make_plan
-from study.session.ports import Abort, Act, Confirm, Feel, Pause, Playback
-from study.session.replay import find_elapsed
+from feel321.protocols.tasks import make_task
+from feel321.protocols.texts import read_scales
+from feel321.protocols.trial import Flow
+from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
+from feel321.study.folder import StudyFolder
+from feel321.study.session.engine import Stage, run_session
+from feel321.study.session.opening import Stale, open_session
+from feel321.study.session.plan import Design, Plan, find_elapsed, list_codes, make_plan
+from feel321.study.session.ports import Abort, Act, Confirm, Feel, Pause, Playback
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from protocols.flow import Page
-    from protocols.trial import Part, Scale, Trial
-    from study.session.journal import Clock
-    from study.session.ports import Place
+    from feel321.protocols.trial import Page, Part, Scale, Trial
+    from feel321.study.session.journal import Clock
+    from feel321.study.session.ports import Place
 
 SMALL_STUDY = """
 [study]
@@ -48,7 +45,9 @@ draws = 200
 MATCHES = {"first": (0.9, 0.2), "second": (0.7, 0.6), "third": (0.2, 0.5), "fourth": (-3.0, 0.1)}
 
 
-def make_stimulus(recording: str, reducer: str, role: str, matches: tuple[float, float]) -> Stimulus:
+def make_stimulus(
+    recording: str, reducer: str, role: str, matches: tuple[float, float]
+) -> Stimulus:
     return Stimulus(
         stimulus_id=f"{recording}-{reducer}",
         recording=recording,
@@ -151,7 +150,11 @@ class ScriptedPresenter:
         self.shown += 1
         self.log.append(f"show {trial.number}.{place.attempt} {scale.name}")
         key = (trial.number, place.attempt)
-        usual = Confirm(0.0, {judgement.part: "a" if scale.choices else 50.0 for judgement in trial.judgements}, 1.5)
+        usual = Confirm(
+            0.0,
+            {judgement.part: "a" if scale.choices else 50.0 for judgement in trial.judgements},
+            1.5,
+        )
         free: list[Act] = [Feel(0.0, "")] if trial.timing == "free" else []
         self._waiting = self.acts.get(key, [*free, usual])
         self._playbacks = self.playbacks.get(key, [])
@@ -196,7 +199,10 @@ def present(
     ) -> list[Any]:
         folder = tmp_path / "sessions" / plan.participant
         identity = {"presenter": {"simulated": True}}
-        with open_session(folder, plan, identity=identity, now=now, stale=stale or Stale()) as (stored, journal):
+        with open_session(folder, plan, identity=identity, now=now, stale=stale or Stale()) as (
+            stored,
+            journal,
+        ):
             codes = list_codes(stimuli, seed=stored.seed)
             by_code = {codes[stimulus.stimulus_id]: stimulus for stimulus in stimuli.stimuli}
             presenter.time_s = find_elapsed(journal.records)

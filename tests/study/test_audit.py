@@ -10,23 +10,29 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from study.audit import audit_study
-from study.auditing.seal import make_seal
-from study.cli import main
-from study.folder import StudyFolder
-from study.ledger.rebuilding import rebuild_ledger
-from study.ledger.slots import open_ledger, rewrite_ledger
-from study.ledger.withdrawal import withdraw_participant
-from study.session.chain import START, digest, read_chain, write_line
-from study.session.journal import create_journal, read_journal, require_journal
-from study.workflow import build_study, simulate_study
+from feel321.study.audit import audit_study, make_seal
+from feel321.study.cli import main
+from feel321.study.folder import StudyFolder
+from feel321.study.ledger.rebuilding import rebuild_ledger
+from feel321.study.ledger.slots import open_ledger, rewrite_ledger
+from feel321.study.ledger.withdrawal import withdraw_participant
+from feel321.study.session.journal import (
+    START,
+    create_journal,
+    digest,
+    read_chain,
+    read_journal,
+    require_journal,
+    write_line,
+)
+from feel321.study.workflow import build_study, simulate_study
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from study.ledger.entries import Entry
-    from study.session.chain import Record
+    from feel321.study.ledger.database import Entry
+    from feel321.study.session.journal import Record
 
     Edit = Callable[[list[bytes]], list[bytes]]
 
@@ -95,16 +101,31 @@ def test_a_study_as_it_was_written_gives_no_finding(copy: StudyFolder) -> None:
 @pytest.mark.parametrize(
     ("edit", "finding"),
     [
-        (lambda lines: [*lines[:8], lines[8].replace(b'"test": ', b'"test": 1'), *lines[9:]], ", line 9: was changed"),
+        (
+            lambda lines: [*lines[:8], lines[8].replace(b'"test": ', b'"test": 1'), *lines[9:]],
+            ", line 9: was changed",
+        ),
         (lambda lines: lines[:5] + lines[6:], ", line 6: does not follow the line before"),
-        (lambda lines: [*lines[:5], lines[6], lines[5], *lines[7:]], ", line 6: does not follow the line before"),
+        (
+            lambda lines: [*lines[:5], lines[6], lines[5], *lines[7:]],
+            ", line 6: does not follow the line before",
+        ),
         (lambda lines: [*lines, lines[-1]], ": does not follow the line before"),
         (lambda lines: lines[1:], ", line 1: does not follow the line before"),
         (lambda lines: [*lines, b'{"torn'], ": ends in 6 bytes of a line that was never finished"),
     ],
-    ids=["a changed rating", "a deleted line", "swapped lines", "a doubled line", "a lost header", "a torn line"],
+    ids=[
+        "a changed rating",
+        "a deleted line",
+        "swapped lines",
+        "a doubled line",
+        "a lost header",
+        "a torn line",
+    ],
 )
-def test_an_edited_journal_is_named_with_its_line(copy: StudyFolder, edit: Edit, finding: str) -> None:
+def test_an_edited_journal_is_named_with_its_line(
+    copy: StudyFolder, edit: Edit, finding: str
+) -> None:
     journal = copy.journals[0]
     lines = journal.read_bytes().splitlines(keepends=True)
     assert find_rated(lines) == 8, "the changed line is the first rating"
@@ -119,7 +140,9 @@ def test_lines_cut_off_at_the_end_are_missed_by_the_ledger(copy: StudyFolder, ke
     lines = journal.read_bytes().splitlines(keepends=True)
     journal.write_bytes(b"".join(lines[:kept]))
     left = len(lines[:kept])
-    assert find_only(copy) == f"{journal}: ends with line {left}, {len(lines)} lines of it were seen"
+    assert (
+        find_only(copy) == f"{journal}: ends with line {left}, {len(lines)} lines of it were seen"
+    )
     # It can be taken as it is, but not without a trace.
     (cut,) = rebuild_ledger(copy)
     assert cut == f"{journal}: ends with line {left}, {len(lines)} lines of it were seen"
@@ -131,7 +154,9 @@ def test_a_chain_forged_as_a_whole_is_betrayed_by_the_ledger(copy: StudyFolder) 
     records = list(read_journal(journal).records)
     place = find_rated(journal.read_bytes().splitlines())
     better = {**records[place].data, "values": {"test": 100.0}}
-    journal.write_bytes(chain_anew([*records[:place], replace(records[place], data=better), *records[place + 1 :]]))
+    journal.write_bytes(
+        chain_anew([*records[:place], replace(records[place], data=better), *records[place + 1 :]])
+    )
     assert find_only(copy) == f"{journal}, line {len(records)}: is not the line that was seen there"
 
 
@@ -149,7 +174,9 @@ def test_a_changed_or_missing_plan_is_found(copy: StudyFolder) -> None:
     missing.unlink()
     findings = audit_study(copy)
     assert len(findings) == 2
-    assert findings[0].startswith(f"{changed}: got no plan, or one that was changed after it was stored")
+    assert findings[0].startswith(
+        f"{changed}: got no plan, or one that was changed after it was stored"
+    )
     assert str(missing) in findings[1]
 
 
@@ -157,17 +184,24 @@ def test_a_plan_forged_with_its_digest_is_betrayed_by_the_journal(copy: StudyFol
     path = copy.sessions / "sim001" / "plan.json"
     body = path.read_bytes().replace(b'"seed": 321', b'"seed": 322').rpartition(b',\n "sha256"')[0]
     path.write_bytes(body + b',\n "sha256": "' + digest(body + b"\n}").encode() + b'"\n}\n')
-    assert find_only(copy) == f"{copy.journals[0]}: was begun with another plan than the one beside it"
+    assert (
+        find_only(copy) == f"{copy.journals[0]}: was begun with another plan than the one beside it"
+    )
 
 
 @pytest.mark.parametrize(
     ("body", "problem"),
     [
         (b'{\n "format": 2', "got a plan of another make ("),
-        (b'{\n "format": 99', "got a plan of format 99, allowed is 2; use the feel321 that wrote it"),
+        (
+            b'{\n "format": 99',
+            "got a plan of format 99, allowed is 2; use the feel321 that wrote it",
+        ),
     ],
 )
-def test_a_sealed_file_that_is_no_plan_is_told(copy: StudyFolder, body: bytes, problem: str) -> None:
+def test_a_sealed_file_that_is_no_plan_is_told(
+    copy: StudyFolder, body: bytes, problem: str
+) -> None:
     path = copy.sessions / "sim001" / "plan.json"
     path.write_bytes(body + b',\n "sha256": "' + digest(body + b"\n}").encode() + b'"\n}\n')
     assert any(finding.startswith(f"{path}: {problem}") for finding in audit_study(copy))
@@ -189,8 +223,13 @@ def test_a_journal_put_into_the_place_of_another_is_found(copy: StudyFolder) -> 
 def test_a_copied_participant_is_found(copy: StudyFolder) -> None:
     shutil.copytree(copy.sessions / "sim002", copy.sessions / "sim009")
     findings = audit_study(copy)
-    assert f"{copy.sessions / 'sim009' / 'plan.json'}: is the plan of 'sim002', it was copied here" in findings
-    assert any(line.startswith(f"{copy.sessions / 'sim009'}: is not in the ledger") for line in findings)
+    assert (
+        f"{copy.sessions / 'sim009' / 'plan.json'}: is the plan of 'sim002', it was copied here"
+        in findings
+    )
+    assert any(
+        line.startswith(f"{copy.sessions / 'sim009'}: is not in the ledger") for line in findings
+    )
 
 
 def test_a_deleted_participant_is_missed_by_the_ledger(copy: StudyFolder) -> None:
@@ -228,22 +267,31 @@ def test_a_changed_manifest_is_found(copy: StudyFolder) -> None:
         ({"simulated": False}, "sim002 has simulated False, plan and journals say True"),
     ],
 )
-def test_an_edited_row_of_the_ledger_is_found(copy: StudyFolder, edit: dict[str, Any], finding: str) -> None:
+def test_an_edited_row_of_the_ledger_is_found(
+    copy: StudyFolder, edit: dict[str, Any], finding: str
+) -> None:
     rewrite_ledger(
         open_ledger(copy.ledger),
         lambda known: [replace(e, **(edit if e.participant == "sim002" else {})) for e in known],
     )
-    assert find_only(copy) == f"{copy.ledger}: {finding}; rebuild it: feel321 ledger {copy.path} --rebuild"
+    assert (
+        find_only(copy)
+        == f"{copy.ledger}: {finding}; rebuild it: feel321 ledger {copy.path} --rebuild"
+    )
     take_as_it_is(copy)
     assert audit_study(copy) == []
 
 
 def test_a_ledger_that_is_gone_is_missed(copy: StudyFolder) -> None:
     copy.ledger.unlink()
-    assert find_only(copy).startswith(f"{copy.ledger}: is missing, so nobody can tell what else is; rebuild it: ")
+    assert find_only(copy).startswith(
+        f"{copy.ledger}: is missing, so nobody can tell what else is; rebuild it: "
+    )
 
 
-def test_a_ledger_that_lags_behind_the_journals_is_no_finding(whole: StudyFolder, copy: StudyFolder) -> None:
+def test_a_ledger_that_lags_behind_the_journals_is_no_finding(
+    whole: StudyFolder, copy: StudyFolder
+) -> None:
     """After a kill the journals know more than the ledger does; they are the truth."""
     lines = whole.journals[1].read_bytes().splitlines(keepends=True)
     copy.journals[1].write_bytes(b"".join(lines[:7]))
@@ -267,7 +315,9 @@ def test_a_ledger_that_lags_behind_the_journals_is_no_finding(whole: StudyFolder
         ([("begun", None), ("finished", {})], ", line 2: finished after 0 of 5 trials"),
     ],
 )
-def test_gaps_in_a_chain_that_holds_are_found(copy: StudyFolder, events: list[tuple[str, Any]], finding: str) -> None:
+def test_gaps_in_a_chain_that_holds_are_found(
+    copy: StudyFolder, events: list[tuple[str, Any]], finding: str
+) -> None:
     header = read_journal(copy.journals[0]).records[0].data
     path = copy.journals[0]
     path.unlink()
@@ -284,7 +334,10 @@ def test_a_rating_given_twice_in_a_chain_that_holds_is_found(copy: StudyFolder) 
     place = find_rated(path.read_bytes().splitlines())
     path.write_bytes(chain_anew([*records[: place + 1], *records[place:]]))
     take_as_it_is(copy)
-    assert find_only(copy) == f"{path}, line {place + 2}: 'rated' of trial 1, attempt 1, which was not shown"
+    assert (
+        find_only(copy)
+        == f"{path}, line {place + 2}: 'rated' of trial 1, attempt 1, which was not shown"
+    )
 
 
 def test_a_journal_that_never_got_its_header_is_no_finding(copy: StudyFolder) -> None:
@@ -296,7 +349,9 @@ def test_a_journal_that_never_got_its_header_is_no_finding(copy: StudyFolder) ->
 def test_a_clock_set_back_is_recorded_and_explained(copy: StudyFolder) -> None:
     path = copy.journals[0]
     hour_ago = tell_time() - timedelta(hours=1)
-    require_journal(path, now=lambda: hour_ago).write("aborted", {"reason": "KeyboardInterrupt", "time_s": 0.0})
+    require_journal(path, now=lambda: hour_ago).write(
+        "aborted", {"reason": "KeyboardInterrupt", "time_s": 0.0}
+    )
     stepped, aborted = read_journal(path).records[-2:]
     assert (stepped.event, aborted.event) == ("clock_stepped", "aborted")
     assert stepped.data["back_s"] == pytest.approx(3600, abs=60)
@@ -332,7 +387,10 @@ def test_a_ledger_that_says_more_than_the_journals_or_forgot_one_is_found(
     copy: StudyFolder, changes: dict[str, Any], finding: str
 ) -> None:
     edit_entry(copy, "sim002", **changes)
-    assert find_only(copy) == f"{copy.ledger}: {finding}; rebuild it: feel321 ledger {copy.path} --rebuild"
+    assert (
+        find_only(copy)
+        == f"{copy.ledger}: {finding}; rebuild it: feel321 ledger {copy.path} --rebuild"
+    )
 
 
 def test_a_ledger_that_is_damaged_is_found_once(copy: StudyFolder) -> None:
@@ -341,7 +399,9 @@ def test_a_ledger_that_is_damaged_is_found_once(copy: StudyFolder) -> None:
 
 
 @pytest.mark.parametrize("events", [(), ("aborted",), ("released",)])
-def test_a_session_killed_in_its_opening_needs_no_note(copy: StudyFolder, events: tuple[str, ...]) -> None:
+def test_a_session_killed_in_its_opening_needs_no_note(
+    copy: StudyFolder, events: tuple[str, ...]
+) -> None:
     path = copy.journals[1]
     path.write_bytes(path.read_bytes().splitlines(keepends=True)[0])
     for event in events:
@@ -355,7 +415,9 @@ def test_what_lies_beside_a_tombstone_is_named(copy: StudyFolder) -> None:
     withdraw_participant(copy, "sim002", now=tell_time)
     assert audit_study(copy) == []
     (copy.sessions / "sim002" / "plan.json").write_bytes(back)
-    assert find_only(copy).startswith(f"{copy.sessions / 'sim002' / 'plan.json'}: lies beside a tombstone")
+    assert find_only(copy).startswith(
+        f"{copy.sessions / 'sim002' / 'plan.json'}: lies beside a tombstone"
+    )
 
 
 def test_strangers_are_named_once_and_the_others_are_audited_still(copy: StudyFolder) -> None:
@@ -369,10 +431,14 @@ def test_strangers_are_named_once_and_the_others_are_audited_still(copy: StudyFo
     assert findings[0].endswith(f"is no participant's folder; move it out of {copy.sessions}")
 
 
-@pytest.mark.parametrize("body", [b'{\n "a": 1\n}', b'{\n "format": 2\n}', b'{\n "format": 2, "flow": 1\n}'])
+@pytest.mark.parametrize(
+    "body", [b'{\n "a": 1\n}', b'{\n "format": 2\n}', b'{\n "format": 2, "flow": 1\n}']
+)
 def test_a_sealed_plan_of_other_fields_is_a_finding(copy: StudyFolder, body: bytes) -> None:
     path = copy.sessions / "sim001" / "plan.json"
-    path.write_bytes(body.removesuffix(b"\n}") + b',\n "sha256": "' + digest(body).encode() + b'"\n}\n')
+    path.write_bytes(
+        body.removesuffix(b"\n}") + b',\n "sha256": "' + digest(body).encode() + b'"\n}\n'
+    )
     assert find_only(copy).startswith(f"{path}: ")
 
 
@@ -394,14 +460,20 @@ def test_progress_is_told_per_participant(copy: StudyFolder) -> None:
     assert told == [(1, 3), (2, 3), (3, 3)]
 
 
-def test_the_seal_stays_wherever_the_study_lies_and_betrays_every_change(whole: StudyFolder, copy: StudyFolder) -> None:
+def test_the_seal_stays_wherever_the_study_lies_and_betrays_every_change(
+    whole: StudyFolder, copy: StudyFolder
+) -> None:
     seal = make_seal(whole)
     assert make_seal(copy) == seal
     (copy.path / "ratings.csv").unlink()
     assert make_seal(copy) == seal, "what is derived does not count"
     changed = [seal]
     journal = copy.journals[0]
-    for path in (copy.stimuli / "manifest.json", copy.manifest, copy.sessions / "sim003" / "plan.json"):
+    for path in (
+        copy.stimuli / "manifest.json",
+        copy.manifest,
+        copy.sessions / "sim003" / "plan.json",
+    ):
         path.write_bytes(path.read_bytes() + b" ")
         changed.append(make_seal(copy))
     create = require_journal(journal, now=tell_time)
@@ -416,20 +488,29 @@ def test_a_study_written_anew_as_a_whole_is_betrayed_by_the_seal(
     copy: StudyFolder, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["audit", str(copy.path)]) == 0
-    seal = capsys.readouterr().out.splitlines()[-1].removeprefix("seal: ").removesuffix("; keep it elsewhere")
+    seal = (
+        capsys
+        .readouterr()
+        .out.splitlines()[-1]
+        .removeprefix("seal: ")
+        .removesuffix("; keep it elsewhere")
+    )
     assert main(["audit", str(copy.path), "--expect", seal]) == 0
     path = copy.journals[0]
     records = list(read_journal(path).records)
     place = find_rated(path.read_bytes().splitlines())
-    records[place] = replace(records[place], data={**records[place].data, "values": {"test": 100.0}})
+    records[place] = replace(
+        records[place], data={**records[place].data, "values": {"test": 100.0}}
+    )
     path.write_bytes(chain_anew(records))
     copy.ledger.unlink()
     take_as_it_is(copy)
     capsys.readouterr()
     assert main(["audit", str(copy.path), "--expect", seal, "--json"]) == 1
     told = json.loads(capsys.readouterr().out)
-    assert f"{copy.path}: got seal {told['seal']}, expected {seal}; something was recorded or changed since" in (
-        told["findings"]
+    assert (
+        f"{copy.path}: got seal {told['seal']}, expected {seal}; something was recorded or changed since"
+        in (told["findings"])
     )
 
 
@@ -447,4 +528,6 @@ def test_a_study_in_which_nothing_was_done_gives_no_finding(tmp_path: Path) -> N
 def test_a_set_that_nobody_was_planned_with_is_found(copy: StudyFolder) -> None:
     copy.manifest.write_bytes(copy.manifest.read_bytes().replace(b"\r\n", b"\n"))
     plans = [copy.sessions / f"sim00{number}" / "plan.json" for number in (1, 2, 3)]
-    assert audit_study(copy) == [f"{path}: names another stimulus set than the one that is built" for path in plans]
+    assert audit_study(copy) == [
+        f"{path}: names another stimulus set than the one that is built" for path in plans
+    ]

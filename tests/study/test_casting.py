@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from study.casting import find_planted
-from study.settings.reading import read_settings
+from feel321.study.sessions import find_planted
+from feel321.study.settings.read import read_settings
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from stimuli.manifest import StimulusSet
-    from study.settings.tables import Settings
+    from feel321.stimuli.sets.manifest import StimulusSet
+    from feel321.study.settings.schema import Settings
 
 STUDY = """
 [[recordings]]
@@ -33,7 +33,8 @@ def read(folder: Path, more: str = "") -> Settings:
 def bound(stimuli: StimulusSet) -> StimulusSet:
     """Give every stimulus a bounded match of its own."""
     rows = [
-        replace(one, spectral_match_bounded=0.2 + 0.6 * math.exp(-one.temporal_match) ** 2) for one in stimuli.stimuli
+        replace(one, spectral_match_bounded=0.2 + 0.6 * math.exp(-one.temporal_match) ** 2)
+        for one in stimuli.stimuli
     ]
     return replace(stimuli, stimuli=tuple(rows))
 
@@ -51,9 +52,14 @@ def test_people_with_habits_plant_less(tmp_path: Path, stimuli: StimulusSet) -> 
 
 def test_the_declared_metric_is_the_one_that_is_felt(tmp_path: Path, stimuli: StimulusSet) -> None:
     declared = '[analysis]\nmetrics = ["spectral_match", "temporal_match"]\n'
-    assert list(find_planted(read(tmp_path, declared), stimuli)) == ["spectral_match", "temporal_match"]
+    assert list(find_planted(read(tmp_path, declared), stimuli)) == [
+        "spectral_match",
+        "temporal_match",
+    ]
 
 
-def test_where_more_is_felt_than_the_matches_no_slope_is_told(tmp_path: Path, stimuli: StimulusSet) -> None:
+def test_where_more_is_felt_than_the_matches_no_slope_is_told(
+    tmp_path: Path, stimuli: StimulusSet
+) -> None:
     assert find_planted(read(tmp_path, "[observer]\nenvelope = 5.0\n"), stimuli) == {}
     assert find_planted(read(tmp_path, '[session]\nprotocols = ["similarity"]\n'), stimuli) == {}

@@ -6,13 +6,12 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from protocols.texts import CATALOG
-from stimuli.wav import write_wav
-from study.check import check_study, find_warnings
-from study.workflow import build_study
+from feel321.protocols.texts import CATALOG
+from feel321.stimuli.wav import write_wav
+from feel321.study.workflow import build_study, check_study, find_warnings
 
 if TYPE_CHECKING:
-    from study.folder import StudyFolder
+    from feel321.study.folder import StudyFolder
 
 
 @pytest.fixture
@@ -35,11 +34,16 @@ def test_pictures_and_texts_that_are_missing_are_named(study: StudyFolder, ask: 
 @pytest.mark.parametrize(
     ("consent", "words"),
     [
-        ("Read this. " * 300, "page 'consent': its text takes 2.5 screens, allowed is one; shorten it"),
+        (
+            "Read this. " * 300,
+            "page 'consent': its text takes 2.5 screens, allowed is one; shorten it",
+        ),
         ("w" * 120, f"page 'consent': got '{'w' * 120}', which fits on no line; break it"),
     ],
 )
-def test_texts_that_no_screen_has_room_for_are_named(study: StudyFolder, consent: str, words: str) -> None:
+def test_texts_that_no_screen_has_room_for_are_named(
+    study: StudyFolder, consent: str, words: str
+) -> None:
     text = study.settings.read_text(encoding="utf-8")
     study.settings.write_text(f'{text}[session]\nconsent = "{consent}"\n', encoding="utf-8")
     assert check_study(study)[1] == [f"texts in en: {words}"]
@@ -76,7 +80,9 @@ def test_once_they_are_there_nothing_is_left_to_mend(study: StudyFolder, ask: li
     assert check_study(study)[1] == []
 
 
-def test_every_group_that_feels_something_else_is_planned(study: StudyFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_group_that_feels_something_else_is_planned(
+    study: StudyFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
     text = study.settings.read_text(encoding="utf-8")
     text += '[between]\nprotocol = ["realism", "similarity"]\ngrip = ["pen", "power"]\n'
     study.settings.write_text(text, encoding="utf-8")
@@ -88,7 +94,7 @@ def test_every_group_that_feels_something_else_is_planned(study: StudyFolder, mo
         planned.append(number)
         raise ValueError(f"group {number} has nothing to feel")
 
-    monkeypatch.setattr("study.check.make_plan", refuse)
+    monkeypatch.setattr("feel321.study.workflow.make_plan", refuse)
     assert check_study(study)[1] == ["group 1 has nothing to feel", "group 2 has nothing to feel"]
     assert planned == [1, 2]  # The grip changes nothing.
 
@@ -96,12 +102,23 @@ def test_every_group_that_feels_something_else_is_planned(study: StudyFolder, mo
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("fade_s = 0.3", "recording 'bumps': fade_s: got 0.3, allowed is 0 to 0.25 s, half the signal"),
-        ("conditioning.crop_s = [0.1, 0.6]", "recording 'bumps': crop_s: got (0.1, 0.6), allowed for 'bumps' is up to"),
-        ("conditioning.high_pass_hz = 6000\nconditioning.low_pass_hz = 'off'", "recording 'bumps': highpass: got 6000"),
+        (
+            "fade_s = 0.3",
+            "recording 'bumps': fade_s: got 0.3, allowed is 0 to 0.25 s, half the signal",
+        ),
+        (
+            "conditioning.crop_s = [0.1, 0.6]",
+            "recording 'bumps': crop_s: got (0.1, 0.6), allowed for 'bumps' is up to",
+        ),
+        (
+            "conditioning.high_pass_hz = 6000\nconditioning.low_pass_hz = 'off'",
+            "recording 'bumps': highpass: got 6000",
+        ),
     ],
 )
-def test_what_a_build_would_refuse_is_found_for_every_recording(study: StudyFolder, text: str, problem: str) -> None:
+def test_what_a_build_would_refuse_is_found_for_every_recording(
+    study: StudyFolder, text: str, problem: str
+) -> None:
     settings = study.settings.read_text(encoding="utf-8").replace("[stimuli]", f"[stimuli]\n{text}")
     study.settings.write_text(settings, encoding="utf-8")
     first, second = check_study(study)[1]
@@ -117,7 +134,9 @@ def test_a_silent_recording_is_found_before_the_build(study: StudyFolder) -> Non
     text = '[[recordings]]\nfile = "still.wav"\nunit = "g"\n[stimuli]\nreducers = ["sax321"]\n'
     study.settings.write_text(text, encoding="utf-8")
     (problem,) = check_study(study)[1]
-    assert problem.startswith("recording 'still': 'still' is silent between 20 and 1000 Hz: it can have no anchors")
+    assert problem.startswith(
+        "recording 'still': 'still' is silent between 20 and 1000 Hz: it can have no anchors"
+    )
     study.settings.write_text(f"{text}anchors = false", encoding="utf-8")
     (problem,) = check_study(study)[1]
     assert problem.startswith("recording 'still': the recording has no energy from 20 to 1000 Hz")
@@ -129,4 +148,6 @@ def test_remarks_on_settings_need_no_stimuli(study: StudyFolder) -> None:
     assert find_warnings(study) == []
     text = study.settings.read_text(encoding="utf-8") + "[session.breaks]\nrest_s = 0\n"
     study.settings.write_text(text, encoding="utf-8")
-    assert [line.split(": ")[:2] for line in find_warnings(study)] == [["study.toml", "session.breaks.rest_s"]]
+    assert [line.split(": ")[:2] for line in find_warnings(study)] == [
+        ["study.toml", "session.breaks.rest_s"]
+    ]

@@ -12,24 +12,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from analysis.report.sections import association
-from stimuli.condition import Conditioning, condition, list_steps
-from stimuli.formats import read_recording
-from stimuli.match import METRICS, spectral_match
-from stimuli.reduce import REDUCERS
-from stimuli.synthesis import make_scene
-from stimuli.wav import read_wav, write_wav
-from study import cli, commands
-from study.cli import main
-from study.commands import shared
-from study.files import write_text
-from study.folder import read_template
+from feel321.analysis.report import association
+from feel321.stimuli.condition import Conditioning, condition, list_steps
+from feel321.stimuli.formats.read import read_recording
+from feel321.stimuli.match import METRICS, spectral_match
+from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.synthesis import make_scene
+from feel321.stimuli.wav import read_wav, write_wav
+from feel321.study import cli, commands
+from feel321.study.cli import main
+from feel321.study.commands import shared
+from feel321.study.files import write_text
+from feel321.study.folder import read_template
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from study.folder import StudyFolder
+    from feel321.study.folder import StudyFolder
 
     Capture = pytest.CaptureFixture[str]
 
@@ -69,14 +69,26 @@ def test_help_lists_every_verb_and_version_answers(capsys: Capture) -> None:
         (["build", "--workers", "0"], "Invalid value for '--workers': 0 is not in the range x>=1"),
         (["simulate", "--participants", "10001"], "10001 is not in the range 1<=x<=10000"),
         (["analyze", "--manifest", "m.csv"], "--manifest: got it without --ratings; give both"),
-        (["reduce", "{recording}", "--reducer", "dft", "-o", "a.wav"], f"got 'dft', allowed: {', '.join(REDUCERS)}"),
+        (
+            ["reduce", "{recording}", "--reducer", "dft", "-o", "a.wav"],
+            f"got 'dft', allowed: {', '.join(REDUCERS)}",
+        ),
         (
             ["reduce", "{recording}", "--reducer", "sax321", "-o", "a.wav", "--window-ms", "20"],
             "--window-ms: sax321 has no window, allowed with: pca321_adaptive, dft321_windowed, "
             "dft321_principal_windowed",
         ),
         (
-            ["reduce", "{recording}", "--reducer", "dft321_windowed", "-o", "a.wav", "--window-ms", "0"],
+            [
+                "reduce",
+                "{recording}",
+                "--reducer",
+                "dft321_windowed",
+                "-o",
+                "a.wav",
+                "--window-ms",
+                "0",
+            ],
             "--window-ms: got 0, allowed is a finite time above 0 ms; see: feel321 reduce --help",
         ),
     ],
@@ -93,7 +105,9 @@ def test_wrong_use_is_one_line_and_exit_2(
 
 
 @pytest.mark.parametrize("verb", ["check", "build", "simulate", "status", "audit", "analyze"])
-def test_verbs_on_a_folder_that_is_no_study_say_so(verb: str, tmp_path: Path, capsys: Capture) -> None:
+def test_verbs_on_a_folder_that_is_no_study_say_so(
+    verb: str, tmp_path: Path, capsys: Capture
+) -> None:
     assert main([verb, str(tmp_path)]) == 1
     message = f"feel321: {tmp_path}: got a folder without study.toml; name a study, or begin one with: feel321 new"
     assert capsys.readouterr().err.startswith(message)
@@ -122,16 +136,30 @@ def test_reduce_writes_what_the_reducer_gives_and_match_reads_it(
     assert matches["spectral_match"] == pytest.approx(facts["spectral_match"], abs=1e-4)
     assert matches["temporal_match"] == pytest.approx(facts["temporal_match"], abs=1e-4)
     for metric in METRICS:
-        direct = METRICS[metric](bumps.acceleration, REDUCERS[name](bumps.acceleration, 10000.0), 10000.0)
+        direct = METRICS[metric](
+            bumps.acceleration, REDUCERS[name](bumps.acceleration, 10000.0), 10000.0
+        )
         assert facts[metric] == pytest.approx(direct, abs=1e-9)
-    details = {"n_frequencies", "n_left_out", "lowest_hz", "highest_hz", "silent_axes", "n_samples", "rate_hz"}
+    details = {
+        "n_frequencies",
+        "n_left_out",
+        "lowest_hz",
+        "highest_hz",
+        "silent_axes",
+        "n_samples",
+        "rate_hz",
+    }
     assert details <= set(matches)
 
 
 def test_every_real_recording_goes_through_reduce_and_match(
     shared_recordings: Path, tmp_path: Path, capsys: Capture
 ) -> None:
-    sources = [path for path in sorted(shared_recordings.iterdir()) if path.suffix in {".csv", ".npz", ".wav"}]
+    sources = [
+        path
+        for path in sorted(shared_recordings.iterdir())
+        if path.suffix in {".csv", ".npz", ".wav"}
+    ]
     assert len(sources) == 11
     for source in sources:
         output = tmp_path / f"{source.stem}.wav"
@@ -141,7 +169,9 @@ def test_every_real_recording_goes_through_reduce_and_match(
         assert json.loads(capsys.readouterr().out)["spectral_match"] == pytest.approx(1.0, abs=1e-4)
 
 
-def test_reduce_and_match_speak_in_words_too(recording: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_reduce_and_match_speak_in_words_too(
+    recording: Path, tmp_path: Path, capsys: Capture
+) -> None:
     output = str(tmp_path / "out.wav")
     assert main(["reduce", str(recording), "--reducer", "dft321", "-o", output]) == 0
     words = capsys.readouterr().out
@@ -153,7 +183,14 @@ def test_reduce_and_match_speak_in_words_too(recording: Path, tmp_path: Path, ca
 
 def test_the_window_is_that_of_the_option(recording: Path, tmp_path: Path) -> None:
     for window in ("20", "50"):
-        options = ["--reducer", "dft321_windowed", "--window-ms", window, "-o", str(tmp_path / f"{window}.wav")]
+        options = [
+            "--reducer",
+            "dft321_windowed",
+            "--window-ms",
+            window,
+            "-o",
+            str(tmp_path / f"{window}.wav"),
+        ]
         assert main(["reduce", str(recording), *options]) == 0
     short, long = (read_wav(tmp_path / f"{window}.wav")[0] for window in ("20", "50"))
     assert np.abs(short - long).max() > 0.01
@@ -174,9 +211,19 @@ def test_reduce_overwrites_only_when_told(recording: Path, tmp_path: Path, capsy
 
 
 @pytest.mark.parametrize("name", ["out.json", "out.csv", "out", "bumps.csv"])
-def test_reduce_writes_nothing_but_wav(name: str, recording: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_reduce_writes_nothing_but_wav(
+    name: str, recording: Path, tmp_path: Path, capsys: Capture
+) -> None:
     before = recording.read_bytes()
-    arguments = ["reduce", "-o", str(tmp_path / name), str(recording), "--reducer", "sax321", "--force"]
+    arguments = [
+        "reduce",
+        "-o",
+        str(tmp_path / name),
+        str(recording),
+        "--reducer",
+        "sax321",
+        "--force",
+    ]
     assert main(arguments) == 2
     assert "allowed is a name that ends in .wav; give it that ending" in capsys.readouterr().err
     assert recording.read_bytes() == before
@@ -184,13 +231,23 @@ def test_reduce_writes_nothing_but_wav(name: str, recording: Path, tmp_path: Pat
 
 
 @pytest.mark.parametrize("output", ["raw.wav", "link.wav", "other.wav"])
-def test_reduce_never_writes_over_the_recording_or_its_sidecar(output: str, tmp_path: Path, capsys: Capture) -> None:
+def test_reduce_never_writes_over_the_recording_or_its_sidecar(
+    output: str, tmp_path: Path, capsys: Capture
+) -> None:
     write_wav(tmp_path / "raw.wav", np.ones((3, 500)), 1000)
     (tmp_path / "raw.json").write_text('{"unit": "g"}', encoding="utf-8")
     (tmp_path / "link.wav").symlink_to("raw.wav")
     (tmp_path / "other.json").hardlink_to(tmp_path / "raw.json")
     before = (tmp_path / "raw.wav").read_bytes()
-    arguments = ["reduce", str(tmp_path / "raw.wav"), "--reducer", "sax321", "-o", str(tmp_path / output), "--force"]
+    arguments = [
+        "reduce",
+        str(tmp_path / "raw.wav"),
+        "--reducer",
+        "sax321",
+        "-o",
+        str(tmp_path / output),
+        "--force",
+    ]
     assert main(arguments) == 2
     assert "belongs to the recording; name another file" in capsys.readouterr().err
     assert (tmp_path / "raw.wav").read_bytes() == before
@@ -209,19 +266,29 @@ def test_what_is_undefined_is_null_in_json(tmp_path: Path, capsys: Capture) -> N
     facts = json.loads(shown, parse_constant=pytest.fail)
     assert [facts[name] for name in METRICS] == [None, None, None]
     assert set(facts["reasons"]) == set(METRICS)
-    assert blamed.splitlines()[-1].startswith("feel321: silent: spectral_match: the recording has no energy from 20 to")
+    assert blamed.splitlines()[-1].startswith(
+        "feel321: silent: spectral_match: the recording has no energy from 20 to"
+    )
     assert main(["match", *arguments[:1], str(output), *arguments[1:-1]]) == 1
-    assert "temporal match none: all three axes of the recording are silent\n" in capsys.readouterr().out
+    assert (
+        "temporal match none: all three axes of the recording are silent\n"
+        in capsys.readouterr().out
+    )
 
 
-def test_reduce_conditions_as_a_study_does_and_raw_opts_out(tmp_path: Path, capsys: Capture) -> None:
+def test_reduce_conditions_as_a_study_does_and_raw_opts_out(
+    tmp_path: Path, capsys: Capture
+) -> None:
     path, output = tmp_path / "swing.csv", tmp_path / "o.wav"
     time = np.arange(4000) / 2000
     wanted = make_scene("bumps", duration_s=2.0).acceleration[:, ::5]
     swing = wanted + 9.81 + 3 * np.sin(2 * np.pi * 1.5 * time)
     head = "time_s,x_m/s^2,y_m/s^2,z_m/s^2"
     np.savetxt(path, np.column_stack([time, swing.T]), delimiter=",", header=head, comments="")
-    reduce, match = ["reduce", str(path), "--reducer", "say321", "--force", "-o", str(output)], ["match", str(path)]
+    reduce, match = (
+        ["reduce", str(path), "--reducer", "say321", "--force", "-o", str(output)],
+        ["match", str(path)],
+    )
 
     def run(*arguments: str) -> dict[str, Any]:
         assert main([*arguments, "--json"]) == 0
@@ -237,26 +304,44 @@ def test_reduce_conditions_as_a_study_does_and_raw_opts_out(tmp_path: Path, caps
         expected = spectral_match(as_study.acceleration, as_study.acceleration[1], 2000.0)
         told = run(*match, str(output))  # as the JSON beside it says
         assert told["spectral_match"] == pytest.approx(expected, abs=1e-4)
-        assert (told["conditioning"], told["conditioning_from"]) == (facts["conditioning"], "as o.json says")
+        assert (told["conditioning"], told["conditioning_from"]) == (
+            facts["conditioning"],
+            "as o.json says",
+        )
         output.with_suffix(".json").rename(tmp_path / "other.json")
         told = run(*match, str(output), *options)  # nothing says it: as for a study, unless --raw
         assert told["spectral_match"] == pytest.approx(expected, abs=1e-4)
-        assert told["conditioning_from"] == ("assumed: no o.json of reduce beside it" if steps else "--raw")
+        assert told["conditioning_from"] == (
+            "assumed: no o.json of reduce beside it" if steps else "--raw"
+        )
 
 
-def test_match_compares_like_with_like_or_says_why_not(recording: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_match_compares_like_with_like_or_says_why_not(
+    recording: Path, tmp_path: Path, capsys: Capture
+) -> None:
     output, sidecar = tmp_path / "o.wav", tmp_path / "o.json"
     assert main(["reduce", str(recording), "--reducer", "dft321", "-o", str(output)]) == 0
     done = "conditioning of the recording: offset removed, high-pass 20 Hz, low-pass 1000 Hz\n"
     assert done in capsys.readouterr().out
     match = ["match", str(recording), str(output)]
     assert main([*match, "--raw"]) == 2
-    assert "--raw: o.json says that its WAV was reduced from the conditioned recording" in capsys.readouterr().err
+    assert (
+        "--raw: o.json says that its WAV was reduced from the conditioned recording"
+        in capsys.readouterr().err
+    )
     facts = json.loads(sidecar.read_text(encoding="utf-8"))
     for change, code, message in (
         ({"conditioning": {"speed": 3}}, 1, "feel321: o.json: no conditioning ("),
-        ({"conditioning": {"high_pass_hz": -1}}, 1, "feel321: o.json: no conditioning (high_pass_hz: got -1"),
-        ({"recording_sha256": "0"}, 0, "feel321: warning: o.json: was written for another recording or file than"),
+        (
+            {"conditioning": {"high_pass_hz": -1}},
+            1,
+            "feel321: o.json: no conditioning (high_pass_hz: got -1",
+        ),
+        (
+            {"recording_sha256": "0"},
+            0,
+            "feel321: warning: o.json: was written for another recording or file than",
+        ),
     ):
         sidecar.write_text(json.dumps(facts | change), encoding="utf-8")
         assert main(match) == code
@@ -266,38 +351,84 @@ def test_match_compares_like_with_like_or_says_why_not(recording: Path, tmp_path
     assert capsys.readouterr().err.startswith("feel321: o.json: not JSON (")
     sidecar.write_text('{"unit": "g"}', encoding="utf-8")
     assert main([*match, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["conditioning_from"] == "assumed: no o.json of reduce beside it"
+    assert (
+        json.loads(capsys.readouterr().out)["conditioning_from"]
+        == "assumed: no o.json of reduce beside it"
+    )
     older = {name: value for name, value in facts.items() if name not in {"conditioning", "steps"}}
     sidecar.write_text(json.dumps(older), encoding="utf-8")
     assert main([*match, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["conditioning"] is None
 
 
-def test_a_recording_that_cannot_be_conditioned_can_still_be_taken_raw(tmp_path: Path, capsys: Capture) -> None:
+def test_a_recording_that_cannot_be_conditioned_can_still_be_taken_raw(
+    tmp_path: Path, capsys: Capture
+) -> None:
     path = tmp_path / "slow.csv"
-    np.savetxt(path, np.random.default_rng(1).normal(size=(50, 3)), delimiter=",", header="x_g,y_g,z_g", comments="")
-    arguments = ["reduce", str(path), "--rate-hz", "30", "--reducer", "sax321", "-o", str(tmp_path / "o.wav")]
+    np.savetxt(
+        path,
+        np.random.default_rng(1).normal(size=(50, 3)),
+        delimiter=",",
+        header="x_g,y_g,z_g",
+        comments="",
+    )
+    arguments = [
+        "reduce",
+        str(path),
+        "--rate-hz",
+        "30",
+        "--reducer",
+        "sax321",
+        "-o",
+        str(tmp_path / "o.wav"),
+    ]
     assert main(arguments) == 1
     told = "feel321: slow: highpass: got 20.0 Hz, allowed is below the Nyquist frequency of 15 Hz"
     assert capsys.readouterr().err.endswith(f"{told}; or take it as it was measured, with --raw\n")
     assert main([*arguments, "--raw"]) == 0
-    assert "spectral match none: the recording is too short, or its rate too low" in capsys.readouterr().out
+    assert (
+        "spectral match none: the recording is too short, or its rate too low"
+        in capsys.readouterr().out
+    )
 
 
-def test_reading_options_reach_the_reader_and_warnings_go_to_stderr(tmp_path: Path, capsys: Capture) -> None:
+def test_reading_options_reach_the_reader_and_warnings_go_to_stderr(
+    tmp_path: Path, capsys: Capture
+) -> None:
     path = tmp_path / "plain.csv"
-    np.savetxt(path, np.random.default_rng(1).normal(size=(500, 3)), delimiter=",", header="a,b,c", comments="")
-    options = ["--rate-hz", "5000", "--columns", "2,b,0", "--raw", "--reducer", "sax321", "-o", str(tmp_path / "o.wav")]
+    np.savetxt(
+        path,
+        np.random.default_rng(1).normal(size=(500, 3)),
+        delimiter=",",
+        header="a,b,c",
+        comments="",
+    )
+    options = [
+        "--rate-hz",
+        "5000",
+        "--columns",
+        "2,b,0",
+        "--raw",
+        "--reducer",
+        "sax321",
+        "-o",
+        str(tmp_path / "o.wav"),
+    ]
     assert main(["reduce", str(path), *options]) == 0
     assert "feel321: warning: plain: " in capsys.readouterr().err
     third = np.loadtxt(path, delimiter=",", skiprows=1)[:, 2]
     np.testing.assert_allclose(read_wav(tmp_path / "o.wav")[0], third, atol=1e-6)
 
 
-def test_reduce_into_a_folder_that_is_not_there_says_so(recording: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_reduce_into_a_folder_that_is_not_there_says_so(
+    recording: Path, tmp_path: Path, capsys: Capture
+) -> None:
     output = tmp_path / "no" / "out.wav"
     assert main(["reduce", str(recording), "--reducer", "sax321", "-o", str(output)]) == 1
-    assert capsys.readouterr().err == f"feel321: {output.parent}: there is no such folder; make it first\n"
+    assert (
+        capsys.readouterr().err
+        == f"feel321: {output.parent}: there is no such folder; make it first\n"
+    )
 
 
 def test_an_error_of_the_system_names_the_file(tmp_path: Path, capsys: Capture) -> None:
@@ -310,13 +441,22 @@ def test_an_error_of_the_system_names_the_file(tmp_path: Path, capsys: Capture) 
 @pytest.mark.parametrize(
     ("samples", "rate_hz", "message"),
     [
-        (np.ones(4999), 10000, "got 4999 samples, bumps has 5000; both must cover the same samples, nothing is cut"),
+        (
+            np.ones(4999),
+            10000,
+            "got 4999 samples, bumps has 5000; both must cover the same samples, nothing is cut",
+        ),
         (np.ones((3, 5000)), 10000, "got 3 channels, a reduced signal has 1; reduce it first"),
         (np.ones(5000), 8000, "got 8000 Hz, bumps has 10000 Hz; both must have one rate"),
     ],
 )
 def test_match_refuses_what_does_not_belong_together(
-    samples: np.ndarray, rate_hz: int, message: str, recording: Path, tmp_path: Path, capsys: Capture
+    samples: np.ndarray,
+    rate_hz: int,
+    message: str,
+    recording: Path,
+    tmp_path: Path,
+    capsys: Capture,
 ) -> None:
     write_wav(tmp_path / "r.wav", samples, rate_hz)
     assert main(["match", str(recording), str(tmp_path / "r.wav")]) == 1
@@ -337,18 +477,28 @@ def test_a_study_from_new_to_report(
     facts = json.loads(capsys.readouterr().out)
     planted = facts.pop("planted")
     assert facts == {"participants": 4, "ratings": 96, "file": str(study.ratings)}
-    assert planted == pytest.approx({"spectral_match_bounded": 4.5, "temporal_match": 3.5}, rel=0.05)
+    assert planted == pytest.approx(
+        {"spectral_match_bounded": 4.5, "temporal_match": 3.5}, rel=0.05
+    )
     assert main(["simulate", folder, "--participants", "4"]) == 0
     said = f"{planted['spectral_match_bounded']:.2f} per +0.1 of spectral_match_bounded, "
     said += f"{planted['temporal_match']:.2f} per +0.1 of temporal_match"
-    assert capsys.readouterr().out == f"{study.ratings}: 96 ratings\nplanted in realism, in points: {said}\n"
+    assert (
+        capsys.readouterr().out
+        == f"{study.ratings}: 96 ratings\nplanted in realism, in points: {said}\n"
+    )
     assert main(["status", folder, "--json"]) == 0
-    assert [entry["done"] for entry in json.loads(capsys.readouterr().out)["participants"]] == [24] * 4
+    assert [entry["done"] for entry in json.loads(capsys.readouterr().out)["participants"]] == [
+        24
+    ] * 4
     with study.journals[0].open("ab") as file:
         file.write(b"{}")
     assert main(["status", folder]) == 0
     assert "2 torn bytes, mended on resuming" in (table := capsys.readouterr().out)
-    assert len(re.findall(r"^sim00\d +finished +24 +0 .*\(simulated\)", table, flags=re.MULTILINE)) == 4
+    assert (
+        len(re.findall(r"^sim00\d +finished +24 +0 .*\(simulated\)", table, flags=re.MULTILINE))
+        == 4
+    )
     assert main(["simulate", folder, "--participants", "4"]) == 0
     assert "feel321: warning: " in (err := capsys.readouterr().err)
     assert "2 bytes of a line that was never finished were moved to" in err
@@ -359,10 +509,21 @@ def test_a_study_from_new_to_report(
     assert main(["analyze", folder]) == 0
     assert capsys.readouterr().out == f"{study.report / 'index.html'}\n"
     assert (study.report / "index.html").stat().st_size > 1000
-    monkeypatch.setattr("analysis.report.write.SECTIONS", (association.compute,))  # what follows is about files only
-    tables = ["--ratings", str(study.ratings), "--manifest", str(study.manifest), "--out", str(tmp_path / "else")]
+    monkeypatch.setattr(
+        "feel321.analysis.report.write.SECTIONS", (association.compute_association,)
+    )  # what follows is about files only
+    tables = [
+        "--ratings",
+        str(study.ratings),
+        "--manifest",
+        str(study.manifest),
+        "--out",
+        str(tmp_path / "else"),
+    ]
     assert main(["analyze", *tables, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == json.loads((tmp_path / "else" / "results.json").read_text())
+    assert json.loads(capsys.readouterr().out) == json.loads(
+        (tmp_path / "else" / "results.json").read_text()
+    )
     assert main(["analyze", folder, "--ratings", str(study.ratings)]) == 0
 
 
@@ -409,14 +570,18 @@ def test_the_next_command_can_be_pasted(tmp_path: Path, capsys: Capture) -> None
     assert capsys.readouterr().out.endswith(f"then: feel321 check '{folder}'\n")
 
 
-def test_an_empty_name_is_not_this_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+def test_an_empty_name_is_not_this_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["new", ""]) == 2
     assert "got an empty name, allowed is that of a file or folder" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_study_that_is_not_there_or_a_file_is_told_from_a_folder(study: StudyFolder, capsys: Capture) -> None:
+def test_a_study_that_is_not_there_or_a_file_is_told_from_a_folder(
+    study: StudyFolder, capsys: Capture
+) -> None:
     nowhere = study.path / "no where"
     assert main(["check", str(nowhere)]) == 1
     message = f"{nowhere}: there is no such folder; begin a study with: feel321 new '{nowhere}'"
@@ -426,25 +591,31 @@ def test_a_study_that_is_not_there_or_a_file_is_told_from_a_folder(study: StudyF
     assert capsys.readouterr().err == f"feel321: {message}\n"
 
 
-def test_draws_and_seed_of_a_study_reach_its_report(study: StudyFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_draws_and_seed_of_a_study_reach_its_report(
+    study: StudyFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
     calls: list[dict[str, int]] = []
 
     def write_report(_ratings: Path, _manifest: Path, folder: Path, **choices: Any) -> None:
         calls.append({name: choices[name] for name in ("draws", "seed")})
         folder.mkdir(exist_ok=True)
 
-    monkeypatch.setattr("analysis.report.write.write_report", write_report)
-    monkeypatch.setattr("study.workflow.write_report", write_report)
-    monkeypatch.setattr("study.workflow.read_stimuli", lambda _: None)
-    monkeypatch.setattr("study.workflow.write_ratings", lambda *_: 1)
-    monkeypatch.setattr("study.workflow.measure_rotations", lambda *_: None)
+    monkeypatch.setattr("feel321.analysis.report.write.write_report", write_report)
+    monkeypatch.setattr("feel321.study.analyze.write_report", write_report)
+    monkeypatch.setattr("feel321.study.analyze.read_stimuli", lambda _: None)
+    monkeypatch.setattr("feel321.study.analyze.write_ratings", lambda *_: 1)
+    monkeypatch.setattr("feel321.study.analyze.measure_rotations", lambda *_: None)
     elsewhere = study.path / "else"
     elsewhere.mkdir()
     tables = ["--ratings", "r.csv", "--manifest", "m.csv"]
     assert main(["analyze", str(study.path)]) == 0
     assert main(["analyze", str(study.path), *tables[:2]]) == 0
     assert main(["analyze", str(elsewhere), *tables]) == 0
-    assert calls == [{"draws": 200, "seed": 5}, {"draws": 200, "seed": 5}, {"draws": 2000, "seed": 0}]
+    assert calls == [
+        {"draws": 200, "seed": 5},
+        {"draws": 200, "seed": 5},
+        {"draws": 2000, "seed": 0},
+    ]
 
 
 def test_a_table_that_would_be_the_same_is_left_alone(tmp_path: Path) -> None:
@@ -460,11 +631,16 @@ def test_a_table_that_would_be_the_same_is_left_alone(tmp_path: Path) -> None:
 def test_demo_leaves_other_peoples_folders_alone(tmp_path: Path, capsys: Capture) -> None:
     (tmp_path / "thesis.txt").write_text("dear", encoding="utf-8")
     assert main(["demo", "--dir", str(tmp_path)]) == 1
-    assert "holds files that demo did not write; name another folder with --dir" in capsys.readouterr().err
+    assert (
+        "holds files that demo did not write; name another folder with --dir"
+        in capsys.readouterr().err
+    )
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
 
 
-def test_demo_adds_nobody_to_a_study_in_which_people_took_part(tmp_path: Path, capsys: Capture) -> None:
+def test_demo_adds_nobody_to_a_study_in_which_people_took_part(
+    tmp_path: Path, capsys: Capture
+) -> None:
     assert main(["new", str(tmp_path / "oak")]) == 0
     own = tmp_path / "oak" / "sessions" / "p07" / "plan.json"
     own.parent.mkdir(parents=True)
@@ -489,12 +665,15 @@ def fail_with(error: BaseException) -> Callable[..., None]:
 def test_ctrl_c_is_one_line_and_exit_130(
     study: StudyFolder, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
-    monkeypatch.setattr("study.status.read_status", fail_with(KeyboardInterrupt()))
+    monkeypatch.setattr("feel321.study.status.read_status", fail_with(KeyboardInterrupt()))
     assert main(["status", str(study.path)]) == 130
     assert capsys.readouterr().err == "feel321: interrupted\n"
-    monkeypatch.setattr("study.workflow.build_study", fail_with(KeyboardInterrupt()))
+    monkeypatch.setattr("feel321.study.workflow.build_study", fail_with(KeyboardInterrupt()))
     assert main(["build", str(study.path)]) == 130
-    assert capsys.readouterr().err == "feel321: interrupted; what is done is kept, the same command goes on\n"
+    assert (
+        capsys.readouterr().err
+        == "feel321: interrupted; what is done is kept, the same command goes on\n"
+    )
 
 
 @pytest.mark.parametrize(
@@ -504,15 +683,28 @@ def test_ctrl_c_is_one_line_and_exit_130(
             KeyError("no\nway"),
             "unexpected KeyError: 'no\\nway'; run again with feel321 --traceback and report it",
         ),
-        (RecursionError("deep\ndown"), "unexpected RecursionError: deep down; run again with feel321 --traceback"),
-        (OSError(errno.ENOSPC, "No space left on device"), "No space left on device; make room there and run again"),
-        (OSError(errno.EIO, "Input/output error", "a.csv"), "a.csv: Input/output error; check the name"),
+        (
+            RecursionError("deep\ndown"),
+            "unexpected RecursionError: deep down; run again with feel321 --traceback",
+        ),
+        (
+            OSError(errno.ENOSPC, "No space left on device"),
+            "No space left on device; make room there and run again",
+        ),
+        (
+            OSError(errno.EIO, "Input/output error", "a.csv"),
+            "a.csv: Input/output error; check the name",
+        ),
     ],
 )
 def test_whatever_goes_wrong_is_one_line_and_exit_1(
-    error: Exception, message: str, study: StudyFolder, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+    error: Exception,
+    message: str,
+    study: StudyFolder,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: Capture,
 ) -> None:
-    monkeypatch.setattr("study.status.read_status", fail_with(error))
+    monkeypatch.setattr("feel321.study.status.read_status", fail_with(error))
     assert main(["status", str(study.path)]) == 1
     err = capsys.readouterr().err
     assert err.startswith(f"feel321: {message}")
@@ -525,7 +717,9 @@ def test_a_full_disk_names_the_file_that_was_to_be_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     folder = tmp_path / "new"
-    monkeypatch.setattr("study.files.os.fsync", fail_with(OSError(errno.ENOSPC, "No space left on device")))
+    monkeypatch.setattr(
+        "feel321.study.files.os.fsync", fail_with(OSError(errno.ENOSPC, "No space left on device"))
+    )
     assert main(["new", str(folder)]) == 1
     message = f"feel321: {folder / 'study.toml'}: No space left on device; make room there and run again\n"
     assert capsys.readouterr().err == message
@@ -538,7 +732,9 @@ def test_progress_needs_no_stderr(monkeypatch: pytest.MonkeyPatch) -> None:
         progress(1, 2)
 
 
-def test_progress_is_drawn_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+def test_progress_is_drawn_on_a_terminal_only(
+    monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
     for terminal in (True, False):
         monkeypatch.setattr(sys.stderr, "isatty", lambda terminal=terminal: terminal)
         with shared.show_progress("build") as progress:

@@ -2,13 +2,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from study.folder import StudyFolder
+from feel321.study.folder import StudyFolder
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 
-def test_what_drives_and_programs_leave_beside_participants_is_no_participant(tmp_path: Path) -> None:
+def test_what_drives_and_programs_leave_beside_participants_is_no_participant(
+    tmp_path: Path,
+) -> None:
     study = StudyFolder(tmp_path)
     assert study.participants == study.strangers == study.journals == []
     for name in ("p02", "p01", "empty", "locked", "@eaDir", "sim001 backup", ".snapshot"):
@@ -26,6 +28,17 @@ def test_what_drives_and_programs_leave_beside_participants_is_no_participant(tm
 def test_journals_come_by_number_and_copies_are_none(tmp_path: Path) -> None:
     folder = tmp_path / "sessions" / "p01"
     folder.mkdir(parents=True)
-    for name in ("session-100", "session-20", "session-03", "session-3", "session-03 (copy)", "session-xx"):
+    for name in (
+        "session-100",
+        "session-20",
+        "session-03",
+        "session-3",
+        "session-03 (copy)",
+        "session-xx",
+    ):
         (folder / f"{name}.jsonl").touch()
-    assert [path.stem for path in StudyFolder(tmp_path).journals] == ["session-03", "session-20", "session-100"]
+    assert [path.stem for path in StudyFolder(tmp_path).journals] == [
+        "session-03",
+        "session-20",
+        "session-100",
+    ]

@@ -8,20 +8,20 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from protocols.texts import read_scales
-from study.folder import StudyFolder
-from study.lead import TRIALS_BETWEEN_NOTES, Room, lead_session
-from study.ledger.rebuilding import open_study_ledger
-from study.ledger.slots import claim_slots, read_ledger
-from study.session.opening import Stale
+from feel321.protocols.texts import read_scales
+from feel321.study.folder import StudyFolder
+from feel321.study.ledger.rebuilding import open_study_ledger
+from feel321.study.ledger.slots import claim_slots, read_ledger
+from feel321.study.session.opening import Stale
+from feel321.study.sessions import TRIALS_BETWEEN_NOTES, Room, lead_session
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from datetime import datetime
     from pathlib import Path
 
-    from stimuli.manifest import StimulusSet
-    from study.session.plan import Plan
+    from feel321.stimuli.sets.manifest import StimulusSet
+    from feel321.study.session.plan import Plan
 
 IDENTITY = {"presenter": {"simulated": True}}
 
@@ -49,7 +49,9 @@ def read_anchor(room: Room) -> tuple[str, int, int]:
     return entry.state, entry.done, entry.anchors[0].lines
 
 
-def test_at_the_end_the_ledger_holds_the_whole_journal(room: Room, plan: Plan, scripted: type) -> None:
+def test_at_the_end_the_ledger_holds_the_whole_journal(
+    room: Room, plan: Plan, scripted: type
+) -> None:
     presenter = scripted()
     outcome, notice = lead(room, plan, presenter)
     lines = (room.study.sessions / "p01" / "session-01.jsonl").read_bytes().count(b"\n")
@@ -64,14 +66,21 @@ def test_the_ledger_follows_real_people_trial_by_trial(
 ) -> None:
     seen: dict[int, int] = {}
     plan = replace(plan, simulated=simulated)
-    lead(room, plan, scripted(), on_step=lambda place: seen.setdefault(place.done, read_anchor(room)[1]))
+    lead(
+        room,
+        plan,
+        scripted(),
+        on_step=lambda place: seen.setdefault(place.done, read_anchor(room)[1]),
+    )
     behind = [done - noted for done, noted in seen.items()]
     # The session of twenty trials is shorter than the distance that simulated participants may have.
     assert max(behind) == (20 if simulated else 0)
     assert TRIALS_BETWEEN_NOTES > 20
 
 
-def test_a_session_broken_off_is_noted_and_its_presenter_closed(room: Room, plan: Plan, scripted: type) -> None:
+def test_a_session_broken_off_is_noted_and_its_presenter_closed(
+    room: Room, plan: Plan, scripted: type
+) -> None:
     presenter = scripted(stop_after=3)
     with pytest.raises(KeyboardInterrupt):
         lead(room, plan, presenter)
@@ -86,15 +95,19 @@ def test_a_ledger_that_cannot_be_written_ends_nobodys_session(
     def fail(*_: object, **__: object) -> None:
         raise OSError("ledger.sqlite: is busy")
 
-    monkeypatch.setattr("study.lead.note_progress", fail)
+    monkeypatch.setattr("feel321.study.sessions.note_progress", fail)
     outcome, notice = lead(room, plan, scripted())
     assert (outcome.done, notice) == (20, "ledger.sqlite: is busy")
 
 
-def test_a_journal_of_which_less_is_there_than_was_seen_is_refused(room: Room, plan: Plan, scripted: type) -> None:
+def test_a_journal_of_which_less_is_there_than_was_seen_is_refused(
+    room: Room, plan: Plan, scripted: type
+) -> None:
     with pytest.raises(KeyboardInterrupt):
         lead(room, plan, scripted(stop_after=3))
     journal = room.study.sessions / "p01" / "session-01.jsonl"
     journal.write_bytes(b"".join(journal.read_bytes().splitlines(keepends=True)[:-2]))
-    with pytest.raises(ValueError, match=r"ends with line \d+, \d+ lines of it were seen; restore it from a copy"):
+    with pytest.raises(
+        ValueError, match=r"ends with line \d+, \d+ lines of it were seen; restore it from a copy"
+    ):
         lead(room, plan, scripted())

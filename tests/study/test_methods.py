@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from stimuli.condition import Conditioning, condition
-from stimuli.synthesis import SCENES, make_scene
-from study.methods import gather_recordings
+from feel321.stimuli.condition import Conditioning, condition
+from feel321.stimuli.synthesis import SCENES, make_scene
+from feel321.study.analyze import gather_recordings
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -43,7 +43,9 @@ def save(path: Path, *, seed: int, rate_hz: float = 1000.0) -> Path:
 
 def test_recordings_of_a_study_are_conditioned_as_the_study_says(study: Path) -> None:
     bumps, own = gather_recordings(study)
-    expected = condition(make_scene("bumps", duration_s=1.0), Conditioning(high_pass_hz=40.0, crop_s=(0.1, 0.6)))
+    expected = condition(
+        make_scene("bumps", duration_s=1.0), Conditioning(high_pass_hz=40.0, crop_s=(0.1, 0.6))
+    )
     assert (bumps.name, own.name) == ("bumps", "own")
     assert np.array_equal(bumps.acceleration, expected.acceleration)
 
@@ -53,10 +55,14 @@ def test_others_are_conditioned_alike_but_not_cropped(study: Path, tmp_path: Pat
     raw = np.random.default_rng(2).standard_normal((3, 800))
     plain = replace(make_scene("bumps"), acceleration=raw, rate_hz=1000.0, sha256="")
     assert other.n_samples == 800
-    assert np.allclose(other.acceleration, condition(plain, Conditioning(high_pass_hz=40.0)).acceleration)
+    assert np.allclose(
+        other.acceleration, condition(plain, Conditioning(high_pass_hz=40.0)).acceleration
+    )
 
 
-def test_unconditioned_they_are_as_the_sensor_gave_them_under_the_same_names(study: Path, tmp_path: Path) -> None:
+def test_unconditioned_they_are_as_the_sensor_gave_them_under_the_same_names(
+    study: Path, tmp_path: Path
+) -> None:
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     extra = [save(elsewhere / "own.npz", seed=3)]
@@ -68,15 +74,22 @@ def test_unconditioned_they_are_as_the_sensor_gave_them_under_the_same_names(stu
 
 
 def test_scenes_need_no_study_and_come_in_their_order(tmp_path: Path) -> None:
-    assert [recording.name for recording in gather_recordings(tmp_path, scenes=True)] == list(SCENES)
+    assert [recording.name for recording in gather_recordings(tmp_path, scenes=True)] == list(
+        SCENES
+    )
 
 
-def test_what_is_there_twice_is_taken_once_and_other_namesakes_are_numbered(study: Path, tmp_path: Path) -> None:
+def test_what_is_there_twice_is_taken_once_and_other_namesakes_are_numbered(
+    study: Path, tmp_path: Path
+) -> None:
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     save(elsewhere / "own.npz", seed=3)
     (elsewhere / "README.md").write_text("notes are no recordings")
-    names = [recording.name for recording in gather_recordings(study, extra=[study / "own.npz", elsewhere, elsewhere])]
+    names = [
+        recording.name
+        for recording in gather_recordings(study, extra=[study / "own.npz", elsewhere, elsewhere])
+    ]
     assert names == ["bumps", "own", "own (2)"]
 
 
@@ -90,7 +103,9 @@ def test_every_unreadable_recording_is_named_at_once(study: Path, tmp_path: Path
 
 
 def test_a_folder_without_recordings_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match="got a folder without recordings, allowed are files ending in"):
+    with pytest.raises(
+        FileNotFoundError, match="got a folder without recordings, allowed are files ending in"
+    ):
         gather_recordings(tmp_path, extra=[tmp_path])
 
 

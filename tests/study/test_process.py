@@ -12,18 +12,28 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from analysis.report.sections import association
-from study.audit import audit_study
-from study.cli import main
-from study.folder import StudyFolder
-from study.status import read_status
-from study.workflow import build_study
+from feel321.analysis.report import association
+from feel321.study.audit import audit_study
+from feel321.study.cli import main
+from feel321.study.folder import StudyFolder
+from feel321.study.status import read_status
+from feel321.study.workflow import build_study
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
 FEEL321 = Path(sys.executable).with_name("feel321")
-HEAVY = {"scipy", "pandas", "matplotlib", "statsmodels", "joblib", "soxr", "psychopy", "sounddevice", "numpy"}
+HEAVY = {
+    "scipy",
+    "pandas",
+    "matplotlib",
+    "statsmodels",
+    "joblib",
+    "soxr",
+    "psychopy",
+    "sounddevice",
+    "numpy",
+}
 HEAVY |= {"pydantic", "sqlalchemy"}
 STUDY = """
 [[recordings]]
@@ -40,7 +50,9 @@ repeats = 3
 
 
 def run(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([FEEL321, *map(str, arguments)], capture_output=True, text=True, check=False, cwd=cwd)
+    return subprocess.run(
+        [FEEL321, *map(str, arguments)], capture_output=True, text=True, check=False, cwd=cwd
+    )
 
 
 def spend(*command: str | Path, cwd: Path) -> tuple[float, subprocess.CompletedProcess[str]]:
@@ -49,23 +61,33 @@ def spend(*command: str | Path, cwd: Path) -> tuple[float, subprocess.CompletedP
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=cwd)
     assert done.returncode == 0, done.stderr
     after = os.times()
-    return after.children_user + after.children_system - before.children_user - before.children_system, done
+    return (
+        after.children_user + after.children_system - before.children_user - before.children_system,
+        done,
+    )
 
 
-@pytest.mark.parametrize("module", ["study", "study.cli"])
+@pytest.mark.parametrize("module", ["feel321.study", "feel321.study.cli"])
 def test_nothing_heavy_is_imported_at_start_up(module: str) -> None:
     code = f"import sys, {module}; print(*{{name.partition('.')[0] for name in sys.modules}})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert "study" in done.stdout.split()
+    assert "feel321" in done.stdout.split()
     assert HEAVY & set(done.stdout.split()) == set()
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["reduce", "--help"], ["analyze", "--help"]])
-def test_help_costs_little_more_than_starting_numpy(arguments: Sequence[str], tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "arguments", [["--help"], ["--version"], ["reduce", "--help"], ["analyze", "--help"]]
+)
+def test_help_costs_little_more_than_starting_numpy(
+    arguments: Sequence[str], tmp_path: Path
+) -> None:
     def measure(*command: str | Path) -> float:
         return spend(*command, cwd=tmp_path)[0]
 
-    pairs = [(measure(sys.executable, "-c", "import numpy"), measure(FEEL321, *arguments)) for _ in range(5)]
+    pairs = [
+        (measure(sys.executable, "-c", "import numpy"), measure(FEEL321, *arguments))
+        for _ in range(5)
+    ]
     numpy_alone, whole = (min(times) for times in zip(*pairs, strict=True))
     # scipy's filters, pandas or matplotlib would each cost several times what numpy does.
     assert whole / numpy_alone < 5
@@ -115,7 +137,9 @@ def stop_when(study: StudyFolder, n_bytes: int, sent: signal.Signals) -> tuple[i
     command = [FEEL321, "simulate", study.path, "--participants", "3"]
     streams = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
     with subprocess.Popen(command, **streams, text=True, preexec_fn=heed_ctrl_c) as process:  # noqa: PLW1509 - no threads
-        while process.poll() is None and sum(path.stat().st_size for path in study.journals) < n_bytes:
+        while (
+            process.poll() is None and sum(path.stat().st_size for path in study.journals) < n_bytes
+        ):
             time.sleep(0.0005)
         process.send_signal(sent)
         assert process.stderr is not None
@@ -149,7 +173,9 @@ def test_a_killed_simulation_goes_on_without_loss_or_doubling(
     assert audit_study(study) == []
 
 
-def test_ctrl_c_is_answered_in_one_line_and_the_simulation_goes_on(uninterrupted: StudyFolder, tmp_path: Path) -> None:
+def test_ctrl_c_is_answered_in_one_line_and_the_simulation_goes_on(
+    uninterrupted: StudyFolder, tmp_path: Path
+) -> None:
     study, ended = stop_in_time(uninterrupted, tmp_path, n_bytes=20_000, sent=signal.SIGINT)
     assert ended == (130, "feel321: interrupted; what is done is kept, the same command goes on\n")
     assert audit_study(study) == []
@@ -160,7 +186,9 @@ def test_ctrl_c_is_answered_in_one_line_and_the_simulation_goes_on(uninterrupted
 def test_demo_runs_the_whole_chain_and_goes_on_where_it_was(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    imports, _ = spend(sys.executable, "-c", "import statsmodels.api, matplotlib.pyplot", cwd=tmp_path)
+    imports, _ = spend(
+        sys.executable, "-c", "import statsmodels.api, matplotlib.pyplot", cwd=tmp_path
+    )
     cost, first = spend(FEEL321, "demo", "--dir", "demo", cwd=tmp_path)
     # A minute of the processor's time on a calm machine, where these imports take two seconds of it.
     assert cost / imports < 30
@@ -170,7 +198,9 @@ def test_demo_runs_the_whole_chain_and_goes_on_where_it_was(
     ratings = (tmp_path / "demo" / "ratings.csv").read_bytes()
     assert ratings.count(b"\n") == 1 + 16 * 144
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("analysis.report.write.SECTIONS", (association.compute,))  # the second report may be short
+    monkeypatch.setattr(
+        "feel321.analysis.report.write.SECTIONS", (association.compute_association,)
+    )  # the second report may be short
     assert main(["demo", "--dir", "demo"]) == 0
     again = capsys.readouterr()
     assert (again.err, again.out) == (first.stderr, first.stdout)

@@ -8,16 +8,14 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from stimuli.manifest import read_stimuli
-from study.audit import audit_study
-from study.check import check_study
-from study.provenance import find_changes
-from study.settings.reading import read_settings
-from study.settings.sources import make_recipe
-from study.workflow import build_study, simulate_study
+from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.study.audit import audit_study
+from feel321.study.provenance import find_changes
+from feel321.study.settings.read import make_recipe, read_settings
+from feel321.study.workflow import build_study, check_study, simulate_study
 
 if TYPE_CHECKING:
-    from study.folder import StudyFolder
+    from feel321.study.folder import StudyFolder
 
 
 @pytest.fixture
@@ -33,26 +31,36 @@ def change(study: StudyFolder, old: str, new: str) -> None:
 
 
 def simulate(study: StudyFolder) -> int:
-    return simulate_study(study, participants=1, seed=None, now=lambda: datetime(2026, 1, 1, tzinfo=UTC))
+    return simulate_study(
+        study, participants=1, seed=None, now=lambda: datetime(2026, 1, 1, tzinfo=UTC)
+    )
 
 
 def use(study: StudyFolder) -> None:
     """Leave what a session leaves: a file that names the set."""
     folder = study.sessions / "p01"
     folder.mkdir(parents=True)
-    (folder / "plan.json").write_text(json.dumps({"stimuli_sha256": read_stimuli(study.stimuli).sha256}))
+    (folder / "plan.json").write_text(
+        json.dumps({"stimuli_sha256": read_stimuli(study.stimuli).sha256})
+    )
 
 
 def test_a_set_that_was_just_built_is_the_one_that_the_settings_ask_for(built: StudyFolder) -> None:
     settings = read_settings(built.settings)
-    assert find_changes(built.stimuli, make_recipe(settings), {"bumps": None, "hard_taps": None}) == []
+    assert (
+        find_changes(built.stimuli, make_recipe(settings), {"bumps": None, "hard_taps": None}) == []
+    )
     assert check_study(built)[1] == []
 
 
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("[analysis]", "[rig]\nrate_hz = 44100.0\n[analysis]", "rate_hz: built with 48000.0; the settings say 44100.0"),
+        (
+            "[analysis]",
+            "[rig]\nrate_hz = 44100.0\n[analysis]",
+            "rate_hz: built with 48000.0; the settings say 44100.0",
+        ),
         (
             "[analysis]",
             "[stimuli.conditioning]\nlow_pass_hz = 500.0\n[analysis]",
@@ -84,12 +92,19 @@ def test_check_knows_a_recording_by_its_content(built: StudyFolder) -> None:
     assert check_study(built)[1] == [f"{built.stimuli}: {message}"]
 
 
-@pytest.mark.parametrize(("old", "new"), [("sax321", "say321"), ('scene = "bumps"', 'scene = "bumps"\nseed = 9')])
-def test_a_set_that_sessions_were_run_with_is_not_replaced(old: str, new: str, built: StudyFolder) -> None:
+@pytest.mark.parametrize(
+    ("old", "new"), [("sax321", "say321"), ('scene = "bumps"', 'scene = "bumps"\nseed = 9')]
+)
+def test_a_set_that_sessions_were_run_with_is_not_replaced(
+    old: str, new: str, built: StudyFolder
+) -> None:
     use(built)
     before = {path.name: path.read_bytes() for path in built.stimuli.iterdir()}
     change(built, old, new)
-    with pytest.raises(ValueError, match=r"sessions were run with this set; make a new study, or move .*sessions away"):
+    with pytest.raises(
+        ValueError,
+        match=r"sessions were run with this set; make a new study, or move .*sessions away",
+    ):
         build_study(built)
     assert {path.name: path.read_bytes() for path in built.stimuli.iterdir()} == before
     built.sessions.rename(built.path / "earlier")
@@ -107,9 +122,12 @@ def test_a_set_in_use_may_be_built_again_and_another_one_replaced(built: StudyFo
 
 
 @pytest.mark.parametrize(
-    "content", [None, b"", b"null", b"[]", b"{}", b"\xff", b'{"stimuli": [1], "recipe": {}}', b"[" * 99999]
+    "content",
+    [None, b"", b"null", b"[]", b"{}", b"\xff", b'{"stimuli": [1], "recipe": {}}', b"[" * 99999],
 )
-def test_a_manifest_json_that_is_none_is_said_and_mended(content: bytes | None, built: StudyFolder) -> None:
+def test_a_manifest_json_that_is_none_is_said_and_mended(
+    content: bytes | None, built: StudyFolder
+) -> None:
     path = built.stimuli / "manifest.json"
     path.unlink()
     if content is not None:
@@ -135,12 +153,16 @@ def test_a_set_of_which_nobody_can_tell_whether_it_is_in_use_is_not_replaced(
     if content is not None:
         (built.stimuli / name).write_bytes(content)
     before = {path.name: path.read_bytes() for path in built.stimuli.iterdir()}
-    with pytest.raises(ValueError, match="nobody can tell whether sessions were run with this set") as caught:
+    with pytest.raises(
+        ValueError, match="nobody can tell whether sessions were run with this set"
+    ) as caught:
         build_study(built)
     assert str(caught.value).endswith(f"; restore it from a copy, or move {built.sessions} away")
     assert "\n" not in str(caught.value)
     assert {path.name: path.read_bytes() for path in built.stimuli.iterdir()} == before
-    built.stimuli.rename(built.path / "elsewhere")  # Where nothing is left, nothing can be replaced.
+    built.stimuli.rename(
+        built.path / "elsewhere"
+    )  # Where nothing is left, nothing can be replaced.
     build_study(built)
 
 

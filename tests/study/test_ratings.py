@@ -8,21 +8,21 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from protocols.tasks import make_task
-from study.folder import StudyFolder
-from study.ratings import COLUMNS, read_judgements, write_ratings
-from study.session.chain import START, digest, write_line
-from study.session.journal import create_journal
-from study.session.opening import Stale
-from study.session.plan import create_plan, list_codes, make_plan
-from study.session.ports import Confirm, Feel, Playback
+from feel321.protocols.tasks import make_task
+from feel321.study.columns import RATING_COLUMNS
+from feel321.study.folder import StudyFolder
+from feel321.study.ratings import read_judgements, write_ratings
+from feel321.study.session.journal import START, create_journal, digest, write_line
+from feel321.study.session.opening import Stale
+from feel321.study.session.plan import create_plan, list_codes, make_plan
+from feel321.study.session.ports import Confirm, Feel, Playback
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from stimuli.manifest import StimulusSet
-    from study.session.plan import Design, Plan
+    from feel321.stimuli.sets.manifest import StimulusSet
+    from feel321.study.session.plan import Design, Plan
 
     Present = Callable[..., list[Any]]
     Forge = Callable[[Path, list[Any]], None]
@@ -48,7 +48,7 @@ def read(path: Path) -> list[dict[str, str]]:
 
 
 def test_columns_are_those_that_were_promised() -> None:
-    assert ", ".join(COLUMNS) == (
+    assert ", ".join(RATING_COLUMNS) == (
         "participant, session, protocol, block, trial, repeat, stimulus_id, recording, reducer, level, reference_id, "
         "scale, rating, response_time_s, onset_s, underruns, rejected, simulated"
     )
@@ -66,10 +66,19 @@ def test_one_row_per_judgement_with_what_the_plan_and_the_set_say(
     codes = list_codes(stimuli, seed=plan.seed)
     for row, trial in zip(rows, plan.trials, strict=True):
         (judgement,) = trial.judgements
-        assert (codes[row["stimulus_id"]], row["protocol"]) == (judgement.stimulus_id, trial.protocol)
+        assert (codes[row["stimulus_id"]], row["protocol"]) == (
+            judgement.stimulus_id,
+            trial.protocol,
+        )
         assert codes.get(row["reference_id"]) == judgement.reference_id
         assert row["reducer"] == by_id[row["stimulus_id"]].reducer
-    constant = {"participant": "p01", "session": "1", "level": "as_is", "rating": "50.0", "response_time_s": "1.5"}
+    constant = {
+        "participant": "p01",
+        "session": "1",
+        "level": "as_is",
+        "rating": "50.0",
+        "response_time_s": "1.5",
+    }
     constant |= {"underruns": "0", "rejected": "false", "simulated": "true", "repeat": "1"}
     assert all(row | constant == row for row in rows)
 
@@ -78,7 +87,12 @@ def test_onset_is_that_of_what_is_judged_as_felt_last_and_underruns_add_up(
     present: Present, scripted: type, stimuli: StimulusSet, tmp_path: Path
 ) -> None:
     again = [Feel(0.0), Confirm(0.0, {"test": 50.0}, 1.5)]
-    dry = [Playback(1.0, 1.0, underruns=2), Playback(2.0, 2.5), Playback(3.0, 3.5, underruns=1), Playback(4.0, 4.5)]
+    dry = [
+        Playback(1.0, 1.0, underruns=2),
+        Playback(2.0, 2.5),
+        Playback(3.0, 3.5, underruns=1),
+        Playback(4.0, 4.5),
+    ]
     present(scripted(acts={(11, 1): again}, playbacks={(11, 1): dry}))
     rows = read_judgements(tmp_path / "sessions" / "p01", stimuli)
     bad, good = (row for row in rows if row["trial"] == 11)
@@ -95,7 +109,11 @@ def test_a_session_that_was_begun_anew_counts_no_more_and_is_kept(
     later = datetime(2027, 1, 1, tzinfo=UTC)
     present(scripted(), stale=Stale(policy="restart"), now=lambda: later)
     rows = read_judgements(tmp_path / "sessions" / "p01", stimuli)
-    assert [(row["session"], row["trial"]) for row in rows if row["rejected"] == "true"] == [(1, 1), (1, 2), (1, 3)]
+    assert [(row["session"], row["trial"]) for row in rows if row["rejected"] == "true"] == [
+        (1, 1),
+        (1, 2),
+        (1, 3),
+    ]
     assert [row["trial"] for row in rows if row["rejected"] == "false"] == list(range(1, 21))
 
 
@@ -103,9 +121,17 @@ def test_a_session_that_was_begun_anew_counts_no_more_and_is_kept(
     ("task", "rating"), [("abx", {0.0, 100.0}), ("dissimilarity", {50.0}), ("mushra", {50.0})]
 )
 def test_every_judgement_of_a_trial_is_a_row(
-    present: Present, scripted: type, design: Design, stimuli: StimulusSet, tmp_path: Path, task: str, rating: set[Any]
+    present: Present,
+    scripted: type,
+    design: Design,
+    stimuli: StimulusSet,
+    tmp_path: Path,
+    task: str,
+    rating: set[Any],
 ) -> None:
-    plan = make_plan(replace(design, tasks=(make_task(task),)), stimuli, "p01", number=1, simulated=True)
+    plan = make_plan(
+        replace(design, tasks=(make_task(task),)), stimuli, "p01", number=1, simulated=True
+    )
     present(scripted(), plan=plan)
     rows = read_judgements(tmp_path / "sessions" / "p01", stimuli)
     assert len(rows) == sum(len(trial.judgements) for trial in plan.trials)
@@ -123,8 +149,13 @@ def test_the_real_surface_is_a_reference_of_its_own_name(
     present: Present, scripted: type, design: Design, stimuli: StimulusSet, tmp_path: Path
 ) -> None:
     task = make_task("similarity", reference="surface")
-    present(scripted(), plan=make_plan(replace(design, tasks=(task,)), stimuli, "p01", number=1, simulated=True))
-    assert {row["reference_id"] for row in read_judgements(tmp_path / "sessions" / "p01", stimuli)} == {"surface"}
+    present(
+        scripted(),
+        plan=make_plan(replace(design, tasks=(task,)), stimuli, "p01", number=1, simulated=True),
+    )
+    assert {
+        row["reference_id"] for row in read_judgements(tmp_path / "sessions" / "p01", stimuli)
+    } == {"surface"}
 
 
 def test_training_and_practice_stay_in_the_journal(
@@ -173,7 +204,12 @@ def test_who_withdrew_gives_no_rows_whatever_lies_beside_the_tombstone(
 
 @pytest.mark.parametrize("dropped", ["played", "shown"])
 def test_a_rating_of_what_was_not_played_is_refused(
-    present: Present, scripted: type, stimuli: StimulusSet, tmp_path: Path, forge: Forge, dropped: str
+    present: Present,
+    scripted: type,
+    stimuli: StimulusSet,
+    tmp_path: Path,
+    forge: Forge,
+    dropped: str,
 ) -> None:
     records = present(scripted())
     place = next(place for place, record in enumerate(records) if record.event == "played")
@@ -182,19 +218,28 @@ def test_a_rating_of_what_was_not_played_is_refused(
     else:
         records.insert(place + 1, records[place - 1])  # Shown once more, and not played since.
     forge(tmp_path / "sessions" / "p01" / "session-01.jsonl", records)
-    with pytest.raises(ValueError, match=r"session-01\.jsonl, line \d+: trial 1 is rated, but test was not played"):
+    with pytest.raises(
+        ValueError, match=r"session-01\.jsonl, line \d+: trial 1 is rated, but test was not played"
+    ):
         write_ratings(StudyFolder(tmp_path), stimuli)
 
 
 @pytest.mark.parametrize("change", [{"values": {}}, {"values": None}, {"trial": 99}, {"trial": []}])
 def test_a_rating_of_another_make_is_refused_in_words(
-    present: Present, scripted: type, stimuli: StimulusSet, tmp_path: Path, forge: Forge, change: dict[str, Any]
+    present: Present,
+    scripted: type,
+    stimuli: StimulusSet,
+    tmp_path: Path,
+    forge: Forge,
+    change: dict[str, Any],
 ) -> None:
     records = present(scripted())
     last = max(place for place, record in enumerate(records) if record.event == "rated")
     records[last] = replace(records[last], data=records[last].data | change)
     forge(tmp_path / "sessions" / "p01" / "session-01.jsonl", records)
-    with pytest.raises(ValueError, match=r"session-01\.jsonl: holds what feel321 does not write \(\w+: ") as caught:
+    with pytest.raises(
+        ValueError, match=r"session-01\.jsonl: holds what feel321 does not write \(\w+: "
+    ) as caught:
         write_ratings(StudyFolder(tmp_path), stimuli)
     assert "\n" not in str(caught.value)
 
@@ -203,7 +248,9 @@ def test_a_journal_of_another_stimulus_set_is_refused(
     present: Present, scripted: type, stimuli: StimulusSet, tmp_path: Path
 ) -> None:
     present(scripted())
-    with pytest.raises(ValueError, match="was planned with stimulus set 555555555555, the study holds 666666666666"):
+    with pytest.raises(
+        ValueError, match="was planned with stimulus set 555555555555, the study holds 666666666666"
+    ):
         write_ratings(StudyFolder(tmp_path), replace(stimuli, sha256="6" * 64))
 
 
@@ -214,11 +261,15 @@ def test_a_journal_beside_another_plan_is_refused(
     path = tmp_path / "sessions" / "p01" / "plan.json"
     path.unlink()
     create_plan(path, make_plan(design, stimuli, "p01", number=2, simulated=True))
-    with pytest.raises(ValueError, match=r"session-01\.jsonl: was begun with another plan than the one beside it"):
+    with pytest.raises(
+        ValueError, match=r"session-01\.jsonl: was begun with another plan than the one beside it"
+    ):
         write_ratings(StudyFolder(tmp_path), stimuli)
 
 
-@pytest.mark.parametrize("name", ["session-01.old.jsonl", "session-01 (copy).jsonl", "session-01a.jsonl"])
+@pytest.mark.parametrize(
+    "name", ["session-01.old.jsonl", "session-01 (copy).jsonl", "session-01a.jsonl"]
+)
 def test_copies_of_a_journal_under_other_names_do_not_count(
     present: Present, scripted: type, stimuli: StimulusSet, tmp_path: Path, name: str
 ) -> None:
@@ -235,7 +286,9 @@ def test_a_copied_folder_is_refused_unless_its_name_is_no_participants(
     for name in ("p01 backup", "@eaDir", "p01-copy"):
         assert write_ratings(StudyFolder(tmp_path), stimuli) == 20
         shutil.copytree(tmp_path / "sessions" / "p01", tmp_path / "sessions" / name)
-    with pytest.raises(ValueError, match=r"p01-copy/plan\.json: is the plan of 'p01', it was copied here; move"):
+    with pytest.raises(
+        ValueError, match=r"p01-copy/plan\.json: is the plan of 'p01', it was copied here; move"
+    ):
         write_ratings(StudyFolder(tmp_path), stimuli)
 
 
@@ -245,5 +298,7 @@ def test_a_journal_that_lies_elsewhere_than_it_was_written_is_refused(
     present(scripted())
     folder = tmp_path / "sessions" / "p01"
     shutil.copy(folder / "session-01.jsonl", folder / "session-02.jsonl")
-    with pytest.raises(ValueError, match=r"session-02\.jsonl: is session 1 of 'p01', it was copied here; move"):
+    with pytest.raises(
+        ValueError, match=r"session-02\.jsonl: is session 1 of 'p01', it was copied here; move"
+    ):
         write_ratings(StudyFolder(tmp_path), stimuli)

@@ -17,7 +17,9 @@ def test_sounddevice_finds_portaudio() -> None:
     assert [api["name"] for api in sounddevice.query_hostapis()] != []
 
 
-@pytest.mark.skipif(sys.version_info >= (3, 13), reason="NO PSYCHOPY: it supports Python 3.10 to 3.12 only")
+@pytest.mark.skipif(
+    sys.version_info >= (3, 13), reason="NO PSYCHOPY: it supports Python 3.10 to 3.12 only"
+)
 def test_psychopy_imports_without_a_window() -> None:
     import psychopy
 

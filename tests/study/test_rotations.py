@@ -7,20 +7,20 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stimuli.condition import Conditioning, condition
-from stimuli.manifest import read_stimuli
-from stimuli.rotation import rotation_statistics
-from stimuli.synthesis import make_scene
-from study import rotations
-from study.folder import StudyFolder
-from study.rotations import compute_rotations, measure_rotations
-from study.settings.reading import read_settings
-from study.workflow import build_study
+from feel321.stimuli.condition import Conditioning, condition
+from feel321.stimuli.rotation import rotation_statistics
+from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.stimuli.synthesis import make_scene
+from feel321.study import analyze
+from feel321.study.analyze import compute_rotations, measure_rotations
+from feel321.study.folder import StudyFolder
+from feel321.study.settings.read import read_settings
+from feel321.study.workflow import build_study
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from analysis.table.further import Further
+    from feel321.analysis.table.reading import Further
 
 REDUCERS = ("saz321", "pca321", "dft321_windowed")
 STUDY = f"""
@@ -58,23 +58,28 @@ def measure(study: StudyFolder) -> Further:
 def test_every_test_stimulus_has_the_statistics_of_its_recording_and_reducer(
     lab: StudyFolder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rotations, "MOST", 200)
+    monkeypatch.setattr(analyze, "MOST", 200)
     found = measure(lab).metrics
     tests = [stimulus for stimulus in read_stimuli(lab.stimuli).stimuli if stimulus.role == "test"]
     assert list(found.index) == [stimulus.stimulus_id for stimulus in tests]
     steps = Conditioning(high_pass_hz=30)
     bumps = condition(make_scene("bumps", duration_s=0.3), steps)
     for reducer in REDUCERS:
-        one = rotation_statistics(bumps.acceleration, bumps.rate_hz, reducer=reducer, rng=np.random.default_rng(6))
+        one = rotation_statistics(
+            bumps.acceleration, bumps.rate_hz, reducer=reducer, rng=np.random.default_rng(6)
+        )
         expected = (one.spectral_mean, one.spectral_sd, one.temporal_mean, one.temporal_sd)
         expected += (one.bounded_mean, one.bounded_sd)
         for level in ("as_is", "equal_intensity"):
             np.testing.assert_allclose(found.loc[f"bumps__{reducer}__{level}"], expected, atol=1e-9)
     assert list(found) == [
-        "spectral_match_rotation_mean", "spectral_match_rotation_sd",
-        "temporal_match_rotation_mean", "temporal_match_rotation_sd",
-        "spectral_match_bounded_rotation_mean", "spectral_match_bounded_rotation_sd",
-    ]  # fmt: skip
+        "spectral_match_rotation_mean",
+        "spectral_match_rotation_sd",
+        "temporal_match_rotation_mean",
+        "temporal_match_rotation_sd",
+        "spectral_match_bounded_rotation_mean",
+        "spectral_match_bounded_rotation_sd",
+    ]
 
 
 def test_what_no_orientation_changes_has_no_spread_at_all(lab: StudyFolder) -> None:
@@ -93,12 +98,19 @@ def test_nothing_is_written_and_the_manifest_stays(lab: StudyFolder) -> None:
     assert {path: path.read_bytes() for path in lab.stimuli.iterdir()} == before
 
 
-def test_long_recordings_get_fewer_orientations(lab: StudyFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_long_recordings_get_fewer_orientations(
+    lab: StudyFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
     size = 3 * 3000 * len(REDUCERS)
-    recordings = [replace(make_scene("bumps", duration_s=0.3), name=name) for name in ("bumps", "hard_taps-r2")]
+    recordings = [
+        replace(make_scene("bumps", duration_s=0.3), name=name)
+        for name in ("bumps", "hard_taps-r2")
+    ]
     for affordable, count in ((10**9, 64), (2 * size * 20 + 5, 20), (size, 16)):
-        monkeypatch.setattr(rotations, "AFFORDABLE", affordable)
-        found = compute_rotations(recordings, read_stimuli(lab.stimuli), steps=Conditioning(), seed=1)
+        monkeypatch.setattr(analyze, "AFFORDABLE", affordable)
+        found = compute_rotations(
+            recordings, read_stimuli(lab.stimuli), steps=Conditioning(), seed=1
+        )
         assert f"into {count} random orientations" in found.notes[0]
 
 

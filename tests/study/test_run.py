@@ -13,18 +13,17 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from study import lab, run
-from study.actuator import stream
-from study.actuator.devices import Device
-from study.audit import audit_study
-from study.check import check_study
-from study.cli import main
-from study.folder import StudyFolder, create_study
-from study.run import Visit, run_participant
-from study.session.journal import read_journal
-from study.session.ports import Abort
-from study.status import read_status
-from study.workflow import build_study
+from feel321.study import sessions
+from feel321.study.actuator import stream
+from feel321.study.actuator.stream import Device
+from feel321.study.audit import audit_study
+from feel321.study.cli import main
+from feel321.study.folder import StudyFolder, create_study
+from feel321.study.session.journal import read_journal
+from feel321.study.session.ports import Abort
+from feel321.study.sessions import Visit, run_participant
+from feel321.study.status import read_status
+from feel321.study.workflow import build_study, check_study
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -54,7 +53,7 @@ def ready(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> StudyFolder:
     study.settings.write_text(SETTINGS, encoding="utf-8")
     build_study(study)
     monkeypatch.setenv("DISPLAY", ":99")
-    monkeypatch.setattr(lab, "find_spec", lambda _: "there")
+    monkeypatch.setattr(sessions, "find_spec", lambda _: "there")
     return study
 
 
@@ -71,7 +70,7 @@ def present(scripted: Any, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any
             yield presenter
             presenter.log.append("closed")
 
-        monkeypatch.setattr(run, "open_lab", open_presenter)
+        monkeypatch.setattr(sessions, "open_lab", open_presenter)
         return presenter
 
     return take_place
@@ -97,12 +96,16 @@ def test_a_session_runs_to_its_end_and_no_window_opens_for_what_is_finished(
 @pytest.fixture
 def devices(monkeypatch: pytest.MonkeyPatch) -> None:
     """The only audio device there is: `other`."""
-    only = Device(index=0, name="other", host_api="ALSA", n_outputs=4, n_inputs=0, default_rate_hz=48000.0)
+    only = Device(
+        index=0, name="other", host_api="ALSA", n_outputs=4, n_inputs=0, default_rate_hz=48000.0
+    )
     monkeypatch.setattr(stream, "list_devices", lambda: [only])
 
 
 @pytest.mark.usefixtures("devices")
-def test_a_device_that_is_not_there_takes_nobodys_number(ready: StudyFolder, present: Callable[..., Any]) -> None:
+def test_a_device_that_is_not_there_takes_nobodys_number(
+    ready: StudyFolder, present: Callable[..., Any]
+) -> None:
     presenter = present()
     with pytest.raises(OSError, match="got 'othre'"):
         visit(ready, device="othre")
@@ -117,12 +120,16 @@ def test_a_device_that_is_named_by_hand_is_looked_for_in_every_host_api(
 ) -> None:
     present()
     text = ready.rig.read_text(encoding="utf-8")
-    ready.rig.write_text(text.replace("[device]", '[device]\nhost_api = "JACK"', 1), encoding="utf-8")
+    ready.rig.write_text(
+        text.replace("[device]", '[device]\nhost_api = "JACK"', 1), encoding="utf-8"
+    )
     assert visit(ready, device="other").done == TOTAL
 
 
 @pytest.mark.usefixtures("devices")
-def test_a_rehearsal_that_was_begun_otherwise_is_told_apart(ready: StudyFolder, present: Callable[..., Any]) -> None:
+def test_a_rehearsal_that_was_begun_otherwise_is_told_apart(
+    ready: StudyFolder, present: Callable[..., Any]
+) -> None:
     present(pages={"consent": [Abort(2.0, "not today")]})
     rehearsal = replace(ready, is_rehearsal=True)
     visit(rehearsal)
@@ -131,12 +138,20 @@ def test_a_rehearsal_that_was_begun_otherwise_is_told_apart(ready: StudyFolder, 
 
 
 @pytest.mark.usefixtures("devices")
-def test_the_header_names_the_rig_and_another_one_is_refused(ready: StudyFolder, present: Callable[..., Any]) -> None:
+def test_the_header_names_the_rig_and_another_one_is_refused(
+    ready: StudyFolder, present: Callable[..., Any]
+) -> None:
     present(pages={"consent": [Abort(2.0, "not today")]})
     assert visit(ready).stopped == "not today"
     header = read_journal(ready.journals[0]).records[0].data["presenter"]
-    assert (header["simulated"], header["rehearsal"], header["rig"]["device"]["name"]) == (False, False, "file")
-    with pytest.raises(ValueError, match=r"begun otherwise \(presenter\.rig\.device\.name 'file' -> 'other'\)"):
+    assert (header["simulated"], header["rehearsal"], header["rig"]["device"]["name"]) == (
+        False,
+        False,
+        "file",
+    )
+    with pytest.raises(
+        ValueError, match=r"begun otherwise \(presenter\.rig\.device\.name 'file' -> 'other'\)"
+    ):
         visit(ready, device="other")
     assert visit(ready).done == TOTAL
 
@@ -172,7 +187,16 @@ def test_the_command_that_goes_on_has_every_option(
     ready: StudyFolder, present: Callable[..., Any], capsys: pytest.CaptureFixture[str]
 ) -> None:
     present(stop_after=1)
-    options = ["--participant", "p01", "--device", "file", "--seed", "3", "--rehearse", "--simulate-participant"]
+    options = [
+        "--participant",
+        "p01",
+        "--device",
+        "file",
+        "--seed",
+        "3",
+        "--rehearse",
+        "--simulate-participant",
+    ]
     assert main(["run", str(ready.path), *options]) == 130
     told, interrupted = capsys.readouterr().err.splitlines()
     command = f"feel321 run {ready.path} {' '.join(options)}"
@@ -215,13 +239,17 @@ def test_what_was_mended_is_told(ready: StudyFolder, present: Callable[..., Any]
 def test_a_machine_without_the_extra_is_told_what_to_install(
     ready: StudyFolder, monkeypatch: pytest.MonkeyPatch, missing: set[str], device: str, words: str
 ) -> None:
-    monkeypatch.setattr(lab, "find_spec", lambda name: None if name in missing else "there")
-    with pytest.raises(OSError, match=rf"run: {words}, .*: pip install -c constraints.txt '.\[rig\]'"):
+    monkeypatch.setattr(sessions, "find_spec", lambda name: None if name in missing else "there")
+    with pytest.raises(
+        OSError, match=rf"run: {words}, .*: pip install -c constraints.txt '.\[rig\]'"
+    ):
         visit(ready, device=device)
     assert not ready.ledger.exists()  # Nobody got a number.
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="NO X11 HERE: only there a display is named by DISPLAY")
+@pytest.mark.skipif(
+    sys.platform != "linux", reason="NO X11 HERE: only there a display is named by DISPLAY"
+)
 def test_no_display_is_one_line(ready: StudyFolder, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DISPLAY")
     with pytest.raises(OSError, match="run: got no display"):
@@ -231,12 +259,16 @@ def test_no_display_is_one_line(ready: StudyFolder, monkeypatch: pytest.MonkeyPa
 
 def test_no_rig_is_one_line(ready: StudyFolder) -> None:
     ready.rig.unlink()
-    with pytest.raises(FileNotFoundError, match=r"rig\.toml: there is none; feel321 new DIR writes one"):
+    with pytest.raises(
+        FileNotFoundError, match=r"rig\.toml: there is none; feel321 new DIR writes one"
+    ):
         visit(ready)
     assert check_study(ready)[1] == []  # Simulated participants need none.
 
 
-def test_a_rig_that_cannot_play_the_stimuli_is_refused_by_run_and_check_alike(ready: StudyFolder) -> None:
+def test_a_rig_that_cannot_play_the_stimuli_is_refused_by_run_and_check_alike(
+    ready: StudyFolder,
+) -> None:
     text = ready.rig.read_text(encoding="utf-8").replace('"reduced", ', "")
     ready.rig.write_text(text, encoding="utf-8")
     with pytest.raises(ValueError, match=r"^rig\.toml: .*no actuator plays reduced") as error:
@@ -264,9 +296,11 @@ def test_people_have_no_seed(ready: StudyFolder, capsys: pytest.CaptureFixture[s
 
 def test_a_hand_without_a_screen_is_one_line() -> None:
     # In a process of its own: python-xlib leaves the sockets open that it tried.
-    code = "from study.screen.fingers import XFingers; XFingers()"
+    code = "from feel321.study.screen.robot import XFingers; XFingers()"
     env = {**os.environ, "DISPLAY": ":4711"}
-    done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=env, capture_output=True, text=True, check=False
+    )
     last = done.stderr.splitlines()[-1]
     assert last.startswith("OSError: simulated participant: ")
     assert last.endswith("; allowed is an X11 screen, named by DISPLAY")
@@ -274,8 +308,8 @@ def test_a_hand_without_a_screen_is_one_line() -> None:
 
 def test_the_clock_goes_on_where_it_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
     times = iter([100.0, 100.5])
-    monkeypatch.setattr(lab, "perf_counter", lambda: next(times))
-    assert lab.start_clock(40.0)() == 40.5
+    monkeypatch.setattr(sessions, "perf_counter", lambda: next(times))
+    assert sessions.start_clock(40.0)() == 40.5
 
 
 def test_a_person_who_has_not_begun_is_not_taken_over_by_a_simulated_one(

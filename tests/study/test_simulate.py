@@ -9,25 +9,29 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from stimuli.manifest import read_stimuli
-from study.audit import audit_study
-from study.check import check_study, find_warnings
-from study.folder import StudyFolder
-from study.ledger.memory import list_forgotten
-from study.ratings import write_ratings
-from study.session.journal import read_journal
-from study.session.replay import find_header
-from study.settings.reading import read_settings
-from study.simulate import SIDE_BY_SIDE, Simulation, run_simulation
-from study.status import read_status
-from study.workflow import analyze_study, build_study, simulate_study
+from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.study.analyze import analyze_study
+from feel321.study.audit import audit_study
+from feel321.study.folder import StudyFolder
+from feel321.study.ledger.database import list_forgotten
+from feel321.study.ratings import write_ratings
+from feel321.study.session.journal import read_journal
+from feel321.study.session.plan import find_header
+from feel321.study.sessions import SIDE_BY_SIDE, Simulation, run_simulation
+from feel321.study.settings.read import read_settings
+from feel321.study.status import read_status
+from feel321.study.workflow import build_study, check_study, find_warnings, simulate_study
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 
-def simulate(study: StudyFolder, *, participants: int = 3, seed: int | None = None, **options: Any) -> int:
-    return simulate_study(study, participants=participants, seed=seed, now=lambda: datetime.now(UTC), **options)
+def simulate(
+    study: StudyFolder, *, participants: int = 3, seed: int | None = None, **options: Any
+) -> int:
+    return simulate_study(
+        study, participants=participants, seed=seed, now=lambda: datetime.now(UTC), **options
+    )
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +39,9 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> StudyFolder:
     """A study that three participants have finished; to be copied, not touched."""
     study = StudyFolder(tmp_path_factory.mktemp("whole"))
     text = '[[recordings]]\nscene = "bumps"\nduration_s = 0.5\n[[recordings]]\nscene = "hard_taps"\nduration_s = 0.5\n'
-    study.settings.write_text(f'{text}[stimuli]\nreducers = ["sax321", "dft321"]\n', encoding="utf-8")
+    study.settings.write_text(
+        f'{text}[stimuli]\nreducers = ["sax321", "dft321"]\n', encoding="utf-8"
+    )
     build_study(study)
     simulate(study)
     return study
@@ -70,7 +76,11 @@ def test_progress_counts_what_earlier_runs_did(copy: StudyFolder) -> None:
     lines = copy.journals[0].read_bytes().splitlines(keepends=True)
     events = [(number, json.loads(line)) for number, line in enumerate(lines, start=1)]
     # Trials of the main phase are numbered first.
-    rated = [number for number, event in events if event["event"] == "rated" and event["data"]["trial"] <= 20]
+    rated = [
+        number
+        for number, event in events
+        if event["event"] == "rated" and event["data"]["trial"] <= 20
+    ]
     copy.ledger.unlink()
     copy.journals[0].write_bytes(b"".join(lines[: rated[4]]))
     steps: list[tuple[int, int]] = []
@@ -88,13 +98,18 @@ def test_what_was_mended_on_resuming_is_reported(copy: StudyFolder) -> None:
     simulation = Simulation(copy, settings, stimuli, settings.study.seed, lambda: datetime.now(UTC))
     notices = run_simulation(simulation, 3)
     rebuilt, mended = notices
-    assert rebuilt == f"{copy.ledger}: was missing; 3 participants were entered from their plans and journals"
+    assert (
+        rebuilt
+        == f"{copy.ledger}: was missing; 3 participants were entered from their plans and journals"
+    )
     assert mended.startswith(f"{torn}: ")
     assert mended.endswith("were moved to session-01.jsonl.torn1")
     assert run_simulation(simulation, 3) == []
 
 
-def test_an_error_in_one_session_ends_the_others_with_the_trial_that_they_are_in(copy: StudyFolder) -> None:
+def test_an_error_in_one_session_ends_the_others_with_the_trial_that_they_are_in(
+    copy: StudyFolder,
+) -> None:
     shutil.rmtree(copy.sessions)
 
     fault = iter([RuntimeError("a fault in one of them")])
@@ -117,7 +132,9 @@ def test_more_participants_can_join_and_the_first_are_kept(copy: StudyFolder) ->
     assert {path: path.read_bytes() for path in copy.journals if path in before} == before
 
 
-def test_resuming_from_any_record_gives_the_same_table(whole: StudyFolder, copy: StudyFolder) -> None:
+def test_resuming_from_any_record_gives_the_same_table(
+    whole: StudyFolder, copy: StudyFolder
+) -> None:
     journal = copy.journals[1]
     lines = journal.read_bytes().splitlines(keepends=True)
     for kept in range(0, len(lines), 5):
@@ -138,14 +155,20 @@ def test_another_seed_for_the_same_participants_is_refused(copy: StudyFolder) ->
 
 
 def test_changed_settings_are_refused_for_sessions_that_began(copy: StudyFolder) -> None:
-    copy.settings.write_text(copy.settings.read_text(encoding="utf-8") + "[study]\nseed = 9\n", encoding="utf-8")
-    with pytest.raises(ValueError, match=r"the study was changed since this plan was stored \(seed 321 -> 9\)"):
+    copy.settings.write_text(
+        copy.settings.read_text(encoding="utf-8") + "[study]\nseed = 9\n", encoding="utf-8"
+    )
+    with pytest.raises(
+        ValueError, match=r"the study was changed since this plan was stored \(seed 321 -> 9\)"
+    ):
         simulate(copy)
 
 
 def test_other_words_are_refused_for_sessions_that_began(copy: StudyFolder) -> None:
     settings = copy.settings.read_text(encoding="utf-8")
-    copy.settings.write_text(f"{settings}[session]\nconsent = 'We record nothing.'\n", encoding="utf-8")
+    copy.settings.write_text(
+        f"{settings}[session]\nconsent = 'We record nothing.'\n", encoding="utf-8"
+    )
     message = r"(?s)begun otherwise \(texts_sha256 '.*' -> '.*'; consent 'Taking part.*' -> 'We record nothing.'\)"
     with pytest.raises(ValueError, match=message):
         simulate(copy)
@@ -155,8 +178,12 @@ def test_other_words_are_refused_for_sessions_that_began(copy: StudyFolder) -> N
 
 
 def test_another_observer_is_refused_and_only_what_differs_is_named(copy: StudyFolder) -> None:
-    copy.settings.write_text(copy.settings.read_text(encoding="utf-8") + "[observer]\nnoise_sd = 9\n", encoding="utf-8")
-    message = r"begun otherwise \(presenter\.observer\.noise_sd 8\.0 -> 9\.0\); .* or move sessions/ away"
+    copy.settings.write_text(
+        copy.settings.read_text(encoding="utf-8") + "[observer]\nnoise_sd = 9\n", encoding="utf-8"
+    )
+    message = (
+        r"begun otherwise \(presenter\.observer\.noise_sd 8\.0 -> 9\.0\); .* or move sessions/ away"
+    )
     with pytest.raises(ValueError, match=message):
         simulate(copy)
 
@@ -170,7 +197,10 @@ def test_a_set_built_anew_from_other_reducers_is_refused(copy: StudyFolder) -> N
     (copy.path / "aside").rename(copy.sessions)
     with pytest.raises(ValueError, match=r"stimuli_sha256 '.*' -> '.*'"):
         simulate(copy)
-    assert any("names another stimulus set than the one that is built" in line for line in audit_study(copy))
+    assert any(
+        "names another stimulus set than the one that is built" in line
+        for line in audit_study(copy)
+    )
     with pytest.raises(ValueError, match="was planned with stimulus set"):
         write_ratings(copy, read_stimuli(copy.stimuli))
 
@@ -178,11 +208,19 @@ def test_a_set_built_anew_from_other_reducers_is_refused(copy: StudyFolder) -> N
 def test_a_session_that_never_got_its_journal_is_shown_as_not_begun(copy: StudyFolder) -> None:
     copy.journals[0].unlink()
     first = read_status(copy).participants[0]
-    assert (first.done, first.left, first.state, first.simulated, first.last_activity) == (0, 20, "claimed", True, "")
+    assert (first.done, first.left, first.state, first.simulated, first.last_activity) == (
+        0,
+        20,
+        "claimed",
+        True,
+        "",
+    )
 
 
 def test_check_finds_every_problem_at_once(copy: StudyFolder) -> None:
-    text = '[[recordings]]\nfile = "a.csv"\n[[recordings]]\nfile = "b.csv"\n[rig]\nrate_hz = 44100.5\n'
+    text = (
+        '[[recordings]]\nfile = "a.csv"\n[[recordings]]\nfile = "b.csv"\n[rig]\nrate_hz = 44100.5\n'
+    )
     copy.settings.write_text(text, encoding="utf-8")
     next(copy.stimuli.glob("*.wav")).unlink()
     problems = check_study(copy)[1]
@@ -194,7 +232,9 @@ def test_check_finds_that_a_protocol_lacks_its_reference(copy: StudyFolder) -> N
     shutil.rmtree(copy.sessions)
     text = copy.settings.read_text(encoding="utf-8") + 'reference = "none"\n'
     copy.settings.write_text(text, encoding="utf-8")
-    assert any("got 0 stimuli for the reference 'original'" in problem for problem in check_study(copy)[1])
+    assert any(
+        "got 0 stimuli for the reference 'original'" in problem for problem in check_study(copy)[1]
+    )
 
 
 def test_check_warns_of_an_order_that_cannot_be_kept(copy: StudyFolder) -> None:
@@ -205,7 +245,8 @@ def test_check_warns_of_an_order_that_cannot_be_kept(copy: StudyFolder) -> None:
     shutil.rmtree(copy.sessions)
     build_study(copy)
     assert find_warnings(copy) == [
-        f"order 'random': {task}: 4 of 5 trials follow one of the same recording" for task in ("realism", "similarity")
+        f"order 'random': {task}: 4 of 5 trials follow one of the same recording"
+        for task in ("realism", "similarity")
     ]
     shutil.rmtree(copy.stimuli)
     assert find_warnings(copy) == []

@@ -7,20 +7,19 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from protocols.tasks import make_task
-from study.folder import StudyFolder
-from study.realised import describe_balance
-from study.session.journal import require_journal
-from study.session.plan import make_plan
-from study.session.ports import Abort, Confirm, Pause, Playback
-from study.status import read_status
+from feel321.protocols.tasks import make_task
+from feel321.study.folder import StudyFolder
+from feel321.study.session.journal import require_journal
+from feel321.study.session.plan import make_plan
+from feel321.study.session.ports import Abort, Confirm, Pause, Playback
+from feel321.study.status import describe_balance, read_status
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from stimuli.manifest import StimulusSet
-    from study.session.plan import Design, Plan
+    from feel321.stimuli.sets.manifest import StimulusSet
+    from feel321.study.session.plan import Design, Plan
 
     Present = Callable[..., list[Any]]
 
@@ -42,11 +41,17 @@ def test_who_finished_has_nothing_left(begun: StudyFolder) -> None:
 @pytest.mark.parametrize(
     ("name", "content", "problem"),
     [
-        ("plan.json", b"null", "plan.json: got no plan, or one that was changed after it was stored"),
+        (
+            "plan.json",
+            b"null",
+            "plan.json: got no plan, or one that was changed after it was stored",
+        ),
         ("session-01.jsonl", b"{}\n", "session-01.jsonl, line 1: was changed after it was written"),
     ],
 )
-def test_what_is_broken_hides_nobody_else(begun: StudyFolder, name: str, content: bytes, problem: str) -> None:
+def test_what_is_broken_hides_nobody_else(
+    begun: StudyFolder, name: str, content: bytes, problem: str
+) -> None:
     shutil.copytree(begun.sessions / "p01", begun.sessions / "p02")
     (begun.sessions / "p01" / name).write_bytes(content)
     broken, copied = read_status(begun).participants
@@ -71,8 +76,12 @@ def test_states_follow_the_journal(present: Present, scripted: type, tmp_path: P
     study, folder = StudyFolder(tmp_path), tmp_path / "sessions" / "p01"
     with pytest.raises(KeyboardInterrupt):
         present(scripted(stop_after=3))
-    assert [(entry.state, entry.done, entry.left) for entry in read_status(study).participants] == [("running", 3, 17)]
-    require_journal(folder / "session-01.jsonl", now=lambda: datetime(2027, 1, 1, tzinfo=UTC)).write("released", {})
+    assert [(entry.state, entry.done, entry.left) for entry in read_status(study).participants] == [
+        ("running", 3, 17)
+    ]
+    require_journal(
+        folder / "session-01.jsonl", now=lambda: datetime(2027, 1, 1, tzinfo=UTC)
+    ).write("released", {})
     assert [entry.state for entry in read_status(study).participants] == ["released"]
     (folder / "session-01.jsonl").unlink()
     assert [entry.state for entry in read_status(study).participants] == ["claimed"]
@@ -89,7 +98,8 @@ def test_what_the_study_lead_should_know_is_counted(
     wrong = Confirm(0.0, {"test": 10.0}, 1.5)
     training = [trial.number for trial in plan.trials if trial.phase == "training"]
     presenter = scripted(
-        playbacks={(1, 1): [dry], (3, 1): [broken], (5, 1): [dry]}, acts={(n, 1): [wrong] for n in training}
+        playbacks={(1, 1): [dry], (3, 1): [broken], (5, 1): [dry]},
+        acts={(n, 1): [wrong] for n in training},
     )
     for number in training:
         presenter.acts[number, 1] = [wrong] * 9
@@ -107,27 +117,47 @@ def test_what_the_study_lead_should_know_is_counted(
     )
 
 
-@pytest.mark.parametrize(("numbers", "warning"), [((1,), "1 trial given up"), ((1, 5), "2 trials given up")])
+@pytest.mark.parametrize(
+    ("numbers", "warning"), [((1,), "1 trial given up"), ((1, 5), "2 trials given up")]
+)
 def test_trials_that_were_given_up_are_counted(
-    present: Present, scripted: type, plan: Plan, tmp_path: Path, numbers: tuple[int, ...], warning: str
+    present: Present,
+    scripted: type,
+    plan: Plan,
+    tmp_path: Path,
+    numbers: tuple[int, ...],
+    warning: str,
 ) -> None:
     attempts = range(1, plan.flow.max_attempts + 1)
-    dry = {(number, attempt): [Playback(1.0, 1.0, underruns=1)] for number in numbers for attempt in attempts}
+    dry = {
+        (number, attempt): [Playback(1.0, 1.0, underruns=1)]
+        for number in numbers
+        for attempt in attempts
+    }
     present(scripted(playbacks=dry))
     (entry,) = read_status(StudyFolder(tmp_path)).participants
     assert (entry.state, warning in entry.warnings) == ("finished", True)
 
 
 def test_records_of_another_make_are_the_problem_of_their_participant(
-    present: Present, scripted: type, design: Design, stimuli: StimulusSet, tmp_path: Path, now: Callable[[], datetime]
+    present: Present,
+    scripted: type,
+    design: Design,
+    stimuli: StimulusSet,
+    tmp_path: Path,
+    now: Callable[[], datetime],
 ) -> None:
     for number, name in enumerate(("p01", "p02"), start=1):
         plan = make_plan(design, stimuli, name, number=number, simulated=True)
         with pytest.raises(KeyboardInterrupt):
             present(scripted(stop_after=number), plan=plan)
-    require_journal(tmp_path / "sessions" / "p01" / "session-01.jsonl", now=now).write("rated", {"trial": 2})
+    require_journal(tmp_path / "sessions" / "p01" / "session-01.jsonl", now=now).write(
+        "rated", {"trial": 2}
+    )
     broken, fine = read_status(StudyFolder(tmp_path)).participants
-    assert broken.problem.startswith(f"{tmp_path / 'sessions' / 'p01'}: holds what feel321 does not write (KeyError: ")
+    assert broken.problem.startswith(
+        f"{tmp_path / 'sessions' / 'p01'}: holds what feel321 does not write (KeyError: "
+    )
     assert (fine.state, fine.done, fine.problem) == ("running", 2, "")
 
 
@@ -151,14 +181,19 @@ def test_balance_of_one_full_circle_is_perfect_and_a_drop_out_shows(
     assert read_status(study).balance is None
     assert describe_balance(None) == ["balance: no trial was run yet"]
     for number in range(1, 11):  # Two recordings take 2 orders, five stimuli 10.
-        present(scripted(), plan=make_plan(design, stimuli, f"n{number:02}", number=number, simulated=True))
+        present(
+            scripted(),
+            plan=make_plan(design, stimuli, f"n{number:02}", number=number, simulated=True),
+        )
     realised = read_status(study).balance
     assert realised is not None
     assert (realised.participants, realised.finished) == (10, 10)
     assert {(e.task, e.what): (e.cycle, e.positions) for e in realised.evenness} == {
-        ("realism", "stimuli"): (10, (2, 2)), ("realism", "recordings"): (2, (5, 5)),
-        ("similarity", "stimuli"): (10, (2, 2)), ("similarity", "recordings"): (2, (5, 5)),
-    }  # fmt: skip
+        ("realism", "stimuli"): (10, (2, 2)),
+        ("realism", "recordings"): (2, (5, 5)),
+        ("similarity", "stimuli"): (10, (2, 2)),
+        ("similarity", "recordings"): (2, (5, 5)),
+    }
     assert {(e.position_index, e.carry_over_index) for e in realised.evenness} == {(0.0, 0.0)}
     shutil.rmtree(tmp_path / "sessions" / "n04")
     lines = describe_balance(read_status(study).balance)
@@ -172,7 +207,9 @@ def test_groups_go_round_their_own_circles(
 ) -> None:
     grips = replace(design, between={"grip": ("pen", "power")})
     for number in range(1, 11):
-        present(scripted(), plan=make_plan(grips, stimuli, f"n{number}", number=number, simulated=True))
+        present(
+            scripted(), plan=make_plan(grips, stimuli, f"n{number}", number=number, simulated=True)
+        )
     realised = read_status(StudyFolder(tmp_path)).balance
     assert realised is not None
     assert [entry.cycle for entry in realised.evenness] == [20, 20, 4, 4]
@@ -182,7 +219,9 @@ def test_simulated_participants_do_not_fill_the_places_of_real_ones(
     present: Present, scripted: type, tmp_path: Path, stimuli: StimulusSet, design: Design
 ) -> None:
     for name in ("sim001", "sim002", "real"):
-        present(scripted(), plan=make_plan(design, stimuli, name, number=1, simulated=name != "real"))
+        present(
+            scripted(), plan=make_plan(design, stimuli, name, number=1, simulated=name != "real")
+        )
     realised = read_status(StudyFolder(tmp_path)).balance
     assert realised is not None
     assert (realised.simulated, realised.participants) == (False, 1)
@@ -191,11 +230,17 @@ def test_simulated_participants_do_not_fill_the_places_of_real_ones(
 def test_pages_of_two_arms_can_never_meet_and_are_not_missed(
     present: Present, scripted: type, tmp_path: Path, stimuli: StimulusSet, design: Design
 ) -> None:
-    louder = tuple(replace(s, stimulus_id=f"{s.stimulus_id}-loud", level="equal") for s in stimuli.stimuli)
+    louder = tuple(
+        replace(s, stimulus_id=f"{s.stimulus_id}-loud", level="equal") for s in stimuli.stimuli
+    )
     both = replace(stimuli, stimuli=stimuli.stimuli + louder)
     pages = replace(design, tasks=(make_task("mushra"),))
     for number in range(1, 11):
-        present(scripted(), plan=make_plan(pages, both, f"n{number}", number=number, simulated=True), stimuli=both)
+        present(
+            scripted(),
+            plan=make_plan(pages, both, f"n{number}", number=number, simulated=True),
+            stimuli=both,
+        )
     realised = read_status(StudyFolder(tmp_path)).balance
     assert realised is not None
     (slots,) = (entry for entry in realised.evenness if entry.what == "slots")
@@ -205,7 +250,14 @@ def test_pages_of_two_arms_can_never_meet_and_are_not_missed(
 def test_a_second_attempt_counts_where_it_was_run_and_the_bad_one_does_not(
     present: Present, scripted: type, tmp_path: Path
 ) -> None:
-    present(scripted(playbacks={(1, 1): [Playback(1.0, 1.0, underruns=1)], (5, 1): [Playback(1.0, 1.0, underruns=1)]}))
+    present(
+        scripted(
+            playbacks={
+                (1, 1): [Playback(1.0, 1.0, underruns=1)],
+                (5, 1): [Playback(1.0, 1.0, underruns=1)],
+            }
+        )
+    )
     realised = read_status(StudyFolder(tmp_path)).balance
     assert realised is not None
     # Each of five stimuli stands at one place of five, also the one that came again after the other block.

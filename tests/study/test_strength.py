@@ -8,17 +8,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from stimuli.formats import read_recording
-from stimuli.manifest import read_stimuli
-from stimuli.recipe import Recipe
-from stimuli.sets import foresee_stimuli
-from stimuli.synthesis import make_scene
-from stimuli.wav import write_wav
-from study.check import check_study
-from study.cli import main
-from study.folder import StudyFolder, create_study
-from study.run import Visit, run_participant
-from study.workflow import build_study
+from feel321.stimuli.formats.read import read_recording
+from feel321.stimuli.sets.build import foresee_stimuli
+from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.stimuli.sets.recipe import Recipe
+from feel321.stimuli.synthesis import make_scene
+from feel321.stimuli.wav import write_wav
+from feel321.study.cli import main
+from feel321.study.folder import StudyFolder, create_study
+from feel321.study.sessions import Visit, run_participant
+from feel321.study.workflow import build_study, check_study
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -35,11 +34,15 @@ def set_up(study: StudyFolder, lines: str) -> StudyFolder:
     return study
 
 
-def test_what_cannot_be_felt_is_a_problem_until_it_is_accepted(study: StudyFolder, capsys: Capture) -> None:
+def test_what_cannot_be_felt_is_a_problem_until_it_is_accepted(
+    study: StudyFolder, capsys: Capture
+) -> None:
     set_up(study, "gain = 0.01")
     assert main(["check", str(study.path)]) == 1
     out = capsys.readouterr().out.splitlines()
-    assert out[0].startswith("recording 'bumps': 6 of 6 stimuli below the detection threshold (contactor), not to be")
+    assert out[0].startswith(
+        "recording 'bumps': 6 of 6 stimuli below the detection threshold (contactor), not to be"
+    )
     assert 'gain = "per_recording" plays this recording' in out[0]
     assert out[0].endswith('or accept it: below_threshold = "accept" under [stimuli]')
     set_up(study, 'below_threshold = "accept"')
@@ -54,7 +57,9 @@ def test_what_cannot_be_felt_is_a_problem_until_it_is_accepted(study: StudyFolde
     assert set(figures["sensation_levels_db"]["bumps"]) == {"contactor", "grasped_stylus"}
 
 
-def test_check_says_the_same_before_and_after_the_build(study: StudyFolder, capsys: Capture) -> None:
+def test_check_says_the_same_before_and_after_the_build(
+    study: StudyFolder, capsys: Capture
+) -> None:
     set_up(study, 'gain = 0.2\nthreshold = "grasped_stylus"')
     before = check_study(study)
     build_study(study)
@@ -63,19 +68,27 @@ def test_check_says_the_same_before_and_after_the_build(study: StudyFolder, caps
     low, high = before.strength.figures["sensation_levels_db"]["hard_taps"]["grasped_stylus"]
     levels = [row.sensation_level_db for row in rows if row.recording == "hard_taps"]
     assert (min(levels), max(levels)) == (low, high)
-    weak = [row.reducer for row in rows if 0 <= row.sensation_level_db < 10 and row.recording == "hard_taps"]
+    weak = [
+        row.reducer
+        for row in rows
+        if 0 <= row.sensation_level_db < 10 and row.recording == "hard_taps"
+    ]
     lines = [line for line in before.strength.warnings if line.startswith("recording 'hard_taps'")]
     assert bool(weak) == bool(lines)
     assert all(name in lines[0] for name in weak)
     assert main(["build", str(study.path)]) == 0
-    assert "gain, as given in study.toml: 0.2 m/s² played per m/s² recorded" in capsys.readouterr().out
+    assert (
+        "gain, as given in study.toml: 0.2 m/s² played per m/s² recorded" in capsys.readouterr().out
+    )
 
 
 def test_sessions_of_what_cannot_be_felt_are_refused_and_simulated_with_a_warning(
     study: StudyFolder, now: Callable[[], datetime], capsys: Capture
 ) -> None:
     build_study(set_up(study, "gain = 0.01"))
-    with pytest.raises(ValueError, match=r"12 of 12 stimuli, such as bumps__sax321__as_is, are below") as caught:
+    with pytest.raises(
+        ValueError, match=r"12 of 12 stimuli, such as bumps__sax321__as_is, are below"
+    ) as caught:
         run_participant(study, Visit("p01"), now=now)
     assert 'accept it: below_threshold = "accept"' in str(caught.value)
     assert "\n" not in str(caught.value)
@@ -91,7 +104,10 @@ def test_one_spike_costs_the_other_recordings_headroom(study: StudyFolder, capsy
     samples = make_scene("texture_drag", duration_s=0.5).acceleration.copy()
     samples[:, 2000:2020] += 300 * np.hanning(20)
     write_wav(study.path / "spike.wav", samples, 10_000)
-    text = study.settings.read_text(encoding="utf-8") + '[[recordings]]\nfile = "spike.wav"\nunit = "m/s^2"\n'
+    text = (
+        study.settings.read_text(encoding="utf-8")
+        + '[[recordings]]\nfile = "spike.wav"\nunit = "m/s^2"\n'
+    )
     study.settings.write_text(text, encoding="utf-8")
     levels = {}
     for gain in ("set", "per_recording"):
@@ -109,12 +125,16 @@ def test_one_spike_costs_the_other_recordings_headroom(study: StudyFolder, capsy
         for name in ("bumps", "hard_taps", "spike")
     }
     assert gained["spike"] == pytest.approx(0, abs=1e-6)
-    assert min(gained["bumps"], gained["hard_taps"]) == pytest.approx(cost, abs=0.06)  # of whose peak comes next
+    assert min(gained["bumps"], gained["hard_taps"]) == pytest.approx(
+        cost, abs=0.06
+    )  # of whose peak comes next
     assert not any(line.startswith("headroom") for line in levels["per_recording"]["notes"])
 
 
 def test_beside_a_real_surface_the_gain_is_one_or_named(study: StudyFolder) -> None:
-    text = study.settings.read_text(encoding="utf-8").replace("duration_s = 0.5", 'duration_s = 0.5\nsample = "oak"')
+    text = study.settings.read_text(encoding="utf-8").replace(
+        "duration_s = 0.5", 'duration_s = 0.5\nsample = "oak"'
+    )
     text += "[tasks.realism]\nsurface = true\n[rig]\nfull_scale_m_s2 = 20\n"
     study.settings.write_text(text, encoding="utf-8")
     (line,) = check_study(study).strength.warnings
@@ -124,7 +144,9 @@ def test_beside_a_real_surface_the_gain_is_one_or_named(study: StudyFolder) -> N
     assert checked.strength.warnings == []
     assert len(checked.problems) == 2
     assert "stimuli will be clipped at full scale (20 m/s²), by up to " in checked.problems[0]
-    study.settings.write_text(study.settings.read_text(encoding="utf-8").replace("= 20\n", "= 400\n"), encoding="utf-8")
+    study.settings.write_text(
+        study.settings.read_text(encoding="utf-8").replace("= 20\n", "= 400\n"), encoding="utf-8"
+    )
     assert check_study(study).problems == []
     build_study(study)
     assert check_study(study).problems == []
@@ -132,14 +154,21 @@ def test_beside_a_real_surface_the_gain_is_one_or_named(study: StudyFolder) -> N
 
 def test_the_rig_is_compared_before_anything_is_built(tmp_path: Path) -> None:
     study = create_study(tmp_path / "study")
-    study.settings.write_text('[[recordings]]\nscene = "bumps"\nduration_s = 0.5\n', encoding="utf-8")
+    study.settings.write_text(
+        '[[recordings]]\nscene = "bumps"\nduration_s = 0.5\n', encoding="utf-8"
+    )
     checked = check_study(study)
     assert checked.problems == []
-    assert checked.strength.notes[0].endswith("reference reach the hand with equal energy (difference 0.0 dB)")
+    assert checked.strength.notes[0].endswith(
+        "reference reach the hand with equal energy (difference 0.0 dB)"
+    )
     text = study.rig.read_text(encoding="utf-8")
     study.rig.write_text(text.replace("peak_m_s2 = 100.0", "peak_m_s2 = 20.0"), encoding="utf-8")
     problems = check_study(study).problems
-    assert [line.split(": ")[1] for line in problems] == ["actuator 'left coil'", "actuator 'right coil'"]
+    assert [line.split(": ")[1] for line in problems] == [
+        "actuator 'left coil'",
+        "actuator 'right coil'",
+    ]
     assert "above limits.peak_m_s2 of 20; lower gain or headroom" in problems[0]
     study.rig.write_text(text.replace('"reduced", "y"', '"reduced"'), encoding="utf-8")
     assert check_study(study).problems == [
@@ -147,7 +176,9 @@ def test_the_rig_is_compared_before_anything_is_built(tmp_path: Path) -> None:
     ]
     study.rig.write_text(text.replace("[0, 1, 0]", "[-1, 0, 0]"), encoding="utf-8")
     (problem,) = check_study(study).problems
-    assert problem.startswith("rig.toml: 'left coil' and 'right coil' play 'reduced' in opposite directions")
+    assert problem.startswith(
+        "rig.toml: 'left coil' and 'right coil' play 'reduced' in opposite directions"
+    )
 
 
 def test_real_recordings_below_threshold_are_found_and_a_gain_of_their_own_helps(
@@ -156,7 +187,9 @@ def test_real_recordings_below_threshold_are_found_and_a_gain_of_their_own_helps
     names = ("decay_5k.csv", "handheld_7k.csv", "impacts_20k.wav", "knocks_26k.wav")
     recordings = [read_recording(shared_recordings / name) for name in names]
     found = {
-        gain: foresee_stimuli(recordings, tmp_path, recipe=Recipe(reducers=("pca321", "dft321"), gain=gain))
+        gain: foresee_stimuli(
+            recordings, tmp_path, recipe=Recipe(reducers=("pca321", "dft321"), gain=gain)
+        )
         for gain in ("set", "per_recording")
     }
     unfelt = {

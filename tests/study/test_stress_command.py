@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from stimuli.reduce import REDUCERS
-from stimuli.synthesis import make_scene
-from study.cli import main
+from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.synthesis import make_scene
+from feel321.study.cli import main
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from study.folder import StudyFolder
+    from feel321.study.folder import StudyFolder
 
     Capture = pytest.CaptureFixture[str]
 
@@ -25,7 +25,10 @@ if TYPE_CHECKING:
 def recording(tmp_path: Path) -> Path:
     """Write an isotropic rumble on a large offset, as a file from a lab."""
     rumble = make_scene("isotropic_rumble", duration_s=0.4)
-    table = np.column_stack([np.arange(rumble.n_samples) / rumble.rate_hz, rumble.acceleration.T + 50.0])
+    table = np.column_stack([
+        np.arange(rumble.n_samples) / rumble.rate_hz,
+        rumble.acceleration.T + 50.0,
+    ])
     path = tmp_path / "rumble.csv"
     np.savetxt(path, table, delimiter=",", header="time_s,x_m/s^2,y_m/s^2,z_m/s^2", comments="")
     return path
@@ -42,14 +45,17 @@ def test_figures_warnings_and_page(recording: Path, tmp_path: Path, capsys: Capt
     assert json.loads((target / "results.json").read_text(encoding="utf-8")) == content
     assert all((target / name).is_file() for name in content["files"])
     assert re.search(r"feel321: warning: rumble: 9\d.* % of what the sensor gave is offset", err)
-    assert "offset" in next(entry for entry in content["recordings"] if entry["name"] == "rumble")["near"]
+    assert (
+        "offset"
+        in next(entry for entry in content["recordings"] if entry["name"] == "rumble")["near"]
+    )
 
 
 def test_the_default_folder_is_in_the_study(
     study: StudyFolder, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     """A study's own recordings, found as they came from the sensor, under the names that the study gives them."""
-    from analysis.tradeoff.stress import run
+    from feel321.analysis.tradeoff.stress import run
 
     asked: dict[str, object] = {}
     whole = run.stress_reducers
@@ -77,7 +83,11 @@ def test_the_default_folder_is_in_the_study(
     ],
 )
 def test_doors(
-    arguments: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+    arguments: list[str],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: Capture,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["stress", *arguments]) in {1, 2}

@@ -6,15 +6,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from analysis.tradeoff.advise.choice import Advice, advise_scene
-from analysis.tradeoff.advise.scene import Context, split_recording
-from stimuli.condition import Conditioning, condition
-from stimuli.formats import read_recording
+from feel321.analysis.tradeoff.advise.choice import Advice, advise_scene
+from feel321.analysis.tradeoff.advise.scene import Context, split_recording
+from feel321.stimuli.condition import Conditioning, condition
+from feel321.stimuli.formats.read import read_recording
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from stimuli.recording import Recording
+    from feel321.stimuli.recording import Recording
 
 SHARED = Path(__file__).resolve().parents[4] / "shared" / "recordings"
 
@@ -34,7 +34,9 @@ def real() -> Callable[[str], Recording]:
 
     def read(name: str) -> Recording:
         if not SHARED.is_dir():
-            pytest.skip(f"NO REAL RECORDINGS: {SHARED} is missing, so what real scenes need is not tested")
+            pytest.skip(
+                f"NO REAL RECORDINGS: {SHARED} is missing, so what real scenes need is not tested"
+            )
         return condition(read_recording(SHARED / name), Conditioning())
 
     return read

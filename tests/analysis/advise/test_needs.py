@@ -8,24 +8,29 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from analysis.tradeoff.advise.scene import Context
-from analysis.tradeoff.advise.tolerance import Tolerance
-from stimuli.recording import Recording
-from stimuli.reduce import REDUCERS
-from stimuli.rotation import random_rotations
-from stimuli.synthesis import SCENES, make_scene
+from feel321.analysis.tradeoff.advise.scene import Context, Tolerance
+from feel321.stimuli.recording import Recording
+from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.rotation import random_rotations
+from feel321.stimuli.synthesis import SCENES, make_scene
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from analysis.tradeoff.advise.choice import Advice
+    from feel321.analysis.tradeoff.advise.choice import Advice
 
     Tell = Callable[..., Advice]
 
 AXIS = {"sax321", "say321", "saz321"}
 RUNNING = {f"{name}_matched_running" for name in AXIS}
 ENERGY = {name for name in REDUCERS if name.startswith("dft321") or "matched" in name}
-WHOLE = {"pca321", "dft321", "dft321_principal", "pca321_matched", *(f"{name}_matched" for name in AXIS)}
+WHOLE = {
+    "pca321",
+    "dft321",
+    "dft321_principal",
+    "pca321_matched",
+    *(f"{name}_matched" for name in AXIS),
+}
 AS_RECORDED = Context(mounting="recorded")
 
 
@@ -34,7 +39,8 @@ def online(latency_ms: float, **options: Any) -> Context:
 
 
 @pytest.mark.parametrize(
-    ("file", "axis"), [("shaker_x_5k.npz", "sax321"), ("shaker_y_5k.csv", "say321"), ("decay_5k.csv", "sax321")]
+    ("file", "axis"),
+    [("shaker_x_5k.npz", "sax321"), ("shaker_y_5k.csv", "say321"), ("decay_5k.csv", "sax321")],
 )
 @pytest.mark.parametrize("axes", [1, 3])
 def test_shakers_need_the_axis_that_carries_them_and_no_more(
@@ -59,15 +65,23 @@ def test_advice_holds_for_any_other_mounting(tell: Tell) -> None:
     recordings = [make_scene(name, duration_s=2.0) for name in SCENES]
     once = [tell(recording) for recording in recordings]
     for turn in random_rotations(2, np.random.default_rng(5)):
-        turned = [replace(one, acceleration=turn @ one.acceleration, sha256="") for one in recordings]
+        turned = [
+            replace(one, acceleration=turn @ one.acceleration, sha256="") for one in recordings
+        ]
         for advice, other in zip(once, map(tell, turned), strict=True):
             assert advice.close or other.close or other.answer == advice.answer
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_isotropic_noise_needs_all_of_its_energy(real: Callable[[str], Recording], tell: Tell, seed: int) -> None:
+def test_isotropic_noise_needs_all_of_its_energy(
+    real: Callable[[str], Recording], tell: Tell, seed: int
+) -> None:
     white = Recording(np.random.default_rng(seed).standard_normal((3, 8000)), 4000.0, "white")
-    for recording in (real("isotropic_noise_20k.wav"), make_scene("isotropic_rumble", seed=seed), white):
+    for recording in (
+        real("isotropic_noise_20k.wav"),
+        make_scene("isotropic_rumble", seed=seed),
+        white,
+    ):
         advice = tell(recording, seed=seed)
         assert "matched" in str(advice.answer)
         assert {verdict.name for verdict in advice.verdicts if verdict.is_sufficient} <= ENERGY
@@ -80,17 +94,26 @@ def test_a_constrained_drag_is_served_by_its_line(tell: Tell, seed: int) -> None
 
 @pytest.mark.parametrize("ratio", [1.0, 0.9, 0.5])
 @pytest.mark.parametrize("context", [Context(), Context(online=True), online(0)])
-def test_axes_against_each_other_are_never_added(tell: Tell, wave: np.ndarray, ratio: float, context: Context) -> None:
-    advice = tell(Recording(np.array([wave, -ratio * wave, 0 * wave]), 4000.0, "anti-phase"), context)
+def test_axes_against_each_other_are_never_added(
+    tell: Tell, wave: np.ndarray, ratio: float, context: Context
+) -> None:
+    advice = tell(
+        Recording(np.array([wave, -ratio * wave, 0 * wave]), 4000.0, "anti-phase"), context
+    )
     assert "soc321" not in {advice.answer, advice.closest, advice.runner_up}
-    assert not next(verdict for verdict in advice.verdicts if verdict.name == "soc321").is_sufficient
+    assert not next(
+        verdict for verdict in advice.verdicts if verdict.name == "soc321"
+    ).is_sufficient
 
 
 def test_phase_that_noise_decides_is_not_advised(tell: Tell, wave: np.ndarray) -> None:
     # The sum of the axes vanishes, so dft321 has energy and spectrum right, and a phase that is noise.
     other = np.roll(wave, 700)
     mixed = np.array([wave + 0.6 * other, -wave + 0.6 * other, -1.2 * other])
-    verdicts = {each.name: each for each in tell(Recording(mixed, 4000.0, "sum is nothing"), AS_RECORDED).verdicts}
+    verdicts = {
+        each.name: each
+        for each in tell(Recording(mixed, 4000.0, "sum is nothing"), AS_RECORDED).verdicts
+    }
     assert not verdicts["dft321"].is_sufficient
     assert verdicts["dft321"].shortfall.change > 1
     assert verdicts["dft321"].shortfall.spectrum == pytest.approx(0, abs=1e-6)
@@ -107,9 +130,15 @@ def test_an_inaudible_difference_from_the_best_passes(tell: Tell, wave: np.ndarr
     bit = 0.05 * wave.std() * rng.standard_normal((2, len(wave)))
     scene = Recording(np.array([wave, *bit]), 4000.0, "nearly one axis")
     assert tell(scene, AS_RECORDED).answer == "sax321"
-    louder = {**REDUCERS, "sax321": lambda acceleration, rate_hz: 1.05 * REDUCERS["sax321"](acceleration, rate_hz)}
+    louder = {
+        **REDUCERS,
+        "sax321": lambda acceleration, rate_hz: 1.05 * REDUCERS["sax321"](acceleration, rate_hz),
+    }
     assert tell(scene, AS_RECORDED, reducers=louder).answer == "sax321"
-    too_loud = {**REDUCERS, "sax321": lambda acceleration, rate_hz: 1.2 * REDUCERS["sax321"](acceleration, rate_hz)}
+    too_loud = {
+        **REDUCERS,
+        "sax321": lambda acceleration, rate_hz: 1.2 * REDUCERS["sax321"](acceleration, rate_hz),
+    }
     assert tell(scene, AS_RECORDED, reducers=too_loud).answer == "sax321_matched"
     assert tell(scene).answer == "pca321"
 
@@ -125,8 +154,11 @@ def test_a_small_budget_leaves_out_what_waits(tell: Tell, name: str) -> None:
 
 def test_the_budget_is_for_reducer_block_and_device(tell: Tell) -> None:
     recording = make_scene("constrained_drag", duration_s=1.0)
-    for context, window_ms in ((Context(online=True, latency_ms=20), 10), (online(20), 20),
-                               (Context(online=True, latency_ms=20, block_ms=0, device_ms=4), 15)):
+    for context, window_ms in (
+        (Context(online=True, latency_ms=20), 10),
+        (online(20), 20),
+        (Context(online=True, latency_ms=20, block_ms=0, device_ms=4), 15),
+    ):
         running = [each for each in tell(recording, context).verdicts if each.in_budget]
         windows = {name.partition("@")[2] for each in running if "@" in (name := each.name)}
         assert max(int(window.removesuffix("ms")) for window in windows) == window_ms
@@ -160,7 +192,10 @@ def test_ties_say_so(tell: Tell, wave: np.ndarray) -> None:
     assert (advice.closest, advice.ties) == ("sax321", ("say321", "saz321"))
     assert "closest sax321 (tied with say321, saz321)" in advice.line
     noise = Recording(np.random.default_rng(2).standard_normal((3, 8000)), 4000.0, "white")
-    assert tell(noise).ties == ("say321_matched", "saz321_matched")  # over mountings the three are equal
+    assert tell(noise).ties == (
+        "say321_matched",
+        "saz321_matched",
+    )  # over mountings the three are equal
 
 
 @pytest.mark.parametrize("name", ["texture_drag", "hard_taps", "circular_motion"])
@@ -169,7 +204,11 @@ def test_order_unit_and_seed_of_the_noise_do_not_matter(tell: Tell, name: str) -
     first = tell(recording)
     turned = dict(reversed(list(REDUCERS.items())))
     in_mg = replace(recording, acceleration=recording.acceleration / 9.80665e-3, sha256="")
-    for other in (tell(recording, reducers=turned), tell(in_mg), *(tell(recording, seed=seed) for seed in (1, 2))):
+    for other in (
+        tell(recording, reducers=turned),
+        tell(in_mg),
+        *(tell(recording, seed=seed) for seed in (1, 2)),
+    ):
         assert (other.answer, other.closest) == (first.answer, first.closest)
         assert [each.name for each in other.verdicts] == [each.name for each in first.verdicts]
         assert other.margin == pytest.approx(first.margin, abs=1e-3)
@@ -193,7 +232,9 @@ def test_a_wider_tolerance_never_asks_for_more(tell: Tell) -> None:
         (np.ones((3, 50)), r"it lasts 0.013 s and 20 Hz need 0.1 s"),
     ],
 )
-def test_a_scene_without_vibration_gets_no_advice(tell: Tell, samples: np.ndarray, problem: str) -> None:
+def test_a_scene_without_vibration_gets_no_advice(
+    tell: Tell, samples: np.ndarray, problem: str
+) -> None:
     advice = tell(Recording(samples, 4000.0, "calm"))
     assert advice.answer is advice.closest is None
     assert advice.line == f"calm: no advice, {problem}"
@@ -205,14 +246,20 @@ def test_a_rate_too_low_for_touch_gets_no_advice(tell: Tell) -> None:
 
 
 def test_an_actuator_of_several_axes_is_used_only_where_it_helps(tell: Tell) -> None:
-    answers = {name: tell(make_scene(name, duration_s=2.0), Context(axes=3)).answer for name in SCENES}
+    answers = {
+        name: tell(make_scene(name, duration_s=2.0), Context(axes=3)).answer for name in SCENES
+    }
     assert answers["constrained_drag"] == "pca321"
     assert answers["circular_motion"] == "two_principal_axes"
     assert answers["isotropic_rumble"] == "three_axes"
-    names = [each.name for each in tell(make_scene("bumps", duration_s=1.0), Context(axes=2)).verdicts]
+    names = [
+        each.name for each in tell(make_scene("bumps", duration_s=1.0), Context(axes=2)).verdicts
+    ]
     assert names[-1] == "two_principal_axes"
 
 
 def test_an_unknown_reducer_is_refused(tell: Tell) -> None:
-    with pytest.raises(ValueError, match=r"reducer: got 'mine', whose state and operations are not recorded"):
+    with pytest.raises(
+        ValueError, match=r"reducer: got 'mine', whose state and operations are not recorded"
+    ):
         tell(make_scene("bumps", duration_s=1.0), reducers={"mine": REDUCERS["sax321"]})

@@ -5,8 +5,14 @@ from math import inf, nan
 import numpy as np
 import pytest
 
-from analysis.tradeoff.advise.choice import find_deciding
-from analysis.tradeoff.advise.draws import (
+from feel321.analysis.tradeoff.advise.choice import (
+    find_deciding,
+    tell_choice,
+    tell_closest,
+    tell_doubt,
+    tell_fault,
+)
+from feel321.analysis.tradeoff.advise.draws import (
     SILENT_DB,
     TREATS_ALIKE,
     TURNS_ALONG,
@@ -18,18 +24,25 @@ from analysis.tradeoff.advise.draws import (
     score_scene,
     spread_turns,
 )
-from analysis.tradeoff.advise.measures import Measures, measure
-from analysis.tradeoff.advise.scene import Context, split_recording
-from analysis.tradeoff.advise.simplicity import Cost, find_cost
-from analysis.tradeoff.advise.tolerance import Tolerance
-from analysis.tradeoff.advise.verdict import Rated, Shortfall, Verdict, compare
-from analysis.tradeoff.advise.wording import tell_choice, tell_closest, tell_doubt, tell_fault
-from stimuli.invariant import spectral_match_energy_weighted, temporal_match_invariant
-from stimuli.perception import felt_level
-from stimuli.recording import Recording
-from stimuli.reduce import REDUCERS
-from stimuli.rotation import random_rotations
-from stimuli.synthesis import make_scene
+from feel321.analysis.tradeoff.advise.measures import Cost, Measures, find_cost, measure
+from feel321.analysis.tradeoff.advise.scene import (
+    Context,
+    Rated,
+    Shortfall,
+    Tolerance,
+    Verdict,
+    compare,
+    split_recording,
+)
+from feel321.stimuli.recording import Recording
+from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.rotation import (
+    random_rotations,
+    spectral_match_energy_weighted,
+    temporal_match_invariant,
+)
+from feel321.stimuli.sets.anchors import felt_level
+from feel321.stimuli.synthesis import make_scene
 
 COST = Cost("dft321", 1, 0.0, 0.0, 0.0, 0)
 BEST = Measures(0.0, 1.0, 0.9, 1e-3, 1.0, 0.9)
@@ -39,7 +52,9 @@ HIDDEN = "loses 4.8 dB, which its gain hides (a sum of three axes is √3, 4.8 d
 
 
 def order(*, online: bool, n: int = 40000, rate_hz: float = 10000.0) -> list[str]:
-    costs = [find_cost(name, reducer, n_samples=n, rate_hz=rate_hz) for name, reducer in REDUCERS.items()]
+    costs = [
+        find_cost(name, reducer, n_samples=n, rate_hz=rate_hz) for name, reducer in REDUCERS.items()
+    ]
     return [cost.name for cost in sorted(costs, key=lambda cost: cost.rank(online=online))]
 
 
@@ -50,13 +65,33 @@ def judged(shortfall: Shortfall, measures: Measures = BEST, **said: object) -> V
 @pytest.mark.parametrize("n", [1000, 40000, 3_000_000])
 def test_offline_simplicity_goes_from_one_axis_to_the_transforms(n: int) -> None:
     names = order(online=False, n=n)
-    known = ["sax321", "say321", "saz321", "soc321", "mag321", "pca321", "dft321", "pca321_adaptive", "dft321_windowed"]
+    known = [
+        "sax321",
+        "say321",
+        "saz321",
+        "soc321",
+        "mag321",
+        "pca321",
+        "dft321",
+        "pca321_adaptive",
+        "dft321_windowed",
+    ]
     assert [name for name in names if name in known] == known
 
 
 def test_online_what_waits_less_comes_first() -> None:
     names = order(online=True)
-    known = ["sax321", "say321", "saz321", "soc321", "mag321", "pca321_adaptive", "dft321_windowed", "pca321", "dft321"]
+    known = [
+        "sax321",
+        "say321",
+        "saz321",
+        "soc321",
+        "mag321",
+        "pca321_adaptive",
+        "dft321_windowed",
+        "pca321",
+        "dft321",
+    ]
     assert [name for name in names if name in known] == known
 
 
@@ -65,7 +100,9 @@ def test_every_reducer_has_a_record() -> None:
 
 
 def test_latency_and_parameters_are_the_reducers_own() -> None:
-    windowed = find_cost("dft321_windowed", REDUCERS["dft321_windowed"], n_samples=5000, rate_hz=1000.0)
+    windowed = find_cost(
+        "dft321_windowed", REDUCERS["dft321_windowed"], n_samples=5000, rate_hz=1000.0
+    )
     assert (windowed.latency_ms, windowed.parameters) == (35.0, 1)
     assert find_cost("dft321", REDUCERS["dft321"], n_samples=5000, rate_hz=1000.0).latency_ms == inf
 
@@ -93,9 +130,18 @@ def test_what_is_no_fraction_is_refused(weber: float) -> None:
     [
         ({"axes": 4}, "axes: got 4, allowed is 1, 2 or 3"),
         ({"axes": 0}, "axes: got 0, allowed is 1, 2 or 3"),
-        ({"online": True, "latency_ms": -1.0}, "latency-ms: got -1, allowed is a finite time of 0 ms or more"),
-        ({"online": True, "device_ms": -1.0}, "device-ms: got -1, allowed is a finite time of 0 ms or more"),
-        ({"online": True, "latency_ms": 5.0}, r"latency-ms: got 5, but block \(1.33 ms\) and device \(5 ms\) alone"),
+        (
+            {"online": True, "latency_ms": -1.0},
+            "latency-ms: got -1, allowed is a finite time of 0 ms or more",
+        ),
+        (
+            {"online": True, "device_ms": -1.0},
+            "device-ms: got -1, allowed is a finite time of 0 ms or more",
+        ),
+        (
+            {"online": True, "latency_ms": 5.0},
+            r"latency-ms: got 5, but block \(1.33 ms\) and device \(5 ms\) alone",
+        ),
         ({"mounting": "turned"}, "mounting: got 'turned', allowed is any or recorded"),
         ({"online": True, "latency_ms": nan}, "latency-ms: got nan, allowed"),
         ({"latency_ms": 10.0}, "latency-ms: got 10 offline, where nobody waits; add --online"),
@@ -113,14 +159,18 @@ def test_budgets() -> None:
     assert Context(online=True, latency_ms=7.0, block_ms=1.0, device_ms=2.5).room_ms == 3.5
 
 
-@pytest.mark.parametrize(("segment_s", "lengths"), [(0.3, [300, 300, 400]), (0.4, [400, 400, 200]), (5.0, [1000])])
+@pytest.mark.parametrize(
+    ("segment_s", "lengths"), [(0.3, [300, 300, 400]), (0.4, [400, 400, 200]), (5.0, [1000])]
+)
 def test_segments_hold_every_sample_once(segment_s: float, lengths: list[int]) -> None:
     recording = Recording(np.random.default_rng(0).standard_normal((3, 1000)), 1000.0, "oak")
     scenes = list(split_recording(recording, segment_s))
     assert [scene.recording.n_samples for scene in scenes] == lengths
     together = np.concatenate([scene.recording.acceleration for scene in scenes], axis=1)
     assert np.array_equal(together, recording.acceleration)
-    assert scenes[-1].name == ("oak" if len(lengths) == 1 else f"oak {1 - lengths[-1] / 1000:.2f}-1.00 s")
+    assert scenes[-1].name == (
+        "oak" if len(lengths) == 1 else f"oak {1 - lengths[-1] / 1000:.2f}-1.00 s"
+    )
 
 
 @pytest.mark.parametrize("segment_s", [0.05, 0.0, -1.0, nan])
@@ -169,29 +219,47 @@ def test_silence_is_not_loud_and_changes_altogether() -> None:
 def test_what_is_said_of_turns_and_permutations_is_true(name: str) -> None:
     rng = np.random.default_rng(4)
     acceleration = np.diag([1.0, 2.0, 0.6]) @ rng.standard_normal((3, 900))
-    turns = spread_turns(4, rng) if name in TURNS_ALONG else [np.roll(np.eye(3), step, axis=0) for step in (1, 2)]
+    turns = (
+        spread_turns(4, rng)
+        if name in TURNS_ALONG
+        else [np.roll(np.eye(3), step, axis=0) for step in (1, 2)]
+    )
     once = REDUCERS[name](acceleration, 1000.0)
-    assert all(find_change(once, REDUCERS[name](turn @ acceleration, 1000.0)) < 1e-9 for turn in turns)
+    assert all(
+        find_change(once, REDUCERS[name](turn @ acceleration, 1000.0)) < 1e-9 for turn in turns
+    )
 
 
 def test_orientations_are_rotations_spread_evenly() -> None:
     turns = spread_turns(24, np.random.default_rng(0))
-    np.testing.assert_allclose(turns @ np.swapaxes(turns, 1, 2), np.broadcast_to(np.eye(3), turns.shape), atol=1e-12)
+    np.testing.assert_allclose(
+        turns @ np.swapaxes(turns, 1, 2), np.broadcast_to(np.eye(3), turns.shape), atol=1e-12
+    )
     np.testing.assert_allclose(np.linalg.det(turns), 1)
-    drawn = [np.linalg.norm(random_rotations(24, np.random.default_rng(seed)).mean(axis=0)) for seed in range(40)]
-    spread = [np.linalg.norm(spread_turns(24, np.random.default_rng(seed)).mean(axis=0)) for seed in range(40)]
+    drawn = [
+        np.linalg.norm(random_rotations(24, np.random.default_rng(seed)).mean(axis=0))
+        for seed in range(40)
+    ]
+    spread = [
+        np.linalg.norm(spread_turns(24, np.random.default_rng(seed)).mean(axis=0))
+        for seed in range(40)
+    ]
     assert np.median(spread) < 0.6 * np.median(drawn)  # the mean over all rotations is 0
 
 
-def test_leaving_out_what_has_failed_changes_nothing_for_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_leaving_out_what_has_failed_changes_nothing_for_the_others(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     scene = make_scene("circular_motion", duration_s=1.0)
-    candidates = {name: Candidate(name, REDUCERS[name]) for name in ("say321", "dft321", "pca321_matched")}
+    candidates = {
+        name: Candidate(name, REDUCERS[name]) for name in ("say321", "dft321", "pca321_matched")
+    }
 
     def judge_levels(scores: np.ndarray) -> np.ndarray:
         return np.abs(scores[..., :1]) / Tolerance().level_db
 
     draws, scores = score_scene(scene, candidates, judge_levels, any_mounting=True, seed=0)
-    monkeypatch.setattr("analysis.tradeoff.advise.draws.HOPELESS", np.inf)
+    monkeypatch.setattr("feel321.analysis.tradeoff.advise.draws.HOPELESS", np.inf)
     _, full = score_scene(scene, candidates, judge_levels, any_mounting=True, seed=0)
     assert len(draws) == 72
     assert np.isnan(scores[0]).any()
@@ -200,7 +268,9 @@ def test_leaving_out_what_has_failed_changes_nothing_for_the_others(monkeypatch:
     np.testing.assert_array_equal(scores[known], full[known])
 
 
-@pytest.mark.parametrize(("duration_s", "count"), [(0.5, 1), (2.9, 1), (3.1, 2), (4.9, 2), (9.0, 5)])
+@pytest.mark.parametrize(
+    ("duration_s", "count"), [(0.5, 1), (2.9, 1), (3.1, 2), (4.9, 2), (9.0, 5)]
+)
 def test_segments_of_about_two_seconds(duration_s: float, count: int) -> None:
     samples = np.random.default_rng(0).standard_normal((3, round(1009 * duration_s)))
     parts = cut_segments(Recording(samples, 1009.0, "oak"))
@@ -209,19 +279,28 @@ def test_segments_of_about_two_seconds(duration_s: float, count: int) -> None:
 
 
 def test_quiet_segments_do_not_count() -> None:
-    samples = np.random.default_rng(0).standard_normal((3, 6000)) * np.repeat([1.0, 0.05, 0.5], 2000)
+    samples = np.random.default_rng(0).standard_normal((3, 6000)) * np.repeat(
+        [1.0, 0.05, 0.5], 2000
+    )
     first, last = cut_segments(Recording(samples, 1000.0, "oak"))
     np.testing.assert_array_equal(first, samples[:, :2000])
     np.testing.assert_array_equal(last, samples[:, 4000:])
 
 
-def test_the_worst_mounting_of_the_worst_segment_decides_or_of_that_at_the_90th_percentile() -> None:
+def test_the_worst_mounting_of_the_worst_segment_decides_or_of_that_at_the_90th_percentile() -> (
+    None
+):
     scene = make_scene("bumps", duration_s=0.2)
-    segments = [Segment(scene.acceleration, scene.rate_hz, np.random.default_rng(0)) for _ in range(10)]
+    segments = [
+        Segment(scene.acceleration, scene.rate_hz, np.random.default_rng(0)) for _ in range(10)
+    ]
     draws = [Draw(segment, np.eye(3)) for segment in segments for _ in range(2)]
     worst = np.arange(20.0) / 10
     worst[3] = np.nan
-    assert find_deciding(draws, worst) == (17, [True] * 5 + [False] * 5)  # of ten segments the worst but one
+    assert find_deciding(draws, worst) == (
+        17,
+        [True] * 5 + [False] * 5,
+    )  # of ten segments the worst but one
     assert find_deciding(draws[:6], worst[:6]) == (5, [True] * 3)
 
 
@@ -254,11 +333,23 @@ def test_shortfalls_are_counted_from_the_best_in_tolerances() -> None:
         (Shortfall(2, 0, 0, 0), Measures(-2.0, 1, 1, 0, 1, 1), "is 2.0 dB too weak"),
         (Shortfall(2, 0, 0, 0), Measures(2.0, 1, 1, 0, 1, 1), "is 2.0 dB too strong"),
         (Shortfall(2, 0, 0, 0), Measures(0, 1, 1, 0, 1, 1, 4.77), HIDDEN),
-        (Shortfall(0, 2, 0, 0), Measures(0, 0.5, 1, 0, 1, 1), "has 50 % of the spectrum right, the best 100 %"),
-        (Shortfall(0, 0, 2, 0), Measures(0, 1, 0.5, 0, 1, 1), f"goes along with 25 % of {MOTION}, the best 81 %"),
-        (Shortfall(0, 0, 0, 2), Measures(0, 1, 1, 0.4, 1, 1), "changes by 40 % with sensor noise of -60 dB"),
+        (
+            Shortfall(0, 2, 0, 0),
+            Measures(0, 0.5, 1, 0, 1, 1),
+            "has 50 % of the spectrum right, the best 100 %",
+        ),
+        (
+            Shortfall(0, 0, 2, 0),
+            Measures(0, 1, 0.5, 0, 1, 1),
+            f"goes along with 25 % of {MOTION}, the best 81 %",
+        ),
+        (
+            Shortfall(0, 0, 0, 2),
+            Measures(0, 1, 1, 0.4, 1, 1),
+            "changes by 40 % with sensor noise of -60 dB",
+        ),
     ],
-)  # fmt: skip
+)
 def test_every_fault_has_its_words(shortfall: Shortfall, measures: Measures, words: str) -> None:
     bad = judged(shortfall, measures, best_time=0.9)
     assert not bad.is_sufficient
@@ -273,8 +364,12 @@ def test_people_must_agree_where_they_were_asked() -> None:
     assert judged(good, rated=best, needs_ratings=True).is_sufficient
     assert judged(good, rated=same, needs_ratings=True).is_sufficient
     said = {
-        "is not shown to feel like dft321 (p of equivalence 0.3)": judged(good, rated=unlike, needs_ratings=True),
-        "is not shown to feel like dft321, because so few ratings": judged(good, rated=untested, needs_ratings=True),
+        "is not shown to feel like dft321 (p of equivalence 0.3)": judged(
+            good, rated=unlike, needs_ratings=True
+        ),
+        "is not shown to feel like dft321, because so few ratings": judged(
+            good, rated=untested, needs_ratings=True
+        ),
         "was not rated": judged(good, needs_ratings=True),
     }
     for words, verdict in said.items():
@@ -284,21 +379,39 @@ def test_people_must_agree_where_they_were_asked() -> None:
 
 
 def test_reasons_name_close_calls_agreement_and_what_waits() -> None:
-    near = judged(Shortfall(0.95, 0, 0, 0), rated=Rated(is_best=True, best="dft321", p=nan), needs_ratings=True)
+    near = judged(
+        Shortfall(0.95, 0, 0, 0),
+        rated=Rated(is_best=True, best="dft321", p=nan),
+        needs_ratings=True,
+    )
     kept = "keeps 100 % of the spectrum, 81 % of the motion, the level to 0.0 dB"
     doubt = "a close call, another take may go the other way: dft321 passes by 5 % of the tolerance"
     assert tell_choice(near, [near]) == f"{kept}; nothing is simpler; people agree; {doubt}"
-    robot = judged(Shortfall(0, 0, 0, 0), rated=Rated(is_best=True, best="dft321", p=nan, simulated=True))
-    assert tell_choice(robot, [robot]) == f"{kept}; nothing is simpler; simulated participants agree"
+    robot = judged(
+        Shortfall(0, 0, 0, 0), rated=Rated(is_best=True, best="dft321", p=nan, simulated=True)
+    )
+    assert (
+        tell_choice(robot, [robot]) == f"{kept}; nothing is simpler; simulated participants agree"
+    )
     late = Verdict(Cost("pca321", 1, 0, inf, 0, 0), BEST, Shortfall(0, 0, 0, 0), in_budget=False)
     good = judged(Shortfall(0, 0, 0, 0))
-    assert tell_choice(good, [late, good]).endswith("pca321 is simpler and would do, but needs the whole recording")
+    assert tell_choice(good, [late, good]).endswith(
+        "pca321 is simpler and would do, but needs the whole recording"
+    )
     missed = judged(Shortfall(1.1, 0, 0, 0), Measures(-0.95, 1, 1, 0, 1, 1))
     assert tell_doubt(good, [missed, good]).endswith(": dft321 misses by 10 % of the tolerance")
     assert tell_doubt(good, [good, missed]) == ""
     partly = judged(Shortfall(1.5, 0, 0, 0), suits=1, segments=2)
-    assert tell_doubt(good, [partly, good]) == ""  # dft321: that may be the mountings that were tried
-    leading = Verdict(Cost("pca321@20ms", 1, 0, 0, 0, 0), BEST, Shortfall(2, 0, 0, 0), True, suits=1, segments=2)
-    assert tell_doubt(good, [leading, good]).endswith("may go the other way: pca321@20ms suffices in 1 of 2 segments")
+    assert (
+        tell_doubt(good, [partly, good]) == ""
+    )  # dft321: that may be the mountings that were tried
+    leading = Verdict(
+        Cost("pca321@20ms", 1, 0, 0, 0, 0), BEST, Shortfall(2, 0, 0, 0), True, suits=1, segments=2
+    )
+    assert tell_doubt(good, [leading, good]).endswith(
+        "may go the other way: pca321@20ms suffices in 1 of 2 segments"
+    )
     bad = judged(Shortfall(2, 0, 0, 0), Measures(-2.0, 1, 1, 0, 1, 1))
-    assert tell_closest(bad, [bad]).endswith("no reducer is within tolerance of the best in everything")
+    assert tell_closest(bad, [bad]).endswith(
+        "no reducer is within tolerance of the best in everything"
+    )

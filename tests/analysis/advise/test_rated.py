@@ -6,33 +6,43 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.table.reading import Table
-from analysis.tradeoff.advise.rated import judge_ratings
-from analysis.tradeoff.advise.scene import Context
+from feel321.analysis.table.reading import Table
+from feel321.analysis.tradeoff.advise.ratings import judge_ratings
+from feel321.analysis.tradeoff.advise.scene import Context
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from analysis.tradeoff.advise.choice import Advice
-    from stimuli.recording import Recording
+    from feel321.analysis.tradeoff.advise.choice import Advice
+    from feel321.stimuli.recording import Recording
 
 ALIKE = {"sax321": 30.0, "pca321": 70.0, "dft321": 70.0}
 
 
-def make_table(means: dict[str, float], *, people: int = 16, spread: float = 4.0, scales: int = 1) -> Table:
+def make_table(
+    means: dict[str, float], *, people: int = 16, spread: float = 4.0, scales: int = 1
+) -> Table:
     """Everybody rates every reducer of one recording twice."""
     rng = np.random.default_rng(5)
     rows = [
         {
-            "participant": f"P{person:02d}", "stimulus_id": f"oak-{reducer}", "reference_id": "", "recording": "oak",
-            "reducer": reducer, "level": "as_is", "role": "test", "scale": f"scale{scale}", "repeat": str(repeat),
-            "rating": mean + spread * rng.standard_normal(), "simulated": True,
+            "participant": f"P{person:02d}",
+            "stimulus_id": f"oak-{reducer}",
+            "reference_id": "",
+            "recording": "oak",
+            "reducer": reducer,
+            "level": "as_is",
+            "role": "test",
+            "scale": f"scale{scale}",
+            "repeat": str(repeat),
+            "rating": mean + spread * rng.standard_normal(),
+            "simulated": True,
         }
         for person in range(people)
         for scale in range(scales)
         for reducer, mean in means.items()
         for repeat in (1, 2)
-    ]  # fmt: skip
+    ]
     return Table(pd.DataFrame(rows), (), ())
 
 
@@ -82,8 +92,10 @@ def test_one_judge_of_one_reducer_each_leaves_nothing_to_test() -> None:
     assert sum(rated.suffices for rated in said.values()) == 1
 
 
-def test_ratings_overrule_metrics_that_let_pass(tell: Callable[..., Advice], wave: np.ndarray) -> None:
-    from stimuli.recording import Recording
+def test_ratings_overrule_metrics_that_let_pass(
+    tell: Callable[..., Advice], wave: np.ndarray
+) -> None:
+    from feel321.stimuli.recording import Recording
 
     line = Recording(np.array([wave, wave, 0 * wave]), 4000.0, "oak")
     assert tell(line).answer == "pca321"
@@ -94,8 +106,10 @@ def test_ratings_overrule_metrics_that_let_pass(tell: Callable[..., Advice], wav
     assert "simulated participants agree" in heard.line
 
 
-def test_nothing_suffices_where_people_and_metrics_disagree(tell: Callable[..., Advice], wave: np.ndarray) -> None:
-    from stimuli.recording import Recording
+def test_nothing_suffices_where_people_and_metrics_disagree(
+    tell: Callable[..., Advice], wave: np.ndarray
+) -> None:
+    from feel321.stimuli.recording import Recording
 
     line: Recording = Recording(np.array([wave, wave, 0 * wave]), 4000.0, "oak")
     said = judge_ratings(make_table({"sax321": 80.0, "mag321": 40.0}))["oak"]
@@ -104,11 +118,16 @@ def test_nothing_suffices_where_people_and_metrics_disagree(tell: Callable[..., 
     assert advice.closest == "sax321"
     assert advice.margin < 0
     assert "nothing suffices" in advice.line
-    assert "none of those within tolerance by the metrics is shown by ratings to feel like the best" in advice.line
+    assert (
+        "none of those within tolerance by the metrics is shown by ratings to feel like the best"
+        in advice.line
+    )
 
 
-def test_what_was_rated_is_closer_than_what_was_not(tell: Callable[..., Advice], wave: np.ndarray) -> None:
-    from stimuli.recording import Recording
+def test_what_was_rated_is_closer_than_what_was_not(
+    tell: Callable[..., Advice], wave: np.ndarray
+) -> None:
+    from feel321.stimuli.recording import Recording
 
     line: Recording = Recording(np.array([wave, wave, 0 * wave]), 4000.0, "oak")
     said = judge_ratings(make_table({"sax321": 80.0, "pca321": 40.0}))["oak"]

@@ -7,24 +7,31 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from analysis.tradeoff.advise.drawing import KEYS, draw_advice, tell_state
-from analysis.tradeoff.advise.report import advise_recordings, lay_out, write_advice
-from analysis.tradeoff.advise.scene import Context
-from analysis.tradeoff.advise.verdict import Rated
-from analysis.words import keep_together
-from stimuli.recording import Recording
-from stimuli.synthesis import make_scene
+from feel321.analysis.tradeoff.advise.page import (
+    KEYS,
+    advise_recordings,
+    draw_advice,
+    lay_out,
+    tell_state,
+    write_advice,
+)
+from feel321.analysis.tradeoff.advise.scene import Context, Rated
+from feel321.analysis.words import keep_together
+from feel321.stimuli.recording import Recording
+from feel321.stimuli.synthesis import make_scene
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from analysis.tradeoff.advise.report import Study
+    from feel321.analysis.tradeoff.advise.page import Study
 
 ONLINE = Context(online=True, latency_ms=5, block_ms=0, device_ms=0)
 
 
 def scenes() -> list[Recording]:
-    drag, circle = (make_scene(name, duration_s=1.0) for name in ("constrained_drag", "circular_motion"))
+    drag, circle = (
+        make_scene(name, duration_s=1.0) for name in ("constrained_drag", "circular_motion")
+    )
     return [drag, circle, Recording(np.zeros((3, 4000)), 4000.0, "calm <b>")]
 
 
@@ -35,21 +42,27 @@ def study() -> Study:
 
 def test_the_order_of_recordings_does_not_matter(study: Study) -> None:
     turned = advise_recordings(scenes()[::-1], Context())
-    assert sorted(advice.line for advice in turned.advices) == sorted(advice.line for advice in study.advices)
+    assert sorted(advice.line for advice in turned.advices) == sorted(
+        advice.line for advice in study.advices
+    )
     assert turned.common == study.common
 
 
 def test_one_reducer_for_all_scenes_is_named(study: Study) -> None:
     assert study.common[0] == "pca321_matched"
     assert study.summary.startswith("One for all 2 scenes: pca321_matched (or ")
-    assert advise_recordings(scenes(), ONLINE).summary == "No one reducer suffices for all 2 scenes."
+    assert (
+        advise_recordings(scenes(), ONLINE).summary == "No one reducer suffices for all 2 scenes."
+    )
 
 
 def test_segments_of_one_recording_may_differ() -> None:
     rng = np.random.default_rng(1)
     line, noise = rng.standard_normal(4000), rng.standard_normal((3, 4000))
     both = np.concatenate([np.array([0 * line, line, 0 * line]) + 0.01 * noise, noise], axis=1)
-    study = advise_recordings([Recording(both, 4000.0, "oak")], Context(mounting="recorded"), segment_s=1.0)
+    study = advise_recordings(
+        [Recording(both, 4000.0, "oak")], Context(mounting="recorded"), segment_s=1.0
+    )
     assert [advice.scene.name for advice in study.advices] == ["oak 0.00-1.00 s", "oak 1.00-2.00 s"]
     assert [advice.answer for advice in study.advices] == ["say321", "sax321_matched"]
 
@@ -61,9 +74,16 @@ def test_ratings_are_heard_for_whole_recordings_only() -> None:
     assert [row["basis"] for row in lay_out(whole)["scenes"]] == ["metrics", "metrics and ratings"]
     assert whole.note.startswith("Not rated everywhere, and not advised where others were rated: s")
     assert "dft321," not in whole.note
-    robots = {"circular_motion": {"dft321": Rated(is_best=True, best="dft321", p=float("nan"), simulated=True)}}
+    robots = {
+        "circular_motion": {
+            "dft321": Rated(is_best=True, best="dft321", p=float("nan"), simulated=True)
+        }
+    }
     content = lay_out(advise_recordings(scenes()[1:2], Context(), ratings=robots))
-    assert (content["simulated"], content["scenes"][0]["basis"]) == (True, "metrics and simulated ratings")
+    assert (content["simulated"], content["scenes"][0]["basis"]) == (
+        True,
+        "metrics and simulated ratings",
+    )
     assert not lay_out(whole)["simulated"]
     assert advise_recordings(scenes()[:1], Context()).note == ""
 
@@ -71,8 +91,12 @@ def test_ratings_are_heard_for_whole_recordings_only() -> None:
 def test_ratings_that_are_not_heard_are_told_of(tmp_path: Path) -> None:
     said = {"constrained_drag": {"dft321": Rated(is_best=True, best="dft321", p=float("nan"))}}
     notes = {
-        "whole recordings, not segments": advise_recordings(scenes()[:1], Context(), ratings=said, segment_s=0.5),
-        "what one axis of an actuator plays": advise_recordings(scenes()[:1], Context(axes=2), ratings=said),
+        "whole recordings, not segments": advise_recordings(
+            scenes()[:1], Context(), ratings=said, segment_s=0.5
+        ),
+        "what one axis of an actuator plays": advise_recordings(
+            scenes()[:1], Context(axes=2), ratings=said
+        ),
         "two rated reducers and a margin": advise_recordings(scenes()[:1], Context(), ratings={}),
     }
     for words, study in notes.items():
@@ -81,12 +105,19 @@ def test_ratings_that_are_not_heard_are_told_of(tmp_path: Path) -> None:
         assert study.note.startswith("Ratings are not heard: ")
         assert words in study.note
         write_advice(study, tmp_path / "advice")
-        assert study.note in (tmp_path / "advice" / "index.html").read_text(encoding="utf-8").replace("&#39;", "'")
+        assert study.note in (tmp_path / "advice" / "index.html").read_text(
+            encoding="utf-8"
+        ).replace("&#39;", "'")
 
 
 def test_progress_counts_scenes() -> None:
     steps: list[tuple[int, int]] = []
-    advise_recordings(scenes()[:1], Context(), segment_s=0.5, progress=lambda done, total: steps.append((done, total)))
+    advise_recordings(
+        scenes()[:1],
+        Context(),
+        segment_s=0.5,
+        progress=lambda done, total: steps.append((done, total)),
+    )
     assert steps == [(1, 2), (2, 2)]
 
 
@@ -105,7 +136,9 @@ def test_files_hold_the_same_as_the_json(study: Study, tmp_path: Path) -> None:
         rows = list(csv.DictReader(file))
     assert [row["answer"] for row in rows] == ["pca321", "pca321_matched", ""]
     assert [row["line"] for row in rows] == [advice.line for advice in study.advices]
-    with (tmp_path / "advice" / "tables" / "measures.csv").open(encoding="utf-8", newline="") as file:
+    with (tmp_path / "advice" / "tables" / "measures.csv").open(
+        encoding="utf-8", newline=""
+    ) as file:
         measures = list(csv.DictReader(file))
     assert len(measures) == 2 * len(study.advices[0].verdicts)
     assert next(row for row in measures if row["reducer"] == "dft321")["latency_ms"] == ""
@@ -136,11 +169,15 @@ def test_a_page_of_nothing_but_silence_is_written(tmp_path: Path) -> None:
     assert content["summary"] == "No one reducer suffices for all 0 scenes."
 
 
-def test_writing_twice_gives_the_same_bytes_and_spares_what_is_not_ours(study: Study, tmp_path: Path) -> None:
+def test_writing_twice_gives_the_same_bytes_and_spares_what_is_not_ours(
+    study: Study, tmp_path: Path
+) -> None:
     folder = tmp_path / "advice"
     first = {name: (folder / name).read_bytes() for name in write_advice(study, folder)["files"]}
     (folder / "notes.txt").write_text("mine")
-    assert {name: (folder / name).read_bytes() for name in write_advice(study, folder)["files"]} == first
+    assert {
+        name: (folder / name).read_bytes() for name in write_advice(study, folder)["files"]
+    } == first
     assert (folder / "notes.txt").read_text() == "mine"
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "index.html").write_text("mine")
@@ -151,10 +188,18 @@ def test_writing_twice_gives_the_same_bytes_and_spares_what_is_not_ours(study: S
 
 def test_the_figure_shows_every_state_once_per_scene(study: Study) -> None:
     late = advise_recordings(scenes()[:2], ONLINE)
-    states = {tell_state(advice, each) for each_study in (study, late) for advice in each_study.advices
-              for each in advice.verdicts}  # fmt: skip
+    states = {
+        tell_state(advice, each)
+        for each_study in (study, late)
+        for advice in each_study.advices
+        for each in advice.verdicts
+    }
     assert states == set(KEYS)
     (axes,) = draw_advice(study.advices).axes
-    assert [label.get_text() for label in axes.get_yticklabels()] == [advice.scene.name for advice in study.advices]
-    assert [label.get_text() for label in axes.get_xticklabels()] == [each.name for each in study.advices[0].verdicts]
+    assert [label.get_text() for label in axes.get_yticklabels()] == [
+        advice.scene.name for advice in study.advices
+    ]
+    assert [label.get_text() for label in axes.get_xticklabels()] == [
+        each.name for each in study.advices[0].verdicts
+    ]
     assert len(axes.lines) == sum(len(advice.verdicts) for advice in study.advices)

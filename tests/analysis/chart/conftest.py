@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from analysis.tradeoff.chart.compute import Effort, compute_chart
-from analysis.tradeoff.chart.records import Rated
-from stimuli.condition import Conditioning, condition
-from stimuli.synthesis import make_scene
+from feel321.analysis.tradeoff.chart.compute import Effort, compute_chart
+from feel321.analysis.tradeoff.chart.records import Rated
+from feel321.stimuli.condition import Conditioning, condition
+from feel321.stimuli.synthesis import make_scene
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from analysis.tradeoff.chart.chart import Chart
-    from stimuli.recording import Recording
+    from feel321.analysis.tradeoff.chart.records import Chart
+    from feel321.stimuli.recording import Recording
 
 TINY = Effort("tiny", longest_s=0.3, rotations=4, sweep_rotations=2, largest_n=10_000, rounds=3)
 
@@ -29,7 +29,9 @@ def make_recording() -> Callable[[str], Recording]:
 @pytest.fixture(scope="session")
 def tiny(make_recording: Callable[[str], Recording]) -> Chart:
     """Two scenes at the least effort."""
-    return compute_chart([make_recording("bumps"), make_recording("circular_motion")], effort=TINY, seed=3)
+    return compute_chart(
+        [make_recording("bumps"), make_recording("circular_motion")], effort=TINY, seed=3
+    )
 
 
 @pytest.fixture(scope="session")

@@ -6,43 +6,64 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from analysis.tradeoff.chart.accuracy import change_rate, cut_piece, draw_turns, measure_accuracy
-from analysis.tradeoff.chart.compute import FULL
-from analysis.tradeoff.chart.methods import Method, list_hops, list_methods, list_windowed, list_windows
-from stimuli.fourier import dft321_windowed
-from stimuli.frames import sqrt_hann
-from stimuli.invariant import INVARIANTS
-from stimuli.match import METRICS, spectral_match_bounded
-from stimuli.reduce import REDUCERS
-from stimuli.rotation import rotation_statistics
+from feel321.analysis.tradeoff.chart.compute import FULL
+from feel321.analysis.tradeoff.chart.measure import (
+    Method,
+    change_rate,
+    cut_piece,
+    draw_turns,
+    list_hops,
+    list_methods,
+    list_windowed,
+    list_windows,
+    measure_accuracy,
+)
+from feel321.stimuli.match import METRICS, spectral_match_bounded
+from feel321.stimuli.reducers.axes import sqrt_hann
+from feel321.stimuli.reducers.fourier import dft321_windowed
+from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.rotation import INVARIANTS, rotation_statistics
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from stimuli.recording import Recording
+    from feel321.stimuli.recording import Recording
 
     Make = Callable[[str], Recording]
 
 
 @pytest.mark.parametrize("reducer", ["soc321", "dft321_windowed"])
-def test_the_papers_metrics_are_those_of_the_rotation_statistics(reducer: str, make_recording: Make) -> None:
+def test_the_papers_metrics_are_those_of_the_rotation_statistics(
+    reducer: str, make_recording: Make
+) -> None:
     bumps = cut_piece(make_recording("bumps"), 0.1)
     spectral, temporal, *_ = measure_accuracy(bumps, [Method(reducer)], turns=draw_turns(200, 5))
-    expected = rotation_statistics(bumps.acceleration, bumps.rate_hz, reducer=reducer, rng=np.random.default_rng(5))
-    assert (spectral.mean, spectral.sd) == pytest.approx((expected.spectral_mean, expected.spectral_sd), rel=1e-9)
-    assert (temporal.mean, temporal.sd) == pytest.approx((expected.temporal_mean, expected.temporal_sd), rel=1e-9)
+    expected = rotation_statistics(
+        bumps.acceleration, bumps.rate_hz, reducer=reducer, rng=np.random.default_rng(5)
+    )
+    assert (spectral.mean, spectral.sd) == pytest.approx(
+        (expected.spectral_mean, expected.spectral_sd), rel=1e-9
+    )
+    assert (temporal.mean, temporal.sd) == pytest.approx(
+        (expected.temporal_mean, expected.temporal_sd), rel=1e-9
+    )
     assert spectral.rotations == 200
 
 
 @pytest.mark.parametrize("reducer", REDUCERS)
 def test_as_mounted_is_what_the_metrics_themselves_say(reducer: str, make_recording: Make) -> None:
     scene = make_recording("bumps")
-    found = {row.measure: row.as_mounted for row in measure_accuracy(scene, [Method(reducer)], turns=draw_turns(2, 0))}
+    found = {
+        row.measure: row.as_mounted
+        for row in measure_accuracy(scene, [Method(reducer)], turns=draw_turns(2, 0))
+    }
     reduced = REDUCERS[reducer](scene.acceleration, scene.rate_hz)
     bounded = spectral_match_bounded(scene.acceleration, reduced, scene.rate_hz)
     assert found["spectral_match_bounded"] == pytest.approx(bounded, abs=1e-9)
     for name in INVARIANTS:
-        assert found[name] == pytest.approx(METRICS[name](scene.acceleration, reduced, scene.rate_hz), abs=1e-9)
+        assert found[name] == pytest.approx(
+            METRICS[name](scene.acceleration, reduced, scene.rate_hz), abs=1e-9
+        )
         invariant = INVARIANTS[name](scene.acceleration, reduced, scene.rate_hz)
         own = "spectral_match_energy_weighted" if name == "spectral_match" else f"{name}_invariant"
         assert found[own] == pytest.approx(invariant, abs=1e-9)
@@ -50,14 +71,18 @@ def test_as_mounted_is_what_the_metrics_themselves_say(reducer: str, make_record
 
 def test_the_same_seed_gives_the_same_accuracies_and_another_does_not(make_recording: Make) -> None:
     scene, methods = make_recording("circular_motion"), list_methods()
-    first, again, other = (measure_accuracy(scene, methods, turns=draw_turns(3, seed)) for seed in (1, 1, 2))
+    first, again, other = (
+        measure_accuracy(scene, methods, turns=draw_turns(3, seed)) for seed in (1, 1, 2)
+    )
     assert first == again
     assert first != other
 
 
 def test_silence_is_refused(make_recording: Make) -> None:
     silent = replace(make_recording("bumps"), acceleration=np.zeros((3, 1000)), sha256="")
-    with pytest.raises(ValueError, match="recording 'bumps': the recording has no energy from 20 to 1000 Hz"):
+    with pytest.raises(
+        ValueError, match="recording 'bumps': the recording has no energy from 20 to 1000 Hz"
+    ):
         measure_accuracy(silent, [Method("soc321")], turns=draw_turns(2, 0))
 
 
@@ -65,7 +90,9 @@ def test_bad_input_is_refused_by_name(make_recording: Make) -> None:
     with pytest.raises(ValueError, match="rotations: got 1, allowed is 2 or more"):
         measure_accuracy(make_recording("bumps"), [], turns=draw_turns(1, 0))
     short = cut_piece(make_recording("bumps"), 0.0003)
-    with pytest.raises(ValueError, match="recording 'bumps': the recording is too short, or its rate too low"):
+    with pytest.raises(
+        ValueError, match="recording 'bumps': the recording is too short, or its rate too low"
+    ):
         measure_accuracy(short, [Method("soc321")], turns=draw_turns(2, 0))
 
 
@@ -76,7 +103,10 @@ def test_a_piece_is_the_middle_and_another_rate_keeps_the_motion(make_recording:
     assert cut_piece(bumps, 0.4) is bumps
     faster = change_rate(bumps, 20_000.0)
     assert (faster.rate_hz, faster.n_samples) == (20_000.0, 8000)
-    assert np.abs(faster.acceleration[:, ::2] - bumps.acceleration).max() < 0.02 * np.abs(bumps.acceleration).max()
+    assert (
+        np.abs(faster.acceleration[:, ::2] - bumps.acceleration).max()
+        < 0.02 * np.abs(bumps.acceleration).max()
+    )
 
 
 def test_a_smaller_hop_is_overlap_add_with_that_hop() -> None:
@@ -89,7 +119,9 @@ def test_a_smaller_hop_is_overlap_add_with_that_hop() -> None:
     expected = np.zeros(padded.shape[1])
     for start in range(0, padded.shape[1] - length + 1, hop):
         spectra = np.fft.rfft(padded[:, start : start + length] * taper)
-        merged = np.sqrt((np.abs(spectra) ** 2).sum(axis=0)) * np.exp(1j * np.angle(spectra.sum(axis=0)))
+        merged = np.sqrt((np.abs(spectra) ** 2).sum(axis=0)) * np.exp(
+            1j * np.angle(spectra.sum(axis=0))
+        )
         expected[start : start + length] += taper * np.fft.irfft(merged, length) / families
     assert np.allclose(found, expected[length:-length], atol=1e-12)
 

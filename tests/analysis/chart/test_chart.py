@@ -12,30 +12,41 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from analysis.tradeoff.chart.accuracy import draw_turns, measure_accuracy
-from analysis.tradeoff.chart.chart import TABLES, Chart, read_json
-from analysis.tradeoff.chart.compute import FULL, QUICK, compute_chart
-from analysis.tradeoff.chart.drawing import draw_cost, draw_latency
-from analysis.tradeoff.chart.equal import GROUPS, merge_equal, merge_rows, name_point
-from analysis.tradeoff.chart.explore import dump_data, list_choices
-from analysis.tradeoff.chart.methods import Method
-from analysis.tradeoff.chart.notes import list_notes
-from analysis.tradeoff.chart.pareto import find_front
-from analysis.tradeoff.chart.records import MEASURES, SWEEPS, Precision
-from analysis.tradeoff.chart.telling import tell_answers
-from analysis.tradeoff.chart.write import write_chart
-from stimuli.reduce import REDUCERS
+from feel321.analysis.tradeoff.chart.axes import GROUPS, merge_equal, merge_rows, name_point
+from feel321.analysis.tradeoff.chart.compute import FULL, QUICK, compute_chart
+from feel321.analysis.tradeoff.chart.drawing import draw_cost, draw_latency
+from feel321.analysis.tradeoff.chart.explore import dump_data, list_choices
+from feel321.analysis.tradeoff.chart.measure import Method, draw_turns, measure_accuracy
+from feel321.analysis.tradeoff.chart.page import write_chart
+from feel321.analysis.tradeoff.chart.records import (
+    MEASURES,
+    SWEEPS,
+    TABLES,
+    Chart,
+    Precision,
+    find_front,
+    read_json,
+)
+from feel321.analysis.tradeoff.chart.tables import list_notes, tell_answers
+from feel321.stimuli.reducers.registry import REDUCERS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from stimuli.recording import Recording
+    from feel321.stimuli.recording import Recording
 
 SHOWN = tuple(dict.fromkeys(map(name_point, REDUCERS)))
 """What is drawn: methods that are equal by construction once."""
 
-BROWSER = next((path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), "")
+BROWSER = next(
+    (
+        path
+        for name in ("chromium", "chromium-browser", "google-chrome")
+        if (path := shutil.which(name))
+    ),
+    "",
+)
 
 
 def test_every_reducer_scene_measure_and_sweep_is_there(tiny: Chart) -> None:
@@ -59,7 +70,9 @@ def test_strict_front_members_are_marked(tiny: Chart) -> None:
 
 def test_medians_lie_between_their_scenes_and_known_ones_are_right(tiny: Chart) -> None:
     assert all(point.lowest <= point.median <= point.highest for point in tiny.points)
-    spectral = {point.reducer: point.median for point in tiny.points if point.measure == "spectral_match"}
+    spectral = {
+        point.reducer: point.median for point in tiny.points if point.measure == "spectral_match"
+    }
     assert spectral["dft321"] == pytest.approx(1.0, abs=1e-9)
 
 
@@ -71,18 +84,34 @@ def test_equal_by_construction_is_one_point_and_loses_no_name(tiny: Chart) -> No
     for label, members in GROUPS.items():
         for member, measure in product(members, MEASURES):
             assert own[member, measure].group == label
-            (point,) = [one for one in merged.points if (one.reducer, one.measure) == (label, measure)]
+            (point,) = [
+                one for one in merged.points if (one.reducer, one.measure) == (label, measure)
+            ]
             assert own[member, measure].on_front == point.on_front
-            assert point.ns_per_sample == pytest.approx(np.mean([own[one, measure].ns_per_sample for one in members]))
-            means = [[row.mean for row in tiny.accuracies if row.sweep == "reducer" and row.reducer in members
-                      and (row.measure, row.scene) == (measure, scene.name)] for scene in tiny.scenes]  # fmt: skip
+            assert point.ns_per_sample == pytest.approx(
+                np.mean([own[one, measure].ns_per_sample for one in members])
+            )
+            means = [
+                [
+                    row.mean
+                    for row in tiny.accuracies
+                    if row.sweep == "reducer"
+                    and row.reducer in members
+                    and (row.measure, row.scene) == (measure, scene.name)
+                ]
+                for scene in tiny.scenes
+            ]
             assert point.median == pytest.approx(np.median(np.mean(means, axis=1)))
-    assert {point.group for point in tiny.points if point.reducer == name_point(point.reducer)} == {""}
+    assert {point.group for point in tiny.points if point.reducer == name_point(point.reducer)} == {
+        ""
+    }
     assert merge_rows(merged.costs) == list(merged.costs)
     assert {name for row in tiny.dominated for name in (row.reducer, row.by)} <= set(SHOWN)
 
 
-def test_single_axes_are_equal_over_many_orientations(make_recording: Callable[[str], Recording]) -> None:
+def test_single_axes_are_equal_over_many_orientations(
+    make_recording: Callable[[str], Recording],
+) -> None:
     """The law that the groups rest on; as mounted, the axes are far from equal."""
     methods = [Method(name) for members in GROUPS.values() for name in members]
     rows = measure_accuracy(make_recording("bumps"), methods, turns=draw_turns(300, 5))
@@ -97,10 +126,15 @@ def test_rated_members_of_a_point_stand_beside_it(rated: Chart) -> None:
     means = {"sax321": 40.0, "saz321": 60.0}
     rows = tuple(replace(rated.rated[0], reducer=name, mean=mean) for name, mean in means.items())
     chart = replace(rated, rated=rows)
-    members = [entry for entry in json.loads(dump_data(chart, list_choices(chart)))["methods"] if entry["member"]]
+    members = [
+        entry
+        for entry in json.loads(dump_data(chart, list_choices(chart)))["methods"]
+        if entry["member"]
+    ]
     assert [(entry["label"], *entry["ratings"].values()) for entry in members] == [
-        ("sax321", [40.0, 55.0, 70.0, 50.0, 75.0]), ("saz321", [60.0, 55.0, 70.0, 50.0, 75.0])
-    ]  # fmt: skip
+        ("sax321", [40.0, 55.0, 70.0, 50.0, 75.0]),
+        ("saz321", [60.0, 55.0, 70.0, 50.0, 75.0]),
+    ]
     assert {entry["reducer"] for entry in members} == {name_point("sax321")}
 
 
@@ -117,7 +151,9 @@ def test_other_json_is_refused(text: str) -> None:
 def test_recordings_need_names_of_their_own(make_recording: Callable[[str], Recording]) -> None:
     with pytest.raises(ValueError, match="recordings: got none, allowed is one or more"):
         compute_chart([])
-    with pytest.raises(ValueError, match="recordings: got 'bumps' twice, allowed is a name for each"):
+    with pytest.raises(
+        ValueError, match="recordings: got 'bumps' twice, allowed is a name for each"
+    ):
         compute_chart([make_recording("bumps")] * 2)
 
 
@@ -131,13 +167,20 @@ def test_answers_name_the_front_and_the_dominated(rated: Chart) -> None:
     assert re.search(r"Spectral match against cost: on the front are .*dft321 \(1\.00\)", text)
     for row in rated.dominated:
         assert row.reducer in text
-    assert "Best mean realism rating (as is): dft321, 71.0 (95 % two-way interval 60.0 to 80.0;" in text
-    assert "No reducer is clearly dominated" in "\n".join(tell_answers(replace(rated, dominated=())))
+    assert (
+        "Best mean realism rating (as is): dft321, 71.0 (95 % two-way interval 60.0 to 80.0;"
+        in text
+    )
+    assert "No reducer is clearly dominated" in "\n".join(
+        tell_answers(replace(rated, dominated=()))
+    )
     unclear = tuple(replace(row, clear=False) for row in rated.dominated)
     assert "cannot be told apart from" in "\n".join(tell_answers(replace(rated, dominated=unclear)))
 
 
-def test_notes_tell_what_was_cut_and_a_busy_machine(tiny: Chart, make_recording: Callable[[str], Recording]) -> None:
+def test_notes_tell_what_was_cut_and_a_busy_machine(
+    tiny: Chart, make_recording: Callable[[str], Recording]
+) -> None:
     recordings, idle = [make_recording("bumps")], replace(tiny.machine, load=0.0)
     busy = replace(tiny.machine, load=99.0)
     odd = [Precision("soc321", "float32", None)]
@@ -151,10 +194,14 @@ def test_notes_tell_what_was_cut_and_a_busy_machine(tiny: Chart, make_recording:
     assert "Output for 32-bit input: float32." in cut
 
 
-def test_everything_is_written_and_a_former_chart_replaced(rated: Chart, tiny: Chart, tmp_path: Path) -> None:
+def test_everything_is_written_and_a_former_chart_replaced(
+    rated: Chart, tiny: Chart, tmp_path: Path
+) -> None:
     target = tmp_path / "chart"
     files = write_chart(rated, target)
-    assert {str(path.relative_to(target)) for path in target.rglob("*") if path.is_file()} == set(files)
+    assert {str(path.relative_to(target)) for path in target.rglob("*") if path.is_file()} == set(
+        files
+    )
     content = json.loads((target / "results.json").read_text(encoding="utf-8"))
     assert read_json(json.dumps(content)) == rated
     assert content["files"] == list(files)
@@ -163,8 +210,13 @@ def test_everything_is_written_and_a_former_chart_replaced(rated: Chart, tiny: C
             assert len(list(csv.DictReader(file))) == len(getattr(rated, name))
     (target / "notes.txt").write_text("mine")
     fewer = write_chart(tiny, target)
-    assert set(files) - set(fewer) == {"figures/rated_realism_as_is_7.svg", "figures/rated_realism_as_is_7.png"}
-    assert {path.name for path in (target / "figures").iterdir()}.isdisjoint(set(files) - set(fewer))
+    assert set(files) - set(fewer) == {
+        "figures/rated_realism_as_is_7.svg",
+        "figures/rated_realism_as_is_7.png",
+    }
+    assert {path.name for path in (target / "figures").iterdir()}.isdisjoint(
+        set(files) - set(fewer)
+    )
     assert (target / "notes.txt").read_text() == "mine"
 
 
@@ -179,7 +231,11 @@ def test_no_mean_hides_its_scenes(tiny: Chart) -> None:
     for axes, measure in zip(draw_cost(tiny).axes, MEASURES[:2], strict=True):
         dots = [line for line in axes.lines if line.get_marker() == "."]
         assert len(dots) == 2 * len(SHOWN)
-        means = {row.mean for row in merge_equal(tiny).accuracies if row.sweep == "reducer" and row.measure == measure}
+        means = {
+            row.mean
+            for row in merge_equal(tiny).accuracies
+            if row.sweep == "reducer" and row.measure == measure
+        }
         shown = {float(dot.get_ydata()[0]) for dot in dots}
         assert shown == {max(mean, -1.0) for mean in means}
 
@@ -199,7 +255,10 @@ def test_no_name_can_end_the_pages_data(tiny: Chart) -> None:
 def test_the_page_holds_every_method_and_spans_that_rise(rated: Chart) -> None:
     data = json.loads(dump_data(rated, list_choices(rated)))
     merged = merge_equal(rated)
-    measured = {(row.sweep, row.method, row.rate_hz if row.sweep == "rate" else 0) for row in merged.accuracies}
+    measured = {
+        (row.sweep, row.method, row.rate_hz if row.sweep == "rate" else 0)
+        for row in merged.accuracies
+    }
     streams = [cost for cost in merged.costs if cost.sweep == "block"]
     assert len(data["methods"]) == len(measured) + len(streams)
     for method in data["methods"]:
@@ -211,8 +270,14 @@ def test_the_page_holds_every_method_and_spans_that_rise(rated: Chart) -> None:
     assert stream["scores"] == plain["scores"]
     assert stream["speed"]["latency"][0] == pytest.approx(plain["speed"]["latency"][0] + 6.3)
     assert found["soc321, 2 kHz"]["speed"]["latency"][0] == 0
-    ratings = {method["reducer"]: method["ratings"] for method in data["methods"] if method["kind"] == "reducer"}
-    assert ratings["dft321"] == {"Mean realism rating, as is (0 to 100)": [71.0, None, None, 60.0, 80.0]}
+    ratings = {
+        method["reducer"]: method["ratings"]
+        for method in data["methods"]
+        if method["kind"] == "reducer"
+    }
+    assert ratings["dft321"] == {
+        "Mean realism rating, as is (0 to 100)": [71.0, None, None, 60.0, 80.0]
+    }
     assert ratings[name_point("sax321")] == {}
 
 
@@ -226,8 +291,12 @@ def open_page(page: Path, tmp_path: Path) -> tuple[str, str]:
     return done.stdout, "\n".join(line for line in done.stderr.splitlines() if "CONSOLE" in line)
 
 
-@pytest.mark.skipif(not BROWSER, reason="NO BROWSER: chromium is not installed, the page was NOT opened")
-def test_the_page_opens_in_a_real_browser_and_its_script_works(rated: Chart, tmp_path: Path) -> None:
+@pytest.mark.skipif(
+    not BROWSER, reason="NO BROWSER: chromium is not installed, the page was NOT opened"
+)
+def test_the_page_opens_in_a_real_browser_and_its_script_works(
+    rated: Chart, tmp_path: Path
+) -> None:
     write_chart(rated, tmp_path / "chart")
     page = tmp_path / "chart" / "index.html"
     document, console = open_page(page, tmp_path)
@@ -255,5 +324,7 @@ def test_the_page_opens_in_a_real_browser_and_its_script_works(rated: Chart, tmp
     assert console == ""
     points = len(json.loads(dump_data(rated, list_choices(rated)))["methods"])
     assert f'data-points="{points}"' in document
-    assert re.search(r'data-tip="sax/say/saz321[^"]*Cost of one sample \(ns\): [\d.]+ \[[\d.]+ to', document)
+    assert re.search(
+        r'data-tip="sax/say/saz321[^"]*Cost of one sample \(ns\): [\d.]+ \[[\d.]+ to', document
+    )
     assert "Nothing to show: choose at least one reducer and one scene." in document

@@ -6,11 +6,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from analysis.contrasts.profile import profile_reducers
-from analysis.tradeoff.chart.comparing import is_clear, list_dominated, mark_front, place_points
-from analysis.tradeoff.chart.methods import Method
-from analysis.tradeoff.chart.ratings import draw_interval, rate_reducers
-from analysis.tradeoff.chart.records import MEASURES, Accuracy, Cost, Point
+from feel321.analysis.contrasts.equivalence import profile_reducers
+from feel321.analysis.tradeoff.chart.axes import is_clear, list_dominated, mark_front, place_points
+from feel321.analysis.tradeoff.chart.measure import Method
+from feel321.analysis.tradeoff.chart.records import (
+    MEASURES,
+    Accuracy,
+    Cost,
+    Point,
+    draw_interval,
+    rate_reducers,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -18,24 +24,38 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-def make_point(name: str, mean: float, cost: float, *, latency_s: float | None = 0.0, measure: str = "spectral_match",
-               se: float = 0.001, spread: float = 0.1) -> Point:  # fmt: skip
+def make_point(
+    name: str,
+    mean: float,
+    cost: float,
+    *,
+    latency_s: float | None = 0.0,
+    measure: str = "spectral_match",
+    se: float = 0.001,
+    spread: float = 0.1,
+) -> Point:
     ends = cost * (1 - spread), cost * (1 + spread)
-    return Point(name, name, measure, mean, mean, mean, mean, se, cost, *ends, latency_s, on_front=False)
+    return Point(
+        name, name, measure, mean, mean, mean, mean, se, cost, *ends, latency_s, on_front=False
+    )
 
 
 def make_accuracy(name: str, scene: str, measure: str, mean: float) -> Accuracy:
     return Accuracy("reducer", name, name, scene, 1000.0, measure, mean, mean, 0.1, 10)
 
 
-def make_both(name: str, spectral: float, temporal: float, cost: float, **other: float | None) -> list[Point]:
+def make_both(
+    name: str, spectral: float, temporal: float, cost: float, **other: float | None
+) -> list[Point]:
     metrics = ("spectral_match", spectral), ("temporal_match", temporal)
     return [make_point(name, mean, cost, measure=measure, **other) for measure, mean in metrics]
 
 
 def test_one_scene_with_an_empty_band_does_not_decide() -> None:
-    rows = [make_accuracy("dft321", f"scene {number}", "spectral_match", mean)
-            for number, mean in enumerate((0.9, 0.8, -300.0))]  # fmt: skip
+    rows = [
+        make_accuracy("dft321", f"scene {number}", "spectral_match", mean)
+        for number, mean in enumerate((0.9, 0.8, -300.0))
+    ]
     cost = Cost("size", "dft321", "dft321", 1000, 1000.0, 1000, 64, 1.0, 0.9, 1.1, 1.0, 3)
     every = [replace(row, measure=measure) for measure in MEASURES for row in rows]
     point = place_points([Method("dft321")], every, [cost], rate_hz=1000.0)[0]
@@ -45,9 +65,17 @@ def test_one_scene_with_an_empty_band_does_not_decide() -> None:
 
 
 def test_the_front_holds_what_nobody_clearly_beats() -> None:
-    points = [make_point("cheap", 0.3, 1), make_point("same", 0.2999, 1.05), make_point("bad", 0.2, 5),
-              make_point("good", 0.9, 10)]  # fmt: skip
-    assert [point.reducer for point in mark_front(points) if point.on_front] == ["cheap", "same", "good"]
+    points = [
+        make_point("cheap", 0.3, 1),
+        make_point("same", 0.2999, 1.05),
+        make_point("bad", 0.2, 5),
+        make_point("good", 0.9, 10),
+    ]
+    assert [point.reducer for point in mark_front(points) if point.on_front] == [
+        "cheap",
+        "same",
+        "good",
+    ]
 
 
 @pytest.mark.parametrize(
@@ -59,7 +87,9 @@ def test_the_front_holds_what_nobody_clearly_beats() -> None:
         (make_point("x", 0.5, 1.0, latency_s=0.0), False),
     ],
 )
-def test_an_advantage_is_clear_beyond_quartiles_or_two_standard_errors(winner: Point, expected: bool) -> None:
+def test_an_advantage_is_clear_beyond_quartiles_or_two_standard_errors(
+    winner: Point, expected: bool
+) -> None:
     assert is_clear([make_point("y", 0.5, 1.0)], [winner]) is expected
 
 
@@ -68,9 +98,16 @@ def test_no_latency_is_clearly_better_than_the_whole_signal() -> None:
 
 
 def test_the_dominated_are_named_with_their_scenes() -> None:
-    points = [*make_both("poor", 0.4, 0.4, 10), *make_both("rich", 0.5, 0.5, 5),
-              *make_both("late", 0.6, 0.6, 1, latency_s=None)]  # fmt: skip
-    means = {"poor": ((0.3, 0.4), (0.5, 0.4)), "rich": ((0.6, 0.6), (0.4, 0.4)), "late": ((0.6, 0.6), (0.6, 0.6))}
+    points = [
+        *make_both("poor", 0.4, 0.4, 10),
+        *make_both("rich", 0.5, 0.5, 5),
+        *make_both("late", 0.6, 0.6, 1, latency_s=None),
+    ]
+    means = {
+        "poor": ((0.3, 0.4), (0.5, 0.4)),
+        "rich": ((0.6, 0.6), (0.4, 0.4)),
+        "late": ((0.6, 0.6), (0.6, 0.6)),
+    }
     accuracies = [
         make_accuracy(name, f"scene {number}", measure, mean)
         for name, scenes in means.items()
@@ -78,10 +115,18 @@ def test_the_dominated_are_named_with_their_scenes() -> None:
         for measure, mean in zip(("spectral_match", "temporal_match"), both, strict=True)
     ]
     (found,) = list_dominated(points, accuracies)
-    assert (found.reducer, found.by, found.clear, found.scenes, found.of) == ("poor", "rich", True, 1, 2)
+    assert (found.reducer, found.by, found.clear, found.scenes, found.of) == (
+        "poor",
+        "rich",
+        True,
+        1,
+        2,
+    )
 
 
-def test_ratings_are_those_of_the_profile_with_a_wider_interval_beside(tidy: Callable[..., pd.DataFrame]) -> None:
+def test_ratings_are_those_of_the_profile_with_a_wider_interval_beside(
+    tidy: Callable[..., pd.DataFrame],
+) -> None:
     ratings = tidy(seed=4, participants=10, recordings=5)
     found = {row.reducer: row for row in rate_reducers(ratings, seed=0, draws=500)}
     profile = profile_reducers(ratings)
@@ -89,13 +134,18 @@ def test_ratings_are_those_of_the_profile_with_a_wider_interval_beside(tidy: Cal
     assert set(found) == set(tests.index)
     for name, row in found.items():
         assert row.mean == pytest.approx(tests.loc[name, "mean"])
-        assert (row.low, row.high) == pytest.approx((tests.loc[name, "low"], tests.loc[name, "high"]))
+        assert (row.low, row.high) == pytest.approx((
+            tests.loc[name, "low"],
+            tests.loc[name, "high"],
+        ))
         assert row.two_way_low < row.mean < row.two_way_high
         assert (row.participants, row.recordings) == (10, 5)
     assert rate_reducers(ratings, seed=0, draws=500) == list(found.values())
 
 
-def test_one_participant_has_no_interval_over_participants(tidy: Callable[..., pd.DataFrame]) -> None:
+def test_one_participant_has_no_interval_over_participants(
+    tidy: Callable[..., pd.DataFrame],
+) -> None:
     assert {row.low for row in rate_reducers(tidy(participants=1), seed=0, draws=50)} == {None}
 
 

@@ -6,10 +6,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from analysis.tradeoff.chart.cost import Job, compare_precision, fit_all, list_lengths, measure_memory, time_jobs
-from analysis.tradeoff.chart.machine import describe_machine
-from analysis.tradeoff.chart.methods import Method
-from analysis.tradeoff.chart.timing import choose_clock, time_in_turn
+from feel321.analysis.tradeoff.chart.cost import (
+    Job,
+    compare_precision,
+    fit_all,
+    list_lengths,
+    measure_memory,
+    time_jobs,
+)
+from feel321.analysis.tradeoff.chart.measure import Method
+from feel321.analysis.tradeoff.chart.records import choose_clock, describe_machine, time_in_turn
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -31,7 +37,9 @@ class Machine:
 
 
 def make_job(machine: Machine, n: int, seconds: float, name: str = "soc321") -> Job:
-    return Job("size", Method(name), n, 10_000.0, n, 64, partial(machine.work, f"{name} {n}", seconds))
+    return Job(
+        "size", Method(name), n, 10_000.0, n, 64, partial(machine.work, f"{name} {n}", seconds)
+    )
 
 
 def test_every_round_times_every_task_once_in_another_order() -> None:
@@ -39,7 +47,11 @@ def test_every_round_times_every_task_once_in_another_order() -> None:
     tasks = [partial(machine.work, str(k), k + 1.0) for k in range(6)]
     rounds: list[int] = []
     seconds = time_in_turn(
-        tasks, rounds=4, clock=machine.clock, rng=np.random.default_rng(0), done=lambda: rounds.append(1)
+        tasks,
+        rounds=4,
+        clock=machine.clock,
+        rng=np.random.default_rng(0),
+        done=lambda: rounds.append(1),
     )
     assert np.array_equal(seconds, np.tile(np.arange(1.0, 7.0), (4, 1)))
     orders = [machine.done[start : start + 6] for start in range(0, 30, 6)]
@@ -49,7 +61,10 @@ def test_every_round_times_every_task_once_in_another_order() -> None:
 
 
 def test_times_become_costs_with_quartiles() -> None:
-    machine, left = Machine(), iter([9.0, 1.0, 2.0, 3.0, 4.0, 5.0])  # the first round is not measured
+    machine, left = (
+        Machine(),
+        iter([9.0, 1.0, 2.0, 3.0, 4.0, 5.0]),
+    )  # the first round is not measured
     job = Job("size", Method("soc321"), 1000, 500.0, 1000, 64, lambda: machine.work("", next(left)))
     (cost,) = time_jobs([job], rounds=5, clock=machine.clock, rng=np.random.default_rng(0))
     assert (cost.ns_per_sample, cost.low, cost.high) == pytest.approx((3e6, 2e6, 4e6))
@@ -71,9 +86,21 @@ def test_planted_growth_comes_back_through_the_whole_chain(exponent: float) -> N
 def test_too_few_rounds_and_a_clock_that_stands_still_are_refused() -> None:
     machine = Machine()
     with pytest.raises(ValueError, match="rounds: got 2, allowed is 3 or more"):
-        time_jobs([make_job(machine, 10, 1.0)], rounds=2, clock=machine.clock, rng=np.random.default_rng(0))
-    with pytest.raises(ValueError, match="clock: got 0 s for soc321, allowed is above 0; take a finer clock"):
-        time_jobs([make_job(machine, 10, 0.0)], rounds=3, clock=machine.clock, rng=np.random.default_rng(0))
+        time_jobs(
+            [make_job(machine, 10, 1.0)],
+            rounds=2,
+            clock=machine.clock,
+            rng=np.random.default_rng(0),
+        )
+    with pytest.raises(
+        ValueError, match="clock: got 0 s for soc321, allowed is above 0; take a finer clock"
+    ):
+        time_jobs(
+            [make_job(machine, 10, 0.0)],
+            rounds=3,
+            clock=machine.clock,
+            rng=np.random.default_rng(0),
+        )
 
 
 def test_the_clock_is_the_threads_own_where_that_is_fine(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,15 +3,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.tradeoff.chart.cost import list_lengths
-from analysis.tradeoff.chart.growth import fit_growth
+from feel321.analysis.tradeoff.chart.cost import fit_growth, list_lengths
 
 N = np.array(list_lengths(1_000_000), dtype=float)
 
 
 @pytest.mark.parametrize("exponent", [0.5, 1.0, 1.2, 2.0])
 @pytest.mark.parametrize("overhead", [0.0, 5e-5])
-def test_a_known_exponent_is_recovered_whatever_the_overhead(exponent: float, overhead: float) -> None:
+def test_a_known_exponent_is_recovered_whatever_the_overhead(
+    exponent: float, overhead: float
+) -> None:
     found = fit_growth(N, overhead + 1e-8 * N**exponent, reducer="made up")
     assert found.exponent == pytest.approx(exponent, abs=2e-3)
     assert found.misfit < 1e-3
@@ -44,6 +45,8 @@ def test_three_lengths_give_an_exponent_without_interval() -> None:
         ([10, 100, 1000], [1, 1, np.inf], "take a finer clock"),
     ],
 )
-def test_what_cannot_be_fitted_is_refused(n: list[float], seconds: list[float], message: str) -> None:
+def test_what_cannot_be_fitted_is_refused(
+    n: list[float], seconds: list[float], message: str
+) -> None:
     with pytest.raises(ValueError, match=message):
         fit_growth(n, seconds, reducer="made up")

@@ -8,17 +8,17 @@ import pytest
 import scipy.fft
 import scipy.signal
 
-from analysis.tradeoff.chart.methods import Method, list_methods
-from analysis.tradeoff.chart.narrow import in_32_bit, measure_loss, reduce_in_32_bit
-from analysis.tradeoff.chart.notes import list_notes
-from analysis.tradeoff.chart.tables import list_sheets
-from stimuli import fourier, leading
+from feel321.analysis.tradeoff.chart.cost import in_32_bit, measure_loss, reduce_in_32_bit
+from feel321.analysis.tradeoff.chart.measure import Method, list_methods
+from feel321.analysis.tradeoff.chart.tables import list_notes, list_sheets
+from feel321.stimuli.reducers import fourier
+from feel321.stimuli.reducers import fourier as leading
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from analysis.tradeoff.chart.chart import Chart
-    from stimuli.recording import Recording
+    from feel321.analysis.tradeoff.chart.records import Chart
+    from feel321.stimuli.recording import Recording
 
 
 @pytest.fixture
@@ -35,7 +35,9 @@ def test_the_error_is_that_of_32_bits(noise: Recording) -> None:
     rounding, _ = measure_loss(Method("sax321"), [noise])
     exact = noise.acceleration[0]
     rounded = exact.astype(np.float32).astype(np.float64)
-    assert rounding == pytest.approx(10 * np.log10(np.sum((rounded - exact) ** 2) / np.sum(exact**2)))
+    assert rounding == pytest.approx(
+        10 * np.log10(np.sum((rounded - exact) ** 2) / np.sum(exact**2))
+    )
 
 
 @pytest.mark.parametrize("method", list_methods(), ids=lambda method: method.label)
@@ -58,7 +60,9 @@ def test_transforms_and_recursions_see_nothing_wider_than_32_bits(
         monkeypatch.setattr(module, name, spy(getattr(module, name)))
     reduced = reduce_in_32_bit(method, noise)
     assert seen <= {"float32", "complex64"}
-    assert bool(seen) == any(part in method.reducer for part in ("dft", "running", "matched_windowed"))
+    assert bool(seen) == any(
+        part in method.reducer for part in ("dft", "running", "matched_windowed")
+    )
     exact = method.reduce(noise.acceleration, noise.rate_hz)
     assert 1e-17 < np.sum((reduced - exact) ** 2) / np.sum(exact**2) < 1e-8
 
@@ -83,8 +87,13 @@ def test_the_worst_recording_is_named_and_silence_left_out(noise: Recording, tin
     exact = replace(noise, name="exact", acceleration=np.ones((3, 64)), sha256="")
     assert measure_loss(Method("soc321"), [silent, exact]) == (None, "")
     assert measure_loss(Method("soc321"), [silent, noise, exact])[1] == "noise"
-    worst = max(tiny.precision, key=lambda row: -np.inf if row.arithmetic_db is None else row.arithmetic_db)
+    worst = max(
+        tiny.precision, key=lambda row: -np.inf if row.arithmetic_db is None else row.arithmetic_db
+    )
     notes = "\n".join(list_notes([noise], 9.0, precision=tiny.precision, machine=tiny.machine))
-    assert f"{worst.arithmetic_db:.0f} dB relative to the output in 64 bits, of {worst.reducer} on" in notes
+    assert (
+        f"{worst.arithmetic_db:.0f} dB relative to the output in 64 bits, of {worst.reducer} on"
+        in notes
+    )
     (sheet,) = [sheet for sheet in list_sheets(tiny) if "Worst recording" in sheet.head]
     assert {row[-1] for row in sheet.rows} <= {scene.name for scene in tiny.scenes}

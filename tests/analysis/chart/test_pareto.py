@@ -3,12 +3,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.tradeoff.chart.pareto import dominates, find_front
+from feel321.analysis.tradeoff.chart.records import dominates, find_front
 
 
 def is_beaten(point: list[float], others: list[list[float]]) -> bool:
     return any(
-        all(b <= a for a, b in zip(point, other, strict=True)) and any(b < a for a, b in zip(point, other, strict=True))
+        all(b <= a for a, b in zip(point, other, strict=True))
+        and any(b < a for a, b in zip(point, other, strict=True))
         for other in others
     )
 
@@ -16,12 +17,19 @@ def is_beaten(point: list[float], others: list[list[float]]) -> bool:
 @pytest.mark.parametrize("objectives", [1, 2, 4])
 @pytest.mark.parametrize("seed", range(5))
 def test_the_front_is_what_brute_force_finds(objectives: int, seed: int) -> None:
-    points = np.random.default_rng(seed).integers(0, 6, size=(40, objectives)).astype(float).tolist()
+    points = (
+        np.random.default_rng(seed).integers(0, 6, size=(40, objectives)).astype(float).tolist()
+    )
     assert find_front(points).tolist() == [not is_beaten(point, points) for point in points]
 
 
 def test_equal_points_stand_together_and_the_infinite_one_is_worst() -> None:
-    assert find_front([[1, 2], [1, 2], [np.inf, 2], [np.inf, 1]]).tolist() == [True, True, False, True]
+    assert find_front([[1, 2], [1, 2], [np.inf, 2], [np.inf, 1]]).tolist() == [
+        True,
+        True,
+        False,
+        True,
+    ]
     assert dominates([[1, 1], [2, 2]]).tolist() == [[False, True], [False, False]]
 
 

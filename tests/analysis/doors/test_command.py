@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.report.write import write_report
-from study.cli import main
+from feel321.analysis.report.write import write_report
+from feel321.study.cli import main
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -62,9 +62,15 @@ def spoil(study: object, how: str) -> None:
         ("ratings missing", "ratings.csv: No such file or directory; check the name"),
         ("ratings folder", "ratings.csv: Is a directory; check the name"),
         ("ratings dangling", "ratings.csv: No such file or directory"),
-        ("ratings semicolons", "ratings.csv, line 1: column participant, stimulus_id, scale, rating is missing; got"),
+        (
+            "ratings semicolons",
+            "ratings.csv, line 1: column participant, stimulus_id, scale, rating is missing; got",
+        ),
         ("ratings cut", "ratings.csv, line "),
-        ("ratings twice", "and 87 more: got '5' in column 'trial', but an earlier line has the same"),
+        (
+            "ratings twice",
+            "and 87 more: got '5' in column 'trial', but an earlier line has the same",
+        ),
         ("manifest missing", "manifest.csv: No such file or directory"),
         (
             "manifest twice",
@@ -95,9 +101,13 @@ ONLY = {
 
 
 @pytest.mark.parametrize("change", ONLY.values(), ids=ONLY)
-def test_without_test_stimuli_there_is_no_analysis(small: object, folder: Path, change: Change) -> None:
+def test_without_test_stimuli_there_is_no_analysis(
+    small: object, folder: Path, change: Change
+) -> None:
     edit(small.ratings, change)
-    with pytest.raises(ValueError, match="got none of a stimulus with role 'test'; at least one is needed"):
+    with pytest.raises(
+        ValueError, match="got none of a stimulus with role 'test'; at least one is needed"
+    ):
         write_report(small.ratings, small.manifest, folder, draws=2, seed=0)
     assert not folder.exists()
 
@@ -156,13 +166,16 @@ SLOW = {
 
 def list_cases(cases: dict[str, tuple[Change, str]]) -> list[object]:
     return [
-        pytest.param(*case, id=name, marks=[pytest.mark.soak] if name in SLOW else []) for name, case in cases.items()
+        pytest.param(*case, id=name, marks=[pytest.mark.soak] if name in SLOW else [])
+        for name, case in cases.items()
     ]
 
 
 @pytest.mark.usefixtures("sketched")
 @pytest.mark.parametrize(("change", "note"), list_cases(REDUCED))
-def test_what_little_there_is_becomes_a_page(small: object, folder: Path, change: Change, note: str) -> None:
+def test_what_little_there_is_becomes_a_page(
+    small: object, folder: Path, change: Change, note: str
+) -> None:
     edit(small.ratings, change)
     results = write_report(small.ratings, small.manifest, folder, draws=2, seed=0)
     assert any(note in told for told in results.notes)

@@ -9,17 +9,20 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.association.correlate import correlate
-from analysis.report.sections.parts import split_parts
-from analysis.table.items import make_items
-from analysis.table.labels import ROSTER
-from analysis.table.reading import read_table
-from analysis.table.schema import RATINGS, describe_further, describe_manifest, describe_ratings
-from stimuli.manifest import COLUMN_UNITS
-from study.ledger import roster
-from study.ratings import COLUMNS
-from study.settings.reading import read_settings
-from study.settings.sources import list_origins
+from feel321.analysis.association.correlate import correlate
+from feel321.analysis.report.section import split_parts
+from feel321.analysis.table.items import make_items
+from feel321.analysis.table.reading import ROSTER, read_table
+from feel321.analysis.table.schema import (
+    RATINGS,
+    describe_further,
+    describe_manifest,
+    describe_ratings,
+)
+from feel321.stimuli.sets.manifest import COLUMN_UNITS
+from feel321.study.columns import RATING_COLUMNS
+from feel321.study.ledger import slots
+from feel321.study.settings.read import list_origins, read_settings
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -62,9 +65,18 @@ def test_odd_ratings_are_told(files: Callable[..., object], change: Change, note
 
 LISTED = [
     (lambda f: f.assign(colour="red"), "manifest.csv: columns that are not used: 'colour'."),
-    (lambda f: f.assign(temporal_match=""), "manifest.csv has nothing in a column 'temporal_match', so that metric is"),
-    (lambda f: f.assign(level=""), "manifest.csv has nothing in a column 'level': every stimulus is taken as 'as_is'."),
-    (lambda f: f.assign(source=f["recording"].str[:3]), "The 4 recordings come from 1 source, turned, cut or edited"),
+    (
+        lambda f: f.assign(temporal_match=""),
+        "manifest.csv has nothing in a column 'temporal_match', so that metric is",
+    ),
+    (
+        lambda f: f.assign(level=""),
+        "manifest.csv has nothing in a column 'level': every stimulus is taken as 'as_is'.",
+    ),
+    (
+        lambda f: f.assign(source=f["recording"].str[:3]),
+        "The 4 recordings come from 1 source, turned, cut or edited",
+    ),
 ]
 
 
@@ -76,7 +88,9 @@ def test_odd_manifests_are_told(files: Callable[..., object], change: Change, no
     assert note in told
 
 
-@pytest.mark.parametrize("name", ["01", "1e5", "NA", "=1+1", "a/../b", "Ж😀", "x" * 5000, "<b>", "$x^{2}$", "True"])
+@pytest.mark.parametrize(
+    "name", ["01", "1e5", "NA", "=1+1", "a/../b", "Ж😀", "x" * 5000, "<b>", "$x^{2}$", "True"]
+)
 def test_names_stay_as_written(files: Callable[..., object], name: str) -> None:
     study = files(participants=2, scales=("realism",))
     edit(study.ratings, lambda f: f.assign(participant=f["participant"].replace("p00", name)))
@@ -97,7 +111,9 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("written", CHANGES.values(), ids=CHANGES)
-def test_ways_of_writing_the_same_table(files: Callable[..., object], written: Callable[[Path], str]) -> None:
+def test_ways_of_writing_the_same_table(
+    files: Callable[..., object], written: Callable[[Path], str]
+) -> None:
     study = files(participants=2, scales=("realism",))
     plain = read_table(study.ratings, study.manifest).rows
     study.ratings.write_text(written(study.ratings), encoding="utf-8", newline="")
@@ -105,15 +121,16 @@ def test_ways_of_writing_the_same_table(files: Callable[..., object], written: C
     assert table.notes == ()
     order = ["participant", "stimulus_id", "repeat"]
     pd.testing.assert_frame_equal(
-        table.rows.sort_values(order, ignore_index=True), plain.sort_values(order, ignore_index=True)
+        table.rows.sort_values(order, ignore_index=True),
+        plain.sort_values(order, ignore_index=True),
     )
 
 
 def test_the_schema_knows_every_column_that_feel321_writes() -> None:
-    assert list(RATINGS) == list(COLUMNS)
+    assert list(RATINGS) == list(RATING_COLUMNS)
     assert set(describe_manifest()) == {*COLUMN_UNITS, "source", *describe_further()}
-    assert set(describe_ratings()) == {*COLUMNS, *describe_further()}
-    assert {*roster.COLUMNS, *roster.LAST_COLUMNS} == ROSTER | {"participant"}
+    assert set(describe_ratings()) == {*RATING_COLUMNS, *describe_further()}
+    assert {*slots.PARTICIPANT_COLUMNS, *slots.LAST_PARTICIPANT_COLUMNS} == ROSTER | {"participant"}
 
 
 def test_intervals_draw_sources_with_all_their_recordings(files: Callable[..., object]) -> None:
@@ -133,17 +150,28 @@ def test_intervals_draw_sources_with_all_their_recordings(files: Callable[..., o
     # Three units know a spread on two degrees of freedom only.
     assert three.high - three.low > 1.5 * (alone.high - alone.low)
     assert np.isnan(one.low)
-    assert any(note.startswith("All recordings come from one source: no two-way interval") for note in one.notes)
+    assert any(
+        note.startswith("All recordings come from one source: no two-way interval")
+        for note in one.notes
+    )
 
 
 def test_copies_of_a_recording_add_no_certainty(tidy: Callable[..., pd.DataFrame]) -> None:
     rated = tidy(participants=12, recordings=5, anchors=False)
-    copies = [rated.assign(recording=rated["recording"] + f"-r{number}", source=rated["recording"],
-                           stimulus_id=rated["stimulus_id"] + f"-r{number}") for number in range(3)]  # fmt: skip
+    copies = [
+        rated.assign(
+            recording=rated["recording"] + f"-r{number}",
+            source=rated["recording"],
+            stimulus_id=rated["stimulus_id"] + f"-r{number}",
+        )
+        for number in range(3)
+    ]
     tripled = pd.concat(copies, ignore_index=True)
 
     def measure(table: pd.DataFrame, method: str) -> np.ndarray:
-        found = correlate(table, "spectral_match", method=method, draws=1500, rng=np.random.default_rng(1))
+        found = correlate(
+            table, "spectral_match", method=method, draws=1500, rng=np.random.default_rng(1)
+        )
         return np.arctanh([found.low, found.value, found.high])
 
     for method in ("pearson", "within"):
@@ -154,7 +182,7 @@ def test_copies_of_a_recording_add_no_certainty(tidy: Callable[..., pd.DataFrame
 
 
 def test_a_study_tells_which_recordings_are_one_turned(tmp_path: Path) -> None:
-    bundled = resources.files("study.settings") / "bundled" / "park2019.toml"
+    bundled = resources.files("feel321.study.settings") / "bundled" / "park2019.toml"
     (tmp_path / "study.toml").write_text(bundled.read_text(encoding="utf-8"), encoding="utf-8")
     origins = list_origins(read_settings(tmp_path / "study.toml"))
     assert len(origins) == 12
@@ -171,10 +199,19 @@ def test_a_recording_with_two_sources_is_refused(tidy: Callable[..., pd.DataFram
 def test_labels_of_participants_are_joined(files: Callable[..., object]) -> None:
     study = files(participants=3, scales=("realism",))
     roster_path = study.ratings.with_name("participants.csv")
-    people = pd.DataFrame({"participant": ["p00", "p01", "q"], "grip": ["pen", "fist", ""], "number": 1, "level": "x"})
+    people = pd.DataFrame({
+        "participant": ["p00", "p01", "q"],
+        "grip": ["pen", "fist", ""],
+        "number": 1,
+        "level": "x",
+    })
     people.to_csv(roster_path, index=False)
     table = read_table(study.ratings, study.manifest)
-    assert table.rows.groupby("participant")["grip"].first().to_dict() == {"p00": "pen", "p01": "fist", "p02": ""}
+    assert table.rows.groupby("participant")["grip"].first().to_dict() == {
+        "p00": "pen",
+        "p01": "fist",
+        "p02": "",
+    }
     assert set(table.rows["level"]) == {"as_is"}
     assert "number" not in table.rows
     told = "Participants differ in 'grip' (participants.csv; participants: unknown 1, 'fist' 1, 'pen' 1): no test"
@@ -182,5 +219,8 @@ def test_labels_of_participants_are_joined(files: Callable[..., object]) -> None
     people.drop(columns="grip").to_csv(roster_path, index=False)
     assert read_table(study.ratings, study.manifest).notes == ()
     pd.concat([people, people]).to_csv(roster_path, index=False)
-    with pytest.raises(ValueError, match=r"participants.csv, lines 5, 6, 7: got 'p00' in column 'participant', but an"):
+    with pytest.raises(
+        ValueError,
+        match=r"participants.csv, lines 5, 6, 7: got 'p00' in column 'participant', but an",
+    ):
         read_table(study.ratings, study.manifest)

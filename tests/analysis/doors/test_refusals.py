@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.table.reading import read_table
+from feel321.analysis.table.reading import read_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -31,12 +31,20 @@ def texts() -> dict[str, str]:
     ]
     manifest = pd.DataFrame(stimuli, columns=["recording", "reducer", "role"])
     manifest.insert(0, "stimulus_id", manifest["recording"] + "_" + manifest["reducer"])
-    manifest = manifest.assign(level="as_is", spectral_match=[0.2, 0.9, 0.5, ""], temporal_match=[0.1, 0.8, 0.4, ""])
-    ratings = pd.concat([manifest[["stimulus_id", "recording", "reducer", "level"]]] * 2, ignore_index=True)
-    ratings = ratings.assign(participant=["p1"] * 4 + ["p2"] * 4, session=1, protocol="realism", block=1)
+    manifest = manifest.assign(
+        level="as_is", spectral_match=[0.2, 0.9, 0.5, ""], temporal_match=[0.1, 0.8, 0.4, ""]
+    )
+    ratings = pd.concat(
+        [manifest[["stimulus_id", "recording", "reducer", "level"]]] * 2, ignore_index=True
+    )
+    ratings = ratings.assign(
+        participant=["p1"] * 4 + ["p2"] * 4, session=1, protocol="realism", block=1
+    )
     ratings = ratings.assign(trial=[1, 2, 3, 4] * 2, repeat=1, reference_id="", scale="realism")
     ratings["rating"] = [10.5, 80, 40, 90, 20, 70, 50, 100]
-    ratings = ratings.assign(response_time_s=1.5, onset_s=2.5, underruns=0, rejected="false", simulated="false")
+    ratings = ratings.assign(
+        response_time_s=1.5, onset_s=2.5, underruns=0, rejected="false", simulated="false"
+    )
     return {"ratings": ratings.to_csv(index=False), "manifest": manifest.to_csv(index=False)}
 
 
@@ -80,20 +88,38 @@ def test_the_tables_are_good(texts: dict[str, str], tmp_path: Path) -> None:
 
 
 FOREIGN = [
-    (lambda _: b"", "the file is empty; its first line must name the columns participant, stimulus_id, scale, rating"),
+    (
+        lambda _: b"",
+        "the file is empty; its first line must name the columns participant, stimulus_id, scale, rating",
+    ),
     (lambda t: t.splitlines()[0].encode(), "got no rows below the header"),
-    (lambda t: t.replace(",", ";").encode(), "its columns are separated by semicolons: save it with commas, and with"),
+    (
+        lambda t: t.replace(",", ";").encode(),
+        "its columns are separated by semicolons: save it with commas, and with",
+    ),
     (lambda t: t.replace(",", "\t").encode(), "its columns are separated by tabs"),
     (lambda t: t.replace(",", "|").encode(), "its columns are separated by bars"),
     (lambda t: t.encode("utf-16"), "got UTF-16 text, allowed is UTF-8; save it as CSV (UTF-8)"),
     (lambda t: t.encode("utf-16-le"), "got bytes that are no UTF-8 text (zeros)"),
     (lambda t: t.replace("p2", "J\xf6rg").encode("latin-1"), "not UTF-8 text (invalid"),
-    (lambda t: gzip.compress(t.encode()), "got a gzip file, allowed is plain text; unpack it first"),
-    (lambda t: b"PK\x03\x04" + t.encode(), "got an Excel or other zipped file, allowed is plain text; save the sheet"),
+    (
+        lambda t: gzip.compress(t.encode()),
+        "got a gzip file, allowed is plain text; unpack it first",
+    ),
+    (
+        lambda t: b"PK\x03\x04" + t.encode(),
+        "got an Excel or other zipped file, allowed is plain text; save the sheet",
+    ),
     (lambda t: b"\xd0\xcf\x11\xe0" + t.encode(), "got an old Excel file"),
-    (lambda t: t.encode() + b"\n" * 600 + b"\0", "line 610: got a zero byte, allowed is text; is the file damaged?"),
+    (
+        lambda t: t.encode() + b"\n" * 600 + b"\0",
+        "line 610: got a zero byte, allowed is text; is the file damaged?",
+    ),
     (lambda t: t.replace("p1", '"p1', 1).encode(), "not a regular CSV file, mend lines or quotes"),
-    (lambda t: t.replace("p1", '"p1"x', 1).encode(), "not a regular CSV file, mend lines or quotes"),
+    (
+        lambda t: t.replace("p1", '"p1"x', 1).encode(),
+        "not a regular CSV file, mend lines or quotes",
+    ),
     (
         lambda t: t.replace("p1", "p" * 200_000, 1).encode(),
         "not a regular CSV file, mend lines or quotes (field larger",
@@ -102,10 +128,19 @@ FOREIGN = [
         lambda t: ("# my ratings\n" + t).encode(),
         "line 1: column participant, stimulus_id, scale, rating is missing; got",
     ),
-    (lambda t: ("sep=,\n" + t).encode(), "line 1: column participant, stimulus_id, scale, rating is missing; got"),
+    (
+        lambda t: ("sep=,\n" + t).encode(),
+        "line 1: column participant, stimulus_id, scale, rating is missing; got",
+    ),
     (lambda t: ("\n" + t).encode(), "line 1 is blank; its first line must name the columns"),
-    (lambda _: b"<!DOCTYPE html>\n<p>", "its first line must name the columns, separated by commas"),
-    (lambda t: t.encode()[:-30], "line 9: got 12 cells, but the header has 18; is the file cut off?"),
+    (
+        lambda _: b"<!DOCTYPE html>\n<p>",
+        "its first line must name the columns, separated by commas",
+    ),
+    (
+        lambda t: t.encode()[:-30],
+        "line 9: got 12 cells, but the header has 18; is the file cut off?",
+    ),
     (lambda t: (t + "total,8\n").encode(), "line 10: got 2 cells, but the header has 18"),
     (
         lambda t: t.replace("10.5", "10,5").encode(),
@@ -172,29 +207,53 @@ def test_ratings_that_cannot_be(
 
 MANIFEST = [
     (lambda f: f.drop(columns="reducer"), "line 1: column reducer is missing; got"),
-    (lambda f: f.rename(columns={"spectral_match": "Spectral_Match"}), "got column 'Spectral_Match', allowed is 'spec"),
-    (lambda f: f.drop(columns=["spectral_match", "temporal_match"]), "got no metric; at least one of the columns spec"),
-    (lambda f: f.assign(spectral_match="", temporal_match=""), "got no metric; at least one of the columns spectral"),
+    (
+        lambda f: f.rename(columns={"spectral_match": "Spectral_Match"}),
+        "got column 'Spectral_Match', allowed is 'spec",
+    ),
+    (
+        lambda f: f.drop(columns=["spectral_match", "temporal_match"]),
+        "got no metric; at least one of the columns spec",
+    ),
+    (
+        lambda f: f.assign(spectral_match="", temporal_match=""),
+        "got no metric; at least one of the columns spectral",
+    ),
     (
         lambda f: pd.concat([f, f.iloc[[0]]]),
         "line 6: got 'r_mag321' in column 'stimulus_id', but an earlier line lists",
     ),
-    (cell("role", "Test"), "line 2: got 'Test' in column 'role', allowed is test, reference, anchor"),
+    (
+        cell("role", "Test"),
+        "line 2: got 'Test' in column 'role', allowed is test, reference, anchor",
+    ),
     (cell("role", ""), "line 2: got '' in column 'role', allowed is test, reference, anchor"),
     (
         cell("role", "test", 3),
         "line 5: got '' in column 'spectral_match', allowed is a finite number; mend it or leave",
     ),
-    (cell("spectral_match", "nan"), "line 2: got 'nan' in column 'spectral_match', allowed is a finite number"),
-    (cell("temporal_match", "-inf", 1), "line 3: got '-inf' in column 'temporal_match', allowed is a finite number"),
+    (
+        cell("spectral_match", "nan"),
+        "line 2: got 'nan' in column 'spectral_match', allowed is a finite number",
+    ),
+    (
+        cell("temporal_match", "-inf", 1),
+        "line 3: got '-inf' in column 'temporal_match', allowed is a finite number",
+    ),
     (
         cell("spectral_match", "-1e300"),
         "got '-1e300' in column 'spectral_match', allowed is 1 or less and no more than",
     ),
     (cell("recording", ""), "line 2: got '' in column 'recording', which must not be empty"),
-    (cell("reducer", "mag321 "), "got 'mag321 ' in column 'reducer', which must not begin or end with a blank"),
+    (
+        cell("reducer", "mag321 "),
+        "got 'mag321 ' in column 'reducer', which must not begin or end with a blank",
+    ),
     (cell("level", ""), "line 2: got '' in column 'level', which must not be empty"),
-    (lambda f: f.assign(source=["a", "b", "c", "a"]), "line 3: got 'b' in column 'source', but an earlier line of its"),
+    (
+        lambda f: f.assign(source=["a", "b", "c", "a"]),
+        "line 3: got 'b' in column 'source', but an earlier line of its",
+    ),
 ]
 
 

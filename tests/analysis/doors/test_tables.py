@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-import analysis
-from analysis.table.tidy import open_ratings
+from feel321 import analysis
+from feel321.analysis.table.items import open_ratings
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -27,21 +27,31 @@ def make_trials(table: pd.DataFrame) -> pd.DataFrame:
     """Make pairs of reducers of which the one rated higher won, with the index of the table."""
     first, second = table["reducer"], np.roll(table["reducer"].to_numpy(), 1)
     won = table["rating"].to_numpy() >= np.roll(table["rating"].to_numpy(), 1)
-    pairs = table[["participant"]].assign(first=first, second=second, correct=won, winner=np.where(won, first, second))
+    pairs = table[["participant"]].assign(
+        first=first, second=second, correct=won, winner=np.where(won, first, second)
+    )
     return pairs[(pairs["first"] != pairs["second"]).to_numpy()]
 
 
 CALLS: dict[str, Callable[[pd.DataFrame], Any]] = {
-    "bradley_terry": lambda table: analysis.bradley_terry(make_trials(table)[["first", "second", "winner"]]),
+    "bradley_terry": lambda table: analysis.bradley_terry(
+        make_trials(table)[["first", "second", "winner"]]
+    ),
     "bradley_terry_by_rater": lambda table: analysis.bradley_terry_by_rater(
         make_trials(table)[["participant", "first", "second", "winner"]], draws=10, rng=make_rng()
     ),
-    "compare_metrics": lambda table: analysis.compare_metrics(table, *METRICS, draws=10, rng=make_rng()),
+    "compare_metrics": lambda table: analysis.compare_metrics(
+        table, *METRICS, draws=10, rng=make_rng()
+    ),
     "correlate": lambda table: analysis.correlate(table, METRICS[0], draws=10, rng=make_rng()),
-    "discriminate_pairs": lambda table: list(analysis.discriminate_pairs(make_trials(table)).values()),
+    "discriminate_pairs": lambda table: list(
+        analysis.discriminate_pairs(make_trials(table)).values()
+    ),
     "find_sources": lambda table: analysis.find_sources(table).to_frame(),
     "fit_attributes": lambda table: analysis.fit_attributes(table, METRICS)["realism"].slopes,
-    "fit_mixed": lambda table: analysis.fit_mixed("rating ~ spectral_match + (1 | participant)", table).fixed,
+    "fit_mixed": lambda table: (
+        analysis.fit_mixed("rating ~ spectral_match + (1 | participant)", table).fixed
+    ),
     "fit_primary": lambda table: analysis.fit_primary(table, METRICS).slopes,
     "profile_reducers": analysis.profile_reducers,
     "refine_metric": lambda table: analysis.refine_metric(table, METRICS, draws=2, rng=make_rng()),
@@ -58,7 +68,14 @@ CALLS: dict[str, Callable[[pd.DataFrame], Any]] = {
     ),
 }
 
-POOLED = ["compare_metrics", "correlate", "fit_attributes", "fit_primary", "refine_metric", "vary_primary"]
+POOLED = [
+    "compare_metrics",
+    "correlate",
+    "fit_attributes",
+    "fit_primary",
+    "refine_metric",
+    "vary_primary",
+]
 """What is about one scale and one level."""
 
 INDICES: dict[str, Callable[[pd.DataFrame], pd.DataFrame]] = {
@@ -74,16 +91,26 @@ PAIRS = {"bradley_terry_by_rater", "bradley_terry", "discriminate_pairs"}
 @pytest.fixture
 def rated(tidy: Callable[..., pd.DataFrame]) -> pd.DataFrame:
     table = tidy(participants=3, recordings=5, repeats=1)
-    fill = table["role"] != "test"  # as the manifest of a lab may have it; what is no test is left out
+    fill = (
+        table["role"] != "test"
+    )  # as the manifest of a lab may have it; what is no test is left out
     return table.assign(**{name: table[name].mask(fill, 0.5) for name in METRICS})
 
 
 def flatten(result: Any) -> dict[str, Any]:
     """Take a result apart into numbers and words that can be compared."""
     if isinstance(result, pd.DataFrame):
-        return {f"{name}.{row}": one for name, own in result.reset_index().items() for row, one in own.items()}
+        return {
+            f"{name}.{row}": one
+            for name, own in result.reset_index().items()
+            for row, one in own.items()
+        }
     if isinstance(result, list):
-        return {f"{place}.{name}": value for place, one in enumerate(result) for name, value in flatten(one).items()}
+        return {
+            f"{place}.{name}": value
+            for place, one in enumerate(result)
+            for name, value in flatten(one).items()
+        }
     if not is_dataclass(result) or isinstance(result, type):
         return {"": result}
     found = [(field.name, getattr(result, field.name)) for field in fields(result)]
@@ -94,7 +121,11 @@ def check_equal(one: Any, other: Any) -> None:
     left, right = flatten(one), flatten(other)
     assert list(left) == list(right)
     for name, value in left.items():
-        near = pytest.approx(value, rel=1e-6, abs=1e-9, nan_ok=True) if isinstance(value, float) else value
+        near = (
+            pytest.approx(value, rel=1e-6, abs=1e-9, nan_ok=True)
+            if isinstance(value, float)
+            else value
+        )
         assert right[name] == near, name
 
 
@@ -104,7 +135,11 @@ def test_every_public_function_of_a_table_is_tried() -> None:
         name
         for name, function in functions.items()
         if inspect.isfunction(function)
-        and any(text == "DataFrame" for place, text in function.__annotations__.items() if place != "return")
+        and any(
+            text == "DataFrame"
+            for place, text in function.__annotations__.items()
+            if place != "return"
+        )
     }
     assert takes == set(CALLS)
 
@@ -112,13 +147,17 @@ def test_every_public_function_of_a_table_is_tried() -> None:
 @pytest.mark.parametrize("name", CALLS)
 def test_index_and_order_of_a_table_mean_nothing(name: str, rated: pd.DataFrame) -> None:
     plain = CALLS[name](rated)
-    for change in list(INDICES.values())[: 1 if name == "vary_primary" else None]:  # its models take a second each
+    for change in list(INDICES.values())[
+        : 1 if name == "vary_primary" else None
+    ]:  # its models take a second each
         check_equal(CALLS[name](change(rated)), plain)
     if name not in PAIRS:
         check_equal(CALLS[name](rated.sample(frac=1, random_state=3)), plain)
 
 
-@pytest.mark.parametrize("name", ["correlate", "fit_attributes", "fit_primary", "profile_reducers", "screen_raters"])
+@pytest.mark.parametrize(
+    "name", ["correlate", "fit_attributes", "fit_primary", "profile_reducers", "screen_raters"]
+)
 def test_names_in_the_index_are_columns(name: str, rated: pd.DataFrame) -> None:
     named = rated.set_index(["participant", "scale", "level", "recording"]).reset_index("recording")
     check_equal(CALLS[name](named), CALLS[name](rated))
@@ -135,7 +174,10 @@ def test_levels_are_not_pooled(name: str, tidy: Callable[..., pd.DataFrame]) -> 
 @pytest.mark.parametrize("name", sorted(set(POOLED) - {"fit_attributes"}))
 def test_scales_are_not_pooled(name: str, tidy: Callable[..., pd.DataFrame]) -> None:
     both = tidy(participants=2, recordings=4, scales=("realism", "similarity"), anchors=False)
-    with pytest.raises(ValueError, match="got the scales realism, similarity, allowed is one scale; select its rows"):
+    with pytest.raises(
+        ValueError,
+        match="got the scales realism, similarity, allowed is one scale; select its rows",
+    ):
         CALLS[name](both)
 
 
@@ -147,14 +189,18 @@ def test_a_model_to_each_level(tidy: Callable[..., pd.DataFrame]) -> None:
         pd.testing.assert_frame_equal(model.slopes, alone.slopes)
 
 
-def test_references_of_another_level_and_levels_in_decibels_are_no_arms(rated: pd.DataFrame) -> None:
+def test_references_of_another_level_and_levels_in_decibels_are_no_arms(
+    rated: pd.DataFrame,
+) -> None:
     named = rated.assign(level=rated["level"].mask(rated["role"] != "test", "reference"))
     check_equal(CALLS["fit_primary"](named), CALLS["fit_primary"](rated))
     numbers = rated.assign(level=rated.groupby("stimulus_id").ngroup() % 7)
     assert analysis.correlate(numbers, "level", draws=2, rng=make_rng()).metric == "level"
 
 
-def test_levels_of_one_name_are_items_of_their_own_in_screening(tidy: Callable[..., pd.DataFrame]) -> None:
+def test_levels_of_one_name_are_items_of_their_own_in_screening(
+    tidy: Callable[..., pd.DataFrame],
+) -> None:
     both = tidy(participants=6, levels=("as_is", "equal_intensity"), repeats=1)
     short = both.assign(stimulus_id=both["recording"] + both["reducer"])
     assert len(analysis.screen_raters(short).items) == len(analysis.screen_raters(both).items)
@@ -165,7 +211,11 @@ def test_levels_of_one_name_are_items_of_their_own_in_screening(tidy: Callable[.
 
 def test_no_table_and_doubled_columns_are_refused(rated: pd.DataFrame) -> None:
     no_table: Any = {"rating": [1.0]}
-    with pytest.raises(TypeError, match="ratings: got dict, allowed is a pandas DataFrame, one row per judgement"):
+    with pytest.raises(
+        TypeError, match="ratings: got dict, allowed is a pandas DataFrame, one row per judgement"
+    ):
         open_ratings(no_table)
-    with pytest.raises(ValueError, match="rows: got two columns 'rating', allowed is one of each name"):
+    with pytest.raises(
+        ValueError, match="rows: got two columns 'rating', allowed is one of each name"
+    ):
         analysis.fit_primary(pd.concat([rated, rated[["rating"]]], axis=1), METRICS)

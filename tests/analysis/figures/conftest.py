@@ -9,7 +9,7 @@ import pytest
 from matplotlib.axis import Tick
 from matplotlib.text import Text
 
-from analysis.figures.style import CM_PER_INCH, COLUMN_CM, print_style
+from feel321.analysis.figures.style import CM_PER_INCH, COLUMN_CM, print_style
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,7 +28,12 @@ def list_texts(figure: Figure) -> list[Text]:
     ticks = {id(label) for tick in figure.findobj(Tick) for label in (tick.label1, tick.label2)}
     texts = [text for text in figure.findobj(Text) if id(text) not in ticks]
     axes = [axes for axes in figure.axes if axes.get_visible()]
-    texts += [tick.label1 for one in axes for axis in (one.xaxis, one.yaxis) for tick in axis._update_ticks()]
+    texts += [
+        tick.label1
+        for one in axes
+        for axis in (one.xaxis, one.yaxis)
+        for tick in axis._update_ticks()
+    ]
     return [text for text in texts if text.get_visible() and text.get_text().strip()]
 
 
@@ -41,7 +46,12 @@ def find_faults(figure: Figure) -> list[str]:
     for text, box in zip(texts, boxes, strict=True):
         if text.get_fontsize() < SMALLEST_PT:
             faults.append(f"too small: {text.get_text()!r}")
-        if box.x0 < -0.5 or box.y0 < -0.5 or box.x1 > figure.bbox.x1 + 0.5 or box.y1 > figure.bbox.y1 + 0.5:
+        if (
+            box.x0 < -0.5
+            or box.y0 < -0.5
+            or box.x1 > figure.bbox.x1 + 0.5
+            or box.y1 > figure.bbox.y1 + 0.5
+        ):
             faults.append(f"outside: {text.get_text()!r}")
     pairs = combinations(zip(texts, boxes, strict=True), 2)
     faults += [
@@ -50,7 +60,9 @@ def find_faults(figure: Figure) -> list[str]:
         if min(a.x1, b.x1) - max(a.x0, b.x0) > 0.5 and min(a.y1, b.y1) - max(a.y0, b.y0) > 0.5
     ]
     faults += [
-        f"axes without room: {axes.bbox.bounds}" for axes in figure.axes if min(axes.bbox.width, axes.bbox.height) < 12
+        f"axes without room: {axes.bbox.bounds}"
+        for axes in figure.axes
+        if min(axes.bbox.width, axes.bbox.height) < 12
     ]
     return faults
 

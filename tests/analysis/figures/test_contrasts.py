@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from analysis.contrasts.equivalence import equivalence
-from analysis.figures.contrasts import draw_equivalence
+from feel321.analysis.contrasts.equivalence import equivalence
+from feel321.analysis.figures.estimates import draw_equivalence
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -15,7 +15,10 @@ if TYPE_CHECKING:
 
 
 def test_intervals_stand_against_the_margin(said: Callable[[Figure], str]) -> None:
-    tests = {"a − b": equivalence(1.0, 1.2, 11, low=-5, high=5), "a − c": equivalence(4.0, 1.2, 11, low=-5, high=5)}
+    tests = {
+        "a − b": equivalence(1.0, 1.2, 11, low=-5, high=5),
+        "a − c": equivalence(4.0, 1.2, 11, low=-5, high=5),
+    }
     figure = draw_equivalence(tests, n_participants=12, n_recordings=8)
     (axes,) = figure.axes
     assert axes.patches[0].get_x() == -5
@@ -26,12 +29,19 @@ def test_intervals_stand_against_the_margin(said: Callable[[Figure], str]) -> No
     assert marks[1.0].get_marker() != marks[4.0].get_marker()
     assert marks[4.0].get_markerfacecolor() == "white"
     words = said(figure)
-    for part in ("90 % intervals", "margin, −5.0 to 5.0 points of rating", "equivalent, 1 of 2", "n = 12 participants"):
+    for part in (
+        "90 % intervals",
+        "margin, −5.0 to 5.0 points of rating",
+        "equivalent, 1 of 2",
+        "n = 12 participants",
+    ):
         assert part in words
     assert axes.get_xlabel() == "Difference (points of rating)"
 
 
-def test_long_names_stay_inside_and_apart(names: list[str], faults: Callable[[Figure], list[str]]) -> None:
+def test_long_names_stay_inside_and_apart(
+    names: list[str], faults: Callable[[Figure], list[str]]
+) -> None:
     tests = {
         f"{one} − {other}": equivalence(number / 5 - 5, 1, 11, low=-5, high=5)
         for number, (one, other) in enumerate(combinations(names, 2))

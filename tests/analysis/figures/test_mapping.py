@@ -7,11 +7,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.association.correlate import Association, correlate
-from analysis.contrasts.profile import stimulus_means
-from analysis.figures.mapping import draw_mapping
-from analysis.figures.style import assign_looks
-from analysis.p1401.mapping import P1401, p1401
+from feel321.analysis.association.correlate import Association, correlate
+from feel321.analysis.contrasts.equivalence import stimulus_means
+from feel321.analysis.figures.scatter import draw_mapping
+from feel321.analysis.figures.style import assign_looks
+from feel321.analysis.p1401.mapping import P1401, p1401
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -26,17 +26,23 @@ Parts = tuple[pd.DataFrame, P1401, Association]
 def parts(tidy: Callable[..., pd.DataFrame]) -> Parts:
     rows = tidy(recordings=5)
     rows = rows[rows["role"] == "test"]
-    stimuli = stimulus_means(rows).join(rows.groupby("stimulus_id")[METRIC].first(), on="stimulus_id")
+    stimuli = stimulus_means(rows).join(
+        rows.groupby("stimulus_id")[METRIC].first(), on="stimulus_id"
+    )
     votes = rows.pivot_table("rating", "stimulus_id", "participant").loc[stimuli["stimulus_id"]]
     association = correlate(rows, METRIC, draws=20, rng=np.random.default_rng(0))
     return stimuli, p1401(votes, stimuli[METRIC]), association
 
 
 def draw(parts: Parts, *, scale: str = "realism") -> Figure:
-    return draw_mapping(*parts, scale=scale, looks=assign_looks(sorted(parts[0]["reducer"].unique())))
+    return draw_mapping(
+        *parts, scale=scale, looks=assign_looks(sorted(parts[0]["reducer"].unique()))
+    )
 
 
-def test_every_recording_has_its_stimuli_and_the_mapping(parts: Parts, said: Callable[[Figure], str]) -> None:
+def test_every_recording_has_its_stimuli_and_the_mapping(
+    parts: Parts, said: Callable[[Figure], str]
+) -> None:
     stimuli, judged, association = parts
     figure = draw(parts)
     *panels, strip = figure.axes
@@ -52,7 +58,13 @@ def test_every_recording_has_its_stimuli_and_the_mapping(parts: Parts, said: Cal
     assert strip.lines[1].get_xdata()[0] == association.value
     assert list(strip.lines[0].get_xdata()) == [association.low, association.high]
     assert strip.lines[2].get_xdata()[0] == association.ceiling
-    for part in ("two-way interval", "noise ceiling 0.", "monotone cubic", "n = 45 stimuli of 5 recordings", "95 % t"):
+    for part in (
+        "two-way interval",
+        "noise ceiling 0.",
+        "monotone cubic",
+        "n = 45 stimuli of 5 recordings",
+        "95 % t",
+    ):
         assert part in said(figure)
 
 
@@ -61,7 +73,9 @@ def test_far_outliers_stand_hollow_at_the_edge(parts: Parts, said: Callable[[Fig
     stimuli = stimuli.assign(**{METRIC: stimuli[METRIC].where(stimuli.index != 3, -7.0)})
     figure = draw((stimuli, judged, association))
     assert "below −1, drawn there (1 of 45), the curve fitted where they are" in said(figure)
-    hollow = [line for axes in figure.axes for line in axes.lines if line.get_markerfacecolor() == "white"]
+    hollow = [
+        line for axes in figure.axes for line in axes.lines if line.get_markerfacecolor() == "white"
+    ]
     assert [list(line.get_xdata()) for line in hollow if len(line.get_xdata())] == [[-1]]
 
 
@@ -86,5 +100,7 @@ def test_long_names_stay_inside_and_apart(
     first = parts[0][parts[0]["recording"] == "rec0"]
     reducers = dict(zip(first["reducer"], names, strict=False))
     copies = [first.assign(recording=f"{names[0]}{number}") for number in range(recordings)]
-    stimuli = pd.concat(copies, ignore_index=True).assign(reducer=lambda rows: rows["reducer"].map(reducers))
+    stimuli = pd.concat(copies, ignore_index=True).assign(
+        reducer=lambda rows: rows["reducer"].map(reducers)
+    )
     assert faults(draw((stimuli, parts[1], parts[2]), scale=names[1])) == []

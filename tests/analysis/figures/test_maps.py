@@ -5,10 +5,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from analysis.figures.maps import draw_space
-from analysis.figures.style import assign_looks
-from analysis.space.landmarks import Ellipses
-from analysis.space.scaling import Space
+from feel321.analysis.figures.maps import draw_space
+from feel321.analysis.figures.style import assign_looks
+from feel321.analysis.space import Ellipses, Space
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,7 +18,9 @@ if TYPE_CHECKING:
 def make_ellipses(n: int = 12, *, ordinal: bool = False) -> Ellipses:
     rng = np.random.default_rng(0)
     half = np.sort(rng.uniform(1, 8, (n, 2)))[:, ::-1]
-    return Ellipses(Space(rng.normal(0, 20, (n, 2)), 0.12, ordinal), half, rng.uniform(0, 180, n), 200, 14)
+    return Ellipses(
+        Space(rng.normal(0, 20, (n, 2)), 0.12, ordinal), half, rng.uniform(0, 180, n), 200, 14
+    )
 
 
 def test_stimuli_and_ellipses_stand_where_the_numbers_say(said: Callable[[Figure], str]) -> None:
@@ -27,11 +28,18 @@ def test_stimuli_and_ellipses_stand_where_the_numbers_say(said: Callable[[Figure
     looks = assign_looks(["c", "b", "a"])
     figure = draw_space(found, names, looks=looks)
     (axes,) = figure.axes
-    np.testing.assert_array_equal([line.get_xydata()[0] for line in axes.lines], found.space.positions)
+    np.testing.assert_array_equal(
+        [line.get_xydata()[0] for line in axes.lines], found.space.positions
+    )
     np.testing.assert_array_equal([patch.center for patch in axes.patches], found.space.positions)
     np.testing.assert_allclose([(p.width / 2, p.height / 2) for p in axes.patches], found.half_axes)
     np.testing.assert_array_equal([patch.angle for patch in axes.patches], found.angle)
-    assert [line.get_marker() for line in axes.lines] == [looks["a"].marker, "*", looks["b"].marker, looks["c"].marker]
+    assert [line.get_marker() for line in axes.lines] == [
+        looks["a"].marker,
+        "*",
+        looks["b"].marker,
+        looks["c"].marker,
+    ]
     assert axes.get_aspect() == 1
     for part in (
         "stress-1 = 0.12",
@@ -64,9 +72,16 @@ def test_stress_has_a_panel_of_its_own(said: Callable[[Figure], str]) -> None:
 
 @pytest.mark.parametrize("names", [["a", "b"], ["a", "b", "b"]])
 def test_names_must_be_one_each(names: list[str]) -> None:
-    with pytest.raises(ValueError, match="names: got 2 different ones, allowed is one for each of 3 stimuli"):
+    with pytest.raises(
+        ValueError, match="names: got 2 different ones, allowed is one for each of 3 stimuli"
+    ):
         draw_space(make_ellipses(3), names)
 
 
-def test_long_names_stay_inside_and_apart(names: list[str], faults: Callable[[Figure], list[str]]) -> None:
-    assert faults(draw_space(make_ellipses(), names, original=names[3], stress=[0.4, 0.2, 0.1, 0.0])) == []
+def test_long_names_stay_inside_and_apart(
+    names: list[str], faults: Callable[[Figure], list[str]]
+) -> None:
+    assert (
+        faults(draw_space(make_ellipses(), names, original=names[3], stress=[0.4, 0.2, 0.1, 0.0]))
+        == []
+    )

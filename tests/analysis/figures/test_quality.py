@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from analysis.figures.quality import draw_raters
-from analysis.screening.rules import RULES
-from analysis.screening.screen import Screening, screen_raters
+from feel321.analysis.figures.choices import draw_raters
+from feel321.analysis.screening.rules import RULES
+from feel321.analysis.screening.screen import Screening, screen_raters
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -24,11 +24,15 @@ def screening(tidy: Callable[..., pd.DataFrame]) -> Screening:
     return screen_raters(table, rng=np.random.default_rng(1))
 
 
-def test_every_rater_stands_at_the_share_of_every_rule(screening: Screening, said: Callable[[Figure], str]) -> None:
+def test_every_rater_stands_at_the_share_of_every_rule(
+    screening: Screening, said: Callable[[Figure], str]
+) -> None:
     figure = draw_raters(screening)
     (axes,) = figure.axes
     shares = screening.table["share"]
-    drawn = np.concatenate([line.get_xdata() for line in axes.lines if line.get_marker() in {"o", "X"}])
+    drawn = np.concatenate([
+        line.get_xdata() for line in axes.lines if line.get_marker() in {"o", "X"}
+    ])
     np.testing.assert_array_equal(np.sort(drawn[np.isfinite(drawn)]), np.sort(shares.dropna()))
     crosses = [line.get_xdata() for line in axes.lines if line.get_marker() == "X"]
     assert sum(map(len, crosses)) == screening.table["hit"].sum() > 0
@@ -43,7 +47,9 @@ def test_every_rater_stands_at_the_share_of_every_rule(screening: Screening, sai
     assert "first and second ratings below 0.3, or" in " ".join(words.split())
 
 
-def test_a_limit_of_ones_own_is_told(tidy: Callable[..., pd.DataFrame], said: Callable[[Figure], str]) -> None:
+def test_a_limit_of_ones_own_is_told(
+    tidy: Callable[..., pd.DataFrame], said: Callable[[Figure], str]
+) -> None:
     limits = {"test_retest": 0.25, "repeat_sd": 0.1}
     screening = screen_raters(tidy(participants=5, recordings=6), rules=limits)
     assert dict(screening.limits) == limits
@@ -58,25 +64,33 @@ def test_many_pairs_do_not_change_what_the_rule_says(
 ) -> None:
     screening = screen_raters(tidy(participants=5, recordings=8))
     assert screening.limit["test_retest"].max() < 0.3
-    assert "first and second ratings below 0.3, or" in " ".join(said(draw_raters(screening)).split())
+    assert "first and second ratings below 0.3, or" in " ".join(
+        said(draw_raters(screening)).split()
+    )
 
 
-def test_a_rule_that_says_nothing_says_why(screening: Screening, said: Callable[[Figure], str]) -> None:
+def test_a_rule_that_says_nothing_says_why(
+    screening: Screening, said: Callable[[Figure], str]
+) -> None:
     assert screening.share["too_fast"].isna().all()
     assert f"Not applied: it needs {RULES['too_fast'].needs}." in said(draw_raters(screening))
 
 
-def test_raters_without_a_share_are_counted(screening: Screening, said: Callable[[Figure], str]) -> None:
+def test_raters_without_a_share_are_counted(
+    screening: Screening, said: Callable[[Figure], str]
+) -> None:
     table = screening.table.copy()
-    table.loc[(table["rule"] == "outliers") & table["participant"].isin(["p00", "p01"]), ["share", "hit"]] = (
-        np.nan,
-        False,
-    )
+    table.loc[
+        (table["rule"] == "outliers") & table["participant"].isin(["p00", "p01"]), ["share", "hit"]
+    ] = (np.nan, False)
     assert "not applied to 2" in said(draw_raters(replace(screening, table=table)))
 
 
 def test_many_hits_are_counted_and_long_names_cut(
-    screening: Screening, names: list[str], faults: Callable[[Figure], list[str]], said: Callable[[Figure], str]
+    screening: Screening,
+    names: list[str],
+    faults: Callable[[Figure], list[str]],
+    said: Callable[[Figure], str],
 ) -> None:
     table = screening.table.assign(hit=True)
     table["participant"] = [names[0] + person for person in table["participant"]]

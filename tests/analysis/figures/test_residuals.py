@@ -8,8 +8,8 @@ import pandas as pd
 import pytest
 from scipy.stats import norm
 
-from analysis.figures.residuals import draw_residuals
-from analysis.mixed.model import MixedFit, fit_mixed
+from feel321.analysis.figures.scatter import draw_residuals
+from feel321.analysis.mixed.model import MixedFit, fit_mixed
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -23,7 +23,8 @@ def fit() -> MixedFit:
     who = np.repeat(np.arange(12), 20)
     x = rng.uniform(size=240)
     return fit_mixed(
-        "y ~ x + (1 | who)", pd.DataFrame({"who": who, "x": x, "y": 40 + 20 * x + who + rng.normal(0, 5, 240)})
+        "y ~ x + (1 | who)",
+        pd.DataFrame({"who": who, "x": x, "y": 40 + 20 * x + who + rng.normal(0, 5, 240)}),
     )
 
 
@@ -32,11 +33,19 @@ def test_every_residual_is_drawn_twice(fit: MixedFit, said: Callable[[Figure], s
     left, right = figure.axes
     (quantiles,) = (line for line in left.lines if line.get_marker() == "o")
     np.testing.assert_allclose(quantiles.get_xdata(), norm.ppf((np.arange(240) + 0.5) / 240))
-    np.testing.assert_allclose(quantiles.get_ydata(), np.sort(fit.residuals) / fit.residuals.std(ddof=1))
+    np.testing.assert_allclose(
+        quantiles.get_ydata(), np.sort(fit.residuals) / fit.residuals.std(ddof=1)
+    )
     (points,) = (line for line in right.lines if line.get_marker() == "o")
     drawn = sorted(map(tuple, points.get_xydata()))
     assert drawn == sorted(zip(fit.fitted, fit.residuals, strict=True))
-    for part in ("n = 240 rows.", "95 % pointwise", "Normal quantile (SD)", "Fitted (points)", "Residual (points)"):
+    for part in (
+        "n = 240 rows.",
+        "95 % pointwise",
+        "Normal quantile (SD)",
+        "Fitted (points)",
+        "Residual (points)",
+    ):
         assert part in said(figure)
 
 
@@ -53,7 +62,9 @@ def test_the_band_holds_normal_residuals_and_not_others(fit: MixedFit) -> None:
     assert share_outside(rng.standard_cauchy(240)) > 0.5
 
 
-def test_of_many_rows_some_are_drawn_and_that_is_said(fit: MixedFit, said: Callable[[Figure], str]) -> None:
+def test_of_many_rows_some_are_drawn_and_that_is_said(
+    fit: MixedFit, said: Callable[[Figure], str]
+) -> None:
     rng = np.random.default_rng(2)
     many = replace(fit, fitted=rng.uniform(0, 100, 50_000), residuals=rng.normal(size=50_000))
     figure = draw_residuals(many)
@@ -76,4 +87,9 @@ def test_residuals_that_are_all_zero_are_drawn(fit: MixedFit) -> None:
 
 def test_words_stay_inside_and_apart(fit: MixedFit, faults: Callable[[Figure], list[str]]) -> None:
     assert faults(draw_residuals(fit)) == []
-    assert faults(draw_residuals(replace(fit, residuals=fit.residuals * 1e5), unit="points of the scale")) == []
+    assert (
+        faults(
+            draw_residuals(replace(fit, residuals=fit.residuals * 1e5), unit="points of the scale")
+        )
+        == []
+    )

@@ -5,8 +5,15 @@ import math
 import numpy as np
 import pytest
 
-from analysis.figures.rows import Mark, Row, draw_rows, find_height, find_limits, fit_rows
-from analysis.figures.style import new_figure
+from feel321.analysis.figures.estimates import (
+    Mark,
+    Row,
+    draw_rows,
+    find_height,
+    find_limits,
+    fit_rows,
+)
+from feel321.analysis.figures.style import new_figure
 
 INF, NAN = math.inf, math.nan
 
@@ -29,7 +36,11 @@ def test_points_and_intervals_stand_where_the_numbers_say() -> None:
 def test_an_endless_interval_ends_in_an_arrow_at_the_edge() -> None:
     axes = draw(Mark(INF, 2, INF), Mark(1, -INF, 2))
     low, high = axes.get_xlim()
-    arrows = {line.get_marker(): line.get_xdata()[0] for line in axes.lines if line.get_marker() in {"<", ">"}}
+    arrows = {
+        line.get_marker(): line.get_xdata()[0]
+        for line in axes.lines
+        if line.get_marker() in {"<", ">"}
+    }
     assert arrows == {">": high, "<": low}
     assert np.isfinite([low, high]).all()
 
@@ -39,7 +50,10 @@ def test_one_interval_that_tells_nothing_does_not_squeeze_the_others() -> None:
     axes = draw(*marks)
     low, high = axes.get_xlim()
     assert high - low < 40
-    assert [line.get_marker() for line in axes.lines if line.get_marker() in {"<", ">"}] == ["<", ">"]
+    assert [line.get_marker() for line in axes.lines if line.get_marker() in {"<", ">"}] == [
+        "<",
+        ">",
+    ]
 
 
 def test_a_missing_estimate_is_said() -> None:
@@ -56,7 +70,11 @@ def test_limits_are_finite_whatever_is_missing(marks: tuple[Mark, ...]) -> None:
 
 
 def test_rows_take_the_room_of_their_labels_and_marks() -> None:
-    one, two, many = fit_rows([Row("a", (Mark(1),)), Row("word " * 20, (Mark(1),)), Row("b", (Mark(1),) * 4)])
+    one, two, many = fit_rows([
+        Row("a", (Mark(1),)),
+        Row("word " * 20, (Mark(1),)),
+        Row("b", (Mark(1),) * 4),
+    ])
     assert one.height_cm < two.height_cm
     assert one.height_cm < many.height_cm
     assert find_height([one, two]) == one.height_cm + two.height_cm

@@ -7,8 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.figures.slopes import draw_slopes
-from analysis.primary.model import Primary, fit_primary
+from feel321.analysis.figures.estimates import draw_slopes
+from feel321.analysis.primary.model import Primary, fit_primary
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -32,15 +32,25 @@ def model() -> Primary:
 
 
 def make_variants(names: list[str], metrics: list[str]) -> pd.DataFrame:
-    variants = ["primary", "correlated slopes", "without reducers",
-                *(f"without recording {name}" for name in names[:10]), *(f"without reducer {name}" for name in names),
-                "rater-standardised", "logits"]  # fmt: skip
+    variants = [
+        "primary",
+        "correlated slopes",
+        "without reducers",
+        *(f"without recording {name}" for name in names[:10]),
+        *(f"without reducer {name}" for name in names),
+        "rater-standardised",
+        "logits",
+    ]
     table = pd.DataFrame(
-        [(variant, metric) for variant in variants for metric in metrics], columns=["variant", "metric"]
+        [(variant, metric) for variant in variants for metric in metrics],
+        columns=["variant", "metric"],
     )
     value = np.linspace(0.1, 0.6, len(table))
     table = table.assign(
-        standardised=value, standardised_low=value - 0.2, standardised_high=value + 0.2, singular=False
+        standardised=value,
+        standardised_low=value - 0.2,
+        standardised_high=value + 0.2,
+        singular=False,
     )
     table.loc[3, "singular"] = True
     table.loc[5, ["standardised", "standardised_low", "standardised_high"]] = np.nan
@@ -55,9 +65,20 @@ def test_slopes_stand_where_the_numbers_say(model: Primary, said: Callable[[Figu
     bars = [tuple(line.get_xdata()) for line in axes.lines[1:] if len(line.get_xdata()) == 2]
     assert bars == [*zip(model.slopes["tenth_low"], model.slopes["tenth_high"], strict=True)] * 2
     labels = [label.get_text() for label in axes.get_yticklabels()]
-    assert labels == ["realism", "spectral match", "temporal match", "similarity", "spectral match", "temporal match"]
+    assert labels == [
+        "realism",
+        "spectral match",
+        "temporal match",
+        "similarity",
+        "spectral match",
+        "temporal match",
+    ]
     words = said(figure)
-    for part in ("95 % Satterthwaite", "n = 6 participants, 4 recordings, 20 stimuli", "Points of rating per +0.1"):
+    for part in (
+        "95 % Satterthwaite",
+        "n = 6 participants, 4 recordings, 20 stimuli",
+        "Points of rating per +0.1",
+    ):
         assert part in words
 
 
@@ -65,7 +86,9 @@ def test_a_singular_fit_is_hollow_and_said(model: Primary, said: Callable[[Figur
     singular = replace(model, fit=replace(model.fit, singular=True))
     regular = replace(model, fit=replace(model.fit, singular=False))
     figure = draw_slopes({"realism": singular, "similarity": regular})
-    faces = [line.get_markerfacecolor() for line in figure.axes[0].lines if line.get_marker() == "o"]
+    faces = [
+        line.get_markerfacecolor() for line in figure.axes[0].lines if line.get_marker() == "o"
+    ]
     assert faces == ["white", "#0072B2"]
     assert "Hollow: singular fit" in said(figure)
     assert "Hollow" not in said(draw_slopes({"similarity": regular}))
@@ -82,7 +105,9 @@ def test_a_slope_that_is_not_estimable_is_a_point_without_a_bar(model: Primary) 
     ]
 
 
-def test_variants_stand_below_under_their_headings(model: Primary, said: Callable[[Figure], str]) -> None:
+def test_variants_stand_below_under_their_headings(
+    model: Primary, said: Callable[[Figure], str]
+) -> None:
     table = make_variants(["one", "two"], METRICS)
     figure = draw_slopes({"realism": model}, variants={"realism": table})
     axes = figure.axes[1]

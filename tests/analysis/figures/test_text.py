@@ -4,17 +4,26 @@ import pytest
 from matplotlib.font_manager import FontProperties
 from matplotlib.textpath import text_to_path
 
-from analysis.figures.style import CM_PER_INCH, PRINT, new_figure, print_style
-from analysis.figures.text import add_title, fit_text
+from feel321.analysis.figures.style import (
+    CM_PER_INCH,
+    PRINT,
+    add_title,
+    fit_text,
+    new_figure,
+    print_style,
+)
 
 
 def measure_cm(line: str) -> float:
     font = FontProperties(family=PRINT["font.family"], size=PRINT["font.size"])
-    return text_to_path.get_text_width_height_descent(line, font, ismath=False)[0] / 72 * CM_PER_INCH
+    return (
+        text_to_path.get_text_width_height_descent(line, font, ismath=False)[0] / 72 * CM_PER_INCH
+    )
 
 
 @pytest.mark.parametrize(
-    "text", ["a b c", "word " * 30, "under_score_" * 20, "W" * 300, "i" * 500, "ü" * 1000, " x ", ""]
+    "text",
+    ["a b c", "word " * 30, "under_score_" * 20, "W" * 300, "i" * 500, "ü" * 1000, " x ", ""],
 )
 @pytest.mark.parametrize("width", [0.8, 2.9, 8.0])
 @pytest.mark.parametrize("lines", [1, 2, 5])

@@ -7,8 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.figures.universes import draw_multiverse
-from analysis.primary.multiverse import Multiverse, run_multiverse
+from feel321.analysis.figures.choices import draw_multiverse
+from feel321.analysis.primary.multiverse import Multiverse, run_multiverse
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -20,7 +20,11 @@ def estimate(rows: pd.DataFrame) -> tuple[float, float, float]:
     means = rows.groupby("participant")["rating"].mean()
     if len(means) < 6:
         raise ValueError("too few")
-    return means.mean() - 50, means.mean() - 50 - 2 * means.std(), means.mean() - 50 + 2 * means.std()
+    return (
+        means.mean() - 50,
+        means.mean() - 50 - 2 * means.std(),
+        means.mean() - 50 + 2 * means.std(),
+    )
 
 
 @pytest.fixture
@@ -30,19 +34,31 @@ def result(tidy: Callable[..., pd.DataFrame]) -> Multiverse:
     return run_multiverse(table, estimate, rules=["straight_lining", "test_retest", "outliers"])
 
 
-def test_universes_stand_in_order_over_their_rules(result: Multiverse, said: Callable[[Figure], str]) -> None:
+def test_universes_stand_in_order_over_their_rules(
+    result: Multiverse, said: Callable[[Figure], str]
+) -> None:
     figure = draw_multiverse(result, estimate="Mean above 50 (points)")
     upper, lower = figure.axes
     curve = result.curve
-    drawn = np.concatenate([line.get_xydata() for line in upper.lines if line.get_marker() in {"o", "D"}])
+    drawn = np.concatenate([
+        line.get_xydata() for line in upper.lines if line.get_marker() in {"o", "D"}
+    ])
     drawn = drawn[np.argsort(drawn[:, 0])]
-    np.testing.assert_array_equal(drawn, np.column_stack([np.arange(1, len(curve) + 1), curve["value"]]))
+    np.testing.assert_array_equal(
+        drawn, np.column_stack([np.arange(1, len(curve) + 1), curve["value"]])
+    )
     bars = sorted(tuple(bar.ravel()) for part in upper.collections for bar in part.get_segments())
     place = range(1, len(curve) + 1)
     assert bars == sorted(zip(place, curve["low"], place, curve["high"], strict=True))
     for rule, line in zip(result.screening.rules, lower.lines, strict=True):
         assert list(line.get_xdata() - 1) == list(np.flatnonzero(curve[rule]))
-    for part in ("95 % intervals", "participants", f"{len(curve)} distinct", "Mean above 50 (points)", "test retest"):
+    for part in (
+        "95 % intervals",
+        "participants",
+        f"{len(curve)} distinct",
+        "Mean above 50 (points)",
+        "test retest",
+    ):
         assert part in said(figure)
 
 
@@ -54,10 +70,14 @@ def test_nobody_excluded_is_the_diamond(result: Multiverse, said: Callable[[Figu
     assert list(diamond.get_ydata()) == [result.table["value"].iloc[0]]
 
 
-def test_universes_without_an_estimate_are_counted(result: Multiverse, said: Callable[[Figure], str]) -> None:
+def test_universes_without_an_estimate_are_counted(
+    result: Multiverse, said: Callable[[Figure], str]
+) -> None:
     table = result.table.copy()
     table.loc[1, ["value", "low", "high"]] = np.nan
-    assert "1 without an estimate" in said(draw_multiverse(replace(result, table=table), estimate="Mean"))
+    assert "1 without an estimate" in said(
+        draw_multiverse(replace(result, table=table), estimate="Mean")
+    )
     table[["value", "low", "high"]] = np.nan
     with pytest.raises(ValueError, match="got no universe with an estimate"):
         draw_multiverse(replace(result, table=table), estimate="Mean")
@@ -68,7 +88,9 @@ def test_no_intervals_are_said(result: Multiverse, said: Callable[[Figure], str]
     assert "No intervals." in said(draw_multiverse(replace(result, table=table), estimate="Mean"))
 
 
-def test_words_stay_inside_and_apart(result: Multiverse, faults: Callable[[Figure], list[str]]) -> None:
+def test_words_stay_inside_and_apart(
+    result: Multiverse, faults: Callable[[Figure], list[str]]
+) -> None:
     table = pd.concat([result.table] * 40, ignore_index=True)
     label = "Slope of realism on spectral match (points of rating per +0.1 of metric)"
     assert faults(draw_multiverse(replace(result, table=table), estimate=label)) == []

@@ -9,21 +9,32 @@ import pandas as pd
 import pytest
 from scipy.stats import binom
 
-from analysis.association.correlate import correlate
-from analysis.refined.candidates import EQUAL, make_basis
-from analysis.refined.choice import choose, fit_candidate, leave_out, sum_moments
-from analysis.refined.folds import FOLDS, GROUPS, average_groups, make_split
-from analysis.refined.refine import Refined, refine_metric
-from analysis.refined.score import Data, score_draws
-from analysis.table.items import make_items
+from feel321.analysis.association.correlate import correlate
+from feel321.analysis.refined.candidates import (
+    EQUAL,
+    FOLDS,
+    GROUPS,
+    Data,
+    average_groups,
+    choose,
+    fit_candidate,
+    leave_out,
+    make_basis,
+    make_split,
+    score_draws,
+    sum_moments,
+)
+from feel321.analysis.refined.refine import Refined, refine_metric
+from feel321.analysis.table.items import make_items
 
 SLOPES = {"noise": (0.0, 0.0), "one": (30.0, 0.0), "both": (30.0, 30.0), "uneven": (45.0, 15.0)}
 
 
 def make_study(seed: int, slopes: tuple[float, float] = (30.0, 30.0), **sizes: int) -> pd.DataFrame:
     """Ratings that follow two metrics, with slopes that differ between people; stimuli have a spread of their own."""
-    people, recordings, reducers = (sizes.get(name, own) for name, own in
-                                    (("people", 10), ("recordings", 8), ("reducers", 6)))  # fmt: skip
+    people, recordings, reducers = (
+        sizes.get(name, own) for name, own in (("people", 10), ("recordings", 8), ("reducers", 6))
+    )
     rng = np.random.default_rng(seed)
     scene = np.repeat(np.arange(recordings), reducers)
     metrics = rng.normal(0.5, 0.2, (2, len(scene))) + rng.normal(0, 0.1, (2, recordings))[:, scene]
@@ -38,12 +49,16 @@ def make_study(seed: int, slopes: tuple[float, float] = (30.0, 30.0), **sizes: i
 
 
 def search(rows: pd.DataFrame, *, seed: int = 0, draws: int = 60, **choices: Any) -> Refined:
-    return refine_metric(rows, ["sm", "tm"], draws=draws, rng=np.random.default_rng(seed), **choices)
+    return refine_metric(
+        rows, ["sm", "tm"], draws=draws, rng=np.random.default_rng(seed), **choices
+    )
 
 
 def prepare(rows: pd.DataFrame, *, within: bool) -> Data:
     items = make_items(rows, ["sm", "tm"])
-    basis = make_basis(["sm", "tm"], items.metrics, n_plain=2, groups=items.recordings if within else None)
+    basis = make_basis(
+        ["sm", "tm"], items.metrics, n_plain=2, groups=items.recordings if within else None
+    )
     return Data(items, basis, make_split(items, np.random.default_rng(1)), within)
 
 
@@ -81,7 +96,9 @@ def test_a_metric_as_it_is_has_its_ordinary_correlation(within: bool) -> None:
     found = search(rows, within=within, draws=2)
     plain = found.gains.set_index("metric")["plain"]["sm"]
     if not within:
-        assert plain == pytest.approx(correlate(rows, "sm", draws=2, rng=np.random.default_rng(0)).value)
+        assert plain == pytest.approx(
+            correlate(rows, "sm", draws=2, rng=np.random.default_rng(0)).value
+        )
     means = rows.groupby(["recording", "reducer"])[["sm", "rating"]].mean()
     inside = means - means.groupby("recording").transform("mean") if within else means
     assert plain == pytest.approx(inside.corr().loc["sm", "rating"])
@@ -97,9 +114,13 @@ def test_no_rating_has_a_part_in_what_it_is_compared_with() -> None:
         changed = rows.assign(rating=rows["rating"].mask(own, 100 - rows["rating"] ** 2))
         # The grand mean that ratings are taken about moves every intercept, and no weight.
         after = score_draws(data._replace(items=make_items(changed, ["sm", "tm"])), **everyone).fits
-        same = np.isclose(fits[..., 1:-1], after[..., 1:-1], rtol=1e-6, atol=1e-6).all(axis=(0, 1, -1))
+        same = np.isclose(fits[..., 1:-1], after[..., 1:-1], rtol=1e-6, atol=1e-6).all(
+            axis=(0, 1, -1)
+        )
         left_out = np.zeros_like(same)
-        left_out[(group, slice(None)) if own[rows["participant"] == 4].all() else (slice(None), fold)] = True
+        left_out[
+            (group, slice(None)) if own[rows["participant"] == 4].all() else (slice(None), fold)
+        ] = True
         assert (same == left_out).all()
 
 
@@ -111,9 +132,14 @@ def test_fits_are_those_of_least_squares() -> None:
     fits = fit_candidate(leave_out(moments), pair)
     for fold in range(8):
         rest = data.split.items != fold
-        known = np.column_stack([np.ones(rest.sum()), data.basis.columns[rest][:, list(pair.columns)]])
+        known = np.column_stack([
+            np.ones(rest.sum()),
+            data.basis.columns[rest][:, list(pair.columns)],
+        ])
         wanted = np.linalg.lstsq(known, rating[rest], rcond=None)[0]
-        assert fits[fold, [0, *(column + 1 for column in pair.columns)]] == pytest.approx(wanted, rel=1e-6)
+        assert fits[fold, [0, *(column + 1 for column in pair.columns)]] == pytest.approx(
+            wanted, rel=1e-6
+        )
 
 
 def test_the_simplest_within_one_standard_error_is_chosen() -> None:
@@ -127,8 +153,10 @@ def test_the_simplest_within_one_standard_error_is_chosen() -> None:
     table = np.array(errors)
     excess = table - table[table.sum(axis=1).argmin()]
     close = excess.mean(axis=1) <= excess.std(axis=1, ddof=1) / np.sqrt(8)
-    key = [(one.parameters, total) if near else (99, total)
-           for one, near, total in zip(data.basis.candidates, close, table.sum(axis=1), strict=True)]  # fmt: skip
+    key = [
+        (one.parameters, total) if near else (99, total)
+        for one, near, total in zip(data.basis.candidates, close, table.sum(axis=1), strict=True)
+    ]
     assert choose(moments, data.basis.candidates) == min(range(len(key)), key=key.__getitem__)
 
 
@@ -150,7 +178,9 @@ def test_means_of_everyone_else_are_those_of_the_rows() -> None:
     for group in range(GROUPS):
         own = split.people == group
         assert means.own[0, group] == pytest.approx(np.nanmean(items.ratings[own], axis=0) - middle)
-        assert means.others[0, group] == pytest.approx(np.nanmean(items.ratings[~own], axis=0) - middle)
+        assert means.others[0, group] == pytest.approx(
+            np.nanmean(items.ratings[~own], axis=0) - middle
+        )
     assert means.share.sum(axis=1) == pytest.approx(1)
 
 
@@ -166,15 +196,27 @@ def test_recordings_of_one_source_are_left_out_together() -> None:
 
 def test_other_columns_enter_sums_only() -> None:
     rows = make_study(3)
-    level = rows["sm"] * 3 + np.random.default_rng(1).normal(size=48)[rows["recording"] * 6 + rows["reducer"]]
+    level = (
+        rows["sm"] * 3
+        + np.random.default_rng(1).normal(size=48)[rows["recording"] * 6 + rows["reducer"]]
+    )
     found = search(rows.assign(level=level), others=["level"], draws=10)
     names = found.candidates["name"].tolist()
     assert "level" not in names
     assert {"sm + level", "tm + level", "sm + tm + level"} <= set(names)
     assert found.gains["metric"].tolist() == ["sm", "tm"]
     generator = np.random.default_rng(0)
-    alone = refine_metric(rows.assign(level=level), ["sm"], others=["tm", "level"], draws=2, rng=generator)
-    assert alone.candidates["name"].tolist() == ["sm", "sm ^ 0.5", "sm ^ 2", "sm + tm", "sm + level", "sm + tm + level"]
+    alone = refine_metric(
+        rows.assign(level=level), ["sm"], others=["tm", "level"], draws=2, rng=generator
+    )
+    assert alone.candidates["name"].tolist() == [
+        "sm",
+        "sm ^ 0.5",
+        "sm ^ 2",
+        "sm + tm",
+        "sm + level",
+        "sm + tm + level",
+    ]
 
 
 def test_metrics_that_say_the_same_share_a_weight_and_flat_ones_are_named() -> None:
@@ -202,16 +244,25 @@ def test_the_same_seed_gives_the_same_result_in_any_block(monkeypatch: pytest.Mo
     rows = make_study(3)
     once, again = search(rows, draws=9), search(rows, draws=9)
     assert (once.low, once.high) == (again.low, again.high)
-    monkeypatch.setattr("analysis.refined.refine.BLOCK", 1)
+    monkeypatch.setattr("feel321.analysis.refined.refine.BLOCK", 1)
     assert search(rows, draws=9).value == once.value
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"recording": lambda rows: rows["recording"] % 4}, "4 recordings of their own, allowed is 5 or more"),
-        ({"source": lambda rows: rows["recording"] % 4}, "4 recordings of their own, allowed is 5 or more"),
-        ({"participant": lambda rows: rows["participant"] % 2}, "2 participants, allowed is 3 or more"),
+        (
+            {"recording": lambda rows: rows["recording"] % 4},
+            "4 recordings of their own, allowed is 5 or more",
+        ),
+        (
+            {"source": lambda rows: rows["recording"] % 4},
+            "4 recordings of their own, allowed is 5 or more",
+        ),
+        (
+            {"participant": lambda rows: rows["participant"] % 2},
+            "2 participants, allowed is 3 or more",
+        ),
         ({"sm": 1.0, "tm": 0.5}, "got sm, tm, none of which varies"),
         ({"rating": 50.0}, "the same rating everywhere"),
     ],
@@ -231,7 +282,9 @@ def test_one_draw_is_refused() -> None:
 
 @pytest.mark.parametrize("within", [False, True])
 def test_noise_gains_nothing(within: bool) -> None:
-    found = [search(make_study(seed, SLOPES["noise"]), within=within, draws=30) for seed in range(25)]
+    found = [
+        search(make_study(seed, SLOPES["noise"]), within=within, draws=30) for seed in range(25)
+    ]
     gains = np.array([one.gains["z_value"] for one in found])
     best = gains.min(axis=1)
     assert best.mean() < 0
@@ -245,12 +298,16 @@ def test_noise_gains_nothing(within: bool) -> None:
 def test_gains_are_not_optimistic_and_intervals_cover(name: str, within: bool) -> None:
     """The truth of a gain is its mean over studies of this size; intervals may be cautious, never too narrow."""
     studies = 200
-    found = [search(make_study(seed, SLOPES[name]), within=within, draws=150) for seed in range(studies)]
+    found = [
+        search(make_study(seed, SLOPES[name]), within=within, draws=150) for seed in range(studies)
+    ]
     gains = np.array([one.gains[["z_value", "z_low", "z_high"]].to_numpy() for one in found])
     truth = gains[:, :, 0].mean(axis=0)
     covered = ((gains[:, :, 1] <= truth) & (truth <= gains[:, :, 2])).mean(axis=0)
     recommended = float(np.mean([one.recommended for one in found]))
-    print(f"\n{name}, within {within}: gain in z {truth.round(3)}, covered {covered}, recommended {recommended}")  # noqa: T201 - the figure
+    print(  # noqa: T201 - the figure
+        f"\n{name}, within {within}: gain in z {truth.round(3)}, covered {covered}, recommended {recommended}"
+    )
     assert (covered >= binom.ppf(0.01, studies, 0.93) / studies).all()
     if name in {"noise", "one"}:
         assert truth.min() <= 0
@@ -259,5 +316,7 @@ def test_gains_are_not_optimistic_and_intervals_cover(name: str, within: bool) -
 
 @pytest.mark.parametrize("metrics", [[], "sm"])
 def test_metrics_are_a_list_of_names(metrics: object) -> None:
-    with pytest.raises(ValueError, match=r"metrics: got .*, allowed is one name or more, in a list"):
+    with pytest.raises(
+        ValueError, match=r"metrics: got .*, allowed is one name or more, in a list"
+    ):
         refine_metric(make_study(1), metrics, draws=2, rng=np.random.default_rng(0))

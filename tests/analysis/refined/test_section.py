@@ -9,11 +9,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.refined.refine import Refined, refine_metric
-from analysis.report.sections.choices import Choices
-from analysis.report.sections.refined import LEVEL, compute
-from analysis.table.reading import Table
-from analysis.words import tell_range
+from feel321.analysis.refined.refine import Refined, refine_metric
+from feel321.analysis.report.robustness import LEVEL, compute_refined
+from feel321.analysis.report.section import Choices
+from feel321.analysis.table.reading import Table
+from feel321.analysis.words import tell_range
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -33,12 +33,18 @@ def make_table(tidy: Callable[..., pd.DataFrame]) -> Callable[..., Table]:
 
 def test_section_tells_what_the_search_found(make_table: Callable[..., Table]) -> None:
     table = make_table(spectral=25, temporal=30)
-    section = compute(table, CHOICES)
+    section = compute_refined(table, CHOICES)
     tests = table.rows[table.rows["role"] == "test"]
-    found = refine_metric(tests, METRICS, draws=40, rng=CHOICES.make_rng("refined", "realism", "as_is"))
+    found = refine_metric(
+        tests, METRICS, draws=40, rng=CHOICES.make_rng("refined", "realism", "as_is")
+    )
     numbers = {number.name: number for number in section.numbers}
     value = numbers["refined.realism.as_is.value"]
-    assert (value.value, value.low, value.high) == pytest.approx((found.value, found.low, found.high))
+    assert (value.value, value.low, value.high) == pytest.approx((
+        found.value,
+        found.low,
+        found.high,
+    ))
     gain = numbers["refined.realism.as_is.over.spectral_match.gain"]
     assert gain.value == pytest.approx(found.gains["value"][0])
     assert set(section.tables) == {"refined_gains", "refined_candidates", "refined_weights"}
@@ -46,22 +52,32 @@ def test_section_tells_what_the_search_found(make_table: Callable[..., Table]) -
     assert len(numbers) == len(section.numbers)
 
 
-def test_a_sum_is_recommended_and_a_single_metric_is_not_improved(make_table: Callable[..., Table]) -> None:
-    both = compute(make_table(spectral=25, temporal=30), CHOICES).answers
+def test_a_sum_is_recommended_and_a_single_metric_is_not_improved(
+    make_table: Callable[..., Table],
+) -> None:
+    both = compute_refined(make_table(spectral=25, temporal=30), CHOICES).answers
     assert len(both) == 1
-    assert both[0].startswith("Realism: the weighted sum of spectral match + temporal match predicts better than each ")
-    one = compute(make_table(spectral=40, temporal=0), CHOICES).answers[0]
+    assert both[0].startswith(
+        "Realism: the weighted sum of spectral match + temporal match predicts better than each "
+    )
+    one = compute_refined(make_table(spectral=40, temporal=0), CHOICES).answers[0]
     assert one.startswith("Realism: no refined metric is recommended: ")
     assert one.endswith("the interval covers zero.")
 
 
-def test_what_is_not_recommended_opens_the_report_in_one_line(make_table: Callable[..., Table]) -> None:
+def test_what_is_not_recommended_opens_the_report_in_one_line(
+    make_table: Callable[..., Table],
+) -> None:
     rows = make_table(spectral=40, temporal=0).rows
     both = pd.concat([rows, rows.assign(scale="similarity")], ignore_index=True)
-    section = compute(Table(both, METRICS, ()), CHOICES)
+    section = compute_refined(Table(both, METRICS, ()), CHOICES)
     assert len(section.answers) == 2
     (line,) = map(str, section.verdict)
-    gains = sorted(number.value for number in section.numbers if number.name.endswith("over.spectral_match.gain"))
+    gains = sorted(
+        number.value
+        for number in section.numbers
+        if number.name.endswith("over.spectral_match.gain")
+    )
     assert line == (
         f"No refined metric is recommended (gains in correlation over the best single metric {tell_range(*gains)}, out "
         "of fold; each 95 % two-way interval covers zero)."
@@ -76,21 +92,25 @@ def test_one_recommendation_leaves_a_line_for_the_rest(
     def search(*given: Any, **choices: Any) -> Refined:
         return replace(refine_metric(*given, **choices), recommended=next(turns))
 
-    monkeypatch.setattr("analysis.report.sections.refined.refine_metric", search)
+    monkeypatch.setattr("feel321.analysis.report.robustness.refine_metric", search)
     rows = make_table(spectral=25, temporal=30).rows
     both = pd.concat([rows, rows.assign(scale="similarity")], ignore_index=True)
-    first, second = map(str, compute(Table(both, METRICS, ()), CHOICES).verdict)
+    first, second = map(str, compute_refined(Table(both, METRICS, ()), CHOICES).verdict)
     assert "predicts better than each metric" in first
-    assert second.startswith("No further refined metric is recommended (gain in correlation over the best single ")
+    assert second.startswith(
+        "No further refined metric is recommended (gain in correlation over the best single "
+    )
     assert "covers zero" not in second
 
 
 def test_a_level_enters_where_the_manifest_tells_it(make_table: Callable[..., Table]) -> None:
     table = make_table()
-    amplitude = np.exp(np.random.default_rng(1).normal(size=len(table.rows["stimulus_id"].unique())))
+    amplitude = np.exp(
+        np.random.default_rng(1).normal(size=len(table.rows["stimulus_id"].unique()))
+    )
     of_stimulus = dict(zip(table.rows["stimulus_id"].unique(), amplitude, strict=True))
     rows = table.rows.assign(rms_m_s2=table.rows["stimulus_id"].map(of_stimulus))
-    names = compute(Table(rows, METRICS, ()), CHOICES).tables["refined_candidates"]["name"]
+    names = compute_refined(Table(rows, METRICS, ()), CHOICES).tables["refined_candidates"]["name"]
     assert f"spectral_match + {LEVEL}" in set(names)
 
 
@@ -100,14 +120,16 @@ def test_a_gain_over_the_best_alone_is_no_recommendation(
     def search(*given: Any, **choices: Any) -> Refined:
         return replace(refine_metric(*given, **choices), recommended=False)
 
-    monkeypatch.setattr("analysis.report.sections.refined.refine_metric", search)
-    answer = compute(make_table(spectral=25, temporal=30), CHOICES).answers[0]
+    monkeypatch.setattr("feel321.analysis.report.robustness.refine_metric", search)
+    answer = compute_refined(make_table(spectral=25, temporal=30), CHOICES).answers[0]
     assert answer.startswith("Realism: no refined metric is recommended: ")
-    assert "but one is not chosen on all ratings, or does not gain over every single metric." in answer
+    assert (
+        "but one is not chosen on all ratings, or does not gain over every single metric." in answer
+    )
 
 
 def test_small_studies_are_told_why_there_is_none(make_table: Callable[..., Table]) -> None:
-    section = compute(make_table(recordings=4), CHOICES)
+    section = compute_refined(make_table(recordings=4), CHOICES)
     assert section.is_empty
     assert section.notes == (
         "realism, as_is, refined metrics: none is searched. ratings: got 4 recordings of their own, allowed is 5 or "
@@ -118,6 +140,12 @@ def test_small_studies_are_told_why_there_is_none(make_table: Callable[..., Tabl
 def test_what_has_no_interval_is_not_recommended(make_table: Callable[..., Table]) -> None:
     table = make_table()
     rows = table.rows.assign(rating=20 + 50 * table.rows["spectral_match"].clip(0, 1).fillna(1))
-    section = compute(Table(rows.assign(spectral_match=rows["spectral_match"].clip(0, 1)), METRICS, ()), CHOICES)
-    assert section.answers == ("Realism: no refined metric is recommended: its gain has no interval here.",)
-    assert [str(line) for line in section.verdict] == ["No refined metric is recommended: gains have no interval here."]
+    section = compute_refined(
+        Table(rows.assign(spectral_match=rows["spectral_match"].clip(0, 1)), METRICS, ()), CHOICES
+    )
+    assert section.answers == (
+        "Realism: no refined metric is recommended: its gain has no interval here.",
+    )
+    assert [str(line) for line in section.verdict] == [
+        "No refined metric is recommended: gains have no interval here."
+    ]

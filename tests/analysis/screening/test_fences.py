@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from analysis.screening import multimodality, tukey_fences, tukey_hinges
+from feel321.analysis.screening.rules import multimodality, tukey_fences, tukey_hinges
 
 
 @pytest.mark.parametrize(
@@ -39,7 +39,9 @@ def test_multimodality_of_known_shapes() -> None:
     grid = (np.arange(4000) + 0.5) / 4000
     assert multimodality(grid) == pytest.approx(5 / 9, abs=0.002)
     assert multimodality(np.repeat([0, 1], 2000)) == pytest.approx(1, abs=0.002)
-    assert multimodality(np.random.default_rng(0).normal(size=20000)) == pytest.approx(1 / 3, abs=0.01)
+    assert multimodality(np.random.default_rng(0).normal(size=20000)) == pytest.approx(
+        1 / 3, abs=0.01
+    )
 
 
 @pytest.mark.parametrize("values", [[1.0, 2, 3], [5.0] * 9])

@@ -6,10 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.agreement.alpha import krippendorff_alpha
-from analysis.agreement.reliability import intraclass
-from analysis.screening import RULES, screen_raters
-from analysis.screening.rules import EXPERTISE
+from feel321.analysis.agreement.alpha import krippendorff_alpha
+from feel321.analysis.agreement.reliability import intraclass
+from feel321.analysis.screening.rules import EXPERTISE, RULES
+from feel321.analysis.screening.screen import screen_raters
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -20,23 +20,41 @@ EXCERPTS, REDUCERS, PEOPLE = 10, 4, 12
 def panel(seed: int = 0, *, people: int = PEOPLE, repeats: int = 2) -> pd.DataFrame:
     """Make a study of good raters: reference near 100, mid anchor near 50, low anchor near 10."""
     rng = np.random.default_rng(seed)
-    places = {"original": ("reference", 97), "anchor_mid": ("anchor", 50), "anchor_low": ("anchor", 10)}
+    places = {
+        "original": ("reference", 97),
+        "anchor_mid": ("anchor", 50),
+        "anchor_low": ("anchor", 10),
+    }
     places |= {f"reducer{number}": ("test", 30 + 12 * number) for number in range(REDUCERS)}
     rows = [
-        (f"p{person:02d}", f"r{excerpt}", reducer, role, repeat, mean + 2 * (excerpt % 3), rng.uniform(2, 6))
+        (
+            f"p{person:02d}",
+            f"r{excerpt}",
+            reducer,
+            role,
+            repeat,
+            mean + 2 * (excerpt % 3),
+            rng.uniform(2, 6),
+        )
         for person in range(people)
         for repeat in range(1, repeats + 1)
         for excerpt in range(EXCERPTS)
         for reducer, (role, mean) in places.items()
     ]
     columns = ["participant", "recording", "reducer", "role", "repeat", "rating", "response_time_s"]
-    table = pd.DataFrame(rows, columns=columns).assign(scale="mushra", protocol="mushra", level="as_is")
+    table = pd.DataFrame(rows, columns=columns).assign(
+        scale="mushra", protocol="mushra", level="as_is"
+    )
     noise = np.where(table["role"] == "reference", 0.0, rng.normal(0, 5, len(table)))
     return table.assign(rating=(table["rating"] + noise).clip(0, 100))
 
 
 def alter(
-    table: pd.DataFrame, change: Callable[[pd.DataFrame], object], *, whose: str = "p03", **only: str
+    table: pd.DataFrame,
+    change: Callable[[pd.DataFrame], object],
+    *,
+    whose: str = "p03",
+    **only: str,
 ) -> pd.DataFrame:
     """Give one participant's rows, of one role or reducer only, other ratings."""
     changed = table.copy()
@@ -52,14 +70,22 @@ SPOILED = {
     "hidden_reference": lambda table: alter(table, lambda _: 80.0, role="reference"),
     "mid_anchor": lambda table: alter(table, lambda _: 95.0, reducer="anchor_mid"),
     "low_anchor": lambda table: alter(table, lambda _: 70.0, reducer="anchor_low"),
-    "straight_lining": lambda table: alter(table, lambda rows: 60 + RNG.uniform(0, 1.5, len(rows)), role="test"),
-    "test_retest": lambda table: alter(table, lambda rows: RNG.uniform(0, 100, len(rows)), role="test"),
-    "repeat_sd": lambda table: alter(table, lambda rows: RNG.uniform(0, 100, len(rows)), role="test"),
+    "straight_lining": lambda table: alter(
+        table, lambda rows: 60 + RNG.uniform(0, 1.5, len(rows)), role="test"
+    ),
+    "test_retest": lambda table: alter(
+        table, lambda rows: RNG.uniform(0, 100, len(rows)), role="test"
+    ),
+    "repeat_sd": lambda table: alter(
+        table, lambda rows: RNG.uniform(0, 100, len(rows)), role="test"
+    ),
     "reversed_scale": lambda table: alter(table, lambda rows: 100 - rows["rating"], role="test"),
     "too_fast": lambda table: table.assign(
         response_time_s=table["response_time_s"].where(table["participant"] != "p03", 0.2)
     ),
-    "outliers": lambda table: alter(table, lambda rows: (rows["rating"] + 40).clip(0, 100), role="test"),
+    "outliers": lambda table: alter(
+        table, lambda rows: (rows["rating"] + 40).clip(0, 100), role="test"
+    ),
     EXPERTISE: lambda table: alter(table, lambda rows: RNG.uniform(0, 100, len(rows)), role="test"),
 }
 
@@ -81,9 +107,22 @@ def test_each_rule_hits_whom_it_is_made_for(rule: str) -> None:
 
 def test_table_has_one_row_per_rater_and_rule() -> None:
     found = screen_raters(panel(), rng=np.random.default_rng(1))
-    assert list(found.table.columns) == ["participant", "rule", "count", "n", "share", "limit", "hit"]
+    assert list(found.table.columns) == [
+        "participant",
+        "rule",
+        "count",
+        "n",
+        "share",
+        "limit",
+        "hit",
+    ]
     assert len(found.table) == PEOPLE * len(RULES)
-    assert list(found.share.columns) == list(found.limit.columns) == list(found.count.columns) == list(RULES)
+    assert (
+        list(found.share.columns)
+        == list(found.limit.columns)
+        == list(found.count.columns)
+        == list(RULES)
+    )
     assert found.count.shape == (PEOPLE, len(RULES))
 
 
@@ -93,17 +132,25 @@ def test_fifteen_per_cent_are_allowed_and_more_are_not(bad: int, hit: bool) -> N
     own = table.index[(table["participant"] == "p05") & (table["role"] == "reference")]
     table.loc[own, "rating"] = 90.0  # not below 90
     table.loc[own[:bad], "rating"] = 89.9
-    row = screen_raters(table, rules=["hidden_reference"]).table.query("participant == 'p05'").iloc[0]
+    row = (
+        screen_raters(table, rules=["hidden_reference"]).table.query("participant == 'p05'").iloc[0]
+    )
     assert (row["count"], row["n"], row["share"], row["hit"]) == (bad, 20, bad / 20, hit)
 
 
 @pytest.mark.parametrize(("people", "counts"), [(3, True), (4, False)])
-def test_an_excerpt_that_the_anchor_did_not_degrade_does_not_count(people: int, counts: bool) -> None:
+def test_an_excerpt_that_the_anchor_did_not_degrade_does_not_count(
+    people: int, counts: bool
+) -> None:
     table = panel()  # of 12 raters 3 are 25 %, not more
     lenient = table["participant"].isin([f"p{number:02d}" for number in range(people)])
-    table.loc[lenient & (table["reducer"] == "anchor_mid") & (table["recording"] == "r0"), "rating"] = 95.0
+    table.loc[
+        lenient & (table["reducer"] == "anchor_mid") & (table["recording"] == "r0"), "rating"
+    ] = 95.0
     found = screen_raters(table, rules=["mid_anchor", "hidden_reference"])
-    assert found.excerpts.set_index("recording")["counts"].to_dict() == {f"r{n}": n > 0 or counts for n in range(10)}
+    assert found.excerpts.set_index("recording")["counts"].to_dict() == {
+        f"r{n}": n > 0 or counts for n in range(10)
+    }
     assert (found.table["n"] == (20 if counts else 18)).all()
 
 
@@ -127,7 +174,9 @@ def test_reliability_is_told_with_and_without_those_hit() -> None:
 def test_items_tell_two_camps() -> None:
     table = panel(people=30)
     odd = table["participant"].str[-1].astype(int) % 2 == 1
-    table.loc[odd & (table["recording"] == "r1") & (table["reducer"] == "reducer0"), "rating"] = 90.0
+    table.loc[odd & (table["recording"] == "r1") & (table["reducer"] == "reducer0"), "rating"] = (
+        90.0
+    )
     items = screen_raters(table, rules=["outliers"]).items.set_index("item")
     assert items.index[items["multimodal"]].tolist() == ["mushra/r1/reducer0/as_is"]
     assert (items["n"] == 30).all()
@@ -140,9 +189,16 @@ def test_limits_of_ones_own() -> None:
 
 
 def test_rules_without_data_say_so() -> None:
-    bare = panel(repeats=1).query("role == 'test'")[["participant", "recording", "reducer", "rating"]]
+    bare = panel(repeats=1).query("role == 'test'")[
+        ["participant", "recording", "reducer", "rating"]
+    ]
     found = screen_raters(bare)
-    silent = {"hidden_reference", "test_retest", "repeat_sd", "too_fast"}  # the first with the two about anchors
+    silent = {
+        "hidden_reference",
+        "test_retest",
+        "repeat_sd",
+        "too_fast",
+    }  # the first with the two about anchors
     assert {note.split("'")[1] for note in found.notes} == silent
     assert "Rule 'too_fast' not applied: it needs column 'response_time_s'." in found.notes
     assert not found.table["hit"].any()
@@ -164,7 +220,9 @@ def test_references_only() -> None:
 
 
 def test_constant_ratings_are_straight_lines_and_nothing_else() -> None:
-    found = screen_raters(panel().query("role == 'test'").assign(rating=50.0), rng=np.random.default_rng(0))
+    found = screen_raters(
+        panel().query("role == 'test'").assign(rating=50.0), rng=np.random.default_rng(0)
+    )
     assert [rule for rule, hit in found.hits.items() if hit] == ["straight_lining"]
 
 
@@ -176,15 +234,21 @@ def test_missing_cells_do_not_matter() -> None:
 
 def test_numbers_written_as_text_are_numbers() -> None:
     plain = panel()
-    pd.testing.assert_frame_equal(screen_raters(plain.astype({"rating": str})).table, screen_raters(plain).table)
+    pd.testing.assert_frame_equal(
+        screen_raters(plain.astype({"rating": str})).table, screen_raters(plain).table
+    )
 
 
 def test_participants_may_be_numbers_words_and_categories() -> None:
     plain = screen_raters(SPOILED["reversed_scale"](panel()), rng=np.random.default_rng(0))
     for names in ({"p00": 1, "p01": 0}, {f"p{number:02d}": number for number in range(PEOPLE)}):
         table = SPOILED["reversed_scale"](panel())
-        renamed = screen_raters(table.assign(participant=[names.get(who, who) for who in table["participant"]]))
-        assert renamed.hits["reversed_scale"] == tuple(names.get(who, who) for who in plain.hits["reversed_scale"])
+        renamed = screen_raters(
+            table.assign(participant=[names.get(who, who) for who in table["participant"]])
+        )
+        assert renamed.hits["reversed_scale"] == tuple(
+            names.get(who, who) for who in plain.hits["reversed_scale"]
+        )
         assert renamed.hit.any(axis=1).sum() == plain.hit.any(axis=1).sum()
     words = ["participant", "recording", "reducer", "scale", "level", "role"]
     for kind in ("category", "string"):
@@ -197,7 +261,9 @@ def test_order_of_rows_does_not_matter() -> None:
     shuffled = table.sample(frac=1, random_state=0)
     names = [name for name in RULES if name != EXPERTISE]
     pd.testing.assert_frame_equal(
-        screen_raters(shuffled, rules=names).table, screen_raters(table, rules=names).table, check_exact=False
+        screen_raters(shuffled, rules=names).table,
+        screen_raters(table, rules=names).table,
+        check_exact=False,
     )
 
 
@@ -215,26 +281,46 @@ def test_the_gauge_of_shuffled_ratings_is_uniform() -> None:
 @pytest.mark.parametrize(
     ("spoil", "rules", "message"),
     [
-        (lambda table: table.drop(columns="rating"), None, "column rating is missing; got participant"),
-        (lambda table: table.drop(columns=["recording", "reducer", "level"]), None, "column stimulus_id is missing"),
+        (
+            lambda table: table.drop(columns="rating"),
+            None,
+            "column rating is missing; got participant",
+        ),
+        (
+            lambda table: table.drop(columns=["recording", "reducer", "level"]),
+            None,
+            "column stimulus_id is missing",
+        ),
         (lambda table: table.iloc[:0], None, "got no row"),
-        (lambda table: table.assign(rating=table["rating"] + 1), None, "such as 10.*; allowed is 0 to 100"),
+        (
+            lambda table: table.assign(rating=table["rating"] + 1),
+            None,
+            "such as 10.*; allowed is 0 to 100",
+        ),
         (lambda table: table.assign(rating=np.nan), None, "ratings such as nan"),
         (lambda table: table.assign(participant=None), None, "rows without a participant"),
         (lambda table: table, ["mid"], "got 'mid', allowed are hidden_reference"),
         (lambda table: table, [], "got no rule"),
         (lambda table: table, [EXPERTISE], "got 'expertise' without rng"),
-        (lambda table: table, {"mid_anchor": 15}, "got the limit 15 for 'mid_anchor', allowed is -1 to 1"),
+        (
+            lambda table: table,
+            {"mid_anchor": 15},
+            "got the limit 15 for 'mid_anchor', allowed is -1 to 1",
+        ),
     ],
 )
-def test_refusals(spoil: Callable[[pd.DataFrame], pd.DataFrame], rules: object, message: str) -> None:
+def test_refusals(
+    spoil: Callable[[pd.DataFrame], pd.DataFrame], rules: object, message: str
+) -> None:
     with pytest.raises(ValueError, match=message):
         screen_raters(spoil(panel(people=2)), rules=rules)
 
 
 @pytest.mark.parametrize(("excerpts", "expected"), [(10, 0.3), (2, 0.3)])
 def test_many_pairs_allow_a_smaller_correlation(excerpts: int, expected: float) -> None:
-    few = panel()[lambda table: table["recording"].isin([f"r{number}" for number in range(excerpts)])]
+    few = panel()[
+        lambda table: table["recording"].isin([f"r{number}" for number in range(excerpts)])
+    ]
     limits = screen_raters(few, rules=["test_retest"]).limit["test_retest"]
     n = excerpts * REDUCERS
     assert limits.to_numpy() == pytest.approx(min(expected, np.tanh(1.6448536 / np.sqrt(n - 3))))
@@ -247,15 +333,24 @@ def test_retest_is_pearsons_r_of_the_pairs() -> None:
     expected = [part.corr().iloc[0, 1] for _, part in pairs.groupby("participant")]
     found = screen_raters(table, rules=["test_retest", "repeat_sd"]).share
     assert found["test_retest"].to_numpy() == pytest.approx(np.array(expected))
-    spread = [np.sqrt(((part[1] - part[2]) ** 2).mean() / 2) / 100 for _, part in pairs.groupby("participant")]
+    spread = [
+        np.sqrt(((part[1] - part[2]) ** 2).mean() / 2) / 100
+        for _, part in pairs.groupby("participant")
+    ]
     assert found["repeat_sd"].to_numpy() == pytest.approx(np.array(spread))
 
 
 def test_reversal_is_pearsons_r_with_the_others() -> None:
     table = SPOILED["reversed_scale"](panel())
-    means = table[table["role"] == "test"].pivot_table("rating", "participant", ["recording", "reducer"])
-    expected = [np.corrcoef(means.loc[who], means.drop(index=who).mean())[0, 1] for who in means.index]
-    assert screen_raters(table).share["reversed_scale"].to_numpy() == pytest.approx(np.array(expected))
+    means = table[table["role"] == "test"].pivot_table(
+        "rating", "participant", ["recording", "reducer"]
+    )
+    expected = [
+        np.corrcoef(means.loc[who], means.drop(index=who).mean())[0, 1] for who in means.index
+    ]
+    assert screen_raters(table).share["reversed_scale"].to_numpy() == pytest.approx(
+        np.array(expected)
+    )
 
 
 def test_gauge_is_an_analysis_of_variance() -> None:
@@ -264,11 +359,15 @@ def test_gauge_is_an_analysis_of_variance() -> None:
     table = panel()
     gauge = screen_raters(table, rules=[EXPERTISE], rng=np.random.default_rng(0)).gauge
     own = table[(table["participant"] == "p00") & (table["role"] == "test")]
-    expected = f_oneway(*(part["rating"] for _, part in own.groupby(["recording", "reducer"]))).statistic
+    expected = f_oneway(
+        *(part["rating"] for _, part in own.groupby(["recording", "reducer"]))
+    ).statistic
     found = gauge.set_index(["participant", "measure"])["value"]
     assert found["p00", "discrimination"] == pytest.approx(expected)
     # A rater whom no shuffle matches: 1 of 500, the rater's own order included.
-    assert gauge.set_index(["participant", "measure"]).loc[("p00", "discrimination"), "p"] == pytest.approx(1 / 500)
+    assert gauge.set_index(["participant", "measure"]).loc[
+        ("p00", "discrimination"), "p"
+    ] == pytest.approx(1 / 500)
     ratio = found.xs("discrimination", level="measure") / found.xs("reliability", level="measure")
     assert ratio.mean() == pytest.approx(1)  # each rater's items against the panel's average
 

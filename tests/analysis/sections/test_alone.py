@@ -5,14 +5,14 @@ from typing import TYPE_CHECKING
 import pandas as pd
 import pytest
 
-from analysis.report.sections import raters, robustness
-from analysis.report.sections.choices import Choices
-from analysis.table.reading import read_table
+from feel321.analysis.report import raters, robustness
+from feel321.analysis.report.section import Choices
+from feel321.analysis.table.reading import read_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from analysis.table.reading import Table
+    from feel321.analysis.table.reading import Table
 
 
 @pytest.fixture

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING
 import pandas as pd
 import pytest
 
-from analysis.numbers import SATTERTHWAITE, make_interval, make_number
-from analysis.primary.influence import Influence
-from analysis.report.sections import primary
-from analysis.report.sections.choices import Choices
-from analysis.report.sections.effects import lay_estimate, tell_estimate
-from analysis.table.reading import Table
+from feel321.analysis.primary.influence import Influence
+from feel321.analysis.report import primary
+from feel321.analysis.report.section import Choices, lay_estimate, tell_estimate
+from feel321.analysis.table.reading import Table
+from feel321.analysis.words import SATTERTHWAITE, make_interval, make_number
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -25,7 +24,11 @@ METRICS = ("spectral_match", "temporal_match")
 def tell(rows: pd.DataFrame) -> tuple[dict[str, float], tuple[str, ...], str]:
     """Holm's p per metric, the sentence of each metric, and all that opens the report."""
     section = primary.compute(Table(rows, METRICS, ()), Choices(draws=2))
-    found = {number.name.split(".")[-2]: number.value for number in section.numbers if number.name.endswith("p_holm")}
+    found = {
+        number.name.split(".")[-2]: number.value
+        for number in section.numbers
+        if number.name.endswith("p_holm")
+    }
     p = {claim.metric: found[claim.metric] for claim in section.claims if claim.metric in found}
     return p, tuple(map(str, section.verdict[:2])), " ".join(map(str, section.verdict))
 
@@ -44,13 +47,17 @@ def test_a_direction_follows_the_sign_and_few_recordings_weaken_it(
     p, (spectral, temporal), whole = tell(tidy(1, participants=8, recordings=4, spectral=slope))
     assert p["spectral_match"] < 0.05 <= p["temporal_match"]
     assert spectral.startswith("Realism: Spectral match predicts realism ratings")
-    assert ("in the opposite direction (higher match, lower ratings)" in spectral) == (way == "lower")
+    assert ("in the opposite direction (higher match, lower ratings)" in spectral) == (
+        way == "lower"
+    )
     assert ("points higher" in spectral) == (way == "higher")
     assert temporal.startswith("Realism: Whether temporal match predicts realism ratings is open.")
     assert "With so few recordings this is a hint rather than a result." in whole
 
 
-def test_where_nothing_is_claimed_nothing_is_called_a_hint(tidy: Callable[..., pd.DataFrame]) -> None:
+def test_where_nothing_is_claimed_nothing_is_called_a_hint(
+    tidy: Callable[..., pd.DataFrame],
+) -> None:
     p, answers, whole = tell(tidy(1, participants=4, recordings=4, spectral=0.0))
     assert min(p.values()) > 0.05
     assert all("is open." in answer for answer in answers)
@@ -61,7 +68,9 @@ def test_what_holds_before_holms_adjustment_only_is_not_claimed(
     tidy: Callable[..., pd.DataFrame], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tabulate = primary.tabulate_slopes
-    monkeypatch.setattr(primary, "tabulate_slopes", lambda models: tabulate(models).assign(p=0.03, p_holm=0.06))
+    monkeypatch.setattr(
+        primary, "tabulate_slopes", lambda models: tabulate(models).assign(p=0.03, p_holm=0.06)
+    )
     _, answers, whole = tell(tidy(1, participants=8, recordings=4))
     assert all("is open." in answer and "p (Holm) = 0.060" in answer for answer in answers)
     assert "predicts realism ratings." not in whole
@@ -69,14 +78,22 @@ def test_what_holds_before_holms_adjustment_only_is_not_claimed(
     assert "If the true slope on spectral match is the one estimated here" in whole
 
 
-def test_what_is_not_estimable_has_no_interval_and_plans_nothing(tidy: Callable[..., pd.DataFrame]) -> None:
-    section = primary.compute(Table(tidy(1, participants=2, recordings=4), METRICS, ()), Choices(draws=2))
+def test_what_is_not_estimable_has_no_interval_and_plans_nothing(
+    tidy: Callable[..., pd.DataFrame],
+) -> None:
+    section = primary.compute(
+        Table(tidy(1, participants=2, recordings=4), METRICS, ()), Choices(draws=2)
+    )
     words = " ".join([*map(str, section.verdict), *section.answers])
     assert words.count("cannot be estimated with 2 participants") == 2
     for stranger in ("interval", " CI ", "p (Holm)", "80 % power", "is open", "e+"):
         assert stranger not in words
     for number in section.numbers:
-        planned = number.name.startswith("precision.") or number.name.endswith((".df", ".p", ".p_holm"))
+        planned = number.name.startswith("precision.") or number.name.endswith((
+            ".df",
+            ".p",
+            ".p_holm",
+        ))
         assert not planned or math.isnan(number.value)
         assert not number.name.startswith("slope") or math.isnan(number.low)
 
@@ -85,19 +102,27 @@ def test_nothing_is_planned_from_a_slope_that_one_stimulus_turns(
     tidy: Callable[..., pd.DataFrame], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tabulate = primary.tabulate_slopes
-    monkeypatch.setattr(primary, "tabulate_slopes", lambda models: tabulate(models).assign(p_holm=0.06, turns=True))
-    section = primary.compute(Table(tidy(1, participants=8, recordings=4), METRICS, ()), Choices(draws=2))
+    monkeypatch.setattr(
+        primary, "tabulate_slopes", lambda models: tabulate(models).assign(p_holm=0.06, turns=True)
+    )
+    section = primary.compute(
+        Table(tidy(1, participants=8, recordings=4), METRICS, ()), Choices(draws=2)
+    )
     assert "80 % power" not in " ".join(map(str, section.verdict))
     plans = [number.value for number in section.numbers if number.name.startswith("precision.")]
     assert len(plans) == 8
     assert all(map(math.isnan, plans))
 
 
-def test_a_slope_on_a_metric_that_runs_over_thousands_is_not_told_as_zero(tidy: Callable[..., pd.DataFrame]) -> None:
+def test_a_slope_on_a_metric_that_runs_over_thousands_is_not_told_as_zero(
+    tidy: Callable[..., pd.DataFrame],
+) -> None:
     rows = tidy(1, participants=8, recordings=6)
     _, (spectral, _), _ = tell(rows.assign(spectral_match=1e5 * rows["spectral_match"]))
     number = r"\d\.\de−05"
-    assert re.search(rf"each \+0.1 with ratings {number} points higher \({number} to {number}\)", spectral)
+    assert re.search(
+        rf"each \+0.1 with ratings {number} points higher \({number} to {number}\)", spectral
+    )
 
 
 @pytest.mark.parametrize(
@@ -111,6 +136,8 @@ def test_a_slope_on_a_metric_that_runs_over_thousands_is_not_told_as_zero(tidy: 
 def test_tables_and_sentences_tell_a_slope_in_the_same_digits(
     ends: tuple[float, float, float], value: str, interval: str
 ) -> None:
-    number = make_interval(make_number("slope", ends[0], "slope", n=9), *ends[1:], uncertainty=SATTERTHWAITE)
+    number = make_interval(
+        make_number("slope", ends[0], "slope", n=9), *ends[1:], uncertainty=SATTERTHWAITE
+    )
     assert [str(cell) for cell in lay_estimate(number, "slope")] == [value, interval]
     assert tell_estimate(number, kind="slope") == f"{value} points, 95 % interval {interval}"

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from analysis.contrasts.equivalence import equivalence, non_inferiority
-from analysis.primary.influence import adjust
-from analysis.report.sections import contrasts, levels
-from analysis.report.sections.choices import Choices
-from analysis.table.reading import Table
+from feel321.analysis.contrasts.equivalence import equivalence, non_inferiority
+from feel321.analysis.primary.influence import adjust
+from feel321.analysis.report import reducers
+from feel321.analysis.report.section import Choices
+from feel321.analysis.table.reading import Table
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -26,13 +26,15 @@ CHOICES = Choices(draws=2)
 
 def test_contrasts_by_hand(tidy: Callable[..., pd.DataFrame]) -> None:
     rows = tidy(1, participants=8, recordings=5)
-    section = contrasts.compute(Table(rows, METRICS, ()), CHOICES)
+    section = reducers.compute_contrasts(Table(rows, METRICS, ()), CHOICES)
     table, numbers = section.tables["contrasts"], {one.name: one.value for one in section.numbers}
     tests = rows[rows["role"] == "test"]
     # In a balanced study a contrast is the difference of two means, whatever the spreads.
     means = tests.groupby("reducer")["rating"].mean()
     assert len(table) == len(list(combinations(means.index, 2)))
-    assert table["estimate"].tolist() == pytest.approx(means[table["first"]].array - means[table["second"]].array)
+    assert table["estimate"].tolist() == pytest.approx(
+        means[table["first"]].array - means[table["second"]].array
+    )
     assert table["p_holm"].tolist() == pytest.approx(adjust(table["p"].tolist()))
     cells = tests.set_index(["participant", "stimulus_id"])
     first, second = (cells.loc[cells["repeat"] == turn, "rating"] for turn in (1, 2))
@@ -42,7 +44,9 @@ def test_contrasts_by_hand(tidy: Callable[..., pd.DataFrame]) -> None:
         test = equivalence(row.estimate, row.se, row.df, low=-margin, high=margin)
         assert row.p_equivalence == pytest.approx(test.p)
         # Higher is better: the first, the simpler one, must not lie below the second by the margin.
-        assert row.p_non_inferiority == pytest.approx(non_inferiority(row.estimate, row.se, row.df, margin=-margin).p)
+        assert row.p_non_inferiority == pytest.approx(
+            non_inferiority(row.estimate, row.se, row.df, margin=-margin).p
+        )
     assert numbers["contrasts.realism.as_is.n_differ"] == (table["p_holm"] < 0.05).sum() > 0
 
 
@@ -52,14 +56,19 @@ def test_contrasts_by_hand(tidy: Callable[..., pd.DataFrame]) -> None:
         (6, 5, "other people and other recordings;", "."),
         (6, 1, "other people;", ", about this one recording only."),
         (1, 6, "other recordings;", ", about this one participant only."),
-        (6, 3, "other people and other recordings;", ", a hint rather than a result with so few recordings."),
+        (
+            6,
+            3,
+            "other people and other recordings;",
+            ", a hint rather than a result with so few recordings.",
+        ),
     ],
 )
 def test_what_is_said_of_reducers_reaches_as_far_as_the_study(
     tidy: Callable[..., pd.DataFrame], people: int, scenes: int, others: str, reach: str
 ) -> None:
     table = Table(tidy(1, participants=people, recordings=scenes), METRICS, ())
-    section = contrasts.compute(table, CHOICES)
+    section = reducers.compute_contrasts(table, CHOICES)
     assert f"95 % intervals for {others}" in section.grids[0].caption
     assert section.answers[0].removesuffix(reach)[-1] not in ".,"
     assert section.answers[0].endswith(reach)
@@ -75,10 +84,12 @@ def make_arms(tidy: Callable[..., pd.DataFrame], **changes: object) -> pd.DataFr
 
 def test_levels_by_hand(tidy: Callable[..., pd.DataFrame]) -> None:
     rows = make_arms(tidy, participants=8, recordings=6)
-    section = levels.compute(Table(rows, METRICS, ()), CHOICES)
+    section = reducers.compute_levels(Table(rows, METRICS, ()), CHOICES)
     table = section.tables["levels"].set_index("of")
     means = rows.groupby("level")["rating"].mean()
-    assert table.loc["rating", "estimate"] == pytest.approx(means[ARMS[0]] - means[ARMS[1]], abs=0.01)
+    assert table.loc["rating", "estimate"] == pytest.approx(
+        means[ARMS[0]] - means[ARMS[1]], abs=0.01
+    )
     slope = table.loc["spectral_match"]
     assert slope["low"] < 3 < slope["high"]
     assert slope["p_holm"] < 0.01
@@ -91,8 +102,10 @@ def test_levels_by_hand(tidy: Callable[..., pd.DataFrame]) -> None:
 
 def test_levels_of_one_participant_are_about_that_one(tidy: Callable[..., pd.DataFrame]) -> None:
     rows = make_arms(tidy, participants=1, recordings=8, noise=2.0)
-    rating, spectral, temporal = levels.compute(Table(rows, METRICS, ()), CHOICES).answers
+    rating, spectral, temporal = reducers.compute_levels(Table(rows, METRICS, ()), CHOICES).answers
     assert spectral.endswith(", about this one participant only.")
     assert not temporal.endswith("only.")
-    assert "reach" not in levels.compute(Table(rows, METRICS, ()), CHOICES).tables["levels"]
+    assert (
+        "reach" not in reducers.compute_levels(Table(rows, METRICS, ()), CHOICES).tables["levels"]
+    )
     assert rating

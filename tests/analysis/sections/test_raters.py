@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 import pytest
 
-from analysis.primary.multiverse import run_multiverse
-from analysis.report.sections import raters, robustness
-from analysis.report.sections.parts import split_parts
-from analysis.screening import screen_raters
-from analysis.table.reading import read_table
+from feel321.analysis.primary.multiverse import run_multiverse
+from feel321.analysis.report import raters, robustness
+from feel321.analysis.report.section import split_parts
+from feel321.analysis.screening.screen import screen_raters
+from feel321.analysis.table.reading import read_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from analysis.table.reading import Table
+    from feel321.analysis.table.reading import Table
 
 
 @pytest.fixture
@@ -35,7 +35,10 @@ def read(files: Callable[..., Any]) -> Callable[[str], Table]:
 
 
 def test_the_protocol_reaches_the_screening(read: Callable[[str], Table]) -> None:
-    found = {name: screen_raters(read(name).rows, rules=["hidden_reference"]) for name in ("mushra", "realism")}
+    found = {
+        name: screen_raters(read(name).rows, rules=["hidden_reference"])
+        for name in ("mushra", "realism")
+    }
     assert found["mushra"].hits["hidden_reference"] == ("p01", "p02")
     assert found["realism"].hits["hidden_reference"] == ()
     said = {name: raters._judge(screening) for name, screening in found.items()}
@@ -57,7 +60,7 @@ def test_sets_of_raters_are_counted_and_not_combinations(read: Callable[[str], T
             return float(rows["participant"].nunique()), 1.0, 9.0
 
         found = run_multiverse(table.rows, estimate, rules=rules)
-        return robustness._judge((("", "spectral_match"), (part, found)))
+        return robustness._judge_robustness((("", "spectral_match"), (part, found)))
 
     lead = "Slope of comfort ratings on spectral match: "
     sets = "2 distinct sets of raters from 8 combinations of screening rules"

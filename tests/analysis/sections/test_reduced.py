@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING
 import pandas as pd
 import pytest
 
-from analysis.report.write import write_report
-from protocols.registry import PROTOCOLS
-from study.folder import StudyFolder
-from study.workflow import build_study, simulate_study
+from feel321.analysis.report.write import write_report
+from feel321.protocols.tasks import PROTOCOLS
+from feel321.study.folder import StudyFolder
+from feel321.study.workflow import build_study, simulate_study
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from analysis.report.results import Results
+    from feel321.analysis.report.folder import Results
 
 STUDY = """
 [study]
@@ -66,20 +66,29 @@ def test_a_protocol_alone_is_a_report(lab: StudyFolder, tmp_path: Path, protocol
     results = report_on(rows, lab.manifest, tmp_path)
     assert results.verdict
     shown = {"dissimilarity": "space", "abx": "discrimination"}.get(protocol, "slope")
-    assert any(shown in name for name in [*results.figures, *(number.name for number in results.numbers)])
-    assert ("do not show whether the metrics predict" in results.verdict[0]) == (protocol in {"dissimilarity", "abx"})
+    assert any(
+        shown in name for name in [*results.figures, *(number.name for number in results.numbers)]
+    )
+    assert ("do not show whether the metrics predict" in results.verdict[0]) == (
+        protocol in {"dissimilarity", "abx"}
+    )
 
 
 CASES: dict[str, Callable[[pd.DataFrame], pd.DataFrame]] = {
     "one participant": lambda rows: rows[rows["participant"] == rows["participant"].iloc[0]],
     "one recording": lambda rows: rows[rows["recording"] == rows["recording"].iloc[0]],
     "one of each": lambda rows: rows[
-        (rows["participant"] == rows["participant"].iloc[0]) & (rows["recording"] == rows["recording"].iloc[0])
+        (rows["participant"] == rows["participant"].iloc[0])
+        & (rows["recording"] == rows["recording"].iloc[0])
     ],
     "one reducer": lambda rows: rows[rows["reducer"] == "mag321"],
-    "one judgement": lambda rows: rows[(rows["scale"] == "realism") & (rows["reducer"] == "mag321")].head(1),
+    "one judgement": lambda rows: rows[
+        (rows["scale"] == "realism") & (rows["reducer"] == "mag321")
+    ].head(1),
     "constant": lambda rows: rows.assign(rating=50.0),
-    "constant per rater": lambda rows: rows.assign(rating=10.0 * rows["participant"].astype("category").cat.codes),
+    "constant per rater": lambda rows: rows.assign(
+        rating=10.0 * rows["participant"].astype("category").cat.codes
+    ),
     "gaps": lambda rows: rows.drop(rows.index[::3]),
 }
 

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from analysis.report.sections import discrimination, robustness
-from analysis.report.sections.choices import Choices
-from analysis.table.reading import Table
-from analysis.table.scales import ANSWERED
+from feel321.analysis.report import pairs, robustness
+from feel321.analysis.report.section import Choices
+from feel321.analysis.table.reading import Table
+from feel321.analysis.table.sheet import ANSWERED
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -37,17 +37,21 @@ def test_a_study_too_large_to_be_varied_is_told_with_its_size(
     tidy: Callable[..., pd.DataFrame], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(robustness, "MOST_CELLS", 6 * 4 * 9 - 1)
-    section = robustness.compute(Table(tidy(), METRICS, ()), Choices(draws=2))
+    section = robustness.compute_robustness(Table(tidy(), METRICS, ()), Choices(draws=2))
     (note,) = section.notes
-    assert note.endswith("They are left out for 216 participant x stimulus cells; up to 215 are varied.")
+    assert note.endswith(
+        "They are left out for 216 participant x stimulus cells; up to 215 are varied."
+    )
     assert (section.grids, section.pictures) == ((), ())
 
 
-def test_answers_that_are_neither_right_nor_wrong_are_not_evaluated(tidy: Callable[..., pd.DataFrame]) -> None:
+def test_answers_that_are_neither_right_nor_wrong_are_not_evaluated(
+    tidy: Callable[..., pd.DataFrame],
+) -> None:
     rows = tidy().assign(scale=ANSWERED)
     rows["rating"] = rows["rating"].gt(50) * 100.0
     rows.loc[rows.index[:3], "rating"] = 55.0
-    section = discrimination.compute(Table(rows, METRICS, ()), Choices(draws=2))
+    section = pairs.compute_discrimination(Table(rows, METRICS, ()), Choices(draws=2))
     assert section.notes == (
         f"Scale '{ANSWERED}' is not evaluated: got 3 answers that are neither 100 (right) nor 0 (wrong).",
     )

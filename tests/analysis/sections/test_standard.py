@@ -6,13 +6,12 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from analysis.p1401.difference import compare_p1401
-from analysis.p1401.mapping import p1401
-from analysis.report.sections.choices import Choices
-from analysis.report.sections.parts import split_parts
-from analysis.report.sections.standard import compute
-from analysis.table.items import make_items
-from analysis.table.reading import Table
+from feel321.analysis.p1401.difference import compare_p1401
+from feel321.analysis.p1401.mapping import p1401
+from feel321.analysis.report.section import Choices, split_parts
+from feel321.analysis.report.standard import compute
+from feel321.analysis.table.items import make_items
+from feel321.analysis.table.reading import Table
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,10 +27,21 @@ def test_differences_are_those_of_p1401(tidy: Callable[..., pd.DataFrame], order
     section = compute(table, Choices(draws=2))
     (part,) = split_parts(table)
     items = make_items(part.rows, METRICS)
-    wanted = compare_p1401(*(p1401(items.ratings.T, values, order=order) for values in items.metrics))
+    wanted = compare_p1401(
+        *(p1401(items.ratings.T, values, order=order) for values in items.metrics)
+    )
     numbers = {number.name: number.value for number in section.numbers}
     lead = f"p1401_difference.realism.as_is.spectral_match.temporal_match.order_{order}.fitted"
-    for name in ("plcc_z", "plcc_p", "outlier_z", "outlier_p", "rmse_f", "rmse_p", "rmse_star_f", "rmse_star_p"):
+    for name in (
+        "plcc_z",
+        "plcc_p",
+        "outlier_z",
+        "outlier_p",
+        "rmse_f",
+        "rmse_p",
+        "rmse_star_f",
+        "rmse_star_p",
+    ):
         assert numbers[f"{lead}.{name}"] == pytest.approx(getattr(wanted, name), nan_ok=True), name
     (grid,) = [grid for grid in section.grids if "difference between two metrics" in grid.caption]
     assert len(grid.rows) == 4

@@ -7,19 +7,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from analysis.tradeoff.stress.battery import BATTERY
-from analysis.tradeoff.stress.run import stress_reducers, write_stress
-from stimuli.recording import Recording
-from stimuli.reduce import REDUCERS
+from feel321.analysis.tradeoff.stress.battery import BATTERY
+from feel321.analysis.tradeoff.stress.run import stress_reducers, write_stress
+from feel321.stimuli.recording import Recording
+from feel321.stimuli.reducers.registry import REDUCERS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from analysis.tradeoff.stress.result import StressResult
+    from feel321.analysis.tradeoff.stress.result import StressResult
 
 
-def make_recording(acceleration: object, *, rate_hz: float = 1000.0, name: str = "made") -> Recording:
+def make_recording(
+    acceleration: object, *, rate_hz: float = 1000.0, name: str = "made"
+) -> Recording:
     return Recording(np.asarray(acceleration, dtype=float), rate_hz, name)
 
 
@@ -42,7 +44,10 @@ def recordings(drag: Recording) -> tuple[Recording, ...]:
     rng = np.random.default_rng(5)
     spectrum = np.fft.rfft(rng.standard_normal((3, 4000)))
     low = np.arange(2001) < 600
-    u, v, w = (np.fft.irfft(np.where(chosen, one, 0)) for chosen, one in zip((low, ~low, low), spectrum, strict=True))
+    u, v, w = (
+        np.fft.irfft(np.where(chosen, one, 0))
+        for chosen, one in zip((low, ~low, low), spectrum, strict=True)
+    )
     half = make_recording([u + v, u - v, 0.3 * w], rate_hz=4000, name="half")
     return drag, half, make_recording(np.zeros((3, 100)), name="nothing")
 

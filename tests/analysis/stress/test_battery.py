@@ -5,15 +5,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.tradeoff.stress.battery import ADXL345_STEP, BATTERY
-from analysis.tradeoff.stress.cells import Cell, find_cell, measure_cells
-from analysis.tradeoff.stress.change import relative_change
-from analysis.tradeoff.stress.limits import MEASURES
-from analysis.tradeoff.stress.measures import edge_error, energy_error, fault_gain
-from analysis.tradeoff.stress.mounting import flip_change
-from analysis.tradeoff.stress.signs import SIGNS, diagnose
-from analysis.tradeoff.stress.takes import make_takes, measure_battery, measure_takes
-from stimuli.reduce import REDUCERS
+from feel321.analysis.tradeoff.stress.battery import ADXL345_STEP, BATTERY
+from feel321.analysis.tradeoff.stress.cells import Cell, find_cell, measure_cells
+from feel321.analysis.tradeoff.stress.diagnosis import SIGNS, diagnose
+from feel321.analysis.tradeoff.stress.measures import (
+    MEASURES,
+    edge_error,
+    energy_error,
+    fault_gain,
+    flip_change,
+    relative_change,
+)
+from feel321.analysis.tradeoff.stress.takes import make_takes, measure_battery, measure_takes
+from feel321.stimuli.reducers.registry import REDUCERS
 
 KNOWN = [(scene.name, failing) for scene in BATTERY.values() for failing in scene.failing]
 NEAR_A_LIMIT = 1.4
@@ -38,7 +42,9 @@ def find_firm_failures(result: Any) -> set[tuple[str, str, str]]:
     """Failures that are not near their limit."""
     found = set()
     for cell in result:
-        if abs(cell.value) >= NEAR_A_LIMIT * MEASURES[cell.measure].fails and not rests_on_rounding(cell):
+        if abs(cell.value) >= NEAR_A_LIMIT * MEASURES[cell.measure].fails and not rests_on_rounding(
+            cell
+        ):
             found.add((cell.recording, cell.reducer, cell.measure))
     return found
 
@@ -77,12 +83,17 @@ def test_the_control_comes_near_nothing() -> None:
 def test_faults_do_what_they_say() -> None:
     steps = BATTERY["quantisation"].make(0).acceleration / ADXL345_STEP
     assert np.allclose(steps, np.round(steps), atol=1e-9)
-    clipped, whole = BATTERY["clipping"].make(0).acceleration, BATTERY["clipping"].make_clean(0).acceleration
+    clipped, whole = (
+        BATTERY["clipping"].make(0).acceleration,
+        BATTERY["clipping"].make_clean(0).acceleration,
+    )
     assert np.abs(clipped).max() == pytest.approx(0.35 * np.abs(whole).max())
     missing = BATTERY["missing_samples"]
     gone = ~missing.make(0).acceleration.any(axis=0)
     assert 0.03 < gone.mean() <= 0.06
-    assert np.array_equal(missing.make(0).acceleration[:, ~gone], missing.make_clean(0).acceleration[:, ~gone])
+    assert np.array_equal(
+        missing.make(0).acceleration[:, ~gone], missing.make_clean(0).acceleration[:, ~gone]
+    )
     plain = BATTERY["circular"]
     assert np.array_equal(plain.make(0).acceleration, plain.make_clean(0).acceleration)
 
@@ -92,7 +103,9 @@ def test_conclusions_hold_for_another_seed(result: Any) -> None:
 
     A standard deviation over four orientations is not firm.
     """
-    few = {name: REDUCERS[name] for name in ("say321", "soc321", "pca321", "pca321_adaptive", "dft321")}
+    few = {
+        name: REDUCERS[name] for name in ("say321", "soc321", "pca321", "pca321_adaptive", "dft321")
+    }
     measures = tuple(name for name in MEASURES if name != "spread")
     scenes = [scene.make(8) for scene in BATTERY.values() if scene.name != "very_short"]
     clean = {scene.name: scene.make_clean(8) for scene in BATTERY.values() if scene.fault}
@@ -103,7 +116,10 @@ def test_conclusions_hold_for_another_seed(result: Any) -> None:
     firm = [key for key in find_firm_failures(result.cells) if key in other]
     assert len(firm) > 50
     assert [key for key in firm if other[key].grade == "good"] == []
-    here = [find_cell(result.cells, key[0], key[1], measure=key[2]) for key in find_firm_failures(other.values())]
+    here = [
+        find_cell(result.cells, key[0], key[1], measure=key[2])
+        for key in find_firm_failures(other.values())
+    ]
     assert [cell for cell in here if cell.grade == "good"] == []
 
 
@@ -111,13 +127,17 @@ def test_a_figure_depends_on_its_own_recording_alone(drag: Any, made: Any) -> No
     other = made(np.random.default_rng(0).standard_normal((3, 300)), name="other")
     few = {name: REDUCERS[name] for name in ("soc321", "dft321")}
     together = measure_cells([other, drag], few, measures=("gain", "rotation"), draws=3, seed=1)
-    alone = measure_cells([drag], {"dft321": REDUCERS["dft321"]}, measures=("rotation",), draws=3, seed=1)
+    alone = measure_cells(
+        [drag], {"dft321": REDUCERS["dft321"]}, measures=("rotation",), draws=3, seed=1
+    )
     assert find_cell(together, "drag", "dft321", measure="rotation") == alone[0]
 
 
 def test_a_figure_is_judged_by_its_median_and_a_caution_where_one_take_in_ten_fails() -> None:
     assert Cell("a", "b", "shift", value=0.0, worst=1.0).grade == "good"
-    assert Cell("a", "b", "shift", value=0.0, worst=1.0, p90=0.3).grade == "caution"  # one take in ten fails
+    assert (
+        Cell("a", "b", "shift", value=0.0, worst=1.0, p90=0.3).grade == "caution"
+    )  # one take in ten fails
     assert Cell("a", "b", "energy", value=-4.0, worst=-4.0).grade == "fails"
     assert Cell("a", "b", "fault", value=float("nan"), worst=float("nan")).grade == "undefined"
 
@@ -141,7 +161,9 @@ def test_doors(drag: Any) -> None:
         find_cell([], "a", "b", measure="gain")
 
 
-@pytest.mark.parametrize("name", ["soc321", "dft321", "pca321_adaptive", "mag321", "pca321_matched_windowed"])
+@pytest.mark.parametrize(
+    "name", ["soc321", "dft321", "pca321_adaptive", "mag321", "pca321_matched_windowed"]
+)
 @pytest.mark.parametrize("scene", ["missing_samples", "impulse_at_edge", "very_short"])
 def test_takes_are_measured_as_single_recordings_are(name: str, scene: str) -> None:
     takes, reduce = make_takes(scene, seeds=3, seed=2), REDUCERS[name]
@@ -168,7 +190,7 @@ def test_quantiles_are_those_over_takes(monkeypatch: pytest.MonkeyPatch) -> None
     def measured(*_: Any) -> dict[str, np.ndarray]:
         return {key: -sizes if key == "energy" else sizes for key in (*MEASURES, "phase")}
 
-    monkeypatch.setattr("analysis.tradeoff.stress.takes.measure_takes", measured)
+    monkeypatch.setattr("feel321.analysis.tradeoff.stress.takes.measure_takes", measured)
     gain, *_ = cells = measure_battery({"mag321": REDUCERS["mag321"]}, seeds=40, seed=0)
     assert (gain.value, gain.p90, gain.p95, gain.worst) == pytest.approx((20.5, 36.1, 38.05, 40.0))
     assert gain.up_to_phase == 20.5

@@ -6,14 +6,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.tradeoff.stress import diagnosis
-from analysis.tradeoff.stress.cells import Cell
-from analysis.tradeoff.stress.signs import SIGNS, Diagnosis, diagnose, warn_of
-from stimuli.condition import Conditioning, condition
-from stimuli.formats import read_recording
+from feel321.analysis.tradeoff.stress import diagnosis
+from feel321.analysis.tradeoff.stress.cells import Cell
+from feel321.analysis.tradeoff.stress.diagnosis import SIGNS, Diagnosis, diagnose, warn_of
+from feel321.stimuli.condition import Conditioning, condition
+from feel321.stimuli.formats.read import read_recording
 
 SHARED = Path(__file__).resolve().parents[4] / "shared" / "recordings"
-needs_recordings = pytest.mark.skipif(not SHARED.is_dir(), reason="NO REAL RECORDINGS: ../shared/recordings is missing")
+needs_recordings = pytest.mark.skipif(
+    not SHARED.is_dir(), reason="NO REAL RECORDINGS: ../shared/recordings is missing"
+)
 
 
 @pytest.mark.parametrize("share", [0.1, 0.32, 0.7])
@@ -55,11 +57,13 @@ def test_clipping_steps_and_repeats(made: Any) -> None:
     cut = np.clip(u, -0.5, 0.5)
     assert diagnosis.clipped_share(made([u, u, u])) == 0
     assert diagnosis.clipped_share(made([cut, u, 0 * u])) == pytest.approx(2 / 3, abs=0.03)
-    assert diagnosis.step_over_rms(made([np.round(4 * u)] * 3)) == pytest.approx(1 / np.round(4 * u).std())
-    assert diagnosis.step_over_rms(made(np.zeros((3, 5)))) == 0
-    assert diagnosis.held_share(made(np.repeat(np.random.default_rng(0).standard_normal((3, 50)), 2, axis=1))) == (
-        pytest.approx(50 / 99)
+    assert diagnosis.step_over_rms(made([np.round(4 * u)] * 3)) == pytest.approx(
+        1 / np.round(4 * u).std()
     )
+    assert diagnosis.step_over_rms(made(np.zeros((3, 5)))) == 0
+    assert diagnosis.held_share(
+        made(np.repeat(np.random.default_rng(0).standard_normal((3, 50)), 2, axis=1))
+    ) == (pytest.approx(50 / 99))
     assert diagnosis.held_share(made(np.ones((3, 1)))) == 0
 
 
@@ -82,14 +86,21 @@ def test_spikes_tones_and_silence(made: Any) -> None:
     assert diagnosis.tonal_share(made([tone, 0 * tone, 0 * tone])) == pytest.approx(1)
     assert diagnosis.tonal_share(made(np.random.default_rng(0).standard_normal((3, 1000)))) < 0.1
     assert diagnosis.tonal_share(made(np.ones((3, 1)))) == 0
-    assert diagnosis.silence_share(made([np.where(np.arange(1000) < 500, tone, 0)] * 3)) == pytest.approx(0.5, abs=0.05)
+    assert diagnosis.silence_share(
+        made([np.where(np.arange(1000) < 500, tone, 0)] * 3)
+    ) == pytest.approx(0.5, abs=0.05)
     assert diagnosis.n_windows(made(np.ones((3, 350)))) == pytest.approx(10)
     assert diagnosis.silent_axes(made(np.zeros((3, 5)))) == 3
 
 
 def test_a_warning_names_the_share_and_the_reducers_that_suffer() -> None:
-    figures = {name: (100.0 if sign.below else 0.0) for name, sign in SIGNS.items()} | {"undetermined_share": 0.32}
-    gains = [Cell("drag", name, "gain", gain, gain) for name, gain in (("dft321", 40.0), ("dft321_windowed", 1.0))]
+    figures = {name: (100.0 if sign.below else 0.0) for name, sign in SIGNS.items()} | {
+        "undetermined_share": 0.32
+    }
+    gains = [
+        Cell("drag", name, "gain", gain, gain)
+        for name, gain in (("dft321", 40.0), ("dft321_windowed", 1.0))
+    ]
     expected = "32 % of the energy sits where the phase is undetermined: dft321 is sensitive here (gain 40)"
     assert warn_of(Diagnosis("drag", figures), gains) == (expected,)
     assert warn_of(Diagnosis("other", figures), gains) == (expected.partition(":")[0],)
@@ -111,7 +122,9 @@ def test_real_recordings_are_told_for_what_they_are() -> None:
     near = {}
     for name in ("shaker_x_5k.npz", "isotropic_noise_20k.wav", "knocks_26k.wav"):
         sensor = read_recording(SHARED / name)
-        near[name] = {sign.name for sign in diagnose(condition(sensor, Conditioning()), sensor).near_signs}
+        near[name] = {
+            sign.name for sign in diagnose(condition(sensor, Conditioning()), sensor).near_signs
+        }
     assert {"silent_axes", "tonal_share"} <= near["shaker_x_5k.npz"]
     assert "offset_share" in near["isotropic_noise_20k.wav"]
     assert {"offset_share", "crest_factor"} <= near["knocks_26k.wav"]

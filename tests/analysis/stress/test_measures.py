@@ -5,18 +5,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.tradeoff.stress.battery import BATTERY
-from analysis.tradeoff.stress.change import UNRELATED, relative_change
-from analysis.tradeoff.stress.measures import (
+from feel321.analysis.tradeoff.stress.battery import BATTERY
+from feel321.analysis.tradeoff.stress.measures import (
     LARGEST_DB,
+    UNRELATED,
     edge_error,
     energy_error,
     fault_gain,
+    flip_change,
+    metric_spread,
     perturbation_gain,
+    relative_change,
+    rotation_change,
     shift_change,
 )
-from analysis.tradeoff.stress.mounting import flip_change, metric_spread, rotation_change
-from stimuli.reduce import REDUCERS
+from feel321.stimuli.reducers.registry import REDUCERS
 
 POINTWISE = ("sax321", "say321", "saz321", "soc321", "mag321")
 
@@ -42,7 +45,10 @@ def test_silence_that_stays_has_not_changed_and_silence_that_ends_has_in_full() 
 
 def test_a_constant_phase_is_forgiven_where_asked() -> None:
     time = np.arange(1000) / 1000
-    tones = [np.cos(2 * np.pi * (50 * time) + phase) + 0.5 * np.cos(2 * np.pi * 120 * time + phase) for phase in (0, 1)]
+    tones = [
+        np.cos(2 * np.pi * (50 * time) + phase) + 0.5 * np.cos(2 * np.pi * 120 * time + phase)
+        for phase in (0, 1)
+    ]
     assert relative_change(tones[1], tones[0]) > 0.9
     assert relative_change(tones[1], tones[0], free="phase") < 1e-6
 
@@ -58,18 +64,26 @@ def test_gain_of_a_linear_reducer_is_that_of_its_weights(name: str, drag: Any) -
     reduce = REDUCERS[name]
     gain = perturbation_gain(reduce, drag, rng=rng(), draws=1)
     noise = rng().standard_normal((1, *drag.acceleration.shape))[0]
-    ratios = [np.linalg.norm(one) for one in (reduce(noise, 1), drag.acceleration, reduce(drag.acceleration, 1), noise)]
+    ratios = [
+        np.linalg.norm(one)
+        for one in (reduce(noise, 1), drag.acceleration, reduce(drag.acceleration, 1), noise)
+    ]
     assert gain.median == pytest.approx(ratios[0] * ratios[1] / (ratios[2] * ratios[3]), rel=1e-9)
     assert gain.median == gain.worst
 
 
 def test_gain_of_an_axis_that_holds_a_third_is_one(made: Any) -> None:
     axes = made(rng().standard_normal((3, 60000)))
-    assert perturbation_gain(REDUCERS["say321"], axes, rng=rng(1)).median == pytest.approx(1, abs=0.02)
+    assert perturbation_gain(REDUCERS["say321"], axes, rng=rng(1)).median == pytest.approx(
+        1, abs=0.02
+    )
 
 
 def test_a_gain_of_small_noise_does_not_depend_on_its_level(drag: Any) -> None:
-    gains = [perturbation_gain(REDUCERS["pca321"], drag, rng=rng(), level_db=level).median for level in (-60, -80)]
+    gains = [
+        perturbation_gain(REDUCERS["pca321"], drag, rng=rng(), level_db=level).median
+        for level in (-60, -80)
+    ]
     assert gains[0] == pytest.approx(gains[1], rel=0.01)
 
 
@@ -113,7 +127,9 @@ def test_whole_spectra_shift_with_the_motion_and_frames_do_not(drag: Any) -> Non
     assert shift_change(REDUCERS["dft321_windowed"], drag, rng=rng()).median > 0.001
 
 
-@pytest.mark.parametrize("scene", ["equal_eigenvalues", "anti_phase", "circular", "chirp", "clipping"])
+@pytest.mark.parametrize(
+    "scene", ["equal_eigenvalues", "anti_phase", "circular", "chirp", "clipping"]
+)
 def test_dft321_keeps_the_energy(scene: str) -> None:
     assert energy_error(REDUCERS["dft321"], BATTERY[scene].make(4)) == pytest.approx(0, abs=1e-9)
 
@@ -132,7 +148,9 @@ def test_window_edges_that_are_moved_are_found(drag: Any) -> None:
 
     def lose(acceleration: Any, rate_hz: float) -> Any:
         hop = round(0.0175 * rate_hz)
-        return REDUCERS["pca321"](acceleration, rate_hz) * (np.arange(acceleration.shape[-1]) // hop % 2)
+        return REDUCERS["pca321"](acceleration, rate_hz) * (
+            np.arange(acceleration.shape[-1]) // hop % 2
+        )
 
     assert edge_error(REDUCERS["pca321"], drag) < 0.05
     assert edge_error(lose, drag) == pytest.approx(0.5, abs=0.1)
@@ -148,7 +166,7 @@ def test_linear_reducers_amplify_faults_by_their_weights(made: Any) -> None:
 
 
 def test_spread_of_metrics_is_that_of_the_rotation_statistics(drag: Any) -> None:
-    from stimuli.rotation import rotation_statistics
+    from feel321.stimuli.rotation import rotation_statistics
 
     spectral, temporal = metric_spread(REDUCERS["soc321"], drag, rng=rng(), draws=200)
     samples = drag.acceleration
@@ -157,7 +175,9 @@ def test_spread_of_metrics_is_that_of_the_rotation_statistics(drag: Any) -> None
 
 
 def test_a_recording_without_vibration_frequencies_has_no_spectral_spread(made: Any) -> None:
-    spectral, temporal = metric_spread(REDUCERS["soc321"], made(rng().standard_normal((3, 4)), rate_hz=30), rng=rng())
+    spectral, temporal = metric_spread(
+        REDUCERS["soc321"], made(rng().standard_normal((3, 4)), rate_hz=30), rng=rng()
+    )
     assert np.isnan(spectral)
     assert temporal > 0
 

@@ -5,13 +5,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.tradeoff.stress.battery import BATTERY
-from analysis.tradeoff.stress.metrics import compare_metrics_under_rotation, say_metrics
-from stimuli.reduce import REDUCERS
+from feel321.analysis.tradeoff.stress.battery import BATTERY
+from feel321.analysis.tradeoff.stress.cells import compare_metrics_under_rotation, say_metrics
+from feel321.stimuli.reducers.registry import REDUCERS
 
 
 def compare(recording: Any, **changes: Any) -> Any:
-    return compare_metrics_under_rotation(recording, REDUCERS, rng=np.random.default_rng(0), **changes)
+    return compare_metrics_under_rotation(
+        recording, REDUCERS, rng=np.random.default_rng(0), **changes
+    )
 
 
 def test_the_temporal_match_moves_with_the_mounting_and_its_counterpart_does_not(drag: Any) -> None:
@@ -41,7 +43,9 @@ def test_another_reducer_is_held_where_the_usual_one_is_not_there(drag: Any) -> 
 
 def test_without_a_frequency_there_is_no_spectral_match(made: Any) -> None:
     slow = made(np.random.default_rng(0).standard_normal((3, 4)), rate_hz=30.0)
-    row = compare_metrics_under_rotation(slow, {"sax321": REDUCERS["sax321"]}, rng=np.random.default_rng(0))
+    row = compare_metrics_under_rotation(
+        slow, {"sax321": REDUCERS["sax321"]}, rng=np.random.default_rng(0)
+    )
     assert row.worst_reducer == ""
     assert np.isnan([row.spectral, row.spectral_bounded, row.spectral_energy_weighted]).all()
     assert not row.explodes

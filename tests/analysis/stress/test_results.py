@@ -11,15 +11,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.tradeoff.stress.battery import BATTERY
-from analysis.tradeoff.stress.drawing import tell_gain
-from analysis.tradeoff.stress.limits import MEASURES
-from analysis.tradeoff.stress.page import name_anchor, tell_figure
-from analysis.tradeoff.stress.reasons import tell_reason
-from analysis.tradeoff.stress.run import stress_reducers, write_stress
-from analysis.tradeoff.stress.signals import take_excerpt
-from stimuli.recording import Recording
-from stimuli.reduce import REDUCERS
+from feel321.analysis.tradeoff.stress.battery import BATTERY, take_excerpt
+from feel321.analysis.tradeoff.stress.measures import MEASURES
+from feel321.analysis.tradeoff.stress.page import name_anchor, tell_figure, tell_gain
+from feel321.analysis.tradeoff.stress.result import tell_reason
+from feel321.analysis.tradeoff.stress.run import stress_reducers, write_stress
+from feel321.stimuli.recording import Recording
+from feel321.stimuli.reducers.registry import REDUCERS
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -33,13 +31,22 @@ def test_every_figure_is_there(result: Any) -> None:
     assert len(result.cells) == len(BATTERY) * len(REDUCERS) * len(MEASURES)
     assert len(result.gains) == 2 * len(REDUCERS)
     assert [row.recording for row in result.metrics] == [*BATTERY, "drag", "half"]
-    undefined = {cell.recording for cell in result.cells if cell.measure == "fault" and cell.grade != "undefined"}
+    undefined = {
+        cell.recording
+        for cell in result.cells
+        if cell.measure == "fault" and cell.grade != "undefined"
+    }
     assert undefined == {name for name, scene in BATTERY.items() if scene.fault}
 
 
 def test_the_recording_that_comes_near_is_named(result: Any) -> None:
-    assert any("half (Energy of undetermined phase" in told for told in result.find_near("anti_phase"))
-    assert any(line.split("%")[1].startswith(" of the energy sits where the phase") for line in result.warnings["half"])
+    assert any(
+        "half (Energy of undetermined phase" in told for told in result.find_near("anti_phase")
+    )
+    assert any(
+        line.split("%")[1].startswith(" of the energy sits where the phase")
+        for line in result.warnings["half"]
+    )
     assert "drag" not in result.warnings
     assert result.find_near("circular") == ()
 
@@ -51,10 +58,18 @@ def test_silence_and_what_conditioning_hides_are_noted(result: Any) -> None:
 
 def test_the_answer_names_what_fails(result: Any) -> None:
     text = " ".join(result.answers)
-    assert re.search(r"Anti-phase axes: perturbation gain above 10 of soc321 \(1414\), dft321 \(1\d\d\d\)", text)
+    assert re.search(
+        r"Anti-phase axes: perturbation gain above 10 of soc321 \(1414\), dft321 \(1\d\d\d\)", text
+    )
     assert re.search(r"Circular motion: .*pca321 \(\d+\)", text)
-    assert "Under a turn of the sensor the output changes by less than 22 % in every scene with mag321" in text
-    assert re.search(r"pca321_matched_windowed: perturbation gain at most \d.* and \d\.\d in the worst of 4", text)
+    assert (
+        "Under a turn of the sensor the output changes by less than 22 % in every scene with mag321"
+        in text
+    )
+    assert re.search(
+        r"pca321_matched_windowed: perturbation gain at most \d.* and \d\.\d in the worst of 4",
+        text,
+    )
 
 
 def test_json_holds_what_was_measured_and_no_nan(result: Any, folder: Path) -> None:
@@ -69,10 +84,15 @@ def test_tables_hold_the_cells(result: Any, folder: Path) -> None:
     table = pd.read_csv(folder / "tables" / "cells.csv")
     assert table["grade"].tolist() == [cell.grade for cell in result.cells]
     assert np.allclose(table["value"], [cell.value for cell in result.cells], equal_nan=True)
-    assert pd.read_csv(folder / "tables" / "recordings.csv")["recording"].tolist() == ["drag", "half"]
+    assert pd.read_csv(folder / "tables" / "recordings.csv")["recording"].tolist() == [
+        "drag",
+        "half",
+    ]
 
 
-def test_every_link_leads_somewhere_and_every_failure_is_linked_and_explained(result: Any, folder: Path) -> None:
+def test_every_link_leads_somewhere_and_every_failure_is_linked_and_explained(
+    result: Any, folder: Path
+) -> None:
     page = read_page(folder)
     ids = re.findall(r'\bid="([^"]+)"', page)
     assert len(set(ids)) == len(ids)
@@ -84,16 +104,24 @@ def test_every_link_leads_somewhere_and_every_failure_is_linked_and_explained(re
         anchor = name_anchor(cell.recording, cell.reducer)
         entry = body.split(f'<h4 id="{anchor}">', 1)[1].split("</ul>", 1)[0]
         assert MEASURES[cell.measure].title in entry
-        assert html.escape(tell_reason(cell.measure, cell.reducer), quote=False).split("'")[0] in entry
+        assert (
+            html.escape(tell_reason(cell.measure, cell.reducer), quote=False).split("'")[0] in entry
+        )
     table = re.findall(r'<td class="fails"><a href="#(stress-[^"]+)">', page)
     assert len(table) == len(result.failures)
-    drawn = {link for link in re.findall(r'xlink:href="#(stress-[^"]+)"', page) if link.count("-") == 2}
+    drawn = {
+        link for link in re.findall(r'xlink:href="#(stress-[^"]+)"', page) if link.count("-") == 2
+    }
     assert {name_anchor(cell.recording, cell.reducer) for cell in result.failures} <= drawn
 
 
-@pytest.mark.skipif(not shutil.which("chromium"), reason="PAGE NOT RENDERED: chromium is not installed")
+@pytest.mark.skipif(
+    not shutil.which("chromium"), reason="PAGE NOT RENDERED: chromium is not installed"
+)
 @pytest.mark.parametrize("width", [500, 1400])
-def test_a_browser_shows_it_without_overflow_and_follows_a_cell(folder: Path, tmp_path: Path, width: int) -> None:
+def test_a_browser_shows_it_without_overflow_and_follows_a_cell(
+    folder: Path, tmp_path: Path, width: int
+) -> None:
     """The browser clicks the drawn cell of dft321 on anti-phase axes, and finds its explanation."""
     probe = (
         "document.querySelector('svg a[*|href=\"#stress-anti_phase-dft321\"]')"
@@ -108,7 +136,13 @@ def test_a_browser_shows_it_without_overflow_and_follows_a_cell(folder: Path, tm
         "--disable-component-update", "--no-first-run", f"--user-data-dir={tmp_path / 'profile'}",
         "--virtual-time-budget=2000",
     ]  # fmt: skip
-    command = ["chromium", *quiet, f"--window-size={width},900", "--dump-dom", (tmp_path / "probe.html").as_uri()]
+    command = [
+        "chromium",
+        *quiet,
+        f"--window-size={width},900",
+        "--dump-dom",
+        (tmp_path / "probe.html").as_uri(),
+    ]
     shown = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout
     wide, window, target = re.search(r"<title>(\d+) of (\d+) at (.*?)</title>", shown).groups()
     assert target == "dft321"
@@ -137,7 +171,9 @@ def test_a_former_test_is_replaced_and_foreign_files_stay(small: Any, tmp_path: 
 def test_progress_reaches_the_end(drag: Any) -> None:
     told: list[tuple[int, int]] = []
     few = {name: REDUCERS[name] for name in ("sax321", "mag321")}
-    done = stress_reducers([drag], few, seeds=2, draws=2, seed=0, progress=lambda *step: told.append(step))
+    done = stress_reducers(
+        [drag], few, seeds=2, draws=2, seed=0, progress=lambda *step: told.append(step)
+    )
     assert told[-1] == (38, 38)
     assert [step for step, _ in told] == list(range(1, 39))
     assert set(done.reducers) == set(few)
@@ -168,7 +204,9 @@ def test_the_strongest_part_is_taken(made: Any) -> None:
 
 
 def test_doors(drag: Any) -> None:
-    with pytest.raises(ValueError, match="recordings: got 2 with 1 names, allowed is a name for each"):
+    with pytest.raises(
+        ValueError, match="recordings: got 2 with 1 names, allowed is a name for each"
+    ):
         stress_reducers([drag, drag], seed=0)
     with pytest.raises(ValueError, match="reducers: got none, allowed is one or more"):
         stress_reducers([drag], {}, seed=0)
@@ -177,10 +215,16 @@ def test_doors(drag: Any) -> None:
 def test_warnings_of_the_reader_are_passed_on(drag: Any) -> None:
     warned = Recording(drag.acceleration, drag.rate_hz, "warned", warnings=("x is saturated",))
     few = {"mag321": REDUCERS["mag321"]}
-    assert "warned: x is saturated" in stress_reducers([warned], few, seeds=2, draws=2, seed=0).notes
+    assert (
+        "warned: x is saturated" in stress_reducers([warned], few, seeds=2, draws=2, seed=0).notes
+    )
 
 
 def test_figures_in_words() -> None:
     assert [tell_gain(gain) for gain in (0.9951, 9.96, float("nan"))] == ["1.0", "10", "–"]
-    assert [tell_figure(value) for value in (float("nan"), 2e7, -735.0)] == ["–", "2.00e+07", "−735"]
+    assert [tell_figure(value) for value in (float("nan"), 2e7, -735.0)] == [
+        "–",
+        "2.00e+07",
+        "−735",
+    ]
     assert tell_reason("gain", "my321") == "the output rests on something that noise decides."

@@ -22,10 +22,15 @@ def signal() -> NDArray[np.float64]:
 
 def _channel(number: int, names: tuple[str, ...], unit: str) -> dict[str, object]:
     axes = [
-        {"SubChannelID": i, "SubChannelName": name, "SubChannelLabel": unit, "SubChannelUnits": unit,
-         "SubChannelCalibrationIDRef": 1}
+        {
+            "SubChannelID": i,
+            "SubChannelName": name,
+            "SubChannelLabel": unit,
+            "SubChannelUnits": unit,
+            "SubChannelCalibrationIDRef": 1,
+        }
         for i, name in enumerate(names)
-    ]  # fmt: skip
+    ]
     layout = {"ChannelFormat": "<" + "h" * len(names), **MICROSECONDS}
     return {"ChannelID": number, "ChannelName": f"channel {number}", "SubChannel": axes, **layout}
 
@@ -37,7 +42,9 @@ def write_ide(tmp_path: Path) -> Callable[..., Path]:
     idelib = pytest.importorskip("idelib")
     schema = ebmlite.loadSchema(str(Path(idelib.__file__).parent / "schemata" / "mide_ide.xml"))
 
-    def write(counts: NDArray[np.int16], *, period_us: int = 50, lost_us: int = 0, unit: str = "g") -> Path:
+    def write(
+        counts: NDArray[np.int16], *, period_us: int = 50, lost_us: int = 0, unit: str = "g"
+    ) -> Path:
         accelerometer = _channel(8, ("Z (100g)", "Y (100g)", "X (100g)"), unit)
         slow = _channel(80, ("X (40g)", "Y (40g)", "Z (40g)"), unit)
         gyroscope = _channel(47, ("X", "Y", "Z"), "dps")
@@ -58,8 +65,14 @@ def write_ide(tmp_path: Path) -> Callable[..., Path]:
                     "StartTimeCodeAbsMod": first_us * stretch,
                     "EndTimeCodeAbsMod": (first_us + (len(block) - 1) * period_us) * stretch,
                 }
-                rows = block[:, ::-1] if channel == 8 else 0 * block  # the recorder's order is z, y, x
-                payload = {"ChannelIDRef": channel, **stamps, "ChannelDataPayload": rows.astype("<i2").tobytes()}
+                rows = (
+                    block[:, ::-1] if channel == 8 else 0 * block
+                )  # the recorder's order is z, y, x
+                payload = {
+                    "ChannelIDRef": channel,
+                    **stamps,
+                    "ChannelDataPayload": rows.astype("<i2").tobytes(),
+                }
                 elements.append({"ChannelDataBlock": payload})
         path = tmp_path / "recorder.IDE"
         path.write_bytes(b"".join(schema.encodes(element) for element in elements))

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from stimuli.formats import read_recording
-from stimuli.recording import UNITS
+from feel321.stimuli.formats.read import read_recording
+from feel321.stimuli.recording import UNITS
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -46,14 +46,18 @@ def _write(path: Path, arrays: dict[str, Any]) -> Path:
 def test_the_meant_arrays_are_read_in_their_unit(
     tmp_path: Path, suffix: str, arrays: dict[str, Any], arguments: dict[str, Any], unit: str
 ) -> None:
-    recording = read_recording(_write(tmp_path / f"a{suffix}", {**arrays, "rate_hz": 100.0}), **arguments)
+    recording = read_recording(
+        _write(tmp_path / f"a{suffix}", {**arrays, "rate_hz": 100.0}), **arguments
+    )
     np.testing.assert_array_equal(recording.acceleration, SIGNAL * UNITS[unit])
     assert not any("no unit" in line for line in recording.warnings)
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".mat"])
 @pytest.mark.parametrize("columns", [("clock_ms", "data"), ("clock_ms", "x", "y", "z")])
-def test_the_meant_time_is_read_in_its_unit(tmp_path: Path, suffix: str, columns: tuple[str, ...]) -> None:
+def test_the_meant_time_is_read_in_its_unit(
+    tmp_path: Path, suffix: str, columns: tuple[str, ...]
+) -> None:
     arrays = {"t": 7 * TIME, "time": 5 * TIME, "clock_ms": 1000 * TIME, "data": SIGNAL, **AXES}
     recording = read_recording(_write(tmp_path / f"a{suffix}", arrays), columns=columns)
     np.testing.assert_array_equal(recording.acceleration, SIGNAL)
@@ -63,12 +67,17 @@ def test_the_meant_time_is_read_in_its_unit(tmp_path: Path, suffix: str, columns
 def test_one_of_several_rates_is_chosen(tmp_path: Path) -> None:
     path = _write(tmp_path / "a.npz", {"acceleration": SIGNAL, "rate_hz": 100.0, "fs": 200.0})
     assert read_recording(path, rate_hz=200).rate_hz == 200
-    assert read_recording(_write(path, {"acceleration": SIGNAL, "rate": 100, "fs": 100.0})).rate_hz == 100
+    assert (
+        read_recording(_write(path, {"acceleration": SIGNAL, "rate": 100, "fs": 100.0})).rate_hz
+        == 100
+    )
 
 
 def test_one_sample_of_three_axes_is_no_reduced_signal(tmp_path: Path) -> None:
     for name in ("a.npz", "a.mat"):
-        recording = read_recording(_write(tmp_path / name, {"acceleration": SIGNAL[:, :1], "fs": 100}))
+        recording = read_recording(
+            _write(tmp_path / name, {"acceleration": SIGNAL[:, :1], "fs": 100})
+        )
         np.testing.assert_array_equal(recording.acceleration, SIGNAL[:, :1])
     np.save(tmp_path / "a.npy", SIGNAL[:, :1])
     assert read_recording(tmp_path / "a.npy", rate_hz=100).n_samples == 1
@@ -115,30 +124,43 @@ def test_what_may_mean_two_things_is_refused_by_name(tmp_path: Path, case: str) 
 
 
 def _stamped(path: Path, time: NDArray[np.float64], digits: int) -> Path:
-    rows = [f"{t:.{digits}f},{x:.3f},{y:.3f},{z:.3f}" for t, (x, y, z) in zip(time, SIGNAL.T, strict=True)]
+    rows = [
+        f"{t:.{digits}f},{x:.3f},{y:.3f},{z:.3f}"
+        for t, (x, y, z) in zip(time, SIGNAL.T, strict=True)
+    ]
     path.write_text("time_s,x_g,y_g,z_g\n" + "\n".join(rows), encoding="utf-8")
     return path
 
 
 @pytest.mark.parametrize(("late", "passes"), [(0.009, True), (0.011, False)])
-def test_jitter_up_to_one_per_cent_of_the_period_passes(tmp_path: Path, late: float, passes: bool) -> None:
+def test_jitter_up_to_one_per_cent_of_the_period_passes(
+    tmp_path: Path, late: float, passes: bool
+) -> None:
     time = TIME.copy()
     time[20:] += late * 0.01
     path = _write(tmp_path / "a.npz", {"acceleration": SIGNAL, "time": time})
     if passes:
         assert read_recording(path).rate_hz == pytest.approx(100, rel=1e-3)
     else:
-        with pytest.raises(ValueError, match=r"jitter up to 1\.1% of the 10 ms period, 1 of 39 intervals off"):
+        with pytest.raises(
+            ValueError, match=r"jitter up to 1\.1% of the 10 ms period, 1 of 39 intervals off"
+        ):
             read_recording(path)
 
 
 @pytest.mark.parametrize(("units", "passes"), [(-1, True), (1, True), (2, False), (3, False)])
-def test_rounding_by_one_unit_in_the_last_place_passes(tmp_path: Path, units: int, passes: bool) -> None:
-    time = TIME.copy()  # a period is ten units of the third place, so that 1 % of it is a tenth of one
+def test_rounding_by_one_unit_in_the_last_place_passes(
+    tmp_path: Path, units: int, passes: bool
+) -> None:
+    time = (
+        TIME.copy()
+    )  # a period is ten units of the third place, so that 1 % of it is a tenth of one
     time[20:] += units * 0.001
     path = _stamped(tmp_path / "a.csv", time, 3)
     if passes:
         assert any("finer jitter cannot be seen" in line for line in read_recording(path).warnings)
     else:
-        with pytest.raises(ValueError, match=rf"jitter up to {units}0\.0% of the 10 ms period, 1 of 39"):
+        with pytest.raises(
+            ValueError, match=rf"jitter up to {units}0\.0% of the 10 ms period, 1 of 39"
+        ):
             read_recording(path)

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from scipy.io import savemat, wavfile
 
-from stimuli.formats import read_recording
-from stimuli.formats.errors import foreign_errors
-from stimuli.recording import STANDARD_GRAVITY
-from stimuli.wav import write_wav
+from feel321.stimuli.formats.common import foreign_errors
+from feel321.stimuli.formats.read import read_recording
+from feel321.stimuli.recording import STANDARD_GRAVITY
+from feel321.stimuli.wav import write_wav
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -31,13 +31,17 @@ def test_float_wav_is_in_the_unit_of_its_sidecar(tmp_path: Path, signal: Signal)
     write_wav(tmp_path / "a.wav", signal, 20000)
     (tmp_path / "a.json").write_text('{"unit": "g", "rate_hz": 19999.57, "axes": ["x", "y", "z"]}')
     recording = read_recording(tmp_path / "a.wav")
-    np.testing.assert_array_equal(recording.acceleration, signal.astype("f4").astype("f8") * STANDARD_GRAVITY)
+    np.testing.assert_array_equal(
+        recording.acceleration, signal.astype("f4").astype("f8") * STANDARD_GRAVITY
+    )
     assert (recording.rate_hz, recording.name, recording.warnings) == (19999.57, "a", ())
     both = (tmp_path / "a.wav").read_bytes() + (tmp_path / "a.json").read_bytes()
     assert recording.sha256 == hashlib.sha256(both).hexdigest()
 
 
-def test_sidecar_may_be_toml_and_name_more_channels_in_any_order(tmp_path: Path, signal: Signal) -> None:
+def test_sidecar_may_be_toml_and_name_more_channels_in_any_order(
+    tmp_path: Path, signal: Signal
+) -> None:
     write_wav(tmp_path / "a.wav", np.vstack([signal, signal[:1]])[[3, 2, 1, 0]], 8000)
     (tmp_path / "a.toml").write_text('unit = "m/s2"\naxes = ["force", "z", "y", "x"]\n')
     recording = read_recording(tmp_path / "a.wav")
@@ -54,7 +58,9 @@ def test_integer_wav_is_a_fraction_of_full_scale(tmp_path: Path) -> None:
     bare = read_recording(tmp_path / "a.wav", unit="g")
     assert any("full scale taken as 1.0" in line for line in bare.warnings)
     (tmp_path / "a.json").write_text('{"unit": "g", "full_scale": 2}')
-    np.testing.assert_allclose(read_recording(tmp_path / "a.wav").acceleration[0], counts[0] / 16384 * STANDARD_GRAVITY)
+    np.testing.assert_allclose(
+        read_recording(tmp_path / "a.wav").acceleration[0], counts[0] / 16384 * STANDARD_GRAVITY
+    )
 
 
 def test_wav_is_known_by_its_content_not_its_suffix(tmp_path: Path, signal: Signal) -> None:
@@ -66,7 +72,12 @@ def test_extensible_float_wav_is_float(tmp_path: Path, signal: Signal) -> None:
     frames = signal.T.astype("<f4").tobytes()
     guid = b"\x03\x00\x00\x00\x00\x00\x10\x00\x80\x00\x00\xaa\x00\x38\x9b\x71"
     layout = struct.pack("<HHIIHHHHI", 0xFFFE, 3, 8000, 96000, 12, 32, 22, 32, 0) + guid
-    chunks = struct.pack("<4s4sI", b"WAVE", b"fmt ", 40) + layout + struct.pack("<4sI", b"data", len(frames)) + frames
+    chunks = (
+        struct.pack("<4s4sI", b"WAVE", b"fmt ", 40)
+        + layout
+        + struct.pack("<4sI", b"data", len(frames))
+        + frames
+    )
     (tmp_path / "a.wav").write_bytes(b"RIFF" + struct.pack("<I", len(chunks)) + chunks)
     recording = read_recording(tmp_path / "a.wav", unit="m/s^2")
     np.testing.assert_array_equal(recording.acceleration, signal.astype(np.float32))
@@ -90,8 +101,16 @@ def test_extensible_float_wav_is_float(tmp_path: Path, signal: Signal) -> None:
         ({}, {"rate_hz": 9000}, "got 9000 Hz, but 8000 Hz by the file"),
         ({}, {"columns": (0, 1, 2)}, "columns for a wav file"),
         ([], {}, "sidecar a.json: got a list, allowed is a table"),
-        ({"unt": "g", "Fs": 8000}, {}, "sidecar a.json: got the unknown 'unt', 'Fs', allowed is unit, rate_hz, axes"),
-        ({"unit": "g", "units": "mg"}, {}, "sidecar a.json: got both unit and units, allowed is one"),
+        (
+            {"unt": "g", "Fs": 8000},
+            {},
+            "sidecar a.json: got the unknown 'unt', 'Fs', allowed is unit, rate_hz, axes",
+        ),
+        (
+            {"unit": "g", "units": "mg"},
+            {},
+            "sidecar a.json: got both unit and units, allowed is one",
+        ),
     ],
 )
 def test_a_wav_that_contradicts_what_is_said_of_it_is_refused(
@@ -103,11 +122,15 @@ def test_a_wav_that_contradicts_what_is_said_of_it_is_refused(
         read_recording(tmp_path / "a.wav", **arguments)
 
 
-def test_a_sidecar_may_spell_rate_and_unit_as_an_archive_may(tmp_path: Path, signal: Signal) -> None:
+def test_a_sidecar_may_spell_rate_and_unit_as_an_archive_may(
+    tmp_path: Path, signal: Signal
+) -> None:
     write_wav(tmp_path / "a.wav", signal, 8000)
     (tmp_path / "a.json").write_text('{"units": "g", "fs": 8000.4}')
     recording = read_recording(tmp_path / "a.wav")
-    np.testing.assert_array_equal(recording.acceleration, signal.astype("f4").astype("f8") * STANDARD_GRAVITY)
+    np.testing.assert_array_equal(
+        recording.acceleration, signal.astype("f4").astype("f8") * STANDARD_GRAVITY
+    )
     assert recording.rate_hz == 8000.4
 
 
@@ -128,9 +151,12 @@ def test_two_sidecars_are_refused(tmp_path: Path, signal: Signal) -> None:
 
 
 @pytest.mark.parametrize(
-    ("channels", "message"), [(1, "already reduced"), (2, "2 channels, allowed is 3"), (4, "4 channels for 3 axes")]
+    ("channels", "message"),
+    [(1, "already reduced"), (2, "2 channels, allowed is 3"), (4, "4 channels for 3 axes")],
 )
-def test_a_wav_without_three_channels_is_refused(tmp_path: Path, channels: int, message: str) -> None:
+def test_a_wav_without_three_channels_is_refused(
+    tmp_path: Path, channels: int, message: str
+) -> None:
     write_wav(tmp_path / "a.wav", np.ones((channels, 9)), 8000)
     with pytest.raises(ValueError, match=message):
         read_recording(tmp_path / "a.wav")
@@ -152,7 +178,13 @@ def test_a_truncated_wav_is_named_once(tmp_path: Path, signal: Signal) -> None:
         lambda s: {"acceleration": s, "rate_hz": 1000.0, "unit": "g"},
         lambda s: {"ACC": s.T, "fs": np.array([1000]), "units": np.array(["g"])},
         lambda s: {"x": s[0], "y": s[1], "z": s[2], "rate": 1000, "unit": "G"},
-        lambda s: {"acc_x": s[0], "acc_y": s[1], "acc_z": s[2], "time": np.arange(60) / 1000, "unit": "g"},
+        lambda s: {
+            "acc_x": s[0],
+            "acc_y": s[1],
+            "acc_z": s[2],
+            "time": np.arange(60) / 1000,
+            "unit": "g",
+        },
         lambda s: {"tmp": s.T, "time_ms": np.arange(60.0), "unit": "g"},
         lambda s: {"data": s, "t": (5 + np.arange(60) / 1000).astype(np.float32), "unit": "g"},
     ],
@@ -178,7 +210,9 @@ def test_a_bare_array_is_read_with_a_given_rate(tmp_path: Path, signal: Signal) 
 
 def test_a_matlab_4_file_is_read(tmp_path: Path, signal: Signal) -> None:
     savemat(tmp_path / "a.mat", {"tmp": signal}, format="4")
-    np.testing.assert_array_equal(read_recording(tmp_path / "a.mat", rate_hz=1000).acceleration, signal)
+    np.testing.assert_array_equal(
+        read_recording(tmp_path / "a.mat", rate_hz=1000).acceleration, signal
+    )
 
 
 ARRAY_REFUSALS = {
@@ -221,7 +255,9 @@ def test_arrays_that_are_no_recording_are_refused(tmp_path: Path, case: str) -> 
 
 def test_an_array_header_that_promises_too_much_is_refused(tmp_path: Path) -> None:
     with (tmp_path / "a.npy").open("wb") as file:
-        np.lib.format.write_array_header_1_0(file, {"descr": "<f8", "fortran_order": False, "shape": (3, 2**31)})
+        np.lib.format.write_array_header_1_0(
+            file, {"descr": "<f8", "fortran_order": False, "shape": (3, 2**31)}
+        )
     with pytest.raises(ValueError, match=r"a\.npy: cannot be read as an NPY array"):
         read_recording(tmp_path / "a.npy", rate_hz=1000)
 
@@ -229,7 +265,9 @@ def test_an_array_header_that_promises_too_much_is_refused(tmp_path: Path) -> No
 @pytest.mark.parametrize("name", ["a.npz", "a.mat", "a.npy"])
 def test_half_a_file_is_refused(tmp_path: Path, signal: Signal, name: str) -> None:
     path = tmp_path / name
-    {"a.npz": np.savez, "a.npy": np.save}.get(name, lambda p, s: savemat(p, {"tmp": s}))(path, signal)
+    {"a.npz": np.savez, "a.npy": np.save}.get(name, lambda p, s: savemat(p, {"tmp": s}))(
+        path, signal
+    )
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     with pytest.raises(ValueError, match=rf"^{name}: cannot be read as an? .*damaged"):
         read_recording(path, rate_hz=1000)
@@ -241,7 +279,11 @@ def test_half_a_file_is_refused(tmp_path: Path, signal: Signal, name: str) -> No
 def _hatt(signal: Signal, *, nested: bool = False, mark: str = " ", extra: str = "") -> str:
     texts = [mark.join(map(repr, axis.tolist())) for axis in signal]
     if nested:
-        body = "<Accel>" + "".join(f"<{a}>{t}</{a}>" for a, t in zip("XYZ", texts, strict=True)) + "</Accel>"
+        body = (
+            "<Accel>"
+            + "".join(f"<{a}>{t}</{a}>" for a, t in zip("XYZ", texts, strict=True))
+            + "</Accel>"
+        )
     else:
         body = "".join(f"<Accel{a}>{t}</Accel{a}>" for a, t in zip("XYZ", texts, strict=True))
     return f'<?xml version="1.0"?>\n<Recording><Force><X>1</X><Y>2</Y></Force>{body}{extra}</Recording>'
@@ -249,7 +291,9 @@ def _hatt(signal: Signal, *, nested: bool = False, mark: str = " ", extra: str =
 
 @pytest.mark.parametrize("nested", [False, True])
 @pytest.mark.parametrize("mark", [" ", ",", "\n", ", "])
-def test_hatt_axes_are_found_flat_or_nested(tmp_path: Path, signal: Signal, nested: bool, mark: str) -> None:
+def test_hatt_axes_are_found_flat_or_nested(
+    tmp_path: Path, signal: Signal, nested: bool, mark: str
+) -> None:
     extra = "<SampleRate>10000</SampleRate><AccelUnits>m/s^2</AccelUnits>"
     (tmp_path / "a.xml").write_text(_hatt(signal, nested=nested, mark=mark, extra=extra))
     recording = read_recording(tmp_path / "a.xml")
@@ -262,10 +306,15 @@ def test_hatt_axes_are_found_flat_or_nested(tmp_path: Path, signal: Signal, nest
     [
         ("<SamplingRate>10 kHz</SamplingRate>", 10000),
         ("<AccelSampleRate>8000 Hz</AccelSampleRate><ForceSampleRate>1000</ForceSampleRate>", 8000),
-        ("<Accel><SampleRate>1e4</SampleRate></Accel><Force><SampleRate>1000</SampleRate></Force>", 10000),
+        (
+            "<Accel><SampleRate>1e4</SampleRate></Accel><Force><SampleRate>1000</SampleRate></Force>",
+            10000,
+        ),
     ],
 )
-def test_hatt_rate_is_the_accelerometers(tmp_path: Path, signal: Signal, extra: str, rate: float) -> None:
+def test_hatt_rate_is_the_accelerometers(
+    tmp_path: Path, signal: Signal, extra: str, rate: float
+) -> None:
     (tmp_path / "a.xml").write_text(_hatt(signal, extra=extra))
     assert read_recording(tmp_path / "a.xml").rate_hz == rate
 
@@ -278,7 +327,10 @@ def test_hatt_rate_is_the_accelerometers(tmp_path: Path, signal: Signal, extra: 
         ("<R/>", r"XML without acceleration \(tags: none\)"),
         ("<R><AccelX>1 2</AccelX><AccelY>1 2</AccelY></R>", "only the axes x, y"),
         ("<R><AccelX>1 2</AccelX><AccelX>1 2</AccelX></R>", "2 elements for accelx"),
-        ("<R><AccelX>1 2</AccelX><AccelY>1 2</AccelY><AccelZ>1</AccelZ></R>", r"unequal length \(x 2, y 2, z 1"),
+        (
+            "<R><AccelX>1 2</AccelX><AccelY>1 2</AccelY><AccelZ>1</AccelZ></R>",
+            r"unequal length \(x 2, y 2, z 1",
+        ),
         ("<R><AccelX>1 two</AccelX></R>", "a value of the x axis that is no number"),
         ("<R><AccelX>1 nan</AccelX></R>", "'nan' as value 1 of the x axis"),
         ("<R><AccelX/></R>", "a value of the x axis that is no number"),
@@ -290,7 +342,10 @@ def test_hatt_rate_is_the_accelerometers(tmp_path: Path, signal: Signal, extra: 
         ("<R><AccelX>1", "cannot be read as XML"),
         ("<R><SampleRate>1.2.3</SampleRate>" + "<AccelX/><AccelY/><AccelZ/></R>", "no number"),
         ("<a>" * 20000 + "</a>" * 20000, "cannot be read as XML .*tags nested deeper than 64"),
-        ('<!DOCTYPE R [<!ENTITY a "1">]><R><AccelX>&a;</AccelX></R>', "declares a document type or entities"),
+        (
+            '<!DOCTYPE R [<!ENTITY a "1">]><R><AccelX>&a;</AccelX></R>',
+            "declares a document type or entities",
+        ),
     ],
 )
 def test_xml_that_is_no_recording_is_refused(tmp_path: Path, content: str, message: str) -> None:
@@ -310,13 +365,18 @@ def _write_lmt(folder: Path, signal: Signal) -> list[Path]:
 
 
 @pytest.mark.parametrize("which", [0, 1, 2])
-def test_any_axis_of_an_lmt_triple_finds_its_sisters(tmp_path: Path, signal: Signal, which: int) -> None:
+def test_any_axis_of_an_lmt_triple_finds_its_sisters(
+    tmp_path: Path, signal: Signal, which: int
+) -> None:
     paths = _write_lmt(tmp_path, signal)
     recording = read_recording(paths[which], unit="g")
     np.testing.assert_allclose(recording.acceleration, signal * STANDARD_GRAVITY, rtol=1e-15)
     assert recording.name == "G1RhombAluminumMesh_Movement_train1"
     assert recording.rate_hz == 10000
-    assert recording.sha256 == hashlib.sha256(b"".join(path.read_bytes() for path in paths)).hexdigest()
+    assert (
+        recording.sha256
+        == hashlib.sha256(b"".join(path.read_bytes() for path in paths)).hexdigest()
+    )
     assert any("documented 10000 Hz" in line for line in recording.warnings)
     assert read_recording(paths[which], unit="g", rate_hz=9000).rate_hz == 9000
 
@@ -331,14 +391,18 @@ def test_an_lmt_triple_of_unequal_lengths_is_refused(tmp_path: Path, signal: Sig
 def test_an_lmt_file_without_sisters_is_refused(tmp_path: Path, signal: Signal) -> None:
     paths = _write_lmt(tmp_path, signal)
     paths[0].unlink()
-    with pytest.raises(ValueError, match=r"got no G1RhombAluminumMesh_Movement_X_train1\.txt beside it"):
+    with pytest.raises(
+        ValueError, match=r"got no G1RhombAluminumMesh_Movement_X_train1\.txt beside it"
+    ):
         read_recording(paths[2])
 
 
 def test_an_lmt_file_of_several_columns_is_refused(tmp_path: Path, signal: Signal) -> None:
     paths = _write_lmt(tmp_path, signal)
     paths[0].write_text("1,2\n")
-    with pytest.raises(ValueError, match=r"2 columns in G1RhombAluminumMesh_Movement_X_train1\.txt"):
+    with pytest.raises(
+        ValueError, match=r"2 columns in G1RhombAluminumMesh_Movement_X_train1\.txt"
+    ):
         read_recording(paths[0])
 
 
@@ -357,7 +421,9 @@ def test_the_reduced_lmt_folder_is_refused(tmp_path: Path) -> None:
 def test_the_fastest_accelerometer_of_an_ide_file_is_read(write_ide: Callable[..., Path]) -> None:
     counts = np.random.default_rng(1).integers(-3000, 3000, size=(500, 3))
     recording = read_recording(write_ide(counts))
-    np.testing.assert_allclose(recording.acceleration, counts.T * 0.001 * STANDARD_GRAVITY, rtol=1e-12)
+    np.testing.assert_allclose(
+        recording.acceleration, counts.T * 0.001 * STANDARD_GRAVITY, rtol=1e-12
+    )
     assert recording.rate_hz == pytest.approx(20000)
     assert recording.warnings == ()
 
@@ -366,7 +432,9 @@ def test_the_fastest_accelerometer_of_an_ide_file_is_read(write_ide: Callable[..
 def test_lost_samples_of_an_ide_file_are_refused(write_ide: Callable[..., Path]) -> None:
     counts = np.random.default_rng(1).integers(-3000, 3000, size=(500, 3))
     path = write_ide(counts, lost_us=400)
-    with pytest.raises(ValueError, match=r"recorder\.IDE: got irregular sampling: .*the longest 0\.45 ms"):
+    with pytest.raises(
+        ValueError, match=r"recorder\.IDE: got irregular sampling: .*the longest 0\.45 ms"
+    ):
         read_recording(path)
     assert read_recording(path, resample=True).n_samples == 508
 
@@ -384,7 +452,9 @@ def test_a_damaged_ide_file_is_refused(tmp_path: Path) -> None:
         read_recording(tmp_path / "a.ide")
 
 
-def test_without_idelib_the_way_to_get_it_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_idelib_the_way_to_get_it_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "a.ide").write_bytes(b"\x1aE\xdf\xa3" + bytes(40))
     monkeypatch.setitem(sys.modules, "idelib", None)
     with pytest.raises(ValueError, match=r"pip install -c constraints.txt '\.\[ide\]'"):
@@ -412,7 +482,9 @@ def test_without_idelib_the_way_to_get_it_is_told(tmp_path: Path, monkeypatch: p
         ("a.npz", b"PK\x03\x04 and no more", "cannot be read as an NPZ archive"),
     ],
 )
-def test_what_is_no_recording_is_refused(tmp_path: Path, name: str, content: bytes, message: str) -> None:
+def test_what_is_no_recording_is_refused(
+    tmp_path: Path, name: str, content: bytes, message: str
+) -> None:
     (tmp_path / name).write_bytes(content)
     with pytest.raises(ValueError, match=rf"^{name}: .*{message}"):
         read_recording(tmp_path / name)
@@ -431,7 +503,9 @@ def test_the_systems_own_refusal_is_not_taken_for_damage() -> None:
         raise PermissionError(13, "Permission denied")
 
 
-def test_a_file_that_the_system_refuses_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_the_system_refuses_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "a.csv").write_text("1,2,3\n")
 
     def refuse(*_: object, **__: object) -> None:

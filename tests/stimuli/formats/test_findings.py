@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stimuli.formats import read_recording
-from stimuli.formats.inspect import inspect_samples
-from stimuli.recording import UNITS
+from feel321.stimuli.formats.read import inspect_samples, read_recording
+from feel321.stimuli.recording import UNITS
 
 RECORDINGS = Path(__file__).parents[4] / "shared" / "recordings"
 RATE_HZ = 8000.0
@@ -25,7 +24,10 @@ def test_a_clipped_axis_is_counted_and_placed() -> None:
     assert len(lines) == 2
     samples = int((wave > 0.9).sum())
     first = np.argmax(wave > 0.9) / RATE_HZ
-    assert lines[1] == f"axis x: saturated at 0.9 m/s^2 in 100 runs ({samples} samples), the first at {first:g} s"
+    assert (
+        lines[1]
+        == f"axis x: saturated at 0.9 m/s^2 in 100 runs ({samples} samples), the first at {first:g} s"
+    )
 
 
 @pytest.mark.parametrize("samples", [2, 3])
@@ -60,20 +62,31 @@ def test_a_frozen_axis_is_placed_and_silence_is_not() -> None:
 
 def test_findings_reach_the_recording_in_metres_per_second_squared(tmp_path: Path) -> None:
     wave = np.minimum(np.sin(2 * np.pi * 100 * TIME_S), 0.5)
-    np.savez(tmp_path / "a.npz", acceleration=np.stack([_noise(1), wave, _noise(2)]), rate_hz=RATE_HZ, unit="g")
+    np.savez(
+        tmp_path / "a.npz",
+        acceleration=np.stack([_noise(1), wave, _noise(2)]),
+        rate_hz=RATE_HZ,
+        unit="g",
+    )
     assert re.search(
-        r"axis y: saturated at 4\.90332 m/s\^2 in 100 runs", read_recording(tmp_path / "a.npz").warnings[0]
+        r"axis y: saturated at 4\.90332 m/s\^2 in 100 runs",
+        read_recording(tmp_path / "a.npz").warnings[0],
     )
 
 
 def _listed() -> list[tuple[str, float, int, str]]:
     readme = RECORDINGS / "README.md"
     text = readme.read_text(encoding="utf-8") if readme.is_file() else ""
-    rows = re.findall(r"^\| (\S+\.\w+) \| ([\d.]+) \| (\d+) \| [\d.]+ \| (\S+) \|", text, re.MULTILINE)
+    rows = re.findall(
+        r"^\| (\S+\.\w+) \| ([\d.]+) \| (\d+) \| [\d.]+ \| (\S+) \|", text, re.MULTILINE
+    )
     return [(name, float(rate), int(samples), unit) for name, rate, samples, unit in rows]
 
 
-@pytest.mark.skipif(not _listed(), reason=f"the real recordings are missing: no {RECORDINGS.name} folder with a README")
+@pytest.mark.skipif(
+    not _listed(),
+    reason=f"the real recordings are missing: no {RECORDINGS.name} folder with a README",
+)
 def test_every_real_recording_reads_as_its_list_says() -> None:
     listed = _listed()
     assert len(listed) == 11

@@ -10,9 +10,9 @@ import pytest
 from scipy.io import savemat
 from scipy.sparse import csc_array
 
-from stimuli.formats import read_recording
-from stimuli.formats.matlab import HEADER_BYTES, keep_plain_arrays
-from stimuli.recording import UNITS
+from feel321.stimuli.formats.arrays import HEADER_BYTES, keep_plain_arrays
+from feel321.stimuli.formats.read import read_recording
+from feel321.stimuli.recording import UNITS
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -30,7 +30,9 @@ def _element(kind: int, body: bytes, order: str = "<") -> bytes:
     return struct.pack(f"{order}II", kind, len(body)) + body + bytes(-len(body) % 8)
 
 
-def _matrix(values: bytes, *, kind: int = 9, shape: tuple[int, ...] = (3, 2), array_class: int = 6) -> bytes:
+def _matrix(
+    values: bytes, *, kind: int = 9, shape: tuple[int, ...] = (3, 2), array_class: int = 6
+) -> bytes:
     parts = [
         _element(6, struct.pack("<II", array_class, 0)),
         _element(5, struct.pack(f"<{len(shape)}i", *shape)),
@@ -62,7 +64,9 @@ def test_other_variables_do_not_matter(tmp_path: Path, signal: NDArray[np.float6
 
 def test_big_endian_and_small_integers_are_read(tmp_path: Path) -> None:
     words = _element(6, struct.pack(">II", 6, 0), ">") + _element(5, struct.pack(">ii", 3, 2), ">")
-    name = struct.pack(">I", 3 << 16 | 1) + b"tmp\0"  # a name so short that it stands inside its tag
+    name = (
+        struct.pack(">I", 3 << 16 | 1) + b"tmp\0"
+    )  # a name so short that it stands inside its tag
     body = words + name + _element(3, np.array([1, 2, 3, -4, 5, 6], ">i2").tobytes(), ">")
     (tmp_path / "a.mat").write_bytes(HEADER[:124] + b"\x01\x00MI" + _element(14, body, ">"))
     recording = read_recording(tmp_path / "a.mat", rate_hz=1000)
@@ -115,7 +119,7 @@ def test_damaged_elements_are_refused_before_scipy_sees_them(tmp_path: Path, cas
 
 
 def test_what_inflates_without_end_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("stimuli.formats.matlab.LARGEST_BYTES", 1000)
+    monkeypatch.setattr("feel321.stimuli.formats.arrays.LARGEST_BYTES", 1000)
     bomb = HEADER + _element(15, zlib.compress(_element(14, bytes(10**6))))
     with pytest.raises(ValueError, match="above 1000 bytes"):
         keep_plain_arrays(bomb)
@@ -126,13 +130,21 @@ def _damaged(content: bytes, rng: np.random.Generator) -> bytes:
     behind = bytearray(content[HEADER_BYTES:])
     for _ in range(rng.integers(1, 5)):
         place = rng.integers(min(len(behind), rng.choice([24, 90, 10**6])))
-        behind[place] = rng.choice([0, 20, 255, rng.integers(256), behind[place] ^ 1 << rng.integers(8)])
+        behind[place] = rng.choice([
+            0,
+            20,
+            255,
+            rng.integers(256),
+            behind[place] ^ 1 << rng.integers(8),
+        ])
     if rng.random() < 0.3:
         return content[:HEADER_BYTES] + _element(15, zlib.compress(behind))
     return content[:HEADER_BYTES] + bytes(behind)
 
 
-def test_damage_is_read_or_refused_and_never_ends_the_process(tmp_path: Path, signal: NDArray[np.float64]) -> None:
+def test_damage_is_read_or_refused_and_never_ends_the_process(
+    tmp_path: Path, signal: NDArray[np.float64]
+) -> None:
     rng = np.random.default_rng(11)
     variables = {"acceleration": signal, "fs": 1000, "unit": "g", "x": {"y": 1}}
     whole = [_mat(variables), _mat(variables, compressed=True)]

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from stimuli.formats import read_recording
-from stimuli.recording import STANDARD_GRAVITY
+from feel321.stimuli.formats.read import read_recording
+from feel321.stimuli.recording import STANDARD_GRAVITY
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -58,11 +58,14 @@ def test_headers_name_axes_time_and_unit(tmp_path: Path, header: str, size: floa
     recording = read_recording(_write(tmp_path / "a.csv", header, _timed(signal)))
     np.testing.assert_allclose(recording.acceleration, signal * size, rtol=1e-14)
     assert recording.rate_hz == pytest.approx(RATE_HZ, rel=1e-9)
-    assert any("no unit" in line for line in recording.warnings) == ("g" not in header and "m" not in header[5:])
+    assert any("no unit" in line for line in recording.warnings) == (
+        "g" not in header and "m" not in header[5:]
+    )
 
 
 @pytest.mark.parametrize(
-    ("label", "second"), [("time_ms", 1e-3), ("time (us)", 1e-6), ("t_µs", 1e-6), ("t [ns]", 1e-9), ("time_s", 1.0)]
+    ("label", "second"),
+    [("time_ms", 1e-3), ("time (us)", 1e-6), ("t_µs", 1e-6), ("t [ns]", 1e-9), ("time_s", 1.0)],
 )
 def test_time_is_read_in_its_unit(tmp_path: Path, label: str, second: float) -> None:
     path = _write(tmp_path / "a.csv", f"{label},x_g,y_g,z_g", _timed(_signal(), second))
@@ -73,14 +76,20 @@ def test_time_is_read_in_its_unit(tmp_path: Path, label: str, second: float) -> 
 @pytest.mark.parametrize("suffix", [".csv", ".tsv", ".txt"])
 def test_delimiters_are_found(tmp_path: Path, mark: str, suffix: str) -> None:
     signal = _signal()
-    path = _write(tmp_path / f"a{suffix}", mark.join(["t_s", "x_g", "y_g", "z_g"]), _timed(signal), mark)
-    np.testing.assert_allclose(read_recording(path).acceleration, signal * STANDARD_GRAVITY, rtol=1e-14)
+    path = _write(
+        tmp_path / f"a{suffix}", mark.join(["t_s", "x_g", "y_g", "z_g"]), _timed(signal), mark
+    )
+    np.testing.assert_allclose(
+        read_recording(path).acceleration, signal * STANDARD_GRAVITY, rtol=1e-14
+    )
 
 
 def test_a_decimal_comma_is_read(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("x_g;y_g;z_g\n0,5;1,25;-2\n1;2;3,5\n")
     recording = read_recording(tmp_path / "a.csv", rate_hz=1000)
-    np.testing.assert_allclose(recording.acceleration.T / STANDARD_GRAVITY, [[0.5, 1.25, -2], [1, 2, 3.5]])
+    np.testing.assert_allclose(
+        recording.acceleration.T / STANDARD_GRAVITY, [[0.5, 1.25, -2], [1, 2, 3.5]]
+    )
 
 
 def test_columns_may_stand_in_any_order_among_others(tmp_path: Path) -> None:
@@ -92,7 +101,9 @@ def test_columns_may_stand_in_any_order_among_others(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "columns", [(0, 1, 2, 3), ("0", "1", "2", "3"), ("clock", "p", "q", "r"), ("CLOCK", 1, "q", 3)]
 )
-def test_columns_are_picked_by_name_or_number(tmp_path: Path, columns: tuple[str | int, ...]) -> None:
+def test_columns_are_picked_by_name_or_number(
+    tmp_path: Path, columns: tuple[str | int, ...]
+) -> None:
     signal = _signal()
     path = _write(tmp_path / "a.csv", "clock,p,q,r", _timed(signal))
     recording = read_recording(path, columns=columns)
@@ -104,11 +115,14 @@ def test_three_columns_without_header_are_the_axes(tmp_path: Path) -> None:
     signal = _signal()
     path = _write(tmp_path / "a.txt", None, signal.T)
     np.testing.assert_array_equal(read_recording(path, rate_hz=1000).acceleration, signal)
-    np.testing.assert_array_equal(read_recording(path, rate_hz=1000, columns=(2, 1, 0)).acceleration, signal[::-1])
+    np.testing.assert_array_equal(
+        read_recording(path, rate_hz=1000, columns=(2, 1, 0)).acceleration, signal[::-1]
+    )
 
 
 @pytest.mark.parametrize(
-    "content", ["\ufeffx_g,y_g,z_g\r\n1,2,3\r\n4,5,6\r\n", "\n# lab\nx_g,y_g,z_g\n1,2,3\n4,5,6\n\n\n"]
+    "content",
+    ["\ufeffx_g,y_g,z_g\r\n1,2,3\r\n4,5,6\r\n", "\n# lab\nx_g,y_g,z_g\n1,2,3\n4,5,6\n\n\n"],
 )
 def test_marks_line_ends_and_comments_do_not_matter(tmp_path: Path, content: str) -> None:
     (tmp_path / "a.csv").write_bytes(content.encode())
@@ -118,7 +132,11 @@ def test_marks_line_ends_and_comments_do_not_matter(tmp_path: Path, content: str
 
 @settings(max_examples=60)
 @given(
-    signal=arrays(np.float64, st.tuples(st.just(3), st.integers(2, 30)), elements=st.floats(-1e6, 1e6, width=32)),
+    signal=arrays(
+        np.float64,
+        st.tuples(st.just(3), st.integers(2, 30)),
+        elements=st.floats(-1e6, 1e6, width=32),
+    ),
     mark=st.sampled_from([",", ";", "\t", " "]),
 )
 def test_any_table_comes_back_as_it_was_written(
@@ -139,19 +157,26 @@ def test_cluster_files_are_in_g_and_resampled_on_request(tmp_path: Path) -> None
     rows = np.vstack([time, np.sin(2 * np.pi * 50 * time + np.array([[0], [1], [2]]))]).T
     path = _write(tmp_path / "0_135_40_500_0.csv", "time,X,Y,Z", rows)
     with pytest.raises(
-        ValueError, match=r"irregular sampling: jitter up to 31\.\d% .* of 399 intervals off.*resample=True"
+        ValueError,
+        match=r"irregular sampling: jitter up to 31\.\d% .* of 399 intervals off.*resample=True",
     ):
         read_recording(path)
     recording = read_recording(path, resample=True)
-    expected = np.sin(2 * np.pi * 50 * (time[0] + np.arange(recording.n_samples) / 6250) + np.array([[0], [1], [2]]))
+    expected = np.sin(
+        2 * np.pi * 50 * (time[0] + np.arange(recording.n_samples) / 6250)
+        + np.array([[0], [1], [2]])
+    )
     assert recording.rate_hz == pytest.approx(6250)
     np.testing.assert_allclose(recording.acceleration / STANDARD_GRAVITY, expected, atol=2e-5)
     assert any("Cluster" in line for line in recording.warnings)
     assert any(
-        re.search(r"resampled on request to \d+ samples at 6250 Hz by cubic spline", w) for w in recording.warnings
+        re.search(r"resampled on request to \d+ samples at 6250 Hz by cubic spline", w)
+        for w in recording.warnings
     )
     in_metres = read_recording(path, resample=True, unit="m/s^2")
-    np.testing.assert_allclose(in_metres.acceleration * STANDARD_GRAVITY, recording.acceleration, atol=1e-12)
+    np.testing.assert_allclose(
+        in_metres.acceleration * STANDARD_GRAVITY, recording.acceleration, atol=1e-12
+    )
 
 
 def test_rounded_stamps_are_not_jitter_but_coarse_ones_are_reported(tmp_path: Path) -> None:
@@ -174,7 +199,10 @@ def test_one_late_sample_is_refused_with_its_place(tmp_path: Path) -> None:
     rows = _timed(_signal(100))
     rows[40:, 0] += 0.00003
     path = _write(tmp_path / "a.csv", "t,x_g,y_g,z_g", rows)
-    with pytest.raises(ValueError, match=r"jitter up to 6\.0% of the 0\.5 ms period, 1 of 99 .*first at 0\.019500 s"):
+    with pytest.raises(
+        ValueError,
+        match=r"jitter up to 6\.0% of the 0\.5 ms period, 1 of 99 .*first at 0\.019500 s",
+    ):
         read_recording(path)
 
 

@@ -66,7 +66,9 @@ class Pulse:
         return {**os.environ, **own}
 
     def start(self) -> None:
-        (self.folder / "asound.conf").write_text(ALSA_NAMES.format(socket=self.socket), encoding="utf-8")
+        (self.folder / "asound.conf").write_text(
+            ALSA_NAMES.format(socket=self.socket), encoding="utf-8"
+        )
         self.socket.unlink(missing_ok=True)
         command = [
             "pulseaudio", "-n", "--daemonize=no", "--use-pid-file=no", "--exit-idle-time=-1", "--disable-shm=yes",
@@ -76,13 +78,19 @@ class Pulse:
             f"channel_map={','.join(CHANNEL_MAP[: self.channels])}",
         ]  # fmt: skip
         with (self.folder / "server.log").open("wb") as log:
-            self.server = subprocess.Popen(command, env={**self.env, "HOME": str(self.folder)}, stderr=log)
-        until(self._answers, f"pulseaudio does not answer: {(self.folder / 'server.log').read_text()}")
+            self.server = subprocess.Popen(
+                command, env={**self.env, "HOME": str(self.folder)}, stderr=log
+            )
+        until(
+            self._answers, f"pulseaudio does not answer: {(self.folder / 'server.log').read_text()}"
+        )
 
     def _answers(self) -> bool:
         return (
             self.socket.exists()
-            and not subprocess.run(["pactl", "info"], env=self.env, capture_output=True, check=False).returncode
+            and not subprocess.run(
+                ["pactl", "info"], env=self.env, capture_output=True, check=False
+            ).returncode
         )
 
     def kill(self) -> None:
@@ -114,7 +122,9 @@ class Pulse:
         ]  # fmt: skip
         capture = Capture()
         with raw.open("wb") as file:
-            recorder = subprocess.Popen(command, env=self.env, stdout=file, stderr=subprocess.DEVNULL)
+            recorder = subprocess.Popen(
+                command, env=self.env, stdout=file, stderr=subprocess.DEVNULL
+            )
             try:
                 until(lambda: raw.stat().st_size > 0, "parec records nothing")
                 began_s = time.monotonic()
@@ -140,7 +150,9 @@ class Capture:
         """Find a sound, every sample of it as it is, from a frame on; -1 if it is not there."""
         channel = int(np.argmax(np.abs(sound).max(axis=0)))
         anchor = int(np.argmax(np.abs(sound[:, channel])))
-        places = np.flatnonzero(self.samples[after:, channel] == sound[anchor, channel]) + after - anchor
+        places = (
+            np.flatnonzero(self.samples[after:, channel] == sound[anchor, channel]) + after - anchor
+        )
         for place in places[places >= 0]:
             if np.array_equal(self.samples[place : place + len(sound)], sound):
                 return int(place)
@@ -163,7 +175,10 @@ def insist() -> Callable[..., Any]:
     """
 
     def measure_until_calm(
-        measure: Callable[[], Measured], *, is_disturbed: Callable[[Measured], bool], times: int = 12
+        measure: Callable[[], Measured],
+        *,
+        is_disturbed: Callable[[Measured], bool],
+        times: int = 12,
     ) -> Measured:
         found = measure()
         for _ in range(times - 1):
@@ -182,7 +197,9 @@ def make_pulse() -> Iterator[Callable[[int], Pulse]]:
 
         def make(channels: int) -> Pulse:
             # A socket's path must be short, which a test's own folder is not.
-            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="feel321-", ignore_cleanup_errors=True))
+            folder = stack.enter_context(
+                tempfile.TemporaryDirectory(prefix="feel321-", ignore_cleanup_errors=True)
+            )
             pulse = Pulse(Path(folder), channels)
             stack.callback(pulse.kill)
             pulse.start()
@@ -231,13 +248,22 @@ def open_player(tmp_path: Path) -> Iterator[Callable[..., Player]]:
     with ExitStack() as stack:
 
         def start(
-            pulse: Pulse, rig: str, sounds: Mapping[str, NDArray[np.float32]], *, rate_hz: float = RATE_HZ
+            pulse: Pulse,
+            rig: str,
+            sounds: Mapping[str, NDArray[np.float32]],
+            *,
+            rate_hz: float = RATE_HZ,
         ) -> Player:
             (tmp_path / "rig.toml").write_text(rig, encoding="utf-8")
             np.savez(tmp_path / "sounds.npz", **sounds)
             command = [sys.executable, str(PLAYER), str(tmp_path), str(rate_hz)]
             process = subprocess.Popen(
-                command, env=pulse.env, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, encoding="utf-8"
+                command,
+                env=pulse.env,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                text=True,
+                encoding="utf-8",
             )
             stack.callback(end, process)
             return Player(process)
@@ -263,7 +289,9 @@ def end(process: subprocess.Popen[str]) -> None:
 def make_rig() -> Callable[..., str]:
     """Write a rig: two coils on channels 1 and 2, one that nothing plays on the last, and whatever other tables."""
 
-    def make(*tables: str, channels: int = 2, device: str = "stylus", latency_s: float = 0.05) -> str:
+    def make(
+        *tables: str, channels: int = 2, device: str = "stylus", latency_s: float = 0.05
+    ) -> str:
         spare = f'[[actuators]]\nname = "spare"\nchannel = {channels}\nplays = ["z"]'
         return "\n".join((
             f'[device]\nname = "{device}"\nlatency_s = {latency_s}',
@@ -281,7 +309,9 @@ def make_sound() -> Callable[..., NDArray[np.float32]]:
     """Make noise that is silent nowhere, and different on the first two channels; the others are silent."""
 
     def make(seed: int, *, n: int = 4800, channels: int = 2) -> NDArray[np.float32]:
-        noise = np.random.default_rng(seed).uniform(0.05, 0.4, size=(n, channels)).astype(np.float32)
+        noise = (
+            np.random.default_rng(seed).uniform(0.05, 0.4, size=(n, channels)).astype(np.float32)
+        )
         noise[1::2] *= -1
         noise[:, 2:] = 0
         return noise

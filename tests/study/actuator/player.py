@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from study.actuator.rig import read_rig
-from study.actuator.stream_output import StreamOutput, open_stream
+from feel321.study.actuator.rig import read_rig
+from feel321.study.actuator.stream_output import StreamOutput, open_stream
 
 if TYPE_CHECKING:
-    from study.actuator.output import Delivery
+    from feel321.study.actuator.output import Delivery
 
 
 def main(folder: Path, *, rate_hz: float) -> None:
@@ -26,7 +26,9 @@ def main(folder: Path, *, rate_hz: float) -> None:
         sounds = dict(stored)
     rig = read_rig(folder / "rig.toml")
     try:
-        with open_stream(rig, sounds, rate_hz=rate_hz, folder=folder / "delivered", clock=perf_counter) as output:
+        with open_stream(
+            rig, sounds, rate_hz=rate_hz, folder=folder / "delivered", clock=perf_counter
+        ) as output:
             say({"identity": dict(output.identity)})
             for line in sys.stdin:
                 obey(output, **json.loads(line))
@@ -34,7 +36,9 @@ def main(folder: Path, *, rate_hz: float) -> None:
         say({"refused": str(error)})
 
 
-def obey(output: StreamOutput, *, do: str, sound: str = "", gap_s: float = 0.0, after_s: float = 0.0) -> None:
+def obey(
+    output: StreamOutput, *, do: str, sound: str = "", gap_s: float = 0.0, after_s: float = 0.0
+) -> None:
     if do == "start":
         output.start(sound, gap_s=gap_s)
     elif do == "stop":

@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from study.actuator.devices import Device, check_channels, find_device
-from study.actuator.rig import ActuatorTable, LimitsTable, Rig, SensorTable
+from feel321.study.actuator.rig import ActuatorTable, LimitsTable, Rig, SensorTable
+from feel321.study.actuator.stream import Device, check_channels, find_device
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -35,11 +35,26 @@ def test_a_device_is_found_by_its_name_or_a_part_that_no_other_has(
 @pytest.mark.parametrize(
     ("devices", "name", "host_api", "message"),
     [
-        ([COILS, PAIR], "headset", None, r"got 'headset', which is not there; allowed: 'USB Audio.*'coils' \(ALSA\)$"),
-        ([COILS, COILS_JACK], "coils", None, r"which 2 devices have in their names: .*\(JACK\); name one in full"),
+        (
+            [COILS, PAIR],
+            "headset",
+            None,
+            r"got 'headset', which is not there; allowed: 'USB Audio.*'coils' \(ALSA\)$",
+        ),
+        (
+            [COILS, COILS_JACK],
+            "coils",
+            None,
+            r"which 2 devices have in their names: .*\(JACK\); name one in full",
+        ),
         ([COILS, COILS_JACK], COILS.name, None, "which 2 devices have"),
         ([MICROPHONE], "microphone", None, "there is no output device at all; plug it in"),
-        ([COILS], "coils", "JACK", r"got 'coils' through JACK, which is not there; allowed: .*\(ALSA\)$"),
+        (
+            [COILS],
+            "coils",
+            "JACK",
+            r"got 'coils' through JACK, which is not there; allowed: .*\(ALSA\)$",
+        ),
         ([COILS], " ", None, "got ' ', which is not there"),
         ([COILS, SYSTEM], "defa", None, "got 'defa', which is not there; allowed: 'USB Audio"),
         ([SYSTEM], "defa", None, "there is no output device at all"),
@@ -72,7 +87,9 @@ def test_a_program_before_the_card_is_known(name: str, host_api: str, is_program
 def test_every_channel_that_the_rig_names_has_to_be_there() -> None:
     third = (ActuatorTable(name="third", channel=3),)
     check_channels(COILS, Rig(limits=LIMITS, actuators=third))
-    with pytest.raises(OSError, match=r"got 'coils' with 2 output channel\(s\), the rig needs 3; take another"):
+    with pytest.raises(
+        OSError, match=r"got 'coils' with 2 output channel\(s\), the rig needs 3; take another"
+    ):
         check_channels(PAIR, Rig(limits=LIMITS, actuators=third))
     with pytest.raises(OSError, match=r"with 1 input channel\(s\), the rig needs 2"):
         check_channels(PAIR, Rig(limits=LIMITS, sensor=SensorTable(channel=2, full_scale_m_s2=9)))

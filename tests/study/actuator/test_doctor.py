@@ -8,23 +8,36 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from study.actuator.doctor import make_pulse, try_stops
-from study.actuator.output import Delivery
-from study.actuator.rig import LimitsTable, Rig
+from feel321.study.actuator.doctor import make_pulse, try_stops
+from feel321.study.actuator.output import Delivery
+from feel321.study.actuator.rig import LimitsTable, Rig
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-RUN = [sys.executable, "-c", "import sys; from study.cli import main; sys.exit(main())", "doctor"]
+RUN = [
+    sys.executable,
+    "-c",
+    "import sys; from feel321.study.cli import main; sys.exit(main())",
+    "doctor",
+]
 
 
 def call(pulse: Any, *arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     done = subprocess.run(
-        [*RUN, *arguments], env=pulse.env, cwd=cwd, capture_output=True, text=True, timeout=300, check=False
+        [*RUN, *arguments],
+        env=pulse.env,
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
     )
     # ALSA and PortAudio speak of underruns on their own account; doctor counts them too.
     foreign = ("ALSA lib", "Expression '")
-    done.stderr = "".join(line for line in done.stderr.splitlines(keepends=True) if not line.startswith(foreign))
+    done.stderr = "".join(
+        line for line in done.stderr.splitlines(keepends=True) if not line.startswith(foreign)
+    )
     return done
 
 
@@ -48,14 +61,29 @@ def test_devices_are_listed_with_the_rates_that_they_take(pulse: Any, tmp_path: 
     assert last == "nothing was played; name a device with --device, or in the study's rig.toml"
 
 
-def test_pulses_are_played_quietly_and_measured(pulse: Any, make_rig: Any, insist: Any, tmp_path: Path) -> None:
-    (tmp_path / "study.toml").write_text('[[recordings]]\nscene = "bumps"\n[[recordings]]\nscene = "hard_taps"\n')
+def test_pulses_are_played_quietly_and_measured(
+    pulse: Any, make_rig: Any, insist: Any, tmp_path: Path
+) -> None:
+    (tmp_path / "study.toml").write_text(
+        '[[recordings]]\nscene = "bumps"\n[[recordings]]\nscene = "hard_taps"\n'
+    )
     sensor = "[sensor]\nchannel = 4\nfull_scale_m_s2 = 100.0"
-    (tmp_path / "rig.toml").write_text(make_rig(sensor, channels=4, device="nowhere", latency_s=0.15))
+    (tmp_path / "rig.toml").write_text(
+        make_rig(sensor, channels=4, device="nowhere", latency_s=0.15)
+    )
 
     def examine() -> tuple[Any, Any]:
         with pulse.captured() as capture:
-            done = call(pulse, str(tmp_path), "--device", "stylus twin", "--seconds", "2", "--json", cwd=tmp_path)
+            done = call(
+                pulse,
+                str(tmp_path),
+                "--device",
+                "stylus twin",
+                "--seconds",
+                "2",
+                "--json",
+                cwd=tmp_path,
+            )
         return done, capture
 
     def is_disturbed(found: tuple[Any, Any]) -> bool:
@@ -82,16 +110,24 @@ def test_a_report_for_people_says_the_same(pulse: Any, insist: Any, tmp_path: Pa
     done = insist(lambda: call(pulse, *arguments, cwd=tmp_path), is_disturbed=find_faults)
     played, pulses, onset, stop = done.stdout.splitlines()[-4:]
     assert played == "stylus twin (ALSA) played at 48000 Hz; latency 50.0 ms"
-    assert re.fullmatch(r"a stop is silence after \d+ ms at most; latency_s in rig.toml shortens it", stop)
+    assert re.fullmatch(
+        r"a stop is silence after \d+ ms at most; latency_s in rig.toml shortens it", stop
+    )
     assert re.fullmatch(r"pulses [1-4], failed 0, underruns \d+", pulses)
     assert onset.startswith("requested to onset ")
 
 
-def test_a_program_before_the_card_is_told(pulse: Any, make_rig: Any, insist: Any, tmp_path: Path) -> None:
+def test_a_program_before_the_card_is_told(
+    pulse: Any, make_rig: Any, insist: Any, tmp_path: Path
+) -> None:
     sensor = "[sensor]\nchannel = 4\nfull_scale_m_s2 = 100.0"
-    (tmp_path / "rig.toml").write_text(make_rig(sensor, channels=4, device="stylus twin", latency_s=0.15))
+    (tmp_path / "rig.toml").write_text(
+        make_rig(sensor, channels=4, device="stylus twin", latency_s=0.15)
+    )
     done = insist(lambda: call(pulse, "--seconds", "0.1", cwd=tmp_path), is_disturbed=find_faults)
-    assert done.stderr.startswith("feel321: warning: stylus twin: a program plays it (a sound server, say)")
+    assert done.stderr.startswith(
+        "feel321: warning: stylus twin: a program plays it (a sound server, say)"
+    )
     assert done.stderr.count("\n") == 1
     assert done.stdout.splitlines()[-2].startswith("onset's block to sensor ")
 
@@ -117,9 +153,11 @@ class Late:
 
 
 def test_stops_are_tried_again_where_the_machine_is_late(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("study.actuator.doctor.sleep", lambda _: None)
+    monkeypatch.setattr("feel321.study.actuator.doctor.sleep", lambda _: None)
     good, over, dry = (0.07, 0), (None, 0), (0.9, 2)
-    assert try_stops(Late(good, over, dry, good, over, over, over, over, (0.06, 0)), lead_s=0.3) == [70, 70, 60]
+    assert try_stops(
+        Late(good, over, dry, good, over, over, over, over, (0.06, 0)), lead_s=0.3
+    ) == [70, 70, 60]
     assert try_stops(Late(good, good, *5 * [dry]), lead_s=0.3) == [70, 70]
 
 
@@ -133,13 +171,27 @@ def test_the_file_device_plays_nothing(pulse: Any, make_rig: Any, tmp_path: Path
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--device", "nowhere"], "feel321: device: got 'nowhere', which is not there; allowed: 'stylus' (ALSA), "),
-        (["--device", " "], "feel321: device: got ' ', which is not there; allowed: 'stylus' (ALSA), "),
-        (["--device", "DEF"], "feel321: device: got 'DEF', which is not there; allowed: 'stylus' (ALSA), "),
-        (["nowhere"], "feel321: nowhere: there is no such folder; begin a study with: feel321 new nowhere"),
+        (
+            ["--device", "nowhere"],
+            "feel321: device: got 'nowhere', which is not there; allowed: 'stylus' (ALSA), ",
+        ),
+        (
+            ["--device", " "],
+            "feel321: device: got ' ', which is not there; allowed: 'stylus' (ALSA), ",
+        ),
+        (
+            ["--device", "DEF"],
+            "feel321: device: got 'DEF', which is not there; allowed: 'stylus' (ALSA), ",
+        ),
+        (
+            ["nowhere"],
+            "feel321: nowhere: there is no such folder; begin a study with: feel321 new nowhere",
+        ),
     ],
 )
-def test_what_is_not_there_is_one_line(pulse: Any, tmp_path: Path, arguments: list[str], message: str) -> None:
+def test_what_is_not_there_is_one_line(
+    pulse: Any, tmp_path: Path, arguments: list[str], message: str
+) -> None:
     done = call(pulse, *arguments, cwd=tmp_path)
     assert done.returncode == 1
     assert done.stderr.startswith(message)

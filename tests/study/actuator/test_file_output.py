@@ -7,21 +7,23 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from stimuli.manifest import Stimulus
-from stimuli.wav import read_wav
-from study.actuator.file_output import FileOutput
-from study.actuator.rig import ActuatorTable, LimitsTable, MaskingTable, Rig
+from feel321.stimuli.sets.manifest import Stimulus
+from feel321.stimuli.wav import read_wav
+from feel321.study.actuator.output import FileOutput
+from feel321.study.actuator.rig import ActuatorTable, LimitsTable, MaskingTable, Rig
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from study.actuator.output import Output
+    from feel321.study.actuator.output import Output
 
 RATE = 8000
 COILS = (ActuatorTable(name="left", channel=1), ActuatorTable(name="right", channel=2))
 LIMITS = LimitsTable(peak_m_s2=100.0, rms_m_s2=100.0, duration_s=60.0)
 SOUND = np.clip(np.random.default_rng(2).normal(0, 0.2, (4000, 2)), -1, 1).astype(np.float32)
-STIMULUS = Stimulus("s", "r", "d", "as_is", "test", "s.wav", RATE, 4000, 0.5, 1, 1, 1, 1, 1, 0, "", "")
+STIMULUS = Stimulus(
+    "s", "r", "d", "as_is", "test", "s.wav", RATE, 4000, 0.5, 1, 1, 1, 1, 1, 0, "", ""
+)
 
 
 @dataclass
@@ -57,7 +59,12 @@ def test_a_playback_is_a_file_and_takes_its_time(tmp_path: Path) -> None:
     assert 0.6 <= took <= 0.6 + 512 / RATE + 1 / 60
     delivery = output.collect()
     assert (delivery.requested_s, delivery.onset_s) == (10.1, 10.1)
-    assert (delivery.completed, delivery.error, delivery.clipped, delivery.underruns) == (True, "", 0, 0)
+    assert (delivery.completed, delivery.error, delivery.clipped, delivery.underruns) == (
+        True,
+        "",
+        0,
+        0,
+    )
     assert delivery.measured == {"n_samples": 4000.0, "file_number": 1.0}
     samples, rate = read_wav(tmp_path / "delivered" / "0001.wav")
     assert rate == RATE
@@ -75,7 +82,9 @@ def test_files_that_are_there_are_kept(tmp_path: Path) -> None:
             play(output, clock)
             numbers.append(output.collect().measured["file_number"])
     assert numbers == [1, 2, 3, 4]
-    assert [path.name for path in sorted((tmp_path / "delivered").iterdir())] == [f"000{n}.wav" for n in range(1, 5)]
+    assert [path.name for path in sorted((tmp_path / "delivered").iterdir())] == [
+        f"000{n}.wav" for n in range(1, 5)
+    ]
 
 
 def test_a_stop_ends_it_within_a_block(tmp_path: Path) -> None:
@@ -139,7 +148,9 @@ def test_a_folder_that_cannot_be_written_is_an_error_of_the_device(tmp_path: Pat
 def test_nothing_is_collected_too_early(tmp_path: Path) -> None:
     output = make_output(tmp_path, Hand())
     for _ in range(2):
-        with pytest.raises(ValueError, match="got no playback that is over; start one and wait until is_playing"):
+        with pytest.raises(
+            ValueError, match="got no playback that is over; start one and wait until is_playing"
+        ):
             output.collect()
         output.start(STIMULUS, gap_s=0)
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
-from study.actuator.limiter import Limiter
+from feel321.study.actuator.mixer import Limiter
 
 RATE = 1000.0  # a window of 1000 samples, a pause of 100
 BLOCK = 100
@@ -16,7 +16,9 @@ def limiter(peak: float = 1.0, rms: float = 1.0, duration_s: float = 100.0) -> L
     return Limiter(RATE, peak=peak, rms=rms, duration_s=duration_s, max_frames=BLOCK)
 
 
-def run(watch: Limiter, samples: np.ndarray, sizes: list[int] | None = None) -> tuple[np.ndarray, int]:
+def run(
+    watch: Limiter, samples: np.ndarray, sizes: list[int] | None = None
+) -> tuple[np.ndarray, int]:
     """What comes out if the blocks have the given sizes, over and over, and how many samples were changed."""
     out, place, changed = samples.astype(np.float32), 0, 0
     sizes = sizes or [BLOCK]
@@ -62,7 +64,9 @@ def test_what_just_meets_the_limits_passes(level: float) -> None:
     st.sampled_from([0.05, 0.2]),
     st.sampled_from([0.5, 100.0]),
 )
-def test_the_blocks_make_no_difference(seed: int, sizes: list[int], peak: float, rms: float, duration_s: float) -> None:
+def test_the_blocks_make_no_difference(
+    seed: int, sizes: list[int], peak: float, rms: float, duration_s: float
+) -> None:
     samples = noise(seed, 2500, 0.3)
     samples[1200:1400] = 0
     whole, n_whole = run(limiter(peak, rms, duration_s), samples)
@@ -73,7 +77,12 @@ def test_the_blocks_make_no_difference(seed: int, sizes: list[int], peak: float,
 
 @pytest.mark.parametrize("rms", [0.05, 0.2])
 def test_no_second_is_louder_than_allowed(rms: float) -> None:
-    samples = np.concatenate([noise(1, 900, 0.1), noise(2, 1500, 0.4), np.zeros(300), noise(3, 900, 0.4)])
+    samples = np.concatenate([
+        noise(1, 900, 0.1),
+        noise(2, 1500, 0.4),
+        np.zeros(300),
+        noise(3, 900, 0.4),
+    ])
     out, changed = run(limiter(rms=rms), samples)
     assert largest_rms(out) <= rms * (1 + 1e-7)
     assert largest_rms(out) > 0.999 * rms
@@ -97,7 +106,9 @@ def test_each_sample_gets_what_the_last_second_leaves(seed: int) -> None:
     samples[1000:1600] *= 0.1
     out, _ = run(limiter(rms=0.25), samples, [37])
     np.testing.assert_allclose(out, greedy(samples, 0.25), atol=2e-3)
-    np.testing.assert_allclose(np.cumsum(out**2.0), np.cumsum(greedy(samples, 0.25) ** 2), rtol=1e-5)
+    np.testing.assert_allclose(
+        np.cumsum(out**2.0), np.cumsum(greedy(samples, 0.25) ** 2), rtol=1e-5
+    )
 
 
 def test_seconds_are_watched_across_silence() -> None:
@@ -136,7 +147,9 @@ def test_no_limit_lets_more_through_than_full_scale() -> None:
 def test_what_lasts_too_long_is_muted_until_a_pause() -> None:
     long = np.full(1500, 0.1)
     short_rest, pause = np.zeros(99), np.zeros(100)
-    out, changed = run(limiter(duration_s=1.0), np.concatenate([long, short_rest, long, pause, long]), [70])
+    out, changed = run(
+        limiter(duration_s=1.0), np.concatenate([long, short_rest, long, pause, long]), [70]
+    )
     expected = np.zeros_like(out)
     expected[:1000] = 0.1
     expected[3199:4199] = 0.1
@@ -156,5 +169,7 @@ def test_an_empty_block_is_none() -> None:
 
 
 def test_blocks_longer_than_a_pause_are_refused() -> None:
-    with pytest.raises(ValueError, match="got blocks of 101 frames, allowed are 100: a pause spans blocks"):
+    with pytest.raises(
+        ValueError, match="got blocks of 101 frames, allowed are 100: a pause spans blocks"
+    ):
         Limiter(RATE, peak=1, rms=1, duration_s=1, max_frames=101)

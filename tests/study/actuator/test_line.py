@@ -11,17 +11,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from stimuli.wav import read_wav
-from study.actuator.devices import Device
-from study.actuator.patience import join
-from study.actuator.rig import DeviceTable, LimitsTable, Rig, SensorTable
-from study.actuator.stream import STALL_S, Line, list_devices, refresh_devices
-from study.actuator.stream_output import StreamOutput
+from feel321.stimuli.wav import read_wav
+from feel321.study.actuator.rig import DeviceTable, LimitsTable, Rig, SensorTable
+from feel321.study.actuator.stream import STALL_S, Device, Line, join, list_devices, refresh_devices
+from feel321.study.actuator.stream_output import StreamOutput
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from study.actuator.take import Block
+    from feel321.study.actuator.stream import Block
 
 RATE_HZ = 1000
 N = 100
@@ -34,7 +32,9 @@ SENSING = RIG.model_copy(update={"sensor": SensorTable(channel=1, full_scale_m_s
 class StandIn:
     """A stream that asks for a block whenever a test says so."""
 
-    def __init__(self, *, callback: Any, samplerate: float, channels: Any, **_settings: Any) -> None:
+    def __init__(
+        self, *, callback: Any, samplerate: float, channels: Any, **_settings: Any
+    ) -> None:
         self.callback = callback
         self.is_duplex = isinstance(channels, tuple)
         self.latency: Any = (0.02, 0.1) if self.is_duplex else 0.1
@@ -60,7 +60,12 @@ class StandIn:
             outputBufferDacTime=self.time_s + 0.1 if dac_s is None else dac_s,
             inputBufferAdcTime=self.time_s - 0.02,
         )
-        known = {"output_underflow": False, "input_overflow": False, "input_underflow": False, **flags}
+        known = {
+            "output_underflow": False,
+            "input_overflow": False,
+            "input_underflow": False,
+            **flags,
+        }
         given = [np.full((N, 1), sensed, dtype=np.float32)] if self.is_duplex else []
         self.callback(*given, out, N, times, SimpleNamespace(**known))
         self.time_s += N / RATE_HZ
@@ -83,14 +88,19 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     clock = Clock()
-    for module in ("stream", "patience"):
-        monkeypatch.setattr(f"study.actuator.{module}.perf_counter", clock)
+    monkeypatch.setattr("feel321.study.actuator.stream.perf_counter", clock)
     return clock
 
 
 @pytest.fixture
 def sounddevice(monkeypatch: pytest.MonkeyPatch, clock: Clock) -> SimpleNamespace:  # noqa: ARG001 - time stands still
-    row = {"index": 0, "name": "coils", "hostapi": 0, "max_output_channels": 2, "max_input_channels": 1}
+    row = {
+        "index": 0,
+        "name": "coils",
+        "hostapi": 0,
+        "max_output_channels": 2,
+        "max_input_channels": 1,
+    }
     module = SimpleNamespace(
         PortAudioError=RuntimeError,
         OutputStream=StandIn,
@@ -110,7 +120,9 @@ def blocks() -> list[Block]:
 
 
 def open_line(blocks: list[Block], rig: Rig = RIG) -> tuple[Line, Any]:
-    line = Line(DEVICE, rig, rate_hz=RATE_HZ, fill=lambda _out, block, _sensed: blocks.append(block))
+    line = Line(
+        DEVICE, rig, rate_hz=RATE_HZ, fill=lambda _out, block, _sensed: blocks.append(block)
+    )
     return line, line._stream
 
 
@@ -143,7 +155,9 @@ def test_a_device_that_tells_no_times_is_taken_at_its_latency(blocks: list[Block
 
 
 @pytest.mark.usefixtures("sounddevice")
-def test_silence_beyond_what_it_held_is_an_underrun_though_no_flag_says_so(blocks: list[Block], clock: Clock) -> None:
+def test_silence_beyond_what_it_held_is_an_underrun_though_no_flag_says_so(
+    blocks: list[Block], clock: Clock
+) -> None:
     _, stream = open_line(blocks)
     stream.ask()
     clock.wait(0.05)
@@ -199,19 +213,28 @@ def test_portaudio_that_does_not_begin_again_is_one_line(
     monkeypatch.setattr(sounddevice, "_terminate", raise_foreign)
     refresh_devices()
     monkeypatch.setattr(sounddevice, "_initialize", raise_foreign)
-    with pytest.raises(OSError, match=r"device: PortAudio does not begin \(Error getting stream time\)"):
+    with pytest.raises(
+        OSError, match=r"device: PortAudio does not begin \(Error getting stream time\)"
+    ):
         refresh_devices()
 
 
-def test_another_rate_than_was_asked_for_is_refused(sounddevice: SimpleNamespace, blocks: list[Block]) -> None:
+def test_another_rate_than_was_asked_for_is_refused(
+    sounddevice: SimpleNamespace, blocks: list[Block]
+) -> None:
     sounddevice.OutputStream = lambda **settings: StandIn(**{**settings, "samplerate": 44100.0})
-    with pytest.raises(OSError, match="got 'coils', which runs at 44100 Hz, the stimuli are at 1000 Hz"):
+    with pytest.raises(
+        OSError, match="got 'coils', which runs at 44100 Hz, the stimuli are at 1000 Hz"
+    ):
         open_line(blocks)
 
 
 @pytest.mark.parametrize(
     ("module", "message"),
-    [(None, r"sounddevice not found.*pip install -c constraints.txt '.\[rig\]'"), ("broken", "libportaudio2")],
+    [
+        (None, r"sounddevice not found.*pip install -c constraints.txt '.\[rig\]'"),
+        ("broken", "libportaudio2"),
+    ],
 )
 def test_what_is_not_installed_is_one_line(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, module: str | None, message: str
@@ -235,7 +258,8 @@ def open_output(
     monkeypatch.setattr(StandIn, "start", lambda stream: (start(stream), streams.append(stream)))
     waited = clock or Clock()
     monkeypatch.setattr(
-        "study.actuator.connection.sleep", lambda wait_s: (waited.wait(wait_s), streams[-1].ask())
+        "feel321.study.actuator.stream_output.sleep",
+        lambda wait_s: (waited.wait(wait_s), streams[-1].ask()),
     )
     sound = np.full((150, 2), 0.25, dtype=np.float32)
     output = StreamOutput(rig, {"a": sound}, rate_hz=RATE_HZ, folder=folder, clock=waited)
@@ -263,7 +287,9 @@ def test_a_playback_is_played_and_sensed(monkeypatch: pytest.MonkeyPatch, tmp_pa
 
 
 @pytest.mark.usefixtures("sounddevice")
-def test_a_recording_that_cannot_be_written_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_recording_that_cannot_be_written_is_told(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     (tmp_path / "taken").write_text("")
     output, stream = open_output(monkeypatch, tmp_path / "taken", rig=SENSING)
     output.start("a", gap_s=0.0)
@@ -275,23 +301,27 @@ def test_a_recording_that_cannot_be_written_is_told(monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.usefixtures("sounddevice")
-def test_a_device_that_hangs_does_not_hang_the_session(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_device_that_hangs_does_not_hang_the_session(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     output, stream = open_output(monkeypatch, tmp_path)
     stream.active = False
     answers = Event()
-    monkeypatch.setattr("study.actuator.connection.REVIVING_S", 0.05)
-    monkeypatch.setattr("study.actuator.connection.refresh_devices", answers.wait)
+    monkeypatch.setattr("feel321.study.actuator.stream_output.REVIVING_S", 0.05)
+    monkeypatch.setattr("feel321.study.actuator.stream_output.refresh_devices", answers.wait)
     output.start("a", gap_s=0.0)
     assert not output.is_playing
     assert "does not answer" in output.collect().error
     answers.set()
-    monkeypatch.setattr("study.actuator.connection.REVIVING_S", 60.0)
+    monkeypatch.setattr("feel321.study.actuator.stream_output.REVIVING_S", 60.0)
     output.start("a", gap_s=0.0)
     assert output.is_playing
 
 
 @pytest.mark.usefixtures("sounddevice")
-def test_what_died_with_a_device_is_not_heard_from_the_next(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_what_died_with_a_device_is_not_heard_from_the_next(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     output, old = open_output(monkeypatch, tmp_path)
     output.start("a", gap_s=0.0)
     assert old.ask().any()
@@ -299,7 +329,9 @@ def test_what_died_with_a_device_is_not_heard_from_the_next(monkeypatch: pytest.
     assert not output.is_playing
     heard: list[np.ndarray] = []
     opened = StandIn.start
-    monkeypatch.setattr(StandIn, "start", lambda stream: (opened(stream), heard.append(stream.ask())))
+    monkeypatch.setattr(
+        StandIn, "start", lambda stream: (opened(stream), heard.append(stream.ask()))
+    )
     output.start("a", gap_s=0.0)
     assert output.is_playing
     assert len(heard) == 1
@@ -308,7 +340,9 @@ def test_what_died_with_a_device_is_not_heard_from_the_next(monkeypatch: pytest.
 
 
 @pytest.mark.usefixtures("sounddevice")
-def test_a_stop_is_measured_and_told_though_the_device_is_slow(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_stop_is_measured_and_told_though_the_device_is_slow(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     output, stream = open_output(monkeypatch, tmp_path)
     output.start("a", gap_s=0.0)
     stream.ask()
@@ -330,7 +364,9 @@ def test_a_device_that_dies_while_clocks_are_compared_leaves_no_nan(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     output, stream = open_output(monkeypatch, tmp_path)
-    monkeypatch.setattr("study.actuator.stream.Line.compare_clocks", lambda *_: float("nan"))
+    monkeypatch.setattr(
+        "feel321.study.actuator.stream.Line.compare_clocks", lambda *_: float("nan")
+    )
     output.start("a", gap_s=0.0)
     while output.is_playing:
         stream.ask()
@@ -349,7 +385,7 @@ def test_nothing_started_is_an_error(monkeypatch: pytest.MonkeyPatch, tmp_path: 
 def test_a_stream_that_never_runs_is_refused(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, clock: Clock
 ) -> None:
-    monkeypatch.setattr("study.actuator.connection.sleep", clock.wait)
+    monkeypatch.setattr("feel321.study.actuator.stream_output.sleep", clock.wait)
     output = StreamOutput(RIG, {}, rate_hz=RATE_HZ, folder=tmp_path, clock=clock)
     begin_s = clock.now_s
     with pytest.raises(OSError, match="got 'coils', which does not run; is it in use elsewhere"):
@@ -358,7 +394,9 @@ def test_a_stream_that_never_runs_is_refused(
 
 
 @pytest.mark.usefixtures("sounddevice")
-def test_a_stream_that_stands_at_first_is_opened_again(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_stream_that_stands_at_first_is_opened_again(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     starts: list[StandIn] = []
 
     def start(stream: StandIn) -> None:
@@ -375,7 +413,9 @@ def test_a_stream_that_stands_at_first_is_opened_again(monkeypatch: pytest.Monke
 
 
 @pytest.mark.usefixtures("sounddevice")
-def test_a_device_may_be_slow_to_open(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, clock: Clock) -> None:
+def test_a_device_may_be_slow_to_open(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, clock: Clock
+) -> None:
     made: list[StandIn] = []
     make = StandIn.__init__
 
@@ -403,7 +443,7 @@ def test_a_device_may_be_slow_to_ask_for_its_first_block(
         if clock.now_s > first_s:
             streams[-1].ask()
 
-    monkeypatch.setattr("study.actuator.connection.sleep", wait)
+    monkeypatch.setattr("feel321.study.actuator.stream_output.sleep", wait)
     StreamOutput(RIG, {}, rate_hz=RATE_HZ, folder=tmp_path, clock=clock).open()
     assert len(streams) == 1
 
@@ -436,7 +476,9 @@ def test_a_device_that_nobody_looked_at_is_given_a_moment(
     clock.wait(60.0)
     if is_hanging:
         ask = StandIn.ask
-        monkeypatch.setattr(StandIn, "ask", lambda s, **told: None if s is stream else ask(s, **told))
+        monkeypatch.setattr(
+            StandIn, "ask", lambda s, **told: None if s is stream else ask(s, **told)
+        )
     output.start("a", gap_s=0.0)
     assert output.is_playing
     assert stream.active != is_hanging  # another one was opened in its place
@@ -457,6 +499,8 @@ class Slow:
 
 
 @pytest.mark.parametrize(("n_joins", "has_ended"), [(1, True), (8, True), (9, False)])
-def test_what_is_waited_for_has_its_time_though_this_process_stood_still(n_joins: int, has_ended: bool) -> None:
+def test_what_is_waited_for_has_its_time_though_this_process_stood_still(
+    n_joins: int, has_ended: bool
+) -> None:
     thread: Any = Slow(n_joins)
     assert join(thread, patience_s=2.0) is has_ended

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
-from study.actuator.masking import Masker, make_pink
+from feel321.study.actuator.mixer import Masker, make_pink
 
 RAMP, LEAD = 20, 50
 COLUMNS = [1, 2]
@@ -50,7 +50,11 @@ def test_the_loop_does_not_click(n: int) -> None:
 def masker(ramp: int = RAMP, lead: int = LEAD, noise: np.ndarray | None = None) -> Masker:
     ones = np.ones(4096, dtype=np.float32)
     return Masker(
-        ones if noise is None else noise, columns=COLUMNS, ramp_frames=ramp, lead_frames=lead, max_frames=4096
+        ones if noise is None else noise,
+        columns=COLUMNS,
+        ramp_frames=ramp,
+        lead_frames=lead,
+        max_frames=4096,
     )
 
 

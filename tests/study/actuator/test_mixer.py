@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
-from study.actuator.mixer import NOT_SCHEDULED, Cue, Mixer
-from study.actuator.rig import ActuatorTable, LimitsTable, MaskingTable, Rig, SyncTable
+from feel321.study.actuator.mixer import NOT_SCHEDULED, Cue, Mixer
+from feel321.study.actuator.rig import ActuatorTable, LimitsTable, MaskingTable, Rig, SyncTable
 
 RATE = 8000.0
 MASKED = MaskingTable(channels=(3, 4), rms=0.1, ramp_s=0.02, lead_s=0.05, seed=3)
@@ -35,7 +35,9 @@ def make_sounds(rig: Rig, n: int = 3000, *, rms: float = 0.2) -> dict[str, np.nd
     return sounds
 
 
-def make_mixer(*, preroll_s: float = 0.0, n: int = 3000, **tables: Any) -> tuple[Mixer, dict[str, np.ndarray]]:
+def make_mixer(
+    *, preroll_s: float = 0.0, n: int = 3000, **tables: Any
+) -> tuple[Mixer, dict[str, np.ndarray]]:
     rig = make_rig(**tables)
     sounds = make_sounds(rig, n)
     return Mixer(rig, sounds, rate_hz=RATE, preroll_s=preroll_s), sounds
@@ -60,7 +62,13 @@ def test_what_comes_out_is_the_stimulus(sizes: list[int], gap: int) -> None:
     assert_array_equal(out[gap : gap + 3000], sounds["a"])
     assert not out[:gap].any()
     assert not out[gap + 3000 :].any()
-    assert (cue.onset_frame, cue.n_played, cue.clipped, cue.is_over, cue.is_complete) == (gap, 3000, 0, True, True)
+    assert (cue.onset_frame, cue.n_played, cue.clipped, cue.is_over, cue.is_complete) == (
+        gap,
+        3000,
+        0,
+        True,
+        True,
+    )
     assert mixer.frame == 5000
 
 
@@ -190,7 +198,12 @@ def test_a_device_that_begins_anew_begins_in_silence() -> None:
     fill(mixer, 1000, [100], 5)
     waiting = mixer.start("b", gap_s=0)
     mixer.reset()
-    assert (cut.is_over, cut.is_complete, waiting.is_over, mixer.is_playing) == (True, False, True, False)
+    assert (cut.is_over, cut.is_complete, waiting.is_over, mixer.is_playing) == (
+        True,
+        False,
+        True,
+        False,
+    )
     assert not fill(mixer, 2000, [100], 5).any()
     cue = mixer.start("b", gap_s=0)
     out = fill(mixer, 4000, [100], 5)
@@ -329,7 +342,9 @@ def test_free_switching_cannot_outwit_the_limiter() -> None:
         clipped.append(cue.clipped)
     assert clipped[0] == 0
     assert clipped[1] > 0
-    energy = np.cumsum(np.concatenate([np.zeros((1, 2)), np.concatenate(outs).astype(float) ** 2]), axis=0)
+    energy = np.cumsum(
+        np.concatenate([np.zeros((1, 2)), np.concatenate(outs).astype(float) ** 2]), axis=0
+    )
     seconds = np.sqrt((energy[8000:] - energy[:-8000]) / 8000)
     assert seconds.max() <= 0.15 * (1 + 1e-6)
 

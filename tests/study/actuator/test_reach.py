@@ -8,24 +8,31 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from stimuli.manifest import Stimulus
-from stimuli.recipe import Recipe
-from stimuli.recording import Recording
-from stimuli.wav import write_wav
-from study.actuator.reach import find_directions, find_mix, original_energy, reduced_energy
-from study.actuator.render import render_stimulus
-from study.actuator.rig import AXES, ActuatorTable, LimitsTable, Rig, identify, read_rig
-from study.rig_strength import find_reach
+from feel321.stimuli.recording import Recording
+from feel321.stimuli.sets.manifest import Stimulus
+from feel321.stimuli.sets.recipe import Recipe
+from feel321.stimuli.wav import write_wav
+from feel321.study.actuator.render import (
+    find_directions,
+    find_mix,
+    original_energy,
+    reduced_energy,
+    render_stimulus,
+)
+from feel321.study.actuator.rig import AXES, ActuatorTable, LimitsTable, Rig, identify, read_rig
+from feel321.study.strength import find_reach
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from study.strength import Findings
+    from feel321.study.strength import Findings
 
 RATE = 2000
 LIMITS = LimitsTable(peak_m_s2=100.0, rms_m_s2=100.0, duration_s=60.0)
-TEMPLATE = (files("study") / "settings" / "rig_template.toml").read_text(encoding="utf-8")
-OLD = "".join(line for line in TEMPLATE.splitlines(keepends=True) if not line.startswith("direction"))
+TEMPLATE = (files("feel321.study") / "settings" / "rig_template.toml").read_text(encoding="utf-8")
+OLD = "".join(
+    line for line in TEMPLATE.splitlines(keepends=True) if not line.startswith("direction")
+)
 
 
 def coil(name: str, channel: int, *plays: str, **more: Any) -> ActuatorTable:
@@ -37,14 +44,22 @@ def draw_rig(rng: np.random.Generator, *, right_angles: bool) -> Rig:
     frame = np.linalg.qr(rng.standard_normal((3, 3)))[0]
     coils = [
         coil(
-            f"axis {axis} {copy}", 3 * copy + place + 1, axis, *(["reduced"] if rng.random() < 0.5 else []),
-            direction=tuple((frame[place] if right_angles else rng.standard_normal(3)) * rng.uniform(0.5, 2)),
+            f"axis {axis} {copy}",
+            3 * copy + place + 1,
+            axis,
+            *(["reduced"] if rng.random() < 0.5 else []),
+            direction=tuple(
+                (frame[place] if right_angles else rng.standard_normal(3)) * rng.uniform(0.5, 2)
+            ),
             full_scale_m_s2=rng.uniform(20, 200),
         )
         for place, axis in enumerate(AXES)
         for copy in range(rng.integers(1, 3) if right_angles else 1)
-    ]  # fmt: skip
-    extra = [coil(f"r{i}", 10 + i, direction=tuple(rng.standard_normal(3))) for i in range(rng.integers(1, 4))]
+    ]
+    extra = [
+        coil(f"r{i}", 10 + i, direction=tuple(rng.standard_normal(3)))
+        for i in range(rng.integers(1, 4))
+    ]
     return Rig(actuators=(*coils, *extra), limits=LIMITS)
 
 
@@ -52,7 +67,25 @@ def reach_hand(rig: Rig, samples: np.ndarray, folder: Path) -> float:
     """Play a file, and give the mean square of the hand's acceleration relative to that of the file."""
     write_wav(folder / "s.wav", samples, RATE)
     n = samples.shape[-1]
-    row = Stimulus("s", "r", "x", "as_is", "test", "s.wav", RATE, n, n / RATE, 1.0, 1.0, 1.0, 1.0, 1.0, 0, "", "")
+    row = Stimulus(
+        "s",
+        "r",
+        "x",
+        "as_is",
+        "test",
+        "s.wav",
+        RATE,
+        n,
+        n / RATE,
+        1.0,
+        1.0,
+        1.0,
+        1.0,
+        1.0,
+        0,
+        "",
+        "",
+    )
     rendered = render_stimulus(row, folder, rig, full_scale_m_s2=100.0).astype(float)
     hand = np.zeros((3, n))
     for actuator in rig.actuators:
@@ -62,7 +95,9 @@ def reach_hand(rig: Rig, samples: np.ndarray, folder: Path) -> float:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_reduced_and_original_reach_the_hand_alike_whatever_the_directions(seed: int, tmp_path: Path) -> None:
+def test_reduced_and_original_reach_the_hand_alike_whatever_the_directions(
+    seed: int, tmp_path: Path
+) -> None:
     rng = np.random.default_rng(seed)
     rig = draw_rig(rng, right_angles=True)
     axes = rng.standard_normal((3, 3)) @ rng.standard_normal((3, 400)) / 30  # correlated
@@ -80,8 +115,12 @@ def test_energies_are_those_at_the_hand(seed: int, tmp_path: Path) -> None:
     axes = rng.standard_normal((3, 3)) @ rng.standard_normal((3, 400)) / 30
     covariance = axes @ axes.T
     assert unknown == []
-    assert reach_hand(rig, axes[0], tmp_path) == pytest.approx(reduced_energy(mix, directions), rel=1e-5)
-    assert reach_hand(rig, axes, tmp_path) == pytest.approx(original_energy(mix, directions, covariance), rel=1e-5)
+    assert reach_hand(rig, axes[0], tmp_path) == pytest.approx(
+        reduced_energy(mix, directions), rel=1e-5
+    )
+    assert reach_hand(rig, axes, tmp_path) == pytest.approx(
+        original_energy(mix, directions, covariance), rel=1e-5
+    )
     # Default weights: one for reduced stimuli always, one on average over directions for those with three axes.
     default = find_mix(drawn)
     assert reduced_energy(default, directions) == pytest.approx(1.0)
@@ -110,8 +149,10 @@ def test_the_template_reaches_the_hand_with_equal_energy(tmp_path: Path) -> None
 def test_a_rig_of_an_earlier_version_plays_as_it_did_and_is_warned_of(tmp_path: Path) -> None:
     rig = read(tmp_path, OLD)
     assert find_mix(rig) == {
-        "left coil": {"reduced": 1.0, "x": 1.0}, "right coil": {"reduced": 1.0, "y": 1.0}, "third coil": {"z": 1.0},
-    }  # fmt: skip
+        "left coil": {"reduced": 1.0, "x": 1.0},
+        "right coil": {"reduced": 1.0, "y": 1.0},
+        "third coil": {"z": 1.0},
+    }
     (warning,) = compare(rig).warnings
     assert warning == (
         "one-axis stimuli reach the hand 3.0 dB stronger than the three-axis reference, so that strength tells them "
@@ -120,14 +161,22 @@ def test_a_rig_of_an_earlier_version_plays_as_it_did_and_is_warned_of(tmp_path: 
     )
     mended = OLD.replace('"x"]', '"x"]\nweight = 0.7071').replace('"y"]', '"y"]\nweight = 0.7071')
     assert compare(read(tmp_path, mended)).warnings == []
-    assert set(identify(rig)["actuators"][0]) == {"name", "channel", "full_scale_m_s2", "plays"}  # its journals go on
+    assert set(identify(rig)["actuators"][0]) == {
+        "name",
+        "channel",
+        "full_scale_m_s2",
+        "plays",
+    }  # its journals go on
     assert identify(read(tmp_path, mended))["actuators"][0]["weight"] == 0.7071
     assert identify(read(tmp_path, TEMPLATE))["actuators"][0]["direction"] == [1.0, 0.0, 0.0]
 
 
 def test_two_coils_in_one_direction_add_in_amplitude() -> None:
     along = {"direction": (0.0, 0.0, 2.0)}
-    loud = Rig(actuators=(coil("a", 1, weight=1.0, **along), coil("b", 2, weight=1.0, **along)), limits=LIMITS)
+    loud = Rig(
+        actuators=(coil("a", 1, weight=1.0, **along), coil("b", 2, weight=1.0, **along)),
+        limits=LIMITS,
+    )
     assert reduced_energy(find_mix(loud), find_directions(loud)[0]) == pytest.approx(4.0)  # 6 dB
     rig = Rig(actuators=(coil("a", 1, **along), coil("b", 2, **along)), limits=LIMITS)
     assert find_mix(rig) == {"a": {"reduced": 0.5}, "b": {"reduced": 0.5}}
@@ -140,7 +189,10 @@ def test_a_coil_of_unknown_direction_is_named() -> None:
 
 
 def test_coils_for_axes_that_are_not_at_right_angles_are_warned_of_where_it_counts() -> None:
-    slanted = [coil(axis, place, axis, direction=(1.0, 0.1 * place, 0.0)) for place, axis in enumerate(AXES, start=1)]
+    slanted = [
+        coil(axis, place, axis, direction=(1.0, 0.1 * place, 0.0))
+        for place, axis in enumerate(AXES, start=1)
+    ]
     rig = Rig(actuators=(*slanted, coil("tip", 4, direction=(0.0, 0.0, 1.0))), limits=LIMITS)
     wave = np.random.default_rng(0).standard_normal(4000)
     together = Recording(np.stack([wave, wave, wave]), 2000.0, "together")
@@ -153,10 +205,16 @@ def test_coils_for_axes_that_are_not_at_right_angles_are_warned_of_where_it_coun
 @pytest.mark.parametrize(
     ("text", "line"),
     [
-        (TEMPLATE.replace("[1, 0, 0]    #", "[0, 0, 0]    #"), "got [0, 0, 0], allowed is a direction of motion"),
+        (
+            TEMPLATE.replace("[1, 0, 0]    #", "[0, 0, 0]    #"),
+            "got [0, 0, 0], allowed is a direction of motion",
+        ),
         (TEMPLATE.replace("[0, 1, 0]", "[0, 1]"), "rig.toml: actuators[2].direction"),
         (TEMPLATE.replace("[0, 1, 0]", '"up"'), "rig.toml: actuators[2].direction: got 'up'"),
-        (TEMPLATE.replace("# weight = 0.7071", "weight = -1"), "actuators[1].weight: got -1, allowed: greater than 0"),
+        (
+            TEMPLATE.replace("# weight = 0.7071", "weight = -1"),
+            "actuators[1].weight: got -1, allowed: greater than 0",
+        ),
     ],
 )
 def test_bad_directions_get_a_line(text: str, line: str, tmp_path: Path) -> None:
@@ -166,6 +224,11 @@ def test_bad_directions_get_a_line(text: str, line: str, tmp_path: Path) -> None
 
 
 def test_coils_that_cancel_each_other_are_refused() -> None:
-    rig = Rig(actuators=(coil("a", 1, direction=(1, 0, 0)), coil("b", 2, direction=(-2, 0, 0))), limits=LIMITS)
-    with pytest.raises(ValueError, match=r"\A'a' and 'b' play 'reduced' in opposite directions and cancel"):
+    rig = Rig(
+        actuators=(coil("a", 1, direction=(1, 0, 0)), coil("b", 2, direction=(-2, 0, 0))),
+        limits=LIMITS,
+    )
+    with pytest.raises(
+        ValueError, match=r"\A'a' and 'b' play 'reduced' in opposite directions and cancel"
+    ):
         find_mix(rig)

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from stimuli.manifest import Stimulus, StimulusSet
-from stimuli.wav import write_wav
-from study.actuator.inspection import find_rig_problems, slide_rms
-from study.actuator.render import render_set, render_stimulus
-from study.actuator.rig import ActuatorTable, LimitsTable, MaskingTable, Rig, SyncTable
+from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
+from feel321.stimuli.wav import write_wav
+from feel321.study.actuator.render import find_rig_problems, render_set, render_stimulus, slide_rms
+from feel321.study.actuator.rig import ActuatorTable, LimitsTable, MaskingTable, Rig, SyncTable
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -20,18 +19,40 @@ LIMITS = LimitsTable(peak_m_s2=100.0, rms_m_s2=100.0, duration_s=60.0)
 
 
 def coil(name: str, channel: int, *plays: str, full_scale_m_s2: float = 100.0) -> ActuatorTable:
-    return ActuatorTable(name=name, channel=channel, full_scale_m_s2=full_scale_m_s2, plays=plays or ("reduced",))
+    return ActuatorTable(
+        name=name, channel=channel, full_scale_m_s2=full_scale_m_s2, plays=plays or ("reduced",)
+    )
 
 
 def make_rig(*actuators: ActuatorTable, **tables: Any) -> Rig:
-    return Rig(**{"actuators": actuators or (coil("one", 1), coil("two", 2)), "limits": LIMITS, **tables})
+    return Rig(**{
+        "actuators": actuators or (coil("one", 1), coil("two", 2)),
+        "limits": LIMITS,
+        **tables,
+    })
 
 
 def store(folder: Path, samples: np.ndarray, *, name: str = "s", rate: int = RATE) -> Stimulus:
     write_wav(folder / f"{name}.wav", samples, rate)
     n = samples.shape[-1]
     return Stimulus(
-        name, "r", "dft321", "as_is", "test", f"{name}.wav", rate, n, n / rate, 1.0, 1.0, 1.0, 1.0, 1.0, 0, "", ""
+        name,
+        "r",
+        "dft321",
+        "as_is",
+        "test",
+        f"{name}.wav",
+        rate,
+        n,
+        n / rate,
+        1.0,
+        1.0,
+        1.0,
+        1.0,
+        1.0,
+        0,
+        "",
+        "",
     )
 
 
@@ -42,7 +63,12 @@ def noise(n: int, *, channels: int = 1, rms: float = 0.2) -> np.ndarray:
 
 def test_equal_scales_leave_every_bit(tmp_path: Path) -> None:
     samples = noise(500)
-    rig = make_rig(coil("one", 1), coil("two", 4), masking=MaskingTable(channels=(2,)), sync=SyncTable(channel=6))
+    rig = make_rig(
+        coil("one", 1),
+        coil("two", 4),
+        masking=MaskingTable(channels=(2,)),
+        sync=SyncTable(channel=6),
+    )
     rendered = render_stimulus(store(tmp_path, samples), tmp_path, rig, full_scale_m_s2=100.0)
     assert rendered.dtype == np.float32
     assert rendered.shape == (500, 6)
@@ -54,7 +80,9 @@ def test_scales_give_the_same_acceleration(tmp_path: Path) -> None:
     samples = noise(500)
     rig = make_rig(coil("weak", 1, full_scale_m_s2=25.0), coil("strong", 2, full_scale_m_s2=400.0))
     rendered = render_stimulus(store(tmp_path, samples), tmp_path, rig, full_scale_m_s2=50.0)
-    assert_array_equal(rendered * np.float32([25, 400]), np.stack([samples, samples], axis=1) * np.float32(50))
+    assert_array_equal(
+        rendered * np.float32([25, 400]), np.stack([samples, samples], axis=1) * np.float32(50)
+    )
 
 
 def test_axes_go_to_those_who_play_them(tmp_path: Path) -> None:
@@ -66,11 +94,12 @@ def test_axes_go_to_those_who_play_them(tmp_path: Path) -> None:
 
 
 def test_a_set_is_rendered_whole(tmp_path: Path) -> None:
-    stimuli = StimulusSet(tmp_path, (store(tmp_path, noise(50)), store(tmp_path, noise(60), name="t")), "")
-    assert {k: v.shape for k, v in render_set(stimuli, make_rig(), full_scale_m_s2=100.0).items()} == {
-        "s": (50, 2),
-        "t": (60, 2),
-    }
+    stimuli = StimulusSet(
+        tmp_path, (store(tmp_path, noise(50)), store(tmp_path, noise(60), name="t")), ""
+    )
+    assert {
+        k: v.shape for k, v in render_set(stimuli, make_rig(), full_scale_m_s2=100.0).items()
+    } == {"s": (50, 2), "t": (60, 2)}
 
 
 @pytest.mark.parametrize(
@@ -82,24 +111,37 @@ def test_a_set_is_rendered_whole(tmp_path: Path) -> None:
             r"\As: no actuator plays y, z; add it to `plays` in rig.toml, or name",
         ),
         (noise(50), ("x", "y", "z"), r"\As: no actuator plays reduced; add it"),
-        (noise(50, channels=2), ("reduced",), r"\As.wav: got 2 channels, allowed are 1 or 3; build it again"),
+        (
+            noise(50, channels=2),
+            ("reduced",),
+            r"\As.wav: got 2 channels, allowed are 1 or 3; build it again",
+        ),
     ],
 )
 def test_what_nobody_plays_is_refused(
     samples: np.ndarray, plays: tuple[str, ...], message: str, tmp_path: Path
 ) -> None:
     with pytest.raises(ValueError, match=message):
-        render_stimulus(store(tmp_path, samples), tmp_path, make_rig(coil("a", 1, *plays)), full_scale_m_s2=100.0)
+        render_stimulus(
+            store(tmp_path, samples),
+            tmp_path,
+            make_rig(coil("a", 1, *plays)),
+            full_scale_m_s2=100.0,
+        )
 
 
 def test_another_file_is_refused(tmp_path: Path) -> None:
     stimulus = store(tmp_path, noise(50))
     write_wav(tmp_path / "s.wav", noise(51), RATE)
-    with pytest.raises(ValueError, match=r"s\.wav: got 51 samples at 1000 Hz, the manifest says 50 at 1000; build"):
+    with pytest.raises(
+        ValueError, match=r"s\.wav: got 51 samples at 1000 Hz, the manifest says 50 at 1000; build"
+    ):
         render_stimulus(stimulus, tmp_path, make_rig(), full_scale_m_s2=100.0)
 
 
-def problems(folder: Path, stimuli: list[Stimulus], rig: Rig, *, full_scale_m_s2: float = 100.0) -> list[str]:
+def problems(
+    folder: Path, stimuli: list[Stimulus], rig: Rig, *, full_scale_m_s2: float = 100.0
+) -> list[str]:
     return find_rig_problems(
         rig, StimulusSet(folder, tuple(stimuli), ""), rate_hz=RATE, full_scale_m_s2=full_scale_m_s2
     )
@@ -138,12 +180,17 @@ def test_each_limit_gets_a_line_for_all_stimuli(name: str, tmp_path: Path) -> No
 def test_more_than_the_coil_gives_is_a_problem(tmp_path: Path) -> None:
     rig = make_rig(coil("weak", 1, full_scale_m_s2=50.0))
     (line,) = problems(tmp_path, [store(tmp_path, np.full(9, 0.75))], rig)
-    assert line.startswith("actuator 'weak': s: got 75, above the actuator's full_scale_m_s2 of 50;")
+    assert line.startswith(
+        "actuator 'weak': s: got 75, above the actuator's full_scale_m_s2 of 50;"
+    )
 
 
 def test_what_cannot_be_played_gets_one_line_per_kind(tmp_path: Path) -> None:
     stimuli = [store(tmp_path, noise(50, channels=3), name=name) for name in ("s", "t", "u")]
-    stimuli += [store(tmp_path, noise(50), name="v", rate=2000), store(tmp_path, noise(50), name="gone")]
+    stimuli += [
+        store(tmp_path, noise(50), name="v", rate=2000),
+        store(tmp_path, noise(50), name="gone"),
+    ]
     (tmp_path / "gone.wav").unlink()
     lines = problems(tmp_path, stimuli, make_rig())
     assert len(lines) == 3

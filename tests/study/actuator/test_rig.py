@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from study.actuator.rig import Rig, identify, read_rig
+from feel321.study.actuator.rig import Rig, identify, read_rig
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 LIMITS = "[limits]\npeak_m_s2 = 90.0\nrms_m_s2 = 30\nduration_s = 10.0\n"
-TEMPLATE = (files("study") / "settings" / "rig_template.toml").read_text(encoding="utf-8")
+TEMPLATE = (files("feel321.study") / "settings" / "rig_template.toml").read_text(encoding="utf-8")
 
 
 def read(tmp_path: Path, text: str) -> Rig:
@@ -27,21 +27,40 @@ def test_two_voice_coils_are_the_default(tmp_path: Path) -> None:
         ("left coil", 1, ("reduced",)),
         ("right coil", 2, ("reduced",)),
     ]
-    assert (rig.n_channels, rig.device.name, rig.masking, rig.sensor, rig.sync) == (2, "file", None, None, None)
+    assert (rig.n_channels, rig.device.name, rig.masking, rig.sensor, rig.sync) == (
+        2,
+        "file",
+        None,
+        None,
+        None,
+    )
     assert rig.limits.rms_m_s2 == 30.0
 
 
 def test_the_template_is_a_rig_that_plays_every_axis(tmp_path: Path) -> None:
     rig = read(tmp_path, TEMPLATE)
-    assert {source for actuator in rig.actuators for source in actuator.plays} == {"reduced", "x", "y", "z"}
+    assert {source for actuator in rig.actuators for source in actuator.plays} == {
+        "reduced",
+        "x",
+        "y",
+        "z",
+    }
 
 
 def test_every_table_of_the_template_is_one(tmp_path: Path) -> None:
     """The optional tables of the template, their # taken away, are read and do not collide."""
-    lines = [line.removeprefix("# ") if line.startswith("# ") and _is_toml(line[2:]) else line for line in _lines()]
+    lines = [
+        line.removeprefix("# ") if line.startswith("# ") and _is_toml(line[2:]) else line
+        for line in _lines()
+    ]
     rig = read(tmp_path, "\n".join(lines))
     assert rig.masking is not None
-    assert (rig.masking.channels, rig.masking.rms, rig.masking.ramp_s, rig.masking.lead_s) == ((4, 5), 0.05, 0.2, 0.5)
+    assert (rig.masking.channels, rig.masking.rms, rig.masking.ramp_s, rig.masking.lead_s) == (
+        (4, 5),
+        0.05,
+        0.2,
+        0.5,
+    )
     assert rig.sensor is not None
     assert rig.sync is not None
     assert (rig.sync.level, rig.sync.duration_s, rig.n_channels) == (0.5, 0.005, 6)
@@ -73,12 +92,27 @@ MASKING = "[masking]\nchannels = [3]\n"
     [
         ("", "rig.toml: limits: is missing; add it"),
         (LIMITS + "[devise]\n", "rig.toml: devise: is no setting; did you mean device?"),
-        (LIMITS + COIL + "chanel = 2\n", "rig.toml: actuators[1].chanel: is no setting; did you mean channel?"),
-        (LIMITS + MASKING + "zzz = 2\n", "masking.zzz: is no setting; allowed: channels, rms, ramp_s, lead_s, seed"),
-        (LIMITS + "hertz = 2\n", "limits.hertz: is no setting; allowed: peak_m_s2, rms_m_s2, duration_s"),
-        ("actuators = []\n" + LIMITS, "rig.toml: actuators: got [], allowed is one actuator or more"),
+        (
+            LIMITS + COIL + "chanel = 2\n",
+            "rig.toml: actuators[1].chanel: is no setting; did you mean channel?",
+        ),
+        (
+            LIMITS + MASKING + "zzz = 2\n",
+            "masking.zzz: is no setting; allowed: channels, rms, ramp_s, lead_s, seed",
+        ),
+        (
+            LIMITS + "hertz = 2\n",
+            "limits.hertz: is no setting; allowed: peak_m_s2, rms_m_s2, duration_s",
+        ),
+        (
+            "actuators = []\n" + LIMITS,
+            "rig.toml: actuators: got [], allowed is one actuator or more",
+        ),
         (LIMITS + COIL + "plays = []\n", "actuators[1].plays: got [], allowed is one name or more"),
-        (LIMITS + COIL + 'plays = ["q"]\n', "actuators[1].plays[1]: got 'q', allowed: reduced, x, y, z"),
+        (
+            LIMITS + COIL + 'plays = ["q"]\n',
+            "actuators[1].plays[1]: got 'q', allowed: reduced, x, y, z",
+        ),
         (LIMITS + COIL + 'plays = ["x", "x"]\n', "allowed is each name once; more than once: x"),
         (LIMITS + COIL + COIL, "actuators: allowed is each name once; more than once: coil"),
         (
@@ -89,20 +123,41 @@ MASKING = "[masking]\nchannels = [3]\n"
             LIMITS + "[masking]\nchannels = [2]\n",
             "channel 2: got actuator 'right coil' and masking, allowed is",
         ),
-        (LIMITS + "[masking]\nchannels = [3, 3]\n", "channel 3: got masking and masking, allowed is one use"),
-        (LIMITS + MASKING + "[sync]\nchannel = 3\n", "channel 3: got masking and sync, allowed is one use"),
+        (
+            LIMITS + "[masking]\nchannels = [3, 3]\n",
+            "channel 3: got masking and masking, allowed is one use",
+        ),
+        (
+            LIMITS + MASKING + "[sync]\nchannel = 3\n",
+            "channel 3: got masking and sync, allowed is one use",
+        ),
         (LIMITS + "[masking]\nchannels = []\n", "masking: got no channels, allowed is one or more"),
-        (LIMITS + MASKING + "ramp_s = 1.0\n", "masking: got a ramp_s of 1 and a lead_s of 0.5, allowed is a ramp that"),
-        (LIMITS + MASKING + "rms = 0.5\n", "masking.rms: got 0.5, allowed: less than or equal to 0.15"),
+        (
+            LIMITS + MASKING + "ramp_s = 1.0\n",
+            "masking: got a ramp_s of 1 and a lead_s of 0.5, allowed is a ramp that",
+        ),
+        (
+            LIMITS + MASKING + "rms = 0.5\n",
+            "masking.rms: got 0.5, allowed: less than or equal to 0.15",
+        ),
         (LIMITS + "[sensor]\nfull_scale_m_s2 = 1.0\n", "sensor.channel: is missing; add it"),
-        (LIMITS + "[sync]\nchannel = 0\n", "sync.channel: got 0, allowed: greater than or equal to 1"),
-        (LIMITS + "[sync]\nchannel = 3\nlevel = 1.5\n", "sync.level: got 1.5, allowed: less than or equal to 1"),
+        (
+            LIMITS + "[sync]\nchannel = 0\n",
+            "sync.channel: got 0, allowed: greater than or equal to 1",
+        ),
+        (
+            LIMITS + "[sync]\nchannel = 3\nlevel = 1.5\n",
+            "sync.level: got 1.5, allowed: less than or equal to 1",
+        ),
         (LIMITS.replace("90.0", "0"), "limits.peak_m_s2: got 0, allowed: greater than 0"),
         (LIMITS.replace("90.0", "-1"), "limits.peak_m_s2: got -1, allowed: greater than 0"),
         (LIMITS.replace("10.0", "nan"), "limits.duration_s: got nan, allowed: a finite number"),
         (LIMITS.replace("30", '"30"'), "limits.rms_m_s2: got '30', allowed: a valid number"),
         (LIMITS.replace("30", "true"), "limits.rms_m_s2: got True, allowed: a valid number"),
-        (LIMITS + "[device]\nname = ' '\n", "device.name: got ' ', allowed is a text that is not empty"),
+        (
+            LIMITS + "[device]\nname = ' '\n",
+            "device.name: got ' ', allowed is a text that is not empty",
+        ),
         (LIMITS + "[device]\nlatency_s = 0\n", "device.latency_s: got 0, allowed: greater than 0"),
         (LIMITS + "sync = 3\n", "limits.sync: is no setting"),
         ("sync = 3\n" + LIMITS, "sync: got 3, allowed: a table"),

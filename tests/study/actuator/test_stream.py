@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from stimuli.wav import read_wav
+from feel321.stimuli.wav import read_wav
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -60,9 +60,19 @@ def test_every_sample_arrives_on_its_channel_in_order_and_nothing_else_does(
         with pulse.captured() as capture:
             player = open_player(pulse, make_rig(channels=pulse.channels), sounds)
             assert player.hear()["identity"]["device"] == "stylus"
-            deliveries = [player.ask(do="play", sound=name, gap_s=0.0 if name == "b" else 0.05) for name in order]
+            deliveries = [
+                player.ask(do="play", sound=name, gap_s=0.0 if name == "b" else 0.05)
+                for name in order
+            ]
         player.leave()
-        find_all(capture, [sounds[name] for name, told in zip(order, deliveries, strict=True) if not told["underruns"]])
+        find_all(
+            capture,
+            [
+                sounds[name]
+                for name, told in zip(order, deliveries, strict=True)
+                if not told["underruns"]
+            ],
+        )
         return deliveries, capture
 
     deliveries, capture = insist(play, is_disturbed=lambda found: has_run_dry(found[0]))
@@ -98,7 +108,10 @@ def test_masking_is_on_its_channels_only_and_ramped_around_the_vibration(
     lead, ramp = round(0.3 * RATE_HZ), round(0.1 * RATE_HZ)
     assert abs(onset - lead - heard[0]) <= 2
     assert abs(onset + len(sound) + lead - heard[-1]) <= 2
-    rms = [np.sqrt(np.mean(masking[first : first + ramp // 4] ** 2)) for first in (heard[0], heard[-1] - ramp // 4)]
+    rms = [
+        np.sqrt(np.mean(masking[first : first + ramp // 4] ** 2))
+        for first in (heard[0], heard[-1] - ramp // 4)
+    ]
     level = np.sqrt(np.mean(masking[onset : onset + len(sound)] ** 2))
     assert max(rms) < level / 3
     assert level == pytest.approx(0.05, rel=0.5)
@@ -110,7 +123,8 @@ def play_many(pulse: Any, player: Any, sounds: dict[str, Sound]) -> tuple[list[A
     """Play sounds one after the other with uneven gaps; give what was delivered, and where it was captured."""
     with pulse.captured() as capture:
         deliveries = [
-            player.ask(do="play", sound=name, gap_s=0.02 + 0.013 * (number % 7)) for number, name in enumerate(sounds)
+            player.ask(do="play", sound=name, gap_s=0.02 + 0.013 * (number % 7))
+            for number, name in enumerate(sounds)
         ]
     after, places = 0, []
     for sound in sounds.values():
@@ -132,22 +146,43 @@ class Trials:
 
     @property
     def is_punctual(self) -> bool:
-        return self.underrun_share < 0.1 and self.jitter_ms[0] < 2 and self.jitter_ms[1] < 10 and self.late_s < 0.25
+        return (
+            self.underrun_share < 0.1
+            and self.jitter_ms[0] < 2
+            and self.jitter_ms[1] < 10
+            and self.late_s < 0.25
+        )
 
 
 def sum_up(deliveries: Sequence[Any], places: Sequence[int]) -> Trials:
-    flagged = np.array([bool(delivery["underruns"] or delivery["error"]) for delivery in deliveries])
+    flagged = np.array([
+        bool(delivery["underruns"] or delivery["error"]) for delivery in deliveries
+    ])
     lost = np.array(places) < 0
     kept = ~(lost | flagged)
     if not kept.any():
-        return Trials(flagged.mean(), int(lost.sum()), int((lost & ~flagged).sum()), (np.inf, np.inf), 0.0, np.inf)
-    onsets_s = np.array([delivery["onset_s"] for delivery, is_kept in zip(deliveries, kept, strict=True) if is_kept])
+        return Trials(
+            flagged.mean(),
+            int(lost.sum()),
+            int((lost & ~flagged).sum()),
+            (np.inf, np.inf),
+            0.0,
+            np.inf,
+        )
+    onsets_s = np.array([
+        delivery["onset_s"] for delivery, is_kept in zip(deliveries, kept, strict=True) if is_kept
+    ])
     late_s = onsets_s - np.array([delivery["requested_s"] for delivery in deliveries])[kept]
     apart_s = np.array(places)[kept] / RATE_HZ - onsets_s
     median_ms, high_ms = 1e3 * np.percentile(np.abs(apart_s - np.median(apart_s)), [50, 99])
     silent = int((lost & ~flagged).sum())
     return Trials(
-        flagged.mean(), int(lost.sum()), silent, (median_ms, high_ms), float(late_s.min()), float(np.median(late_s))
+        flagged.mean(),
+        int(lost.sum()),
+        silent,
+        (median_ms, high_ms),
+        float(late_s.min()),
+        float(np.median(late_s)),
     )
 
 
@@ -162,7 +197,9 @@ def test_every_trial_arrives_whole_or_its_underrun_is_flagged_and_onsets_are_tru
     n_trials: int,
 ) -> None:
     sounds = {f"s{n}": make_sound(n, n=2400, channels=4) for n in range(n_trials)}
-    player = open_player(pulse, make_rig(channels=4, latency_s=0.1), sounds)  # a machine that tests has much to do
+    player = open_player(
+        pulse, make_rig(channels=4, latency_s=0.1), sounds
+    )  # a machine that tests has much to do
     player.hear()
 
     def measure() -> Trials:
@@ -201,7 +238,9 @@ def test_a_stop_falls_silent_within_a_block_and_is_not_completed(
         if has_run_dry([delivery, again]):
             return True
         last_s = delivery["onset_s"] + delivery["measured"]["n_samples"] / RATE_HZ
-        return after_s - before_s > 0.03 or delivery["over_s"] - last_s > 0.1  # the player's own process stood still
+        return (
+            after_s - before_s > 0.03 or delivery["over_s"] - last_s > 0.1
+        )  # the player's own process stood still
 
     capture, (before_s, after_s), delivery, again = insist(stop, is_disturbed=is_disturbed)
     measured = delivery["measured"]
@@ -211,13 +250,17 @@ def test_a_stop_falls_silent_within_a_block_and_is_not_completed(
     assert not delivery["error"]
     # All but a short fade is the stimulus as it is, and after the last sample there is nothing.
     fade = round(0.005 * RATE_HZ)
-    assert np.array_equal(capture.samples[onset : onset + n_played - fade], sound[: n_played - fade])
+    assert np.array_equal(
+        capture.samples[onset : onset + n_played - fade], sound[: n_played - fade]
+    )
     assert not capture.samples[onset + n_played + 1 : onset + n_played + 2400].any()
     # What the device holds already (its latency) cannot be taken back; after that one block passes at most.
     last_s = delivery["onset_s"] + n_played / RATE_HZ
     block_s = measured["latency_s"] / 4
     assert last_s - after_s - 0.03 <= measured["stop_s"] <= last_s - before_s + 0.03
-    assert 0 < measured["stop_s"] < measured["latency_s"] + 2 * block_s + 0.03  # that for a machine with much to do
+    assert (
+        0 < measured["stop_s"] < measured["latency_s"] + 2 * block_s + 0.03
+    )  # that for a machine with much to do
     assert abs(delivery["over_s"] - last_s) < 0.1
     assert again["completed"]
     assert capture.find(make_sound(2, channels=4)) > onset + n_played
@@ -306,17 +349,40 @@ def test_a_server_that_hangs_for_long_is_dead_without_hanging_the_session(
 @pytest.mark.parametrize(
     ("device", "channels", "rate_hz", "message"),
     [
-        ("nowhere", 4, 48000, "got 'nowhere', which is not there; allowed: 'stylus' (ALSA), 'stylus twin' (ALSA)"),
-        ("TWIN", 4, 1_000_000, "'stylus twin', which does not play at 1e+06 Hz (Error opening OutputStream: Invalid"),
-        ("styl", 4, 48000, "got 'styl', which 2 devices have in their names: 'stylus' (ALSA), 'stylus twin' (ALSA)"),
+        (
+            "nowhere",
+            4,
+            48000,
+            "got 'nowhere', which is not there; allowed: 'stylus' (ALSA), 'stylus twin' (ALSA)",
+        ),
+        (
+            "TWIN",
+            4,
+            1_000_000,
+            "'stylus twin', which does not play at 1e+06 Hz (Error opening OutputStream: Invalid",
+        ),
+        (
+            "styl",
+            4,
+            48000,
+            "got 'styl', which 2 devices have in their names: 'stylus' (ALSA), 'stylus twin' (ALSA)",
+        ),
         ("default", 4, 48000, "got 'default', which may be another one tomorrow"),
         ("stylus", 40, 48000, "got 'stylus' with 32 output channel(s), the rig needs 40"),
     ],
 )
 def test_what_is_not_exactly_there_is_refused(
-    pulse: Any, open_player: Any, make_rig: Any, device: str, channels: int, rate_hz: int, message: str
+    pulse: Any,
+    open_player: Any,
+    make_rig: Any,
+    device: str,
+    channels: int,
+    rate_hz: int,
+    message: str,
 ) -> None:
-    player = open_player(pulse, make_rig(device=device, channels=channels), {"a": np.zeros((1, 4))}, rate_hz=rate_hz)
+    player = open_player(
+        pulse, make_rig(device=device, channels=channels), {"a": np.zeros((1, 4))}, rate_hz=rate_hz
+    )
     refused = player.hear()["refused"]
     assert message in refused
     assert "\n" not in refused
@@ -337,10 +403,14 @@ def test_what_the_sensor_measures_is_kept_from_the_onset_on(
 
     def play() -> tuple[list[Any], list[int]]:
         deliveries = [player.ask(do="play", sound=name, gap_s=0.1) for name in sounds]
-        return deliveries, [find_lag(told, sound) for told, sound in zip(deliveries, sounds.values(), strict=True)]
+        return deliveries, [
+            find_lag(told, sound) for told, sound in zip(deliveries, sounds.values(), strict=True)
+        ]
 
     def find_lag(delivery: Any, sound: Sound) -> int:
-        samples, rate_hz = read_wav(tmp_path / "delivered" / f"{int(delivery['measured']['file_number']):04}.wav")
+        samples, rate_hz = read_wav(
+            tmp_path / "delivered" / f"{int(delivery['measured']['file_number']):04}.wav"
+        )
         assert rate_hz == RATE_HZ
         # The sink's monitor is the sensor: what was played comes back, later by the way there and back.
         lag = int(np.argmax(np.correlate(samples, sound[:, 0].astype(float), mode="valid")))

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study.actuator.mixer import Cue
-from study.actuator.take import SENSOR_TAIL_S, Block, Take
+from feel321.study.actuator.mixer import Cue
+from feel321.study.actuator.stream import SENSOR_TAIL_S, Block, Take
 
 RATE_HZ = 1000.0
 N = 100  # frames of a block, which take 0.1 s
@@ -22,7 +22,10 @@ def run(take: Take, cue: Cue, *, onset: int, blocks: int = 20, **faults: Any) ->
             cue.n_played = min(frame + N - onset, len(cue.sound))
             cue.is_over = cue.is_complete
         known = {name: number in numbers for name, numbers in faults.items()}
-        take.note(Block(5 + number / 10, 5 + number / 10 + DELAY_S, 5 + number / 10 - 0.1, **known), frame=frame)
+        take.note(
+            Block(5 + number / 10, 5 + number / 10 + DELAY_S, 5 + number / 10 - 0.1, **known),
+            frame=frame,
+        )
         take.sense(np.arange(frame, frame + N, dtype=np.float32), frame=frame)
         if take.is_out:
             return number
@@ -65,7 +68,9 @@ def test_a_device_without_times_is_out_by_frames(cue: Cue) -> None:
     take = Take(RATE_HZ, DELAY_S)
     take.cue = cue
     cue.onset_frame, cue.n_played, cue.is_over = 0, 150, True
-    frames = [frame for frame in range(0, 2000, N) if take.note(Block(0, 1.0), frame=frame) or take.is_out]
+    frames = [
+        frame for frame in range(0, 2000, N) if take.note(Block(0, 1.0), frame=frame) or take.is_out
+    ]
     assert frames[0] == 700  # the first block that begins two latencies after the end
 
 

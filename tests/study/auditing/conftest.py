@@ -5,15 +5,15 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from study.auditing.steps import audit_steps
-from study.session.plan import make_plan
+from feel321.study.audit import audit_steps
+from feel321.study.session.plan import make_plan
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from stimuli.manifest import StimulusSet
-    from study.session.chain import Record
-    from study.session.plan import Design, Plan
+    from feel321.stimuli.sets.manifest import StimulusSet
+    from feel321.study.session.journal import Record
+    from feel321.study.session.plan import Design, Plan
 
     Edit = Callable[[list[Record]], list[Record]]
 
@@ -29,7 +29,9 @@ def find(plan: Plan) -> Callable[[list[Record]], list[str]]:
     """What the audit finds in records, numbered on as an edited chain would be."""
 
     def audit(records: list[Record], plan: Plan = plan) -> list[str]:
-        return list(audit_steps([replace(r, sequence=place) for place, r in enumerate(records)], plan))
+        return list(
+            audit_steps([replace(r, sequence=place) for place, r in enumerate(records)], plan)
+        )
 
     return audit
 
@@ -37,7 +39,7 @@ def find(plan: Plan) -> Callable[[list[Record]], list[str]]:
 @pytest.fixture
 def plan_task(design: Design, stimuli: StimulusSet) -> Callable[..., Plan]:
     """The plan of a session with one task."""
-    from protocols.tasks import make_task
+    from feel321.protocols.tasks import make_task
 
     def make(name: str, **options: Any) -> Plan:
         task = make_task(name, **options)

@@ -8,17 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from study.auditing.journals import audit_journals
-from study.session.chain import START, digest, write_line
-from study.session.journal import create_journal, read_journal
-from study.session.opening import POLICIES, Stale
-from study.session.plan import require_plan
+from feel321.study.audit import audit_journals
+from feel321.study.session.journal import START, create_journal, digest, read_journal, write_line
+from feel321.study.session.opening import Stale
+from feel321.study.session.plan import POLICIES, require_plan
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from study.session.chain import Record
+    from feel321.study.session.journal import Record
 
     Present = Callable[..., list[Record]]
 
@@ -65,7 +64,9 @@ def test_a_second_session_that_took_no_ones_place_is_found(
     forge(first, [record for record in read_journal(first).records if record.event != "superseded"])
     assert audit(folder) == [f"{first}: says nothing of session-02.jsonl, which stands beside it"]
     first.unlink()
-    assert audit(folder) == [f"{folder / 'session-02.jsonl'}: is there without session-01.jsonl before it"]
+    assert audit(folder) == [
+        f"{folder / 'session-02.jsonl'}: is there without session-01.jsonl before it"
+    ]
 
 
 @pytest.mark.parametrize("events", [[], ["recovered"], ["recovered", "clock_stepped", "released"]])
@@ -83,7 +84,9 @@ def test_a_session_without_a_header_that_a_crash_left_gives_no_finding(
     assert audit(folder) == [f"{path}: has no header"]
 
 
-@pytest.mark.parametrize("change", [{"participant": None}, {"session": "x"}, {"session": None}, {"session": []}])
+@pytest.mark.parametrize(
+    "change", [{"participant": None}, {"session": "x"}, {"session": None}, {"session": []}]
+)
 def test_a_header_with_other_types_is_a_finding(
     present: Present, scripted: type, folder: Path, change: dict[str, Any]
 ) -> None:
@@ -92,10 +95,17 @@ def test_a_header_with_other_types_is_a_finding(
     forge(path, [replace(first, data={**first.data, **change}), *others])
     assert audit(folder)[0].startswith(f"{path}: ")
     forge(path, [replace(first, data={}), *others])
-    assert audit(folder) == [f"{path}: has a header or a time of day that is none as feel321 writes them"]
+    assert audit(folder) == [
+        f"{path}: has a header or a time of day that is none as feel321 writes them"
+    ]
 
 
-def test_a_folder_in_the_place_of_a_journal_is_a_finding(present: Present, scripted: type, folder: Path) -> None:
+def test_a_folder_in_the_place_of_a_journal_is_a_finding(
+    present: Present, scripted: type, folder: Path
+) -> None:
     present(scripted())
     (folder / "session-02.jsonl").mkdir()
-    assert f"{folder / 'session-02.jsonl'}: there is no such journal; begin the session first" in audit(folder)
+    assert (
+        f"{folder / 'session-02.jsonl'}: there is no such journal; begin the session first"
+        in audit(folder)
+    )

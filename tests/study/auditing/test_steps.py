@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from protocols.registry import PROTOCOLS
-from study.session.chain import Record
-from study.session.ports import Abort, Confirm, Feel, Move, Pause, Playback
+from feel321.protocols.tasks import PROTOCOLS
+from feel321.study.session.journal import Record
+from feel321.study.session.ports import Abort, Confirm, Feel, Move, Pause, Playback
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from protocols.trial import Scale, Trial
-    from study.session.plan import Plan
-    from study.session.ports import Act, Place
+    from feel321.protocols.trial import Scale, Trial
+    from feel321.study.session.plan import Plan
+    from feel321.study.session.ports import Act, Place
 
     Find = Callable[..., list[str]]
     Present = Callable[..., list[Record]]
@@ -32,7 +32,11 @@ def edit(records: list[Record], event: str, /, **changes: Any) -> list[Record]:
     """Change the first record of an event."""
     place = find_place(records, event)
     record = records[place]
-    return [*records[:place], replace(record, data={**record.data, **changes}), *records[place + 1 :]]
+    return [
+        *records[:place],
+        replace(record, data={**record.data, **changes}),
+        *records[place + 1 :],
+    ]
 
 
 def drop(records: list[Record], *places: int) -> list[Record]:
@@ -57,16 +61,30 @@ def test_a_session_in_which_much_goes_wrong_gives_no_finding(
 
         def show_trial(self, trial: Trial, scale: Scale, place: Place) -> None:
             super().show_trial(trial, scale, place)
-            self.answers = {judgement.part: "a" if scale.choices else 50.0 for judgement in trial.judgements}
+            self.answers = {
+                judgement.part: "a" if scale.choices else 50.0 for judgement in trial.judgements
+            }
 
         def wait(self) -> Act:
             self._waiting = self._waiting or [Feel(0.0, ""), Confirm(0.0, self.answers, 1.5)]
             act = super().wait()
-            return replace(act, values=self.answers) if act == replace(quick, time_s=act.time_s) else act
+            return (
+                replace(act, values=self.answers)
+                if act == replace(quick, time_s=act.time_s)
+                else act
+            )
 
-    moves = [Feel(0.0, ""), Move(0.0, plan.trials[0].judgements[0].part, 5.0), Feel(0.0, "no such part")]
+    moves = [
+        Feel(0.0, ""),
+        Move(0.0, plan.trials[0].judgements[0].part, 5.0),
+        Feel(0.0, "no such part"),
+    ]
     first = Patient(
-        acts={(1, 1): [*moves, quick], (2, 1): [Feel(0.0, ""), Pause(0.0)], (3, 1): [Abort(0.0, "had enough")]},
+        acts={
+            (1, 1): [*moves, quick],
+            (2, 1): [Feel(0.0, ""), Pause(0.0)],
+            (3, 1): [Abort(0.0, "had enough")],
+        },
         playbacks={(1, 2): [dry], (1, 1): [cut], (4, 1): [Playback(1.0, None, error="gone")]},
         pages={"main": [Pause(0.0)], "training": [Abort(0.0, "a break")]},
     )
@@ -77,7 +95,9 @@ def test_a_session_in_which_much_goes_wrong_gives_no_finding(
             present(Patient(stop_after=stop_after), plan=plan)
     wrong = {(number, attempt): [dry, cut] for number in range(1, 9) for attempt in range(1, 4)}
     failing = {(number, 1): [Playback(1.0, None, error="gone")] for number in (7, 8)}
-    present(Patient(playbacks=wrong | failing, acts={(5, 1): [Feel(0.0, ""), Pause(0.0)]}), plan=plan)
+    present(
+        Patient(playbacks=wrong | failing, acts={(5, 1): [Feel(0.0, ""), Pause(0.0)]}), plan=plan
+    )
     records = present(Patient(), plan=plan)
     events = {record.event for record in records}
     assert records[-1].event == "finished"
@@ -89,41 +109,100 @@ def test_a_session_in_which_much_goes_wrong_gives_no_finding(
 @pytest.mark.parametrize(
     ("forge", "finding"),
     [
-        (lambda r: put(r, len(r), "page", key="end", time_s=1.0, stood_s=1.0), "'page', which cannot come after 'fin"),
-        (lambda r: put(r, len(r), "resumed"), "holds 'resumed', which cannot come after 'finished'"),
+        (
+            lambda r: put(r, len(r), "page", key="end", time_s=1.0, stood_s=1.0),
+            "'page', which cannot come after 'fin",
+        ),
+        (
+            lambda r: put(r, len(r), "resumed"),
+            "holds 'resumed', which cannot come after 'finished'",
+        ),
         (lambda r: put(r, 3, "begun"), "line 4: holds 'begun', which cannot come after 'begun'"),
         (lambda r: r[1:], "line 1: holds 'page', which cannot come first"),
         (lambda r: put(r, 3, "noted"), "line 4: holds 'noted', which no session writes"),
-        (lambda r: put(put(r, 3, "released"), 4, "resumed"), "line 5: holds 'resumed', which cannot come after 'rel"),
-        (lambda r: put(put(r, 3, "superseded", by=2), 4, "resumed"), "'resumed', which cannot come after 'superseded'"),
-        (lambda r: drop(r, find_place(r, "shown")), "'played' of trial 1, attempt 1, which was not shown"),
+        (
+            lambda r: put(put(r, 3, "released"), 4, "resumed"),
+            "line 5: holds 'resumed', which cannot come after 'rel",
+        ),
+        (
+            lambda r: put(put(r, 3, "superseded", by=2), 4, "resumed"),
+            "'resumed', which cannot come after 'superseded'",
+        ),
+        (
+            lambda r: drop(r, find_place(r, "shown")),
+            "'played' of trial 1, attempt 1, which was not shown",
+        ),
         (lambda r: edit(r, "rated", trial=2), "'rated' of trial 2, attempt 1, which was not shown"),
-        (lambda r: edit(r, "rated", attempt=2), "'rated' of trial 1, attempt 2, which was not shown"),
+        (
+            lambda r: edit(r, "rated", attempt=2),
+            "'rated' of trial 1, attempt 2, which was not shown",
+        ),
         (lambda r: edit(r, "shown", trial=2), "shows trial 2, attempt 1, which was not next"),
-        (lambda r: put(r, find_place(r, "rated"), "aborted", reason="", time_s=1.0), "attempt 1, which was not shown"),
-        (lambda r: drop(r, find_place(r, "played")), "rates trial 1, of which test was not felt to its end"),
-        (lambda r: edit(r, "played", completed=False), "rates trial 1, of which test was not felt to its end"),
-        (lambda r: edit(r, "played", error="gone"), "rates trial 1, of which test was not felt to its end"),
+        (
+            lambda r: put(r, find_place(r, "rated"), "aborted", reason="", time_s=1.0),
+            "attempt 1, which was not shown",
+        ),
+        (
+            lambda r: drop(r, find_place(r, "played")),
+            "rates trial 1, of which test was not felt to its end",
+        ),
+        (
+            lambda r: edit(r, "played", completed=False),
+            "rates trial 1, of which test was not felt to its end",
+        ),
+        (
+            lambda r: edit(r, "played", error="gone"),
+            "rates trial 1, of which test was not felt to its end",
+        ),
         (
             lambda r: put(r, find_place(r, "rated"), "paused", trial=1, attempt=1, time_s=1.0),
             "rates trial 1, of which test was not felt to its end",
         ),
         (lambda r: edit(r, "played", part="a"), "played part 'a', which trial 1 has not"),
-        (lambda r: edit(r, "rated", values={"test": 100.5}), "has 100.5 for test, allowed: 0 to 100 points"),
-        (lambda r: edit(r, "rated", values={"test": -0.5}), "has -0.5 for test, allowed: 0 to 100 points"),
-        (lambda r: edit(r, "rated", values={"test": "a"}), "has 'a' for test, allowed: 0 to 100 points"),
-        (lambda r: edit(r, "rated", values={}), "rates nothing, trial 1 asks for test"),
-        (lambda r: edit(r, "rated", values={"test": 1.0, "b": 1.0}), "rates test, b, trial 1 asks for test"),
-        (lambda r: edit(r, "rated", flags=["underrun"]), "has flags ['underrun'], by what was felt and answered"),
-        (lambda r: edit(r, "played", underruns=3), "has flags [], by what was felt and answered they are ['underrun']"),
-        (lambda r: edit(r, "rated", response_time_s=0.1), "by what was felt and answered they are ['too_fast']"),
-        (lambda r: edit(r, "rated", rejected=True), "has rejected True, the rules of the plan say False"),
         (
-            lambda r: put(r, find_place(r, "rated"), "spoiled", trial=1, attempt=1, flags=[], time_s=1.0),
+            lambda r: edit(r, "rated", values={"test": 100.5}),
+            "has 100.5 for test, allowed: 0 to 100 points",
+        ),
+        (
+            lambda r: edit(r, "rated", values={"test": -0.5}),
+            "has -0.5 for test, allowed: 0 to 100 points",
+        ),
+        (
+            lambda r: edit(r, "rated", values={"test": "a"}),
+            "has 'a' for test, allowed: 0 to 100 points",
+        ),
+        (lambda r: edit(r, "rated", values={}), "rates nothing, trial 1 asks for test"),
+        (
+            lambda r: edit(r, "rated", values={"test": 1.0, "b": 1.0}),
+            "rates test, b, trial 1 asks for test",
+        ),
+        (
+            lambda r: edit(r, "rated", flags=["underrun"]),
+            "has flags ['underrun'], by what was felt and answered",
+        ),
+        (
+            lambda r: edit(r, "played", underruns=3),
+            "has flags [], by what was felt and answered they are ['underrun']",
+        ),
+        (
+            lambda r: edit(r, "rated", response_time_s=0.1),
+            "by what was felt and answered they are ['too_fast']",
+        ),
+        (
+            lambda r: edit(r, "rated", rejected=True),
+            "has rejected True, the rules of the plan say False",
+        ),
+        (
+            lambda r: put(
+                r, find_place(r, "rated"), "spoiled", trial=1, attempt=1, flags=[], time_s=1.0
+            ),
             "spoils trial 1, with which nothing was wrong",
         ),
         (lambda r: r[:-2] + r[-1:], "finished after 20 of 20 trials"),
-        (lambda r: edit(r, "finished", given_up=1), "finished with 20 trials, 1 of them given up; the journal hold"),
+        (
+            lambda r: edit(r, "finished", given_up=1),
+            "finished with 20 trials, 1 of them given up; the journal hold",
+        ),
         (lambda r: edit(r, "page", key="rest"), "got page 'rest', expected page 'welcome'"),
     ],
 )
@@ -149,10 +228,19 @@ def test_a_rejection_that_was_undone_is_found(present: Present, scripted: type, 
     assert "has rejected False, the rules of the plan say True" in found
 
 
-def test_a_replay_that_is_cut_short_gives_no_finding(present: Present, scripted: type, find: Find) -> None:
+def test_a_replay_that_is_cut_short_gives_no_finding(
+    present: Present, scripted: type, find: Find
+) -> None:
     again = [Playback(1.0, 1.0), Playback(2.0, 2.0, completed=False)]
     answer = Confirm(0.0, {"test": 50.0}, 1.5)
-    assert find(list(present(scripted(acts={(1, 1): [Feel(0.0, ""), answer]}, playbacks={(1, 1): again})))) == []
+    assert (
+        find(
+            list(
+                present(scripted(acts={(1, 1): [Feel(0.0, ""), answer]}, playbacks={(1, 1): again}))
+            )
+        )
+        == []
+    )
 
 
 def test_a_choice_that_is_none_is_found(
@@ -169,13 +257,17 @@ def test_mending_and_ctrl_c_may_follow_the_end(finished: list[Record], find: Fin
 
 
 @pytest.mark.parametrize("event", ["begun", "page", "shown", "played", "rated", "finished"])
-def test_no_record_whatever_it_holds_is_more_than_a_finding(finished: list[Record], find: Find, event: str) -> None:
+def test_no_record_whatever_it_holds_is_more_than_a_finding(
+    finished: list[Record], find: Find, event: str
+) -> None:
     place = find_place(finished, event)
     record = finished[place]
     forged: list[Record] = [replace(record, data=junk) for junk in JUNK]
     for name in record.data:
         forged += [replace(record, data={**record.data, name: junk}) for junk in JUNK]
-        forged.append(replace(record, data={key: value for key, value in record.data.items() if key != name}))
+        forged.append(
+            replace(record, data={key: value for key, value in record.data.items() if key != name})
+        )
     forged += [replace(record, event=junk) for junk in JUNK]
     for other in forged:
         assert len(find([*finished[:place], other, *finished[place + 1 :]])) <= 1
@@ -184,10 +276,14 @@ def test_no_record_whatever_it_holds_is_more_than_a_finding(finished: list[Recor
 def test_a_record_with_other_fields_is_named(finished: list[Record], find: Find) -> None:
     place = find_place(finished, "rated")
     odd = replace(finished[place], data={"trial": 1, "attempt": 1})
-    assert find([*finished[:place], odd]) == [f", line {place + 1}: is no 'rated' record as feel321 writes them"]
+    assert find([*finished[:place], odd]) == [
+        f", line {place + 1}: is no 'rated' record as feel321 writes them"
+    ]
 
 
-def test_a_plan_that_cannot_be_worked_through_is_named(finished: list[Record], find: Find, plan: Plan) -> None:
+def test_a_plan_that_cannot_be_worked_through_is_named(
+    finished: list[Record], find: Find, plan: Plan
+) -> None:
     forged = replace(plan, trials=(None,))  # type: ignore[arg-type] - that it is none is the point
     (found,) = find(finished, forged)
     assert found.startswith(": its plan is none to work through")

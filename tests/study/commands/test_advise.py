@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from study.cli import main
+from feel321.study.cli import main
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -31,7 +31,9 @@ def study(tmp_path: Path) -> Path:
     return folder
 
 
-def test_one_line_per_scene_and_where_the_page_is(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_line_per_scene_and_where_the_page_is(
+    study: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["advise", str(study)]) == 0
     first, second, common, page = capsys.readouterr().out.splitlines()
     assert first.startswith("constrained_drag: pca321, runner-up pca321_matched, margin ")
@@ -41,7 +43,9 @@ def test_one_line_per_scene_and_where_the_page_is(study: Path, capsys: pytest.Ca
     assert (study / "advice" / "index.html").is_file()
 
 
-def test_json_holds_the_record_behind_the_order(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_holds_the_record_behind_the_order(
+    study: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["advise", str(study), "--online", "--json", "-o", str(study / "elsewhere")]) == 0
     content = json.loads(capsys.readouterr().out)
     budget = {"latency_ms": 45.0, "block_ms": 64 / 48, "device_ms": 5.0}
@@ -54,11 +58,15 @@ def test_json_holds_the_record_behind_the_order(study: Path, capsys: pytest.Capt
 
 
 def test_segments_are_advised_one_by_one(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["advise", str(study), "--segment", "0.25", "--tolerance", "0.3", "--seed", "8"]) == 0
+    assert (
+        main(["advise", str(study), "--segment", "0.25", "--tolerance", "0.3", "--seed", "8"]) == 0
+    )
     assert capsys.readouterr().out.count(" 0.25-0.50 s: ") == 2
 
 
-def test_another_seed_gives_the_same_answers(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_another_seed_gives_the_same_answers(
+    study: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     answers = []
     for seed in ("1", "2"):
         assert main(["advise", str(study), "--seed", seed, "--json"]) == 0
@@ -80,7 +88,9 @@ def test_ratings_of_the_study_are_heard(study: Path, capsys: pytest.CaptureFixtu
         for name, mean in reducers.items()
         for repeat in (1, 2)
     ]
-    (study / "ratings.csv").write_text("\n".join(["participant,stimulus_id,scale,repeat,rating", *rows]) + "\n")
+    (study / "ratings.csv").write_text(
+        "\n".join(["participant,stimulus_id,scale,repeat,rating", *rows]) + "\n"
+    )
     assert main(["advise", str(study), "--json"]) == 0
     drag, circle = json.loads(capsys.readouterr().out)["scenes"]
     assert (drag["answer"], drag["basis"]) == ("dft321", "metrics and ratings")
@@ -93,7 +103,11 @@ def test_ratings_of_the_study_are_heard(study: Path, capsys: pytest.CaptureFixtu
     [
         (["--axes", "4"], 2, "--axes: got 4, allowed is 1, 2 or 3"),
         (["--latency-ms", "5"], 2, "--latency-ms: got 5 offline, where nobody waits; add --online"),
-        (["--online", "--latency-ms", "-5"], 2, "--latency-ms: got -5, allowed is a finite time of 0 ms or more"),
+        (
+            ["--online", "--latency-ms", "-5"],
+            2,
+            "--latency-ms: got -5, allowed is a finite time of 0 ms or more",
+        ),
         (["--online", "--latency-ms", "nan"], 2, "--latency-ms: got nan, allowed is a finite time"),
         (["--tolerance", "22"], 2, "--tolerance: got 22, allowed is above 0 and below 1"),
         (["--segment", "0.01"], 2, "--segment: got 0.01 s, allowed is 0.1 s or more"),
@@ -101,7 +115,9 @@ def test_ratings_of_the_study_are_heard(study: Path, capsys: pytest.CaptureFixtu
         (["--recordings", "nowhere.csv"], 1, "nowhere.csv"),
     ],
 )
-def test_doors(study: Path, capsys: pytest.CaptureFixture[str], options: list[str], code: int, message: str) -> None:
+def test_doors(
+    study: Path, capsys: pytest.CaptureFixture[str], options: list[str], code: int, message: str
+) -> None:
     assert main(["advise", str(study), *options]) == code
     told = capsys.readouterr().err.splitlines()
     assert len(told) == 1
@@ -109,11 +125,15 @@ def test_doors(study: Path, capsys: pytest.CaptureFixture[str], options: list[st
     assert not (study / "advice").exists()
 
 
-def test_bad_options_are_refused_before_anything_is_read(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_options_are_refused_before_anything_is_read(
+    study: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["advise", str(study), "--recordings", "nowhere.csv", "--axes", "4"]) == 2
     assert "--axes: got 4" in capsys.readouterr().err
 
 
-def test_a_folder_without_a_study_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_without_a_study_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["advise", str(tmp_path)]) == 1
     assert len(capsys.readouterr().err.splitlines()) == 1

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from analysis.tradeoff.chart import compute
-from analysis.tradeoff.chart.chart import read_json
-from stimuli.manifest import read_stimuli
-from study.cli import main
-from study.folder import StudyFolder
-from study.methods import find_ratings
+from feel321.analysis.tradeoff.chart import compute
+from feel321.analysis.tradeoff.chart.records import read_json
+from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.study.analyze import find_ratings
+from feel321.study.cli import main
+from feel321.study.folder import StudyFolder
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -36,7 +36,9 @@ def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder = tmp_path / "study"
     folder.mkdir()
     (folder / "study.toml").write_text(STUDY)
-    tiny = compute.Effort("quick", longest_s=0.2, rotations=2, sweep_rotations=2, largest_n=2000, rounds=3)
+    tiny = compute.Effort(
+        "quick", longest_s=0.2, rotations=2, sweep_rotations=2, largest_n=2000, rounds=3
+    )
     monkeypatch.setattr(compute, "QUICK", tiny)
     return folder
 
@@ -47,7 +49,9 @@ def write_ratings(study: Path) -> None:
     lines = ["participant,stimulus_id,scale,rating,trial"]
     tests = [row.stimulus_id for row in read_stimuli(folder.stimuli).stimuli if row.role == "test"]
     lines += [
-        f"P0{person},{one},realism,{40 + 10 * k + person},{k}" for person in (1, 2) for k, one in enumerate(tests)
+        f"P0{person},{one},realism,{40 + 10 * k + person},{k}"
+        for person in (1, 2)
+        for k, one in enumerate(tests)
     ]
     folder.ratings.write_text("\n".join(lines) + "\n")
 
@@ -59,7 +63,9 @@ def test_a_study_without_ratings_is_charted_with_its_own_seed(study: Path, capsy
     assert (chart.seed, chart.rated, [scene.name for scene in chart.scenes]) == (5, (), ["bumps"])
 
 
-def test_ratings_recordings_seed_and_folder_are_taken_as_told(study: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_ratings_recordings_seed_and_folder_are_taken_as_told(
+    study: Path, tmp_path: Path, capsys: Capture
+) -> None:
     assert main(["build", str(study)]) == 0
     write_ratings(study)
     other = tmp_path / "other.npz"
@@ -71,8 +77,14 @@ def test_ratings_recordings_seed_and_folder_are_taken_as_told(study: Path, tmp_p
     assert main(["chart", str(study), *options]) == 0
     content = json.loads(capsys.readouterr().out)
     assert content == json.loads((target / "results.json").read_text(encoding="utf-8"))
-    assert (content["seed"], [scene["name"] for scene in content["scenes"]]) == (9, ["bumps", "other"])
-    assert {row["reducer"]: row["mean"] for row in content["rated"]} == {"soc321": 41.5, "dft321": 51.5}
+    assert (content["seed"], [scene["name"] for scene in content["scenes"]]) == (
+        9,
+        ["bumps", "other"],
+    )
+    assert {row["reducer"]: row["mean"] for row in content["rated"]} == {
+        "soc321": 41.5,
+        "dft321": 51.5,
+    }
     assert "figures/rated_realism_as_is_7.svg" in content["files"]
 
 
@@ -107,7 +119,9 @@ def test_ratings_are_derived_from_the_journals_where_there_are_some(study: Path)
         (["{folder}", "--recordings", ""], 2, "got an empty name"),
     ],
 )
-def test_bad_use_is_one_line(arguments: list[str], code: int, message: str, tmp_path: Path, capsys: Capture) -> None:
+def test_bad_use_is_one_line(
+    arguments: list[str], code: int, message: str, tmp_path: Path, capsys: Capture
+) -> None:
     assert main(["chart", *(argument.format(folder=tmp_path) for argument in arguments)]) == code
     out, err = capsys.readouterr()
     assert (out, len(err.splitlines())) == ("", 1)

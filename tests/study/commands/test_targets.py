@@ -6,18 +6,19 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from study.cli import main
+from feel321.study.cli import main
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 
-
 @pytest.fixture(params=["chart", "stress", "advise", "analyze"])
-def verb(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[str]:
+def verb(
+    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> list[str]:
     """A verb with its arguments but for its target; it may read nothing and compute nothing."""
-    monkeypatch.setattr("study.methods.gather_recordings", lambda *_, **__: 1 / 0)
-    monkeypatch.setattr("analysis.report.write.read_table", lambda *_, **__: 1 / 0)
+    monkeypatch.setattr("feel321.study.analyze.gather_recordings", lambda *_, **__: 1 / 0)
+    monkeypatch.setattr("feel321.analysis.report.write.read_table", lambda *_, **__: 1 / 0)
     monkeypatch.chdir(tmp_path)
     name = str(request.param)
     if name == "analyze":
@@ -39,7 +40,9 @@ def test_a_page_that_is_not_ours_is_refused_at_once(
     assert (tmp_path / "mine" / taken).read_text() == "mine"
 
 
-def test_a_file_is_no_folder(verb: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_is_no_folder(
+    verb: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "mine").write_text("mine")
     assert main([*verb, "mine"]) == 1
     told = "feel321: mine: got a file, allowed is a folder, there or not; choose another name\n"

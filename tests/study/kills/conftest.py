@@ -19,12 +19,24 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-collect_ignore_glob = ["sessions/*"] if os.name == "nt" else []  # Windows has neither forks nor SIGKILL.
+collect_ignore_glob = (
+    ["sessions/*"] if os.name == "nt" else []
+)  # Windows has neither forks nor SIGKILL.
 
-TRACES = frozenset(
-    {"open", "write", "fsync", "ftruncate", "truncate", "replace", "unlink", "mkdir", "rmdir", "execute", "executemany",
-     "commit"}
-)  # fmt: skip
+TRACES = frozenset({
+    "open",
+    "write",
+    "fsync",
+    "ftruncate",
+    "truncate",
+    "replace",
+    "unlink",
+    "mkdir",
+    "rmdir",
+    "execute",
+    "executemany",
+    "commit",
+})
 """Calls into the system that may leave a trace on the disk; the ledger's are SQLite's."""
 
 
@@ -114,11 +126,15 @@ def split(run: Callable[[], object], *, kill: Kill | None = None) -> int:
         os._exit(code)
 
 
-def fork(run: Callable[[], object], *, kill: Kill | None = None, until: Callable[[], bool] | None = None) -> int:
+def fork(
+    run: Callable[[], object], *, kill: Kill | None = None, until: Callable[[], bool] | None = None
+) -> int:
     """Run in a process of its own and tell how it ended; with `until`, it is killed from outside as soon as that is."""
     child = split(run, kill=kill)
     if until is not None:
-        while not until() and os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
+        while (
+            not until() and os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None
+        ):
             pass
         os.kill(child, signal.SIGKILL)
     return wait(child)
@@ -152,7 +168,9 @@ def whisper(*commands: Callable[[], object], path: Path) -> tuple[int, tuple[Pat
     def run() -> int:
         for number, file in enumerate(files, start=1):
             os.dup2(os.open(file, os.O_CREAT | os.O_TRUNC | os.O_WRONLY), number)
-        sys.stdout, sys.stderr = (os.fdopen(number, "w", encoding="utf-8", closefd=False) for number in (1, 2))
+        sys.stdout, sys.stderr = (
+            os.fdopen(number, "w", encoding="utf-8", closefd=False) for number in (1, 2)
+        )
         codes = [command() for command in commands]
         sys.stdout.flush()
         return codes[-1]
@@ -177,7 +195,13 @@ def processes(pytestconfig: pytest.Config) -> SimpleNamespace:
     """What there is to start processes and to end them."""
     toll = pytestconfig.stash[TOLL] = Toll()
     return SimpleNamespace(
-        Kill=Kill, fork=fork, speak=speak, whisper=whisper, wait=wait, count_traces=count_traces, toll=toll
+        Kill=Kill,
+        fork=fork,
+        speak=speak,
+        whisper=whisper,
+        wait=wait,
+        count_traces=count_traces,
+        toll=toll,
     )
 
 
@@ -189,6 +213,8 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
     terminalreporter.section("sudden deaths")
     for key in sorted(toll.kills):
         name = f"{key[0]}, {key[1]}"
-        terminalreporter.line(f"{name:32}{toll.kills[key]:6} kills, {toll.lost[key]} lost, {toll.doubled[key]} doubled")
+        terminalreporter.line(
+            f"{name:32}{toll.kills[key]:6} kills, {toll.lost[key]} lost, {toll.doubled[key]} doubled"
+        )
     totals = (sum(counts.values()) for counts in (toll.kills, toll.lost, toll.doubled))
     terminalreporter.line("{:32}{:6} kills, {} lost, {} doubled".format("all", *totals))

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from study.folder import StudyFolder
-from study.session.journal import read_journal
-from study.workflow import build_study
+from feel321.study.folder import StudyFolder
+from feel321.study.session.journal import read_journal
+from feel321.study.workflow import build_study
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -108,7 +108,9 @@ class Process:
 
     def count_done(self) -> int:
         """Count the trials that stand; a busy machine may have spoiled others."""
-        return sum(record.event == "rated" and not record.data["rejected"] for record in self.records)
+        return sum(
+            record.event == "rated" and not record.data["rejected"] for record in self.records
+        )
 
     def wait_for(self, event: str, number: int = 1) -> None:
         """Wait until something has happened so often."""
@@ -147,7 +149,11 @@ class Process:
 
     def click(self, x: float, y: float) -> None:
         """Click by xdotool, for longer than a frame."""
-        for words in (["mousemove", str(round(x)), str(round(y))], ["mousedown", "1"], ["mouseup", "1"]):
+        for words in (
+            ["mousemove", str(round(x)), str(round(y))],
+            ["mousedown", "1"],
+            ["mouseup", "1"],
+        ):
             subprocess.run(["xdotool", *words], env=self.env, check=True)
             time.sleep(0.05)
 
@@ -176,9 +182,13 @@ class Lab:
 
     def start(self, study: StudyFolder, participant: str, *options: str) -> Process:
         command = [FEEL321, "run", study.path, "--participant", participant, *options]
-        process = subprocess.Popen(command, env=self.env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        process = subprocess.Popen(
+            command, env=self.env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
         self.started.append(process)
-        return Process(process, StudyFolder(study.path, "--rehearse" in options), participant, self.env)
+        return Process(
+            process, StudyFolder(study.path, "--rehearse" in options), participant, self.env
+        )
 
     def run(self, study: StudyFolder, participant: str, *options: str) -> tuple[int, str, str]:
         return self.start(study, participant, *options).finish()
@@ -192,7 +202,17 @@ class Lab:
 
 def start_screen() -> tuple[subprocess.Popen[bytes], str]:
     reading, writing = os.pipe()
-    command = ["Xvfb", "-displayfd", str(writing), "-screen", "0", "1024x768x24", "-nolisten", "tcp", "-noreset"]
+    command = [
+        "Xvfb",
+        "-displayfd",
+        str(writing),
+        "-screen",
+        "0",
+        "1024x768x24",
+        "-nolisten",
+        "tcp",
+        "-noreset",
+    ]
     server = subprocess.Popen(command, pass_fds=[writing], stderr=subprocess.DEVNULL)
     os.close(writing)
     with os.fdopen(reading) as numbers:
@@ -225,7 +245,11 @@ class Sound:
 
     @property
     def env(self) -> dict[str, str]:
-        own = {"XDG_RUNTIME_DIR": self.folder, "PULSE_RUNTIME_PATH": self.folder, "HOME": self.folder}
+        own = {
+            "XDG_RUNTIME_DIR": self.folder,
+            "PULSE_RUNTIME_PATH": self.folder,
+            "HOME": self.folder,
+        }
         return {name: str(path) for name, path in own.items()} | {
             "ALSA_CONFIG_PATH": str(self.folder / "asound.conf"),
             "PULSE_SERVER": f"unix:{self.folder / 'native'}",
@@ -242,7 +266,9 @@ class Sound:
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
         self.server = subprocess.Popen(command, env={**os.environ, **self.env}, **quiet)
         end_s = time.monotonic() + PATIENCE_S
-        while subprocess.run(["pactl", "info"], env={**os.environ, **self.env}, **quiet, check=False).returncode:
+        while subprocess.run(
+            ["pactl", "info"], env={**os.environ, **self.env}, **quiet, check=False
+        ).returncode:
             assert time.monotonic() < end_s, "PulseAudio did not start"
             time.sleep(0.1)
 
@@ -293,7 +319,11 @@ def make_study(built: Callable[..., StudyFolder], tmp_path: Path) -> Callable[..
     """Makes short studies of given protocols, for a given device."""
 
     def make(
-        *protocols: str, device: str = "file", training: int = 0, anchors: bool = False, reference: str = "dft321"
+        *protocols: str,
+        device: str = "file",
+        training: int = 0,
+        anchors: bool = False,
+        reference: str = "dft321",
     ) -> StudyFolder:
         own = {"training": training, "anchors": str(anchors).lower(), "reference": reference}
         source = built(protocols=json.dumps(protocols), **own)

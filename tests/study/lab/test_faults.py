@@ -10,17 +10,16 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from protocols.texts import read_scales, read_texts
-from protocols.trial import Judgement, Part, Trial
-from study.audit import audit_study
-from study.cli import main
-from study.folder import StudyFolder
-from study.screen.layout import compose
-from study.screen.views import View
-from study.screen.wording import make_screen_texts
-from study.session.ports import Place
-from study.status import read_status
-from study.workflow import analyze_study
+from feel321.protocols.texts import read_scales, read_texts
+from feel321.protocols.trial import Judgement, Part, Trial
+from feel321.study.analyze import analyze_study
+from feel321.study.audit import audit_study
+from feel321.study.cli import main
+from feel321.study.folder import StudyFolder
+from feel321.study.screen.layout import compose
+from feel321.study.screen.parts import View, make_screen_texts
+from feel321.study.session.ports import Place
+from feel321.study.status import read_status
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -64,12 +63,16 @@ def ask_to_close(display: str, window: int) -> None:
     server = Display(display)
     protocols, delete = (server.intern_atom(name) for name in ("WM_PROTOCOLS", "WM_DELETE_WINDOW"))
     target = server.create_resource_object("window", window)
-    target.send_event(ClientMessage(window=target, client_type=protocols, data=(32, [delete, 0, 0, 0, 0])))
+    target.send_event(
+        ClientMessage(window=target, client_type=protocols, data=(32, [delete, 0, 0, 0, 0]))
+    )
     server.sync()
     server.close()
 
 
-def test_killed_in_the_middle_it_resumes_and_is_analysed(rig: Any, make_study: Callable[..., StudyFolder]) -> None:
+def test_killed_in_the_middle_it_resumes_and_is_analysed(
+    rig: Any, make_study: Callable[..., StudyFolder]
+) -> None:
     study = make_study("realism", device=STREAM)
     session = rig.start(study, "sim001", *HAND)
     session.wait_for("rated", 3)
@@ -88,7 +91,9 @@ def test_killed_in_the_middle_it_resumes_and_is_analysed(rig: Any, make_study: C
     assert rig.run(study, "sim001", *HAND) == (0, f"sim001: all {TOTAL} done\n", "")
 
 
-@pytest.mark.parametrize(("number", "reason"), [(signal.SIGINT, "KeyboardInterrupt"), (signal.SIGTERM, "Terminated")])
+@pytest.mark.parametrize(
+    ("number", "reason"), [(signal.SIGINT, "KeyboardInterrupt"), (signal.SIGTERM, "Terminated")]
+)
 def test_interrupted_it_says_how_to_go_on(
     lab: Any, make_study: Callable[..., StudyFolder], number: signal.Signals, reason: str
 ) -> None:
@@ -179,7 +184,17 @@ def answer_by_keys(session: Any, *, is_felt: bool) -> None:
 
 def answer_by_mouse(session: Any, *, is_felt: bool) -> None:
     """Click where the layout has slider and button on the whole screen of 1024 by 768 pixels."""
-    trial = Trial(1, 1, 1, "realism", "realism", "replay", "bumps", (Part("test", "s1"),), (Judgement("test", "s1"),))
+    trial = Trial(
+        1,
+        1,
+        1,
+        "realism",
+        "realism",
+        "replay",
+        "bumps",
+        (Part("test", "s1"),),
+        (Judgement("test", "s1"),),
+    )
     texts, scale = make_screen_texts(read_texts()), read_scales()["realism"]
     view = View("slider", "answering", 1, Place(0, TOTAL), trial=trial, scale=scale)
     targets = {target.name: target for target in compose(view, texts, size=(1024, 768)).targets}
@@ -204,7 +219,9 @@ def test_xdotool_alone_leads_through_realism(
         time.sleep(0.1)
     code, _, err = session.finish()
     assert (code, err) == (0, "")
-    values = [record.data["values"]["test"] for record in session.records if record.event == "rated"]
+    values = [
+        record.data["values"]["test"] for record in session.records if record.event == "rated"
+    ]
     assert values == [75.0] * TOTAL
     check_whole(study)
     assert not read_status(study).participants[0].simulated

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from study.audit import audit_study
-from study.folder import StudyFolder
-from study.session.journal import read_journal
-from study.status import read_status
-from study.workflow import simulate_study
+from feel321.study.audit import audit_study
+from feel321.study.folder import StudyFolder
+from feel321.study.session.journal import read_journal
+from feel321.study.status import read_status
+from feel321.study.workflow import simulate_study
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -27,7 +27,10 @@ def list_answers(study: StudyFolder) -> list[tuple[int, dict[str, Any]]]:
     return [
         (
             record.data["trial"],
-            {part: value if isinstance(value, str) else round(value) for part, value in record.data["values"].items()},
+            {
+                part: value if isinstance(value, str) else round(value)
+                for part, value in record.data["values"].items()
+            },
         )
         for record in records
         if record.event == "rated"
@@ -53,7 +56,11 @@ def ask_minds_alone(study: StudyFolder, folder: Path) -> StudyFolder:
     ids=["realism", "similarity and dissimilarity", "mushra", "abx"],
 )
 def test_a_simulated_participant_finishes_by_keys_alone(
-    lab: Any, make_study: Callable[..., StudyFolder], tmp_path: Path, protocols: list[str], options: dict[str, Any]
+    lab: Any,
+    make_study: Callable[..., StudyFolder],
+    tmp_path: Path,
+    protocols: list[str],
+    options: dict[str, Any],
 ) -> None:
     study = make_study(*protocols, **options)
     code, out, err = lab.run(study, "sim001", *HAND)
@@ -76,7 +83,9 @@ def test_a_reference_of_three_axes_is_felt_through_the_sound_server(
     played = [record.data for record in session.records if record.event == "played"]
     assert {entry["part"] for entry in played} == {"reference", "test"}
     assert not any(entry["clipped"] for entry in played)
-    whole = [entry for entry in played if not entry["error"]]  # a server that stood still is told, and asked again
+    whole = [
+        entry for entry in played if not entry["error"]
+    ]  # a server that stood still is told, and asked again
     assert len(whole) >= 2 * read_status(study).participants[0].done
     assert all(entry["completed"] and entry["measured"]["n_samples"] == 7200 for entry in whole)
     device = next(record.data for record in session.records if record.event == "device")

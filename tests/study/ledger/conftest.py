@@ -7,16 +7,21 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from protocols.flow import Flow, Page
-from protocols.protocol import Task
-from protocols.trial import Judgement, Part, Trial
-from study.folder import StudyFolder
-from study.ledger.rebuilding import open_study_ledger
-from study.ledger.slots import claim_slots, note_progress
-from study.session.journal import Journal, create_journal, require_journal
-from study.session.opening import PLAN_FILE
-from study.session.plan import Plan, create_plan, require_plan
-from study.session.replay import has_event, list_journals, name_journal, replay
+from feel321.protocols.trial import Flow, Judgement, Page, Part, Task, Trial
+from feel321.study.folder import StudyFolder
+from feel321.study.ledger.rebuilding import open_study_ledger
+from feel321.study.ledger.slots import claim_slots, note_progress
+from feel321.study.session.journal import Journal, create_journal, require_journal
+from feel321.study.session.opening import PLAN_FILE
+from feel321.study.session.plan import (
+    Plan,
+    create_plan,
+    has_event,
+    list_journals,
+    name_journal,
+    replay,
+    require_plan,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -75,7 +80,9 @@ class Lab:
         folder = self.study.sessions / participant
         folder.mkdir(parents=True, exist_ok=True)
         if session == 1:
-            create_plan(folder / PLAN_FILE, make_small_plan(participant, number=number, simulated=simulated))
+            create_plan(
+                folder / PLAN_FILE, make_small_plan(participant, number=number, simulated=simulated)
+            )
         journal = create_journal(folder / name_journal(session), now=tell_time)
         sha256 = require_plan(folder / PLAN_FILE).sha256
         header = {"participant": participant, "session": session, "plan_sha256": sha256}
@@ -86,8 +93,12 @@ class Lab:
     def work(self, participant: str, trials: int = TRIALS, *, rejected: bool = False) -> Path:
         """Rate so many trials, and finish after the last; gives the journal."""
         plan = require_plan(self.study.sessions / participant / PLAN_FILE)
-        self.claim(participant, simulated=plan.simulated)  # As the engine does; who was released gets no further.
-        journal = require_journal(list_journals(self.study.sessions / participant)[-1], now=tell_time)
+        self.claim(
+            participant, simulated=plan.simulated
+        )  # As the engine does; who was released gets no further.
+        journal = require_journal(
+            list_journals(self.study.sessions / participant)[-1], now=tell_time
+        )
         agenda = replay(plan, journal.records)
         for _ in range(trials):
             while isinstance(step := agenda.ask(), Page):
@@ -95,7 +106,12 @@ class Lab:
                 agenda.tell_page(step.key, time_s=1.0)
             if step is None:
                 break
-            rated = {"trial": step.number, "values": {"test": 50.0}, "time_s": 1.0, "rejected": rejected}
+            rated = {
+                "trial": step.number,
+                "values": {"test": 50.0},
+                "time_s": 1.0,
+                "rejected": rejected,
+            }
             journal.write("rated", rated)
             agenda.tell_trial(step.number, accepted=not rejected, as_expected=None, time_s=1.0)
         if agenda.done == TRIALS and not has_event(journal.records, "finished"):

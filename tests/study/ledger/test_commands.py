@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from study.cli import main
-from study.ledger.rebuilding import find_lost
+from feel321.study.cli import main
+from feel321.study.ledger.rebuilding import find_lost
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -51,8 +51,15 @@ def test_ledger_as_json_holds_the_anchors(begun: Any, say: Say) -> None:
     code, out, _ = say("ledger", begun.study.path, "--json")
     first = json.loads(out)[0]
     assert code == 0
-    assert (first["participant"], first["number"], first["state"], first["done"]) == ("p01", 1, "running", 2)
-    assert [(anchor["journal"], anchor["lines"]) for anchor in first["anchors"]] == [("session-01.jsonl", 7)]
+    assert (first["participant"], first["number"], first["state"], first["done"]) == (
+        "p01",
+        1,
+        "running",
+        2,
+    )
+    assert [(anchor["journal"], anchor["lines"]) for anchor in first["anchors"]] == [
+        ("session-01.jsonl", 7)
+    ]
 
 
 def test_ledger_of_a_study_without_participants_has_no_rows(lab: Any, say: Say) -> None:
@@ -105,7 +112,9 @@ def test_withdraw_wants_to_be_meant(begun: Any, say: Say, monkeypatch: pytest.Mo
     assert "got no terminal to ask on; if it is meant for good, say --yes" in err
     monkeypatch.setattr(sys.stdin, "isatty", lambda: True)
     for answer, expected in (("n", 1), ("y", 0)):
-        monkeypatch.setattr("click.termui.visible_prompt_func", lambda _prompt, answer=answer: answer)
+        monkeypatch.setattr(
+            "click.termui.visible_prompt_func", lambda _prompt, answer=answer: answer
+        )
         code, out, err = say("withdraw", begun.study.path, "--participant", "p01")
         assert code == expected
         assert (begun.study.sessions / "p01" / "plan.json").exists() == (answer == "n")
@@ -114,11 +123,18 @@ def test_withdraw_wants_to_be_meant(begun: Any, say: Say, monkeypatch: pytest.Mo
 
 def test_withdraw_says_what_was_removed_and_what_is_left_to_do(begun: Any, say: Say) -> None:
     begun.study.report.mkdir()
-    code, out, err = say("withdraw", begun.study.path, "--participant", "p01", "--yes", "--reason", "moved away")
+    code, out, err = say(
+        "withdraw", begun.study.path, "--participant", "p01", "--yes", "--reason", "moved away"
+    )
     assert code == 0
     assert out == f"{begun.study.sessions / 'p01'}: removed 2 files; a tombstone keeps the code\n"
-    assert err.startswith(f"feel321: warning: {begun.study.report}: still holds the participant's data")
-    assert json.loads((begun.study.sessions / "p01" / "withdrawn.json").read_text())["reason"] == "moved away"
+    assert err.startswith(
+        f"feel321: warning: {begun.study.report}: still holds the participant's data"
+    )
+    assert (
+        json.loads((begun.study.sessions / "p01" / "withdrawn.json").read_text())["reason"]
+        == "moved away"
+    )
 
 
 def test_release_says_which_number_is_free(begun: Any, say: Say) -> None:

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-import study.ledger.database
-from study.ledger.slots import claim_slots, note_progress, open_ledger, read_ledger
+import feel321.study.ledger.database
+from feel321.study.ledger.slots import claim_slots, note_progress, open_ledger, read_ledger
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -27,7 +27,7 @@ CLAIM = """
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
-from study.ledger.slots import claim_slots, open_ledger
+from feel321.study.ledger.slots import claim_slots, open_ledger
 path, name, count = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
 sys.stdin.readline()
 for place in range(count):
@@ -45,22 +45,42 @@ def slots(ledger: Engine) -> dict[str, tuple[int, str]]:
     return {entry.participant: (entry.number, entry.state) for entry in read_ledger(ledger)}
 
 
-def note(ledger: Engine, participant: str, *, lines: int = 1, tip: str = "a", **changes: Any) -> None:
-    known = {"journal": "session-01.jsonl", "lines": lines, "tip": tip, "done": 0, "total": 4, "state": "running"}
+def note(
+    ledger: Engine, participant: str, *, lines: int = 1, tip: str = "a", **changes: Any
+) -> None:
+    known = {
+        "journal": "session-01.jsonl",
+        "lines": lines,
+        "tip": tip,
+        "done": 0,
+        "total": 4,
+        "state": "running",
+    }
     note_progress(ledger, participant, **known | changes)
 
 
 def test_slots_are_claimed_in_order_and_kept(ledger: Engine, now: Now) -> None:
     assert claim_slots(ledger, ["p02", "p01"], simulated=False, now=now) == {"p02": 1, "p01": 2}
-    assert claim_slots(ledger, ["p03", "p01", "p03"], simulated=False, now=now) == {"p03": 3, "p01": 2}
+    assert claim_slots(ledger, ["p03", "p01", "p03"], simulated=False, now=now) == {
+        "p03": 3,
+        "p01": 2,
+    }
     (entry,) = [entry for entry in read_ledger(ledger) if entry.participant == "p03"]
-    assert (entry.state, entry.claimed_utc, entry.anchors) == ("claimed", "2026-01-01T12:00:00+00:00", ())
+    assert (entry.state, entry.claimed_utc, entry.anchors) == (
+        "claimed",
+        "2026-01-01T12:00:00+00:00",
+        (),
+    )
 
 
 @pytest.mark.parametrize("names", [["P01"], ["p02", "P02"]])
-def test_codes_that_name_one_folder_elsewhere_are_refused(ledger: Engine, now: Now, names: list[str]) -> None:
+def test_codes_that_name_one_folder_elsewhere_are_refused(
+    ledger: Engine, now: Now, names: list[str]
+) -> None:
     claim_slots(ledger, ["p01"], simulated=False, now=now)
-    with pytest.raises(ValueError, match=r"participant P0\d: differs from p0\d in capitals only; take another code"):
+    with pytest.raises(
+        ValueError, match=r"participant P0\d: differs from p0\d in capitals only; take another code"
+    ):
         claim_slots(ledger, names, simulated=False, now=now)
     assert list(slots(ledger)) == ["p01"]
 
@@ -77,7 +97,9 @@ def test_a_slot_that_was_given_up_goes_to_the_next_one_and_its_code_to_nobody(
     claim_slots(ledger, ["p01", "p02", "p03"], simulated=False, now=now)
     note(ledger, "p02", state=state)
     assert claim_slots(ledger, ["p04", "p05"], simulated=False, now=now) == {"p04": 2, "p05": 4}
-    with pytest.raises(ValueError, match=f"participant p02: was {state}; no code is used twice, take another"):
+    with pytest.raises(
+        ValueError, match=f"participant p02: was {state}; no code is used twice, take another"
+    ):
         claim_slots(ledger, ["p06", "p02"], simulated=False, now=now)
     assert "p06" not in slots(ledger)  # All or nobody.
 
@@ -92,7 +114,10 @@ def test_a_finished_participant_keeps_the_slot(ledger: Engine, now: Now) -> None
     ("names", "message"),
     [
         (["p02", "../p03"], r"participant: got '\.\./p03', allowed are letters, digits, - and _"),
-        (["p02", "p01"], "participant p01: got a simulated one, the ledger knows a real one; take another code"),
+        (
+            ["p02", "p01"],
+            "participant p01: got a simulated one, the ledger knows a real one; take another code",
+        ),
     ],
 )
 def test_codes_that_are_not_allowed_leave_the_ledger_as_it_was(
@@ -124,7 +149,9 @@ def test_eight_processes_at_once_get_eight_slots(tmp_path: Path) -> None:
 
 def test_threads_share_a_ledger(ledger: Engine, now: Now) -> None:
     with ThreadPoolExecutor(8) as pool:
-        claims = pool.map(lambda n: claim_slots(ledger, [f"p{n}"], simulated=False, now=now), range(16))
+        claims = pool.map(
+            lambda n: claim_slots(ledger, [f"p{n}"], simulated=False, now=now), range(16)
+        )
         assert sorted(number for claim in claims for number in claim.values()) == list(range(1, 17))
 
 
@@ -142,7 +169,9 @@ def test_a_kill_while_claiming_loses_no_slot_that_was_given(tmp_path: Path, now:
             given += 1 + len(process.stdout.readlines())
         numbers = [entry.number for entry in read_ledger(open_ledger(path))]
         assert numbers == list(range(1, len(numbers) + 1))
-        assert given <= len(numbers) <= given + kill + 1  # Claimed, but killed before it could say so.
+        assert (
+            given <= len(numbers) <= given + kill + 1
+        )  # Claimed, but killed before it could say so.
     claim_slots(open_ledger(path), ["after"], simulated=True, now=now)
 
 
@@ -170,7 +199,9 @@ def test_progress_is_noted_per_journal(ledger: Engine, now: Now) -> None:
 
 
 @pytest.mark.parametrize(("lines", "tip"), [(4, "z"), (5, "other")])
-def test_a_journal_never_gets_shorter_or_ends_otherwise(ledger: Engine, now: Now, lines: int, tip: str) -> None:
+def test_a_journal_never_gets_shorter_or_ends_otherwise(
+    ledger: Engine, now: Now, lines: int, tip: str
+) -> None:
     claim_slots(ledger, ["p01"], simulated=False, now=now)
     note(ledger, "p01", lines=5, tip="b", done=2)
     before = read_ledger(ledger)
@@ -186,7 +217,11 @@ def test_a_journal_never_gets_shorter_or_ends_otherwise(ledger: Engine, now: Now
     [
         ("p09", {}, "participant p09: holds no slot in the ledger; claim one first"),
         ("p02", {}, "participant p02: was released; no code is used twice"),
-        ("p01", {"state": "done"}, "state: got 'done', allowed: claimed, running, finished, released, withdrawn"),
+        (
+            "p01",
+            {"state": "done"},
+            "state: got 'done', allowed: claimed, running, finished, released, withdrawn",
+        ),
     ],
 )
 def test_progress_of_nobody_is_refused(
@@ -198,11 +233,16 @@ def test_progress_of_nobody_is_refused(
         note(ledger, participant, **changes)
 
 
-@pytest.mark.parametrize("content", [b"no database at all" * 100, b"SQLite format 3\0" + b"\1" * 4096])
+@pytest.mark.parametrize(
+    "content", [b"no database at all" * 100, b"SQLite format 3\0" + b"\1" * 4096]
+)
 def test_a_damaged_file_is_named_with_what_to_do(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "ledger.sqlite"
     path.write_bytes(content)
-    with pytest.raises(ValueError, match=r"ledger\.sqlite: got a damaged file \(.*\); move it away, then rebuild it"):
+    with pytest.raises(
+        ValueError,
+        match=r"ledger\.sqlite: got a damaged file \(.*\); move it away, then rebuild it",
+    ):
         read_ledger(open_ledger(path))
 
 
@@ -218,13 +258,19 @@ def test_a_page_that_was_overwritten_is_damage(ledger: Engine, now: Now, tmp_pat
 
 def test_tables_of_another_version_are_damage(tmp_path: Path) -> None:
     with closing(sqlite3.connect(tmp_path / "ledger.sqlite")) as other:
-        other.executescript("CREATE TABLE participants (name TEXT); CREATE TABLE anchors (name TEXT)")
-    with pytest.raises(ValueError, match=r"got a damaged file \(no such column: .*\); move it away"):
+        other.executescript(
+            "CREATE TABLE participants (name TEXT); CREATE TABLE anchors (name TEXT)"
+        )
+    with pytest.raises(
+        ValueError, match=r"got a damaged file \(no such column: .*\); move it away"
+    ):
         read_ledger(open_ledger(tmp_path / "ledger.sqlite"))
 
 
 def test_a_file_that_cannot_be_opened_is_named(tmp_path: Path) -> None:
-    with pytest.raises(OSError, match=r"nowhere/ledger\.sqlite: could not be used \(unable to open database file\)"):
+    with pytest.raises(
+        OSError, match=r"nowhere/ledger\.sqlite: could not be used \(unable to open database file\)"
+    ):
         open_ledger(tmp_path / "nowhere" / "ledger.sqlite")
 
 
@@ -232,7 +278,7 @@ def test_a_ledger_that_another_program_holds_is_given_up_after_a_while(
     tmp_path: Path, now: Now, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     open_ledger(tmp_path / "ledger.sqlite")
-    monkeypatch.setattr(study.ledger.database, "PATIENCE_S", 0.05)
+    monkeypatch.setattr(feel321.study.ledger.database, "PATIENCE_S", 0.05)
     with closing(sqlite3.connect(tmp_path / "ledger.sqlite", isolation_level=None)) as other:
         other.execute("BEGIN IMMEDIATE")
         hurried = open_ledger(tmp_path / "ledger.sqlite")
@@ -243,6 +289,6 @@ def test_a_ledger_that_another_program_holds_is_given_up_after_a_while(
 
 
 def test_the_command_line_starts_without_sqlalchemy() -> None:
-    code = "import sys, study.cli; print('sqlalchemy' in sys.modules)"
+    code = "import sys, feel321.study.cli; print('sqlalchemy' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "False\n"

@@ -10,18 +10,24 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-import study.ledger.rebuilding
-from study.ledger.rebuilding import find_lost, open_study_ledger, rebuild_ledger
-from study.ledger.sightings import check_anchors
-from study.ledger.slots import read_ledger, rewrite_ledger
-from study.ledger.tombstone import REMOVING, read_tombstone, write_tombstone
-from study.ledger.withdrawal import release_participant, withdraw_participant
-from study.session.chain import digest
+import feel321.study.ledger.rebuilding
+from feel321.study.ledger.database import check_anchors
+from feel321.study.ledger.rebuilding import (
+    REMOVING,
+    find_lost,
+    open_study_ledger,
+    read_tombstone,
+    rebuild_ledger,
+    write_tombstone,
+)
+from feel321.study.ledger.slots import read_ledger, rewrite_ledger
+from feel321.study.ledger.withdrawal import release_participant, withdraw_participant
+from feel321.study.session.journal import digest
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from study.ledger.entries import Entry
+    from feel321.study.ledger.database import Entry
 
 NAMES = ("p01", "p02", "p03", "sim001", "sim002")
 DEEDS = ("work", "finish", "spoil", "again", "release", "withdraw")
@@ -74,7 +80,9 @@ def test_a_missing_ledger_is_rebuilt_with_one_line(lab: Any) -> None:
     path = lab.study.ledger
     path.unlink()
     ledger, notice = open_study_ledger(lab.study)
-    assert notice == f"{path}: was missing; 2 participants were entered from their plans and journals"
+    assert (
+        notice == f"{path}: was missing; 2 participants were entered from their plans and journals"
+    )
     assert [(entry.participant, entry.number, entry.done) for entry in read_ledger(ledger)] == [
         ("p01", 1, 0),
         ("p02", 2, 2),
@@ -82,10 +90,12 @@ def test_a_missing_ledger_is_rebuilt_with_one_line(lab: Any) -> None:
     assert open_study_ledger(lab.study)[1] == ""
 
 
-def test_who_finds_it_missing_second_leaves_what_was_claimed_since(lab: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_who_finds_it_missing_second_leaves_what_was_claimed_since(
+    lab: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     lab.begin("p01")
     lab.study.ledger.unlink()
-    read = study.ledger.rebuilding._read_disk
+    read = feel321.study.ledger.rebuilding._read_disk
 
     def be_slow(folder: Any) -> Any:
         found = read(folder)
@@ -93,7 +103,7 @@ def test_who_finds_it_missing_second_leaves_what_was_claimed_since(lab: Any, mon
         lab.claim("p02")
         return found
 
-    monkeypatch.setattr(study.ledger.rebuilding, "_read_disk", be_slow)
+    monkeypatch.setattr(feel321.study.ledger.rebuilding, "_read_disk", be_slow)
     assert open_study_ledger(lab.study)[1] == ""
     assert [entry.participant for entry in entries(lab)] == ["p01", "p02"]
 
@@ -113,7 +123,9 @@ def test_one_number_held_twice_is_refused_and_the_ledger_stays(make_lab: Any) ->
     lab.begin("p01")
     shutil.copytree(other.begin("p02"), lab.study.sessions / "p02")
     kept = entries(lab)
-    with pytest.raises(ValueError, match="number 1: is held by p01 and by p02, allowed is one of them; release"):
+    with pytest.raises(
+        ValueError, match="number 1: is held by p01 and by p02, allowed is one of them; release"
+    ):
         rebuild_ledger(lab.study)
     assert entries(lab) == kept
 
@@ -121,7 +133,9 @@ def test_one_number_held_twice_is_refused_and_the_ledger_stays(make_lab: Any) ->
 def test_a_plan_that_was_copied_or_is_gone_is_refused(lab: Any) -> None:
     folder = lab.begin("p01")
     shutil.copytree(folder, lab.study.sessions / "p02")
-    with pytest.raises(ValueError, match=r"p02/plan\.json: is the plan of 'p01', it was copied here; move it away"):
+    with pytest.raises(
+        ValueError, match=r"p02/plan\.json: is the plan of 'p01', it was copied here; move it away"
+    ):
         rebuild_ledger(lab.study)
     (lab.study.sessions / "p02" / "plan.json").unlink()
     with pytest.raises(FileNotFoundError, match=r"plan\.json"):
@@ -134,7 +148,9 @@ def test_a_broken_journal_keeps_its_slot_and_is_told(lab: Any) -> None:
     lost, problem = rebuild_ledger(lab.study)
     assert lost.endswith("session-01.jsonl, line 1: is not the line that was seen there")
     assert "session-01.jsonl, line 1: was changed after it was written" in problem
-    assert [(entry.number, entry.state, entry.done) for entry in entries(lab)] == [(1, "running", 0)]
+    assert [(entry.number, entry.state, entry.done) for entry in entries(lab)] == [
+        (1, "running", 0)
+    ]
 
 
 def cut(journal: Path) -> None:
@@ -187,19 +203,45 @@ def bring_stranger(journal: Path) -> None:
     ("harm", "finding"),
     [
         (cut, "sessions/p01/session-01.jsonl: ends with line 10, 11 lines of it were seen"),
-        (remake_last_line, "sessions/p01/session-01.jsonl, line 11: is not the line that was seen there"),
+        (
+            remake_last_line,
+            "sessions/p01/session-01.jsonl, line 11: is not the line that was seen there",
+        ),
         (Path.unlink, "sessions/p01/session-01.jsonl: is gone, 11 lines of it were seen"),
-        (remove_all, "sessions/p01: is gone without a tombstone, 11 lines of its journals were seen; restore it"),
-        (remove_ledger, "sessions/ledger.sqlite: is missing, so nobody can tell what else is; rebuild it: feel321"),
-        (damage_ledger, "sessions/ledger.sqlite: got a damaged file (file is not a database); move it away"),
-        (remove_tombstone, "sessions/gone: the participant was withdrawn, the tombstone is gone; restore it"),
-        (damage_tombstone, "sessions/gone/withdrawn.json: got no tombstone, or one that was changed after it was"),
-        (edit_tombstone, "sessions/gone/withdrawn.json: got no tombstone, or one that was changed after it was"),
-        (reopen_tombstone, "sessions/gone: the withdrawal was broken off; finish it: feel321 withdraw"),
+        (
+            remove_all,
+            "sessions/p01: is gone without a tombstone, 11 lines of its journals were seen; restore it",
+        ),
+        (
+            remove_ledger,
+            "sessions/ledger.sqlite: is missing, so nobody can tell what else is; rebuild it: feel321",
+        ),
+        (
+            damage_ledger,
+            "sessions/ledger.sqlite: got a damaged file (file is not a database); move it away",
+        ),
+        (
+            remove_tombstone,
+            "sessions/gone: the participant was withdrawn, the tombstone is gone; restore it",
+        ),
+        (
+            damage_tombstone,
+            "sessions/gone/withdrawn.json: got no tombstone, or one that was changed after it was",
+        ),
+        (
+            edit_tombstone,
+            "sessions/gone/withdrawn.json: got no tombstone, or one that was changed after it was",
+        ),
+        (
+            reopen_tombstone,
+            "sessions/gone: the withdrawal was broken off; finish it: feel321 withdraw",
+        ),
         (bring_stranger, "sessions/stranger: is not in the ledger; enter it: feel321 ledger"),
     ],
 )
-def test_whatever_is_lost_is_named(lab: Any, now: Any, harm: Callable[[Path], None], finding: str) -> None:
+def test_whatever_is_lost_is_named(
+    lab: Any, now: Any, harm: Callable[[Path], None], finding: str
+) -> None:
     lab.begin("gone")
     withdraw_participant(lab.study, "gone", now=now)
     lab.begin("p01")
@@ -225,7 +267,10 @@ def test_a_loss_is_accepted_by_a_rebuild_that_is_named_ever_after(lab: Any, now:
     journal = lab.work("p01", 2)
     remembered = entries(lab)[0].anchors
     cut(journal)
-    with pytest.raises(ValueError, match=r"ends with line 6, 7 lines of it were seen; restore it from a copy, or take"):
+    with pytest.raises(
+        ValueError,
+        match=r"ends with line 6, 7 lines of it were seen; restore it from a copy, or take",
+    ):
         check_anchors(remembered, journal.parent)
     loss = "sessions/p01/session-01.jsonl: ends with line 6, 7 lines of it were seen"
     for _ in range(2):  # The second finds nothing lost, and adds nothing.
@@ -238,7 +283,9 @@ def test_a_loss_is_accepted_by_a_rebuild_that_is_named_ever_after(lab: Any, now:
 
 
 @pytest.mark.parametrize("rebuild", [open_study_ledger, rebuild_ledger])
-def test_a_ledger_that_was_missing_is_remembered(lab: Any, now: Any, rebuild: Callable[..., object]) -> None:
+def test_a_ledger_that_was_missing_is_remembered(
+    lab: Any, now: Any, rebuild: Callable[..., object]
+) -> None:
     lab.begin("p01")
     lab.study.ledger.unlink()
     rebuild(lab.study, now=now)
@@ -272,7 +319,9 @@ def test_setting_an_edited_row_right_forgets_nothing(lab: Any) -> None:
     lab.begin("p01")
     edit(lab, "p01", number=2)
     (line,) = find_lost(lab.study)
-    assert line.startswith(f"{lab.study.ledger}: p01 has number 2, plan and journals say 1; rebuild it: feel321 ledger")
+    assert line.startswith(
+        f"{lab.study.ledger}: p01 has number 2, plan and journals say 1; rebuild it: feel321 ledger"
+    )
     assert rebuild_ledger(lab.study) == [line]
     assert find_lost(lab.study) == []
 
@@ -282,7 +331,9 @@ def test_another_tombstone_than_the_ledger_saw_is_named(lab: Any, now: Any) -> N
     withdraw_participant(lab.study, "p01", now=now)
     edit(lab, "p01", number=2)
     (line,) = find_lost(lab.study)
-    assert line.startswith(f"{lab.study.sessions / 'p01'}: the tombstone is another one than the ledger saw written")
+    assert line.startswith(
+        f"{lab.study.sessions / 'p01'}: the tombstone is another one than the ledger saw written"
+    )
 
 
 def test_a_ledger_alone_is_no_study(lab: Any) -> None:

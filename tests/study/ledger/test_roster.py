@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from protocols.agenda import Agenda
-from study.ledger.roster import write_roster
-from study.ledger.withdrawal import release_participant, withdraw_participant
-from study.session.journal import require_journal
+from feel321.protocols.agenda import Agenda
+from feel321.study.ledger.slots import write_roster
+from feel321.study.ledger.withdrawal import release_participant, withdraw_participant
+from feel321.study.session.journal import require_journal
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -54,7 +54,10 @@ def test_who_is_planned_and_no_more_has_no_times(lab: Any) -> None:
         (["training_again"], ""),
         (["training_passed"], "true"),
         (["training_failed"], "false"),
-        (["training_passed", "training_failed"], "false"),  # Of two tasks, each with training of its own.
+        (
+            ["training_passed", "training_failed"],
+            "false",
+        ),  # Of two tasks, each with training of its own.
     ],
 )
 def test_training_is_passed_if_no_part_of_it_failed(
@@ -64,7 +67,9 @@ def test_training_is_passed_if_no_part_of_it_failed(
     for key in pages:
         journal.write("page", {"key": key, "time_s": 1.0})
     # These pages would not come one after another; what matters here is which were read.
-    monkeypatch.setattr("study.ledger.standing.replay", lambda plan, _records: Agenda(plan.trials, plan.flow))
+    monkeypatch.setattr(
+        "feel321.study.ledger.slots.replay", lambda plan, _records: Agenda(plan.trials, plan.flow)
+    )
     (row,) = read(write_roster(lab.study))
     assert row["training_passed"] == passed
 
@@ -74,7 +79,9 @@ def test_a_broken_journal_is_named_and_the_old_table_stays(lab: Any) -> None:
     path = write_roster(lab.study)
     before = path.read_bytes()
     journal.write_bytes(b"{}\n")
-    with pytest.raises(ValueError, match=r"session-01\.jsonl, line 1: was changed after it was written"):
+    with pytest.raises(
+        ValueError, match=r"session-01\.jsonl, line 1: was changed after it was written"
+    ):
         write_roster(lab.study)
     assert path.read_bytes() == before
 

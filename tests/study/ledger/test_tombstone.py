@@ -5,13 +5,21 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from study.ledger.sightings import Anchor
-from study.ledger.tombstone import REMOVED, Tombstone, find_leftovers, read_tombstone, write_tombstone
+from feel321.study.ledger.database import Anchor
+from feel321.study.ledger.rebuilding import (
+    REMOVED,
+    Tombstone,
+    find_leftovers,
+    read_tombstone,
+    write_tombstone,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-TOMBSTONE = Tombstone("p01", 1, False, "2026-01-01T12:00:00+00:00", "zog weg, müde", (Anchor("a", 1, "0"),), REMOVED)
+TOMBSTONE = Tombstone(
+    "p01", 1, False, "2026-01-01T12:00:00+00:00", "zog weg, müde", (Anchor("a", 1, "0"),), REMOVED
+)
 
 
 def test_what_was_written_is_read(tmp_path: Path) -> None:
@@ -20,12 +28,16 @@ def test_what_was_written_is_read(tmp_path: Path) -> None:
     assert read_tombstone(tmp_path) == TOMBSTONE
 
 
-@pytest.mark.parametrize("change", [{"number": 2}, {"utc": ""}, {"journals": []}, {"sha256": "0"}, {"more": 1}])
+@pytest.mark.parametrize(
+    "change", [{"number": 2}, {"utc": ""}, {"journals": []}, {"sha256": "0"}, {"more": 1}]
+)
 def test_an_edit_is_one_line(tmp_path: Path, change: dict[str, Any]) -> None:
     write_tombstone(tmp_path, TOMBSTONE)
     path = tmp_path / "withdrawn.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | change))
-    with pytest.raises(ValueError, match="got no tombstone, or one that was changed after it was") as caught:
+    with pytest.raises(
+        ValueError, match="got no tombstone, or one that was changed after it was"
+    ) as caught:
         read_tombstone(tmp_path)
     assert "\n" not in str(caught.value)
 

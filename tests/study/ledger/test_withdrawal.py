@@ -9,31 +9,28 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from stimuli.lock import hold_lock
-from study.ledger.rebuilding import find_lost, open_study_ledger
-from study.ledger.roster import write_roster
-from study.ledger.slots import read_ledger
-from study.ledger.tombstone import read_tombstone
-from study.ledger.withdrawal import release_participant, withdraw_participant
-from study.session.chain import digest
-from study.session.journal import create_journal, read_journal
-from study.session.opening import PLAN_FILE
+from feel321.stimuli.lock import hold_lock
+from feel321.study.ledger.rebuilding import find_lost, open_study_ledger, read_tombstone
+from feel321.study.ledger.slots import read_ledger, write_roster
+from feel321.study.ledger.withdrawal import release_participant, withdraw_participant
+from feel321.study.session.journal import create_journal, digest, read_journal
+from feel321.study.session.opening import PLAN_FILE
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from study.folder import StudyFolder
-    from study.ledger.entries import Entry
+    from feel321.study.folder import StudyFolder
+    from feel321.study.ledger.database import Entry
 
 DYING = """
 import os, signal, sys
 from datetime import UTC, datetime
 from pathlib import Path
-from study.folder import StudyFolder
-from study.ledger.rebuilding import find_lost
-from study.ledger.withdrawal import withdraw_participant
-import stimuli.lock, stimuli.manifest, study.ratings, filelock
+from feel321.study.folder import StudyFolder
+from feel321.study.ledger.rebuilding import find_lost
+from feel321.study.ledger.withdrawal import withdraw_participant
+import feel321.stimuli.lock, feel321.stimuli.sets.manifest, feel321.study.ratings, filelock
 root, steps = Path(sys.argv[1]), {"open", "os.remove", "os.rename", "os.rmdir", "os.truncate", "sqlite3.connect"}
 def now():
     return datetime(2026, 1, 1, 12, tzinfo=UTC)
@@ -65,7 +62,11 @@ def entries(study: StudyFolder) -> dict[str, Entry]:
 
 
 def read_files(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
 
 
 @pytest.fixture
@@ -85,7 +86,13 @@ def test_all_data_go_and_a_tombstone_stays(two: Any, now: Any) -> None:
     (folder / "notes" / "age.txt").write_text("44")
     others = read_files(two.study.sessions / "p02")
     removed = withdraw_participant(two.study, "p01", now=now, reason="moved away")
-    assert removed == ["notes", "notes/age.txt", "plan.json", "session-01.jsonl", "session-01.jsonl.torn1"]
+    assert removed == [
+        "notes",
+        "notes/age.txt",
+        "plan.json",
+        "session-01.jsonl",
+        "session-01.jsonl.torn1",
+    ]
     assert [path.name for path in folder.iterdir()] == ["withdrawn.json"]
     stored = json.loads((folder / "withdrawn.json").read_bytes())
     assert len(stored.pop("sha256")) == 64
@@ -106,8 +113,16 @@ def test_all_data_go_and_a_tombstone_stays(two: Any, now: Any) -> None:
 def test_the_slot_is_free_and_the_code_is_not(two: Any, now: Any) -> None:
     withdraw_participant(two.study, "p01", now=now)
     entry = entries(two.study)["p01"]
-    assert (entry.state, entry.number, entry.done, entry.total, entry.anchors) == ("withdrawn", 1, 0, 0, ())
-    with pytest.raises(ValueError, match="participant p01: was withdrawn; no code is used twice, take another"):
+    assert (entry.state, entry.number, entry.done, entry.total, entry.anchors) == (
+        "withdrawn",
+        1,
+        0,
+        0,
+        (),
+    )
+    with pytest.raises(
+        ValueError, match="participant p01: was withdrawn; no code is used twice, take another"
+    ):
         two.claim("p01")
     assert two.claim("p03") == 1
 
@@ -149,7 +164,10 @@ def test_nobody_else_can_leave(two: Any, now: Any, leave: Callable[..., Any], na
 def test_nobody_withdraws_twice(two: Any, now: Any) -> None:
     withdraw_participant(two.study, "p01", now=now)
     before = read_files(two.study.sessions)
-    with pytest.raises(ValueError, match=r"participant p01: withdrew at 2026-01-01T12:00:00\+00:00, all data are gone"):
+    with pytest.raises(
+        ValueError,
+        match=r"participant p01: withdrew at 2026-01-01T12:00:00\+00:00, all data are gone",
+    ):
         withdraw_participant(two.study, "p01", now=now)
     assert read_files(two.study.sessions) == before
 
@@ -160,17 +178,21 @@ def test_derived_tables_are_written_anew_and_a_stale_report_is_named(
     write_roster(two.study)
     two.study.ratings.write_text("participant\np01\np02\n")
     two.study.report.mkdir()
-    monkeypatch.setattr("stimuli.manifest.read_stimuli", lambda folder: folder)
+    monkeypatch.setattr("feel321.stimuli.sets.manifest.read_stimuli", lambda folder: folder)
     monkeypatch.setattr(
-        "study.ratings.write_ratings",
-        lambda study, _stimuli: study.ratings.write_text("\n".join(path.parent.name for path in study.journals)),
+        "feel321.study.ratings.write_ratings",
+        lambda study, _stimuli: study.ratings.write_text(
+            "\n".join(path.parent.name for path in study.journals)
+        ),
     )
     warnings: list[str] = []
     withdraw_participant(two.study, "p01", now=now, warn=warnings.append)
     assert two.study.ratings.read_text() == "p02"
     with (two.study.path / "participants.csv").open() as file:
         assert [row["participant"] for row in csv.DictReader(file)] == ["p02"]
-    assert warnings == [f"{two.study.report}: still holds the participant's data; write it anew: feel321 analyze"]
+    assert warnings == [
+        f"{two.study.report}: still holds the participant's data; write it anew: feel321 analyze"
+    ]
 
 
 def test_what_a_kill_left_of_a_table_goes_too(two: Any, now: Any) -> None:
@@ -207,7 +229,9 @@ def test_a_kill_at_any_step_leaves_everything_or_a_tombstone_and_the_same_call_f
         lab.study.path.rename(root / str(step))
     folder = type(lab.study)
     before = read_files(root / "0")
-    done = subprocess.run([sys.executable, "-c", DYING, root], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", DYING, root], capture_output=True, text=True, check=True
+    )
     ends = [line.split()[1] for line in done.stdout.splitlines()]
     assert len(ends) == 40
     assert ends[-1] == "whole"
@@ -218,8 +242,13 @@ def test_a_kill_at_any_step_leaves_everything_or_a_tombstone_and_the_same_call_f
         with suppress(ValueError):  # Had it finished, but for its last breath.
             withdraw_participant(study, "p01", now=now)
         assert read_tombstone(study.sessions / "p01").state == "removed"
-        assert {path.name for path in (study.sessions / "p01").iterdir()} - {".lock"} == {"withdrawn.json"}
-        assert {name: e.state for name, e in entries(study).items()} == {"p01": "withdrawn", "p02": "running"}
+        assert {path.name for path in (study.sessions / "p01").iterdir()} - {".lock"} == {
+            "withdrawn.json"
+        }
+        assert {name: e.state for name, e in entries(study).items()} == {
+            "p01": "withdrawn",
+            "p02": "running",
+        }
         assert "p01" not in (study.path / "participants.csv").read_text()
         assert find_lost(study) == []
 
@@ -258,7 +287,9 @@ def test_release_keeps_the_data_and_frees_the_slot(lab: Any, now: Any) -> None:
 
 def test_who_has_finished_is_not_released(two: Any, now: Any) -> None:
     before = read_files(two.study.sessions)
-    with pytest.raises(ValueError, match="participant p01: has finished, the slot is used up; to remove the data"):
+    with pytest.raises(
+        ValueError, match="participant p01: has finished, the slot is used up; to remove the data"
+    ):
         release_participant(two.study, "p01", now=now)
     after = read_files(two.study.sessions)
     assert {name: after[name] for name in before} == before
@@ -273,7 +304,7 @@ def test_a_release_that_was_killed_before_the_ledger_knew_is_finished_by_the_nex
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("study.ledger.withdrawal.rewrite_ledger", die)
+        patch.setattr("feel321.study.ledger.withdrawal.rewrite_ledger", die)
         with pytest.raises(KeyboardInterrupt):
             release_participant(lab.study, "p01", now=now)
     assert entries(lab.study)["p01"].state == "running"
@@ -286,7 +317,9 @@ def test_a_journal_that_was_cut_is_not_released(lab: Any, now: Any) -> None:
     lab.begin("p01")
     journal = lab.work("p01", 2)
     journal.write_bytes(b"".join(journal.read_bytes().splitlines(keepends=True)[:-1]))
-    with pytest.raises(ValueError, match="ends with line 6, 7 lines of it were seen; restore it from a copy"):
+    with pytest.raises(
+        ValueError, match="ends with line 6, 7 lines of it were seen; restore it from a copy"
+    ):
         release_participant(lab.study, "p01", now=now)
 
 

@@ -7,12 +7,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocols.registry import PROTOCOLS
-from protocols.texts import read_scales
-from protocols.trial import SURFACE, Judgement, Part, Trial
-from study.observer.judging import REAL, SLIDERS, Experience, Point, Touch, compare, judge
-from study.observer.percepts import Percept, Sensation
-from study.observer.raters import ObserverModel
+from feel321.protocols.tasks import PROTOCOLS
+from feel321.protocols.texts import read_scales
+from feel321.protocols.trial import SURFACE, Judgement, Part, Trial
+from feel321.study.observer.judging import (
+    REAL,
+    SLIDERS,
+    Experience,
+    ObserverModel,
+    Point,
+    Touch,
+    compare,
+    judge,
+)
+from feel321.study.observer.percepts import Percept, Sensation
 
 MODEL = ObserverModel(
     intercept=10.0,
@@ -31,10 +39,14 @@ WEAK = Point(0.6, 0.5, Percept(4.0, 0.2, -1.0))
 STRONG = Point(0.2, 0.9, Percept(1.0, 0.1, 2.0))
 
 shares = st.floats(0, 1)
-points = st.builds(Point, shares, shares, st.builds(Percept, st.floats(0, 40), shares, st.floats(-30, 30)))
+points = st.builds(
+    Point, shares, shares, st.builds(Percept, st.floats(0, 40), shares, st.floats(-30, 30))
+)
 
 
-def make_experience(protocol: str, felt: dict[str, Point], *, reference: str | None = None) -> Experience:
+def make_experience(
+    protocol: str, felt: dict[str, Point], *, reference: str | None = None
+) -> Experience:
     parts = tuple(Part(name, f"code-{name}") for name in felt)
     judgement = Judgement("test", "code-test", reference and f"code-{reference}")
     trial = Trial(1, 1, 1, protocol, protocol, "replay", "oak", parts, (judgement,))
@@ -66,15 +78,19 @@ def test_distance_is_a_metric(level: float, a: Point, b: Point, c: Point) -> Non
 
 @pytest.mark.parametrize("protocol", ["dissimilarity", "similarity", "abx"])
 def test_two_that_lose_as_much_in_different_ways_are_apart(protocol: str) -> None:
-    low, high = Sensation(2.0, np.array([100.0, 1.0]), np.ones(4)), Sensation(2.0, np.array([1.0, 100.0]), np.ones(4))
+    low, high = (
+        Sensation(2.0, np.array([100.0, 1.0]), np.ones(4)),
+        Sensation(2.0, np.array([1.0, 100.0]), np.ones(4)),
+    )
     one, other = (Point(0.5, 0.5, Percept(14.0, 0.1, 0.0, sensed)) for sensed in (low, high))
-    experience = make_experience(protocol, {"first": one, "test": other, "x": other}, reference="first")
+    experience = make_experience(
+        protocol, {"first": one, "test": other, "x": other}, reference="first"
+    )
     expected = MODEL.threshold_spectral * 20.0  # dB, in both bands
     if protocol == "abx":
-        assert compare(experience, Judgement("x", "?"), ("first", "test"), touch=TOUCH) == pytest.approx({
-            "first": expected,
-            "test": 0.0,
-        })
+        assert compare(
+            experience, Judgement("x", "?"), ("first", "test"), touch=TOUCH
+        ) == pytest.approx({"first": expected, "test": 0.0})
     else:
         answer = ask(experience)
         assert (100 - answer if protocol == "similarity" else answer) == pytest.approx(expected)
@@ -82,7 +98,9 @@ def test_two_that_lose_as_much_in_different_ways_are_apart(protocol: str) -> Non
 
 @given(points)
 def test_similarity_to_the_original_loses_what_realism_loses_unless_stronger(point: Point) -> None:
-    similarity = ask(make_experience("similarity", {"reference": REAL, "test": point}, reference="reference"))
+    similarity = ask(
+        make_experience("similarity", {"reference": REAL, "test": point}, reference="reference")
+    )
     louder = max(point.percept.level_db, 0.0)
     lost = TOUCH.feel(REAL) - TOUCH.feel(point)
     assert similarity == pytest.approx(100 - lost - 2 * MODEL.level * louder)
@@ -90,17 +108,23 @@ def test_similarity_to_the_original_loses_what_realism_loses_unless_stronger(poi
 
 @pytest.mark.parametrize("protocol", ["similarity", "mushra"])
 def test_the_reference_is_as_similar_to_itself_as_anything_can_be(protocol: str) -> None:
-    assert ask(make_experience(protocol, {"reference": WEAK, "test": WEAK}, reference="reference")) == 100
-    assert ask(make_experience(protocol, {"reference": WEAK, "test": STRONG}, reference="reference")) == pytest.approx(
-        100 - TOUCH.measure_distance(WEAK, STRONG)
+    assert (
+        ask(make_experience(protocol, {"reference": WEAK, "test": WEAK}, reference="reference"))
+        == 100
     )
+    assert ask(
+        make_experience(protocol, {"reference": WEAK, "test": STRONG}, reference="reference")
+    ) == pytest.approx(100 - TOUCH.measure_distance(WEAK, STRONG))
 
 
 def test_dissimilarity_is_the_distance() -> None:
-    assert ask(make_experience("dissimilarity", {"first": WEAK, "test": STRONG}, reference="first")) == pytest.approx(
-        48
+    assert ask(
+        make_experience("dissimilarity", {"first": WEAK, "test": STRONG}, reference="first")
+    ) == pytest.approx(48)
+    assert (
+        ask(make_experience("dissimilarity", {"first": WEAK, "test": WEAK}, reference="first"))
+        == 0.0
     )
-    assert ask(make_experience("dissimilarity", {"first": WEAK, "test": WEAK}, reference="first")) == 0.0
 
 
 def test_an_explicit_reference_may_be_judged_hidden_too() -> None:
@@ -121,28 +145,38 @@ def test_the_real_surface_is_where_the_original_is() -> None:
 
 def test_candidates_are_as_far_as_they_feel_from_what_is_asked() -> None:
     experience = make_experience("abx", {"a": WEAK, "b": STRONG, "x": STRONG})
-    assert compare(experience, Judgement("x", "?"), ("a", "b"), touch=TOUCH) == {"a": pytest.approx(48), "b": 0.0}
+    assert compare(experience, Judgement("x", "?"), ("a", "b"), touch=TOUCH) == {
+        "a": pytest.approx(48),
+        "b": 0.0,
+    }
 
 
 def test_every_protocol_with_a_slider_can_be_judged() -> None:
     scales = read_scales("en")
-    assert set(SLIDERS) == {name for name, protocol in PROTOCOLS.items() if not scales[protocol.scale].choices}
+    assert set(SLIDERS) == {
+        name for name, protocol in PROTOCOLS.items() if not scales[protocol.scale].choices
+    }
 
 
 def test_what_was_not_felt_cannot_be_judged() -> None:
     experience = make_experience("realism", {"test": WEAK})
-    with pytest.raises(ValueError, match=r"asked about part 'test' of trial 1 before it was felt; play it first"):
+    with pytest.raises(
+        ValueError, match=r"asked about part 'test' of trial 1 before it was felt; play it first"
+    ):
         ask(replace(experience, points={}))
 
 
 def test_a_reference_that_no_part_holds_is_refused() -> None:
     experience = make_experience("similarity", {"test": WEAK}, reference="elsewhere")
-    with pytest.raises(ValueError, match=r"trial 1: got reference 'code-elsewhere', allowed is what a part"):
+    with pytest.raises(
+        ValueError, match=r"trial 1: got reference 'code-elsewhere', allowed is what a part"
+    ):
         ask(experience)
 
 
 def test_an_unknown_protocol_is_refused() -> None:
     with pytest.raises(
-        ValueError, match=r"got protocol 'pinching', allowed with a slider is one of realism, similarity"
+        ValueError,
+        match=r"got protocol 'pinching', allowed with a slider is one of realism, similarity",
     ):
         ask(make_experience("pinching", {"test": WEAK}))

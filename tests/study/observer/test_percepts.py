@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stimuli.perception import acceleration_threshold, felt_level
-from stimuli.recipe import Recipe
-from stimuli.reduce import REDUCERS
-from stimuli.sets import build_stimuli
-from stimuli.synthesis import make_scene
-from study.observer.percepts import (
+from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.sets.anchors import acceleration_threshold, felt_level
+from feel321.stimuli.sets.build import build_stimuli
+from feel321.stimuli.sets.recipe import Recipe
+from feel321.stimuli.synthesis import make_scene
+from feel321.study.observer.percepts import (
     Percept,
     Sensation,
     compare_percepts,
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from stimuli.manifest import StimulusSet
+    from feel321.stimuli.sets.manifest import StimulusSet
 
 RATE_HZ = 8000.0
 TIME_S = np.arange(8000) / RATE_HZ
@@ -54,7 +54,10 @@ def make_noise(seed: int = 1) -> NDArray[np.float64]:
 def built(tmp_path_factory: pytest.TempPathFactory) -> StimulusSet:
     scenes = [make_scene(name, duration_s=1.0) for name in ("bumps", "texture_drag")]
     recipe = Recipe(
-        reducers=("sax321", "mag321", "dft321"), levels=("as_is", "equal_intensity"), anchors=True, rate_hz=8000.0
+        reducers=("sax321", "mag321", "dft321"),
+        levels=("as_is", "equal_intensity"),
+        anchors=True,
+        rate_hz=8000.0,
     )
     return build_stimuli(scenes, tmp_path_factory.mktemp("set"), recipe=recipe)
 
@@ -110,12 +113,17 @@ def test_what_is_below_threshold_or_beyond_the_range_does_not_count() -> None:
     tone = make_tone(100.0)
     for unfelt in (make_tone(600.0, 0.1), make_tone(5.0, 30.0), make_tone(3000.0, 30.0)):
         lost = measure(tone + unfelt, tone)
-        assert (lost.spectral_db, lost.envelope, lost.level_db) == pytest.approx((0, 0, 0), abs=0.02)
+        assert (lost.spectral_db, lost.envelope, lost.level_db) == pytest.approx(
+            (0, 0, 0), abs=0.02
+        )
 
 
 def test_moved_bursts_change_the_envelope_and_hardly_the_spectrum() -> None:
     original = make_bursts(0.2, 0.6)
-    moved, apart = measure(make_bursts(0.2, 0.75), original), measure(make_bursts(0.35, 0.85), original)
+    moved, apart = (
+        measure(make_bursts(0.2, 0.75), original),
+        measure(make_bursts(0.35, 0.85), original),
+    )
     assert 0.5 < moved.envelope < apart.envelope == pytest.approx(1.0, abs=0.01)
     assert max(moved.spectral_db, apart.spectral_db) < 1.5
     same_times = measure(make_bursts(0.2, 0.6, frequency_hz=320.0), original)
@@ -125,7 +133,10 @@ def test_moved_bursts_change_the_envelope_and_hardly_the_spectrum() -> None:
 
 def test_a_small_delay_is_a_small_change() -> None:
     original = make_bursts(0.2, 0.6)
-    lost = [measure(make_bursts(0.2 + delay, 0.6 + delay), original).envelope for delay in (0.002, 0.01, 0.03)]
+    lost = [
+        measure(make_bursts(0.2 + delay, 0.6 + delay), original).envelope
+        for delay in (0.002, 0.01, 0.03)
+    ]
     assert 0 < lost[0] < 0.15 < lost[1] < 0.6 < lost[2]
 
 
@@ -139,7 +150,10 @@ def test_roughness_is_not_envelope() -> None:
 
 @pytest.mark.parametrize("share_of_threshold", [0.0, 0.01, 0.9])
 def test_silence_is_finite_and_shares_nothing(share_of_threshold: float) -> None:
-    original, silence = make_noise(), make_tone(100.0, share_of_threshold * float(acceleration_threshold(100.0)))
+    original, silence = (
+        make_noise(),
+        make_tone(100.0, share_of_threshold * float(acceleration_threshold(100.0))),
+    )
     lost = measure(silence, original)
     sensed = sense(original, RATE_HZ)
     assert lost.envelope == 1.0
@@ -164,7 +178,10 @@ def test_a_pair_differs_as_much_in_either_order() -> None:
 
 
 def test_what_is_compared_with_the_original_differs_from_it_as_its_percept_says() -> None:
-    original, lost = measure(make_noise(), make_noise()), measure(0.4 * make_tone(120.0), make_noise())
+    original, lost = (
+        measure(make_noise(), make_noise()),
+        measure(0.4 * make_tone(120.0), make_noise()),
+    )
     for pair in [(original, lost), (lost, original)]:
         assert compare_percepts(*pair) == lost
 
@@ -177,20 +194,27 @@ def test_without_the_vibrations_the_distances_are_compared() -> None:
 def test_envelopes_are_smoothed_to_below_50_hz() -> None:
     # A beat at the limit is left with half its power, one well above it with next to none.
     steady = make_tone(400.0)
-    depths = [sense(make_tone(400.0) + make_tone(400.0 + beat), RATE_HZ).envelope[100:-100] for beat in (50.0, 150.0)]
+    depths = [
+        sense(make_tone(400.0) + make_tone(400.0 + beat), RATE_HZ).envelope[100:-100]
+        for beat in (50.0, 150.0)
+    ]
     energies = [depth**2 for depth in depths]
     swings = [(energy.max() - energy.min()) / (energy.max() + energy.min()) for energy in energies]
     thresholds = acceleration_threshold(np.array([400.0, 450.0, 550.0]))
     full = [2 * (t / thresholds[0]) / (1 + (t / thresholds[0]) ** 2) for t in thresholds[1:]]
     assert swings[0] / full[0] == pytest.approx(np.sqrt(0.5), abs=0.03)
     assert swings[1] < 0.1 * full[1]
-    assert np.ptp(sense(steady, RATE_HZ).envelope[100:-100]) < 0.05 * sense(steady, RATE_HZ).envelope[500]
+    assert (
+        np.ptp(sense(steady, RATE_HZ).envelope[100:-100])
+        < 0.05 * sense(steady, RATE_HZ).envelope[500]
+    )
 
 
 def test_another_length_is_refused() -> None:
     first, second = (Sensation(1.0, np.ones(5), np.ones(n)) for n in (10, 12))
     with pytest.raises(
-        ValueError, match="got 10 ms of a stimulus and 12 ms of its original, allowed are equal lengths"
+        ValueError,
+        match="got 10 ms of a stimulus and 12 ms of its original, allowed are equal lengths",
     ):
         compare_sensations(first, second)
 
@@ -202,12 +226,18 @@ def test_every_stimulus_of_a_set_has_a_percept_and_references_none_lost(
     for stimulus in built.stimuli:
         if stimulus.role == "reference":
             lost = percepts[stimulus.stimulus_id]
-            assert (lost.spectral_db, lost.envelope, lost.level_db) == pytest.approx((0, 0, 0), abs=1e-9)
+            assert (lost.spectral_db, lost.envelope, lost.level_db) == pytest.approx(
+                (0, 0, 0), abs=1e-9
+            )
 
 
 @pytest.mark.parametrize("recording", ["bumps", "texture_drag"])
-def test_dft321_keeps_the_felt_spectrum_and_mag321_does_not(percepts: dict[str, Percept], recording: str) -> None:
-    dft, mag, axis = (percepts[f"{recording}__{name}__as_is"] for name in ("dft321", "mag321", "sax321"))
+def test_dft321_keeps_the_felt_spectrum_and_mag321_does_not(
+    percepts: dict[str, Percept], recording: str
+) -> None:
+    dft, mag, axis = (
+        percepts[f"{recording}__{name}__as_is"] for name in ("dft321", "mag321", "sax321")
+    )
     assert dft.spectral_db < 0.5 < axis.spectral_db < mag.spectral_db
     assert mag.spectral_db > 4
     assert dft.level_db == pytest.approx(0.0, abs=0.1)
@@ -215,14 +245,19 @@ def test_dft321_keeps_the_felt_spectrum_and_mag321_does_not(percepts: dict[str, 
     assert dft.envelope < mag.envelope
 
 
-def test_the_level_arms_differ_in_level_alone(built: StimulusSet, percepts: dict[str, Percept]) -> None:
+def test_the_level_arms_differ_in_level_alone(
+    built: StimulusSet, percepts: dict[str, Percept]
+) -> None:
     raised = {}
     for row in built.stimuli:
         factor = row.gain if row.level == "equal_intensity" else 1 / row.gain
         raised[row.recording, row.reducer] = raised.get((row.recording, row.reducer), 1.0) * factor
     for stimulus in built.stimuli:
         if stimulus.level == "equal_intensity":
-            factor = raised[stimulus.recording, stimulus.reducer] / raised[stimulus.recording, "original"]
+            factor = (
+                raised[stimulus.recording, stimulus.reducer]
+                / raised[stimulus.recording, "original"]
+            )
             equal = percepts[stimulus.stimulus_id]
             as_is = percepts[stimulus.stimulus_id.replace("equal_intensity", "as_is")]
             assert equal.level_db - as_is.level_db == pytest.approx(20 * np.log10(factor), abs=0.01)
@@ -231,7 +266,10 @@ def test_the_level_arms_differ_in_level_alone(built: StimulusSet, percepts: dict
 
 def test_files_are_taken_at_the_acceleration_that_the_rig_gives(built: StimulusSet) -> None:
     louder = replace(
-        built, stimuli=tuple(replace(s, rms_m_s2=s.rms_m_s2 * (2 if s.role == "test" else 1)) for s in built.stimuli)
+        built,
+        stimuli=tuple(
+            replace(s, rms_m_s2=s.rms_m_s2 * (2 if s.role == "test" else 1)) for s in built.stimuli
+        ),
     )
     before, after = read_percepts(built), read_percepts(louder)
     for stimulus in built.stimuli:
@@ -243,14 +281,21 @@ def test_a_common_original_serves_all_level_arms(built: StimulusSet) -> None:
     rows = tuple(s for s in built.stimuli if s.role != "reference" or s.level == "as_is")
     percepts = read_percepts(replace(built, stimuli=rows))
     equal, as_is = (percepts[f"bumps__dft321__{level}"] for level in ("equal_intensity", "as_is"))
-    gains = {row.level: row.gain for row in rows if (row.recording, row.reducer) == ("bumps", "dft321")}
-    assert equal.level_db - as_is.level_db == pytest.approx(20 * np.log10(gains["equal_intensity"] / gains["as_is"]))
+    gains = {
+        row.level: row.gain for row in rows if (row.recording, row.reducer) == ("bumps", "dft321")
+    }
+    assert equal.level_db - as_is.level_db == pytest.approx(
+        20 * np.log10(gains["equal_intensity"] / gains["as_is"])
+    )
     assert equal.spectral_db < 0.5
 
 
 def test_a_set_without_originals_is_refused(built: StimulusSet) -> None:
     tests = replace(built, stimuli=tuple(s for s in built.stimuli if s.role == "test"))
-    with pytest.raises(ValueError, match=r"recording 'bumps': got a stimulus set without .* reference = \"original\""):
+    with pytest.raises(
+        ValueError,
+        match=r"recording 'bumps': got a stimulus set without .* reference = \"original\"",
+    ):
         read_percepts(tests)
 
 
@@ -259,7 +304,9 @@ def test_a_file_that_is_gone_is_named(built: StimulusSet, tmp_path: Path) -> Non
         read_percepts(replace(built, folder=tmp_path))
 
 
-def test_all_reducers_are_worse_than_the_original_and_better_than_the_low_anchor(tmp_path: Path) -> None:
+def test_all_reducers_are_worse_than_the_original_and_better_than_the_low_anchor(
+    tmp_path: Path,
+) -> None:
     recipe = Recipe(reducers=tuple(REDUCERS), rate_hz=8000.0)
     built = build_stimuli([make_scene("bumps", duration_s=1.0)], tmp_path, recipe=recipe)
     lost = read_percepts(built)

@@ -8,10 +8,16 @@ import numpy as np
 import pytest
 from scipy.stats import kstest, norm
 
-from study.observer.raters import KINDS, ObserverModel, Rater, draw_rater, expect_rating
+from feel321.study.observer.judging import KINDS, ObserverModel, Rater, draw_rater, expect_rating
 
 MODEL = ObserverModel(
-    intercept=10.0, spectral=45.0, temporal=35.0, bias_sd=6.0, gain_sd=0.15, noise_sd=8.0, noise_spread=0.25
+    intercept=10.0,
+    spectral=45.0,
+    temporal=35.0,
+    bias_sd=6.0,
+    gain_sd=0.15,
+    noise_sd=8.0,
+    noise_spread=0.25,
 )
 CAREFUL = Rater(kind="normal", bias=0.0, gain=1.0, noise_sd=8.0, lapse_rate=0.0, favourite=0.3)
 
@@ -20,7 +26,9 @@ def draw_many(model: ObserverModel, n: int = 2000) -> list[Rater]:
     return [draw_rater(model, np.random.default_rng([7, number])) for number in range(n)]
 
 
-def rate_many(rater: Rater, percept: float, *, n: int = 4000, shift: float = 0.0, growth: float = 1.0) -> np.ndarray:
+def rate_many(
+    rater: Rater, percept: float, *, n: int = 4000, shift: float = 0.0, growth: float = 1.0
+) -> np.ndarray:
     rng = np.random.default_rng(3)
     return np.array([rater.rate(percept, shift=shift, growth=growth, rng=rng) for _ in range(n)])
 
@@ -52,17 +60,23 @@ def test_bad_raters_come_in_the_shares_that_were_asked_for() -> None:
 
 def test_bad_raters_change_nothing_about_the_hands_of_the_others() -> None:
     hands = [(r.bias, r.gain, r.noise_sd) for r in draw_many(MODEL, 50)]
-    assert [(r.bias, r.gain, r.noise_sd) for r in draw_many(replace(MODEL, random_clickers=0.5), 50)] == hands
+    assert [
+        (r.bias, r.gain, r.noise_sd) for r in draw_many(replace(MODEL, random_clickers=0.5), 50)
+    ] == hands
 
 
-@pytest.mark.parametrize("name", ["lapse_rate", "straight_liners", "random_clickers", "scale_reversers"])
+@pytest.mark.parametrize(
+    "name", ["lapse_rate", "straight_liners", "random_clickers", "scale_reversers"]
+)
 @pytest.mark.parametrize("value", [-0.1, 1.1, float("nan")])
 def test_a_share_out_of_range_is_refused(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=f"^{name}: got {value}, allowed is a share from 0 to 1$"):
         replace(MODEL, **{name: value})
 
 
-@pytest.mark.parametrize("name", ["bias_sd", "gain_sd", "noise_sd", "noise_spread", "fatigue_noise"])
+@pytest.mark.parametrize(
+    "name", ["bias_sd", "gain_sd", "noise_sd", "noise_spread", "fatigue_noise"]
+)
 def test_a_negative_size_is_refused(name: str) -> None:
     with pytest.raises(ValueError, match=f"^{name}: got -1.0, allowed is 0 or more$"):
         replace(MODEL, **{name: -1.0})
@@ -82,9 +96,15 @@ def test_only_weights_on_distances_ask_for_files() -> None:
 def test_a_rating_is_bias_gain_percept_shift_and_noise() -> None:
     exact = replace(CAREFUL, bias=-4.0, gain=1.5, noise_sd=0.0)
     assert rate_many(exact, 40.0, shift=7.0, n=2).tolist() == [63.0, 63.0]
-    assert exact.rate(40.0, sure=100.0, shift=7.0, growth=1.0, rng=np.random.default_rng()) == 100 - 90 - 4 + 7
+    assert (
+        exact.rate(40.0, sure=100.0, shift=7.0, growth=1.0, rng=np.random.default_rng())
+        == 100 - 90 - 4 + 7
+    )
     ratings = rate_many(CAREFUL, 50.0, growth=1.5)
-    assert (ratings.mean(), ratings.std()) == (pytest.approx(50, abs=0.6), pytest.approx(12, rel=0.04))
+    assert (ratings.mean(), ratings.std()) == (
+        pytest.approx(50, abs=0.6),
+        pytest.approx(12, rel=0.04),
+    )
 
 
 def test_ratings_stay_on_the_scale_and_in_tenths() -> None:
@@ -104,7 +124,9 @@ def test_lapses_are_as_frequent_as_planted_and_uniform(lapse_rate: float) -> Non
 
 
 def test_a_straight_liner_stays_in_place_whatever_is_felt() -> None:
-    ratings = np.concatenate([rate_many(replace(CAREFUL, kind="straight_liner"), p, n=500) for p in (0.0, 50.0, 100.0)])
+    ratings = np.concatenate([
+        rate_many(replace(CAREFUL, kind="straight_liner"), p, n=500) for p in (0.0, 50.0, 100.0)
+    ])
     assert ratings.mean() == pytest.approx(30.0, abs=0.1)
     assert ratings.std() == pytest.approx(1.0, rel=0.1)
 
@@ -118,7 +140,9 @@ def test_a_random_clicker_answers_anything_and_fast() -> None:
 
 
 def test_a_scale_reverser_mirrors_what_the_same_hand_would_rate() -> None:
-    straight, reversed_ = (rate_many(replace(CAREFUL, kind=kind), 70.0) for kind in ("normal", "scale_reverser"))
+    straight, reversed_ = (
+        rate_many(replace(CAREFUL, kind=kind), 70.0) for kind in ("normal", "scale_reverser")
+    )
     assert reversed_ == pytest.approx(100.0 - straight, abs=0.051)
 
 
@@ -158,13 +182,18 @@ def test_without_noise_any_difference_decides_and_none_is_a_coin() -> None:
         ({"kind": "scale_reverser"}, 1.0),  # a choice has no ends
     ],
 )
-def test_who_chooses_how_when_the_difference_is_plain(change: dict[str, str | float], expected: float) -> None:
+def test_who_chooses_how_when_the_difference_is_plain(
+    change: dict[str, str | float], expected: float
+) -> None:
     assert share_correct(replace(CAREFUL, **change), 200.0) == pytest.approx(expected, abs=0.01)
 
 
 @pytest.mark.parametrize(("favourite", "share"), [(0.3, 0.0), (0.7, 1.0)])
 def test_a_straight_liner_always_makes_the_same_choice(favourite: float, share: float) -> None:
-    assert share_correct(replace(CAREFUL, kind="straight_liner", favourite=favourite), 200.0, n=50) == share
+    assert (
+        share_correct(replace(CAREFUL, kind="straight_liner", favourite=favourite), 200.0, n=50)
+        == share
+    )
 
 
 @pytest.mark.parametrize(("sure", "lapse_rate"), [(0.0, 0.0), (100.0, 0.0), (0.0, 0.3)])
@@ -173,9 +202,13 @@ def test_the_expected_rating_is_the_mean_of_many_people(sure: float, lapse_rate:
     percepts = [5.0, 50.0, 95.0]
     rng = np.random.default_rng(5)
     raters = draw_many(model, 4000)
-    given = np.array([[r.rate(p, sure=sure, shift=0, growth=1, rng=rng) for p in percepts] for r in raters])
+    given = np.array([
+        [r.rate(p, sure=sure, shift=0, growth=1, rng=rng) for p in percepts] for r in raters
+    ])
     error = given.std(axis=0) / np.sqrt(len(given))
-    assert np.all(np.abs(given.mean(axis=0) - expect_rating(model, percepts, sure=sure)) < 5 * error)
+    assert np.all(
+        np.abs(given.mean(axis=0) - expect_rating(model, percepts, sure=sure)) < 5 * error
+    )
 
 
 def test_the_ends_of_the_slider_bring_ratings_together() -> None:
@@ -186,5 +219,8 @@ def test_the_ends_of_the_slider_bring_ratings_together() -> None:
 
 
 def test_a_spectral_match_that_nobody_feels_by_is_refused() -> None:
-    with pytest.raises(ValueError, match="spectral_metric: got 'mine', allowed is spectral_match_bounded or spectral"):
+    with pytest.raises(
+        ValueError,
+        match="spectral_metric: got 'mine', allowed is spectral_match_bounded or spectral",
+    ):
         replace(MODEL, spectral_metric="mine")

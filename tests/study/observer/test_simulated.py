@@ -6,23 +6,27 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from protocols.flow import Page
-from protocols.trial import SURFACE, Judgement, Part, Scale, Trial
-from stimuli.manifest import Stimulus
-from study.observer.judging import Touch
-from study.observer.percepts import Percept
-from study.observer.raters import SPECTRAL
-from study.observer.simulated import ObserverModel, SimulatedObserver, identify_observer
-from study.session.chain import Record
-from study.session.ports import Confirm, Feel, Place
+from feel321.protocols.trial import SURFACE, Judgement, Page, Part, Scale, Trial
+from feel321.stimuli.sets.manifest import Stimulus
+from feel321.study.observer.judging import SPECTRAL, ObserverModel, Touch
+from feel321.study.observer.participant import SimulatedObserver, identify_observer
+from feel321.study.observer.percepts import Percept
+from feel321.study.session.journal import Record
+from feel321.study.session.ports import Confirm, Feel, Place
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from study.session.ports import Act
+    from feel321.study.session.ports import Act
 
 MODEL = ObserverModel(
-    intercept=10.0, spectral=45.0, temporal=35.0, bias_sd=6.0, gain_sd=0.15, noise_sd=8.0, noise_spread=0.25
+    intercept=10.0,
+    spectral=45.0,
+    temporal=35.0,
+    bias_sd=6.0,
+    gain_sd=0.15,
+    noise_sd=8.0,
+    noise_spread=0.25,
 )
 EXACT = replace(MODEL, bias_sd=0.0, gain_sd=0.0, noise_sd=0.0, noise_spread=0.0)
 # Every percept is 50 points, so that nothing but what a test plants moves a rating.
@@ -77,7 +81,9 @@ def make_realism(number: int, code: str, *, phase: str = "main") -> Trial:
 
 def make_abx(number: int, code: str) -> Trial:
     parts = (Part("a", code), Part("b", "original"), Part("x", code))
-    return Trial(number, 1, 1, "abx", "abx", "replay", "oak", parts, (Judgement("x", code, "original"),))
+    return Trial(
+        number, 1, 1, "abx", "abx", "replay", "oak", parts, (Judgement("x", code, "original"),)
+    )
 
 
 def make_mushra(number: int, codes: Sequence[str], *, timing: str = "free") -> Trial:
@@ -100,7 +106,9 @@ def feel(observer: SimulatedObserver, part: Part) -> None:
         observer.play(part, (STIMULI | OTHERS)[part.stimulus_id], gap_s=0.5)
 
 
-def lead(observer: SimulatedObserver, trial: Trial, *, done: int = 0, attempt: int = 1) -> list[Act]:
+def lead(
+    observer: SimulatedObserver, trial: Trial, *, done: int = 0, attempt: int = 1
+) -> list[Act]:
     """Lead a participant through a trial, as the engine does; what they did, the answer last."""
     scale = CHOICE if trial.protocol == "abx" else SLIDER
     observer.show_trial(trial, scale, Place(done, TOTAL, attempt))
@@ -114,14 +122,18 @@ def lead(observer: SimulatedObserver, trial: Trial, *, done: int = 0, attempt: i
     return acts
 
 
-def answer(observer: SimulatedObserver, trial: Trial, *, done: int = 0, attempt: int = 1) -> Confirm:
+def answer(
+    observer: SimulatedObserver, trial: Trial, *, done: int = 0, attempt: int = 1
+) -> Confirm:
     act = lead(observer, trial, done=done, attempt=attempt)[-1]
     assert isinstance(act, Confirm)
     return act
 
 
 def rate_all(observer: SimulatedObserver, trials: Iterable[Trial]) -> np.ndarray:
-    return np.array([answer(observer, trial, done=done).values["test"] for done, trial in enumerate(trials)])
+    return np.array([
+        answer(observer, trial, done=done).values["test"] for done, trial in enumerate(trials)
+    ])
 
 
 def fit(ratings: np.ndarray, *columns: Sequence[float]) -> np.ndarray:
@@ -139,32 +151,59 @@ def test_without_differences_and_noise_the_rating_is_the_percept() -> None:
     observer = SimulatedObserver(EXACT, seed=1, number=1)
     for number, (code, stimulus) in enumerate(STIMULI.items(), start=1):
         percept = 10 + 45 * stimulus.spectral_match + 35 * stimulus.temporal_match
-        assert answer(observer, make_realism(number, code)).values["test"] == pytest.approx(percept, abs=0.051)
+        assert answer(observer, make_realism(number, code)).values["test"] == pytest.approx(
+            percept, abs=0.051
+        )
 
 
 @pytest.mark.parametrize(("code", "percept"), [("beyond", 10.0), ("above", 55.0)])
 def test_the_spectral_match_is_cut(code: str, percept: float) -> None:
-    assert answer(SimulatedObserver(EXACT, seed=1, number=1), make_realism(1, code)).values["test"] == percept
+    assert (
+        answer(SimulatedObserver(EXACT, seed=1, number=1), make_realism(1, code)).values["test"]
+        == percept
+    )
 
 
 def test_planted_weights_on_the_matches_are_recovered() -> None:
     trials = make_main(4000)
-    model = replace(MODEL, intercept=15.0, bias_sd=0.0, gain_sd=0.0, noise_spread=0.0, spectral=40.0, temporal=25.0)
+    model = replace(
+        MODEL,
+        intercept=15.0,
+        bias_sd=0.0,
+        gain_sd=0.0,
+        noise_spread=0.0,
+        spectral=40.0,
+        temporal=25.0,
+    )
     found = fit(rate_all(SimulatedObserver(model, seed=1, number=1), trials), *matches(trials))
     assert found == pytest.approx([15.0, 40.0, 25.0], rel=0.06)
 
 
 def test_planted_weights_on_the_distances_are_recovered() -> None:
     rng = np.random.default_rng(4)
-    percepts = {s.stimulus_id: Percept(rng.uniform(0, 10), rng.uniform(), rng.uniform(-6, 6)) for s in STIMULI.values()}
+    percepts = {
+        s.stimulus_id: Percept(rng.uniform(0, 10), rng.uniform(), rng.uniform(-6, 6))
+        for s in STIMULI.values()
+    }
     trials = make_main(4000)
     model = replace(
-        MODEL, bias_sd=0.0, gain_sd=0.0, intercept=65.0, spectral=0.0, temporal=0.0,
-        threshold_spectral=3.0, envelope=15.0, level=1.5,
-    )  # fmt: skip
+        MODEL,
+        bias_sd=0.0,
+        gain_sd=0.0,
+        intercept=65.0,
+        spectral=0.0,
+        temporal=0.0,
+        threshold_spectral=3.0,
+        envelope=15.0,
+        level=1.5,
+    )
     ratings = rate_all(SimulatedObserver(model, seed=1, number=1, percepts=percepts), trials)
     felt = [percepts[STIMULI[str(trial.parts[0].stimulus_id)].stimulus_id] for trial in trials]
-    columns = ([p.spectral_db for p in felt], [p.envelope for p in felt], [p.level_db for p in felt])
+    columns = (
+        [p.spectral_db for p in felt],
+        [p.envelope for p in felt],
+        [p.level_db for p in felt],
+    )
     assert fit(ratings, *columns) == pytest.approx([65.0, -3.0, -15.0, 1.5], rel=0.06)
 
 
@@ -172,7 +211,9 @@ def test_planted_weights_on_the_distances_are_recovered() -> None:
 def test_a_planted_effect_is_found_in_the_item_means(spectral: float, temporal: float) -> None:
     trials = [make_realism(number, code) for number, code in enumerate(STIMULI, start=1)]
     model = replace(MODEL, spectral=spectral, temporal=temporal)
-    means = np.mean([rate_all(SimulatedObserver(model, seed=1, number=n), trials) for n in range(1, 17)], axis=0)
+    means = np.mean(
+        [rate_all(SimulatedObserver(model, seed=1, number=n), trials) for n in range(1, 17)], axis=0
+    )
     r_spectral, r_temporal = (np.corrcoef(means, column)[0, 1] for column in matches(trials))
     assert (r_spectral > r_temporal + 0.5) == (spectral > 0)
     assert (r_temporal > r_spectral + 0.5) == (temporal > 0)
@@ -182,19 +223,27 @@ def test_a_planted_effect_is_found_in_the_item_means(spectral: float, temporal: 
 def test_participants_differ_by_number_in_bias_gain_and_noise() -> None:
     trials = make_main(20)
     flat = replace(FLAT, bias_sd=6.0)
-    biases = np.array([rate_all(SimulatedObserver(flat, seed=1, number=n), trials) for n in range(1, 201)])
+    biases = np.array([
+        rate_all(SimulatedObserver(flat, seed=1, number=n), trials) for n in range(1, 201)
+    ])
     assert np.ptp(biases, axis=1).max() == 0.0
     assert biases[:, 0].std(ddof=1) == pytest.approx(6.0, rel=0.15)
     noisy = replace(FLAT, noise_sd=8.0)
-    noise = np.array([rate_all(SimulatedObserver(noisy, seed=1, number=n), trials) for n in range(1, 201)])
+    noise = np.array([
+        rate_all(SimulatedObserver(noisy, seed=1, number=n), trials) for n in range(1, 201)
+    ])
     assert noise.std(ddof=1) == pytest.approx(8.0, rel=0.04)
-    assert np.corrcoef(noise[0::2].ravel(), noise[1::2].ravel())[0, 1] == pytest.approx(0.0, abs=0.07)
+    assert np.corrcoef(noise[0::2].ravel(), noise[1::2].ravel())[0, 1] == pytest.approx(
+        0.0, abs=0.07
+    )
 
 
 @pytest.mark.parametrize("fatigue", [-4.0, 6.0])
 def test_planted_drift_is_recovered(fatigue: float) -> None:
     trials = make_main(400)
-    ratings = rate_all(SimulatedObserver(replace(FLAT, fatigue=fatigue, noise_sd=3.0), seed=1, number=1), trials)
+    ratings = rate_all(
+        SimulatedObserver(replace(FLAT, fatigue=fatigue, noise_sd=3.0), seed=1, number=1), trials
+    )
     assert 100 * fit(ratings, range(400))[1] == pytest.approx(fatigue, rel=0.1)
 
 
@@ -202,7 +251,8 @@ def test_planted_growth_of_the_noise_is_recovered() -> None:
     observer = SimulatedObserver(replace(FLAT, noise_sd=4.0, fatigue_noise=0.25), seed=1, number=1)
     trials = make_main(3000)
     spreads = [
-        np.std([answer(observer, trial, done=done).values["test"] for trial in trials]) for done in (0, 200, 400)
+        np.std([answer(observer, trial, done=done).values["test"] for trial in trials])
+        for done in (0, 200, 400)
     ]
     assert spreads == pytest.approx([4.0, 6.0, 8.0], rel=0.05)
 
@@ -210,7 +260,9 @@ def test_planted_growth_of_the_noise_is_recovered() -> None:
 @pytest.mark.parametrize("order", [0.2, -0.1])
 def test_planted_contrast_is_recovered(order: float) -> None:
     trials = make_main(3000)
-    ratings = rate_all(SimulatedObserver(replace(EXACT, noise_sd=5.0, order=order), seed=1, number=1), trials)
+    ratings = rate_all(
+        SimulatedObserver(replace(EXACT, noise_sd=5.0, order=order), seed=1, number=1), trials
+    )
     percepts = 10 + np.array([45.0, 35.0]) @ np.array(matches(trials))
     intercept, own, before = fit(ratings[1:], percepts[1:], percepts[:-1])
     assert (own, before) == (pytest.approx(1.0, rel=0.03), pytest.approx(-order, rel=0.12))
@@ -221,18 +273,24 @@ def test_planted_contrast_is_recovered(order: float) -> None:
 def test_only_trials_of_the_main_phase_on_the_same_scale_make_contrast() -> None:
     contrast = replace(EXACT, order=0.5)
     observer = SimulatedObserver(contrast, seed=1, number=1)
-    alone = [answer(SimulatedObserver(EXACT, seed=1, number=1), t).values["test"] for t in make_main(3)]
+    alone = [
+        answer(SimulatedObserver(EXACT, seed=1, number=1), t).values["test"] for t in make_main(3)
+    ]
     first, second, third = make_main(3)
     assert answer(observer, replace(first, phase="training")).values["test"] == alone[0]
     assert answer(observer, second).values["test"] == alone[1]
     assert answer(observer, replace(third, phase="practice")).values["test"] == alone[2]
-    assert answer(observer, third).values["test"] == pytest.approx(alone[2] - 0.5 * (alone[1] - 50), abs=0.1)
+    assert answer(observer, third).values["test"] == pytest.approx(
+        alone[2] - 0.5 * (alone[1] - 50), abs=0.1
+    )
     answer(observer, make_abx(4, "code1"))
     assert answer(observer, first).values["test"] == alone[0]
 
 
 def test_lapses_reach_the_answers() -> None:
-    ratings = rate_all(SimulatedObserver(replace(FLAT, lapse_rate=0.1), seed=1, number=1), make_main(4000))
+    ratings = rate_all(
+        SimulatedObserver(replace(FLAT, lapse_rate=0.1), seed=1, number=1), make_main(4000)
+    )
     assert np.mean(ratings != 50.0) == pytest.approx(0.1, abs=0.015)
 
 
@@ -258,7 +316,9 @@ def test_bad_raters_are_told_from_the_others_by_their_ratings() -> None:
 def test_choices_follow_the_percepts() -> None:
     observer = SimulatedObserver(replace(EXACT, noise_sd=5.0), seed=1, number=1)
     correct = {
-        code: np.mean([answer(observer, make_abx(n, code)).values["x"] == "a" for n in range(1, 1001)])
+        code: np.mean([
+            answer(observer, make_abx(n, code)).values["x"] == "a" for n in range(1, 1001)
+        ])
         for code in ("original", "near", "far")
     }
     # 0.1 of temporal match is 3.5 points, d' = 0.7; the model's proportion correct is tested with the raters.
@@ -272,7 +332,10 @@ def test_choices_follow_the_percepts() -> None:
 def test_growing_noise_makes_choices_worse() -> None:
     observer = SimulatedObserver(replace(EXACT, noise_sd=3.0, fatigue_noise=1.0), seed=1, number=1)
     rested, tired = (
-        np.mean([answer(observer, make_abx(n, "near"), done=done).values["x"] == "a" for n in range(1, 1001)])
+        np.mean([
+            answer(observer, make_abx(n, "near"), done=done).values["x"] == "a"
+            for n in range(1, 1001)
+        ])
         for done in (0, 1000)
     )
     assert rested > tired + 0.05
@@ -298,7 +361,9 @@ def test_every_slider_of_a_page_is_answered_by_itself() -> None:
 def test_participants_agree_on_what_is_identical_and_not_on_how_much_less_the_rest_is() -> None:
     trial = make_mushra(1, ["original", "code1"])
     stretched = replace(EXACT, gain_sd=0.3)
-    answers = [answer(SimulatedObserver(stretched, seed=1, number=n), trial).values for n in range(1, 51)]
+    answers = [
+        answer(SimulatedObserver(stretched, seed=1, number=n), trial).values for n in range(1, 51)
+    ]
     assert {values["1"] for values in answers} == {100.0}
     assert len({values["2"] for values in answers}) > 40
 
@@ -314,7 +379,17 @@ def test_every_slider_takes_its_time() -> None:
 
 def test_the_real_surface_is_stroked_and_stands_for_the_original() -> None:
     parts = (Part("reference", surface="oak"), Part("test", "far"))
-    trial = Trial(1, 1, 1, "similarity", "similarity", "replay", "oak", parts, (Judgement("test", "far", SURFACE),))
+    trial = Trial(
+        1,
+        1,
+        1,
+        "similarity",
+        "similarity",
+        "replay",
+        "oak",
+        parts,
+        (Judgement("test", "far", SURFACE),),
+    )
     observer = SimulatedObserver(EXACT, seed=1, number=1)
     assert answer(observer, trial).values["test"] == 20.0
     assert observer.prompt(parts[0]).completed
@@ -324,7 +399,15 @@ def test_what_is_felt_at_will_is_felt_in_order_before_the_answer() -> None:
     acts = lead(SimulatedObserver(MODEL, seed=1, number=1), make_mushra(1, ["code1", "code2"]))
     assert [act.part for act in acts[:-1] if isinstance(act, Feel)] == ["reference", "1", "2"]
     assert isinstance(acts[-1], Confirm)
-    assert len(lead(SimulatedObserver(MODEL, seed=1, number=1), make_mushra(1, ["code1"], timing="replay"))) == 1
+    assert (
+        len(
+            lead(
+                SimulatedObserver(MODEL, seed=1, number=1),
+                make_mushra(1, ["code1"], timing="replay"),
+            )
+        )
+        == 1
+    )
 
 
 def test_what_was_not_felt_is_felt_before_the_same_answer_is_given_again() -> None:
@@ -351,7 +434,10 @@ def test_time_goes_on_by_what_is_felt_and_answered() -> None:
     part = Part("test", "code1")
     observer.show_trial(make_realism(1, "code1"), SLIDER, Place(0, TOTAL))
     playbacks = [observer.play(part, STIMULI["code1"], gap_s=0.5) for _ in range(2)]
-    assert [(p.requested_s, p.onset_s, p.completed) for p in playbacks] == [(100.5, 100.5, True), (102.0, 102.0, True)]
+    assert [(p.requested_s, p.onset_s, p.completed) for p in playbacks] == [
+        (100.5, 100.5, True),
+        (102.0, 102.0, True),
+    ]
     act = observer.wait()
     assert isinstance(act, Confirm)
     assert act.time_s == pytest.approx(103.0 + act.response_time_s)
@@ -360,8 +446,17 @@ def test_time_goes_on_by_what_is_felt_and_answered() -> None:
 def test_seed_number_trial_and_attempt_decide_and_nothing_else() -> None:
     trial = make_realism(5, "code1")
 
-    def ask(*, seed: int = 1, number: int = 1, trial: Trial = trial, attempt: int = 1, late_s: float = 0.0) -> object:
-        observer = SimulatedObserver(replace(FLAT, noise_sd=9.0), seed=seed, number=number, elapsed_s=late_s)
+    def ask(
+        *,
+        seed: int = 1,
+        number: int = 1,
+        trial: Trial = trial,
+        attempt: int = 1,
+        late_s: float = 0.0,
+    ) -> object:
+        observer = SimulatedObserver(
+            replace(FLAT, noise_sd=9.0), seed=seed, number=number, elapsed_s=late_s
+        )
         answer(observer, make_realism(2, "code2"))
         return answer(observer, trial, attempt=attempt).values
 
@@ -371,11 +466,15 @@ def test_seed_number_trial_and_attempt_decide_and_nothing_else() -> None:
 
 
 def record(trial: Trial, confirmed: Confirm, *, rejected: bool = False) -> Record:
-    return Record(0, "", "rated", {"trial": trial.number, "values": confirmed.values, "rejected": rejected})
+    return Record(
+        0, "", "rated", {"trial": trial.number, "values": confirmed.values, "rejected": rejected}
+    )
 
 
 @pytest.mark.parametrize("broken_after", [0, 1, 7, 19])
-def test_a_resumed_session_gives_the_answers_and_times_of_an_unbroken_one(broken_after: int) -> None:
+def test_a_resumed_session_gives_the_answers_and_times_of_an_unbroken_one(
+    broken_after: int,
+) -> None:
     model = replace(MODEL, order=0.3, fatigue=20.0, fatigue_noise=0.5, lapse_rate=0.1)
     trials = [*make_main(18), make_mushra(19, ["code1", "far"]), make_mushra(20, ["near", "code5"])]
     unbroken = SimulatedObserver(model, seed=3, number=2)
@@ -384,10 +483,19 @@ def test_a_resumed_session_gives_the_answers_and_times_of_an_unbroken_one(broken
     records = [record(trial, act) for trial, act in zip(trials, before, strict=False)]
     # Practice, and a trial that was shown and never answered, leave no trace.
     practice = make_realism(99, "far", phase="practice")
-    records += [record(practice, whole[0]), Record(0, "", "shown", {"trial": broken_after + 1, "attempt": 1})]
-    resumed = SimulatedObserver(model, seed=3, number=2, elapsed_s=before[-1].time_s if before else 0.0)
+    records += [
+        record(practice, whole[0]),
+        Record(0, "", "shown", {"trial": broken_after + 1, "attempt": 1}),
+    ]
+    resumed = SimulatedObserver(
+        model, seed=3, number=2, elapsed_s=before[-1].time_s if before else 0.0
+    )
     resumed.recall(records, [*trials, practice], stimuli=STIMULI | OTHERS)
-    rest = [answer(resumed, trial, done=done) for done, trial in enumerate(trials) if done >= broken_after]
+    rest = [
+        answer(resumed, trial, done=done)
+        for done, trial in enumerate(trials)
+        if done >= broken_after
+    ]
     assert before + rest == whole
 
 
@@ -413,12 +521,16 @@ def test_an_answer_that_did_not_count_is_remembered_and_one_that_was_refused_is_
     both = [record(first, confirmed), record(second, confirmed, rejected=True)]
     after_second = go_on(lambda observer: recall(observer, both))
     assert go_on(be_refused) == after_first != after_second
-    assert go_on(lambda observer: [answer(observer, first), answer(observer, second)]) == after_second
+    assert (
+        go_on(lambda observer: [answer(observer, first), answer(observer, second)]) == after_second
+    )
 
 
 def test_percepts_that_are_missing_are_refused_where_they_matter() -> None:
     observer = SimulatedObserver(replace(MODEL, level=2.0), seed=1, number=1)
-    with pytest.raises(ValueError, match=r"stimulus s1: got no percept, the observer's weights need one; read"):
+    with pytest.raises(
+        ValueError, match=r"stimulus s1: got no percept, the observer's weights need one; read"
+    ):
         answer(observer, make_realism(1, "code1"))
 
 

@@ -99,7 +99,9 @@ class Seat:
     def heed(self, event: str, **wanted: Any) -> None:
         """Wait until the journal would hold such an event."""
         end_s = time.monotonic() + PATIENCE_S
-        while not any(all(told[name] == value for name, value in wanted.items()) for told in self.find(event)):
+        while not any(
+            all(told[name] == value for name, value in wanted.items()) for told in self.find(event)
+        ):
             self._read_on(end_s)
 
     def _read_on(self, end_s: float) -> None:
@@ -177,11 +179,15 @@ class Seat:
 
     def reach(self, *words: str) -> None:
         """Move a key or the mouse, and wait until the screen has shown a frame since."""
-        self.do(*words, "getmouselocation")  # once the X server answers this, the rest has been sent to the window
+        self.do(
+            *words, "getmouselocation"
+        )  # once the X server answers this, the rest has been sent to the window
         self.order("look")
 
     def do(self, *words: str) -> str:
-        return subprocess.run(["xdotool", *words], env=self.env, check=True, capture_output=True, text=True).stdout
+        return subprocess.run(
+            ["xdotool", *words], env=self.env, check=True, capture_output=True, text=True
+        ).stdout
 
     def read_errors(self) -> str:
         return self.process.stderr.read() if self.process.stderr else ""
@@ -199,7 +205,11 @@ def seat(display: Callable[[int, int], dict[str, str]]) -> Iterator[Callable[...
 
     def take_seat(*steps: dict[str, Any], size: tuple[int, int] = (1024, 768), **spec: Any) -> Seat:
         env = display(*size)
-        command = [sys.executable, str(HERE / "lead.py"), json.dumps({"steps": steps, "size": size, **spec})]
+        command = [
+            sys.executable,
+            str(HERE / "lead.py"),
+            json.dumps({"steps": steps, "size": size, **spec}),
+        ]
         pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
         process = subprocess.Popen(command, env=env, **pipes, text=True)
         seats.append(Seat(process, env, spec.get("held", False)))

@@ -12,21 +12,18 @@ import zlib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from protocols.flow import PAGES, Page
-from protocols.registry import PROTOCOLS
-from protocols.texts import read_texts
-from protocols.trial import Judgement, Part, Trial
-from study.screen.fonts import measure
-from study.screen.layout import compose
-from study.screen.shapes import LEADING, Text
-from study.screen.views import View
-from study.screen.window import open_screen
-from study.screen.wording import make_screen_texts
-from study.session.ports import Place
+from feel321.protocols.tasks import PROTOCOLS
+from feel321.protocols.texts import read_texts
+from feel321.protocols.trial import PAGES, Judgement, Page, Part, Trial
+from feel321.study.screen.drawing import LEADING, Text, measure
+from feel321.study.screen.layout import compose
+from feel321.study.screen.parts import View, make_screen_texts
+from feel321.study.screen.window import open_screen
+from feel321.study.session.ports import Place
 
 if TYPE_CHECKING:
-    from protocols.trial import Scale
-    from study.screen.window import Window
+    from feel321.protocols.trial import Scale
+    from feel321.study.screen.window import Window
 
 PARTS = {
     "realism": (Part("test", "s1"),),
@@ -36,7 +33,11 @@ PARTS = {
     "abx": (Part("a", "s0"), Part("b", "s1"), Part("x", "s0")),
     "mushra": (Part("reference", "s0"), *(Part(str(n), f"s{n}") for n in range(1, 13))),
 }
-JUDGED = {"abx": ("x",), "dissimilarity": ("second",), "mushra": tuple(str(n) for n in range(1, 13))}
+JUDGED = {
+    "abx": ("x",),
+    "dissimilarity": ("second",),
+    "mushra": tuple(str(n) for n in range(1, 13)),
+}
 
 
 def make_trial(name: str, *, timing: str = "", rows: int = 12) -> Trial:
@@ -56,18 +57,29 @@ def make_trial(name: str, *, timing: str = "", rows: int = 12) -> Trial:
     )
 
 
-def make_views(scales: dict[str, Scale], texts: dict, *, picture: Path | None = None) -> dict[str, View]:
+def make_views(
+    scales: dict[str, Scale], texts: dict, *, picture: Path | None = None
+) -> dict[str, View]:
     """Every page, and every kind of trial in every state, with the longest notices."""
     place = Place(12, 80)
     views = {}
-    keys = [*(key for key in PAGES if key != "instructions"), *(f"instructions.{name}" for name in PROTOCOLS)]
+    keys = [
+        *(key for key in PAGES if key != "instructions"),
+        *(f"instructions.{name}" for name in PROTOCOLS),
+    ]
     for number, key in enumerate(keys):
         by = "experimenter" if key == "training_failed" else "participant"
         left_s = 27 if key in {"break", "rest"} else 0
         notice = texts["prompts"]["end_next"] if key == "pause" else ""
         notice = texts["refusals"]["too_early"] if left_s else notice
         views[f"page {key}"] = View(
-            "page", "reading", number, place, page=Page(key, 60.0 if left_s else 0.0, by), left_s=left_s, notice=notice
+            "page",
+            "reading",
+            number,
+            place,
+            page=Page(key, 60.0 if left_s else 0.0, by),
+            left_s=left_s,
+            notice=notice,
         )
     names = ", ".join(texts["parts"].get(name, name) for name in ("reference", "test"))
     missing = texts["refusals"]["not_felt"].format(parts=names)
@@ -79,12 +91,30 @@ def make_views(scales: dict[str, Scale], texts: dict, *, picture: Path | None = 
         shown = picture if name in {"touched", "realism"} else None
         base = {"trial": trial, "scale": scales[trial.scale], "picture": shown, "sample": "Cotton"}
         views[f"{name} feeling"] = View(
-            kind, "feeling", 50, place, **base, playing=parts[-1], felt=frozenset(parts[:-1]), selected=judged[0]
+            kind,
+            "feeling",
+            50,
+            place,
+            **base,
+            playing=parts[-1],
+            felt=frozenset(parts[:-1]),
+            selected=judged[0],
         )
         views[f"{name} fresh"] = View(
-            kind, "answering", 50, place, **base, felt=frozenset(parts), selected=judged[0], notice=missing
+            kind,
+            "answering",
+            50,
+            place,
+            **base,
+            felt=frozenset(parts),
+            selected=judged[0],
+            notice=missing,
         )
-        markers = {part: 100.0 if n == 0 else 7.0 * n for n, part in enumerate(judged)} if kind != "choice" else {}
+        markers = (
+            {part: 100.0 if n == 0 else 7.0 * n for n, part in enumerate(judged)}
+            if kind != "choice"
+            else {}
+        )
         views[f"{name} answered"] = View(
             kind,
             "answering",
@@ -98,12 +128,27 @@ def make_views(scales: dict[str, Scale], texts: dict, *, picture: Path | None = 
         )
     trial = make_trial("touched")
     views["touched stroking"] = View(
-        "slider", "stroking", 51, place, trial=trial, scale=scales["realism"], playing="surface", picture=picture,
-        sample="Cotton on foam, sample 14", selected="test",
+        "slider",
+        "stroking",
+        51,
+        place,
+        trial=trial,
+        scale=scales["realism"],
+        playing="surface",
+        picture=picture,
+        sample="Cotton on foam, sample 14",
+        selected="test",
     )
     trial = make_trial("mushra", rows=5)
     views["mushra of five"] = View(
-        "rows", "answering", 52, place, trial=trial, scale=scales["mushra"], markers={"2": 44.0}, selected="3"
+        "rows",
+        "answering",
+        52,
+        place,
+        trial=trial,
+        scale=scales["mushra"],
+        markers={"2": 44.0},
+        selected="3",
     )
     return views
 
@@ -111,11 +156,14 @@ def make_views(scales: dict[str, Scale], texts: dict, *, picture: Path | None = 
 def write_picture(path: Path) -> Path:
     """A picture of stripes, as a surface may look like."""
     size = 300
-    rows = b"".join(b"\0" + bytes(120 + (x * y // 40) % 120 for x in range(size)) for y in range(size))
+    rows = b"".join(
+        b"\0" + bytes(120 + (x * y // 40) % 120 for x in range(size)) for y in range(size)
+    )
     head = struct.pack(">2I5B", size, size, 8, 0, 0, 0, 0)
     chunks = [(b"IHDR", head), (b"IDAT", zlib.compress(rows)), (b"IEND", b"")]
     body = b"".join(
-        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in chunks
     )
     path.write_bytes(b"\x89PNG\r\n\x1a\n" + body)
     return path
@@ -132,7 +180,7 @@ def check_widths(window: Window) -> None:
 
 def save_gallery(folder: Path, language: str, size: tuple[int, int]) -> None:
     """Save a picture of every screen."""
-    from protocols.texts import read_scales
+    from feel321.protocols.texts import read_scales
 
     tables = read_texts(language)
     views = make_views(read_scales(language), tables, picture=write_picture(folder / "surface.png"))

@@ -15,17 +15,16 @@ from pathlib import Path
 from runpy import run_path
 from typing import Any
 
-from protocols.flow import Flow, Page
-from protocols.texts import read_scales, read_texts
-from study.actuator.output import Delivery
-from study.screen.layout import compose
-from study.screen.presenter import ScreenPresenter
-from study.screen.views import Hand, View
-from study.screen.window import Window, open_screen
-from study.screen.wording import make_screen_texts
-from study.session.conduct import Stage, Stopped, conduct_page, conduct_trial
-from study.session.ports import Place
-from study.settings.sources import Surface
+from feel321.protocols.texts import read_scales, read_texts
+from feel321.protocols.trial import Flow, Page
+from feel321.study.actuator.output import Delivery
+from feel321.study.screen.layout import compose
+from feel321.study.screen.parts import Hand, View, make_screen_texts
+from feel321.study.screen.presenter import ScreenPresenter
+from feel321.study.screen.window import Window, open_screen
+from feel321.study.session.engine import Stage, Stopped, conduct_page, conduct_trial
+from feel321.study.session.ports import Place
+from feel321.study.settings.read import Surface
 
 gallery = run_path(str(Path(__file__).with_name("gallery.py")))
 
@@ -65,7 +64,9 @@ class Orders:
         threading.Thread(target=self._read, daemon=True).start()
 
     def _read(self) -> None:
-        with open(0, "rb", buffering=0, closefd=False) as orders:  # a buffer would be locked at the end
+        with open(
+            0, "rb", buffering=0, closefd=False
+        ) as orders:  # a buffer would be locked at the end
             for line in orders:
                 self._given.put(line.decode().strip())
 
@@ -102,7 +103,9 @@ class SilentOutput:
 
     def collect(self) -> Delivery:
         tell(collected=clock())
-        return Delivery(self.began_s, self.began_s, completed=not self.was_stopped, measured={"dac_time_s": 1.0})
+        return Delivery(
+            self.began_s, self.began_s, completed=not self.was_stopped, measured={"dac_time_s": 1.0}
+        )
 
 
 class Watcher(Hand):
@@ -120,12 +123,17 @@ class Watcher(Hand):
         targets = compose(view, self.texts, size=self.window.size).targets
         tell(
             view={
-                **{name: getattr(view, name) for name in ("kind", "state", "screen", "playing", "notice", "typed")},
+                **{
+                    name: getattr(view, name)
+                    for name in ("kind", "state", "screen", "playing", "notice", "typed")
+                },
                 **{name: getattr(view, name) for name in ("selected", "chosen", "left_s")},
                 "page": view.page.key if view.page else "",
                 "felt": sorted(view.felt),
                 "markers": dict(view.markers),
-                "targets": {f"{t.name} {t.part}".strip(): asdict(t.track or t.box) for t in targets},
+                "targets": {
+                    f"{t.name} {t.part}".strip(): asdict(t.track or t.box) for t in targets
+                },
             },
             time_s=clock(),
         )
@@ -153,10 +161,16 @@ def main(spec: dict[str, Any]) -> None:
     output = SilentOutput(spec.get("duration_s", 0.3))
     picture = Path(spec["picture"]) if "picture" in spec else None
     surfaces = {"felt": Surface("Cotton", picture)}
-    with open_screen(clock=clock, windowed=spec.get("windowed", False), size=spec.get("size")) as window:
+    with open_screen(
+        clock=clock, windowed=spec.get("windowed", False), size=spec.get("size")
+    ) as window:
         watcher = Watcher(texts, window)
-        presenter = ScreenPresenter(window, output, texts, clock=clock, surfaces=surfaces, hand=watcher)
-        stage = Stage(presenter, dict.fromkeys(f"s{n}" for n in range(13)), scales, Journal(), Flow(gap_s=0.1))
+        presenter = ScreenPresenter(
+            window, output, texts, clock=clock, surfaces=surfaces, hand=watcher
+        )
+        stage = Stage(
+            presenter, dict.fromkeys(f"s{n}" for n in range(13)), scales, Journal(), Flow(gap_s=0.1)
+        )
         try:
             for step in spec["steps"]:
                 conduct(step, stage)

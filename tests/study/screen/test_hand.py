@@ -6,17 +6,15 @@ from dataclasses import dataclass, field, replace
 
 import pytest
 
-from protocols.flow import Page
-from protocols.texts import read_scales
-from protocols.trial import Judgement, Part, Trial
-from stimuli.manifest import Stimulus
-from study.casting import tell_person
-from study.observer.participant import Participant
-from study.observer.raters import ObserverModel
-from study.observer.simulated import SimulatedObserver
-from study.screen.hand import THINKING_S, PressingHand
-from study.screen.views import View
-from study.session.ports import Place
+from feel321.protocols.texts import read_scales
+from feel321.protocols.trial import Judgement, Page, Part, Trial
+from feel321.stimuli.sets.manifest import Stimulus
+from feel321.study.observer.judging import ObserverModel
+from feel321.study.observer.participant import Participant, SimulatedObserver
+from feel321.study.screen.parts import View
+from feel321.study.screen.robot import THINKING_S, PressingHand
+from feel321.study.session.ports import Place
+from feel321.study.sessions import tell_person
 
 SCALES = read_scales()
 KINDS = {"realism": "slider", "similarity": "slider", "mushra": "rows", "abx": "choice"}
@@ -36,7 +34,23 @@ NAMES = {"realism": ("test",), "similarity": ("reference", "test"), "abx": ("a",
 
 def make_stimulus(name: str, match: float) -> Stimulus:
     return Stimulus(
-        name, "oak", name, "as_is", "test", f"{name}.wav", 48000.0, 9600, 0.2, 0.5, 1.0, 1.0, match, match, 0, "", ""
+        name,
+        "oak",
+        name,
+        "as_is",
+        "test",
+        f"{name}.wav",
+        48000.0,
+        9600,
+        0.2,
+        0.5,
+        1.0,
+        1.0,
+        match,
+        match,
+        0,
+        "",
+        "",
     )
 
 
@@ -80,7 +94,9 @@ class Screen:
         elif view.kind == "choice" and view.scale is not None:
             self.view = replace(view, chosen=view.scale.choices[int(key) - 1])
         elif key == "r":
-            self.view = replace(view, felt=frozenset(part.name for part in view.trial.parts if view.trial))
+            self.view = replace(
+                view, felt=frozenset(part.name for part in view.trial.parts if view.trial)
+            )
         elif view.kind == "rows" and key.isdigit():
             self.view = replace(view, felt=view.felt | {"reference" if key == "0" else key})
         elif key.isdigit():
@@ -166,18 +182,24 @@ def ask_mind_alone(protocols: list[str]) -> list[dict[str, float | str]]:
 def test_the_hand_gives_the_answers_of_the_mind_in_whole_points(lost: set[int]) -> None:
     protocols = ["realism", "realism", "mushra", "mushra", "abx", "abx", "similarity", "similarity"]
     visit = Visit()
-    for number, (protocol, answer) in enumerate(zip(protocols, ask_mind_alone(protocols), strict=True), start=1):
+    for number, (protocol, answer) in enumerate(
+        zip(protocols, ask_mind_alone(protocols), strict=True), start=1
+    ):
         screen = visit.meet(bring_up(number, protocol), lost=lost)
         if protocol == "abx":
             assert {"x": screen.view.chosen} == answer
         else:
-            assert dict(screen.view.markers) == {part: round(float(value)) for part, value in answer.items()}
+            assert dict(screen.view.markers) == {
+                part: round(float(value)) for part, value in answer.items()
+            }
         assert screen.view.felt == {part.name for part in make_trial(number, protocol).parts}
 
 
 def test_every_way_to_move_a_marker_is_gone() -> None:
     visit = Visit()
-    pressed = {key for number in range(1, 9) for key in visit.meet(bring_up(number, "realism")).pressed}
+    pressed = {
+        key for number in range(1, 9) for key in visit.meet(bring_up(number, "realism")).pressed
+    }
     assert {"Left", "Right", "Up", "Down", "Return"} & pressed > {"Right", "Return"}
     assert any(key.isdigit() for key in pressed)
     rows = visit.meet(bring_up(9, "mushra")).pressed
@@ -223,7 +245,11 @@ def test_what_was_not_felt_to_its_end_is_felt_again_before_the_answer() -> None:
 
 def test_a_trial_on_the_real_surface_is_answered_too() -> None:
     view = bring_up(1, "realism")
-    trial = replace(view.trial, parts=(Part("surface", surface="oak"), *view.trial.parts)) if view.trial else None
+    trial = (
+        replace(view.trial, parts=(Part("surface", surface="oak"), *view.trial.parts))
+        if view.trial
+        else None
+    )
     felt = frozenset({"surface", "test"})
     assert Visit().meet(replace(view, trial=trial, felt=felt)).view.markers["test"] >= 0
 
@@ -232,5 +258,3 @@ def test_a_trial_on_the_real_surface_is_answered_too() -> None:
 def test_numbered_participants_are_the_persons_of_simulate(code: str, number: int) -> None:
     assert tell_person(code) == number
     assert tell_person("p07") != tell_person("p08")
-
-

@@ -2,9 +2,17 @@ from __future__ import annotations
 
 import pytest
 
-from study.screen.desk import Markers
-from study.screen.events import Press, Release, drop_repeats
-from study.screen.keyboard import COARSE_SPEEDS, Digits, Held, Twice, count_repeats
+from feel321.study.screen.input import (
+    COARSE_SPEEDS,
+    Digits,
+    Held,
+    Markers,
+    Press,
+    Release,
+    Twice,
+    count_repeats,
+    drop_repeats,
+)
 
 
 def test_held_keys_cross_the_scale_in_three_seconds() -> None:
@@ -27,12 +35,7 @@ def test_only_the_last_key_repeats_and_none_when_released() -> None:
 
 @pytest.mark.parametrize(
     ("keys", "values"),
-    [
-        ("75", [None, 75.0]),
-        ("100", [None, None, 100.0]),
-        ("10", [None, None]),
-        ("00", [None, 0.0]),
-    ],
+    [("75", [None, 75.0]), ("100", [None, None, 100.0]), ("10", [None, None]), ("00", [None, 0.0])],
 )
 def test_digits(keys: str, values: list[float | None]) -> None:
     digits = Digits()
@@ -49,7 +52,13 @@ def test_digits_wait_for_the_next_one() -> None:
 
 def test_twice_means_within_a_second() -> None:
     twice = Twice()
-    assert [twice.press(time_s) for time_s in (0.0, 1.5, 2.0, 2.1, 2.2)] == [False, False, True, False, True]
+    assert [twice.press(time_s) for time_s in (0.0, 1.5, 2.0, 2.1, 2.2)] == [
+        False,
+        False,
+        True,
+        False,
+        True,
+    ]
 
 
 def test_a_real_second_press_is_no_repeat() -> None:

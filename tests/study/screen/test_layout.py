@@ -10,16 +10,24 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from protocols.flow import Page
-from protocols.texts import list_languages, read_scales, read_texts
-from study.screen import shapes
-from study.screen.fonts import measure
-from study.screen.grid import BODY, Grid
-from study.screen.layout import compose
-from study.screen.shapes import LEADING, Area, Box, Picture, Target, Text, round_corners
-from study.screen.views import View
-from study.screen.wording import make_screen_texts
-from study.session.ports import Place
+from feel321.protocols.texts import list_languages, read_scales, read_texts
+from feel321.protocols.trial import Page
+from feel321.study.screen import drawing
+from feel321.study.screen.drawing import (
+    BODY,
+    LEADING,
+    Area,
+    Box,
+    Grid,
+    Picture,
+    Target,
+    Text,
+    measure,
+    round_corners,
+)
+from feel321.study.screen.layout import compose
+from feel321.study.screen.parts import View, make_screen_texts
+from feel321.study.session.ports import Place
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -88,14 +96,20 @@ def test_question_is_larger_than_what_surrounds_it(gallery: dict[str, Any]) -> N
     texts = make_screen_texts(read_texts())
     view = gallery["make_views"](read_scales(), read_texts())["similarity fresh"]
     items = compose(view, texts, size=(1920, 1080)).items
-    question = next(item for item in items if isinstance(item, Text) and item.words.startswith("How similar"))
+    question = next(
+        item for item in items if isinstance(item, Text) and item.words.startswith("How similar")
+    )
     assert question.size >= 0.03 * 1080
 
 
 def test_nothing_reveals_the_condition(gallery: dict[str, Any]) -> None:
     texts = make_screen_texts(read_texts())
     for view in gallery["make_views"](read_scales(), read_texts()).values():
-        words = [item.words for item in compose(view, texts, size=(1920, 1080)).items if isinstance(item, Text)]
+        words = [
+            item.words
+            for item in compose(view, texts, size=(1920, 1080)).items
+            if isinstance(item, Text)
+        ]
         assert not {"s0", "s1", "felt", "similarity", "dft321"} & set(words)
 
 
@@ -104,26 +118,43 @@ def test_slider_has_no_marker_until_it_was_moved(gallery: dict[str, Any]) -> Non
     views = gallery["make_views"](read_scales(), read_texts())
 
     def count_blue(name: str) -> int:
-        target = next(t for t in compose(views[name], texts, size=(1920, 1080)).targets if t.name == "mark")
+        target = next(
+            t for t in compose(views[name], texts, size=(1920, 1080)).targets if t.name == "mark"
+        )
         items = compose(views[name], texts, size=(1920, 1080)).items
-        return sum(isinstance(i, Area) and i.fill == shapes.BLUE and overlap(i.box, target.box) for i in items)
+        return sum(
+            isinstance(i, Area) and i.fill == drawing.BLUE and overlap(i.box, target.box)
+            for i in items
+        )
 
     assert (count_blue("similarity fresh"), count_blue("similarity answered")) == (0, 1)
 
 
 def find_luminance(color: str) -> float:
     parts = [int(color[i : i + 2], 16) / 255 for i in (1, 3, 5)]
-    linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]
+    linear = [
+        part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts
+    ]
     return sum(weight * part for weight, part in zip((0.2126, 0.7152, 0.0722), linear, strict=True))
 
 
 @pytest.mark.parametrize(
     ("ink", "ground"),
-    [("INK", "GROUND"), ("INK", "PANEL"), ("INK", "LINE"), ("DIM", "GROUND"), ("DIM", "PANEL"), ("GROUND", "BLUE"),
-     ("ORANGE", "GROUND"), ("BLUE", "GROUND")],
+    [
+        ("INK", "GROUND"),
+        ("INK", "PANEL"),
+        ("INK", "LINE"),
+        ("DIM", "GROUND"),
+        ("DIM", "PANEL"),
+        ("GROUND", "BLUE"),
+        ("ORANGE", "GROUND"),
+        ("BLUE", "GROUND"),
+    ],
 )
 def test_contrast(ink: str, ground: str) -> None:
-    high, low = sorted((find_luminance(getattr(shapes, name)) for name in (ink, ground)), reverse=True)
+    high, low = sorted(
+        (find_luminance(getattr(drawing, name)) for name in (ink, ground)), reverse=True
+    )
     assert (high + 0.05) / (low + 0.05) >= 7.0  # WCAG 2, level AAA
 
 
@@ -132,10 +163,16 @@ def test_long_texts_shrink_and_braces_stay(size: tuple[int, int]) -> None:
     tables = read_texts("en")
     tables["pages"]["consent"]["text"] = "Ask {us} {done}. " * 75
     view = View("page", "reading", 1, Place(3, 9), page=Page("consent"))
-    texts = [item for item in compose(view, make_screen_texts(tables), size=size).items if isinstance(item, Text)]
+    texts = [
+        item
+        for item in compose(view, make_screen_texts(tables), size=size).items
+        if isinstance(item, Text)
+    ]
     lines = [item for item in texts if "{us} 3" in item.words]
     grid = Grid(*size)
-    assert (lines[0].size < 1.1 * BODY * grid.unit) == (size[0] / size[1] > 1.5)  # where there is less room
+    assert (lines[0].size < 1.1 * BODY * grid.unit) == (
+        size[0] / size[1] > 1.5
+    )  # where there is less room
     assert lines[0].size >= LEAST * grid.unit * 100
     assert max(line.box.bottom for line in lines) <= grid.body.bottom
 
@@ -145,7 +182,10 @@ def test_corners_lie_on_circles() -> None:
     assert (min(x for x, _ in points), max(x for x, _ in points)) == pytest.approx((0, 100))
     assert (min(y for _, y in points), max(y for _, y in points)) == pytest.approx((0, 40))
     middles = list(itertools.product((10, 90), (10, 30)))
-    assert all(min((x - a) ** 2 + (y - b) ** 2 for a, b in middles) == pytest.approx(100) for x, y in points)
+    assert all(
+        min((x - a) ** 2 + (y - b) ** 2 for a, b in middles) == pytest.approx(100)
+        for x, y in points
+    )
 
 
 def test_targets_know_their_tracks() -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from study.screen.keyboard import count_repeats
+from feel321.study.screen.input import count_repeats
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -51,7 +51,9 @@ def test_slider_by_keys(seat: Callable[..., Any]) -> None:
     assert rated["flags"] == []
     # It counts from the end of what was felt, which was collected then, until before the screen says so.
     ended_s = [words["collected"] for words in here.told if "collected" in words][-1]
-    seen_s = next(words["time_s"] for words in here.told if words.get("view", {}).get("state") == "answering")
+    seen_s = next(
+        words["time_s"] for words in here.told if words.get("view", {}).get("state") == "answering"
+    )
     assert rated["time_s"] - seen_s <= rated["response_time_s"] <= rated["time_s"] - ended_s
     assert events[-1]["event"] == "closed"
 
@@ -90,7 +92,9 @@ def test_slider_by_mouse(seat: Callable[..., Any]) -> None:
 
 
 def test_strict_trials_are_felt_once_and_spoiled_when_stopped(seat: Callable[..., Any]) -> None:
-    here = seat({"trial": "similarity", "timing": "strict"}, {"trial": "similarity", "timing": "strict"})
+    here = seat(
+        {"trial": "similarity", "timing": "strict"}, {"trial": "similarity", "timing": "strict"}
+    )
     here.see(state="answering")
     assert "again" not in here.view["targets"]
     here.press("r")
@@ -117,7 +121,11 @@ def test_rows_by_keys(seat: Callable[..., Any]) -> None:
     here.order("go on")
     here.see(markers={"2": 61.0}, felt=["2"], state="answering")
     here.press("Return")
-    here.until(lambda view: view["notice"] == "Please feel it to its end first. Still to feel: Reference, 1, 3")
+    here.until(
+        lambda view: (
+            view["notice"] == "Please feel it to its end first. Still to feel: Reference, 1, 3"
+        )
+    )
     here.press("Up", "r")
     here.see(playing="1", selected="1")
     here.see(felt=["1", "2"])
@@ -133,7 +141,11 @@ def test_rows_by_keys(seat: Callable[..., Any]) -> None:
     assert here.find("rated")[0]["values"] == {"1": 50.0, "2": 61.0, "3": 50.0}
     first = here.find("played")[0]
     assert (first["part"], first["completed"]) == ("reference", False)
-    assert {event["part"]: event["value"] for event in here.find("moved")} == {"1": 50.0, "2": 61.0, "3": 50.0}
+    assert {event["part"]: event["value"] for event in here.find("moved")} == {
+        "1": 50.0,
+        "2": 61.0,
+        "3": 50.0,
+    }
 
 
 def test_rows_by_mouse(seat: Callable[..., Any]) -> None:
@@ -153,7 +165,14 @@ def test_rows_by_mouse(seat: Callable[..., Any]) -> None:
 def test_choice_by_keys_and_mouse(seat: Callable[..., Any]) -> None:
     here = seat({"trial": "abx"}, {"trial": "abx"})
     here.see(state="answering")
-    for key, chosen in (("Left", "a"), ("Right", "b"), ("a", "a"), ("2", "b"), ("1", "a"), ("b", "b")):
+    for key, chosen in (
+        ("Left", "a"),
+        ("Right", "b"),
+        ("a", "a"),
+        ("2", "b"),
+        ("1", "a"),
+        ("b", "b"),
+    ):
         here.press(key)
         here.see(chosen=chosen)
     here.press("Return")
@@ -168,7 +187,11 @@ def test_choice_by_keys_and_mouse(seat: Callable[..., Any]) -> None:
 
 
 def test_pages_stand_and_count_down(seat: Callable[..., Any]) -> None:
-    pages = {"page": "rest", "least_s": 1.5}, {"page": "training_failed", "by": "experimenter"}, {"page": "end"}
+    pages = (
+        {"page": "rest", "least_s": 1.5},
+        {"page": "training_failed", "by": "experimenter"},
+        {"page": "end"},
+    )
     here = seat(*pages, held=True)
     here.see(page="rest", left_s=2)
     here.press("Return")
@@ -228,9 +251,9 @@ def test_escape_pauses_then_ends(seat: Callable[..., Any]) -> None:
     here.see(page="pause")
     here.press("Escape", "Escape")
     events = here.finish()
-    assert [event["event"] for event in events if event["event"] not in {"shown", "played", "refused"}] == [
-        "paused", "continued", "paused", "ended", "closed",
-    ]
+    assert [
+        event["event"] for event in events if event["event"] not in {"shown", "played", "refused"}
+    ] == ["paused", "continued", "paused", "ended", "closed"]
     assert events[-2]["reason"] == "the participant ended it for today"
 
 
@@ -240,7 +263,9 @@ def test_space_stops_at_once(seat: Callable[..., Any]) -> None:
         here.see(state="feeling")
         here.order("look")
         here.reach("keydown", "space")
-        assert sum("stopped" in words for words in here.told) == number  # in the first frame that knows of the key
+        assert (
+            sum("stopped" in words for words in here.told) == number
+        )  # in the first frame that knows of the key
         here.reach("keyup", "space")
         here.see(state="answering", felt=[])
         here.press("r")
@@ -297,9 +322,15 @@ def close_by_manager(here: Any) -> None:
     from Xlib.protocol.event import ClientMessage
 
     display = Display(here.env["DISPLAY"])
-    window = display.create_resource_object("window", int(here.do("search", "--name", "PsychoPy").split()[0]))
+    window = display.create_resource_object(
+        "window", int(here.do("search", "--name", "PsychoPy").split()[0])
+    )
     protocols, delete = display.intern_atom("WM_PROTOCOLS"), display.intern_atom("WM_DELETE_WINDOW")
-    window.send_event(ClientMessage(window=window, client_type=protocols, data=(32, [delete, X.CurrentTime, 0, 0, 0])))
+    window.send_event(
+        ClientMessage(
+            window=window, client_type=protocols, data=(32, [delete, X.CurrentTime, 0, 0, 0])
+        )
+    )
     display.sync()
     display.close()
 
@@ -309,13 +340,19 @@ def close_by_force(here: Any) -> None:
 
 
 def test_a_display_that_is_not_there_is_one_line() -> None:
-    code = "from study.screen.window import open_screen\nwith open_screen(clock=float): pass"
+    code = (
+        "from feel321.study.screen.window import open_screen\nwith open_screen(clock=float): pass"
+    )
     env = {**os.environ, "DISPLAY": ":9999"}
-    done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=env, capture_output=True, text=True, check=False
+    )
     assert done.stderr.splitlines()[-1].startswith("OSError: got no display (")
 
 
-def test_a_window_that_is_closed_between_two_screens_is_not_missed(seat: Callable[..., Any]) -> None:
+def test_a_window_that_is_closed_between_two_screens_is_not_missed(
+    seat: Callable[..., Any],
+) -> None:
     here = seat({"page": "main"}, {"page": "practice"}, {"trial": "realism"}, windowed=True)
     here.see(page="main")
     here.order("look")
@@ -326,7 +363,9 @@ def test_a_window_that_is_closed_between_two_screens_is_not_missed(seat: Callabl
     assert here.finish()[-2] == {"event": "ended", "reason": "the window was closed"}
 
 
-def test_a_window_that_is_put_away_pauses_a_trial_and_ends_nothing(seat: Callable[..., Any]) -> None:
+def test_a_window_that_is_put_away_pauses_a_trial_and_ends_nothing(
+    seat: Callable[..., Any],
+) -> None:
     here = seat({"page": "main"}, {"trial": "realism"}, duration_s=300.0, windowed=True)
     here.see(page="main")
     window = here.do("search", "--name", "PsychoPy").split()[0]
@@ -361,8 +400,12 @@ def test_a_key_that_is_let_go_elsewhere_does_not_go_on(seat: Callable[..., Any])
 
 @pytest.mark.parametrize("close", [close_by_manager, close_by_force])
 @pytest.mark.parametrize("state", ["feeling", "answering"])
-def test_closed_windows_end_the_session(seat: Callable[..., Any], close: Callable[[Any], None], state: str) -> None:
-    here = seat({"trial": "realism"}, duration_s=300.0 if state == "feeling" else 0.2, windowed=True)
+def test_closed_windows_end_the_session(
+    seat: Callable[..., Any], close: Callable[[Any], None], state: str
+) -> None:
+    here = seat(
+        {"trial": "realism"}, duration_s=300.0 if state == "feeling" else 0.2, windowed=True
+    )
     here.see(state=state)
     here.order("look")
     close(here)

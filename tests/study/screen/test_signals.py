@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from study.screen.signals import HELD, hold_signals
+from feel321.study.screen.input import HELD, hold_signals
 
 
 def test_the_first_signal_waits_and_the_second_does_not() -> None:

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from study.session.chain import START, Record, digest, read_chain, write_line
+from feel321.study.session.journal import START, Record, digest, read_chain, write_line
 
 RECORD = Record(0, "2026-01-01T12:00:00.000+00:00", "begun", {"words": "müde"})
 ENTRY = {"sequence": 0, "previous": START, "utc": RECORD.utc, "event": "begun", "data": {}}
@@ -24,13 +24,26 @@ def test_what_was_written_is_read() -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        {"sequence": "0"}, {"sequence": False}, {"previous": None}, {"event": 1}, {"data": []}, {"data": None},
-        {"utc": 0}, {"utc": ""}, {"utc": "2026-01-01T12:00:00"}, {"utc": "yesterday"}, {"more": 1},
+        {"sequence": "0"},
+        {"sequence": False},
+        {"previous": None},
+        {"event": 1},
+        {"data": []},
+        {"data": None},
+        {"utc": 0},
+        {"utc": ""},
+        {"utc": "2026-01-01T12:00:00"},
+        {"utc": "yesterday"},
+        {"more": 1},
     ],
-)  # fmt: skip
-def test_a_line_with_other_fields_is_refused_though_its_digest_is_right(change: dict[str, Any]) -> None:
+)
+def test_a_line_with_other_fields_is_refused_though_its_digest_is_right(
+    change: dict[str, Any],
+) -> None:
     assert read_chain(seal(json.dumps(ENTRY)), "j").records[0].event == "begun"
-    with pytest.raises(ValueError, match="j, line 1: is no record as feel321 writes them; restore the file"):
+    with pytest.raises(
+        ValueError, match="j, line 1: is no record as feel321 writes them; restore the file"
+    ):
         read_chain(seal(json.dumps(ENTRY | change)), "j")
 
 

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from protocols.tasks import make_task
-from study.session.plan import Design, Plan, make_plan
-from study.session.ports import Abort, Confirm, Feel, Move, Pause, Playback
+from feel321.protocols.tasks import make_task
+from feel321.study.session.plan import Design, Plan, make_plan
+from feel321.study.session.ports import Abort, Confirm, Feel, Move, Pause, Playback
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from stimuli.manifest import StimulusSet
+    from feel321.stimuli.sets.manifest import StimulusSet
 
     Present = Callable[..., list[Any]]
 
@@ -36,7 +36,10 @@ def plan_task(design: Design, stimuli: StimulusSet) -> Callable[..., Plan]:
 def tell_first(records: list[Any]) -> list[tuple[str, Any]]:
     """What the journal holds on the first trial, from when it was shown until it was shown again or answered."""
     first = [(r.event, r.data) for r in records if r.data.get("trial") == 1]
-    return [(event, {k: v for k, v in data.items() if k not in {"trial", "attempt"}}) for event, data in first]
+    return [
+        (event, {k: v for k, v in data.items() if k not in {"trial", "attempt"}})
+        for event, data in first
+    ]
 
 
 def list_events(records: list[Any], event: str) -> list[Any]:
@@ -46,8 +49,14 @@ def list_events(records: list[Any], event: str) -> list[Any]:
 def test_a_replay_plays_the_trial_again_and_is_recorded(present: Present, scripted: type) -> None:
     records = present(scripted(acts={(1, 1): [Feel(0.0), Feel(0.0, "test"), DONE]}))
     assert [event for event, _ in tell_first(records)] == [
-        "shown", "played", "replayed", "played", "replayed", "played", "rated",
-    ]  # fmt: skip
+        "shown",
+        "played",
+        "replayed",
+        "played",
+        "replayed",
+        "played",
+        "rated",
+    ]
     assert [data["part"] for data in list_events(records, "replayed")] == ["", "test"]
 
 
@@ -55,7 +64,9 @@ def test_what_does_not_exist_cannot_be_felt(present: Present, scripted: type) ->
     presenter = scripted(acts={(1, 1): [Feel(0.0, "b"), DONE]})
     records = present(presenter)
     assert "refuse unknown_part b" in presenter.log
-    assert [(r["reason"], r["parts"]) for r in list_events(records, "refused")] == [("unknown_part", ["b"])]
+    assert [(r["reason"], r["parts"]) for r in list_events(records, "refused")] == [
+        ("unknown_part", ["b"])
+    ]
 
 
 def test_what_is_strictly_timed_is_felt_once(
@@ -63,16 +74,30 @@ def test_what_is_strictly_timed_is_felt_once(
 ) -> None:
     presenter = scripted(acts={(1, 1): [Feel(0.0), DONE]})
     records = present(presenter, plan=plan_task("similarity", timing="strict"))
-    assert [event for event, _ in tell_first(records)] == ["shown", "played", "played", "refused", "rated"]
+    assert [event for event, _ in tell_first(records)] == [
+        "shown",
+        "played",
+        "played",
+        "refused",
+        "rated",
+    ]
     assert "refuse no_replay" in presenter.log
 
 
-def test_an_answer_counts_only_after_everything_was_felt_to_its_end(present: Present, scripted: type) -> None:
+def test_an_answer_counts_only_after_everything_was_felt_to_its_end(
+    present: Present, scripted: type
+) -> None:
     stopped = Playback(1.0, 1.0, completed=False)
     presenter = scripted(acts={(1, 1): [DONE, Feel(0.0), DONE]}, playbacks={(1, 1): [stopped]})
     records = present(presenter)
     assert "refuse not_felt test" in presenter.log
-    assert [event for event, _ in tell_first(records)] == ["shown", "played", "refused", "played", "rated"]
+    assert [event for event, _ in tell_first(records)] == [
+        "shown",
+        "played",
+        "refused",
+        "played",
+        "rated",
+    ]
     assert not list_events(records, "rated")[0]["rejected"]
 
 
@@ -81,8 +106,16 @@ def test_what_was_felt_to_its_end_stays_felt_though_cut_short_when_felt_again(
     present: Present, scripted: type, underruns: int, rejected: bool
 ) -> None:
     whole, stopped = Playback(1.0, 1.0, underruns=underruns), Playback(2.0, 2.0, completed=False)
-    records = present(scripted(acts={(1, 1): [Feel(0.0), DONE]}, playbacks={(1, 1): [whole, stopped]}))
-    assert [event for event, _ in tell_first(records)][:5] == ["shown", "played", "replayed", "played", "rated"]
+    records = present(
+        scripted(acts={(1, 1): [Feel(0.0), DONE]}, playbacks={(1, 1): [whole, stopped]})
+    )
+    assert [event for event, _ in tell_first(records)][:5] == [
+        "shown",
+        "played",
+        "replayed",
+        "played",
+        "rated",
+    ]
     # Nor does it hide what was wrong with what was felt.
     assert list_events(records, "rated")[0]["rejected"] == rejected
 
@@ -103,17 +136,31 @@ def test_what_is_felt_once_and_cut_short_is_tried_again_later(
 
 @pytest.mark.parametrize(
     "values",
-    [{}, {"test": None}, {"test": 101.0}, {"test": -1}, {"test": "50"}, {"other": 50.0}, {"test": float("nan")}],
+    [
+        {},
+        {"test": None},
+        {"test": 101.0},
+        {"test": -1},
+        {"test": "50"},
+        {"other": 50.0},
+        {"test": float("nan")},
+    ],
 )
-def test_an_answer_that_is_none_is_refused(present: Present, scripted: type, values: dict[str, Any]) -> None:
+def test_an_answer_that_is_none_is_refused(
+    present: Present, scripted: type, values: dict[str, Any]
+) -> None:
     presenter = scripted(acts={(1, 1): [Confirm(0.0, values, 1.0), DONE]})
     records = present(presenter)
     assert "refuse not_answered test" in presenter.log
     assert list_events(records, "rated")[0]["values"] == {"test": 50.0}
 
 
-def test_a_choice_is_one_of_the_choices(present: Present, scripted: type, plan_task: Callable[..., Plan]) -> None:
-    presenter = scripted(acts={(1, 1): [Confirm(0.0, {"x": 50.0}, 1.0), Confirm(0.0, {"x": "b"}, 1.0)]})
+def test_a_choice_is_one_of_the_choices(
+    present: Present, scripted: type, plan_task: Callable[..., Plan]
+) -> None:
+    presenter = scripted(
+        acts={(1, 1): [Confirm(0.0, {"x": 50.0}, 1.0), Confirm(0.0, {"x": "b"}, 1.0)]}
+    )
     records = present(presenter, plan=plan_task("abx"))
     assert "refuse not_answered x" in presenter.log
     assert list_events(records, "rated")[0]["values"] == {"x": "b"}
@@ -128,17 +175,26 @@ def test_on_a_page_of_sliders_everything_is_felt_and_moved(
     whole: dict[str, float | str] = {name: 10.0 * place for place, name in enumerate(parts[1:])}
     felt = [Feel(0.0, name) for name in parts[:0:-1]]
     answer, half_answer = Confirm(0.0, whole, 9.0), Confirm(0.0, half, 9.0)
-    presenter = scripted(acts={(1, 1): [*felt, answer, Feel(0.0, "reference"), half_answer, answer]})
+    presenter = scripted(
+        acts={(1, 1): [*felt, answer, Feel(0.0, "reference"), half_answer, answer]}
+    )
     records = present(presenter, plan=plan)
     assert "refuse not_felt reference" in presenter.log
     assert f"refuse not_answered {' '.join(parts[3:])}" in presenter.log
-    assert list_events(records, "replayed") == []  # To feel something for the first time is no replay.
+    assert (
+        list_events(records, "replayed") == []
+    )  # To feel something for the first time is no replay.
     assert list_events(records, "rated")[0]["values"] == whole
 
 
 def test_every_move_is_recorded(present: Present, scripted: type) -> None:
-    records = present(scripted(acts={(1, 1): [Move(0.0, "test", 12.5), Move(0.0, "test", 50.0), DONE]}))
-    assert [(r["part"], r["value"]) for r in list_events(records, "moved")] == [("test", 12.5), ("test", 50.0)]
+    records = present(
+        scripted(acts={(1, 1): [Move(0.0, "test", 12.5), Move(0.0, "test", 50.0), DONE]})
+    )
+    assert [(r["part"], r["value"]) for r in list_events(records, "moved")] == [
+        ("test", 12.5),
+        ("test", 50.0),
+    ]
 
 
 @pytest.mark.parametrize(
@@ -175,7 +231,9 @@ def test_the_rule_decides_what_is_tried_again(present: Present, scripted: type, 
     assert not any(r["rejected"] for r in list_events(records, "rated"))
 
 
-def test_a_trial_that_stays_bad_is_given_up_and_everything_of_it_is_kept(present: Present, scripted: type) -> None:
+def test_a_trial_that_stays_bad_is_given_up_and_everything_of_it_is_kept(
+    present: Present, scripted: type
+) -> None:
     dry = [Playback(1.0, 1.0, underruns=1)]
     records = present(scripted(playbacks={(1, attempt): list(dry) for attempt in (1, 2, 3)}))
     assert [r["attempt"] for r in list_events(records, "rated") if r["trial"] == 1] == [1, 2, 3]
@@ -187,13 +245,23 @@ def test_after_a_pause_the_trial_begins_anew(present: Present, scripted: type) -
     presenter.acts[1, 1] = [Pause(0.0), DONE]
     records = present(presenter)
     assert [event for event, _ in tell_first(records)] == [
-        "shown", "played", "paused", "continued", "shown", "played", "rated",
-    ]  # fmt: skip
+        "shown",
+        "played",
+        "paused",
+        "continued",
+        "shown",
+        "played",
+        "rated",
+    ]
     assert "page pause 0/20" in presenter.log
 
 
-@pytest.mark.parametrize("acts", [[Abort(0.0, "window closed")], [Move(0.0, "test", 3.0), Abort(0.0, "window closed")]])
-def test_who_leaves_within_a_trial_meets_it_again(present: Present, scripted: type, acts: list[Any]) -> None:
+@pytest.mark.parametrize(
+    "acts", [[Abort(0.0, "window closed")], [Move(0.0, "test", 3.0), Abort(0.0, "window closed")]]
+)
+def test_who_leaves_within_a_trial_meets_it_again(
+    present: Present, scripted: type, acts: list[Any]
+) -> None:
     records = present(scripted(acts={(1, 1): acts}))
     assert records[-1].data["reason"] == "window closed"
     again = scripted()
@@ -241,9 +309,16 @@ def test_a_clean_replay_makes_up_for_an_underrun(
 
 
 @pytest.mark.parametrize("place", [0, 1])
-@pytest.mark.parametrize(("fault", "flag"), [({"underruns": 1}, "underrun"), ({"clipped": 1}, "clipped")])
+@pytest.mark.parametrize(
+    ("fault", "flag"), [({"underruns": 1}, "underrun"), ({"clipped": 1}, "clipped")]
+)
 def test_one_bad_part_flags_the_trial(
-    present: Present, scripted: type, plan_task: Callable[..., Plan], place: int, fault: dict[str, int], flag: str
+    present: Present,
+    scripted: type,
+    plan_task: Callable[..., Plan],
+    place: int,
+    fault: dict[str, int],
+    flag: str,
 ) -> None:
     playbacks = [Playback(1.0, 1.0), Playback(2.0, 2.0)]
     playbacks[place] = replace(playbacks[place], **fault)
@@ -251,19 +326,33 @@ def test_one_bad_part_flags_the_trial(
     assert list_events(records, "rated")[0]["flags"] == [flag]
 
 
-def test_numbers_of_devices_and_screens_are_taken_as_what_they_are(present: Present, scripted: type) -> None:
+def test_numbers_of_devices_and_screens_are_taken_as_what_they_are(
+    present: Present, scripted: type
+) -> None:
     odd = Playback(np.float32(1.0), float("nan"), underruns=np.int64(0), clipped=np.int64(2))
     records = present(
-        scripted(playbacks={(1, 1): [odd]}, acts={(1, 1): [Confirm(0.0, {"test": np.float32(12.5)}, 1.5)]})
+        scripted(
+            playbacks={(1, 1): [odd]},
+            acts={(1, 1): [Confirm(0.0, {"test": np.float32(12.5)}, 1.5)]},
+        )
     )
     assert list_events(records, "played")[0] == {
-        "trial": 1, "attempt": 1, "part": "test", "requested_s": 1.0, "onset_s": None, "underruns": 0, "clipped": 2,
-        "completed": True, "error": "",
-    }  # fmt: skip
+        "trial": 1,
+        "attempt": 1,
+        "part": "test",
+        "requested_s": 1.0,
+        "onset_s": None,
+        "underruns": 0,
+        "clipped": 2,
+        "completed": True,
+        "error": "",
+    }
     assert list_events(records, "rated")[0]["values"] == {"test": 12.5}
 
 
-@pytest.mark.parametrize("move", [Move(0.0, "nonsense", 50.0), Move(0.0, "test", 1e9), Move(0.0, "test", float("nan"))])
+@pytest.mark.parametrize(
+    "move", [Move(0.0, "nonsense", 50.0), Move(0.0, "test", 1e9), Move(0.0, "test", float("nan"))]
+)
 def test_a_move_that_cannot_be_is_refused(present: Present, scripted: type, move: Move) -> None:
     presenter = scripted(acts={(1, 1): [move, DONE]})
     records = present(presenter)
@@ -272,7 +361,9 @@ def test_a_move_that_cannot_be_is_refused(present: Present, scripted: type, move
 
 
 def test_who_leaves_within_a_pause_goes_on_with_the_trial(present: Present, scripted: type) -> None:
-    records = present(scripted(acts={(1, 1): [Pause(0.0)]}, pages={"pause": [Pause(0.0), Abort(0.0, "tired")]}))
+    records = present(
+        scripted(acts={(1, 1): [Pause(0.0)]}, pages={"pause": [Pause(0.0), Abort(0.0, "tired")]})
+    )
     assert [r.event for r in records[-2:]] == ["paused", "aborted"]
     assert present(scripted())[-1].event == "finished"
 

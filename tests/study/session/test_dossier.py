@@ -5,14 +5,14 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from study.session.chain import digest
-from study.session.dossier import read_dossier, require_own_plan
-from study.session.plan import create_plan
+from feel321.study.session.journal import digest
+from feel321.study.session.opening import read_dossier, require_own_plan
+from feel321.study.session.plan import create_plan
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from study.session.plan import Plan
+    from feel321.study.session.plan import Plan
 
 
 def test_a_plan_is_read_with_all_journals(plan: Plan, tmp_path: Path) -> None:
@@ -23,10 +23,14 @@ def test_a_plan_is_read_with_all_journals(plan: Plan, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("entry", [{}, {"format": 2}, {"format": 2, "flow": None}])
-def test_a_plan_of_another_make_is_refused_in_words_though_its_digest_is_right(entry: object, tmp_path: Path) -> None:
+def test_a_plan_of_another_make_is_refused_in_words_though_its_digest_is_right(
+    entry: object, tmp_path: Path
+) -> None:
     body = json.dumps(entry, indent=1).encode().removesuffix(b"}").rstrip(b"\n") + b"\n}"
     path = tmp_path / "plan.json"
-    path.write_bytes(body.removesuffix(b"\n}") + b',\n "sha256": "' + digest(body).encode() + b'"\n}\n')
+    path.write_bytes(
+        body.removesuffix(b"\n}") + b',\n "sha256": "' + digest(body).encode() + b'"\n}\n'
+    )
     with pytest.raises(ValueError, match=r"plan\.json: ") as caught:
         require_own_plan(tmp_path)
     assert "\n" not in str(caught.value)

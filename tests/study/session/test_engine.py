@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from study.session.ports import Abort, Playback
-from study.session.replay import find_elapsed, replay
+from feel321.study.session.plan import find_elapsed, replay
+from feel321.study.session.ports import Abort, Playback
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from study.session.plan import Plan
+    from feel321.study.session.plan import Plan
 
     Present = Callable[..., list[Any]]
 
@@ -26,27 +26,52 @@ def test_the_journal_tells_everything_in_order(present: Present, scripted: type)
     records = present(scripted())
     realism, similarity = ["shown", "played", "rated"], ["shown", "played", "played", "rated"]
     assert [r.event for r in records] == [
-        "begun", *["page"] * 4, *realism * 10, *["page"] * 3, *similarity * 10, "page", "finished",
-    ]  # fmt: skip
+        "begun",
+        *["page"] * 4,
+        *realism * 10,
+        *["page"] * 3,
+        *similarity * 10,
+        "page",
+        "finished",
+    ]
     assert [page["key"] for page in list_events(records, "page")] == [
-        "welcome", "consent", "instructions.realism", "main", "rest", "instructions.similarity", "main", "end",
-    ]  # fmt: skip
+        "welcome",
+        "consent",
+        "instructions.realism",
+        "main",
+        "rest",
+        "instructions.similarity",
+        "main",
+        "end",
+    ]
     assert [r["trial"] for r in list_events(records, "rated")] == list(range(1, 21))
     assert list_events(records, "rated")[0] == {
-        "trial": 1, "attempt": 1, "values": {"test": 50.0}, "response_time_s": 1.5, "time_s": 6.0, "flags": [],
+        "trial": 1,
+        "attempt": 1,
+        "values": {"test": 50.0},
+        "response_time_s": 1.5,
+        "time_s": 6.0,
+        "flags": [],
         "rejected": False,
-    }  # fmt: skip
+    }
     assert records[-1].data == {"trials": 20, "given_up": 0}
 
 
-def test_the_participant_meets_the_steps_in_the_order_of_the_plan(present: Present, scripted: type) -> None:
+def test_the_participant_meets_the_steps_in_the_order_of_the_plan(
+    present: Present, scripted: type
+) -> None:
     presenter = scripted()
     present(presenter)
     assert presenter.log[:5] == [
-        "page welcome 0/20", "page consent 0/20", "page instructions.realism 0/20", "page main 0/20",
+        "page welcome 0/20",
+        "page consent 0/20",
+        "page instructions.realism 0/20",
+        "page main 0/20",
         "show 1.1 realism",
-    ]  # fmt: skip
-    assert [line.split()[1] for line in presenter.log if line.startswith("show")] == [f"{n}.1" for n in range(1, 21)]
+    ]
+    assert [line.split()[1] for line in presenter.log if line.startswith("show")] == [
+        f"{n}.1" for n in range(1, 21)
+    ]
     last = [line.rpartition("-")[0] for line in presenter.log[-3:-1]]
     assert presenter.log[-4] == "show 20.1 similarity"
     assert last[0].startswith("play reference ")
@@ -79,9 +104,14 @@ def test_a_finished_session_is_left_alone(present: Present, scripted: type) -> N
 
 
 @pytest.mark.parametrize("page", ["consent", "rest", "end"])
-def test_who_does_not_go_on_ends_the_session_for_today(present: Present, scripted: type, page: str) -> None:
+def test_who_does_not_go_on_ends_the_session_for_today(
+    present: Present, scripted: type, page: str
+) -> None:
     records = present(scripted(pages={page: [Abort(1.0, "does not agree")]}))
-    assert (records[-1].event, records[-1].data) == ("aborted", {"reason": "does not agree", "time_s": 1.0})
+    assert (records[-1].event, records[-1].data) == (
+        "aborted",
+        {"reason": "does not agree", "time_s": 1.0},
+    )
     again = scripted()
     assert present(again)[-1].event == "finished"
     assert again.log[0].startswith(f"page {page} ")
@@ -101,7 +131,9 @@ def test_a_device_that_fails_once_costs_one_attempt(present: Present, scripted: 
     assert [r["attempt"] for r in list_events(records, "rated") if r["trial"] == 3] == [2]
 
 
-def test_a_device_that_fails_twice_in_a_row_ends_the_session(present: Present, scripted: type) -> None:
+def test_a_device_that_fails_twice_in_a_row_ends_the_session(
+    present: Present, scripted: type
+) -> None:
     records = present(scripted(playbacks={(3, 1): fail(), (4, 1): fail()}))
     assert records[-1].data["reason"] == "the device failed twice in a row; see to it, then resume"
     assert len(list_events(records, "rated")) == 2
@@ -123,7 +155,9 @@ def test_what_was_given_up_is_counted(present: Present, scripted: type) -> None:
     assert present(scripted(playbacks=dry))[-1].data == {"trials": 20, "given_up": 1}
 
 
-def test_a_fault_of_the_presenter_is_recorded_in_its_own_words(present: Present, scripted: type) -> None:
+def test_a_fault_of_the_presenter_is_recorded_in_its_own_words(
+    present: Present, scripted: type
+) -> None:
     class Broken(scripted):
         def wait(self) -> Any:
             raise RuntimeError("device HX-1 unplugged")
@@ -141,15 +175,23 @@ def test_the_clock_goes_on_where_it_stopped(present: Present, scripted: type) ->
     times = [record.data["time_s"] for record in records if "time_s" in record.data]
     assert times == sorted(times)
     (resumed,) = list_events(records, "resumed")
-    assert resumed["clock"]["presenter_s"] == find_elapsed(records[: records.index(next(
-        record for record in records if record.event == "resumed"
-    ))]) > 0  # fmt: skip
+    assert (
+        resumed["clock"]["presenter_s"]
+        == find_elapsed(
+            records[
+                : records.index(next(record for record in records if record.event == "resumed"))
+            ]
+        )
+        > 0
+    )
 
 
 def test_replaying_a_journal_cut_after_any_record_never_contradicts_the_plan(
     present: Present, scripted: type, plan: Plan
 ) -> None:
-    records = present(scripted(playbacks={(3, 1): fail(), (7, 1): [Playback(1.0, 1.0, underruns=2)]}))
+    records = present(
+        scripted(playbacks={(3, 1): fail(), (7, 1): [Playback(1.0, 1.0, underruns=2)]})
+    )
     done = [replay(plan, records[:kept]).done for kept in range(len(records) + 1)]
     assert done == sorted(done)
     assert (done[0], done[-1]) == (0, 20)

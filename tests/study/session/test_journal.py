@@ -9,20 +9,32 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from study.session.chain import START, Record, digest, read_chain, write_line
-from study.session.journal import create_journal, read_journal, require_journal
+from feel321.study.session.journal import (
+    START,
+    Record,
+    create_journal,
+    digest,
+    read_chain,
+    read_journal,
+    require_journal,
+    write_line,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from datetime import datetime
     from pathlib import Path
 
-    from study.session.journal import Journal
+    from feel321.study.session.journal import Journal
 
     Now = Callable[[], datetime]
 
 JSON = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
+    st.none()
+    | st.booleans()
+    | st.integers()
+    | st.floats(allow_nan=False, allow_infinity=False)
+    | st.text(),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
     max_leaves=5,
 )
@@ -36,11 +48,16 @@ def journal(tmp_path: Path, now: Now) -> Journal:
     return journal
 
 
-def test_every_line_is_json_with_number_time_and_digest_of_the_line_before(journal: Journal) -> None:
+def test_every_line_is_json_with_number_time_and_digest_of_the_line_before(
+    journal: Journal,
+) -> None:
     lines = journal.path.read_bytes().splitlines()
     entries = [json.loads(line) for line in lines]
     assert [entry["sequence"] for entry in entries] == [0, 1, 2, 3, 4]
-    assert [entry["previous"] for entry in entries] == [START, *(digest(line) for line in lines[:-1])]
+    assert [entry["previous"] for entry in entries] == [
+        START,
+        *(digest(line) for line in lines[:-1]),
+    ]
     assert entries[2]["utc"] == "2026-01-01T00:00:02.000+00:00"
     assert entries[4]["data"] == {"trial": 5, "rating": 52.5}
 
@@ -49,13 +66,18 @@ def test_what_is_written_is_read_and_can_be_gone_on_with(journal: Journal, now: 
     again = require_journal(journal.path, now=now)
     assert again.records == journal.records
     again.write("finished", {})
-    assert [record.event for record in read_journal(journal.path).records] == ["rated"] * 5 + ["finished"]
+    assert [record.event for record in read_journal(journal.path).records] == ["rated"] * 5 + [
+        "finished"
+    ]
 
 
 @given(st.lists(st.tuples(st.text(), st.dictionaries(st.text(), JSON, max_size=4)), max_size=6))
 def test_any_events_make_the_round_trip(events: list[tuple[str, dict[str, Any]]]) -> None:
     content, tip = b"", START
-    records = [Record(number, "2026-01-01T12:00:00+00:00", event, data) for number, (event, data) in enumerate(events)]
+    records = [
+        Record(number, "2026-01-01T12:00:00+00:00", event, data)
+        for number, (event, data) in enumerate(events)
+    ]
     for record in records:
         line = write_line(record, tip)
         content, tip = content + line, digest(line[:-1])
@@ -66,14 +88,22 @@ def test_any_events_make_the_round_trip(events: list[tuple[str, dict[str, Any]]]
 
 def test_a_journal_is_never_begun_twice(journal: Journal, now: Now) -> None:
     before = journal.path.read_bytes()
-    with pytest.raises(FileExistsError, match="is there already, nothing is overwritten; resume it"):
+    with pytest.raises(
+        FileExistsError, match="is there already, nothing is overwritten; resume it"
+    ):
         create_journal(journal.path, now=now)
     assert journal.path.read_bytes() == before
 
 
-@pytest.mark.parametrize("read", [read_journal, lambda path: require_journal(path, now=lambda: None)])
-def test_a_journal_that_is_not_there_is_refused(tmp_path: Path, read: Callable[[Path], Any]) -> None:
-    with pytest.raises(FileNotFoundError, match="there is no such journal; begin the session first"):
+@pytest.mark.parametrize(
+    "read", [read_journal, lambda path: require_journal(path, now=lambda: None)]
+)
+def test_a_journal_that_is_not_there_is_refused(
+    tmp_path: Path, read: Callable[[Path], Any]
+) -> None:
+    with pytest.raises(
+        FileNotFoundError, match="there is no such journal; begin the session first"
+    ):
         read(tmp_path / "session-01.jsonl")
 
 
@@ -102,7 +132,13 @@ def test_a_changed_byte_in_any_line_is_named(journal: Journal, data: st.DataObje
 
 def test_lines_taken_out_put_in_or_moved_are_named(journal: Journal) -> None:
     a, b, c, d, e = journal.path.read_bytes().splitlines(keepends=True)
-    for lines, line in (([a, c, d, e], 2), ([a, b, b, c], 3), ([a, c, b], 2), ([b, c], 1), ([a, b, e], 3)):
+    for lines, line in (
+        ([a, c, d, e], 2),
+        ([a, b, b, c], 3),
+        ([a, c, b], 2),
+        ([b, c], 1),
+        ([a, b, e], 3),
+    ):
         with pytest.raises(ValueError, match=f"line {line}: does not follow the line before"):
             read_chain(b"".join(lines), "j")
 
@@ -113,7 +149,9 @@ def test_a_wrong_sequence_number_is_named() -> None:
         read_chain(line, "j")
 
 
-def test_a_file_cut_at_any_byte_is_recovered_without_losing_a_whole_line(journal: Journal, now: Now) -> None:
+def test_a_file_cut_at_any_byte_is_recovered_without_losing_a_whole_line(
+    journal: Journal, now: Now
+) -> None:
     whole = journal.path.read_bytes()
     ends = [i + 1 for i, byte in enumerate(whole) if byte == ord("\n")]
     for cut in range(ends[3], len(whole) + 1):
@@ -145,7 +183,9 @@ def test_torn_pieces_of_several_crashes_are_all_kept(journal: Journal, now: Now)
     ]
 
 
-def test_a_full_disk_leaves_the_last_whole_record(journal: Journal, now: Now, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_leaves_the_last_whole_record(
+    journal: Journal, now: Now, monkeypatch: pytest.MonkeyPatch
+) -> None:
     before, write = journal.path.read_bytes(), os.write
     with monkeypatch.context() as patch:
         patch.setattr(os, "write", lambda descriptor, data: write(descriptor, data[:20]))
@@ -160,13 +200,21 @@ def test_a_full_disk_leaves_the_last_whole_record(journal: Journal, now: Now, mo
 @pytest.mark.parametrize(
     ("error", "message"),
     [
-        (OSError(errno.EIO, "I/O error"), r"session-01\.jsonl: the disk took no record \(I/O error\); make room"),
+        (
+            OSError(errno.EIO, "I/O error"),
+            r"session-01\.jsonl: the disk took no record \(I/O error\); make room",
+        ),
         (KeyboardInterrupt(), "^$"),
     ],
 )
 @pytest.mark.parametrize("call", ["fsync", "write"])
 def test_a_write_that_was_broken_off_closes_the_journal_and_the_chain_holds(
-    journal: Journal, now: Now, monkeypatch: pytest.MonkeyPatch, call: str, error: BaseException, message: str
+    journal: Journal,
+    now: Now,
+    monkeypatch: pytest.MonkeyPatch,
+    call: str,
+    error: BaseException,
+    message: str,
 ) -> None:
     kept, real = len(journal.records), getattr(os, call)
 
@@ -178,7 +226,9 @@ def test_a_write_that_was_broken_off_closes_the_journal_and_the_chain_holds(
         patch.setattr(os, call, do_it_then_fail)
         with pytest.raises(type(error), match=message):
             journal.write("rated", {"trial": 6})
-    with pytest.raises(OSError, match=r"session-01\.jsonl: an earlier write was broken off, .* reopen it to resume"):
+    with pytest.raises(
+        OSError, match=r"session-01\.jsonl: an earlier write was broken off, .* reopen it to resume"
+    ):
         journal.write("rated", {"trial": 6})
     again = require_journal(journal.path, now=now)
     assert again.records[:kept] == journal.records
@@ -186,7 +236,9 @@ def test_a_write_that_was_broken_off_closes_the_journal_and_the_chain_holds(
     assert read_journal(journal.path).records == tuple(again.records)
 
 
-def test_every_record_is_synced_before_write_returns(journal: Journal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_record_is_synced_before_write_returns(
+    journal: Journal, monkeypatch: pytest.MonkeyPatch
+) -> None:
     calls: list[str] = []
     write, fsync = os.write, os.fsync
     monkeypatch.setattr(os, "write", lambda d, data: (calls.append("write"), write(d, data))[1])
@@ -200,7 +252,9 @@ def test_a_new_journal_survives_a_power_cut(tmp_path: Path, now: Now, synced: li
     assert synced == [tmp_path.stat().st_ino]
 
 
-def test_a_torn_piece_is_safe_before_the_journal_loses_it(journal: Journal, now: Now, synced: list[int]) -> None:
+def test_a_torn_piece_is_safe_before_the_journal_loses_it(
+    journal: Journal, now: Now, synced: list[int]
+) -> None:
     with journal.path.open("ab") as file:
         file.write(b'{"sequence')
     require_journal(journal.path, now=now)
@@ -220,6 +274,8 @@ def test_a_full_disk_on_resuming_names_the_journal_and_loses_nothing(
         raise OSError(errno.ENOSPC, "No space left")
 
     monkeypatch.setattr(os, "fsync", refuse)
-    with pytest.raises(OSError, match=r"session-01\.jsonl: the disk took no record \(No space left\); make room"):
+    with pytest.raises(
+        OSError, match=r"session-01\.jsonl: the disk took no record \(No space left\); make room"
+    ):
         require_journal(journal.path, now=now)
     assert journal.path.read_bytes() == before

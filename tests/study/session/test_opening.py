@@ -10,17 +10,22 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from study.session.journal import create_journal, read_journal, require_journal
-from study.session.opening import Stale, open_session
-from study.session.plan import create_plan, make_plan, require_plan
-from study.session.replay import find_header, list_journals
+from feel321.study.session.journal import create_journal, read_journal, require_journal
+from feel321.study.session.opening import Stale, open_session
+from feel321.study.session.plan import (
+    create_plan,
+    find_header,
+    list_journals,
+    make_plan,
+    require_plan,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from stimuli.manifest import StimulusSet
-    from study.session.plan import Design, Plan
+    from feel321.stimuli.sets.manifest import StimulusSet
+    from feel321.study.session.plan import Design, Plan
 
     Present = Callable[..., list[Any]]
     Now = Callable[[], datetime]
@@ -39,20 +44,31 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "sessions" / "p01"
 
 
-def test_the_header_says_what_the_session_stands_on(present: Present, scripted: type, folder: Path) -> None:
+def test_the_header_says_what_the_session_stands_on(
+    present: Present, scripted: type, folder: Path
+) -> None:
     header = find_header(present(scripted()))
     assert header is not None
     assert header["plan_sha256"] == require_plan(folder / "plan.json").sha256 != ""
-    assert {name: header[name] for name in ("participant", "session", "seed", "stimuli_sha256", "presenter")} == {
-        "participant": "p01", "session": 1, "seed": 7, "stimuli_sha256": "5" * 64, "presenter": {"simulated": True},
-    }  # fmt: skip
+    assert {
+        name: header[name]
+        for name in ("participant", "session", "seed", "stimuli_sha256", "presenter")
+    } == {
+        "participant": "p01",
+        "session": 1,
+        "seed": 7,
+        "stimuli_sha256": "5" * 64,
+        "presenter": {"simulated": True},
+    }
     assert set(header["versions"]) == {"python", "feel321", "numpy", "scipy"}
     assert header["format"] == 1
     assert header["system"]
     assert header["clock"] == {"presenter_s": 0.0}
 
 
-def test_a_session_whose_header_was_torn_begins_again(present: Present, scripted: type, folder: Path) -> None:
+def test_a_session_whose_header_was_torn_begins_again(
+    present: Present, scripted: type, folder: Path
+) -> None:
     with pytest.raises(KeyboardInterrupt):
         present(scripted(stop_after=0))
     journal = folder / "session-01.jsonl"
@@ -101,7 +117,10 @@ def test_a_plan_that_was_exchanged_before_its_session_is_refused(
 ) -> None:
     folder.mkdir(parents=True)
     create_plan(folder / "plan.json", replace(plan, trials=plan.trials[::-1]))
-    with pytest.raises(ValueError, match=r"plan\.json: holds other trials than the study gives; remove the file, or"):
+    with pytest.raises(
+        ValueError,
+        match=r"plan\.json: holds other trials than the study gives; remove the file, or",
+    ):
         present(scripted(), plan=plan)
 
 
@@ -111,28 +130,45 @@ def test_the_hundredth_session_is_a_session(present: Present, scripted: type, fo
         (folder / f"session-{number}.jsonl").touch()
     (folder / "session-1.jsonl").touch()  # Not a name that is ever given.
     names = [path.name for path in list_journals(folder)]
-    assert names == ["session-01.jsonl", "session-99.jsonl", "session-100.jsonl", "session-101.jsonl"]
+    assert names == [
+        "session-01.jsonl",
+        "session-99.jsonl",
+        "session-100.jsonl",
+        "session-101.jsonl",
+    ]
 
 
 def test_resuming_leaves_a_record_with_the_versions(present: Present, scripted: type) -> None:
     with pytest.raises(KeyboardInterrupt):
         present(scripted(stop_after=3))
     records = present(scripted())
-    assert [data["versions"] for data in list_events(records, "resumed")] == [records[0].data["versions"]]
+    assert [data["versions"] for data in list_events(records, "resumed")] == [
+        records[0].data["versions"]
+    ]
 
 
 @pytest.mark.parametrize(
     ("change", "difference"),
-    [({"seed": 8}, "seed 8 -> 7"), ({"stimuli_sha256": "6"}, f"stimuli_sha256 '6' -> '{'5' * 64}'")],
+    [
+        ({"seed": 8}, "seed 8 -> 7"),
+        ({"stimuli_sha256": "6"}, f"stimuli_sha256 '6' -> '{'5' * 64}'"),
+    ],
 )
 def test_a_header_that_does_not_fit_the_plan_is_refused_and_the_difference_named(
-    present: Present, scripted: type, folder: Path, now: Now, change: dict[str, Any], difference: str
+    present: Present,
+    scripted: type,
+    folder: Path,
+    now: Now,
+    change: dict[str, Any],
+    difference: str,
 ) -> None:
     header = {**present(scripted())[0].data, **change}
     path = folder / "session-01.jsonl"
     path.unlink()
     create_journal(path, now=now).write("begun", header)
-    with pytest.raises(ValueError, match=rf"begun otherwise \({difference}\); .* or move sessions/ away"):
+    with pytest.raises(
+        ValueError, match=rf"begun otherwise \({difference}\); .* or move sessions/ away"
+    ):
         present(scripted())
 
 
@@ -162,7 +198,11 @@ def test_who_comes_back_late_warms_up(leave: Callable[..., list[Any]], practised
     assert [r.event for r in records if r.event in {"resumed", "warm_up"}] == ["resumed", "warm_up"]
     keys = [data["key"] for data in list_events(records, "page")]
     assert keys.count("warm_up") == 1
-    practice = [trial.number for trial in practised.trials if trial.phase == "practice" and trial.protocol == "realism"]
+    practice = [
+        trial.number
+        for trial in practised.trials
+        if trial.phase == "practice" and trial.protocol == "realism"
+    ]
     assert rated_trials(records)[:6] == [*practice, 1, *practice, 2]
 
 
@@ -181,10 +221,15 @@ def test_an_opening_that_was_broken_off_does_not_make_a_session_fresh(
 
 
 @pytest.mark.parametrize(
-    ("policy", "hours", "after_h"), [("warm_up", 5.9, 6.0), ("continue", 99, 6.0), ("restart", 99, None)]
+    ("policy", "hours", "after_h"),
+    [("warm_up", 5.9, 6.0), ("continue", 99, 6.0), ("restart", 99, None)],
 )
 def test_who_comes_back_in_time_or_may_go_on_goes_on(
-    leave: Callable[..., list[Any]], practised: Plan, policy: str, hours: float, after_h: float | None
+    leave: Callable[..., list[Any]],
+    practised: Plan,
+    policy: str,
+    hours: float,
+    after_h: float | None,
 ) -> None:
     records = leave(policy, hours=hours, plan=practised, after_h=after_h)
     assert [r.event for r in records if r.event in {"warm_up", "superseded"}] == []
@@ -211,22 +256,31 @@ def test_a_crash_between_the_old_session_and_the_new_one_is_no_third_session(
     (folder / "session-02.jsonl").unlink()
     records = present(scripted(), plan=practised)
     assert rated_trials(records) == rated_trials(list(records))
-    assert [path.name for path in sorted(folder.glob("*.jsonl"))] == ["session-01.jsonl", "session-02.jsonl"]
+    assert [path.name for path in sorted(folder.glob("*.jsonl"))] == [
+        "session-01.jsonl",
+        "session-02.jsonl",
+    ]
     assert len((folder / "session-02.jsonl").read_bytes()) == len(whole)
     old = read_journal(folder / "session-01.jsonl").records
     assert [r.event for r in old].count("superseded") == 1
 
 
-def test_who_was_released_does_not_come_back(present: Present, scripted: type, folder: Path) -> None:
+def test_who_was_released_does_not_come_back(
+    present: Present, scripted: type, folder: Path
+) -> None:
     with pytest.raises(KeyboardInterrupt):
         present(scripted(stop_after=3))
     path = folder / "session-01.jsonl"
     require_journal(path, now=lambda: datetime(2027, 1, 1, tzinfo=UTC)).write("released", {})
-    with pytest.raises(ValueError, match="p01 was released, the place in the design is free; take another code"):
+    with pytest.raises(
+        ValueError, match="p01 was released, the place in the design is free; take another code"
+    ):
         present(scripted())
 
 
-def test_who_was_withdrawn_does_not_come_back(present: Present, scripted: type, folder: Path) -> None:
+def test_who_was_withdrawn_does_not_come_back(
+    present: Present, scripted: type, folder: Path
+) -> None:
     folder.mkdir(parents=True)
     (folder / "withdrawn.json").write_text("{}", encoding="utf-8")
     with pytest.raises(ValueError, match="p01 was withdrawn; take another code"):
@@ -236,7 +290,7 @@ def test_who_was_withdrawn_does_not_come_back(present: Present, scripted: type, 
 HOLD = """
 import sys
 from pathlib import Path
-from stimuli.lock import hold_lock
+from feel321.stimuli.lock import hold_lock
 with hold_lock(Path(sys.argv[1]), busy="x"):
     print("held", flush=True)
     sys.stdin.read()
@@ -246,12 +300,19 @@ with hold_lock(Path(sys.argv[1]), busy="x"):
 def test_two_writers_cannot_share_a_session(present: Present, scripted: type, folder: Path) -> None:
     folder.mkdir(parents=True)
     with subprocess.Popen(
-        [sys.executable, "-c", HOLD, folder / ".lock"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", HOLD, folder / ".lock"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
     ) as other:
         assert other.stdout is not None
         assert other.stdout.readline() == "held\n"
-        with pytest.raises(BlockingIOError, match="p01: another session is writing here; let it finish"):
+        with pytest.raises(
+            BlockingIOError, match="p01: another session is writing here; let it finish"
+        ):
             present(scripted())
         assert [path.name for path in folder.iterdir()] == [".lock"]
         other.kill()
-    assert present(scripted())[-1].event == "finished"  # the lock of a killed process is free at once
+    assert (
+        present(scripted())[-1].event == "finished"
+    )  # the lock of a killed process is free at once

@@ -7,15 +7,22 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from protocols.flow import Flow
-from study.session.chain import digest
-from study.session.plan import Plan, compare_plans, create_plan, list_codes, make_plan, require_plan
+from feel321.protocols.trial import Flow
+from feel321.study.session.journal import digest
+from feel321.study.session.plan import (
+    Plan,
+    compare_plans,
+    create_plan,
+    list_codes,
+    make_plan,
+    require_plan,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from stimuli.manifest import StimulusSet
-    from study.session.plan import Design
+    from feel321.stimuli.sets.manifest import StimulusSet
+    from feel321.study.session.plan import Design
 
 
 def remake(design: Design, stimuli: StimulusSet, name: str = "p01", *, number: int = 1) -> Plan:
@@ -33,15 +40,27 @@ def test_a_plan_holds_every_stimulus_once_per_task(plan: Plan, stimuli: Stimulus
     assert references == {codes["bumps-original"], codes["taps-original"]}
 
 
-def test_no_plan_tells_what_a_stimulus_was_made_by(plan: Plan, stimuli: StimulusSet, tmp_path: Path) -> None:
+def test_no_plan_tells_what_a_stimulus_was_made_by(
+    plan: Plan, stimuli: StimulusSet, tmp_path: Path
+) -> None:
     create_plan(tmp_path / "plan.json", plan)
     text = (tmp_path / "plan.json").read_text(encoding="utf-8")
-    assert not [stimulus.reducer for stimulus in stimuli.stimuli if stimulus.reducer in text.replace('"original"', "")]
-    assert not [stimulus.stimulus_id for stimulus in stimuli.stimuli if stimulus.stimulus_id in text]
+    assert not [
+        stimulus.reducer
+        for stimulus in stimuli.stimuli
+        if stimulus.reducer in text.replace('"original"', "")
+    ]
+    assert not [
+        stimulus.stimulus_id for stimulus in stimuli.stimuli if stimulus.stimulus_id in text
+    ]
 
 
-def test_rehearsal_does_not_move_the_order_and_is_numbered_behind_it(design: Design, stimuli: StimulusSet) -> None:
-    rehearsed = replace(design, tasks=tuple(replace(task, training=2, practice=1) for task in design.tasks))
+def test_rehearsal_does_not_move_the_order_and_is_numbered_behind_it(
+    design: Design, stimuli: StimulusSet
+) -> None:
+    rehearsed = replace(
+        design, tasks=tuple(replace(task, training=2, practice=1) for task in design.tasks)
+    )
     plain, plan = remake(design, stimuli), remake(rehearsed, stimuli)
     assert [t for t in plan.trials if t.phase == "main"] == list(plain.trials)
     assert [t.number for t in plan.trials] == list(range(1, len(plan.trials) + 1))
@@ -50,17 +69,24 @@ def test_rehearsal_does_not_move_the_order_and_is_numbered_behind_it(design: Des
 
 def test_groups_take_turns_and_feel_what_is_theirs(design: Design, stimuli: StimulusSet) -> None:
     between = {"protocol": ("realism", "similarity"), "grip": ("pen", "power")}
-    plans = [remake(replace(design, between=between), stimuli, number=number) for number in (1, 2, 3, 4, 5)]
+    plans = [
+        remake(replace(design, between=between), stimuli, number=number)
+        for number in (1, 2, 3, 4, 5)
+    ]
     assert [plan.groups for plan in plans[:4]] == [
         {"protocol": "realism", "grip": "pen"},
         {"protocol": "realism", "grip": "power"},
         {"protocol": "similarity", "grip": "pen"},
         {"protocol": "similarity", "grip": "power"},
     ]
-    assert [{t.protocol for t in plan.trials} for plan in plans] == [{plan.groups["protocol"]} for plan in plans]
+    assert [{t.protocol for t in plan.trials} for plan in plans] == [
+        {plan.groups["protocol"]} for plan in plans
+    ]
     # Within a group the next participant takes the next row, not the next but three.
     alone = replace(design, tasks=design.tasks[:1])
-    assert [t.judgements for t in plans[4].trials] == [t.judgements for t in remake(alone, stimuli, number=2).trials]
+    assert [t.judgements for t in plans[4].trials] == [
+        t.judgements for t in remake(alone, stimuli, number=2).trials
+    ]
 
 
 def test_same_arguments_give_the_same_digest_and_any_other_another(
@@ -79,15 +105,25 @@ def test_same_arguments_give_the_same_digest_and_any_other_another(
         {"seed": 8}, {"repeats": 2}, {"order": "random"}, {"tasks": design.tasks[::-1]}, {"flow": Flow(gap_s=1.0)},
         {"between": {"grip": ("pen",)}},
     ]  # fmt: skip
-    digests = {store(usual), *(store(remake(replace(design, **change), stimuli)) for change in changes)}
+    digests = {
+        store(usual),
+        *(store(remake(replace(design, **change), stimuli)) for change in changes),
+    }
     digests |= {store(remake(design, stimuli, "p02")), store(remake(design, stimuli, number=2))}
-    digests |= {store(remake(design, replace(stimuli, sha256="6"))), store(replace(usual, simulated=False))}
+    digests |= {
+        store(remake(design, replace(stimuli, sha256="6"))),
+        store(replace(usual, simulated=False)),
+    }
     assert len(digests) == 11
 
 
 @pytest.mark.parametrize("name", ["", "a b", "../a", "-a", "ä"])
-def test_participants_are_called_what_a_folder_can_be_called(design: Design, stimuli: StimulusSet, name: str) -> None:
-    with pytest.raises(ValueError, match=r"participant: got .*, allowed are letters, digits, - and _"):
+def test_participants_are_called_what_a_folder_can_be_called(
+    design: Design, stimuli: StimulusSet, name: str
+) -> None:
+    with pytest.raises(
+        ValueError, match=r"participant: got .*, allowed are letters, digits, - and _"
+    ):
         remake(design, stimuli, name)
 
 
@@ -109,10 +145,16 @@ def test_the_digest_is_that_of_the_bytes_before_it(plan: Plan, tmp_path: Path) -
     body, _, rest = path.read_text(encoding="utf-8").partition(',\n "sha256": ')
     stored = require_plan(path)
     assert rest == f'"{digest(body + chr(10) + "}")}"\n}}\n'
-    assert json.loads(path.read_text(encoding="utf-8"))["sha256"] == stored.sha256 == digest(body + "\n}")
+    assert (
+        json.loads(path.read_text(encoding="utf-8"))["sha256"]
+        == stored.sha256
+        == digest(body + "\n}")
+    )
 
 
-def test_a_plan_stored_before_a_field_of_trials_was_added_is_still_good(plan: Plan, tmp_path: Path) -> None:
+def test_a_plan_stored_before_a_field_of_trials_was_added_is_still_good(
+    plan: Plan, tmp_path: Path
+) -> None:
     path = tmp_path / "plan.json"
     create_plan(path, plan)
     body = path.read_text(encoding="utf-8").partition(',\n "sha256": ')[0] + "\n}"
@@ -124,12 +166,16 @@ def test_a_plan_stored_before_a_field_of_trials_was_added_is_still_good(plan: Pl
     assert require_plan(path).sha256 == digest(old)
 
 
-def test_a_plan_of_another_format_is_refused(plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_plan_of_another_format_is_refused(
+    plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "plan.json"
     with monkeypatch.context() as later:
-        later.setattr("study.session.plan.FORMAT", 3)
+        later.setattr("feel321.study.session.plan.FORMAT", 3)
         create_plan(path, plan)
-    with pytest.raises(ValueError, match=r"plan\.json: got a plan of format 3, allowed is 2; use the feel321"):
+    with pytest.raises(
+        ValueError, match=r"plan\.json: got a plan of format 3, allowed is 2; use the feel321"
+    ):
         require_plan(path)
 
 
@@ -139,7 +185,9 @@ def test_a_plan_with_what_this_version_does_not_know_is_refused(plan: Plan, tmp_
     stored = path.read_text(encoding="utf-8").partition(',\n "sha256": ')[0]
     body = stored.replace('"seed": 7', '"seed": 7, "mood": 1') + "\n}"
     path.write_text(f'{body[:-2]},\n "sha256": "{digest(body)}"\n}}\n', encoding="utf-8")
-    with pytest.raises(ValueError, match=r"plan\.json: got a plan of another make \(.*'mood'\); use the feel321"):
+    with pytest.raises(
+        ValueError, match=r"plan\.json: got a plan of another make \(.*'mood'\); use the feel321"
+    ):
         require_plan(path)
 
 
@@ -149,7 +197,10 @@ def test_a_changed_plan_is_refused(plan: Plan, tmp_path: Path) -> None:
     entry = json.loads(path.read_text(encoding="utf-8"))
     entry["trials"][0], entry["trials"][1] = entry["trials"][1], entry["trials"][0]
     path.write_text(json.dumps(entry), encoding="utf-8")
-    with pytest.raises(ValueError, match="got no plan, or one that was changed after it was stored; restore the file"):
+    with pytest.raises(
+        ValueError,
+        match="got no plan, or one that was changed after it was stored; restore the file",
+    ):
         require_plan(path)
 
 
@@ -160,7 +211,9 @@ def test_what_is_no_plan_is_refused(tmp_path: Path, content: str) -> None:
         require_plan(tmp_path / "plan.json")
 
 
-def test_differences_are_named(design: Design, plan: Plan, stimuli: StimulusSet, tmp_path: Path) -> None:
+def test_differences_are_named(
+    design: Design, plan: Plan, stimuli: StimulusSet, tmp_path: Path
+) -> None:
     create_plan(tmp_path / "plan.json", plan)
     assert compare_plans(require_plan(tmp_path / "plan.json"), plan) == []
     changed = replace(design, seed=8, flow=replace(design.flow, rest_s=1.0, break_min=None))

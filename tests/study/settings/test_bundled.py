@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from study.check import check_study
-from study.cli import main
-from study.folder import StudyFolder, create_study, list_bundled, read_bundled
-from study.settings.reading import read_settings
-from study.workflow import build_study, simulate_study
+from feel321.study.cli import main
+from feel321.study.folder import StudyFolder, create_study, list_bundled, read_bundled
+from feel321.study.settings.read import read_settings
+from feel321.study.workflow import build_study, check_study, simulate_study
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -21,14 +20,20 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 # What one participant judges: recordings x comparisons.
-JUDGEMENTS = {"landin2010": 4 * (9 + 1 + 2), "park2019": 12 * (6 + 1), "lee2022": 8 * (6 * 5 // 2 + 1)}
+JUDGEMENTS = {
+    "landin2010": 4 * (9 + 1 + 2),
+    "park2019": 12 * (6 + 1),
+    "lee2022": 8 * (6 * 5 // 2 + 1),
+}
 
 
 @pytest.fixture(params=list_bundled())
 def bundled(request: pytest.FixtureRequest, tmp_path: Path) -> StudyFolder:
     """A published study with short recordings."""
     study = create_study(tmp_path / request.param, bundled=request.param)
-    text = re.sub(r"^(scene = .*)$", r"\1\nduration_s = 0.4", read_bundled(request.param), flags=re.MULTILINE)
+    text = re.sub(
+        r"^(scene = .*)$", r"\1\nduration_s = 0.4", read_bundled(request.param), flags=re.MULTILINE
+    )
     study.settings.write_text(text, encoding="utf-8")
     return study
 
@@ -37,14 +42,18 @@ def test_the_counts_know_every_bundled_study() -> None:
     assert set(JUDGEMENTS) == set(list_bundled())
 
 
-def test_a_bundled_study_is_named_after_itself_and_says_what_it_follows(bundled: StudyFolder) -> None:
+def test_a_bundled_study_is_named_after_itself_and_says_what_it_follows(
+    bundled: StudyFolder,
+) -> None:
     assert read_settings(bundled.settings).study.name == bundled.path.name
     text = read_bundled(bundled.path.name)
     assert re.search(r"doi:10\.\d{4}/\S", text)
     assert all(f"# {heading}: " in text for heading in ("From the paper", "Ours", "Stand-ins"))
 
 
-def test_a_bundled_study_runs_from_check_to_ratings(bundled: StudyFolder, now: Callable[[], datetime]) -> None:
+def test_a_bundled_study_runs_from_check_to_ratings(
+    bundled: StudyFolder, now: Callable[[], datetime]
+) -> None:
     build_study(bundled)
     assert check_study(bundled)[1] == []
     rows = simulate_study(bundled, participants=1, seed=None, now=now)
@@ -57,7 +66,9 @@ def test_a_bundled_study_runs_from_check_to_ratings(bundled: StudyFolder, now: C
 
 def test_every_texture_of_park_is_felt_in_three_orientations() -> None:
     text = read_bundled("park2019")
-    entries = re.findall(r'scene = "(\w+)"\nseed = (\d)\nname = "texture(\d)-r(\d)"\nrotation = (\d)', text)
+    entries = re.findall(
+        r'scene = "(\w+)"\nseed = (\d)\nname = "texture(\d)-r(\d)"\nrotation = (\d)', text
+    )
     assert Counter(texture for _, _, texture, _, _ in entries) == dict.fromkeys("1234", 3)
     assert all((seed, named) == (texture, turned) for _, seed, texture, named, turned in entries)
 
@@ -66,11 +77,15 @@ def test_new_offers_the_bundled_studies(tmp_path: Path, capsys: pytest.CaptureFi
     assert main(["new", "--help"]) == 0
     assert f"[{'|'.join(list_bundled())}]" in capsys.readouterr().out
     assert main(["new", str(tmp_path / "s"), "--study", "lee2022"]) == 0
-    assert StudyFolder(tmp_path / "s").settings.read_text(encoding="utf-8") == read_bundled("lee2022")
+    assert StudyFolder(tmp_path / "s").settings.read_text(encoding="utf-8") == read_bundled(
+        "lee2022"
+    )
 
 
 def test_an_unknown_study_is_refused_with_the_list_before_anything_is_made(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"^study: got 'park', allowed: landin2010, lee2022, park2019$"):
+    with pytest.raises(
+        ValueError, match=r"^study: got 'park', allowed: landin2010, lee2022, park2019$"
+    ):
         create_study(tmp_path / "s", bundled="park")
     assert not (tmp_path / "s").exists()
     assert main(["new", str(tmp_path / "s"), "--study", "park"]) == 2

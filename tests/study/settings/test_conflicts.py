@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from study.settings.conflicts import find_conflicts
-from study.settings.reading import read_settings
+from feel321.study.settings.read import find_conflicts, read_settings
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -52,20 +51,47 @@ def test_settings_that_go_together_pass(text: str, tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("[tasks.mushra]\ntiming = 'strict'", "tasks.mushra.timing: got 'strict', allowed: free"),
-        ("[tasks.realism]\nreference = 'original'", "tasks.realism.reference: got 'original', allowed is none"),
+        (
+            "[tasks.realism]\nreference = 'original'",
+            "tasks.realism.reference: got 'original', allowed is none",
+        ),
         ("[tasks.abx]\nsurface = true", "tasks.abx.surface: got true, allowed is false"),
-        ("[tasks.realism]\nsurface = true", "recordings[2].sample: is missing, but realism let the real surface be"),
-        ("[tasks.similarity]\nreference = 'surface'", "recordings[2].sample: is missing, but similarity let the real"),
-        ("[stimuli]\nreference = 'dft321'", "stimuli.reference: got 'dft321', which is one of stimuli.reducers: it"),
-        ("[session]\nrepeats = 400", "session.repeats: got 400, which makes 19200 trials in a session, allowed are at"),
-        ("[between]\nlevel = ['equal_intensity']", "between.level: got 'equal_intensity', allowed: as_is; or add it"),
-        ("[between]\nprotocol = ['abx']", "between.protocol: got 'abx', allowed: realism, similarity; or add it to"),
+        (
+            "[tasks.realism]\nsurface = true",
+            "recordings[2].sample: is missing, but realism let the real surface be",
+        ),
+        (
+            "[tasks.similarity]\nreference = 'surface'",
+            "recordings[2].sample: is missing, but similarity let the real",
+        ),
+        (
+            "[stimuli]\nreference = 'dft321'",
+            "stimuli.reference: got 'dft321', which is one of stimuli.reducers: it",
+        ),
+        (
+            "[session]\nrepeats = 400",
+            "session.repeats: got 400, which makes 19200 trials in a session, allowed are at",
+        ),
+        (
+            "[between]\nlevel = ['equal_intensity']",
+            "between.level: got 'equal_intensity', allowed: as_is; or add it",
+        ),
+        (
+            "[between]\nprotocol = ['abx']",
+            "between.protocol: got 'abx', allowed: realism, similarity; or add it to",
+        ),
         (
             "[observer]\nrandom_clickers = 0.6\nscale_reversers = 0.6",
             "observer: straight_liners, random_clickers, scale",
         ),
-        ("[tasks.similarity]\nreference = 'dft'", ANY + "got 0 stimuli for the reference 'dft', allowed is"),
-        ("[stimuli]\nreference = 'none'", ANY + "got 0 stimuli for the reference 'original', allowed is exactly one"),
+        (
+            "[tasks.similarity]\nreference = 'dft'",
+            ANY + "got 0 stimuli for the reference 'dft', allowed is",
+        ),
+        (
+            "[stimuli]\nreference = 'none'",
+            ANY + "got 0 stimuli for the reference 'original', allowed is exactly one",
+        ),
     ],
 )
 def test_each_conflict_is_one_line(text: str, message: str, tmp_path: Path) -> None:
@@ -77,9 +103,11 @@ def test_a_page_of_mushra_has_its_limit(tmp_path: Path, monkeypatch: pytest.Monk
     text = "[session]\nprotocols = ['mushra']"
     assert tell(tmp_path, text) == []
     # There are just as many reducers as a page holds: one place less, and it is too full.
-    monkeypatch.setattr("protocols.mushra.MOST", 11)
+    monkeypatch.setattr("feel321.protocols.mushra.MOST", 11)
     (told,) = tell(tmp_path, text)
-    assert told.startswith("tasks.mushra: recording 'bumps', level 'as_is': got 12 stimuli for a page of mushra,")
+    assert told.startswith(
+        "tasks.mushra: recording 'bumps', level 'as_is': got 12 stimuli for a page of mushra,"
+    )
 
 
 def test_a_task_that_no_group_has_wants_nothing(tmp_path: Path) -> None:

@@ -4,9 +4,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from study.folder import list_bundled, read_bundled, read_template
-from study.settings.reading import read_settings
-from study.settings.remarks import list_remarks
+from feel321.study.folder import list_bundled, read_bundled, read_template
+from feel321.study.settings.read import list_remarks, read_settings
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -27,9 +26,18 @@ def test_nothing_is_to_be_said_about_what_we_ship(text: str, tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("text", "remark"),
     [
-        ("[tasks.mushra]\ntiming = 'free'", "tasks.mushra: changes nothing: mushra is not in session.protocols; add"),
-        ("[stimuli]\nanchors = false\n[session]\nprotocols = ['mushra']", "stimuli.anchors: got false, but mushra is"),
-        ("[session.rehearsal]\npractice = 0", "session.stale.policy: got 'warm_up', but session.rehearsal.practice is"),
+        (
+            "[tasks.mushra]\ntiming = 'free'",
+            "tasks.mushra: changes nothing: mushra is not in session.protocols; add",
+        ),
+        (
+            "[stimuli]\nanchors = false\n[session]\nprotocols = ['mushra']",
+            "stimuli.anchors: got false, but mushra is",
+        ),
+        (
+            "[session.rehearsal]\npractice = 0",
+            "session.stale.policy: got 'warm_up', but session.rehearsal.practice is",
+        ),
         ("[session.breaks]\nrest_s = 0", "session.breaks.rest_s: got 0, so fingertips never rest"),
     ],
 )

@@ -8,15 +8,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from stimuli.manifest import read_stimuli
-from stimuli.synthesis import make_scene
-from study.check import check_study
-from study.settings.reading import read_settings
-from study.settings.sources import Surface, list_surfaces, open_recordings, turn_recording
-from study.workflow import build_study
+from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.stimuli.synthesis import make_scene
+from feel321.study.settings.read import (
+    Surface,
+    list_surfaces,
+    open_recordings,
+    read_settings,
+    turn_recording,
+)
+from feel321.study.workflow import build_study, check_study
 
 if TYPE_CHECKING:
-    from study.folder import StudyFolder
+    from feel321.study.folder import StudyFolder
 
 SCENE = '[[recordings]]\nscene = "bumps"\nduration_s = 0.5\n'
 
@@ -37,19 +41,26 @@ def test_one_number_is_one_orientation_of_every_recording() -> None:
     for scene, rotation in (("bumps", 4), ("hard_taps", 4), ("bumps", 5)):
         recording = make_scene(scene, duration_s=0.5)
         turned = turn_recording(recording, rotation)
-        turns.append(np.linalg.lstsq(recording.acceleration.T, turned.acceleration.T, rcond=None)[0])
+        turns.append(
+            np.linalg.lstsq(recording.acceleration.T, turned.acceleration.T, rcond=None)[0]
+        )
     np.testing.assert_allclose(turns[0], turns[1], atol=1e-9)
     assert np.abs(turns[0] - turns[2]).max() > 0.1
 
 
 def test_the_digest_tells_source_and_orientation() -> None:
     bumps, taps = (make_scene(name, duration_s=0.5) for name in ("bumps", "hard_taps"))
-    digests = [bumps.sha256, *(turn_recording(*which).sha256 for which in ((bumps, 0), (bumps, 1), (taps, 1)))]
+    digests = [
+        bumps.sha256,
+        *(turn_recording(*which).sha256 for which in ((bumps, 0), (bumps, 1), (taps, 1))),
+    ]
     assert len(set(digests)) == 4
     assert turn_recording(bumps, 1).sha256 == digests[2]
 
 
-def test_a_recording_is_named_after_its_orientation_unless_it_has_a_name(study: StudyFolder) -> None:
+def test_a_recording_is_named_after_its_orientation_unless_it_has_a_name(
+    study: StudyFolder,
+) -> None:
     text = f'{SCENE}{SCENE}rotation = 0\n{SCENE}rotation = 1\n{SCENE}rotation = 1\nname = "b"\n'
     study.settings.write_text(text, encoding="utf-8")
     recordings = open_recordings(read_settings(study.settings), study.path)
@@ -58,7 +69,9 @@ def test_a_recording_is_named_after_its_orientation_unless_it_has_a_name(study: 
     assert same == [False, False, True]
 
 
-def test_another_orientation_makes_the_set_stale_until_it_is_built_again(study: StudyFolder) -> None:
+def test_another_orientation_makes_the_set_stale_until_it_is_built_again(
+    study: StudyFolder,
+) -> None:
     study.settings.write_text(f'{SCENE}name = "b"\nrotation = 1\n', encoding="utf-8")
     _, first = build_study(study)
     assert check_study(study)[1] == []

@@ -4,13 +4,12 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from protocols.texts import CATALOG, read_refusals, read_texts
-from study.session.ports import REFUSALS
-from study.settings.reading import read_settings
-from study.settings.wording import find_language, read_study_texts
+from feel321.protocols.texts import CATALOG, read_refusals, read_texts
+from feel321.study.session.ports import REFUSALS
+from feel321.study.settings.read import find_language, read_settings, read_study_texts
 
 if TYPE_CHECKING:
-    from study.folder import StudyFolder
+    from feel321.study.folder import StudyFolder
 
 SHORTEST = '[[recordings]]\nscene = "bumps"\n[session]\n'
 
@@ -21,8 +20,13 @@ def test_every_refusal_has_its_text(language: str) -> None:
 
 
 def test_consent_is_the_labs_own_where_it_has_one(study: StudyFolder) -> None:
-    study.settings.write_text(f"{SHORTEST}language = 'de'\nconsent = 'Vorhaben 7'", encoding="utf-8")
-    pages, usual = read_study_texts(read_settings(study.settings), study.path)["pages"], read_texts("de")["pages"]
+    study.settings.write_text(
+        f"{SHORTEST}language = 'de'\nconsent = 'Vorhaben 7'", encoding="utf-8"
+    )
+    pages, usual = (
+        read_study_texts(read_settings(study.settings), study.path)["pages"],
+        read_texts("de")["pages"],
+    )
     assert pages["consent"] == {"title": usual["consent"]["title"], "text": "Vorhaben 7"}
     assert {key for key in usual if pages[key] != usual[key]} == {"consent"}
 
@@ -33,5 +37,7 @@ def test_a_language_of_the_labs_own_lies_beside_the_settings(study: StudyFolder)
     assert find_language(settings, study.path) == study.path / "texts" / "fr.toml"
     (study.path / "texts").mkdir()
     english = (CATALOG / "en.toml").read_text(encoding="utf-8")
-    (study.path / "texts" / "fr.toml").write_text(english.replace("Welcome", "Bienvenue"), encoding="utf-8")
+    (study.path / "texts" / "fr.toml").write_text(
+        english.replace("Welcome", "Bienvenue"), encoding="utf-8"
+    )
     assert read_study_texts(settings, study.path)["pages"]["welcome"]["title"] == "Bienvenue"

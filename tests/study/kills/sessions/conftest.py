@@ -14,39 +14,35 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from protocols.flow import Flow
-from protocols.tasks import make_task
-from protocols.texts import read_scales
-from stimuli.manifest import StimulusSet, read_stimuli
-from study.audit import audit_study
-from study.folder import StudyFolder
-from study.lead import Room, lead_session
-from study.ledger.memory import list_forgotten
-from study.ledger.rebuilding import open_study_ledger
-from study.ledger.roster import write_roster
-from study.ledger.slots import claim_slots
-from study.observer.simulated import ObserverModel, SimulatedObserver, identify_observer
-from study.ratings import write_ratings
-from study.session.journal import read_journal
-from study.session.opening import Stale
-from study.session.plan import Design, make_plan, require_plan
-from study.session.ports import Abort, Confirm, Feel, Move, Pause, Playback
-from study.session.replay import find_elapsed
-from study.settings.tables import ObserverTable
-from study.workflow import build_study
+from feel321.protocols.tasks import make_task
+from feel321.protocols.texts import read_scales
+from feel321.protocols.trial import Flow
+from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
+from feel321.study.audit import audit_study
+from feel321.study.folder import StudyFolder
+from feel321.study.ledger.database import list_forgotten
+from feel321.study.ledger.rebuilding import open_study_ledger
+from feel321.study.ledger.slots import claim_slots, write_roster
+from feel321.study.observer.judging import ObserverModel
+from feel321.study.observer.participant import SimulatedObserver, identify_observer
+from feel321.study.ratings import write_ratings
+from feel321.study.session.journal import read_journal
+from feel321.study.session.opening import Stale
+from feel321.study.session.plan import Design, find_elapsed, make_plan, require_plan
+from feel321.study.session.ports import Abort, Confirm, Feel, Move, Pause, Playback
+from feel321.study.sessions import Room, lead_session
+from feel321.study.settings.schema import ObserverTable
+from feel321.study.workflow import build_study
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from protocols.flow import Page
-    from protocols.protocol import Task
-    from protocols.trial import Part, Scale, Trial
-    from stimuli.manifest import Stimulus
-    from study.session.chain import Record
-    from study.session.journal import Journal
-    from study.session.plan import Plan
-    from study.session.ports import Act, Place, Presenter
+    from feel321.protocols.trial import Page, Part, Scale, Task, Trial
+    from feel321.stimuli.sets.manifest import Stimulus
+    from feel321.study.session.journal import Journal, Record
+    from feel321.study.session.plan import Plan
+    from feel321.study.session.ports import Act, Place, Presenter
 
 STUDY = """
 [[recordings]]
@@ -74,7 +70,12 @@ TASKS: Mapping[str, tuple[Task, ...]] = {
 
 FLOW = Flow(break_trials=3, break_min=None, training_rounds=2)
 
-MODEL = ObserverModel(**{**ObserverTable().model_dump(), "order": 0.2, "fatigue": 3.0, "lapse_rate": 0.1})
+MODEL = ObserverModel(**{
+    **ObserverTable().model_dump(),
+    "order": 0.2,
+    "fatigue": 3.0,
+    "lapse_rate": 0.1,
+})
 """With a memory of the trial before, so that a session that forgets it gives other answers."""
 
 MOODS = ("calm", "dry", "pausing", "rash", "dead", "replaying", "cut", "hasty", "dead")
@@ -94,8 +95,14 @@ class Scripted:
 
     def show_trial(self, trial: Trial, scale: Scale, place: Place) -> None:
         self._mood = MOODS[(trial.number + 2 * place.attempt) % len(MOODS)]
-        self._faults = {"dry": {"underruns": 2}, "dead": {"error": "gone"}, "cut": {"completed": False}}.get(self._mood)
-        self._acts = self._act(trial, self._answer(trial, scale, place), key=f"{trial.number}.{place.attempt}")
+        self._faults = {
+            "dry": {"underruns": 2},
+            "dead": {"error": "gone"},
+            "cut": {"completed": False},
+        }.get(self._mood)
+        self._acts = self._act(
+            trial, self._answer(trial, scale, place), key=f"{trial.number}.{place.attempt}"
+        )
 
     def play(self, part: Part, stimulus: Stimulus, *, gap_s: float) -> Playback:  # noqa: ARG002 - the port's form
         return self.prompt(part)
@@ -128,7 +135,10 @@ class Scripted:
         rng = np.random.default_rng([trial.number, place.attempt])
         draw = partial(rng.choice, scale.choices) if scale.choices else partial(rng.uniform, 0, 100)
         values = {judgement.part: draw() for judgement in trial.judgements}
-        plain = {part: str(value) if scale.choices else round(float(value), 1) for part, value in values.items()}
+        plain = {
+            part: str(value) if scale.choices else round(float(value), 1)
+            for part, value in values.items()
+        }
         return Confirm(0.0, plain, 0.1 if self._mood == "rash" else 1.5)
 
     def _is_first(self, key: str) -> bool:
@@ -153,7 +163,9 @@ class Session:
     @property
     def design(self) -> Design:
         repeats = 3 if self.task == "mushra" else 1
-        return Design(seed=7, order="williams", repeats=repeats, tasks=TASKS[self.task], between={}, flow=FLOW)
+        return Design(
+            seed=7, order="williams", repeats=repeats, tasks=TASKS[self.task], between={}, flow=FLOW
+        )
 
     def make_study(self, path: Path) -> StudyFolder:
         study = StudyFolder(path)
@@ -176,8 +188,10 @@ class Session:
         identity = {"presenter": identify_observer(MODEL, seed=3)}
         with pytest.MonkeyPatch.context() as patch:
             # Small sessions, noted as often as long ones are.
-            patch.setattr("study.lead.TRIALS_BETWEEN_NOTES", 3)
-            while lead_session(room, plan, identity=identity, make_presenter=make_presenter)[0].stopped:
+            patch.setattr("feel321.study.sessions.TRIALS_BETWEEN_NOTES", 3)
+            while lead_session(room, plan, identity=identity, make_presenter=make_presenter)[
+                0
+            ].stopped:
                 pass
         write_roster(study)
         write_ratings(study, self.stimuli)
@@ -211,7 +225,9 @@ def measure(study: StudyFolder) -> int:
 def read_rated(study: StudyFolder) -> dict[str, list[bytes]]:
     """Read the whole lines of completed ratings, as they are on the disk."""
     return {
-        path.name: [line for line in path.read_bytes().split(b"\n")[:-1] if b'"event": "rated"' in line]
+        path.name: [
+            line for line in path.read_bytes().split(b"\n")[:-1] if b'"event": "rated"' in line
+        ]
         for path in study.journals
     }
 
@@ -252,7 +268,9 @@ class Lab:
     def place(self, instant: float, *, task: str, presenter: str, j: float | None = None) -> Any:
         """Choose the kill at some share of a session."""
         size = self.count(task, presenter)
-        return self.processes.Kill(1 + int(instant * ((size.calls if j is None else size.records) - 1)), j)
+        return self.processes.Kill(
+            1 + int(instant * ((size.calls if j is None else size.records) - 1)), j
+        )
 
     def make_study(self, path: Path) -> StudyFolder:
         """Make a study for the command line."""
@@ -263,7 +281,13 @@ class Lab:
         return Session(task, presenter, self.stimuli)
 
     def endure(
-        self, task: str, presenter: str, kills: Sequence[Any], path: Path, *, policy: str = "continue"
+        self,
+        task: str,
+        presenter: str,
+        kills: Sequence[Any],
+        path: Path,
+        *,
+        policy: str = "continue",
     ) -> StudyFolder:
         """Die so many times, then check that nothing is missing or too much.
 
@@ -282,15 +306,23 @@ class Lab:
                 code = self.processes.fork(lead, kill=kill)
             else:
                 n_bytes = kill * self.count(task, presenter).n_bytes
-                code = self.processes.fork(lead, until=lambda n_bytes=n_bytes: measure(study) >= n_bytes)
+                code = self.processes.fork(
+                    lead, until=lambda n_bytes=n_bytes: measure(study) >= n_bytes
+                )
             self.processes.toll.kills[key] += code == -signal.SIGKILL
             # From outside, the kill may come too late.
-            assert code == -signal.SIGKILL or (code, type(kill)) == (0, float), f"{told}: ended with {code}"
+            assert code == -signal.SIGKILL or (code, type(kill)) == (0, float), (
+                f"{told}: ended with {code}"
+            )
             seen.append(read_rated(study))
             later_h = 0.0 if policy == "continue" else 24.0
         session.lead(study, later_h=later_h)
         now = read_rated(study)
-        lost = sum(lines != now.get(name, [])[: len(lines)] for before in seen for name, lines in before.items())
+        lost = sum(
+            lines != now.get(name, [])[: len(lines)]
+            for before in seen
+            for name, lines in before.items()
+        )
         doubled = sum(count_doubles(study))
         self.processes.toll.lost[key] += lost
         self.processes.toll.doubled[key] += doubled
@@ -311,11 +343,17 @@ class Lab:
         """Check that a study ended as the one that was never interrupted; its ledger may have been rebuilt."""
         whole, _ = self._lead_whole(task, presenter)
         end = read_end(study, presenter, policy=policy)
-        assert [r.event for r in read_journal(study.journals[-1]).records].count("finished") == 1, told
+        assert [r.event for r in read_journal(study.journals[-1]).records].count("finished") == 1, (
+            told
+        )
         if policy == "warm_up":
-            whole = replace(whole, rated=tuple(entry for entry in whole.rated if entry[0] in list_main(study)))
+            whole = replace(
+                whole, rated=tuple(entry for entry in whole.rated if entry[0] in list_main(study))
+            )
         assert end.rated == whole.rated, told
-        assert end.table == (strip(whole.table, "onset_s") if policy == "warm_up" else whole.table), told
+        assert end.table == (
+            strip(whole.table, "onset_s") if policy == "warm_up" else whole.table
+        ), told
         assert audit_study(study) == list_forgotten(study), told
         assert len(list_forgotten(study)) == forgotten, told
 
@@ -343,8 +381,14 @@ def count_doubles(study: StudyFolder) -> Iterator[int]:
     """Count ratings of the main phase that were given twice in one session."""
     main = list_main(study)
     for path in study.journals:
-        rated = Counter((r.data["trial"], r.data["attempt"]) for r in list_rated(read_journal(path).records))
-        accepted = Counter(r.data["trial"] for r in list_rated(read_journal(path).records) if not r.data["rejected"])
+        rated = Counter(
+            (r.data["trial"], r.data["attempt"]) for r in list_rated(read_journal(path).records)
+        )
+        accepted = Counter(
+            r.data["trial"]
+            for r in list_rated(read_journal(path).records)
+            if not r.data["rejected"]
+        )
         yield sum(n - 1 for (trial, _), n in rated.items() if trial in main)
         yield sum(n - 1 for trial, n in accepted.items() if trial in main)
 
@@ -359,7 +403,10 @@ def read_end(study: StudyFolder, presenter: str, *, policy: str = "continue") ->
     with study.ratings.open(encoding="utf-8", newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["rejected"] == "false"]
     # The simulated clock stands still while nobody is there; another goes on through a trial that is begun again.
-    changed = {"session", *(() if presenter == "observer" and policy != "warm_up" else ("onset_s",))}
+    changed = {
+        "session",
+        *(() if presenter == "observer" and policy != "warm_up" else ("onset_s",)),
+    }
     return End(
         tuple(
             (data["trial"], data["attempt"], data["values"], data["flags"])

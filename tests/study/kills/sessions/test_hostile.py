@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from stimuli.lock import hold_lock
-from study.audit import audit_study
-from study.cli import main
-from study.session.journal import read_journal
+from feel321.stimuli.lock import hold_lock
+from feel321.study.audit import audit_study
+from feel321.study.cli import main
+from feel321.study.session.journal import read_journal
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from study.folder import StudyFolder
+    from feel321.study.folder import StudyFolder
 
 CLONE_NEWNS = 0x00020000
 
@@ -63,7 +63,9 @@ def leave_mounts() -> None:
 @pytest.fixture(scope="module")
 def may_mount(lab: Any) -> None:
     if sys.platform != "linux" or lab.processes.fork(leave_mounts) != 0:
-        pytest.skip("NO MOUNTS: small and read-only disks need the right to mount (root, CAP_SYS_ADMIN)")
+        pytest.skip(
+            "NO MOUNTS: small and read-only disks need the right to mount (root, CAP_SYS_ADMIN)"
+        )
 
 
 def limit_files(n_bytes: int) -> None:
@@ -82,16 +84,26 @@ def check_all_there(lab: Any, study: StudyFolder, whole: StudyFolder) -> None:
 def test_a_full_disk_under_a_journal(
     lab: Any, study: StudyFolder, whole: StudyFolder, n_bytes: int, tmp_path: Path
 ) -> None:
-    said = lab.processes.speak(partial(limit_files, n_bytes), partial(simulate, study), path=tmp_path / "said")
+    said = lab.processes.speak(
+        partial(limit_files, n_bytes), partial(simulate, study), path=tmp_path / "said"
+    )
     assert said.code == 1
     assert said.err.splitlines()[-1:] == said.err.splitlines(), said.err
     assert said.err.startswith(f"feel321: {study.sessions}/sim00")
-    assert said.err.endswith(("bytes; make room, then resume\n", "make room or mend the disk, then resume\n"))
+    assert said.err.endswith((
+        "bytes; make room, then resume\n",
+        "make room or mend the disk, then resume\n",
+    ))
     # What was rated before is whole and in its place; the session beside the one that failed was told to stop.
-    found = {path: [r for r in read_journal(path).records if r.event != "aborted"] for path in study.journals}
+    found = {
+        path: [r for r in read_journal(path).records if r.event != "aborted"]
+        for path in study.journals
+    }
     assert max(map(len, found.values())) > 50
     for path, records in found.items():
-        expected = read_journal(whole.sessions / path.relative_to(study.sessions)).records[: len(records)]
+        expected = read_journal(whole.sessions / path.relative_to(study.sessions)).records[
+            : len(records)
+        ]
         assert [r.data for r in records[1:]] == [r.data for r in expected[1:]]
     assert audit_study(study) == []
     check_all_there(lab, study, whole)
@@ -101,10 +113,15 @@ def test_a_full_disk_under_a_journal(
 def test_a_full_disk_under_the_ledger_or_a_plan(
     lab: Any, study: StudyFolder, whole: StudyFolder, n_bytes: int, tmp_path: Path
 ) -> None:
-    said = lab.processes.speak(partial(limit_files, n_bytes), partial(simulate, study), path=tmp_path / "said")
+    said = lab.processes.speak(
+        partial(limit_files, n_bytes), partial(simulate, study), path=tmp_path / "said"
+    )
     assert (said.code, said.err.count("\n")) == (1, 1), said.err
     assert said.err.startswith(f"feel321: {study.sessions}")
-    assert "see that the folder may be written to, the disk has room" in said.err or "File too large" in said.err
+    assert (
+        "see that the folder may be written to, the disk has room" in said.err
+        or "File too large" in said.err
+    )
     check_all_there(lab, study, whole)
 
 
@@ -125,33 +142,51 @@ def test_a_small_disk_that_is_given_more_room(
         shutil.copy(study.ratings, tmp_path / "ratings.csv")
         return main(["audit", str(study.path)])
 
-    commands = [partial(simulate, study), lambda: mount("-o", "remount,size=9m", study.path), partial(simulate, study)]
+    commands = [
+        partial(simulate, study),
+        lambda: mount("-o", "remount,size=9m", study.path),
+        partial(simulate, study),
+    ]
     said = lab.processes.speak(insert_small_disk, *commands, save, path=tmp_path / "said")
     assert said.code == 0, said.err
-    assert "make room" in said.err.splitlines()[0] or "the disk has room" in said.err.splitlines()[0]
+    assert (
+        "make room" in said.err.splitlines()[0] or "the disk has room" in said.err.splitlines()[0]
+    )
     assert (tmp_path / "ratings.csv").read_bytes() == whole.ratings.read_bytes()
 
 
 @pytest.mark.usefixtures("may_mount")
-def test_a_read_only_folder_can_be_looked_at(lab: Any, finished: StudyFolder, tmp_path: Path) -> None:
+def test_a_read_only_folder_can_be_looked_at(
+    lab: Any, finished: StudyFolder, tmp_path: Path
+) -> None:
     def lock_folder() -> None:
         leave_mounts()
         mount("--bind", finished.path, finished.path)
         mount("-o", "remount,ro,bind", finished.path)
 
     before = {path: path.read_bytes() for path in finished.sessions.rglob("*") if path.is_file()}
-    refused = lab.processes.speak(lock_folder, partial(simulate, finished, participants=3), path=tmp_path / "refused")
+    refused = lab.processes.speak(
+        lock_folder, partial(simulate, finished, participants=3), path=tmp_path / "refused"
+    )
     assert (refused.code, refused.err.count("\n")) == (1, 1), refused.err
     reason = "could not be used (attempt to write a readonly database)"
-    assert refused.err.startswith(f"feel321: {finished.ledger}: {reason}; see that the folder may be written to")
+    assert refused.err.startswith(
+        f"feel321: {finished.ledger}: {reason}; see that the folder may be written to"
+    )
     for verb in ("status", "audit"):
-        looked = lab.processes.speak(lock_folder, partial(main, [verb, str(finished.path)]), path=tmp_path / verb)
+        looked = lab.processes.speak(
+            lock_folder, partial(main, [verb, str(finished.path)]), path=tmp_path / verb
+        )
         assert (looked.code, looked.err) == (0, "")
-    assert {path: path.read_bytes() for path in finished.sessions.rglob("*") if path.is_file()} == before
+    assert {
+        path: path.read_bytes() for path in finished.sessions.rglob("*") if path.is_file()
+    } == before
 
 
 @pytest.mark.usefixtures("may_mount")
-def test_a_read_only_folder_in_which_nothing_was_begun(lab: Any, study: StudyFolder, tmp_path: Path) -> None:
+def test_a_read_only_folder_in_which_nothing_was_begun(
+    lab: Any, study: StudyFolder, tmp_path: Path
+) -> None:
     def lock_folder() -> None:
         leave_mounts()
         mount("--bind", study.path, study.path)
@@ -170,8 +205,14 @@ def test_a_second_writer_is_sent_away(lab: Any, finished: StudyFolder, tmp_path:
         arguments = ["withdraw", str(finished.path), "--participant", "sim001", "--yes"]
         withdrawn = lab.processes.speak(partial(main, arguments), path=tmp_path / "withdrawn")
     folder = finished.sessions / "sim001"
-    assert simulated.err == f"feel321: {folder}: another session is writing here; let it finish or stop it first\n"
-    assert withdrawn.err == f"feel321: {folder}: a session is running here; let it finish or stop it first\n"
+    assert (
+        simulated.err
+        == f"feel321: {folder}: another session is writing here; let it finish or stop it first\n"
+    )
+    assert (
+        withdrawn.err
+        == f"feel321: {folder}: a session is running here; let it finish or stop it first\n"
+    )
     assert (simulated.code, withdrawn.code) == (1, 1)
     assert audit_study(finished) == []
 
@@ -179,16 +220,27 @@ def test_a_second_writer_is_sent_away(lab: Any, finished: StudyFolder, tmp_path:
 def test_two_simulations_at_once_share_no_journal(
     lab: Any, study: StudyFolder, whole: StudyFolder, tmp_path: Path
 ) -> None:
-    started = [lab.processes.whisper(partial(simulate, study), path=tmp_path / f"said{n}") for n in range(2)]
-    ended = [(lab.processes.wait(child), err.read_text(encoding="utf-8")) for child, (_, err) in started]
+    started = [
+        lab.processes.whisper(partial(simulate, study), path=tmp_path / f"said{n}")
+        for n in range(2)
+    ]
+    ended = [
+        (lab.processes.wait(child), err.read_text(encoding="utf-8")) for child, (_, err) in started
+    ]
     for code, said in ended:
         assert (code, said.count("\n")) in {(0, 0), (1, 1)}, said
-        assert code == 0 or "another session is writing here; let it finish or stop it first" in said
+        assert (
+            code == 0 or "another session is writing here; let it finish or stop it first" in said
+        )
     check_all_there(lab, study, whole)
 
 
-def test_a_withdrawal_while_others_are_simulated(lab: Any, finished: StudyFolder, tmp_path: Path) -> None:
-    child, (_, err) = lab.processes.whisper(partial(simulate, finished, participants=6), path=tmp_path / "simulated")
+def test_a_withdrawal_while_others_are_simulated(
+    lab: Any, finished: StudyFolder, tmp_path: Path
+) -> None:
+    child, (_, err) = lab.processes.whisper(
+        partial(simulate, finished, participants=6), path=tmp_path / "simulated"
+    )
     arguments = ["withdraw", str(finished.path), "--participant", "sim002", "--yes"]
     withdrawn = lab.processes.speak(partial(main, arguments), path=tmp_path / "withdrawn")
     code = lab.processes.wait(child)
@@ -197,7 +249,12 @@ def test_a_withdrawal_while_others_are_simulated(lab: Any, finished: StudyFolder
     assert (simulated + withdrawn.err).count("\n") <= 1 + withdrawn.code
     again = lab.processes.speak(partial(main, arguments), path=tmp_path / "again")
     assert again.code == int(withdrawn.code == 0)
-    assert lab.processes.speak(partial(simulate, finished, participants=6), path=tmp_path / "last").code == 0
+    assert (
+        lab.processes.speak(
+            partial(simulate, finished, participants=6), path=tmp_path / "last"
+        ).code
+        == 0
+    )
     assert audit_study(finished) == []
     assert b"sim002" not in finished.ratings.read_bytes()
 
@@ -209,6 +266,10 @@ def test_a_clock_that_is_set_back_while_nobody_is_there(lab: Any, tmp_path: Path
     assert lab.processes.fork(partial(session.lead, study), kill=kill) < 0
     session.lead(study, later_h=-2.0)
     (journal,) = study.journals
-    stepped = [record.data["back_s"] for record in read_journal(journal).records if record.event == "clock_stepped"]
+    stepped = [
+        record.data["back_s"]
+        for record in read_journal(journal).records
+        if record.event == "clock_stepped"
+    ]
     assert stepped == [pytest.approx(7200, abs=60)]
     assert audit_study(study) == []

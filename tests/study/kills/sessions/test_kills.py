@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from study.session.journal import read_journal
+from feel321.study.session.journal import read_journal
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -28,34 +28,50 @@ every_session = pytest.mark.parametrize(
 )
 
 
-def vary(names: str, rows: Iterable[tuple[Any, ...]], *, every: Callable[..., bool]) -> pytest.MarkDecorator:
+def vary(
+    names: str, rows: Iterable[tuple[Any, ...]], *, every: Callable[..., bool]
+) -> pytest.MarkDecorator:
     """Parametrize with all rows; those that `every` does not pick wait for `make soak`."""
     return pytest.mark.parametrize(
-        names.split(), [pytest.param(*row, marks=[] if every(*row) else [pytest.mark.soak]) for row in rows]
+        names.split(),
+        [pytest.param(*row, marks=[] if every(*row) else [pytest.mark.soak]) for row in rows],
     )
 
 
 @vary(
-    "task presenter instant", product(TASKS, PRESENTERS, (0.3, 0.8)),
-    every=lambda task, presenter, instant: (presenter, instant) == (("scripted", 0.3), ("observer", 0.8))[
-        TASKS.index(task) % 2
-    ],
+    "task presenter instant",
+    product(TASKS, PRESENTERS, (0.3, 0.8)),
+    every=lambda task, presenter, instant: (
+        (presenter, instant) == (("scripted", 0.3), ("observer", 0.8))[TASKS.index(task) % 2]
+    ),
 )
-def test_between_two_calls(lab: Any, task: str, presenter: str, instant: float, tmp_path: Path) -> None:
-    lab.endure(task, presenter, [lab.place(instant, task=task, presenter=presenter)], tmp_path / "killed")
+def test_between_two_calls(
+    lab: Any, task: str, presenter: str, instant: float, tmp_path: Path
+) -> None:
+    lab.endure(
+        task, presenter, [lab.place(instant, task=task, presenter=presenter)], tmp_path / "killed"
+    )
 
 
 @vary(
-    "task presenter j", [(task, *end) for task in TASKS for end in [("observer", 0.5), ("scripted", 1.0)]],
+    "task presenter j",
+    [(task, *end) for task in TASKS for end in [("observer", 0.5), ("scripted", 1.0)]],
     every=lambda task, presenter, _: presenter == PRESENTERS[TASKS.index(task) % 2],
 )
 def test_inside_a_record(lab: Any, task: str, presenter: str, j: float, tmp_path: Path) -> None:
-    lab.endure(task, presenter, [lab.place(0.6, task=task, presenter=presenter, j=j)], tmp_path / "killed")
+    lab.endure(
+        task, presenter, [lab.place(0.6, task=task, presenter=presenter, j=j)], tmp_path / "killed"
+    )
 
 
 @pytest.mark.parametrize("instant", [0.96, 0.98])
 def test_after_the_last_record(lab: Any, instant: float, tmp_path: Path) -> None:
-    lab.endure("abx", "observer", [lab.place(instant, task="abx", presenter="observer")], tmp_path / "killed")
+    lab.endure(
+        "abx",
+        "observer",
+        [lab.place(instant, task="abx", presenter="observer")],
+        tmp_path / "killed",
+    )
 
 
 @vary("k", [(k,) for k in (6, 15, 26, *range(35, 54, 4))], every=lambda k: k in {15, 39, 51})
@@ -78,9 +94,14 @@ def test_again_while_a_torn_line_is_mended(lab: Any, k: int, tmp_path: Path) -> 
     ],
     every=lambda _, k, __: k in {35, 42},
 )
-def test_again_the_next_day(lab: Any, k: int, torn: float | None, policy: str, tmp_path: Path) -> None:
+def test_again_the_next_day(
+    lab: Any, k: int, torn: float | None, policy: str, tmp_path: Path
+) -> None:
     first = lab.place(0.6, task="abx", presenter="observer", j=torn)
-    assert_one_day(lab.endure("abx", "observer", [first, lab.at(k)], tmp_path / "killed", policy=policy), policy)
+    assert_one_day(
+        lab.endure("abx", "observer", [first, lab.at(k)], tmp_path / "killed", policy=policy),
+        policy,
+    )
 
 
 def assert_one_day(study: Any, policy: str) -> None:
@@ -91,7 +112,8 @@ def assert_one_day(study: Any, policy: str) -> None:
 
 
 @vary(
-    "task instant", product(TASKS, (0.2, 0.6)),
+    "task instant",
+    product(TASKS, (0.2, 0.6)),
     every=lambda task, instant: instant == (0.2, 0.6)[TASKS.index(task) % 2],
 )
 def test_from_outside(lab: Any, task: str, instant: float, tmp_path: Path) -> None:
@@ -104,8 +126,15 @@ class TestSoak:
 
     @pytest.mark.parametrize("instant", [n / 40 for n in range(40)])
     @every_session
-    def test_between_two_calls(self, lab: Any, task: str, presenter: str, instant: float, tmp_path: Path) -> None:
-        lab.endure(task, presenter, [lab.place(instant, task=task, presenter=presenter)], tmp_path / "killed")
+    def test_between_two_calls(
+        self, lab: Any, task: str, presenter: str, instant: float, tmp_path: Path
+    ) -> None:
+        lab.endure(
+            task,
+            presenter,
+            [lab.place(instant, task=task, presenter=presenter)],
+            tmp_path / "killed",
+        )
 
     @pytest.mark.parametrize("j", [0.0, 0.3, 1.0])
     @pytest.mark.parametrize("instant", [n / 8 for n in range(8)])
@@ -113,11 +142,18 @@ class TestSoak:
     def test_inside_a_record(
         self, lab: Any, task: str, presenter: str, instant: float, j: float, tmp_path: Path
     ) -> None:
-        lab.endure(task, presenter, [lab.place(instant, task=task, presenter=presenter, j=j)], tmp_path / "killed")
+        lab.endure(
+            task,
+            presenter,
+            [lab.place(instant, task=task, presenter=presenter, j=j)],
+            tmp_path / "killed",
+        )
 
     @pytest.mark.parametrize("k", range(1, OPENING))
     @pytest.mark.parametrize("presenter", PRESENTERS)
-    def test_every_call_of_the_first_opening(self, lab: Any, presenter: str, k: int, tmp_path: Path) -> None:
+    def test_every_call_of_the_first_opening(
+        self, lab: Any, presenter: str, k: int, tmp_path: Path
+    ) -> None:
         lab.endure("realism", presenter, [lab.at(k)], tmp_path / "killed")
 
     @pytest.mark.parametrize("k", range(1, OPENING))
@@ -133,10 +169,15 @@ class TestSoak:
         self, lab: Any, k: int, torn: float | None, policy: str, tmp_path: Path
     ) -> None:
         first = lab.place(0.6, task="abx", presenter="observer", j=torn)
-        assert_one_day(lab.endure("abx", "observer", [first, lab.at(k)], tmp_path / "killed", policy=policy), policy)
+        assert_one_day(
+            lab.endure("abx", "observer", [first, lab.at(k)], tmp_path / "killed", policy=policy),
+            policy,
+        )
 
     @pytest.mark.parametrize("seed", range(5))
     @every_session
-    def test_from_outside(self, lab: Any, task: str, presenter: str, seed: int, tmp_path: Path) -> None:
+    def test_from_outside(
+        self, lab: Any, task: str, presenter: str, seed: int, tmp_path: Path
+    ) -> None:
         instants = sorted(lab.draw(seed, 3))
         lab.endure(task, presenter, instants, tmp_path / "killed")

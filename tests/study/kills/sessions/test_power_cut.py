@@ -8,20 +8,22 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from study.audit import audit_study
-from study.ledger.rebuilding import rebuild_ledger
-from study.session.journal import read_journal
+from feel321.study.audit import audit_study
+from feel321.study.ledger.rebuilding import rebuild_ledger
+from feel321.study.session.journal import read_journal
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from study.folder import StudyFolder
+    from feel321.study.folder import StudyFolder
 
 TAIL = 4096
 """So many bytes at the end of a journal may be gone."""
 
 
-def cut(whole: StudyFolder, study: StudyFolder, *, n_bytes: int, tail: bytes = b"") -> tuple[Path, bytes]:
+def cut(
+    whole: StudyFolder, study: StudyFolder, *, n_bytes: int, tail: bytes = b""
+) -> tuple[Path, bytes]:
     """Copy a participant whose journal lost so many bytes at its end; gives the journal and what is left of a line."""
     shutil.rmtree(study.sessions, ignore_errors=True)
     shutil.copytree(whole.sessions / "sim001", study.sessions / "sim001")
@@ -31,16 +33,22 @@ def cut(whole: StudyFolder, study: StudyFolder, *, n_bytes: int, tail: bytes = b
     return journal, content.rpartition(b"\n")[2]
 
 
-def check_cut(lab: Any, study: StudyFolder, presenter: str, *, n_bytes: int, tail: bytes = b"") -> None:
+def check_cut(
+    lab: Any, study: StudyFolder, presenter: str, *, n_bytes: int, tail: bytes = b""
+) -> None:
     whole = lab.find_whole("abx", presenter)
     journal, torn = cut(whole, study, n_bytes=n_bytes, tail=tail)
     kept = journal.read_bytes().removesuffix(torn)
     lab.session("abx", presenter).lead(study)
     assert journal.read_bytes().startswith(kept), n_bytes
-    recovered = [record.data for record in read_journal(journal).records if record.event == "recovered"]
+    recovered = [
+        record.data for record in read_journal(journal).records if record.event == "recovered"
+    ]
     moved = [path.read_bytes() for path in journal.parent.glob("*.torn*")]
     assert moved == ([torn] if torn else []), n_bytes
-    assert recovered == ([{"torn_bytes": len(torn), "moved_to": f"{journal.name}.torn1"}] if torn else []), n_bytes
+    assert recovered == (
+        [{"torn_bytes": len(torn), "moved_to": f"{journal.name}.torn1"}] if torn else []
+    ), n_bytes
     lab.compare(study, "abx", presenter, told=f"{presenter}, {n_bytes} bytes cut off", forgotten=1)
 
 
@@ -54,7 +62,9 @@ def test_a_journal_that_ends_anywhere(lab: Any, presenter: str, tmp_path: Path) 
 @pytest.mark.soak
 @pytest.mark.parametrize("first", range(1, TAIL + 1, 256))
 @pytest.mark.parametrize("presenter", ["observer", "scripted"])
-def test_a_journal_that_ends_at_any_byte(lab: Any, presenter: str, first: int, tmp_path: Path) -> None:
+def test_a_journal_that_ends_at_any_byte(
+    lab: Any, presenter: str, first: int, tmp_path: Path
+) -> None:
     study = lab.make_study(tmp_path / "study")
     for n_bytes in range(first, first + 256):
         check_cut(lab, study, presenter, n_bytes=n_bytes)
@@ -68,7 +78,9 @@ def test_a_line_whose_end_the_disk_filled_with_zeros(lab: Any, tmp_path: Path) -
 
 
 @pytest.mark.parametrize("n_bytes", [1, 50, 1000, TAIL])
-def test_lines_that_the_ledger_saw_are_not_given_up_in_silence(lab: Any, n_bytes: int, tmp_path: Path) -> None:
+def test_lines_that_the_ledger_saw_are_not_given_up_in_silence(
+    lab: Any, n_bytes: int, tmp_path: Path
+) -> None:
     study, whole = lab.make_study(tmp_path / "study"), lab.find_whole("abx", "observer")
     journal, _ = cut(whole, study, n_bytes=n_bytes)
     shutil.copy(whole.ledger, study.ledger)
@@ -76,7 +88,8 @@ def test_lines_that_the_ledger_saw_are_not_given_up_in_silence(lab: Any, n_bytes
     seen, left = len(read_journal(whole.journals[0]).records), content.count(b"\n")
     refusal = f"{journal}: ends with line {left}, {seen} lines of it were seen"
     with pytest.raises(
-        ValueError, match=f"^{re.escape(refusal)}; restore it from a copy, or take it as it is: feel321"
+        ValueError,
+        match=f"^{re.escape(refusal)}; restore it from a copy, or take it as it is: feel321",
     ):
         lab.session("abx", "observer").lead(study)
     assert journal.read_bytes() == content

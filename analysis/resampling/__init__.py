@@ -1,1 +1,0 @@
-"""The cluster bootstrap over participants and recordings, and the weighted correlations it draws."""

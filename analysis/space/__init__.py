@@ -1,1 +1,0 @@
-"""What people tell apart, as a map, and what its axes mean."""

@@ -1,0 +1,319 @@
+"""Differences between reducers: means, equivalence and non-inferiority with a margin fixed beforehand.
+
+Conventions: hidden reference and anchors have their place here (role tells them apart); repeats are averaged
+first, then a participant's stimuli, then participants, so that nobody counts twice for having judged more.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from feel321.analysis.arrays import read_numbers
+from feel321.analysis.table.items import leave_rejected, open_ratings
+from feel321.analysis.table.schema import HIGHEST, LOWEST
+from feel321.analysis.words import CONFIDENCE
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+# Is a difference small enough not to matter? Equivalence and non-inferiority with a margin fixed beforehand.
+
+SIGNIFICANCE = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Equivalence:
+    """Two one-sided tests of an estimate against a margin.
+
+    Parameters
+    ----------
+    estimate : float
+        What was tested, usually a difference.
+    t_low, p_low : float
+        Test of "not below the margin": estimate against `low`, one-sided.
+    t_high, p_high : float
+        Test of "not above the margin": estimate against `high`, one-sided.
+    p : float
+        The larger of the two: of equivalence.
+    low90, high90 : float
+        90 % interval of the estimate; within the margin exactly if p < .05.
+    low, high : float
+        The margin.
+    equivalent : bool
+        Whether p < .05.
+    """
+
+    estimate: float
+    t_low: float
+    p_low: float
+    t_high: float
+    p_high: float
+    p: float
+    low90: float
+    high90: float
+    low: float
+    high: float
+    equivalent: bool
+
+
+@dataclass(frozen=True, slots=True)
+class NonInferiority:
+    """A one-sided test that an estimate is not worse than a margin.
+
+    Parameters
+    ----------
+    estimate : float
+        What was tested, usually cheaper minus dearer.
+    t, p : float
+        Of the estimate against the margin, one-sided.
+    bound : float
+        95 % one-sided bound of the estimate, on the side of harm.
+    margin : float
+        The harm that is still accepted.
+    non_inferior : bool
+        Whether p < .05.
+    """
+
+    estimate: float
+    t: float
+    p: float
+    bound: float
+    margin: float
+    non_inferior: bool
+
+
+def equivalence(estimate: float, se: float, df: float, *, low: float, high: float) -> Equivalence:
+    """Test whether an estimate lies within a margin: two one-sided tests.
+
+    Parameters
+    ----------
+    estimate : float
+        A difference, or a contrast of a mixed model.
+    se : float
+        Its standard error, above 0.
+    df : float
+        Its degrees of freedom (Satterthwaite's, for a mixed model); infinity for a normal estimate.
+    low, high : float
+        Ends of the margin, in the estimate's unit, fixed before seeing data: the largest difference that
+        would not matter. Half the spread with which people repeat their own ratings is a defensible default.
+
+    Returns
+    -------
+    Equivalence
+        Both tests, the 90 % interval, and whether it lies within the margin.
+
+    Raises
+    ------
+    ValueError
+        If a number is not finite, `se` or `df` is not above 0, or `low` is not below `high`.
+
+    Notes
+    -----
+    H0: the true value is at `low` or below, or at `high` or above. t_low = (estimate - low)/se and t_high =
+    (estimate - high)/se, each against t(df), one-sided; p is the larger, and no correction is due because
+    both must be rejected. A difference that is not significant is *not* evidence of equivalence, and an
+    estimate may be both different from 0 and equivalent. An estimate without a standard error (a singular
+    fit) proves nothing and is refused.
+
+    References
+    ----------
+    Schuirmann (1987), J. Pharmacokinet. Biopharm. 15, 657-680, doi 10.1007/BF01068419.
+    Lakens (2017), Soc. Psychol. Personal. Sci. 8, 355-362, doi 10.1177/1948550617697177.
+
+    Examples
+    --------
+    Two reducers differ by 1.5 points, standard error 1.2, on 11 degrees of freedom; up to 5 do not matter:
+
+    >>> result = equivalence(1.5, 1.2, 11, low=-5, high=5)
+    >>> round(result.t_high, 3), round(result.p, 4), result.equivalent
+    (-2.917, 0.007, True)
+    >>> round(result.low90, 2), round(result.high90, 2)
+    (-0.66, 3.66)
+    """
+    from scipy.stats import t
+
+    _check_numbers(estimate, se, df)
+    _check_finite("low", low)
+    _check_finite("high", high)
+    if low >= high:
+        raise ValueError(
+            f"low: got {low} with high {high}, allowed is a margin with low below high; swap them"
+        )
+    t_low, t_high = (estimate - low) / se, (estimate - high) / se
+    p_low, p_high = float(t.sf(t_low, df)), float(t.cdf(t_high, df))
+    half = float(t.ppf(1 - SIGNIFICANCE, df)) * se
+    p = max(p_low, p_high)
+    return Equivalence(
+        estimate=estimate,
+        t_low=t_low,
+        p_low=p_low,
+        t_high=t_high,
+        p_high=p_high,
+        p=p,
+        low90=estimate - half,
+        high90=estimate + half,
+        low=low,
+        high=high,
+        equivalent=p < SIGNIFICANCE,
+    )
+
+
+def non_inferiority(estimate: float, se: float, df: float, *, margin: float) -> NonInferiority:
+    """Test whether an estimate is not worse than a margin.
+
+    Parameters
+    ----------
+    estimate : float
+        A difference: the cheaper reducer's rating minus the dearer one's.
+    se : float
+        Its standard error, above 0.
+    df : float
+        Its degrees of freedom; infinity for a normal estimate.
+    margin : float
+        The worst difference that is still accepted, fixed before seeing data. Negative where higher is
+        better (-5: up to five points lower); positive where lower is better (a dissimilarity, a cost).
+
+    Returns
+    -------
+    NonInferiority
+        The test and the one-sided bound.
+
+    Raises
+    ------
+    ValueError
+        If a number is not finite, `se` or `df` is not above 0, or the margin is 0.
+
+    Notes
+    -----
+    H0: the true value is at the margin or beyond. t = (estimate - margin)/se, one-sided, away from the harm.
+    It is one half of `equivalence`: a cheaper reducer may be better without limit.
+
+    References
+    ----------
+    Piaggio et al. (2012), JAMA 308, 2594-2604, doi 10.1001/jama.2012.87802.
+
+    Examples
+    --------
+    >>> result = non_inferiority(-1.5, 1.2, 11, margin=-5)
+    >>> round(result.t, 3), round(result.p, 4), round(result.bound, 2), result.non_inferior
+    (2.917, 0.007, -3.66, True)
+    """
+    from scipy.stats import t
+
+    _check_numbers(estimate, se, df)
+    _check_finite("margin", margin)
+    if not margin:
+        raise ValueError(
+            "margin: got 0, allowed is below 0 where higher is better, above 0 where lower is better"
+        )
+    away = -math.copysign(1.0, margin)
+    statistic = (estimate - margin) / se
+    p = float(t.sf(away * statistic, df))
+    bound = estimate - away * float(t.ppf(1 - SIGNIFICANCE, df)) * se
+    return NonInferiority(estimate, statistic, p, bound, margin, p < SIGNIFICANCE)
+
+
+def _check_numbers(estimate: float, se: float, df: float) -> None:
+    _check_finite("estimate", estimate)
+    if not 0 < se < math.inf:
+        raise ValueError(
+            f"se: got {se}, allowed is a finite number above 0; a singular fit tests nothing"
+        )
+    if not df > 0:
+        raise ValueError(f"df: got {df}, allowed is above 0, infinity for a normal estimate")
+
+
+def _check_finite(name: str, value: float) -> None:
+    if not math.isfinite(value):
+        raise ValueError(f"{name}: got {value}, allowed is a finite number")
+
+
+# What each reducer was rated: means per participant, their mean, and its interval.
+
+GROUP = ["scale", "level", "role", "reducer"]
+"""What a profile is split by."""
+
+
+def participant_means(ratings: DataFrame) -> DataFrame:
+    """Mean rating that each participant gave each reducer."""
+    ratings = _read_rows(ratings, [*GROUP, "participant", "stimulus_id"])
+    cells = ratings.groupby([*GROUP, "participant", "stimulus_id"], observed=True)["rating"].mean()
+    return cells.groupby([*GROUP, "participant"], observed=True).mean().reset_index()
+
+
+def profile_reducers(ratings: DataFrame) -> DataFrame:
+    """Mean rating of each reducer with its interval over participants.
+
+    Parameters
+    ----------
+    ratings : DataFrame
+        Tidy table: participant, stimulus_id, reducer, level, role, scale, rating; rejected rows are left out.
+
+    Returns
+    -------
+    DataFrame
+        scale, level, role, reducer, mean, low, high, n_participants, n_stimuli, n_ratings; one row each.
+
+    Raises
+    ------
+    ValueError
+        If a column is missing, or a row has no name or no finite rating.
+
+    Notes
+    -----
+    The interval is mean ± t(.975, P - 1) SD / sqrt(P) over the P participants' means: it speaks of other
+    participants judging these recordings, not of other recordings. It ends where the scale ends. NaN for a single
+    participant, and where all means are alike, as at an end of the scale: that tells nothing of how people differ.
+    """
+    profile = _summarise(participant_means(ratings), GROUP)
+    rows = _read_rows(ratings, GROUP).groupby(GROUP, observed=True)
+    counts = rows.agg(n_stimuli=("stimulus_id", "nunique"), n_ratings=("rating", "size"))
+    return profile.join(counts).reset_index()
+
+
+def stimulus_means(ratings: DataFrame) -> DataFrame:
+    """Mean rating of each stimulus with its interval over participants."""
+    key = ["scale", "level", "role", "recording", "reducer", "stimulus_id"]
+    ratings = _read_rows(ratings, [*key, "participant"])
+    cells = ratings.groupby([*key, "participant"], observed=True)["rating"].mean().reset_index()
+    return _summarise(cells, key).reset_index()
+
+
+def _read_rows(ratings: DataFrame, names: list[str]) -> DataFrame:
+    """Leave out rejected rows; refuse what would drop out of a mean unseen."""
+    ratings, wanted = open_ratings(ratings), [*names, "rating"]
+    if missing := [name for name in wanted if name not in ratings]:
+        raise ValueError(
+            f"ratings: column {', '.join(missing)} is missing; needed are {', '.join(wanted)}"
+        )
+    rows, _ = leave_rejected(ratings)
+    values = read_numbers(rows["rating"], what="ratings, 'rating'")
+    unnamed = rows[names].isna().any(axis=1)
+    if unnamed.any() or not np.isfinite(values).all():
+        n = int((unnamed | ~np.isfinite(values)).sum())
+        raise ValueError(
+            f"ratings: got {n} rows without {', '.join(names)} or a finite rating; leave them out"
+        )
+    return rows.assign(rating=values)
+
+
+def _summarise(means: DataFrame, key: list[str]) -> DataFrame:
+    """Average participants' means; t interval over participants."""
+    from scipy.stats import t
+
+    table = means.groupby(key, observed=True)["rating"].agg(["mean", "std", "size", "nunique"])
+    n = table["size"].to_numpy(np.float64)
+    spread = table["std"].where(table["nunique"] > 1).to_numpy(np.float64)
+    with np.errstate(invalid="ignore"):
+        margin = t.ppf((1 + CONFIDENCE) / 2, n - 1) * spread / np.sqrt(n)
+    table = table.rename(columns={"size": "n_participants"})
+    low, high = (
+        (table["mean"] - margin).clip(lower=LOWEST),
+        (table["mean"] + margin).clip(upper=HIGHEST),
+    )
+    table = table.assign(low=low, high=high)
+    return table[["mean", "low", "high", "n_participants"]]

@@ -1,0 +1,467 @@
+"""Estimates with intervals, one row each: slopes, contrasts, profiles.
+
+Conventions: heights are in cm, the first row ends at 0 and the others lie below, so that a row with a label of two
+lines, or with several marks, has the room that it needs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from feel321.analysis.agreement.reliability import SMALLEST
+from feel321.analysis.figures.style import (
+    BLACK,
+    BLUE,
+    GREY,
+    PALE,
+    THIN,
+    Look,
+    add_legend,
+    add_title,
+    assign_looks,
+    fit_text,
+    make_handles,
+    new_canvas,
+    new_figure,
+    print_style,
+    tell_scale,
+)
+from feel321.analysis.table.items import tell_recordings
+from feel321.analysis.table.judgements import ROLES
+from feel321.analysis.table.schema import HIGHEST, LOWEST
+from feel321.analysis.words import tell_name, tell_number, tell_span, wrap_name
+
+if TYPE_CHECKING:
+    from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+    from pandas import DataFrame, Series
+
+    from feel321.analysis.contrasts.equivalence import Equivalence
+    from feel321.analysis.primary.model import Primary
+
+# Estimates with intervals, one row each: what forest plots, abilities and equivalence tests have in common.
+
+LABEL_CM = 2.9
+LINE_CM, GAP_CM, MARK_CM = 0.29, 0.1, 0.2
+"""Height of a line of text, between rows, and of a mark."""
+
+AXIS_CM = 1.4
+"""Room for an axis's numbers and its label."""
+
+PAD = 0.06
+FARTHEST = 6.0
+"""An interval is cut, with an arrow, where it is this many times as wide as the range of the estimates and of half
+of all intervals: one that tells nothing must not squeeze all others."""
+
+PLAIN = Look(BLACK, "o")
+UNKNOWN = "no estimate"
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """An estimate to be drawn.
+
+    value, low, high: naN where there is none, infinite ends get an arrow.
+    """
+
+    value: float
+    low: float = float("nan")
+    high: float = float("nan")
+    look: Look = PLAIN
+    filled: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A row."""
+
+    label: str
+    marks: tuple[Mark, ...] = ()
+
+    @property
+    def height_cm(self) -> float:
+        """Room that it takes."""
+        return GAP_CM + max(LINE_CM * (1 + self.label.count("\n")), MARK_CM * len(self.marks))
+
+
+def fit_rows(rows: Iterable[Row], *, width_cm: float = LABEL_CM) -> list[Row]:
+    """Break the labels of rows to their place.
+
+    Returns with labels of two lines at most.
+    """
+    return [replace(row, label=fit_text(row.label, width_cm)) for row in rows]
+
+
+def find_height(rows: Iterable[Row]) -> float:
+    """Add the heights of rows.
+
+    Returns in cm.
+    """
+    return sum(row.height_cm for row in rows)
+
+
+def find_limits(rows: Iterable[Row], *include: float) -> tuple[float, float]:
+    """Find the part of the axis that holds all estimates, and all intervals that are not endless."""
+    marks = [mark for row in rows for mark in row.marks]
+    values = np.array([*(mark.value for mark in marks), *include], dtype=np.float64)
+    ends = np.array([(mark.low, mark.high) for mark in marks], dtype=np.float64).reshape(-1, 2)
+    values, ends = values[np.isfinite(values)], ends[np.isfinite(ends).all(axis=1)]
+    if not len(values):
+        return -1.0, 1.0
+    least, most = values.min(), values.max()
+    usual = float(np.median(ends[:, 1] - ends[:, 0])) if len(ends) else 0.0
+    room = FARTHEST * max(most - least, usual, np.finfo(float).tiny)
+    low = max(min(least, ends[:, 0].min(initial=least)), least - room)
+    high = min(max(most, ends[:, 1].max(initial=most)), most + room)
+    pad = PAD * (high - low) or 1.0
+    return float(low - pad), float(high + pad)
+
+
+def draw_rows(axes: Axes, rows: Sequence[Row], *, limits: tuple[float, float]) -> None:
+    """Draw rows and label them."""
+    middles = _place(rows)
+    axes.set(xlim=limits, ylim=(-find_height(rows), 0))
+    for row, middle in zip(rows, middles, strict=True):
+        for mark, height in zip(row.marks, _spread(middle, len(row.marks)), strict=True):
+            _draw_mark(axes, mark, height=height, limits=limits)
+    axes.set_yticks(middles, [row.label for row in rows])
+    axes.tick_params(axis="y", length=0)
+    for label, row in zip(axes.get_yticklabels(), rows, strict=True):
+        label.set_fontweight("normal" if row.marks else "bold")
+    axes.locator_params(axis="x", nbins=5)
+
+
+def _place(rows: Sequence[Row]) -> list[float]:
+    heights = np.array([row.height_cm for row in rows])
+    middles: list[float] = (heights / 2 - np.cumsum(heights)).tolist()
+    return middles
+
+
+def _spread(middle: float, number: int) -> Iterator[float]:
+    return (middle + MARK_CM * ((number - 1) / 2 - place) for place in range(number))
+
+
+def _draw_mark(axes: Axes, mark: Mark, *, height: float, limits: tuple[float, float]) -> None:
+    style: dict[str, Any] = {"color": mark.look.colour, "zorder": 3, "clip_on": False}
+    if np.isnan(mark.value):
+        axes.text(sum(limits) / 2, height, UNKNOWN, ha="center", va="center", color=GREY)
+        return
+    low, high = np.clip((mark.low, mark.high), *limits)
+    axes.plot([low, high], [height, height], linewidth=1.0, solid_capstyle="butt", **style)
+    for end, edge, arrow in ((mark.low, limits[0], "<"), (mark.high, limits[1], ">")):
+        if (end < edge) if arrow == "<" else (end > edge):
+            axes.plot(edge, height, marker=arrow, markersize=3, markeredgewidth=0, **style)
+    if np.isfinite(mark.value):
+        face = mark.look.colour if mark.filled else "white"
+        edge_colour = "white" if mark.filled else mark.look.colour
+        axes.plot(
+            mark.value,
+            height,
+            marker=mark.look.marker,
+            markerfacecolor=face,
+            markeredgecolor=edge_colour,
+            markeredgewidth=THIN if mark.filled else 0.8,
+            **style,
+        )
+
+
+# Forest plot: slopes of the primary model, and what other choices make of them.
+
+MOST = 3
+"""Attributes whose variants fit side by side."""
+
+PANEL_CM = 4.3
+"""What labels leave of the column."""
+
+STANDARDISED = "SD of ratings per SD of metric"
+
+LEFT_OUT = ("without recording", "without source", "without reducer")
+RESCALED = "ratings rescaled"
+"""Headings: of variants that come once per name, and of those that follow them."""
+
+
+def draw_slopes(
+    models: Mapping[str, Primary], *, variants: Mapping[str, DataFrame] | None = None
+) -> Figure:
+    """Draw the slopes of the primary model per attribute and metric.
+
+    models: attribute -> its model, as of `fit_attributes`; variants: attribute -> what
+    `vary_primary` returns, of three attributes at most: a second panel of standardised slopes,
+    which alone compare across units; returns points per +0.1 of the metric with 95 % Satterthwaite
+    intervals.
+    """
+    if not models:
+        raise ValueError("models: got none, allowed is one or more attributes with their models")
+    varied = dict(variants or {})
+    if len(varied) > MOST:
+        raise ValueError(
+            f"variants: got {len(varied)} attributes, allowed are {MOST}; draw several figures"
+        )
+    metrics = [*(str(name) for model in models.values() for name in model.slopes.index)]
+    metrics += [str(name) for table in varied.values() for name in table["metric"]]
+    looks = assign_looks(list(dict.fromkeys(metrics)))
+    with print_style():
+        rows = fit_rows(_list_slopes(models, looks))
+        below = {name: fit_rows(_list_variants(table, looks)) for name, table in varied.items()}
+        heights = [find_height(rows), max(map(find_height, below.values()), default=0.0)]
+        figure = new_canvas(sum(heights) + AXIS_CM * (2 + bool(below)))
+        grid = figure.add_gridspec(
+            1 + bool(below), max(1, len(below)), height_ratios=heights[: 1 + bool(below)]
+        )
+        _draw_primary(figure.add_subplot(grid[0, :]), rows)
+        _draw_variants([figure.add_subplot(grid[1, place]) for place in range(len(below))], below)
+        add_title(figure, _tell(models, varied))
+        add_legend(figure, make_handles({tell_name(name): look for name, look in looks.items()}))
+    return figure
+
+
+def _list_slopes(models: Mapping[str, Primary], looks: Mapping[str, Look]) -> Iterator[Row]:
+    for attribute, model in models.items():
+        yield Row(tell_name(attribute))
+        for metric, row in zip(model.slopes.index, model.slopes.to_dict("records"), strict=True):
+            ends = row["tenth"], row["tenth_low"], row["tenth_high"]
+            yield Row(
+                tell_name(metric), (Mark(*ends, looks[metric], filled=not model.fit.singular),)
+            )
+
+
+def _list_variants(table: DataFrame, looks: Mapping[str, Look]) -> Iterator[Row]:
+    headed = ""
+    for variant, part in table.groupby("variant", sort=False):
+        name = str(variant)
+        heading = next((lead for lead in LEFT_OUT if name.startswith(f"{lead} ")), "")
+        if heading != headed:
+            yield Row(heading or RESCALED)
+        headed = heading
+        yield Row(
+            name.removeprefix(heading).strip(),
+            tuple(_mark_slopes(row, looks) for row in part.to_dict("records")),
+        )
+
+
+def _mark_slopes(row: Mapping[Hashable, object], looks: Mapping[str, Look]) -> Mark:
+    value, low, high = (float(str(row[f"standardised{end}"])) for end in ("", "_low", "_high"))
+    return Mark(value, low, high, looks[str(row["metric"])], filled=not row["singular"])
+
+
+def _draw_primary(axes: Axes, rows: list[Row]) -> None:
+    axes.axvline(0, color=GREY, linewidth=0.6, zorder=1)
+    draw_rows(axes, rows, limits=find_limits(rows, 0))
+    axes.set_xlabel("Points of rating per +0.1 of metric")
+
+
+def _draw_variants(panels: list[Axes], below: Mapping[str, list[Row]]) -> None:
+    limits = find_limits([row for rows in below.values() for row in rows], 0)
+    for place, (axes, (attribute, rows)) in enumerate(zip(panels, below.items(), strict=True)):
+        axes.axvline(0, color=GREY, linewidth=0.6, zorder=1)
+        draw_rows(axes, rows, limits=limits)
+        axes.locator_params(axis="x", nbins=5 - len(below))
+        axes.set_title(fit_text(tell_name(attribute), PANEL_CM / len(below)))
+        axes.set_xlabel(fit_text(STANDARDISED, PANEL_CM / len(below), lines=4))
+        if place:
+            axes.tick_params(axis="y", labelleft=False)
+
+
+def _tell(models: Mapping[str, Primary], varied: Mapping[str, DataFrame]) -> str:
+    def span(what: str) -> str:
+        return f"{tell_span(getattr(model, f'n_{what}') for model in models.values())} {what}"
+
+    shared = any(model.n_sources < model.n_recordings for model in models.values())
+    scenes = f"{span('recordings')} of {span('sources')}" if shared else span("recordings")
+    items = tell_span(model.n_items for model in models.values())
+    singular = any(model.fit.singular for model in models.values()) or any(
+        table["singular"].any() for table in varied.values()
+    )
+    hollow = " Hollow: singular fit (a spread estimated as zero)." if singular else ""
+    second = "\nBelow: the same slopes, standardised, under other choices." if varied else ""
+    return (
+        f"Slopes within recordings, mixed model; bars: 95 % Satterthwaite intervals. "
+        f"n = {span('participants')}, {scenes}, {items} stimuli.{hollow}{second}"
+    )
+
+
+# Equivalence plot: differences between reducers against the margin within which they would not matter.
+
+EQUIVALENT, OPEN = Look(BLUE, "o"), Look(BLACK, "D")
+
+
+def draw_equivalence(
+    contrasts: Mapping[str, Equivalence],
+    *,
+    n_participants: int,
+    n_recordings: int,
+    n_sources: int | None = None,
+    unit: str = "points of rating",
+) -> Figure:
+    """Draw 90 % intervals of differences against the margin of equivalence.
+
+    contrasts: what is compared, such as ``dft321 − mag321`` -> its test.
+    """
+    margins = {(test.low, test.high) for test in contrasts.values()}
+    if len(margins) != 1:
+        raise ValueError(
+            f"contrasts: got {len(margins)} margins, allowed is one for all; draw a figure for each"
+        )
+    ((low, high),) = margins
+    with print_style():
+        rows = fit_rows(Row(name, (_mark_contrasts(test),)) for name, test in contrasts.items())
+        figure, axes = new_figure(find_height(rows) + AXIS_CM)
+        axes.axvspan(low, high, color=PALE, linewidth=0, zorder=0)
+        axes.axvline(0, color=GREY, linewidth=0.6, zorder=1)
+        draw_rows(axes, rows, limits=find_limits(rows, 0, low, high))
+        axes.set_xlabel(f"Difference ({unit})")
+        shown = sum(test.equivalent for test in contrasts.values())
+        margin = f"{tell_number(low, kind='rating')} to {tell_number(high, kind='rating')}"
+        add_title(
+            figure,
+            f"Bars: 90 % intervals, of two one-sided tests at 5 %. Shaded: margin, {margin} {unit}. "
+            f"Filled: equivalent, {shown} of {len(contrasts)}; hollow: not shown. n = {n_participants} participants, "
+            f"{tell_recordings(n_recordings, n_sources or n_recordings)}.",
+        )
+    return figure
+
+
+def _mark_contrasts(test: Equivalence) -> Mark:
+    look = EQUIVALENT if test.equivalent else OPEN
+    return Mark(test.estimate, test.low90, test.high90, look, filled=test.equivalent)
+
+
+# Ratings per reducer: every participant, their distribution, the mean and its interval.
+
+LABEL_LETTERS = 20
+"""Letters per line of a row's label."""
+
+ROW_CM = 0.8
+TWO_LINES, APART = 1.4, 0.8
+"""Rows that a label of two lines takes, and that part references and anchors from tests."""
+
+CLOUD, CLOUD_POINTS = 3, 201
+"""Participants that a distribution needs, and points of its outline."""
+
+CLOUD_OFF, CLOUD_ROWS, CLOUD_EDGE = 0.14, 0.5, 0.01
+"""Where a distribution starts above its row and how high it is, in rows; where it ends, as share of its height."""
+
+
+def draw_profile(
+    profile: DataFrame, participants: DataFrame, *, looks: Mapping[str, Look]
+) -> Figure:
+    """Draw ratings per reducer as a raincloud: every participant, their distribution, the mean and its interval."""
+    labels = _label_rows(profile, list(looks))
+    places = _place_rows(labels)
+    with print_style():
+        figure, axes = new_figure(height_cm=3.0 - ROW_CM * min(places.values()))
+        _draw_people(axes, participants, places=places)
+        for (role, name), height in places.items():
+            chosen = (participants["role"] == role) & (participants["reducer"] == name)
+            _draw_cloud(
+                axes, participants.loc[chosen, "rating"].to_numpy(), height=height, look=looks[name]
+            )
+        for row in profile.to_dict("records"):
+            _draw_mean(
+                axes, row, height=places[row["role"], row["reducer"]], look=looks[row["reducer"]]
+            )
+        _mark_rows(axes, places, labels=list(labels.values()))
+        axes.set(xlim=(LOWEST - 2, HIGHEST + 2))
+        # Told of the figure, not the axes: long names may leave the axes less room than the words need.
+        figure.supxlabel(tell_scale(profile["scale"].iloc[0]))
+        figure.suptitle(_tell_profile(profile["n_participants"]), x=0.02, ha="left")
+    return figure
+
+
+def _tell_profile(n_participants: Series) -> str:
+    people = "\ngrey: each participant's mean; clouds: their distribution"
+    if n_participants.max() < SMALLEST:
+        return f"Mean of 1 participant, no interval;{people}"
+    return f"Mean and 95 % t interval over {tell_span(n_participants)} participants;{people}"
+
+
+def _label_rows(profile: DataFrame, order: list[str]) -> dict[tuple[str, str], str]:
+    """Label of each (role, reducer), from top to bottom: tests, reference, anchors."""
+    found = set(zip(profile["role"], profile["reducer"], strict=True))
+    keys = [(role, name) for role in ROLES for name in order if (role, name) in found]
+    return {
+        (role, name): wrap_name(name, LABEL_LETTERS)
+        if role == ROLES[0]
+        else f"{wrap_name(name, LABEL_LETTERS, lines=1)}\n({role})"
+        for role, name in keys
+    }
+
+
+def _place_rows(labels: Mapping[tuple[str, str], str]) -> dict[tuple[str, str], float]:
+    """Height of each row's middle, the first at 0; rows of two lines take more room."""
+    room = np.array([TWO_LINES if "\n" in label else 1.0 for label in labels.values()])
+    below = np.array([APART * (role != ROLES[0]) for role, _ in labels])
+    middles = np.cumsum(room) - room / 2 + below
+    return dict(zip(labels, (middles[0] - middles).tolist(), strict=True))
+
+
+def _draw_people(
+    axes: Axes, participants: DataFrame, *, places: Mapping[tuple[str, str], float]
+) -> None:
+    style: dict[str, Any] = {
+        "color": GREY,
+        "linewidth": 0.4,
+        "alpha": 0.6,
+        "marker": ".",
+        "markersize": 2,
+    }
+    is_test = participants["role"] == ROLES[0]
+    for (joined, _), part in participants.groupby([is_test, "participant"]):
+        height = np.array([places[key] for key in zip(part["role"], part["reducer"], strict=True)])
+        down, rating = np.argsort(-height), part["rating"].to_numpy(np.float64)
+        axes.plot(rating[down], height[down], linestyle="-" if joined else "none", **style)
+
+
+def _draw_cloud(axes: Axes, ratings: NDArray[np.float64], *, height: float, look: Look) -> None:
+    """Draw how the participants' means are distributed, above their row."""
+    from scipy.stats import gaussian_kde
+
+    if len(np.unique(ratings)) < CLOUD:
+        return
+    place = np.linspace(LOWEST, HIGHEST, CLOUD_POINTS)
+    density = gaussian_kde(ratings)(place)
+    seen = density > CLOUD_EDGE * density.max()
+    top = height + CLOUD_OFF + CLOUD_ROWS * density / density.max()
+    axes.fill(
+        np.concatenate([place[seen], place[seen][::-1]]),
+        np.concatenate([top[seen], np.full(seen.sum(), height + CLOUD_OFF)]),
+        color=look.colour,
+        alpha=0.3,
+        linewidth=0,
+        zorder=2,
+    )
+
+
+def _draw_mean(axes: Axes, row: Mapping[Hashable, Any], *, height: float, look: Look) -> None:
+    spread = np.array([[row["mean"] - row["low"]], [row["high"] - row["mean"]]])
+    error = None if np.isnan(spread).any() else spread
+    axes.errorbar(
+        row["mean"],
+        height,
+        xerr=error,
+        fmt=look.marker,
+        color=look.colour,
+        markersize=4.5,
+        markeredgecolor="white",
+        markeredgewidth=THIN,
+        elinewidth=1.2,
+        capsize=2.5,
+        zorder=3,
+    )
+
+
+def _mark_rows(
+    axes: Axes, places: Mapping[tuple[str, str], float], *, labels: Sequence[str]
+) -> None:
+    axes.set_yticks(list(places.values()), labels)
+    axes.set_ylim(min(places.values()) - 0.6, 0.8)
+    apart = [height for (role, _), height in places.items() if role != ROLES[0]]
+    if apart:
+        line = max(apart) + (TWO_LINES + APART) / 2
+        axes.axhline(line, color=GREY, linewidth=THIN, linestyle=":")

@@ -1,0 +1,327 @@
+"""Ratings against a metric: scatter, fitted mapping, residuals."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.polynomial import Polynomial
+
+from feel321.analysis.figures.style import (
+    BLACK,
+    BLUE,
+    COLUMN_CM,
+    GREY,
+    MARGIN_CM,
+    PALE,
+    PRINT,
+    RED,
+    THIN,
+    Look,
+    add_legend,
+    add_title,
+    fit_text,
+    new_canvas,
+    new_figure,
+    print_style,
+    tell_scale,
+)
+from feel321.analysis.table.items import tell_recordings
+from feel321.analysis.table.schema import HIGHEST, LOWEST
+from feel321.analysis.words import tell_axis, tell_number, tell_range, tell_span
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure, SubFigure
+    from matplotlib.lines import Line2D
+    from numpy.typing import NDArray
+    from pandas import DataFrame
+
+    from feel321.analysis.association.correlate import Association, Panel
+    from feel321.analysis.mixed.model import MixedFit
+    from feel321.analysis.p1401.mapping import P1401
+
+    Values = NDArray[np.float64]
+
+# Ratings against a metric, all recordings in one.
+
+CUT = -1.0
+"""Metrics below this are drawn at the edge: one spectral match of -30 would squeeze all others together."""
+
+
+def draw_scatter(panel: Panel, association: Association, *, looks: Mapping[str, Look]) -> Figure:
+    """Draw the mean rating of each test stimulus against a metric."""
+    parts = dict(tuple(panel.stimuli.groupby("reducer", observed=True)))
+    with print_style():
+        figure, axes = new_figure(height_cm=8.2)
+        shown = {
+            name: scatter_reducer(axes, parts[name], metric=association.metric, look=look)
+            for name, look in looks.items()
+            if name in parts
+        }
+        _mark_clipped(
+            axes,
+            panel.stimuli[association.metric].to_numpy(np.float64),
+            falling=association.value < 0,
+        )
+        limits = LOWEST - 3, HIGHEST + 3
+        axes.set(xlabel=tell_axis(association.metric), ylabel=tell_scale(panel.scale), ylim=limits)
+        axes.locator_params(axis="x", nbins=5)
+        axes.set_title(_tell_association(association))
+        add_legend(figure, shown)
+    return figure
+
+
+def scatter_reducer(
+    axes: Axes,
+    stimuli: DataFrame,
+    *,
+    metric: str,
+    look: Look,
+    size: float = PRINT["lines.markersize"],
+) -> Line2D:
+    """Draw the stimuli of one reducer.
+
+    size: of the marker, in points.
+    """
+    true = stimuli[metric].to_numpy(np.float64)
+    mean, low, high = stimuli[["mean", "low", "high"]].to_numpy(np.float64).T
+    shown, inside = np.maximum(true, CUT), true >= CUT
+    axes.vlines(shown, low, high, colors=GREY, linewidths=0.35, alpha=0.6, zorder=1)
+    style: dict[str, Any] = {"marker": look.marker, "markersize": size, "color": look.colour}
+    style |= {"linestyle": "none", "zorder": 3}
+    axes.plot(shown[~inside], mean[~inside], markerfacecolor="white", markeredgewidth=THIN, **style)
+    return axes.plot(
+        shown[inside], mean[inside], markeredgecolor="white", markeredgewidth=THIN, **style
+    )[0]
+
+
+def count_clipped(metric: NDArray[np.float64]) -> int:
+    """Count the stimuli that a scatter cannot show in their place."""
+    return int((metric < CUT).sum())
+
+
+def _mark_clipped(axes: Axes, metric: NDArray[np.float64], *, falling: bool) -> None:
+    # The corner that a rising (or falling) cloud of points leaves free.
+    height, side = (0.01, "bottom") if falling else (0.99, "top")
+    number = count_clipped(metric)
+    if number:
+        edge, lowest = tell_number(CUT, kind="count"), tell_number(float(metric.min()))
+        count = f"{number} of {len(metric)} stimuli"
+        text = f"← hollow: {count} below {edge}\n    (lowest {lowest}), drawn at {edge}"
+        axes.text(0.02, height, text, transform=axes.transAxes, va=side)
+
+
+def _tell_association(result: Association) -> str:
+    size = f"{result.n_items} stimuli, {tell_recordings(result.n_recordings, result.n_sources)}"
+    narrow = tell_range(result.participants_low, result.participants_high)
+    return (
+        f"{result.method.capitalize()} r = {tell_number(result.value)}, {size}\n"
+        f"95 % two-way interval {tell_range(result.low, result.high)}\n"
+        f"over {result.n_participants} participants only {narrow}"
+    )
+
+
+# Ratings against a metric, recording by recording, with the P.1401 mapping and the noise ceiling.
+
+COLUMNS = 3
+ROW_CM, LABELS_CM, STRIP_CM = 2.5, 1.6, 1.9
+SIZE = 3.0
+"""Of markers, in points."""
+
+PAD = 3.0
+"""Points of the scale beside the outermost bars."""
+
+CURVE_POINTS = 200
+MAPPINGS = {0: "the metric as it is", 1: "straight line", 3: "monotone cubic"}
+"""Order of the mapping -> its name."""
+
+
+def draw_mapping(
+    stimuli: DataFrame,
+    judged: P1401,
+    association: Association,
+    *,
+    scale: str,
+    looks: Mapping[str, Look],
+) -> Figure:
+    """Draw mean ratings against a metric in one panel per recording.
+
+    Returns bars are 95 % t intervals over participants.
+    """
+    recordings = list(dict.fromkeys(stimuli["recording"]))
+    rows = -(-len(recordings) // COLUMNS)
+    with print_style():
+        heights = [ROW_CM * rows + LABELS_CM, STRIP_CM]
+        figure = new_canvas(sum(heights))
+        upper, lower = figure.subfigures(2, 1, height_ratios=heights, squeeze=False)[:, 0]
+        shown = _draw_panels(upper, stimuli, judged, metric=association.metric, looks=looks)
+        upper.supxlabel(tell_axis(association.metric))
+        upper.supylabel(fit_text(tell_scale(scale).replace("\n", " "), ROW_CM * rows + 1, lines=3))
+        _draw_strip(lower.add_subplot(), association)
+        add_title(figure, _tell(stimuli, judged, association))
+        add_legend(figure, {name: shown[name] for name in looks if name in shown})
+    return figure
+
+
+def _draw_panels(
+    place: SubFigure, stimuli: DataFrame, judged: P1401, *, metric: str, looks: Mapping[str, Look]
+) -> dict[str, Line2D]:
+    parts = list(stimuli.groupby("recording", sort=False, observed=True))
+    columns = min(COLUMNS, len(parts))
+    grid = place.subplots(
+        -(-len(parts) // columns), columns, sharex=True, sharey=True, squeeze=False
+    )
+    values = stimuli[metric].to_numpy(np.float64)
+    x = np.linspace(max(values.min(), CUT), values.max(), CURVE_POINTS)
+    width = (COLUMN_CM - 1.6) / columns
+    shown: dict[str, Line2D] = {}
+    for axes, (name, part) in zip(grid.flat, parts, strict=False):
+        axes.plot(x, Polynomial(judged.coefficients)(x), color=BLACK, linewidth=1.0, zorder=2)
+        for reducer, own in part.groupby("reducer", observed=True):
+            shown[str(reducer)] = scatter_reducer(
+                axes, own, metric=metric, look=looks[str(reducer)], size=SIZE
+            )
+        axes.set_title(fit_text(str(name), width - 2 * MARGIN_CM, lines=2))
+        axes.locator_params(nbins=3)
+    grid.flat[0].set_ylim(_find_range(stimuli))
+    for number, axes in enumerate(grid.flat):
+        if number >= len(parts):
+            axes.remove()
+        elif number + columns >= len(parts):
+            axes.tick_params(labelbottom=True)
+    return shown
+
+
+def _find_range(stimuli: DataFrame) -> tuple[float, float]:
+    """Find the part of the scale that holds all bars, a third of it at least: panels are small."""
+    seen = stimuli[["mean", "low", "high"]].to_numpy(np.float64)
+    low, high = float(np.nanmin(seen)), float(np.nanmax(seen))
+    missing = max(0.0, (HIGHEST - LOWEST) / 3 - (high - low)) / 2
+    return max(LOWEST, low - missing) - PAD, min(HIGHEST, high + missing) + PAD
+
+
+def _draw_strip(axes: Axes, association: Association) -> None:
+    """Draw the correlation on its own axis, with how far it could come."""
+    style: dict[str, Any] = {"color": BLUE, "clip_on": False, "zorder": 3}
+    axes.plot([association.low, association.high], [0, 0], linewidth=1.2, **style)
+    axes.plot(
+        association.value,
+        0,
+        marker="o",
+        markersize=4.5,
+        markeredgecolor="white",
+        markeredgewidth=0.5,
+        **style,
+    )
+    axes.axvline(association.ceiling, color=BLACK, linestyle="--", linewidth=1.0, zorder=2)
+    axes.axvline(0, color=GREY, linewidth=0.6, zorder=1)
+    ends = [
+        0.0,
+        1.0,
+        association.low,
+        association.value,
+        -association.ceiling if association.value < 0 else 0.0,
+    ]
+    low = float(np.nanmin(ends))
+    if association.value < 0:
+        axes.axvline(-association.ceiling, color=BLACK, linestyle="--", linewidth=1.0, zorder=2)
+    axes.set(xlim=(low - 0.02, 1.02), ylim=(-1, 1), yticks=[])
+    axes.spines["left"].set_visible(False)
+    axes.set_xlabel(
+        f"{association.method.capitalize()} correlation over all stimuli; broken: ceiling"
+    )
+
+
+def _tell(stimuli: DataFrame, judged: P1401, association: Association) -> str:
+    ceiling = tell_number(association.ceiling)
+    clipped = count_clipped(stimuli[association.metric].to_numpy(np.float64))
+    edge = tell_number(CUT, kind="count")
+    there = f" Hollow: below {edge}, drawn there ({clipped} of {len(stimuli)}), the curve fitted where they are."
+    hollow = there if clipped else ""
+    return (
+        f"r = {tell_number(association.value)}, 95 % two-way interval "
+        f"{tell_range(association.low, association.high)}, noise ceiling {ceiling}. Curve: P.1401 mapping "
+        f"({MAPPINGS[judged.order]}), fitted to all n = {len(stimuli)} stimuli of "
+        f"{tell_recordings(association.n_recordings, association.n_sources)}; bars: 95 % t "
+        f"intervals over {tell_span(stimuli['n_participants'])} participants.{hollow}"
+    )
+
+
+# Residuals of a mixed model: whether they are normal, and as spread at every height of the scale.
+
+HEIGHT_CM, LABEL_CM = 4.6, 2.6
+MOST = 2000
+"""Points that an eye can use; of more rows this many are drawn, evenly through their order."""
+
+BINS, BINNED = 10, 20
+"""Parts of the fitted range for which a median is drawn, and rows that such a part needs."""
+
+POINTS: dict[str, Any] = {"marker": "o", "linestyle": "none", "markersize": 2, "markeredgewidth": 0}
+
+
+def draw_residuals(fit: MixedFit, *, unit: str = "points") -> Figure:
+    """Draw a normal quantile plot of the residuals, and the residuals against the fitted values.
+
+    Returns %.
+
+    Notes
+    -----
+    The k-th of n normal values in order lies between the quantiles of Beta(k, n - k + 1), turned into normal ones;
+    the band is pointwise: one point in twenty lies outside by chance, and neighbours leave it together.
+    """
+    with print_style():
+        figure = new_canvas(HEIGHT_CM)
+        left, right = figure.subplots(1, 2)
+        _draw_quantiles(left, fit.residuals)
+        _draw_spread(right, fit.fitted, fit.residuals)
+        left.set(xlabel="Normal quantile (SD)", ylabel="Residual (SD)")
+        across, up = (fit_text(f"{what} ({unit})", LABEL_CM) for what in ("Fitted", "Residual"))
+        right.set(xlabel=across, ylabel=up)
+        for axes in (left, right):
+            axes.locator_params(nbins=4)
+        n = len(fit.residuals)
+        drawn = f", {MOST} of them drawn" if n > MOST else ""
+        add_title(
+            figure,
+            f"Residuals of the mixed model, n = {n} rows{drawn}. Left: band, 95 % pointwise for normal residuals. "
+            f"Right: line and band, median and quartiles, row after row in parts of equal size.",
+        )
+    return figure
+
+
+def _draw_quantiles(axes: Axes, residuals: Values) -> None:
+    from scipy.stats import beta, norm
+
+    n = len(residuals)
+    spread = residuals.std(ddof=1) if n > 1 else 1.0
+    ordered = np.sort(residuals) / (spread or 1.0)
+    chosen = _choose(n)
+    rank = chosen + 1
+    expected = norm.ppf((rank - 0.5) / n)
+    low, high = (norm.ppf(beta.ppf(share, rank, n - rank + 1)) for share in (0.025, 0.975))
+    axes.fill_between(expected, low, high, color=PALE, linewidth=0, zorder=0)
+    axes.axline((0, 0), slope=1, color=GREY, linewidth=0.6, zorder=1)
+    axes.plot(expected, ordered[chosen], color=BLUE, zorder=2, **POINTS)
+
+
+def _draw_spread(axes: Axes, fitted: Values, residuals: Values) -> None:
+    order = np.argsort(fitted, kind="stable")
+    chosen = order[_choose(len(order))]
+    axes.axhline(0, color=GREY, linewidth=0.6, zorder=1)
+    axes.plot(fitted[chosen], residuals[chosen], color=BLUE, alpha=0.4, zorder=2, **POINTS)
+    parts = np.array_split(order, min(BINS, len(order) // BINNED)) if len(order) >= BINNED else []
+    if len(parts) > 1:
+        middles = [np.median(fitted[part]) for part in parts]
+        low, half, high = np.array([
+            np.quantile(residuals[part], (0.25, 0.5, 0.75)) for part in parts
+        ]).T
+        axes.fill_between(middles, low, high, color=RED, alpha=0.25, linewidth=0, zorder=3)
+        axes.plot(middles, half, color=RED, linewidth=1.0, zorder=4)
+
+
+def _choose(n: int) -> NDArray[np.intp]:
+    """Choose places evenly, both ends among them."""
+    return np.unique(np.linspace(0, n - 1, min(n, MOST)).round().astype(np.intp))

@@ -1,0 +1,275 @@
+"""How figures look: made for print; their text, legends and files.
+
+Conventions: one column wide (8.5 cm), so that text keeps its size in a paper and on a telephone; every
+reducer has a colour and a marker of its own, the same in all figures, so that colour is never alone.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from bisect import bisect_right
+from contextlib import contextmanager
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from feel321.analysis.table.schema import HIGHEST, LOWEST
+from feel321.analysis.table.sheet import tell_measure
+from feel321.analysis.words import tell_name, wrap_name
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# How figures look: made for print.
+
+COLUMN_CM = 8.5
+CM_PER_INCH = 2.54
+THIN, GREY, BLACK = 0.5, "#8A8A8A", "#000000"
+BLUE, RED, PALE = "#0072B2", "#D55E00", "#D6E6F2"
+"""For figures that tell two kinds apart: Okabe and Ito's blue and vermilion, and a background."""
+
+OKABE_ITO = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+"""Colour-blind safe; its yellow is left out because it fades on white paper."""
+
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*", "p")
+"""As many as can be told apart in print; a pair of colour and marker comes again only after 77 reducers."""
+
+PRINT: Any = {
+    "font.family": "DejaVu Sans", "font.size": 7, "axes.labelsize": 7.5, "axes.titlesize": 7,
+    "figure.titlesize": 7, "figure.labelsize": 7.5,
+    "xtick.labelsize": 7, "ytick.labelsize": 7, "legend.fontsize": 7, "axes.linewidth": 0.6,
+    "axes.spines.top": False, "axes.spines.right": False, "axes.titlelocation": "left",
+    "lines.markersize": 4, "lines.linewidth": 0.8, "text.parse_math": False,
+    "svg.fonttype": "path", "svg.hashsalt": "feel321",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """Colour and marker of a reducer."""
+
+    colour: str
+    marker: str
+
+
+def assign_looks(reducers: Sequence[str]) -> dict[str, Look]:
+    """Give every reducer a look."""
+    colours, markers = len(OKABE_ITO), len(MARKERS)
+    return {
+        name: Look(OKABE_ITO[i % colours], MARKERS[i % markers]) for i, name in enumerate(reducers)
+    }
+
+
+@contextmanager
+def print_style() -> Iterator[None]:
+    """Set fonts and lines for print while figures are drawn or saved."""
+    from matplotlib import rc_context, rcParamsDefault
+
+    # All settings but the window's start from the library's own: a matplotlibrc in the working folder must not
+    # change a byte.
+    plain = {
+        name: value
+        for name, value in rcParamsDefault.items()
+        if not name.startswith(("backend", "_"))
+    }
+    with rc_context({**plain, **PRINT}), warnings.catch_warnings():
+        warnings.filterwarnings(
+            "ignore", message="Glyph .* missing from font"
+        )  # `list_undrawable` tells of them once
+        yield
+
+
+def list_undrawable(names: Iterable[str]) -> str:
+    """List the characters that the figures' font does not have."""
+    from matplotlib.font_manager import findfont, get_font
+
+    known = get_font(findfont(PRINT["font.family"])).get_charmap()
+    return "".join(
+        sorted({letter for name in names for letter in name if ord(letter) not in known})
+    )
+
+
+def new_canvas(height_cm: float) -> Figure:
+    """Make a figure without axes, one column wide."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(COLUMN_CM / CM_PER_INCH, height_cm / CM_PER_INCH), layout="constrained")
+
+
+def new_figure(height_cm: float) -> tuple[Figure, Axes]:
+    """Make an empty figure, one column wide."""
+    figure = new_canvas(height_cm)
+    return figure, figure.add_subplot()
+
+
+# Words in figures: broken by measured width, so that no name runs off or into another.
+
+AXIS_LETTERS, SCALE_LETTERS = 30, 60
+"""Letters per line of an axis's label, and of a scale's name within it."""
+
+SIZE = float(PRINT["font.size"])
+POINTS_PER_CM = 72 / CM_PER_INCH
+MARGIN_CM = 0.2
+LONGEST = 200
+"""Letters of a name that are looked at, from its start and from its end."""
+
+TITLE_LINES = 10
+
+
+def tell_scale(scale: str) -> str:
+    """Label an axis by the scale that was rated."""
+    name = wrap_name(tell_name(scale), SCALE_LETTERS, lines=1)
+    return wrap_name(
+        f"Mean {tell_measure(name)} ({LOWEST:.0f}–{HIGHEST:.0f})", AXIS_LETTERS, lines=3
+    )
+
+
+def fit_text(text: str, width_cm: float, *, lines: int = 2, size: float = SIZE) -> str:
+    """Break a text into lines that are no wider than their place.
+
+    lines: how many lines at most; size: of the letters, in points.
+
+    Examples
+    --------
+    >>> fit_text("dft321_windowed_by_its_authors_2026", 2.0).splitlines()
+    ['dft321_', 'window…_2026']
+    """
+    if len(text) > 2 * LONGEST:
+        text = f"{text[:LONGEST]}…{text[-LONGEST:]}"
+    room = width_cm * POINTS_PER_CM
+    found, parts = [""], _split(text)
+    while parts:
+        part = parts.pop(0)
+        if not part.startswith("\n") and _measure((found[-1] + part).strip(), size) <= room:
+            found[-1] += part
+        elif len(found) == lines:
+            found[-1] = _cut((found[-1] + part + "".join(parts)).replace("\n", " "), room, size)
+            break
+        elif found[-1]:
+            found.append("")
+            parts.insert(0, part.strip("\n"))
+        else:
+            fits = _count_fitting(part, room, size)
+            found[-1] = part[:fits]
+            parts.insert(0, part[fits:])
+    return "\n".join(line.strip() for line in found)
+
+
+def add_title(figure: Figure, text: str) -> None:
+    """Write what a figure shows above it, and give the figure the height that this takes."""
+    fitted = fit_text(text, COLUMN_CM - 2 * MARGIN_CM, lines=TITLE_LINES)
+    title = figure.suptitle(fitted, x=MARGIN_CM / COLUMN_CM, ha="left")
+    width, height = figure.get_size_inches()
+    figure.set_size_inches(width, height + title.get_window_extent().height / figure.dpi)
+
+
+def _split(text: str) -> list[str]:
+    """Part a text where a line may break: before line breaks, after spaces and underscores."""
+    return re.findall(r"\n[^\s_]*_*[^\S\n]*|[^\s_]+_*[^\S\n]*|_+[^\S\n]*|[^\S\n]+", text)
+
+
+def _count_fitting(text: str, room: float, size: float) -> int:
+    """Count the letters of a word that fit into a line, one at least."""
+    return max(
+        1, bisect_right(range(1, len(text)), room, key=lambda count: _measure(text[:count], size))
+    )
+
+
+def _cut(text: str, room: float, size: float) -> str:
+    """Leave the middle out."""
+
+    def shorten(kept: int) -> str:
+        tail = kept // 2
+        return f"{text[: kept - tail].rstrip()}…{text[len(text) - tail :].lstrip()}"
+
+    kept = (
+        bisect_right(range(len(text)), room, key=lambda count: _measure(shorten(count), size)) - 1
+    )
+    return shorten(max(0, kept))
+
+
+def _measure(text: str, size: float) -> float:
+    """Find how wide a text is, in points."""
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.textpath import text_to_path
+
+    font = FontProperties(family=PRINT["font.family"], size=size)
+    return float(text_to_path.get_text_width_height_descent(text, font, ismath=False)[0])
+
+
+# Legends below a figure.
+
+COLUMNS, LETTERS = 3, 30
+
+
+def add_legend(figure: Figure, shown: Mapping[str, Artist]) -> None:
+    """Give the legend as many columns as its names leave room for, and the figure the height that it takes.
+
+    shown: name -> what stands for it.
+    """
+    tight: dict[str, Any] = {
+        "loc": "outside lower center",
+        "handletextpad": 0,
+        "columnspacing": 0.6,
+        "frameon": False,
+    }
+    labels = [wrap_name(name, LETTERS) for name in shown]
+    for columns in range(COLUMNS, 0, -1):
+        legend = figure.legend(list(shown.values()), labels, ncols=columns, **tight)
+        size = legend.get_window_extent()
+        if size.width <= figure.bbox.width or columns == 1:
+            break
+        legend.remove()
+    width, height = figure.get_size_inches()
+    figure.set_size_inches(width, height + size.height / figure.dpi)
+
+
+def make_handles(looks: Mapping[str, Look]) -> dict[str, Artist]:
+    """Make what stands for each name in a legend.
+
+    looks: name -> its look.
+    """
+    from matplotlib.lines import Line2D
+
+    def handle(look: Look) -> Line2D:
+        return Line2D(
+            [],
+            [],
+            color=look.colour,
+            marker=look.marker,
+            linestyle="none",
+            markeredgecolor="white",
+            markeredgewidth=THIN,
+        )
+
+    return {name: handle(look) for name, look in looks.items()}
+
+
+# How figures are saved: as vector and as bitmap, the same bytes for the same data.
+
+PNG_DPI = 300
+
+STAMPS: Mapping[str, tuple[str, ...]] = MappingProxyType({
+    "svg": ("Date", "Creator", "Format", "Type"),
+    "png": ("Software",),
+    "pdf": ("CreationDate", "Creator", "Producer"),
+})
+"""Format -> what matplotlib writes into its files beside the drawing: its version and the hour, which differ."""
+
+
+def save_figure(figure: Figure, stem: Path, *, formats: Sequence[str] = ("svg", "png")) -> None:
+    """Write a figure as vector and as bitmap."""
+    if unknown := [name for name in formats if name not in STAMPS]:
+        raise ValueError(f"formats: got {unknown[0]!r}, allowed are {', '.join(STAMPS)}")
+    with print_style():
+        for name in formats:
+            # A name may end in what looks like a suffix: dft_v1.5.
+            path = stem.with_name(f"{stem.name}.{name}")
+            figure.savefig(path, dpi=PNG_DPI, metadata=dict.fromkeys(STAMPS[name]))
+            figure.set_layout_engine("none")  # everything has its place now, in every format

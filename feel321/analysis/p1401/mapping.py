@@ -1,0 +1,443 @@
+"""ITU-T P.1401: how well a metric predicts mean votes, through a monotone mapping.
+
+Conventions: votes have shape (items, raters), NaN where a rater did not vote; an item is a stimulus, its mean
+vote the MOS; a metric has one value per item. The standard takes items for independent: stimuli of one
+recording are not, so its intervals and tests are for comparison with the literature, and conclusions come
+from `correlate`.
+
+Monotone means on the whole interval, not on a grid of it: a 0..1 metric tested in steps of 0.1 hides a turn
+between two steps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.polynomial import Polynomial
+
+from feel321.analysis.arrays import check_labels, read_groups, read_numbers
+from feel321.analysis.resampling import FLAT, PERFECT
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import ArrayLike, NDArray
+
+    Values = NDArray[np.float64]
+
+# The best cubic that never turns back: how a metric is mapped onto a rating scale before errors are counted.
+
+UNIT = (0.0, 1.0)
+
+
+def fit_monotone_cubic(x: Values, y: Values, *, span: tuple[float, float]) -> Polynomial:
+    """Least-squares cubic that rises, or falls, over all of an interval.
+
+    x: (n,); y: (n,).
+
+    Notes
+    -----
+    With u = (x - low) / (high - low), the cubics that rise on the interval are those whose slope is q(u) =
+    (α + β u)² + γ² u (1 - u), Lukács' form of a quadratic that is nowhere negative on [0, 1]. They form a
+    convex cone, so the fit is unique. Where the unconstrained cubic is not monotone, the answer lies on the
+    cone's border: q(0) = 0, q(1) = 0, or q(u) = k (u - t)² touching 0 inside. The first two are least squares
+    with two non-negative weights; for the third, the share of variance explained is a ratio of polynomials in
+    t, whose stationary points are the roots of a quintic. All are solved exactly, without a grid and without
+    an iteration that could stop early.
+
+    References
+    ----------
+    ITU-T P.1401 (2020), Methods, metrics and procedures for statistical evaluation of objective quality
+    prediction models. Szegő (1975), Orthogonal Polynomials, theorem 1.21.1, for the form of q.
+
+    Examples
+    --------
+    >>> x = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
+    >>> turning = np.array([0.0, 3.0, 2.0, 1.0, 4.0])
+    >>> mapping = fit_monotone_cubic(x, turning, span=(0, 1))
+    >>> bool((np.diff(mapping(np.linspace(0, 1, 1001))) >= 0).all())
+    True
+    >>> mapping(x).round(2)
+    array([0.15, 1.77, 2.  , 2.23, 3.85])
+    """
+    u = (x - span[0]) / (span[1] - span[0])
+    free = Polynomial.fit(u, y, 3, domain=UNIT, window=UNIT)
+    if _is_monotone(free):
+        return _stretch(free, span)
+    rising = _fit_border(u, y)
+    falling = -_fit_border(u, -y)
+    return _stretch(min((rising, falling), key=lambda cubic: _misfit(cubic, u, y)), span)
+
+
+def _is_monotone(cubic: Polynomial) -> bool:
+    slope = cubic.deriv()
+    turn = slope.deriv()
+    inner = -turn.coef[0] / turn.coef[1] if turn.coef[1] else 0.0
+    extremes = slope(np.array([*UNIT, inner if 0 < inner < 1 else 0.0]))
+    return bool((extremes >= 0).all() or (extremes <= 0).all())
+
+
+def _fit_border(u: Values, y: Values) -> Polynomial:
+    """Fit the best rising cubic among those whose slope is 0 somewhere."""
+    return min(_candidates(u, y), key=lambda cubic: _misfit(cubic, u, y))
+
+
+def _candidates(u: Values, y: Values) -> Iterator[Polynomial]:
+    from scipy.optimize import nnls
+
+    bow = Polynomial([0, 0, 1 / 2, -1 / 3])  # slope u (1 - u)
+    for corner in (
+        Polynomial([0, 0, 0, 1 / 3]),
+        Polynomial([0, 1, -1, 1 / 3]),
+    ):  # slopes u² and (1 - u)²
+        columns = np.stack([bow(u), corner(u)], axis=1)
+        weights, _ = nnls(columns - columns.mean(axis=0), y - y.mean())
+        yield _centre(weights[0] * bow + weights[1] * corner, u, y)
+    for touch in _touching_points(u, y):
+        shape = Polynomial([0, touch**2, -touch, 1 / 3])  # slope (u - touch)²
+        column = shape(u) - shape(u).mean()
+        yield _centre(max(0.0, column @ y / (column @ column)) * shape, u, y)
+
+
+def _touching_points(u: Values, y: Values) -> Values:
+    """Where inside [0, 1] a slope k (u - t)² may best touch 0: stationary points of the variance explained."""
+    powers = np.stack([u**3 / 3, -(u**2), u])
+    powers -= powers.mean(axis=1, keepdims=True)
+    moments = powers @ powers.T
+    with_y = Polynomial(powers @ y)
+    with_itself = Polynomial([np.fliplr(moments).trace(offset) for offset in range(2, -3, -1)])
+    stationary = 2 * with_y.deriv() * with_itself - with_y * with_itself.deriv()
+    # A root that rounding has made complex, or pushed out, is still a candidate: each is judged by its fit.
+    return np.clip(stationary.trim().roots().real, *UNIT)
+
+
+def _centre(cubic: Polynomial, u: Values, y: Values) -> Polynomial:
+    return cubic + float(y.mean() - cubic(u).mean())
+
+
+def _misfit(cubic: Polynomial, u: Values, y: Values) -> float:
+    return float(((y - cubic(u)) ** 2).sum())
+
+
+def _stretch(cubic: Polynomial, span: tuple[float, float]) -> Polynomial:
+    return Polynomial(cubic.coef, domain=span, window=UNIT)
+
+
+# How well does a metric predict mean votes? ITU-T P.1401, the standard for judging objective metrics.
+
+PARAMETERS = {0: 1, 1: 2, 3: 4}
+"""Order of the mapping -> degrees of freedom that the standard takes off the number of items."""
+
+NORMAL_QUANTILE = 1.96
+"""The standard's rounded quantile; also for an item's interval from 30 votes on."""
+
+MANY_VOTES = 30
+FEW_ITEMS = 30
+"""With fewer items a cubic bends to noise: the first order leads."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class P1401:
+    """What P.1401 says of one metric.
+
+    Parameters
+    ----------
+    plcc, plcc_low, plcc_high : float
+        Pearson correlation of MOS with the mapped metric, and its 95 % interval by Fisher's z; NaN where MOS
+        or the mapped metric is constant; the interval also where the correlation is perfect.
+    srocc : float
+        Spearman correlation of MOS with the metric itself; its sign is the metric's direction.
+    rmse, rmse_low, rmse_high : float
+        Root mean squared error after mapping, on n_items - d degrees of freedom, and its 95 % chi-square
+        interval; in votes' units.
+    rmse_star : float
+        The same of what each error exceeds its item's confidence interval by.
+    outlier_ratio, outlier_ratio_sd : float
+        Share of items whose error exceeds their confidence interval, and its standard deviation.
+    coefficients : tuple of float
+        Of the mapping fitted to all items: a + b x + c x² + d x³, lowest power first, order + 1 of them;
+        (0, 1), the metric as it is, for order 0.
+    order : int
+        Of the mapping.
+    n_items : int
+        Number of items.
+    rmse_n1, rmse_star_n1 : float
+        The two errors on n_items - 1 degrees of freedom, as one edition prints them.
+    mos, interval, mapped : ndarray, shape (n_items,)
+        Mean vote, half its 95 % confidence interval, and the mapped metric.
+    held_out : bool
+        Whether each item was predicted by a mapping fitted without its group.
+    notes : tuple of str
+        Why anything is NaN or to be read with care, one sentence each.
+    """
+
+    plcc: float
+    plcc_low: float
+    plcc_high: float
+    srocc: float
+    rmse: float
+    rmse_low: float
+    rmse_high: float
+    rmse_star: float
+    outlier_ratio: float
+    outlier_ratio_sd: float
+    coefficients: tuple[float, ...]
+    order: int
+    n_items: int
+    rmse_n1: float
+    rmse_star_n1: float
+    mos: Values
+    interval: Values
+    mapped: Values
+    held_out: bool
+    notes: tuple[str, ...] = ()
+
+
+class _Errors(NamedTuple):
+    """Root mean squares of the errors and of their excess over the items' intervals."""
+
+    rmse: float
+    rmse_star: float
+
+
+def p1401(
+    votes: ArrayLike, metric: ArrayLike, *, order: int = 3, groups: ArrayLike | None = None
+) -> P1401:
+    """Judge a metric against votes as ITU-T P.1401 does.
+
+    Parameters
+    ----------
+    votes : array_like, shape (items, raters)
+        Votes on one scale; NaN where missing, but at least two per item.
+    metric : array_like, shape (items,)
+        The metric's value of each item, in the order of the votes' rows.
+    order : int
+        Of the mapping from metric to MOS: 3 for the monotone cubic, 1 for a straight line, 0 for none (the
+        metric is already on the votes' scale).
+    groups : array_like, shape (items,), optional
+        What each item belongs to, usually its recording. Given, every item is predicted by a mapping fitted
+        without its group; without it, the errors are those of a mapping fitted to the same items, and
+        flatter the metric.
+
+    Returns
+    -------
+    P1401
+        Accuracy, monotonicity, error and consistency, with the mapping.
+
+    Raises
+    ------
+    ValueError
+        If shapes do not fit, pandas' labels are in different orders, an item has fewer than two votes, a value is
+        not finite, the order is not one of the three, or there are too few items, groups or different metric values
+        for it.
+
+    Notes
+    -----
+    Per item with n votes and standard deviation s (n - 1): MOS, and ci = q s / √n with q = t(.975, n - 1)
+    below 30 votes and 1.96 from there on. The mapping is least squares and monotone over the metric's whole
+    range, rising or falling, whichever fits better (`fit_monotone_cubic`). Out of fold, a cubic is held at its
+    end for items beyond the range that it was fitted on, where it would shoot off; a note counts them. With
+    e = MOS - MOSp and d = 4 (cubic), 2 (line) or 1 (none, and out of fold: nothing was fitted to the item)::
+
+        rmse  = √(Σ e² / (N - d))
+        rmse* = √(Σ max(0, |e| - ci)² / (N - d))
+        outlier ratio = #(|e| > ci) / N,  sd √(OR (1 - OR) / N)
+        interval of PLCC = tanh(atanh r ± 1.96 / √(N - 3))
+
+    Errors below rounding count as none, so that items on which all raters agree are not outliers by accident.
+    After a least-squares mapping PLCC cannot be negative: look at SROCC for the direction, and at the
+    out-of-fold PLCC for the truth. With fewer than 30 items report order 1 first.
+
+    References
+    ----------
+    ITU-T Recommendation P.1401 (2020), Methods, metrics and procedures for statistical evaluation,
+    qualification and comparison of objective quality prediction models.
+
+    Examples
+    --------
+    >>> votes = [[10, 20, 15], [30, 25, 20], [50, 40, 45], [55, 60, 50], [80, 75, 70], [85, 95, 90]]
+    >>> result = p1401(votes, [0.1, 0.2, 0.45, 0.5, 0.8, 0.9], order=1)
+    >>> round(result.plcc, 4), round(result.srocc, 4), round(result.rmse, 3), result.outlier_ratio
+    (0.9957, 1.0, 2.966, 0.0)
+    >>> [round(coefficient, 2) for coefficient in result.coefficients]
+    [6.48, 90.21]
+    """
+    check_labels(votes, metric, what="metric")
+    table, x = _check_votes(votes), _check_metric(metric)
+    _check_sizes(table, x, order)
+    mos, interval = _summarise(table)
+    mapping = _fit_mapping(x, mos, order=order, span=_span(x))
+    mapped, notes = np.asarray(mapping(x), np.float64), list[str]()
+    if groups is not None:
+        mapped, notes = _map_out_of_fold(x, mos, groups=groups, order=order)
+    errors = np.abs(mos - mapped)
+    errors[errors**2 <= FLAT * float((mos**2).sum())] = 0.0
+    spent = PARAMETERS[order if groups is None else 0]
+    main, n_minus_1 = (
+        _root_mean_squares(errors, interval, spent),
+        _root_mean_squares(errors, interval, 1),
+    )
+    plcc, undefined = _correlate(mos, mapped)
+    notes += undefined
+    ratio = float((errors > interval).mean())
+    plcc_low, plcc_high = _interval_of_correlation(plcc, len(x))
+    rmse_low, rmse_high = _interval_of_rmse(main.rmse, len(x) - spent)
+    if abs(plcc) >= PERFECT:
+        notes.append("The correlation is perfect to rounding and has no interval.")
+    if order > 1 and len(x) < FEW_ITEMS:
+        notes.append(
+            f"With {len(x)} items, fewer than {FEW_ITEMS}, a cubic bends to noise: report order 1 first."
+        )
+    return P1401(
+        plcc=plcc, plcc_low=plcc_low, plcc_high=plcc_high, srocc=_correlate(_rank(mos), _rank(x))[0],
+        rmse=main.rmse, rmse_low=rmse_low, rmse_high=rmse_high, rmse_star=main.rmse_star,
+        outlier_ratio=ratio, outlier_ratio_sd=float(np.sqrt(ratio * (1 - ratio) / len(x))),
+        coefficients=_list_coefficients(mapping, order), order=order, n_items=len(x),
+        rmse_n1=n_minus_1.rmse, rmse_star_n1=n_minus_1.rmse_star,
+        mos=mos, interval=interval, mapped=mapped, held_out=groups is not None, notes=tuple(notes),
+    )  # fmt: skip
+
+
+def _check_votes(votes: ArrayLike) -> Values:
+    table = read_numbers(votes, what="votes")
+    if table.ndim != 2:  # noqa: PLR2004 - items x raters
+        raise ValueError(
+            f"votes: got shape {table.shape}, allowed is (items, raters), NaN where a vote is missing"
+        )
+    if np.isinf(table).any():
+        raise ValueError(
+            f"votes: got {int(np.isinf(table).sum())} infinite votes; use NaN for a missing one"
+        )
+    counts = np.isfinite(table).sum(axis=1)
+    poor = np.flatnonzero(counts < 2)  # noqa: PLR2004 - a spread needs two
+    if poor.size:
+        got = f"item {poor[0]} with {counts[poor[0]]} votes ({poor.size} such items)"
+        raise ValueError(
+            f"votes: got {got}, allowed is 2 or more, for its confidence interval; leave it out"
+        )
+    return table
+
+
+def _check_metric(metric: ArrayLike) -> Values:
+    x = read_numbers(metric, what="metric")
+    if x.ndim != 1:
+        raise ValueError(f"metric: got shape {x.shape}, allowed is one value per item")
+    if not np.isfinite(x).all():
+        bad = np.flatnonzero(~np.isfinite(x))
+        raise ValueError(
+            f"metric: got {bad.size} values that are not finite, first of item {bad[0]}; leave them out"
+        )
+    return x
+
+
+def _check_sizes(table: Values, x: Values, order: int) -> None:
+    if order not in PARAMETERS or isinstance(order, bool | float):
+        raise ValueError(
+            f"order: got {order!r}, allowed is 3 (monotone cubic), 1 (line) or 0 (no mapping)"
+        )
+    if len(table) != len(x):
+        raise ValueError(
+            f"metric: got {len(x)} values for {len(table)} items, allowed is one per item"
+        )
+    fewest = (
+        max(PARAMETERS[order], 3) + 1
+    )  # one degree of freedom for the errors, one for Fisher's z
+    if len(x) < fewest:
+        raise ValueError(
+            f"votes: got {len(x)} items, order {order} needs at least {fewest}; lower the order"
+        )
+    _check_spread(x, order, who="items")
+
+
+def _check_spread(x: Values, order: int, *, who: str) -> None:
+    needed, different = max(order, 1) + 1, len(np.unique(x))
+    if different < needed:
+        raise ValueError(
+            f"metric: got {different} different values over the {who}, order {order} needs {needed}; lower the order"
+        )
+
+
+def _summarise(table: Values) -> tuple[Values, Values]:
+    from scipy.stats import t
+
+    counts = np.isfinite(table).sum(axis=1)
+    quantile = np.where(counts < MANY_VOTES, t.ppf(0.975, counts - 1), NORMAL_QUANTILE)
+    return np.nanmean(table, axis=1), quantile * np.nanstd(table, axis=1, ddof=1) / np.sqrt(counts)
+
+
+def _span(x: Values) -> tuple[float, float]:
+    return float(x.min()), float(x.max())
+
+
+def _fit_mapping(x: Values, mos: Values, *, order: int, span: tuple[float, float]) -> Polynomial:
+    if order == 0:
+        return Polynomial([0.0, 1.0])
+    if order == 1:
+        return Polynomial.fit(x, mos, 1, domain=span, window=(0.0, 1.0))
+    return fit_monotone_cubic(x, mos, span=span)
+
+
+def _list_coefficients(mapping: Polynomial, order: int) -> tuple[float, ...]:
+    coefficients = np.zeros(max(order, 1) + 1)
+    in_x = mapping.convert().coef
+    coefficients[: len(in_x)] = in_x
+    return tuple(coefficients.tolist())
+
+
+def _map_out_of_fold(
+    x: Values, mos: Values, *, groups: ArrayLike, order: int
+) -> tuple[Values, list[str]]:
+    numbers, names = read_groups(groups, n=len(x), what="item")
+    if len(names) < 2:  # noqa: PLR2004 - one to fit to, one to predict
+        raise ValueError(
+            f"groups: got the one group {names[0]}, allowed is two or more; leave groups out"
+        )
+    mapped, n_beyond = np.empty_like(x), 0
+    for number, name in enumerate(names):
+        held = numbers == number
+        if order:
+            _check_spread(x[~held], order, who=f"items outside group {name}")
+        span = _span(x[~held])
+        known = np.clip(x[held], *span) if order > 1 else x[held]
+        mapped[held] = _fit_mapping(x[~held], mos[~held], order=order, span=span)(known)
+        n_beyond += int((known != x[held]).sum())
+    beyond = f"{n_beyond} items lie beyond the metric's range in the other groups; the cubic is held at its end there."
+    return mapped, [beyond] if n_beyond else []
+
+
+def _root_mean_squares(errors: Values, interval: Values, spent: int) -> _Errors:
+    excess = np.maximum(0.0, errors - interval)
+    freedom = len(errors) - spent
+    return _Errors(
+        float(np.sqrt((errors**2).sum() / freedom)), float(np.sqrt((excess**2).sum() / freedom))
+    )
+
+
+def _correlate(mos: Values, other: Values) -> tuple[float, list[str]]:
+    for name, values in (("votes", mos), ("mapped metric", other)):
+        if ((values - values.mean()) ** 2).sum() <= FLAT * (values**2).sum():
+            return float("nan"), [f"No correlation: the {name} of all items are the same."]
+    return float(np.clip(np.corrcoef(mos, other)[0, 1], -1, 1)), []
+
+
+def _rank(values: Values) -> Values:
+    from scipy.stats import rankdata
+
+    ranks: Values = rankdata(values)
+    return ranks
+
+
+def _interval_of_correlation(plcc: float, n_items: int) -> tuple[float, float]:
+    if not abs(plcc) < PERFECT:
+        return float("nan"), float("nan")
+    z, margin = np.arctanh(plcc), NORMAL_QUANTILE / np.sqrt(n_items - 3)
+    return float(np.tanh(z - margin)), float(np.tanh(z + margin))
+
+
+def _interval_of_rmse(rmse: float, freedom: int) -> tuple[float, float]:
+    from scipy.stats import chi2
+
+    low, high = rmse * np.sqrt(freedom / chi2.ppf([0.975, 0.025], freedom))
+    return float(low), float(high)

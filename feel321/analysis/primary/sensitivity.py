@@ -1,0 +1,412 @@
+"""The primary slopes under other choices, and how precise a larger study would make them.
+
+SE² = σ_S²/P + 1 / (SS_w/v + SS_r/(v + m v_r)), with v = σ_I² + (σ_PI² + σ_e²/K)/P of a stimulus and v_r = σ_R² +
+σ_PR²/P of a reducer in m recordings; SS_r is the sum of squares of the metric that is the same for a reducer in all
+recordings, SS_w what is left. Without reducers this is σ_S²/P + σ_I²/SS + (σ_PI² + σ_e²/K)/(P SS). Stimuli do not
+become more with participants: they set the ceiling of what a study can know. What only reducers tell (SS_r) becomes no
+more with recordings either, because m grows with SS_r.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from feel321.analysis.arrays import read_numbers
+from feel321.analysis.primary.model import fit_primary
+from feel321.analysis.primary.plan import RATING, REDUCER, SCENE, SOURCE, WHO
+from feel321.analysis.table.items import (
+    find_sources,
+    leave_rejected,
+    leave_untested,
+    name_items,
+    open_ratings,
+)
+from feel321.analysis.table.reading import order_reducers
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Sequence
+
+    from pandas import DataFrame
+
+# The primary slopes under other choices: one recording or reducer less, another use of the scale.
+
+CORRELATED, WITHOUT_REDUCERS = "correlated slopes", "without reducers"
+COLUMNS = (
+    "estimate",
+    "se",
+    "df",
+    "t",
+    "p",
+    "low",
+    "high",
+    "standardised",
+    "standardised_low",
+    "standardised_high",
+)
+
+
+def vary_primary(
+    rows: DataFrame, metrics: Sequence[str], *, top: float = 100.0, leave_out: bool = True
+) -> DataFrame:
+    """Repeat the primary analysis under other choices.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        As for `fit_primary`; with a column ``reducer``, each reducer is left out in turn.
+    metrics : sequence of str
+        One or more.
+    top : float
+        Upper end of the rating scale, which starts at 0.
+    leave_out : bool
+        Whether to leave each recording and each reducer out in turn.
+
+    Returns
+    -------
+    DataFrame
+        One row per variant and metric: variant, unit (of estimate, low and high: points, rater SDs or logits,
+        per unit of the metric), metric, estimate se df t p low high, standardised slope with its interval,
+        singular, and reason (why a variant has no numbers, or what its model lacks or leaves out).
+
+    Raises
+    ------
+    ValueError
+        If the primary model itself cannot be fitted, or ratings are outside of 0..top.
+
+    Notes
+    -----
+    Variants: people's slopes correlated; the model without its terms for reducers, which takes what a reducer feels
+    like for other reasons for evidence of its metric; without each recording (without each source, where several
+    recordings come from one: the others of it would stand in for what is left out); without each reducer (metrics
+    are split anew over what is left, so that nothing of it leaks in); each rater's ratings standardised, which takes
+    out how much of the scale they use (raters whose ratings are all the same cannot be, and are left out, as the
+    reason says); ratings as logits
+    of (y (n - 1) + 1/2) / n, y = rating / top and n their number (Smithson & Verkuilen 2006), which takes out the
+    crowding at the scale's ends. Only standardised slopes compare across units.
+
+    References
+    ----------
+    Smithson & Verkuilen (2006), doi 10.1037/1082-989X.11.1.54.
+    """
+    import pandas as pd
+
+    rows, notes = leave_rejected(name_items(open_ratings(rows, what="rows")))
+    rows, untested = leave_untested(rows)
+    ratings = read_numbers(rows[RATING], what=f"rows, {RATING!r}")
+    rows = rows.assign(**{RATING: ratings})
+    if ratings.min() < 0 or ratings.max() > top:
+        raise ValueError(
+            f"rows: got ratings {ratings.min():g} to {ratings.max():g}, allowed is 0 to {top:g}; give top"
+        )
+    tables = [
+        _tabulate(variant, rows, metrics) for variant in ("primary", CORRELATED, WITHOUT_REDUCERS)
+    ]
+    tables += [
+        _tabulate(name, part, metrics) for name, part in (_leave_out(rows) if leave_out else ())
+    ]
+    tables.append(_tabulate_standardised(rows, metrics))
+    tables.append(_tabulate("logits", _squeeze(rows, top), metrics, unit="logits"))
+    table = pd.concat(tables, ignore_index=True)
+    return table.assign(
+        reason=[" ".join(filter(None, (*notes, *untested, reason))) for reason in table["reason"]]
+    )
+
+
+def _leave_out(rows: DataFrame) -> Iterator[tuple[str, DataFrame]]:
+    sources = find_sources(rows)
+    if not sources.is_unique:
+        rows = rows.assign(**{SOURCE: rows[SCENE].map(sources)})
+    for column in (SCENE if sources.is_unique else SOURCE, REDUCER):
+        names = _order(rows[column].unique(), column) if column in rows else []
+        for name in names if len(names) > 1 else []:
+            yield f"without {column} {name}", rows[rows[column] != name]
+
+
+def _order(names: Iterable[str], column: str) -> list[str]:
+    """Put names in the same order whatever was rated, so that scales can be compared."""
+    return order_reducers(names) if column == REDUCER else sorted(names, key=str)
+
+
+def _tabulate_standardised(rows: DataFrame, metrics: Sequence[str]) -> DataFrame:
+    steady = rows.groupby(WHO, observed=True)[RATING].transform("std").fillna(0) == 0
+    table = _tabulate("rater-standardised", _standardise(rows[~steady]), metrics, unit="rater SDs")
+    if steady.any():
+        names = ", ".join(map(str, rows.loc[steady, WHO].unique()))
+        table["reason"] = f"Without {names}, whose ratings are all the same. " + table["reason"]
+    return table
+
+
+def _standardise(rows: DataFrame) -> DataFrame:
+    own = rows.groupby(WHO, observed=True)[RATING]
+    return rows.assign(**{RATING: (rows[RATING] - own.transform("mean")) / own.transform("std")})
+
+
+def _squeeze(rows: DataFrame, top: float) -> DataFrame:
+    share = (rows[RATING] / top * (len(rows) - 1) + 0.5) / len(rows)
+    return rows.assign(**{RATING: np.log(share / (1 - share))})
+
+
+def _tabulate(
+    variant: str, rows: DataFrame, metrics: Sequence[str], *, unit: str = "points"
+) -> DataFrame:
+    import pandas as pd
+
+    try:
+        model = fit_primary(
+            rows,
+            metrics,
+            correlated=variant == CORRELATED,
+            reducers=variant != WITHOUT_REDUCERS,
+            explain=False,
+        )
+    except ValueError as error:
+        if variant == "primary":
+            raise
+        table = pd.DataFrame(np.nan, index=list(metrics), columns=list(COLUMNS))
+        singular, reason = False, str(error)
+    else:
+        table = model.slopes[list(COLUMNS)].reindex(list(metrics))
+        singular, reason = model.fit.singular, " ".join(model.reductions)
+    table = table.rename_axis("metric").reset_index().assign(singular=singular, reason=reason)
+    table.insert(0, "unit", unit)
+    table.insert(0, "variant", variant)
+    return table
+
+
+# How well would more participants or more recordings know a slope? The standard error, taken apart.
+
+SIGNIFICANCE = 0.05
+ENOUGH = 0.8
+"""Power that is asked for."""
+
+MOST = 10_000
+"""Nobody recruits more."""
+
+FEWEST_PEOPLE, FEWEST_RECORDINGS = 6, 4
+"""No smaller study is advised, however large the slope: intervals over fewer are too unsure of themselves."""
+
+
+@dataclass(frozen=True, slots=True)
+class Precision:
+    """What the standard error of a slope within recordings is made of.
+
+    Parameters
+    ----------
+    slope_sd : float
+        Between participants, of the slope; points per unit of the metric.
+    item_sd : float
+        Between stimuli of a recording, of what the metrics leave unexplained; points.
+    noise_sd : float
+        Of one participant's mean rating of a stimulus, √(σ_PI² + σ_e²/K) for K repeats; points.
+    square : float
+        Σ over stimuli of the metric squared, less its recording's mean and less what the other metrics share.
+    n_participants, n_recordings, n_items, n_slopes : int
+        Size of the study, and metrics in the model.
+    reducer_sd, rater_reducer_sd : float
+        Between reducers, of what the metrics leave unexplained, for everyone and for one participant; points.
+    reducer_square : float
+        The part of `square` that is the same for a reducer in every recording.
+    n_reducers, n_alike : float
+        Reducers, 0 where the model has no spread between them, and stimuli of each.
+    level : float
+        Of the test: 0.05 over the number of slopes tested, which is Holm's first step.
+    """
+
+    slope_sd: float
+    item_sd: float
+    noise_sd: float
+    square: float
+    n_participants: int
+    n_recordings: int
+    n_items: int
+    n_slopes: int = 1
+    reducer_sd: float = 0.0
+    rater_reducer_sd: float = 0.0
+    reducer_square: float = 0.0
+    n_reducers: int = 0
+    n_alike: float = 1.0
+    level: float = SIGNIFICANCE
+
+    def find_se(self) -> tuple[float, float]:
+        """Compute the standard error of the slope and its degrees of freedom.
+
+        Returns
+        -------
+        tuple of two float
+            By Welch and Satterthwaite, from participants, stimuli and reducers less what is estimated from each.
+
+        Examples
+        --------
+        >>> study = Precision(5, 4, 10, 2.5, n_participants=20, n_recordings=10, n_items=90)
+        >>> [round(value, 2) for value in study.find_se()]
+        [3.11, 95.47]
+        """
+        people, (stimulus, reducer) = self.slope_sd**2 / self.n_participants, find_variances(self)
+        within, between = (
+            (self.square - self.reducer_square) / stimulus,
+            self.reducer_square / reducer,
+        )
+        stimuli = 1 / (within + between)
+        others = max(self.n_reducers - 1, 0)
+        spare = (
+            max(self.n_items - self.n_recordings - self.n_slopes - others, 1),
+            max(others - self.n_slopes, 1),
+        )
+        unsure = stimuli**4 * (within**2 / spare[0] + between**2 / spare[1])
+        spread = people**2 / max(self.n_participants - 1, 1) + unsure
+        return math.sqrt(people + stimuli), (people + stimuli) ** 2 / spread if spread else math.inf
+
+    def enlarge(
+        self, *, participants: int | None = None, recordings: int | None = None
+    ) -> Precision:
+        """Imagine the same study with other numbers.
+
+        Parameters
+        ----------
+        participants, recordings : int, optional
+            How many; each recording brings as many stimuli, of the same reducers, as those here.
+
+        Returns
+        -------
+        Precision
+            The same spreads.
+        """
+        share = (recordings or self.n_recordings) / self.n_recordings
+        return replace(
+            self,
+            n_participants=participants or self.n_participants,
+            n_recordings=recordings or self.n_recordings,
+            square=self.square * share,
+            reducer_square=self.reducer_square * share,
+            n_alike=self.n_alike * share,
+            n_items=round(self.n_items * share),
+        )
+
+    def find_power(self, slope: float) -> float:
+        """Compute the chance that the test at `level` finds a slope.
+
+        Parameters
+        ----------
+        slope : float
+            The true one, in points per unit of the metric.
+
+        Returns
+        -------
+        float
+            By the noncentral t distribution, two-sided; NaN where nothing varies.
+        """
+        from scipy.stats import nct, norm, t
+
+        se, df = self.find_se()
+        if not 0 < se < math.inf:
+            return math.nan
+        limit, shift = float(t.ppf(1 - self.level / 2, df)), abs(slope) / se
+        power = float(nct.sf(limit, df, shift) + nct.cdf(-limit, df, shift))
+        # SciPy's noncentral t gives up far out, where the normal distribution is as good.
+        return power if math.isfinite(power) else float(norm.sf(limit - shift))
+
+    def find_participants(self, slope: float) -> float:
+        """Find how many participants give 80 % power with these recordings.
+
+        Parameters
+        ----------
+        slope : float
+            The true one.
+
+        Returns
+        -------
+        float
+            6 or more; NaN where not even 10 000 would do.
+        """
+        return _find_least(
+            lambda number: self.enlarge(participants=number).find_power(slope), least=FEWEST_PEOPLE
+        )
+
+    def find_recordings(self, slope: float) -> float:
+        """Find how many recordings give 80 % power with these participants.
+
+        Parameters
+        ----------
+        slope : float
+            The true one.
+
+        Returns
+        -------
+        float
+            4 or more; NaN where not even 10 000 would do.
+        """
+        return _find_least(
+            lambda number: self.enlarge(recordings=number).find_power(slope),
+            least=FEWEST_RECORDINGS,
+        )
+
+    def find_slope(self) -> float:
+        """Find the smallest slope that this study would find with 80 % power.
+
+        Returns
+        -------
+        float
+            Points per unit of the metric; NaN where nothing varies.
+        """
+        from scipy.optimize import brentq
+
+        se, _ = self.find_se()
+        if not 0 < se < math.inf:
+            return math.nan
+        return float(brentq(lambda slope: self.find_power(slope) - ENOUGH, 0, 20 * se))
+
+
+def find_variances(study: Precision) -> tuple[float, float]:
+    """Compute the variance of a stimulus's mean rating, and n times that of the mean over n stimuli of a reducer."""
+    alike = study.reducer_sd**2 + study.rater_reducer_sd**2 / study.n_participants
+    # Nothing is known exactly: without any noise the sums of squares would be divided by zero.
+    stimulus = max(study.item_sd**2 + study.noise_sd**2 / study.n_participants, 1e-300)
+    return stimulus, stimulus + study.n_alike * alike
+
+
+def find_own(
+    metrics: np.ndarray,
+    column: int,
+    reducers: np.ndarray | None = None,
+    *,
+    variances: tuple[float, float] = (1, 1),
+) -> tuple[np.ndarray, np.ndarray]:
+    """Find what one metric has and the others do not, and the part of it that is the same for a reducer.
+
+    metrics: (n_items, n_metrics); reducers: (n_items,); returns own: (n_items,); returns alike:
+    (n_items,).
+
+    Examples
+    --------
+    >>> own, alike = find_own(np.array([[1.0, 0], [-1, 0], [0, 2], [0, -2]]), 0, np.array([0, 1, 0, 1]))
+    >>> own.tolist(), alike.tolist()
+    ([1.0, -1.0, 0.0, 0.0], [0.5, -0.5, 0.5, -0.5])
+    """
+    alike = np.zeros_like(metrics)
+    if reducers is not None:
+        marks = np.eye(int(reducers.max()) + 1)[reducers]
+        alike = marks @ (marks.T @ metrics / marks.sum(axis=0)[:, None])
+    weighted = np.vstack([
+        (metrics - alike) / math.sqrt(variances[0]),
+        alike / math.sqrt(variances[1]),
+    ])
+    others = np.delete(weighted, column, axis=1)
+    weights = np.insert(-np.linalg.lstsq(others, weighted[:, column], rcond=None)[0], column, 1.0)
+    return metrics @ weights, alike @ weights
+
+
+def _find_least(power: Callable[[int], float], *, least: int) -> float:
+    """Search a number from the least up by doubling, then by halving; power grows with it."""
+    if not power(MOST) >= ENOUGH:
+        return math.nan
+    low, high = least - 1, least
+    while not power(high) >= ENOUGH:
+        low, high = high, min(2 * high, MOST)
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if power(middle) >= ENOUGH else (middle, high)
+    return float(high)

@@ -1,0 +1,449 @@
+"""The cluster bootstrap over participants and recordings, and the weighted correlations it draws.
+
+Drawing participants with replacement is the same as weighting each by how often they were drawn; the item
+means of every draw are then one matrix product. Recordings are drawn likewise, all their stimuli together,
+because stimuli of one recording resemble each other.
+"""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+import numpy as np
+
+from feel321.analysis.words import CONFIDENCE
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from feel321.analysis.table.items import Items
+
+    Values = NDArray[np.float64]
+
+# Kendall's rank correlation of weighted items, all samples at once, in n log n steps.
+
+
+def weighted_kendall(x: Values, y: Values, *, weights: Values) -> Values:
+    """Kendall's tau-b along the last axis, each item counting as often as its weight says.
+
+    x, y: (..., n_items); weights: (..., n_items); returns (...), naN where x or y is constant.
+
+    Notes
+    -----
+    Over all pairs of the sample in which each item occurs as often as its weight says, with C pairs in the same
+    order by x and by y, D in opposite order, and N_x, N_y pairs that differ in x, in y::
+
+        tau_b = (C - D) / sqrt(N_x N_y)
+
+    An item and its own copies are tied in both. Use it where only the order may be trusted; it is less swayed than
+    Spearman's by a few items that are far out of order, and smaller (about 2/3 of it) for the same data.
+
+    References
+    ----------
+    Kendall (1945), Biometrika 33, 239-251, doi 10.1093/biomet/33.3.239.
+    Knight (1966), Journal of the American Statistical Association 61, 436-439, doi 10.1080/01621459.1966.10480879.
+
+    Examples
+    --------
+    >>> x, y = np.array([1.0, 2, 3, 4]), np.array([1.0, 3, 2, 4])
+    >>> weighted_kendall(x, y, weights=np.ones(4)).round(3)
+    np.float64(0.667)
+    """
+    x, y, weights = np.broadcast_arrays(x, y, weights)
+    by_y = np.argsort(y, axis=-1, kind="stable")
+    y_sorted, y_weights = (
+        np.take_along_axis(y, by_y, axis=-1),
+        np.take_along_axis(weights, by_y, axis=-1),
+    )
+    rises = _find_starts(y_sorted)
+    places = np.empty_like(by_y)
+    np.put_along_axis(places, by_y, np.cumsum(rises, axis=-1) - 1, axis=-1)
+
+    order = np.lexsort((places, x), axis=-1)
+    x, places = np.take_along_axis(x, order, axis=-1), np.take_along_axis(places, order, axis=-1)
+    weights = np.take_along_axis(weights, order, axis=-1)
+    starts = _find_starts(x)
+    squares = weights.sum(axis=-1) ** 2
+    differ_x = squares - _sum_squares(starts, weights)
+    differ_y = squares - _sum_squares(rises, y_weights)
+    differ_either = squares - _sum_squares(starts | _find_starts(places), weights)
+    # Each of these counts a pair twice, a before b and b before a; the discordant pairs are counted once.
+    surplus = differ_x + differ_y - differ_either - 4 * _count_discordant(places, weights)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        tau = surplus / np.sqrt(differ_x) / np.sqrt(differ_y)
+    return np.where((differ_x > 0) & (differ_y > 0), np.clip(tau, -1, 1), np.nan)
+
+
+def _find_starts(ordered: NDArray[np.generic]) -> NDArray[np.bool_]:
+    """Mark where another value begins."""
+    first = np.ones((*ordered.shape[:-1], 1), dtype=bool)
+    return np.concatenate([first, ordered[..., 1:] != ordered[..., :-1]], axis=-1)
+
+
+def _before_group(starts: NDArray[np.bool_], before: Values) -> Values:
+    """Carry what had been counted before each group through the group; counts only grow."""
+    carried: Values = np.maximum.accumulate(np.where(starts, before, 0), axis=-1)
+    return carried
+
+
+def _sum_squares(starts: NDArray[np.bool_], weights: Values) -> Values:
+    """Sum the squared weights of groups: the pairs, both ways round, that are tied."""
+    upto = np.cumsum(weights, axis=-1)
+    # (Σ w)² = Σ w (2 S - w), S the sum up to and with each.
+    squares: Values = (
+        weights * (2 * (upto - _before_group(starts, upto - weights)) - weights)
+    ).sum(axis=-1)
+    return squares
+
+
+def _count_discordant(places: NDArray[np.intp], weights: Values) -> Values:
+    """Count pairs whose later item has the lower place.
+
+    Splitting by one binary digit of the place at a time, from the highest: a pair parts at the first digit in which
+    its places differ, and is discordant if the one comes before the zero there.
+    """
+    discordant = np.zeros(places.shape[:-1])
+    for digit in reversed(range(int(places.shape[-1]).bit_length())):
+        is_one = (places >> digit) & 1
+        ones = np.cumsum(weights * is_one, axis=-1)
+        starts = _find_starts(places >> (digit + 1))
+        earlier = ones - _before_group(starts, ones - weights * is_one)
+        discordant += (weights * (1 - is_one) * earlier).sum(axis=-1)
+        order = np.argsort(places >> digit, axis=-1, kind="stable")
+        places, weights = (
+            np.take_along_axis(places, order, axis=-1),
+            np.take_along_axis(weights, order, axis=-1),
+        )
+    return discordant
+
+
+# Weighted correlations and the cluster bootstrap, all draws at once.
+
+
+class Correlation(Protocol):
+    """A correlation of weighted items."""
+
+    def __call__(self, x: Values, y: Values, *, weights: Values) -> Values:
+        """Correlate along the last axis."""
+        ...
+
+
+FLAT = 1e-24
+"""Share of a sum of squares below which its centred part is rounding error: the values are all the same."""
+
+PERFECT = 1 - 1e-12
+"""From here on a correlation is perfect to rounding error."""
+
+STILL = 1e-12
+"""Spread of draws up to which they are all the same but for rounding error."""
+
+FEWEST_ITEMS = 3
+"""Two points always lie on a line."""
+
+TIED = 40
+"""Binary digits of a mean rating that count for its rank; the others, below 1e-12 of it, are rounding error."""
+
+MOST_UNDEFINED = 0.1
+"""Share of draws that may be undefined; with more, those left over are not a fair sample of what could be."""
+
+
+def weighted_pearson(x: Values, y: Values, *, weights: Values) -> Values:
+    """Pearson's correlation along the last axis, each item counting as often as its weight says.
+
+    x, y: (..., n_items); weights: (..., n_items); returns (...), naN where x or y is constant.
+
+    Examples
+    --------
+    >>> x, y = np.array([1.0, 2, 3]), np.array([1.0, 3, 2])
+    >>> weighted_pearson(x, y, weights=np.ones(3)).round(3)
+    np.float64(0.5)
+    """
+    x, y, weights = np.broadcast_arrays(_scale_down(x), _scale_down(y), weights)
+    total = weights.sum(axis=-1, keepdims=True)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        from_mean_x = x - (weights * x).sum(axis=-1, keepdims=True) / total
+        from_mean_y = y - (weights * y).sum(axis=-1, keepdims=True) / total
+        xx, yy = (weights * from_mean_x**2).sum(axis=-1), (weights * from_mean_y**2).sum(axis=-1)
+        flat_x = xx <= FLAT * (weights * x**2).sum(axis=-1)
+        flat_y = yy <= FLAT * (weights * y**2).sum(axis=-1)
+        r = (weights * from_mean_x * from_mean_y).sum(axis=-1) / (np.sqrt(xx) * np.sqrt(yy))
+    return np.where(flat_x | flat_y, np.nan, np.clip(r, -1, 1))
+
+
+def _scale_down(values: Values) -> Values:
+    """Divide by a power of two, which is exact, so that no square overflows."""
+    exponent = np.frexp(np.abs(values).max(axis=-1, keepdims=True))[1]
+    scaled: Values = np.ldexp(values, -exponent)
+    return scaled
+
+
+def weighted_spearman(x: Values, y: Values, *, weights: Values) -> Values:
+    """Spearman's rank correlation along the last axis, each item counting as often as its weight says.
+
+    x, y: (..., n_items); weights: (..., n_items); returns (...), naN where x or y is constant.
+    """
+    return weighted_pearson(weighted_ranks(x, weights), weighted_ranks(y, weights), weights=weights)
+
+
+def weighted_ranks(values: Values, weights: Values) -> Values:
+    """Mid-ranks along the last axis of a sample in which each item occurs as often as its weight says.
+
+    values: (..., n_items); weights: (..., n_items); returns (..., n_items), rank of each item, from
+    1.
+
+    Examples
+    --------
+    >>> weighted_ranks(np.array([10.0, 30, 20]), np.array([1.0, 1, 2])).tolist()
+    [1.0, 4.0, 2.5]
+    """
+    values, weights = np.broadcast_arrays(values, weights)
+    order = np.argsort(values, axis=-1, kind="stable")
+    ordered = np.take_along_axis(values, order, axis=-1)
+    upto = np.cumsum(np.take_along_axis(weights, order, axis=-1), axis=-1)
+    before = np.concatenate([np.zeros_like(upto[..., :1]), upto[..., :-1]], axis=-1)
+    rises = np.diff(ordered, axis=-1) > 0
+    ends = np.ones((*rises.shape[:-1], 1), dtype=bool)
+    # Both counts only grow, so a running maximum carries a tie's start forward and a running minimum its end
+    # back.
+    start = np.maximum.accumulate(
+        np.where(np.concatenate([ends, rises], axis=-1), before, 0), axis=-1
+    )
+    stop = np.where(np.concatenate([rises, ends], axis=-1), upto, np.inf)
+    stop = np.minimum.accumulate(stop[..., ::-1], axis=-1)[..., ::-1]
+    ranks = np.empty_like(upto)
+    np.put_along_axis(ranks, order, (start + stop + 1) / 2, axis=-1)
+    return ranks
+
+
+class Method(NamedTuple):
+    """How items are correlated."""
+
+    correlation: Correlation
+    ranked: bool
+    within: bool
+
+
+METHODS: Mapping[str, Method] = MappingProxyType({
+    "pearson": Method(weighted_pearson, ranked=False, within=False),
+    "spearman": Method(weighted_spearman, ranked=True, within=False),
+    "kendall": Method(weighted_kendall, ranked=True, within=False),
+    "within": Method(weighted_pearson, ranked=False, within=True),
+    "within_spearman": Method(weighted_spearman, ranked=True, within=True),
+    "within_kendall": Method(weighted_kendall, ranked=True, within=True),
+})
+"""The one list of correlations: name -> how; ``within`` is Pearson's."""
+
+
+def draw_counts(n_units: int, draws: int, *, rng: np.random.Generator) -> Values:
+    """How often each unit occurs in each sample of as many units, drawn with replacement.
+
+    Returns (draws, n_units).
+    """
+    return rng.multinomial(n_units, np.full(n_units, 1 / n_units), size=draws).astype(np.float64)
+
+
+def correlate_draws(
+    items: Items, method: str, *, participants: Values, recordings: Values
+) -> Values:
+    """Correlation of item means with every metric in every draw.
+
+    participants: (draws, n_participants); recordings: (draws, n_recordings); returns (n_metrics,
+    draws), naN where a draw leaves the metric or the means constant, or fewer than three different
+    items.
+    """
+    how = METHODS[method]
+    means, rated = _average(items, participants, how=how)
+    if how.within:
+        parts = [
+            _correlate_recordings(items, metric, means, rated=rated, how=how)
+            for metric in items.metrics
+        ]
+        return np.array([average_recordings(*part, counts=recordings) for part in parts])
+    weights = recordings[:, items.recordings] * rated
+    drawn = np.array([how.correlation(metric, means, weights=weights) for metric in items.metrics])
+    return np.where((weights > 0).sum(axis=-1) < FEWEST_ITEMS, np.nan, drawn)
+
+
+def _average(
+    items: Items, participants: Values, *, how: Method
+) -> tuple[Values, NDArray[np.bool_]]:
+    """Average each item's ratings over the participants drawn; also tell whether it has any."""
+    seen = np.isfinite(items.ratings)
+    votes = participants @ seen.astype(np.float64)
+    sums = participants @ np.where(seen, items.ratings, 0.0)
+    means = np.divide(sums, votes, out=np.zeros_like(sums), where=votes > 0)
+    return _tie_rounded(means) if how.ranked else means, votes > 0
+
+
+def _tie_rounded(means: Values) -> Values:
+    """Make means that differ by rounding error only the same; whole numbers, of use for their order only."""
+    exponent = np.frexp(np.abs(means).max(axis=-1, keepdims=True))[1]
+    whole: Values = np.rint(np.ldexp(means, TIED - exponent))
+    return whole
+
+
+def _correlate_recordings(
+    items: Items, metric: Values, means: Values, *, rated: NDArray[np.bool_], how: Method
+) -> tuple[Values, Values]:
+    """Correlate within each recording; also count the items that did: both of shape (draws, n_recordings)."""
+    members = [np.flatnonzero(items.recordings == number) for number in range(items.n_recordings)]
+    sizes = np.stack([rated[:, own].sum(axis=-1) for own in members], axis=-1).astype(np.float64)
+    found = [
+        how.correlation(metric[own], means[:, own], weights=rated[:, own].astype(np.float64))
+        for own in members
+    ]
+    return np.where(sizes < FEWEST_ITEMS, np.nan, np.stack(found, axis=-1)), sizes
+
+
+def correlate_each(items: Items, method: str) -> Values:
+    """Correlation of item means with every metric within each recording, no draw taken.
+
+    Returns (n_metrics, n_recordings), naN where a recording has fewer than three rated items, or
+    the metric or the means are constant in it.
+    """
+    everyone = np.ones((1, items.n_participants))
+    means, rated = _average(items, everyone, how=METHODS[method])
+    each = [
+        _correlate_recordings(items, row, means, rated=rated, how=METHODS[method])[0]
+        for row in items.metrics
+    ]
+    return np.concatenate(each)
+
+
+def average_recordings(correlations: Values, sizes: Values, *, counts: Values) -> Values:
+    """Average the correlations of recordings over Fisher's z.
+
+    correlations: (draws, n_recordings), those that are not defined (NaN) do not count; sizes:
+    (draws, n_recordings); counts: (draws, n_recordings); returns (draws,), naN where none is
+    defined.
+
+    Notes
+    -----
+    A perfect correlation has no z, yet among few items one by ranks is common and must neither be left out nor
+    outweigh all others. One of n items counts as 1 - 6 / (n (n² - 1)), half way to the next lower correlation of ranks.
+
+    Examples
+    --------
+    >>> one, n = np.ones((1, 2)), np.full((1, 2), 9.0)
+    >>> average_recordings(np.array([[0.2, 0.6]]), n, counts=one).round(3)
+    array([0.42])
+    """
+    defined = np.isfinite(correlations)
+    weights = counts * defined
+    total = weights.sum(axis=-1)
+    signs = np.where(np.abs(correlations) < PERFECT, 0.0, np.sign(correlations))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        held = np.where(signs == 0, correlations, signs * (1 - 6 / (sizes * (sizes**2 - 1))))
+        z = (weights * np.where(defined, np.arctanh(held), 0.0)).sum(axis=-1) / total
+        mean_sign = (weights * np.where(defined, signs, 0.0)).sum(axis=-1) / total
+    return np.where(np.abs(mean_sign) == 1, mean_sign, np.tanh(z))
+
+
+def fisher_z(correlation: Values) -> Values:
+    """Fisher's transform; NaN for a perfect correlation, which has none.
+
+    correlation: between -1 and 1, or NaN.
+    """
+    z: Values = np.arctanh(np.where(np.abs(correlation) < PERFECT, correlation, np.nan))
+    return z
+
+
+def bootstrap_margin(drawn: Values, n_units: int) -> float:
+    """Half width of the 95 % interval of a statistic, from its bootstrap draws.
+
+    drawn: (draws,), naN where it is not defined; returns naN if there is one unit only, more than a
+    tenth of the draws are undefined, or all draws are the same, as ranks may be: that is no sign of
+    certainty.
+
+    Notes
+    -----
+    Resampling U units understates a variance by (U - 1) / U and knows it on U - 1 degrees of freedom only;
+    with the eight or so recordings of a study both matter.
+    """
+    from scipy.stats import t
+
+    defined = drawn[np.isfinite(drawn)]
+    too_many = len(drawn) - len(defined) > MOST_UNDEFINED * len(drawn)
+    if too_many or min(n_units, len(defined)) < 2:  # noqa: PLR2004 - a spread needs two
+        return float("nan")
+    if np.ptp(defined) <= STILL:
+        return float("nan")
+    quantile = float(t.ppf((1 + CONFIDENCE) / 2, n_units - 1))
+    return quantile * float(np.sqrt(n_units / (n_units - 1)) * defined.std(ddof=1))
+
+
+# All bootstrap draws of a correlation: of participants and recordings, and of participants only.
+
+BLOCK = 4_000_000
+"""Numbers that an array of draws may hold: 32 MB, so that a million rows need no gigabytes."""
+
+
+class Draws(NamedTuple):
+    """The correlation with each metric, and Fisher's z of its draws.
+
+    point: (n_metrics,); two_way, participants: (n_metrics, draws); of_recordings: (n_metrics,
+    n_recordings).
+    """
+
+    point: NDArray[np.float64]
+    two_way: NDArray[np.float64]
+    participants: NDArray[np.float64]
+    of_recordings: NDArray[np.float64]
+
+
+def draw_intervals(items: Items, method: str, *, draws: int, rng: np.random.Generator) -> Draws:
+    """Draw participants and recordings with replacement, and correlate anew each time."""
+    everyone, everything = np.ones((1, items.n_participants)), np.ones((1, items.n_recordings))
+    block = max(1, BLOCK // max(items.n_participants, items.n_items))
+    sizes = [min(block, draws - start) for start in range(0, draws, block)]
+    blocks = [_draw_block(items, method, draws=size, rng=rng) for size in sizes]
+    within = METHODS[method].within
+    return Draws(
+        point=correlate_draws(items, method, participants=everyone, recordings=everything)[:, 0],
+        two_way=fisher_z(np.concatenate([two_way for two_way, _ in blocks], axis=1)),
+        participants=fisher_z(np.concatenate([participants for _, participants in blocks], axis=1)),
+        of_recordings=correlate_each(items, method)
+        if within
+        else np.empty((len(items.metrics), 0)),
+    )
+
+
+def measure_lean(items: Items, method: str, drawn: Draws) -> NDArray[np.float64]:
+    """How far a mean of Fisher's z over recordings leans away from zero, because each rests on few stimuli.
+
+    Returns (n_metrics,).
+    """
+    how = METHODS[method]
+    if how.ranked or not how.within:
+        return np.zeros(len(items.metrics))
+    sizes = np.bincount(items.recordings)
+    leans = drawn.of_recordings / (2 * np.maximum(sizes - 1, 1))
+    defined = np.isfinite(leans)
+    mean: NDArray[np.float64] = np.where(defined, leans, 0.0).sum(axis=1) / np.maximum(
+        defined.sum(axis=1), 1
+    )
+    return mean
+
+
+def _draw_block(
+    items: Items, method: str, *, draws: int, rng: np.random.Generator
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    # Participants are drawn first and recordings second, so that both intervals share the same participants.
+    people = draw_counts(items.n_participants, draws, rng=rng)
+    # A source comes with all its recordings, or not at all.
+    scenes = draw_counts(items.n_sources, draws, rng=rng)[:, items.of_source]
+    return (
+        correlate_draws(items, method, participants=people, recordings=scenes),
+        correlate_draws(items, method, participants=people, recordings=np.ones_like(scenes)),
+    )
+
+
+def count_scarcest(items: Items, drawn: Draws) -> int:
+    """Count the units that limit a two-way interval: whichever there are fewer of is known less well."""
+    if not drawn.of_recordings.size:
+        return min(items.n_participants, items.n_sources)
+    speaking = min(len(np.unique(items.of_source[np.isfinite(row)])) for row in drawn.of_recordings)
+    return min(items.n_participants, speaking)

@@ -1,0 +1,304 @@
+"""Screen raters: apply the rules, one by one and to the panel as a whole."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from feel321.analysis.agreement.alpha import krippendorff_alpha
+from feel321.analysis.agreement.reliability import SMALLEST, intraclass
+from feel321.analysis.arrays import read_numbers
+from feel321.analysis.screening.judgements import (
+    gauge_raters,
+    judge_expertise,
+    key_stimulus,
+    make_judgements,
+)
+from feel321.analysis.screening.rules import (
+    EXPERTISE,
+    MOST_RATERS,
+    RULES,
+    SIGHTED,
+    UNIMODAL,
+    choose_limits,
+    multimodality,
+    share_undegraded,
+    tukey_fences,
+)
+from feel321.analysis.table.items import leave_rejected, name_stimuli, open_ratings
+
+if TYPE_CHECKING:
+    from collections.abc import Hashable, Iterable, Mapping
+
+    from pandas import DataFrame
+
+    from feel321.analysis.screening.judgements import Judgements
+
+# How far a panel of raters agrees, with and without those whom a rule hit.
+
+FIGURES = ("icc_a_1", "icc_a_k", "icc_c_1", "icc_c_k", "alpha")
+
+
+def describe_panel(ratings: DataFrame, hit: Iterable[object]) -> DataFrame:
+    """Reliability of the ratings of test stimuli, per scale.
+
+    Returns naN where fewer than two raters or two items are left.
+    """
+    import pandas as pd
+
+    tests = (
+        ratings[~ratings["role"].isin(["reference", "anchor"])] if "role" in ratings else ratings
+    )
+    tests = tests if "scale" in tests else tests.assign(scale="")
+    hit = list(hit)
+    panels = {"everyone": tests, "without hits": tests[~tests["participant"].isin(hit)]}
+    rows = [
+        {"scale": scale, "panel": name, **_describe(part[part["scale"] == scale])}
+        for scale in sorted(tests["scale"].unique())
+        for name, part in panels.items()
+    ]
+    return pd.DataFrame(
+        rows, columns=["scale", "panel", "n_participants", "n_items", "n_complete", *FIGURES]
+    )
+
+
+def _describe(tests: DataFrame) -> dict[str, object]:
+    table = tests.pivot_table("rating", key_stimulus(tests), "participant", observed=True).to_numpy(
+        np.float64
+    )
+    complete = table[np.isfinite(table).all(axis=1)]
+    figures = dict.fromkeys(FIGURES, float("nan"))
+    if min(complete.shape) >= SMALLEST:
+        icc = intraclass(complete)
+        figures |= {name: getattr(icc, name) for name in FIGURES[:-1]}
+    if (np.isfinite(table).sum(axis=1) >= SMALLEST).sum() >= SMALLEST:
+        figures["alpha"] = krippendorff_alpha(table)
+    return {
+        "n_participants": table.shape[1],
+        "n_items": len(table),
+        "n_complete": len(complete),
+        **figures,
+    }
+
+
+# Screen raters from end to end.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Screening:
+    """What every rule found of every rater.
+
+    Parameters
+    ----------
+    table : DataFrame
+        participant, rule, count, n, share, limit, hit; one row each. ``share`` is count / n, or the value that the
+        rule compares with its limit (a correlation, a standard deviation); NaN where the rule can say nothing.
+    excerpts : DataFrame
+        Per scale, recording and level with a mid anchor: share of raters who put it above 90, and whether the
+        excerpt counts (BS.1534-3: it does not above 25 %).
+    items : DataFrame
+        Per test stimulus: n raters, Tukey fences, outliers, multimodality coefficient, multimodal (above 5/9).
+    gauge : DataFrame
+        As `gauge_raters`; empty without the rule ``expertise``.
+    panel : DataFrame
+        As `describe_panel`: reliability of everyone, and of those whom no rule hit.
+    limits : Mapping of str to float
+        Where hits of the rules that were asked begin; that of ``test_retest`` is lower for whom many pairs tell more.
+    notes : tuple of str
+        Which rules could say nothing, and why; one sentence each.
+    """
+
+    table: DataFrame
+    excerpts: DataFrame
+    items: DataFrame
+    gauge: DataFrame
+    panel: DataFrame
+    limits: Mapping[str, float]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def rules(self) -> tuple[str, ...]:
+        """Those that were asked."""
+        return tuple(self.limits)
+
+    @property
+    def hits(self) -> dict[str, tuple[Hashable, ...]]:
+        """Whom each rule hit."""
+        hit = self.table[self.table["hit"]]
+        return {rule: tuple(hit.loc[hit["rule"] == rule, "participant"]) for rule in self.rules}
+
+    @property
+    def count(self) -> DataFrame:
+        """Counts, participants x rules."""
+        return self._spread("count")
+
+    @property
+    def share(self) -> DataFrame:
+        """Shares, participants x rules."""
+        return self._spread("share")
+
+    @property
+    def limit(self) -> DataFrame:
+        """Limits, participants x rules."""
+        return self._spread("limit")
+
+    @property
+    def hit(self) -> DataFrame:
+        """Hits, participants x rules."""
+        return self._spread("hit")
+
+    def _spread(self, what: str) -> DataFrame:
+        return self.table.pivot_table(what, "participant", "rule", aggfunc="first", dropna=False)[
+            list(self.rules)
+        ]
+
+
+def screen_raters(
+    ratings: DataFrame,
+    *,
+    rules: Iterable[str] | Mapping[str, float] | None = None,
+    rng: np.random.Generator | None = None,
+) -> Screening:
+    """Apply every screening rule to every rater. Nobody is removed.
+
+    Parameters
+    ----------
+    ratings : DataFrame
+        One row per judgement: participant, rating (0 to 100), and stimulus_id or recording and reducer (and level);
+        role, scale, protocol, repeat and response_time_s where there are any; rejected ones are left out. Anchors are
+        known by ``mid`` or ``low`` in their reducer's name.
+    rules : iterable of str, mapping of str to float, or None
+        Names of `RULES`, or names with limits of one's own; None for all (``expertise`` with an rng only).
+    rng : Generator or None
+        Source of randomness for the permutations of ``expertise``.
+
+    Returns
+    -------
+    Screening
+        Per rater and rule count, share, limit and hit; hit lists; items; reliability with and without those hit.
+
+    Raises
+    ------
+    ValueError
+        If the table or a rule is not as it must be.
+
+    Notes
+    -----
+    ITU-R BS.1534-3 excludes a rater whose hidden reference is below 90 on more than 15 % of items, or whose mid anchor
+    is above 90 on more than 15 %; an item (here: scale, recording and level) whose mid anchor more than 25 % of raters
+    put above 90 does not count for either. These rules, and that about the low anchor, are for MUSHRA, where the
+    reference is in sight: on realism or similarity they flagged 11 of 16 ordinary raters. Ratings without a protocol
+    are of the protocol that their scale is named after; others count as MUSHRA only if such a rule is asked by name.
+    The notes say what was assumed.
+
+    All other rules are extensions with limits by convention: use them to find whom to ask about, state the rules before
+    the data are seen, and report results with and without (`run_multiverse`). A scale with 11 steps or fewer is
+    recognised by its ratings, and no rule flags a rater for what rounding to its steps does. A flagged rater should be
+    followed up, not automatically excluded.
+
+    References
+    ----------
+    Recommendation ITU-R BS.1534-3 (2015). Report ITU-R BS.2300-0 (2014).
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> table = pd.DataFrame({"participant": ["ann"] * 10 + ["bob"] * 10, "recording": list("abcdefghij") * 2,
+    ...     "reducer": "original", "role": "reference", "rating": [95] * 9 + [80] + [95] * 8 + [80] * 2})
+    >>> result = screen_raters(table, rules=["hidden_reference"])
+    >>> result.table[["participant", "count", "n", "share", "limit", "hit"]]
+      participant  count   n  share  limit    hit
+    0         ann      1  10    0.1   0.15  False
+    1         bob      2  10    0.2   0.15   True
+    """
+    import pandas as pd
+
+    limits = choose_limits(rules, random=rng is not None)
+    ratings, left_out = leave_rejected(name_stimuli(open_ratings(ratings)))
+    if "rating" in ratings:
+        ratings = ratings.assign(rating=read_numbers(ratings["rating"], what="ratings, 'rating'"))
+    judgements = make_judgements(ratings, assumed="" if rules is None else SIGHTED[0])
+    gauge = pd.DataFrame(columns=["participant", "measure", "value", "floor", "p"])
+    if rng is not None and EXPERTISE in limits:
+        gauge = gauge_raters(judgements, rng=rng)
+    found = {name: _judge(name, judgements, gauge, limit=limit) for name, limit in limits.items()}
+    table = pd.concat(
+        [part.reset_index().assign(rule=name) for name, part in found.items()], ignore_index=True
+    )
+    hit = table.loc[table["hit"], "participant"].unique()
+    return Screening(
+        table=table[["participant", "rule", "count", "n", "share", "limit", "hit"]],
+        excerpts=_describe_excerpts(judgements.of_protocols(SIGHTED)),
+        items=_describe_items(judgements),
+        gauge=gauge,
+        panel=describe_panel(ratings, hit),
+        limits=limits,
+        notes=(
+            *left_out,
+            *_explain_protocols(judgements, limits),
+            *_explain_rules(found, judgements),
+        ),
+    )
+
+
+def _judge(name: str, judgements: Judgements, gauge: DataFrame, *, limit: float) -> DataFrame:
+    judge, meant = RULES[name].judge, judgements.of_protocols(RULES[name].protocols)
+    return judge(meant, limit) if judge else judge_expertise(gauge, judgements, limit)
+
+
+def _explain_protocols(judgements: Judgements, limits: Mapping[str, float]) -> Iterable[str]:
+    """Say which protocol was assumed, and which rules are not meant for what was rated."""
+    bound = [name for name in limits if RULES[name].protocols]
+    if not bound:
+        return
+    yield from judgements.notes
+    if judgements.of_protocols(SIGHTED).rows.empty:
+        known = sorted(set(judgements.rows["protocol"]) - {""})
+        of = (
+            f"these are of {' and '.join(known)}"
+            if known
+            else "a column protocol that says so is missing"
+        )
+        names = f"Rule{'' if len(bound) == 1 else 's'} {', '.join(map(repr, bound))}"
+        yield f"{names} not applied: for MUSHRA ratings, where the reference is in sight; {of}."
+
+
+def _explain_rules(found: Mapping[str, DataFrame], judgements: Judgements) -> Iterable[str]:
+    for name, part in found.items():
+        silent = int(part["share"].isna().sum())
+        meant = not judgements.of_protocols(RULES[name].protocols).rows.empty
+        if silent and meant:
+            whom = "" if silent == len(part) else f" to {silent} of {len(part)} participants"
+            yield f"Rule '{name}' not applied{whom}: it needs {RULES[name].needs}."
+
+
+def _describe_excerpts(judgements: Judgements) -> DataFrame:
+    shares = share_undegraded(judgements)
+    return judgements.excerpts.loc[shares.index].assign(
+        mid_above_90=shares, counts=shares <= MOST_RATERS
+    )
+
+
+def _describe_items(judgements: Judgements) -> DataFrame:
+    import pandas as pd
+
+    tests = judgements.of_kind("test")
+    rows = []
+    steps = tests.groupby("item")["step"].max()
+    means = tests.groupby(["item", "participant"], observed=True)["rating"].mean()
+    for item, own in means.groupby("item"):
+        low, high = tukey_fences(own, step=steps[item])
+        rows.append({
+            "item": item,
+            "n": len(own),
+            "low_fence": low,
+            "high_fence": high,
+            "outliers": int(((own < low) | (own > high)).sum()),
+            "multimodality": multimodality(own),
+        })
+    columns = ["item", "n", "low_fence", "high_fence", "outliers", "multimodality"]
+    table = pd.DataFrame(rows, columns=columns)
+    table["item"] = judgements.items.reindex(table["item"]).to_numpy()
+    return table.assign(multimodal=table["multimodality"] > UNIMODAL)

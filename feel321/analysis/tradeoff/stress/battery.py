@@ -1,0 +1,319 @@
+"""BATTERY: the scenes in which methods fail, and the signals they are made of.
+
+Every scene is one second at 4 kHz (but for the very short one), in m/s², seeded. What goes wrong in them was known
+beforehand; `failing` says which reducer must fail by which measure, and the tests hold the battery to it. The first
+scene is the control: an ordinary drag; what fails there fails everywhere.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+import numpy as np
+
+from feel321.stimuli.recording import STANDARD_GRAVITY, Recording
+from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    Samples = NDArray[np.float64]
+
+# Signals that are stressed: what the battery's scenes are made of, and the strongest part of a recording.
+
+RATE_HZ = 4000.0
+N_SAMPLES = 4000
+"""One second; a length that is fast to transform."""
+
+WINDOW = window_samples(DEFAULT_WINDOW_S, RATE_HZ)
+TIME_S = np.arange(N_SAMPLES) / RATE_HZ
+
+
+def make_texture(
+    rng: np.random.Generator, axes: int = 1, *, low_hz: float = 40.0, high_hz: float = 400.0
+) -> Samples:
+    """Make independent noise of standard deviation 1, as a rough surface makes it.
+
+    Returns (axes, 4000), one second at 4 kHz.
+
+    Examples
+    --------
+    >>> make_texture(np.random.default_rng(0), 2).std(axis=-1).round(9)
+    array([1., 1.])
+    """
+    frequency = np.fft.rfftfreq(N_SAMPLES, 1 / RATE_HZ)
+    shape = frequency**2 / (frequency**2 + low_hz**2) / (1 + (frequency / high_hz) ** 4)
+    noise = np.fft.irfft(np.fft.rfft(rng.standard_normal((axes, N_SAMPLES))) * shape, N_SAMPLES)
+    return np.asarray(noise / noise.std(axis=-1, keepdims=True))
+
+
+def make_tap(start: int, *, frequency_hz: float = 210.0, decay_s: float = 0.004) -> Samples:
+    """Make a tap: nothing, then a decaying sinusoid.
+
+    Returns (4000,), one second at 4 kHz.
+    """
+    lag = np.maximum(np.arange(N_SAMPLES) - start, 0) / RATE_HZ
+    return np.asarray(np.sin(2 * np.pi * frequency_hz * lag) * np.exp(-lag / decay_s))
+
+
+def whiten(axes: Samples) -> Samples:
+    """Make the axes' covariance exactly the identity.
+
+    axes: (3, n); returns (3, n).
+
+    Examples
+    --------
+    >>> white = whiten(np.random.default_rng(0).standard_normal((3, 100)))
+    >>> bool(np.allclose(white @ white.T / 100, np.eye(3)))
+    True
+    """
+    centred = axes - axes.mean(axis=-1, keepdims=True)
+    factor = np.linalg.cholesky(centred @ centred.T / axes.shape[-1])
+    return np.asarray(np.linalg.solve(factor, centred))
+
+
+def take_excerpt(recording: Recording, *, duration_s: float) -> Recording:
+    """Take the strongest part of a recording.
+
+    Examples
+    --------
+    >>> from feel321.analysis.tradeoff.stress.battery import BATTERY
+    >>> take_excerpt(BATTERY["circular"].make(0), duration_s=0.1).n_samples
+    400
+    """
+    from scipy.fft import prev_fast_len
+
+    length = prev_fast_len(max(1, round(duration_s * recording.rate_hz)))
+    if recording.n_samples <= length:
+        return recording
+    energy = np.cumsum(np.square(recording.acceleration).sum(axis=0))
+    start = int(np.argmax(energy[length - 1 :] - np.concatenate([[0.0], energy[:-length]])))
+    return Recording(
+        recording.acceleration[:, start : start + length], recording.rate_hz, recording.name
+    )
+
+
+# BATTERY: scenes in which methods fail, each with a reason in one line.
+
+ADXL345_STEP = 0.0039 * STANDARD_GRAVITY
+"""m/s² per count of the paper's sensor: 3.9 mg in its full-resolution mode."""
+
+GAP = round(0.005 * RATE_HZ)
+"""Samples lost at a time: 5 ms."""
+
+LINE = np.array([[0.6], [0.64], [0.48]])
+"""Direction of a motion along one line, of unit length, on no axis and not on the diagonal."""
+
+
+PLANE = ((2 / 3, 1 / 3, 2 / 3), (-2 / 3, 2 / 3, 1 / 3))
+"""Two directions at a right angle that every axis of the sensor sees."""
+
+
+class Maker(Protocol):
+    """Makes acceleration in m/s², shape (3, n)."""
+
+    def __call__(self, rng: np.random.Generator, /) -> Samples:
+        """Acceleration of the three axes at 4 kHz."""
+
+
+class Fault(Protocol):
+    """Does to acceleration, shape (3, n), what a bad sensor or a lost connection does."""
+
+    def __call__(self, samples: Samples, rng: np.random.Generator, /) -> Samples:
+        """Acceleration as it was recorded."""
+
+
+class Failing(NamedTuple):
+    """A failure that is known beforehand."""
+
+    reducer: str
+    measure: str
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """A recording that some method fails on."""
+
+    name: str
+    title: str
+    reason: str
+    maker: Maker
+    signs: tuple[str, ...] = ()
+    failing: tuple[Failing, ...] = ()
+    fault: Fault | None = None
+
+    def make(self, seed: int) -> Recording:
+        """Make the scene.
+
+        Examples
+        --------
+        >>> BATTERY["anti_phase"].make(0).acceleration.sum(axis=0).any()
+        np.False_
+        """
+        rng = np.random.default_rng([seed, *self.name.encode()])
+        samples = self.maker(rng)
+        return Recording(self.fault(samples, rng) if self.fault else samples, RATE_HZ, self.name)
+
+    def make_clean(self, seed: int) -> Recording:
+        """Make the scene without its fault."""
+        rng = np.random.default_rng([seed, *self.name.encode()])
+        return Recording(self.maker(rng), RATE_HZ, self.name)
+
+
+def _ordinary(rng: np.random.Generator) -> Samples:
+    return 4 * (LINE * make_texture(rng) + 0.15 * make_texture(rng, 3))
+
+
+def _anti_phase(rng: np.random.Generator) -> Samples:
+    return np.asarray(np.array([[4.0], [-2.0], [-2.0]]) * make_texture(rng))
+
+
+def _turning(semi_axes: tuple[float, float]) -> Maker:
+    def make(rng: np.random.Generator) -> Samples:
+        angle = 2 * np.pi * (150 * TIME_S + rng.uniform())
+        first, second = semi_axes
+        return np.asarray(
+            np.array(PLANE).T @ np.array([first * np.cos(angle), second * np.sin(angle)])
+        )
+
+    return make
+
+
+def _isotropic(rng: np.random.Generator) -> Samples:
+    return 4 * whiten(make_texture(rng, 3))
+
+
+def _silent_axis(rng: np.random.Generator) -> Samples:
+    x, y = make_texture(rng, 2)
+    return 4 * np.array([x, 0.5 * x + 0.5 * y, np.zeros(N_SAMPLES)])
+
+
+def _one_axis(rng: np.random.Generator) -> Samples:
+    axis = 4 * make_texture(rng)[0]
+    return np.array([np.zeros(N_SAMPLES), axis, np.zeros(N_SAMPLES)])
+
+
+def _offset(rng: np.random.Generator) -> Samples:
+    return _ordinary(rng) / 4 + STANDARD_GRAVITY * np.array([[0.0], [-0.6], [0.8]])
+
+
+def _drift(rng: np.random.Generator) -> Samples:
+    tilt = 0.6 * np.sin(2 * np.pi * (0.8 * TIME_S + rng.uniform()))
+    gravity = STANDARD_GRAVITY * np.array([np.sin(tilt), np.zeros(N_SAMPLES), np.cos(tilt)])
+    return _ordinary(rng) / 4 + gravity
+
+
+def _broad(rng: np.random.Generator) -> Samples:
+    return _ordinary(rng) + 2 * make_texture(rng, 3)
+
+
+def _weak(rng: np.random.Generator) -> Samples:
+    return 0.6 * ADXL345_STEP * (LINE * make_texture(rng) + 0.5 * make_texture(rng, 3))
+
+
+def _in_phase(rng: np.random.Generator) -> Samples:
+    return np.asarray(np.array([[4.0], [4.0], [0.4]]) * make_texture(rng))
+
+
+def _clip(samples: Samples, rng: np.random.Generator) -> Samples:
+    del rng
+    limit = 0.35 * np.abs(samples).max()
+    return np.clip(samples, -limit, limit)
+
+
+def _quantise(samples: Samples, rng: np.random.Generator) -> Samples:
+    del rng
+    return np.asarray(ADXL345_STEP * np.round(samples / ADXL345_STEP))
+
+
+def _lose(samples: Samples, rng: np.random.Generator) -> Samples:
+    kept = np.ones(N_SAMPLES)
+    for start in rng.integers(0, N_SAMPLES - GAP, size=12):
+        kept[start : start + GAP] = 0.0
+    return samples * kept
+
+
+def _run_fast(samples: Samples, rng: np.random.Generator) -> Samples:
+    del rng
+    number = np.arange(N_SAMPLES)
+    late = np.interp(1.003 * number, number, samples[1], period=N_SAMPLES)
+    return np.array([samples[0], late, samples[2]])
+
+
+def _impulse(rng: np.random.Generator) -> Samples:
+    # Where one frame ends, the next but one begins, and the one between is at its middle; modes differ by axis.
+    start = int(rng.integers(5, 20)) * WINDOW
+    modes = ((95.0, 0.0075), (210.0, 0.0045), (340.0, 0.0035))
+    return np.asarray(40 * np.array([make_tap(start, frequency_hz=f, decay_s=d) for f, d in modes]))
+
+
+def _between_bins(rng: np.random.Generator) -> Samples:
+    phases = 2 * np.pi * rng.uniform() + np.array([[0.0], [1.0], [-1.3]])
+    return np.asarray(
+        4 * np.array([[1.0], [0.8], [0.6]]) * np.cos(2 * np.pi * 150.5 * TIME_S + phases)
+    )
+
+
+def _chirp(rng: np.random.Generator) -> Samples:
+    sweep = 2 * np.pi * (20 * TIME_S + 0.5 * 980 * TIME_S**2) + 2 * np.pi * rng.uniform()
+    # Different delays on the way to the three axes: their phases drift apart as the frequency rises.
+    return 4 * np.array([np.cos(sweep), np.cos(1.004 * sweep), 0.1 * np.cos(0.997 * sweep)])
+
+
+def _short(rng: np.random.Generator) -> Samples:
+    return _isotropic(rng)[:, :12]
+
+
+def _near_silence(rng: np.random.Generator) -> Samples:
+    start = int(rng.integers(500, 1000))
+    taps = 40 * LINE * make_tap(start)
+    return taps + 40e-4 * make_texture(rng, 3, low_hz=1.0, high_hz=1500.0)
+
+
+_EIGENVALUES = ("eigenvalue_ratio", "ambiguous_windows")
+_SCENES = (
+    Scene("ordinary_drag", "Ordinary drag (control)", "One clear direction: what fails here fails everywhere.",
+          _ordinary),
+    Scene("anti_phase", "Anti-phase axes", "x cancels y and z everywhere: the sum has no phase of its own.",
+          _anti_phase, ("undetermined_share",),
+          (Failing("dft321", "gain"), Failing("dft321_windowed", "gain"), Failing("soc321", "energy"))),
+    Scene("circular", "Circular motion", "In the plane of the turn all directions hold the same energy: none leads.",
+          _turning((6.0, 6.0)), _EIGENVALUES, (Failing("pca321", "gain"), Failing("dft321", "rotation"))),
+    Scene("elliptic", "Elliptic motion", "What goes round has another phase on every axis of every mounting.",
+          _turning((6.0, 5.7)), _EIGENVALUES, (Failing("dft321", "rotation"), Failing("dft321", "flip"))),
+    Scene("equal_eigenvalues", "Equal eigenvalues", "Independent axes of equal energy: a principal axis is chance.",
+          _isotropic, _EIGENVALUES, (Failing("pca321", "gain"), Failing("dft321", "rotation"))),
+    Scene("silent_axis", "One silent axis", "z is dead: what keeps only z is silent, metrics divide by nothing.",
+          _silent_axis, ("silent_axes",), (Failing("saz321", "energy"),)),
+    Scene("one_axis", "One axis only", "All motion on y: two of three single axes are silent.",
+          _one_axis, ("silent_axes",), (Failing("sax321", "energy"), Failing("saz321", "energy"))),
+    Scene("offset", "Gravity as offset", "9.8 m/s² of gravity on a vibration of 1 m/s²: offsets are taken for signal.",
+          _offset, ("offset_share",), (Failing("mag321", "energy"),)),
+    Scene("gravity_drift", "Gravity drifting", "The hand tilts: slow gravity outweighs the vibration on two axes.",
+          _drift, ("slow_share",), (Failing("mag321", "edge"),)),
+    Scene("clipping", "Clipping", "Peaks are cut axis by axis: the direction of motion bends at every peak.",
+          _broad, ("clipped_share",), (Failing("sax321", "energy"),), _clip),
+    Scene("quantisation", "ADXL345 steps (3.9 mg)", "The vibration is weaker than the sensor's step: mostly zeros.",
+          _weak, ("step_over_rms",), (Failing("mag321", "energy"),), _quantise),
+    Scene("missing_samples", "Missing samples", "A dozen gaps of 5 ms are filled with zeros: edges in all bands.",
+          _ordinary, ("held_share",), (Failing("mag321", "energy"),), _lose),
+    Scene("impulse_at_edge", "Impulse at a window edge", "A tap at a frame's edge: frames spread it before itself.",
+          _impulse, ("crest_factor",), (Failing("dft321", "rotation"),)),
+    Scene("between_bins", "Tone between bins", "150.5 Hz in 1 s leaks over all bins, each with a phase of its own.",
+          _between_bins, ("tonal_share",), (Failing("dft321", "rotation"),)),
+    Scene("chirp", "Chirp", "20 to 1000 Hz, axes drifting apart in phase: they add, then cancel, then add.",
+          _chirp, ("undetermined_share",), (Failing("dft321", "rotation"),)),
+    Scene("very_short", "12 samples", "Shorter than a window: nothing to average over.",
+          _short, ("n_windows",), (Failing("sax321", "energy"),)),
+    Scene("near_silence", "Near silence", "After one tap only noise, 80 dB below: its direction is chance.",
+          _near_silence, ("silence_share",)),
+    Scene("rate_mismatch", "Sample-rate mismatch", "y's clock runs 0.3 % fast: the axes slide through anti-phase.",
+          _in_phase, (), (Failing("dft321", "rotation"),), _run_fast),
+)  # fmt: skip
+
+BATTERY: Mapping[str, Scene] = MappingProxyType({scene.name: scene for scene in _SCENES})
+"""Name -> scene, the control first."""

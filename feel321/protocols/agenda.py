@@ -1,0 +1,305 @@
+"""The agenda of a session: training, practice, trials and pages, and what comes next.
+
+Pages, training with feedback, practice, breaks, and what is tried again all follow from the plan and from what
+was told so far, and from nothing else. A session that is resumed therefore tells an agenda what its journal
+holds, and goes on as if it had never been broken off.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from itertools import groupby
+from typing import TYPE_CHECKING
+
+from feel321.protocols.tasks import measure_chance
+from feel321.protocols.trial import Page, Trial
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from feel321.protocols.trial import Flow
+
+    Step = Page | Trial
+
+# Training: feedback after each answer, and rounds until enough of them were right.
+
+
+class Training:
+    """Who has understood what, so far.
+
+    A round is passed if, of those answers that are not right by guessing, the share that was asked for is right [1]_.
+    At 75 % that lets nobody miss one of four, and one of eight where the choice is between two.
+
+    References
+    ----------
+    .. [1] Macmillan, N. A., & Creelman, C. D. (2005). Detection theory: A user's guide (2nd ed.), chapter 4
+       (correction for guessing). doi:10.4324/9781410611147
+    """
+
+    def __init__(self, trials: Sequence[Trial], flow: Flow) -> None:
+        self._trials = [trial for trial in trials if trial.phase == "training"]
+        self._flow = flow
+        self._rounds: Counter[str] = Counter()
+        self._understood: list[bool] = []
+        self._guessed = 0.0
+
+    def tell(
+        self, trial: Trial, *, understood: bool | None, is_last: bool
+    ) -> Iterator[Page | Trial]:
+        """Take an answer, and give what follows from it at once."""
+        if understood is not None:
+            self._understood.append(understood)
+            self._guessed += measure_chance(trial)
+            yield Page("expected" if understood else "unexpected")
+        if is_last and self._understood:
+            yield from self._end_round(trial.protocol)
+            self._understood, self._guessed = [], 0.0
+
+    def _end_round(self, protocol: str) -> Iterator[Page | Trial]:
+        self._rounds[protocol] += 1
+        not_guessed = len(self._understood) - self._guessed
+        if (
+            max(sum(self._understood) - self._guessed, 0.0)
+            >= self._flow.training_pass * not_guessed
+        ):
+            yield Page("training_passed")
+        elif self._rounds[protocol] >= self._flow.training_rounds:
+            yield Page("training_failed", by="experimenter")
+        else:
+            yield Page("training_again")
+            yield from (trial for trial in self._trials if trial.protocol == protocol)
+
+
+# What comes next in a session: ask for a page or a trial, tell what became of it.
+
+SECONDS = 60.0
+RELAXING = frozenset({"main", "break", "rest", "warm_up"})
+"""Pages after which the time to the next break starts anew."""
+
+
+class Agenda:
+    """The steps of a session that are still to be done, in order.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        All trials of the plan: those of the main phase in their order, training and practice anywhere.
+    flow : Flow
+        The rules of the session.
+
+    Examples
+    --------
+    >>> from feel321.protocols.trial import Flow
+    >>> agenda = Agenda([], Flow())
+    >>> agenda.ask()
+    Page(key='welcome', least_s=0.0, by='participant')
+    >>> agenda.tell_page("welcome", time_s=2.5)
+    >>> agenda.ask().key
+    'consent'
+    """
+
+    def __init__(self, trials: Sequence[Trial], flow: Flow) -> None:
+        self._flow = flow
+        self._trials = {trial.number: trial for trial in trials}
+        self._steps: deque[Step] = deque(lay_out(trials, flow))
+        self._attempts: Counter[int] = Counter()
+        self._spent: Counter[int] = Counter()
+        self._training = Training(trials, flow)
+        self._breaks = _Breaks(flow)
+        self.total = sum(trial.phase == "main" for trial in trials)
+        """Trials of the main phase."""
+        self.done = 0
+        """Those of them that need no further attempt, rated or given up."""
+        self.given_up = 0
+        """Those of them that were tried too often without success."""
+
+    def ask(self) -> Step | None:
+        """Name the next step.
+
+        Returns
+        -------
+        Page, Trial or None
+            The same one until it is told as done; None when all are.
+        """
+        return self._steps[0] if self._steps else None
+
+    def attempt(self, number: int) -> int:
+        """Count which attempt at a trial is next.
+
+        Parameters
+        ----------
+        number : int
+            The trial's number.
+
+        Returns
+        -------
+        int
+            From 1.
+        """
+        return self._attempts[number] + 1
+
+    def tell_page(self, key: str, *, time_s: float) -> None:
+        """Take a page as read.
+
+        Parameters
+        ----------
+        key : str
+            Its key.
+        time_s : float
+            When, in s since the session began.
+
+        Raises
+        ------
+        ValueError
+            If another step is next.
+        """
+        self._take(key)
+        if key in RELAXING:
+            self._breaks.begin_anew(time_s)
+
+    def tell_trial(
+        self,
+        number: int,
+        *,
+        accepted: bool,
+        as_expected: bool | None,
+        time_s: float,
+        spent: bool = True,
+    ) -> None:
+        """Take an attempt at a trial as made.
+
+        Parameters
+        ----------
+        number : int
+            The trial's number.
+        accepted : bool
+            False if the attempt was a bad one; the trial then comes again, unless it came too often already.
+        as_expected : bool or None
+            Whether the answer was one of those expected; None where any will do.
+        time_s : float
+            When, in s since the session began.
+        spent : bool
+            Whether a bad attempt is one of those that a trial has: a device that fails may not use them up.
+
+        Raises
+        ------
+        ValueError
+            If another step is next.
+        """
+        self._take(number)
+        trial = self._trials[number]
+        if not accepted:
+            self._attempts[number] += 1
+            self._spent[number] += spent
+            if self._spent[number] < self._flow.max_attempts:
+                self._steps.insert(find_place(self._steps, trial), trial)
+                return
+        if trial.phase == "training":
+            self._go_on_training(trial, understood=as_expected)
+        elif trial.phase == "main":
+            self.done += 1
+            self.given_up += not accepted
+            # Where a page comes anyway, or nothing does, a break would be one too many.
+            if self._breaks.is_due(time_s) and isinstance(self.ask(), Trial):
+                self._steps.appendleft(Page("break", self._flow.break_s))
+
+    def warm_up(self) -> None:
+        """Put the practice of the current task, if any, before all else: for who comes back after a long while."""
+        ahead = next((step for step in self._steps if isinstance(step, Trial)), None)
+        if ahead is None or ahead.phase != "main" or self._steps[0] == Page("warm_up"):
+            return  # Nothing is left, or they are warming up anyway.
+        again = [
+            t
+            for t in self._trials.values()
+            if t.phase == "practice" and t.protocol == ahead.protocol
+        ]
+        if again:
+            self._put_first([Page("warm_up"), *again])
+
+    def _take(self, name: str | int) -> None:
+        step = self.ask()
+        expected = step.key if isinstance(step, Page) else step.number if step else "the end"
+        if name != expected:
+            raise ValueError(f"got {_describe(name)}, expected {_describe(expected)}")
+        self._steps.popleft()
+
+    def _go_on_training(self, trial: Trial, *, understood: bool | None) -> None:
+        is_last = not any(
+            isinstance(step, Trial) and (step.phase, step.protocol) == ("training", trial.protocol)
+            for step in self._steps
+        )
+        self._put_first(list(self._training.tell(trial, understood=understood, is_last=is_last)))
+
+    def _put_first(self, steps: Sequence[Step]) -> None:
+        """Put steps before all others; what was done before and comes again has all its attempts again."""
+        for step in steps:
+            if isinstance(step, Trial):
+                self._attempts.pop(step.number, None)
+                self._spent.pop(step.number, None)
+        self._steps.extendleft(reversed(steps))
+
+
+def find_place(steps: Iterable[Step], trial: Trial) -> int:
+    """Find where a trial comes again: behind what is left of its block, else of its section, else at once."""
+    in_block, in_section = 0, 0
+    for place, step in enumerate(steps, start=1):
+        if isinstance(step, Trial) and (step.phase, step.protocol) == (trial.phase, trial.protocol):
+            in_section = place
+            in_block = place if step.block == trial.block else in_block
+    return in_block or in_section
+
+
+def lay_out(trials: Sequence[Trial], flow: Flow) -> Iterator[Step]:
+    """Lay out a session in which nothing goes wrong and no break is due."""
+    yield from (Page("welcome"), Page("consent"))
+    main = [trial for trial in trials if trial.phase == "main"]
+    sections = [list(section) for _, section in groupby(main, key=lambda trial: trial.protocol)]
+    for place, section in enumerate(sections):
+        protocol = section[0].protocol
+        if place:
+            yield Page("rest", flow.rest_s)
+        yield Page(f"instructions.{protocol}")
+        yield from _lead_in("training", (t for t in trials if t.protocol == protocol))
+        yield from _lead_in("practice", (t for t in trials if t.protocol == protocol))
+        yield Page("main")
+        half = (len(section) + 1) // 2 if len(sections) == 1 else len(section)
+        yield from section[:half]
+        if section[half:]:
+            yield Page("rest", flow.rest_s)
+        yield from section[half:]
+    yield Page("end")
+
+
+def _lead_in(phase: str, trials: Iterable[Trial]) -> Iterator[Step]:
+    own = [trial for trial in trials if trial.phase == phase]
+    if own:
+        yield Page(phase)
+    yield from own
+
+
+class _Breaks:
+    """When the next break is due, by trials and by minutes."""
+
+    def __init__(self, flow: Flow) -> None:
+        self._flow = flow
+        self.begin_anew(0.0)
+
+    def begin_anew(self, time_s: float) -> None:
+        self._trials, self._since_s = 0, time_s
+
+    def is_due(self, time_s: float) -> bool:
+        """Count one more trial."""
+        self._trials += 1
+        trials, minutes = self._flow.break_trials, self._flow.break_min
+        by_count = trials is not None and self._trials >= trials
+        return by_count or (minutes is not None and time_s - self._since_s >= minutes * SECONDS)
+
+
+def _describe(step: str | int) -> str:
+    return (
+        f"trial {step}"
+        if isinstance(step, int)
+        else f"page {step!r}"
+        if step != "the end"
+        else step
+    )

@@ -1,0 +1,1 @@
+"""The only reader of foreign files: a recording of any format in, a `Recording` in m/s² out."""

@@ -1,0 +1,239 @@
+"""What all readers of recordings share: decoded samples, units, keywords, errors."""
+
+from __future__ import annotations
+
+import re
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+
+from feel321.stimuli.recording import AXES, UNITS
+
+if TYPE_CHECKING:
+    from collections.abc import Container, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+# What goes into a format's reader and what comes out, before units and sampling are settled.
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What the caller says about the file.
+
+    columns: (x, y, z) or (time, x, y, z): names, or numbers from 0.
+    """
+
+    rate_hz: float | None = None
+    unit: str | None = None
+    columns: Sequence[str | int] | None = None
+    full_scale: float | None = None
+    resample: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Decoded:
+    """What a file says of itself.
+
+    acceleration: (3, n_samples); time_s: (n_samples,); first_line: the line of a text file that
+    holds the first sample, from 1.
+    """
+
+    acceleration: NDArray[np.float64]
+    unit: str | None = None
+    rate_hz: float | None = None
+    time_s: NDArray[np.float64] | None = None
+    time_step_s: float = 0.0
+    first_line: int | None = None
+    notes: tuple[str, ...] = ()
+    sources: tuple[Path, ...] = ()
+    name: str = ""
+
+
+def stack_axes(axes: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Stack three axes of equal length; never shorten one to fit.
+
+    axes: (n_samples,); returns (3, n_samples).
+    """
+    if len(axes) < AXES:
+        got = f"only the axes {', '.join(sorted(axes))}" if axes else "no axes"
+        raise ValueError(f"got {got}, allowed is three axes x, y, z; a reduction needs all three")
+    lengths = {axis: axes[axis].size for axis in "xyz"}
+    if len(set(lengths.values())) > 1:
+        counts = ", ".join(f"{axis} {n}" for axis, n in lengths.items())
+        raise ValueError(
+            f"got axes of unequal length ({counts} samples), allowed is one length; cut them alike"
+        )
+    return np.stack([axes[axis] for axis in "xyz"])
+
+
+def as_three_axes(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Turn an array to (3, n_samples), or say why it is not three axes.
+
+    Returns (3, n_samples).
+    """
+    if values.size == 0:
+        raise ValueError(f"got an empty array of shape {values.shape}, allowed is (3, n) or (n, 3)")
+    if values.ndim == 2 and values.shape[0] == AXES:  # noqa: PLR2004 - axes x samples
+        return values
+    if values.ndim < 2 or (values.ndim == 2 and 1 in values.shape):  # noqa: PLR2004 - axes x samples
+        raise already_reduced(f"an array of shape {values.shape}")
+    if values.ndim == 2 and values.shape[1] == AXES:  # noqa: PLR2004 - axes x samples
+        return values.T
+    raise ValueError(
+        f"got an array of shape {values.shape}, allowed is (3, n) or (n, 3): exactly three axes"
+    )
+
+
+def already_reduced(got: str) -> ValueError:
+    """Return the refusal of a signal with one axis."""
+    return ValueError(
+        f"got {got}: one channel, so already reduced to one axis; allowed is the raw three-axis recording"
+    )
+
+
+# Where foreign exceptions become one clear line: file name, what was got, what is allowed, what to do.
+
+
+@contextmanager
+def file_named(path: Path) -> Iterator[None]:
+    """Put the file's name before every refusal raised inside."""
+    prefix = f"{path.name}: "
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(prefix + _one_line(str(error).removeprefix(prefix))) from error
+    except OSError as error:
+        reason = error.strerror or str(error).removeprefix(prefix)
+        raise type(error)(f"{prefix}{reason}") from error
+
+
+@contextmanager
+def foreign_errors(what: str) -> Iterator[None]:
+    """Translate whatever a library raises at a damaged file."""
+    try:
+        yield
+    except Exception as error:  # libraries raise anything at damaged files, even UnboundLocalError
+        if (
+            isinstance(error, OSError) and error.errno
+        ):  # the system's own; libraries raise theirs without a number
+            raise
+        reason = (str(error).strip() or type(error).__name__).splitlines()[0]
+        raise ValueError(
+            f"cannot be read as {what} ({reason}); the file is damaged or of another kind, copy or export it again"
+        ) from error
+
+
+def _one_line(text: str) -> str:
+    """Spell out what cannot be printed: a file's own names may hold line feeds and worse."""
+    return "".join(
+        c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text
+    )
+
+
+# Units of acceleration and time as people spell them.
+
+ACCELERATION_SPELLINGS = {
+    "m/s^2": "m/s^2", "m/s2": "m/s^2", "m/s²": "m/s^2", "m/s/s": "m/s^2", "m/s**2": "m/s^2",
+    "ms^-2": "m/s^2", "ms-2": "m/s^2", "ms⁻²": "m/s^2", "m·s⁻²": "m/s^2", "m*s^-2": "m/s^2", "ms2": "m/s^2",
+    "g": "g", "gn": "g", "g0": "g", "gee": "g", "gees": "g",
+    "mg": "mg", "milli-g": "mg", "millig": "mg",
+}  # fmt: skip
+"""Accepted spellings of a unit of acceleration (case, blanks and underscores aside) and the unit meant."""
+
+TIME_SPELLINGS = {
+    "s": 1.0, "sec": 1.0, "secs": 1.0, "second": 1.0, "seconds": 1.0,
+    "ms": 1e-3, "msec": 1e-3, "millis": 1e-3, "milliseconds": 1e-3,
+    "us": 1e-6, "μs": 1e-6, "usec": 1e-6, "micros": 1e-6, "microseconds": 1e-6,
+    "ns": 1e-9, "nsec": 1e-9, "nanoseconds": 1e-9,
+}  # fmt: skip
+"""Accepted spellings of a unit of time and its size in s."""
+
+NO_UNIT_NOTE = "the file names no unit of acceleration: taken as m/s^2 (unit=... says otherwise)"
+
+
+def normalise(text: str) -> str:
+    """Strip case, blanks and underscores, and make both micro signs one.
+
+    Examples
+    --------
+    >>> normalise(" M / s^2 ")
+    'm/s^2'
+    """
+    return re.sub(r"[\s_]+", "", text).casefold()
+
+
+def split_unit(label: str, spellings: Container[str]) -> tuple[str, str | None]:
+    """Split a column's label into its bare name and its unit.
+
+    label: A label such as ``x_g``, ``acc x (m/s²)`` or ``time [µs]``.
+
+    Examples
+    --------
+    >>> split_unit("acc_x_m_s2", ACCELERATION_SPELLINGS)
+    ('acc_x', 'ms2')
+    >>> split_unit("x [V]", ACCELERATION_SPELLINGS)
+    ('x', 'v')
+    """
+    label = label.strip()
+    if bracketed := re.fullmatch(r"(.+?)[\s_]*[\[(](.*)[\])]", label):
+        return bracketed[1], normalise(bracketed[2])
+    for gap in re.finditer(r"[\s_]+", label):
+        if normalise(label[gap.end() :]) in spellings:
+            return label[: gap.start()], normalise(label[gap.end() :])
+    return label, None
+
+
+def parse_unit(text: str) -> str:
+    """Return the unit of acceleration meant by a spelling.
+
+    Examples
+    --------
+    >>> parse_unit("m/s²")
+    'm/s^2'
+    """
+    try:
+        return ACCELERATION_SPELLINGS[normalise(text)]
+    except (KeyError, TypeError):
+        raise ValueError(f"got the unit {text!r}, allowed is one of {', '.join(UNITS)}") from None
+
+
+def settle_unit(own: str | None, requested: str | None) -> tuple[str, tuple[str, ...]]:
+    """Decide the unit from what the file and the caller say."""
+    wanted = None if requested is None else parse_unit(requested)
+    if own and wanted and own != wanted:
+        raise ValueError(f"got unit={requested!r}, but the file says {own!r}; leave unit out")
+    unit = own or wanted
+    return (unit, ()) if unit else ("m/s^2", (NO_UNIT_NOTE,))
+
+
+# What the rate and the unit are called, in archives and sidecars alike, and one value where several names say it.
+
+Value = TypeVar("Value", float, str)
+
+RATE_KEYS = ("rate_hz", "fs", "rate", "sample_rate", "samplerate", "sampling_rate", "fs_hz")
+UNIT_KEYS = ("unit", "units")
+
+
+def one_value(
+    found: Mapping[str, Value], *, argument: str, requested: Value | None
+) -> Value | None:
+    """Return what all names say; where they differ, what the caller chooses among it.
+
+    Examples
+    --------
+    >>> one_value({"fs": 100.0, "rate": 200.0}, argument="rate_hz", requested=200.0)
+    200.0
+    """
+    values = set(found.values())
+    if len(values) <= 1:
+        return next(iter(values), None)
+    if requested is not None and requested in values:
+        return requested
+    said = ", ".join(f"{name} says {value!r}" for name, value in found.items())
+    raise ValueError(
+        f"got several values that differ ({said}); choose one of them by {argument}=..."
+    )

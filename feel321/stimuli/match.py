@@ -1,0 +1,572 @@
+"""Match metrics: how much of a recording's spectrum and waveform a reduced signal keeps.
+
+Conventions: acceleration (3, n_samples) and reduced (n_samples,), both finite, in any common unit; every metric is
+called alike, `METRICS[name](acceleration, reduced, rate_hz)`, and 1 is a perfect match. Each has a `..._details` form
+that says what the figure rests on.
+
+- `spectral_match` (eq. 1): 1 minus the mean relative deviation of the smoothed energy spectra. At most 1; it may be
+  negative, and very much so where the reduced signal has energy in bands in which the recording has almost none.
+- `spectral_match_bounded`: the same with each deviation taken relative to the stronger of the two spectra, so that no
+  frequency can count for more than 1. 0 to 1, equal to eq. 1 wherever the reduced signal is the weaker one.
+- `temporal_match` (eq. 2): mean absolute correlation, at zero lag, of the reduced signal with each axis. 0 to 1. No
+  mean is removed: an offset counts as signal, as in the paper.
+
+Where there is nothing to match (no frequency from 20 to 1000 Hz with energy, a silent recording) a match is NaN, never
+1 or 0, and the details hold the reason. A silent reduced signal of a recording that is not silent scores 0.
+
+Conventions: spectra are one-sided energy spectral densities on the DFT's grid, shape (..., n_bins), bin k at
+k * rate_hz / n_samples; frequencies in Hz.
+
+The kernel is a rectangle (Daniell smoothing) of full width 0.22 f around f: the Weber fraction of vibration frequency.
+The paper used MATLAB's `spafdr`, which averages the product of the transforms "over local frequency regions" of a
+chosen, frequency-dependent width (its *resolution*); the width here is that resolution, 0.22 f, edge to edge. MATLAB
+does not document its kernel's shape; the match metrics depend on it little, because both spectra are smoothed alike.
+
+References
+----------
+.. [1] N. Landin, J. M. Romano, W. McMahan, K. J. Kuchenbecker, "Dimensional reduction of high-frequency accelerations
+   for haptic rendering", EuroHaptics 2010, section 3. doi:10.1007/978-3-642-14075-4_12
+.. [2] P. J. Daniell, discussion, Journal of the Royal Statistical Society (Supplement) 8, 1946, 88-90.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
+
+import numpy as np
+
+from feel321.stimuli.recording import SAFE_PEAK, admit, check_rate, check_reduced, is_safe, largest
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from numpy.typing import ArrayLike, NDArray
+
+    Grid = Literal["linear", "log"]
+
+# Energy spectra smoothed as coarsely as people tell frequencies apart.
+
+WEBER_FRACTION = 0.22
+"""Smallest relative change of vibration frequency that people notice; full width of the smoothing over its centre."""
+
+LOWEST_HZ = 20.0
+HIGHEST_HZ = 1000.0
+"""Range in which Pacinian corpuscles, and so the metrics, are sensitive."""
+
+NUMERICAL_FLOOR = 1e-12
+"""Frequencies whose smoothed energy is below this share of the recording's mean energy per bin are left out: there the
+spectrum is the rounding error of the transforms, not a vibration."""
+
+
+def energy_spectrum(samples: NDArray[np.float64], bins: slice = slice(None)) -> NDArray[np.float64]:
+    """Compute the energy of a signal at every DFT frequency, or at some of them.
+
+    samples: (..., n_samples); returns (..., n_bins).
+    """
+    from scipy import fft
+
+    spectrum = fft.rfft(samples)[..., bins]
+    energy = np.square(spectrum.real)
+    energy += np.square(spectrum.imag)
+    return energy
+
+
+def linear_grid(n_samples: int, rate_hz: float) -> NDArray[np.float64]:
+    """DFT frequencies from 20 Hz to 1000 Hz, or to the Nyquist frequency if that is lower.
+
+    Returns (n_frequencies,), frequencies in Hz, possibly none.
+
+    Examples
+    --------
+    >>> linear_grid(10, 300.0)
+    array([ 30.,  60.,  90., 120., 150.])
+    """
+    spacing = rate_hz / n_samples
+    # The tolerance keeps a frequency that is 20 Hz or 1000 Hz but for the rounding of the rate.
+    first = int(np.ceil(LOWEST_HZ / spacing * (1 - 1e-12)))
+    last = int(np.floor(min(HIGHEST_HZ / spacing * (1 + 1e-12), n_samples / 2)))
+    return np.arange(first, last + 1, dtype=np.float64) * spacing
+
+
+def log_grid(n_samples: int, rate_hz: float, *, points_per_octave: int = 24) -> NDArray[np.float64]:
+    """Logarithmically spaced frequencies from 20 Hz to 1000 Hz, or to the Nyquist frequency if that is lower.
+
+    Returns (n_frequencies,), frequencies in Hz, possibly none.
+    """
+    lowest, highest = max(LOWEST_HZ, rate_hz / n_samples), min(HIGHEST_HZ, rate_hz / 2)
+    if lowest > highest:
+        return np.zeros(0)
+    n_points = int(np.log2(highest / lowest) * points_per_octave) + 1
+    return lowest * 2.0 ** (np.arange(n_points) / points_per_octave)
+
+
+class WeberSmoothing:
+    """Running mean over 0.22 f around f, for one grid: O(n), without loops or matrices over frequencies.
+
+    frequencies_hz: (n_frequencies,).
+
+    Notes
+    -----
+    Each bin's energy is spread evenly over one spacing, so the window's edges may cut bins. A window narrower than one
+    spacing gives the bin itself; one that reaches beyond the last bin is cut off there and averaged over what is left.
+    Bins far below the lowest frequency, the offset among them, never enter the running sum, and the sum is kept in
+    extended precision where the platform has it: a strong tone costs its weak neighbours no accuracy.
+    """
+
+    def __init__(self, frequencies_hz: NDArray[np.float64], spacing_hz: float, n_bins: int) -> None:
+        centre = frequencies_hz / spacing_hz + 0.5
+        half = np.maximum(WEBER_FRACTION / 2 * frequencies_hz / spacing_hz, 0.5)
+        low, high = np.maximum(centre - half, 0.0), np.minimum(centre + half, float(n_bins))
+        first = int(low[0]) if len(low) else 0
+        last = min(int(np.ceil(high[-1])) + 1, n_bins) if len(high) else 0
+        self.bins = slice(first, last)
+        self._low, self._high = (_Edges.at(edge - first, last - first) for edge in (low, high))
+        self._width = high - low
+
+    def __call__(self, spectrum: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Smooth spectra.
+
+        spectrum: (..., number of `bins`); returns (..., n_frequencies).
+        """
+        running = np.zeros((*spectrum.shape[:-1], spectrum.shape[-1] + 1), dtype=np.longdouble)
+        np.cumsum(spectrum, axis=-1, out=running[..., 1:])
+        low, high = self._low, self._high
+        whole = (running[..., high.bin] - running[..., low.bin]).astype(np.float64)
+        cut = high.share * spectrum[..., high.bin] - low.share * spectrum[..., low.bin]
+        return np.asarray((whole + cut) / self._width)
+
+
+class _Edges(NamedTuple):
+    """Where the windows' edges cut the running sum: after so many whole bins, and a share of the next."""
+
+    bin: NDArray[np.intp]
+    share: NDArray[np.float64]
+
+    @classmethod
+    def at(cls, position: NDArray[np.float64], n_bins: int) -> _Edges:
+        whole = np.clip(position.astype(np.intp), 0, max(n_bins - 1, 0))
+        return cls(whole, position - whole)
+
+
+GRIDS: Mapping[str, Callable[[int, float], NDArray[np.float64]]] = MappingProxyType({
+    "linear": linear_grid,
+    "log": log_grid,
+})
+"""Name -> frequencies that the spectral match averages over."""
+
+
+class OriginalSpectrum:
+    """The smoothed spectrum of one recording, ready to be compared with many reduced signals.
+
+    The sum of the axes' energies does not change when the sensor is turned, so one such spectrum serves every
+    orientation.
+
+    samples: (3, n_samples), the recording, n_samples >= 1.
+    """
+
+    def __init__(
+        self, samples: NDArray[np.float64], rate_hz: float, *, grid: Grid = "linear"
+    ) -> None:
+        n = samples.shape[-1]
+        frequencies = GRIDS[grid](n, rate_hz)
+        self._smooth = WeberSmoothing(frequencies, rate_hz / n, n // 2 + 1)
+        # Axis by axis: three spectra at once cost more in fresh memory than they save in calls.
+        self._spectrum = energy_spectrum(samples[0], self._smooth.bins)
+        for axis in samples[1:]:
+            self._spectrum += energy_spectrum(axis, self._smooth.bins)
+        # By Parseval's theorem the mean energy per bin of the two-sided spectrum is the energy in time.
+        self._energy = float(np.einsum("in,in->", samples, samples))
+        self._smoothed = self._smooth(self._spectrum)
+        self._used = self._smoothed > NUMERICAL_FLOOR * self._energy
+        self.smoothed = self._smoothed[self._used]
+        self.frequencies_hz = frequencies[self._used]
+        self.n_left_out = int(np.count_nonzero(~self._used))
+
+    @property
+    def reason(self) -> str:
+        """Why `match` is NaN; empty where it is not."""
+        if len(self.smoothed):
+            return ""
+        if len(self._smoothed):
+            return (
+                "the recording has no energy from 20 to 1000 Hz: it is silent there, or its offset, a million times as "
+                "large, must be removed first"
+            )
+        return (
+            "the recording is too short, or its rate too low, for any frequency from 20 to 1000 Hz"
+        )
+
+    def match(self, reduced: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Spectral match of one or many reduced signals.
+
+        reduced: (..., n_samples); returns (...), naN where no frequency can be compared.
+        """
+        return self._relate(self._subtract(reduced))
+
+    def match_both(
+        self, reduced: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Spectral match and bounded spectral match, from one spectrum of each reduced signal.
+
+        reduced: (..., n_samples); returns (...), naN where no frequency can be compared.
+        """
+        difference = self._subtract(reduced)
+        return self._relate(difference), self._relate_bounded(reduced, difference)
+
+    def _subtract(self, reduced: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Smoothed energy of the recording minus that of the reduced signals, shape (..., n_frequencies)."""
+        # The difference is taken before it is smoothed: what two equal spectra share cancels without rounding.
+        difference = energy_spectrum(reduced, self._smooth.bins)
+        np.subtract(self._spectrum, difference, out=difference)
+        return self._smooth(difference)
+
+    def _relate(self, difference: NDArray[np.float64]) -> NDArray[np.float64]:
+        if not len(self.smoothed):
+            return np.full(difference.shape[:-1], np.nan)
+        deviation = np.abs(difference[..., self._used])
+        return np.asarray(1.0 - (deviation / self.smoothed).mean(axis=-1))
+
+    def _relate_bounded(
+        self, reduced: NDArray[np.float64], difference: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        strongest = self._smoothed + np.maximum(-difference, 0.0)  # max(E, S) = E + max(S - E, 0)
+        energy = np.maximum(np.einsum("...n,...n->...", reduced, reduced), self._energy)
+        used = self._used | (strongest > NUMERICAL_FLOOR * energy[..., None])
+        deviation = np.divide(
+            np.abs(difference), strongest, out=np.zeros_like(strongest), where=used
+        )
+        count = used.sum(axis=-1)
+        match = 1.0 - np.minimum(deviation, 1.0).sum(axis=-1) / np.maximum(count, 1)
+        return np.where(count > 0, np.maximum(match, 0.0), np.nan)
+
+
+# METRICS: how well a reduced signal matches the recording, in spectrum and in time.
+
+_SILENT = 1e-12
+_BEYOND_COMPARISON = 1e80
+
+
+@dataclass(frozen=True, slots=True)
+class SpectralMatch:
+    """A spectral match and what it rests on.
+
+    value: naN if no frequency could be compared; lowest_hz, highest_hz: naN if none could be;
+    reason: why the match is NaN.
+    """
+
+    value: float
+    lowest_hz: float
+    highest_hz: float
+    n_frequencies: int
+    n_left_out: int
+    bounded: float
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class TemporalMatch:
+    """A temporal match and what it rests on.
+
+    value: naN if all three axes are silent; correlations: naN for a silent axis; reason: why the
+    match is NaN.
+    """
+
+    value: float
+    correlations: tuple[float, float, float]
+    silent_axes: tuple[int, ...]
+    silent_reduced: bool
+    reason: str = ""
+
+
+def spectral_match(
+    acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float, *, grid: Grid = "linear"
+) -> float:
+    r"""Tell how well a reduced signal keeps the energy of all three axes at every frequency (eq. 1).
+
+    Parameters
+    ----------
+    acceleration : array_like, shape (3, n_samples)
+        The recording, any unit.
+    reduced : array_like, shape (n_samples,)
+        The reduced signal, same unit.
+    rate_hz : float
+        Sampling rate in Hz.
+    grid : {"linear", "log"}
+        Frequencies averaged over: the DFT's own from 20 Hz to min(1000 Hz, Nyquist), as in the paper, or 24 per octave.
+
+    Returns
+    -------
+    float
+        1 if the smoothed spectra agree, 0 for silence, negative for more than twice the energy on average; NaN for a
+        recording without energy, or without any frequency, from 20 to 1000 Hz (`spectral_match_details` says which).
+
+    Raises
+    ------
+    ValueError
+        If shapes or values are wrong.
+
+    Notes
+    -----
+    With :math:`\tilde E` the energy spectral density smoothed over 22 % of the frequency (see `spectrum`),
+
+    .. math:: M_{sm} = 1 - \frac{1}{n_f} \sum_{f = 20\,\mathrm{Hz}}^{1000\,\mathrm{Hz}}
+        \frac{|\tilde E_x + \tilde E_y + \tilde E_z - \tilde E_s|}{\tilde E_x + \tilde E_y + \tilde E_z}
+
+    References
+    ----------
+    .. [1] Landin et al. 2010, equation 1. doi:10.1007/978-3-642-14075-4_12
+
+    Examples
+    --------
+    >>> u = np.sin(np.arange(1000))
+    >>> round(spectral_match([u, u, u], u, 1000), 9)
+    0.333333333
+    >>> round(spectral_match([u, u, u], u + u + u, 1000), 9)
+    -1.0
+    """
+    original, signal = _compare(acceleration, reduced, rate_hz, grid=grid)
+    return float(original.match(signal))
+
+
+def spectral_match_details(
+    acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float, *, grid: Grid = "linear"
+) -> SpectralMatch:
+    """Compute `spectral_match` and say which frequencies it rests on.
+
+    Parameters
+    ----------
+    acceleration : array_like, shape (3, n_samples)
+        The recording, any unit.
+    reduced : array_like, shape (n_samples,)
+        The reduced signal, same unit.
+    rate_hz : float
+        Sampling rate in Hz.
+    grid : {"linear", "log"}
+        Frequencies averaged over.
+
+    Returns
+    -------
+    SpectralMatch
+        The match, the range covered, the number of frequencies, and how many were left out below the numerical floor.
+
+    Raises
+    ------
+    ValueError
+        If shapes or values are wrong.
+    """
+    original, signal = _compare(acceleration, reduced, rate_hz, grid=grid)
+    used = original.frequencies_hz
+    value, bounded = map(float, original.match_both(signal))
+    lowest, highest = (
+        (float(used[0]), float(used[-1])) if len(used) else (float("nan"), float("nan"))
+    )
+    return SpectralMatch(
+        value, lowest, highest, len(used), original.n_left_out, bounded, original.reason
+    )
+
+
+def spectral_match_bounded(
+    acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float, *, grid: Grid = "linear"
+) -> float:
+    r"""Compute the spectral match with deviations relative to the stronger spectrum: eq. 1, bounded by 0 and 1.
+
+    Parameters
+    ----------
+    acceleration : array_like, shape (3, n_samples)
+        The recording, any unit.
+    reduced : array_like, shape (n_samples,)
+        The reduced signal, same unit.
+    rate_hz : float
+        Sampling rate in Hz.
+    grid : {"linear", "log"}
+        Frequencies averaged over, as for `spectral_match`.
+
+    Returns
+    -------
+    float
+        0 to 1: 1 if the smoothed spectra agree, 0 if one signal is silent wherever the other is not; NaN if there is no
+        frequency from 20 to 1000 Hz at which either has energy.
+
+    Raises
+    ------
+    ValueError
+        If shapes or values are wrong.
+
+    Notes
+    -----
+    With E the sum of the axes' smoothed energy spectral densities and S that of the reduced signal, both as in
+    `spectral_match`, and the mean over the same frequencies,
+
+    .. math:: M_{sb} = 1 - \frac{1}{n_f} \sum_{f = 20\,\mathrm{Hz}}^{1000\,\mathrm{Hz}} \frac{|E - S|}{\max(E, S)}
+        = \frac{1}{n_f} \sum_f \frac{\min(E, S)}{\max(E, S)}
+
+    - Where S <= E everywhere it is the paper's eq. 1. Twice the energy scores 1/2, where eq. 1 gives 0; ten times the
+      energy scores 1/10, where eq. 1 gives -8: eq. 1 has no lower bound, so that a few frequencies of a few stimuli
+      decide a mean or a slope.
+    - It is symmetric in E and S, and one factor on both signals does not change it. Like eq. 1 it depends on the
+      recording through the sum of the axes' energies, which turning the sensor does not change.
+    - Eq. 1 leaves out frequencies at which the recording has no energy (below 1e-12 of its mean energy per bin). Here
+      they are left out only where the reduced signal has none either (below 1e-12 of the stronger signal's mean energy
+      per bin): energy that the reduced signal adds to empty bands counts as a deviation of 1.
+
+    Examples
+    --------
+    >>> u = np.sin(np.arange(1000))
+    >>> round(spectral_match_bounded([u, u, u], u, 1000), 9)
+    0.333333333
+    >>> round(spectral_match_bounded([u, u, u], u + u + u, 1000), 9)
+    0.333333333
+    """
+    original, signal = _compare(acceleration, reduced, rate_hz, grid=grid)
+    return float(original.match_both(signal)[1])
+
+
+def temporal_match(
+    acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float | None = None
+) -> float:
+    r"""Tell how well peaks and sudden changes of the reduced signal coincide with those of the axes (eq. 2).
+
+    Parameters
+    ----------
+    acceleration : array_like, shape (3, n_samples)
+        The recording, any unit.
+    reduced : array_like, shape (n_samples,)
+        The reduced signal, any unit.
+    rate_hz : float, optional
+        Not used by this metric; every metric takes it so that all are called alike.
+
+    Returns
+    -------
+    float
+        0 to 1: mean of the absolute correlations with the axes that are not silent; 0 for a silent reduced signal; NaN
+        for a silent recording, in which there is nothing to match.
+
+    Raises
+    ------
+    ValueError
+        If shapes or values are wrong.
+
+    Notes
+    -----
+    .. math:: M_{tm} = \frac{1}{3} \sum_{i \in x,y,z} \frac{|a_i \cdot a_s|}{\|a_i\| \, \|a_s\|}
+
+    References
+    ----------
+    .. [1] Landin et al. 2010, equation 2. doi:10.1007/978-3-642-14075-4_12
+
+    Examples
+    --------
+    >>> temporal_match([[1, 0], [0, 1], [0, 0]], [1, 0])
+    0.5
+    """
+    return temporal_match_details(acceleration, reduced, rate_hz).value
+
+
+def temporal_match_details(
+    acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float | None = None
+) -> TemporalMatch:
+    """Compute `temporal_match` and say which axes it rests on.
+
+    Parameters
+    ----------
+    acceleration : array_like, shape (3, n_samples)
+        The recording, any unit.
+    reduced : array_like, shape (n_samples,)
+        The reduced signal, any unit.
+    rate_hz : float, optional
+        Not used by this metric.
+
+    Returns
+    -------
+    TemporalMatch
+        The match, the absolute correlation with each axis (NaN for a silent one), the silent axes, and whether the
+        reduced signal is silent. An axis is silent if its norm is below 1e-12 of the strongest axis's.
+
+    Raises
+    ------
+    ValueError
+        If shapes or values are wrong.
+    """
+    samples = admit(acceleration, 1.0 if rate_hz is None else rate_hz).samples
+    signal = check_reduced(reduced, samples.shape)
+    if not is_safe(
+        largest(signal)
+    ):  # the reduced signal's strength does not matter, so it gets a scale of its own
+        signal = np.ldexp(signal, -np.frexp(largest(signal))[1])
+    correlations = axis_correlations(samples, signal)
+    x, y, z = (float(r) for r in correlations)
+    silent = tuple(int(axis) for axis in np.flatnonzero(np.isnan(correlations)))
+    reason = (
+        "all three axes of the recording are silent" if len(silent) == len(correlations) else ""
+    )
+    return TemporalMatch(
+        float(mean_heard(correlations)), (x, y, z), silent, not signal.any(), reason
+    )
+
+
+def mean_heard(correlations: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mean over the axes that are not silent.
+
+    correlations: (..., 3); returns (...), naN where all axes are silent.
+    """
+    heard = ~np.isnan(correlations)
+    count = heard.sum(axis=-1)
+    mean = np.where(heard, correlations, 0.0).sum(axis=-1) / np.maximum(count, 1)
+    return np.where(count > 0, mean, np.nan)
+
+
+def axis_correlations(
+    samples: NDArray[np.float64], reduced: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Absolute correlation at zero lag of reduced signals with each axis, NaN for silent axes.
+
+    samples: (..., 3, n_samples); reduced: (..., n_samples); returns (..., 3).
+    """
+    together = np.abs(np.einsum("...in,...n->...i", samples, reduced))
+    norms = np.sqrt(np.einsum("...in,...in->...i", samples, samples))
+    silent = norms <= _SILENT * norms.max(axis=-1, keepdims=True)
+    norm = np.sqrt(np.einsum("...n,...n->...", reduced, reduced))[..., None]
+    scale = norms * np.where(norm > 0, norm, 1.0)
+    return np.where(silent, np.nan, np.minimum(together / np.where(silent, 1.0, scale), 1.0))
+
+
+class Metric(Protocol):
+    """A match metric: how well a reduced signal matches its recording."""
+
+    def __call__(self, acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float, /) -> float:
+        """Match of one reduced signal."""
+
+
+METRICS: Mapping[str, Metric] = MappingProxyType({
+    "spectral_match": spectral_match,
+    "temporal_match": temporal_match,
+    "spectral_match_bounded": spectral_match_bounded,
+})
+"""Name -> metric."""
+
+
+def _compare(
+    acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float, *, grid: Grid
+) -> tuple[OriginalSpectrum, NDArray[np.float64]]:
+    """Check a pair, and give the recording's spectrum and the reduced signal on its scale."""
+    if grid not in GRIDS:
+        raise ValueError(f"grid: got {grid!r}, allowed is one of {', '.join(GRIDS)}")
+    samples, signal = _admit_pair(acceleration, reduced, rate_hz)
+    if largest(signal) > _BEYOND_COMPARISON * SAFE_PEAK[1]:
+        raise ValueError(
+            "reduced: is more than 1e80 times as strong as the recording; are they in the same unit?"
+        )
+    return OriginalSpectrum(samples, check_rate(rate_hz), grid=grid), signal
+
+
+def _admit_pair(
+    acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Check both signals and scale them by one power of two into a safe range."""
+    admitted = admit(acceleration, rate_hz)
+    signal = check_reduced(reduced, admitted.samples.shape)
+    return admitted.samples, signal if admitted.exponents is None else np.ldexp(
+        signal, -admitted.exponents
+    )

@@ -1,0 +1,1 @@
+"""Reducers: three axes of acceleration in, one signal out."""

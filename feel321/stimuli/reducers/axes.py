@@ -1,0 +1,332 @@
+"""Reducers to one axis, fixed or principal, and the frames in which windowed reducers work.
+
+Conventions: acceleration (..., 3, n) in, reduced signal (..., n) out, same unit, float64; the input is never
+modified. None of them needs the sampling rate; they take it so that every reducer is called alike.
+
+A signal of n samples is cut into blocks of one hop; a frame is two neighbouring blocks, so every sample lies in exactly
+two frames. A silent block before the first and after the last gives both ends their second frame. A *block
+processor* is fed blocks in time order and answers with finished blocks, one hop late; the offline form feeds it a few
+hundred blocks at a time (so that its work stays in the processor's cache), the streaming form as they come. Both
+therefore compute the same thing.
+
+Conventions: acceleration (..., 3, n) in, reduced signal (..., n) out, same unit, float64; the input is never
+modified. An axis has no sign of its own: it is chosen so that the output does not correlate negatively with the sum of
+the components, and kept from segment to segment.
+
+References
+----------
+.. [1] N. Landin, J. M. Romano, W. McMahan, K. J. Kuchenbecker, "Dimensional reduction of high-frequency accelerations
+   for haptic rendering", EuroHaptics 2010, section 4. doi:10.1007/978-3-642-14075-4_12
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from feel321.stimuli.recording import admit, check_rate
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import ArrayLike, NDArray
+
+# Signals cut into half-overlapping frames: the shared frame of every windowed reducer.
+
+DEFAULT_WINDOW_S = 0.035
+"""Window of 35 ms: the paper's value, 10 ms below the shortest delay noticed between sight and touch."""
+
+# Three axes, two-fold overlap, float64 in and complex out: about 1 MiB of work at a time.
+_SAMPLES_AT_A_TIME = 16384
+
+
+class BlockProcessor(Protocol):
+    """What turns blocks of three axes into finished blocks of one, one hop late.
+
+    hop: length of a block in samples.
+    """
+
+    hop: int
+
+    def push(self, blocks: NDArray[np.float64], valid: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """Take the next blocks and give as many finished ones; the first is the one before the first that is pushed.
+
+        blocks: (..., 3, m, hop); valid: (m, hop); returns (..., m, hop).
+        """
+
+
+def window_samples(window_s: float, rate_hz: float) -> int:
+    """Length of the window in samples: even, because frames overlap by half, and at least 2.
+
+    Examples
+    --------
+    >>> window_samples(0.035, 10000), window_samples(0.035, 1000), window_samples(1e-9, 1000)
+    (350, 36, 2)
+    """
+    rate = check_rate(rate_hz)
+    if not (math.isfinite(window_s) and window_s > 0):
+        raise ValueError(f"window_s: got {window_s!r}, allowed is a finite time in s above 0")
+    return max(2, 2 * math.floor(window_s * rate / 2 + 0.5))
+
+
+def sqrt_hann(length: int) -> NDArray[np.float64]:
+    """Square root of the periodic Hann window; its squares at half overlap add up to 1.
+
+    Returns (length,).
+    """
+    return np.sin(np.pi * np.arange(length) / length)
+
+
+def run_offline(
+    processor_for: Callable[[tuple[int, ...], int], BlockProcessor],
+    samples: NDArray[np.float64],
+    hop: int,
+) -> NDArray[np.float64]:
+    """Feed a whole signal through a block processor.
+
+    samples: (..., 3, n); hop: block length in samples; returns (..., n).
+    """
+    *batch, _, n = samples.shape
+    if not samples.size:
+        return np.zeros((*batch, n))
+    processor = processor_for(tuple(batch), hop)
+    reduced = np.empty((*batch, n))
+    written = -hop  # the first finished block is the silent one before the signal
+    blocks_left = math.ceil(n / hop) + 1
+    per_push = max(1, _SAMPLES_AT_A_TIME // hop)
+    for first in range(0, blocks_left, per_push):
+        n_blocks = min(per_push, blocks_left - first)
+        piece = samples[..., first * hop : (first + n_blocks) * hop]
+        finished = processor.push(*cut_blocks(piece, hop, n_blocks)).reshape(*batch, -1)
+        skipped = max(0, -written)
+        end = min(n, written + finished.shape[-1])
+        reduced[..., written + skipped : end] = finished[..., skipped : end - written]
+        written = end
+    return reduced
+
+
+def cut_blocks(
+    samples: NDArray[np.float64], hop: int, n_blocks: int
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Cut samples into blocks, filling up with silence where they end early.
+
+    samples: (..., 3, k), the next samples of the signal, k <= n_blocks * hop; hop: block length in
+    samples; returns blocks: (..., 3, n_blocks, hop); returns valid: (n_blocks, hop).
+    """
+    k = samples.shape[-1]
+    valid = (np.arange(n_blocks * hop) < k).reshape(n_blocks, hop)
+    if k < n_blocks * hop:
+        padded = np.zeros((*samples.shape[:-1], n_blocks * hop))
+        padded[..., :k] = samples
+        samples = padded
+    return samples.reshape(*samples.shape[:-1], n_blocks, hop), valid
+
+
+# Reducers without memory: one axis, the sum of the axes, the vector's magnitude.
+
+
+def sax321(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.float64]:
+    """Keep the sensor's x axis.
+
+    acceleration: (..., 3, n_samples); returns (..., n_samples).
+
+    Examples
+    --------
+    >>> sax321([[1, 2], [3, 4], [5, 6]], 1000)
+    array([1., 2.])
+    """
+    return _axis(acceleration, rate_hz, 0)
+
+
+def say321(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.float64]:
+    """Keep the sensor's y axis.
+
+    acceleration: (..., 3, n_samples); returns (..., n_samples).
+    """
+    return _axis(acceleration, rate_hz, 1)
+
+
+def saz321(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.float64]:
+    """Keep the sensor's z axis.
+
+    acceleration: (..., 3, n_samples); returns (..., n_samples).
+    """
+    return _axis(acceleration, rate_hz, 2)
+
+
+def soc321(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.float64]:
+    """Add the three axes.
+
+    Axes in phase interfere constructively (three equal axes: three times the energy), axes in anti-phase cancel.
+
+    acceleration: (..., 3, n_samples); returns (..., n_samples).
+
+    Examples
+    --------
+    >>> soc321([[1, 2], [3, 4], [-4, 6]], 1000)
+    array([ 0., 12.])
+    """
+    admitted = admit(acceleration, rate_hz)
+    return admitted.restore(admitted.samples.sum(axis=-2))
+
+
+def mag321(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.float64]:
+    """Take the length of the acceleration vector.
+
+    Never negative, so it has an offset that the vibration did not have, and frequencies are doubled and mixed.
+
+    acceleration: (..., 3, n_samples); returns (..., n_samples).
+
+    Examples
+    --------
+    >>> mag321([[1, -3], [2, 0], [2, 4]], 1000)
+    array([3., 5.])
+    """
+    admitted = admit(acceleration, rate_hz)
+    return admitted.restore(
+        np.sqrt(np.einsum("...in,...in->...n", admitted.samples, admitted.samples))
+    )
+
+
+def _axis(acceleration: ArrayLike, rate_hz: float, axis: int) -> NDArray[np.float64]:
+    admitted = admit(acceleration, rate_hz)
+    return admitted.restore(admitted.samples[..., axis, :].copy())
+
+
+# PCA321: project on the axis that holds most energy, once for the whole signal or anew in short segments.
+
+# Below this the sum of an axis's components is rounding, and cannot choose its sign.
+NO_SIGN = 1e-9
+# A segment whose variation is below this share of its second moment is constant but for rounding.
+_CONSTANT = 1e-20
+
+
+def pca321(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.float64]:
+    """Project on the principal axis of the whole signal, its mean removed.
+
+    acceleration: (..., 3, n_samples); returns (..., n_samples).
+
+    Notes
+    -----
+    The sign is the one whose correlation with x + y + z is not negative. Where it is 0 (an axis perpendicular to the
+    sensor's diagonal, as for anti-phase axes), the axis's largest component is positive, the first among equals.
+
+    Examples
+    --------
+    >>> np.round(pca321([[3, -3, 3, -3], [4, -4, 4, -4], [0, 0, 0, 0]], 1000), 12)
+    array([ 5., -5.,  5., -5.])
+    """
+    admitted = admit(acceleration, rate_hz)
+    samples = admitted.samples
+    if samples.shape[-1] == 0:
+        return np.zeros((*samples.shape[:-2], 0))
+    centred = samples - samples.mean(axis=-1, keepdims=True)
+    # einsum, not matmul: its result does not depend on how many threads a BLAS library happens to use.
+    axes = with_sign(leading_axis(np.einsum("...in,...jn->...ij", centred, centred)))
+    return admitted.restore(np.einsum("...i,...in->...n", axes, centred))
+
+
+def pca321_adaptive(
+    acceleration: ArrayLike, rate_hz: float, *, window_s: float = DEFAULT_WINDOW_S
+) -> NDArray[np.float64]:
+    """Project on a principal axis that is estimated anew in short overlapping segments and turns smoothly.
+
+    acceleration: (..., 3, n_samples); window_s: the nearest even number of samples, at least 2, is
+    used; returns (..., n_samples).
+
+    Notes
+    -----
+    Segments overlap by half. Each has the leading eigenvector of its Hann-weighted covariance, with the sign that
+    points along the segment before (the first: along the sensor's diagonal, which makes it correlate non-negatively
+    with the sum of the components). At every sample the axes of its two segments are mixed with their weights and
+    brought to unit length. A constant segment keeps the axis before it. Only the past is used, so the method streams.
+    """
+    admitted = admit(acceleration, rate_hz)
+    hop = window_samples(window_s, rate_hz) // 2
+    return admitted.restore(run_offline(PrincipalFrames, admitted.samples, hop))
+
+
+def leading_axis(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the unit eigenvector of the largest eigenvalue, its sign left open.
+
+    covariance: (..., 3, 3); returns (..., 3).
+    """
+    return np.asarray(np.linalg.eigh(covariance)[1][..., -1])
+
+
+def with_sign(axes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Turn axes so that they point along the sensor's diagonal, or by their largest component where they cannot.
+
+    axes: (..., 3); returns (..., 3).
+    """
+    along = axes.sum(axis=-1, keepdims=True)
+    strength = np.abs(axes)
+    first = np.argmax(strength >= (1 - NO_SIGN) * strength.max(axis=-1, keepdims=True), axis=-1)
+    largest = np.take_along_axis(axes, first[..., None], axis=-1)
+    return np.asarray(
+        axes * np.where(np.where(np.abs(along) > NO_SIGN, along, largest) < 0, -1.0, 1.0)
+    )
+
+
+class PrincipalFrames:
+    """The block processor of `pca321_adaptive`: see `frames.BlockProcessor`.
+
+    hop: half a segment, in samples.
+    """
+
+    def __init__(self, batch: tuple[int, ...], hop: int) -> None:
+        self.hop = hop
+        window = sqrt_hann(2 * hop) ** 2
+        self._rise, self._fall = np.split(window, 2)
+        self._previous = np.zeros((*batch, 3, 1, hop))
+        self._valid = np.zeros((1, hop), dtype=bool)
+        self._axis = np.full((*batch, 1, 3), 1 / np.sqrt(3))
+
+    def push(self, blocks: NDArray[np.float64], valid: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """Take blocks (..., 3, m, hop), give as many finished ones (..., m, hop), one hop late.
+
+        blocks: (..., 3, m, hop); valid: (m, hop); returns (..., m, hop).
+        """
+        blocks = np.concatenate([self._previous, blocks], axis=-2)
+        valid = np.concatenate([self._valid, valid])
+        frames = np.concatenate([blocks[..., :-1, :], blocks[..., 1:, :]], axis=-1)
+        weights = np.concatenate([valid[:-1] * self._rise, valid[1:] * self._fall], axis=-1)
+        axes = np.concatenate([self._axis, self._turned(*_segment_axes(frames, weights))], axis=-2)
+        self._previous, self._valid, self._axis = (
+            blocks[..., -1:, :].copy(),
+            valid[-1:],
+            axes[..., -1:, :],
+        )
+        mixed = axes[..., :-1, :, None] * self._fall + axes[..., 1:, :, None] * self._rise
+        mixed /= np.linalg.norm(mixed, axis=-2, keepdims=True)
+        return np.asarray(np.einsum("...mih,...imh->...mh", mixed, blocks[..., :-1, :]))
+
+    def _turned(
+        self, axes: NDArray[np.float64], constant: NDArray[np.bool_]
+    ) -> NDArray[np.float64]:
+        """Let constant segments keep the axis before them, and turn each axis to point along the one before."""
+        axes = np.concatenate([self._axis, with_sign(axes)], axis=-2)
+        own = np.where(constant, 0, np.arange(1, axes.shape[-2]))
+        own = np.concatenate(
+            [np.zeros_like(own[..., :1]), np.maximum.accumulate(own, axis=-1)], axis=-1
+        )
+        axes = np.take_along_axis(axes, own[..., None], axis=-2)
+        along = np.einsum("...mi,...mi->...m", axes[..., 1:, :], axes[..., :-1, :])
+        # An axis across the one before it keeps the sign that it has by itself: rounding must not choose.
+        signs = np.cumprod(np.where(along < -NO_SIGN, -1.0, 1.0), axis=-1)
+        return np.asarray(axes[..., 1:, :] * signs[..., None])
+
+
+def _segment_axes(
+    frames: NDArray[np.float64], weights: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Leading axes (..., m, 3) of frames (..., 3, m, length), and which frames are constant (..., m)."""
+    total = np.maximum(weights.sum(axis=-1), np.finfo(np.float64).tiny)
+    mean = np.einsum("...imt,mt->...im", frames, weights) / total
+    centred = (frames - mean[..., None]) * np.sqrt(weights)
+    covariance = np.einsum("...imt,...jmt->...mij", centred, centred)
+    variation = np.trace(covariance, axis1=-2, axis2=-1)
+    constant = variation <= _CONSTANT * np.einsum("...im,m->...m", mean**2, total)
+    return leading_axis(covariance), np.asarray(constant)

@@ -1,0 +1,1 @@
+"""Stimulus sets: recipe, rendering, manifest, checks."""

@@ -1,0 +1,358 @@
+"""Haptic anchors, and the detection threshold of vibration that they are made from.
+
+Audio's anchors are low-passed at 3.5 and 7 kHz; below 1 kHz that is no change at all. Here the energy of the recording
+is put where the recording has least of it: a hum of two just noticeable bands (22 %), one at the quietest frequency of
+all, one at the quietest of those that are easily felt, half the energy in each:
+
+- the *low* anchor is steady: wrong frequency, and nothing happens when the tool touches something;
+- the *mid* anchor follows the recording's envelope: wrong frequency, but at the right times.
+
+What correlates with an axis by chance is taken out, so the temporal match of both is 0. In a stimulus set they are
+played at the sensation level of their recording, so that strength does not mark them. `check_stimuli`
+refuses a set in which an anchor does not score below every test stimulus of its recording on both metrics.
+
+Two threshold curves, by how the vibration reaches the skin. Both are for sinusoids; neither is a digitised table.
+
+`contactor`: a model of a small contactor on the fingertip or palm. The Pacinian channel's displacement threshold is
+U-shaped, falling by 12 dB per octave up to about 250 Hz and rising as steeply above, with a minimum near 0.1 µm [3]_
+[4]_. In acceleration that is flat below about 200 Hz and rises by 24 dB per octave above 300 Hz.
+
+`grasped_stylus`: a stylus held like a pen and vibrating along its length [5]_. Published in the text of that paper
+(peak displacement, means of 10 people): 26 µm at 10 Hz, 8.5 µm at 20 Hz, a mean slope of -13 dB per octave from 10 to
+160 Hz, and a minimum of 0.06 µm at 320 Hz; straight lines in dB over octaves join these points. The values were taken
+from a published account of the paper, not from the paper itself. Above 320 Hz no value is given in words: there the
+curve rises by 12 dB per octave, as the contactor's does. That part is an assumption.
+
+Detection of brief vibration sums energy over about 200 ms [6]_, so the level of a stimulus is that of its loudest
+200 ms: silence before and after changes nothing.
+
+References
+----------
+.. [1] ITU-R BS.1534-3, "Method for the subjective assessment of intermediate quality level of audio systems", 2015 (low
+   and mid anchors).
+.. [2] E. Muschter et al., "Perceptual quality assessment of compressed vibrotactile signals through comparative
+   judgment", IEEE Transactions on Haptics 14(2), 2021 (hidden reference and anchors for vibrotactile signals).
+   doi:10.1109/TOH.2021.3077191
+.. [3] S. J. Bolanowski, G. A. Gescheider, R. T. Verrillo, C. M. Checkosky, "Four channels mediate the mechanical
+   aspects of touch", JASA 84(5), 1988. doi:10.1121/1.397184
+.. [4] R. T. Verrillo, "Effect of contactor area on the vibrotactile threshold", JASA 35(12), 1963.
+   doi:10.1121/1.1918868
+.. [5] A. Israr, S. Choi, H. Z. Tan, "Detection threshold and mechanical impedance of the hand in a pen-hold posture",
+   IEEE/RSJ International Conference on Intelligent Robots and Systems, 2006, 472-477.
+.. [6] R. T. Verrillo, "Temporal summation in vibrotactile sensitivity", JASA 37(5), 1965. doi:10.1121/1.1909458
+"""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from feel321.stimuli.match import HIGHEST_HZ, LOWEST_HZ, WEBER_FRACTION, OriginalSpectrum
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from feel321.stimuli.recording import Recording
+
+    Samples = NDArray[np.float64]
+
+# What the hand feels of a vibration: detection thresholds by frequency, and levels over them.
+
+MOST_SENSITIVE_HZ = 250.0
+LEAST_DISPLACEMENT_M = 1e-7
+
+STYLUS_HZ = (10.0, 20.0, 160.0, 320.0)
+STYLUS_M = (26e-6, 8.5e-6, 26e-6 * 10 ** (-13 * 4 / 20), 0.06e-6)
+"""Corners of the stylus's curve; the third is four octaves of the mean slope below the first."""
+
+WINDOW_S = 0.2
+"""Energy is summed over this time."""
+
+EDGE_OCTAVES = 0.5
+"""In short windows the felt range ends gradually, or a brief vibration at 20 Hz would lose half its energy."""
+
+
+def _contactor(frequency_hz: NDArray[np.float64]) -> NDArray[np.float64]:
+    ratio = frequency_hz / MOST_SENSITIVE_HZ
+    return np.asarray(LEAST_DISPLACEMENT_M * (ratio**-2 + ratio**2) / 2)
+
+
+def _grasped_stylus(frequency_hz: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Join the corners by straight lines in dB over octaves; -12 dB per octave below the first, +12 above the last."""
+    ends = (STYLUS_HZ[0] / 1000, *STYLUS_HZ, STYLUS_HZ[-1] * 1000)
+    levels = (STYLUS_M[0] * 1000**2, *STYLUS_M, STYLUS_M[-1] * 1000**2)
+    return np.asarray(np.exp(np.interp(np.log(frequency_hz), np.log(ends), np.log(levels))))
+
+
+THRESHOLDS: Mapping[str, Callable[[NDArray[np.float64]], NDArray[np.float64]]] = MappingProxyType({
+    "contactor": _contactor,
+    "grasped_stylus": _grasped_stylus,
+})
+"""Name of a detection threshold curve -> peak displacement in m by frequency in Hz: the only list of names."""
+
+CONTACTOR = "contactor"
+
+
+def displacement_threshold(
+    frequency_hz: ArrayLike, *, threshold: str = CONTACTOR
+) -> NDArray[np.float64]:
+    """Smallest displacement felt, by frequency.
+
+    Examples
+    --------
+    >>> float(displacement_threshold(250.0))
+    1e-07
+    """
+    return THRESHOLDS[check_threshold(threshold)](np.asarray(frequency_hz, dtype=np.float64))
+
+
+def acceleration_threshold(
+    frequency_hz: ArrayLike, *, threshold: str = CONTACTOR
+) -> NDArray[np.float64]:
+    """Smallest acceleration felt, by frequency.
+
+    Parameters
+    ----------
+    frequency_hz : array_like
+        Frequencies in Hz, above 0.
+    threshold : str
+        Name of `THRESHOLDS`: `"contactor"` or `"grasped_stylus"`.
+
+    Returns
+    -------
+    ndarray of float64
+        Peak acceleration in m/s².
+
+    Raises
+    ------
+    ValueError
+        If there is no such curve.
+    """
+    frequency = np.asarray(frequency_hz, dtype=np.float64)
+    return (2 * np.pi * frequency) ** 2 * displacement_threshold(frequency, threshold=threshold)
+
+
+def check_threshold(name: str) -> str:
+    """Refuse a name that is not one of `THRESHOLDS`."""
+    if name not in THRESHOLDS:
+        raise ValueError(f"threshold: got {name!r}, allowed is one of {', '.join(THRESHOLDS)}")
+    return name
+
+
+def felt_level(
+    acceleration: NDArray[np.float64], rate_hz: float, *, threshold: str = CONTACTOR
+) -> float:
+    """Root mean square over the felt range, 20 to 1000 Hz, in units of the threshold; axes add by energy.
+
+    Parameters
+    ----------
+    acceleration : ndarray, shape (n_samples,) or (axes, n_samples)
+        Acceleration in m/s².
+    rate_hz : float
+        Sampling rate in Hz.
+    threshold : str
+        Name of `THRESHOLDS`.
+
+    Returns
+    -------
+    float
+        Level of the whole signal as a multiple of the threshold's root mean square; 0 for silence.
+    """
+    from scipy import fft
+
+    n = acceleration.shape[-1]
+    # Silence at the end adds no energy, and lengths with large prime factors cost ten times as much.
+    padded = fft.next_fast_len(n, real=True)
+    frequency = fft.rfftfreq(padded, 1 / rate_hz)
+    weighted = np.abs(fft.rfft(acceleration, padded)) * _weigh(frequency, threshold=threshold)
+    # One-sided bins stand for two, but for one at the Nyquist frequency.
+    shares = np.where(2 * frequency < rate_hz * (1 - 1e-12), 2.0, 1.0)
+    return float(np.sqrt(np.sum(shares * weighted**2) / n / padded))
+
+
+def loudest_level(
+    acceleration: NDArray[np.float64], rate_hz: float, *, threshold: str = CONTACTOR
+) -> float:
+    """Largest root mean square in any 200 ms, 20 to 1000 Hz, as a multiple of the threshold's; axes add by energy.
+
+    Before and after the signal is silence, so that appending some changes nothing, and a signal shorter than 200 ms
+    has the level that its energy gives over 200 ms.
+
+    acceleration: (n_samples,), acceleration in m/s².
+    """
+    from scipy import fft
+
+    window = max(round(WINDOW_S * rate_hz), 1)
+    padded = fft.next_fast_len(acceleration.shape[-1] + window, real=True)
+    frequency = fft.rfftfreq(padded, 1 / rate_hz)
+    weighted = fft.rfft(acceleration, padded)
+    weighted *= _weigh(frequency, threshold=threshold, edge_octaves=EDGE_OCTAVES)
+    energy = np.square(np.atleast_2d(fft.irfft(weighted, padded))).sum(axis=0)
+    summed = np.concatenate([[0.0], np.cumsum(energy)])
+    return float(np.sqrt(max((summed[window:] - summed[:-window]).max(), 0.0) / window))
+
+
+def sensation_level_db(
+    acceleration: NDArray[np.float64], rate_hz: float, *, threshold: str = CONTACTOR
+) -> float:
+    """Level over the detection threshold, as it is felt where it is loudest.
+
+    Parameters
+    ----------
+    acceleration : ndarray, shape (n_samples,) or (axes, n_samples)
+        Acceleration at the hand in m/s², as it is played.
+    rate_hz : float
+        Sampling rate in Hz.
+    threshold : str
+        Name of `THRESHOLDS`: `"contactor"` or `"grasped_stylus"`.
+
+    Returns
+    -------
+    float
+        dB over the threshold: of the 200 ms with the largest root mean square over the threshold, between 20 and 1000
+        Hz; axes add by energy. 0 for a lasting sinusoid at its threshold, minus infinity for silence.
+
+    Raises
+    ------
+    ValueError
+        If there is no such curve.
+
+    Notes
+    -----
+    Energy is summed over about 200 ms [1]_, and over frequencies as multiples of each frequency's threshold.
+
+    References
+    ----------
+    .. [1] R. T. Verrillo, "Temporal summation in vibrotactile sensitivity", JASA 37(5), 1965. doi:10.1121/1.1909458
+
+    Examples
+    --------
+    >>> time_s = np.arange(8000) / 8000
+    >>> tone = 10 * acceleration_threshold(250.0) * np.sin(2 * np.pi * 250 * time_s)
+    >>> round(sensation_level_db(tone, 8000.0))
+    20
+    """
+    return to_db(loudest_level(acceleration, rate_hz, threshold=threshold))
+
+
+def to_db(level: float) -> float:
+    """Give a ratio of amplitudes in dB; minus infinity for 0."""
+    return 20 * float(np.log10(level)) if level > 0 else -np.inf
+
+
+def _weigh(
+    frequency_hz: NDArray[np.float64], *, threshold: str, edge_octaves: float = 0.0
+) -> NDArray[np.float64]:
+    """Weight of each frequency: the threshold's RMS inverted from 20 to 1000 Hz, falling to 0 over the edges beyond."""
+    weights = np.zeros_like(frequency_hz)
+    beyond = np.full_like(frequency_hz, np.inf)
+    above = frequency_hz > 0
+    beyond[above] = np.maximum(
+        np.log2(LOWEST_HZ / frequency_hz[above]), np.log2(frequency_hz[above] / HIGHEST_HZ)
+    )
+    felt = beyond <= edge_octaves * (1 - 1e-12)
+    weights[felt] = np.sqrt(2) / acceleration_threshold(frequency_hz[felt], threshold=threshold)
+    if edge_octaves:
+        weights[felt] *= np.cos(np.pi / 2 * np.maximum(beyond[felt], 0.0) / edge_octaves)
+    return weights
+
+
+# Haptic anchors: stimuli that are meant to be rated badly, made for 20 to 1000 Hz.
+
+EASILY_FELT = 2.0
+"""Acceleration thresholds up to this multiple of the lowest count as easily felt: up to 250 Hz."""
+
+ENVELOPE_HZ = 50.0
+"""Envelopes are followed up to this frequency: equal energy in shorter segments is hard to tell apart."""
+
+
+def low_anchor(recording: Recording, rng: np.random.Generator) -> Samples:
+    """Make a steady hum with the recording's energy, where the recording has least.
+
+    Returns (n_samples,), acceleration in m/s².
+    """
+    return _with_energy_of(recording, _hum(recording, rng))
+
+
+def mid_anchor(recording: Recording, rng: np.random.Generator) -> Samples:
+    """Make a hum as `low_anchor` does, with the recording's envelope.
+
+    Returns (n_samples,), acceleration in m/s².
+    """
+    return _with_energy_of(recording, _hum(recording, rng) * _envelope(recording))
+
+
+ANCHORS: Mapping[str, Callable[[Recording, np.random.Generator], Samples]] = MappingProxyType({
+    "anchor_low": low_anchor,
+    "anchor_mid": mid_anchor,
+})
+"""Name -> anchor; the names stand in the manifest's column `reducer`."""
+
+
+def quietest_hz(recording: Recording) -> tuple[float, float]:
+    """Frequencies at which a recording has least energy: of all that are felt, and of those that are easily felt.
+
+    Returns two frequencies in Hz, neither below the numerical floor.
+    """
+    original = OriginalSpectrum(recording.acceleration, recording.rate_hz)
+    frequencies = original.frequencies_hz
+    if not len(frequencies):
+        raise ValueError(
+            f"{recording.name!r} is silent between 20 and 1000 Hz: it can have no anchors; leave it out"
+        )
+    inside = (frequencies >= LOWEST_HZ * (1 + WEBER_FRACTION)) & (
+        frequencies * (1 + WEBER_FRACTION) <= frequencies[-1]
+    )
+    easily_felt = acceleration_threshold(frequencies) <= EASILY_FELT * acceleration_threshold(
+        LOWEST_HZ
+    )
+    return _quietest(original, inside), _quietest(original, inside & easily_felt)
+
+
+def _quietest(original: OriginalSpectrum, allowed: NDArray[np.bool_]) -> float:
+    allowed = allowed if allowed.any() else np.ones_like(allowed)
+    return float(original.frequencies_hz[allowed][np.argmin(original.smoothed[allowed])])
+
+
+def _hum(recording: Recording, rng: np.random.Generator) -> Samples:
+    from scipy import fft
+
+    n = recording.n_samples
+    frequency = fft.rfftfreq(n, 1 / recording.rate_hz)
+    hum = np.zeros(n)
+    for centre in quietest_hz(recording):
+        band = np.abs(frequency - centre) <= max(
+            WEBER_FRACTION / 2 * centre, 0.5 * recording.rate_hz / n
+        )
+        # The phase of noise in the band, at a constant amplitude: peaks of noise would cost all stimuli their headroom.
+        analytic = fft.ifft(
+            np.pad(fft.rfft(rng.standard_normal(n)) * band, (0, n - len(frequency)))
+        )
+        hum += analytic.real / np.abs(analytic)
+    return hum
+
+
+def _envelope(recording: Recording) -> Samples:
+    """Root of the three axes' energy, smoothed over half a period of the highest envelope frequency."""
+    from scipy.ndimage import gaussian_filter1d
+
+    energy = np.einsum("in,in->n", recording.acceleration, recording.acceleration)
+    smooth = gaussian_filter1d(
+        energy, recording.rate_hz / (2 * np.pi * ENVELOPE_HZ), mode="nearest"
+    )
+    return np.asarray(np.sqrt(np.maximum(smooth, 0.0)))
+
+
+def _with_energy_of(recording: Recording, hum: Samples) -> Samples:
+    """Take out what correlates with an axis, and give the hum the recording's energy."""
+    axes = recording.acceleration
+    # The normal equations of three unknowns; lstsq leaves silent axes alone, and the second pass removes the rounding.
+    products = np.einsum("in,jn->ij", axes, axes)
+    for _ in range(2):
+        shares = np.linalg.lstsq(products, np.einsum("in,n->i", axes, hum), rcond=None)[0]
+        hum = hum - np.einsum("i,in->n", shares, axes)
+    return np.asarray(hum * np.sqrt(np.trace(products) / np.einsum("n,n->", hum, hum)))

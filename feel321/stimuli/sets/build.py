@@ -1,0 +1,418 @@
+"""Build a stimulus set: measure in a first pass, write with the gains in a second, remember what was done.
+
+A build runs in two passes over the recordings, each in parallel: *measure* renders what is not remembered and measures
+it at unit gain, *write* gives every stimulus the gain of its level arm. Between them stands the only thing that needs
+the whole set: the gain. Finished files wait in a folder of their own until all are there; then the old manifest goes,
+the files move in, and the new manifest comes last. So a set that has a manifest is complete, and a build that was
+killed, or found the disk full, is continued by the next.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import re
+import shutil
+from dataclasses import asdict, dataclass, field
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from feel321.stimuli.condition import list_steps
+from feel321.stimuli.lock import hold_lock
+from feel321.stimuli.recording import largest
+from feel321.stimuli.sets.anchors import sensation_level_db, to_db
+from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, write_manifest
+from feel321.stimuli.sets.render import (
+    Candidate,
+    Measured,
+    choose_gains,
+    list_candidates,
+    measure_recording,
+    part_path,
+    render_recording,
+    versions,
+)
+from feel321.stimuli.version import __version__
+from feel321.stimuli.wav import read_wav, write_wav
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+
+    from feel321.stimuli.recording import Recording
+    from feel321.stimuli.sets.recipe import Recipe
+
+    Progress = Callable[[int, int], None]
+    Job = tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]
+
+# What an earlier build left in `manifest.json`: read to spare work, never trusted further than that.
+
+
+@dataclass(frozen=True, slots=True)
+class History:
+    """An earlier build.
+
+    rows: stimulus id -> row; keys: stimulus id -> the key it was rendered under; measured: key ->
+    what was measured on the rendered stimulus.
+    """
+
+    rows: dict[str, Stimulus] = field(default_factory=dict)
+    keys: dict[str, str] = field(default_factory=dict)
+    measured: dict[str, Measured] = field(default_factory=dict)
+
+
+def read_history(folder: Path) -> History:
+    """Read what an earlier build left; a manifest that is missing or damaged only costs building anew."""
+    from pydantic import TypeAdapter
+
+    try:
+        details = json.loads((folder / "manifest.json").read_bytes())
+        known = [
+            {name: cell for name, cell in row.items() if cell is not None}
+            for row in details["stimuli"]
+        ]
+        stimuli = TypeAdapter(list[Stimulus]).validate_python(known)
+        keys = TypeAdapter(dict[str, str]).validate_python(details["keys"])
+        measured = TypeAdapter(dict[str, Measured]).validate_python(details["measured"])
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        return History()
+    own = {
+        row.stimulus_id: row
+        for row in stimuli
+        if PurePath(row.file).name == row.file == f"{row.stimulus_id}.wav"
+    }
+    return History(own, keys, measured)
+
+
+# Stimulus sets: every recording through every reducer at every level; only what changed, all or nothing.
+
+PARTS = ".parts"
+FINISHED = "finished"
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+
+
+@dataclass(frozen=True, slots=True)
+class _Order:
+    """One file to be: a candidate, what was measured on it, its level arm, and the gain that brings it there."""
+
+    candidate: Candidate
+    measured: Measured
+    level: str
+    gain: float
+
+    @property
+    def stimulus_id(self) -> str:
+        made = "reference" if self.candidate.role == "reference" else self.candidate.reducer
+        return f"{self.candidate.recording}__{made}__{self.level}"
+
+    @property
+    def sensation_levels_db(self) -> dict[str, float]:
+        """By threshold curve, as it will be played; minus infinity for silence."""
+        return {name: to_db(level * self.gain) for name, level in self.measured.levels.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class Foreseen:
+    """A stimulus as a build would make it.
+
+    sensation_levels_db: name of a threshold curve -> sensation level.
+    """
+
+    recording: str
+    reducer: str
+    role: str
+    level: str
+    gain: float
+    peak_m_s2: float
+    sensation_levels_db: dict[str, float]
+
+
+def build_stimuli(
+    recordings: Sequence[Recording],
+    folder: str | Path,
+    *,
+    recipe: Recipe,
+    workers: int = 1,
+    progress: Progress | None = None,
+) -> StimulusSet:
+    """Build a stimulus set, or bring one up to date.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        One or more, each with a name of its own that can stand in a file name.
+    folder : str or Path
+        Where to; made if missing. Files of an earlier build that are no longer wanted are removed.
+    recipe : Recipe
+        What is made of every recording.
+    workers : int
+        Number of processes. The result does not depend on it.
+    progress : callable, optional
+        Called with (steps done, steps in all) after each step.
+
+    Returns
+    -------
+    StimulusSet
+        What `manifest.csv` holds.
+
+    Raises
+    ------
+    ValueError
+        If names clash, or a recording cannot be used; nothing already built is harmed.
+    BlockingIOError
+        If another build is running in the folder.
+    """
+    if workers < 1:
+        raise ValueError(f"workers: got {workers}, allowed is 1 or more")
+    check_names([recording.name for recording in recordings])
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    with hold_lock(
+        folder / ".lock", busy="another build is running here; let it finish or stop it first"
+    ):
+        return _build(recordings, folder, recipe=recipe, workers=workers, progress=progress)
+
+
+def _build(
+    recordings: Sequence[Recording],
+    folder: Path,
+    *,
+    recipe: Recipe,
+    workers: int,
+    progress: Progress | None,
+) -> StimulusSet:
+    parts = _make_parts_folder(folder)
+    history = read_history(folder)
+    wanted = {recording.name: list_candidates(recording, recipe) for recording in recordings}
+    new = [r for r in recordings if any(c.key not in history.measured for c in wanted[r.name])]
+    counter = _Counter(progress, total=len(new) + len(recordings))
+    measure = [
+        (render_recording, (r, wanted[r.name]), {"recipe": recipe, "parts": parts}) for r in new
+    ]
+    measured = dict(history.measured)
+    for found in counter.count(_in_parallel(measure, workers=workers)):
+        measured.update(found)
+    orders = _place_orders(wanted, measured, recipe)
+    how = {"recipe": recipe, "folder": folder, "history": history}
+    write = [(_write_recording, (r, orders[r.name]), how) for r in recordings]
+    written = {
+        row.stimulus_id: row
+        for rows in counter.count(_in_parallel(write, workers=workers))
+        for row in rows
+    }
+    in_order = [order for recording in recordings for order in orders[recording.name]]
+    details = _details(in_order, recipe, recordings)
+    return _publish(
+        [written[order.stimulus_id] for order in in_order], folder, history=history, details=details
+    )
+
+
+def foresee_stimuli(
+    recordings: Sequence[Recording],
+    folder: Path,
+    *,
+    recipe: Recipe,
+    progress: Progress | None = None,
+) -> list[Foreseen]:
+    """Compute how strong the stimuli of a set will be; nothing is written."""
+    measured = dict(read_history(folder).measured)
+    wanted = {recording.name: list_candidates(recording, recipe) for recording in recordings}
+    for done, recording in enumerate(recordings, start=1):
+        new = [candidate for candidate in wanted[recording.name] if candidate.key not in measured]
+        measured.update(measure_recording(recording, new, recipe=recipe))
+        if progress:
+            progress(done, len(recordings))
+    return [
+        Foreseen(
+            order.candidate.recording,
+            order.candidate.reducer,
+            order.candidate.role,
+            order.level,
+            order.gain,
+            order.measured.peak * order.gain,
+            order.sensation_levels_db,
+        )
+        for orders in _place_orders(wanted, measured, recipe).values()
+        for order in orders
+    ]
+
+
+def _publish(
+    rows: Sequence[Stimulus], folder: Path, *, history: History, details: Mapping[str, Any]
+) -> StimulusSet:
+    """Move finished files into the set and remove what is no longer wanted, without a manifest meanwhile."""
+    finished = sorted((folder / PARTS / FINISHED).iterdir())
+    stale = {row.file for row in history.rows.values()} - {row.file for row in rows}
+    if finished or stale:
+        (folder / "manifest.csv").unlink(missing_ok=True)
+    for path in finished:
+        path.replace(folder / path.name)
+    for name in stale:
+        (folder / name).unlink(missing_ok=True)
+    published = write_manifest(folder, rows, details=details)
+    shutil.rmtree(folder / PARTS)
+    return published
+
+
+def check_names(names: Sequence[str]) -> None:
+    """Demand that every recording has a name of its own that can stand in a file name on any system."""
+    if not names:
+        raise ValueError("recordings: got none, allowed is one or more; name them in study.toml")
+    seen: set[str] = set()
+    for name in names:
+        if not _NAME.fullmatch(name):
+            raise ValueError(
+                f"recording name: got {name!r}, allowed are up to 100 letters (A-Z), digits, '.', '_' and '-', "
+                "beginning with a letter or digit; give it another name"
+            )
+        # Some file systems do not tell capitals from small letters.
+        if name.casefold() in seen:
+            raise ValueError(f"recording name: got {name!r} twice; give one of them another name")
+        seen.add(name.casefold())
+
+
+def _make_parts_folder(folder: Path) -> Path:
+    """Make the folder of unfinished work; what a killed build had rendered is kept, what it was writing is not."""
+    parts = folder / PARTS
+    shutil.rmtree(parts / FINISHED, ignore_errors=True)
+    (parts / FINISHED).mkdir(parents=True)
+    for unfinished in [*folder.glob(".*.part"), *parts.glob(".*.part")]:
+        unfinished.unlink(missing_ok=True)
+    return parts
+
+
+def _place_orders(
+    wanted: Mapping[str, Sequence[Candidate]], measured: Mapping[str, Measured], recipe: Recipe
+) -> dict[str, list[_Order]]:
+    keys = {
+        name: [candidate.key for candidate in candidates] for name, candidates in wanted.items()
+    }
+    gains = choose_gains(measured, recipe, recordings=keys)
+    return {
+        name: [
+            _Order(candidate, measured[candidate.key], level, gains[level, candidate.key])
+            for level in recipe.levels
+            for candidate in candidates
+        ]
+        for name, candidates in wanted.items()
+    }
+
+
+def _write_recording(
+    recording: Recording,
+    orders: Sequence[_Order],
+    *,
+    recipe: Recipe,
+    folder: Path,
+    history: History,
+) -> list[Stimulus]:
+    """Write the files of one recording that are not there already, and give all their rows."""
+    kept = {
+        order.stimulus_id: history.rows[order.stimulus_id]
+        for order in orders
+        if _is_there(order, folder, history)
+    }
+    changed = [order for order in orders if order.stimulus_id not in kept]
+    render_recording(
+        recording, [order.candidate for order in changed], recipe=recipe, parts=folder / PARTS
+    )
+    kept.update(
+        (order.stimulus_id, _write(order, recording, recipe=recipe, parts=folder / PARTS))
+        for order in changed
+    )
+    return list(kept.values())
+
+
+def _is_there(order: _Order, folder: Path, history: History) -> bool:
+    """Whether the earlier build made just this, and its file still holds it."""
+    row = history.rows.get(order.stimulus_id)
+    if (
+        row is None
+        or history.keys.get(order.stimulus_id) != order.candidate.key
+        or row.gain != order.gain
+    ):
+        return False
+    path = folder / row.file
+    return path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() == row.sha256
+
+
+def _write(order: _Order, recording: Recording, *, recipe: Recipe, parts: Path) -> Stimulus:
+    samples, _ = read_wav(part_path(parts, order.candidate.key))
+    samples *= order.gain / recipe.full_scale_m_s2
+    clipped = int(np.count_nonzero(np.abs(samples) > 1.0))
+    np.clip(samples, -1.0, 1.0, out=samples)
+    path = parts / FINISHED / f"{order.stimulus_id}.wav"
+    write_wav(path, samples, recipe.rate_hz)
+    mean_square = np.einsum("...n,...n->...", samples, samples).sum() / samples.shape[-1]
+    sensation = order.sensation_levels_db[recipe.threshold]
+    if clipped:
+        played = samples * recipe.full_scale_m_s2
+        sensation = sensation_level_db(played, recipe.rate_hz, threshold=recipe.threshold)
+    return Stimulus(
+        stimulus_id=order.stimulus_id,
+        recording=recording.name,
+        reducer=order.candidate.reducer,
+        level=order.level,
+        role=order.candidate.role,
+        file=path.name,
+        rate_hz=recipe.rate_hz,
+        n_samples=int(samples.shape[-1]),
+        duration_s=samples.shape[-1] / recipe.rate_hz,
+        peak=largest(samples),
+        rms_m_s2=float(np.sqrt(mean_square)) * recipe.full_scale_m_s2,
+        gain=order.gain,
+        spectral_match=order.measured.spectral_match,
+        temporal_match=order.measured.temporal_match,
+        clipped=clipped,
+        sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
+        recording_sha256=recording.sha256,
+        spectral_match_bounded=order.measured.spectral_match_bounded,
+        sensation_level_db=sensation if np.isfinite(sensation) else math.nan,
+    )
+
+
+def _details(
+    orders: Sequence[_Order], recipe: Recipe, recordings: Sequence[Recording]
+) -> dict[str, Any]:
+    """Give what `manifest.json` holds beside the rows: enough to rebuild the set and to find what has changed."""
+    return {
+        "recipe": asdict(recipe),
+        "conditioning": {r.name: list_steps(recipe.conditioning, r.rate_hz) for r in recordings},
+        "versions": {"feel321": __version__, **versions()},
+        "sensation_levels_db": {
+            order.stimulus_id: {
+                name: value if np.isfinite(value) else None
+                for name, value in order.sensation_levels_db.items()
+            }
+            for order in orders
+        },
+        "keys": {order.stimulus_id: order.candidate.key for order in orders},
+        "measured": {order.candidate.key: asdict(order.measured) for order in orders},
+    }
+
+
+class _Counter:
+    """Reports progress over several passes as one count."""
+
+    def __init__(self, progress: Progress | None, *, total: int) -> None:
+        self._progress, self._total, self._done = progress, total, 0
+
+    def count(self, results: Iterator[Any]) -> Iterator[Any]:
+        for result in results:
+            self._done += 1
+            if self._progress:
+                self._progress(self._done, self._total)
+            yield result
+
+
+def _in_parallel(jobs: Sequence[Job], *, workers: int) -> Iterator[Any]:
+    """Give results as they are done; in this process where one worker is enough."""
+    if workers == 1 or len(jobs) <= 1:
+        for function, arguments, named in jobs:
+            yield function(*arguments, **named)
+        return
+    from joblib import Parallel
+
+    yield from Parallel(n_jobs=workers, return_as="generator_unordered")(jobs)

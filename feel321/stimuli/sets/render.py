@@ -1,0 +1,294 @@
+"""Render a recording with every reducer: condition, reduce, match, resample, fade; and the gains of the level arms.
+
+What is rendered is kept in a *parts* folder, one WAV in m/s² and one note of what was measured per stimulus, under a
+key made from everything that went into it. A build that was killed finds its parts again; a finished build throws them
+away.
+
+- `as_is`: one physical gain, so that energy which a reducer lost is felt as loss.
+- `equal_intensity`: every stimulus at the same sensation level, that of its loudest 200 ms, so that a high rating
+  cannot be one of strength. Silence around an event changes nothing.
+
+A gain is m/s² played per m/s² recorded. Automatic gains let the loudest stimulus reach the headroom: of the whole set,
+or, with a gain per recording, of each recording with its reductions, reference and anchors. One gain for the set keeps
+the differences between recordings, but then the highest peak of any recording decides how strong all others are.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from feel321.stimuli.condition import condition, fade, resample
+from feel321.stimuli.match import OriginalSpectrum, axis_correlations, mean_heard
+from feel321.stimuli.recording import digest_samples, largest
+from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.sets.anchors import ANCHORS, THRESHOLDS, loudest_level, to_db
+from feel321.stimuli.sets.manifest import write_bytes
+from feel321.stimuli.sets.recipe import GAIN_PER_RECORDING, NO_REFERENCE, ORIGINAL
+from feel321.stimuli.version import __version__
+from feel321.stimuli.wav import write_wav
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from feel321.stimuli.recording import Recording
+    from feel321.stimuli.sets.recipe import Recipe
+
+    Samples = NDArray[np.float64]
+
+# From one recording to its rendered stimuli: condition, reduce, match, resample, fade; no gain yet.
+
+ROUNDING = 1e-9
+"""A stimulus below this share of its recording's level is what rounding left of axes that cancelled: silence."""
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """One stimulus to be, before its level."""
+
+    recording: str
+    reducer: str
+    role: str
+    key: str
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """What was measured on a rendered stimulus at unit gain.
+
+    peak: largest magnitude in m/s²; levels: name of a threshold curve -> largest root mean square
+    in any 200 ms, in multiples of the threshold.
+    """
+
+    peak: float
+    levels: dict[str, float]
+    spectral_match: float
+    temporal_match: float
+    spectral_match_bounded: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Scale:
+    """What the stimuli of one recording are measured against."""
+
+    recording: Recording
+    spectrum: OriginalSpectrum
+    played: Samples
+    levels: dict[str, float]
+
+
+def list_candidates(recording: Recording, recipe: Recipe) -> tuple[Candidate, ...]:
+    """List what a recipe makes of one recording: tests, the hidden reference, anchors."""
+    wanted = [(name, "test") for name in recipe.reducers]
+    if recipe.reference != NO_REFERENCE:
+        wanted.append((recipe.reference, "reference"))
+    if recipe.anchors:
+        wanted += [(name, "anchor") for name in ANCHORS]
+    # The samples, not the file: the same file read in another unit or at another rate is another recording.
+    basis = {
+        "version": __version__,
+        "recording": digest_samples(recording),
+        **versions(),
+        **recipe.rendering(),
+    }
+    return tuple(
+        Candidate(recording.name, reducer, role, _digest({**basis, "reducer": reducer}))
+        for reducer, role in wanted
+    )
+
+
+def versions() -> dict[str, str]:
+    """Versions of the software whose arithmetic decides the samples.
+
+    Returns package name -> version.
+    """
+    from importlib.metadata import version
+
+    return {name: version(name) for name in ("numpy", "scipy", "soxr")}
+
+
+def render_recording(
+    recording: Recording, candidates: Sequence[Candidate], *, recipe: Recipe, parts: Path
+) -> dict[str, Measured]:
+    """Render those candidates of one recording that are not in the parts folder yet, and say what was measured.
+
+    Returns key -> what was measured.
+    """
+    measured = {c.key: found for c in candidates if (found := _read_part(parts, c.key)) is not None}
+    for candidate, samples, note in _render(
+        recording, [c for c in candidates if c.key not in measured], recipe
+    ):
+        path = part_path(parts, candidate.key)
+        write_wav(path, samples, recipe.rate_hz)
+        write_bytes(
+            _note_path(path), json.dumps({"bytes": path.stat().st_size, **asdict(note)}).encode()
+        )
+        measured[candidate.key] = note
+    return measured
+
+
+def measure_recording(
+    recording: Recording, candidates: Sequence[Candidate], *, recipe: Recipe
+) -> dict[str, Measured]:
+    """Measure candidates of one recording as `render_recording` does, without writing anything.
+
+    Returns key -> what was measured.
+    """
+    return {candidate.key: note for candidate, _, note in _render(recording, candidates, recipe)}
+
+
+def part_path(parts: Path, key: str) -> Path:
+    """Where a rendered stimulus is kept until the set is complete.
+
+    Returns the WAV file, in m/s².
+    """
+    return parts / f"{key}.wav"
+
+
+def _render(
+    recording: Recording, wanted: Sequence[Candidate], recipe: Recipe
+) -> Iterator[tuple[Candidate, Samples, Measured]]:
+    """Make candidates one after the other: each with its samples for the rig in m/s², and what was measured."""
+    if not wanted:
+        return
+    try:
+        scale = _make_scale(condition(recording, recipe.conditioning), recipe)
+        for candidate in wanted:
+            samples, played = _play(candidate.reducer, scale, recipe)
+            yield candidate, played, _measure(samples, played, scale=scale, rate_hz=recipe.rate_hz)
+    except ValueError as error:
+        raise ValueError(f"recording {recording.name!r}: {error}") from None
+
+
+def _make_scale(conditioned: Recording, recipe: Recipe) -> _Scale:
+    spectrum = OriginalSpectrum(conditioned.acceleration, conditioned.rate_hz)
+    if spectrum.reason:
+        raise ValueError(f"{spectrum.reason}; nothing can be felt or matched, leave it out")
+    played = _for_the_rig(conditioned.acceleration, conditioned.rate_hz, recipe)
+    return _Scale(conditioned, spectrum, played, _measure_levels(played, recipe.rate_hz))
+
+
+def _play(reducer: str, scale: _Scale, recipe: Recipe) -> tuple[Samples, Samples]:
+    """Give what is made of a recording, at its own rate and for the rig; there, anchors are as strong as it is."""
+    if reducer == ORIGINAL:
+        return scale.recording.acceleration, scale.played
+    samples = _make(reducer, scale.recording)
+    played = _for_the_rig(samples, scale.recording.rate_hz, recipe)
+    if reducer not in ANCHORS:
+        return samples, played
+    own = loudest_level(played, recipe.rate_hz, threshold=recipe.threshold)
+    return samples, scale.levels[recipe.threshold] / own * played
+
+
+def _make(reducer: str, recording: Recording) -> Samples:
+    if reducer in ANCHORS:
+        seed = [int(recording.sha256[:16], 16), *reducer.encode()]
+        return ANCHORS[reducer](recording, np.random.default_rng(seed))
+    return REDUCERS[reducer](recording.acceleration, recording.rate_hz)
+
+
+def _for_the_rig(samples: Samples, rate_hz: float, recipe: Recipe) -> Samples:
+    # An offset (mag321 makes one) cannot be felt and only heats the coil; the metrics are taken before it is removed.
+    vibration = samples - samples.mean(axis=-1, keepdims=True)
+    return fade(
+        resample(vibration, rate_hz, to_hz=recipe.rate_hz), recipe.rate_hz, fade_s=recipe.fade_s
+    )
+
+
+def _measure(samples: Samples, rendered: Samples, *, scale: _Scale, rate_hz: float) -> Measured:
+    # The level is that of what is played: fades and a removed offset change it. The metrics are those of the reduction.
+    found = _measure_levels(rendered, rate_hz)
+    levels = {
+        name: level if level > ROUNDING * scale.levels[name] else 0.0
+        for name, level in found.items()
+    }
+    if samples.ndim > 1:  # the original itself, matched channel by channel
+        return Measured(largest(rendered), levels, 1.0, 1.0, 1.0)
+    spectral, bounded = scale.spectrum.match_both(samples)
+    temporal = mean_heard(axis_correlations(scale.recording.acceleration, samples))
+    return Measured(largest(rendered), levels, float(spectral), float(temporal), float(bounded))
+
+
+def _measure_levels(played: Samples, rate_hz: float) -> dict[str, float]:
+    return {name: loudest_level(played, rate_hz, threshold=name) for name in THRESHOLDS}
+
+
+def _read_part(parts: Path, key: str) -> Measured | None:
+    """Read a part's note, which is written after its samples; a part that is damaged or has none does not count."""
+    path = part_path(parts, key)
+    try:
+        note = json.loads(_note_path(path).read_bytes())
+        return Measured(**note) if path.stat().st_size == note.pop("bytes") else None
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+        return None
+
+
+def _note_path(part: Path) -> Path:
+    return part.with_suffix(".json")
+
+
+def _digest(what: object) -> str:
+    return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()
+
+
+# Level arms: which gain brings a rendered stimulus to the level at which it is played.
+
+
+def choose_gains(
+    measured: Mapping[str, Measured], recipe: Recipe, *, recordings: Mapping[str, Collection[str]]
+) -> dict[tuple[str, str], float]:
+    """Choose the gain of every stimulus in every level arm.
+
+    measured: key of a rendered stimulus -> what was measured on it, for the whole set; recordings:
+    name of a recording -> keys of its stimuli; returns (level, key) -> gain.
+    """
+    together = (
+        recordings.values()
+        if recipe.gain == GAIN_PER_RECORDING
+        else [set().union(*recordings.values())]
+    )
+    gains: dict[tuple[str, str], float] = {}
+    for keys in together:
+        notes = {key: measured[key] for key in keys}
+        if "as_is" in recipe.levels:
+            gains.update((("as_is", key), gain) for key, gain in _keep(notes, recipe).items())
+        if "equal_intensity" in recipe.levels:
+            gains.update(
+                (("equal_intensity", key), gain) for key, gain in _equalise(notes, recipe).items()
+            )
+    return gains
+
+
+def find_headroom_cost(peaks: Mapping[str, float]) -> tuple[str, float]:
+    """Find the recording with the highest peak, and by how many dB a common gain is lower for it."""
+    first, *others = sorted(peaks, key=lambda name: -peaks[name])
+    return first, to_db(peaks[first] / peaks[others[0]]) if others and peaks[others[0]] else 0.0
+
+
+def _keep(notes: Mapping[str, Measured], recipe: Recipe) -> dict[str, float]:
+    loudest = max(note.peak for note in notes.values())
+    room = recipe.headroom * recipe.full_scale_m_s2
+    automatic = room / loudest if loudest else 1.0
+    return dict.fromkeys(notes, automatic if isinstance(recipe.gain, str) else recipe.gain)
+
+
+def _equalise(notes: Mapping[str, Measured], recipe: Recipe) -> dict[str, float]:
+    levels = {key: note.levels[recipe.threshold] for key, note in notes.items()}
+    if silent := sum(level == 0.0 for level in levels.values()):
+        raise ValueError(
+            f"equal_intensity: {silent} stimuli are silent between 20 and 1000 Hz and cannot be made as strong as "
+            "the others; leave out this level, or the reducer or recording that is silent"
+        )
+    common = (
+        recipe.headroom
+        * recipe.full_scale_m_s2
+        / max(note.peak / levels[key] for key, note in notes.items())
+    )
+    return {key: common / level for key, level in levels.items()}

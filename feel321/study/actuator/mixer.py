@@ -1,0 +1,493 @@
+"""The mixer: stimuli, masking noise and limits, block by block, for the stream's callback.
+
+Frames are counted from the stream's begin. A stimulus that was asked for is scheduled when the next block is filled,
+so its onset is known to the sample. What is filled allocates nothing that lasts.
+
+What is within the limits passes bit for bit. What is not is changed sample by sample, so that the outcome does not
+depend on how the stream is cut into blocks; what is no number becomes silence.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from feel321.study.actuator.rig import Rig
+
+# The last line of defence for skin and coil: peak, RMS of any second, and duration, across successive stimuli.
+
+WINDOW_S = 1.0
+"""Over how long the RMS is taken."""
+
+PAUSE_S = 0.1
+"""So long an actuator is at rest before the duration of what it does begins anew."""
+
+ROUNDING = 1e-9
+"""Share by which a window may exceed its energy: what the rounding of sums of squares adds up to."""
+
+
+class Limiter:
+    """Watches over one actuator."""
+
+    def __init__(
+        self, rate_hz: float, *, peak: float, rms: float, duration_s: float, max_frames: int
+    ) -> None:
+        self._window = round(WINDOW_S * rate_hz)
+        self._pause = round(PAUSE_S * rate_hz)
+        if max_frames > self._pause:
+            raise ValueError(
+                f"got blocks of {max_frames} frames, allowed are {self._pause}: a pause spans blocks"
+            )
+        self._peak = np.float32(min(peak, 1.0))
+        self._energy_limit = float(rms) ** 2 * self._window * (1 + ROUNDING)
+        self._longest = round(duration_s * rate_hz)
+        self._squares = np.zeros(self._window)  # of the last second, a ring
+        self._place = 0
+        self._walk = (
+            0.0  # energy of the last second, had nothing been limited since the ring began anew
+        )
+        self._excess = 0.0  # what was taken from it since
+        self._rest = self._pause  # frames since the last one that was not 0
+        self._run = 0  # frames since the last pause
+        self._new = np.empty(max_frames)
+        self._sums = np.empty(max_frames)
+        self._rises = np.empty(max_frames)
+        self._limited = np.empty(max_frames, dtype=np.float32)
+        self._given = np.empty(max_frames, dtype=np.float32)
+        self._differs = np.empty(max_frames, dtype=np.bool_)
+
+    def limit(self, samples: NDArray[np.float32]) -> int:
+        """Limit the next block in place.
+
+        samples: (n,).
+        """
+        given, differs = self._given[: len(samples)], self._differs[: len(samples)]
+        np.copyto(given, samples)
+        # What is no number passes every comparison, and one of them blinds the sum of squares to all that follows.
+        np.isnan(samples, out=differs)
+        np.copyto(samples, 0, where=differs)
+        self._limit_duration(samples)
+        np.clip(samples, -self._peak, self._peak, out=samples)
+        start = 0
+        while start < len(samples):  # the ring is met in pieces that do not wrap
+            piece = samples[start : start + self._window - self._place]
+            self._limit_energy(piece)
+            start += len(piece)
+        np.not_equal(samples, given, out=differs)
+        return int(np.count_nonzero(differs))
+
+    def _limit_duration(self, samples: NDArray[np.float32]) -> None:
+        n = len(samples)
+        moving = self._differs[:n]
+        np.not_equal(samples, 0, out=moving)
+        first = int(moving.argmax()) if n else 0
+        if n == 0 or not moving[first]:
+            self._rest += n
+            self._run += n
+            return
+        if self._rest + first >= self._pause:
+            self._run = -first
+        self._rest = int(moving[::-1].argmax())
+        allowed = max(self._longest - self._run, 0)
+        self._run += n
+        samples[allowed:] = 0
+
+    def _limit_energy(self, samples: NDArray[np.float32]) -> None:
+        """Give each sample what the last second leaves of the energy.
+
+        The energy of the last second is a walk E(i) = min(E(i-1) + d(i), limit), d being what is new less what is a
+        second old. That is the free walk S less the running maximum of what S exceeds the limit by [1]_; each rise of
+        the maximum is taken from the sample where it happens.
+
+        References
+        ----------
+        .. [1] Lindley, D. V. (1952). The theory of queues with a single server. doi:10.1017/S0305004100027638
+        """
+        n = len(samples)
+        new, sums, old = self._new[:n], self._sums[:n], self._squares[self._place : self._place + n]
+        np.copyto(new, samples)  # first, or the product would be made by way of a buffer
+        np.multiply(new, new, out=new)
+        np.subtract(new, old, out=sums)
+        sums[0] += self._walk
+        np.cumsum(sums, out=sums)
+        self._walk = float(sums[-1])
+        if sums.max() - self._energy_limit > self._excess:
+            self._take_excess(samples, new=new, sums=sums)
+        np.copyto(old, new)
+        self._place += n
+        if (
+            self._place == self._window
+        ):  # once per round the sum is taken afresh, or its rounding would grow for hours
+            self._place, self._walk, self._excess = 0, float(self._squares.sum()), 0.0
+
+    def _take_excess(
+        self, samples: NDArray[np.float32], *, new: NDArray[np.float64], sums: NDArray[np.float64]
+    ) -> None:
+        n = len(samples)
+        excess, rises, limited, rising = sums, self._rises[:n], self._limited[:n], self._differs[:n]
+        np.subtract(sums, self._energy_limit, out=excess)
+        excess[0] = max(excess[0], self._excess)
+        np.maximum.accumulate(excess, out=excess)
+        np.subtract(excess[1:], excess[:-1], out=rises[1:])
+        rises[0] = excess[0] - self._excess
+        self._excess = float(excess[-1])
+        np.subtract(new, rises, out=new)
+        np.maximum(new, 0, out=new)
+        np.greater(rises, 0, out=rising)
+        np.sqrt(new, out=rises)
+        np.copyto(limited, rises, casting="same_kind")
+        np.copysign(limited, samples, out=limited)
+        np.copyto(samples, limited, where=rising)
+
+
+# Pink noise on headphones, so that a vibration is felt and not heard: it begins before and ends after it.
+
+LOOP_S = 20.0
+"""How long the noise is before it repeats: too long for a repetition to be heard."""
+
+LOWEST_HZ = 20.0
+"""Below this nothing is heard."""
+
+NEVER = 2**62
+"""A frame that no stream reaches."""
+
+
+def make_pink(rng: np.random.Generator, *, n_samples: int, rate_hz: float) -> NDArray[np.float64]:
+    """Make Gaussian noise whose power falls by 10 dB per decade, from 20 Hz to half the rate.
+
+    It is made of whole periods, so that it can be repeated without a click.
+
+    Returns (n_samples,).
+
+    References
+    ----------
+    .. [1] Timmer, J. and König, M. (1995). On generating power law noise. Astronomy and Astrophysics 300, 707-710.
+    """
+    frequencies = np.fft.rfftfreq(n_samples, 1 / rate_hz)
+    audible = frequencies >= LOWEST_HZ
+    spectrum = np.zeros(len(frequencies), dtype=np.complex128)
+    parts = rng.standard_normal((2, int(audible.sum())))
+    spectrum[audible] = (parts[0] + 1j * parts[1]) / np.sqrt(frequencies[audible])
+    noise = np.fft.irfft(spectrum, n_samples)
+    return np.asarray(noise / np.sqrt(np.mean(noise**2)))
+
+
+class Masker:
+    """Noise that comes and goes in ramps, at frames of the stream.
+
+    noise: (n_samples,); columns: the headphones' channels, from 0.
+    """
+
+    def __init__(
+        self,
+        noise: NDArray[np.float32],
+        *,
+        columns: list[int],
+        ramp_frames: int,
+        lead_frames: int,
+        max_frames: int,
+    ) -> None:
+        self._noise = noise
+        self._columns = columns
+        self._lead = lead_frames
+        # Half a cosine has no edge that could be heard; it ends at exactly 1.
+        top = max(ramp_frames, 1)
+        self._ramp = (0.5 - 0.5 * np.cos(np.pi * np.arange(top + 1) / top)).astype(np.float32)
+        self._block = np.zeros(max_frames, dtype=np.float32)
+        self._gain = np.zeros(max_frames, dtype=np.float32)
+        self._top = top
+        self._step = 0  # how far up the ramp
+        self._is_up = False  # where it is going
+        self._up_at, self._down_at = NEVER, NEVER
+
+    def cover(self, frame: int, gap_frames: int) -> int:
+        """Find the onset of a vibration that is asked for, and be there in time.
+
+        gap_frames: from there to the onset, at least.
+        """
+        is_heard = self._is_up and self._step == self._top and self._down_at > frame
+        onset = frame + (gap_frames if is_heard else max(gap_frames, self._lead))
+        begin = onset - self._lead
+        if self._is_up and begin <= self._down_at:
+            self._down_at = NEVER
+        else:
+            self._up_at = begin
+        return onset
+
+    def release(self, end: int) -> None:
+        """Go after a vibration."""
+        if self._up_at >= end:  # it never began, and leaves no noise to come
+            self._up_at = NEVER
+        is_heard = self._is_up or self._up_at < NEVER
+        self._down_at = max(end + self._lead - self._top, end) if is_heard else NEVER
+
+    def silence(self) -> None:
+        """Be silent at once, for a stream that begins anew; what was to come does not."""
+        self._step, self._is_up = 0, False
+        self._up_at, self._down_at = NEVER, NEVER
+
+    def fill(self, block: NDArray[np.float32], frame: int) -> None:
+        """Write the noise into the headphones' channels of the next block.
+
+        block: (n, channels).
+        """
+        n = len(block)
+        if not self._is_up and self._step == 0 and self._up_at >= frame + n:
+            return
+        self._shape(self._gain[:n], frame)
+        noise, start = self._block[:n], frame % len(self._noise)
+        whole = min(n, len(self._noise) - start)
+        noise[:whole] = self._noise[start : start + whole]
+        noise[whole:] = self._noise[: n - whole]
+        np.multiply(noise, self._gain[:n], out=noise)
+        for column in self._columns:
+            block[:, column] = noise
+
+    def _shape(self, gain: NDArray[np.float32], frame: int) -> None:
+        place = 0
+        while place < len(gain):
+            now = frame + place
+            if now >= self._up_at:
+                self._is_up, self._up_at = True, NEVER
+            if now >= self._down_at:
+                self._is_up, self._down_at = False, NEVER
+            piece = gain[place : place + min(self._up_at, self._down_at) - now]
+            self._climb(piece)
+            place += len(piece)
+
+    def _climb(self, gain: NDArray[np.float32]) -> None:
+        if self._is_up:
+            n_steps = min(self._top - self._step, len(gain))
+            gain[:n_steps] = self._ramp[self._step + 1 : self._step + 1 + n_steps]
+            gain[n_steps:] = 1
+            self._step += n_steps
+        else:
+            n_steps = min(self._step, len(gain))
+            gain[:n_steps] = self._ramp[self._step - n_steps : self._step][::-1]
+            gain[n_steps:] = 0
+            self._step -= n_steps
+
+
+# Everything that a stream's callback does, without a stream: each block of samples, from buffers that are there.
+
+BLOCK_FRAMES = 1024
+"""Longer blocks are filled in pieces of this many frames."""
+
+PREROLL_S = 0.25
+"""So long a stream is silent before anything is scheduled: devices swallow what comes first."""
+
+STOP_S = 0.005
+"""How long a vibration takes to end that is stopped, but no longer than a block: cut off at once it would knock."""
+
+NOT_SCHEDULED = -1
+
+
+@dataclass(slots=True)
+class Cue:
+    """One playback, from its request to its end; the callback writes it, everybody may read it.
+
+    sound: (n_samples, channels); gap_frames: silence before it, at least.
+    """
+
+    sound: NDArray[np.float32]
+    gap_frames: int
+    onset_frame: int = NOT_SCHEDULED
+    n_played: int = 0
+    clipped: int = 0
+    is_stopping: bool = False
+    is_over: bool = False
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether every sample was played as it is."""
+        return self.n_played == len(self.sound)
+
+
+class Mixer:
+    """Mixes what goes to a rig's channels.
+
+    sounds: (n_samples, channels).
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        sounds: Mapping[str, NDArray[np.float32]],
+        *,
+        rate_hz: float,
+        preroll_s: float = PREROLL_S,
+    ) -> None:
+        self.frame = 0
+        self._rate_hz = rate_hz
+        self._sounds = sounds
+        self._preroll = round(preroll_s * rate_hz)
+        self._block = min(BLOCK_FRAMES, round(PAUSE_S * rate_hz))
+        self._limiters = _make_limiters(rig, rate_hz=rate_hz, max_frames=self._block)
+        self._masker = _make_masker(rig, rate_hz=rate_hz, max_frames=self._block)
+        self._sync = rig.sync
+        self._sync_frames = max(round(rig.sync.duration_s * rate_hz), 1) if rig.sync else 0
+        self._fade = _Fade(
+            max(round(STOP_S * rate_hz), 1), columns=[column for column, _ in self._limiters]
+        )
+        self._waiting: deque[Cue] = deque()  # its ends are safe to use from two threads
+        self._latest: Cue | None = None
+        self._cue: Cue | None = None
+
+    def start(self, stimulus_id: str, *, gap_s: float) -> Cue:
+        """Ask for a stimulus; what plays is stopped."""
+        if stimulus_id not in self._sounds:
+            raise ValueError(
+                f"got stimulus {stimulus_id!r}, allowed are the {len(self._sounds)} that were loaded"
+            )
+        self.stop()
+        self._latest = Cue(self._sounds[stimulus_id], gap_frames=round(gap_s * self._rate_hz))
+        self._waiting.append(self._latest)
+        return self._latest
+
+    @property
+    def is_playing(self) -> bool:
+        """Whether samples of the stimulus that was started last, or of its gap, are still to be filled."""
+        return self._latest is not None and not self._latest.is_over
+
+    def stop(self) -> None:
+        """Let what plays fall silent within the next block."""
+        if self._latest is not None:
+            self._latest.is_stopping = True
+
+    def reset(self) -> None:
+        """Forget what plays and what waits, for a device that begins anew; not to be called while one runs.
+
+        What was cut off with the old device is not to fade out on the new one. The limiters keep what they know: skin
+        and coil do not begin anew.
+        """
+        for cue in (self._cue, *self._waiting):
+            if cue is not None:
+                cue.is_over = True
+        self._waiting.clear()
+        if self._masker:
+            self._masker.silence()
+
+    def fill(self, out: NDArray[np.float32]) -> None:
+        """Fill the stream's next block.
+
+        out: (n, channels).
+        """
+        for start in range(0, len(out), self._block):
+            self._fill(out[start : start + self._block])
+
+    def _fill(self, block: NDArray[np.float32]) -> None:
+        block.fill(0)
+        cue = self._take()
+        end = self._play(cue, block) if cue else None
+        if self._masker:
+            if end is not None:
+                self._masker.release(end)
+            self._masker.fill(block, self.frame)
+        n_changed = 0
+        for (
+            column,
+            limiter,
+        ) in self._limiters:  # after all that is written, so that nothing comes past them
+            n_changed += limiter.limit(block[:, column])
+        self.frame += len(block)
+        if cue:
+            cue.clipped += n_changed
+            cue.is_over = end is not None  # last of all: whoever reads it reads the rest
+
+    def _take(self) -> Cue | None:
+        """Find what plays now; take up what waits if nothing does."""
+        if self._cue is not None and not self._cue.is_over:
+            return self._cue
+        self._cue = None
+        while self._cue is None and self._waiting and self.frame >= self._preroll:
+            cue = self._waiting.popleft()
+            if cue.is_stopping:
+                cue.is_over = True
+            else:
+                cue.onset_frame = self._schedule(cue.gap_frames)
+                self._cue = cue
+        return self._cue
+
+    def _schedule(self, gap_frames: int) -> int:
+        return (
+            self._masker.cover(self.frame, gap_frames) if self._masker else self.frame + gap_frames
+        )
+
+    def _play(self, cue: Cue, block: NDArray[np.float32]) -> int | None:
+        """Write what this block has of a stimulus and its sync pulse; return the frame after its end if it ends."""
+        is_stopping = cue.is_stopping  # once: another thread sets it
+        first = max(cue.onset_frame - self.frame, 0)
+        if is_stopping and not cue.n_played:
+            cue.onset_frame = NOT_SCHEDULED
+            return self.frame
+        piece = block[first:]
+        piece = piece[: len(cue.sound) - cue.n_played]
+        np.copyto(piece, cue.sound[cue.n_played : cue.n_played + len(piece)])
+        if self._sync:
+            pulse = block[first : max(cue.onset_frame + self._sync_frames - self.frame, 0)]
+            pulse[:, self._sync.channel - 1] = self._sync.level
+        cue.n_played += self._fade.end(piece) if is_stopping else len(piece)
+        is_over = is_stopping or cue.is_complete
+        return self.frame + first + len(piece) if is_over else None
+
+
+class _Fade:
+    """How a vibration ends that is stopped."""
+
+    def __init__(self, n_frames: int, *, columns: list[int]) -> None:
+        self._steps = np.arange(1, n_frames + 1, dtype=np.float32)
+        self._gain = np.empty(n_frames, dtype=np.float32)
+        self._columns = columns
+
+    def end(self, piece: NDArray[np.float32]) -> int:
+        """Let it end in this piece; give how many samples are left, the last of the fade being 0."""
+        n = min(len(piece), len(self._steps))
+        gain = self._gain[:n]
+        np.multiply(self._steps[:n], np.float32(-1 / n), out=gain)
+        np.add(gain, np.float32(1), out=gain)
+        gain[-1:] = 0
+        for column in self._columns:
+            np.multiply(piece[:n, column], gain, out=piece[:n, column])
+            piece[n:, column] = 0
+        return n - 1
+
+
+def _make_limiters(rig: Rig, *, rate_hz: float, max_frames: int) -> list[tuple[int, Limiter]]:
+    limits = rig.limits
+    return [
+        (
+            actuator.channel - 1,
+            Limiter(
+                rate_hz,
+                peak=limits.peak_m_s2 / actuator.full_scale_m_s2,
+                rms=limits.rms_m_s2 / actuator.full_scale_m_s2,
+                duration_s=limits.duration_s,
+                max_frames=max_frames,
+            ),
+        )
+        for actuator in rig.actuators
+    ]
+
+
+def _make_masker(rig: Rig, *, rate_hz: float, max_frames: int) -> Masker | None:
+    masking = rig.masking
+    if masking is None:
+        return None
+    noise = make_pink(
+        np.random.default_rng(masking.seed), n_samples=round(LOOP_S * rate_hz), rate_hz=rate_hz
+    )
+    return Masker(
+        (masking.rms * noise).astype(np.float32),
+        columns=[channel - 1 for channel in masking.channels],
+        ramp_frames=round(masking.ramp_s * rate_hz),
+        lead_frames=round(masking.lead_s * rate_hz),
+        max_frames=max_frames,
+    )

@@ -1,0 +1,275 @@
+"""From a stimulus's file to the samples of the rig's channels, and checks of their size.
+
+Coils that move in the same direction add their amplitudes, coils at right angles their energies: what the hand gets of
+a one-axis stimulus is the vector sum of the coils' directions, each times its weight. The default weights make that sum
+1, so that a stimulus of 1 m/s² reaches the hand as 1 m/s², as a three-axis one does whose axes go to coils at right
+angles. A rig that gives its coils no directions plays everything at weight 1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import groupby
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from feel321.stimuli.recording import check_finite
+from feel321.stimuli.wav import read_wav
+from feel321.study.actuator.mixer import ROUNDING, WINDOW_S
+from feel321.study.actuator.rig import AXES, REDUCED
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
+    from feel321.study.actuator.rig import ActuatorTable, Rig
+
+    Vector = NDArray[np.float64]
+    Mix = Mapping[str, Mapping[str, float]]
+
+# How strongly a rig's coils bring stimuli to the hand, from the directions in which they move.
+
+EQUAL_DB = 0.5
+"""Energies that differ by less count as equal."""
+
+CANCELLED = 0.05
+"""Coils whose motions sum to less than this share of one coil's work against each other."""
+
+
+def find_mix(rig: Rig) -> dict[str, dict[str, float]]:
+    """Find the factor by which each coil plays each thing that it plays.
+
+    Returns name of an actuator -> `reduced`, `x`, `y`, `z` -> factor.
+    """
+    known = all(actuator.direction is not None for actuator in rig.actuators)
+    shares = {source: _find_share(rig, source) if known else 1.0 for source in (REDUCED, *AXES)}
+    return {
+        actuator.name: {
+            source: actuator.weight
+            if source == REDUCED and actuator.weight is not None
+            else shares[source]
+            for source in actuator.plays
+        }
+        for actuator in rig.actuators
+    }
+
+
+def find_directions(rig: Rig) -> tuple[dict[str, Vector], list[str]]:
+    """Find in which direction each coil moves the hand.
+
+    Returns directions: (3,), name of an actuator -> unit vector: its own, or the axis if it plays
+    just one and says nothing.
+    """
+    found = {actuator.name: _find_direction(actuator) for actuator in rig.actuators}
+    known = {name: direction for name, direction in found.items() if direction is not None}
+    return known, [name for name in found if name not in known]
+
+
+def reduced_energy(mix: Mix, directions: Mapping[str, Vector]) -> float:
+    """Mean square at the hand of a one-axis stimulus with mean square 1."""
+    return float(np.sum(_sum_motion(mix, directions, REDUCED) ** 2))
+
+
+def original_energy(mix: Mix, directions: Mapping[str, Vector], covariance: Vector) -> float:
+    """Mean square at the hand of a three-axis stimulus, relative to that of its axes; their covariance is (3, 3).
+
+    covariance: (3, 3).
+    """
+    motion = np.stack([_sum_motion(mix, directions, axis) for axis in AXES], axis=1)
+    covariance = covariance if np.trace(covariance) > 0 else np.eye(3)  # of silence, any will do
+    return float(np.trace(motion @ covariance @ motion.T) / np.trace(covariance))
+
+
+def _find_share(rig: Rig, source: str) -> float:
+    playing = [actuator for actuator in rig.actuators if source in actuator.plays]
+    if not playing:
+        return 1.0
+    directions, _ = find_directions(rig)
+    length = float(
+        np.linalg.norm(np.sum([directions[actuator.name] for actuator in playing], axis=0))
+    )
+    if length < CANCELLED:
+        names = " and ".join(repr(actuator.name) for actuator in playing)
+        raise ValueError(
+            f"{names} play {source!r} in opposite directions and cancel each other; turn one direction round, or let "
+            "one of them play it"
+        )
+    return 1 / length
+
+
+def _find_direction(actuator: ActuatorTable) -> Vector | None:
+    if actuator.direction is not None:
+        direction = np.array(actuator.direction)
+        return np.asarray(direction / np.linalg.norm(direction))
+    axes = [axis for axis in AXES if axis in actuator.plays]
+    return np.eye(3)[AXES.index(axes[0])] if len(axes) == 1 else None
+
+
+def _sum_motion(mix: Mix, directions: Mapping[str, Vector], source: str) -> Vector:
+    parts = [
+        factors[source] * directions[name] for name, factors in mix.items() if source in factors
+    ]
+    return np.asarray(np.sum(parts, axis=0)) if parts else np.zeros(3)
+
+
+# From a stimulus's file to the samples of the rig's channels.
+
+SOURCES = {1: (REDUCED,), len(AXES): AXES}
+"""What the channels of a stimulus's file are, by their number."""
+
+
+def render_stimulus(
+    stimulus: Stimulus, folder: Path, rig: Rig, *, full_scale_m_s2: float
+) -> NDArray[np.float32]:
+    """Render one stimulus for a rig.
+
+    Where study and actuator have the same full scale, the samples are those of the file times the coil's weight.
+
+    Returns (n_samples, channels).
+    """
+    samples, rate_hz = read_wav(folder / stimulus.file)
+    tracks = np.atleast_2d(samples)
+    if tracks.shape[1] != stimulus.n_samples or rate_hz != stimulus.rate_hz:
+        raise ValueError(
+            f"{stimulus.file}: got {tracks.shape[1]} samples at {rate_hz} Hz, the manifest says {stimulus.n_samples} "
+            f"at {stimulus.rate_hz:g}; build the set again"
+        )
+    if len(tracks) not in SOURCES:
+        raise ValueError(
+            f"{stimulus.file}: got {len(tracks)} channels, allowed are 1 or {len(AXES)}; build it again"
+        )
+    check_finite(tracks, stimulus.file)
+    sources = SOURCES[len(tracks)]
+    if missing := [
+        source
+        for source in sources
+        if not any(source in actuator.plays for actuator in rig.actuators)
+    ]:
+        raise ValueError(
+            f"{stimulus.stimulus_id}: no actuator plays {', '.join(missing)}; add it to `plays` in rig.toml, or name a "
+            "reference in study.toml that the rig can play"
+        )
+    rendered = np.zeros((stimulus.n_samples, rig.n_channels), dtype=np.float32)
+    mix = find_mix(rig)
+    for actuator in rig.actuators:
+        factors = mix[actuator.name]
+        played = [
+            factors[source] * track
+            for source, track in zip(sources, tracks, strict=True)
+            if source in actuator.plays
+        ]
+        scale = full_scale_m_s2 / actuator.full_scale_m_s2
+        rendered[:, actuator.channel - 1] = sum(played, np.zeros(stimulus.n_samples)) * scale
+    return rendered
+
+
+def render_set(
+    stimuli: StimulusSet, rig: Rig, *, full_scale_m_s2: float
+) -> dict[str, NDArray[np.float32]]:
+    """Render every stimulus of a set, so that nothing is read while a session runs.
+
+    Returns (n_samples, channels).
+    """
+    return {
+        stimulus.stimulus_id: render_stimulus(
+            stimulus, stimuli.folder, rig, full_scale_m_s2=full_scale_m_s2
+        )
+        for stimulus in stimuli.stimuli
+    }
+
+
+# Whether a rig can play a study's stimuli as they are: every problem before a session, one line each.
+
+
+@dataclass(frozen=True, slots=True)
+class _Excess:
+    """One stimulus that asks too much of one actuator in one respect."""
+
+    actuator: str
+    limit: str
+    asked: float
+    stimulus_id: str
+
+
+def find_rig_problems(
+    rig: Rig, stimuli: StimulusSet, *, rate_hz: float, full_scale_m_s2: float
+) -> list[str]:
+    """Find what keeps a rig from playing a set of stimuli as they are."""
+    problems: dict[str, list[str]] = {}
+    excesses: list[_Excess] = []
+    for stimulus in stimuli.stimuli:
+        try:
+            rendered = render_stimulus(
+                stimulus, stimuli.folder, rig, full_scale_m_s2=full_scale_m_s2
+            )
+        except ValueError as error:
+            name, _, reason = str(error).partition(": ")
+            problems.setdefault(reason, []).append(name)
+            continue
+        except OSError as error:
+            problems.setdefault(f"{error.strerror}; build the set again", []).append(stimulus.file)
+            continue
+        if stimulus.rate_hz != rate_hz:
+            reason = f"got a rate of {stimulus.rate_hz:g} Hz, the study plays at {rate_hz:g} Hz; build the set again"
+            problems.setdefault(reason, []).append(stimulus.stimulus_id)
+        excesses += _find_excesses(stimulus, rendered, rig)
+    lines = [f"{_name_some(names)}: {reason}" for reason, names in problems.items()]
+    return lines + list(_tell_excesses(excesses))
+
+
+def slide_rms(samples: NDArray[np.float64], n_window: int) -> NDArray[np.float64]:
+    """Compute the root mean square over every window, with silence before the samples.
+
+    samples: (n_samples,); n_window: length of the window in samples; returns (n_samples,).
+    """
+    energy = np.concatenate([np.zeros(n_window), np.cumsum(samples**2)])
+    return np.asarray(np.sqrt(np.maximum(energy[n_window:] - energy[:-n_window], 0.0) / n_window))
+
+
+def _find_excesses(
+    stimulus: Stimulus, rendered: NDArray[np.float32], rig: Rig
+) -> Iterator[_Excess]:
+    for actuator in rig.actuators:
+        samples = rendered[:, actuator.channel - 1].astype(np.float64)
+        if not samples.any():
+            continue
+        for limit, (asked, allowed) in _compare(
+            samples, stimulus.rate_hz, actuator=actuator, rig=rig
+        ).items():
+            if asked > allowed * (1 + ROUNDING):
+                yield _Excess(actuator.name, f"{limit} {allowed:g}", asked, stimulus.stimulus_id)
+
+
+def _compare(
+    samples: NDArray[np.float64], rate_hz: float, *, actuator: ActuatorTable, rig: Rig
+) -> dict[str, tuple[float, float]]:
+    """Set what a stimulus asks of an actuator against what is allowed."""
+    scale, limits = actuator.full_scale_m_s2, rig.limits
+    peak = float(np.abs(samples).max()) * scale
+    rms = float(slide_rms(samples, round(WINDOW_S * rate_hz)).max()) * scale
+    return {
+        "the actuator's full_scale_m_s2 of": (peak, scale),
+        "limits.peak_m_s2 of": (peak, limits.peak_m_s2),
+        "limits.rms_m_s2 of": (rms, limits.rms_m_s2),
+        "limits.duration_s of": (len(samples) / rate_hz, limits.duration_s),
+    }
+
+
+def _tell_excesses(excesses: Sequence[_Excess]) -> Iterator[str]:
+    def kind(excess: _Excess) -> tuple[str, str]:
+        return excess.actuator, excess.limit
+
+    for (actuator, limit), group in groupby(sorted(excesses, key=kind), key=kind):
+        worst = sorted(group, key=lambda excess: -excess.asked)
+        yield (
+            f"actuator {actuator!r}: {_name_some([excess.stimulus_id for excess in worst])}: got {worst[0].asked:.4g}, "
+            f"above {limit}; lower gain or headroom in study.toml and build again, or raise that if the coil allows it"
+        )
+
+
+def _name_some(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"

@@ -1,0 +1,103 @@
+"""`feel321 VERB [STUDY]`: the command line, and the one place where errors become exit codes.
+
+0 done, 1 could not, 2 wrong use, 130 interrupted. An error is one line on stderr.
+"""
+
+from __future__ import annotations
+
+import errno
+import sys
+from typing import TYPE_CHECKING
+
+import click
+
+from feel321.study import commands
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+DONE, COULD_NOT, WRONG_USE, INTERRUPTED = 0, 1, 2, 130
+
+RESUMED = {"build", "demo", "run", "simulate", "withdraw"}
+"""Verbs that go on, when called again, where they were interrupted."""
+
+
+class Interrupted(Exception):  # noqa: N818 - nothing went wrong
+    """Ctrl-C came while a verb ran; its name is the argument."""
+
+
+class _Verbs(click.Group):
+    """The verbs; what click says about Ctrl-C takes two lines, and it cannot know what goes on."""
+
+    def invoke(self, ctx: click.Context) -> object:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            raise Interrupted(ctx.invoked_subcommand) from None
+
+
+@click.group(
+    cls=_Verbs,
+    epilog="Begin with: feel321 demo",
+    commands=[getattr(commands, name) for name in commands.__all__],
+    no_args_is_help=False,
+)
+@click.version_option(package_name="feel321", prog_name="feel321")
+@click.option(
+    "--traceback",
+    is_flag=True,
+    hidden=True,
+    expose_value=False,
+    help="Show where an error comes from.",
+)
+def feel321() -> None:
+    """Find out whether match metrics of three-to-one vibration reduction predict what people feel."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one verb."""
+    arguments = sys.argv[1:] if arguments is None else list(arguments)
+    try:
+        code = feel321.main(args=arguments, prog_name="feel321", standalone_mode=False)
+    except click.UsageError as error:
+        return _complain(_hint(error), code=WRONG_USE)
+    except (Interrupted, click.Abort) as stop:
+        goes_on = (
+            "; what is done is kept, the same command goes on"
+            if RESUMED.intersection(stop.args)
+            else ""
+        )
+        return _complain(f"interrupted{goes_on}", code=INTERRUPTED)
+    except Exception as error:  # the last door: whatever it is, it is one line
+        if "--traceback" in arguments:
+            raise
+        return _complain(_describe(error), code=COULD_NOT)
+    return int(code or DONE)
+
+
+def _hint(error: click.UsageError) -> str:
+    path = error.ctx.command_path if error.ctx else "feel321"
+    return f"{error.format_message().rstrip('.')}; see: {path} --help"
+
+
+def _describe(error: Exception) -> str:
+    if not isinstance(error, (OSError, TypeError, ValueError)):
+        reason = " ".join(str(error).split())
+        return f"unexpected {type(error).__name__}: {reason}; run again with feel321 --traceback and report it"
+    # The system's own errors say what happened to which file, but not in our words.
+    if isinstance(error, OSError) and error.errno is not None:
+        place = "" if error.filename is None else f"{error.filename}: "
+        full = error.errno in {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+        remedy = (
+            "make room there and run again"
+            if full
+            else "check the name, and whether you may write there"
+        )
+        return f"{place}{error.strerror}; {remedy}"
+    return str(error)
+
+
+def _complain(message: str, *, code: int) -> int:
+    for line in message.splitlines():
+        click.echo(f"feel321: {line}", err=True)
+    return code

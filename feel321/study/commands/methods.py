@@ -1,0 +1,288 @@
+"""Verbs about reducers: chart, stress, advise."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from feel321.study.commands.shared import (
+    FILE,
+    json_option,
+    print_json,
+    report_warnings,
+    show_progress,
+    warn,
+)
+from feel321.study.folder import StudyFolder
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from feel321.analysis.tradeoff.advise.scene import Rated
+    from feel321.stimuli.recording import Recording
+
+    Verb = Callable[..., None]
+    Ratings = dict[str, dict[str, Rated]]
+
+# What the verbs about methods (chart, stress, advise) share: which recordings, where to, which seed.
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """What a verb about methods was asked to do."""
+
+    study: StudyFolder
+    scenes: bool
+    extra: tuple[Path, ...]
+    output: Path
+    seed: int
+
+    def gather(self) -> tuple[Recording, ...]:
+        """Gather what is asked for, conditioned, and report what is odd about it."""
+        recordings = self._gather(conditioned=True)
+        report_warnings(recordings)
+        return recordings
+
+    def gather_raw(self) -> dict[str, Recording]:
+        """Gather the same as it came from the sensor."""
+        return {recording.name: recording for recording in self._gather(conditioned=False)}
+
+    def _gather(self, *, conditioned: bool) -> tuple[Recording, ...]:
+        from feel321.study.analyze import gather_recordings
+
+        return gather_recordings(
+            self.study.path, scenes=self.scenes, extra=self.extra, conditioned=conditioned
+        )
+
+
+def method_options(output: str) -> Callable[[Verb], Verb]:
+    """Give a verb STUDY and the options that say which recordings; it receives `task` and `as_json`."""
+
+    def give(verb: Verb) -> Verb:
+        @click.argument("folder", metavar="[STUDY]", default=Path(), type=FILE)
+        @click.option(
+            "--scenes", is_flag=True, help="The bundled scenes too; then no study is needed."
+        )
+        @click.option(
+            "--recordings", "extra", type=FILE, multiple=True,
+            help="A recording from elsewhere too, or a folder of them; repeatable, and then no study is needed.",
+        )  # fmt: skip
+        @click.option(
+            "-o",
+            "--output",
+            "target",
+            type=FILE,
+            help=f"Folder of the results.  [default: STUDY/{output}]",
+        )
+        @click.option(
+            "--seed",
+            type=click.IntRange(min=0),
+            help="Of all randomness.  [default: the study's, or 0]",
+        )
+        @json_option
+        @wraps(verb)
+        def ask_then_do(
+            *,
+            folder: Path,
+            scenes: bool,
+            extra: tuple[Path, ...],
+            target: Path | None,
+            seed: int | None,
+            **own: object,
+        ) -> None:
+            from feel321.analysis.report.folder import check_target
+
+            study, output_folder = _find_folder(folder), target or folder / output
+            check_target(output_folder)
+            chosen = _find_seed(study) if seed is None else seed
+            verb(task=Task(study, scenes, extra, output_folder, chosen), **own)
+
+        return ask_then_do
+
+    return give
+
+
+def _find_folder(folder: Path) -> StudyFolder:
+    if not folder.is_dir():
+        raise NotADirectoryError(f"{folder}: got no folder, allowed is a study's; check the name")
+    return StudyFolder(folder)
+
+
+def _find_seed(study: StudyFolder) -> int:
+    from feel321.study.settings.read import read_settings
+
+    return read_settings(study.settings).study.seed if study.settings.is_file() else 0
+
+
+# The verb that sets the speed of every reducer against its accuracy.
+
+
+@click.command(epilog="Example: feel321 chart my-study --scenes")
+@method_options("chart")
+@click.option(
+    "--full/--quick",
+    help="Whole recordings, 200 orientations, signals up to 10^7 samples; takes many times as long.  [default: quick]",
+)
+def chart(*, task: Task, full: bool, as_json: bool) -> None:
+    """Set the speed of every reducer against its accuracy.
+
+    Writes a page to explore, figures for print, CSV and JSON. Times are measured on this machine: leave it idle.
+    """
+    from feel321.analysis.tradeoff.chart.compute import FULL, QUICK, compute_chart
+    from feel321.analysis.tradeoff.chart.page import write_chart
+    from feel321.study.analyze import find_ratings
+
+    recordings, ratings = task.gather(), find_ratings(task.study)
+    with show_progress("chart") as progress:
+        measured = compute_chart(
+            recordings,
+            ratings=ratings,
+            effort=FULL if full else QUICK,
+            seed=task.seed,
+            progress=progress,
+        )
+    write_chart(measured, task.output)
+    if as_json:
+        click.echo((task.output / "results.json").read_text(encoding="utf-8"))
+    else:
+        click.echo(task.output / "index.html")
+
+
+# The verb stress: its work is done in analysis/tradeoff/stress.
+
+
+@click.command(epilog="Example: feel321 stress my-study --scenes")
+@method_options("stress")
+def stress(*, task: Task, as_json: bool) -> None:
+    """Find where methods fail, how badly, and which recordings come near.
+
+    Every reducer meets a battery of scenes: anti-phase axes, circular motion, clipping, gaps and so on. Each figure
+    comes with its limit, each failure with its explanation: index.html, results.json, tables/*.csv, figures/stress.
+    """
+    from feel321.analysis.tradeoff.stress.run import stress_reducers, write_stress
+
+    recordings, sensor = task.gather(), task.gather_raw()
+    with show_progress("stress") as progress:
+        result = stress_reducers(recordings, sensor=sensor, seed=task.seed, progress=progress)
+    page = write_stress(result, task.output)
+    for name, lines in result.warnings.items():
+        for line in lines:
+            warn(f"{name}: {line}")
+    click.echo(
+        (page.parent / "results.json").read_text(encoding="utf-8") if as_json else page,
+        nl=not as_json,
+    )
+
+
+# The verb advise: its work is done in analysis/tradeoff/advise.
+
+
+@click.command(epilog="Example: feel321 advise my-study --scenes --online --latency-ms 45")
+@method_options("advice")
+@click.option("--online", is_flag=True, help="The reducer runs while the vibration is made.")
+@click.option(
+    "--latency-ms",
+    type=float,
+    help="Longest delay online, of reducer, block and device, in ms.  [default: 45]",
+)
+@click.option(
+    "--block-ms",
+    type=float,
+    help="Length of a block online, in ms.  [default: 64 samples at 48 kHz, 1.33]",
+)
+@click.option(
+    "--device-ms",
+    type=float,
+    help="Delay of sensor, driver and actuator online, in ms.  [default: 5]",
+)
+@click.option(
+    "--mounting",
+    type=click.Choice(["any", "recorded"]),
+    default="any",
+    show_default=True,
+    help="Whether advice must hold however the sensor is mounted, or for the mounting that was recorded.",
+)
+@click.option(
+    "--axes",
+    type=int,
+    default=1,
+    show_default=True,
+    help="Axes that the actuator can move, 1 to 3.",
+)
+@click.option(
+    "--tolerance", type=float, help="Weber fraction of energy that nobody feels.  [default: 0.22]"
+)
+@click.option("--segment", "segment_s", type=float, help="Advise for segments of so many seconds.")
+def advise(  # noqa: PLR0913 - every option has a name of its own
+    *,
+    task: Task,
+    as_json: bool,
+    online: bool,
+    latency_ms: float | None,
+    block_ms: float | None,
+    device_ms: float | None,
+    mounting: str,
+    axes: int,
+    tolerance: float | None,
+    segment_s: float | None,
+) -> None:
+    """Name the simplest sufficient reducer for every scene.
+
+    The first, by simplicity, that is equivalent to the best within tolerance, by metrics, in every segment of 2 s and
+    however the sensor is mounted; and by ratings where the study has them.
+    """
+    from feel321.analysis.tradeoff.advise.page import advise_recordings, write_advice
+    from feel321.analysis.tradeoff.advise.scene import Context, Tolerance, check_segment
+
+    given = {"block_ms": block_ms, "device_ms": device_ms, "latency_ms": latency_ms}
+    with _as_options():
+        limits = Tolerance() if tolerance is None else Tolerance(tolerance)
+        times = {name: value for name, value in given.items() if value is not None}
+        context = Context(online=online, axes=axes, tolerance=limits, mounting=mounting, **times)
+        segment = None if segment_s is None else check_segment(segment_s)
+    recordings, ratings = task.gather(), _hear(task.study)
+    with show_progress("advise") as progress:
+        study = advise_recordings(
+            recordings,
+            context,
+            seed=task.seed,
+            segment_s=segment,
+            ratings=ratings,
+            progress=progress,
+        )
+        content = write_advice(study, task.output)
+    if as_json:
+        print_json(content)
+        return
+    for advice in study.advices:
+        click.echo(advice.line)
+    for line in filter(None, (study.summary, study.note)):
+        click.echo(line)
+    click.echo(task.output / "index.html")
+
+
+@contextmanager
+def _as_options() -> Iterator[None]:
+    """Turn what is wrong with a value into what is wrong with the option of that name."""
+    try:
+        yield
+    except ValueError as error:
+        raise click.UsageError(f"--{error}") from None
+
+
+def _hear(study: StudyFolder) -> Ratings | None:
+    """Read what people said, if they have said something."""
+    from feel321.analysis.tradeoff.advise.ratings import judge_ratings
+    from feel321.study.analyze import find_ratings
+    from feel321.study.settings.read import read_settings
+
+    table = find_ratings(study)
+    if table is None:
+        return None
+    margin = read_settings(study.settings).analysis.margin if study.settings.is_file() else None
+    return judge_ratings(table, margin=margin)

@@ -1,0 +1,195 @@
+"""Participants who leave: one who withdraws takes all data along, one who is given up leaves them.
+
+Either way the slot is free for the next. A withdrawal that is broken off at any instant has left everything as it
+was, or a tombstone that says so; the same call finishes it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from feel321.study.files import sync_folder
+from feel321.study.ledger.database import Entry, check_anchors, read_anchor
+from feel321.study.ledger.rebuilding import (
+    LOCK_FILE,
+    REMOVED,
+    REMOVING,
+    Tombstone,
+    make_entry,
+    open_study_ledger,
+    read_tombstone,
+    write_tombstone,
+)
+from feel321.study.ledger.slots import (
+    ROSTER_FILE,
+    read_ledger,
+    read_standing,
+    rewrite_ledger,
+    write_roster,
+)
+from feel321.study.session.journal import require_journal
+from feel321.study.session.opening import TOMBSTONE_FILE
+from feel321.study.session.plan import find_header, has_event, list_journals
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from contextlib import AbstractContextManager
+    from pathlib import Path
+
+    from sqlalchemy import Engine
+
+    from feel321.study.folder import StudyFolder
+    from feel321.study.session.journal import Clock, Journal
+
+
+def withdraw_participant(
+    study: StudyFolder,
+    participant: str,
+    *,
+    now: Clock,
+    reason: str = "",
+    warn: Callable[[str], None] | None = None,
+) -> list[str]:
+    """Remove the data of a participant for good; a tombstone keeps the code from being used again."""
+    ledger, notice = open_study_ledger(study, now=now)
+    entry = _require_entry(ledger, participant)
+    folder = study.sessions / participant
+    if (found := read_tombstone(folder)) and found.state == REMOVED and entry.state == "withdrawn":
+        raise ValueError(f"participant {participant}: withdrew at {found.utc}, all data are gone")
+    folder.mkdir(parents=True, exist_ok=True)
+    with _hold(folder):
+        tombstone = _settle_tombstone(folder, entry, reason=reason, now=now)
+        removed = _remove_data(folder)
+        warnings = [notice, *_renew_tables(study)]
+        _enter(ledger, Entry(participant, entry.simulated, entry.number, "withdrawn"))
+        write_tombstone(folder, replace(tombstone, state=REMOVED))
+    (folder / LOCK_FILE).unlink(missing_ok=True)
+    if warn is not None:
+        for warning in filter(None, warnings):
+            warn(warning)
+    return removed
+
+
+def release_participant(study: StudyFolder, participant: str, *, now: Clock) -> int:
+    """Give a participant up who will not come back: the slot is free again, what was recorded is kept.
+
+    Of one who never began there is nothing to keep: the plan goes, and the code may be used again.
+    """
+    ledger, _ = open_study_ledger(study, now=now)
+    entry = _require_entry(ledger, participant)
+    folder = study.sessions / participant
+    if read_tombstone(folder) is not None:
+        raise ValueError(f"participant {participant}: withdrew, there is nothing to release")
+    if entry.state == "released":
+        raise ValueError(
+            f"participant {participant}: was released before; number {entry.number} is free"
+        )
+    folder.mkdir(parents=True, exist_ok=True)
+    with _hold(folder):
+        check_anchors(entry.anchors, folder)
+        journal = _open_newest(folder, now=now)
+        if journal is not None:
+            _write_release(journal, participant)
+            _enter(ledger, make_entry(read_standing(folder)))
+            return entry.number
+        _remove_data(folder)
+        _enter(ledger, None, instead_of=participant)
+    (folder / LOCK_FILE).unlink(missing_ok=True)
+    folder.rmdir()
+    return entry.number
+
+
+def _require_entry(ledger: Engine, participant: str) -> Entry:
+    entries = {entry.participant: entry for entry in read_ledger(ledger)}
+    if participant not in entries:
+        known = ", ".join(entries) or "nobody yet"
+        raise ValueError(f"participant: got {participant!r}, the ledger knows: {known}")
+    return entries[participant]
+
+
+def _hold(folder: Path) -> AbstractContextManager[None]:
+    from feel321.stimuli.lock import hold_lock
+
+    return hold_lock(
+        folder / LOCK_FILE, busy="a session is running here; let it finish or stop it first"
+    )
+
+
+def _settle_tombstone(folder: Path, entry: Entry, *, reason: str, now: Clock) -> Tombstone:
+    """Write the tombstone, or go on with the one of a withdrawal that was broken off."""
+    tombstone = read_tombstone(folder)
+    if tombstone is None:
+        journals = tuple(read_anchor(path) for path in list_journals(folder))
+        utc = now().isoformat(timespec="seconds")
+        tombstone = Tombstone(
+            entry.participant, entry.number, entry.simulated, utc, reason, journals, REMOVING
+        )
+        write_tombstone(folder, tombstone)
+    return tombstone
+
+
+def _remove_data(folder: Path) -> list[str]:
+    """Remove all that lies in a folder, but for its tombstone and the lock that is held."""
+    kept = {folder / TOMBSTONE_FILE, folder / LOCK_FILE}
+    found = [path for path in sorted(folder.rglob("*"), reverse=True) if path not in kept]
+    for path in found:
+        if path.is_dir() and not path.is_symlink():
+            path.rmdir()
+        else:
+            path.unlink()
+    sync_folder(folder)
+    return sorted(str(path.relative_to(folder)) for path in found)
+
+
+def _renew_tables(study: StudyFolder) -> Iterator[str]:
+    """Write anew, without the participant, the tables that are there; yield what is to be done by hand."""
+    from feel321.stimuli.sets.manifest import read_stimuli
+    from feel321.study.ratings import write_ratings
+
+    roster = study.path / ROSTER_FILE
+    tables: dict[Path, Callable[[], object]] = {
+        study.ratings: lambda: write_ratings(study, read_stimuli(study.stimuli)),
+        roster: lambda: write_roster(study),
+    }
+    for path, write in tables.items():
+        # What a kill may have left of an earlier writing.
+        for unfinished in path.parent.glob(f".{path.name}.*.part"):
+            unfinished.unlink()
+        if path.exists():
+            try:
+                write()
+            except (OSError, ValueError) as error:
+                # A derived table can be made again; the data of someone who withdrew may not stay.
+                path.unlink()
+                yield f"{path}: was removed, for it could not be written anew ({error})"
+    if study.report.exists():
+        yield f"{study.report}: still holds the participant's data; write it anew: feel321 analyze"
+
+
+def _enter(ledger: Engine, entry: Entry | None, *, instead_of: str = "") -> None:
+    name = entry.participant if entry else instead_of
+
+    def change(known: list[Entry]) -> list[Entry]:
+        return [other for other in known if other.participant != name] + ([entry] if entry else [])
+
+    rewrite_ledger(ledger, change)
+
+
+def _open_newest(folder: Path, *, now: Clock) -> Journal | None:
+    """Open the newest journal; None if no session was ever begun."""
+    journals = list_journals(folder)
+    journal = require_journal(journals[-1], now=now) if journals else None
+    if journal is None or (len(journals) == 1 and not find_header(journal.records)):
+        return None
+    return journal
+
+
+def _write_release(journal: Journal, participant: str) -> None:
+    if has_event(journal.records, "finished"):
+        raise ValueError(
+            f"participant {participant}: has finished, the slot is used up; to remove the data: feel321 withdraw"
+        )
+    # After a crash, the journal may know already what the ledger does not.
+    if not has_event(journal.records, "released"):
+        journal.write("released", {})

@@ -1,0 +1,591 @@
+"""Sessions, simulated and real: who takes part, with which plan, on which screen and actuators.
+
+What simulated and real sessions have in common; only who presents differs.
+
+Device and window are opened only once the journal has its header. What can be known to be missing or wrong before
+that is refused before the participant gets a number.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import sys
+from concurrent.futures import CancelledError, ThreadPoolExecutor, as_completed
+from contextlib import ExitStack, closing, contextmanager, nullcontext
+from dataclasses import dataclass
+from functools import partial
+from importlib.util import find_spec
+from itertools import count, islice
+from shlex import quote
+from threading import Event, Lock
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+from feel321.protocols.texts import read_scales
+from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.study.actuator.rig import FILE_DEVICE, identify, read_rig, take_device
+from feel321.study.ledger.database import check_anchors
+from feel321.study.ledger.rebuilding import open_study_ledger
+from feel321.study.ledger.slots import claim_slots, note_progress, read_ledger
+from feel321.study.observer.judging import SPECTRAL, ObserverModel, Touch, expect_rating
+from feel321.study.observer.participant import Participant, SimulatedObserver, identify_observer
+from feel321.study.observer.percepts import read_percepts
+from feel321.study.provenance import find_changes
+from feel321.study.session.engine import Outcome, Stage, run_session
+from feel321.study.session.journal import read_journal
+from feel321.study.session.opening import TOMBSTONE_FILE, open_session
+from feel321.study.session.plan import find_elapsed, has_event, list_codes, list_journals, make_plan
+from feel321.study.settings.read import (
+    find_language,
+    list_surfaces,
+    make_design,
+    make_identity,
+    make_recipe,
+    make_stale,
+    read_settings,
+    read_study_texts,
+)
+from feel321.study.strength import find_unfelt
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from contextlib import AbstractContextManager
+    from pathlib import Path
+
+    from sqlalchemy import Engine
+
+    from feel321.protocols.trial import Scale
+    from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
+    from feel321.study.actuator.output import Output
+    from feel321.study.actuator.rig import Rig
+    from feel321.study.folder import StudyFolder
+    from feel321.study.observer.percepts import Percept
+    from feel321.study.screen.parts import Hand
+    from feel321.study.session.journal import Clock, Journal
+    from feel321.study.session.opening import Stale
+    from feel321.study.session.plan import Plan
+    from feel321.study.session.ports import Place, Presenter
+    from feel321.study.settings.schema import Settings
+
+    MakePresenter = Callable[
+        [Plan, Journal, Mapping[str, Stimulus]], AbstractContextManager[Presenter]
+    ]
+    Progress = Callable[[int, int], None]
+
+# Leading one participant through a session, with the ledger kept beside the journal.
+
+TRIALS_BETWEEN_NOTES = 25
+"""How far the ledger may be behind the journals of simulated participants; it follows real ones trial by trial."""
+
+
+@dataclass(frozen=True, slots=True)
+class Room:
+    """What the sessions of a study share."""
+
+    study: StudyFolder
+    stimuli: StimulusSet
+    scales: Mapping[str, Scale]
+    ledger: Engine
+    stale: Stale
+    now: Clock
+
+
+def lead_session(
+    room: Room,
+    plan: Plan,
+    *,
+    identity: Mapping[str, Any],
+    make_presenter: MakePresenter,
+    on_step: Callable[[Place], None] | None = None,
+) -> tuple[Outcome, str]:
+    """Begin or resume the session of one participant and lead it as far as it goes."""
+    folder = room.study.sessions / plan.participant
+    _check_whole(room, folder)
+    with open_session(folder, plan, identity=identity, now=room.now, stale=room.stale) as (
+        stored,
+        journal,
+    ):
+        codes = list_codes(room.stimuli, seed=stored.seed)
+        by_code = {codes[row.stimulus_id]: row for row in room.stimuli.stimuli}
+        keeper = _Keeper(
+            room.ledger, journal, every=TRIALS_BETWEEN_NOTES if stored.simulated else 1
+        )
+
+        def note(place: Place) -> None:
+            keeper.see(place)
+            if on_step is not None:
+                on_step(place)
+
+        with ExitStack() as stack:
+            stack.callback(keeper.write)
+            presenter = stack.enter_context(make_presenter(stored, journal, by_code))
+            stage = Stage(presenter, by_code, room.scales, journal, stored.flow)
+            outcome = run_session(stored, stage, on_step=note)
+        return outcome, "; ".join(filter(None, (journal.notice, keeper.notice)))
+
+
+def _check_whole(room: Room, folder: Path) -> None:
+    """Refuse to go on with a journal of which less is there than was seen."""
+    for entry in read_ledger(room.ledger, folder.name):
+        check_anchors(entry.anchors, folder)
+
+
+@dataclass(slots=True)
+class _Keeper:
+    """Notes in the ledger how far a session has come: at its opening, now and then, and at its end.
+
+    The journal is the truth: a ledger that cannot be written is told, and ends nobody's session.
+    """
+
+    ledger: Engine
+    journal: Journal
+    every: int
+    place: Place | None = None
+    noted: int | None = None
+    notice: str = ""
+
+    def see(self, place: Place) -> None:
+        self.place = place
+        if self.noted is None or place.done - self.noted >= self.every:
+            self.write()
+
+    def write(self) -> None:
+        if self.place is None:
+            return
+        self.noted = self.place.done
+        try:
+            self._note(self.place)
+        except (OSError, ValueError) as error:
+            self.notice = str(error)
+        else:
+            self.notice = ""
+
+    def _note(self, place: Place) -> None:
+        note_progress(
+            self.ledger,
+            self.journal.path.parent.name,
+            journal=self.journal.path.name,
+            lines=len(self.journal.records),
+            tip=self.journal.tip,
+            done=place.done,
+            total=place.total,
+            state="finished" if has_event(self.journal.records, "finished") else "running",
+        )
+
+
+# What comes before a session, simulated or real: the right stimulus set, the ledger, a number, a plan.
+
+
+def require_current_set(study: StudyFolder, settings: Settings) -> None:
+    """Demand the stimulus set that the settings ask for; no recording is read for it."""
+    named = dict.fromkeys(entry.title for entry in settings.recordings)
+    if changes := find_changes(study.stimuli, make_recipe(settings), named):
+        raise ValueError(
+            "\n".join(f"{change}; run feel321 build {quote(str(study.path))}" for change in changes)
+        )
+
+
+def list_rig_problems(
+    study: StudyFolder, rig: Rig, *, settings: Settings, stimuli: StimulusSet
+) -> list[str]:
+    """List what keeps a rig from playing the stimuli of a study as they are."""
+    from feel321.study.actuator.render import find_mix, find_rig_problems
+
+    try:
+        find_mix(rig)
+    except ValueError as error:
+        return [f"{study.rig.name}: {error}"]
+    own = settings.rig
+    problems = find_rig_problems(
+        rig, stimuli, rate_hz=own.rate_hz, full_scale_m_s2=own.full_scale_m_s2
+    )
+    return [f"{study.rig.name}: {problem}" for problem in problems]
+
+
+def open_room(
+    study: StudyFolder, settings: Settings, stimuli: StimulusSet, *, now: Clock
+) -> tuple[Room, str]:
+    """Open what the sessions of a study share."""
+    ledger, notice = open_study_ledger(study, now=now)
+    scales = read_scales(find_language(settings, study.path))
+    return Room(study, stimuli, scales, ledger, make_stale(settings), now), notice
+
+
+def plan_sessions(
+    room: Room, settings: Settings, participants: Sequence[str], *, simulated: bool
+) -> list[Plan]:
+    """Give participants their numbers in the design, and plan their sessions."""
+    numbers = claim_slots(room.ledger, participants, simulated=simulated, now=room.now)
+    design = make_design(settings)
+    return [
+        make_plan(design, room.stimuli, name, number=numbers[name], simulated=simulated)
+        for name in participants
+    ]
+
+
+# Who the simulated participants of a study are: the same person whether a mind alone takes part, or with a hand.
+
+NUMBERED = re.compile(r"sim(\d+)")
+"""Codes that hold the person's number."""
+
+
+@dataclass(frozen=True, slots=True)
+class Casting:
+    """What makes the simulated participants of a study."""
+
+    model: ObserverModel
+    seed: int
+    percepts: Mapping[str, Percept]
+
+
+def find_planted(settings: Settings, stimuli: StimulusSet) -> dict[str, float]:
+    """Compute the slopes that simulated participants plant in realism ratings, after the ends of the scale.
+
+    Returns metric -> points per +0.1 within recordings, of the mean ratings of careful
+    participants.
+    """
+    import numpy as np
+
+    model = _make_model(settings)
+    tests = [stimulus for stimulus in stimuli.stimuli if stimulus.role == "test"]
+    if model.uses_percepts or "realism" not in settings.session.protocols or not tests:
+        return {}
+    touch = Touch(model, {})
+    points = [touch.locate(stimulus) for stimulus in tests]
+    ratings = expect_rating(model, [touch.feel(point) for point in points])
+    values = np.array([
+        [point.spectral, point.temporal, rating]
+        for point, rating in zip(points, ratings, strict=True)
+    ])
+    arms = np.unique(
+        [f"{stimulus.recording}/{stimulus.level}" for stimulus in tests], return_inverse=True
+    )[1]
+    for arm in range(arms.max() + 1):
+        values[arms == arm] -= values[arms == arm].mean(axis=0)
+    slopes = np.linalg.lstsq(values[:, :2], values[:, 2], rcond=None)[0] / 10
+    return dict(zip((model.spectral_metric, "temporal_match"), slopes.tolist(), strict=True))
+
+
+def _make_model(settings: Settings) -> ObserverModel:
+    declared = [name for name in settings.analysis.metrics if name in SPECTRAL]
+    return ObserverModel(
+        **settings.observer.model_dump(), spectral_metric=(declared or SPECTRAL)[0]
+    )
+
+
+def cast_observers(settings: Settings, stimuli: StimulusSet, *, seed: int) -> Casting:
+    """Read off from a study how its simulated participants feel: by the spectral match that it declares."""
+    model = _make_model(settings)
+    return Casting(model, seed, read_percepts(stimuli) if model.uses_percepts else {})
+
+
+def tell_person(participant: str) -> int:
+    """Tell which person has a code; one code belongs to one person for ever, its number in the design may not.
+
+    Examples
+    --------
+    >>> tell_person("sim007"), tell_person("p07") == tell_person("p07"), tell_person("p07") == tell_person("p08")
+    (7, True, False)
+    """
+    if numbered := NUMBERED.fullmatch(participant):
+        return int(numbered[1])
+    return int.from_bytes(hashlib.sha256(participant.encode()).digest()[:8], "big")
+
+
+# Whole studies with simulated participants, through the engine that real sessions use.
+
+SIDE_BY_SIDE = 8
+"""Sessions at a time: each waits for the disk after every record, and a disk syncs several files at once."""
+
+
+@dataclass(frozen=True, slots=True)
+class Simulation:
+    """A study that simulated participants take part in."""
+
+    study: StudyFolder
+    settings: Settings
+    stimuli: StimulusSet
+    seed: int
+    now: Clock
+
+
+def run_simulation(
+    simulation: Simulation, participants: int, *, progress: Progress | None = None
+) -> list[str]:
+    """Lead simulated participants through their sessions; finished ones are kept, broken ones resumed."""
+    settings = simulation.settings
+    room, notice = open_room(simulation.study, settings, simulation.stimuli, now=simulation.now)
+    names = list_participants(simulation.study, participants)
+    plans = plan_sessions(room, settings, names, simulated=True)
+    casting = cast_observers(settings, simulation.stimuli, seed=simulation.seed)
+    notices = [notice] if notice else []
+    tally = _Tally(plans, progress)
+    pool = ThreadPoolExecutor(SIDE_BY_SIDE)
+    try:
+        sessions = [
+            pool.submit(
+                _run, plan, settings, room, casting=casting, count=partial(tally.take, place)
+            )
+            for place, plan in enumerate(plans)
+        ]
+        notices += [notice for session in as_completed(sessions) if (notice := session.result())]
+    finally:
+        # After an error or Ctrl-C the other sessions end with the trial that they are in.
+        tally.stop.set()
+        pool.shutdown(cancel_futures=True)
+    return sorted(notices)
+
+
+def list_participants(study: StudyFolder, number: int) -> list[str]:
+    """Name simulated participants, passing over those who were released or withdrawn."""
+    names = (f"sim{place:03d}" for place in count(1))
+    return list(islice((name for name in names if not _is_gone(study.sessions / name)), number))
+
+
+class _Tally:
+    """Counts trials over all sessions, and ends those that run when one has failed."""
+
+    def __init__(self, plans: Sequence[Plan], progress: Progress | None) -> None:
+        self.stop = Event()
+        self._progress = progress
+        self._done = [0] * len(plans)
+        self._total = sum(trial.phase == "main" for plan in plans for trial in plan.trials)
+        self._counting = Lock()
+
+    def take(self, place: int, done: int) -> None:
+        if self.stop.is_set():
+            raise CancelledError
+        with self._counting:
+            is_news, self._done[place] = done != self._done[place], done
+            if is_news and self._progress is not None:
+                self._progress(sum(self._done), self._total)
+
+
+def _run(
+    plan: Plan, settings: Settings, room: Room, *, casting: Casting, count: Callable[[int], None]
+) -> str:
+    presenter = identify_observer(casting.model, seed=casting.seed)
+    _, notice = lead_session(
+        room,
+        plan,
+        identity=make_identity(settings, room.study.path, presenter),
+        make_presenter=partial(_make_observer, casting=casting),
+        on_step=lambda place: count(place.done),
+    )
+    return notice
+
+
+@contextmanager
+def _make_observer(
+    plan: Plan, journal: Journal, stimuli: Mapping[str, Stimulus], *, casting: Casting
+) -> Iterator[SimulatedObserver]:
+    observer = SimulatedObserver(
+        casting.model,
+        seed=casting.seed,
+        number=tell_person(plan.participant),
+        percepts=casting.percepts,
+        elapsed_s=find_elapsed(journal.records),
+    )
+    observer.recall(journal.records, plan.trials, stimuli=stimuli)
+    yield observer
+
+
+def _is_gone(folder: Path) -> bool:
+    if (folder / TOMBSTONE_FILE).exists():
+        return True
+    journals = list_journals(folder)
+    return bool(journals) and has_event(read_journal(journals[-1]).records, "released")
+
+
+# The lab as a participant finds it: who comes, what is demanded before, and how screen and actuators are opened.
+
+DELIVERED = "delivered"
+"""Folder, in the participant's, of what was rendered or measured at each playback."""
+
+INSTALL = "install it from feel321's source folder: pip install -c constraints.txt '.[rig]'"
+
+
+@dataclass(frozen=True, slots=True)
+class Lab:
+    """What a participant finds ready."""
+
+    study: StudyFolder
+    settings: Settings
+    stimuli: StimulusSet
+    rig: Rig
+    windowed: bool = False
+    casting: Casting | None = None
+
+
+def check_lab(rig: Rig) -> None:
+    """Demand what can be known to be there before anything is opened."""
+    needed = ["psychopy"] if rig.device.name == FILE_DEVICE else ["psychopy", "sounddevice"]
+    if missing := [name for name in needed if find_spec(name) is None]:
+        raise OSError(f"run: {' and '.join(missing)} not found, which sessions need; {INSTALL}")
+    if sys.platform == "linux" and not os.environ.get("DISPLAY"):
+        raise OSError(
+            "run: got no display (DISPLAY is not set); run it on the lab's own screen, or under xvfb-run"
+        )
+    if rig.device.name != FILE_DEVICE:
+        _require_device(rig)
+
+
+def _require_device(rig: Rig) -> None:
+    """Demand the device before its name stands in the header of a session that could not go on with another one."""
+    from feel321.study.actuator.stream import check_channels, find_device, list_devices
+
+    check_channels(find_device(list_devices(), rig.device.name, host_api=rig.device.host_api), rig)
+
+
+def identify_lab(lab: Lab) -> dict[str, Any]:
+    """Say what a session depends on besides its plan, for the header of its journal."""
+    who = (
+        {"simulated": False}
+        if lab.casting is None
+        else identify_observer(lab.casting.model, seed=lab.casting.seed)
+    )
+    return {**who, "rehearsal": lab.study.is_rehearsal, "rig": identify(lab.rig)}
+
+
+@contextmanager
+def open_lab(
+    plan: Plan, journal: Journal, stimuli: Mapping[str, Stimulus], *, lab: Lab
+) -> Iterator[Presenter]:
+    """Open the actuators and the screen, and close both whatever happens."""
+    from feel321.study.screen.parts import make_screen_texts
+    from feel321.study.screen.presenter import ScreenPresenter
+    from feel321.study.screen.window import open_screen
+
+    clock = start_clock(find_elapsed(journal.records))
+    texts = make_screen_texts(read_study_texts(lab.settings, lab.study.path))
+    surfaces = list_surfaces(lab.settings, lab.study.path)
+    with ExitStack() as stack:
+        output = stack.enter_context(_open_output(plan, lab=lab, clock=clock))
+        window = stack.enter_context(open_screen(clock=clock, windowed=lab.windowed))
+        hand = stack.enter_context(_open_hand(plan, journal, stimuli, casting=lab.casting))
+        journal.write("device", dict(output.identity))
+        yield ScreenPresenter(window, output, texts, clock=clock, surfaces=surfaces, hand=hand)
+
+
+def start_clock(elapsed_s: float) -> Callable[[], float]:
+    """Start the clock of a session where it stopped."""
+    start_s = perf_counter() - elapsed_s
+    return lambda: perf_counter() - start_s
+
+
+def _open_output(
+    plan: Plan, *, lab: Lab, clock: Callable[[], float]
+) -> AbstractContextManager[Output]:
+    """Open what the rig plays on, with every stimulus of the study rendered before."""
+    from feel321.study.actuator.render import render_set
+
+    rate_hz, full_scale_m_s2 = lab.settings.rig.rate_hz, lab.settings.rig.full_scale_m_s2
+    sounds = render_set(lab.stimuli, lab.rig, full_scale_m_s2=full_scale_m_s2)
+    folder = lab.study.sessions / plan.participant / DELIVERED
+    if lab.rig.device.name == FILE_DEVICE:
+        from feel321.study.actuator.output import FileOutput
+
+        return nullcontext(FileOutput(lab.rig, sounds, rate_hz=rate_hz, folder=folder, clock=clock))
+    from feel321.study.actuator.stream_output import open_stream
+
+    return open_stream(lab.rig, sounds, rate_hz=rate_hz, folder=folder, clock=clock)
+
+
+@contextmanager
+def _open_hand(
+    plan: Plan, journal: Journal, stimuli: Mapping[str, Stimulus], *, casting: Casting | None
+) -> Iterator[Hand | None]:
+    """Let a simulated participant sit down, who remembers what was answered before."""
+    if casting is None:
+        yield None
+        return
+    from feel321.study.screen.robot import PressingHand, XFingers
+
+    person = tell_person(plan.participant)
+    mind = Participant(casting.model, seed=casting.seed, number=person, percepts=casting.percepts)
+    mind.recall(journal.records, plan.trials, stimuli=stimuli)
+    with closing(XFingers()) as keyboard:
+        yield PressingHand(mind, keyboard, stimuli=stimuli, clock=perf_counter)
+
+
+# A real session: one participant before a screen, with the stylus in the hand.
+
+
+@dataclass(frozen=True, slots=True)
+class Visit:
+    """Who comes to the lab, and what is asked for."""
+
+    participant: str
+    windowed: bool = False
+    device: str | None = None
+    simulated: bool = False
+    seed: int | None = None
+
+
+def run_participant(
+    study: StudyFolder,
+    visit: Visit,
+    *,
+    now: Clock,
+    on_step: Callable[[Place], None] | None = None,
+    warn: Callable[[str], None] | None = None,
+) -> Outcome:
+    """Lead one participant through a session, or go on with it."""
+    settings, stimuli = read_settings(study.settings), read_stimuli(study.stimuli)
+    require_current_set(study, settings)
+    if unfelt := find_unfelt(settings, stimuli):
+        if not (study.is_rehearsal or visit.simulated):
+            raise ValueError(f"{study.settings}: {unfelt}")
+        (warn or (lambda _: None))(unfelt)
+    lab = _prepare_lab(study, visit, settings=settings, stimuli=stimuli)
+    room, notice = open_room(study, settings, stimuli, now=now)
+    plan = plan_sessions(room, settings, [visit.participant], simulated=visit.simulated)[0]
+    if (finished := _find_finished(room, plan)) is not None:
+        return finished
+    outcome, mended = lead_session(
+        room,
+        plan,
+        identity=make_identity(settings, study.path, identify_lab(lab)),
+        make_presenter=partial(open_lab, lab=lab),
+        on_step=on_step,
+    )
+    if warn is not None:
+        for line in filter(None, (notice, mended)):
+            warn(line)
+    return outcome
+
+
+def require_rig(
+    study: StudyFolder, settings: Settings, stimuli: StimulusSet, *, device: str | None
+) -> Rig:
+    """Read the rig, and demand that it can play the stimuli."""
+    if not study.rig.is_file():
+        raise FileNotFoundError(
+            f"{study.rig}: there is none; feel321 new DIR writes one, copy it from there and name your actuators in it"
+        )
+    rig = read_rig(study.rig)
+    if device is not None:
+        rig = take_device(rig, device)
+    if problems := list_rig_problems(study, rig, settings=settings, stimuli=stimuli):
+        raise ValueError("\n".join(problems))
+    return rig
+
+
+def _prepare_lab(
+    study: StudyFolder, visit: Visit, *, settings: Settings, stimuli: StimulusSet
+) -> Lab:
+    rig = require_rig(study, settings, stimuli, device=visit.device)
+    check_lab(rig)
+    seed = settings.study.seed if visit.seed is None else visit.seed
+    casting = cast_observers(settings, stimuli, seed=seed) if visit.simulated else None
+    return Lab(study, settings, stimuli, rig, windowed=visit.windowed, casting=casting)
+
+
+def _find_finished(room: Room, plan: Plan) -> Outcome | None:
+    """Find out whether there is nothing left to do, so that no window is opened for it."""
+    entries = read_ledger(room.ledger, plan.participant)
+    return next(
+        (Outcome(entry.done, entry.total) for entry in entries if entry.state == "finished"), None
+    )

@@ -1,0 +1,354 @@
+"""How strong the stimuli of a study are as its rig plays them: clipped, below threshold, or within reach.
+
+Everything here works on what a build would make (`feel321.stimuli.sets.build.foresee_stimuli`),
+whether it was made yet or not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import inf, log10
+from typing import TYPE_CHECKING
+
+from feel321.protocols.trial import SURFACE
+from feel321.stimuli.condition import condition
+from feel321.stimuli.sets.anchors import THRESHOLDS, to_db
+from feel321.stimuli.sets.build import foresee_stimuli
+from feel321.stimuli.sets.recipe import GAIN_PER_RECORDING, ONE_GAIN, ORIGINAL
+from feel321.stimuli.sets.render import find_headroom_cost
+from feel321.study.actuator.mixer import ROUNDING
+from feel321.study.actuator.render import (
+    EQUAL_DB,
+    find_directions,
+    find_mix,
+    original_energy,
+    reduced_energy,
+)
+from feel321.study.actuator.rig import AXES, REDUCED
+from feel321.study.settings.read import make_design, make_recipe, read_settings
+from feel321.study.settings.schema import ACCEPT
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from feel321.stimuli.recording import Recording
+    from feel321.stimuli.sets.build import Foreseen
+    from feel321.stimuli.sets.manifest import StimulusSet
+    from feel321.stimuli.sets.recipe import Recipe
+    from feel321.study.actuator.rig import Rig
+    from feel321.study.settings.schema import Settings
+
+# How strongly a study's stimuli are felt, before anybody feels them: sensation levels, gains, and what the rig does.
+
+WEAK_DB = 10.0
+"""Stimuli with a lower sensation level are named: they are felt, but hardly as what they are."""
+
+COSTLY_DB = 1.0
+"""A recording that takes less headroom from the others is not worth a line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """What was found, one line each."""
+
+    problems: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    figures: dict[str, object] = field(default_factory=dict)
+
+
+def find_strength(settings: Settings, foreseen: Sequence[Foreseen], recipe: Recipe) -> Findings:
+    """Find out how strongly the stimuli of a study will be felt."""
+    unfelt = list(_name_unfelt(foreseen, recipe))
+    is_accepted = settings.stimuli.below_threshold == ACCEPT
+    return Findings(
+        problems=[] if is_accepted else unfelt,
+        warnings=[
+            *(unfelt if is_accepted else []),
+            *_name_weak(foreseen, recipe),
+            *_compare_with_surface(settings, foreseen),
+        ],
+        notes=[*describe_gains(foreseen, recipe), *_list_levels(foreseen)],
+        figures={
+            "gain": recipe.gain,
+            "threshold": recipe.threshold,
+            "below_threshold": sum(_own_level(one, recipe) < 0 for one in foreseen),
+            "stimuli": len(foreseen),
+            "sensation_levels_db": {
+                recording: {curve: list(_find_range(own, curve)) for curve in THRESHOLDS}
+                for recording, own in _group(foreseen).items()
+            },
+        },
+    )
+
+
+def describe_gains(foreseen: Sequence[Foreseen], recipe: Recipe) -> list[str]:
+    """Say by which gains stimuli are played, and what one recording's peak costs the others."""
+    gains = [one.gain for one in foreseen if one.level == "as_is"]
+    scope = {ONE_GAIN: "one for the whole set", GAIN_PER_RECORDING: "one per recording"}
+    how = f"gain, {scope.get(str(recipe.gain), 'as given in study.toml')}"
+    lines = [f"{how}: {_write_range(gains)} m/s² played per m/s² recorded" if gains else how]
+    if recipe.gain != ONE_GAIN:
+        return lines
+    loudest = {name: max(own, key=_unit_peak) for name, own in _group(foreseen).items()}
+    recording, cost_db = find_headroom_cost({
+        name: _unit_peak(one) for name, one in loudest.items()
+    })
+    if cost_db < COSTLY_DB:
+        return lines
+    return [
+        *lines,
+        f"headroom: the peak of recording {recording!r} ({loudest[recording].reducer}) sets the gain; all other "
+        f'recordings are played {cost_db:.1f} dB weaker for it; gain = "{GAIN_PER_RECORDING}" avoids that',
+    ]
+
+
+def find_unfelt(settings: Settings, stimuli: StimulusSet) -> str:
+    """Say in one line that stimuli of a built set cannot be felt; empty if all can, or if that was accepted."""
+    levels = {row.stimulus_id: row.sensation_level_db for row in stimuli.stimuli}
+    weak = [name for name, level in levels.items() if not level >= 0]  # NaN stands for silence
+    if not weak or settings.stimuli.below_threshold == ACCEPT:
+        return ""
+    return (
+        f"{len(weak)} of {len(levels)} stimuli, such as {weak[0]}, are below the detection threshold and cannot be "
+        f'felt; feel321 check says what helps, or accept it: below_threshold = "{ACCEPT}" under [stimuli]'
+    )
+
+
+def describe_built(path: Path, recordings: Sequence[Recording], stimuli: StimulusSet) -> list[str]:
+    """Say after a build by which gains stimuli are played, and how many of them cannot be felt."""
+    settings = read_settings(path)
+    recipe = make_recipe(settings)
+    foreseen = foresee_stimuli(recordings, stimuli.folder, recipe=recipe)
+    return [*describe_gains(foreseen, recipe), *filter(None, [find_unfelt(settings, stimuli)])]
+
+
+def find_clipping(foreseen: Sequence[Foreseen], recipe: Recipe) -> list[str]:
+    """Find stimuli that are not built yet and will be limited at full scale: one line per recording."""
+    lines = []
+    for recording, own in _group(foreseen).items():
+        over = [
+            one.peak_m_s2 / recipe.full_scale_m_s2
+            for one in own
+            if one.peak_m_s2 > recipe.full_scale_m_s2
+        ]
+        if over:
+            lines.append(
+                f"recording {recording!r}: {len(over)} of {len(own)} stimuli will be clipped at full scale "
+                f"({recipe.full_scale_m_s2:g} m/s²), by up to {to_db(max(over)):.1f} dB; lower the gain or raise "
+                "full_scale_m_s2"
+            )
+    return lines
+
+
+def _group(foreseen: Sequence[Foreseen]) -> dict[str, list[Foreseen]]:
+    groups: dict[str, list[Foreseen]] = {}
+    for one in foreseen:
+        groups.setdefault(one.recording, []).append(one)
+    return groups
+
+
+def _unit_peak(one: Foreseen) -> float:
+    return one.peak_m_s2 / one.gain
+
+
+def _own_level(one: Foreseen, recipe: Recipe) -> float:
+    return one.sensation_levels_db[recipe.threshold]
+
+
+def _name_unfelt(foreseen: Sequence[Foreseen], recipe: Recipe) -> Iterator[str]:
+    for recording, own in _group(foreseen).items():
+        if weak := [one for one in own if _own_level(one, recipe) < 0]:
+            yield (
+                f"recording {recording!r}: {len(weak)} of {len(own)} stimuli below the detection threshold "
+                f"({recipe.threshold}), not to be felt: {_list_weak(weak, recipe)}; {_advise(own, weak, recipe)}, "
+                f'or accept it: below_threshold = "{ACCEPT}" under [stimuli]'
+            )
+
+
+def _name_weak(foreseen: Sequence[Foreseen], recipe: Recipe) -> Iterator[str]:
+    for recording, own in _group(foreseen).items():
+        if weak := [one for one in own if 0 <= _own_level(one, recipe) < WEAK_DB]:
+            yield (
+                f"recording {recording!r}: {len(weak)} of {len(own)} stimuli less than {WEAK_DB:g} dB over the "
+                f"detection threshold ({recipe.threshold}): {_list_weak(weak, recipe)}; {_advise(own, weak, recipe)}"
+            )
+
+
+def _list_weak(weak: Sequence[Foreseen], recipe: Recipe) -> str:
+    several = len({one.level for one in weak}) > 1 or len(recipe.levels) > 1
+
+    def describe(one: Foreseen) -> str:
+        level = _own_level(one, recipe)
+        name = f"{one.reducer} {one.level}" if several else one.reducer
+        return f"{name} silent" if level == -inf else f"{name} {write_db(level)} dB"
+
+    return ", ".join(describe(one) for one in sorted(weak, key=lambda one: _own_level(one, recipe)))
+
+
+def _advise(own: Sequence[Foreseen], weak: Sequence[Foreseen], recipe: Recipe) -> str:
+    """Say what helps weak stimuli of a recording: its own gain, a stronger rig, or leaving something out."""
+    room_db = (
+        energy_db(recipe.headroom * recipe.full_scale_m_s2, max(one.peak_m_s2 for one in own)) * 2
+    )
+    least = min((_own_level(one, recipe) for one in weak), default=0.0)
+    if least == -inf:
+        return "leave out the recording or these reducers"
+    if recipe.gain != GAIN_PER_RECORDING and room_db > COSTLY_DB:
+        helped = f'gain = "{GAIN_PER_RECORDING}" plays this recording {room_db:.1f} dB stronger'
+        if least + room_db >= WEAK_DB:
+            return helped
+        return f"{helped}; against what is still weak then, leave out these reducers or use a stronger rig"
+    return "leave out the recording or these reducers, or use a stronger rig (full_scale_m_s2)"
+
+
+def _compare_with_surface(settings: Settings, foreseen: Sequence[Foreseen]) -> Iterator[str]:
+    beside = [
+        task.protocol
+        for task in make_design(settings).tasks
+        if task.surface or task.reference == SURFACE
+    ]
+    gains = [one.gain for one in foreseen]
+    if beside and set(gains) != {1.0}:
+        yield (
+            f"tasks {', '.join(beside)}: the real surface is felt, but stimuli are played at {_write_range(gains)} "
+            'times the strength that was recorded; set gain = 1.0 and levels = ["as_is"] under [stimuli]'
+        )
+
+
+def _write_range(values: Sequence[float]) -> str:
+    ends = dict.fromkeys(f"{value:.3g}" for value in (min(values), max(values)))
+    return " to ".join(ends)
+
+
+def _find_range(own: Sequence[Foreseen], curve: str) -> tuple[float, float]:
+    levels = [one.sensation_levels_db[curve] for one in own]
+    return min(levels), max(levels)
+
+
+def _list_levels(foreseen: Sequence[Foreseen]) -> Iterator[str]:
+    """List the weakest and strongest stimulus of each recording under every threshold curve."""
+    width = max(len("recording"), *(len(one.recording) for one in foreseen))
+    yield "sensation levels, dB over the detection threshold in the loudest 200 ms, weakest to strongest stimulus:"
+    yield f"  {'recording':{width}}" + "".join(f"  {curve:>16}" for curve in THRESHOLDS)
+    for recording, own in _group(foreseen).items():
+        ranges = (
+            " to ".join(write_db(level) for level in _find_range(own, curve))
+            for curve in THRESHOLDS
+        )
+        yield f"  {recording:{width}}" + "".join(f"  {text:>16}" for text in ranges)
+
+
+def energy_db(energy: float, other: float) -> float:
+    """Give a ratio of energies in dB.
+
+    Returns 10 log10 of their ratio, infinite where one is 0.
+    """
+    return (
+        10 * log10(energy / other)
+        if energy > 0 and other > 0
+        else inf * (1 if energy > other else -1)
+    )
+
+
+def write_db(value: float) -> str:
+    """Write dB to one place, without -0.0."""
+    return "silent" if value == -inf else f"{round(value, 1) + 0.0:.1f}"
+
+
+# What a rig makes of the strength of stimuli: equal energy for one axis and for three, and peaks that it can play.
+
+
+def find_reach(rig: Rig, recordings: Sequence[Recording], recipe: Recipe) -> Findings:
+    """Compare the energy with which one-axis stimuli and the three-axis reference reach the hand."""
+    if recipe.reference != ORIGINAL:
+        return Findings()
+    directions, unknown = find_directions(rig)
+    if unknown:
+        return Findings(
+            warnings=[
+                f"actuators {', '.join(map(repr, unknown))}: no direction is known, so nobody can say whether one-axis "
+                "stimuli and the three-axis reference reach the hand with equal energy; add direction = [x, y, z] "
+                "to every actuator"
+            ]
+        )
+    mix = find_mix(rig)
+    reduced = reduced_energy(mix, directions)
+    differences = {
+        recording.name: energy_db(
+            reduced, original_energy(mix, directions, _covariance(recording, recipe))
+        )
+        for recording in recordings
+    }
+    name = max(differences, key=lambda name: abs(differences[name]))
+    figures: dict[str, object] = {"reduced_over_reference_db": differences}
+    worst = differences[name]
+    if abs(worst) < EQUAL_DB:
+        same = "one-axis stimuli and the three-axis reference reach the hand with equal energy"
+        return Findings(notes=[f"{same} (difference {write_db(worst)} dB)"], figures=figures)
+    return Findings(warnings=[_tell_apart(rig, worst, name, among=differences)], figures=figures)
+
+
+def find_rig_limits(rig: Rig, foreseen: Sequence[Foreseen], reference: str) -> list[str]:
+    """Find what a rig cannot play, by the peaks of stimuli that are not built yet."""
+    needed = (REDUCED, *AXES) if reference == ORIGINAL else (REDUCED,)
+    missing = [
+        source
+        for source in needed
+        if not any(source in actuator.plays for actuator in rig.actuators)
+    ]
+    remedy = "add it to `plays`, or name a reference in study.toml that the rig can play"
+    lines = [f"no actuator plays {', '.join(missing)}; {remedy}"] if missing else []
+    mix = find_mix(rig)
+    worst = max((one for one in foreseen if one.reducer != ORIGINAL), key=lambda one: one.peak_m_s2)
+    for actuator in rig.actuators:
+        asked = worst.peak_m_s2 * mix[actuator.name].get(REDUCED, 0.0)
+        limits = {
+            "limits.peak_m_s2": rig.limits.peak_m_s2,
+            "its full_scale_m_s2": actuator.full_scale_m_s2,
+        }
+        limit = min(limits, key=lambda name: limits[name])
+        if asked > limits[limit] * (1 + ROUNDING):
+            lines.append(
+                f"actuator {actuator.name!r}: {worst.recording} {worst.reducer} will ask for {asked:.4g} m/s², above "
+                f"{limit} of {limits[limit]:g}; lower gain or headroom in study.toml, or raise that if the coil allows"
+            )
+    return lines
+
+
+def _covariance(recording: Recording, recipe: Recipe) -> NDArray[np.float64]:
+    import numpy as np
+
+    acceleration = condition(recording, recipe.conditioning).acceleration
+    return np.asarray(np.einsum("in,jn->ij", acceleration, acceleration))
+
+
+def _tell_apart(rig: Rig, difference_db: float, recording: str, *, among: dict[str, float]) -> str:
+    """Put into words that strength tells the reference from reduced stimuli, and which weights would hide it."""
+    mix = find_mix(rig)
+    factor = 10 ** (-difference_db / 20)
+    weights = {
+        name: factors[REDUCED] * factor for name, factors in mix.items() if REDUCED in factors
+    }
+    how = ", ".join(f"{name!r} {weight:.4g}" for name, weight in weights.items())
+    where = (
+        ""
+        if max(among.values()) - min(among.values()) < EQUAL_DB
+        else f" in recording {recording!r}"
+    )
+    than = "stronger" if difference_db > 0 else "weaker"
+    remedy = f"set weight: {how}"
+    if not all(actuator.direction for actuator in rig.actuators):
+        remedy += (
+            "; or add direction = [x, y, z] to every actuator, then these weights are the default"
+        )
+    elif where:
+        remedy += ", or put the coils of x, y and z at right angles"
+    return (
+        f"one-axis stimuli reach the hand {abs(difference_db):.1f} dB {than} than the three-axis reference{where}, so "
+        f"that strength tells them apart; {remedy}"
+    )

@@ -1,1 +1,0 @@
-"""What the audit of a study verifies, one idea per module."""
