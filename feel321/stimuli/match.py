@@ -491,9 +491,8 @@ def temporal_match_details(
     """
     samples = admit(acceleration, 1.0 if rate_hz is None else rate_hz).samples
     signal = check_reduced(reduced, samples.shape)
-    if not is_safe(
-        largest(signal)
-    ):  # the reduced signal's strength does not matter, so it gets a scale of its own
+    # The reduced signal's strength does not matter, so it gets a scale of its own.
+    if not is_safe(largest(signal)):
         signal = np.ldexp(signal, -np.frexp(largest(signal))[1])
     correlations = axis_correlations(samples, signal)
     x, y, z = (float(r) for r in correlations)

@@ -189,10 +189,8 @@ def temporal_match_invariant(
     check_rate(1.0 if rate_hz is None else rate_hz)
     samples = check_acceleration(acceleration)
     signal = check_reduced(reduced, samples.shape)
-    (samples,), (signal,) = (
-        _bring_into_range(samples),
-        _bring_into_range(signal),
-    )  # each in its own unit
+    # Each in its own unit.
+    (samples,), (signal,) = (_bring_into_range(samples), _bring_into_range(signal))
     together = np.linalg.norm(np.einsum("in,n->i", samples, signal))
     scale = np.linalg.norm(samples) * np.linalg.norm(signal)
     if not samples.any():

@@ -82,9 +82,8 @@ def write_wav(path: str | Path, samples: ArrayLike, rate_hz: float) -> None:
         with unfinished.open("wb") as file:
             wavfile.write(file, rate, frames)
             file.flush()
-            os.fsync(
-                file.fileno()
-            )  # else a power cut may leave the name of the new file with nothing in it
+            # Else a power cut may leave the name of the new file with nothing in it.
+            os.fsync(file.fileno())
         unfinished.replace(target)
     finally:
         unfinished.unlink(missing_ok=True)

@@ -492,9 +492,8 @@ def _audit_stimuli(folder: Path) -> tuple[list[str], str | None]:
 
 def _audit_participant(folder: Path, stimuli_sha256: str | None) -> Iterator[str]:
     if (folder / TOMBSTONE_FILE).exists():
-        yield from find_leftovers(
-            folder
-        )  # Whether the withdrawal was finished is the ledger's business.
+        # Whether the withdrawal was finished is the ledger's business.
+        yield from find_leftovers(folder)
         return
     path = folder / PLAN_FILE
     try:

@@ -83,9 +83,8 @@ def test_every_method_takes_any_column(
     tidy: Callable[..., pd.DataFrame], method: str, column: str
 ) -> None:
     table = tidy()
-    table["spectral_match_sd"] = (
-        0.1 - 0.05 * table[SPECTRAL]
-    )  # as the statistics over sensor orientations
+    # As the statistics over sensor orientations.
+    table["spectral_match_sd"] = 0.1 - 0.05 * table[SPECTRAL]
     found = correlate(table, column, method=method, draws=100, rng=rng())
     compared = compare_metrics(table, SPECTRAL, column, method=method, draws=100, rng=rng())
     assert compared.second_value == found.value
@@ -204,9 +203,8 @@ def test_interval_within_covers_a_planted_correlation() -> None:
     generator, studies, covered = rng(78), 400, 0
     for _ in range(studies):
         table = simulate(generator)
-        planted = (
-            table["rating"] + 8 * table["metric"]
-        )  # to noise of stimuli, SD 8, and of people, SD 8 / sqrt(12)
+        # To noise of stimuli, SD 8, and of people, SD 8 / sqrt(12).
+        planted = table["rating"] + 8 * table["metric"]
         found = correlate(
             table.assign(rating=planted), "metric", method="within", draws=400, rng=generator
         )
@@ -280,9 +278,8 @@ def test_the_interval_of_few_participants_covers_too() -> None:
     covered = 0
     for _ in range(studies):
         table = simulate(generator, people=3, scenes=10)
-        slope = generator.normal(0, 6, 3)[
-            table["participant"]
-        ]  # people differ in what the metric means to them
+        # People differ in what the metric means to them.
+        slope = generator.normal(0, 6, 3)[table["participant"]]
         table["rating"] += slope * table["metric"]
         found = correlate(table, "metric", draws=200, rng=generator)
         covered += found.low <= 0 <= found.high

@@ -237,14 +237,10 @@ def test_weighted_kendall_is_scipys_of_the_written_out_sample(
 
 @pytest.mark.parametrize("method", ["spearman", "kendall"])
 def test_means_apart_by_rounding_only_are_ties(method: str) -> None:
-    ratings = np.array([
-        [0.1, 0.2, 0.3, 0.7],
-        [0.2, 0.1, 0.0, 0.1],
-        [0.3, 0.3, 0.3, 0.4],
-    ])  # 0.6, 0.6, 0.6, 1.2
-    assert (
-        len(set(ratings.sum(axis=0).tolist())) > 2
-    )  # the sums of the first three differ in the last digit
+    # 0.6, 0.6, 0.6, 1.2.
+    ratings = np.array([[0.1, 0.2, 0.3, 0.7], [0.2, 0.1, 0.0, 0.1], [0.3, 0.3, 0.3, 0.4]])
+    # The sums of the first three differ in the last digit.
+    assert len(set(ratings.sum(axis=0).tolist())) > 2
     items = Items(tuple("abcd"), ratings, np.array([[1.0, 2, 3, 4]]), np.zeros(4, int))
     found = correlate_draws(items, method, participants=np.ones((1, 3)), recordings=np.ones((1, 1)))
     assert found[0, 0] == pytest.approx(REFERENCE[method]([1, 2, 3, 4], [1, 1, 1, 2]).statistic)

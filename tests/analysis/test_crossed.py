@@ -59,9 +59,8 @@ def test_against_lme4(expected: dict[str, Any]) -> None:
     assert fit.singular is expected["singular"]
     got = fit.variances.set_index(["group", "term"])["sd"].to_dict()
     assert set(got) == {(group, term) for group, term, _ in expected["spreads"]}
-    if (
-        "(f||p)" in expected["formula"]
-    ):  # what its intercept takes, its levels lack: only the sum is known
+    # What its intercept takes, its levels lack: only the sum is known.
+    if "(f||p)" in expected["formula"]:
         return
     for group, term, sd in expected["spreads"]:
         assert got[group, term] == pytest.approx(sd, rel=2e-3, abs=2e-3 * fit.residual_sd)

@@ -40,9 +40,8 @@ def test_what_public_functions_take_and_give_is_public() -> None:
             for text in thing.__annotations__.values()
             for word in re.findall(r"[A-Za-z_]\w*", str(text))
         }
-        own -= {
-            "StressResult"
-        }  # its module loads stimuli; whoever has one got it from stress_reducers
+        # Its module loads stimuli; whoever has one got it from stress_reducers.
+        own -= {"StressResult"}
         assert own & named <= set(analysis.__all__), name
 
 

@@ -20,10 +20,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 MEAN, SD = "spectral_match_rotation_mean", "temporal_match_rotation_sd"
-DELIVERED, INVARIANT = (
-    "temporal_match_delivered",
-    "spectral_match_invariant",
-)  # the second is a former name
+# The second is a former name.
+DELIVERED, INVARIANT = ("temporal_match_delivered", "spectral_match_invariant")
 
 
 def draw_column(study: object, seed: int = 4) -> pd.Series:
@@ -306,9 +304,8 @@ def test_inputs_hold_digests_of_whatever_decided(small: object) -> None:
 
 
 def test_the_report_holds_them(small: object, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        report, "SECTIONS", (association.compute_further,)
-    )  # all others are another test's, and slow
+    # All others are another test's, and slow.
+    monkeypatch.setattr(report, "SECTIONS", (association.compute_further,))
     values = draw_column(small)
     folder = small.ratings.with_name("report")
     results = report.write_report(

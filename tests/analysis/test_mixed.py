@@ -107,9 +107,8 @@ def test_classic_data_against_lme4(expected: dict[str, Any]) -> None:
     fit = fit_mixed(expected["formula"], data, reml=expected["reml"])
     assert fit.fixed.index.tolist() == expected["terms"]
     assert fit.criterion <= expected["criterion"] + 1e-6
-    if (
-        fit.criterion < expected["criterion"] - 0.01
-    ):  # lme4 had not found the minimum: cake with a curve and slopes
+    # Lme4 had not found the minimum: cake with a curve and slopes.
+    if fit.criterion < expected["criterion"] - 0.01:
         assert "I(temp^2)" in expected["formula"]
         return
     assert fit.criterion == pytest.approx(expected["criterion"], abs=1e-4)

@@ -98,9 +98,8 @@ def test_every_number_by_its_definition(order: int) -> None:
     result = p1401(votes, x, order=order)
     mos, predicted = np.nanmean(votes, axis=1), np.polynomial.Polynomial(result.coefficients)(x)
     if order:
-        assert predicted == pytest.approx(
-            np.polynomial.Polynomial.fit(x, mos, order)(x)
-        )  # the constraint is idle
+        # The constraint is idle.
+        assert predicted == pytest.approx(np.polynomial.Polynomial.fit(x, mos, order)(x))
     n = len(x)
     counts = np.isfinite(votes).sum(axis=1)
     spread = np.array([np.std(row[np.isfinite(row)], ddof=1) for row in votes])
@@ -200,9 +199,8 @@ def test_against_quadratic_programming_in_r(
     votes = np.asarray(mos, dtype=float)[:, None] + np.array([-3, 3, 0, 1, -1])
     result = p1401(votes, metric)
     assert (result.rmse, result.plcc) == pytest.approx(expected[:2], rel=1e-7)
-    assert result.coefficients == pytest.approx(
-        expected[2:], rel=3e-4
-    )  # the grid lets a slope dip below 0 by a hair
+    # The grid lets a slope dip below 0 by a hair.
+    assert result.coefficients == pytest.approx(expected[2:], rel=3e-4)
 
 
 def test_an_active_constraint_fits_worse_but_monotonely() -> None:

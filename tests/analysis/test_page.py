@@ -66,11 +66,8 @@ def test_every_cell_stands_under_its_header(report: Path) -> None:
     correlations, differences, profiles = (
         next(table for table in tables if head in table[0]) for head in heads
     )
-    assert (len(correlations), len(differences), len(profiles)) == (
-        2 * 2 * 6,
-        2 * 6,
-        24,
-    )  # scales x metrics x methods
+    # Scales x metrics x methods.
+    assert (len(correlations), len(differences), len(profiles)) == (2 * 2 * 6, 2 * 6, 24)
     for row in correlations:
         scale, metric = row["Ratings"].split(",")[0], row["Metric"].replace(" ", "_")
         name = f"association.{scale}.as_is.{metric}.{KINDS[row['Method']]}"

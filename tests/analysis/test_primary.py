@@ -388,9 +388,8 @@ def test_centred_slope_is_that_of_a_model_with_reducers_as_fixed_effects(
         name: table.drop_duplicates("item").pivot_table(f"{name}_w", "recording", "reducer")
         for name in METRICS
     }
-    twice = {
-        name: values - values.mean(axis=0) for name, values in grid.items()
-    }  # recordings' means are 0 already
+    # Recordings' means are 0 already.
+    twice = {name: values - values.mean(axis=0) for name, values in grid.items()}
     places = list(zip(table["recording"], table["reducer"], strict=True))
     centred = {
         f"{name}_w": [values.loc[place] for place in places] for name, values in twice.items()

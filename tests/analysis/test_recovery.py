@@ -441,9 +441,8 @@ def expect(name: str, check: str) -> tuple[float, float]:
     """Say what share of studies a check may hit."""
     if check.startswith(SHOWN) or (check.startswith(CLASSIC) and "plain" not in name):
         return WRONG
-    if (
-        name == "own"
-    ):  # reducers feel different for reasons that no metric knows and the model has no term for
+    # Reducers feel different for reasons that no metric knows and the model has no term for.
+    if name == "own":
         return WRONG
     if check.startswith("alpha"):
         return SKEWED

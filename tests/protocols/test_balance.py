@@ -177,8 +177,7 @@ def test_shuffled_orders_are_worse_than_williams_and_as_good_as_chance(
     chance = sqrt((N_STIMULI - 1) / n_participants)
     assert shuffled.position_index > williams.position_index
     assert shuffled.position_index == pytest.approx(chance, rel=0.1)
-    if (
-        order == "blocked"
-    ):  # in a mixed order, neighbours within a recording did not follow each other
+    # In a mixed order, neighbours within a recording did not follow each other.
+    if order == "blocked":
         assert shuffled.carry_over_index > williams.carry_over_index
         assert shuffled.carry_over_index == pytest.approx(chance, rel=0.1)

@@ -45,9 +45,8 @@ def test_each_task_has_its_training_then_its_practice_and_never_more_than_there_
     expected = {
         (name, phase): min(n, asked[phase]) for name, n in n_comparisons.items() for phase in asked
     }
-    expected["dissimilarity", "training"] = min(
-        21 + 6, training
-    )  # anchors are felt in training only
+    # Anchors are felt in training only.
+    expected["dissimilarity", "training"] = min(21 + 6, training)
     expected["abx", "training"] = min(15, 2 * training)  # half of the guesses are right
     assert Counter((t.protocol, t.phase) for t in trials) == Counter(expected)
     assert list(dict.fromkeys((t.protocol, t.phase) for t in trials)) == [

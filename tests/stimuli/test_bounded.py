@@ -136,12 +136,10 @@ def test_silence_of_one_scores_zero_and_of_both_nothing() -> None:
     assert spectral_match_bounded(stand_in(sound), silence, RATE) == 0.0
     assert spectral_match_bounded(stand_in(silence), sound, RATE) == 0.0
     assert np.isnan(spectral_match_bounded(stand_in(silence), silence, RATE))
-    assert np.isnan(
-        spectral_match_bounded(noise(3, 3), noise(3), RATE)
-    )  # too short for 20 to 1000 Hz
-    assert np.isnan(
-        spectral_match_bounded(stand_in(silence + 9.81), silence + 3.0, RATE)
-    )  # offsets only
+    # Too short for 20 to 1000 Hz.
+    assert np.isnan(spectral_match_bounded(noise(3, 3), noise(3), RATE))
+    # Offsets only.
+    assert np.isnan(spectral_match_bounded(stand_in(silence + 9.81), silence + 3.0, RATE))
 
 
 def test_turning_the_sensor_changes_nothing() -> None:

@@ -47,9 +47,8 @@ def smoothed(acceleration: np.ndarray, reduced: np.ndarray) -> tuple[np.ndarray,
 
 
 def test_every_metric_has_a_counterpart_of_its_name() -> None:
-    assert list(INVARIANTS) == [
-        name for name in METRICS if name != "spectral_match_bounded"
-    ]  # invariant itself
+    # Invariant itself.
+    assert list(INVARIANTS) == [name for name in METRICS if name != "spectral_match_bounded"]
     for counterpart in INVARIANTS.values():
         assert isinstance(counterpart(noise(3, 400), noise(400), RATE), float)
 

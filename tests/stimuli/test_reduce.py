@@ -198,9 +198,8 @@ def test_adaptive_pca_is_pca_where_the_axis_does_not_change() -> None:
 
 def test_adaptive_pca_follows_an_axis_that_turns_without_jumping() -> None:
     n = 20000
-    angle = np.linspace(
-        0, np.pi, n
-    )  # half a turn: the axis ends where it began, pointing the other way
+    # Half a turn: the axis ends where it began, pointing the other way.
+    angle = np.linspace(0, np.pi, n)
     wave = np.sin(2 * np.pi * 123.4 * np.arange(n) / RATE)
     acceleration = np.array([np.cos(angle), np.sin(angle), 0 * angle]) * wave
     reduced = REDUCERS["pca321_adaptive"](acceleration, RATE)
@@ -254,9 +253,8 @@ def test_adaptive_pca_against_a_loop_over_segments() -> None:
 def test_dft_phase_is_the_sums_wherever_the_sum_is_more_than_rounding() -> None:
     wave = noise(1000)
     acceleration = np.outer((1.0, -3.0, 2.0 + 1e-9), wave)
-    expected = (
-        np.linalg.norm((1.0, -3.0, 2.0)) * wave
-    )  # the sum points with the wave, the strongest axis against it
+    # The sum points with the wave, the strongest axis against it.
+    expected = np.linalg.norm((1.0, -3.0, 2.0)) * wave
     np.testing.assert_allclose(REDUCERS["dft321"](acceleration, RATE), expected, atol=1e-4)
 
 

@@ -168,9 +168,8 @@ def test_taps_and_hum_are_made_equally_strong_where_they_are_loudest(tmp_path: P
     levels = [sensation_level_db(samples, 48000.0) for samples in played.values()]
     assert max(levels) - min(levels) < 1e-3
     whole = {key: 20 * np.log10(felt_level(samples, 48000.0)) for key, samples in played.items()}
-    assert (
-        whole["circular_motion", "dft321"] - whole["hard_taps", "dft321"] > 3
-    )  # made equal, taps would be stronger
+    # Made equal, taps would be stronger.
+    assert whole["circular_motion", "dft321"] - whole["hard_taps", "dft321"] > 3
     silence = rows["late", "original"].gain / rows["hard_taps", "original"].gain
     assert silence == pytest.approx(1.0, rel=1e-3)
 
@@ -257,9 +256,8 @@ def test_what_is_foreseen_is_what_is_built(scenes: list[Recording], tmp_path: Pa
     for one, row in zip(foreseen, rows_by_recording(rows), strict=True):
         assert one.sensation_levels_db["contactor"] == row.sensation_level_db
         assert one.peak_m_s2 == pytest.approx(row.peak * recipe.full_scale_m_s2, rel=1e-6)
-    assert (
-        foresee_stimuli(scenes, tmp_path, recipe=recipe) == foreseen
-    )  # from what the build remembers
+    # From what the build remembers.
+    assert foresee_stimuli(scenes, tmp_path, recipe=recipe) == foreseen
 
 
 def rows_by_recording(rows: tuple[Stimulus, ...]) -> list[Stimulus]:
@@ -297,9 +295,8 @@ def test_the_file_is_the_reduced_signal_at_the_rigs_rate(
         REDUCERS["dft321"](bumps.acceleration, bumps.rate_hz) * row.gain / Recipe().full_scale_m_s2
     )
     samples, _ = read_wav(built.folder / row.file)
-    at = np.arange(
-        1000, 5000
-    )  # 10 kHz, away from the fades; band-limited to 1 kHz, so interpolation is exact enough
+    # 10 kHz, away from the fades; band-limited to 1 kHz, so interpolation is exact enough.
+    at = np.arange(1000, 5000)
     at_rig = np.interp(at / bumps.rate_hz, np.arange(len(samples)) / 48000, samples)
     np.testing.assert_allclose(
         at_rig, reduced[at] - reduced.mean(), atol=2e-3 * np.abs(reduced).max()
@@ -389,10 +386,8 @@ def test_the_same_file_read_otherwise_is_another_recording(
 ) -> None:
     recipe = Recipe(reducers=("dft321",), gain=0.1, anchors=False, reference="none")
     (before,) = build_stimuli(scenes[:1], tmp_path, recipe=recipe).stimuli
-    source = {
-        "name": scenes[0].name,
-        "sha256": scenes[0].sha256,
-    }  # the digest of the file, given by the reader
+    # The digest of the file, given by the reader.
+    source = {"name": scenes[0].name, "sha256": scenes[0].sha256}
     in_g = Recording(9.80665 * scenes[0].acceleration, scenes[0].rate_hz, **source)
     assert in_g.sha256 == scenes[0].sha256
     (after,) = build_stimuli([in_g], tmp_path, recipe=recipe).stimuli
@@ -426,11 +421,8 @@ def test_what_rounding_left_of_axes_that_cancelled_is_silence(tmp_path: Path) ->
     with pytest.raises(ValueError, match="1 stimuli are silent"):
         build_stimuli([cancelling], tmp_path, recipe=recipe)
     rows = build_stimuli([cancelling], tmp_path, recipe=replace(recipe, levels=("as_is",))).stimuli
-    assert [np.isnan(row.sensation_level_db) for row in rows] == [
-        True,
-        False,
-        False,
-    ]  # neither 0 nor infinity
+    # Neither 0 nor infinity.
+    assert [np.isnan(row.sensation_level_db) for row in rows] == [True, False, False]
     assert "Infinity" not in (tmp_path / "manifest.json").read_text()
 
 
@@ -840,9 +832,8 @@ def test_real_recordings_build_and_pass(shared_recordings: Path, tmp_path: Path)
     recordings = [read_recording(path) for path in files]
     assert len(recordings) == 11
     built = build_stimuli(recordings, tmp_path, recipe=Recipe(levels=BOTH), workers=2)
-    assert len(built.stimuli) == 11 * 2 * (
-        len(DEFAULT_REDUCERS) + 3
-    )  # the reference and two anchors
+    # The reference and two anchors.
+    assert len(built.stimuli) == 11 * 2 * (len(DEFAULT_REDUCERS) + 3)
     assert check_stimuli(tmp_path) == []
     exact = [row.spectral_match for row in built.stimuli if row.reducer == "dft321"]
     np.testing.assert_allclose(exact, 1.0, atol=1e-9)

@@ -48,9 +48,8 @@ def test_the_window_is_cut_off_at_the_last_bin() -> None:
 def test_a_strong_tone_costs_its_weak_neighbours_no_accuracy() -> None:
     n, rate = 40_000, 10_000.0
     noise = np.random.default_rng(0).standard_normal(n)
-    spectrum = energy_spectrum(
-        1e5 * np.sin(2 * np.pi * 50 * np.arange(n) / rate) + noise
-    )  # noise at -97 dB
+    # Noise at -97 dB.
+    spectrum = energy_spectrum(1e5 * np.sin(2 * np.pi * 50 * np.arange(n) / rate) + noise)
     frequencies = linear_grid(n, rate)
     smoothed = smoothed_at(frequencies, rate / n, spectrum)
     bins = np.arange(spectrum.size)

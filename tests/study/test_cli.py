@@ -509,9 +509,10 @@ def test_a_study_from_new_to_report(
     assert main(["analyze", folder]) == 0
     assert capsys.readouterr().out == f"{study.report / 'index.html'}\n"
     assert (study.report / "index.html").stat().st_size > 1000
+    # What follows is about files only.
     monkeypatch.setattr(
         "feel321.analysis.report.write.SECTIONS", (association.compute_association,)
-    )  # what follows is about files only
+    )
     tables = [
         "--ratings",
         str(study.ratings),

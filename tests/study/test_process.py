@@ -198,9 +198,10 @@ def test_demo_runs_the_whole_chain_and_goes_on_where_it_was(
     ratings = (tmp_path / "demo" / "ratings.csv").read_bytes()
     assert ratings.count(b"\n") == 1 + 16 * 144
     monkeypatch.chdir(tmp_path)
+    # The second report may be short.
     monkeypatch.setattr(
         "feel321.analysis.report.write.SECTIONS", (association.compute_association,)
-    )  # the second report may be short
+    )
     assert main(["demo", "--dir", "demo"]) == 0
     again = capsys.readouterr()
     assert (again.err, again.out) == (first.stderr, first.stdout)

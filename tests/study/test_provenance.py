@@ -160,9 +160,8 @@ def test_a_set_of_which_nobody_can_tell_whether_it_is_in_use_is_not_replaced(
     assert str(caught.value).endswith(f"; restore it from a copy, or move {built.sessions} away")
     assert "\n" not in str(caught.value)
     assert {path.name: path.read_bytes() for path in built.stimuli.iterdir()} == before
-    built.stimuli.rename(
-        built.path / "elsewhere"
-    )  # Where nothing is left, nothing can be replaced.
+    # Where nothing is left, nothing can be replaced.
+    built.stimuli.rename(built.path / "elsewhere")
     build_study(built)
 
 

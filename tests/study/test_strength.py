@@ -125,9 +125,8 @@ def test_one_spike_costs_the_other_recordings_headroom(study: StudyFolder, capsy
         for name in ("bumps", "hard_taps", "spike")
     }
     assert gained["spike"] == pytest.approx(0, abs=1e-6)
-    assert min(gained["bumps"], gained["hard_taps"]) == pytest.approx(
-        cost, abs=0.06
-    )  # of whose peak comes next
+    # Of whose peak comes next.
+    assert min(gained["bumps"], gained["hard_taps"]) == pytest.approx(cost, abs=0.06)
     assert not any(line.startswith("headroom") for line in levels["per_recording"]["notes"])
 
 

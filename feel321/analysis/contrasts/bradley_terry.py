@@ -311,9 +311,8 @@ def _fit_glm(wins: Values, design: Values, *, names: list[str]) -> Any:  # noqa:
 
     # A model that fits every row has no degrees of freedom left, by which statsmodels then divides.
     with warnings.catch_warnings(), np.errstate(divide="ignore", invalid="ignore"):
-        warnings.simplefilter(
-            "ignore", PerfectSeparationWarning
-        )  # a model that fits every row is no separation
+        # A model that fits every row is no separation.
+        warnings.simplefilter("ignore", PerfectSeparationWarning)
         fit = sm.GLM(wins, design, family=sm.families.Binomial()).fit(tol=1e-12, maxiter=200)
     # Of a pair that met: along a chain of pairs, abilities may be far apart and yet well known.
     if np.abs(design @ fit.params).max() > EXTREME:

@@ -79,9 +79,8 @@ def print_style() -> Iterator[None]:
         if not name.startswith(("backend", "_"))
     }
     with rc_context({**plain, **PRINT}), warnings.catch_warnings():
-        warnings.filterwarnings(
-            "ignore", message="Glyph .* missing from font"
-        )  # `list_undrawable` tells of them once
+        # `list_undrawable` tells of them once.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
         yield
 
 

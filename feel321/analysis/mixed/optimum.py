@@ -271,9 +271,8 @@ def _find_adjoint(profile: Profile, state: State, weight: float) -> NDArray[np.f
 
     size = profile.n_random + (profile.n_fixed if profile.reml else 0)
     adjoint = np.zeros_like(state.factor)
-    if (
-        size
-    ):  # the full likelihood of a single grouping factor has no determinant but the eliminated one
+    # The full likelihood of a single grouping factor has no determinant but the eliminated one.
+    if size:
         inverse = dpotri(state.factor[:size, :size], lower=1)[0]
         adjoint[:size, :size] = np.tril(inverse) + np.tril(inverse, -1).T
     last = np.zeros(len(state.factor))

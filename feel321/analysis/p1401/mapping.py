@@ -88,10 +88,8 @@ def _candidates(u: Values, y: Values) -> Iterator[Polynomial]:
     from scipy.optimize import nnls
 
     bow = Polynomial([0, 0, 1 / 2, -1 / 3])  # slope u (1 - u)
-    for corner in (
-        Polynomial([0, 0, 0, 1 / 3]),
-        Polynomial([0, 1, -1, 1 / 3]),
-    ):  # slopes u² and (1 - u)²
+    # Slopes u² and (1 - u)².
+    for corner in (Polynomial([0, 0, 0, 1 / 3]), Polynomial([0, 1, -1, 1 / 3])):
         columns = np.stack([bow(u), corner(u)], axis=1)
         weights, _ = nnls(columns - columns.mean(axis=0), y - y.mean())
         yield _centre(weights[0] * bow + weights[1] * corner, u, y)
@@ -341,9 +339,8 @@ def _check_sizes(table: Values, x: Values, order: int) -> None:
         raise ValueError(
             f"metric: got {len(x)} values for {len(table)} items, allowed is one per item"
         )
-    fewest = (
-        max(PARAMETERS[order], 3) + 1
-    )  # one degree of freedom for the errors, one for Fisher's z
+    # One degree of freedom for the errors, one for Fisher's z.
+    fewest = max(PARAMETERS[order], 3) + 1
     if len(x) < fewest:
         raise ValueError(
             f"votes: got {len(x)} items, order {order} needs at least {fewest}; lower the order"

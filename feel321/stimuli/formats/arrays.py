@@ -133,9 +133,8 @@ def as_numbers(array: NDArray[Any], what: str) -> NDArray[np.float64]:
     """Convert real numbers to float64; refuse texts, objects and complex numbers."""
     if array.dtype.kind not in "fiu":
         raise ValueError(f"got values of type {array.dtype} in {what}, allowed are real numbers")
-    with np.errstate(
-        over="ignore", invalid="ignore"
-    ):  # what is not finite is refused where its place is known
+    # What is not finite is refused where its place is known.
+    with np.errstate(over="ignore", invalid="ignore"):
         return array.astype(np.float64)
 
 

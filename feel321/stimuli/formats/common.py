@@ -117,9 +117,8 @@ def foreign_errors(what: str) -> Iterator[None]:
     try:
         yield
     except Exception as error:  # libraries raise anything at damaged files, even UnboundLocalError
-        if (
-            isinstance(error, OSError) and error.errno
-        ):  # the system's own; libraries raise theirs without a number
+        # The system's own; libraries raise theirs without a number.
+        if isinstance(error, OSError) and error.errno:
             raise
         reason = (str(error).strip() or type(error).__name__).splitlines()[0]
         raise ValueError(

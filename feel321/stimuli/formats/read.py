@@ -384,9 +384,8 @@ def read_recording(
     with file_named(source):
         decoded = _decode(source, request)
         unit_found, unit_notes = settle_unit(decoded.unit, unit)
-        with np.errstate(
-            over="ignore", invalid="ignore"
-        ):  # what is not finite is refused in the next line
+        # What is not finite is refused in the next line.
+        with np.errstate(over="ignore", invalid="ignore"):
             acceleration = decoded.acceleration * UNITS[unit_found]
         check_finite(acceleration, "acceleration")
         sampled = settle_sampling(replace(decoded, acceleration=acceleration), request)

@@ -249,9 +249,8 @@ def name_units(labels: Sequence[str], *, axes: tuple[int, ...], time: int | None
     """Add the units that the labels of the chosen columns name."""
     for i in axes:
         if unit := split_unit(labels[i], ACCELERATION_SPELLINGS)[1]:
-            parse_unit(
-                unit
-            )  # a bracket that is no unit may say volts: only columns=... overrules it
+            # A bracket that is no unit may say volts: only columns=... overrules it.
+            parse_unit(unit)
     return _with_units(labels, axes=axes, time=time)
 
 

@@ -123,9 +123,8 @@ class Limiter:
             self._take_excess(samples, new=new, sums=sums)
         np.copyto(old, new)
         self._place += n
-        if (
-            self._place == self._window
-        ):  # once per round the sum is taken afresh, or its rounding would grow for hours
+        # Once per round the sum is taken afresh, or its rounding would grow for hours.
+        if self._place == self._window:
             self._place, self._walk, self._excess = 0, float(self._squares.sum()), 0.0
 
     def _take_excess(

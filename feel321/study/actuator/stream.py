@@ -314,9 +314,8 @@ class Line:
                 self.latency_s = float(latency if self._column is None else latency[1])
                 self.there_and_back_s = float(latency if self._column is None else sum(latency))
                 self._check_rate()
-                self._last_s = (
-                    perf_counter()
-                )  # opening may have taken long; only from here on it can stand still
+                # Opening may have taken long; only from here on it can stand still.
+                self._last_s = perf_counter()
                 self._stream.start()
         except _load().PortAudioError as error:
             raise OSError(_describe(error, self.device, rate_hz=rate_hz)) from None
@@ -445,9 +444,8 @@ def refresh_devices() -> None:
     sounddevice = _load()
     with _hushed():
         # sounddevice offers no other way (its documentation names this one).
-        with suppress(
-            sounddevice.PortAudioError
-        ):  # it is not there if it could not begin the last time
+        # It is not there if it could not begin the last time.
+        with suppress(sounddevice.PortAudioError):
             sounddevice._terminate()
         try:
             sounddevice._initialize()

@@ -99,9 +99,8 @@ def sense(acceleration: NDArray[np.float64], rate_hz: float) -> Sensation:
     spectrum = fft.rfft(np.atleast_2d(acceleration), padded)
     spectrum[:, : smooth.bins.start] = spectrum[:, smooth.bins.stop :] = 0.0
     frequency = np.arange(smooth.bins.start, smooth.bins.stop) * spacing
-    spectrum[:, smooth.bins] /= acceleration_threshold(frequency) / np.sqrt(
-        2
-    )  # the threshold's peak; ours are powers
+    # The threshold's peak; ours are powers.
+    spectrum[:, smooth.bins] /= acceleration_threshold(frequency) / np.sqrt(2)
     energy = np.sum(np.abs(spectrum[:, smooth.bins]) ** 2, axis=0)
     bands = smooth(energy) * (WEBER_FRACTION * grid / spacing) * 2 / n / padded
     envelope = _smooth_envelope(np.sum(fft.irfft(spectrum, padded)[:, :n] ** 2, axis=0), rate_hz)

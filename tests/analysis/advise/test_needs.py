@@ -192,10 +192,8 @@ def test_ties_say_so(tell: Tell, wave: np.ndarray) -> None:
     assert (advice.closest, advice.ties) == ("sax321", ("say321", "saz321"))
     assert "closest sax321 (tied with say321, saz321)" in advice.line
     noise = Recording(np.random.default_rng(2).standard_normal((3, 8000)), 4000.0, "white")
-    assert tell(noise).ties == (
-        "say321_matched",
-        "saz321_matched",
-    )  # over mountings the three are equal
+    # Over mountings the three are equal.
+    assert tell(noise).ties == ("say321_matched", "saz321_matched")
 
 
 @pytest.mark.parametrize("name", ["texture_drag", "hard_taps", "circular_motion"])

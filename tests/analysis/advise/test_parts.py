@@ -297,10 +297,8 @@ def test_the_worst_mounting_of_the_worst_segment_decides_or_of_that_at_the_90th_
     draws = [Draw(segment, np.eye(3)) for segment in segments for _ in range(2)]
     worst = np.arange(20.0) / 10
     worst[3] = np.nan
-    assert find_deciding(draws, worst) == (
-        17,
-        [True] * 5 + [False] * 5,
-    )  # of ten segments the worst but one
+    # Of ten segments the worst but one.
+    assert find_deciding(draws, worst) == (17, [True] * 5 + [False] * 5)
     assert find_deciding(draws[:6], worst[:6]) == (5, [True] * 3)
 
 
@@ -402,9 +400,8 @@ def test_reasons_name_close_calls_agreement_and_what_waits() -> None:
     assert tell_doubt(good, [missed, good]).endswith(": dft321 misses by 10 % of the tolerance")
     assert tell_doubt(good, [good, missed]) == ""
     partly = judged(Shortfall(1.5, 0, 0, 0), suits=1, segments=2)
-    assert (
-        tell_doubt(good, [partly, good]) == ""
-    )  # dft321: that may be the mountings that were tried
+    # Dft321: that may be the mountings that were tried.
+    assert tell_doubt(good, [partly, good]) == ""
     leading = Verdict(
         Cost("pca321@20ms", 1, 0, 0, 0, 0), BEST, Shortfall(2, 0, 0, 0), True, suits=1, segments=2
     )

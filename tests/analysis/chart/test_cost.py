@@ -61,10 +61,8 @@ def test_every_round_times_every_task_once_in_another_order() -> None:
 
 
 def test_times_become_costs_with_quartiles() -> None:
-    machine, left = (
-        Machine(),
-        iter([9.0, 1.0, 2.0, 3.0, 4.0, 5.0]),
-    )  # the first round is not measured
+    # The first round is not measured.
+    machine, left = (Machine(), iter([9.0, 1.0, 2.0, 3.0, 4.0, 5.0]))
     job = Job("size", Method("soc321"), 1000, 500.0, 1000, 64, lambda: machine.work("", next(left)))
     (cost,) = time_jobs([job], rounds=5, clock=machine.clock, rng=np.random.default_rng(0))
     assert (cost.ns_per_sample, cost.low, cost.high) == pytest.approx((3e6, 2e6, 4e6))

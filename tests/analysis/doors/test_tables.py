@@ -91,9 +91,8 @@ PAIRS = {"bradley_terry_by_rater", "bradley_terry", "discriminate_pairs"}
 @pytest.fixture
 def rated(tidy: Callable[..., pd.DataFrame]) -> pd.DataFrame:
     table = tidy(participants=3, recordings=5, repeats=1)
-    fill = (
-        table["role"] != "test"
-    )  # as the manifest of a lab may have it; what is no test is left out
+    # As the manifest of a lab may have it; what is no test is left out.
+    fill = table["role"] != "test"
     return table.assign(**{name: table[name].mask(fill, 0.5) for name in METRICS})
 
 
@@ -147,9 +146,8 @@ def test_every_public_function_of_a_table_is_tried() -> None:
 @pytest.mark.parametrize("name", CALLS)
 def test_index_and_order_of_a_table_mean_nothing(name: str, rated: pd.DataFrame) -> None:
     plain = CALLS[name](rated)
-    for change in list(INDICES.values())[
-        : 1 if name == "vary_primary" else None
-    ]:  # its models take a second each
+    # Its models take a second each.
+    for change in list(INDICES.values())[: 1 if name == "vary_primary" else None]:
         check_equal(CALLS[name](change(rated)), plain)
     if name not in PAIRS:
         check_equal(CALLS[name](rated.sample(frac=1, random_state=3)), plain)

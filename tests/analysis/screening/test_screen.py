@@ -193,12 +193,8 @@ def test_rules_without_data_say_so() -> None:
         ["participant", "recording", "reducer", "rating"]
     ]
     found = screen_raters(bare)
-    silent = {
-        "hidden_reference",
-        "test_retest",
-        "repeat_sd",
-        "too_fast",
-    }  # the first with the two about anchors
+    # The first with the two about anchors.
+    silent = {"hidden_reference", "test_retest", "repeat_sd", "too_fast"}
     assert {note.split("'")[1] for note in found.notes} == silent
     assert "Rule 'too_fast' not applied: it needs column 'response_time_s'." in found.notes
     assert not found.table["hit"].any()

@@ -135,9 +135,8 @@ def test_a_figure_depends_on_its_own_recording_alone(drag: Any, made: Any) -> No
 
 def test_a_figure_is_judged_by_its_median_and_a_caution_where_one_take_in_ten_fails() -> None:
     assert Cell("a", "b", "shift", value=0.0, worst=1.0).grade == "good"
-    assert (
-        Cell("a", "b", "shift", value=0.0, worst=1.0, p90=0.3).grade == "caution"
-    )  # one take in ten fails
+    # One take in ten fails.
+    assert Cell("a", "b", "shift", value=0.0, worst=1.0, p90=0.3).grade == "caution"
     assert Cell("a", "b", "energy", value=-4.0, worst=-4.0).grade == "fails"
     assert Cell("a", "b", "fault", value=float("nan"), worst=float("nan")).grade == "undefined"
 

@@ -65,9 +65,8 @@ def write_ide(tmp_path: Path) -> Callable[..., Path]:
                     "StartTimeCodeAbsMod": first_us * stretch,
                     "EndTimeCodeAbsMod": (first_us + (len(block) - 1) * period_us) * stretch,
                 }
-                rows = (
-                    block[:, ::-1] if channel == 8 else 0 * block
-                )  # the recorder's order is z, y, x
+                # The recorder's order is z, y, x.
+                rows = block[:, ::-1] if channel == 8 else 0 * block
                 payload = {
                     "ChannelIDRef": channel,
                     **stamps,

@@ -152,9 +152,8 @@ def test_jitter_up_to_one_per_cent_of_the_period_passes(
 def test_rounding_by_one_unit_in_the_last_place_passes(
     tmp_path: Path, units: int, passes: bool
 ) -> None:
-    time = (
-        TIME.copy()
-    )  # a period is ten units of the third place, so that 1 % of it is a tenth of one
+    # A period is ten units of the third place, so that 1 % of it is a tenth of one.
+    time = TIME.copy()
     time[20:] += units * 0.001
     path = _stamped(tmp_path / "a.csv", time, 3)
     if passes:

@@ -64,9 +64,8 @@ def test_other_variables_do_not_matter(tmp_path: Path, signal: NDArray[np.float6
 
 def test_big_endian_and_small_integers_are_read(tmp_path: Path) -> None:
     words = _element(6, struct.pack(">II", 6, 0), ">") + _element(5, struct.pack(">ii", 3, 2), ">")
-    name = (
-        struct.pack(">I", 3 << 16 | 1) + b"tmp\0"
-    )  # a name so short that it stands inside its tag
+    # A name so short that it stands inside its tag.
+    name = struct.pack(">I", 3 << 16 | 1) + b"tmp\0"
     body = words + name + _element(3, np.array([1, 2, 3, -4, 5, 6], ">i2").tobytes(), ">")
     (tmp_path / "a.mat").write_bytes(HEADER[:124] + b"\x01\x00MI" + _element(14, body, ">"))
     recording = read_recording(tmp_path / "a.mat", rate_hz=1000)

@@ -161,12 +161,8 @@ def test_a_rig_of_an_earlier_version_plays_as_it_did_and_is_warned_of(tmp_path: 
     )
     mended = OLD.replace('"x"]', '"x"]\nweight = 0.7071').replace('"y"]', '"y"]\nweight = 0.7071')
     assert compare(read(tmp_path, mended)).warnings == []
-    assert set(identify(rig)["actuators"][0]) == {
-        "name",
-        "channel",
-        "full_scale_m_s2",
-        "plays",
-    }  # its journals go on
+    # Its journals go on.
+    assert set(identify(rig)["actuators"][0]) == {"name", "channel", "full_scale_m_s2", "plays"}
     assert identify(read(tmp_path, mended))["actuators"][0]["weight"] == 0.7071
     assert identify(read(tmp_path, TEMPLATE))["actuators"][0]["direction"] == [1.0, 0.0, 0.0]
 

@@ -197,9 +197,8 @@ def test_every_trial_arrives_whole_or_its_underrun_is_flagged_and_onsets_are_tru
     n_trials: int,
 ) -> None:
     sounds = {f"s{n}": make_sound(n, n=2400, channels=4) for n in range(n_trials)}
-    player = open_player(
-        pulse, make_rig(channels=4, latency_s=0.1), sounds
-    )  # a machine that tests has much to do
+    # A machine that tests has much to do.
+    player = open_player(pulse, make_rig(channels=4, latency_s=0.1), sounds)
     player.hear()
 
     def measure() -> Trials:
@@ -238,9 +237,8 @@ def test_a_stop_falls_silent_within_a_block_and_is_not_completed(
         if has_run_dry([delivery, again]):
             return True
         last_s = delivery["onset_s"] + delivery["measured"]["n_samples"] / RATE_HZ
-        return (
-            after_s - before_s > 0.03 or delivery["over_s"] - last_s > 0.1
-        )  # the player's own process stood still
+        # The player's own process stood still.
+        return after_s - before_s > 0.03 or delivery["over_s"] - last_s > 0.1
 
     capture, (before_s, after_s), delivery, again = insist(stop, is_disturbed=is_disturbed)
     measured = delivery["measured"]
@@ -258,9 +256,8 @@ def test_a_stop_falls_silent_within_a_block_and_is_not_completed(
     last_s = delivery["onset_s"] + n_played / RATE_HZ
     block_s = measured["latency_s"] / 4
     assert last_s - after_s - 0.03 <= measured["stop_s"] <= last_s - before_s + 0.03
-    assert (
-        0 < measured["stop_s"] < measured["latency_s"] + 2 * block_s + 0.03
-    )  # that for a machine with much to do
+    # That for a machine with much to do.
+    assert 0 < measured["stop_s"] < measured["latency_s"] + 2 * block_s + 0.03
     assert abs(delivery["over_s"] - last_s) < 0.1
     assert again["completed"]
     assert capture.find(make_sound(2, channels=4)) > onset + n_played

@@ -19,9 +19,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-collect_ignore_glob = (
-    ["sessions/*"] if os.name == "nt" else []
-)  # Windows has neither forks nor SIGKILL.
+# Windows has neither forks nor SIGKILL.
+collect_ignore_glob = ["sessions/*"] if os.name == "nt" else []
 
 TRACES = frozenset({
     "open",

@@ -83,9 +83,8 @@ def test_a_reference_of_three_axes_is_felt_through_the_sound_server(
     played = [record.data for record in session.records if record.event == "played"]
     assert {entry["part"] for entry in played} == {"reference", "test"}
     assert not any(entry["clipped"] for entry in played)
-    whole = [
-        entry for entry in played if not entry["error"]
-    ]  # a server that stood still is told, and asked again
+    # A server that stood still is told, and asked again.
+    whole = [entry for entry in played if not entry["error"]]
     assert len(whole) >= 2 * read_status(study).participants[0].done
     assert all(entry["completed"] and entry["measured"]["n_samples"] == 7200 for entry in whole)
     device = next(record.data for record in session.records if record.event == "device")

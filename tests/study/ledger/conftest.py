@@ -93,9 +93,8 @@ class Lab:
     def work(self, participant: str, trials: int = TRIALS, *, rejected: bool = False) -> Path:
         """Rate so many trials, and finish after the last; gives the journal."""
         plan = require_plan(self.study.sessions / participant / PLAN_FILE)
-        self.claim(
-            participant, simulated=plan.simulated
-        )  # As the engine does; who was released gets no further.
+        # As the engine does; who was released gets no further.
+        self.claim(participant, simulated=plan.simulated)
         journal = require_journal(
             list_journals(self.study.sessions / participant)[-1], now=tell_time
         )

@@ -169,9 +169,8 @@ def test_a_kill_while_claiming_loses_no_slot_that_was_given(tmp_path: Path, now:
             given += 1 + len(process.stdout.readlines())
         numbers = [entry.number for entry in read_ledger(open_ledger(path))]
         assert numbers == list(range(1, len(numbers) + 1))
-        assert (
-            given <= len(numbers) <= given + kill + 1
-        )  # Claimed, but killed before it could say so.
+        # Claimed, but killed before it could say so.
+        assert given <= len(numbers) <= given + kill + 1
     claim_slots(open_ledger(path), ["after"], simulated=True, now=now)
 
 

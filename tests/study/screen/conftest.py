@@ -179,9 +179,8 @@ class Seat:
 
     def reach(self, *words: str) -> None:
         """Move a key or the mouse, and wait until the screen has shown a frame since."""
-        self.do(
-            *words, "getmouselocation"
-        )  # once the X server answers this, the rest has been sent to the window
+        # Once the X server answers this, the rest has been sent to the window.
+        self.do(*words, "getmouselocation")
         self.order("look")
 
     def do(self, *words: str) -> str:

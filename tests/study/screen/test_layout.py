@@ -170,9 +170,8 @@ def test_long_texts_shrink_and_braces_stay(size: tuple[int, int]) -> None:
     ]
     lines = [item for item in texts if "{us} 3" in item.words]
     grid = Grid(*size)
-    assert (lines[0].size < 1.1 * BODY * grid.unit) == (
-        size[0] / size[1] > 1.5
-    )  # where there is less room
+    # Where there is less room.
+    assert (lines[0].size < 1.1 * BODY * grid.unit) == (size[0] / size[1] > 1.5)
     assert lines[0].size >= LEAST * grid.unit * 100
     assert max(line.box.bottom for line in lines) <= grid.body.bottom
 

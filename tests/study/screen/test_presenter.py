@@ -263,9 +263,8 @@ def test_space_stops_at_once(seat: Callable[..., Any]) -> None:
         here.see(state="feeling")
         here.order("look")
         here.reach("keydown", "space")
-        assert (
-            sum("stopped" in words for words in here.told) == number
-        )  # in the first frame that knows of the key
+        # In the first frame that knows of the key.
+        assert sum("stopped" in words for words in here.told) == number
         here.reach("keyup", "space")
         here.see(state="answering", felt=[])
         here.press("r")

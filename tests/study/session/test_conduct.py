@@ -181,9 +181,8 @@ def test_on_a_page_of_sliders_everything_is_felt_and_moved(
     records = present(presenter, plan=plan)
     assert "refuse not_felt reference" in presenter.log
     assert f"refuse not_answered {' '.join(parts[3:])}" in presenter.log
-    assert (
-        list_events(records, "replayed") == []
-    )  # To feel something for the first time is no replay.
+    # To feel something for the first time is no replay.
+    assert list_events(records, "replayed") == []
     assert list_events(records, "rated")[0]["values"] == whole
 
 

@@ -313,6 +313,5 @@ def test_two_writers_cannot_share_a_session(present: Present, scripted: type, fo
             present(scripted())
         assert [path.name for path in folder.iterdir()] == [".lock"]
         other.kill()
-    assert (
-        present(scripted())[-1].event == "finished"
-    )  # the lock of a killed process is free at once
+    # The lock of a killed process is free at once.
+    assert present(scripted())[-1].event == "finished"
