@@ -545,6 +545,9 @@ METRICS: Mapping[str, Metric] = MappingProxyType({
 })
 """Name -> metric."""
 
+PLANNED = ("spectral_match_bounded", "temporal_match")
+"""The metrics of the primary analysis, unless a study declares others."""
+
 
 def _compare(
     acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float, *, grid: Grid

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
+import subprocess
+import sys
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +34,18 @@ def simulate(
     return simulate_study(
         study, participants=participants, seed=seed, now=lambda: datetime.now(UTC), **options
     )
+
+
+def test_build_and_simulate_load_nothing_of_the_analysis(tmp_path: Path) -> None:
+    recording = '[[recordings]]\nscene = "bumps"\nduration_s = 0.3\n'
+    (tmp_path / "study.toml").write_text(recording + '[stimuli]\nreducers = ["sax321", "dft321"]\n')
+    code = (
+        "import sys\nfrom feel321.study.cli import main\n"
+        "assert [main([*verb, sys.argv[1]]) for verb in (['build'], ['simulate', '--participants', '1'])] == [0, 0]\n"
+        "print([name for name in sys.modules if name.startswith('feel321.analysis')])"
+    )
+    done = [sys.executable, "-c", code, str(tmp_path)]
+    assert subprocess.check_output(done, text=True).splitlines()[-1] == "[]"
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,6 @@ from feel321.analysis.table.items import read_sources
 from feel321.analysis.table.schema import (
     HIGHEST,
     LOWEST,
-    PLANNED,
     STAND_INS,
     describe_explored,
     describe_further,
@@ -192,7 +191,7 @@ def read_manifest(
 
     sources: recording -> what it was made from, where the manifest has no such column.
     """
-    from feel321.stimuli.match import METRICS
+    from feel321.stimuli.match import METRICS, PLANNED
 
     sheet, notes = read_sheet(path, describe_manifest(metrics or PLANNED))
     planned, more_notes = _choose_metrics(sheet, metrics, path)
@@ -216,6 +215,8 @@ def _choose_metrics(
     sheet: DataFrame, metrics: Sequence[str] | None, path: Path
 ) -> tuple[tuple[str, ...], list[str]]:
     """Find the columns that the primary analysis is about; only the default pair may be incomplete."""
+    from feel321.stimuli.match import PLANNED
+
     if metrics is not None and tuple(metrics) != PLANNED:
         _refuse_missing(sheet, metrics, path)
         return tuple(metrics), []

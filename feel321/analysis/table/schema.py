@@ -53,9 +53,6 @@ RATINGS: Mapping[str, Column] = {
 }
 """One row per judgement."""
 
-PLANNED = ("spectral_match_bounded", "temporal_match")
-"""The metrics of the primary analysis, unless a study declares others."""
-
 STAND_INS = {"spectral_match_bounded": "spectral_match"}
 """What is used for a planned metric that a manifest does not have."""
 

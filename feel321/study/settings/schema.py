@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import AfterValidator, Discriminator, Field, Tag
 
-from feel321.analysis.table.schema import PLANNED
 from feel321.protocols.order import ORDERS
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.texts import list_languages
 from feel321.protocols.trial import CHOOSING, FLAGS
+from feel321.stimuli.match import PLANNED
 from feel321.stimuli.recording import UNITS
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
 from feel321.stimuli.sets.anchors import CONTACTOR, THRESHOLDS
