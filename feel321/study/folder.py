@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from typing import TYPE_CHECKING
 
-from feel321.study.files import create_text
+from feel321.files import create_text
 from feel321.study.session.plan import PARTICIPANT_ID, list_journals
 
 if TYPE_CHECKING:

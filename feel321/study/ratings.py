@@ -9,9 +9,9 @@ import csv
 import io
 from typing import TYPE_CHECKING, Any
 
+from feel321.files import write_text
 from feel321.protocols.tasks import score_trial
 from feel321.study.columns import RATING_COLUMNS
-from feel321.study.files import write_text
 from feel321.study.session.journal import read_journal
 from feel321.study.session.opening import TOMBSTONE_FILE, read_as_written, require_own_plan
 from feel321.study.session.plan import (

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from feel321.files import hold_lock
 from feel321.stimuli.condition import Conditioning, condition
-from feel321.stimuli.lock import hold_lock
 from feel321.stimuli.match import METRICS, spectral_match, temporal_match
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS

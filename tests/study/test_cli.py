@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from feel321.analysis.report import association
+from feel321.files import write_text
 from feel321.stimuli.condition import Conditioning, condition, list_steps
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.match import METRICS, spectral_match
@@ -22,7 +23,6 @@ from feel321.stimuli.wav import read_wav, write_wav
 from feel321.study import cli, commands
 from feel321.study.cli import main
 from feel321.study.commands import shared
-from feel321.study.files import write_text
 from feel321.study.folder import read_template
 
 if TYPE_CHECKING:
@@ -719,7 +719,7 @@ def test_a_full_disk_names_the_file_that_was_to_be_written(
 ) -> None:
     folder = tmp_path / "new"
     monkeypatch.setattr(
-        "feel321.study.files.os.fsync", fail_with(OSError(errno.ENOSPC, "No space left on device"))
+        "feel321.files.os.fsync", fail_with(OSError(errno.ENOSPC, "No space left on device"))
     )
     assert main(["new", str(folder)]) == 1
     message = f"feel321: {folder / 'study.toml'}: No space left on device; make room there and run again\n"

@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from feel321.files import hold_lock
 from feel321.stimuli.condition import list_steps
-from feel321.stimuli.lock import hold_lock
 from feel321.stimuli.recording import largest
 from feel321.stimuli.sets.anchors import sensation_level_db, to_db
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, write_manifest

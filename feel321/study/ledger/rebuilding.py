@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from shlex import quote
 from typing import TYPE_CHECKING
 
-from feel321.study.files import write_text
+from feel321.files import write_text
 from feel321.study.ledger.database import (
     LIVE,
     WAS_MISSING,

@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 from itertools import count
 from typing import TYPE_CHECKING, Any
 
+from feel321.files import write_text
 from feel321.study.columns import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS
-from feel321.study.files import write_text
 from feel321.study.ledger.database import (
     LIVE,
     STATES,

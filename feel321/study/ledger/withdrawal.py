@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from feel321.study.files import sync_folder
+from feel321.files import sync_folder
 from feel321.study.ledger.database import Entry, check_anchors, read_anchor
 from feel321.study.ledger.rebuilding import (
     LOCK_FILE,
@@ -109,7 +109,7 @@ def _require_entry(ledger: Engine, participant: str) -> Entry:
 
 
 def _hold(folder: Path) -> AbstractContextManager[None]:
-    from feel321.stimuli.lock import hold_lock
+    from feel321.files import hold_lock
 
     return hold_lock(
         folder / LOCK_FILE, busy="a session is running here; let it finish or stop it first"

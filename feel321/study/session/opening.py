@@ -103,7 +103,7 @@ def open_session(
     BlockingIOError
         If the session is running elsewhere.
     """
-    from feel321.stimuli.lock import hold_lock
+    from feel321.files import hold_lock
 
     folder.mkdir(parents=True, exist_ok=True)
     with hold_lock(

@@ -16,6 +16,7 @@ import re
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from feel321.files import create_text
 from feel321.protocols.agenda import Agenda
 from feel321.protocols.order import make_order, make_rehearsal
 from feel321.protocols.tasks import is_as_expected
@@ -30,7 +31,6 @@ from feel321.protocols.trial import (
     select_items,
     select_tasks,
 )
-from feel321.study.files import create_text
 from feel321.study.session.journal import digest
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.stimuli.lock import hold_lock
+from feel321.files import hold_lock
 from feel321.study.ledger.rebuilding import find_lost, open_study_ledger, read_tombstone
 from feel321.study.ledger.slots import read_ledger, write_roster
 from feel321.study.ledger.withdrawal import release_participant, withdraw_participant
@@ -30,7 +30,7 @@ from pathlib import Path
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger.rebuilding import find_lost
 from feel321.study.ledger.withdrawal import withdraw_participant
-import feel321.stimuli.lock, feel321.stimuli.sets.manifest, feel321.study.ratings, filelock
+import feel321.files, feel321.stimuli.sets.manifest, feel321.study.ratings, filelock
 root, steps = Path(sys.argv[1]), {"open", "os.remove", "os.rename", "os.rmdir", "os.truncate", "sqlite3.connect"}
 def now():
     return datetime(2026, 1, 1, 12, tzinfo=UTC)

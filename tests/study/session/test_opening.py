@@ -290,7 +290,7 @@ def test_who_was_withdrawn_does_not_come_back(
 HOLD = """
 import sys
 from pathlib import Path
-from feel321.stimuli.lock import hold_lock
+from feel321.files import hold_lock
 with hold_lock(Path(sys.argv[1]), busy="x"):
     print("held", flush=True)
     sys.stdin.read()

@@ -1,19 +1,26 @@
-"""Files that are whole or absent: nobody ever meets half a table, plan or report."""
+"""Files that are whole or absent: nobody ever meets half a table, plan or report. And one writer at a time."""
 
 from __future__ import annotations
 
 import os
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file in one step, replacing the one that is there unless it holds just that."""
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a file in one step, replacing the one that is there unless it holds just that."""
     try:
-        if not (path.is_file() and path.read_bytes() == text.encode()):
-            _replace(path, text)
+        if not (path.is_file() and path.read_bytes() == content):
+            _replace(path, content)
     except OSError as error:
         # A full disk is reported without a name, most else with that of the unfinished file.
         raise OSError(error.errno, error.strerror, str(path)) from error
@@ -39,12 +46,28 @@ def sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def _replace(path: Path, text: str) -> None:
+@contextmanager
+def hold_lock(path: Path, *, busy: str) -> Iterator[None]:
+    """Hold the lock that a file stands for, or refuse at once; it ends with its process, however that ends."""
+    from filelock import FileLock, Timeout
+
+    lock = FileLock(path, timeout=0)
+    try:
+        lock.acquire()
+    except Timeout:
+        raise BlockingIOError(f"{path.parent}: {busy}") from None
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def _replace(path: Path, content: bytes) -> None:
     # Beside the target, so that the replacement stays on one file system and is atomic.
     unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        with unfinished.open("w", encoding="utf-8", newline="") as file:
-            file.write(text)
+        with unfinished.open("wb") as file:
+            file.write(content)
             file.flush()
             os.fsync(file.fileno())
         unfinished.replace(path)

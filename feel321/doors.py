@@ -1,0 +1,105 @@
+"""What every door does with its arguments: paths, randomness and names, and how it refuses them."""
+
+from __future__ import annotations
+
+import difflib
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable
+
+    from feel321.types import PathLike, Rng
+
+
+def as_path(path: PathLike, what: str = "path") -> Path:
+    """Make a path of a str or any other path.
+
+    Examples
+    --------
+    >>> as_path("recordings/oak.csv").name
+    'oak.csv'
+    """
+    if not isinstance(path, str | os.PathLike):
+        raise TypeError(f"{what} must be a path, got {describe(path)}")
+    return Path(path)
+
+
+def as_rng(rng: Rng, what: str = "rng") -> np.random.Generator:
+    """Make a generator of a seed, or take the generator that is given.
+
+    Examples
+    --------
+    >>> as_rng(0).integers(10, size=3)
+    array([8, 6, 5])
+    """
+    if isinstance(rng, np.random.Generator):
+        return rng
+    if isinstance(rng, bool) or not isinstance(rng, int | np.integer) or rng < 0:
+        raise TypeError(
+            f"{what} must be a whole number from 0 or a numpy Generator, got {describe(rng)}"
+        )
+    return np.random.default_rng(int(rng))
+
+
+def as_names(names: Iterable[str], what: str) -> tuple[str, ...]:
+    """Make a tuple of names; a bare str, whose letters would pass for names, is refused.
+
+    Examples
+    --------
+    >>> as_names(["dft321", "pca321"], "reducers")
+    ('dft321', 'pca321')
+    """
+    if isinstance(names, str):
+        raise TypeError(
+            f"{what} must be a list of names, got the text {names!r}; write [{names!r}]"
+        )
+    return tuple(names)
+
+
+def check_name(name: str, names: Collection[str], what: str) -> str:
+    """Return a name that is one of several, or refuse it and list them.
+
+    Examples
+    --------
+    >>> check_name("latin", ["williams", "blocked"], "order")
+    Traceback (most recent call last):
+        ...
+    ValueError: order must be one of williams, blocked; got 'latin'
+    >>> check_name("dft312", ["dft321", "pca321"], "reducer")
+    Traceback (most recent call last):
+        ...
+    ValueError: reducer must be one of dft321, pca321; got 'dft312', did you mean 'dft321'?
+    """
+    if isinstance(name, str) and name in names:
+        return name
+    raise ValueError(refuse_name(name, names, what))
+
+
+def refuse_name(name: object, names: Collection[str], what: str) -> str:
+    """Word the refusal of a name that is not one of several."""
+    near = difflib.get_close_matches(str(name), list(names), n=1)
+    hint = f", did you mean {near[0]!r}?" if near else ""
+    return f"{what} must be one of {', '.join(names)}; got {describe(name)}{hint}"
+
+
+def describe(value: object) -> str:
+    """Describe what was got in a few words: the value if it is short, else its type.
+
+    Examples
+    --------
+    >>> describe(-3), describe("x" * 80)
+    ('-3', 'a str')
+    """
+    shape = getattr(value, "shape", None)
+    if shape is not None:
+        return f"{type(value).__name__} of shape {shape}"
+    text = repr(value)
+    return text if len(text) <= _SHORT and "\n" not in text else f"a {type(value).__name__}"
+
+
+_SHORT = 60
+"""Characters of a value that fit into a message."""

@@ -1,0 +1,135 @@
+"""The base of every result: data frame, dictionary, summary and a one-line repr.
+
+A result is a frozen dataclass: `@dataclass(frozen=True, slots=True, repr=False, eq=False)` above `class Name(Result)`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+REPR_WIDTH = 200
+"""Characters of a result's repr, at most."""
+
+
+class Result:
+    """A result: its fields as a data frame, a dictionary, text and HTML."""
+
+    __slots__ = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fields as what JSON can hold.
+
+        Returns
+        -------
+        dict
+            Arrays as lists, tables as lists of rows; a number that is not defined is None.
+        """
+        fields: dict[str, Any] = to_json_value(self)
+        return fields
+
+    def to_frame(self) -> DataFrame:
+        """Return the numbers and names as a table.
+
+        Returns
+        -------
+        DataFrame
+            One row with a column per number, name or flag.
+        """
+        import pandas as pd
+
+        return pd.DataFrame([dict(_list_scalars(self))])
+
+    def summary(self) -> str:
+        """Write the result for reading.
+
+        Returns
+        -------
+        str
+            Several lines.
+        """
+        return f"{type(self).__name__}\n{_write_frame(self.to_frame())}"
+
+    def __repr__(self) -> str:
+        """Write numbers, names and flags in one line of at most 200 characters."""
+        told = ", ".join(f"{name}={_shorten(value)}" for name, value in _list_scalars(self))
+        text = f"{type(self).__name__}({told})"
+        return text if len(text) <= REPR_WIDTH else f"{text[: REPR_WIDTH - 4]}...)"
+
+    def _repr_html_(self) -> str:
+        return f"<p><b>{type(self).__name__}</b></p>{self.to_frame().to_html(max_rows=20)}"
+
+    def __eq__(self, other: object) -> bool:
+        """Compare field by field; numbers that are not defined are equal."""
+        if type(self) is not type(other):
+            return NotImplemented
+        return all(_is_equal(value, getattr(other, name)) for name, value in _list_fields(self))
+
+    def __hash__(self) -> int:
+        """Hash by what the repr shows."""
+        return hash((type(self), repr(self)))
+
+
+def to_json_value(value: object) -> Any:  # noqa: ANN401 - whatever JSON holds
+    """Turn a value into what JSON can hold; numbers that are not finite become None."""
+    from pydantic_core import to_jsonable_python
+
+    return to_jsonable_python(value, inf_nan_mode="null", fallback=_unpack)
+
+
+def _unpack(value: Any) -> object:  # noqa: ANN401 - what pydantic does not know
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return dict(value)
+    if hasattr(value, "to_frame"):  # a column of pandas, which is not imported for this
+        value = value.to_frame()
+    return value.reset_index().to_dict("records") if hasattr(value, "reset_index") else str(value)
+
+
+def _list_fields(value: object) -> list[tuple[str, Any]]:
+    fields = dataclasses.fields(value)  # type: ignore[arg-type]  # every result is a dataclass
+    return [(field.name, getattr(value, field.name)) for field in fields]
+
+
+def _list_scalars(value: object) -> list[tuple[str, Any]]:
+    return [
+        (name, entry)
+        for name, entry in _list_fields(value)
+        if isinstance(entry, bool | int | float | str | np.generic)
+    ]
+
+
+def _shorten(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float | np.floating) else repr(value)
+
+
+def _write_frame(frame: DataFrame) -> str:
+    if len(frame) == 1:
+        frame = frame.T
+        return frame.to_string(header=False, float_format="{:.4g}".format)
+    return frame.to_string(index=False, float_format="{:.4g}".format)
+
+
+def _is_equal(one: Any, other: Any) -> bool:  # noqa: ANN401 - fields hold anything
+    if hasattr(one, "equals"):  # a table or a column of pandas
+        return type(one) is type(other) and bool(one.equals(other))
+    if isinstance(one, np.ndarray):
+        same = isinstance(other, np.ndarray) and one.dtype.kind == other.dtype.kind
+        return same and np.array_equal(one, other, equal_nan=one.dtype.kind in "fc")
+    if isinstance(one, float) and isinstance(other, float):
+        return one == other or (math.isnan(one) and math.isnan(other))
+    if isinstance(one, tuple | list) and isinstance(other, tuple | list):
+        return len(one) == len(other) and all(map(_is_equal, one, other))
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        return one.keys() == other.keys() and all(
+            _is_equal(entry, other[key]) for key, entry in one.items()
+        )
+    return bool(one == other)

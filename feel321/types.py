@@ -1,0 +1,42 @@
+"""Types that signatures name: for annotations in a lab's own code."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from typing import Literal, Protocol, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Samples: TypeAlias = NDArray[np.float64]
+"""Real numbers; the docstring that names it gives their shape and unit."""
+
+PathLike: TypeAlias = str | os.PathLike[str]
+"""A path to a file or folder."""
+
+Rng: TypeAlias = int | np.random.Generator
+"""A seed, or a generator that is used up as it is drawn from."""
+
+Progress: TypeAlias = bool | Callable[[int, int], None]
+"""Whether to show a progress bar; or a function called with the numbers of steps done and to do."""
+
+Level: TypeAlias = Literal["as_is", "equal_intensity"]
+"""How the gain of stimuli is chosen: see `feel321.stimuli.LEVELS`."""
+
+Method: TypeAlias = Literal["pearson", "spearman", "kendall"]
+"""A kind of correlation."""
+
+
+class Reducer(Protocol):
+    """A 321 transform."""
+
+    def __call__(self, acceleration: Samples, rate_hz: float, /) -> Samples:
+        """Reduce three axes, shape (..., 3, n), to one, shape (..., n)."""
+
+
+class Metric(Protocol):
+    """A measure of how well a reduced signal matches its recording."""
+
+    def __call__(self, acceleration: Samples, reduced: Samples, rate_hz: float, /) -> float:
+        """Compare three axes, shape (3, n), with one, shape (n,)."""

@@ -1,0 +1,73 @@
+import pickle
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from feel321.doors import as_names, as_path, as_rng
+from feel321.records import REPR_WIDTH, Result
+
+
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Fit(Result):
+    name: str
+    slope: float
+    votes: np.ndarray
+    table: pd.DataFrame
+    parts: tuple["Fit", ...] = ()
+
+
+def make(**changes: object) -> Fit:
+    frame = pd.DataFrame({"a": [1.0, np.nan], "b": ["x", "y"]}, index=pd.Index([3, 4], name="item"))
+    part = Fit("part", np.nan, np.array([1.0, np.nan]), frame)
+    return replace(Fit("all", 0.5, np.arange(3.0), frame, (part,)), **changes)  # type: ignore[arg-type]
+
+
+def test_dictionary_is_what_json_holds() -> None:
+    found = make().to_dict()
+
+    rows = [{"item": 3, "a": 1.0, "b": "x"}, {"item": 4, "a": None, "b": "y"}]
+    part = {"name": "part", "slope": None, "votes": [1.0, None], "table": rows, "parts": []}
+    whole = {"name": "all", "slope": 0.5, "votes": [0.0, 1.0, 2.0], "table": rows, "parts": [part]}
+    assert found == whole
+
+
+def test_frame_summary_and_html_show_numbers_and_names() -> None:
+    assert make().to_frame().to_dict("records") == [{"name": "all", "slope": 0.5}]
+    assert make().summary().splitlines()[0] == "Fit"
+    assert "0.5" in make().summary()
+    assert "<table" in make()._repr_html_()
+
+
+def test_repr_is_one_short_line() -> None:
+    assert repr(make()) == "Fit(name='all', slope=0.5)"
+    assert len(repr(make(name="x" * 1000))) <= REPR_WIDTH
+
+
+def test_equality_and_pickle_know_arrays_tables_and_undefined_numbers() -> None:
+    assert make() == make() == pickle.loads(pickle.dumps(make()))  # noqa: S301 - our own bytes
+    assert hash(make()) == hash(make())
+    assert make() != make(votes=np.array([0.0, 1.0, 3.0]))
+    assert make() != make(table=make().table.assign(a=2.0))
+    assert make() != make(parts=())
+
+
+def test_doors_refuse_in_one_line() -> None:
+    with pytest.raises(TypeError, match=r"^path must be a path, got 3$"):
+        as_path(3)
+    with pytest.raises(
+        TypeError, match=r"^rng must be a whole number from 0 or a numpy Generator, got -1$"
+    ):
+        as_rng(-1)
+    with pytest.raises(
+        TypeError, match=r"^reducers must be a list of names, got the text 'dft321'; write"
+    ):
+        as_names("dft321", "reducers")
+
+
+def test_a_generator_goes_through_and_a_seed_is_repeated() -> None:
+    generator = np.random.default_rng(3)
+
+    assert as_rng(generator) is generator
+    assert as_rng(3).random() == as_rng(np.int64(3)).random() == np.random.default_rng(3).random()
