@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import difflib
+import importlib
 import os
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable
+    from collections.abc import Callable, Collection, Iterable, Mapping
+    from typing import Any
 
     from feel321.types import PathLike, Rng
 
@@ -103,3 +106,21 @@ def describe(value: object) -> str:
 
 _SHORT = 60
 """Characters of a value that fit into a message."""
+
+
+def forward_old_names(face: str, places: Mapping[str, str]) -> Callable[[str], Any]:
+    """Make a face's `__getattr__`, which still finds names that have left `__all__`, with a warning.
+
+    places: "module:name" or "module:name|what to use instead" of each old name.
+    """
+
+    def find(name: str) -> Any:  # noqa: ANN401 - whatever the name stood for
+        if name not in places:
+            raise AttributeError(f"module {face!r} has no attribute {name!r}")
+        place, _, instead = places[name].partition("|")
+        module, _, attribute = place.partition(":")
+        advice = f"; use {instead}" if instead else ""
+        warnings.warn(f"{face}.{name} is deprecated{advice}", DeprecationWarning, stacklevel=2)
+        return getattr(importlib.import_module(module), attribute)
+
+    return find

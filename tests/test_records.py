@@ -5,7 +5,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.doors import as_names, as_path, as_rng
+from feel321.doors import as_names, as_path, as_rng, forward_old_names
 from feel321.records import REPR_WIDTH, Result
 
 
@@ -21,7 +21,7 @@ class Fit(Result):
 def make(**changes: object) -> Fit:
     frame = pd.DataFrame({"a": [1.0, np.nan], "b": ["x", "y"]}, index=pd.Index([3, 4], name="item"))
     part = Fit("part", np.nan, np.array([1.0, np.nan]), frame)
-    return replace(Fit("all", 0.5, np.arange(3.0), frame, (part,)), **changes)  # type: ignore[arg-type]
+    return replace(Fit("all", 0.5, np.arange(3.0), frame, (part,)), **changes)
 
 
 def test_dictionary_is_what_json_holds() -> None:
@@ -71,3 +71,14 @@ def test_a_generator_goes_through_and_a_seed_is_repeated() -> None:
 
     assert as_rng(generator) is generator
     assert as_rng(3).random() == as_rng(np.int64(3)).random() == np.random.default_rng(3).random()
+
+
+def test_old_names_are_found_with_a_warning_and_unknown_ones_are_not() -> None:
+    find = forward_old_names("feel321.stimuli", {"as_door": "feel321.doors:as_path|as_path"})
+
+    with pytest.warns(
+        DeprecationWarning, match=r"feel321\.stimuli\.as_door is deprecated; use as_path"
+    ):
+        assert find("as_door") is as_path
+    with pytest.raises(AttributeError, match=r"feel321\.stimuli. has no attribute .other."):
+        find("other")
