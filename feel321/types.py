@@ -9,6 +9,8 @@ from typing import Literal, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+__all__ = ["Level", "Method", "Metric", "PathLike", "Progress", "Reducer", "Rng", "Samples"]
+
 Samples: TypeAlias = NDArray[np.float64]
 """Real numbers; the docstring that names it gives their shape and unit."""
 
