@@ -335,7 +335,7 @@ def test_match_compares_like_with_like_or_says_why_not(
         (
             {"conditioning": {"high_pass_hz": -1}},
             1,
-            "feel321: o.json: no conditioning (high_pass_hz: got -1",
+            "feel321: o.json: no conditioning (high_pass_hz must be",
         ),
         (
             {"recording_sha256": "0"},

@@ -21,8 +21,7 @@ from feel321.stimuli.match import PLANNED
 from feel321.stimuli.recording import UNITS
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
 from feel321.stimuli.sets.anchors import CONTACTOR, THRESHOLDS
-from feel321.stimuli.sets.build import check_names
-from feel321.stimuli.sets.recipe import GAINS, LEVELS, NO_REFERENCE, ONE_GAIN, ORIGINAL
+from feel321.stimuli.sets.recipe import GAINS, LEVELS, NO_REFERENCE, ONE_GAIN, ORIGINAL, check_names
 from feel321.stimuli.synthesis import SCENES
 from feel321.study import columns
 from feel321.study.session.plan import POLICIES
