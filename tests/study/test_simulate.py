@@ -15,7 +15,7 @@ from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.analyze import analyze_study
 from feel321.study.audit import audit_study
 from feel321.study.folder import StudyFolder
-from feel321.study.ledger.database import list_forgotten
+from feel321.study.ledger.slots import list_forgotten
 from feel321.study.ratings import write_ratings
 from feel321.study.session.journal import read_journal
 from feel321.study.session.plan import find_header
