@@ -24,6 +24,7 @@ from feel321.study.observer.participant import SimulatedObserver
 from feel321.study.session.engine import Stage, run_session
 from feel321.study.session.opening import Stale, open_session
 from feel321.study.session.plan import Design, list_codes, make_plan
+from feel321.study.settings.schema import ObserverTable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -77,7 +78,7 @@ def run_all(folder: Path) -> int:
         code: row
         for row, code in zip(stimuli.stimuli, list_codes(stimuli, seed=321).values(), strict=True)
     }
-    model = ObserverModel(10, 45, 35, bias_sd=6, gain_sd=0.15, noise_sd=8, noise_spread=0.25)
+    model = ObserverModel(**ObserverTable().model_dump())
     scales, trials = read_scales(), 0
     for number in range(1, PARTICIPANTS + 1):
         plan = make_plan(design, stimuli, f"sim{number:03d}", number=number, simulated=True)

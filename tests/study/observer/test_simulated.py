@@ -13,21 +13,14 @@ from feel321.study.observer.participant import SimulatedObserver, identify_obser
 from feel321.study.observer.percepts import Percept
 from feel321.study.session.journal import Record
 from feel321.study.session.ports import Confirm, Feel, Place
+from feel321.study.settings.schema import ObserverTable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
     from feel321.study.session.ports import Act
 
-MODEL = ObserverModel(
-    intercept=10.0,
-    spectral=45.0,
-    temporal=35.0,
-    bias_sd=6.0,
-    gain_sd=0.15,
-    noise_sd=8.0,
-    noise_spread=0.25,
-)
+MODEL = ObserverModel(**ObserverTable().model_dump())
 EXACT = replace(MODEL, bias_sd=0.0, gain_sd=0.0, noise_sd=0.0, noise_spread=0.0)
 # Every percept is 50 points, so that nothing but what a test plants moves a rating.
 FLAT = replace(EXACT, intercept=50.0, spectral=0.0, temporal=0.0)
@@ -529,7 +522,8 @@ def test_an_answer_that_did_not_count_is_remembered_and_one_that_was_refused_is_
 def test_percepts_that_are_missing_are_refused_where_they_matter() -> None:
     observer = SimulatedObserver(replace(MODEL, level=2.0), seed=1, number=1)
     with pytest.raises(
-        ValueError, match=r"stimulus s1: got no percept, the observer's weights need one; read"
+        ValueError,
+        match=r"stimulus s1: its percept is missing, and the observer's weights need it; read",
     ):
         answer(observer, make_realism(1, "code1"))
 
