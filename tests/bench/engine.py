@@ -24,7 +24,6 @@ from feel321.study.observer.participant import SimulatedObserver
 from feel321.study.session.engine import Stage, run_session
 from feel321.study.session.opening import Stale, open_session
 from feel321.study.session.plan import Design, list_codes, make_plan
-from feel321.study.settings.schema import ObserverTable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -78,7 +77,7 @@ def run_all(folder: Path) -> int:
         code: row
         for row, code in zip(stimuli.stimuli, list_codes(stimuli, seed=321).values(), strict=True)
     }
-    model = ObserverModel(**ObserverTable().model_dump())
+    model = ObserverModel()
     scales, trials = read_scales(), 0
     for number in range(1, PARTICIPANTS + 1):
         plan = make_plan(design, stimuli, f"sim{number:03d}", number=number, simulated=True)

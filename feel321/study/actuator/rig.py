@@ -152,21 +152,9 @@ class Rig(Table):
             yield self.sync.channel, "sync"
 
 
-TABLES: dict[tuple[str, ...], type[Table]] = {
-    (): Rig,
-    ("actuators",): ActuatorTable,
-    ("device",): DeviceTable,
-    ("limits",): LimitsTable,
-    ("masking",): MaskingTable,
-    ("sensor",): SensorTable,
-    ("sync",): SyncTable,
-}
-"""Place in rig.toml -> the table that is allowed there."""
-
-
 def read_rig(path: Path) -> Rig:
     """Read and check a `rig.toml`."""
-    rig = parse_toml(path, Rig, tables=TABLES)
+    rig = parse_toml(path, Rig)
     uses: dict[int, list[str]] = {}
     for channel, use in rig.outputs():
         uses.setdefault(channel, []).append(use)

@@ -26,11 +26,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from feel321.doors import check_name
 from feel321.protocols.trial import RATING_RANGE, SURFACE
 from feel321.study.observer.percepts import Percept, compare_percepts
+from feel321.study.settings.fields import one_of
+from feel321.study.settings.schema import ObserverTable
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -60,49 +61,19 @@ NODES = 15
 """Of the quadrature over gains and over sizes of the noise."""
 
 
-@dataclass(frozen=True, slots=True)
-class ObserverModel:
+class ObserverModel(ObserverTable):
     """How simulated participants feel, and how they differ. A weight of 0 plants no effect.
-
-    The numbers, their ranges and defaults are those of `[observer]` in study.toml, which checks them.
 
     intercept: percept of a stimulus that matches in nothing, in points; spectral, temporal: what a perfect match adds,
     in points; bias_sd: standard deviation of the participants' biases, in points; noise_sd: median size of their noise,
     in points; threshold_spectral: points lost per dB of threshold-weighted spectral distance from the original, or
     whatever the reference is; level: points per dB of felt level above that of the original; lapse_rate: share of
     answers that have nothing to do with what was felt; straight_liners, random_clickers, scale_reversers: shares of the
-    participants who are such bad raters, at most 1 together; spectral_metric: 1 counts as 0 where it is negative: a
-    slope on it is planted from 0 to 1 only.
+    participants who are such bad raters; spectral_metric: 1 counts as 0 where it is negative: a slope on it is planted
+    from 0 to 1 only.
     """
 
-    intercept: float
-    spectral: float
-    temporal: float
-    bias_sd: float
-    gain_sd: float
-    noise_sd: float
-    noise_spread: float
-    threshold_spectral: float
-    envelope: float
-    level: float
-    lapse_rate: float
-    order: float
-    fatigue: float
-    fatigue_noise: float
-    straight_liners: float
-    random_clickers: float
-    scale_reversers: float
-    spectral_metric: str = SPECTRAL[0]
-
-    def __post_init__(self) -> None:
-        """Refuse what the ranges of single numbers do not."""
-        check_name(self.spectral_metric, SPECTRAL, "spectral_metric")
-        bad = self.straight_liners + self.random_clickers + self.scale_reversers
-        if bad > 1 + 1e-9:
-            raise ValueError(
-                "straight_liners, random_clickers, scale_reversers must add up to 1 or less, "
-                f"got {bad:g}; lower one of them"
-            )
+    spectral_metric: Annotated[str, one_of(SPECTRAL)] = SPECTRAL[0]
 
     @property
     def uses_percepts(self) -> bool:

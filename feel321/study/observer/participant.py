@@ -8,7 +8,6 @@ Their clock adds up what stimuli, pages and answers take, so that a session of a
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -201,4 +200,4 @@ class SimulatedObserver(Participant):
 
 def identify_observer(model: ObserverModel, *, seed: int) -> dict[str, Any]:
     """List what the answers of simulated participants depend on, for the header of their journals."""
-    return {"simulated": True, "seed": seed, "observer": asdict(model)}
+    return {"simulated": True, "seed": seed, "observer": model.model_dump()}

@@ -21,7 +21,11 @@ from feel321.study.observer.judging import (
     measure_distances,
 )
 from feel321.study.observer.percepts import Percept, Sensation
-from feel321.study.settings.schema import ObserverTable
+
+
+def vary(model: ObserverModel, **changes: object) -> ObserverModel:
+    return ObserverModel(**{**model.model_dump(), **changes})
+
 
 WEIGHTS = {
     "spectral": 40.0,
@@ -30,7 +34,7 @@ WEIGHTS = {
     "envelope": 50.0,
     "level": 3.0,
 }
-MODEL = ObserverModel(**ObserverTable(**WEIGHTS).model_dump())
+MODEL = ObserverModel(**WEIGHTS)
 TOUCH = Touch(MODEL, {})
 WEAK = Location(0.6, 0.5, Percept(4.0, 0.2, -1.0))
 STRONG = Location(0.2, 0.9, Percept(1.0, 0.1, 2.0))
@@ -67,7 +71,7 @@ def test_distance_is_the_stated_sum() -> None:
 @pytest.mark.parametrize("level", [3.0, -3.0])
 @given(a=points, b=points, c=points)
 def test_distance_is_a_metric(level: float, a: Location, b: Location, c: Location) -> None:
-    measure = Touch(replace(MODEL, level=level), {}).measure_distance
+    measure = Touch(vary(MODEL, level=level), {}).measure_distance
     assert measure(a, a) == 0
     assert measure(a, b) == measure(b, a) >= 0
     assert measure(a, c) <= measure(a, b) + measure(b, c) + 1e-9
