@@ -13,7 +13,9 @@ from feel321.analysis.association.dependent import compare_dependent
 from feel321.analysis.association.repeated import repeated_measures_correlation
 from feel321.analysis.p1401.difference import compare_p1401
 from feel321.analysis.p1401.mapping import p1401
-from feel321.analysis.report.section import INTERVAL, Cell, Grid, Section, split_parts
+from feel321.analysis.report._old import INTERVAL, Cell, Grid
+from feel321.analysis.report.parts import split_parts
+from feel321.analysis.report.section import Section
 from feel321.analysis.table.items import make_items
 from feel321.analysis.words import (
     COUNT,
@@ -30,7 +32,8 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.analysis.p1401.mapping import P1401
-    from feel321.analysis.report.section import Choices, Part
+    from feel321.analysis.report.parts import Choices
+    from feel321.analysis.report.parts import RatingsPart as Part
     from feel321.analysis.table.items import Items
     from feel321.analysis.table.reading import Table
 
