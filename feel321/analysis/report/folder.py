@@ -47,7 +47,7 @@ def list_files(figures: Iterable[str], tables: Iterable[str]) -> tuple[str, ...]
 def check_target(target: Path) -> None:
     """Find out whether results may go to a folder, before minutes are spent on them."""
     if target.exists() and not target.is_dir():
-        raise FileExistsError(f"{target} must be a folder, got a file; choose another name")
+        raise FileExistsError(f"{target}: must be a folder, got a file; choose another name")
     _refuse_foreign(target, (RESULTS, PAGE))
 
 
@@ -176,8 +176,7 @@ class ResultsFolder:
                     stderr=subprocess.DEVNULL,
                     text=True,
                 )
-            self._artist.stdin.write(f"{order}\n")  # type: ignore[union-attr]  # it is a pipe
-            self._artist.stdin.flush()  # type: ignore[union-attr]
+            print(order, file=self._artist.stdin, flush=True)
         except (OSError, pickle.PicklingError, AttributeError, TypeError):
             self._background = False
             return False
@@ -229,7 +228,7 @@ def _refuse_foreign(target: Path, wanted: Iterable[str]) -> set[str]:
     for name in wanted:
         if name not in former and (target / name).exists():
             raise FileExistsError(
-                f"{target / name} exists and is not of a former report; move it away or choose another folder"
+                f"{target / name}: exists and is not of a former report; move it away or choose another folder"
             )
     return former
 

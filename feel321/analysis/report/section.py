@@ -233,40 +233,40 @@ class Section:
         Its name in paths and anchors.
     title : str
         Its heading.
-    answers : tuple of str
+    answers : sequence of str
         What it shows, in words; numbers in them are among its numbers.
-    verdict : tuple of Line
+    verdict : sequence of Line
         What it has to say where the report opens.
-    grids : tuple of PageTable
+    grids : sequence of PageTable
         Tables of the page; those without rows are left out.
-    unseen : tuple of Number
+    unseen : sequence of Number
         Numbers that are in words or figures only.
     tables : Mapping of str to DataFrame, or to a list of rows
         Files, by name without suffix; those without rows are left out.
-    pictures : tuple of Picture
+    pictures : sequence of Picture
         Figures.
-    notes : tuple of str
+    notes : sequence of str
         What was left out or assumed, and why; one sentence each.
-    how : tuple of str
+    how : sequence of str
         How it was computed; left out if there is nothing to show.
-    claims : tuple of Claim
+    claims : sequence of Claim
         What it concludes, for a program.
-    panels : tuple of Panel
+    panels : sequence of Panel
         Correlations, to be held against the claims of other sections.
     """
 
     key: str
     title: str
-    answers: tuple[str, ...] = ()
-    verdict: tuple[Line, ...] = ()
-    grids: tuple[Any, ...] = ()
-    unseen: tuple[Number, ...] = ()
-    tables: Mapping[str, DataFrame] = field(default_factory=dict)
-    pictures: tuple[Picture, ...] = ()
-    notes: tuple[str, ...] = ()
-    how: tuple[str, ...] = ()
-    claims: tuple[Claim, ...] = ()
-    panels: tuple[Panel, ...] = ()
+    answers: Sequence[str] = ()
+    verdict: Sequence[Line] = ()
+    grids: Sequence[Any] = ()
+    unseen: Sequence[Number] = ()
+    tables: Mapping[str, Any] = field(default_factory=dict)
+    pictures: Sequence[Picture] = ()
+    notes: Sequence[str] = ()
+    how: Sequence[str] = ()
+    claims: Sequence[Claim] = ()
+    panels: Sequence[Panel] = ()
 
     def __post_init__(self) -> None:
         """Leave out what is empty, make frames of rows, and tuples of lists."""

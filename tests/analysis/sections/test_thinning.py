@@ -41,7 +41,7 @@ def test_the_longer_side_is_halved(
     left, told = thin(rows)
     assert (left["participant"].nunique(), left["recording"].nunique()) == kept
     assert told == (
-        f"mixed models rest on {kept[0]} of {people} participants and {kept[1]} of {scenes} recordings, drawn at "
+        f"mixed models use {kept[0]} of {people} participants and {kept[1]} of {scenes} recordings, drawn at "
         f"random: {len(rows)} ratings are too many for one fit."
     )
 
