@@ -209,7 +209,7 @@ def gather_results(
         verdict=tuple(dict.fromkeys(map(str, _gather(sections, "verdict")))),
         verdicts=tuple(_gather(sections, "claims")),
         numbers=collect_numbers(table, _gather(sections, "numbers")),
-        answers={section.key: section.answers for section in sections if section.answers},
+        answers={section.key: tuple(section.answers) for section in sections if section.answers},
         figures={picture.name: picture.caption for picture in pictures},
         captions=tuple(grid.caption for grid in _gather(sections, "grids")),
         notes=tuple(dict.fromkeys((*table.notes, *own, *_note_undrawable(table)))),
