@@ -13,8 +13,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-# numpy is imported where it is needed, so that the command line answers at once.
-
 REPR_WIDTH = 200
 """Characters of a result's repr, at most."""
 
@@ -127,6 +125,8 @@ def _write_frame(frame: DataFrame) -> str:
 def _is_equal(one: Any, other: Any) -> bool:  # noqa: ANN401 - fields hold anything
     import numpy as np
 
+    if dataclasses.is_dataclass(one) and type(one) is type(other):
+        one, other = dict(_list_fields(one)), dict(_list_fields(other))
     if hasattr(one, "equals"):  # a table or a column of pandas
         return type(one) is type(other) and bool(one.equals(other))
     if isinstance(one, np.ndarray):

@@ -62,27 +62,27 @@ def test_settings_that_go_together_pass(text: str, tmp_path: Path) -> None:
         ("[tasks.abx]\nsurface = true", "tasks.abx.surface must be false, got true"),
         (
             "[tasks.realism]\nsurface = true",
-            "recordings[2].sample: is missing, but realism let the real surface be",
+            "recordings[2].sample: missing, but participants touch the real surface in realism",
         ),
         (
             "[tasks.similarity]\nreference = 'surface'",
-            "recordings[2].sample: is missing, but similarity let the real",
+            "recordings[2].sample: missing, but participants touch the real surface in similarity",
         ),
         (
             "[stimuli]\nreference = 'dft321'",
-            "stimuli.reference: got 'dft321', which is one of stimuli.reducers: it",
+            "stimuli.reference must not be one of stimuli.reducers too, got 'dft321'",
         ),
         (
             "[session]\nrepeats = 400",
-            "session.repeats: got 400, which makes 19200 trials in a session, allowed are at",
+            "a session must have at most 10000 trials, got 19200 with session.repeats = 400",
         ),
         (
             "[between]\nlevel = ['equal_intensity']",
-            "between.level: got 'equal_intensity', allowed: as_is; or add it",
+            "between.level must be one of as_is, got 'equal_intensity'; or add it",
         ),
         (
             "[between]\nprotocol = ['abx']",
-            "between.protocol: got 'abx', allowed: realism, similarity; or add it to",
+            "between.protocol must be one of realism, similarity, got 'abx'; or add it to",
         ),
         (
             "[observer]\nrandom_clickers = 0.6\nscale_reversers = 0.6",
