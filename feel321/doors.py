@@ -7,16 +7,17 @@ import importlib
 import os
 import warnings
 from collections.abc import Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
-
-import numpy as np
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator
     from typing import Any
 
-    from feel321.types import PathLike, Rng
+    import numpy as np
+
+    from feel321.types import PathLike, Progress, Rng
 
 
 def as_path(path: PathLike, what: str = "path") -> Path:
@@ -40,6 +41,8 @@ def as_rng(rng: Rng, what: str = "rng") -> np.random.Generator:
     >>> as_rng(0).integers(10, size=3)
     array([8, 6, 5])
     """
+    import numpy as np  # only here, so that the command line answers at once
+
     if isinstance(rng, np.random.Generator):
         return rng
     if isinstance(rng, bool) or not isinstance(rng, int | np.integer) or rng < 0:
@@ -47,6 +50,37 @@ def as_rng(rng: Rng, what: str = "rng") -> np.random.Generator:
             f"{what} must be a whole number from 0 or a numpy Generator, got {describe(rng)}"
         )
     return np.random.default_rng(int(rng))
+
+
+def as_seed(rng: Rng, what: str = "rng") -> int:
+    """Take the seed that is given, or draw one from a generator: for results that have many sources of randomness.
+
+    Examples
+    --------
+    >>> as_seed(7)
+    7
+    """
+    import numpy as np
+
+    generator = as_rng(rng, what)
+    return int(generator.integers(2**32) if isinstance(rng, np.random.Generator) else rng)
+
+
+@contextmanager
+def follow(progress: Progress, what: str) -> Iterator[Callable[[int, int], None]]:
+    """Give the function to be called with the numbers of steps done and to do: the caller's, a bar's, or nobody's."""
+    if callable(progress):
+        yield progress
+        return
+    from tqdm import tqdm
+
+    with tqdm(desc=what, disable=not progress, leave=False) as bar:
+
+        def move(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        yield move
 
 
 def as_names(names: Iterable[str], what: str) -> tuple[str, ...]:

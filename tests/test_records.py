@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.doors import Registry, as_names, as_path, as_rng, forward_old_names
+from feel321.doors import Registry, as_names, as_path, as_rng, as_seed, follow, forward_old_names
 from feel321.records import REPR_WIDTH, Result
 
 
@@ -113,3 +113,28 @@ def test_several_entries_are_chosen_by_name_by_dotted_name_or_as_they_are() -> N
     }
     with pytest.raises(TypeError, match=r"things.*write \['one'\]"):
         registry.choose("one")
+
+
+def test_rows_that_are_plain_records_are_compared_field_by_field() -> None:
+    @dataclass(frozen=True)
+    class Row:
+        value: float
+
+    assert make(parts=(Row(float("nan")),)) == make(parts=(Row(float("nan")),))
+    assert make(parts=(Row(1.0),)) != make(parts=(Row(2.0),))
+
+
+def test_a_seed_is_taken_or_drawn() -> None:
+    assert as_seed(7) == 7
+    assert as_seed(np.random.default_rng(1)) == as_seed(np.random.default_rng(1)) >= 0
+    with pytest.raises(TypeError, match="rng must be a whole number from 0"):
+        as_seed(-1)
+
+
+def test_progress_is_a_bar_a_function_or_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    steps: list[tuple[int, int]] = []
+    for progress in (False, True, lambda done, total: steps.append((done, total))):
+        with follow(progress, "chart") as move:
+            move(1, 2)
+    assert steps == [(1, 2)]
+    assert "chart" in capsys.readouterr().err
