@@ -242,7 +242,7 @@ def _check_pictures(study: StudyFolder, settings: Settings) -> list[str]:
 
 def _check_texts(study: StudyFolder, settings: Settings) -> list[str]:
     from feel321.study.screen.layout import find_overflows
-    from feel321.study.screen.parts import make_screen_texts
+    from feel321.study.screen.view import make_screen_texts
 
     language = find_language(settings, study.path)
     try:
