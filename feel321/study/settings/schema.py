@@ -269,7 +269,9 @@ BELOW_THRESHOLD = ("refuse", ACCEPT)
 class StimuliTable(Table):
     """`[stimuli]`: what is made of each recording."""
 
-    reducers: Annotated[tuple[Annotated[str, one_of(REDUCERS)], ...], Some] = tuple(_RECIPE.reducers)
+    reducers: Annotated[tuple[Annotated[str, one_of(REDUCERS)], ...], Some] = tuple(
+        _RECIPE.reducers
+    )
     levels: Annotated[tuple[Annotated[str, one_of(LEVELS)], ...], Some] = tuple(_RECIPE.levels)
     anchors: bool = _RECIPE.anchors
     reference: Annotated[str, one_of((ORIGINAL, NO_REFERENCE, *REDUCERS))] = _RECIPE.reference
