@@ -124,7 +124,8 @@ def describe_built(path: Path, recordings: Sequence[Recording], stimuli: Stimulu
     settings = read_settings(path)
     recipe = make_recipe(settings)
     foreseen = foresee_stimuli(recordings, stimuli.folder, recipe=recipe)
-    return [*describe_gains(foreseen, recipe), *filter(None, [find_unfelt(settings, stimuli)])]
+    unfelt = filter(None, [find_unfelt(settings, stimuli)])
+    return [*describe_gains(foreseen, recipe), *unfelt, *stimuli.warnings]
 
 
 def find_clipping(foreseen: Sequence[Foreseen], recipe: Recipe) -> list[str]:
