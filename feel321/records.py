@@ -119,6 +119,8 @@ def _write_frame(frame: DataFrame) -> str:
 
 
 def _is_equal(one: Any, other: Any) -> bool:  # noqa: ANN401 - fields hold anything
+    if dataclasses.is_dataclass(one) and type(one) is type(other):
+        one, other = dict(_list_fields(one)), dict(_list_fields(other))
     if hasattr(one, "equals"):  # a table or a column of pandas
         return type(one) is type(other) and bool(one.equals(other))
     if isinstance(one, np.ndarray):
