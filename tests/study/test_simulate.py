@@ -246,9 +246,7 @@ def test_check_finds_that_a_protocol_lacks_its_reference(copy: StudyFolder) -> N
     shutil.rmtree(copy.sessions)
     text = copy.settings.read_text(encoding="utf-8") + 'reference = "none"\n'
     copy.settings.write_text(text, encoding="utf-8")
-    assert any(
-        "got 0 stimuli for the reference 'original'" in problem for problem in check_study(copy)[1]
-    )
+    assert any("for the reference 'original', got 0" in problem for problem in check_study(copy)[1])
 
 
 def test_check_warns_of_an_order_that_cannot_be_kept(copy: StudyFolder) -> None:
