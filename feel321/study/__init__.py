@@ -3,12 +3,17 @@
 Imports nothing heavy: what a step needs is imported when it is called.
 """
 
-from feel321.doors import forward_old_names
+from typing import TYPE_CHECKING as _TYPE_CHECKING
+
+from feel321.doors import forward_old_names as _forward_old_names
 from feel321.study.session.engine import Outcome, run_session
 from feel321.study.session.journal import Journal
 from feel321.study.session.plan import Plan
 from feel321.study.session.ports import Abort, Confirm, Feel, Move, Pause, Playback, Presenter
 from feel321.study.study import Study
+
+if _TYPE_CHECKING:
+    from feel321.study.settings.schema import Settings
 
 __all__ = [
     "Abort",
@@ -26,7 +31,7 @@ __all__ = [
     "run_session",
 ]
 
-_OLD = {
+_old_names = {
     "Design": "feel321.study.session.plan:Design",
     "Place": "feel321.study.session.ports:Place",
     "Stage": "feel321.study.session.engine:Stage",
@@ -43,3 +48,7 @@ _OLD = {
     "require_study": "feel321.study.folder:require_study|Study.open(path)",
     "write_ratings": "feel321.study.ratings:write_ratings|Study.ratings()",
 }
+
+__getattr__ = _forward_old_names(
+    __name__, _old_names, lazy={"Settings": "feel321.study.settings.schema:Settings"}
+)

@@ -1,4 +1,4 @@
-"""What a study holds, read for Python: recordings, stimuli, plans, journals and ratings, as tables where they are rows."""
+"""What a study holds, read for Python: recordings, stimuli, plans, journals and ratings."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
     from pathlib import Path
+    from typing import Self
 
     from pandas import DataFrame
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from feel321.stimuli.sets.manifest import StimulusSet
     from feel321.study.folder import StudyFolder
     from feel321.study.session.journal import Clock
+    from feel321.study.settings.schema import Settings
     from feel321.types import Progress
 
 
@@ -26,7 +28,7 @@ def utc_now() -> datetime:
     return datetime.now(UTC)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Contents:
     """A study as far as it is read."""
 
@@ -35,18 +37,40 @@ class Contents:
     now: Clock = utc_now
     warn: Callable[[str], None] | None = None
 
-    def tell(self, message: str) -> None:
-        """Warn as the caller wants to be warned.
+    def __repr__(self) -> str:
+        """Write what a user would write to open it."""
+        return f"{type(self).__name__}.open({str(self.folder.path)!r})"
 
-        Parameters
-        ----------
-        message : str
-            The warning.
-        """
+    def _warn(self, message: str) -> None:
         if self.warn is None:
             warnings.warn(message, stacklevel=4)
         else:
             self.warn(message)
+
+    @property
+    def settings(self) -> Settings:
+        """What `study.toml` says now, checked, with every default."""
+        from feel321.study.settings.read import read_settings
+
+        return read_settings(self.folder.settings)
+
+    def with_settings(self, changes: Mapping[str, object]) -> Self:
+        """Change settings in `study.toml`, which keeps its comments; a wrong one changes nothing.
+
+        Parameters
+        ----------
+        changes : Mapping of str to object
+            Dotted name -> value, such as `{"session.repeats": 2}`; None brings the default back.
+
+        Returns
+        -------
+        Study
+            The same study.
+        """
+        from feel321.study.settings.edit import edit_settings
+
+        edit_settings(self.folder.settings, changes)
+        return self
 
     def recordings(self) -> list[Recording]:
         """Read the recordings that `study.toml` names.
@@ -56,9 +80,9 @@ class Contents:
         list of Recording
             As the sensor gave them: not conditioned.
         """
-        from feel321.study.settings.read import open_recordings, read_settings
+        from feel321.study.settings.read import open_recordings
 
-        return open_recordings(read_settings(self.folder.settings), self.folder.path)
+        return open_recordings(self.settings, self.folder.path)
 
     def stimuli(self) -> StimulusSet:
         """Read the stimulus set.
@@ -100,7 +124,9 @@ class Contents:
         ]
         frame = pd.DataFrame(rows).drop(columns=["parts", "judgements"])
         if not blind:
-            codes = {code: name for name, code in list_codes(self.stimuli(), seed=plan.seed).items()}
+            codes = {
+                code: name for name, code in list_codes(self.stimuli(), seed=plan.seed).items()
+            }
             columns = ["stimulus_id", "reference_id"]
             frame[columns] = frame[columns].replace(codes)
         return frame
@@ -154,10 +180,10 @@ class Contents:
             What every function of `feel321.analysis` takes.
         """
         from feel321.analysis.table.reading import read_table
-        from feel321.study.settings.read import list_origins, read_settings
+        from feel321.study.settings.read import list_origins
 
         self.ratings()
-        settings = read_settings(self.folder.settings)
+        settings = self.settings
         return read_table(
             self.folder.ratings,
             self.folder.manifest,

@@ -47,6 +47,10 @@ class Problems(Result):
         """
         return _list_findings(self, "problems", "warnings", "remarks", "notes")
 
+    def __repr__(self) -> str:
+        """Count the findings."""
+        return f"Problems({len(self.problems)} problems, {len(self.warnings)} warnings)"
+
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
 class Audit(Result):
@@ -72,6 +76,10 @@ class Audit(Result):
             With the columns `kind` and `text`.
         """
         return _list_findings(self, "findings")
+
+    def __repr__(self) -> str:
+        """Count the findings."""
+        return f"Audit({len(self.findings)} findings, seal={self.seal[:12]!r})"
 
 
 def _list_findings(found: Result, *kinds: str) -> DataFrame:

@@ -9,7 +9,6 @@ from feel321.study.contents import Contents
 from feel321.study.folder import create_study, require_study
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
     from typing import Self
 
     from pandas import DataFrame
@@ -17,12 +16,11 @@ if TYPE_CHECKING:
     from feel321.analysis.report.folder import Results
     from feel321.stimuli.sets.manifest import StimulusSet
     from feel321.study.findings import Audit, Problems
-    from feel321.study.settings.schema import Settings
     from feel321.study.status import Status
     from feel321.types import PathLike, Progress, Rng
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Study(Contents):
     """A study in its folder; begin with `Study.create` or `Study.open`.
 
@@ -90,31 +88,6 @@ class Study(Contents):
 
         return cls(require_study(as_path(path)), progress)
 
-    @property
-    def settings(self) -> Settings:
-        """What `study.toml` says now, checked, with every default."""
-        from feel321.study.settings.read import read_settings
-
-        return read_settings(self.folder.settings)
-
-    def with_settings(self, changes: Mapping[str, object]) -> Self:
-        """Change settings in `study.toml`, which keeps its comments; a wrong one changes nothing.
-
-        Parameters
-        ----------
-        changes : Mapping of str to object
-            Dotted name -> value, such as `{"session.repeats": 2}`; None brings the default back.
-
-        Returns
-        -------
-        Study
-            The same study.
-        """
-        from feel321.study.settings.edit import edit_settings
-
-        edit_settings(self.folder.settings, changes)
-        return self
-
     def check(self) -> Problems:
         """Check settings, recordings, texts, strength of the stimuli, rig and, once built, the stimulus set.
 
@@ -156,7 +129,7 @@ class Study(Contents):
             recordings, stimuli = build_study(self.folder, workers=workers, progress=step)
         for recording in recordings:
             for text in recording.warnings:
-                self.tell(f"{recording.name}: {text}")
+                self._warn(f"{recording.name}: {text}")
         return stimuli
 
     def simulate(self, participants: int = 16, rng: Rng | None = None) -> DataFrame:
@@ -174,6 +147,8 @@ class Study(Contents):
         DataFrame
             The ratings, as `ratings.csv` holds them.
         """
+        import pandas as pd
+
         from feel321.doors import as_seed, follow
         from feel321.study.workflow import simulate_study
 
@@ -184,9 +159,9 @@ class Study(Contents):
                 seed=None if rng is None else as_seed(rng),
                 now=self.now,
                 progress=step,
-                warn=self.tell,
+                warn=self._warn,
             )
-        return self.ratings()
+        return pd.read_csv(self.folder.ratings)
 
     def status(self) -> Status:
         """Read how far every participant has come, and how balanced the design is so far. Blind.

@@ -143,14 +143,15 @@ def check_study(study: StudyFolder, *, progress: Progress | None = None) -> Chec
         *_check_texts(study, settings),
         *rig_problems,
     ]
+    recipe, unusable = None, list[str]()
     try:
         recipe = make_recipe(settings)
+        unusable = list(_check_recordings(recordings, recipe))
     except ValueError as error:
-        return Checked(recordings, [*problems, f"{study.settings.name}: {error}"], Findings())
-    unusable = list(_check_recordings(recordings, recipe))
+        unusable = [f"{study.settings.name}: {error}"]
     problems += unusable
     strength = Findings()
-    if not unread and not unusable:
+    if recipe is not None and not unread and not unusable:
         try:
             foreseen = foresee_stimuli(recordings, study.stimuli, recipe=recipe, progress=progress)
             strength = _find_strength(study, settings, recordings, foreseen=foreseen, rig=rig)
@@ -158,7 +159,7 @@ def check_study(study: StudyFolder, *, progress: Progress | None = None) -> Chec
             problems.append(str(error))
     problems += strength.problems
     if study.stimuli.exists():
-        problems += _check_set(study, settings, recordings)
+        problems += _check_set(study, settings, recordings, recipe=recipe)
     elif study.participants:
         problems.append(
             f"{study.stimuli}: missing, but sessions were run with it; put it back or build it again"
@@ -193,7 +194,11 @@ def _find_strength(
 
 
 def _check_set(
-    study: StudyFolder, settings: Settings, recordings: Sequence[Recording]
+    study: StudyFolder,
+    settings: Settings,
+    recordings: Sequence[Recording],
+    *,
+    recipe: Recipe | None,
 ) -> Iterator[str]:
     """Check the set that is there: its files, that tasks and analysis can use it, and that the settings ask for it."""
     damage = check_stimuli(study.stimuli)
@@ -201,10 +206,12 @@ def _check_set(
     if not damage:
         yield from _check_plan(study, settings)
         yield from _check_metrics(study, settings)
+    if recipe is None:
+        return
     sources = {recording.name: recording.sha256 for recording in recordings}
     named = {entry.title: sources.get(entry.title) for entry in settings.recordings}
     try:
-        changes = find_changes(study.stimuli, make_recipe(settings), named)
+        changes = find_changes(study.stimuli, recipe, named)
     except ValueError as error:
         yield str(error)
     else:

@@ -25,7 +25,7 @@ def ask(study: StudyFolder) -> list[str]:
 
 def test_pictures_and_texts_that_are_missing_are_named(study: StudyFolder, ask: list[str]) -> None:
     assert ask == [
-        f"recording 'bumps': {study.path / 'pictures' / 'oak.png'}: there is no such picture; put it there",
+        f"recording 'bumps': {study.path / 'pictures' / 'oak.png'}: no such picture; put it there",
         f"{study.path / 'fr.toml'}: No such file or directory; "
         "put your texts there, or name a language of the catalogue",
     ]

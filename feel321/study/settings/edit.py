@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
 
 def change_settings(text: str, changes: Mapping[str, object]) -> str:
-    """Change settings by their dotted names; None takes a setting out, so that its default holds.
+    r"""Change settings by their dotted names; None takes a setting out, so that its default holds.
 
     Examples
     --------
-    >>> print(change_settings("[rig]\\nheadroom = 0.9  # of full scale", {"rig.headroom": 0.5}))
+    >>> print(change_settings("[rig]\nheadroom = 0.9  # of full scale", {"rig.headroom": 0.5}))
     [rig]
     headroom = 0.5  # of full scale
     """
@@ -31,23 +31,26 @@ def change_settings(text: str, changes: Mapping[str, object]) -> str:
         inner: Any = wanted
         for table in tables:
             inner = inner.setdefault(table, {}) if isinstance(inner, dict) else None
-        if not tables or not isinstance(inner, dict):
+        if not re.fullmatch(r"[\w-]+(\.[\w-]+)+", name) or not isinstance(inner, dict):
             raise ValueError(f"settings must have names such as 'session.repeats', got {name!r}")
         inner.pop(key, None)
         if value is not None:
             inner[key] = json.loads(json.dumps(value))
-        text = _change(text, tables, key, None if value is None else f"{key} = {_write(value)}")
+        line = None if value is None else f"{key} = {_write(value)}"
+        text = _change(text, ".".join(tables), key, line=line)
         if tomllib.loads(text) != wanted:
-            raise ValueError(f"{name}: not written in a way that can be changed here; edit study.toml")
+            raise ValueError(
+                f"{name}: not written in a way that can be changed here; edit study.toml"
+            )
     return text
 
 
-def _change(text: str, tables: list[str], key: str, line: str | None) -> str:
+def _change(text: str, table: str, key: str, *, line: str | None) -> str:
     lines = text.split("\n")
     heads = [number for number, one in enumerate(lines) if re.match(r"\s*\[", one)]
-    begin = next((n for n in heads if re.match(rf"\[{'.'.join(tables)}\]", lines[n])), None)
+    begin = next((n for n in heads if re.match(rf"\[{table}\]", lines[n])), None)
     if begin is None:
-        return text if line is None else f"{text.rstrip()}\n\n[{'.'.join(tables)}]\n{line}\n"
+        return text if line is None else f"{text.rstrip()}\n\n[{table}]\n{line}\n"
     end = min((number for number in heads if number > begin), default=len(lines))
     for number in range(begin + 1, end):
         if re.match(rf"\s*{key}\s*=", lines[number]):
