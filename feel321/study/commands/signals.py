@@ -276,9 +276,10 @@ def _match(recording: Recording, samples: Samples) -> dict[str, Any]:
     from feel321.stimuli.match import spectral_match_details, temporal_match_details
 
     conditioned, rate_hz = recording.acceleration, recording.rate_hz
-    spectral = asdict(spectral_match_details(conditioned, samples, rate_hz))
+    details = asdict(spectral_match_details(conditioned, samples, rate_hz))
+    spectral = {name: value for name, value in details.items() if isinstance(value, float | int)}
     temporal = asdict(temporal_match_details(conditioned, samples))
-    reasons = {"spectral_match": spectral.pop("reason"), "temporal_match": temporal.pop("reason")}
+    reasons = {"spectral_match": details["reason"], "temporal_match": temporal.pop("reason")}
     if math.isnan(spectral["bounded"]):
         reasons["spectral_match_bounded"] = reasons["spectral_match"]
     return {
