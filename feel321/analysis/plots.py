@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from feel321.analysis.arrays import Values
 from feel321.analysis.contrasts.equivalence import profile_reducers, stimulus_means
 from feel321.analysis.table.items import Table, open_tests, order_reducers
 from feel321.analysis.words import capitalise, format_axis, format_measure, format_name
@@ -17,6 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from pandas import DataFrame
 
+    from feel321.analysis.arrays import Values
     from feel321.analysis.primary.model import Primary
     from feel321.types import Signal
 
