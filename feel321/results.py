@@ -19,11 +19,12 @@ from feel321.analysis.report.folder import Results
 from feel321.analysis.screening.screen import Screening
 from feel321.analysis.space import Alignment, Ellipses, Space
 from feel321.analysis.table.items import Table
+from feel321.analysis.table.reading import Further
 from feel321.analysis.tradeoff.chart.records import Chart
 
 __all__ = [  # noqa: RUF022 - in the order of sorted(), which a test checks
     "Alignment", "Alpha", "Association", "BradleyTerry", "Chart", "Dependent", "Difference", "Discrimination",
-    "Ellipses", "Equivalence", "Estimate", "Intraclass", "MixedFit", "Multiverse", "NonInferiority", "P1401",
+    "Ellipses", "Equivalence", "Estimate", "Further", "Intraclass", "MixedFit", "Multiverse", "NonInferiority", "P1401",
     "P1401Difference", "Primary", "ReducerDifference", "Refined", "RepeatedMeasures", "Results", "Screening", "Space",
     "Table",
 ]  # fmt: skip

@@ -50,35 +50,14 @@ __all__ = [  # noqa: RUF022 - in the order of sorted(), which a test checks
     "stress_reducers", "tabulate_correlations", "write_advice", "write_chart", "write_report", "write_stress",
 ]  # fmt: skip
 
-_RECORDS = [
-    "Alignment",
-    "Alpha",
-    "Association",
-    "BradleyTerry",
-    "Chart",
-    "Dependent",
-    "Difference",
-    "Discrimination",
-    "Ellipses",
-    "Equivalence",
-    "Estimate",
-    "Intraclass",
-    "MixedFit",
-    "Multiverse",
-    "NonInferiority",
-    "P1401",
-    "P1401Difference",
-    "Primary",
-    "Refined",
-    "RepeatedMeasures",
-    "Results",
-    "Screening",
-    "Space",
-]
+_RECORDS = (
+    "Alignment", "Alpha", "Association", "BradleyTerry", "Chart", "Dependent", "Difference", "Discrimination",
+    "Ellipses", "Equivalence", "Estimate", "Further", "Intraclass", "MixedFit", "Multiverse", "NonInferiority",
+    "P1401", "P1401Difference", "Primary", "Refined", "RepeatedMeasures", "Results", "Screening", "Space",
+)  # fmt: skip
 
 _OLD = {
     "Choices": "report.section:Choices",
-    "Further": "table.reading:Further",
     "Number": "words:Number",
     "Precision": "primary.sensitivity:Precision",
     "Section": "report.section:Section",

@@ -210,7 +210,7 @@ def is_tidy(given: object) -> TypeGuard[Table | DataFrame]:
 
 def as_votes(given: Table | ArrayLike) -> ArrayLike:
     """Lay ratings of one scale and level out as items by raters; anything else is taken as that already."""
-    return make_items(given, ()).ratings.T if is_tidy(given) else given  # type: ignore[return-value]
+    return make_items(given, ()).ratings.T if is_tidy(given) else given  # type: ignore[return-value]  # no ratings, so an array
 
 
 def open_ratings(ratings: Table | DataFrame, *, what: str = "ratings") -> DataFrame:
