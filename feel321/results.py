@@ -12,7 +12,7 @@ from feel321.analysis.contrasts.equivalence import Equivalence, NonInferiority
 from feel321.analysis.mixed.model import Estimate, MixedFit
 from feel321.analysis.p1401.difference import P1401Difference
 from feel321.analysis.p1401.mapping import P1401
-from feel321.analysis.primary.model import Primary
+from feel321.analysis.primary.model import Primaries, Primary
 from feel321.analysis.primary.multiverse import Multiverse
 from feel321.analysis.refined.refine import Refined
 from feel321.analysis.report.folder import Results
@@ -25,6 +25,6 @@ from feel321.analysis.tradeoff.chart.records import Chart
 __all__ = [  # noqa: RUF022 - in the order of sorted(), which a test checks
     "Alignment", "Alpha", "Association", "BradleyTerry", "Chart", "Dependent", "Difference", "Discrimination",
     "Ellipses", "Equivalence", "Estimate", "Further", "Intraclass", "MixedFit", "Multiverse", "NonInferiority", "P1401",
-    "P1401Difference", "Primary", "ReducerDifference", "Refined", "RepeatedMeasures", "Results", "Screening", "Space",
-    "Table",
+    "P1401Difference", "Primaries", "Primary", "ReducerDifference", "Refined", "RepeatedMeasures", "Results",
+    "Screening", "Space", "Table",
 ]  # fmt: skip

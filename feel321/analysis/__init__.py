@@ -53,13 +53,13 @@ __all__ = [  # noqa: RUF022 - in the order of sorted(), which a test checks
 _RECORDS = (
     "Alignment", "Alpha", "Association", "BradleyTerry", "Chart", "Dependent", "Difference", "Discrimination",
     "Ellipses", "Equivalence", "Estimate", "Further", "Intraclass", "MixedFit", "Multiverse", "NonInferiority",
-    "P1401", "P1401Difference", "Primary", "Refined", "RepeatedMeasures", "Results", "Screening", "Space",
+    "P1401", "P1401Difference", "Primaries", "Primary", "Refined", "RepeatedMeasures", "Results", "Screening", "Space",
 )  # fmt: skip
 
 _OLD = {
     "Choices": "report.section:Choices",
     "Number": "words:Number",
-    "Precision": "primary.sensitivity:Precision",
+    "Precision": "primary.sensitivity:SlopePrecision",
     "Section": "report.section:Section",
     "abx_d_prime": "contrasts.discrimination:abx_d_prime|discriminate",
     "bootstrap_alpha": "agreement.alpha:bootstrap_alpha|krippendorff_alpha with draws",
@@ -69,12 +69,12 @@ _OLD = {
     "discriminate_pairs": "contrasts.discrimination:discriminate_pairs|discriminate",
     "find_sources": "table.items:find_sources",
     "judge_ratings": "tradeoff.advise.ratings:judge_ratings",
-    "multimodality": "screening.rules:multimodality|screen_raters",
+    "multimodality": "screening.rules:multimodality|Screening.items",
     "regress_attributes": "space:regress_attributes",
     "stress_by_dimension": "space:stress_by_dimension",
-    "tabulate_slopes": "primary.model:tabulate_slopes",
-    "tukey_fences": "screening.rules:tukey_fences|screen_raters",
-    "vary_primary": "primary.sensitivity:vary_primary",
+    "tabulate_slopes": "primary.model:tabulate_slopes|fit_attributes(table).to_frame()",
+    "tukey_fences": "screening.rules:tukey_fences|Screening.items",
+    "vary_primary": "primary.sensitivity:vary_primary|run_multiverse",
 }
 
 __getattr__ = _forward_old_names(

@@ -12,7 +12,6 @@ import pandas as pd
 import pytest
 
 from feel321 import analysis
-from feel321.analysis.primary.sensitivity import vary_primary
 from feel321.analysis.table.items import find_sources, open_ratings
 
 if TYPE_CHECKING:
@@ -67,20 +66,9 @@ CALLS: dict[str, Callable[[pd.DataFrame], Any]] = {
     ),
     "screen_raters": lambda table: analysis.screen_raters(table).table,
     "tabulate_correlations": lambda table: analysis.tabulate_correlations(table, METRICS, draws=10),
-    "vary_primary": lambda table: vary_primary(
-        table[table["reducer"].isin(["sax321", "mag321", "dft321"])], METRICS[:1]
-    ),
 }
 
-POOLED = [
-    "compare_metrics",
-    "compare_reducers",
-    "correlate",
-    "fit_attributes",
-    "fit_primary",
-    "refine_metric",
-    "vary_primary",
-]
+POOLED = ["compare_metrics", "compare_reducers", "correlate", "fit_primary", "refine_metric"]
 """What is about one scale and one level."""
 
 INDICES: dict[str, Callable[[pd.DataFrame], pd.DataFrame]] = {
@@ -89,7 +77,7 @@ INDICES: dict[str, Callable[[pd.DataFrame], pd.DataFrame]] = {
     "named as a column": lambda table: table.set_index("participant", drop=False),
 }
 
-OTHERS = {"bradley_terry by rater", "find_sources", "vary_primary"}
+OTHERS = {"bradley_terry by rater", "find_sources"}
 """Further forms, and functions that are not on the face."""
 
 PAIRS = {"bradley_terry by rater", "bradley_terry", "discriminate"}
@@ -154,8 +142,7 @@ def test_every_public_function_of_a_table_is_tried() -> None:
 @pytest.mark.parametrize("name", CALLS)
 def test_index_and_order_of_a_table_mean_nothing(name: str, rated: pd.DataFrame) -> None:
     plain = CALLS[name](rated)
-    # Its models take a second each.
-    for change in list(INDICES.values())[: 1 if name == "vary_primary" else None]:
+    for change in INDICES.values():
         check_equal(CALLS[name](change(rated)), plain)
     if name not in PAIRS:
         check_equal(CALLS[name](rated.sample(frac=1, random_state=3)), plain)
@@ -177,7 +164,7 @@ def test_levels_are_not_pooled(name: str, tidy: Callable[..., pd.DataFrame]) -> 
         CALLS[name](both)
 
 
-@pytest.mark.parametrize("name", sorted(set(POOLED) - {"fit_attributes"}))
+@pytest.mark.parametrize("name", POOLED)
 def test_scales_are_not_pooled(name: str, tidy: Callable[..., pd.DataFrame]) -> None:
     both = tidy(participants=2, recordings=4, scales=("realism", "similarity"), anchors=False)
     with pytest.raises(
