@@ -152,7 +152,7 @@ def test_pairs_are_told_apart_by_both_where_repeats_count(
     pd.concat([frame, frame]).assign(repeat=1).to_csv(paths[0], index=False)
     with pytest.raises(
         ValueError,
-        match="ratings.csv, lines 4, 5: repeat must occur once with the same participant, scale,",
+        match=r"ratings.csv, lines 4, 5: repeat must occur once with the same participant, scale,",
     ):
         read_table(*paths)
 
@@ -214,7 +214,7 @@ def test_a_bad_attempt_and_the_good_one_share_a_trial(
     assert "4 judgements marked as rejected are left out." in table.notes
     with pytest.raises(
         ValueError,
-        match="ratings.csv, lines 6, 7, 8 and 1 more: trial must occur once with the same",
+        match=r"ratings.csv, lines 6, 7, 8 and 1 more: trial must occur once with the same",
     ):
         read_table(*write([*page, *page, *page], more=more | {"rejected": [False] * 12}))
 
