@@ -97,7 +97,7 @@ class RatingsPart:
     @property
     def keys(self) -> dict[str, str]:
         """What a row of a table says of it."""
-        return {"scale": self.scale, "level": self.level, "ratings": self.lead}
+        return {"scale": self.scale, "level": self.level, "_ratings": self.lead}
 
 
 def split_parts(table: Table, *, matched: bool = True) -> Iterator[RatingsPart]:

@@ -118,7 +118,7 @@ P = Column("p", "p", "p", "p", "two-sided t test")
 P_HOLM = Column(
     "p (Holm)", "p_holm", "p", "p_holm", "two-sided t test, Holm's adjustment over its table"
 )
-RATINGS = Column("Ratings", "ratings", TEXT)
+RATINGS = Column("Ratings", "_ratings", TEXT)
 METRIC = Column("Metric", "metric", TEXT)
 
 
@@ -242,7 +242,8 @@ class Section:
     unseen : sequence of Number
         Numbers that are in words or figures only.
     tables : Mapping of str to DataFrame, or to a list of rows
-        Files, by name without suffix; those without rows are left out.
+        Files, by name without suffix; those without rows are left out. Of a list of rows, keys that begin with an
+        underscore are for the page only, and tuples are joined.
     pictures : sequence of Picture
         Figures.
     notes : sequence of str
@@ -274,7 +275,10 @@ class Section:
         if any(isinstance(rows, list) for rows in frames.values()):
             import pandas as pd
 
-            frames = {name: pd.DataFrame(rows) for name, rows in frames.items()}
+            frames = {
+                name: pd.DataFrame(list(map(_clean, rows)) if isinstance(rows, list) else rows)
+                for name, rows in frames.items()
+            }
         lists = {name: tuple(getattr(self, name)) for name in ("answers", "verdict", "pictures")}
         lists |= {
             "grids": tuple(grid for grid in self.grids if grid.rows), "unseen": tuple(self.unseen),
@@ -304,6 +308,14 @@ class Section:
     def is_empty(self) -> bool:
         """Whether there is nothing to be shown."""
         return not (self.grids or self.pictures or self.answers)
+
+
+def _clean(row: Record) -> dict[Any, Any]:
+    return {
+        key: " ".join(map(str, value)) if isinstance(value, tuple) else value
+        for key, value in row.items()
+        if not key.startswith("_")
+    }
 
 
 def stack(frames: Iterable[tuple[Mapping[str, Any], DataFrame]]) -> Any:  # noqa: ANN401 - a frame, or nothing
