@@ -227,7 +227,9 @@ def _compare(row: Row, found: Sequence[Finding]) -> str:
     if unsteady := [tell_name(one.metric) for one in (first, second) if not one.turns.empty]:
         names = list_words(unsteady)
         return f"which metric predicts better is left open: the verdict on {names} is not stable."
-    evidence = "standardised slopes differ by {}, 95 % CI {}".format(*tell_ends(*ends, kind="slope"))
+    evidence = "standardised slopes differ by {}, 95 % CI {}".format(
+        *tell_ends(*ends, kind="slope")
+    )
     better, ratings = _find_better(row, first.model.slopes), first.part.ratings
     if not better or by_metric[better].verdict != PREDICTS:
         names = f"{tell_name(first.metric)} or {tell_name(second.metric)}"

@@ -33,6 +33,7 @@ from feel321.analysis.report.section import (
     build_numbers,
     build_table,
     make_slug,
+    read_methods,
     stack,
 )
 from feel321.analysis.table.items import make_items
@@ -119,31 +120,6 @@ UNANSWERED = (
 )
 
 
-def _describe_methods(draws: int) -> tuple[str, ...]:
-    """Describe how correlations are computed."""
-    return (
-        "Ratings run from 0 to 100. A stimulus's rating is the mean over participants of each participant's mean "
-        "over repeats. The hidden reference and the anchors are left out of every association, because stimuli "
-        "chosen to be far apart inflate a correlation; they are shown in the profile of ratings.",
-        "Correlations are over test stimuli, separately per scale and level. Pearson's r measures how linear the "
-        "relation is, Spearman's how monotone it is.",
-        f"Two-way intervals: {draws} bootstrap draws of participants and, independently, of recordings with all "
-        "their stimuli, both with replacement; "
-        "tanh(atanh r ± t(.975, U − 1) sqrt(U / (U − 1)) SD(atanh r*)) with U the number of recordings or of "
-        "participants, whichever is smaller (recordings of one source are drawn together and count as one): the fewer "
-        "there are, the less is known of how they differ. Draws that give no correlation are left out and counted; "
-        "with more than a tenth of them there is no interval. They show what other people and other recordings might "
-        "give. Intervals over participants only treat these very stimuli as the only ones; they are far too narrow "
-        "for a claim about the metric and are shown for comparison with the literature.",
-        "Differences between metrics: both correlations are recomputed in every draw; the interval of the difference "
-        "of Fisher's z is given as a difference of correlations about their mean z.",
-        "Noise ceiling: sqrt(ICC(C,k)) from a two-way analysis of variance, the correlation that a perfect metric "
-        "would be expected to reach with ratings as noisy as these; it uses the stimuli that everyone rated and "
-        "needs half of them. r / ceiling is for Pearson's r only, because the ceiling is that of a linear relation, "
-        "and is left out where the ceiling uses fewer stimuli than r; it may exceed 1 by chance.",
-    )
-
-
 def compute_association(table: Table, choices: Choices) -> Section:
     """Correlate mean ratings of stimuli with every metric."""
     key, title = "metrics", "Correlations of mean ratings with metrics"
@@ -164,10 +140,12 @@ def compute_association(table: Table, choices: Choices) -> Section:
     for part, panel in zip(parts, panels, strict=True):
         leading = [one for one in panel.associations if one.method == LEADING]
         pictures += [_picture_scatter(panel, one, looks) for one in leading]
-        for picture, rows in _map_panel(part, panel, leading, looks):
+        for picture, rows in _map_panel(part, panel, leading=leading, looks=looks):
             pictures.append(picture)
             coefficients += rows
-    associations, differences = (_list_rows(panels, name) for name in ("associations", "differences"))
+    associations, differences = (
+        _list_rows(panels, name) for name in ("associations", "differences")
+    )
     return Section(
         key=key, title=title, answers=(*sum_up_panels(panels), UNADJUSTED), panels=tuple(panels),
         grids=(
@@ -190,7 +168,7 @@ def compute_association(table: Table, choices: Choices) -> Section:
         },
         # All scatters come first, as their numbers do.
         pictures=sorted(pictures, key=lambda picture: picture.detail),
-        notes=notes, how=_describe_methods(choices.draws),
+        notes=notes, how=read_methods(key, draws=choices.draws),
     )  # fmt: skip
 
 
@@ -206,7 +184,7 @@ def _list_rows(panels: Sequence[Panel], name: str) -> list[Row]:
 
 
 def _number_stimuli(panels: Sequence[Panel]) -> Iterator[Any]:
-    """Number every stimulus's mean, and what a scatter cannot show in its place."""
+    """Build numbers of every stimulus's mean, and of what a scatter cannot show in its place."""
     edges, means = [], []
     for panel in panels:
         place = {"scale": panel.scale, "level": panel.level}
@@ -226,7 +204,7 @@ def _number_stimuli(panels: Sequence[Panel]) -> Iterator[Any]:
 
 
 def _map_panel(
-    part: RatingsPart, panel: Panel, leading: Sequence[Association], looks: Mapping[str, Look]
+    part: RatingsPart, panel: Panel, *, leading: Sequence[Association], looks: Mapping[str, Look]
 ) -> Iterator[tuple[Picture, list[Row]]]:
     """Map every metric to the ratings; what P.1401 refuses is noted beside its table."""
     for one in leading:

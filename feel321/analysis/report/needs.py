@@ -18,17 +18,6 @@ if TYPE_CHECKING:
 
     Row = dict[Any, Any]
 
-SETTLING = (
-    "What a larger study would know: SE² = σ_S²/P + 1/(SS_w/v + SS_r/(v + m v_r)) for P participants, v = σ_I² + "
-    "(σ_PI² + σ_e²/K)/P for K repeats, v_r = σ_R² + σ_PR²/P, m stimuli per reducer, SS_r the sum over stimuli of the "
-    "metric's squared deviations, of those that it does not share with the other metrics, that are the same for a "
-    "reducer in every recording, and SS_w of the others; noncentral t, at 0.05 over the number of slopes tested "
-    "(Holm's first step); never fewer than 6 participants or 4 recordings. Where several recordings come from one "
-    "source, its stimuli reduced alike count as one and further recordings are further sources. This study's spreads "
-    "are taken as the true ones, which they are not; numbers that use the slope estimated here are optimistic if "
-    "it was overestimated. Nothing is planned from a slope that is not estimable, or that one stimulus, recording or "
-    "reducer turns."
-)
 NEEDS = {
     "detectable": ("Detectable", "slope", "slope per +0.1 found with 80 % power"),
     "participants": ("Participants", COUNT, "participants for 80 % power"),
@@ -39,11 +28,11 @@ NEED_COLUMNS = (
     RATINGS, METRIC, *(Column(head, f"_{key}", kind, key, how) for key, (head, kind, how) in NEEDS.items())
 )  # fmt: skip
 CAPTION_NEEDS = (
-    f"Sample size. Detectable: the smallest slope, in points per +0.1, detectable with {100 * ENOUGH:.0f} % power. Then, "
-    "if the slope is what was estimated here: participants needed with these recordings, recordings needed with these "
-    "participants (sources, where several recordings come from one), and the power of infinitely many participants "
-    "with these recordings; at 5 % over the number of slopes. A dash: more than 10 000, or a slope from which nothing "
-    "can be planned."
+    f"Sample size. Detectable: the smallest slope, in points per +0.1, detectable with {100 * ENOUGH:.0f} % power. "
+    "Then, if the slope is what was estimated here: participants needed with these recordings, recordings needed with "
+    "these participants (sources, where several recordings come from one), and the power of infinitely many "
+    "participants with these recordings; at 5 % over the number of slopes. A dash: more than 10 000, or a slope from "
+    "which nothing can be planned."
 )
 
 
@@ -81,7 +70,9 @@ def describe_need(row: Row, *, scenes: str = "recordings") -> str:
     return f"A slope on {metric} as small as the one estimated here is out of reach of any study of this kind."
 
 
-def find_precision(metric: str, part: RatingsPart, model: Primary, *, n_tests: int = 1) -> Precision:
+def find_precision(
+    metric: str, part: RatingsPart, model: Primary, *, n_tests: int = 1
+) -> Precision:
     """Take the standard error of a slope apart, by the spreads that were estimated."""
     cells = make_cells(part.rows, list(model.slopes.index))
     within = [f"{name}_w" for name in model.slopes.index]

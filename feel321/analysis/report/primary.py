@@ -11,13 +11,7 @@ from feel321.analysis.figures.scatter import draw_residuals
 from feel321.analysis.primary.influence import find_candidates, measure_influence
 from feel321.analysis.primary.model import fit_primary, tabulate_slopes
 from feel321.analysis.report.answer import Finding, describe_findings, describe_loss
-from feel321.analysis.report.needs import (
-    CAPTION_NEEDS,
-    NEED_COLUMNS,
-    SETTLING,
-    describe_need,
-    find_needs,
-)
+from feel321.analysis.report.needs import CAPTION_NEEDS, NEED_COLUMNS, describe_need, find_needs
 from feel321.analysis.report.parts import ITEM, thin_parts
 from feel321.analysis.report.section import (
     DF,
@@ -33,6 +27,7 @@ from feel321.analysis.report.section import (
     build_table,
     estimate,
     make_slug,
+    read_methods,
     stack,
 )
 from feel321.analysis.table.schema import STAND_INS
@@ -40,8 +35,6 @@ from feel321.analysis.words import COUNT, TWO_WAY, Line, name_path
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
-
-    from pandas import DataFrame
 
     from feel321.analysis.primary.model import Primary
     from feel321.analysis.report.parts import Choices, RatingsPart
@@ -52,23 +45,6 @@ if TYPE_CHECKING:
     Row = dict[Any, Any]
     Fits = Mapping[str, tuple[RatingsPart, Primary]]
 
-HOW = (
-    "Primary analysis: a linear mixed model per scale and level, on means over repeats, of ratings on each metric's "
-    "deviation from its recording's mean and on that mean, with random effects of participants (on level and on "
-    "slopes), recordings, stimuli, participants' recordings, reducers and participants' reducers (and, where several "
-    "recordings come from one source, of sources and of what was reduced alike from one source); restricted maximum "
-    "likelihood, Satterthwaite's degrees of freedom (Barr et al. 2013, doi 10.1016/j.jml.2012.11.001). With fewer than "
-    "8 reducers their spread is kept from zero (Chung et al. 2013, doi 10.1007/s11336-013-9328-2). The claim is the "
-    "slope within recordings; beside it the slope with reducers as fixed effects, on the metric centred on recordings "
-    "and on reducers. Below 3 participants, 3 recordings (or sources) or 2 degrees of freedom: not estimable. "
-    "Spreads estimated as zero stay in the model. p are adjusted by Holm over all slopes of the table.",
-    "Influence: each recording (source, where several recordings come from one) and each reducer is left out in turn, "
-    "and the stimuli that move a slope most by leverage and residual; metrics are centred anew, the model is fitted "
-    "anew, p adjusted by Holm as in the whole. An exceptional reducer is one whose ratings differ from what the slopes "
-    "without it predict, more than those of the other reducers do (t test, Bonferroni over reducers, and at least 5 "
-    "points).",
-    SETTLING,
-)
 TENTH = "points of rating per +0.1 of the metric"
 SLOPE = "slope.{scale}.{level}.{metric}"
 SLOPE_COLUMNS = (
@@ -129,8 +105,8 @@ INFLUENCE_COLUMNS = (
     Column("Verdict", "verdict", TEXT),
 )  # fmt: skip
 CAPTION_INFLUENCE = (
-    "Without a single recording, reducer or stimulus: slopes within recordings, points per +0.1, with 95 % t intervals; "
-    "by how many standard errors the slope changes; the verdict on what is left. "
+    "Without a single recording, reducer or stimulus: slopes within recordings, points per +0.1, with 95 % t "
+    "intervals; by how many standard errors the slope changes; the verdict on what is left. "
 )
 EXCEPTION_COLUMNS = (
     RATINGS, Column("Reducer", "reducer", NAME),
@@ -159,14 +135,16 @@ def compute(table: Table, choices: Choices) -> Section:
             needs.append(describe_need(one.row, scenes="sources" if shared else "recordings"))
         verdict += describe_findings(own, needs)
     first = {one.part.lead: one for one in findings}.values()
-    own_claims = [one.make_claim(name_path("slope", *one.part.place, one.metric)) for one in findings]
+    own_claims = [
+        one.make_claim(name_path("slope", *one.part.place, one.metric)) for one in findings
+    ]
     return Section(
         key="primary",
         title="Change in rating with each metric, within recordings",
         answers=tuple(map(str, verdict)),
         verdict=(*verdict, *lines),
         claims=(*own_claims, *claims),
-        grids=_build_tables(table, fits, findings, choices),
+        grids=_build_tables(table, fits, findings, choices=choices),
         tables={
             "slopes": slopes,
             "slopes_between": _stack(fits, lambda model: model.between.reset_index()),
@@ -185,11 +163,11 @@ def compute(table: Table, choices: Choices) -> Section:
                 for lead, (_, model) in fits.items() for note in (*model.reductions, *model.notes)
             ),
         ),
-        how=HOW,
+        how=read_methods("primary"),
     )  # fmt: skip
 
 
-def _stack(fits: Fits, choose: Any) -> DataFrame | list[Any]:  # noqa: ANN401 - a table of a model
+def _stack(fits: Fits, choose: Any) -> Any:  # noqa: ANN401 - a table of a model, or nothing
     return stack(({"ratings": lead}, choose(model)) for lead, (_, model) in fits.items())
 
 
@@ -226,7 +204,7 @@ def _list_findings(table: Table, fits: Fits, slopes: Any) -> list[Finding]:  # n
 
 
 def _build_tables(
-    table: Table, fits: Fits, findings: list[Finding], choices: Choices
+    table: Table, fits: Fits, findings: list[Finding], *, choices: Choices
 ) -> tuple[PageTable, ...]:
     rows = [one.row for one in findings]
     models = [
@@ -269,10 +247,14 @@ def _build_influence(found: Mapping[str, Finding]) -> Iterator[PageTable]:
     rows, odd = [], []
     for one in found.values():
         more = {**one.part.keys, "n": one.model.n_rows}
-        for row in one.influence.table.to_dict("records"):
-            rows.append(more | row | {"_unit": f"{row['kind']} {row['unit']}"})
-        for row in one.influence.exceptions.reset_index().to_dict("records"):
-            odd.append(more | row | {"_odd": "yes" if row["exceptional"] else "no"})
+        rows += [
+            more | row | {"_unit": f"{row['kind']} {row['unit']}"}
+            for row in one.influence.table.to_dict("records")
+        ]
+        odd += [
+            more | row | {"_odd": "yes" if row["exceptional"] else "no"}
+            for row in one.influence.exceptions.reset_index().to_dict("records")
+        ]
     path = "influence.{scale}.{level}.{metric}.{kind}.{unit}"
     which = {
         True: "Here: where the verdict or the sign turns, or the slope moves by more than its standard error.",

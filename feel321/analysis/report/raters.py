@@ -18,6 +18,7 @@ from feel321.analysis.report.section import (
     Section,
     build_table,
     estimate,
+    read_methods,
 )
 from feel321.analysis.screening.rules import RULES
 from feel321.analysis.screening.screen import screen_raters
@@ -32,14 +33,6 @@ if TYPE_CHECKING:
     from feel321.analysis.table.reading import Table
 
 KEY, TITLE = "raters", "Raters"
-HOW = (
-    "Raters are screened by the rules of ITU-R BS.1534-3, where the protocol is MUSHRA, and by extensions of them, "
-    "each named; limits were fixed beforehand and allow for the rounding of a scale with few steps. A flagged rater "
-    "should be followed up, not automatically excluded: all results above include everyone, and the primary slopes are "
-    "also shown without raters flagged by a rule of the standard, and without raters flagged by any rule. Agreement: "
-    "intraclass correlations (two-way; C consistency, A absolute agreement; of one rater, and of the mean of k) over "
-    "stimuli rated by everyone, and Krippendorff's alpha for interval ratings, repeats averaged.",
-)
 GROUPS = {
     "everyone": "everyone",
     "standard": "without those flagged by BS.1534-3",
@@ -130,7 +123,7 @@ def compute(table: Table, choices: Choices) -> Section:
         },
         pictures=(Picture("raters", CAPTION, partial(draw_raters, screening)),),
         notes=screening.notes,
-        how=(*HOW, _describe_rules(screening)),
+        how=(*read_methods(KEY), _describe_rules(screening)),
     )  # fmt: skip
 
 
@@ -162,11 +155,11 @@ def _vary(table: Table, screening: Screening, choices: Choices) -> Iterator[dict
     """Fit each part without those whom each group leaves out; the same people are fitted once."""
     for part in thin_parts(table, choices):
         fitted: dict[tuple[Hashable, ...], list[dict[Any, Any]]] = {}
-        for group in GROUPS:
+        for group, whose in GROUPS.items():
             out = tuple(_list_flagged(screening, group))
             if out not in fitted:
                 fitted[out] = list(_fit(part, out, table.metrics))
-            place = {"panel": group, **part.keys, "_whose": GROUPS[group]}
+            place = {"panel": group, **part.keys, "_whose": whose}
             yield from (row | place for row in fitted[out])
 
 

@@ -45,6 +45,7 @@ from feel321.analysis.report.section import (
     build_table,
     estimate,
     make_slug,
+    read_methods,
 )
 from feel321.analysis.table.items import find_sources
 from feel321.analysis.table.judgements import ROLES
@@ -83,12 +84,6 @@ PROFILE_COLUMNS = (
     Column("Participants", "n_participants", COUNT, "n_participants"),
     Column("Stimuli", "n_stimuli", COUNT, "n_stimuli"), Column("Judgements", "n_ratings", COUNT, "n_ratings"),
 )  # fmt: skip
-PROFILES = (
-    "Profiles: mean over participants of each participant's mean over stimuli, on a scale from 0 to 100; 95 % t "
-    "intervals over participants, cut off at the ends of the scale: they say what other people would give these "
-    "recordings. Where all participants' means are the same there is no interval, because nothing is known of how "
-    "people differ."
-)
 
 
 def compute_profile(table: Table, choices: Choices) -> Section:  # noqa: ARG001 - every section has this form
@@ -117,7 +112,7 @@ def compute_profile(table: Table, choices: Choices) -> Section:  # noqa: ARG001 
         grids=(build_table(caption, PROFILE_COLUMNS, rows, path=path, n="n_ratings"),),
         tables={"profiles": profile, "participants": people},
         pictures=tuple(_picture_profiles(profile, people, order_reducers(table.rows["reducer"]))),
-        how=(PROFILES,),
+        how=read_methods(key),
     )
 
 
@@ -154,13 +149,6 @@ def _caption_profile(scale: str, level: str, profile: DataFrame) -> str:
 # Level arms compared, for the question whether something felt good because it was strong.
 
 KEY_LEVELS, TITLE_LEVELS = "levels", "Level arms compared"
-HOW_LEVELS = (
-    "Level arms: a mixed model per scale of ratings on level, each metric within recordings, and their product, with "
-    "random effects of participants, participants' levels, recordings, what was reduced how (shared by the arms), and "
-    "stimuli (and, where several recordings come from one source, the same for sources). The difference in rating is "
-    "at the mean of the metrics; the difference in slope says whether a metric matters less once levels are equal. "
-    "Satterthwaite's degrees of freedom; p adjusted by Holm.",
-)
 LEVEL_COLUMNS = (
     Column("Ratings", "scale", TEXT), Column("First", "first", TEXT), Column("Second", "second", TEXT),
     Column("Of", "of", TEXT),
@@ -189,7 +177,7 @@ def compute_levels(table: Table, choices: Choices) -> Section:
         grids=(build_table(CAPTION_LEVELS, LEVEL_COLUMNS, rows, path=path, detail=False),),
         tables={"levels": rows},
         notes=notes,
-        how=HOW_LEVELS,
+        how=read_methods(KEY_LEVELS),
     )
 
 
@@ -273,15 +261,6 @@ def _describe_levels(row: Row) -> str:
 # Reducers against each other: differences, equivalence, non-inferiority of the simpler one.
 
 REDUCER = "reducer"
-HOW_CONTRASTS = (
-    "Reducers compared: a mixed model per scale and level of ratings on reducer, with random effects of participants, "
-    "recordings, stimuli, participants' recordings and participants' reducers (and, where several recordings come from "
-    "one source, of sources and sources' reducers); differences with Satterthwaite's degrees of freedom, p adjusted by "
-    "Holm. Equivalence by two one-sided tests (Schuirmann 1987, doi 10.1007/BF01068419): shown where the 90 % interval "
-    "lies within the margin. Non-inferiority: the reducer named first, which is the simpler by the order of feel321's "
-    "list, is not worse than the other by the margin or more (5 %, one-sided). Neither is adjusted for the number of "
-    "pairs; no difference found is no proof of equivalence.",
-)
 CONTRAST_COLUMNS = (
     Column("First", "first", NAME), Column("Second", "second", NAME),
     estimate("Difference", "estimate", "mixed model, points of rating, first minus second", kind="rating"),
@@ -310,7 +289,8 @@ class _Pair(NamedTuple):
 
 def compute_contrasts(table: Table, choices: Choices) -> Section:
     """Compare every two reducers on every scale and level."""
-    answers, notes, grids, numbers, rows, pictures = [], [], [], [], [], []
+    answers, notes, grids, numbers, rows = [], [], [], [], []
+    pictures: list[Picture] = []
     # A person's reducers are so many effects.
     for part in thin_parts(table, choices, n_slopes=table.rows[REDUCER].nunique(), matched=False):
         notes += [f"Reducers compared: {part.thinned}"] if part.thinned else []
@@ -345,7 +325,7 @@ def compute_contrasts(table: Table, choices: Choices) -> Section:
         tables={"contrasts": rows},
         pictures=pictures,
         notes=notes,
-        how=HOW_CONTRASTS,
+        how=read_methods("contrasts"),
     )
 
 
@@ -376,7 +356,8 @@ def _compare_reducers(rows: DataFrame, margin: _Margin) -> list[_Pair]:
         found.append(pair | asdict(contrast(fit, weights)))
     adjusted = adjust([row["p"] for row in found])
     return [
-        _test(row | {"p_holm": holm, "n": len(cells)}, margin) for row, holm in zip(found, adjusted, strict=True)
+        _test(row | {"p_holm": holm, "n": len(cells)}, margin)
+        for row, holm in zip(found, adjusted, strict=True)
     ]
 
 
@@ -460,11 +441,16 @@ def _picture_equivalence(pairs: list[_Pair], part: RatingsPart) -> Iterator[Pict
     if not tests:
         return
     scenes = find_sources(part.rows)
-    sizes = {"n_recordings": len(scenes), "n_sources": scenes.nunique()}
-    sizes["n_participants"] = part.rows["participant"].nunique()
     caption = (
         f"Differences between reducers in {part.ratings} with 90 % intervals; shaded: the margin of "
         "equivalence. Filled: equivalence is shown."
     )
     slug = make_slug("equivalence", *part.place)
-    yield Picture(slug, caption, partial(draw_equivalence, tests, **sizes), detail=True)
+    draw = partial(
+        draw_equivalence,
+        tests,
+        n_participants=part.rows["participant"].nunique(),
+        n_recordings=len(scenes),
+        n_sources=scenes.nunique(),
+    )
+    yield Picture(slug, caption, draw, detail=True)

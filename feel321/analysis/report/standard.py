@@ -14,7 +14,15 @@ from feel321.analysis.association.repeated import repeated_measures_correlation
 from feel321.analysis.p1401.difference import compare_p1401
 from feel321.analysis.p1401.mapping import p1401
 from feel321.analysis.report.parts import split_parts
-from feel321.analysis.report.section import METRIC, RATINGS, TEXT, Column, Section, build_table
+from feel321.analysis.report.section import (
+    METRIC,
+    RATINGS,
+    TEXT,
+    Column,
+    Section,
+    build_table,
+    read_methods,
+)
 from feel321.analysis.table.items import make_items
 from feel321.analysis.words import COUNT
 
@@ -32,14 +40,6 @@ NUMBERS = (
     "outlier_ratio_sd", "n_items",
 )  # fmt: skip
 INDEPENDENT = "95 % interval that takes stimuli for independent"
-HOW = (
-    "ITU-T P.1401: the metric is mapped to mean ratings (first order, and monotone third order), then PLCC, SROCC, "
-    "rmse, rmse* and outlier ratio; held out: mapped without the stimulus's recording, and without all others of its "
-    "source. Its intervals and tests, the classic tests of dependent correlations (Williams, Steiger, Meng, Zou) and "
-    "the repeated-measures correlation treat stimuli or rows as independent, which those of one recording are not: in "
-    "simulated studies without any difference or relation they found one in 13 to 51 %. No conclusion is drawn from "
-    "them here.",
-)
 FIRST, SECOND = Column("First", "first", TEXT), Column("Second", "second", TEXT)
 ORDER = Column("Order", "order", COUNT, "order")
 MAPPING = Column("Mapping", "_which", TEXT)
@@ -124,7 +124,7 @@ def compute(table: Table, choices: Choices) -> Section:  # noqa: ARG001 - every 
         ),
         tables=found,
         notes=notes,
-        how=HOW,
+        how=read_methods("standard"),
     )
 
 
