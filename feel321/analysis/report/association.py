@@ -115,7 +115,7 @@ CAPTION_DIFFERENCES = (
 )
 UNADJUSTED = "95 % intervals are not adjusted for their number."
 UNANSWERED = (
-    "These ratings cannot show whether the metrics predict what people feel: on no scale were single test stimuli "
+    "These ratings do not show whether the metrics predict what people feel: on no scale were single test stimuli "
     "rated. What was rated is in the profile; the reasons are under What was left out or assumed."
 )
 
