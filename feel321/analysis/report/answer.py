@@ -97,7 +97,7 @@ class Finding:
         """Units without which verdict or sign change."""
         return self.influence.find_turns(self.metric)
 
-    def make_claim(self, number: str) -> Claim:
+    def make_claim(self) -> Claim:
         """State the conclusion for a program."""
         turns = tuple(_name_unit(row) for row in self.turns.to_dict("records"))
         worse: list[str] = []
@@ -107,6 +107,7 @@ class Finding:
                 if self.metric in pair and _find_better(row, self.model.slopes) == self.metric:
                     worse += [name for name in pair if name != self.metric]
         place, found = self.part.place, (self.verdict, self.direction)
+        number = name_path("slope", *place, self.metric)
         return Claim(*place, self.metric, *found, number, turns, better_than=tuple(worse))
 
 

@@ -30,8 +30,8 @@ from feel321.analysis.report.section import (
     Column,
     Picture,
     Section,
+    TableForm,
     build_numbers,
-    build_table,
     make_slug,
     read_methods,
     stack,
@@ -79,40 +79,47 @@ COUNTS = (
     Column("Stimuli", "n_items", COUNT, "n_items"), Column("Participants", "n_participants", COUNT, "n_participants"),
     Column("Recordings", "n_recordings", COUNT, "n_recordings"), Column("Sources", "n_sources", COUNT, "n_sources"),
 )  # fmt: skip
-ASSOCIATION_COLUMNS = (
-    RATINGS, METRIC, METHOD,
-    Column("r", "value", method=CORRELATION, interval=TWO_WAY, head_interval="Two-way interval"),
-    Column(
-        "Participants only", "value", end="participants_only", method=CORRELATION, interval=ONE_WAY,
-        ends="participants_", show=INTERVAL,
-    ),
-    CEILING, SHARE, *COUNTS, Column("Draws", "draws", COUNT, "draws", n="draws"),
-    Column("", "n_missing", COUNT, "n_missing"),
-)  # fmt: skip
-DIFFERENCE = "{method} correlation with {first} minus that with {second}"
-DIFFERENCE_COLUMNS = (
-    RATINGS, Column("First", "first", TEXT), Column("Second", "second", TEXT), METHOD,
-    Column("Difference of r", "value", method=DIFFERENCE, interval=TWO_WAY, head_interval="Two-way interval"),
-    Column(
-        "Difference of Fisher’s z", "z_value", end="z", method=f"{DIFFERENCE}, as a difference of Fisher's z",
-        interval=f"{TWO_WAY}, on Fisher's z", ends="z_", head_interval="Two-way interval",
-    ),
-    *(
-        Column("", f"{one}_value", end=f"{one}_value", method=f"{{method}} correlation with {{{one}}}")
-        for one in ("first", "second")
-    ),
-    Column("", "draws", COUNT, "draws", n="draws"), Column("", "n_missing", COUNT, "n_missing"),
-    *(Column("", count.key, COUNT, count.key) for count in COUNTS),
-)  # fmt: skip
-CAPTION_ASSOCIATIONS = (
+ASSOCIATIONS = TableForm(
     "Correlation of mean ratings with each metric over test stimuli. Draw conclusions from the two-way interval (other "
     "people and other recordings); the interval over participants only treats these stimuli as the only ones. All "
-    "intervals are 95 % intervals."
-)
-CAPTION_DIFFERENCES = (
+    "intervals are 95 % intervals.",
+    (
+        RATINGS, METRIC, METHOD,
+        Column("r", "value", method=CORRELATION, interval=TWO_WAY, head_interval="Two-way interval"),
+        Column(
+            "Participants only", "value", end="participants_only", method=CORRELATION, interval=ONE_WAY,
+            ends="participants_", show=INTERVAL,
+        ),
+        CEILING, SHARE, *COUNTS, Column("Draws", "draws", COUNT, "draws", n="draws"),
+        Column("", "n_missing", COUNT, "n_missing"),
+    ),
+    path="association.{scale}.{level}.{metric}.{method}", n="n_items",
+)  # fmt: skip
+DIFFERENCE = "{method} correlation with {first} minus that with {second}"
+DIFFERENCES = TableForm(
     "Correlation with the first metric minus correlation with the second. If an interval covers zero, the data do not "
-    "show which metric predicts better. All intervals are 95 % intervals."
-)
+    "show which metric predicts better. All intervals are 95 % intervals.",
+    (
+        RATINGS, Column("First", "first", TEXT), Column("Second", "second", TEXT), METHOD,
+        Column("Difference of r", "value", method=DIFFERENCE, interval=TWO_WAY, head_interval="Two-way interval"),
+        Column(
+            "Difference of Fisher’s z", "z_value", end="z", method=f"{DIFFERENCE}, as a difference of Fisher's z",
+            interval=f"{TWO_WAY}, on Fisher's z", ends="z_", head_interval="Two-way interval",
+        ),
+        *(
+            Column("", f"{one}_value", end=f"{one}_value", method=f"{{method}} correlation with {{{one}}}")
+            for one in ("first", "second")
+        ),
+        Column("", "draws", COUNT, "draws", n="draws"), Column("", "n_missing", COUNT, "n_missing"),
+        *(Column("", count.key, COUNT, count.key) for count in COUNTS),
+    ),
+    path="difference.{scale}.{level}.{first}.{second}.{method}", n="n_items",
+)  # fmt: skip
+MAPPINGS = TableForm(
+    "Coefficients of the mappings that are drawn.",
+    (Column("", "value", method="P.1401 mapping of order {order}: points per {metric} to the power {power}"),),
+    path="mapping.{scale}.{level}.{metric}.{end}",
+)  # fmt: skip
 UNADJUSTED = "95 % intervals are not adjusted for their number."
 UNANSWERED = (
     "These ratings do not show whether the metrics predict what people feel: on no scale were single test stimuli "
@@ -123,13 +130,10 @@ UNANSWERED = (
 def compute_association(table: Table, choices: Choices) -> Section:
     """Correlate mean ratings of stimuli with every metric."""
     key, title = "metrics", "Correlations of mean ratings with metrics"
-    parts = list(split_parts(table))
-    panels = [
-        make_panel(
-            part.rows, table.metrics, draws=choices.draws, rng=choices.make_rng(key, *part.place)
-        )
-        for part in parts
-    ]
+    parts, panels = list(split_parts(table)), []
+    for part in parts:
+        rng = choices.make_rng(key, *part.place)
+        panels.append(make_panel(part.rows, table.metrics, draws=choices.draws, rng=rng))
     notes = (*_note_roles(table), *_note_panels(panels))
     if not panels:
         paired = PAIRED in table.rows["scale"].unique()
@@ -148,20 +152,8 @@ def compute_association(table: Table, choices: Choices) -> Section:
     )
     return Section(
         key=key, title=title, answers=(*sum_up_panels(panels), UNADJUSTED), panels=tuple(panels),
-        grids=(
-            build_table(
-                CAPTION_ASSOCIATIONS, ASSOCIATION_COLUMNS, associations,
-                path="association.{scale}.{level}.{metric}.{method}", n="n_items",
-            ),
-            build_table(
-                CAPTION_DIFFERENCES, DIFFERENCE_COLUMNS, differences,
-                path="difference.{scale}.{level}.{first}.{second}.{method}", n="n_items",
-            ),
-        ),
-        unseen=(*_number_stimuli(panels), *build_numbers(
-            (Column("", "value", method="P.1401 mapping of order {order}: points per {metric} to the power {power}"),),
-            coefficients, path="mapping.{scale}.{level}.{metric}.{end}",
-        )),
+        grids=(ASSOCIATIONS.build(associations), DIFFERENCES.build(differences)),
+        unseen=(*_number_stimuli(panels), *MAPPINGS.build(coefficients).numbers),
         tables={
             "associations": associations, "differences": differences,
             "stimuli": stack(({}, panel.stimuli) for panel in panels),
@@ -398,18 +390,19 @@ def _contrast(one: Association) -> str:
 # Further metrics, explored: rotation statistics, metrics of what was delivered, rotation-invariant counterparts.
 
 METHODS = ("pearson", "spearman", "within")
-FURTHER_COLUMNS = (
-    RATINGS, METRIC, METHOD,
-    Column(
-        "r", "value", method=f"{CORRELATION}, exploratory", interval=TWO_WAY, head_interval="Two-way interval"
-    ),
-    CEILING, SHARE, *COUNTS, Column("Draws", "draws", COUNT, "draws"),
-)  # fmt: skip
-CAPTION_FURTHER = (
+FURTHER = TableForm(
     "Exploratory: correlation of mean ratings with metrics that the analysis was not planned for. They enter neither "
     "the mixed models nor the correction for multiple tests. Two-way intervals (other people and other recordings) are "
-    "95 % intervals, not adjusted for their number: one of several may exclude zero by chance."
-)
+    "95 % intervals, not adjusted for their number: one of several may exclude zero by chance.",
+    (
+        RATINGS, METRIC, METHOD,
+        Column(
+            "r", "value", method=f"{CORRELATION}, exploratory", interval=TWO_WAY, head_interval="Two-way interval"
+        ),
+        CEILING, SHARE, *COUNTS, Column("Draws", "draws", COUNT, "draws"),
+    ),
+    path="further.{scale}.{level}.{metric}.{method}", n="n_items",
+)  # fmt: skip
 
 
 def compute_further(table: Table, choices: Choices) -> Section:
@@ -433,11 +426,10 @@ def compute_further(table: Table, choices: Choices) -> Section:
             notes.append(f"{part.lead}, {whose}: {note}")
     known = describe_explored(table.metrics)
     meanings = "; ".join(f"{tell_name(name)}: {known[name].meaning}" for name in table.further)
-    path = "further.{scale}.{level}.{metric}.{method}"
     return Section(
         key=key,
         title="Further metrics, explored",
-        grids=(build_table(CAPTION_FURTHER, FURTHER_COLUMNS, rows, path=path, n="n_items"),),
+        grids=(FURTHER.build(rows),),
         tables={"further_associations": rows},
         notes=notes,
         how=(f"Further metrics: {meanings}.",),

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from feel321.analysis.primary.plan import REDUCER, SOURCE, make_cells
 from feel321.analysis.primary.sensitivity import ENOUGH, Precision, find_own, find_variances
 from feel321.analysis.report.parts import ITEM, SIGNIFICANCE
-from feel321.analysis.report.section import METRIC, RATINGS, Column
+from feel321.analysis.report.section import METRIC, RATINGS, Column, TableForm
 from feel321.analysis.words import COUNT, tell_name, tell_number
 
 if TYPE_CHECKING:
@@ -24,16 +24,17 @@ NEEDS = {
     "recordings": ("Recordings", COUNT, "recordings for 80 % power"),
     "infinite": ("Power at infinity", "correlation", "power of infinitely many participants"),
 }
-NEED_COLUMNS = (
-    RATINGS, METRIC, *(Column(head, f"_{key}", kind, key, how) for key, (head, kind, how) in NEEDS.items())
-)  # fmt: skip
-CAPTION_NEEDS = (
+NEEDED = TableForm(
     f"Sample size. Detectable: the smallest slope, in points per +0.1, detectable with {100 * ENOUGH:.0f} % power. "
     "Then, if the slope is what was estimated here: participants needed with these recordings, recordings needed with "
     "these participants (sources, where several recordings come from one), and the power of infinitely many "
     "participants with these recordings; at 5 % over the number of slopes. A dash: more than 10 000, or a slope from "
-    "which nothing can be planned."
-)
+    "which nothing can be planned.",
+    (
+        RATINGS, METRIC, *(Column(head, f"_{key}", kind, key, how) for key, (head, kind, how) in NEEDS.items())
+    ),
+    path="precision.{scale}.{level}.{metric}",
+)  # fmt: skip
 
 
 def find_needs(row: Row, part: RatingsPart, model: Primary, *, n_tests: int) -> dict[str, float]:

@@ -18,6 +18,7 @@ from feel321.analysis.report.section import (
     Column,
     Picture,
     Section,
+    TableForm,
     build_table,
     make_slug,
     read_methods,
@@ -49,20 +50,21 @@ if TYPE_CHECKING:
 
 RIGHT, WRONG = 100.0, 0.0
 WILSON = "95 % interval that follows from Wilson's"
-ABX_COLUMNS = (
-    Column("Reducer", "reducer", NAME), Column("Level", "level", TEXT),
-    Column("Share", "share", end="share", method="share of correct answers", interval=WILSON, ends="wilson_"),
-    Column(
-        "d'", "d_independent", end="d", method="d', independent observations", interval=WILSON,
-        ends="d_independent_",
-    ),
-    Column("p (Holm)", "p_holm", "p", "p_holm", "exact binomial test, Holm's adjustment"),
-    Column("Correct", "n_correct", COUNT, "n_correct"), Column("Trials", "n_trials", COUNT, "n_trials"),
-)  # fmt: skip
-CAPTION_ABX = (
+ABX = TableForm(
     "Share of correct answers (guessing: 0.50) with Wilson's 95 % interval, test against guessing, and d'. A "
-    "dash for d': infinite, no answer was wrong."
-)
+    "dash for d': infinite, no answer was wrong.",
+    (
+        Column("Reducer", "reducer", NAME), Column("Level", "level", TEXT),
+        Column("Share", "share", end="share", method="share of correct answers", interval=WILSON, ends="wilson_"),
+        Column(
+            "d'", "d_independent", end="d", method="d', independent observations", interval=WILSON,
+            ends="d_independent_",
+        ),
+        Column("p (Holm)", "p_holm", "p", "p_holm", "exact binomial test, Holm's adjustment"),
+        Column("Correct", "n_correct", COUNT, "n_correct"), Column("Trials", "n_trials", COUNT, "n_trials"),
+    ),
+    path="abx.{level}.{reducer}", n="n_trials",
+)  # fmt: skip
 CAPTION_D = (
     "d' in ABX trials of each reducer against its reference, with 95 % intervals that follow from Wilson's; 0 is "
     "guessing."
@@ -99,9 +101,7 @@ def compute_discrimination(table: Table, choices: Choices) -> Section:  # noqa: 
         answers=(answer,),
         verdict=(Line(answer),),
         unseen=(count_number("abx.n_told_apart", apart, n=n), count_number("abx.n_compared", n, n=n)),
-        grids=(
-            build_table(CAPTION_ABX, ABX_COLUMNS, evaluated, path="abx.{level}.{reducer}", n="n_trials"),
-        ),
+        grids=(ABX.build(evaluated),),
         tables={"discrimination": evaluated},
         pictures=(Picture("discrimination", CAPTION_D, partial(draw_discrimination, named)),),
         notes=tuple(

@@ -11,7 +11,7 @@ from feel321.analysis.figures.scatter import draw_residuals
 from feel321.analysis.primary.influence import find_candidates, measure_influence
 from feel321.analysis.primary.model import fit_primary, tabulate_slopes
 from feel321.analysis.report.answer import Finding, describe_findings, describe_loss
-from feel321.analysis.report.needs import CAPTION_NEEDS, NEED_COLUMNS, describe_need, find_needs
+from feel321.analysis.report.needs import NEEDED, describe_need, find_needs
 from feel321.analysis.report.parts import ITEM, thin_parts
 from feel321.analysis.report.section import (
     DF,
@@ -24,6 +24,7 @@ from feel321.analysis.report.section import (
     P,
     Picture,
     Section,
+    TableForm,
     build_table,
     estimate,
     make_slug,
@@ -31,7 +32,7 @@ from feel321.analysis.report.section import (
     stack,
 )
 from feel321.analysis.table.schema import STAND_INS
-from feel321.analysis.words import COUNT, TWO_WAY, Line, name_path
+from feel321.analysis.words import COUNT, TWO_WAY, Line
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -63,40 +64,43 @@ SLOPE_COLUMNS = (
     DF, P_HOLM,
 )  # fmt: skip
 IN_SD = "in this study's standard deviations"
-STANDARDISED_COLUMNS = (
-    RATINGS, METRIC,
-    estimate("Standardised", "standardised", f"slope {IN_SD}", end="standardised", ends="standardised_"), P,
-)  # fmt: skip
-CAPTION_STANDARDISED = (
+STANDARDISED = TableForm(
     "The same slopes in this study's standard deviations, which differ from other studies'. 95 % intervals; p not "
-    "adjusted."
-)
-FIRST, SECOND = Column("First", "first", TEXT), Column("Second", "second", TEXT)
-DIFFERENCE_COLUMNS = (
-    RATINGS, FIRST, SECOND,
-    estimate("Difference", "standardised_estimate", f"difference of slopes {IN_SD}", ends="standardised_"),
-    Column("df", "standardised_df", "df", "df", DF.method), Column("p", "standardised_p", "p", "p", P.method),
-)  # fmt: skip
-CAPTION_DIFFERENCES = (
-    "Slope on the first metric minus slope on the second, in this study's standard deviations: which matters more when "
-    "both are known. 95 % intervals; p not adjusted."
-)
-MODEL_COLUMNS = (
-    RATINGS, Column("Fit", "fit", NAME),
-    Column("Marginal R²", "marginal_r2", end="marginal_r2", method="Nakagawa's marginal R²"),
-    Column("Conditional R²", "conditional_r2", end="conditional_r2", method="Nakagawa's conditional R²"),
-    Column(
-        "Between stimuli", "item_variance_explained", end="item_variance_explained",
-        method="share of the variance between stimuli that metrics explain",
+    "adjusted.",
+    (
+        RATINGS, METRIC,
+        estimate("Standardised", "standardised", f"slope {IN_SD}", end="standardised", ends="standardised_"), P,
     ),
-    Column("Rows", "n_rows", COUNT, "n_rows"), Column("Participants", "n_participants", COUNT, "n_participants"),
-    Column("Recordings", "n_recordings", COUNT, "n_recordings"), Column("Sources", "n_sources", COUNT, "n_sources"),
-    Column("Stimuli", "n_items", COUNT, "n_items"),
+    path=SLOPE,
 )  # fmt: skip
-CAPTION_MODELS = (
+FIRST, SECOND = Column("First", "first", TEXT), Column("Second", "second", TEXT)
+DIFFERENCES = TableForm(
+    "Slope on the first metric minus slope on the second, in this study's standard deviations: which matters more when "
+    "both are known. 95 % intervals; p not adjusted.",
+    (
+        RATINGS, FIRST, SECOND,
+        estimate("Difference", "standardised_estimate", f"difference of slopes {IN_SD}", ends="standardised_"),
+        Column("df", "standardised_df", "df", "df", DF.method), Column("p", "standardised_p", "p", "p", P.method),
+    ),
+    path="slope_difference.{scale}.{level}.{first}.{second}",
+)  # fmt: skip
+MODELS = TableForm(
     "The models. Marginal R²: explained by metrics; conditional: by everything in the model. Between stimuli: "
-    "share of the spread between stimuli of a recording that the metrics account for (negative by chance)."
-)
+    "share of the spread between stimuli of a recording that the metrics account for (negative by chance).",
+    (
+        RATINGS, Column("Fit", "fit", NAME),
+        Column("Marginal R²", "marginal_r2", end="marginal_r2", method="Nakagawa's marginal R²"),
+        Column("Conditional R²", "conditional_r2", end="conditional_r2", method="Nakagawa's conditional R²"),
+        Column(
+            "Between stimuli", "item_variance_explained", end="item_variance_explained",
+            method="share of the variance between stimuli that metrics explain",
+        ),
+        Column("Rows", "n_rows", COUNT, "n_rows"), Column("Participants", "n_participants", COUNT, "n_participants"),
+        Column("Recordings", "n_recordings", COUNT, "n_recordings"), Column("Sources", "n_sources", COUNT, "n_sources"),
+        Column("Stimuli", "n_items", COUNT, "n_items"),
+    ),
+    path="model.{scale}.{level}", n="n_rows",
+)  # fmt: skip
 INFLUENCE_COLUMNS = (
     RATINGS, METRIC, Column("Left out", "_unit", NAME),
     estimate("Points per +0.1", "tenth", f"mixed model without {{_unit}}, {TENTH}", ends="tenth_"),
@@ -108,15 +112,16 @@ CAPTION_INFLUENCE = (
     "Without a single recording, reducer or stimulus: slopes within recordings, points per +0.1, with 95 % t "
     "intervals; by how many standard errors the slope changes; the verdict on what is left. "
 )
-EXCEPTION_COLUMNS = (
-    RATINGS, Column("Reducer", "reducer", NAME),
-    Column("Excess", "excess", "rating", method="rated above what slopes without the reducer predict"),
-    Column("p", "p", "p", "p", "two-sided t test, Bonferroni over reducers"), Column("Exceptional", "_odd", NAME),
-)  # fmt: skip
-CAPTION_EXCEPTIONS = (
+EXCEPTIONS = TableForm(
     "Reducers that the metrics do not account for: points by which a reducer's stimuli were rated above what the "
-    "slopes without it predict, relative to the other reducers; p adjusted by Bonferroni over reducers."
-)
+    "slopes without it predict, relative to the other reducers; p adjusted by Bonferroni over reducers.",
+    (
+        RATINGS, Column("Reducer", "reducer", NAME),
+        Column("Excess", "excess", "rating", method="rated above what slopes without the reducer predict"),
+        Column("p", "p", "p", "p", "two-sided t test, Bonferroni over reducers"), Column("Exceptional", "_odd", NAME),
+    ),
+    path="exception.{scale}.{level}.{reducer}",
+)  # fmt: skip
 
 
 def compute(table: Table, choices: Choices) -> Section:
@@ -125,25 +130,18 @@ def compute(table: Table, choices: Choices) -> Section:
     slopes = tabulate_slopes({lead: model for lead, (_, model) in fits.items()}) if fits else ()
     findings = _list_findings(table, fits, slopes)
     tests = sum(one.row["estimable"] for one in findings)
-    verdict: list[Line] = []
-    for part, _ in fits.values():
-        own = [one for one in findings if one.part is part]
-        needs = []
-        for one in own:
-            one.row.update(find_needs(one.row, part, one.model, n_tests=tests))
-            shared = one.model.n_sources < one.model.n_recordings
-            needs.append(describe_need(one.row, scenes="sources" if shared else "recordings"))
-        verdict += describe_findings(own, needs)
+    verdict = list(_describe_parts(findings, tests))
     first = {one.part.lead: one for one in findings}.values()
-    own_claims = [
-        one.make_claim(name_path("slope", *one.part.place, one.metric)) for one in findings
-    ]
+    claims = [*(one.make_claim() for one in findings), *claims]
+    for lead, (_, model) in fits.items():
+        own_notes = (*model.reductions, *model.notes)
+        notes += [f"{lead}, primary model: {note}" for note in own_notes]
     return Section(
         key="primary",
         title="Change in rating with each metric, within recordings",
         answers=tuple(map(str, verdict)),
         verdict=(*verdict, *lines),
-        claims=(*own_claims, *claims),
+        claims=claims,
         grids=_build_tables(table, fits, findings, choices=choices),
         tables={
             "slopes": slopes,
@@ -156,24 +154,28 @@ def compute(table: Table, choices: Choices) -> Section:
             ),
         },
         pictures=tuple(_draw_models(fits)),
-        notes=(
-            *notes,
-            *(
-                f"{lead}, primary model: {note}"
-                for lead, (_, model) in fits.items() for note in (*model.reductions, *model.notes)
-            ),
-        ),
+        notes=notes,
         how=read_methods("primary"),
     )  # fmt: skip
+
+
+def _describe_parts(findings: list[Finding], tests: int) -> Iterator[Line]:
+    """Say what each part's model shows, and what would settle what it does not."""
+    for part in dict.fromkeys(one.part for one in findings):
+        own = [one for one in findings if one.part is part]
+        needs = []
+        for one in own:
+            one.row.update(find_needs(one.row, part, one.model, n_tests=tests))
+            shared = one.model.n_sources < one.model.n_recordings
+            needs.append(describe_need(one.row, scenes="sources" if shared else "recordings"))
+        yield from describe_findings(own, needs)
 
 
 def _stack(fits: Fits, choose: Any) -> Any:  # noqa: ANN401 - a table of a model, or nothing
     return stack(({"ratings": lead}, choose(model)) for lead, (_, model) in fits.items())
 
 
-def _fit_parts(
-    table: Table, choices: Choices
-) -> tuple[Fits, tuple[str, ...], list[Line], list[Claim]]:
+def _fit_parts(table: Table, choices: Choices) -> tuple[Fits, list[str], list[Line], list[Claim]]:
     """Fit every part that can be fitted; say why another cannot."""
     fits, notes, lines, claims = {}, [], [], []
     for part in thin_parts(table, choices):
@@ -185,7 +187,7 @@ def _fit_parts(
             line, lost = describe_loss(part, table.metrics, str(error))
             lines.append(line)
             claims += lost
-    return fits, tuple(notes), lines, claims
+    return fits, notes, lines, claims
 
 
 def _list_findings(table: Table, fits: Fits, slopes: Any) -> list[Finding]:  # noqa: ANN401 - a table, or none
@@ -224,16 +226,15 @@ def _build_tables(
         f"95 % t intervals with Satterthwaite's df; p adjusted by Holm over this table's {len(rows)} slopes. A dash: "
         "not estimable."
     )
-    of_difference, of_needs = "slope_difference.{scale}.{level}.{first}.{second}", "precision"
     return (
         build_table(caption, SLOPE_COLUMNS, rows, path=SLOPE, detail=False),
-        build_table(CAPTION_DIFFERENCES, DIFFERENCE_COLUMNS, differences, path=of_difference),
+        DIFFERENCES.build(differences),
         *_build_influence({one.part.lead: one for one in findings}),
         *_build_paper(table, fits, choices),
-        build_table(CAPTION_STANDARDISED, STANDARDISED_COLUMNS, rows, path=SLOPE),
-        build_table(CAPTION_MODELS, MODEL_COLUMNS, models, path="model.{scale}.{level}", n="n_rows"),
-        build_table(CAPTION_NEEDS, NEED_COLUMNS, rows, path=f"{of_needs}.{{scale}}.{{level}}.{{metric}}"),
-    )  # fmt: skip
+        STANDARDISED.build(rows),
+        MODELS.build(models),
+        NEEDED.build(rows),
+    )
 
 
 _MODEL_KEYS = (
@@ -264,9 +265,7 @@ def _build_influence(found: Mapping[str, Finding]) -> Iterator[PageTable]:
         shown = [row for row in rows if bool(row["moves"]) == moves]
         caption = f"{CAPTION_INFLUENCE}{told}"
         yield build_table(caption, INFLUENCE_COLUMNS, shown, path=path, detail=not moves)
-    yield build_table(
-        CAPTION_EXCEPTIONS, EXCEPTION_COLUMNS, odd, path="exception.{scale}.{level}.{reducer}"
-    )
+    yield EXCEPTIONS.build(odd)
 
 
 def _draw_models(fits: Fits) -> Iterator[Picture]:
@@ -292,20 +291,21 @@ def _draw_models(fits: Fits) -> Iterator[Picture]:
 BOUNDED = "spectral_match_bounded"
 RAW = STAND_INS[BOUNDED]
 OF_RAW = "mixed model, points of rating per +0.1 of eq. 1"
-PAPER_COLUMNS = (
-    RATINGS,
-    Column(
-        "By ranks", "ranks", end="ranks", interval=TWO_WAY, ends="ranks_",
-        method="Spearman's correlation within recordings of mean ratings with eq. 1", n="n_items",
-    ),
-    estimate("Raw slope", "raw", OF_RAW, end="raw", ends="raw_", n="raw_n"), Column("Without", "item", NAME),
-    estimate("Raw slope", "rest", OF_RAW, end="raw_without", ends="rest_", n="rest_n"),
-)  # fmt: skip
-CAPTION_PAPER = (
+PAPER = TableForm(
     "Spectral match as in the paper (eq. 1), in place of the bounded one. It has no lower bound, so a few stimuli may "
     "decide its slope: Spearman's correlation within recordings with the two-way interval; the slope, in points per "
-    "+0.1, and the same without the stimulus that moves it most; 95 % intervals."
-)
+    "+0.1, and the same without the stimulus that moves it most; 95 % intervals.",
+    (
+        RATINGS,
+        Column(
+            "By ranks", "ranks", end="ranks", interval=TWO_WAY, ends="ranks_",
+            method="Spearman's correlation within recordings of mean ratings with eq. 1", n="n_items",
+        ),
+        estimate("Raw slope", "raw", OF_RAW, end="raw", ends="raw_", n="raw_n"), Column("Without", "item", NAME),
+        estimate("Raw slope", "rest", OF_RAW, end="raw_without", ends="rest_", n="rest_n"),
+    ),
+    path=f"paper.{{scale}}.{{level}}.{RAW}",
+)  # fmt: skip
 
 
 def _build_paper(table: Table, fits: Fits, choices: Choices) -> Iterator[PageTable]:
@@ -318,7 +318,7 @@ def _build_paper(table: Table, fits: Fits, choices: Choices) -> Iterator[PageTab
         for part, model in fits.values()
         if model.slopes["estimable"].any()
     ]
-    yield build_table(CAPTION_PAPER, PAPER_COLUMNS, rows, path=f"paper.{{scale}}.{{level}}.{RAW}")
+    yield PAPER.build(rows)
 
 
 def _compare_paper(part: RatingsPart, metrics: list[str], choices: Choices) -> Row:

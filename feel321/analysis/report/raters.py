@@ -16,7 +16,7 @@ from feel321.analysis.report.section import (
     P,
     Picture,
     Section,
-    build_table,
+    TableForm,
     estimate,
     read_methods,
 )
@@ -44,27 +44,49 @@ CAPTION = (
     "Every rater under every screening rule: share of judgements (or the rule's correlation or standard deviation), "
     "the rule's limit, and flagged raters as crosses. The values describe what was rated and have no intervals."
 )
-RULE_COLUMNS = (
-    Column("Rule", "rule", TEXT), Column("Source", "source", NAME), Column("Protocols", "protocols", NAME),
-    Column("Flagged", "flagged", NAME), Column("Raters screened", "n_judged", COUNT, "n_judged"),
+RULES_APPLIED = TableForm(
+    "Screening rules, their source, the protocols they apply to, and the raters they flagged; a dash: "
+    "nobody.",
+    (
+        Column("Rule", "rule", TEXT), Column("Source", "source", NAME), Column("Protocols", "protocols", NAME),
+        Column("Flagged", "flagged", NAME), Column("Raters screened", "n_judged", COUNT, "n_judged"),
+    ),
+    path="screening.{rule}",
 )  # fmt: skip
 AGREEMENT = {
     "icc_c_1": "ICC(C,1)", "icc_a_1": "ICC(A,1)", "icc_c_k": "ICC(C,k)", "icc_a_k": "ICC(A,k)",
     "alpha": "Krippendorff's α",
 }  # fmt: skip
-AGREEMENT_COLUMNS = (
-    Column("Scale", "scale", TEXT), Column("Raters", "whose", NAME),
-    *(Column(head, key, end=key, method=head, n="n_complete") for key, head in AGREEMENT.items()),
-    Column("Participants", "n_participants", COUNT, "n_participants"),
-    Column("Stimuli rated by all", "n_complete", COUNT, "n_complete"),
+AGREEMENTS = TableForm(
+    "Agreement of all raters, and of those not flagged by any rule. The values describe these raters and "
+    "these stimuli and have no intervals: the usual ones treat stimuli of one recording as independent "
+    "and are too narrow. A dash: fewer than two raters or stimuli.",
+    (
+        Column("Scale", "scale", TEXT), Column("Raters", "whose", NAME),
+        *(Column(head, key, end=key, method=head, n="n_complete") for key, head in AGREEMENT.items()),
+        Column("Participants", "n_participants", COUNT, "n_participants"),
+        Column("Stimuli rated by all", "n_complete", COUNT, "n_complete"),
+    ),
+    path="reliability.{scale}.{who}", n="n_items",
 )  # fmt: skip
-SLOPE_COLUMNS = (
-    RATINGS, METRIC, Column("Raters", "_whose", NAME),
-    estimate("Points per +0.1", "tenth", "mixed model, points per +0.1", ends="tenth_"), P,
-    Column("Participants", "n_people", COUNT, "n_participants"),
+SLOPES = TableForm(
+    "Slopes of the primary analysis (points per +0.1) with and without flagged raters; 95 % t intervals "
+    "with Satterthwaite's df, p not adjusted. A dash: too few raters are left to fit the model.",
+    (
+        RATINGS, METRIC, Column("Raters", "_whose", NAME),
+        estimate("Points per +0.1", "tenth", "mixed model, points per +0.1", ends="tenth_"), P,
+        Column("Participants", "n_people", COUNT, "n_participants"),
+    ),
+    path="panel.{scale}.{level}.{metric}.{panel}", n="n_people", detail=False,
 )  # fmt: skip
 REPEATS = "rating, pooled standard deviation of repeats of a stimulus by a rater"
-REPEAT_COLUMNS = (RATINGS, Column("SD of repeats", "sd", "rating", method=REPEATS))
+REPEATED = TableForm(
+    "Standard deviation, in points, of a rater's repeated ratings of the same stimulus.",
+    (
+        RATINGS, Column("SD of repeats", "sd", "rating", method=REPEATS),
+    ),
+    path="repeat_sd.{scale}.{level}",
+)  # fmt: skip
 
 
 def compute(table: Table, choices: Choices) -> Section:
@@ -77,40 +99,15 @@ def compute(table: Table, choices: Choices) -> Section:
     screening = screen_raters(single, rng=choices.make_rng(KEY))
     everyone = screening.table["participant"].nunique()
     slopes = list(_vary(table, screening, choices))
-    panel = screening.panel.to_dict("records")
     return Section(
         key=KEY,
         title=TITLE,
         answers=(_describe_flagged(screening),),
         grids=(
-            build_table(
-                "Screening rules, their source, the protocols they apply to, and the raters they flagged; a dash: "
-                "nobody.",
-                RULE_COLUMNS, _list_rules(screening), path="screening.{rule}",
-            ),
-            build_table(
-                "Agreement of all raters, and of those not flagged by any rule. The values describe these raters and "
-                "these stimuli and have no intervals: the usual ones treat stimuli of one recording as independent "
-                "and are too narrow. A dash: fewer than two raters or stimuli.",
-                AGREEMENT_COLUMNS,
-                (
-                    row | {
-                        "whose": GROUPS["any" if row["panel"] == "without hits" else "everyone"],
-                        "who": row["panel"].replace(" ", "_"),
-                    }
-                    for row in panel
-                ),
-                path="reliability.{scale}.{who}", n="n_items",
-            ),
-            build_table(
-                "Slopes of the primary analysis (points per +0.1) with and without flagged raters; 95 % t intervals "
-                "with Satterthwaite's df, p not adjusted. A dash: too few raters are left to fit the model.",
-                SLOPE_COLUMNS, slopes, path="panel.{scale}.{level}.{metric}.{panel}", n="n_people", detail=False,
-            ),
-            build_table(
-                "Standard deviation, in points, of a rater's repeated ratings of the same stimulus.",
-                REPEAT_COLUMNS, _list_repeats(table), path="repeat_sd.{scale}.{level}",
-            ),
+            RULES_APPLIED.build(_list_rules(screening)),
+            AGREEMENTS.build(_list_agreements(screening)),
+            SLOPES.build(slopes),
+            REPEATED.build(_list_repeats(table)),
         ),
         unseen=tuple(
             count_number(name_path("screening_panel", group), len(_list_flagged(screening, group)), n=everyone)
@@ -142,6 +139,12 @@ def _list_rules(screening: Screening) -> Iterator[dict[str, Any]]:
             "protocols": ", ".join(map(tell_name, RULES[rule].protocols)) or "all",
             "flagged": ", ".join(map(str, hits)) or "–", "n_judged": int(share.notna().sum()), "n": len(share),
         }  # fmt: skip
+
+
+def _list_agreements(screening: Screening) -> Iterator[dict[Any, Any]]:
+    for row in screening.panel.to_dict("records"):
+        whose = GROUPS["any" if row["panel"] == "without hits" else "everyone"]
+        yield row | {"whose": whose, "who": row["panel"].replace(" ", "_")}
 
 
 def _list_repeats(table: Table) -> Iterator[dict[str, Any]]:

@@ -42,6 +42,7 @@ from feel321.analysis.report.section import (
     P,
     Picture,
     Section,
+    TableForm,
     build_table,
     estimate,
     make_slug,
@@ -149,15 +150,16 @@ def _caption_profile(scale: str, level: str, profile: DataFrame) -> str:
 # Level arms compared, for the question whether something felt good because it was strong.
 
 KEY_LEVELS, TITLE_LEVELS = "levels", "Level arms compared"
-LEVEL_COLUMNS = (
-    Column("Ratings", "scale", TEXT), Column("First", "first", TEXT), Column("Second", "second", TEXT),
-    Column("Of", "of", TEXT),
-    estimate("Difference", "estimate", "mixed model, {_unit}, first level minus second"), DF, P, P_HOLM,
-)  # fmt: skip
-CAPTION_LEVELS = (
+LEVELS = TableForm(
     "First level minus second: in rating (points), and in the slope on each metric (points per +0.1). 95 % intervals; "
-    "p adjusted over this table."
-)
+    "p adjusted over this table.",
+    (
+        Column("Ratings", "scale", TEXT), Column("First", "first", TEXT), Column("Second", "second", TEXT),
+        Column("Of", "of", TEXT),
+        estimate("Difference", "estimate", "mixed model, {_unit}, first level minus second"), DF, P, P_HOLM,
+    ),
+    path="level.{scale}.{first}.{second}.{of}", detail=False,
+)  # fmt: skip
 
 
 def compute_levels(table: Table, choices: Choices) -> Section:
@@ -169,12 +171,11 @@ def compute_levels(table: Table, choices: Choices) -> Section:
         found = list(_compare_scales(tests, table.metrics, choices=choices, notes=notes))
     adjusted = adjust([row["p"] for row in found]) if found else []
     rows = [{**row, "p_holm": holm} for row, holm in zip(found, adjusted, strict=True)]
-    path = "level.{scale}.{first}.{second}.{of}"
     return Section(
         key=KEY_LEVELS,
         title=TITLE_LEVELS,
         answers=tuple(map(_describe_levels, rows)),
-        grids=(build_table(CAPTION_LEVELS, LEVEL_COLUMNS, rows, path=path, detail=False),),
+        grids=(LEVELS.build(rows),),
         tables={"levels": rows},
         notes=notes,
         how=read_methods(KEY_LEVELS),

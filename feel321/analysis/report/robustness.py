@@ -25,7 +25,7 @@ from feel321.analysis.report.section import (
     P,
     Picture,
     Section,
-    build_table,
+    TableForm,
     estimate,
     make_slug,
     read_methods,
@@ -52,30 +52,35 @@ KEY_ROBUSTNESS = "robustness"
 MOST_CELLS = 20_000
 """Participants x stimuli beyond which some sixty models would take many minutes."""
 
-VARIANT_COLUMNS = (
-    RATINGS, Column("Choice", "variant", NAME), METRIC,
-    estimate("Standardised slope", "standardised", "standardised slope", ends="standardised_"), P,
-)  # fmt: skip
-CAPTION_VARIANTS = (
+VARIANTS = TableForm(
     "Standardised slope under other choices, with 95 % t intervals (Satterthwaite's df); p not adjusted. Only "
-    "standardised slopes can be compared across units. A dash: no model; the notes say why."
-)
+    "standardised slopes can be compared across units. A dash: no model; the notes say why.",
+    (
+        RATINGS, Column("Choice", "variant", NAME), METRIC,
+        estimate("Standardised slope", "standardised", "standardised slope", ends="standardised_"), P,
+    ),
+    path="variant.{scale}.{level}.{variant}.{metric}",
+)  # fmt: skip
 OVER_SETS = {
     "median": ("Median", "slope"), "smallest": ("Smallest", "slope"), "largest": ("Largest", "slope"),
     "same_sign": ("Same sign", "correlation"), "beyond_zero": ("Excludes zero", "correlation"),
 }  # fmt: skip
-UNIVERSE_COLUMNS = (
-    RATINGS, METRIC,
-    *(Column(head, key, kind, key, f"{key} over distinct sets of raters") for key, (head, kind) in OVER_SETS.items()),
-    Column("Combinations of rules", "n_combinations", COUNT, "n_combinations"),
-    Column("Sets of raters", "n_distinct", COUNT, "n_distinct"),
-    Column("With a model", "n_defined", COUNT, "n_defined"),
-)  # fmt: skip
-CAPTION_UNIVERSES = (
+UNIVERSES = TableForm(
     "Slope (points per +0.1) across the distinct sets of raters that combinations of screening rules leave: "
     "median, smallest, largest, share with the same sign as with everyone, share of intervals that exclude zero, "
-    "number of combinations, of distinct sets, and of sets with enough raters to fit the model."
-)
+    "number of combinations, of distinct sets, and of sets with enough raters to fit the model.",
+    (
+        RATINGS, METRIC,
+        *(
+            Column(head, key, kind, key, f"{key} over distinct sets of raters")
+            for key, (head, kind) in OVER_SETS.items()
+        ),
+        Column("Combinations of rules", "n_combinations", COUNT, "n_combinations"),
+        Column("Sets of raters", "n_distinct", COUNT, "n_distinct"),
+        Column("With a model", "n_defined", COUNT, "n_defined"),
+    ),
+    path="multiverse.{scale}.{level}.{metric}", n="n_distinct",
+)  # fmt: skip
 
 
 def compute_robustness(table: Table, choices: Choices) -> Section:
@@ -93,31 +98,19 @@ def compute_robustness(table: Table, choices: Choices) -> Section:
             universes |= _run_universes(table, part, choices)
         except ValueError as error:
             notes.append(f"{part.lead}: no variants. {error}")
-    variants = [
-        parts[lead].keys | {"n": len(parts[lead].rows)} | row
-        for lead, frame in varied.items()
-        for row in frame.to_dict("records")
+    pictures += [
+        _picture_universes(metric, *found)
+        for (_, metric), found in universes.items()
+        if len(found[1].curve)
     ]
-    own = {key: found for key, found in universes.items() if len(found[1].curve)}
     return Section(
         key=KEY_ROBUSTNESS,
         title="Under other choices",
-        answers=tuple(
-            _describe_universes(metric, *found) for (_, metric), found in universes.items()
-        ),
+        answers=[_describe_universes(metric, *found) for (_, metric), found in universes.items()],
         grids=(
-            build_table(
-                CAPTION_VARIANTS,
-                VARIANT_COLUMNS,
-                variants,
-                path="variant.{scale}.{level}.{variant}.{metric}",
-            ),
-            build_table(
-                CAPTION_UNIVERSES,
-                UNIVERSE_COLUMNS,
-                (_read_universe(metric, *found) for (_, metric), found in universes.items()),
-                path="multiverse.{scale}.{level}.{metric}",
-                n="n_distinct",
+            VARIANTS.build(_list_variants(parts, varied)),
+            UNIVERSES.build(
+                _read_universe(metric, *found) for (_, metric), found in universes.items()
             ),
         ),
         tables={
@@ -127,13 +120,18 @@ def compute_robustness(table: Table, choices: Choices) -> Section:
                 for (lead, metric), (_, result) in universes.items()
             ),
         },
-        pictures=[
-            *pictures,
-            *(_picture_universes(metric, *found) for (_, metric), found in own.items()),
-        ],
+        pictures=pictures,
         notes=(*notes, *_note_variants(varied)),
         how=read_methods(KEY_ROBUSTNESS),
     )
+
+
+def _list_variants(
+    parts: Mapping[str, RatingsPart], varied: Mapping[str, DataFrame]
+) -> Iterator[Row]:
+    for lead, frame in varied.items():
+        more = {**parts[lead].keys, "n": len(parts[lead].rows)}
+        yield from (more | row for row in frame.to_dict("records"))
 
 
 def _check_size(part: RatingsPart) -> None:
@@ -279,28 +277,28 @@ WEIGHT_COLUMNS = (
 )  # fmt: skip
 PLACE = "refined.{scale}.{level}"
 REFINED_TABLES = {
-    "": (
+    "": TableForm(
         "How well a refined metric predicts recordings and participants that were not used to make it, for differences "
         "within recordings: correlation, its share of the noise ceiling, error in points. 95 % two-way intervals.",
-        SCORE_COLUMNS, PLACE,
+        SCORE_COLUMNS, PLACE, n="_n",
     ),
-    "gains": (
+    "gains": TableForm(
         "Gain in correlation of the refined metric out of fold over each metric as it is, to which nothing is fitted; "
         "and the error of that metric, mapped to points out of fold. 95 % two-way intervals, not adjusted.",
-        GAIN_COLUMNS, f"{PLACE}.over.{{metric}}",
+        GAIN_COLUMNS, f"{PLACE}.over.{{metric}}", n="_n",
     ),
-    "candidates": (
+    "candidates": TableForm(
         "Candidates, each as if it had been the only one: correlation and error out of fold, and the share of outer "
         "folds in which it was chosen. The best of this table is optimistic; the table above is not.",
-        CANDIDATE_COLUMNS, f"{PLACE}.candidate.{{name}}",
+        CANDIDATE_COLUMNS, f"{PLACE}.candidate.{{name}}", n="_n",
     ),
-    "weights": (
+    "weights": TableForm(
         "Weights of what is chosen on all ratings: points per standard deviation of each term within recordings, the "
         "smallest and the largest over the outer folds, and points per unit of the term.",
-        WEIGHT_COLUMNS, f"{PLACE}.weight.{{term}}",
+        WEIGHT_COLUMNS, f"{PLACE}.weight.{{term}}", n="_n",
     ),
 }  # fmt: skip
-"""Attribute of a result, empty for itself -> caption, columns and path of its table."""
+"""Attribute of a result, empty for itself -> its table."""
 
 
 def compute_refined(table: Table, choices: Choices) -> Section:
@@ -324,8 +322,7 @@ def compute_refined(table: Table, choices: Choices) -> Section:
         answers=tuple(str(_describe_refined(*one)) for one in found),
         verdict=tuple(_sum_up(found)),
         grids=tuple(
-            build_table(caption, columns, rows[name], path=path, n="_n")
-            for name, (caption, columns, path) in REFINED_TABLES.items()
+            form.build(rows[name]) for name, form in REFINED_TABLES.items()
         ),
         tables={f"refined_{name}": rows[name] for name in REFINED_TABLES if name},
         notes=notes,

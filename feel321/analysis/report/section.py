@@ -163,6 +163,28 @@ def build_table(
     )
 
 
+@dataclass(frozen=True, slots=True)
+class TableForm:
+    """A table before it has rows; the arguments are those of `build_table`."""
+
+    caption: str
+    columns: Sequence[Column]
+    path: str
+    n: str = "n"
+    detail: bool = True
+
+    def build(self, rows: Iterable[Record], *, caption: str = "") -> PageTable:
+        """Build the table, with a caption of its own if that is given."""
+        return build_table(
+            caption or self.caption,
+            self.columns,
+            rows,
+            path=self.path,
+            n=self.n,
+            detail=self.detail,
+        )
+
+
 def build_numbers(
     columns: Sequence[Column], rows: Iterable[Record], *, path: str, n: str = "n"
 ) -> tuple[Number, ...]:
