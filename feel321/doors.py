@@ -6,16 +6,18 @@ import difflib
 import importlib
 import os
 import warnings
+from collections.abc import Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-import numpy as np
+from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Mapping
+    from collections.abc import Callable, Collection, Iterable, Iterator
     from typing import Any
 
-    from feel321.types import PathLike, Rng
+    import numpy as np
+
+    from feel321.types import PathLike, Progress, Rng
 
 
 def as_path(path: PathLike, what: str = "path") -> Path:
@@ -39,6 +41,8 @@ def as_rng(rng: Rng, what: str = "rng") -> np.random.Generator:
     >>> as_rng(0).integers(10, size=3)
     array([8, 6, 5])
     """
+    import numpy as np  # only here, so that the command line answers at once
+
     if isinstance(rng, np.random.Generator):
         return rng
     if isinstance(rng, bool) or not isinstance(rng, int | np.integer) or rng < 0:
@@ -46,6 +50,37 @@ def as_rng(rng: Rng, what: str = "rng") -> np.random.Generator:
             f"{what} must be a whole number from 0 or a numpy Generator, got {describe(rng)}"
         )
     return np.random.default_rng(int(rng))
+
+
+def as_seed(rng: Rng, what: str = "rng") -> int:
+    """Take the seed that is given, or draw one from a generator: for results that have many sources of randomness.
+
+    Examples
+    --------
+    >>> as_seed(7)
+    7
+    """
+    import numpy as np
+
+    generator = as_rng(rng, what)
+    return int(generator.integers(2**32) if isinstance(rng, np.random.Generator) else rng)
+
+
+@contextmanager
+def follow(progress: Progress, what: str) -> Iterator[Callable[[int, int], None]]:
+    """Give the function to be called with the numbers of steps done and to do: the caller's, a bar's, or nobody's."""
+    if callable(progress):
+        yield progress
+        return
+    from tqdm import tqdm
+
+    with tqdm(desc=what, disable=not progress, leave=False) as bar:
+
+        def move(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        yield move
 
 
 def as_names(names: Iterable[str], what: str) -> tuple[str, ...]:
@@ -108,19 +143,139 @@ _SHORT = 60
 """Characters of a value that fit into a message."""
 
 
-def forward_old_names(face: str, places: Mapping[str, str]) -> Callable[[str], Any]:
-    """Make a face's `__getattr__`, which still finds names that have left `__all__`, with a warning.
+Entry = TypeVar("Entry")
 
-    places: "module:name" or "module:name|what to use instead" of each old name.
+
+class Registry(Mapping[str, Entry]):
+    """An ordered, read-only mapping of names; an entry is also an attribute, and a wrong name lists the right ones.
+
+    Parameters
+    ----------
+    what : str
+        What an entry is called in messages.
+    entries : Mapping
+        Name -> entry.
+
+    Examples
+    --------
+    >>> colours = Registry("colour", {"red": 1, "green": 2})
+    >>> colours["red"], colours.green, colours.find(len) is len, colours.find("math:pi")
+    (1, 2, True, 3.141592653589793)
+    >>> colours["grene"]
+    Traceback (most recent call last):
+        ...
+    KeyError: "colour must be one of red, green; got 'grene', did you mean 'green'?"
     """
 
+    __slots__ = ("_entries", "_what")
+
+    def __init__(self, what: str, entries: Mapping[str, Entry]) -> None:
+        self._what, self._entries = what, dict(entries)
+
+    def __getitem__(self, name: str) -> Entry:
+        """Return an entry."""
+        try:
+            return self._entries[name]
+        except KeyError:
+            raise KeyError(refuse_name(name, self._entries, self._what)) from None
+
+    def __getattr__(self, name: str) -> Entry:
+        """Return an entry, so that Tab completes names."""
+        if name.startswith("_"):
+            raise AttributeError(name)
+        try:
+            return self[name]
+        except KeyError as error:
+            raise AttributeError(error.args[0]) from None
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the names, in order."""
+        return iter(self._entries)
+
+    def __len__(self) -> int:
+        """Count the entries."""
+        return len(self._entries)
+
+    def __dir__(self) -> list[str]:
+        """List the names, for Tab."""
+        return [*super().__dir__(), *self._entries]
+
+    def __repr__(self) -> str:
+        """List the names."""
+        return f"<{self._what}: {', '.join(self._entries)}>"
+
+    def find(self, given: str | Entry) -> Entry:
+        """Return the entry of a name, what a dotted name "package.module:name" stands for, or what is given itself.
+
+        Parameters
+        ----------
+        given : str or any other
+            A name of this registry, a dotted name, or a lab's own entry.
+
+        Returns
+        -------
+        any
+            The entry.
+
+        Raises
+        ------
+        ValueError
+            If there is no such name, module, or name in the module.
+        """
+        if not isinstance(given, str):
+            return given
+        if ":" not in given:
+            return self._entries[check_name(given, self._entries, self._what)]
+        module, _, name = given.partition(":")
+        try:
+            entry: Entry = getattr(importlib.import_module(module), name)
+        except (ImportError, AttributeError, ValueError) as error:
+            raise ValueError(f"{self._what} {given!r} cannot be imported: {error}") from None
+        return entry
+
+    def choose(self, wanted: str | Iterable[str | Entry] = "all") -> dict[str, Entry]:
+        """Return several entries by their names: all of them, or what `find` finds of each.
+
+        Parameters
+        ----------
+        wanted : "all", or a list of str or any other
+            Names of this registry, dotted names, or a lab's own entries.
+
+        Returns
+        -------
+        dict
+            Name -> entry, in the order that is wanted.
+        """
+        if isinstance(wanted, str):
+            if wanted == "all":
+                return dict(self._entries)
+            as_names(wanted, f"{self._what}s")
+        return {name_of(one): self.find(one) for one in wanted}
+
+
+def name_of(method: object) -> str:
+    """Name a method of a registry: the name it was given by, or that of its function."""
+    return method if isinstance(method, str) else getattr(method, "__name__", repr(method))
+
+
+def forward_old_names(
+    face: str, places: Mapping[str, str], *, lazy: Mapping[str, str] | None = None
+) -> Callable[[str], Any]:
+    """Make a face's `__getattr__`, which still finds names that have left `__all__`, with a warning.
+
+    places: "module:name" or "module:name|what to use instead" of each old name. lazy: "module:name" of names of the
+    face that are imported when they are asked for, because that takes long.
+    """
+    known = {**places, **(lazy or {})}
+
     def find(name: str) -> Any:  # noqa: ANN401 - whatever the name stood for
-        if name not in places:
+        if name not in known:
             raise AttributeError(f"module {face!r} has no attribute {name!r}")
-        place, _, instead = places[name].partition("|")
+        place, _, instead = known[name].partition("|")
         module, _, attribute = place.partition(":")
-        advice = f"; use {instead}" if instead else ""
-        warnings.warn(f"{face}.{name} is deprecated{advice}", DeprecationWarning, stacklevel=2)
+        if name in places:
+            advice = f"; use {instead}" if instead else ""
+            warnings.warn(f"{face}.{name} is deprecated{advice}", DeprecationWarning, stacklevel=2)
         return getattr(importlib.import_module(module), attribute)
 
     return find

@@ -1,3 +1,5 @@
+import copy
+import math
 import pickle
 from dataclasses import dataclass, replace
 
@@ -5,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.doors import as_names, as_path, as_rng, forward_old_names
+from feel321.doors import Registry, as_names, as_path, as_rng, as_seed, follow, forward_old_names
 from feel321.records import REPR_WIDTH, Result
 
 
@@ -82,3 +84,57 @@ def test_old_names_are_found_with_a_warning_and_unknown_ones_are_not() -> None:
         assert find("as_door") is as_path
     with pytest.raises(AttributeError, match=r"feel321\.stimuli. has no attribute .other."):
         find("other")
+
+
+def test_a_registry_survives_pickling_and_copying() -> None:
+    registry = Registry("thing", {"one": len, "two": max})
+    for again in (pickle.loads(pickle.dumps(registry)), copy.deepcopy(registry)):  # noqa: S301 - our own bytes
+        assert dict(again) == {"one": len, "two": max}
+        assert again.two is max
+    assert "two" in dir(registry)
+    assert not hasattr(registry, "three")
+    assert not hasattr(registry, "_x")
+    assert repr(registry) == "<thing: one, two>"
+
+
+@pytest.mark.parametrize("name", ["three", "no_such_module:f", "math:no_such_name", ":x", "math:"])
+def test_a_registry_refuses_what_it_cannot_find(name: str) -> None:
+    with pytest.raises(ValueError, match="thing"):
+        Registry("thing", {"one": len}).find(name)
+
+
+def test_several_entries_are_chosen_by_name_by_dotted_name_or_as_they_are() -> None:
+    registry = Registry("thing", {"one": len, "two": max})
+    assert registry.choose() == {"one": len, "two": max}
+    assert registry.choose(["two", "math:sqrt", abs]) == {
+        "two": max,
+        "math:sqrt": math.sqrt,
+        "abs": abs,
+    }
+    with pytest.raises(TypeError, match=r"things.*write \['one'\]"):
+        registry.choose("one")
+
+
+def test_rows_that_are_plain_records_are_compared_field_by_field() -> None:
+    @dataclass(frozen=True)
+    class Row:
+        value: float
+
+    assert make(parts=(Row(float("nan")),)) == make(parts=(Row(float("nan")),))
+    assert make(parts=(Row(1.0),)) != make(parts=(Row(2.0),))
+
+
+def test_a_seed_is_taken_or_drawn() -> None:
+    assert as_seed(7) == 7
+    assert as_seed(np.random.default_rng(1)) == as_seed(np.random.default_rng(1)) >= 0
+    with pytest.raises(TypeError, match="rng must be a whole number from 0"):
+        as_seed(-1)
+
+
+def test_progress_is_a_bar_a_function_or_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    steps: list[tuple[int, int]] = []
+    for progress in (False, True, lambda done, total: steps.append((done, total))):
+        with follow(progress, "chart") as move:
+            move(1, 2)
+    assert steps == [(1, 2)]
+    assert "chart" in capsys.readouterr().err

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from feel321.analysis.table.schema import HIGHEST, LOWEST
 from feel321.analysis.table.sheet import tell_measure
 from feel321.analysis.words import tell_name, wrap_name
+from feel321.doors import check_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+    from numpy.typing import ArrayLike
 
 # How figures look: made for print.
 
@@ -105,6 +108,24 @@ def new_figure(height_cm: float) -> tuple[Figure, Axes]:
     """Make an empty figure, one column wide."""
     figure = new_canvas(height_cm)
     return figure, figure.add_subplot()
+
+
+def plot_marks(
+    axes: Axes,
+    x: ArrayLike,
+    y: ArrayLike,
+    *,
+    look: Look,
+    size: float = 4.0,
+    filled: bool = True,
+    **style: Any,  # noqa: ANN401 - whatever a line takes
+) -> Line2D:
+    """Draw points, with a white rim that keeps neighbours apart, or hollow."""
+    rim, face = ("white", look.colour) if filled else (look.colour, "white")
+    return axes.plot(x, y, **{
+        "marker": look.marker, "markersize": size, "linestyle": "none", "color": look.colour, "markerfacecolor": face,
+        "markeredgecolor": rim, "markeredgewidth": THIN if filled else 0.8, "zorder": 3, **style,
+    })[0]  # fmt: skip
 
 
 # Words in figures: broken by measured width, so that no name runs off or into another.
@@ -208,16 +229,9 @@ COLUMNS, LETTERS = 3, 30
 
 
 def add_legend(figure: Figure, shown: Mapping[str, Artist]) -> None:
-    """Give the legend as many columns as its names leave room for, and the figure the height that it takes.
-
-    shown: name -> what stands for it.
-    """
-    tight: dict[str, Any] = {
-        "loc": "outside lower center",
-        "handletextpad": 0,
-        "columnspacing": 0.6,
-        "frameon": False,
-    }
+    """Give the legend of names as many columns as there is room for, and the figure the height that it takes."""
+    tight: dict[str, Any] = {"loc": "outside lower center", "handletextpad": 0}
+    tight |= {"columnspacing": 0.6, "frameon": False}
     labels = [wrap_name(name, LETTERS) for name in shown]
     for columns in range(COLUMNS, 0, -1):
         legend = figure.legend(list(shown.values()), labels, ncols=columns, **tight)
@@ -230,24 +244,14 @@ def add_legend(figure: Figure, shown: Mapping[str, Artist]) -> None:
 
 
 def make_handles(looks: Mapping[str, Look]) -> dict[str, Artist]:
-    """Make what stands for each name in a legend.
-
-    looks: name -> its look.
-    """
+    """Make what stands for each name in a legend."""
     from matplotlib.lines import Line2D
 
-    def handle(look: Look) -> Line2D:
-        return Line2D(
-            [],
-            [],
-            color=look.colour,
-            marker=look.marker,
-            linestyle="none",
-            markeredgecolor="white",
-            markeredgewidth=THIN,
-        )
-
-    return {name: handle(look) for name, look in looks.items()}
+    rim: dict[str, Any] = {"linestyle": "none", "markeredgecolor": "white", "markeredgewidth": THIN}
+    return {
+        name: Line2D([], [], color=look.colour, marker=look.marker, **rim)
+        for name, look in looks.items()
+    }
 
 
 # How figures are saved: as vector and as bitmap, the same bytes for the same data.
@@ -264,11 +268,14 @@ STAMPS: Mapping[str, tuple[str, ...]] = MappingProxyType({
 
 def save_figure(figure: Figure, stem: Path, *, formats: Sequence[str] = ("svg", "png")) -> None:
     """Write a figure as vector and as bitmap."""
-    if unknown := [name for name in formats if name not in STAMPS]:
-        raise ValueError(f"formats: got {unknown[0]!r}, allowed are {', '.join(STAMPS)}")
+    for name in formats:
+        check_name(name, STAMPS, "formats")
     with print_style():
+        if engine := figure.get_layout_engine():
+            # Everything gets its place once, for every format, and nothing is drawn for that.
+            engine.execute(figure)
+            figure.set_layout_engine("none")
         for name in formats:
             # A name may end in what looks like a suffix: dft_v1.5.
             path = stem.with_name(f"{stem.name}.{name}")
             figure.savefig(path, dpi=PNG_DPI, metadata=dict.fromkeys(STAMPS[name]))
-            figure.set_layout_engine("none")  # everything has its place now, in every format
