@@ -6,15 +6,16 @@ import difflib
 import importlib
 import os
 import warnings
+from collections.abc import Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-import numpy as np
+from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Collection, Iterable, Iterator
     from typing import Any
+
+    import numpy as np
 
     from feel321.types import PathLike, Progress, Rng
 
@@ -40,6 +41,8 @@ def as_rng(rng: Rng, what: str = "rng") -> np.random.Generator:
     >>> as_rng(0).integers(10, size=3)
     array([8, 6, 5])
     """
+    import numpy as np  # not before it is needed: the command line answers at once
+
     if isinstance(rng, np.random.Generator):
         return rng
     if isinstance(rng, bool) or not isinstance(rng, int | np.integer) or rng < 0:
@@ -57,8 +60,10 @@ def as_seed(rng: Rng, what: str = "rng") -> int:
     >>> as_seed(7)
     7
     """
+    import numpy as np
+
     generator = as_rng(rng, what)
-    return int(generator.integers(2**32)) if generator is rng else int(rng)  # type: ignore[arg-type]  # a seed
+    return int(generator.integers(2**32) if isinstance(rng, np.random.Generator) else rng)
 
 
 @contextmanager
@@ -136,6 +141,97 @@ def describe(value: object) -> str:
 
 _SHORT = 60
 """Characters of a value that fit into a message."""
+
+
+Entry = TypeVar("Entry")
+
+
+class Registry(Mapping[str, Entry]):
+    """An ordered, read-only mapping of names; an entry is also an attribute, and a wrong name lists the right ones.
+
+    Parameters
+    ----------
+    what : str
+        What an entry is called in messages.
+    entries : Mapping
+        Name -> entry.
+
+    Examples
+    --------
+    >>> colours = Registry("colour", {"red": 1, "green": 2})
+    >>> colours["red"], colours.green, colours.find(len) is len, colours.find("math:pi")
+    (1, 2, True, 3.141592653589793)
+    >>> colours["grene"]
+    Traceback (most recent call last):
+        ...
+    KeyError: "colour must be one of red, green; got 'grene', did you mean 'green'?"
+    """
+
+    __slots__ = ("_entries", "_what")
+
+    def __init__(self, what: str, entries: Mapping[str, Entry]) -> None:
+        self._what, self._entries = what, dict(entries)
+
+    def __getitem__(self, name: str) -> Entry:
+        """Return an entry."""
+        try:
+            return self._entries[name]
+        except KeyError:
+            raise KeyError(refuse_name(name, self._entries, self._what)) from None
+
+    def __getattr__(self, name: str) -> Entry:
+        """Return an entry, so that Tab completes names."""
+        if name.startswith("_"):
+            raise AttributeError(name)
+        try:
+            return self[name]
+        except KeyError as error:
+            raise AttributeError(error.args[0]) from None
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the names, in order."""
+        return iter(self._entries)
+
+    def __len__(self) -> int:
+        """Count the entries."""
+        return len(self._entries)
+
+    def __dir__(self) -> list[str]:
+        """List the names, for Tab."""
+        return [*super().__dir__(), *self._entries]
+
+    def __repr__(self) -> str:
+        """List the names."""
+        return f"<{self._what}: {', '.join(self._entries)}>"
+
+    def find(self, given: str | Entry) -> Entry:
+        """Return the entry of a name, what a dotted name "package.module:name" stands for, or what is given itself.
+
+        Parameters
+        ----------
+        given : str or any other
+            A name of this registry, a dotted name, or a lab's own entry.
+
+        Returns
+        -------
+        any
+            The entry.
+
+        Raises
+        ------
+        ValueError
+            If there is no such name, module, or name in the module.
+        """
+        if not isinstance(given, str):
+            return given
+        if ":" not in given:
+            return self._entries[check_name(given, self._entries, self._what)]
+        module, _, name = given.partition(":")
+        try:
+            entry: Entry = getattr(importlib.import_module(module), name)
+        except (ImportError, AttributeError, ValueError) as error:
+            raise ValueError(f"{self._what} {given!r} cannot be imported: {error}") from None
+        return entry
 
 
 def forward_old_names(face: str, places: Mapping[str, str]) -> Callable[[str], Any]:

@@ -62,6 +62,21 @@ def hold_lock(path: Path, *, busy: str) -> Iterator[None]:
         lock.release()
 
 
+@contextmanager
+def file_named(path: Path) -> Iterator[None]:
+    """Put the file's name before every refusal raised inside, once: a reader raises bare sentences."""
+    prefix = f"{path.name}: "
+    try:
+        yield
+    except ValueError as error:
+        text = str(error).removeprefix(prefix)
+        # Spell out what cannot be printed: a file's own names may hold line feeds and worse.
+        line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+        raise ValueError(prefix + line) from error
+    except OSError as error:
+        raise type(error)(f"{prefix}{error.strerror or str(error).removeprefix(prefix)}") from error
+
+
 def _replace(path: Path, content: bytes) -> None:
     # Beside the target, so that the replacement stays on one file system and is atomic.
     unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")

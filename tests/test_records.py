@@ -1,3 +1,4 @@
+import copy
 import pickle
 from dataclasses import dataclass, replace
 
@@ -5,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.doors import as_names, as_path, as_rng, as_seed, follow, forward_old_names
+from feel321.doors import Registry, as_names, as_path, as_rng, as_seed, follow, forward_old_names
 from feel321.records import REPR_WIDTH, Result
 
 
@@ -82,6 +83,23 @@ def test_old_names_are_found_with_a_warning_and_unknown_ones_are_not() -> None:
         assert find("as_door") is as_path
     with pytest.raises(AttributeError, match=r"feel321\.stimuli. has no attribute .other."):
         find("other")
+
+
+def test_a_registry_survives_pickling_and_copying() -> None:
+    registry = Registry("thing", {"one": len, "two": max})
+    for again in (pickle.loads(pickle.dumps(registry)), copy.deepcopy(registry)):  # noqa: S301 - our own bytes
+        assert dict(again) == {"one": len, "two": max}
+        assert again.two is max
+    assert "two" in dir(registry)
+    assert not hasattr(registry, "three")
+    assert not hasattr(registry, "_x")
+    assert repr(registry) == "<thing: one, two>"
+
+
+@pytest.mark.parametrize("name", ["three", "no_such_module:f", "math:no_such_name", ":x", "math:"])
+def test_a_registry_refuses_what_it_cannot_find(name: str) -> None:
+    with pytest.raises(ValueError, match="thing"):
+        Registry("thing", {"one": len}).find(name)
 
 
 def test_rows_that_are_plain_records_are_compared_field_by_field() -> None:

@@ -1,6 +1,6 @@
-"""Kinds of values and tables of `study.toml`, and TOML parsed with errors that name the place.
+"""Kinds of values and tables of `study.toml` and `rig.toml`, and TOML read with errors that name the place.
 
-Each kind refuses by saying what is allowed; `settings` adds the place and what was got.
+A rule refuses with "must be ...; what to do"; `parse_toml` adds the place and the value that was found there.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import tomllib
 from difflib import get_close_matches
-from typing import TYPE_CHECKING, Annotated, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeVar, get_args
 
 from pydantic import (
     AfterValidator,
@@ -22,20 +22,18 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Collection, Sequence
     from pathlib import Path
 
     from pydantic import ValidatorFunctionWrapHandler
     from pydantic_core import ErrorDetails
 
-# What the tables of `study.toml` are made of: the closed table, and kinds of values.
-
 OFF = "off"
-"""What switches something off: TOML has no null."""
+"""Switches a setting off: TOML has no null."""
 
 
 class Table(BaseModel):
-    """A table of `study.toml`: no unknown keys, no guessing of types, no changes after reading."""
+    """A table of a TOML file: no unknown keys, no guessing of types, no changes after reading."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -45,7 +43,9 @@ def one_of(names: Collection[str]) -> AfterValidator:
 
     def check(name: str) -> str:
         if name not in names:
-            raise ValueError(f"allowed: {', '.join(names)}")
+            near = get_close_matches(name, list(names), n=1)
+            hint = f"; did you mean {near[0]!r}?" if near else ""
+            raise ValueError(f"must be one of {', '.join(names)}{hint}")
         return name
 
     return AfterValidator(check)
@@ -54,21 +54,20 @@ def one_of(names: Collection[str]) -> AfterValidator:
 def check_distinct(names: tuple[str, ...]) -> tuple[str, ...]:
     """Demand each name once."""
     if doubled := sorted({name for name in names if names.count(name) > 1}):
-        raise ValueError(f"allowed is each name once; more than once: {', '.join(doubled)}")
+        raise ValueError(f"must hold each name once; more than once: {', '.join(doubled)}")
     return names
 
 
 def check_some(names: tuple[str, ...]) -> tuple[str, ...]:
     """Demand one name or more, each once."""
     if not names:
-        raise ValueError("allowed is one name or more")
+        raise ValueError("must hold at least one name")
     return check_distinct(names)
 
 
-def check_words(text: str) -> str:
-    """Demand a text that says something."""
+def _check_words(text: str) -> str:
     if not text.strip():
-        raise ValueError("allowed is a text that is not empty")
+        raise ValueError("must not be empty")
     return text
 
 
@@ -101,13 +100,13 @@ def _refuse(error: ValidationError, words: Collection[str]) -> PydanticCustomErr
         "reason": error.errors()[0]["msg"],
         "words": " or ".join(f'"{word}"' for word in words),
     }
-    return PydanticCustomError("word_or", "{reason}, or {words}", allowed)
+    return PydanticCustomError("word_or", "{reason} or {words}", allowed)
 
 
 Distinct = AfterValidator(check_distinct)
 Some = AfterValidator(check_some)
 OrOff = WrapValidator(_take_off)
-Words = Annotated[str, AfterValidator(check_words)]
+Words = Annotated[str, AfterValidator(_check_words)]
 Count = Annotated[int, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -115,19 +114,13 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0, le=1)]
 PositiveOrOff = Annotated[Positive | None, OrOff]
 
-
-# Reading TOML into a closed table; the one place where a mistake in it is put into words.
-
-if TYPE_CHECKING:
-    Tables = Mapping[tuple[str, ...], type[Table]]
-
 Whole = TypeVar("Whole", bound=Table)
 
-WRONG_KEY = "[key]"
+_WRONG_KEY = "[key]"
 """What pydantic adds to the place of a name that is not allowed; the name stands before it."""
 
 
-def parse_toml(path: Path, model: type[Whole], *, tables: Tables) -> Whole:
+def parse_toml(path: Path, model: type[Whole], *, tables: object = None) -> Whole:  # noqa: ARG001 - tables: kept until all branches are in
     """Read a TOML file into the table that it is to be."""
     try:
         # By way of JSON, where strict reading takes an array for a tuple, but no "5" or true for a number.
@@ -137,14 +130,14 @@ def parse_toml(path: Path, model: type[Whole], *, tables: Tables) -> Whole:
     except TypeError as error:
         raise ValueError(f"{path.name}: {error}") from None
     except ValueError as error:  # TOML's own errors and those of the encoding
-        raise ValueError(f"{path}: got no TOML ({error}); mend that place") from None
+        raise ValueError(f"{path}: not valid TOML ({error}); fix that place") from None
     except RecursionError:
-        raise ValueError(f"{path}: got TOML that is nested too deeply; mend that place") from None
+        raise ValueError(f"{path}: TOML nested too deeply; use fewer levels") from None
     try:
         return model.model_validate_json(content, strict=True)
     except ValidationError as error:
         lines = (
-            f"{path.name}: {_translate(detail, tables)}"
+            f"{path.name}: {_translate(detail, model)}"
             for detail in error.errors(include_url=False)
         )
         raise ValueError("\n".join(lines)) from None
@@ -153,48 +146,52 @@ def parse_toml(path: Path, model: type[Whole], *, tables: Tables) -> Whole:
 def _refuse_time(value: object) -> NoReturn:
     # A TypeError is how `json` wants to be told.
     raise TypeError(
-        f"got the date or time {value}, allowed are texts, numbers, true and false; put it in quotes"
+        f"values must be texts, numbers, true or false, got the date or time {value}; put it in quotes"
     )
 
 
-def _translate(detail: ErrorDetails, tables: Tables) -> str:
-    place = _write_place(detail["loc"], tables)
-    if detail["type"] == "json_invalid":  # We wrote the JSON: only its depth can be wrong.
-        return "got TOML that is nested too deeply; mend that place"
-    if detail["type"] == "extra_forbidden":
-        return f"{place}: is no setting; {_suggest(detail['loc'], tables)}"
-    if detail["type"] == "missing":
-        return f"{place}: is missing; add it"
-    if detail["type"] == "value_error":
-        reason = str(detail["ctx"]["error"])
-    else:
-        # What JSON calls an object is a table in TOML.
-        reason = f"allowed: {detail['msg'].removeprefix('Input should be ').replace('an object', 'a table')}"
-    # Whole tables are too long an answer to what was got, and some reasons say it themselves.
-    got = (
-        ""
-        if "{" in repr(detail["input"]) or reason.startswith("got ")
-        else f"got {detail['input']!r}, "
-    )
-    return f"{place}: {got}{reason}"
+def _translate(detail: ErrorDetails, model: type[Table]) -> str:
+    place, table = _locate(detail["loc"], model)
+    match detail["type"]:
+        case "json_invalid":  # We wrote the JSON: only its depth can be wrong.
+            return "TOML nested too deeply; use fewer levels"
+        case "extra_forbidden":
+            near = get_close_matches(str(detail["loc"][-1]), table.model_fields, n=1)
+            known = (
+                f"did you mean {near[0]}?" if near else f"known: {', '.join(table.model_fields)}"
+            )
+            return f"{place}: unknown setting; {known}"
+        case "missing":
+            return f"{place}: missing; add it"
+        case "value_error":
+            reason = str(detail["ctx"]["error"])
+        case _:  # What JSON calls an object is a table in TOML.
+            reason = detail["msg"].replace("Input should", "must").replace("an object", "a table")
+    # Whole tables are too long to repeat, and some reasons say themselves what was found.
+    got = "" if "{" in repr(detail["input"]) or "got " in reason else f"got {detail['input']!r}"
+    if not reason.startswith("must "):
+        return f"{place}: {got}{', ' if got else ''}{reason}"
+    rule, _, remedy = reason.partition("; ")
+    return f"{place} {rule}{', ' if got else ''}{got}{'; ' if remedy else ''}{remedy}"
 
 
-def _write_place(location: Sequence[int | str], tables: Tables) -> str:
-    """Write a place as the file's author counts, `recordings[1].unit`; the kind of a table is no key."""
-    place, names = "", list[str]()
-    for before, part in zip((None, *location), location, strict=False):
+def _locate(location: Sequence[int | str], model: type[Table]) -> tuple[str, type[Table]]:
+    """Write a place as the file's author counts, `recordings[1].unit`, and find the table that it lies in."""
+    place, tables = "", [model]
+    for part in location:
         if isinstance(part, int):
             place += f"[{part + 1}]"
-            continue
-        names.append(part)
-        is_kind = isinstance(before, int) and tuple(names) in tables
-        if not is_kind and part != WRONG_KEY:
+        elif len(tables) > 1:  # the kind of a table, which is no key
+            tables = [table for table in tables if part in table.model_fields]
+        elif part != _WRONG_KEY:
             place += f".{part}" if place else part
-    return place
+            field = tables[0].model_fields.get(part)
+            tables = (list_tables(field.annotation) if field else []) or tables
+    return place, tables[0]
 
 
-def _suggest(location: Sequence[int | str], tables: Tables) -> str:
-    *names, key = (part for part in location if isinstance(part, str))
-    table = tables.get(tuple(names)) or tables[tuple(names[:1])]
-    near = get_close_matches(key, table.model_fields, n=1)
-    return f"did you mean {near[0]}?" if near else f"allowed: {', '.join(table.model_fields)}"
+def list_tables(kind: Any) -> list[type[Table]]:  # noqa: ANN401 - any annotation
+    """List the tables that an annotation speaks of."""
+    if isinstance(kind, type) and issubclass(kind, Table):
+        return [kind]
+    return [table for inner in get_args(kind) for table in list_tables(inner)]

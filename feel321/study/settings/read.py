@@ -1,8 +1,4 @@
-"""Read `study.toml`: parse it, refuse conflicts, remark on what is odd, open its recordings, make the design.
-
-A recording with a `rotation` is turned before anything else is done to it, as if its sensor had been glued on
-otherwise. The number seeds an orientation uniform over all rotations: the same number turns every recording alike.
-"""
+"""Read `study.toml` and make of it recordings, recipe, texts and design; find settings that do not go together."""
 
 from __future__ import annotations
 
@@ -19,29 +15,11 @@ from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.sets.recipe import NO_REFERENCE, Recipe
 from feel321.stimuli.synthesis import make_scene
-from feel321.study.observer.judging import ObserverModel
 from feel321.study.session.journal import digest
 from feel321.study.session.opening import Stale
 from feel321.study.session.plan import Design
 from feel321.study.settings.fields import parse_toml
-from feel321.study.settings.schema import (
-    LANGUAGE_FILE,
-    AnalysisTable,
-    BreaksTable,
-    ConditioningTable,
-    FileTable,
-    ObserverTable,
-    QualityTable,
-    RehearsalTable,
-    RigTable,
-    SceneTable,
-    SessionTable,
-    Settings,
-    StaleTable,
-    StimuliTable,
-    StudyTable,
-    TaskTable,
-)
+from feel321.study.settings.schema import LANGUAGE_FILE, SceneTable, Settings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -49,43 +27,21 @@ if TYPE_CHECKING:
 
     from feel321.protocols.trial import Task
     from feel321.stimuli.recording import Recording
-    from feel321.study.settings.fields import Table
+    from feel321.study.settings.schema import FileTable
 
-# What is allowed in `study.toml` and still worth knowing.
-
-
-def list_remarks(settings: Settings) -> list[str]:
-    """List what a study lead may not have meant."""
-    return [*_remark_on_tasks(settings), *_remark_on_session(settings)]
+MOST_TRIALS = 10_000
+"""Trials in a session; people do a few hundred, simulated participants somewhat more."""
 
 
-def _remark_on_tasks(settings: Settings) -> Iterator[str]:
-    for name in settings.tasks:
-        if name not in settings.session.protocols:
-            yield f"tasks.{name}: changes nothing: {name} is not in session.protocols; add it there, or take this out"
-    if "mushra" in settings.session.protocols and not settings.stimuli.anchors:
-        yield (
-            "stimuli.anchors: got false, but mushra is meant to have two anchors on each page (ITU-R BS.1534-3); "
-            "set it to true"
-        )
+def read_settings(path: Path) -> Settings:
+    """Read and check a `study.toml`."""
+    settings = parse_toml(path, Settings)
+    if mistakes := find_conflicts(settings):
+        raise ValueError("\n".join(f"{path.name}: {mistake}" for mistake in mistakes))
+    return settings
 
 
-def _remark_on_session(settings: Settings) -> Iterator[str]:
-    session = settings.session
-    if (
-        session.stale.policy == "warm_up"
-        and session.stale.after_h is not None
-        and not session.rehearsal.practice
-    ):
-        yield (
-            "session.stale.policy: got 'warm_up', but session.rehearsal.practice is 0: there is nothing to warm up "
-            "with; ask for practice, or set the policy to 'continue'"
-        )
-    if not session.breaks.rest_s:
-        yield "session.breaks.rest_s: got 0, so fingertips never rest from vibration; 60 s are usual"
-
-
-# From settings to signals: the recordings that a study names, and the recipe for its stimuli.
+# From settings to signals: recordings and the recipe for the stimuli.
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +53,7 @@ class Surface:
 
 
 def list_surfaces(settings: Settings, folder: Path) -> dict[str, Surface]:
-    """Look up the surfaces that participants stroke or see; a trial names them by their recordings."""
+    """List the surfaces that participants touch or see, by the names of their recordings."""
     return {
         entry.title: Surface(entry.sample, folder / entry.picture if entry.picture else None)
         for entry in settings.recordings
@@ -105,7 +61,7 @@ def list_surfaces(settings: Settings, folder: Path) -> dict[str, Surface]:
 
 
 def list_origins(settings: Settings) -> dict[str, str]:
-    """Look up what recordings were made from: those that are one, turned, are not independent of each other."""
+    """List what recordings were made from: one source, rotated, gives recordings that are not independent."""
     return {
         entry.title: f"{entry.scene} {entry.seed}" if isinstance(entry, SceneTable) else entry.file
         for entry in settings.recordings
@@ -132,32 +88,22 @@ def try_recordings(settings: Settings, folder: Path) -> tuple[list[Recording], l
     return recordings, mistakes
 
 
-def make_recipe(settings: Settings) -> Recipe:
-    """Put the settings of the stimuli and the rig into a recipe."""
-    stimuli, rig = settings.stimuli, settings.rig
-    steps = stimuli.conditioning
-    return Recipe(
-        conditioning=Conditioning(
-            remove_offset=steps.remove_offset,
-            high_pass_hz=steps.high_pass_hz,
-            low_pass_hz=steps.low_pass_hz,
-            crop_s=steps.crop_s,
-        ),
-        reducers=stimuli.reducers,
-        levels=stimuli.levels,
-        anchors=stimuli.anchors,
-        reference=stimuli.reference,
-        gain=stimuli.gain,
-        fade_s=stimuli.fade_s,
-        threshold=stimuli.threshold,
-        rate_hz=rig.rate_hz,
-        full_scale_m_s2=rig.full_scale_m_s2,
-        headroom=rig.headroom,
-    )
+def _open_recording(entry: SceneTable | FileTable, folder: Path) -> Recording:
+    own = entry.model_dump(exclude={"name", "sample", "picture", "rotation", "scene", "file"})
+    if isinstance(entry, SceneTable):
+        recording = make_scene(entry.scene, **own)
+    else:
+        recording = read_recording(folder / entry.file, **own)
+    if entry.rotation is not None:
+        recording = turn_recording(recording, entry.rotation)
+    return replace(recording, name=entry.title)
 
 
 def turn_recording(recording: Recording, rotation: int) -> Recording:
-    """Turn a recording into a random orientation of its sensor."""
+    """Turn a recording, before any other step, as if its sensor had been mounted in another orientation.
+
+    The number seeds an orientation uniform over all rotations: the same number turns every recording alike.
+    """
     import numpy as np
 
     from feel321.stimuli.rotation import random_rotations
@@ -170,33 +116,21 @@ def turn_recording(recording: Recording, rotation: int) -> Recording:
     )
 
 
-def _open_recording(entry: SceneTable | FileTable, folder: Path) -> Recording:
-    if isinstance(entry, SceneTable):
-        recording = make_scene(
-            entry.scene, seed=entry.seed, rate_hz=entry.rate_hz, duration_s=entry.duration_s
-        )
-    else:
-        recording = read_recording(
-            folder / entry.file,
-            rate_hz=entry.rate_hz,
-            unit=entry.unit,
-            columns=entry.columns,
-            full_scale=entry.full_scale,
-            resample=entry.resample,
-        )
-    if entry.rotation is not None:
-        recording = turn_recording(recording, entry.rotation)
-    return replace(recording, name=entry.title)
+def make_recipe(settings: Settings) -> Recipe:
+    """Make the recipe of the stimuli: each setting of `[stimuli]` and `[rig]` is a field of it by name."""
+    stimuli = settings.stimuli.model_dump(exclude={"conditioning", "below_threshold"})
+    steps = Conditioning(**settings.stimuli.conditioning.model_dump())
+    return Recipe(conditioning=steps, **stimuli, **settings.rig.model_dump())
 
 
-# The words of a study: a language of the catalogue or a file of the lab's own, and its own consent.
+# From settings to sessions: texts, design, and what a journal's header says of them.
 
 CONSENT = "consent"
 """The page whose text a lab can set by itself."""
 
 
 def find_language(settings: Settings, folder: Path) -> str | Path:
-    """Tell where the texts of a study stand."""
+    """Find the texts of a study: the name of a language, or the path of the lab's own file."""
     language = settings.session.language
     return folder / language if language.endswith(LANGUAGE_FILE) else language
 
@@ -209,48 +143,31 @@ def read_study_texts(settings: Settings, folder: Path) -> dict[str, Any]:
     return texts
 
 
-# What the settings of a study mean for its sessions.
-
-
 def make_design(settings: Settings) -> Design:
-    """Read off what a study decides about the sessions of all its participants."""
-    session, rehearsal = settings.session, settings.session.rehearsal
-    breaks, quality = session.breaks, session.quality
-    own = {
-        name: settings.tasks[name].model_dump() if name in settings.tasks else {}
-        for name in session.protocols
-    }
+    """Make the design: all that a study decides about the sessions of its participants."""
+    session = settings.session
+    rehearsal = session.rehearsal.model_dump(by_alias=True)
+    trials = {name: rehearsal.pop(name) for name in ("training", "practice")}
+    own = {name: settings.tasks[name].model_dump() for name in settings.tasks}
     return Design(
         seed=settings.study.seed,
         order=session.order,
         repeats=session.repeats,
-        tasks=tuple(
-            make_task(name, training=rehearsal.training, practice=rehearsal.practice, **own[name])
-            for name in session.protocols
-        ),
+        tasks=tuple(make_task(name, **trials, **own.get(name, {})) for name in session.protocols),
         between=dict(settings.between),
         flow=Flow(
-            break_trials=breaks.every_trials,
-            break_min=breaks.every_min,
-            break_s=breaks.break_s,
-            rest_s=breaks.rest_s,
-            training_pass=rehearsal.pass_share,
-            training_rounds=rehearsal.rounds,
-            min_response_s=quality.min_response_s,
-            max_attempts=quality.max_attempts,
-            reject=quality.reject,
-            gap_s=quality.gap_s,
+            **rehearsal, **session.breaks.model_dump(by_alias=True), **session.quality.model_dump()
         ),
     )
 
 
 def make_identity(settings: Settings, folder: Path, presenter: dict[str, Any]) -> dict[str, Any]:
-    """Say what must not change within a session besides its plan, for the header of its journal."""
+    """List what must not change within a session besides its plan, for the header of its journal."""
     texts = read_study_texts(settings, folder)
     return {
         "locale": settings.session.language,
         "texts_sha256": digest(json.dumps(texts, sort_keys=True)),
-        "consent": texts["pages"]["consent"]["text"],
+        "consent": texts["pages"][CONSENT]["text"],
         "rig": settings.rig.model_dump(),
         "calibration": None,
         "presenter": presenter,
@@ -258,20 +175,17 @@ def make_identity(settings: Settings, folder: Path, presenter: dict[str, Any]) -
 
 
 def make_stale(settings: Settings) -> Stale:
-    """Read off what becomes of a session that was left for long."""
+    """Make the rule for sessions that are resumed late."""
     return Stale(**settings.session.stale.model_dump())
 
 
 # What each table of `study.toml` may say by itself, but not together with the others.
 
-MOST_TRIALS = 10_000
-"""Trials in a session; people do a few hundred, simulated ones somewhat more."""
-
 
 def find_conflicts(settings: Settings) -> list[str]:
     """Find settings that do not go together."""
-    # What is wrong here would only be said again, and less clearly, by what follows from it.
-    checks = (_check_reference, _check_tasks, _check_between, _check_observer)
+    # A mistake is reported where it is made, not again, and less clearly, in what follows from it.
+    checks = (_check_reference, _check_tasks, _check_between)
     if found := [line for check in checks for line in check(settings)]:
         return found
     tasks = make_design(settings).tasks
@@ -282,7 +196,7 @@ def find_conflicts(settings: Settings) -> list[str]:
 def _check_reference(settings: Settings) -> Iterator[str]:
     if (reference := settings.stimuli.reference) in settings.stimuli.reducers:
         yield (
-            f"stimuli.reference: got {reference!r}, which is one of stimuli.reducers: it would go by two names; "
+            f"stimuli.reference must not be one of stimuli.reducers too, got {reference!r}; "
             "take it out of the reducers"
         )
 
@@ -297,34 +211,31 @@ def _check_tasks(settings: Settings) -> Iterator[str]:
 
 
 def _check_between(settings: Settings) -> Iterator[str]:
-    places = {"level": ("stimuli.levels", settings.stimuli.levels)}
-    places["protocol"] = ("session.protocols", settings.session.protocols)
+    places = {
+        "level": ("stimuli.levels", settings.stimuli.levels),
+        "protocol": ("session.protocols", settings.session.protocols),
+    }
     for factor, (place, allowed) in places.items():
         for name in settings.between.get(factor, ()):
             if name not in allowed:
-                yield f"between.{factor}: got {name!r}, allowed: {', '.join(allowed)}; or add it to {place}"
-
-
-def _check_observer(settings: Settings) -> Iterator[str]:
-    try:
-        ObserverModel(**settings.observer.model_dump())
-    except ValueError as error:
-        yield f"observer: {error}"
+                yield (
+                    f"between.{factor} must be one of {', '.join(allowed)}, got {name!r}; or add it to {place}"
+                )
 
 
 def _check_samples(settings: Settings, tasks: tuple[Task, ...]) -> Iterator[str]:
-    """Who is to stroke a real surface must be told which."""
+    """Check that each surface has a name where participants touch it."""
     on_surfaces = [task.protocol for task in tasks if task.surface or task.reference == SURFACE]
     for number, recording in enumerate(settings.recordings, start=1):
         if on_surfaces and not recording.sample:
             yield (
-                f"recordings[{number}].sample: is missing, but {' and '.join(on_surfaces)} let the real surface be "
-                "felt; add what it is called in the lab"
+                f"recordings[{number}].sample: missing, but participants touch the real surface in "
+                f"{' and '.join(on_surfaces)}; add the name that it has in the lab"
             )
 
 
 def _check_comparisons(settings: Settings, tasks: tuple[Task, ...]) -> Iterator[str]:
-    """Try out whether the stimuli to be built are what the tasks need."""
+    """Check that the stimuli to be built are what the tasks need."""
     for items, own in _list_groups(settings, tasks):
         for task in own:
             try:
@@ -335,23 +246,23 @@ def _check_comparisons(settings: Settings, tasks: tuple[Task, ...]) -> Iterator[
 
 def _check_length(settings: Settings, tasks: tuple[Task, ...]) -> Iterator[str]:
     """Count the trials of each group, which are as many for each recording."""
-    each = len(settings.recordings) * settings.session.repeats
-    groups = _list_groups(settings, tasks)
     trials = max(
-        each * sum(len(PROTOCOLS[t.protocol].compare(items, t)) for t in own)
-        for items, own in groups
+        len(settings.recordings)
+        * settings.session.repeats
+        * sum(len(PROTOCOLS[task.protocol].compare(items, task)) for task in own)
+        for items, own in _list_groups(settings, tasks)
     )
     if trials > MOST_TRIALS:
         yield (
-            f"session.repeats: got {settings.session.repeats}, which makes {trials} trials in a session, allowed are "
-            f"at most {MOST_TRIALS}; ask for fewer repeats, reducers or recordings"
+            f"a session must have at most {MOST_TRIALS} trials, got {trials} with session.repeats = "
+            f"{settings.session.repeats}; use fewer repeats, reducers or recordings"
         )
 
 
 def _list_groups(
     settings: Settings, tasks: tuple[Task, ...]
 ) -> Iterator[tuple[tuple[Item, ...], tuple[Task, ...]]]:
-    """List what is felt and done in the groups that differ in that."""
+    """List items and tasks of the groups that differ in them."""
     factors = {name: settings.between[name] for name in CHOOSING if name in settings.between}
     for levels in product(*factors.values()):
         groups = dict(zip(factors, levels, strict=True))
@@ -359,7 +270,7 @@ def _list_groups(
 
 
 def _list_items(settings: Settings) -> list[Item]:
-    """List what will be built from the first recording, as protocols see it; the others fare alike."""
+    """List the stimuli that will be built from the first recording; those of the others are alike."""
     from feel321.stimuli.sets.anchors import ANCHORS
 
     stimuli, recording = settings.stimuli, settings.recordings[0].title
@@ -373,33 +284,24 @@ def _list_items(settings: Settings) -> list[Item]:
     ]
 
 
-# Reading `study.toml`.
-
-TABLES: dict[tuple[str, ...], type[Table]] = {
-    (): Settings,
-    ("analysis",): AnalysisTable,
-    ("observer",): ObserverTable,
-    ("recordings", "file"): FileTable,
-    ("recordings", "scene"): SceneTable,
-    ("rig",): RigTable,
-    ("session",): SessionTable,
-    ("session", "breaks"): BreaksTable,
-    ("session", "quality"): QualityTable,
-    ("session", "rehearsal"): RehearsalTable,
-    ("session", "stale"): StaleTable,
-    ("stimuli",): StimuliTable,
-    ("stimuli", "conditioning"): ConditioningTable,
-    ("study",): StudyTable,
-    ("tasks",): TaskTable,  # of no protocol: the name itself is refused
-    **{("tasks", name): TaskTable for name in PROTOCOLS},
-}
-"""Which keys are allowed where."""
-
-
-def read_settings(path: Path) -> Settings:
-    """Read and check a `study.toml`."""
-    settings = parse_toml(path, Settings, tables=TABLES)
-    mistakes = find_conflicts(settings)
-    if mistakes:
-        raise ValueError("\n".join(f"{path.name}: {mistake}" for mistake in mistakes))
-    return settings
+def list_remarks(settings: Settings) -> list[str]:
+    """List what is allowed in `study.toml` and may not be meant."""
+    session, stale = settings.session, settings.session.stale
+    warms_up = stale.policy == "warm_up" and stale.after_h is not None
+    remarks = [
+        f"tasks.{name}: has no effect, {name} is not in session.protocols; add it there or remove this"
+        for name in settings.tasks
+        if name not in session.protocols
+    ]
+    if "mushra" in session.protocols and not settings.stimuli.anchors:
+        remarks.append(
+            "stimuli.anchors: false, but a page of mushra should have two anchors (ITU-R BS.1534-3); set it to true"
+        )
+    if warms_up and not session.rehearsal.practice:
+        remarks.append(
+            "session.stale.policy: 'warm_up' needs practice, but session.rehearsal.practice is 0; "
+            "set that to 1 or more, or the policy to 'continue'"
+        )
+    if not session.breaks.rest_s:
+        remarks.append("session.breaks.rest_s: 0 leaves fingertips no rest; 60 s are usual")
+    return remarks

@@ -1,7 +1,7 @@
-"""The schema of `study.toml`: every table, key and default.
+"""The schema of `study.toml`: every table, key and default. The tables are closed and frozen.
 
-The models are closed and frozen. Names of reducers, scenes, protocols, levels, units and languages are those of
-the registries; none is written down here again.
+Names of reducers, scenes, protocols, levels, units and languages are those of the registries. A setting that the
+stimuli or the protocols know under another name has that name as its `serialization_alias`.
 """
 
 from __future__ import annotations
@@ -9,20 +9,21 @@ from __future__ import annotations
 import re
 from math import prod
 from pathlib import PurePath
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Self
 
-from pydantic import AfterValidator, Discriminator, Field, Tag
+from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from feel321.protocols.order import ORDERS
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.texts import list_languages
-from feel321.protocols.trial import CHOOSING, FLAGS
+from feel321.protocols.trial import CHOOSING, FLAGS, Flow
+from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.match import PLANNED
 from feel321.stimuli.recording import UNITS
-from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
-from feel321.stimuli.sets.anchors import CONTACTOR, THRESHOLDS
+from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.sets.anchors import THRESHOLDS
 from feel321.stimuli.sets.build import check_names
-from feel321.stimuli.sets.recipe import GAINS, LEVELS, NO_REFERENCE, ONE_GAIN, ORIGINAL
+from feel321.stimuli.sets.recipe import GAINS, LEVELS, NO_REFERENCE, ORIGINAL, Recipe
 from feel321.stimuli.synthesis import SCENES
 from feel321.study import columns
 from feel321.study.session.plan import POLICIES
@@ -46,7 +47,10 @@ from feel321.study.settings.fields import (
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-# Factors in which participants differ: what they may be called, and how many groups they may make.
+_FLOW, _RECIPE, _STEPS = Flow(), Recipe(), Conditioning()
+"""What the floors below do where nothing is asked for: their defaults are the study's."""
+
+# Factors in which participants differ.
 
 MOST_GROUPS = 64
 """A balanced design wants several participants in each group; more groups than this are a slip."""
@@ -58,8 +62,6 @@ TAKEN = frozenset({
 }) - set(CHOOSING)
 """Names of columns: a factor becomes one of `participants.csv`, which is joined with `ratings.csv`."""
 
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,39}")
-
 
 def check_factor(name: str) -> str:
     """Demand a name that can head a column of its own.
@@ -68,29 +70,22 @@ def check_factor(name: str) -> str:
     --------
     >>> check_factor("Levels")
     Traceback (most recent call last):
-    ValueError: did you mean level? Allowed is that, or a label of your own
+    ValueError: must be 'level' or a label of your own
     """
-    plain = name.casefold()
-    if name not in CHOOSING and plain.removesuffix("s") in CHOOSING:
-        raise ValueError(
-            f"did you mean {plain.removesuffix('s')}? Allowed is that, or a label of your own"
-        )
-    if not _NAME.fullmatch(name):
-        raise ValueError(
-            "allowed are up to 40 letters (A-Z), digits and _, beginning with a letter"
-        )
-    if plain in TAKEN:
-        raise ValueError(
-            "is a column of participants.csv or ratings.csv already, allowed is a name of its own"
-        )
+    singular = name.casefold().removesuffix("s")
+    if name not in CHOOSING and singular in CHOOSING:
+        raise ValueError(f"must be {singular!r} or a label of your own")
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,39}", name):
+        raise ValueError("must be up to 40 letters (A-Z), digits and _, beginning with a letter")
+    if name.casefold() in TAKEN:
+        raise ValueError("must not be a column of participants.csv or ratings.csv; rename it")
     return name
 
 
-def check_groups(between: dict[str, tuple[str, ...]]) -> dict[str, tuple[str, ...]]:
-    """Demand that the factors do not make more groups than a study can fill."""
+def _check_groups(between: dict[str, tuple[str, ...]]) -> dict[str, tuple[str, ...]]:
     if (groups := count_groups(between)) > MOST_GROUPS:
         raise ValueError(
-            f"got {groups} groups, allowed are at most {MOST_GROUPS}; use fewer factors or levels"
+            f"there must be at most {MOST_GROUPS} groups, got {groups}; use fewer factors or levels"
         )
     return between
 
@@ -100,7 +95,7 @@ def count_groups(between: Mapping[str, tuple[str, ...]]) -> int:
     return prod(len(levels) for levels in between.values())
 
 
-# The tables of `study.toml` on what participants do: `[session]`, `[tasks]` and `[between]`.
+# What participants do: `[session]`, `[tasks]` and `[between]`.
 
 LANGUAGE_FILE = ".toml"
 """How the name of a lab's own file of texts ends."""
@@ -109,7 +104,7 @@ LANGUAGE_FILE = ".toml"
 def _check_language(language: str) -> str:
     if language not in list_languages() and not language.endswith(LANGUAGE_FILE):
         raise ValueError(
-            f'allowed: {", ".join(list_languages())}, or a file beside study.toml such as "texts/fr.toml"'
+            f'must be one of {", ".join(list_languages())}, or a file beside study.toml such as "texts/fr.toml"'
         )
     return language
 
@@ -119,31 +114,32 @@ class RehearsalTable(Table):
 
     training: Annotated[Count, Field(le=100)] = 4
     practice: Annotated[Count, Field(le=100)] = 2
-    pass_share: Share = 0.75
-    rounds: Annotated[int, Field(ge=1, le=100)] = 3
+    pass_share: Annotated[Share, Field(serialization_alias="training_pass")] = _FLOW.training_pass
+    rounds: Annotated[int, Field(ge=1, le=100, serialization_alias="training_rounds")] = (
+        _FLOW.training_rounds
+    )
 
 
 class BreaksTable(Table):
     """`[session.breaks]`: when the hand rests."""
 
-    every_trials: Annotated[Annotated[int, Field(ge=1)] | None, OrOff] = 60
-    every_min: Annotated[Annotated[Positive, Field(le=1440)] | None, OrOff] = 10.0
-    break_s: Annotated[NotNegative, Field(le=3600)] = 30.0
-    rest_s: Annotated[NotNegative, Field(le=3600)] = 60.0
+    every_trials: Annotated[
+        Annotated[int, Field(ge=1)] | None, OrOff, Field(serialization_alias="break_trials")
+    ] = _FLOW.break_trials
+    every_min: Annotated[
+        Annotated[Positive, Field(le=1440)] | None, OrOff, Field(serialization_alias="break_min")
+    ] = _FLOW.break_min
+    break_s: Annotated[NotNegative, Field(le=3600)] = _FLOW.break_s
+    rest_s: Annotated[NotNegative, Field(le=3600)] = _FLOW.rest_s
 
 
 class QualityTable(Table):
-    """`[session.quality]`: which trials are tried again."""
+    """`[session.quality]`: which trials are repeated."""
 
-    min_response_s: Annotated[NotNegative, Field(le=5)] = 0.2
-    max_attempts: Annotated[int, Field(ge=1, le=100)] = 3
-    reject: Annotated[tuple[Annotated[str, one_of(FLAGS)], ...], Distinct] = (
-        "underrun",
-        "device_error",
-        "too_fast",
-        "not_felt",
-    )
-    gap_s: Annotated[NotNegative, Field(le=30)] = 0.5
+    min_response_s: Annotated[NotNegative, Field(le=5)] = _FLOW.min_response_s
+    max_attempts: Annotated[int, Field(ge=1, le=100)] = _FLOW.max_attempts
+    reject: Annotated[tuple[Annotated[str, one_of(FLAGS)], ...], Distinct] = _FLOW.reject
+    gap_s: Annotated[NotNegative, Field(le=30)] = _FLOW.gap_s
 
 
 class StaleTable(Table):
@@ -181,11 +177,11 @@ class TaskTable(Table):
 Tasks = dict[Annotated[str, one_of(PROTOCOLS)], TaskTable]
 Between = Annotated[
     dict[Annotated[str, AfterValidator(check_factor)], Annotated[tuple[Words, ...], Some]],
-    AfterValidator(check_groups),
+    AfterValidator(_check_groups),
 ]
 
 
-# The tables of `study.toml`: what may stand in them, and the defaults.
+# What is felt: `[[recordings]]`, `[stimuli]` and `[rig]`; who feels it, and what becomes of the ratings.
 
 
 class StudyTable(Table):
@@ -203,9 +199,14 @@ class SourceTable(Table):
     picture: Words | None = None
     rotation: Count | None = None
 
-    def entitle(self, source: str) -> str:
-        """Tell what the recording is called that comes from a source: `oak`, and `oak-r1` in orientation 1."""
-        return self.name or (source if self.rotation is None else f"{source}-r{self.rotation}")
+    @property
+    def title(self) -> str:
+        """The recording's name: `oak` by default for `recordings/oak.csv`, in orientation 1 `oak-r1`."""
+        turned = "" if self.rotation is None else f"-r{self.rotation}"
+        return self.name or f"{self._find_source()}{turned}"
+
+    def _find_source(self) -> str:
+        raise NotImplementedError
 
 
 class SceneTable(SourceTable):
@@ -216,10 +217,8 @@ class SceneTable(SourceTable):
     rate_hz: Positive = 10000.0
     duration_s: Positive = 4.0
 
-    @property
-    def title(self) -> str:
-        """What the recording is called."""
-        return self.entitle(self.scene)
+    def _find_source(self) -> str:
+        return self.scene
 
 
 class FileTable(SourceTable):
@@ -232,38 +231,35 @@ class FileTable(SourceTable):
     full_scale: Positive | None = None
     resample: bool = False
 
-    @property
-    def title(self) -> str:
-        """What the recording is called: `recordings/oak.csv` is `oak`."""
-        return self.entitle(PurePath(self.file).stem)
+    def _find_source(self) -> str:
+        return PurePath(self.file).stem
 
 
-def _tell_kind(entry: object) -> str:
+def _find_kind(entry: object) -> str:
     is_scene = isinstance(entry, SceneTable) or (isinstance(entry, dict) and "scene" in entry)
     return "scene" if is_scene else "file"
 
 
 RecordingTable = Annotated[
     Annotated[SceneTable, Tag("scene")] | Annotated[FileTable, Tag("file")],
-    Discriminator(_tell_kind),
+    Discriminator(_find_kind),
 ]
 
 
 def _check_titles(
     recordings: tuple[SceneTable | FileTable, ...],
 ) -> tuple[SceneTable | FileTable, ...]:
-    titles = check_some(tuple(recording.title for recording in recordings))
-    check_names(titles)
+    check_names(check_some(tuple(recording.title for recording in recordings)))
     return recordings
 
 
 class ConditioningTable(Table):
     """`[stimuli.conditioning]`: what is done to a recording before it is reduced."""
 
-    remove_offset: bool = True
-    high_pass_hz: PositiveOrOff = 20.0
-    low_pass_hz: PositiveOrOff = 1000.0
-    crop_s: tuple[NotNegative, Positive] | None = None
+    remove_offset: bool = _STEPS.remove_offset
+    high_pass_hz: PositiveOrOff = _STEPS.high_pass_hz
+    low_pass_hz: PositiveOrOff = _STEPS.low_pass_hz
+    crop_s: tuple[NotNegative, Positive] | None = _STEPS.crop_s
 
 
 ACCEPT = "accept"
@@ -274,13 +270,13 @@ BELOW_THRESHOLD = ("refuse", ACCEPT)
 class StimuliTable(Table):
     """`[stimuli]`: what is made of each recording."""
 
-    reducers: Annotated[tuple[Annotated[str, one_of(REDUCERS)], ...], Some] = DEFAULT_REDUCERS
-    levels: Annotated[tuple[Annotated[str, one_of(LEVELS)], ...], Some] = LEVELS[:1]
-    anchors: bool = True
-    reference: Annotated[str, one_of((ORIGINAL, NO_REFERENCE, *REDUCERS))] = ORIGINAL
-    gain: Annotated[float | str, number_or(GAINS, least=1e-6, most=1e6)] = ONE_GAIN
-    fade_s: NotNegative = 0.01
-    threshold: Annotated[str, one_of(THRESHOLDS)] = CONTACTOR
+    reducers: Annotated[tuple[Annotated[str, one_of(REDUCERS)], ...], Some] = _RECIPE.reducers
+    levels: Annotated[tuple[Annotated[str, one_of(LEVELS)], ...], Some] = _RECIPE.levels
+    anchors: bool = _RECIPE.anchors
+    reference: Annotated[str, one_of((ORIGINAL, NO_REFERENCE, *REDUCERS))] = _RECIPE.reference
+    gain: Annotated[float | str, number_or(GAINS, least=1e-6, most=1e6)] = _RECIPE.gain
+    fade_s: NotNegative = _RECIPE.fade_s
+    threshold: Annotated[str, one_of(THRESHOLDS)] = _RECIPE.threshold
     below_threshold: Annotated[str, one_of(BELOW_THRESHOLD)] = "refuse"
     conditioning: ConditioningTable = ConditioningTable()
 
@@ -288,13 +284,13 @@ class StimuliTable(Table):
 class RigTable(Table):
     """`[rig]`: what the stimuli are rendered for."""
 
-    rate_hz: Positive = 48000.0
-    full_scale_m_s2: Annotated[Positive, Field(le=1e6)] = 100.0
-    headroom: Annotated[float, Field(gt=0, le=1)] = 0.9
+    rate_hz: Positive = _RECIPE.rate_hz
+    full_scale_m_s2: Annotated[Positive, Field(le=1e6)] = _RECIPE.full_scale_m_s2
+    headroom: Annotated[float, Field(gt=0, le=1)] = _RECIPE.headroom
 
 
 class ObserverTable(Table):
-    """`[observer]`: how simulated participants feel and differ; the fields are those of `ObserverModel`."""
+    """`[observer]`: how simulated participants feel and differ."""
 
     intercept: Finite = 10.0
     spectral: Finite = 45.0
@@ -313,6 +309,15 @@ class ObserverTable(Table):
     straight_liners: Share = 0.0
     random_clickers: Share = 0.0
     scale_reversers: Share = 0.0
+
+    @model_validator(mode="after")
+    def _check_shares(self) -> Self:
+        bad = self.straight_liners + self.random_clickers + self.scale_reversers
+        if bad > 1 + 1e-9:
+            raise ValueError(
+                f"straight_liners, random_clickers, scale_reversers must be at most 1 together, got {bad:g}"
+            )
+        return self
 
 
 class AnalysisTable(Table):

@@ -203,13 +203,16 @@ def test_coils_for_axes_that_are_not_at_right_angles_are_warned_of_where_it_coun
     [
         (
             TEMPLATE.replace("[1, 0, 0]    #", "[0, 0, 0]    #"),
-            "got [0, 0, 0], allowed is a direction of motion",
+            "actuators[1].direction must be a direction of motion, such as [1, 0, 0], got [0, 0, 0]",
         ),
         (TEMPLATE.replace("[0, 1, 0]", "[0, 1]"), "rig.toml: actuators[2].direction"),
-        (TEMPLATE.replace("[0, 1, 0]", '"up"'), "rig.toml: actuators[2].direction: got 'up'"),
+        (
+            TEMPLATE.replace("[0, 1, 0]", '"up"'),
+            "rig.toml: actuators[2].direction must be a valid array, got 'up'",
+        ),
         (
             TEMPLATE.replace("# weight = 0.7071", "weight = -1"),
-            "actuators[1].weight: got -1, allowed: greater than 0",
+            "actuators[1].weight must be greater than 0, got -1",
         ),
     ],
 )

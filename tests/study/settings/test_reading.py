@@ -2,14 +2,14 @@ from __future__ import annotations
 
 import re
 import tomllib
-from dataclasses import MISSING, fields, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from feel321.protocols.tasks import PROTOCOLS, make_task
+from feel321.protocols.tasks import make_task
 from feel321.protocols.trial import Flow
 from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.recording import Recording
@@ -20,26 +20,18 @@ from feel321.study.folder import create_study, read_template, require_study
 from feel321.study.observer.judging import ObserverModel
 from feel321.study.session.opening import Stale
 from feel321.study.session.plan import Design
-from feel321.study.settings.fields import Table
+from feel321.study.settings.fields import Table, list_tables
 from feel321.study.settings.read import (
-    TABLES,
     make_design,
     make_recipe,
     make_stale,
     open_recordings,
     read_settings,
 )
-from feel321.study.settings.schema import (
-    FileTable,
-    ObserverTable,
-    SceneTable,
-    Settings,
-    SourceTable,
-    TaskTable,
-)
+from feel321.study.settings.schema import SceneTable, Settings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
     from feel321.study.folder import StudyFolder
@@ -68,30 +60,29 @@ def test_the_template_states_every_default_and_names_every_scene(
 def test_the_template_names_every_key_in_its_table(read: Callable[[str], Settings]) -> None:
     # Keys without a default stand there as comments.
     text = re.sub(r"^# (\w+ = |\[)", r"\1", read_template(), flags=re.MULTILINE)
-    content = tomllib.loads(text)
-    assert set(content) == set(Settings.model_fields)
-    assert set(content["tasks"]["similarity"]) == set(TaskTable.model_fields)
-    for place, table in TABLES.items():
-        if place and place[0] not in {"recordings", "tasks"}:
-            entry: Any = content
-            for name in place:
-                entry = entry[name]
-            assert set(entry) == set(table.model_fields)
-    assert set(content["recordings"][0]) == set(TABLES["recordings", "file"].model_fields)
+    assert set(list_keys(Settings)) <= set(list_written(tomllib.loads(text)))
     read(text)
 
 
-def test_every_table_is_known_to_the_suggestions() -> None:
-    own = {
-        table
-        for table in Table.__subclasses__()
-        if table.__module__.startswith("feel321.study.settings.")
-    }
-    known = {Settings, SceneTable, FileTable, *own} - {SourceTable}
-    assert set(TABLES.values()) == known
-    assert {place[1] for place in TABLES if place[:1] == ("tasks",) and len(place) > 1} == set(
-        PROTOCOLS
-    )
+def list_keys(table: type[Table], place: str = "") -> Iterator[str]:
+    """List every key of a table and of those in it; of scenes only what the template writes."""
+    for name, field in table.model_fields.items():
+        inner = [one for one in list_tables(field.annotation) if one is not SceneTable]
+        for one in inner:
+            yield from list_keys(one, f"{place}{name}.")
+        if not inner:
+            yield place + name
+
+
+def list_written(content: dict[str, Any], place: str = "") -> Iterator[str]:
+    for name, value in content.items():
+        entry = value[0] if name == "recordings" else value
+        if name == "tasks":
+            entry = value["similarity"]
+        if isinstance(entry, dict) and name != "between":
+            yield from list_written(entry, f"{place}{name}.")
+        else:
+            yield place + name
 
 
 def test_defaults_are_those_of_the_rules_and_the_observer(read: Callable[[str], Settings]) -> None:
@@ -101,14 +92,7 @@ def test_defaults_are_those_of_the_rules_and_the_observer(read: Callable[[str], 
     assert design.tasks == tuple(
         make_task(name, training=4, practice=2) for name in ("realism", "similarity")
     )
-    defaults = {
-        field.name: field.default for field in fields(ObserverModel) if field.default is not MISSING
-    }
-    assert settings.analysis.metrics[0] == defaults.pop("spectral_metric")
-    assert settings.observer.model_dump().items() >= defaults.items()
-    assert {*ObserverTable.model_fields, "spectral_metric"} == {
-        field.name for field in fields(ObserverModel)
-    }
+    assert settings.analysis.metrics[0] == ObserverModel().spectral_metric
 
 
 def test_every_setting_of_the_session_reaches_the_design(read: Callable[[str], Settings]) -> None:
@@ -227,21 +211,21 @@ def test_every_setting_of_the_stimuli_reaches_the_recipe(read: Callable[[str], S
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "recordings: is missing; add it"),
-        ("recordings = []", "recordings: got [], allowed is one name or more"),
-        ("a = ", "got no TOML (Invalid value"),
-        (SHORTEST + "[stimli]", "stimli: is no setting; did you mean stimuli?"),
+        ("", "recordings: missing; add it"),
+        ("recordings = []", "recordings must hold at least one name, got []"),
+        ("a = ", "not valid TOML (Invalid value"),
+        (SHORTEST + "[stimli]", "stimli: unknown setting; did you mean stimuli?"),
         (
             SHORTEST + "[rig]\nzzz = 1",
-            "rig.zzz: is no setting; allowed: rate_hz, full_scale_m_s2, headroom",
+            "rig.zzz: unknown setting; known: rate_hz, full_scale_m_s2, headroom",
         ),
-        (SHORTEST + "unit = 'g'", "recordings[1].unit: is no setting; allowed: name, sample,"),
+        (SHORTEST + "unit = 'g'", "recordings[1].unit: unknown setting; known: name, sample,"),
         (
             SHORTEST + "[[recordings]]\nfile = 'a'\nunti = 'g'",
-            "recordings[2].unti: is no setting; did you mean",
+            "recordings[2].unti: unknown setting; did you mean",
         ),
-        (SHORTEST + "[[recordings]]\nname = 'a'", "recordings[2].file: is missing; add it"),
-        (SHORTEST * 2, "recordings: allowed is each name once; more than once: bumps"),
+        (SHORTEST + "[[recordings]]\nname = 'a'", "recordings[2].file: missing; add it"),
+        (SHORTEST * 2, "recordings must hold each name once"),
         (
             SHORTEST + "name = 'a b'",
             "recordings: recording name: got 'a b', allowed are up to 100 letters",
@@ -257,60 +241,54 @@ def test_every_setting_of_the_stimuli_reaches_the_recipe(read: Callable[[str], S
         ),
         (
             "[[recordings]]\nscene = 'bumsp'",
-            "recordings[1].scene: got 'bumsp', allowed: bumps, texture_drag,",
+            "recordings[1].scene must be one of bumps, texture_drag,",
         ),
         (
             "[[recordings]]\nfile = 'a'\nunit = 'kg'",
-            "recordings[1].unit: got 'kg', allowed: m/s^2, g, mg",
+            "recordings[1].unit must be one of m/s^2, g, mg",
         ),
         (
             SHORTEST + "[stimuli]\nreducers = ['dft3211']",
-            "stimuli.reducers[1]: got 'dft3211', allowed: sax321, say321",
+            "stimuli.reducers[1] must be one of sax321, say321",
         ),
         (SHORTEST + "[session]\nprotocols = ['realism', 'realism']", "more than once: realism"),
-        (
-            SHORTEST + "[stimuli]\nlevels = []",
-            "stimuli.levels: got [], allowed is one name or more",
-        ),
+        (SHORTEST + "[stimuli]\nlevels = []", "stimuli.levels must hold at least one name, got []"),
         (
             SHORTEST + "[stimuli]\nreference = 'x'",
-            "stimuli.reference: got 'x', allowed: original, none, sax321",
+            "stimuli.reference must be one of original, none, sax321",
         ),
         (
             SHORTEST + "[stimuli]\nlevels = ['loud']",
-            "stimuli.levels[1]: got 'loud', allowed: as_is, equal_intensity",
+            "stimuli.levels[1] must be one of as_is, equal_intensity",
         ),
         (
             SHORTEST + "[session]\nprotocols = ['x']",
-            "session.protocols[1]: got 'x', allowed: realism, similarity",
+            "session.protocols[1] must be one of realism, similarity",
         ),
         (
             SHORTEST + "[session]\nlanguage = 'xx'",
-            "session.language: got 'xx', allowed: de, en, or a file beside",
+            "session.language must be one of de, en, or a file beside",
         ),
-        (
-            SHORTEST + "[session]\nconsent = ' '",
-            "session.consent: got ' ', allowed is a text that is not empty",
-        ),
+        (SHORTEST + "[session]\nconsent = ' '", "session.consent must not be empty, got ' '"),
         (
             SHORTEST + "[session]\norder = 'latin'",
-            "session.order: got 'latin', allowed: williams, blocked, random",
+            "session.order must be one of williams, blocked, random",
         ),
         (
             SHORTEST + "[session.rehersal]",
-            "session.rehersal: is no setting; did you mean rehearsal?",
+            "session.rehersal: unknown setting; did you mean rehearsal?",
         ),
         (
             SHORTEST + "[session.breaks]\nevery_trials = 0",
-            'got 0, allowed: greater than or equal to 1, or "off"',
+            'must be greater than or equal to 1 or "off", got 0',
         ),
         (
             SHORTEST + "[session.breaks]\nevery_min = 'never'",
-            "got 'never', allowed: a valid number, or \"off\"",
+            "must be a valid number or \"off\", got 'never'",
         ),
         (
             SHORTEST + "[session.quality]\nreject = ['late']",
-            "reject[1]: got 'late', allowed: underrun, clipped,",
+            "reject[1] must be one of underrun, clipped,",
         ),
         (
             SHORTEST + "[session.quality]\nreject = ['clipped', 'clipped']",
@@ -318,141 +296,114 @@ def test_every_setting_of_the_stimuli_reaches_the_recipe(read: Callable[[str], S
         ),
         (
             SHORTEST + "[session.stale]\npolicy = 'x'",
-            "policy: got 'x', allowed: warm_up, continue, restart",
+            "policy must be one of warm_up, continue, restart",
         ),
-        (SHORTEST + "[tasks.mushr]", "tasks.mushr: got 'mushr', allowed: realism, similarity,"),
+        (SHORTEST + "[tasks.mushr]", "tasks.mushr must be one of realism, similarity,"),
         (
             SHORTEST + "[tasks.abx]\ntimming = 'strict'",
-            "tasks.abx.timming: is no setting; did you mean timing?",
+            "tasks.abx.timming: unknown setting; did you mean timing?",
         ),
-        (SHORTEST + "[tasks]\nabx = 3", "tasks.abx: got 3, allowed: a table"),
-        (SHORTEST + "[between]\ngrip = []", "between.grip: got [], allowed is one name or more"),
+        (SHORTEST + "[tasks]\nabx = 3", "tasks.abx must be a table, got 3"),
+        (SHORTEST + "[between]\ngrip = []", "between.grip must hold at least one name, got []"),
         (
             SHORTEST + "[observer]\nlapse_rate = 2",
-            "observer.lapse_rate: got 2, allowed: less than or equal to 1",
+            "observer.lapse_rate must be less than or equal to 1, got 2",
         ),
         (
             SHORTEST + "rotation = -1",
-            "recordings[1].rotation: got -1, allowed: greater than or equal to 0",
+            "recordings[1].rotation must be greater than or equal to 0, got -1",
         ),
         (
             SHORTEST + "[session]\nrepeats = 0",
-            "session.repeats: got 0, allowed: greater than or equal to 1",
+            "session.repeats must be greater than or equal to 1, got 0",
         ),
         (
             SHORTEST + "[session]\nrepeats = 1001",
-            "session.repeats: got 1001, allowed: less than or equal to 1000",
+            "session.repeats must be less than or equal to 1000, got 1001",
         ),
-        ("a = " + "[" * 99999, "got TOML that is nested too deeply; mend that place"),
-        (f"[{'.'.join('a' * 3000)}]", "got TOML that is nested too deeply; mend that place"),
-        (f"a = {'[' * 250}{']' * 250}", "got TOML that is nested too deeply; mend that place"),
-        (SHORTEST + "[study]\nseed = '5'", "study.seed: got '5', allowed: a valid integer"),
-        (SHORTEST + "[study]\nseed = true", "study.seed: got True, allowed: a valid integer"),
+        ("a = " + "[" * 99999, "nested too deeply; use fewer levels"),
+        (f"[{'.'.join('a' * 3000)}]", "nested too deeply; use fewer levels"),
+        (f"a = {'[' * 250}{']' * 250}", "nested too deeply; use fewer levels"),
+        (SHORTEST + "[study]\nseed = '5'", "study.seed must be a valid integer, got '5'"),
+        (SHORTEST + "[study]\nseed = true", "study.seed must be a valid integer, got True"),
         (
             SHORTEST + "[study]\nname = 2026-01-01",
-            "study.toml: got the date or time 2026-01-01, allowed are texts,",
+            "got the date or time 2026-01-01; put it in quotes",
         ),
-        (
-            SHORTEST + "sample = ' '",
-            "recordings[1].sample: got ' ', allowed is a text that is not empty",
-        ),
-        (
-            SHORTEST + "picture = ''",
-            "recordings[1].picture: got '', allowed is a text that is not empty",
-        ),
-        (
-            SHORTEST + "[between]\nLevels = ['as_is']",
-            "between.Levels: got 'Levels', did you mean level? Allowed is",
-        ),
-        (
-            SHORTEST + "[between]\nPROTOCOL = ['abx']",
-            "between.PROTOCOL: got 'PROTOCOL', did you mean protocol?",
-        ),
-        (
-            SHORTEST + "[between]\n'my grip' = ['a']",
-            "between.my grip: got 'my grip', allowed are up to 40 letters",
-        ),
-        (
-            SHORTEST + "[between]\n2nd = ['a']",
-            "between.2nd: got '2nd', allowed are up to 40 letters (A-Z), digits",
-        ),
+        (SHORTEST + "sample = ' '", "recordings[1].sample must not be empty, got ' '"),
+        (SHORTEST + "picture = ''", "recordings[1].picture must not be empty, got ''"),
+        (SHORTEST + "[between]\nLevels = ['as_is']", "between.Levels must be 'level' or a label"),
+        (SHORTEST + "[between]\nPROTOCOL = ['abx']", "between.PROTOCOL must be 'protocol'"),
+        (SHORTEST + "[between]\n'my grip' = ['a']", "between.my grip must be up to 40 letters"),
+        (SHORTEST + "[between]\n2nd = ['a']", "between.2nd must be up to 40 letters (A-Z), digits"),
         (
             SHORTEST + "[between]\nRating = ['a']",
-            "got 'Rating', is a column of participants.csv or ratings.csv",
+            "Rating must not be a column of participants.csv or ratings.csv",
         ),
-        (
-            SHORTEST + "[between]\nstate = ['a']",
-            "got 'state', is a column of participants.csv or ratings.csv already",
-        ),
+        (SHORTEST + "[between]\nstate = ['a']", "state must not be a column of participants.csv"),
         (
             SHORTEST + "[between]\nlast_utc = ['a']",
-            "got 'last_utc', is a column of participants.csv or ratings.csv",
+            "last_utc must not be a column of participants.csv",
         ),
-        (
-            SHORTEST + f"[between]\na = {TEN}\nb = {TEN}",
-            "between: got 100 groups, allowed are at most 64; use fewer",
-        ),
+        (SHORTEST + f"[between]\na = {TEN}\nb = {TEN}", "at most 64 groups, got 100; use fewer"),
         (
             SHORTEST + "[session.quality]\nmin_response_s = 6",
-            "got 6, allowed: less than or equal to 5",
+            "must be less than or equal to 5, got 6",
         ),
-        (SHORTEST + "[session.quality]\ngap_s = 31", "got 31, allowed: less than or equal to 30"),
+        (SHORTEST + "[session.quality]\ngap_s = 31", "must be less than or equal to 30, got 31"),
         (
             SHORTEST + "[session.quality]\nmax_attempts = 101",
-            "got 101, allowed: less than or equal to 100",
+            "must be less than or equal to 100, got 101",
         ),
         (
             SHORTEST + "[session.breaks]\nevery_min = 1441",
-            'got 1441, allowed: less than or equal to 1440, or "off"',
+            'must be less than or equal to 1440 or "off", got 1441',
         ),
         (
             SHORTEST + "[session.breaks]\nbreak_s = 3601",
-            "got 3601, allowed: less than or equal to 3600",
+            "must be less than or equal to 3600, got 3601",
         ),
         (
             SHORTEST + "[session.breaks]\nrest_s = 3601",
-            "got 3601, allowed: less than or equal to 3600",
+            "must be less than or equal to 3600, got 3601",
         ),
         (
             SHORTEST + "[session.rehearsal]\ntraining = 101",
-            "got 101, allowed: less than or equal to 100",
+            "must be less than or equal to 100, got 101",
         ),
         (
             SHORTEST + "[session.rehearsal]\npractice = 101",
-            "got 101, allowed: less than or equal to 100",
+            "must be less than or equal to 100, got 101",
         ),
         (
             SHORTEST + "[session.rehearsal]\nrounds = 101",
-            "got 101, allowed: less than or equal to 100",
+            "must be less than or equal to 100, got 101",
         ),
         (
             SHORTEST + "[session.stale]\nafter_h = 1e300",
-            'got 1e+300, allowed: less than or equal to 8760, or "off"',
+            'must be less than or equal to 8760 or "off", got 1e+300',
         ),
         (
             SHORTEST + "[stimuli]\ngain = 1e300",
-            "stimuli.gain: got 1e+300, allowed: less than or equal to 1000000",
+            "stimuli.gain must be less than or equal to 1000000 or ",
         ),
         (
             SHORTEST + "[stimuli]\ngain = 1e-300",
-            "stimuli.gain: got 1e-300, allowed: greater than or equal to 0.000001",
+            "stimuli.gain must be greater than or equal to 0.000001 or ",
         ),
         (
             SHORTEST + "[rig]\nfull_scale_m_s2 = 1e7",
-            "got 10000000.0, allowed: less than or equal to 1000000",
+            "must be less than or equal to 1000000, got 10000000.0",
         ),
-        (
-            SHORTEST + "[study]\nseed = -1",
-            "study.seed: got -1, allowed: greater than or equal to 0",
-        ),
-        (SHORTEST + "[rig]\nrate_hz = nan", "rig.rate_hz: got nan, allowed: "),
+        (SHORTEST + "[study]\nseed = -1", "study.seed must be greater than or equal to 0, got -1"),
+        (SHORTEST + "[rig]\nrate_hz = nan", "rig.rate_hz must be "),
         (
             SHORTEST + "[stimuli.conditioning]\nhigh_pass_hz = 0",
-            "stimuli.conditioning.high_pass_hz: got 0, allowed: ",
+            "stimuli.conditioning.high_pass_hz must be greater than 0",
         ),
         (
             SHORTEST + "[analysis]\ndraws = 3",
-            "analysis.draws: got 3, allowed: greater than or equal to 100",
+            "analysis.draws must be greater than or equal to 100, got 3",
         ),
     ],
 )
@@ -464,21 +415,21 @@ def test_every_mistake_is_one_line_that_says_where_what_and_what_is_allowed(
 
 
 def test_all_mistakes_are_told_at_once(read: Callable[[str], Settings]) -> None:
-    with pytest.raises(ValueError, match="is no setting") as caught:
+    with pytest.raises(ValueError, match="unknown setting") as caught:
         read(SHORTEST + "[rig]\nzzz = 1\nheadroom = 2\n[study]\nseed = 'a'")
-    assert [line.split(":")[1] for line in str(caught.value).splitlines()] == [
-        " study.seed",
-        " rig.headroom",
-        " rig.zzz",
+    assert [line.split()[1].strip(":") for line in str(caught.value).splitlines()] == [
+        "study.seed",
+        "rig.headroom",
+        "rig.zzz",
     ]
 
 
 def test_a_task_of_no_protocol_is_told_with_its_wrong_keys(read: Callable[[str], Settings]) -> None:
-    with pytest.raises(ValueError, match="is no setting") as caught:
+    with pytest.raises(ValueError, match="unknown setting") as caught:
         read(SHORTEST + "[tasks.foo]\ntimming = 1")
-    assert [line.split(" ")[1] for line in str(caught.value).splitlines()] == [
-        "tasks.foo:",
-        "tasks.foo.timming:",
+    assert [line.split()[1].strip(":") for line in str(caught.value).splitlines()] == [
+        "tasks.foo",
+        "tasks.foo.timming",
     ]
 
 

@@ -28,17 +28,17 @@ def test_nothing_is_to_be_said_about_what_we_ship(text: str, tmp_path: Path) -> 
     [
         (
             "[tasks.mushra]\ntiming = 'free'",
-            "tasks.mushra: changes nothing: mushra is not in session.protocols; add",
+            "tasks.mushra: has no effect, mushra is not in session.protocols; add",
         ),
         (
             "[stimuli]\nanchors = false\n[session]\nprotocols = ['mushra']",
-            "stimuli.anchors: got false, but mushra is",
+            "stimuli.anchors: false, but a page of mushra",
         ),
         (
             "[session.rehearsal]\npractice = 0",
-            "session.stale.policy: got 'warm_up', but session.rehearsal.practice is",
+            "session.stale.policy: 'warm_up' needs practice, but session.rehearsal.practice is",
         ),
-        ("[session.breaks]\nrest_s = 0", "session.breaks.rest_s: got 0, so fingertips never rest"),
+        ("[session.breaks]\nrest_s = 0", "session.breaks.rest_s: 0 leaves fingertips no rest"),
     ],
 )
 def test_each_remark_is_one_line(text: str, remark: str, tmp_path: Path) -> None:

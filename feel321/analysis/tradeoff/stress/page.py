@@ -14,7 +14,8 @@ from feel321.analysis.figures.style import (
     fit_text,
     print_style,
 )
-from feel321.analysis.tradeoff.results import PageCell, PageTable
+from feel321.analysis.report.section import PageTable
+from feel321.analysis.tradeoff.results import GradedText
 from feel321.analysis.tradeoff.stress.battery import BATTERY
 from feel321.analysis.tradeoff.stress.diagnosis import SIGNS
 from feel321.analysis.tradeoff.stress.measures import MEASURES
@@ -201,18 +202,18 @@ def _explain(result: StressResult) -> dict[str, dict[str, list[str]]]:
     return found
 
 
-def _show(cell: StressCell, *, linked: bool = True) -> PageCell:
+def _show(cell: StressCell, *, linked: bool = True) -> GradedText:
     """Show the median, and the 90th percentile and the worst where they differ from it."""
     median = format_value(cell.value, MEASURES[cell.measure].unit)
     p90, worst = format_value(cell.p90), format_value(cell.worst)
     alone = math.isnan(cell.p90) or (p90 == worst and p90 in median)
     anchor = name_anchor(cell.recording, cell.reducer)
     link = f"#{anchor}" if linked and cell.grade == "fails" else ""
-    return PageCell(median if alone else f"{median} / {p90} / {worst}", cell.grade, link)
+    return GradedText(median if alone else f"{median} / {p90} / {worst}", cell.grade, link)
 
 
 def _tabulate_measure(result: StressResult, measure: str) -> PageTable:
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for scene, entry in BATTERY.items():
         own = [cell for cell in result.cells if (cell.recording, cell.measure) == (scene, measure)]
         if any(cell.grade != "undefined" for cell in own):
@@ -229,14 +230,14 @@ def _tabulate_counts(result: StressResult) -> PageTable:
         f"Number of scenes, of {len(BATTERY)}, on which the output changes by {limit} or more (median takes).",
         ("Reducer", *MOVED.values()),
         tuple(
-            (name, *(PageCell(str(own[name]), "caution" * bool(own[name])) for own in counts.values()))
+            (name, *(GradedText(str(own[name]), "caution" * bool(own[name])) for own in counts.values()))
             for name in result.reducers
         ),
     )  # fmt: skip
 
 
 def _tabulate_gains(result: StressResult) -> PageTable:
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for one in result.diagnoses:
         own = (cell for cell in result.gains if cell.recording == one.recording)
         rows.append((one.recording, *(_show(cell, linked=False) for cell in own)))
@@ -245,11 +246,11 @@ def _tabulate_gains(result: StressResult) -> PageTable:
 
 
 def _tabulate_recordings(result: StressResult) -> PageTable:
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for one in result.diagnoses:
         near = one.near_signs
         shown = (
-            PageCell(sign.format(one.figures[name]), "caution" if sign in near else "")
+            GradedText(sign.format(one.figures[name]), "caution" if sign in near else "")
             for name, sign in SIGNS.items()
         )
         rows.append((one.recording, *shown))
@@ -259,7 +260,7 @@ def _tabulate_recordings(result: StressResult) -> PageTable:
 
 
 def _tabulate_metrics(result: StressResult) -> PageTable:
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for row in result.metrics:
         title = BATTERY[row.recording].title if row.recording in BATTERY else row.recording
         low, high, still, moved = map(
@@ -273,9 +274,9 @@ def _tabulate_metrics(result: StressResult) -> PageTable:
         )
         rows.append((
             title,
-            PageCell(f"{low}–{high}", "fails" if row.moves else "good"),
+            GradedText(f"{low}–{high}", "fails" if row.moves else "good"),
             f"{still} (moves by {moved})",
-            PageCell(format_value(row.spectral), "fails" if row.explodes else "good"),
+            GradedText(format_value(row.spectral), "fails" if row.explodes else "good"),
             row.worst_reducer or ABSENT,
             format_value(row.spectral_bounded),
             format_value(row.spectral_energy_weighted),

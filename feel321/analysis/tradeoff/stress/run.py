@@ -82,10 +82,10 @@ class Stress(StressResult):
 
         return write_results(
             folder,
-            "stress.html",
+            FIGURE,
             content=build_content(self),
             tables=self.to_frames(),
-            pictures=[Picture(FIGURE, "heat map", CAPTION, draw_stress(self))],
+            pictures=[Picture(FIGURE, CAPTION, draw_stress(self))],
             values=build_page(self),
         )
 
