@@ -55,23 +55,16 @@ from feel321.analysis.space import (
 )
 from feel321.analysis.table.items import find_sources
 from feel321.analysis.table.reading import Further, Table, read_table
-from feel321.analysis.tradeoff.advise.page import advise_recordings, write_advice
-from feel321.analysis.tradeoff.advise.ratings import judge_ratings
-from feel321.analysis.tradeoff.advise.scene import Context, Rated, Tolerance
-from feel321.analysis.tradeoff.chart.compute import compute_chart
-from feel321.analysis.tradeoff.chart.page import write_chart
-from feel321.analysis.tradeoff.chart.records import Chart
-from feel321.analysis.tradeoff.stress.run import stress_reducers, write_stress
+from feel321.analysis.tradeoff.face import advise, chart, stress
 from feel321.analysis.words import Number
+from feel321.doors import forward_old_names as _forward_old_names
 
 __all__ = [  # noqa: RUF022 - in the order of sorted(), which a test checks
     "Alignment",
     "Alpha",
     "Association",
     "BradleyTerry",
-    "Chart",
     "Choices",
-    "Context",
     "Dependent",
     "Difference",
     "Discrimination",
@@ -89,7 +82,6 @@ __all__ = [  # noqa: RUF022 - in the order of sorted(), which a test checks
     "Precision",
     "Primary",
     "RULES",
-    "Rated",
     "Refined",
     "RepeatedMeasures",
     "Results",
@@ -97,18 +89,17 @@ __all__ = [  # noqa: RUF022 - in the order of sorted(), which a test checks
     "Section",
     "Space",
     "Table",
-    "Tolerance",
     "abx_d_prime",
-    "advise_recordings",
+    "advise",
     "align_spaces",
     "bootstrap_alpha",
     "bootstrap_space",
     "bradley_terry",
     "bradley_terry_by_rater",
+    "chart",
     "compare_dependent",
     "compare_metrics",
     "compare_p1401",
-    "compute_chart",
     "compute_sections",
     "contrast",
     "correlate",
@@ -121,7 +112,6 @@ __all__ = [  # noqa: RUF022 - in the order of sorted(), which a test checks
     "fit_primary",
     "fit_space",
     "intraclass",
-    "judge_ratings",
     "krippendorff_alpha",
     "multimodality",
     "noise_ceiling",
@@ -134,13 +124,28 @@ __all__ = [  # noqa: RUF022 - in the order of sorted(), which a test checks
     "repeated_measures_correlation",
     "run_multiverse",
     "screen_raters",
+    "stress",
     "stress_by_dimension",
-    "stress_reducers",
     "tabulate_slopes",
     "tukey_fences",
     "vary_primary",
-    "write_advice",
-    "write_chart",
     "write_report",
-    "write_stress",
 ]
+
+_TRADEOFF = "feel321.analysis.tradeoff"
+__getattr__ = _forward_old_names(
+    __name__,
+    {
+        "Chart": f"{_TRADEOFF}.chart.compute:Chart|chart",
+        "Context": f"{_TRADEOFF}.advise.scene:Context|the arguments of advise",
+        "Rated": f"{_TRADEOFF}.advise.ratings:Rated|the arguments of advise",
+        "Tolerance": f"{_TRADEOFF}.advise.scene:Tolerance|advise(weber=...)",
+        "advise_recordings": f"{_TRADEOFF}.advise.page:advise_recordings|advise",
+        "compute_chart": f"{_TRADEOFF}.chart.compute:compute_chart|chart",
+        "judge_ratings": f"{_TRADEOFF}.advise.ratings:judge_ratings|advise(ratings=...)",
+        "stress_reducers": f"{_TRADEOFF}.stress.run:stress_reducers|stress",
+        "write_advice": f"{_TRADEOFF}.advise.page:write_advice|advise(...).write",
+        "write_chart": f"{_TRADEOFF}.chart.compute:write_chart|chart(...).write",
+        "write_stress": f"{_TRADEOFF}.stress.run:write_stress|stress(...).write",
+    },
+)

@@ -23,6 +23,8 @@ class GradedText(str):
     """An entry of a table of a page; grade: the style class that colours it; link: where it leads."""
 
     __slots__ = ("grade", "link")
+    grade: str
+    link: str
 
     def __new__(cls, text: str, grade: str = "", link: str = "") -> GradedText:
         """Make the text and remember how it is shown."""
@@ -38,7 +40,7 @@ def write_results(
     content: Mapping[str, object],
     tables: Mapping[str, DataFrame],
     pictures: Sequence[Picture],
-    values: Mapping[str, object],
+    values: Mapping[str, Any],
 ) -> Path:
     """Write a folder of results in the place of the former one, and of nothing else; return its page.
 

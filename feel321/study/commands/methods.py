@@ -23,7 +23,7 @@ from feel321.study.folder import StudyFolder
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from feel321.analysis.tradeoff.advise.scene import Rated
+    from feel321.analysis.tradeoff.advise.ratings import Rated
     from feel321.stimuli.recording import Recording
 
     Verb = Callable[..., None]
@@ -261,7 +261,7 @@ def advise(  # noqa: PLR0913 - every option has a name of its own
         return
     for advice in study.advices:
         click.echo(advice.line)
-    for line in filter(None, (study.summary, study.note)):
+    for line in filter(None, (study.headline, study.note)):
         click.echo(line)
     click.echo(task.output / "index.html")
 

@@ -7,13 +7,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from feel321.analysis.tradeoff.face import stress
 from feel321.analysis.tradeoff.stress.battery import BATTERY
-from feel321.analysis.tradeoff.stress.run import Stress, stress
 from feel321.stimuli.recording import Recording
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
+
+    from feel321.analysis.tradeoff.stress.run import Stress
 
 
 def make_recording(

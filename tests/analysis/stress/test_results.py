@@ -12,11 +12,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from feel321.analysis.tradeoff.face import stress
 from feel321.analysis.tradeoff.stress.battery import BATTERY, take_excerpt
 from feel321.analysis.tradeoff.stress.measures import MEASURES
 from feel321.analysis.tradeoff.stress.page import build_page, format_gain, format_value, name_anchor
 from feel321.analysis.tradeoff.stress.result import find_reason
-from feel321.analysis.tradeoff.stress.run import stress, stress_reducers, write_stress
+from feel321.analysis.tradeoff.stress.run import stress_reducers, write_stress
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
 
