@@ -145,7 +145,7 @@ __getattr__ = _forward_old_names(
         "judge_ratings": f"{_TRADEOFF}.advise.ratings:judge_ratings|advise(ratings=...)",
         "stress_reducers": f"{_TRADEOFF}.stress.run:stress_reducers|stress",
         "write_advice": f"{_TRADEOFF}.advise.page:write_advice|advise(...).write",
-        "write_chart": f"{_TRADEOFF}.chart.compute:write_chart|chart(...).write",
+        "write_chart": f"{_TRADEOFF}.chart.page:write_chart|chart(...).write",
         "write_stress": f"{_TRADEOFF}.stress.run:write_stress|stress(...).write",
     },
 )

@@ -136,28 +136,27 @@ def advise_scene(
     verdicts = []
     for row, (cost, contender) in enumerate(listed.items()):
         decides, suits = find_deciding(mounted, shortfalls[row].max(axis=-1))
-        verdict = Verdict(
-            cost,
-            complete_scores(contender, mounted[decides], scores[row, decides]),
-            Shortfall(*shortfalls[row, decides].tolist()),
-            in_budget=cost.latency_ms <= context.room_ms,
-            rated=(ratings or {}).get(cost.name),
-            needs_ratings=bool(ratings),
-            best_spectrum=float(best[decides, 0]),
-            best_time=float(best[decides, 1]),
-            suits=sum(suits),
-            segments=len(suits),
-        )
-        verdicts.append(verdict)
-    # Rounded, so that reducers that differ by rounding only are ordered by name.
-    verdicts.sort(
-        key=lambda one: (
-            *one.cost.rank(online=context.online),
-            round(one.shortfall.worst / SAME),
-            one.name,
-        )
-    )
+        best_spectrum, best_time = best[decides].tolist()
+        verdicts.append(
+            Verdict(
+                cost,
+                complete_scores(contender, mounted[decides], scores[row, decides]),
+                Shortfall(*shortfalls[row, decides].tolist()),
+                in_budget=cost.latency_ms <= context.room_ms,
+                rated=(ratings or {}).get(cost.name),
+                needs_ratings=bool(ratings),
+                best_spectrum=best_spectrum, best_time=best_time,
+                suits=sum(suits), segments=len(suits),
+            )
+        )  # fmt: skip
+    verdicts.sort(key=partial(_order, context=context))
     return choose(scene, verdicts, context)
+
+
+def _order(verdict: Verdict, context: Context) -> tuple[object, ...]:
+    # Rounded, so that reducers that differ by rounding only are ordered by name.
+    worst = round(verdict.shortfall.worst / SAME)
+    return *verdict.cost.rank(online=context.online), worst, verdict.name
 
 
 def _find_problem(recording: Recording) -> str:

@@ -297,7 +297,9 @@ def complete_scores(contender: Contender, mounted: MountedSegment, scores: Sampl
     if output.ndim == 1:
         spectral, bounded = map(float, OriginalSpectrum(samples, rate_hz).match_both(output))
         temporal = temporal_match(samples, output, rate_hz)
-    return Scores(*scores.tolist(), spectral, temporal, contender.gain_db, bounded)
+    level_db, spectrum, time, change = scores.tolist()
+    paper = spectral, temporal, contender.gain_db, bounded
+    return Scores(level_db, spectrum, time, change, *paper)
 
 
 def score_scene(
@@ -320,8 +322,8 @@ def score_scene(
     steady = [one.name in TURNS_ALONG or not any_mounting for one in contenders.values()]
     for row, contender in enumerate(contenders.values()):
         for segment in segments if steady[row] else ():
-            columns = [each.segment is segment for each in mounted]
-            scores[row, columns] = segment.score(contender.reduce, segment.both)
+            own = [each.segment is segment for each in mounted]
+            scores[row, own] = segment.score(contender.reduce, segment.both)
     first = 3 * max(FIRST_TURNS, len(segments))
     tried = np.array([not one for one in steady])
     for columns in (range(first), range(first, len(mounted))) if any_mounting else ():
