@@ -41,7 +41,7 @@ def as_rng(rng: Rng, what: str = "rng") -> np.random.Generator:
     >>> as_rng(0).integers(10, size=3)
     array([8, 6, 5])
     """
-    import numpy as np  # not before it is needed: the command line answers at once
+    import numpy as np  # only here, so that the command line answers at once
 
     if isinstance(rng, np.random.Generator):
         return rng
@@ -233,20 +233,49 @@ class Registry(Mapping[str, Entry]):
             raise ValueError(f"{self._what} {given!r} cannot be imported: {error}") from None
         return entry
 
+    def choose(self, wanted: str | Iterable[str | Entry] = "all") -> dict[str, Entry]:
+        """Return several entries by their names: all of them, or what `find` finds of each.
 
-def forward_old_names(face: str, places: Mapping[str, str]) -> Callable[[str], Any]:
+        Parameters
+        ----------
+        wanted : "all", or a list of str or any other
+            Names of this registry, dotted names, or a lab's own entries.
+
+        Returns
+        -------
+        dict
+            Name -> entry, in the order that is wanted.
+        """
+        if isinstance(wanted, str):
+            if wanted == "all":
+                return dict(self._entries)
+            as_names(wanted, f"{self._what}s")
+        return {name_of(one): self.find(one) for one in wanted}
+
+
+def name_of(method: object) -> str:
+    """Name a method of a registry: the name it was given by, or that of its function."""
+    return method if isinstance(method, str) else getattr(method, "__name__", repr(method))
+
+
+def forward_old_names(
+    face: str, places: Mapping[str, str], *, lazy: Mapping[str, str] | None = None
+) -> Callable[[str], Any]:
     """Make a face's `__getattr__`, which still finds names that have left `__all__`, with a warning.
 
-    places: "module:name" or "module:name|what to use instead" of each old name.
+    places: "module:name" or "module:name|what to use instead" of each old name. lazy: "module:name" of names of the
+    face that are imported when they are asked for, because that takes long.
     """
+    known = {**places, **(lazy or {})}
 
     def find(name: str) -> Any:  # noqa: ANN401 - whatever the name stood for
-        if name not in places:
+        if name not in known:
             raise AttributeError(f"module {face!r} has no attribute {name!r}")
-        place, _, instead = places[name].partition("|")
+        place, _, instead = known[name].partition("|")
         module, _, attribute = place.partition(":")
-        advice = f"; use {instead}" if instead else ""
-        warnings.warn(f"{face}.{name} is deprecated{advice}", DeprecationWarning, stacklevel=2)
+        if name in places:
+            advice = f"; use {instead}" if instead else ""
+            warnings.warn(f"{face}.{name} is deprecated{advice}", DeprecationWarning, stacklevel=2)
         return getattr(importlib.import_module(module), attribute)
 
     return find

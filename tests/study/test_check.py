@@ -25,7 +25,7 @@ def ask(study: StudyFolder) -> list[str]:
 
 def test_pictures_and_texts_that_are_missing_are_named(study: StudyFolder, ask: list[str]) -> None:
     assert ask == [
-        f"recording 'bumps': {study.path / 'pictures' / 'oak.png'}: there is no such picture; put it there",
+        f"recording 'bumps': {study.path / 'pictures' / 'oak.png'}: no such picture; put it there",
         f"{study.path / 'fr.toml'}: No such file or directory; "
         "put your texts there, or name a language of the catalogue",
     ]
@@ -36,7 +36,7 @@ def test_pictures_and_texts_that_are_missing_are_named(study: StudyFolder, ask: 
     [
         (
             "Read this. " * 300,
-            "page 'consent': its text takes 2.5 screens, allowed is one; shorten it",
+            "page 'consent': its text must fit on one screen, got 2.5 screens; shorten it",
         ),
         ("w" * 120, f"page 'consent': got '{'w' * 120}', which fits on no line; break it"),
     ],
@@ -58,8 +58,8 @@ def test_questions_and_labels_that_are_too_long_are_named(study: StudyFolder) ->
     study.settings.write_text(f'{text}[session]\nlanguage = "own.toml"\n', encoding="utf-8")
     problems = check_study(study)[1]
     assert len(problems) == 2
-    assert "its question takes" in problems[0]
-    assert "its longer label takes" in problems[1]
+    assert "its question must take at most" in problems[0]
+    assert "its longer label must" in problems[1]
 
 
 def test_gaps_in_texts_are_all_named(study: StudyFolder, ask: list[str]) -> None:
@@ -102,17 +102,11 @@ def test_every_group_that_feels_something_else_is_planned(
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        (
-            "fade_s = 0.3",
-            "recording 'bumps': fade_s: got 0.3, allowed is 0 to 0.25 s, half the signal",
-        ),
-        (
-            "conditioning.crop_s = [0.1, 0.6]",
-            "recording 'bumps': crop_s: got (0.1, 0.6), allowed for 'bumps' is up to",
-        ),
+        ("fade_s = 0.3", "recording 'bumps': fade_s must be 0 to 0.25 s, half the signal; got 0.3"),
+        ("conditioning.crop_s = [0.1, 0.6]", "recording 'bumps': crop_s must be (start, end)"),
         (
             "conditioning.high_pass_hz = 6000\nconditioning.low_pass_hz = 'off'",
-            "recording 'bumps': highpass: got 6000",
+            "recording 'bumps': highpass must be below",
         ),
     ],
 )
@@ -135,7 +129,7 @@ def test_a_silent_recording_is_found_before_the_build(study: StudyFolder) -> Non
     study.settings.write_text(text, encoding="utf-8")
     (problem,) = check_study(study)[1]
     assert problem.startswith(
-        "recording 'still': 'still' is silent between 20 and 1000 Hz: it can have no anchors"
+        "recording 'still': 'still' is silent between 20 and 1000 Hz and can have no anchors"
     )
     study.settings.write_text(f"{text}anchors = false", encoding="utf-8")
     (problem,) = check_study(study)[1]

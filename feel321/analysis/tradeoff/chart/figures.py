@@ -22,7 +22,6 @@ from feel321.analysis.figures.style import (
     new_canvas,
     print_style,
 )
-from feel321.analysis.table.sheet import tell_measure
 from feel321.analysis.tradeoff.chart.cost import NS, RATE_HZ
 from feel321.analysis.tradeoff.chart.points import (
     GROUPS,
@@ -32,7 +31,7 @@ from feel321.analysis.tradeoff.chart.points import (
     list_records,
     split,
 )
-from feel321.analysis.words import start
+from feel321.analysis.words import capitalise, format_measure
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -70,7 +69,9 @@ def describe_measure(measure: str) -> str:
     'Temporal match, invariant'
     """
     metric, _, kind = measure.partition("_match")
-    return start(f"{metric} match") + (f", {kind.strip('_').replace('_', '-')}" if kind else "")
+    return capitalise(f"{metric} match") + (
+        f", {kind.strip('_').replace('_', '-')}" if kind else ""
+    )
 
 
 def format_plainly(value: float) -> str:
@@ -247,7 +248,7 @@ def draw_rated(tables: Tables, scale: str, level: str) -> Figure:
                 thick: dict[str, Any] = {"linewidths": 1.5, "alpha": 0.5, "zorder": 2}
                 axes.vlines(x, row["low"], row["high"], colors=look.colour, **thick)
             _mark(axes, (x, row["mean"]), look, size=5)
-        axes.set(xscale="log", xlabel=COST_AXIS, ylabel=f"Mean {tell_measure(scale)} (0 to 100)")
+        axes.set(xscale="log", xlabel=COST_AXIS, ylabel=f"Mean {format_measure(scale)} (0 to 100)")
     return _finish(figure, {row["reducer"]: looks[row["reducer"]] for row in rated}, axes.xaxis)
 
 

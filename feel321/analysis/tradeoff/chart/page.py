@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from feel321.analysis.report.page import TEMPLATES
 from feel321.analysis.report.section import PageTable, Picture, make_slug, number_pictures
-from feel321.analysis.table.sheet import APART, tell_measure
+from feel321.analysis.table.sheet import APART
 from feel321.analysis.tradeoff.chart.accuracy import ReducerVariant, list_variants
 from feel321.analysis.tradeoff.chart.cost import CALLS, NS, RATE_HZ, REFERENCE_N, fit_all
 from feel321.analysis.tradeoff.chart.figures import (
@@ -34,7 +34,14 @@ from feel321.analysis.tradeoff.chart.points import (
     place_points,
     split,
 )
-from feel321.analysis.words import ABSENT, list_words, tell_name, tell_number, tell_range
+from feel321.analysis.words import (
+    ABSENT,
+    format_interval,
+    format_measure,
+    format_name,
+    format_number,
+    join_words,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -173,7 +180,7 @@ def _times_real_time(point: Record) -> str:
 
 def _describe_front(points: DataFrame, measure: str) -> str:
     front = list_records(points[points["on_front"]].sort_values("ns_per_sample"))
-    shown = list_words([f"{point['reducer']} ({point['median']:.2f})" for point in front])
+    shown = join_words([f"{point['reducer']} ({point['median']:.2f})" for point in front])
     name = describe_measure(measure)
     return f"{name}{',' if ',' in name else ''} against cost: on the front are {shown}."
 
@@ -183,7 +190,7 @@ def _describe_dominated(dominated: DataFrame) -> Iterator[str]:
     for row in list_records(dominated):
         shown = f"{row['by']} ({row['scenes']} of {row['of']})"
         winners[bool(row["clear"])].setdefault(row["reducer"], []).append(shown)
-    named = "; ".join(f"{name} by {list_words(own)}" for name, own in winners[True].items())
+    named = "; ".join(f"{name} by {join_words(own)}" for name, own in winners[True].items())
     yield (
         f"Dominated in cost, latency and both of the paper's metrics together: {named}. In brackets: scenes on which "
         "the other one is at least as good by both metrics."
@@ -192,19 +199,19 @@ def _describe_dominated(dominated: DataFrame) -> Iterator[str]:
     )
     for name, own in winners[False].items():
         if name not in winners[True]:
-            yield f"{name} is not clearly worse than {list_words(own)}: the difference is within the noise."
+            yield f"{name} is not clearly worse than {join_words(own)}: the difference is within the noise."
 
 
 def _describe_growth(growth: Sequence[Record]) -> str:
     ordered = sorted(growth, key=lambda row: row["exponent"])
     ends = [
-        f"{row['exponent']:.2f} ({row['reducer']}, 95 % interval {tell_range(row['low'], row['high'])})"
+        f"{row['exponent']:.2f} ({row['reducer']}, 95 % interval {format_interval(row['low'], row['high'])})"
         for row in (ordered[0], ordered[-1])
     ]
     steep = [row["reducer"] for row in growth if row["low"] > 1]
     lengths = " to ".join(format_plainly(growth[0][name]) for name in ("smallest", "largest"))
     which = (
-        f"clearly faster than n for {list_words(steep)}"
+        f"clearly faster than n for {join_words(steep)}"
         if steep
         else "for none clearly faster than n"
     )
@@ -216,9 +223,9 @@ def _describe_growth(growth: Sequence[Record]) -> str:
 def _describe_rated(rated: DataFrame) -> Iterator[str]:
     for (scale, level), own in split(rated, "scale", "level"):
         best = own.sort_values("mean", ascending=scale in APART, kind="stable").iloc[0]
-        interval = tell_range(best["two_way_low"], best["two_way_high"], kind="rating")
+        interval = format_interval(best["two_way_low"], best["two_way_high"], kind="rating")
         yield (
-            f"Best mean {tell_measure(scale)} ({tell_name(level)}): {best['reducer']}, {best['mean']:.1f} (95 % "
+            f"Best mean {format_measure(scale)} ({format_name(level)}): {best['reducer']}, {best['mean']:.1f} (95 % "
             f"two-way interval {interval}; participants: {best['participants']}, recordings: {best['recordings']})."
         )
 
@@ -257,7 +264,7 @@ def _tabulate_reducers(tables: Tables) -> PageTable:
             "Latency": "whole signal" if math.isnan(first["latency_s"]) else latency,
             **{
                 describe_measure(one["measure"]):
-                    f"{tell_number(one['median'])} [{tell_range(one['lowest'], one['highest'])}]"
+                    f"{format_number(one['median'])} [{format_interval(one['lowest'], one['highest'])}]"
                 for one in points
             },
             "On a front": ", ".join(fronts) or "no",
@@ -325,7 +332,7 @@ def _tabulate_growth(tables: Tables) -> PageTable:
     rows = (
         {
             "Reducer": row["reducer"], "Exponent": f"{row['exponent']:.2f}",
-            "95 % interval": tell_range(row["low"], row["high"]),
+            "95 % interval": format_interval(row["low"], row["high"]),
             "Overhead (µs)": f"{row['overhead_us']:.0f}", "Misfit (%)": f"{100 * row['misfit']:.0f}",
             f"Peak memory at {longest} (MB)": f"{memory[row['reducer']]['peak_bytes'] / 1e6:.1f}",
             "× input": f"{memory[row['reducer']]['relative']:.2f}",
@@ -367,9 +374,9 @@ def _tabulate_precision(tables: Tables) -> PageTable:
 def _tabulate_rated(tables: Tables) -> PageTable:
     rows = (
         {
-            "Ratings": f"{tell_measure(row['scale'])}, {tell_name(row['level'])}", "Reducer": row["reducer"],
-            "Mean": f"{row['mean']:.1f}", "Over participants": tell_range(row["low"], row["high"], kind="rating"),
-            "Two-way": tell_range(row["two_way_low"], row["two_way_high"], kind="rating"),
+            "Ratings": f"{format_measure(row['scale'])}, {format_name(row['level'])}", "Reducer": row["reducer"],
+            "Mean": f"{row['mean']:.1f}", "Over participants": format_interval(row["low"], row["high"], kind="rating"),
+            "Two-way": format_interval(row["two_way_low"], row["two_way_high"], kind="rating"),
             "Participants": str(row["participants"]), "Recordings": str(row["recordings"]),
         }
         for row in list_records(tables["rated"])
@@ -396,7 +403,7 @@ def list_pictures(tables: Tables) -> list[Picture]:
     ]  # fmt: skip
     for (scale, level), _ in split(tables["rated"], "scale", "level"):
         caption = (
-            f"Mean {tell_measure(scale)} (level {tell_name(level)}) against cost. Thick: 95 % t interval over "
+            f"Mean {format_measure(scale)} (level {format_name(level)}) against cost. Thick: 95 % t interval over "
             "participants, for these recordings; thin: 95 % bootstrap interval over participants and recordings."
         )
         drawing = draw_rated(tables, scale, level)
@@ -538,7 +545,7 @@ def _list_ratings(tables: Tables) -> dict[str, dict[str, list[float | None]]]:
 
 
 def _name_rating(row: Record) -> str:
-    return f"Mean {tell_measure(row['scale'])}, {tell_name(row['level'])} (0 to 100)"
+    return f"Mean {format_measure(row['scale'])}, {format_name(row['level'])} (0 to 100)"
 
 
 def _round(value: float) -> float:
