@@ -61,7 +61,7 @@ def as_seed(rng: Rng, what: str = "rng") -> int:
     7
     """
     generator = as_rng(rng, what)
-    return int(generator.integers(2**32)) if generator is rng else int(rng)  # type: ignore[arg-type]  # a seed
+    return int(generator.integers(2**32)) if generator is rng else int(rng)  # type: ignore[arg-type] - a seed
 
 
 @contextmanager
