@@ -41,7 +41,7 @@ def as_rng(rng: Rng, what: str = "rng") -> np.random.Generator:
     >>> as_rng(0).integers(10, size=3)
     array([8, 6, 5])
     """
-    import numpy as np  # only here, so that the command line answers at once
+    import numpy as np  # not before it is needed: the command line answers at once
 
     if isinstance(rng, np.random.Generator):
         return rng
@@ -60,8 +60,10 @@ def as_seed(rng: Rng, what: str = "rng") -> int:
     >>> as_seed(7)
     7
     """
+    import numpy as np
+
     generator = as_rng(rng, what)
-    return int(generator.integers(2**32)) if generator is rng else int(rng)  # type: ignore[arg-type] - a seed
+    return int(generator.integers(2**32) if isinstance(rng, np.random.Generator) else rng)
 
 
 @contextmanager

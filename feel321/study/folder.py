@@ -7,7 +7,8 @@ from importlib.resources import files
 from typing import TYPE_CHECKING
 
 from feel321.files import create_text
-from feel321.study.session.plan import PARTICIPANT_ID, list_journals
+from feel321.study.session.journal import list_journals
+from feel321.study.session.plan import PARTICIPANT_ID
 
 if TYPE_CHECKING:
     from pathlib import Path

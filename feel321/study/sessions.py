@@ -26,17 +26,17 @@ from typing import TYPE_CHECKING, Any
 from feel321.protocols.texts import read_scales
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.actuator.rig import FILE_DEVICE, identify, read_rig, take_device
-from feel321.study.ledger.database import check_anchors
-from feel321.study.ledger.rebuilding import open_study_ledger
-from feel321.study.ledger.slots import claim_slots, note_progress, read_ledger
+from feel321.study.ledger.slots import claim_slots, note_progress, open_study_ledger, read_ledger
+from feel321.study.ledger.standing import check_anchors
 from feel321.study.observer.judging import SPECTRAL, ObserverModel, Touch, expect_rating
 from feel321.study.observer.participant import Participant, SimulatedObserver, identify_observer
 from feel321.study.observer.percepts import read_percepts
 from feel321.study.provenance import find_changes
-from feel321.study.session.engine import Outcome, Stage, run_session
-from feel321.study.session.journal import read_journal
+from feel321.study.session.engine import Outcome, run_session
+from feel321.study.session.events import DeviceOpened, SessionFinished, SessionReleased
+from feel321.study.session.journal import find_elapsed, has_event, list_journals, read_journal
 from feel321.study.session.opening import TOMBSTONE_FILE, open_session
-from feel321.study.session.plan import find_elapsed, has_event, list_codes, list_journals, make_plan
+from feel321.study.session.plan import list_by_code, make_plan
 from feel321.study.settings.read import (
     find_language,
     list_surfaces,
@@ -107,8 +107,7 @@ def lead_session(
         stored,
         journal,
     ):
-        codes = list_codes(room.stimuli, seed=stored.seed)
-        by_code = {codes[row.stimulus_id]: row for row in room.stimuli.stimuli}
+        by_code = list_by_code(room.stimuli, seed=stored.seed)
         keeper = _Keeper(
             room.ledger, journal, every=TRIALS_BETWEEN_NOTES if stored.simulated else 1
         )
@@ -121,8 +120,14 @@ def lead_session(
         with ExitStack() as stack:
             stack.callback(keeper.write)
             presenter = stack.enter_context(make_presenter(stored, journal, by_code))
-            stage = Stage(presenter, by_code, room.scales, journal, stored.flow)
-            outcome = run_session(stored, stage, on_step=note)
+            outcome = run_session(
+                stored,
+                presenter,
+                stimuli=room.stimuli,
+                journal=journal,
+                scales=room.scales,
+                on_step=note,
+            )
         return outcome, "; ".join(filter(None, (journal.notice, keeper.notice)))
 
 
@@ -171,7 +176,7 @@ class _Keeper:
             tip=self.journal.tip,
             done=place.done,
             total=place.total,
-            state="finished" if has_event(self.journal.records, "finished") else "running",
+            state="finished" if has_event(self.journal.records, SessionFinished) else "running",
         )
 
 
@@ -396,7 +401,7 @@ def _is_gone(folder: Path) -> bool:
     if (folder / TOMBSTONE_FILE).exists():
         return True
     journals = list_journals(folder)
-    return bool(journals) and has_event(read_journal(journals[-1]).records, "released")
+    return bool(journals) and has_event(read_journal(journals[-1]).records, SessionReleased)
 
 
 # The lab as a participant finds it: who comes, what is demanded before, and how screen and actuators are opened.
@@ -465,7 +470,7 @@ def open_lab(
         output = stack.enter_context(_open_output(plan, lab=lab, clock=clock))
         window = stack.enter_context(open_screen(clock=clock, windowed=lab.windowed))
         hand = stack.enter_context(_open_hand(plan, journal, stimuli, casting=lab.casting))
-        journal.write("device", dict(output.identity))
+        journal.write(DeviceOpened(dict(output.identity)))
         yield ScreenPresenter(window, output, texts, clock=clock, surfaces=surfaces, hand=hand)
 
 

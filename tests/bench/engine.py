@@ -77,7 +77,7 @@ def run_all(folder: Path) -> int:
         code: row
         for row, code in zip(stimuli.stimuli, list_codes(stimuli, seed=321).values(), strict=True)
     }
-    model = ObserverModel(10, 45, 35, bias_sd=6, gain_sd=0.15, noise_sd=8, noise_spread=0.25)
+    model = ObserverModel()
     scales, trials = read_scales(), 0
     for number in range(1, PARTICIPANTS + 1):
         plan = make_plan(design, stimuli, f"sim{number:03d}", number=number, simulated=True)

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from feel321.protocols.tasks import make_task
-from feel321.protocols.texts import read_scales
 from feel321.protocols.trial import Flow
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.study.folder import StudyFolder
-from feel321.study.session.engine import Stage, run_session
+from feel321.study.session.engine import run_session
+from feel321.study.session.journal import find_elapsed
 from feel321.study.session.opening import Stale, open_session
-from feel321.study.session.plan import Design, Plan, find_elapsed, list_codes, make_plan
+from feel321.study.session.plan import Design, Plan, make_plan
 from feel321.study.session.ports import Abort, Act, Confirm, Feel, Pause, Playback
 
 if TYPE_CHECKING:
@@ -203,10 +203,8 @@ def present(
             stored,
             journal,
         ):
-            codes = list_codes(stimuli, seed=stored.seed)
-            by_code = {codes[stimulus.stimulus_id]: stimulus for stimulus in stimuli.stimuli}
             presenter.time_s = find_elapsed(journal.records)
-            run_session(stored, Stage(presenter, by_code, read_scales(), journal, stored.flow))
+            run_session(stored, presenter, stimuli=stimuli, journal=journal)
             return list(journal.records)
 
     return run

@@ -13,8 +13,7 @@ import pytest
 from feel321.study.audit import audit_study, make_seal
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
-from feel321.study.ledger.rebuilding import rebuild_ledger
-from feel321.study.ledger.slots import open_ledger, rewrite_ledger
+from feel321.study.ledger.slots import open_ledger, rebuild_ledger, rewrite_ledger
 from feel321.study.ledger.withdrawal import withdraw_participant
 from feel321.study.session.journal import (
     START,
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from feel321.study.ledger.database import Entry
+    from feel321.study.ledger.slots import Entry
     from feel321.study.session.journal import Record
 
     Edit = Callable[[list[bytes]], list[bytes]]
@@ -112,7 +111,7 @@ def test_a_study_as_it_was_written_gives_no_finding(copy: StudyFolder) -> None:
         ),
         (lambda lines: [*lines, lines[-1]], ": does not follow the line before"),
         (lambda lines: lines[1:], ", line 1: does not follow the line before"),
-        (lambda lines: [*lines, b'{"torn'], ": ends in 6 bytes of a line that was never finished"),
+        (lambda lines: [*lines, b'{"torn'], ": ends in 6 bytes of an unfinished line"),
     ],
     ids=[
         "a changed rating",
@@ -175,7 +174,7 @@ def test_a_changed_or_missing_plan_is_found(copy: StudyFolder) -> None:
     findings = audit_study(copy)
     assert len(findings) == 2
     assert findings[0].startswith(
-        f"{changed}: got no plan, or one that was changed after it was stored"
+        f"{changed}: not a plan, or changed after it was stored"
     )
     assert str(missing) in findings[1]
 

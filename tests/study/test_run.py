@@ -107,7 +107,7 @@ def test_a_device_that_is_not_there_takes_nobodys_number(
     ready: StudyFolder, present: Callable[..., Any]
 ) -> None:
     presenter = present()
-    with pytest.raises(OSError, match="got 'othre'"):
+    with pytest.raises(OSError, match="'othre' not found"):
         visit(ready, device="othre")
     assert not ready.ledger.exists()
     assert presenter.log == []

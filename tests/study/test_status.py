@@ -44,7 +44,7 @@ def test_who_finished_has_nothing_left(begun: StudyFolder) -> None:
         (
             "plan.json",
             b"null",
-            "plan.json: got no plan, or one that was changed after it was stored",
+            "plan.json: not a plan, or changed after it was stored",
         ),
         ("session-01.jsonl", b"{}\n", "session-01.jsonl, line 1: was changed after it was written"),
     ],
@@ -109,7 +109,7 @@ def test_what_the_study_lead_should_know_is_counted(
     (entry,) = read_status(StudyFolder(tmp_path)).participants
     # The reference against itself got 50 points, twice, for there are two recordings.
     assert entry.warnings == (
-        "4 torn bytes, mended on resuming",
+        "4 bytes of an unfinished line, moved aside on resuming",
         "2 x underrun",
         "1 x device error",
         "training not passed",
@@ -198,7 +198,7 @@ def test_balance_of_one_full_circle_is_perfect_and_a_drop_out_shows(
     shutil.rmtree(tmp_path / "sessions" / "n04")
     lines = describe_balance(read_status(study).balance)
     assert lines[0] == "balance: 9 finished (simulated)"
-    assert lines[1].startswith("  realism, stimuli: 1 to 2 at each place, ")
+    assert lines[1].startswith("  realism, stimuli: 1 to 2 at each position, ")
     assert lines[1].endswith("; even over 10, 1 to go")
 
 

@@ -1,10 +1,10 @@
 """The mixer: stimuli, masking noise and limits, block by block, for the stream's callback.
 
 Frames are counted from the stream's begin. A stimulus that was asked for is scheduled when the next block is filled,
-so its onset is known to the sample. What is filled allocates nothing that lasts.
+so its onset is known to the sample. Filling a block allocates nothing that lasts.
 
-What is within the limits passes bit for bit. What is not is changed sample by sample, so that the outcome does not
-depend on how the stream is cut into blocks; what is no number becomes silence.
+Samples within the limits pass bit for bit. Others are changed one by one, so that the outcome does not depend on how
+the stream is cut into blocks; NaN becomes silence.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from feel321.study.actuator.rig import Rig
+    from feel321.study.actuator.rig import MaskingTable, Rig
+    from feel321.types import Samples
 
 # The last line of defence for skin and coil: peak, RMS of any second, and duration, across successive stimuli.
 
@@ -28,14 +29,14 @@ WINDOW_S = 1.0
 """Over how long the RMS is taken."""
 
 PAUSE_S = 0.1
-"""So long an actuator is at rest before the duration of what it does begins anew."""
+"""Rest of an actuator after which its duration is counted from 0 again."""
 
 ROUNDING = 1e-9
-"""Share by which a window may exceed its energy: what the rounding of sums of squares adds up to."""
+"""Share by which a window may exceed its energy: the rounding of sums of squares adds up to this."""
 
 
 class Limiter:
-    """Watches over one actuator."""
+    """Limits what one actuator is given."""
 
     def __init__(
         self, rate_hz: float, *, peak: float, rms: float, duration_s: float, max_frames: int
@@ -44,40 +45,32 @@ class Limiter:
         self._pause = round(PAUSE_S * rate_hz)
         if max_frames > self._pause:
             raise ValueError(
-                f"got blocks of {max_frames} frames, allowed are {self._pause}: a pause spans blocks"
+                f"blocks must have at most {self._pause} frames, got {max_frames}: a pause spans blocks"
             )
         self._peak = np.float32(min(peak, 1.0))
         self._energy_limit = float(rms) ** 2 * self._window * (1 + ROUNDING)
         self._longest = round(duration_s * rate_hz)
         self._squares = np.zeros(self._window)  # of the last second, a ring
         self._place = 0
-        self._walk = (
-            0.0  # energy of the last second, had nothing been limited since the ring began anew
-        )
-        self._excess = 0.0  # what was taken from it since
+        # Energy of the last second had nothing been limited since the ring began anew, and what was taken from it.
+        self._walk = self._excess = 0.0
         self._rest = self._pause  # frames since the last one that was not 0
         self._run = 0  # frames since the last pause
-        self._new = np.empty(max_frames)
-        self._sums = np.empty(max_frames)
-        self._rises = np.empty(max_frames)
-        self._limited = np.empty(max_frames, dtype=np.float32)
-        self._given = np.empty(max_frames, dtype=np.float32)
+        self._new, self._sums, self._rises = np.empty((3, max_frames))
+        self._limited, self._given = np.empty((2, max_frames), dtype=np.float32)
         self._differs = np.empty(max_frames, dtype=np.bool_)
 
     def limit(self, samples: NDArray[np.float32]) -> int:
-        """Limit the next block in place.
-
-        samples: (n,).
-        """
+        """Limit the next block, shape (n,), in place; returns the number of samples that were changed."""
         given, differs = self._given[: len(samples)], self._differs[: len(samples)]
         np.copyto(given, samples)
-        # What is no number passes every comparison, and one of them blinds the sum of squares to all that follows.
+        # NaN passes every comparison, and a single one blinds the sum of squares to all that follows.
         np.isnan(samples, out=differs)
         np.copyto(samples, 0, where=differs)
         self._limit_duration(samples)
         np.clip(samples, -self._peak, self._peak, out=samples)
         start = 0
-        while start < len(samples):  # the ring is met in pieces that do not wrap
+        while start < len(samples):  # in pieces that do not wrap around the ring
             piece = samples[start : start + self._window - self._place]
             self._limit_energy(piece)
             start += len(piece)
@@ -127,9 +120,7 @@ class Limiter:
         if self._place == self._window:
             self._place, self._walk, self._excess = 0, float(self._squares.sum()), 0.0
 
-    def _take_excess(
-        self, samples: NDArray[np.float32], *, new: NDArray[np.float64], sums: NDArray[np.float64]
-    ) -> None:
+    def _take_excess(self, samples: NDArray[np.float32], *, new: Samples, sums: Samples) -> None:
         n = len(samples)
         excess, rises, limited, rising = sums, self._rises[:n], self._limited[:n], self._differs[:n]
         np.subtract(sums, self._energy_limit, out=excess)
@@ -159,12 +150,10 @@ NEVER = 2**62
 """A frame that no stream reaches."""
 
 
-def make_pink(rng: np.random.Generator, *, n_samples: int, rate_hz: float) -> NDArray[np.float64]:
-    """Make Gaussian noise whose power falls by 10 dB per decade, from 20 Hz to half the rate.
+def make_pink(rng: np.random.Generator, *, n_samples: int, rate_hz: float) -> Samples:
+    """Make Gaussian noise, shape (n_samples,), whose power falls by 10 dB per decade from 20 Hz to half the rate.
 
-    It is made of whole periods, so that it can be repeated without a click.
-
-    Returns (n_samples,).
+    It consists of whole periods, so that it repeats without a click.
 
     References
     ----------
@@ -180,10 +169,7 @@ def make_pink(rng: np.random.Generator, *, n_samples: int, rate_hz: float) -> ND
 
 
 class Masker:
-    """Noise that comes and goes in ramps, at frames of the stream.
-
-    noise: (n_samples,); columns: the headphones' channels, from 0.
-    """
+    """Noise that begins and ends in ramps, at frames of the stream; columns: the headphones' channels, from 0."""
 
     def __init__(
         self,
@@ -194,24 +180,21 @@ class Masker:
         lead_frames: int,
         max_frames: int,
     ) -> None:
-        self._noise = noise
-        self._columns = columns
-        self._lead = lead_frames
-        # Half a cosine has no edge that could be heard; it ends at exactly 1.
-        top = max(ramp_frames, 1)
-        self._ramp = (0.5 - 0.5 * np.cos(np.pi * np.arange(top + 1) / top)).astype(np.float32)
-        self._block = np.zeros(max_frames, dtype=np.float32)
-        self._gain = np.zeros(max_frames, dtype=np.float32)
-        self._top = top
-        self._step = 0  # how far up the ramp
-        self._is_up = False  # where it is going
-        self._up_at, self._down_at = NEVER, NEVER
+        self._noise, self._columns, self._lead = noise, columns, lead_frames
+        # Half a cosine has no audible edge; it ends at exactly 1.
+        self._top = max(ramp_frames, 1)
+        steps = np.arange(self._top + 1) / self._top
+        self._ramp = (0.5 - 0.5 * np.cos(np.pi * steps)).astype(np.float32)
+        self._block, self._gain = np.zeros((2, max_frames), dtype=np.float32)
+        self.silence()
+
+    def silence(self) -> None:
+        """Be silent at once, for a stream that begins anew, and forget what was scheduled."""
+        self._step, self._is_up = 0, False  # how far up the ramp, and where it is going
+        self._up_at = self._down_at = NEVER
 
     def cover(self, frame: int, gap_frames: int) -> int:
-        """Find the onset of a vibration that is asked for, and be there in time.
-
-        gap_frames: from there to the onset, at least.
-        """
+        """Find the onset of a vibration, gap_frames from here at least, that the noise can precede, and schedule it."""
         is_heard = self._is_up and self._step == self._top and self._down_at > frame
         onset = frame + (gap_frames if is_heard else max(gap_frames, self._lead))
         begin = onset - self._lead
@@ -222,37 +205,20 @@ class Masker:
         return onset
 
     def release(self, end: int) -> None:
-        """Go after a vibration."""
-        if self._up_at >= end:  # it never began, and leaves no noise to come
+        """Schedule the end of the noise, after a vibration."""
+        if self._up_at >= end:  # it never began, and must not begin now
             self._up_at = NEVER
         is_heard = self._is_up or self._up_at < NEVER
         self._down_at = max(end + self._lead - self._top, end) if is_heard else NEVER
 
-    def silence(self) -> None:
-        """Be silent at once, for a stream that begins anew; what was to come does not."""
-        self._step, self._is_up = 0, False
-        self._up_at, self._down_at = NEVER, NEVER
-
     def fill(self, block: NDArray[np.float32], frame: int) -> None:
-        """Write the noise into the headphones' channels of the next block.
-
-        block: (n, channels).
-        """
+        """Write the noise into the headphones' channels of the next block, shape (n, channels)."""
         n = len(block)
         if not self._is_up and self._step == 0 and self._up_at >= frame + n:
             return
-        self._shape(self._gain[:n], frame)
-        noise, start = self._block[:n], frame % len(self._noise)
-        whole = min(n, len(self._noise) - start)
-        noise[:whole] = self._noise[start : start + whole]
-        noise[whole:] = self._noise[: n - whole]
-        np.multiply(noise, self._gain[:n], out=noise)
-        for column in self._columns:
-            block[:, column] = noise
-
-    def _shape(self, gain: NDArray[np.float32], frame: int) -> None:
+        gain, noise, start = self._gain[:n], self._block[:n], frame % len(self._noise)
         place = 0
-        while place < len(gain):
+        while place < n:
             now = frame + place
             if now >= self._up_at:
                 self._is_up, self._up_at = True, NEVER
@@ -261,6 +227,12 @@ class Masker:
             piece = gain[place : place + min(self._up_at, self._down_at) - now]
             self._climb(piece)
             place += len(piece)
+        whole = min(n, len(self._noise) - start)
+        noise[:whole] = self._noise[start : start + whole]
+        noise[whole:] = self._noise[: n - whole]
+        np.multiply(noise, gain, out=noise)
+        for column in self._columns:
+            block[:, column] = noise
 
     def _climb(self, gain: NDArray[np.float32]) -> None:
         if self._is_up:
@@ -275,16 +247,16 @@ class Masker:
             self._step -= n_steps
 
 
-# Everything that a stream's callback does, without a stream: each block of samples, from buffers that are there.
+# The mixer: everything that a stream's callback does, without a stream, in buffers that exist before it runs.
 
 BLOCK_FRAMES = 1024
 """Longer blocks are filled in pieces of this many frames."""
 
 PREROLL_S = 0.25
-"""So long a stream is silent before anything is scheduled: devices swallow what comes first."""
+"""Silence at the begin of a stream before anything is scheduled: devices swallow what comes first."""
 
 STOP_S = 0.005
-"""How long a vibration takes to end that is stopped, but no longer than a block: cut off at once it would knock."""
+"""Fade of a vibration that is stopped, at most a block long: cut off at once it would knock."""
 
 NOT_SCHEDULED = -1
 
@@ -311,10 +283,7 @@ class Cue:
 
 
 class Mixer:
-    """Mixes what goes to a rig's channels.
-
-    sounds: (n_samples, channels).
-    """
+    """Mixes the samples of a rig's channels; sounds: (n_samples, channels)."""
 
     def __init__(
         self,
@@ -325,26 +294,36 @@ class Mixer:
         preroll_s: float = PREROLL_S,
     ) -> None:
         self.frame = 0
-        self._rate_hz = rate_hz
-        self._sounds = sounds
+        self._rate_hz, self._sounds, self._sync = rate_hz, sounds, rig.sync
         self._preroll = round(preroll_s * rate_hz)
         self._block = min(BLOCK_FRAMES, round(PAUSE_S * rate_hz))
-        self._limiters = _make_limiters(rig, rate_hz=rate_hz, max_frames=self._block)
-        self._masker = _make_masker(rig, rate_hz=rate_hz, max_frames=self._block)
-        self._sync = rig.sync
+        self._limiters = [
+            (
+                actuator.channel - 1,
+                Limiter(
+                    rate_hz,
+                    peak=rig.limits.peak_m_s2 / actuator.full_scale_m_s2,
+                    rms=rig.limits.rms_m_s2 / actuator.full_scale_m_s2,
+                    duration_s=rig.limits.duration_s,
+                    max_frames=self._block,
+                ),
+            )
+            for actuator in rig.actuators
+        ]
+        self._masker = rig.masking and _make_masker(rig.masking, rate_hz, max_frames=self._block)
         self._sync_frames = max(round(rig.sync.duration_s * rate_hz), 1) if rig.sync else 0
-        self._fade = _Fade(
-            max(round(STOP_S * rate_hz), 1), columns=[column for column, _ in self._limiters]
-        )
+        n_fade = max(round(STOP_S * rate_hz), 1)
+        self._fade_steps = np.arange(1, n_fade + 1, dtype=np.float32)
+        self._fade_gain = np.empty(n_fade, dtype=np.float32)
         self._waiting: deque[Cue] = deque()  # its ends are safe to use from two threads
         self._latest: Cue | None = None
         self._cue: Cue | None = None
 
     def start(self, stimulus_id: str, *, gap_s: float) -> Cue:
-        """Ask for a stimulus; what plays is stopped."""
+        """Ask for a stimulus; the one that is playing is stopped."""
         if stimulus_id not in self._sounds:
             raise ValueError(
-                f"got stimulus {stimulus_id!r}, allowed are the {len(self._sounds)} that were loaded"
+                f"the stimulus must be one of the {len(self._sounds)} that were loaded, got {stimulus_id!r}"
             )
         self.stop()
         self._latest = Cue(self._sounds[stimulus_id], gap_frames=round(gap_s * self._rate_hz))
@@ -357,14 +336,14 @@ class Mixer:
         return self._latest is not None and not self._latest.is_over
 
     def stop(self) -> None:
-        """Let what plays fall silent within the next block."""
+        """Fall silent within the next block."""
         if self._latest is not None:
             self._latest.is_stopping = True
 
     def reset(self) -> None:
         """Forget what plays and what waits, for a device that begins anew; not to be called while one runs.
 
-        What was cut off with the old device is not to fade out on the new one. The limiters keep what they know: skin
+        What was cut off with the old device must not fade out on the new one. The limiters keep what they know: skin
         and coil do not begin anew.
         """
         for cue in (self._cue, *self._waiting):
@@ -375,10 +354,7 @@ class Mixer:
             self._masker.silence()
 
     def fill(self, out: NDArray[np.float32]) -> None:
-        """Fill the stream's next block.
-
-        out: (n, channels).
-        """
+        """Fill the stream's next block, shape (n, channels)."""
         for start in range(0, len(out), self._block):
             self._fill(out[start : start + self._block])
 
@@ -391,15 +367,12 @@ class Mixer:
                 self._masker.release(end)
             self._masker.fill(block, self.frame)
         n_changed = 0
-        for (
-            column,
-            limiter,
-        ) in self._limiters:  # after all that is written, so that nothing comes past them
+        for column, limiter in self._limiters:  # last, so that nothing gets past them
             n_changed += limiter.limit(block[:, column])
         self.frame += len(block)
         if cue:
             cue.clipped += n_changed
-            cue.is_over = end is not None  # last of all: whoever reads it reads the rest
+            cue.is_over = end is not None  # last of all: who reads it then reads the rest
 
     def _take(self) -> Cue | None:
         """Find what plays now; take up what waits if nothing does."""
@@ -410,19 +383,16 @@ class Mixer:
             cue = self._waiting.popleft()
             if cue.is_stopping:
                 cue.is_over = True
-            else:
-                cue.onset_frame = self._schedule(cue.gap_frames)
-                self._cue = cue
+                continue
+            cue.onset_frame = self.frame + cue.gap_frames
+            if self._masker:
+                cue.onset_frame = self._masker.cover(self.frame, cue.gap_frames)
+            self._cue = cue
         return self._cue
 
-    def _schedule(self, gap_frames: int) -> int:
-        return (
-            self._masker.cover(self.frame, gap_frames) if self._masker else self.frame + gap_frames
-        )
-
     def _play(self, cue: Cue, block: NDArray[np.float32]) -> int | None:
-        """Write what this block has of a stimulus and its sync pulse; return the frame after its end if it ends."""
-        is_stopping = cue.is_stopping  # once: another thread sets it
+        """Write a stimulus and its sync pulse into this block; return the frame after its end if it ends here."""
+        is_stopping = cue.is_stopping  # read once: another thread sets it
         first = max(cue.onset_frame - self.frame, 0)
         if is_stopping and not cue.n_played:
             cue.onset_frame = NOT_SCHEDULED
@@ -433,56 +403,26 @@ class Mixer:
         if self._sync:
             pulse = block[first : max(cue.onset_frame + self._sync_frames - self.frame, 0)]
             pulse[:, self._sync.channel - 1] = self._sync.level
-        cue.n_played += self._fade.end(piece) if is_stopping else len(piece)
+        cue.n_played += self._fade(piece) if is_stopping else len(piece)
         is_over = is_stopping or cue.is_complete
         return self.frame + first + len(piece) if is_over else None
 
-
-class _Fade:
-    """How a vibration ends that is stopped."""
-
-    def __init__(self, n_frames: int, *, columns: list[int]) -> None:
-        self._steps = np.arange(1, n_frames + 1, dtype=np.float32)
-        self._gain = np.empty(n_frames, dtype=np.float32)
-        self._columns = columns
-
-    def end(self, piece: NDArray[np.float32]) -> int:
-        """Let it end in this piece; give how many samples are left, the last of the fade being 0."""
-        n = min(len(piece), len(self._steps))
-        gain = self._gain[:n]
-        np.multiply(self._steps[:n], np.float32(-1 / n), out=gain)
+    def _fade(self, piece: NDArray[np.float32]) -> int:
+        """Fade a vibration out in this piece; returns how many samples are left, the last of the fade being 0."""
+        n = min(len(piece), len(self._fade_steps))
+        gain = self._fade_gain[:n]
+        np.multiply(self._fade_steps[:n], np.float32(-1 / n), out=gain)
         np.add(gain, np.float32(1), out=gain)
         gain[-1:] = 0
-        for column in self._columns:
+        for column, _ in self._limiters:
             np.multiply(piece[:n, column], gain, out=piece[:n, column])
             piece[n:, column] = 0
         return n - 1
 
 
-def _make_limiters(rig: Rig, *, rate_hz: float, max_frames: int) -> list[tuple[int, Limiter]]:
-    limits = rig.limits
-    return [
-        (
-            actuator.channel - 1,
-            Limiter(
-                rate_hz,
-                peak=limits.peak_m_s2 / actuator.full_scale_m_s2,
-                rms=limits.rms_m_s2 / actuator.full_scale_m_s2,
-                duration_s=limits.duration_s,
-                max_frames=max_frames,
-            ),
-        )
-        for actuator in rig.actuators
-    ]
-
-
-def _make_masker(rig: Rig, *, rate_hz: float, max_frames: int) -> Masker | None:
-    masking = rig.masking
-    if masking is None:
-        return None
-    noise = make_pink(
-        np.random.default_rng(masking.seed), n_samples=round(LOOP_S * rate_hz), rate_hz=rate_hz
-    )
+def _make_masker(masking: MaskingTable, rate_hz: float, *, max_frames: int) -> Masker:
+    rng = np.random.default_rng(masking.seed)
+    noise = make_pink(rng, n_samples=round(LOOP_S * rate_hz), rate_hz=rate_hz)
     return Masker(
         (masking.rms * noise).astype(np.float32),
         columns=[channel - 1 for channel in masking.channels],

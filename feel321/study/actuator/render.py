@@ -1,15 +1,15 @@
 """From a stimulus's file to the samples of the rig's channels, and checks of their size.
 
-Coils that move in the same direction add their amplitudes, coils at right angles their energies: what the hand gets of
-a one-axis stimulus is the vector sum of the coils' directions, each times its weight. The default weights make that sum
+Coils that move in the same direction add their amplitudes, coils at right angles their energies: a one-axis stimulus
+reaches the hand as the vector sum of the coils' directions, each times its weight. The default weights make that sum
 1, so that a stimulus of 1 m/s² reaches the hand as 1 m/s², as a three-axis one does whose axes go to coils at right
 angles. A rig that gives its coils no directions plays everything at weight 1.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import groupby
+from operator import itemgetter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,11 +27,9 @@ if TYPE_CHECKING:
 
     from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
     from feel321.study.actuator.rig import ActuatorTable, Rig
+    from feel321.types import Samples as Vector
 
-    Vector = NDArray[np.float64]
     Mix = Mapping[str, Mapping[str, float]]
-
-# How strongly a rig's coils bring stimuli to the hand, from the directions in which they move.
 
 EQUAL_DB = 0.5
 """Energies that differ by less count as equal."""
@@ -41,28 +39,20 @@ CANCELLED = 0.05
 
 
 def find_mix(rig: Rig) -> dict[str, dict[str, float]]:
-    """Find the factor by which each coil plays each thing that it plays.
-
-    Returns name of an actuator -> `reduced`, `x`, `y`, `z` -> factor.
-    """
+    """Find each actuator's factor on each of its sources: name -> `reduced`, `x`, `y`, `z` -> factor."""
     known = all(actuator.direction is not None for actuator in rig.actuators)
     shares = {source: _find_share(rig, source) if known else 1.0 for source in (REDUCED, *AXES)}
-    return {
-        actuator.name: {
-            source: actuator.weight
-            if source == REDUCED and actuator.weight is not None
-            else shares[source]
-            for source in actuator.plays
-        }
-        for actuator in rig.actuators
-    }
+    mix = {a.name: {source: shares[source] for source in a.plays} for a in rig.actuators}
+    for actuator in rig.actuators:
+        if actuator.weight is not None and REDUCED in actuator.plays:
+            mix[actuator.name][REDUCED] = actuator.weight
+    return mix
 
 
 def find_directions(rig: Rig) -> tuple[dict[str, Vector], list[str]]:
-    """Find in which direction each coil moves the hand.
+    """Find in which direction each coil moves the hand, shape (3,), and for which coils it is not known.
 
-    Returns directions: (3,), name of an actuator -> unit vector: its own, or the axis if it plays
-    just one and says nothing.
+    A unit vector: the coil's own direction, or the axis if it plays just one and gives no direction.
     """
     found = {actuator.name: _find_direction(actuator) for actuator in rig.actuators}
     known = {name: direction for name, direction in found.items() if direction is not None}
@@ -75,28 +65,22 @@ def reduced_energy(mix: Mix, directions: Mapping[str, Vector]) -> float:
 
 
 def original_energy(mix: Mix, directions: Mapping[str, Vector], covariance: Vector) -> float:
-    """Mean square at the hand of a three-axis stimulus, relative to that of its axes; their covariance is (3, 3).
-
-    covariance: (3, 3).
-    """
+    """Mean square at the hand of a three-axis stimulus, relative to that of its axes; their covariance is (3, 3)."""
     motion = np.stack([_sum_motion(mix, directions, axis) for axis in AXES], axis=1)
     covariance = covariance if np.trace(covariance) > 0 else np.eye(3)  # of silence, any will do
     return float(np.trace(motion @ covariance @ motion.T) / np.trace(covariance))
 
 
 def _find_share(rig: Rig, source: str) -> float:
-    playing = [actuator for actuator in rig.actuators if source in actuator.plays]
-    if not playing:
+    names = [actuator.name for actuator in rig.actuators if source in actuator.plays]
+    if not names:
         return 1.0
     directions, _ = find_directions(rig)
-    length = float(
-        np.linalg.norm(np.sum([directions[actuator.name] for actuator in playing], axis=0))
-    )
+    length = float(np.linalg.norm(np.sum([directions[name] for name in names], axis=0)))
     if length < CANCELLED:
-        names = " and ".join(repr(actuator.name) for actuator in playing)
         raise ValueError(
-            f"{names} play {source!r} in opposite directions and cancel each other; turn one direction round, or let "
-            "one of them play it"
+            f"{' and '.join(map(repr, names))} play {source!r} in opposite directions and cancel each other; turn one "
+            "direction round, or let only one of them play it"
         )
     return 1 / length
 
@@ -110,26 +94,20 @@ def _find_direction(actuator: ActuatorTable) -> Vector | None:
 
 
 def _sum_motion(mix: Mix, directions: Mapping[str, Vector], source: str) -> Vector:
-    parts = [
-        factors[source] * directions[name] for name, factors in mix.items() if source in factors
-    ]
-    return np.asarray(np.sum(parts, axis=0)) if parts else np.zeros(3)
+    motions = (mix[name].get(source, 0.0) * direction for name, direction in directions.items())
+    return np.asarray(sum(motions, np.zeros(3)))
 
-
-# From a stimulus's file to the samples of the rig's channels.
 
 SOURCES = {1: (REDUCED,), len(AXES): AXES}
-"""What the channels of a stimulus's file are, by their number."""
+"""Number of channels of a stimulus's file -> what they are."""
 
 
 def render_stimulus(
     stimulus: Stimulus, folder: Path, rig: Rig, *, full_scale_m_s2: float
 ) -> NDArray[np.float32]:
-    """Render one stimulus for a rig.
+    """Render one stimulus for a rig, as samples of shape (n_samples, channels).
 
     Where study and actuator have the same full scale, the samples are those of the file times the coil's weight.
-
-    Returns (n_samples, channels).
     """
     samples, rate_hz = read_wav(folder / stimulus.file)
     tracks = np.atleast_2d(samples)
@@ -140,40 +118,33 @@ def render_stimulus(
         )
     if len(tracks) not in SOURCES:
         raise ValueError(
-            f"{stimulus.file}: got {len(tracks)} channels, allowed are 1 or {len(AXES)}; build it again"
+            f"{stimulus.file}: must have 1 or {len(AXES)} channels, got {len(tracks)}; build it again"
         )
     check_finite(tracks, stimulus.file)
-    sources = SOURCES[len(tracks)]
-    if missing := [
-        source
-        for source in sources
-        if not any(source in actuator.plays for actuator in rig.actuators)
-    ]:
+    sources, mix = SOURCES[len(tracks)], find_mix(rig)
+    played = {source for factors in mix.values() for source in factors}
+    if missing := [source for source in sources if source not in played]:
         raise ValueError(
             f"{stimulus.stimulus_id}: no actuator plays {', '.join(missing)}; add it to `plays` in rig.toml, or name a "
             "reference in study.toml that the rig can play"
         )
     rendered = np.zeros((stimulus.n_samples, rig.n_channels), dtype=np.float32)
-    mix = find_mix(rig)
     for actuator in rig.actuators:
         factors = mix[actuator.name]
-        played = [
+        parts = [
             factors[source] * track
             for source, track in zip(sources, tracks, strict=True)
-            if source in actuator.plays
+            if source in factors
         ]
         scale = full_scale_m_s2 / actuator.full_scale_m_s2
-        rendered[:, actuator.channel - 1] = sum(played, np.zeros(stimulus.n_samples)) * scale
+        rendered[:, actuator.channel - 1] = sum(parts, np.zeros(stimulus.n_samples)) * scale
     return rendered
 
 
 def render_set(
     stimuli: StimulusSet, rig: Rig, *, full_scale_m_s2: float
 ) -> dict[str, NDArray[np.float32]]:
-    """Render every stimulus of a set, so that nothing is read while a session runs.
-
-    Returns (n_samples, channels).
-    """
+    """Render every stimulus of a set, so that no file is read while a session runs."""
     return {
         stimulus.stimulus_id: render_stimulus(
             stimulus, stimuli.folder, rig, full_scale_m_s2=full_scale_m_s2
@@ -182,25 +153,12 @@ def render_set(
     }
 
 
-# Whether a rig can play a study's stimuli as they are: every problem before a session, one line each.
-
-
-@dataclass(frozen=True, slots=True)
-class _Excess:
-    """One stimulus that asks too much of one actuator in one respect."""
-
-    actuator: str
-    limit: str
-    asked: float
-    stimulus_id: str
-
-
 def find_rig_problems(
     rig: Rig, stimuli: StimulusSet, *, rate_hz: float, full_scale_m_s2: float
 ) -> list[str]:
-    """Find what keeps a rig from playing a set of stimuli as they are."""
+    """Find what keeps a rig from playing a set of stimuli as they are, in one line per problem."""
     problems: dict[str, list[str]] = {}
-    excesses: list[_Excess] = []
+    excesses: list[tuple[str, str, float, str]] = []
     for stimulus in stimuli.stimuli:
         try:
             rendered = render_stimulus(
@@ -217,59 +175,45 @@ def find_rig_problems(
             reason = f"got a rate of {stimulus.rate_hz:g} Hz, the study plays at {rate_hz:g} Hz; build the set again"
             problems.setdefault(reason, []).append(stimulus.stimulus_id)
         excesses += _find_excesses(stimulus, rendered, rig)
-    lines = [f"{_name_some(names)}: {reason}" for reason, names in problems.items()]
-    return lines + list(_tell_excesses(excesses))
+    lines = [f"{_shorten(names)}: {reason}" for reason, names in problems.items()]
+    kind = itemgetter(0, 1)
+    for (actuator, limit), group in groupby(sorted(excesses, key=kind), key=kind):
+        worst = sorted(group, key=lambda excess: -excess[2])
+        names = _shorten([excess[3] for excess in worst])
+        lines.append(
+            f"actuator {actuator!r}: {names}: got {worst[0][2]:.4g}, above {limit}; lower gain or headroom in "
+            "study.toml and build again, or raise the limit if the coil allows it"
+        )
+    return lines
 
 
-def slide_rms(samples: NDArray[np.float64], n_window: int) -> NDArray[np.float64]:
-    """Compute the root mean square over every window, with silence before the samples.
-
-    samples: (n_samples,); n_window: length of the window in samples; returns (n_samples,).
-    """
+def slide_rms(samples: Vector, n_window: int) -> Vector:
+    """Compute the root mean square over every window of n_window samples, with silence before the samples."""
     energy = np.concatenate([np.zeros(n_window), np.cumsum(samples**2)])
     return np.asarray(np.sqrt(np.maximum(energy[n_window:] - energy[:-n_window], 0.0) / n_window))
 
 
 def _find_excesses(
     stimulus: Stimulus, rendered: NDArray[np.float32], rig: Rig
-) -> Iterator[_Excess]:
+) -> Iterator[tuple[str, str, float, str]]:
+    """Find where a stimulus asks too much: actuator, limit, what it asks, and the stimulus."""
+    limits, rate_hz = rig.limits, stimulus.rate_hz
     for actuator in rig.actuators:
         samples = rendered[:, actuator.channel - 1].astype(np.float64)
         if not samples.any():
             continue
-        for limit, (asked, allowed) in _compare(
-            samples, stimulus.rate_hz, actuator=actuator, rig=rig
-        ).items():
+        scale = actuator.full_scale_m_s2
+        peak = float(np.abs(samples).max()) * scale
+        rms = float(slide_rms(samples, round(WINDOW_S * rate_hz)).max()) * scale
+        for limit, asked, allowed in (
+            ("the actuator's full_scale_m_s2", peak, scale),
+            ("limits.peak_m_s2", peak, limits.peak_m_s2),
+            ("limits.rms_m_s2", rms, limits.rms_m_s2),
+            ("limits.duration_s", len(samples) / rate_hz, limits.duration_s),
+        ):
             if asked > allowed * (1 + ROUNDING):
-                yield _Excess(actuator.name, f"{limit} {allowed:g}", asked, stimulus.stimulus_id)
+                yield actuator.name, f"{limit} of {allowed:g}", asked, stimulus.stimulus_id
 
 
-def _compare(
-    samples: NDArray[np.float64], rate_hz: float, *, actuator: ActuatorTable, rig: Rig
-) -> dict[str, tuple[float, float]]:
-    """Set what a stimulus asks of an actuator against what is allowed."""
-    scale, limits = actuator.full_scale_m_s2, rig.limits
-    peak = float(np.abs(samples).max()) * scale
-    rms = float(slide_rms(samples, round(WINDOW_S * rate_hz)).max()) * scale
-    return {
-        "the actuator's full_scale_m_s2 of": (peak, scale),
-        "limits.peak_m_s2 of": (peak, limits.peak_m_s2),
-        "limits.rms_m_s2 of": (rms, limits.rms_m_s2),
-        "limits.duration_s of": (len(samples) / rate_hz, limits.duration_s),
-    }
-
-
-def _tell_excesses(excesses: Sequence[_Excess]) -> Iterator[str]:
-    def kind(excess: _Excess) -> tuple[str, str]:
-        return excess.actuator, excess.limit
-
-    for (actuator, limit), group in groupby(sorted(excesses, key=kind), key=kind):
-        worst = sorted(group, key=lambda excess: -excess.asked)
-        yield (
-            f"actuator {actuator!r}: {_name_some([excess.stimulus_id for excess in worst])}: got {worst[0].asked:.4g}, "
-            f"above {limit}; lower gain or headroom in study.toml and build again, or raise that if the coil allows it"
-        )
-
-
-def _name_some(names: Sequence[str]) -> str:
+def _shorten(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"

@@ -1,4 +1,4 @@
-"""The rig of a lab as `rig.toml` tells it: which actuator hangs on which channel, and what it may do at most.
+"""The rig of a lab, as described by `rig.toml`: which actuator is on which channel, and its limits.
 
 Samples of stimuli are fractions of the study's full scale; samples for an actuator are fractions of the actuator's.
 """
@@ -17,6 +17,7 @@ from feel321.study.settings.fields import (
     Some,
     Table,
     Words,
+    check_some,
     one_of,
     parse_toml,
 )
@@ -29,7 +30,7 @@ FILE_DEVICE = "file"
 """The name of the device that renders to WAV files."""
 
 REDUCED = "reduced"
-"""What an actuator plays that plays one-axis stimuli."""
+"""What an actuator plays of one-axis stimuli."""
 
 AXES = ("x", "y", "z")
 """What actuators play of three-axis stimuli, in the order of the channels of their files."""
@@ -44,7 +45,7 @@ Fade = Annotated[NotNegative, Field(le=60)]
 
 
 class DeviceTable(Table):
-    """`[device]`: what the actuators hang on."""
+    """`[device]`: the audio device that drives the actuators."""
 
     name: Words = FILE_DEVICE
     host_api: Words | None = None
@@ -53,9 +54,7 @@ class DeviceTable(Table):
 
 def _check_direction(direction: tuple[float, float, float]) -> tuple[float, float, float]:
     if not any(direction):
-        raise ValueError(
-            "allowed is a direction of motion, such as [1, 0, 0]; its length does not matter"
-        )
+        raise ValueError("must be a direction of motion, such as [1, 0, 0]; its length is ignored")
     return direction
 
 
@@ -63,7 +62,7 @@ Direction = Annotated[tuple[Finite, Finite, Finite], AfterValidator(_check_direc
 
 
 class ActuatorTable(Table):
-    """`[[actuators]]`: one actuator; `reach` says what directions and weights do."""
+    """`[[actuators]]`: one actuator; `render` explains directions and weights."""
 
     name: Words
     channel: Channel
@@ -74,7 +73,7 @@ class ActuatorTable(Table):
 
 
 class LimitsTable(Table):
-    """`[limits]`: what an actuator may do at most; the RMS is that of any second."""
+    """`[limits]`: limits of each actuator; the RMS is that of any second."""
 
     peak_m_s2: Acceleration
     rms_m_s2: Acceleration
@@ -94,25 +93,23 @@ class MaskingTable(Table):
     def _is_on_in_time(self) -> Self:
         if self.ramp_s > self.lead_s:
             raise ValueError(
-                f"got a ramp_s of {self.ramp_s:g} and a lead_s of {self.lead_s:g}, allowed is a ramp that is over when "
-                "the vibration begins; raise lead_s or lower ramp_s"
+                f"got ramp_s {self.ramp_s:g} and lead_s {self.lead_s:g}: the ramp must be over when the vibration "
+                "begins; raise lead_s or lower ramp_s"
             )
         if not self.channels:
-            raise ValueError(
-                "got no channels, allowed is one or more; name those of the headphones"
-            )
+            raise ValueError("got no channels; name at least one of those of the headphones")
         return self
 
 
 class SensorTable(Table):
-    """`[sensor]`: what measures the vibration on an input channel."""
+    """`[sensor]`: an input channel that measures the vibration."""
 
     channel: Channel
     full_scale_m_s2: Acceleration
 
 
 class SyncTable(Table):
-    """`[sync]`: a pulse when a stimulus begins."""
+    """`[sync]`: a pulse at the onset of each stimulus."""
 
     channel: Channel
     level: Level = 0.5
@@ -125,12 +122,8 @@ VOICE_COILS = (
 )
 
 
-def _check_names(actuators: tuple[ActuatorTable, ...]) -> tuple[ActuatorTable, ...]:
-    if not actuators:
-        raise ValueError("allowed is one actuator or more")
-    names = [actuator.name for actuator in actuators]
-    if doubled := sorted({name for name in names if names.count(name) > 1}):
-        raise ValueError(f"allowed is each name once; more than once: {', '.join(doubled)}")
+def _check_actuators(actuators: tuple[ActuatorTable, ...]) -> tuple[ActuatorTable, ...]:
+    check_some(tuple(actuator.name for actuator in actuators))
     return actuators
 
 
@@ -138,7 +131,7 @@ class Rig(Table):
     """The whole of `rig.toml`."""
 
     device: DeviceTable = DeviceTable()
-    actuators: Annotated[tuple[ActuatorTable, ...], AfterValidator(_check_names)] = VOICE_COILS
+    actuators: Annotated[tuple[ActuatorTable, ...], AfterValidator(_check_actuators)] = VOICE_COILS
     limits: LimitsTable
     masking: MaskingTable | None = None
     sensor: SensorTable | None = None
@@ -146,11 +139,11 @@ class Rig(Table):
 
     @property
     def n_channels(self) -> int:
-        """How many output channels the device must have."""
+        """Number of output channels that the device must have."""
         return max(channel for channel, _ in self.outputs())
 
     def outputs(self) -> Iterator[tuple[int, str]]:
-        """List what stands on which output channel."""
+        """List the use of each output channel."""
         for actuator in self.actuators:
             yield actuator.channel, f"actuator {actuator.name!r}"
         for channel in self.masking.channels if self.masking else ():
@@ -159,26 +152,14 @@ class Rig(Table):
             yield self.sync.channel, "sync"
 
 
-TABLES: dict[tuple[str, ...], type[Table]] = {
-    (): Rig,
-    ("actuators",): ActuatorTable,
-    ("device",): DeviceTable,
-    ("limits",): LimitsTable,
-    ("masking",): MaskingTable,
-    ("sensor",): SensorTable,
-    ("sync",): SyncTable,
-}
-"""Which keys are allowed where."""
-
-
 def read_rig(path: Path) -> Rig:
     """Read and check a `rig.toml`."""
-    rig = parse_toml(path, Rig, tables=TABLES)
+    rig = parse_toml(path, Rig)
     uses: dict[int, list[str]] = {}
     for channel, use in rig.outputs():
         uses.setdefault(channel, []).append(use)
     mistakes = [
-        f"{path.name}: channel {channel}: got {' and '.join(shared)}, allowed is one use of a channel; move one of them"
+        f"{path.name}: channel {channel}: got {' and '.join(shared)}, but a channel has one use; move one of them"
         for channel, shared in sorted(uses.items())
         if len(shared) > 1
     ]
@@ -188,18 +169,17 @@ def read_rig(path: Path) -> Rig:
 
 
 def take_device(rig: Rig, name: str) -> Rig:
-    """Hang a rig on another device, which is looked for in all host interfaces."""
-    return rig.model_copy(
-        update={"device": rig.device.model_copy(update={"name": name, "host_api": None})}
-    )
+    """Put a rig on another device, which is searched for in all host interfaces."""
+    device = rig.device.model_copy(update={"name": name, "host_api": None})
+    return rig.model_copy(update={"device": device})
 
 
 def identify(rig: Rig) -> dict[str, Any]:
     """List all that decides what a rig does to a stimulus, for a journal's header."""
     settings = rig.model_dump(mode="json")
-    late = ("direction", "weight")
-    actuators = [
-        {name: value for name, value in actuator.items() if name not in late or value is not None}
-        for actuator in settings["actuators"]
-    ]
-    return {**settings, "actuators": actuators}
+    for actuator in settings["actuators"]:
+        # Journals of rigs without these settings were written before there were any.
+        for name in ("direction", "weight"):
+            if actuator[name] is None:
+                del actuator[name]
+    return settings

@@ -24,18 +24,15 @@ if TYPE_CHECKING:
     from feel321.study.actuator.output import Clock
     from feel321.study.actuator.rig import Rig
 
-    Samples = NDArray[np.float32]
     Foreign = Any  # sounddevice has no types
-
-# Finding the one device that a rig names, among those that PortAudio lists.
+    Fill = Callable[[NDArray[np.float32], "BlockTimes", NDArray[np.float32] | None], None]
 
 FALLBACKS = ("default", "sysdefault")
-"""Names of whatever the system prefers today: not always the same device, so none that a study can rest on."""
-
+"""Names of whatever the system prefers today: not always the same device, so no study can rely on them."""
 
 ALSA = "ALSA"
 HARDWARE = "(hw:"
-"""What ALSA's names have in them where there is a card behind them, not a program."""
+"""Part of ALSA's names of devices that are a card, not a program."""
 
 PROGRAMS = ("JACK Audio Connection Kit", "PulseAudio", "MME", "Windows DirectSound")
 """Interfaces that are programs themselves."""
@@ -43,10 +40,7 @@ PROGRAMS = ("JACK Audio Connection Kit", "PulseAudio", "MME", "Windows DirectSou
 
 @dataclass(frozen=True, slots=True)
 class Device:
-    """A device as PortAudio lists it.
-
-    n_outputs, n_inputs: how many channels it has at most.
-    """
+    """A device as PortAudio lists it, with the largest numbers of its channels."""
 
     index: int
     name: str
@@ -57,7 +51,7 @@ class Device:
 
     @property
     def is_program(self) -> bool:
-        """Whether a program stands before the hardware, a sound server say.
+        """Whether a program stands before the hardware, such as a sound server.
 
         It may convert the rate, and play the rig's channels on others too where its sink has more of them; PortAudio
         learns of neither.
@@ -66,7 +60,7 @@ class Device:
 
 
 def find_device(devices: Sequence[Device], name: str, *, host_api: str | None = None) -> Device:
-    """Find an output device by its name, never another one in its stead.
+    """Find an output device by its name or a part of it that no other has; never take another one instead.
 
     Examples
     --------
@@ -78,33 +72,28 @@ def find_device(devices: Sequence[Device], name: str, *, host_api: str | None = 
         device for device in devices if device.n_outputs and device.name.lower() not in FALLBACKS
     ]
     if not outputs:
-        raise OSError(f"device: got {name!r}, there is no output device at all; plug it in")
-    through = f" through {host_api}" if host_api else ""
+        raise OSError(f"device {name!r} not found: there is no output device at all; plug it in")
     if name.lower() in FALLBACKS:
         raise OSError(
-            f"device: got {name!r}, which may be another one tomorrow; allowed: {_list(outputs)}"
+            f"device {name!r} may be another one tomorrow; name one of {_list_names(outputs)}"
         )
-    heard = [
-        device for device in outputs if not host_api or device.host_api.lower() == host_api.lower()
-    ]
-    found = [device for device in heard if device.name == name]
-    found = found or [
-        device for device in heard if name.strip() and name.lower() in device.name.lower()
+    through = f" through {host_api}" if host_api else ""
+    allowed = [d for d in outputs if not host_api or d.host_api.lower() == host_api.lower()]
+    found = [device for device in allowed if device.name == name] or [
+        device for device in allowed if name.strip() and name.lower() in device.name.lower()
     ]
     if not found:
-        raise OSError(
-            f"device: got {name!r}{through}, which is not there; allowed: {_list(outputs)}"
-        )
+        raise OSError(f"device {name!r}{through} not found; name one of {_list_names(outputs)}")
     if len(found) > 1:
         raise OSError(
-            f"device: got {name!r}{through}, which {len(found)} devices have in their names: {_list(found)}; "
-            "name one in full, and its host_api in rig.toml"
+            f"device {name!r}{through} is ambiguous: {len(found)} devices have it in their names: "
+            f"{_list_names(found)}; name one in full, and its host_api in rig.toml"
         )
     return found[0]
 
 
 def check_channels(device: Device, rig: Rig) -> None:
-    """Demand every channel that a rig names."""
+    """Refuse a device that lacks a channel that the rig names."""
     n_inputs = rig.sensor.channel if rig.sensor else 0
     for kind, needed, there in (
         ("output", rig.n_channels, device.n_outputs),
@@ -112,154 +101,9 @@ def check_channels(device: Device, rig: Rig) -> None:
     ):
         if needed > there:
             raise OSError(
-                f"device: got {device.name!r} with {there} {kind} channel(s), the rig needs {needed}; "
+                f"device {device.name!r} has {there} {kind} channel(s), the rig needs {needed}; "
                 "take another device, or other channels in rig.toml"
             )
-
-
-def _list(devices: Sequence[Device]) -> str:
-    return ", ".join(f"{device.name!r} ({device.host_api})" for device in devices)
-
-
-# How long somebody has waited, as far as they were there to see it.
-
-GLANCE_S = 0.25
-"""So much at most counts between two looks: whoever was away for longer stood still, not what is waited for."""
-
-
-class Patience:
-    """Adds up the time between looks at something that is waited for.
-
-    On a busy machine this process itself may stand still for seconds, and what it waits for could not do anything
-    either: a device is not dead because nobody looked.
-    """
-
-    def __init__(self) -> None:
-        self._looked_s = perf_counter()
-        self._waited_s = 0.0
-
-    def look(self) -> float:
-        """Look, and tell how long was waited.
-
-        Returns time in s.
-        """
-        now_s = perf_counter()
-        self._waited_s += min(now_s - self._looked_s, GLANCE_S)
-        self._looked_s = now_s
-        return self._waited_s
-
-
-def join(thread: Thread, *, patience_s: float) -> bool:
-    """Wait for the end of a thread, as long as this process is there to wait."""
-    for _ in range(max(round(patience_s / GLANCE_S), 1)):
-        thread.join(min(GLANCE_S, patience_s))
-        if not thread.is_alive():
-            return True
-    return False
-
-
-# What a stream notices about one playback, block by block: when it really began and ended, and what went wrong.
-
-SENSOR_TAIL_S = 0.05
-"""So long after the vibration the sensor is listened to: what hangs on an actuator rings on."""
-
-
-@dataclass(frozen=True, slots=True)
-class Block:
-    """What a stream says of itself as it asks for a block."""
-
-    now_s: float
-    dac_s: float
-    adc_s: float = 0.0
-    has_run_dry: bool = False
-    has_lost_input: bool = False
-
-
-class Take:
-    """The record of one playback; the callback writes it, the session reads it once it is out.
-
-    sensor: (n,).
-    """
-
-    def __init__(
-        self, rate_hz: float, latency_s: float, *, sensor: NDArray[np.float32] | None = None
-    ) -> None:
-        self.cue: Cue | None = None
-        self.onset_s: float | None = None
-        self.end_s: float | None = None
-        self.is_out = False
-        self.n_blocks = 0
-        self.n_underruns = 0
-        self.n_sensor_gaps = 0
-        self.longest_s = 0.0
-        self.sensor_latency_s = 0.0
-        self.n_sensed = 0
-        self._rate_hz = rate_hz
-        self._sensor = sensor
-        # Some host interfaces tell no times: then what the device says of itself counts, twice to be safe.
-        self._late_frames = round(2 * latency_s * rate_hz)
-        # Times that are told of inputs are less true than those of outputs, so the sensor is listened to by frames.
-        self._sensed_frames = round((latency_s + SENSOR_TAIL_S) * rate_hz)
-        self._end_frame = 0
-
-    def note(self, block: Block, *, frame: int) -> None:
-        """Note a block that the mixer has filled."""
-        self.n_blocks += 1
-        self.n_underruns += block.has_run_dry
-        self.n_sensor_gaps += block.has_lost_input
-        if self.cue is None:
-            return
-        if self.end_s is not None:
-            n_since = frame - self._end_frame
-            is_heard = block.now_s >= self.end_s or n_since >= self._late_frames
-            self.is_out = is_heard and (self._sensor is None or n_since >= self._sensed_frames)
-            return
-        if self.onset_s is None and self.cue.n_played:
-            self.onset_s = block.dac_s + (self.cue.onset_frame - frame) / self._rate_hz
-            self.sensor_latency_s = block.dac_s - block.adc_s
-        if self.cue.is_over:
-            self._end_frame = (
-                self.cue.onset_frame + self.cue.n_played if self.cue.n_played else frame
-            )
-            self.end_s = block.dac_s + (self._end_frame - frame) / self._rate_hz
-
-    def sense(self, samples: NDArray[np.float32], *, frame: int) -> None:
-        """Keep what the sensor measured since the frame of the onset went out; it comes back later.
-
-        samples: (n,).
-        """
-        if self._sensor is None or self.cue is None or self.onset_s is None:
-            return
-        first = max(self.cue.onset_frame - frame, 0)
-        piece = samples[first : first + len(self._sensor) - self.n_sensed]
-        self._sensor[self.n_sensed : self.n_sensed + len(piece)] = piece
-        self.n_sensed += len(piece)
-
-    @property
-    def sensed(self) -> NDArray[np.float32]:
-        """What the sensor measured, in fractions of its full scale."""
-        return (
-            np.zeros(0, dtype=np.float32) if self._sensor is None else self._sensor[: self.n_sensed]
-        )
-
-
-if TYPE_CHECKING:
-    Fill = Callable[[Samples, Block, Samples | None], None]
-
-STALL_S = 2.5
-"""A device that asked for nothing for so long, while it was looked at, is taken for dead."""
-
-OPENED_S = 60.0
-"""So long the first block may stand; nothing is played by then."""
-
-DRIFT = 1.001
-"""By so much a device's own clock may be slow without being taken for one that runs dry in the end."""
-
-CLOSING_S = 2.0
-"""So long a dead device is waited for; then it is left to itself."""
-
-CLOCK_READS = 5
-"""How often the device's clock is read beside the session's; the fastest reading is the truest."""
 
 
 def list_devices() -> list[Device]:
@@ -280,207 +124,54 @@ def list_devices() -> list[Device]:
 
 
 def list_rates(device: Device, *, n_channels: int, rates_hz: Sequence[float]) -> list[float]:
-    """Try at which rates a device would play."""
-    sounddevice = _load()
-
-    def is_taken(rate_hz: float) -> bool:
-        try:
-            sounddevice.check_output_settings(
-                device=device.index, channels=n_channels, samplerate=rate_hz, dtype="float32"
-            )
-        except sounddevice.PortAudioError:
-            return False
-        return True
-
-    with _hushed():
-        return [rate_hz for rate_hz in rates_hz if is_taken(rate_hz)]
-
-
-class Line:
-    """One open stream, from its opening to its closing; it runs at once."""
-
-    def __init__(self, device: Device, rig: Rig, *, rate_hz: float, fill: Fill) -> None:
-        self.device = device
-        self._fill = fill
-        self._column = rig.sensor.channel - 1 if rig.sensor else None
-        self._rate_hz = rate_hz
-        self._store = _Store()
-        self._is_closed = False
-        self._seen_s, self._patience = 0.0, Patience()
-        try:
-            with _hushed():
-                self._stream = self._open(rig, rate_hz=rate_hz)
-                latency = self._stream.latency
-                self.latency_s = float(latency if self._column is None else latency[1])
-                self.there_and_back_s = float(latency if self._column is None else sum(latency))
-                self._check_rate()
-                # Opening may have taken long; only from here on it can stand still.
-                self._last_s = perf_counter()
-                self._stream.start()
-        except _load().PortAudioError as error:
-            raise OSError(_describe(error, self.device, rate_hz=rate_hz)) from None
-
-    def find_fault(self) -> str:
-        """Find out whether the stream still runs."""
-        if not self.is_active:
-            return "stopped: unplugged, or its server ended"
-        if self._last_s != self._seen_s:
-            self._seen_s, self._patience = self._last_s, Patience()
-        silent_s = self._patience.look()
-        return (
-            f"stands still: it asked for nothing for {silent_s:.1f} s" if silent_s > STALL_S else ""
-        )
-
-    @property
-    def is_active(self) -> bool:
-        """Whether the stream was not stopped; it may stand still nevertheless."""
-        return bool(self._stream.active)
-
-    @property
-    def is_silent(self) -> bool:
-        """Whether it asked for nothing for long; if nobody looked meanwhile, it may just go on."""
-        return perf_counter() - self._last_s > STALL_S
-
-    def compare_clocks(self, clock: Clock) -> float:
-        """Compare the session's clock with the device's.
-
-        Returns by how much the session's is ahead, in s.
-        """
-        try:
-            return min(_read_clocks(clock, self._stream) for _ in range(CLOCK_READS))[1]
-        except _load().PortAudioError:
-            return float("nan")
-
-    def close(self) -> bool:
-        """Silence the device and let it go; one that hangs is left to itself, and finds silence if it comes back."""
-        self._is_closed = True
-        closing = Thread(target=self._close, daemon=True)
-        closing.start()
-        return join(closing, patience_s=CLOSING_S)
-
-    def _close(self) -> None:
-        # A device that is gone refuses to be stopped; there is nothing left to stop then.
-        with suppress(_load().PortAudioError), _hushed():
-            self._stream.close(ignore_errors=True)
-
-    def _check_rate(self) -> None:
-        if self._stream.samplerate != self._rate_hz:
-            self._close()
-            raise OSError(
-                f"device: got {self.device.name!r}, which runs at {self._stream.samplerate:g} Hz, the stimuli are at "
-                f"{self._rate_hz:g} Hz; set the device, or rate_hz under [rig] in study.toml"
-            )
-
-    def _open(self, rig: Rig, *, rate_hz: float) -> Foreign:
-        sounddevice, latency_s = _load(), rig.device.latency_s
-        settings = {
-            "device": self.device.index,
-            "samplerate": rate_hz,
-            "dtype": "float32",
-            "latency": latency_s,
-        }
-        if rig.sensor is None:
-            return sounddevice.OutputStream(
-                channels=rig.n_channels, callback=self._answer, **settings
-            )
-        channels = (rig.sensor.channel, rig.n_channels)
-        return sounddevice.Stream(channels=channels, callback=self._answer_duplex, **settings)
-
-    def _answer(self, *given: Foreign) -> None:
-        self._serve(None, *given)
-
-    def _answer_duplex(self, *given: Foreign) -> None:
-        self._serve(given[0][:, self._column], *given[1:])
-
-    def _serve(self, sensed: Samples | None, *given: Foreign) -> None:
-        out, *told = given
-        if self._is_closed:  # another line may play by now, from the same source
-            out.fill(0)
-        else:
-            self._fill(out, self._note(*told), sensed)
-
-    def _note(self, n: int, times: Foreign, status: Foreign) -> Block:
-        self._last_s, before_s = perf_counter(), self._last_s
-        is_empty = self._store.refill(
-            self._last_s - before_s, block_s=n / self._rate_hz, latency_s=self.latency_s
-        )
-        return Block(
-            now_s=times.currentTime,
-            # Interfaces that tell no times say 0.
-            dac_s=times.outputBufferDacTime or times.currentTime + self.latency_s,
-            adc_s=times.inputBufferAdcTime,
-            has_run_dry=bool(status.output_underflow) or is_empty,
-            has_lost_input=bool(status.input_overflow or status.input_underflow),
-        )
-
-
-class _Store:
-    """How much a device has to play; sound servers do not always tell when it runs out."""
-
-    def __init__(self) -> None:
-        self._held_s = OPENED_S
-
-    def refill(self, waited_s: float, *, block_s: float, latency_s: float) -> bool:
-        """Take note of a block; say whether the device had waited for it longer than it had samples for."""
-        left_s = self._held_s - waited_s
-        self._held_s = (
-            latency_s + block_s if left_s < 0 else min(latency_s, left_s) + block_s * DRIFT
-        )
-        return left_s < 0
-
-
-def _read_clocks(clock: Clock, stream: Foreign) -> tuple[float, float]:
-    before_s = clock()
-    device_s = float(stream.time)
-    after_s = clock()
-    return after_s - before_s, (before_s + after_s) / 2 - device_s
+    """List the rates at which a device would play, of those that are tried."""
+    sounddevice, settings = _load(), {"device": device.index, "channels": n_channels}
+    taken = []
+    with _silence_stderr():
+        for rate_hz in rates_hz:
+            with suppress(sounddevice.PortAudioError):
+                sounddevice.check_output_settings(**settings, samplerate=rate_hz, dtype="float32")
+                taken.append(rate_hz)
+    return taken
 
 
 def refresh_devices() -> None:
-    """Let PortAudio look for devices anew: it lists what was there when it was loaded.
-
-    No stream may be open.
-    """
+    """Let PortAudio look for devices anew: it lists those that it found when it was loaded. No stream may be open."""
     sounddevice = _load()
-    with _hushed():
+    with _silence_stderr():
         # sounddevice offers no other way (its documentation names this one).
-        # It is not there if it could not begin the last time.
-        with suppress(sounddevice.PortAudioError):
+        with suppress(sounddevice.PortAudioError):  # where it could not begin the last time
             sounddevice._terminate()
         try:
             sounddevice._initialize()
         except sounddevice.PortAudioError as error:
             raise OSError(
-                f"device: PortAudio does not begin ({error}); see to the sound system, then go on"
+                f"device: PortAudio does not start ({error}); check the sound system, then resume"
             ) from None
+
+
+def _list_names(devices: Sequence[Device]) -> str:
+    return ", ".join(f"{device.name!r} ({device.host_api})" for device in devices)
 
 
 def _load() -> ModuleType:
     try:
-        with _hushed():
+        with _silence_stderr():
             import sounddevice
 
             module: ModuleType = sounddevice
     except ImportError:
         how = "install it from feel321's source folder: pip install -c constraints.txt '.[rig]'"
-        raise OSError(f"device: sounddevice not found, which actuators need; {how}") from None
+        raise OSError(f"device: actuators need sounddevice, which is not found; {how}") from None
     except OSError:
         raise OSError(
-            "device: got no PortAudio, sounddevice needs it; install the package libportaudio2"
+            "device: sounddevice needs PortAudio, which is not found; install the package libportaudio2"
         ) from None
     return module
 
 
-def _describe(error: Exception, device: Device, *, rate_hz: float) -> str:
-    reason = " ".join(str(part) for part in error.args[:1]).rstrip(".")
-    return (
-        f"device: got {device.name!r}, which does not play at {rate_hz:g} Hz ({reason}); "
-        "allowed is what it takes without conversion, see: feel321 doctor"
-    )
-
-
 @contextmanager
-def _hushed() -> Iterator[None]:
+def _silence_stderr() -> Iterator[None]:
     """Keep off the terminal what PortAudio and ALSA print by themselves while something is tried."""
     try:
         kept = os.dup(2)
@@ -495,3 +186,260 @@ def _hushed() -> Iterator[None]:
     finally:
         os.dup2(kept, 2)
         os.close(kept)
+
+
+# Timeouts that ignore the time during which this process was suspended.
+
+GLANCE_S = 0.25
+"""Time between two looks that counts at most: a process that was away for longer was suspended."""
+
+
+class Patience:
+    """Adds up the time between looks at something that is waited for.
+
+    On a busy machine this process itself may stand still for seconds, and what it waits for could not do anything
+    either: a device is not dead because nobody looked.
+    """
+
+    def __init__(self) -> None:
+        self._looked_s, self._waited_s = perf_counter(), 0.0
+
+    def look(self) -> float:
+        """Look, and return how long was waited, in s."""
+        now_s = perf_counter()
+        self._waited_s += min(now_s - self._looked_s, GLANCE_S)
+        self._looked_s = now_s
+        return self._waited_s
+
+
+def join(thread: Thread, *, patience_s: float) -> bool:
+    """Wait for the end of a thread, not counting time during which this process was suspended."""
+    for _ in range(max(round(patience_s / GLANCE_S), 1)):
+        thread.join(min(GLANCE_S, patience_s))
+        if not thread.is_alive():
+            return True
+    return False
+
+
+# One playback as the stream sees it, block by block: when it really began and ended, and what went wrong.
+
+SENSOR_TAIL_S = 0.05
+"""Time after the vibration for which the sensor is still recorded: an actuator rings on."""
+
+
+@dataclass(frozen=True, slots=True)
+class BlockTimes:
+    """Times and flags that a stream gives with a block."""
+
+    now_s: float
+    dac_s: float
+    adc_s: float = 0.0
+    has_run_dry: bool = False
+    has_lost_input: bool = False
+
+
+@dataclass(slots=True)
+class Take:
+    """The record of one playback; the callback writes it, the session reads it once it is out.
+
+    latency_s: of the device, there and back; sensor: room for what a sensor measures, shape (n,), if there is one.
+    """
+
+    rate_hz: float
+    latency_s: float
+    sensor: NDArray[np.float32] | None = None
+    cue: Cue | None = None
+    onset_s: float | None = None
+    end_s: float | None = None
+    is_out: bool = False
+    n_blocks: int = 0
+    n_underruns: int = 0
+    n_sensor_gaps: int = 0
+    longest_s: float = 0.0
+    sensor_latency_s: float = 0.0
+    n_sensed: int = 0
+    end_frame: int = 0
+
+    def add_block(self, block: BlockTimes, *, frame: int) -> None:
+        """Take account of a block that the mixer has filled."""
+        self.n_blocks += 1
+        self.n_underruns += block.has_run_dry
+        self.n_sensor_gaps += block.has_lost_input
+        if self.cue is None:
+            return
+        if self.end_s is not None:
+            n_since = frame - self.end_frame
+            # Some host interfaces give no times: then the device's own latency counts, twice to be safe.
+            is_heard = block.now_s >= self.end_s or n_since >= round(
+                2 * self.latency_s * self.rate_hz
+            )
+            # Times of inputs are less true than those of outputs, so the sensor is recorded by frames.
+            n_sensed = round((self.latency_s + SENSOR_TAIL_S) * self.rate_hz)
+            self.is_out = is_heard and (self.sensor is None or n_since >= n_sensed)
+            return
+        if self.onset_s is None and self.cue.n_played:
+            self.onset_s = block.dac_s + (self.cue.onset_frame - frame) / self.rate_hz
+            self.sensor_latency_s = block.dac_s - block.adc_s
+        if self.cue.is_over:
+            n_played = self.cue.n_played
+            self.end_frame = self.cue.onset_frame + n_played if n_played else frame
+            self.end_s = block.dac_s + (self.end_frame - frame) / self.rate_hz
+
+    def record(self, samples: NDArray[np.float32], *, frame: int) -> None:
+        """Keep what the sensor measured, shape (n,), since the frame of the onset went out; it comes back later."""
+        if self.sensor is None or self.cue is None or self.onset_s is None:
+            return
+        first = max(self.cue.onset_frame - frame, 0)
+        piece = samples[first : first + len(self.sensor) - self.n_sensed]
+        self.sensor[self.n_sensed : self.n_sensed + len(piece)] = piece
+        self.n_sensed += len(piece)
+
+    @property
+    def sensed(self) -> NDArray[np.float32]:
+        """What the sensor measured, in fractions of its full scale."""
+        room = np.zeros(0, dtype=np.float32) if self.sensor is None else self.sensor
+        return room[: self.n_sensed]
+
+
+STALL_S = 2.5
+"""A device that asks for nothing for so long, while it is looked at, counts as dead."""
+
+OPENED_S = 60.0
+"""Time until the second block that is no underrun; nothing is played by then."""
+
+DRIFT = 1.001
+"""Factor by which a device's own clock may be slow without counting as one that runs dry in the end."""
+
+CLOSING_S = 2.0
+"""Longest wait for a dead device to close; then it is abandoned."""
+
+CLOCK_READS = 5
+"""How often the device's clock is read beside the session's; the fastest reading is the truest."""
+
+
+class DeviceStream:
+    """One open stream, from its opening to its closing; it runs at once."""
+
+    def __init__(self, device: Device, rig: Rig, *, rate_hz: float, fill: Fill) -> None:
+        self.device = device
+        self._fill = fill
+        self._column = rig.sensor.channel - 1 if rig.sensor else None
+        self._rate_hz = rate_hz
+        self._held_s = (
+            OPENED_S  # what the device has to play; sound servers do not always say that it ran out
+        )
+        self._is_closed = False
+        self._seen_s, self._patience = 0.0, Patience()
+        try:
+            with _silence_stderr():
+                self._stream = self._open(rig, rate_hz=rate_hz)
+                latency = self._stream.latency
+                self.latency_s = float(latency if self._column is None else latency[1])
+                self.there_and_back_s = float(latency if self._column is None else sum(latency))
+                self._check_rate()
+                # Opening may have taken long; only from here on it can stand still.
+                self._last_s = perf_counter()
+                self._stream.start()
+        except _load().PortAudioError as error:
+            reason = " ".join(str(part) for part in error.args[:1]).rstrip(".")
+            raise OSError(
+                f"device {device.name!r} does not play at {rate_hz:g} Hz ({reason}); "
+                "use a rate that it takes without conversion, see: feel321 doctor"
+            ) from None
+
+    def find_fault(self) -> str:
+        """Describe why the stream does not run; empty if it does."""
+        if not self.is_active:
+            return "stopped: unplugged, or its server ended"
+        if self._last_s != self._seen_s:
+            self._seen_s, self._patience = self._last_s, Patience()
+        silent_s = self._patience.look()
+        if silent_s > STALL_S:
+            return f"stands still: it asked for nothing for {silent_s:.1f} s"
+        return ""
+
+    @property
+    def is_active(self) -> bool:
+        """Whether the stream was not stopped; it may stand still nevertheless."""
+        return bool(self._stream.active)
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether it has asked for nothing for long; if nobody looked meanwhile, it may just go on."""
+        return perf_counter() - self._last_s > STALL_S
+
+    def compare_clocks(self, clock: Clock) -> float:
+        """Find by how much the session's clock is ahead of the device's, in s; NaN if the device is dead."""
+        readings = []
+        try:
+            for _ in range(CLOCK_READS):
+                before_s, device_s, after_s = clock(), float(self._stream.time), clock()
+                readings.append((after_s - before_s, (before_s + after_s) / 2 - device_s))
+        except _load().PortAudioError:
+            return float("nan")
+        return min(readings)[1]
+
+    def close(self) -> bool:
+        """Silence the device and let it go; one that hangs is abandoned, and plays silence if it comes back."""
+        self._is_closed = True
+        closing = Thread(target=self._close, daemon=True)
+        closing.start()
+        return join(closing, patience_s=CLOSING_S)
+
+    def _close(self) -> None:
+        # A device that is gone refuses to be stopped; there is nothing left to stop then.
+        with suppress(_load().PortAudioError), _silence_stderr():
+            self._stream.close(ignore_errors=True)
+
+    def _check_rate(self) -> None:
+        if self._stream.samplerate != self._rate_hz:
+            self._close()
+            raise OSError(
+                f"device {self.device.name!r} runs at {self._stream.samplerate:g} Hz, the stimuli are at "
+                f"{self._rate_hz:g} Hz; set the device, or rate_hz under [rig] in study.toml"
+            )
+
+    def _open(self, rig: Rig, *, rate_hz: float) -> Foreign:
+        settings = {"device": self.device.index, "samplerate": rate_hz, "dtype": "float32"}
+        settings["latency"] = rig.device.latency_s
+        if rig.sensor is None:
+
+            def answer(*given: Foreign) -> None:
+                self._serve(None, *given)
+
+            return _load().OutputStream(channels=rig.n_channels, callback=answer, **settings)
+
+        def answer_duplex(sensed: Foreign, *given: Foreign) -> None:
+            self._serve(sensed[:, self._column], *given)
+
+        channels = (rig.sensor.channel, rig.n_channels)
+        return _load().Stream(channels=channels, callback=answer_duplex, **settings)
+
+    def _serve(self, sensed: Foreign, out: Foreign, *given: Foreign) -> None:
+        """Fill a block, in the device's own thread."""
+        if self._is_closed:  # another stream may play by now, from the same source
+            out.fill(0)
+            return
+        n, times, status = given
+        self._last_s, before_s = perf_counter(), self._last_s
+        # Interfaces that give no times say 0.
+        dac_s = times.outputBufferDacTime or times.currentTime + self.latency_s
+        is_empty = self._refill(self._last_s - before_s, block_s=n / self._rate_hz)
+        block = BlockTimes(
+            now_s=times.currentTime,
+            dac_s=dac_s,
+            adc_s=times.inputBufferAdcTime,
+            has_run_dry=bool(status.output_underflow) or is_empty,
+            has_lost_input=bool(status.input_overflow or status.input_underflow),
+        )
+        self._fill(out, block, sensed)
+
+    def _refill(self, waited_s: float, *, block_s: float) -> bool:
+        """Count a block, and return whether the device had waited for it longer than it had samples for."""
+        left_s = self._held_s - waited_s
+        self._held_s = (
+            self.latency_s + block_s
+            if left_s < 0
+            else min(self.latency_s, left_s) + block_s * DRIFT
+        )
+        return left_s < 0

@@ -26,34 +26,33 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from feel321.protocols.trial import RATING_RANGE, SURFACE
 from feel321.study.observer.percepts import Percept, compare_percepts
+from feel321.study.settings.fields import one_of
+from feel321.study.settings.schema import ObserverTable
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     import numpy as np
 
     from feel321.protocols.trial import Judgement, Trial
     from feel321.stimuli.sets.manifest import Stimulus
 
-# Who takes part in a simulated study: careful participants, each with a slider hand of their own, and bad raters.
+# Simulated raters: careful ones, each with their own way of using a slider, and bad ones.
 
-NORMAL = "normal"
-STRAIGHT_LINER = "straight_liner"
-RANDOM_CLICKER = "random_clicker"
-SCALE_REVERSER = "scale_reverser"
+NORMAL, STRAIGHT_LINER = "normal", "straight_liner"
+RANDOM_CLICKER, SCALE_REVERSER = "random_clicker", "scale_reverser"
 KINDS = (NORMAL, STRAIGHT_LINER, RANDOM_CLICKER, SCALE_REVERSER)
-"""What kinds of raters there are."""
+"""Kinds of raters."""
 
 STRAIGHT_SD = 1.0
-"""How exactly, in points, a straight-liner finds the same place again."""
+"""Standard deviation, in points, of the place to which a straight-liner returns."""
 
 UNHURRIED, HASTY = (0.7, 0.4), (-0.7, 0.3)
-"""Mean and standard deviation of the logarithm of the time in s that an answer takes: medians of 2.0 s and 0.5 s."""
+"""Mean and standard deviation of the logarithm of a response time in s: medians of 2.0 s and 0.5 s."""
 
 SPECTRAL = ("spectral_match_bounded", "spectral_match")
 """Spectral matches that simulated participants may feel by."""
@@ -61,63 +60,20 @@ SPECTRAL = ("spectral_match_bounded", "spectral_match")
 NODES = 15
 """Of the quadrature over gains and over sizes of the noise."""
 
-_SHARES = ("lapse_rate", "straight_liners", "random_clickers", "scale_reversers")
-_SIZES = ("bias_sd", "gain_sd", "noise_sd", "noise_spread", "fatigue_noise")
 
-
-@dataclass(frozen=True, slots=True)
-class ObserverModel:
+class ObserverModel(ObserverTable):
     """How simulated participants feel, and how they differ. A weight of 0 plants no effect.
 
-    intercept: percept of a stimulus that matches in nothing, in points; spectral, temporal: what a
-    perfect spectral or temporal match adds, in points; bias_sd: standard deviation of the
-    participants' biases, in points; noise_sd: median size of their noise, in points;
-    threshold_spectral: points lost per dB of threshold-weighted spectral distance from the
-    original, or whatever the reference is; level: points per dB of felt level above that of the
-    original; lapse_rate: share of answers that have nothing to do with what was felt, 0 to 1;
-    straight_liners, random_clickers, scale_reversers: shares of the participants who are such bad
-    raters, 0 to 1, and at most 1 together; spectral_metric: 1 counts as 0 where it is negative: a
-    slope on it is planted from 0 to 1 only.
+    intercept: percept of a stimulus that matches in nothing, in points; spectral, temporal: what a perfect match adds,
+    in points; bias_sd: standard deviation of the participants' biases, in points; noise_sd: median size of their noise,
+    in points; threshold_spectral: points lost per dB of threshold-weighted spectral distance from the original, or
+    whatever the reference is; level: points per dB of felt level above that of the original; lapse_rate: share of
+    answers that have nothing to do with what was felt; straight_liners, random_clickers, scale_reversers: shares of the
+    participants who are such bad raters; spectral_metric: 1 counts as 0 where it is negative: a slope on it is planted
+    from 0 to 1 only.
     """
 
-    intercept: float
-    spectral: float
-    temporal: float
-    bias_sd: float
-    gain_sd: float
-    noise_sd: float
-    noise_spread: float
-    threshold_spectral: float = 0.0
-    envelope: float = 0.0
-    level: float = 0.0
-    lapse_rate: float = 0.0
-    order: float = 0.0
-    fatigue: float = 0.0
-    fatigue_noise: float = 0.0
-    straight_liners: float = 0.0
-    random_clickers: float = 0.0
-    scale_reversers: float = 0.0
-    spectral_metric: str = SPECTRAL[0]
-
-    def __post_init__(self) -> None:
-        """Refuse numbers out of range."""
-        if self.spectral_metric not in SPECTRAL:
-            raise ValueError(
-                f"spectral_metric: got {self.spectral_metric!r}, allowed is {' or '.join(SPECTRAL)}"
-            )
-        for name in _SHARES:
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(
-                    f"{name}: got {getattr(self, name)}, allowed is a share from 0 to 1"
-                )
-        for name in _SIZES:
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"{name}: got {getattr(self, name)}, allowed is 0 or more")
-        bad = self.straight_liners + self.random_clickers + self.scale_reversers
-        if bad > 1 + 1e-9:
-            raise ValueError(
-                f"straight_liners, random_clickers, scale_reversers: got {bad:g} together, allowed is up to 1"
-            )
+    spectral_metric: Annotated[str, one_of(SPECTRAL)] = SPECTRAL[0]
 
     @property
     def uses_percepts(self) -> bool:
@@ -127,10 +83,7 @@ class ObserverModel:
 
 @dataclass(frozen=True, slots=True)
 class Rater:
-    """One simulated participant.
-
-    bias, gain, noise_sd: how they use a scale: in points, as a factor, in points.
-    """
+    """One simulated participant; bias, gain, noise_sd: in points, as a factor, in points."""
 
     kind: str
     bias: float
@@ -148,19 +101,11 @@ class Rater:
         growth: float,
         rng: np.random.Generator,
     ) -> float:
-        """Set a slider.
-
-        percept: what was felt, in points; shift: what order and fatigue add, in points.
-        """
+        """Set a slider; percept: what was felt, shift: what order and fatigue add, both in points."""
         low, high = RATING_RANGE
         guess, lapsed = rng.uniform(low, high), rng.random() < self.lapse_rate
-        points = (
-            sure
-            + self.gain * (percept - sure)
-            + self.bias
-            + shift
-            + rng.normal(0, self.noise_sd * growth)
-        )
+        noise = rng.normal(0, self.noise_sd * growth)
+        points = sure + self.gain * (percept - sure) + self.bias + shift + noise
         if self.kind == STRAIGHT_LINER:
             points = low + (high - low) * self.favourite + rng.normal(0, STRAIGHT_SD)
         elif self.kind == RANDOM_CLICKER or lapsed:
@@ -172,9 +117,7 @@ class Rater:
     def choose(
         self, distances: Mapping[str, float], *, growth: float, rng: np.random.Generator
     ) -> str:
-        """Choose the part that feels most like the one asked about.
-
-        distances: how far each candidate is from the part asked about, in points.
+        """Choose the candidate that feels most like the part asked about, from their distances in points.
 
         Notes
         -----
@@ -198,24 +141,19 @@ class Rater:
             name: abs(max(distances[name], 0.0) + noise - asked)
             for name, noise in zip(names, felt, strict=True)
         }
-        nearest = min(away.values())
-        # Where two are exactly as near, nothing was felt of a difference.
-        return guess if away[guess] == nearest else min(names, key=away.__getitem__)
+        nearest = min(names, key=away.__getitem__)
+        # Where two are exactly as near, no difference was felt.
+        return guess if away[guess] == away[nearest] else nearest
 
-    def take_time(self, rng: np.random.Generator) -> float:
-        """Take the time that an answer takes.
-
-        Returns time in s.
-        """
+    def draw_time(self, rng: np.random.Generator) -> float:
+        """Draw a response time, in s."""
         return float(rng.lognormal(*(HASTY if self.kind == RANDOM_CLICKER else UNHURRIED)))
 
 
 def expect_rating(
     model: ObserverModel, percepts: Sequence[float], *, sure: float = RATING_RANGE[0]
 ) -> list[float]:
-    """Compute the mean rating that careful participants give to percepts, without order and fatigue.
-
-    percepts: what is felt, in points.
+    """Compute the mean rating that careful participants give to percepts in points, without order and fatigue.
 
     Notes
     -----
@@ -229,17 +167,14 @@ def expect_rating(
     nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
     weights /= weights.sum()
     gain = np.exp(model.gain_sd * nodes)[:, None, None]
-    spread = (
-        np.hypot(model.bias_sd, model.noise_sd * np.exp(model.noise_spread * nodes))[None, :, None]
-        + 1e-12
-    )
+    noise = model.noise_sd * np.exp(model.noise_spread * nodes)
+    spread = np.hypot(model.bias_sd, noise)[None, :, None] + 1e-12
     mean = sure + gain * (np.asarray(percepts, dtype=np.float64) - sure)
     below, above = (low - mean) / spread, (high - mean) / spread
-    inside = norm.cdf(above) - norm.cdf(below)
     cut = (
         low * norm.cdf(below)
         + high * norm.sf(above)
-        + mean * inside
+        + mean * (norm.cdf(above) - norm.cdf(below))
         + spread * (norm.pdf(below) - norm.pdf(above))
     )
     careful = np.einsum("i,j,ijk->k", weights, weights, cut)
@@ -249,37 +184,27 @@ def expect_rating(
 
 def draw_rater(model: ObserverModel, rng: np.random.Generator) -> Rater:
     """Draw a participant."""
-    return Rater(
-        bias=rng.normal(0, model.bias_sd),
-        gain=rng.lognormal(0, model.gain_sd),
-        noise_sd=model.noise_sd * rng.lognormal(0, model.noise_spread),
-        kind=_draw_kind(model, rng.random()),
-        favourite=rng.uniform(0.2, 0.8),
-        lapse_rate=model.lapse_rate,
-    )
-
-
-def _draw_kind(model: ObserverModel, place: float) -> str:
-    for kind, share in (
+    bias, gain = rng.normal(0, model.bias_sd), rng.lognormal(0, model.gain_sd)
+    noise_sd = model.noise_sd * rng.lognormal(0, model.noise_spread)
+    place, kind = rng.random(), NORMAL
+    for bad, share in (
         (STRAIGHT_LINER, model.straight_liners),
         (RANDOM_CLICKER, model.random_clickers),
         (SCALE_REVERSER, model.scale_reversers),
     ):
         if place < share:
-            return kind
+            kind = bad
+            break
         place -= share
-    return NORMAL
+    return Rater(kind, bias, gain, noise_sd, model.lapse_rate, favourite=rng.uniform(0.2, 0.8))
 
 
-# What a stimulus feels like to a simulated participant, and how far two are apart.
+# What stimuli feel like to a simulated participant, and how different two of them feel.
 
 
 @dataclass(frozen=True, slots=True)
-class Point:
-    """Where a stimulus lies for the sense of touch.
-
-    spectral, temporal: how well it matches its recording, 0 to 1.
-    """
+class Location:
+    """The coordinates of a stimulus for the sense of touch; spectral, temporal: matches, 0 to 1."""
 
     spectral: float
     temporal: float
@@ -289,7 +214,7 @@ class Point:
 UNCHANGED = Percept(0.0, 0.0, 0.0)
 """The percept of the original."""
 
-REAL = Point(1.0, 1.0, UNCHANGED)
+REAL = Location(1.0, 1.0, UNCHANGED)
 """The original and the real surface."""
 
 
@@ -298,18 +223,18 @@ class Experience:
     """A trial and what was felt in it."""
 
     trial: Trial
-    points: Mapping[str, Point]
+    points: Mapping[str, Location]
 
-    def find(self, part: str) -> Point:
+    def find(self, part: str) -> Location:
         """Find where a part lies."""
         if part not in self.points:
             raise ValueError(
-                f"simulated observer: was asked about part {part!r} of trial {self.trial.number} before it was felt; "
+                f"simulated observer: part {part!r} of trial {self.trial.number} was to be rated before it was felt; "
                 "play it first"
             )
         return self.points[part]
 
-    def find_reference(self, judgement: Judgement) -> Point:
+    def find_reference(self, judgement: Judgement) -> Location:
         """Find where the reference of a judgement lies."""
         if judgement.reference_id == SURFACE:
             return REAL
@@ -317,8 +242,8 @@ class Experience:
             if part.stimulus_id == judgement.reference_id:
                 return self.find(part.name)
         raise ValueError(
-            f"simulated observer: trial {self.trial.number}: got reference {judgement.reference_id!r}, allowed is "
-            "what a part of the trial holds; a reference must be felt"
+            f"simulated observer: trial {self.trial.number}: the reference must be the stimulus of one of its parts, "
+            f"got {judgement.reference_id!r}; add a part that plays it"
         )
 
 
@@ -329,38 +254,32 @@ class Touch:
     model: ObserverModel
     percepts: Mapping[str, Percept]
 
-    def locate(self, stimulus: Stimulus | None) -> Point:
-        """Find where a stimulus lies."""
+    def locate(self, stimulus: Stimulus | None) -> Location:
+        """Find where a stimulus lies; None is the real surface."""
         if stimulus is None:
             return REAL
         percept = self.percepts.get(stimulus.stimulus_id) if self.model.uses_percepts else UNCHANGED
         if percept is None:
             raise ValueError(
-                f"stimulus {stimulus.stimulus_id}: got no percept, the observer's weights need one; "
+                f"stimulus {stimulus.stimulus_id}: its percept is missing, and the observer's weights need it; "
                 "read the percepts of the whole set first"
             )
-        return Point(self._match_spectra(stimulus), stimulus.temporal_match, percept)
+        match: float = getattr(stimulus, self.model.spectral_metric)
+        if math.isnan(
+            match
+        ):  # a set that was built before the bounded match existed has eq. 1 only
+            match = stimulus.spectral_match
+        return Location(min(max(match, 0.0), 1.0), stimulus.temporal_match, percept)
 
-    def _match_spectra(self, stimulus: Stimulus) -> float:
-        """Give the spectral match that counts; a set that was built before the bounded one existed has only eq. 1."""
-        value: float = getattr(stimulus, self.model.spectral_metric)
-        return min(max(stimulus.spectral_match if math.isnan(value) else value, 0.0), 1.0)
-
-    def feel(self, point: Point) -> float:
-        """Tell how real something feels.
-
-        Returns percept in points, not cut to the scale.
-        """
+    def feel(self, point: Location) -> float:
+        """Compute how real something feels, in points, not cut to the scale."""
         model, lost = self.model, point.percept
         gained = model.intercept + model.spectral * point.spectral + model.temporal * point.temporal
         missed = model.threshold_spectral * lost.spectral_db + model.envelope * lost.envelope
         return gained - missed + model.level * lost.level_db
 
-    def measure_distance(self, first: Point, second: Point) -> float:
-        """Tell how different two feel.
-
-        Returns distance in points.
-        """
+    def measure_distance(self, first: Location, second: Location) -> float:
+        """Compute how different two feel, in points."""
         model, apart = self.model, compare_percepts(first.percept, second.percept)
         return (
             model.spectral * abs(first.spectral - second.spectral)
@@ -371,63 +290,33 @@ class Touch:
         )
 
 
-def judge(experience: Experience, judgement: Judgement, *, touch: Touch) -> float:
-    """Tell what a participant without bias, noise or habit would answer on a slider.
-
-    Returns percept in points, not cut to the scale.
-    """
-    return find_slider(experience.trial).judge(experience, judgement, touch=touch)
+_LOW, _HIGH = RATING_RANGE
+SURE_ENDS = {"realism": _LOW, "similarity": _HIGH, "dissimilarity": _LOW, "mushra": _HIGH}
+"""Protocol -> the end of its slider that means the same to everybody."""
 
 
-def find_slider(trial: Trial) -> Slider:
-    """Find how a trial's slider is understood."""
-    if trial.protocol not in SLIDERS:
-        allowed = ", ".join(SLIDERS)
+def find_sure_end(trial: Trial) -> float:
+    """Find the end of a trial's slider that means the same to everybody."""
+    if trial.protocol not in SURE_ENDS:
         raise ValueError(
-            f"simulated observer: got protocol {trial.protocol!r}, allowed with a slider is one of {allowed}"
+            f"simulated observer: the protocol of a slider must be one of {', '.join(SURE_ENDS)}; "
+            f"got {trial.protocol!r}"
         )
-    return SLIDERS[trial.protocol]
+    return SURE_ENDS[trial.protocol]
 
 
-def compare(
+def find_percept(experience: Experience, judgement: Judgement, *, touch: Touch) -> float:
+    """Compute the slider answer, uncut, of a participant without bias, noise or habit, in points."""
+    sure, point = find_sure_end(experience.trial), experience.find(judgement.part)
+    if experience.trial.protocol == "realism":
+        return touch.feel(point)
+    distance = touch.measure_distance(point, experience.find_reference(judgement))
+    return distance if sure == RATING_RANGE[0] else sure - distance
+
+
+def measure_distances(
     experience: Experience, judgement: Judgement, choices: Sequence[str], *, touch: Touch
 ) -> dict[str, float]:
-    """Tell how far each candidate is from the part asked about.
-
-    Returns distance in points of each.
-    """
+    """Compute how far each candidate is from the part asked about, in points."""
     asked = experience.find(judgement.part)
     return {name: touch.measure_distance(experience.find(name), asked) for name in choices}
-
-
-def _judge_realism(experience: Experience, judgement: Judgement, *, touch: Touch) -> float:
-    return touch.feel(experience.find(judgement.part))
-
-
-def _judge_dissimilarity(experience: Experience, judgement: Judgement, *, touch: Touch) -> float:
-    return touch.measure_distance(
-        experience.find(judgement.part), experience.find_reference(judgement)
-    )
-
-
-def _judge_similarity(experience: Experience, judgement: Judgement, *, touch: Touch) -> float:
-    return RATING_RANGE[1] - _judge_dissimilarity(experience, judgement, touch=touch)
-
-
-@dataclass(frozen=True, slots=True)
-class Slider:
-    """How a slider is understood."""
-
-    judge: Callable[..., float]
-    sure: float
-
-
-_LOW, _HIGH = RATING_RANGE
-
-SLIDERS: Mapping[str, Slider] = MappingProxyType({
-    "realism": Slider(_judge_realism, sure=_LOW),
-    "similarity": Slider(_judge_similarity, sure=_HIGH),
-    "dissimilarity": Slider(_judge_dissimilarity, sure=_LOW),
-    "mushra": Slider(_judge_similarity, sure=_HIGH),
-})
-"""Protocol -> how its slider is understood."""

@@ -1,24 +1,25 @@
-"""How far every stimulus of a set is from its recording's original, for the sense of touch.
+"""How different every stimulus of a set feels from its recording's original.
 
-Felt is what lies between 20 and 1000 Hz, in multiples of the vibrotactile threshold
-(`feel321.stimuli.sets.anchors`); axes add by energy, because the hand does not tell directions of
-vibration apart [1]_. Three differences are kept apart:
+Counted is what lies between 20 and 1000 Hz, in multiples of the vibrotactile threshold
+(`feel321.stimuli.sets.anchors`); axes add by energy, because the hand cannot distinguish directions of
+vibration [1]_. Three differences are kept apart:
 
 - *spectral*: root mean square difference, over frequencies evenly spaced in octaves, of the levels above threshold in
   bands as wide as people confuse (22 %). The stimulus is brought to the felt level of the original first, and what
   then is below threshold counts as silent: 0 dB.
-- *envelope*: what no factor on the stimulus's envelope explains of the original's, as a share of it (the sine between
-  the two). Envelopes are root mean squares, smoothed to below 50 Hz.
+- *envelope*: the part of the original's envelope that no factor on the stimulus's envelope explains, as a share of it
+  (the sine between the two). Envelopes are root mean squares, smoothed to below 50 Hz.
 - *level*: difference of the felt levels.
 
-A factor on a stimulus changes the level alone. What is below threshold as a whole is as good as silence.
+A factor on a stimulus changes the level alone. A stimulus that is below threshold as a whole counts as silence.
 
-Two stimuli of a recording are compared with each other in the same way: equally far from the original is not the same.
+Two stimuli of a recording are compared with each other in the same way: two that are equally far from the original
+need not be equal.
 
 References
 ----------
 .. [1] N. Landin, J. M. Romano, W. McMahan, K. J. Kuchenbecker, "Dimensional reduction of high-frequency accelerations
-   for haptic rendering", EuroHaptics 2010 (directions of vibration are not told apart).
+   for haptic rendering", EuroHaptics 2010 (directions of vibration are not distinguished).
    doi:10.1007/978-3-642-14075-4_12
 """
 
@@ -46,7 +47,7 @@ ENVELOPE_STEP_S = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Percept:
-    """What the hand tells a stimulus from its recording's original by."""
+    """The differences by which the hand distinguishes a stimulus from its recording's original."""
 
     spectral_db: float
     envelope: float
@@ -56,10 +57,7 @@ class Percept:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sensation:
-    """What the hand gets of a vibration.
-
-    bands: (n_frequencies,); envelope: (n_steps,).
-    """
+    """A vibration as the hand senses it; bands: (n_frequencies,), envelope: (n_steps,)."""
 
     level: float
     bands: NDArray[np.float64]
@@ -81,10 +79,7 @@ def read_percepts(stimuli: StimulusSet) -> dict[str, Percept]:
 
 
 def sense(acceleration: NDArray[np.float64], rate_hz: float) -> Sensation:
-    """Tell what the hand gets of a vibration.
-
-    acceleration: (n_samples,), acceleration in m/s².
-    """
+    """Compute what the hand senses of a vibration, shape (n_samples,) or (3, n_samples), in m/s²."""
     from scipy import fft
 
     from feel321.stimuli.match import WEBER_FRACTION, WeberSmoothing, log_grid
@@ -110,14 +105,12 @@ def sense(acceleration: NDArray[np.float64], rate_hz: float) -> Sensation:
 
 
 def compare_sensations(stimulus: Sensation, original: Sensation) -> Percept:
-    """Tell how a stimulus differs from an original."""
-    if (
-        stimulus.envelope.shape != original.envelope.shape
-        or stimulus.bands.shape != original.bands.shape
-    ):
+    """Measure how a stimulus differs from an original."""
+    pairs = (stimulus.envelope, original.envelope), (stimulus.bands, original.bands)
+    if any(one.shape != other.shape for one, other in pairs):
         raise ValueError(
-            f"percepts: got {stimulus.envelope.size} ms of a stimulus and {original.envelope.size} ms of its original, "
-            "allowed are equal lengths and rates; build the stimulus set again"
+            "percepts: a stimulus and its original must have the same length and rate, got "
+            f"{stimulus.envelope.size} ms and {original.envelope.size} ms; build the stimulus set again"
         )
     ratio = stimulus.level / original.level
     felt, meant = (
@@ -133,7 +126,7 @@ def compare_sensations(stimulus: Sensation, original: Sensation) -> Percept:
 
 
 def compare_percepts(first: Percept, second: Percept) -> Percept:
-    """Tell how two stimuli of a recording differ from each other, in whichever order."""
+    """Measure how two stimuli of a recording differ from each other; their order does not matter."""
     near, far = sorted(
         (first, second), key=lambda lost: (lost.spectral_db, lost.envelope, lost.level_db)
     )
@@ -167,16 +160,13 @@ def _measure_residue(stimulus: NDArray[np.float64], original: NDArray[np.float64
 def _find_original(stimulus: Stimulus, stimuli: Iterable[Stimulus]) -> Stimulus:
     from feel321.stimuli.sets.recipe import ORIGINAL
 
+    wanted = (stimulus.recording, "reference", ORIGINAL)
     candidates = [
-        other
-        for other in stimuli
-        if other.recording == stimulus.recording
-        and other.role == "reference"
-        and other.reducer == ORIGINAL
+        other for other in stimuli if (other.recording, other.role, other.reducer) == wanted
     ]
     if not candidates:
         raise ValueError(
-            f"recording {stimulus.recording!r}: got a stimulus set without its three-axis original, from which the "
+            f"recording {stimulus.recording!r}: the stimulus set must hold its three-axis original, from which the "
             "observer's threshold_spectral, envelope and level are measured; set these weights to 0, or set "
             '[stimuli] reference = "original" and build again'
         )

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import isfinite
 from numbers import Real
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from feel321.protocols.texts import read_scales
 from feel321.protocols.trial import RATING_RANGE, Page
@@ -208,7 +208,7 @@ class _Attempt(events.Attempt):
             else:
                 stimulus = self._stage.stimuli[part.stimulus_id]
                 playback = presenter.play(part, stimulus, gap_s=gap_s)
-            played = kind(*self.key, part.name, *_describe_playback(playback))
+            played = kind(*self.key, part.name, **_describe_playback(playback))
             self._stage.journal.write(played)
             self.take(played)
             self._time_s = playback.requested_s if playback.onset_s is None else playback.onset_s
@@ -294,20 +294,18 @@ class _Attempt(events.Attempt):
         return False
 
 
-def _describe_playback(
-    playback: Playback,
-) -> tuple[float, float | None, int, int, bool, str, dict[str, float]]:
+def _describe_playback(playback: Playback) -> dict[str, Any]:
     """Describe a playback as JSON can hold it: devices report numbers of many kinds, and some that are none."""
-    onset_s = playback.onset_s
-    return (
-        float(playback.requested_s),
-        float(onset_s) if onset_s is not None and isfinite(onset_s) else None,
-        int(playback.underruns),
-        int(playback.clipped),
-        bool(playback.completed),
-        playback.error,
-        {name: float(value) for name, value in playback.measured.items() if isfinite(value)},
-    )
+    onset_s, measured = playback.onset_s, playback.measured.items()
+    return {
+        "requested_s": float(playback.requested_s),
+        "onset_s": float(onset_s) if onset_s is not None and isfinite(onset_s) else None,
+        "underruns": int(playback.underruns),
+        "clipped": int(playback.clipped),
+        "completed": bool(playback.completed),
+        "error": playback.error,
+        "measured": {name: float(value) for name, value in measured if isfinite(value)},
+    }
 
 
 def _stop_or_pause(act: object) -> None:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 E = TypeVar("E", bound="Event")
 
 
+@dataclass(frozen=True)
 class Event:
     """Something that happened in a session."""
 
@@ -27,7 +28,7 @@ class Event:
     def to_data(self) -> dict[str, Any]:
         """Return the fields as a record holds them; those of `identity` stand among the others."""
         data: dict[str, Any] = {}
-        for entry in fields(self):  # type: ignore[arg-type] - every event is a dataclass
+        for entry in fields(self):
             value = getattr(self, entry.name)
             data |= value if entry.name == "identity" else {entry.name: value}
         return data
@@ -242,33 +243,39 @@ UNTOUCHED = (*OPENING, SessionBegun, SessionAborted, SessionSuperseded)
 """May come in a journal in which nobody has done anything yet."""
 
 
+def find_kind(name: str) -> type[Event]:
+    """Find the type of an event."""
+    if not isinstance(name, str) or name not in EVENTS:
+        raise ValueError(f"holds {name!r}, which no session writes")
+    return EVENTS[name]
+
+
 def read_event(name: str, data: Mapping[str, Any]) -> Event:
     """Read the data of a record; fields of later versions are left out."""
     from pydantic import ValidationError
     from pydantic_core import to_json
 
-    if not isinstance(name, str) or name not in EVENTS:
-        raise ValueError(f"holds {name!r}, which no session writes")
-    kind = EVENTS[name]
-    known = [entry.name for entry in fields(kind)]  # type: ignore[arg-type] - a dataclass
+    kind = find_kind(name)
+    known = [entry.name for entry in fields(kind)]
     try:
         if "identity" in known:
             data = {**data, "identity": {k: v for k, v in data.items() if k not in known}}
         # JSON's own strictness: a list may fill a tuple and 1 a float, "1" or true may not.
-        return _make_adapter(kind).validate_json(to_json(data), strict=True)
+        event: Event = _make_adapter(name).validate_json(to_json(data), strict=True)
     except (ValidationError, TypeError, ValueError) as error:
         reason = str(error)
         if isinstance(error, ValidationError):
             fault = error.errors()[0]
             reason = ": ".join(filter(None, (".".join(map(str, fault["loc"])), fault["msg"])))
         raise ValueError(f"is not a {name!r} record as feel321 writes it ({reason})") from None
+    return event
 
 
 @cache
-def _make_adapter(kind: type[E]) -> TypeAdapter[E]:
+def _make_adapter(name: str) -> TypeAdapter[Any]:
     from pydantic import TypeAdapter
 
-    return TypeAdapter(kind)
+    return TypeAdapter(EVENTS[name])
 
 
 @dataclass(slots=True)

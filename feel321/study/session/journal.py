@@ -87,7 +87,9 @@ class Chain:
 def find_events(records: Iterable[Record], *kinds: type[E]) -> Iterator[E]:
     """Find all events of some kinds."""
     names = {kind.event for kind in kinds}
-    return (record.content for record in records if record.event in names)  # type: ignore[misc] - by its name
+    for record in records:
+        if record.event in names and isinstance(event := record.content, kinds):
+            yield event
 
 
 def has_event(records: Iterable[Record], kind: type[Event] | str) -> bool:
@@ -225,16 +227,16 @@ class Journal:
             last, this = (datetime.fromisoformat(text) for text in (self.records[-1].utc, utc))
             if (back_s := (last - this).total_seconds()) > 0:
                 self._append(utc, ClockStepped(back_s))
-        self._append(utc, event, data or {})
+        self._append(utc, event, data)
 
     def _append(self, utc: str, event: Event | str, data: Mapping[str, Any] | None = None) -> None:
         if not self._is_open:
             raise OSError(
                 f"{self.path}: an earlier write was broken off, the journal is closed; reopen it to resume"
             )
-        if isinstance(event, Event):
-            event, data = event.event, event.to_data()
-        record = Record(len(self.records), utc, event, data or {})
+        name = event if isinstance(event, str) else event.event
+        data = data or {} if isinstance(event, str) else event.to_data()
+        record = Record(len(self.records), utc, name, data)
         line = write_line(record, self._tip)
         self._is_open = False
         with _naming(self.path):

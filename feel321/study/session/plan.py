@@ -238,7 +238,7 @@ def require_plan(path: Path) -> Plan:
             text = json.dumps({**entry, "sha256": digest(body)})
             return _make_adapter().validate_json(text, strict=True, extra="forbid")
     except (ValueError, AttributeError, RecursionError) as error:
-        listed = getattr(error, "errors", list)()  # pydantic's own, or JSON's single one
+        listed: Any = getattr(error, "errors", list)()  # pydantic's own, or JSON's single one
         faults = [f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in listed]
         raise ValueError(
             f"{path}: not a plan as this version writes it ({[*faults, error][0]}); use the feel321 that wrote it"

@@ -18,7 +18,7 @@ from feel321.study.actuator.rig import read_rig
 from feel321.study.actuator.stream_output import StreamOutput, open_stream
 
 if TYPE_CHECKING:
-    from feel321.study.actuator.output import Delivery
+    from feel321.study.session.ports import Playback
 
 
 def main(folder: Path, *, rate_hz: float) -> None:
@@ -61,7 +61,7 @@ def collect(output: StreamOutput) -> dict[str, Any]:
     while output.is_playing:
         sleep(0.002)
     over_s = perf_counter()
-    delivery: Delivery = output.collect()
+    delivery: Playback = output.collect()
     return {**asdict(delivery), "over_s": over_s}
 
 

@@ -39,26 +39,26 @@ def test_a_device_is_found_by_its_name_or_a_part_that_no_other_has(
             [COILS, PAIR],
             "headset",
             None,
-            r"got 'headset', which is not there; allowed: 'USB Audio.*'coils' \(ALSA\)$",
+            r"device 'headset' not found; name one of 'USB Audio.*'coils' \(ALSA\)$",
         ),
         (
             [COILS, COILS_JACK],
             "coils",
             None,
-            r"which 2 devices have in their names: .*\(JACK\); name one in full",
+            r"2 devices have it in their names: .*\(JACK\); name one in full",
         ),
-        ([COILS, COILS_JACK], COILS.name, None, "which 2 devices have"),
+        ([COILS, COILS_JACK], COILS.name, None, "2 devices have it"),
         ([MICROPHONE], "microphone", None, "there is no output device at all; plug it in"),
         (
             [COILS],
             "coils",
             "JACK",
-            r"got 'coils' through JACK, which is not there; allowed: .*\(ALSA\)$",
+            r"device 'coils' through JACK not found; name one of .*\(ALSA\)$",
         ),
-        ([COILS], " ", None, "got ' ', which is not there"),
-        ([COILS, SYSTEM], "defa", None, "got 'defa', which is not there; allowed: 'USB Audio"),
+        ([COILS], " ", None, "device ' ' not found"),
+        ([COILS, SYSTEM], "defa", None, "device 'defa' not found; name one of 'USB Audio"),
         ([SYSTEM], "defa", None, "there is no output device at all"),
-        ([COILS], "sysdefault", None, "may be another one tomorrow; allowed: 'USB Audio"),
+        ([COILS], "sysdefault", None, "may be another one tomorrow; name one of 'USB Audio"),
     ],
 )
 def test_nothing_is_taken_in_its_stead(
@@ -88,8 +88,8 @@ def test_every_channel_that_the_rig_names_has_to_be_there() -> None:
     third = (ActuatorTable(name="third", channel=3),)
     check_channels(COILS, Rig(limits=LIMITS, actuators=third))
     with pytest.raises(
-        OSError, match=r"got 'coils' with 2 output channel\(s\), the rig needs 3; take another"
+        OSError, match=r"device 'coils' has 2 output channel\(s\), the rig needs 3; take another"
     ):
         check_channels(PAIR, Rig(limits=LIMITS, actuators=third))
-    with pytest.raises(OSError, match=r"with 1 input channel\(s\), the rig needs 2"):
+    with pytest.raises(OSError, match=r"has 1 input channel\(s\), the rig needs 2"):
         check_channels(PAIR, Rig(limits=LIMITS, sensor=SensorTable(channel=2, full_scale_m_s2=9)))

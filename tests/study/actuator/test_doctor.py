@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from feel321.study.actuator.doctor import make_pulse, try_stops
-from feel321.study.actuator.output import Delivery
 from feel321.study.actuator.rig import LimitsTable, Rig
+from feel321.study.session.ports import Playback
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -146,10 +146,10 @@ class Late:
     def stop(self) -> None:
         pass
 
-    def collect(self) -> Delivery:
+    def collect(self) -> Playback:
         stop_s, underruns = self.tries.pop(0)
         measured = {} if stop_s is None else {"stop_s": stop_s}
-        return Delivery(0.0, 0.1, completed=stop_s is None, underruns=underruns, measured=measured)
+        return Playback(0.0, 0.1, completed=stop_s is None, underruns=underruns, measured=measured)
 
 
 def test_stops_are_tried_again_where_the_machine_is_late(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -173,16 +173,10 @@ def test_the_file_device_plays_nothing(pulse: Any, make_rig: Any, tmp_path: Path
     [
         (
             ["--device", "nowhere"],
-            "feel321: device: got 'nowhere', which is not there; allowed: 'stylus' (ALSA), ",
+            "feel321: device 'nowhere' not found; name one of 'stylus' (ALSA), ",
         ),
-        (
-            ["--device", " "],
-            "feel321: device: got ' ', which is not there; allowed: 'stylus' (ALSA), ",
-        ),
-        (
-            ["--device", "DEF"],
-            "feel321: device: got 'DEF', which is not there; allowed: 'stylus' (ALSA), ",
-        ),
+        (["--device", " "], "feel321: device ' ' not found; name one of 'stylus' (ALSA), "),
+        (["--device", "DEF"], "feel321: device 'DEF' not found; name one of 'stylus' (ALSA), "),
         (
             ["nowhere"],
             "feel321: nowhere: there is no such folder; begin a study with: feel321 new nowhere",
@@ -203,7 +197,7 @@ def test_no_device_at_all_is_one_line(pulse: Any, tmp_path: Path) -> None:
     done = call(pulse, cwd=tmp_path)
     assert done.returncode == 1
     assert done.stderr == (
-        'feel321: doctor: got no audio device at all; plug one in, or play to files: name = "file" in rig.toml\n'
+        'feel321: doctor: no audio device found; plug one in, or play to files: name = "file" in rig.toml\n'
     )
 
 

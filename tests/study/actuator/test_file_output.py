@@ -149,7 +149,7 @@ def test_nothing_is_collected_too_early(tmp_path: Path) -> None:
     output = make_output(tmp_path, Hand())
     for _ in range(2):
         with pytest.raises(
-            ValueError, match="got no playback that is over; start one and wait until is_playing"
+            ValueError, match="no playback is over; start one and wait until is_playing"
         ):
             output.collect()
         output.start(STIMULUS, gap_s=0)

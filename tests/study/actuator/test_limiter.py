@@ -170,6 +170,6 @@ def test_an_empty_block_is_none() -> None:
 
 def test_blocks_longer_than_a_pause_are_refused() -> None:
     with pytest.raises(
-        ValueError, match="got blocks of 101 frames, allowed are 100: a pause spans blocks"
+        ValueError, match="blocks must have at most 100 frames, got 101: a pause spans blocks"
     ):
         Limiter(RATE, peak=1, rms=1, duration_s=1, max_frames=101)

@@ -13,13 +13,20 @@ import pytest
 
 from feel321.stimuli.wav import read_wav
 from feel321.study.actuator.rig import DeviceTable, LimitsTable, Rig, SensorTable
-from feel321.study.actuator.stream import STALL_S, Device, Line, join, list_devices, refresh_devices
+from feel321.study.actuator.stream import (
+    STALL_S,
+    Device,
+    DeviceStream,
+    join,
+    list_devices,
+    refresh_devices,
+)
 from feel321.study.actuator.stream_output import StreamOutput
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from feel321.study.actuator.stream import Block
+    from feel321.study.actuator.stream import BlockTimes
 
 RATE_HZ = 1000
 N = 100
@@ -115,19 +122,19 @@ def sounddevice(monkeypatch: pytest.MonkeyPatch, clock: Clock) -> SimpleNamespac
 
 
 @pytest.fixture
-def blocks() -> list[Block]:
+def blocks() -> list[BlockTimes]:
     return []
 
 
-def open_line(blocks: list[Block], rig: Rig = RIG) -> tuple[Line, Any]:
-    line = Line(
+def open_line(blocks: list[BlockTimes], rig: Rig = RIG) -> tuple[DeviceStream, Any]:
+    line = DeviceStream(
         DEVICE, rig, rate_hz=RATE_HZ, fill=lambda _out, block, _sensed: blocks.append(block)
     )
     return line, line._stream
 
 
 @pytest.mark.usefixtures("sounddevice")
-def test_flags_and_times_are_passed_on(blocks: list[Block]) -> None:
+def test_flags_and_times_are_passed_on(blocks: list[BlockTimes]) -> None:
     line, stream = open_line(blocks, SENSING)
     stream.ask()
     stream.ask(output_underflow=True)
@@ -140,7 +147,7 @@ def test_flags_and_times_are_passed_on(blocks: list[Block]) -> None:
 
 
 @pytest.mark.usefixtures("sounddevice")
-def test_a_line_that_was_closed_is_silent_should_it_come_back(blocks: list[Block]) -> None:
+def test_a_line_that_was_closed_is_silent_should_it_come_back(blocks: list[BlockTimes]) -> None:
     line, stream = open_line(blocks, SENSING)
     line.close()
     assert not stream.ask().any()
@@ -148,7 +155,7 @@ def test_a_line_that_was_closed_is_silent_should_it_come_back(blocks: list[Block
 
 
 @pytest.mark.usefixtures("sounddevice")
-def test_a_device_that_tells_no_times_is_taken_at_its_latency(blocks: list[Block]) -> None:
+def test_a_device_that_tells_no_times_is_taken_at_its_latency(blocks: list[BlockTimes]) -> None:
     _, stream = open_line(blocks)
     stream.ask(dac_s=0.0)
     assert blocks[0].dac_s == pytest.approx(50.1)
@@ -156,7 +163,7 @@ def test_a_device_that_tells_no_times_is_taken_at_its_latency(blocks: list[Block
 
 @pytest.mark.usefixtures("sounddevice")
 def test_silence_beyond_what_it_held_is_an_underrun_though_no_flag_says_so(
-    blocks: list[Block], clock: Clock
+    blocks: list[BlockTimes], clock: Clock
 ) -> None:
     _, stream = open_line(blocks)
     stream.ask()
@@ -168,7 +175,7 @@ def test_silence_beyond_what_it_held_is_an_underrun_though_no_flag_says_so(
 
 
 @pytest.mark.usefixtures("sounddevice")
-def test_delays_that_follow_each_other_add_up(blocks: list[Block], clock: Clock) -> None:
+def test_delays_that_follow_each_other_add_up(blocks: list[BlockTimes], clock: Clock) -> None:
     _, stream = open_line(blocks)
     # It holds 0.2 s when it is full and plays 0.1 s in a block: 0.15 s leave 0.15 s, which 0.17 s are too long for.
     for wait_s in (0.0, 0.15, 0.17, 0.1, 0.1, 0.15, 0.05, 0.15, 0.05):
@@ -178,7 +185,9 @@ def test_delays_that_follow_each_other_add_up(blocks: list[Block], clock: Clock)
 
 
 @pytest.mark.usefixtures("sounddevice")
-def test_a_device_with_a_slow_clock_does_not_run_dry(blocks: list[Block], clock: Clock) -> None:
+def test_a_device_with_a_slow_clock_does_not_run_dry(
+    blocks: list[BlockTimes], clock: Clock
+) -> None:
     _, stream = open_line(blocks)
     for _ in range(9000):
         clock.wait(N / RATE_HZ * 1.0005)
@@ -187,7 +196,7 @@ def test_a_device_with_a_slow_clock_does_not_run_dry(blocks: list[Block], clock:
 
 
 @pytest.mark.usefixtures("sounddevice")
-def test_clocks_are_compared_by_the_fastest_reading(blocks: list[Block]) -> None:
+def test_clocks_are_compared_by_the_fastest_reading(blocks: list[BlockTimes]) -> None:
     line, _ = open_line(blocks)
     readings = iter([0, 1, 10, 10.1, 20, 30, 40, 50, 60, 70])
     assert line.compare_clocks(lambda: next(readings)) == pytest.approx(10.05 - 50)
@@ -195,7 +204,7 @@ def test_clocks_are_compared_by_the_fastest_reading(blocks: list[Block]) -> None
 
 @pytest.mark.usefixtures("sounddevice")
 def test_the_clock_of_a_device_that_has_died_tells_nothing(
-    blocks: list[Block], monkeypatch: pytest.MonkeyPatch, clock: Clock
+    blocks: list[BlockTimes], monkeypatch: pytest.MonkeyPatch, clock: Clock
 ) -> None:
     line, stream = open_line(blocks)
     monkeypatch.setattr(StandIn, "time", property(lambda _: stream.nothing()))
@@ -214,17 +223,17 @@ def test_portaudio_that_does_not_begin_again_is_one_line(
     refresh_devices()
     monkeypatch.setattr(sounddevice, "_initialize", raise_foreign)
     with pytest.raises(
-        OSError, match=r"device: PortAudio does not begin \(Error getting stream time\)"
+        OSError, match=r"device: PortAudio does not start \(Error getting stream time\)"
     ):
         refresh_devices()
 
 
 def test_another_rate_than_was_asked_for_is_refused(
-    sounddevice: SimpleNamespace, blocks: list[Block]
+    sounddevice: SimpleNamespace, blocks: list[BlockTimes]
 ) -> None:
     sounddevice.OutputStream = lambda **settings: StandIn(**{**settings, "samplerate": 44100.0})
     with pytest.raises(
-        OSError, match="got 'coils', which runs at 44100 Hz, the stimuli are at 1000 Hz"
+        OSError, match="device 'coils' runs at 44100 Hz, the stimuli are at 1000 Hz"
     ):
         open_line(blocks)
 
@@ -232,7 +241,7 @@ def test_another_rate_than_was_asked_for_is_refused(
 @pytest.mark.parametrize(
     ("module", "message"),
     [
-        (None, r"sounddevice not found.*pip install -c constraints.txt '.\[rig\]'"),
+        (None, r"need sounddevice.*pip install -c constraints.txt '.\[rig\]'"),
         ("broken", "libportaudio2"),
     ],
 )
@@ -272,7 +281,7 @@ def open_output(
 def test_a_playback_is_played_and_sensed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     output, stream = open_output(monkeypatch, tmp_path / "delivered", rig=SENSING)
     output.start("a", gap_s=0.03)
-    with pytest.raises(ValueError, match="got a playback that still plays; stop it, or wait"):
+    with pytest.raises(ValueError, match="the playback still plays; stop it, or wait"):
         output.collect()
     first = stream.ask(sensed=0.5)
     assert np.array_equal(first[:, 0], [0] * 30 + [0.25] * 70)
@@ -365,7 +374,7 @@ def test_a_device_that_dies_while_clocks_are_compared_leaves_no_nan(
 ) -> None:
     output, stream = open_output(monkeypatch, tmp_path)
     monkeypatch.setattr(
-        "feel321.study.actuator.stream.Line.compare_clocks", lambda *_: float("nan")
+        "feel321.study.actuator.stream.DeviceStream.compare_clocks", lambda *_: float("nan")
     )
     output.start("a", gap_s=0.0)
     while output.is_playing:
@@ -388,7 +397,7 @@ def test_a_stream_that_never_runs_is_refused(
     monkeypatch.setattr("feel321.study.actuator.stream_output.sleep", clock.wait)
     output = StreamOutput(RIG, {}, rate_hz=RATE_HZ, folder=tmp_path, clock=clock)
     begin_s = clock.now_s
-    with pytest.raises(OSError, match="got 'coils', which does not run; is it in use elsewhere"):
+    with pytest.raises(OSError, match="'coils' does not run; is it in use elsewhere"):
         output.open()
     assert clock.now_s - begin_s < 20
 
@@ -450,7 +459,7 @@ def test_a_device_may_be_slow_to_ask_for_its_first_block(
 
 @pytest.mark.usefixtures("sounddevice")
 def test_a_process_that_stood_still_itself_does_not_take_its_device_for_dead(
-    blocks: list[Block], clock: Clock
+    blocks: list[BlockTimes], clock: Clock
 ) -> None:
     line, stream = open_line(blocks)
     stream.ask()

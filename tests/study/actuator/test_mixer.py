@@ -351,7 +351,7 @@ def test_free_switching_cannot_outwit_the_limiter() -> None:
 
 def test_what_was_not_loaded_is_refused() -> None:
     mixer, _ = make_mixer()
-    with pytest.raises(ValueError, match="got stimulus 'c', allowed are the 2 that were loaded"):
+    with pytest.raises(ValueError, match="must be one of the 2 that were loaded, got 'c'"):
         mixer.start("c", gap_s=0)
 
 

@@ -203,7 +203,7 @@ def test_coils_for_axes_that_are_not_at_right_angles_are_warned_of_where_it_coun
     [
         (
             TEMPLATE.replace("[1, 0, 0]    #", "[0, 0, 0]    #"),
-            "got [0, 0, 0], allowed is a direction of motion",
+            "actuators[1].direction must be a direction of motion, such as [1, 0, 0], got [0, 0, 0]",
         ),
         (TEMPLATE.replace("[0, 1, 0]", "[0, 1]"), "rig.toml: actuators[2].direction"),
         (

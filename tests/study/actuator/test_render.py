@@ -114,7 +114,7 @@ def test_a_set_is_rendered_whole(tmp_path: Path) -> None:
         (
             noise(50, channels=2),
             ("reduced",),
-            r"\As.wav: got 2 channels, allowed are 1 or 3; build it again",
+            r"\As.wav: must have 1 or 3 channels, got 2; build it again",
         ),
     ],
 )

@@ -104,10 +104,7 @@ MASKING = "[masking]\nchannels = [3]\n"
             LIMITS + "hertz = 2\n",
             "limits.hertz: unknown setting; known: peak_m_s2, rms_m_s2, duration_s",
         ),
-        (
-            "actuators = []\n" + LIMITS,
-            "rig.toml: actuators: got [], allowed is one actuator or more",
-        ),
+        ("actuators = []\n" + LIMITS, "rig.toml: actuators must hold at least one name, got []"),
         (LIMITS + COIL + "plays = []\n", "actuators[1].plays must hold at least one name, got []"),
         (
             LIMITS + COIL + 'plays = ["q"]\n',
@@ -117,27 +114,27 @@ MASKING = "[masking]\nchannels = [3]\n"
             LIMITS + COIL + 'plays = ["x", "x"]\n',
             "must hold each name once, got ['x', 'x']; more than once: x",
         ),
-        (LIMITS + COIL + COIL, "actuators: allowed is each name once; more than once: coil"),
+        (LIMITS + COIL + COIL, "actuators must hold each name once; more than once: coil"),
         (
             LIMITS + COIL + COIL.replace('"coil"', '"other"'),
-            "channel 1: got actuator 'coil' and actuator 'other', allowed is one use of a channel; move one of them",
+            "channel 1: got actuator 'coil' and actuator 'other', but a channel has one use; move one of them",
         ),
         (
             LIMITS + "[masking]\nchannels = [2]\n",
-            "channel 2: got actuator 'right coil' and masking, allowed is",
+            "channel 2: got actuator 'right coil' and masking, but a",
         ),
         (
             LIMITS + "[masking]\nchannels = [3, 3]\n",
-            "channel 3: got masking and masking, allowed is one use",
+            "channel 3: got masking and masking, but a channel has one use",
         ),
         (
             LIMITS + MASKING + "[sync]\nchannel = 3\n",
-            "channel 3: got masking and sync, allowed is one use",
+            "channel 3: got masking and sync, but a channel has one use",
         ),
-        (LIMITS + "[masking]\nchannels = []\n", "masking: got no channels, allowed is one or more"),
+        (LIMITS + "[masking]\nchannels = []\n", "masking: got no channels; name at least one"),
         (
             LIMITS + MASKING + "ramp_s = 1.0\n",
-            "masking: got a ramp_s of 1 and a lead_s of 0.5, allowed is a ramp that",
+            "masking: got ramp_s 1 and lead_s 0.5: the ramp must be over",
         ),
         (
             LIMITS + MASKING + "rms = 0.5\n",

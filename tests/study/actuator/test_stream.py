@@ -310,7 +310,7 @@ def test_a_server_that_dies_is_told_and_tried_again_with_the_next_stimulus(
     assert dead["error"].startswith("device 'stylus' stopped")
     gone = player.ask(do="play", sound="b")
     assert gone["onset_s"] is None
-    assert gone["error"].startswith("device: got 'stylus'")
+    assert gone["error"].startswith("device 'stylus' not found")
     assert time.monotonic() - begin_s < 30  # it does not hang
     pulse.start()
 
@@ -350,22 +350,22 @@ def test_a_server_that_hangs_for_long_is_dead_without_hanging_the_session(
             "nowhere",
             4,
             48000,
-            "got 'nowhere', which is not there; allowed: 'stylus' (ALSA), 'stylus twin' (ALSA)",
+            "device 'nowhere' not found; name one of 'stylus' (ALSA), 'stylus twin' (ALSA)",
         ),
         (
             "TWIN",
             4,
             1_000_000,
-            "'stylus twin', which does not play at 1e+06 Hz (Error opening OutputStream: Invalid",
+            "device 'stylus twin' does not play at 1e+06 Hz (Error opening OutputStream: Invalid",
         ),
         (
             "styl",
             4,
             48000,
-            "got 'styl', which 2 devices have in their names: 'stylus' (ALSA), 'stylus twin' (ALSA)",
+            "device 'styl' is ambiguous: 2 devices have it in their names: 'stylus' (ALSA), 'stylus twin' (ALSA)",
         ),
-        ("default", 4, 48000, "got 'default', which may be another one tomorrow"),
-        ("stylus", 40, 48000, "got 'stylus' with 32 output channel(s), the rig needs 40"),
+        ("default", 4, 48000, "device 'default' may be another one tomorrow"),
+        ("stylus", 40, 48000, "device 'stylus' has 32 output channel(s), the rig needs 40"),
     ],
 )
 def test_what_is_not_exactly_there_is_refused(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from feel321.study.actuator.mixer import Cue
-from feel321.study.actuator.stream import SENSOR_TAIL_S, Block, Take
+from feel321.study.actuator.stream import SENSOR_TAIL_S, BlockTimes, Take
 
 RATE_HZ = 1000.0
 N = 100  # frames of a block, which take 0.1 s
@@ -22,11 +22,11 @@ def run(take: Take, cue: Cue, *, onset: int, blocks: int = 20, **faults: Any) ->
             cue.n_played = min(frame + N - onset, len(cue.sound))
             cue.is_over = cue.is_complete
         known = {name: number in numbers for name, numbers in faults.items()}
-        take.note(
-            Block(5 + number / 10, 5 + number / 10 + DELAY_S, 5 + number / 10 - 0.1, **known),
+        take.add_block(
+            BlockTimes(5 + number / 10, 5 + number / 10 + DELAY_S, 5 + number / 10 - 0.1, **known),
             frame=frame,
         )
-        take.sense(np.arange(frame, frame + N, dtype=np.float32), frame=frame)
+        take.record(np.arange(frame, frame + N, dtype=np.float32), frame=frame)
         if take.is_out:
             return number
     return blocks
@@ -50,9 +50,11 @@ def test_onset_and_end_are_told_to_the_sample(cue: Cue) -> None:
 def test_an_onset_is_told_from_any_later_block(cue: Cue) -> None:
     take = Take(RATE_HZ, DELAY_S)
     cue.onset_frame, cue.n_played = 230, 100
-    take.note(Block(5.2, 5.2 + DELAY_S), frame=200)  # the session had not yet said which cue it is
+    take.add_block(
+        BlockTimes(5.2, 5.2 + DELAY_S), frame=200
+    )  # the session had not yet said which cue it is
     take.cue = cue
-    take.note(Block(5.3, 5.3 + DELAY_S), frame=300)
+    take.add_block(BlockTimes(5.3, 5.3 + DELAY_S), frame=300)
     assert take.onset_s == pytest.approx(5.23 + DELAY_S)
 
 
@@ -69,7 +71,9 @@ def test_a_device_without_times_is_out_by_frames(cue: Cue) -> None:
     take.cue = cue
     cue.onset_frame, cue.n_played, cue.is_over = 0, 150, True
     frames = [
-        frame for frame in range(0, 2000, N) if take.note(Block(0, 1.0), frame=frame) or take.is_out
+        frame
+        for frame in range(0, 2000, N)
+        if take.add_block(BlockTimes(0, 1.0), frame=frame) or take.is_out
     ]
     assert frames[0] == 700  # the first block that begins two latencies after the end
 
@@ -78,10 +82,10 @@ def test_a_stop_in_the_gap_has_no_onset(cue: Cue) -> None:
     take = Take(RATE_HZ, DELAY_S)
     take.cue = cue
     cue.is_over = True
-    take.note(Block(5.0, 5.25), frame=0)
-    take.note(Block(5.1, 5.35), frame=100)
+    take.add_block(BlockTimes(5.0, 5.25), frame=0)
+    take.add_block(BlockTimes(5.1, 5.35), frame=100)
     assert not take.is_out  # what the device holds is still to come
-    take.note(Block(5.3, 5.55), frame=200)
+    take.add_block(BlockTimes(5.3, 5.55), frame=200)
     assert take.is_out
     assert take.onset_s is None
 

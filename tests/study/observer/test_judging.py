@@ -12,40 +12,41 @@ from feel321.protocols.texts import read_scales
 from feel321.protocols.trial import SURFACE, Judgement, Part, Trial
 from feel321.study.observer.judging import (
     REAL,
-    SLIDERS,
+    SURE_ENDS,
     Experience,
+    Location,
     ObserverModel,
-    Point,
     Touch,
-    compare,
-    judge,
+    find_percept,
+    measure_distances,
 )
 from feel321.study.observer.percepts import Percept, Sensation
 
-MODEL = ObserverModel(
-    intercept=10.0,
-    spectral=40.0,
-    temporal=30.0,
-    bias_sd=0.0,
-    gain_sd=0.0,
-    noise_sd=0.0,
-    noise_spread=0.0,
-    threshold_spectral=2.0,
-    envelope=50.0,
-    level=3.0,
-)
+
+def vary(model: ObserverModel, **changes: object) -> ObserverModel:
+    return ObserverModel(**{**model.model_dump(), **changes})
+
+
+WEIGHTS = {
+    "spectral": 40.0,
+    "temporal": 30.0,
+    "threshold_spectral": 2.0,
+    "envelope": 50.0,
+    "level": 3.0,
+}
+MODEL = ObserverModel(**WEIGHTS)
 TOUCH = Touch(MODEL, {})
-WEAK = Point(0.6, 0.5, Percept(4.0, 0.2, -1.0))
-STRONG = Point(0.2, 0.9, Percept(1.0, 0.1, 2.0))
+WEAK = Location(0.6, 0.5, Percept(4.0, 0.2, -1.0))
+STRONG = Location(0.2, 0.9, Percept(1.0, 0.1, 2.0))
 
 shares = st.floats(0, 1)
 points = st.builds(
-    Point, shares, shares, st.builds(Percept, st.floats(0, 40), shares, st.floats(-30, 30))
+    Location, shares, shares, st.builds(Percept, st.floats(0, 40), shares, st.floats(-30, 30))
 )
 
 
 def make_experience(
-    protocol: str, felt: dict[str, Point], *, reference: str | None = None
+    protocol: str, felt: dict[str, Location], *, reference: str | None = None
 ) -> Experience:
     parts = tuple(Part(name, f"code-{name}") for name in felt)
     judgement = Judgement("test", "code-test", reference and f"code-{reference}")
@@ -54,7 +55,7 @@ def make_experience(
 
 
 def ask(experience: Experience, *, touch: Touch = TOUCH) -> float:
-    return judge(experience, experience.trial.judgements[0], touch=touch)
+    return find_percept(experience, experience.trial.judgements[0], touch=touch)
 
 
 def test_realism_is_the_stated_sum() -> None:
@@ -69,8 +70,8 @@ def test_distance_is_the_stated_sum() -> None:
 
 @pytest.mark.parametrize("level", [3.0, -3.0])
 @given(a=points, b=points, c=points)
-def test_distance_is_a_metric(level: float, a: Point, b: Point, c: Point) -> None:
-    measure = Touch(replace(MODEL, level=level), {}).measure_distance
+def test_distance_is_a_metric(level: float, a: Location, b: Location, c: Location) -> None:
+    measure = Touch(vary(MODEL, level=level), {}).measure_distance
     assert measure(a, a) == 0
     assert measure(a, b) == measure(b, a) >= 0
     assert measure(a, c) <= measure(a, b) + measure(b, c) + 1e-9
@@ -82,13 +83,13 @@ def test_two_that_lose_as_much_in_different_ways_are_apart(protocol: str) -> Non
         Sensation(2.0, np.array([100.0, 1.0]), np.ones(4)),
         Sensation(2.0, np.array([1.0, 100.0]), np.ones(4)),
     )
-    one, other = (Point(0.5, 0.5, Percept(14.0, 0.1, 0.0, sensed)) for sensed in (low, high))
+    one, other = (Location(0.5, 0.5, Percept(14.0, 0.1, 0.0, sensed)) for sensed in (low, high))
     experience = make_experience(
         protocol, {"first": one, "test": other, "x": other}, reference="first"
     )
     expected = MODEL.threshold_spectral * 20.0  # dB, in both bands
     if protocol == "abx":
-        assert compare(
+        assert measure_distances(
             experience, Judgement("x", "?"), ("first", "test"), touch=TOUCH
         ) == pytest.approx({"first": expected, "test": 0.0})
     else:
@@ -97,7 +98,9 @@ def test_two_that_lose_as_much_in_different_ways_are_apart(protocol: str) -> Non
 
 
 @given(points)
-def test_similarity_to_the_original_loses_what_realism_loses_unless_stronger(point: Point) -> None:
+def test_similarity_to_the_original_loses_what_realism_loses_unless_stronger(
+    point: Location,
+) -> None:
     similarity = ask(
         make_experience("similarity", {"reference": REAL, "test": point}, reference="reference")
     )
@@ -132,7 +135,7 @@ def test_an_explicit_reference_may_be_judged_hidden_too() -> None:
     judgement = Judgement("1", "code", "code")
     trial = Trial(1, 1, 1, "mushra", "mushra", "free", "oak", parts, (judgement,))
     experience = Experience(trial, {"reference": WEAK, "1": WEAK})
-    assert judge(experience, judgement, touch=TOUCH) == 100
+    assert find_percept(experience, judgement, touch=TOUCH) == 100
 
 
 def test_the_real_surface_is_where_the_original_is() -> None:
@@ -140,12 +143,12 @@ def test_the_real_surface_is_where_the_original_is() -> None:
     judgement = Judgement("test", "code", SURFACE)
     trial = Trial(1, 1, 1, "similarity", "similarity", "replay", "oak", parts, (judgement,))
     experience = Experience(trial, {"reference": TOUCH.locate(None), "test": WEAK})
-    assert judge(experience, judgement, touch=TOUCH) == pytest.approx(20 + TOUCH.feel(WEAK))
+    assert find_percept(experience, judgement, touch=TOUCH) == pytest.approx(20 + TOUCH.feel(WEAK))
 
 
 def test_candidates_are_as_far_as_they_feel_from_what_is_asked() -> None:
     experience = make_experience("abx", {"a": WEAK, "b": STRONG, "x": STRONG})
-    assert compare(experience, Judgement("x", "?"), ("a", "b"), touch=TOUCH) == {
+    assert measure_distances(experience, Judgement("x", "?"), ("a", "b"), touch=TOUCH) == {
         "a": pytest.approx(48),
         "b": 0.0,
     }
@@ -153,7 +156,7 @@ def test_candidates_are_as_far_as_they_feel_from_what_is_asked() -> None:
 
 def test_every_protocol_with_a_slider_can_be_judged() -> None:
     scales = read_scales("en")
-    assert set(SLIDERS) == {
+    assert set(SURE_ENDS) == {
         name for name, protocol in PROTOCOLS.items() if not scales[protocol.scale].choices
     }
 
@@ -161,7 +164,8 @@ def test_every_protocol_with_a_slider_can_be_judged() -> None:
 def test_what_was_not_felt_cannot_be_judged() -> None:
     experience = make_experience("realism", {"test": WEAK})
     with pytest.raises(
-        ValueError, match=r"asked about part 'test' of trial 1 before it was felt; play it first"
+        ValueError,
+        match=r"part 'test' of trial 1 was to be rated before it was felt; play it first",
     ):
         ask(replace(experience, points={}))
 
@@ -169,14 +173,14 @@ def test_what_was_not_felt_cannot_be_judged() -> None:
 def test_a_reference_that_no_part_holds_is_refused() -> None:
     experience = make_experience("similarity", {"test": WEAK}, reference="elsewhere")
     with pytest.raises(
-        ValueError, match=r"trial 1: got reference 'code-elsewhere', allowed is what a part"
+        ValueError,
+        match=r"trial 1: the reference must be the stimulus of one of its parts, got 'code-elsewhere'",
     ):
         ask(experience)
 
 
 def test_an_unknown_protocol_is_refused() -> None:
     with pytest.raises(
-        ValueError,
-        match=r"got protocol 'pinching', allowed with a slider is one of realism, similarity",
+        ValueError, match=r"protocol of a slider must be one of realism, similarity.*got 'pinching'"
     ):
         ask(make_experience("pinching", {"test": WEAK}))

@@ -19,18 +19,15 @@ if TYPE_CHECKING:
 
     from feel321.study.session.ports import Act
 
-MODEL = ObserverModel(
-    intercept=10.0,
-    spectral=45.0,
-    temporal=35.0,
-    bias_sd=6.0,
-    gain_sd=0.15,
-    noise_sd=8.0,
-    noise_spread=0.25,
-)
-EXACT = replace(MODEL, bias_sd=0.0, gain_sd=0.0, noise_sd=0.0, noise_spread=0.0)
+
+def vary(model: ObserverModel, **changes: object) -> ObserverModel:
+    return ObserverModel(**{**model.model_dump(), **changes})
+
+
+MODEL = ObserverModel()
+EXACT = vary(MODEL, bias_sd=0.0, gain_sd=0.0, noise_sd=0.0, noise_spread=0.0)
 # Every percept is 50 points, so that nothing but what a test plants moves a rating.
-FLAT = replace(EXACT, intercept=50.0, spectral=0.0, temporal=0.0)
+FLAT = vary(EXACT, intercept=50.0, spectral=0.0, temporal=0.0)
 SLIDER = Scale("any", "?", "low", "high")
 CHOICE = Scale("abx", "?", "", "", choices=("a", "b"))
 TOTAL = 10_000
@@ -166,7 +163,7 @@ def test_the_spectral_match_is_cut(code: str, percept: float) -> None:
 
 def test_planted_weights_on_the_matches_are_recovered() -> None:
     trials = make_main(4000)
-    model = replace(
+    model = vary(
         MODEL,
         intercept=15.0,
         bias_sd=0.0,
@@ -186,7 +183,7 @@ def test_planted_weights_on_the_distances_are_recovered() -> None:
         for s in STIMULI.values()
     }
     trials = make_main(4000)
-    model = replace(
+    model = vary(
         MODEL,
         bias_sd=0.0,
         gain_sd=0.0,
@@ -210,7 +207,7 @@ def test_planted_weights_on_the_distances_are_recovered() -> None:
 @pytest.mark.parametrize(("spectral", "temporal"), [(60.0, 0.0), (0.0, 60.0)])
 def test_a_planted_effect_is_found_in_the_item_means(spectral: float, temporal: float) -> None:
     trials = [make_realism(number, code) for number, code in enumerate(STIMULI, start=1)]
-    model = replace(MODEL, spectral=spectral, temporal=temporal)
+    model = vary(MODEL, spectral=spectral, temporal=temporal)
     means = np.mean(
         [rate_all(SimulatedObserver(model, seed=1, number=n), trials) for n in range(1, 17)], axis=0
     )
@@ -222,13 +219,13 @@ def test_a_planted_effect_is_found_in_the_item_means(spectral: float, temporal: 
 
 def test_participants_differ_by_number_in_bias_gain_and_noise() -> None:
     trials = make_main(20)
-    flat = replace(FLAT, bias_sd=6.0)
+    flat = vary(FLAT, bias_sd=6.0)
     biases = np.array([
         rate_all(SimulatedObserver(flat, seed=1, number=n), trials) for n in range(1, 201)
     ])
     assert np.ptp(biases, axis=1).max() == 0.0
     assert biases[:, 0].std(ddof=1) == pytest.approx(6.0, rel=0.15)
-    noisy = replace(FLAT, noise_sd=8.0)
+    noisy = vary(FLAT, noise_sd=8.0)
     noise = np.array([
         rate_all(SimulatedObserver(noisy, seed=1, number=n), trials) for n in range(1, 201)
     ])
@@ -242,13 +239,13 @@ def test_participants_differ_by_number_in_bias_gain_and_noise() -> None:
 def test_planted_drift_is_recovered(fatigue: float) -> None:
     trials = make_main(400)
     ratings = rate_all(
-        SimulatedObserver(replace(FLAT, fatigue=fatigue, noise_sd=3.0), seed=1, number=1), trials
+        SimulatedObserver(vary(FLAT, fatigue=fatigue, noise_sd=3.0), seed=1, number=1), trials
     )
     assert 100 * fit(ratings, range(400))[1] == pytest.approx(fatigue, rel=0.1)
 
 
 def test_planted_growth_of_the_noise_is_recovered() -> None:
-    observer = SimulatedObserver(replace(FLAT, noise_sd=4.0, fatigue_noise=0.25), seed=1, number=1)
+    observer = SimulatedObserver(vary(FLAT, noise_sd=4.0, fatigue_noise=0.25), seed=1, number=1)
     trials = make_main(3000)
     spreads = [
         np.std([answer(observer, trial, done=done).values["test"] for trial in trials])
@@ -261,7 +258,7 @@ def test_planted_growth_of_the_noise_is_recovered() -> None:
 def test_planted_contrast_is_recovered(order: float) -> None:
     trials = make_main(3000)
     ratings = rate_all(
-        SimulatedObserver(replace(EXACT, noise_sd=5.0, order=order), seed=1, number=1), trials
+        SimulatedObserver(vary(EXACT, noise_sd=5.0, order=order), seed=1, number=1), trials
     )
     percepts = 10 + np.array([45.0, 35.0]) @ np.array(matches(trials))
     intercept, own, before = fit(ratings[1:], percepts[1:], percepts[:-1])
@@ -271,7 +268,7 @@ def test_planted_contrast_is_recovered(order: float) -> None:
 
 
 def test_only_trials_of_the_main_phase_on_the_same_scale_make_contrast() -> None:
-    contrast = replace(EXACT, order=0.5)
+    contrast = vary(EXACT, order=0.5)
     observer = SimulatedObserver(contrast, seed=1, number=1)
     alone = [
         answer(SimulatedObserver(EXACT, seed=1, number=1), t).values["test"] for t in make_main(3)
@@ -289,7 +286,7 @@ def test_only_trials_of_the_main_phase_on_the_same_scale_make_contrast() -> None
 
 def test_lapses_reach_the_answers() -> None:
     ratings = rate_all(
-        SimulatedObserver(replace(FLAT, lapse_rate=0.1), seed=1, number=1), make_main(4000)
+        SimulatedObserver(vary(FLAT, lapse_rate=0.1), seed=1, number=1), make_main(4000)
     )
     assert np.mean(ratings != 50.0) == pytest.approx(0.1, abs=0.015)
 
@@ -297,7 +294,7 @@ def test_lapses_reach_the_answers() -> None:
 def test_bad_raters_are_told_from_the_others_by_their_ratings() -> None:
     trials = make_main(80)
     percepts = np.array([45.0, 35.0]) @ np.array(matches(trials))
-    model = replace(MODEL, straight_liners=0.25, random_clickers=0.25, scale_reversers=0.25)
+    model = vary(MODEL, straight_liners=0.25, random_clickers=0.25, scale_reversers=0.25)
     seen = set()
     for number in range(1, 41):
         observer = SimulatedObserver(model, seed=1, number=number)
@@ -314,7 +311,7 @@ def test_bad_raters_are_told_from_the_others_by_their_ratings() -> None:
 
 
 def test_choices_follow_the_percepts() -> None:
-    observer = SimulatedObserver(replace(EXACT, noise_sd=5.0), seed=1, number=1)
+    observer = SimulatedObserver(vary(EXACT, noise_sd=5.0), seed=1, number=1)
     correct = {
         code: np.mean([
             answer(observer, make_abx(n, code)).values["x"] == "a" for n in range(1, 1001)
@@ -330,7 +327,7 @@ def test_choices_follow_the_percepts() -> None:
 
 
 def test_growing_noise_makes_choices_worse() -> None:
-    observer = SimulatedObserver(replace(EXACT, noise_sd=3.0, fatigue_noise=1.0), seed=1, number=1)
+    observer = SimulatedObserver(vary(EXACT, noise_sd=3.0, fatigue_noise=1.0), seed=1, number=1)
     rested, tired = (
         np.mean([
             answer(observer, make_abx(n, "near"), done=done).values["x"] == "a"
@@ -354,13 +351,13 @@ def test_every_slider_of_a_page_is_answered_by_itself() -> None:
         )
     }
     assert values == pytest.approx(expected, abs=0.051)
-    noisy = SimulatedObserver(replace(EXACT, noise_sd=5.0), seed=1, number=1)
+    noisy = SimulatedObserver(vary(EXACT, noise_sd=5.0), seed=1, number=1)
     assert len(set(answer(noisy, make_mushra(1, ["far"] * 4)).values.values())) == 4
 
 
 def test_participants_agree_on_what_is_identical_and_not_on_how_much_less_the_rest_is() -> None:
     trial = make_mushra(1, ["original", "code1"])
-    stretched = replace(EXACT, gain_sd=0.3)
+    stretched = vary(EXACT, gain_sd=0.3)
     answers = [
         answer(SimulatedObserver(stretched, seed=1, number=n), trial).values for n in range(1, 51)
     ]
@@ -455,7 +452,7 @@ def test_seed_number_trial_and_attempt_decide_and_nothing_else() -> None:
         late_s: float = 0.0,
     ) -> object:
         observer = SimulatedObserver(
-            replace(FLAT, noise_sd=9.0), seed=seed, number=number, elapsed_s=late_s
+            vary(FLAT, noise_sd=9.0), seed=seed, number=number, elapsed_s=late_s
         )
         answer(observer, make_realism(2, "code2"))
         return answer(observer, trial, attempt=attempt).values
@@ -475,7 +472,7 @@ def record(trial: Trial, confirmed: Confirm, *, rejected: bool = False) -> Recor
 def test_a_resumed_session_gives_the_answers_and_times_of_an_unbroken_one(
     broken_after: int,
 ) -> None:
-    model = replace(MODEL, order=0.3, fatigue=20.0, fatigue_noise=0.5, lapse_rate=0.1)
+    model = vary(MODEL, order=0.3, fatigue=20.0, fatigue_noise=0.5, lapse_rate=0.1)
     trials = [*make_main(18), make_mushra(19, ["code1", "far"]), make_mushra(20, ["near", "code5"])]
     unbroken = SimulatedObserver(model, seed=3, number=2)
     whole = [answer(unbroken, trial, done=done) for done, trial in enumerate(trials)]
@@ -500,7 +497,7 @@ def test_a_resumed_session_gives_the_answers_and_times_of_an_unbroken_one(
 
 
 def test_an_answer_that_did_not_count_is_remembered_and_one_that_was_refused_is_not() -> None:
-    model = replace(EXACT, order=0.5)
+    model = vary(EXACT, order=0.5)
     first, second, third = make_main(3)
 
     def go_on(tell: Callable[[SimulatedObserver], None]) -> object:
@@ -527,9 +524,10 @@ def test_an_answer_that_did_not_count_is_remembered_and_one_that_was_refused_is_
 
 
 def test_percepts_that_are_missing_are_refused_where_they_matter() -> None:
-    observer = SimulatedObserver(replace(MODEL, level=2.0), seed=1, number=1)
+    observer = SimulatedObserver(vary(MODEL, level=2.0), seed=1, number=1)
     with pytest.raises(
-        ValueError, match=r"stimulus s1: got no percept, the observer's weights need one; read"
+        ValueError,
+        match=r"stimulus s1: its percept is missing, and the observer's weights need it; read",
     ):
         answer(observer, make_realism(1, "code1"))
 
@@ -549,7 +547,7 @@ def test_identity_names_everything_that_answers_depend_on() -> None:
 
 def test_people_feel_by_the_spectral_match_that_is_declared() -> None:
     stimulus = replace(make_stimulus("s", -3.0, 0.5), spectral_match_bounded=0.25)
-    bounded, raw = (Touch(replace(MODEL, spectral_metric=name), {}) for name in SPECTRAL)
+    bounded, raw = (Touch(vary(MODEL, spectral_metric=name), {}) for name in SPECTRAL)
     assert bounded.locate(stimulus).spectral == 0.25
     assert raw.locate(stimulus).spectral == 0.0
     assert raw.locate(replace(stimulus, spectral_match=0.5)).spectral == 0.5

@@ -17,13 +17,12 @@ from typing import Any
 
 from feel321.protocols.texts import read_scales, read_texts
 from feel321.protocols.trial import Flow, Page
-from feel321.study.actuator.output import Delivery
 from feel321.study.screen.layout import compose
 from feel321.study.screen.parts import Hand, View, make_screen_texts
 from feel321.study.screen.presenter import ScreenPresenter
 from feel321.study.screen.window import Window, open_screen
 from feel321.study.session.engine import Stage, Stopped, conduct_page, conduct_trial
-from feel321.study.session.ports import Place
+from feel321.study.session.ports import Place, Playback
 from feel321.study.settings.read import Surface
 
 gallery = run_path(str(Path(__file__).with_name("gallery.py")))
@@ -101,9 +100,9 @@ class SilentOutput:
             self.was_stopped, self.ends_s = True, clock()
             tell(stopped=clock())
 
-    def collect(self) -> Delivery:
+    def collect(self) -> Playback:
         tell(collected=clock())
-        return Delivery(
+        return Playback(
             self.began_s, self.began_s, completed=not self.was_stopped, measured={"dac_time_s": 1.0}
         )
 
