@@ -217,9 +217,9 @@ def _read_progress(folder: Path) -> tuple[Progress, Dossier | None]:
     try:
         dossier = read_dossier(folder)
         standing = make_standing(dossier)
-        with read_as_written(folder):
-            newest = dossier.chains[-1:]
-            warnings = [line for chain in newest for line in _find_warnings(dossier.plan, chain)]
+        with read_as_written(dossier.newest):
+            chains = dossier.chains[-1:]
+            warnings = [line for chain in chains for line in _find_warnings(dossier.plan, chain)]
             _list_counted(dossier)  # for the balance, which tells no folder
     except (OSError, ValueError) as error:
         return Progress(folder.name, problem=str(error)), None

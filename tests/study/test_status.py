@@ -41,11 +41,7 @@ def test_who_finished_has_nothing_left(begun: StudyFolder) -> None:
 @pytest.mark.parametrize(
     ("name", "content", "problem"),
     [
-        (
-            "plan.json",
-            b"null",
-            "plan.json: not a plan, or changed after it was stored",
-        ),
+        ("plan.json", b"null", "plan.json: not a plan, or changed after it was stored"),
         ("session-01.jsonl", b"{}\n", "session-01.jsonl, line 1: was changed after it was written"),
     ],
 )
@@ -156,7 +152,7 @@ def test_records_of_another_make_are_the_problem_of_their_participant(
     )
     broken, fine = read_status(StudyFolder(tmp_path)).participants
     assert broken.problem.startswith(
-        f"{tmp_path / 'sessions' / 'p01'}: holds what feel321 does not write (KeyError: "
+        f"{tmp_path / 'sessions' / 'p01' / 'session-01.jsonl'}, line 10: is not a 'rated' record"
     )
     assert (fine.state, fine.done, fine.problem) == ("running", 2, "")
 

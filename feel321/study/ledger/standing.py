@@ -195,7 +195,7 @@ def make_standing(dossier: Dossier) -> Standing:
     """Derive where one participant stands from plan and journals."""
     plan, newest = dossier.plan, dossier.records
     times = [record.utc for chain in dossier.chains for record in chain.records]
-    with read_as_written(dossier.folder):
+    with read_as_written(dossier.newest):
         return Standing(
             participant=plan.participant,
             simulated=plan.simulated,

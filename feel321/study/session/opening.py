@@ -198,6 +198,11 @@ class Dossier:
         """The records of the newest journal."""
         return self.chains[-1].records if self.chains else ()
 
+    @property
+    def newest(self) -> Path:
+        """The file of the newest journal; that of the plan before the first."""
+        return [self.folder / PLAN_FILE, *list_journals(self.folder)][-1]
+
 
 def read_dossier(folder: Path) -> Dossier:
     """Read a participant's folder, also while a session runs."""
