@@ -13,7 +13,12 @@ from feel321.analysis.mixed.model import fit_mixed
 from feel321.analysis.primary import plan
 from feel321.analysis.primary.model import fit_attributes, fit_primary, tabulate_slopes
 from feel321.analysis.primary.plan import make_cells
-from feel321.analysis.primary.sensitivity import Precision, find_own, find_variances, vary_primary
+from feel321.analysis.primary.sensitivity import (
+    SlopePrecision,
+    find_own,
+    find_variances,
+    vary_primary,
+)
 
 if TYPE_CHECKING:
     from feel321.analysis.primary.model import Primary
@@ -257,7 +262,7 @@ def test_one_reducer_pair_per_person_has_too_few_rows_for_slopes(rows: pd.DataFr
     [
         ({"rating": np.nan}, "480 values of 'rating' not finite"),
         ({"sm": np.inf}, "480 values of 'sm' not finite"),
-        ({"rating": 50.0}, "a response that is constant"),
+        ({"rating": 50.0}, "a response with scatter"),
         ({"participant": None}, "without participant, recording or item"),
         ({"sm": 1.0, "tm": 1.0}, "none of which differs"),
         ({"item": 1}, "item 1 with two recordings or two values"),
@@ -300,9 +305,7 @@ def test_shapes_refused(rows: pd.DataFrame) -> None:
         fit_primary(rows, [])
     with pytest.raises(ValueError, match="got none"):
         fit_primary(rows.iloc[:0], METRICS)
-    with pytest.raises(
-        ValueError, match="metrics: got 'sm', allowed is one name or more, in a list"
-    ):
+    with pytest.raises(ValueError, match="metrics must be a list of one name or more, got 'sm'"):
         fit_primary(rows, "sm")
     with pytest.raises(ValueError, match="rows, 'sm': got 'high', allowed are numbers"):
         fit_primary(rows.assign(sm="high"), METRICS)
@@ -312,9 +315,9 @@ def test_shapes_refused(rows: pd.DataFrame) -> None:
         fit_primary(
             rows.assign(scale=np.where(rows["repeat"] == 0, "realism", "similarity")), METRICS
         )
-    with pytest.raises(ValueError, match="rows: got no column 'scale', which tells the attributes"):
+    with pytest.raises(ValueError, match="got no column 'scale'; name it"):
         fit_attributes(rows, METRICS)
-    with pytest.raises(ValueError, match="models: got none"):
+    with pytest.raises(ValueError, match="models must hold one attribute or more"):
         tabulate_slopes({})
     with pytest.raises(ValueError, match="one participant and one recording"):
         fit_primary(rows.query("participant == 0 and recording == 0"), METRICS)
@@ -487,7 +490,7 @@ def test_sensitivity_tells_why_a_variant_has_no_numbers(rows: pd.DataFrame) -> N
 
 
 def test_sensitivity_refuses_another_scale_and_what_the_primary_refuses(rows: pd.DataFrame) -> None:
-    with pytest.raises(ValueError, match="allowed is 0 to 7; give top"):
+    with pytest.raises(ValueError, match="ratings from 0 to 7, got 8"):
         vary_primary(rows, METRICS, top=7)
     with pytest.raises(ValueError, match="none of which differs"):
         vary_primary(rows.assign(sm=1.0), ["sm"])
@@ -509,7 +512,7 @@ def test_precision_is_that_of_the_model_with_its_own_spreads() -> None:
     design = np.column_stack([within, np.eye(scenes)[scene]])
     weighted = np.linalg.inv(design.T @ np.linalg.solve(spread, design))
     for place in (0, 1):
-        study = Precision(
+        study = SlopePrecision(
             slopes,
             of_item,
             noise,
@@ -531,7 +534,7 @@ def test_precision_is_that_of_the_model_with_its_own_spreads() -> None:
 
 
 def test_plans_grow_with_what_they_need() -> None:
-    study = Precision(5, 4, 10, 2.5, n_participants=20, n_recordings=10, n_items=90)
+    study = SlopePrecision(5, 4, 10, 2.5, n_participants=20, n_recordings=10, n_items=90)
     shared = replace(study, reducer_sd=6.0, n_reducers=9, n_alike=10.0)
     alike, partly = (replace(shared, reducer_square=share * study.square) for share in (1.0, 0.5))
     # What is the same in all recordings does not become more with recordings, what differs does.
