@@ -30,15 +30,9 @@ from feel321.protocols.trial import (
     select_items,
     select_tasks,
 )
+from feel321.study.session import journal
 from feel321.study.session.events import Event, PageRead, TrialRated, TrialSpoiled, WarmUpBegun
-from feel321.study.session.journal import (  # all but digest: kept until all branches are in
-    digest,
-    find_elapsed,  # noqa: F401 - see above
-    find_header,  # noqa: F401 - see above
-    has_event,  # noqa: F401 - see above
-    list_journals,  # noqa: F401 - see above
-    name_journal,  # noqa: F401 - see above
-)
+from feel321.study.session.journal import digest
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
@@ -150,12 +144,9 @@ def make_plan(
         raise ValueError(f"participant must be letters, digits, - and _, got {participant!r}")
     groups, place = place_in_groups(design.between, number)
     tasks = select_tasks(design.tasks, groups)
-    codes = list_codes(stimuli, seed=design.seed)
+    by_code = list_by_code(stimuli, seed=design.seed).items()
     items = select_items(
-        [
-            Item(codes[row.stimulus_id], row.recording, row.reducer, row.level, row.role)
-            for row in stimuli.stimuli
-        ],
+        [Item(code, row.recording, row.reducer, row.level, row.role) for code, row in by_code],
         groups,
     )
     main = make_order(
@@ -334,3 +325,12 @@ def advance(agenda: Agenda, event: Event, trials: Mapping[int, Trial]) -> None:
             )
         case WarmUpBegun():
             agenda.warm_up()
+
+
+# Moved to `journal`; kept until all branches are in.
+find_elapsed, find_header, has_event = (
+    journal.find_elapsed,
+    journal.find_header,
+    journal.has_event,
+)
+list_journals, name_journal = journal.list_journals, journal.name_journal
