@@ -416,14 +416,11 @@ def check_lab(rig: Rig) -> None:
             "run: no display found (DISPLAY is not set); run it on the lab's own screen, or under xvfb-run"
         )
     if rig.device.name != FILE_DEVICE:
-        _require_device(rig)
+        # Before its name stands in the header of a session that could not go on with another device.
+        from feel321.study.actuator.stream import check_channels, find_device, list_devices
 
-
-def _require_device(rig: Rig) -> None:
-    """Check the device before its name stands in the header of a session that could not go on with another one."""
-    from feel321.study.actuator.stream import check_channels, find_device, list_devices
-
-    check_channels(find_device(list_devices(), rig.device.name, host_api=rig.device.host_api), rig)
+        device = find_device(list_devices(), rig.device.name, host_api=rig.device.host_api)
+        check_channels(device, rig)
 
 
 def identify_lab(lab: Lab) -> dict[str, Any]:
@@ -514,7 +511,7 @@ def run_participant(
     *,
     now: Clock,
     on_step: Callable[[Place], None] | None = None,
-    warn: Callable[[str], None] | None = None,
+    warn: Callable[[str], None] = lambda _: None,
 ) -> Outcome:
     """Run the session of one participant, or resume it."""
     settings, stimuli = read_settings(study.settings), read_stimuli(study.stimuli)
@@ -522,22 +519,26 @@ def run_participant(
     if unfelt := find_unfelt(settings, stimuli):
         if not (study.is_rehearsal or visit.simulated):
             raise ValueError(f"{study.settings}: {unfelt}")
-        (warn or (lambda _: None))(unfelt)
-    lab = _prepare_lab(study, visit, settings=settings, stimuli=stimuli)
+        warn(unfelt)
+    rig = require_rig(study, settings, stimuli, device=visit.device)
+    check_lab(rig)
+    seed = settings.study.seed if visit.seed is None else visit.seed
+    casting = cast_observers(settings, stimuli, seed=seed) if visit.simulated else None
+    lab = Lab(study, settings, stimuli, rig, windowed=visit.windowed, casting=casting)
     room, notice = open_room(study, settings, stimuli, now=now)
     plan = plan_sessions(room, settings, [visit.participant], simulated=visit.simulated)[0]
-    if (finished := _find_finished(room, plan)) is not None:
-        return finished
-    outcome, mended = lead_session(
+    for entry in read_ledger(room.ledger, plan.participant):
+        if entry.state == "finished":  # No window is opened for it.
+            return Outcome(entry.done, entry.total)
+    outcome, repaired = lead_session(
         room,
         plan,
         identity=make_identity(settings, study.path, identify_lab(lab)),
         make_presenter=partial(open_lab, lab=lab),
         on_step=on_step,
     )
-    if warn is not None:
-        for line in filter(None, (notice, mended)):
-            warn(line)
+    for line in filter(None, (notice, repaired)):
+        warn(line)
     return outcome
 
 
@@ -555,21 +556,3 @@ def require_rig(
     if problems := list_rig_problems(study, rig, settings=settings, stimuli=stimuli):
         raise ValueError("\n".join(problems))
     return rig
-
-
-def _prepare_lab(
-    study: StudyFolder, visit: Visit, *, settings: Settings, stimuli: StimulusSet
-) -> Lab:
-    rig = require_rig(study, settings, stimuli, device=visit.device)
-    check_lab(rig)
-    seed = settings.study.seed if visit.seed is None else visit.seed
-    casting = cast_observers(settings, stimuli, seed=seed) if visit.simulated else None
-    return Lab(study, settings, stimuli, rig, windowed=visit.windowed, casting=casting)
-
-
-def _find_finished(room: Room, plan: Plan) -> Outcome | None:
-    """Find whether the session is finished, so that no window is opened for it."""
-    entries = read_ledger(room.ledger, plan.participant)
-    return next(
-        (Outcome(entry.done, entry.total) for entry in entries if entry.state == "finished"), None
-    )

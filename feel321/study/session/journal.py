@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
     from pathlib import Path
 
-    from pandas import DataFrame
-
     Clock = Callable[[], datetime]
 
 START = "0" * 64
@@ -73,15 +71,6 @@ class Chain:
     records: tuple[Record, ...]
     tip: str
     torn: bytes
-
-    def to_frame(self) -> DataFrame:
-        """Return one row per record, with a column per field of its event."""
-        import pandas as pd
-
-        rows = [
-            {"sequence": r.sequence, "utc": r.utc, "event": r.event, **r.data} for r in self.records
-        ]
-        return pd.DataFrame(rows)
 
 
 def find_events(records: Iterable[Record], *kinds: type[E]) -> Iterator[E]:
