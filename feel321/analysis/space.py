@@ -162,13 +162,6 @@ def fit_space(
     Space
         The best of the classical and several random starts.
 
-    Raises
-    ------
-    ValueError
-        If a shape is wrong, a value is negative or infinite, the matrix is not symmetric or 0 on its
-        diagonal, a pair was rated by nobody, all are alike, or the dimensions do not fit the stimuli; with draws, if
-        there are fewer than two participants.
-
     Notes
     -----
     SMACOF (scikit-learn) minimises Σ (δ_ij - d_ij)² over pairs. Stress-1 = √(Σ (δ̂ - d)² / Σ d²), where δ̂ is
@@ -354,12 +347,6 @@ def align_spaces(
     -------
     Alignment
         Agreement, its p, and the map laid over the reference.
-
-    Raises
-    ------
-    ValueError
-        If shapes do not fit, a value is not finite, all stimuli are in one place, or no permutation is asked
-        for.
 
     Notes
     -----

@@ -90,11 +90,6 @@ def intraclass(table: Table | ArrayLike) -> Intraclass:
     Intraclass
         All six forms.
 
-    Raises
-    ------
-    ValueError
-        If the table is too small or has a cell that is not finite.
-
     Notes
     -----
     Model: rating = target + rater + error. With n targets and k raters, the mean squares of targets R, raters
@@ -168,11 +163,6 @@ def noise_ceiling(table: Table | ArrayLike) -> float:
     float
         sqrt(ICC(C,k)), 0 to 1; NaN where targets do not differ beyond noise: there is nothing to predict
         then.
-
-    Raises
-    ------
-    ValueError
-        If the table is too small or has a cell that is not finite.
 
     Notes
     -----

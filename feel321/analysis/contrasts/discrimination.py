@@ -101,12 +101,6 @@ def discriminate(
     Discrimination or DataFrame
         Share, intervals, test and d' under two models of the observer; of a table, a row per pair (and pooled).
 
-    Raises
-    ------
-    ValueError
-        If the counts are not whole, or not 0 <= n_correct <= n_trials with n_trials of 1 or more; if a table lacks a
-        column or trials, or has an answer that is neither true nor false.
-
     Notes
     -----
     Model: an unbiased observer, A and B normal with equal spread and d' apart. With Φ the normal distribution
