@@ -316,4 +316,4 @@ def test_the_report_holds_them(small: object, monkeypatch: pytest.MonkeyPatch) -
     assert any(number.name == f"further.realism.as_is.{MEAN}.pearson" for number in results.numbers)
     assert results.inputs["further_metrics"] == MEAN
     assert "tables/further_associations.csv" in results.files
-    assert association.TITLE in (folder / "index.html").read_text(encoding="utf-8")
+    assert "Further metrics, explored" in (folder / "index.html").read_text(encoding="utf-8")
