@@ -222,6 +222,7 @@ def test_records_are_found_in_results_and_with_a_warning_here() -> None:
 def test_names_of_other_packages_are_repeated_rightly() -> None:
     assert list(schema.MATCHES) == list(METRICS)
     assert schema.PLANNED == PLANNED
+    assert list(schema.REDUCERS) == list(stimuli.REDUCERS)
     assert schema.SURFACE == SURFACE
     scales = {protocol.scale for protocol in PROTOCOLS.values()}
     assert set(schema.APART) <= scales

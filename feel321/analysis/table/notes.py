@@ -76,10 +76,8 @@ def note_stimuli(sheet: DataFrame) -> Iterator[str]:
         if len(above := sheet.loc[sheet[name] > 1, STIMULUS]):
             first = list_names([above.iloc[0]])
             yield f"'{name}' is above 1, which no match can be, for {len(above)} stimuli, first {first}."
-    from feel321.stimuli.reducers.registry import REDUCERS
-
     tests = sheet.loc[sheet[ROLE] == TEST, "reducer"]
-    if strangers := sorted(set(tests) - set(REDUCERS)):
+    if strangers := sorted(set(tests) - set(schema.REDUCERS)):
         yield f"Reducers unknown to feel321, analysed as named: {list_names(strangers)}."
 
 

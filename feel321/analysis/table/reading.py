@@ -384,12 +384,6 @@ def _read_sources(sheet: DataFrame, sources: Mapping[str, str], what: str) -> Se
     return found
 
 
-def _known_reducers() -> Mapping[str, object]:
-    from feel321.stimuli.reducers.registry import REDUCERS
-
-    return REDUCERS
-
-
 # Judgements and stimuli together: what was judged against what, and what of it the metrics describe.
 
 
@@ -441,7 +435,7 @@ def _find_references(rows: DataFrame, manifest: DataFrame) -> Series:
         known[name] = UNLISTED
         if name in manifest.index:
             reducer, role = manifest.loc[name, ["reducer", ROLE]]
-            whole = role == "reference" and reducer not in _known_reducers()
+            whole = role == "reference" and reducer not in schema.REDUCERS
             known[name] = "" if whole else f"what '{reducer}' made of the recording"
     of_reference = rows["reference_id"].map(manifest["recording"])
     is_foreign = of_reference.notna() & (of_reference != rows["recording"])
@@ -452,8 +446,8 @@ def _note_references(rows: DataFrame, manifest: DataFrame) -> Iterator[str]:
     """Say which judgements had another reference than the metrics have, or none that is known."""
     nameless = int(((rows["scale"] == schema.PAIRED) & (rows["reference_id"] == "")).sum())
     if nameless:
-        scale = f"{nameless} judgements of scale '{schema.PAIRED}'"
-        yield f"{scale} name no reference_id: they are taken as from the reference."
+        which = f"{nameless} judgements of scale '{schema.PAIRED}'"
+        yield f"{which} name no reference_id: they are taken as from the reference."
     told = rows.assign(reference=_find_references(rows, manifest))
     told = told[(told[ROLE] != schema.PAIR) & (told["reference"] != "")]
     for (scale, reference), part in told.groupby(["scale", "reference"]):
