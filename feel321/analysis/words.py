@@ -43,7 +43,7 @@ METRIC_AXES = {
 """Axis label of each metric; another metric is labelled by its name."""
 
 MEASURES = {"dissimilarity": "dissimilarity from the reference", "abx": "percentage correct"}
-"""Scales whose points are no rating of one stimulus -> what they measure."""
+"""Scales that do not rate a stimulus by itself -> what they measure."""
 
 TWO_WAY = "95 % two-way bootstrap interval, over participants and recordings"
 ONE_WAY = "95 % bootstrap interval over participants only: these stimuli as the only ones"

@@ -22,7 +22,7 @@ SMALLEST = 2
 """Targets and raters that a variance needs at least."""
 
 COMPLETE = 0.5
-"""Share of the stimuli that everyone must have rated for a ceiling to speak of them all."""
+"""Share of the stimuli that everyone must have rated for a ceiling of all of them."""
 
 UPPER = (1 + CONFIDENCE) / 2
 

@@ -488,14 +488,3 @@ def make_panel(
         ),
         stimuli=stimulus_means(part).join(of_stimuli, on="stimulus_id"),
     )
-
-
-def stack_records(panels: Sequence[Panel], kind: str) -> DataFrame:
-    """Tabulate the associations or differences of panels, for a file."""
-    import pandas as pd
-
-    return pd.DataFrame([
-        {"scale": panel.scale, "level": panel.level, **asdict(record), "notes": " ".join(record.notes)}
-        for panel in panels
-        for record in getattr(panel, kind)
-    ])  # fmt: skip

@@ -1,4 +1,4 @@
-"""Can two stimuli be told apart? ABX trials: share correct, d' and the chance of guessing as well."""
+"""Can two stimuli be discriminated? ABX trials: share correct, d' and the chance of guessing as well."""
 
 from __future__ import annotations
 

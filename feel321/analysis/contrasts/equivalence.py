@@ -1,6 +1,6 @@
 """Differences between reducers: means, equivalence and non-inferiority with a margin fixed beforehand.
 
-Conventions: hidden reference and anchors have their place here (role tells them apart); repeats are averaged
+Conventions: hidden reference and anchors have their place here (their role marks them); repeats are averaged
 first, then a participant's stimuli, then participants, so that nobody counts twice for having judged more.
 """
 

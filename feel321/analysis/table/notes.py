@@ -22,7 +22,7 @@ SHORT = 10
 """Points below which a scale's highest rating makes one doubt that it went to 100."""
 
 SPACE = (
-    "Where a map of the dissimilarities can be made, it stands under The space of what was felt."
+    "Where a map of the dissimilarities can be made, it is shown under The space of what was felt."
 )
 
 
@@ -87,7 +87,7 @@ def note_sources(rows: DataFrame) -> Iterator[str]:
     recordings, sources = (rows.loc[tests, name].nunique() for name in ("recording", "source"))
     start = f"The {recordings} recordings come from {sources} source{'s' if sources > 1 else ''}, turned, cut or edited"
     if sources == 1 < recordings:
-        yield f"{start}: they are not independent, and nothing here speaks of other sources."
+        yield f"{start}: they are not independent, and the results do not extend to other sources."
     elif sources < recordings:
         yield (
             f"{start}: they are not independent, and what is said of others rests on sources. Two-way intervals draw "

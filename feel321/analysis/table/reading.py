@@ -448,9 +448,9 @@ def _note_references(rows: DataFrame, manifest: DataFrame) -> Iterator[str]:
     if nameless:
         which = f"{nameless} judgements of scale '{schema.PAIRED}'"
         yield f"{which} name no reference_id: they are taken as from the reference."
-    told = rows.assign(reference=_find_references(rows, manifest))
-    told = told[(told[ROLE] != schema.PAIR) & (told["reference"] != "")]
-    for (scale, reference), part in told.groupby(["scale", "reference"]):
+    known = rows.assign(reference=_find_references(rows, manifest))
+    known = known[(known[ROLE] != schema.PAIR) & (known["reference"] != "")]
+    for (scale, reference), part in known.groupby(["scale", "reference"]):
         against = f"{len(part)} judgements were made against {reference}"
         fate = ": none enters an association or a slope"
         fate = "" if reference in {SURFACED, UNLISTED} else fate
@@ -469,8 +469,8 @@ def _join_labels(rows: DataFrame, ratings: Path | DataFrame) -> tuple[DataFrame,
     names = [name for name in read_header(path) if name and name not in known]
     if not names:
         return rows, []
-    columns = {"participant": schema.Column("who", needed=True)} | dict.fromkeys(
-        names, schema.Column("a label")
+    columns = {"participant": schema.ColumnInfo("who", needed=True)} | dict.fromkeys(
+        names, schema.ColumnInfo("a label")
     )
     sheet, _ = read_sheet(path, path.name, columns)
     _refuse_doubled(sheet, "participant", path.name)
