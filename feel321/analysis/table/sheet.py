@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
     from pandas import DataFrame, Series
 
+    from feel321.analysis.table.schema import ColumnInfo
+
 FOREIGN = {
     b"\x1f\x8b": "a gzip file; unpack it first",
     b"PK\x03\x04": "an Excel or other zipped file; save the sheet as CSV (UTF-8)",
