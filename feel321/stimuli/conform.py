@@ -39,10 +39,7 @@ ENERGY_TOLERANCE = 0.005
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GoldenVector:
-    """Three axes and the output that equations 3 and 4 give.
-
-    acceleration: (3, n_samples); expected: (n_samples,).
-    """
+    """Three axes, (3, n_samples), and the output, (n_samples,), that equations 3 and 4 give."""
 
     name: str
     acceleration: Samples

@@ -18,9 +18,8 @@ Spectra are one-sided energy spectral densities on the DFT's grid, shape (..., n
 k * rate_hz / n_samples; frequencies in Hz.
 
 The kernel is a rectangle (Daniell smoothing) of full width 0.22 f around f: the Weber fraction of vibration frequency.
-The paper used MATLAB's `spafdr`, which averages the product of the transforms "over local frequency regions" of a
-chosen, frequency-dependent width (its *resolution*); the width here is that resolution, 0.22 f, edge to edge. MATLAB
-does not document its kernel's shape; the match metrics depend on it little, because both spectra are smoothed alike.
+The paper used MATLAB's `spafdr` with that width as its *resolution*. MATLAB does not document its kernel's shape; the
+match metrics depend on it little, because both spectra are smoothed alike.
 
 References
 ----------

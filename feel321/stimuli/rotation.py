@@ -17,8 +17,6 @@ References
 ----------
 .. [1] G. Park, K. J. Kuchenbecker, "Objective and subjective assessment of algorithms for reducing three-axis
    vibrations to one-axis vibrations", World Haptics 2019. doi:10.1109/WHC.2019.8816148
-.. [2] N. Landin, J. M. Romano, W. McMahan, K. J. Kuchenbecker, "Dimensional reduction of high-frequency accelerations
-   for haptic rendering", EuroHaptics 2010, equations 1 and 2. doi:10.1007/978-3-642-14075-4_12
 """
 
 from __future__ import annotations
@@ -292,10 +290,6 @@ def rotation_statistics(
     ------
     ValueError
         If the input is not one recording, the reducer is unknown, or there are fewer than 200 rotations.
-
-    References
-    ----------
-    .. [1] Park & Kuchenbecker 2019. doi:10.1109/WHC.2019.8816148
 
     Examples
     --------

@@ -333,7 +333,7 @@ def _share_beginning(shares: Samples) -> Samples:
 
 
 def measure(spectra: Spectra) -> tuple[Samples, Samples]:
-    """Sum the energies of the axes bin by bin, and tell their covariance by Parseval's theorem."""
+    """Sum the energies of the axes bin by bin, and compute their covariance by Parseval's theorem."""
     energy = np.empty(spectra[0].shape)
     covariance = np.zeros((*energy.shape[:-1], 3, 3))
     for place in _places(spectra):
