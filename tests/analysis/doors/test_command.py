@@ -67,15 +67,9 @@ def spoil(study: object, how: str) -> None:
             "ratings.csv, line 1: column participant, stimulus_id, scale, rating is missing; got",
         ),
         ("ratings cut", "ratings.csv, line "),
-        (
-            "ratings twice",
-            "and 87 more: got '5' in column 'trial', but an earlier line has the same",
-        ),
+        ("ratings twice", "and 87 more: trial must occur once with the same"),
         ("manifest missing", "manifest.csv: No such file or directory"),
-        (
-            "manifest twice",
-            "and 12 more: got 'rec0_mag321_as_is' in column 'stimulus_id', but an earlier line lists",
-        ),
+        ("manifest twice", "and 12 more: stimulus_id must be listed once, got 'rec0_mag321_as_is'"),
     ],
 )
 def test_what_cannot_be_read_is_one_line_and_no_report(
@@ -105,9 +99,7 @@ def test_without_test_stimuli_there_is_no_analysis(
     small: object, folder: Path, change: Change
 ) -> None:
     edit(small.ratings, change)
-    with pytest.raises(
-        ValueError, match="got none of a stimulus with role 'test'; at least one is needed"
-    ):
+    with pytest.raises(ValueError, match="must be of one stimulus or more with role 'test'"):
         write_report(small.ratings, small.manifest, folder, draws=2, seed=0)
     assert not folder.exists()
 
@@ -122,13 +114,13 @@ REDUCED = {
     "one reducer": (lambda f: f[f["reducer"] == "dft321"], "reducers are not compared. Only one was rated, 'dft321'."),
     "one of each": (
         lambda f: f[(f["recording"] == "rec0") & (f["participant"] == "p00")],
-        "no primary model. rows: got one participant and one recording",
+        "got one participant and one recording",
     ),
     "one judgement": (lambda f: f[f["reducer"] == "dft321"].iloc[:1], "No correlation: it needs 3 test stimuli, got"),
-    "all alike": (set_ratings(lambda _: "50"), "no primary model. data: got a response that is constant"),
+    "all alike": (set_ratings(lambda _: "50"), "no primary model. data must have a response with scatter"),
     "each rater alike": (
         set_ratings(lambda f: f["participant"].map({"p00": "5", "p01": "50", "p02": "95"})),
-        "no primary model. data: got a response that the random effects give exactly",
+        "got a response that the random effects give exactly",
     ),
     "one rater alike": (
         set_ratings(lambda f: f["rating"].mask(f["participant"] == "p00", "50")),
