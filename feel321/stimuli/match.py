@@ -1,4 +1,4 @@
-"""Match metrics: how much of a recording's spectrum and waveform a reduced signal keeps.
+"""Match metrics: the share of a recording's spectrum and waveform that a reduced signal keeps.
 
 Conventions: acceleration (3, n_samples) and reduced (n_samples,), both finite, in any common unit; every metric is
 called alike, `METRICS[name](acceleration, reduced, rate_hz)`, and 1 is a perfect match. Each has a `..._details` form
@@ -131,7 +131,7 @@ class WeberSmoothing:
 
 
 class _Edges(NamedTuple):
-    """Where the windows' edges cut the running sum: after so many whole bins, and a share of the next."""
+    """Edges of the windows in the running sum: a number of whole bins, and a share of the next."""
 
     bin: NDArray[np.intp]
     share: Samples

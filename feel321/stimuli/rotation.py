@@ -186,7 +186,7 @@ def match(
     reducers: str | Iterable[str | types.Reducer] = "all",
     metrics: str | Iterable[str | types.Metric] = "all",
 ) -> DataFrame:
-    """Match a recording with one reduced signal, or with what each reducer makes of it.
+    """Match a recording with one reduced signal, or with the output of each reducer.
 
     Parameters
     ----------
@@ -263,7 +263,7 @@ def rotation_statistics(
     reducer: str | None = None,
     rate_hz: float | None = None,
 ) -> DataFrame | RotationStatistics:
-    """Reduce a recording as if the sensor had been mounted in many random ways, and describe the metrics.
+    """Compute the metrics over random orientations of the sensor.
 
     Parameters
     ----------
@@ -329,7 +329,7 @@ def match_rotations(
     reducers: Sequence[str | types.Reducer],
     turns: Samples,
 ) -> Samples:
-    """Turn a recording, as if the sensor had been mounted otherwise, reduce it, and match it with itself.
+    """Rotate a recording, as if the sensor had been mounted differently, reduce it, and match the result.
 
     turns: (rotations, 3, 3); returns (n_reducers, 3, rotations): spectral, temporal, bounded spectral match.
     """

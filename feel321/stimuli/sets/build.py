@@ -53,7 +53,7 @@ FINISHED = "finished"
 
 @dataclass(frozen=True, slots=True)
 class History:
-    """What an earlier build left in `manifest.json`: read to save work, never trusted further than that.
+    """Results of an earlier build, from `manifest.json`: they save work and are never trusted further.
 
     rows: by stimulus id; keys: stimulus id -> the key it was rendered under; measured: by key.
     """
@@ -64,7 +64,7 @@ class History:
 
 
 def read_history(folder: Path) -> History:
-    """Read what an earlier build left; a manifest that is missing or damaged only costs building anew."""
+    """Read the results of an earlier build; if the manifest is missing or damaged, all is built anew."""
     from pydantic import TypeAdapter
 
     try:
@@ -88,7 +88,7 @@ def read_history(folder: Path) -> History:
 
 @dataclass(frozen=True, slots=True)
 class _Order:
-    """One file to be: a draft, what was measured on it, its level arm, and the gain that brings it there."""
+    """A file to be written: a draft, its measurements, its level arm, and its gain."""
 
     draft: Draft
     measured: Measured
@@ -261,7 +261,7 @@ def _publish(
 
 
 def _make_parts_folder(folder: Path) -> Path:
-    """Make the folder of unfinished work; what a killed build had rendered is kept, what it was writing is not."""
+    """Make the folder of unfinished work; what a killed build had rendered is kept, half-written files are not."""
     parts = folder / PARTS
     shutil.rmtree(parts / FINISHED, ignore_errors=True)
     (parts / FINISHED).mkdir(parents=True)
@@ -355,7 +355,7 @@ def _write(order: _Order, recording: Recording, *, recipe: Recipe, parts: Path) 
 def _list_details(
     orders: Sequence[_Order], recipe: Recipe, recordings: Sequence[Recording]
 ) -> dict[str, Any]:
-    """List what `manifest.json` holds beside the rows: enough to rebuild the set and to find what has changed."""
+    """List the other entries of `manifest.json`: enough to rebuild the set and to find what has changed."""
     return {
         "recipe": asdict(recipe),
         "conditioning": {r.name: list_steps(recipe.conditioning, r.rate_hz) for r in recordings},

@@ -55,7 +55,7 @@ class Draft:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """What was measured on a rendered stimulus at unit gain.
+    """Measurements of a rendered stimulus at unit gain.
 
     peak: largest magnitude in m/s²; levels: name of a threshold curve -> largest root mean square
     in any 200 ms, in multiples of the threshold.
@@ -70,7 +70,7 @@ class Measured:
 
 @dataclass(frozen=True, slots=True)
 class _Scale:
-    """What the stimuli of one recording are measured against."""
+    """The conditioned recording that its stimuli are measured against."""
 
     recording: Recording
     spectrum: OriginalSpectrum
@@ -79,7 +79,7 @@ class _Scale:
 
 
 def list_drafts(recording: Recording, recipe: Recipe) -> tuple[Draft, ...]:
-    """List what a recipe makes of one recording: tests, the hidden reference, anchors."""
+    """List the stimuli that a recipe makes of one recording: tests, the hidden reference, anchors."""
     wanted = [(name, "test") for name in recipe.reducers]
     if recipe.reference != NO_REFERENCE:
         wanted.append((recipe.reference, "reference"))
@@ -105,7 +105,7 @@ def versions() -> dict[str, str]:
 def render_recording(
     recording: Recording, drafts: Sequence[Draft], *, recipe: Recipe, parts: Path
 ) -> dict[str, Measured]:
-    """Render those drafts of one recording that are not in the parts folder yet; key -> what was measured."""
+    """Render those drafts of one recording that are not in the parts folder yet; key -> measurements."""
     measured = {c.key: found for c in drafts if (found := _read_part(parts, c.key)) is not None}
     new = [c for c in drafts if c.key not in measured]
     for draft, samples, note in _render(recording, new, recipe):
@@ -126,7 +126,7 @@ def measure_recording(
 
 
 def part_path(parts: Path, key: str) -> Path:
-    """Where a rendered stimulus, in m/s², is kept until the set is complete."""
+    """Path of a rendered stimulus, in m/s², until the set is complete."""
     return parts / f"{key}.wav"
 
 
