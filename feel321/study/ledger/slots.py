@@ -14,7 +14,7 @@ This module imports SQLAlchemy; import it where it is used, so that the command 
 from __future__ import annotations
 
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import UTC, datetime
 from itertools import count
 from shlex import quote
@@ -57,6 +57,7 @@ from feel321.study.session.plan import PARTICIPANT_ID
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
+    from dataclasses import Field
     from pathlib import Path
     from sqlite3 import Connection as SqliteConnection
 
@@ -76,37 +77,6 @@ LIVE = ("claimed", "running", "finished")
 
 STATES = (*LIVE, "released", "withdrawn")
 
-_TABLES = MetaData()
-_PARTICIPANTS = Table(
-    "participants",
-    _TABLES,
-    Column("participant", String, primary_key=True),
-    Column("simulated", Boolean, nullable=False),
-    Column("number", Integer, nullable=False),
-    Column("state", String, nullable=False),
-    Column("done", Integer, nullable=False),
-    Column("total", Integer, nullable=False),
-    Column("claimed_utc", String, nullable=False),
-)
-_ANCHORS = Table(
-    "anchors",
-    _TABLES,
-    Column("participant", String, primary_key=True),
-    Column("journal", String, primary_key=True),
-    Column("lines", Integer, nullable=False),
-    Column("tip", String, nullable=False),
-)
-_HOLDS_SLOT = _PARTICIPANTS.c.state.in_(LIVE)
-# Claims see to it by themselves; this keeps any other program from doing otherwise.
-Index(
-    "one_participant_per_slot",
-    _PARTICIPANTS.c.simulated,
-    _PARTICIPANTS.c.number,
-    unique=True,
-    sqlite_where=_HOLDS_SLOT,
-    postgresql_where=_HOLDS_SLOT,
-)
-
 
 @dataclass(frozen=True, slots=True)
 class Entry:
@@ -120,6 +90,32 @@ class Entry:
     total: int = 0
     anchors: tuple[Anchor, ...] = ()
     claimed_utc: str = field(default="", compare=False)
+
+
+_TABLES, _TYPES = MetaData(), {"str": String, "bool": Boolean, "int": Integer}
+
+
+def _declare(name: str, *columns: Field[object], keys: Sequence[str]) -> Table:
+    made: list[Column[object]] = [
+        Column(one.name, _TYPES[str(one.type)], primary_key=one.name in keys, nullable=False)
+        for one in columns
+    ]
+    return Table(name, _TABLES, *made)
+
+
+_NAME, *_REST = (one for one in fields(Entry) if one.name != "anchors")
+_PARTICIPANTS = _declare("participants", _NAME, *_REST, keys=["participant"])
+_ANCHORS = _declare("anchors", _NAME, *fields(Anchor), keys=["participant", "journal"])
+_HOLDS_SLOT = _PARTICIPANTS.c.state.in_(LIVE)
+# Claims see to it by themselves; this keeps any other program from doing otherwise.
+Index(
+    "one_participant_per_slot",
+    _PARTICIPANTS.c.simulated,
+    _PARTICIPANTS.c.number,
+    unique=True,
+    sqlite_where=_HOLDS_SLOT,
+    postgresql_where=_HOLDS_SLOT,
+)
 
 
 # Transactions.
