@@ -284,7 +284,7 @@ def test_an_edited_row_of_the_ledger_is_found(
 def test_a_ledger_that_is_gone_is_missed(copy: StudyFolder) -> None:
     copy.ledger.unlink()
     assert find_only(copy).startswith(
-        f"{copy.ledger}: is missing, so nobody can tell what else is; rebuild it: "
+        f"{copy.ledger}: is missing, so losses cannot be detected; rebuild it: "
     )
 
 

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, fields, replace
-from datetime import UTC, datetime
 from itertools import count
 from shlex import quote
 from typing import TYPE_CHECKING
@@ -39,17 +38,16 @@ from sqlalchemy import (
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.pool import NullPool
 
-from feel321.study.ledger.standing import (  # noqa: F401 - kept until all branches are in
+from feel321.study.contents import utc_now
+from feel321.study.ledger.standing import (
     REMOVED,
     Anchor,
     Standing,
     Tombstone,
     find_cut,
-    make_standing,
     read_standing,
     read_standings,
     read_tombstone,
-    write_roster,
 )
 from feel321.study.session.journal import create_journal, read_journal, require_journal
 from feel321.study.session.opening import TOMBSTONE_FILE
@@ -315,11 +313,6 @@ def rewrite_ledger(ledger: Engine, change: Callable[[list[Entry]], list[Entry]])
 WAS_MISSING = "all that it had seen, for it was missing"
 
 
-def utc_now() -> datetime:
-    """Return the time of day."""
-    return datetime.now(UTC)
-
-
 def open_study_ledger(study: StudyFolder, *, now: Clock = utc_now) -> tuple[Engine, str]:
     """Open the ledger of a study to write in it; one that is missing is rebuilt, and the log beside it says so."""
     ledger = _open(study)
@@ -345,7 +338,7 @@ def read_study_ledger(study: StudyFolder) -> list[Entry]:
         return read_ledger(open_ledger(study.ledger))
     if any(map(_is_begun, study.participants)):
         raise FileNotFoundError(
-            f"{study.ledger}: is missing, so nobody can tell what else is; rebuild it: {_write_rebuild(study)}"
+            f"{study.ledger}: is missing, so losses cannot be detected; rebuild it: {_write_rebuild(study)}"
         )
     return []
 

@@ -156,8 +156,8 @@ def test_a_rig_of_an_earlier_version_plays_as_it_did_and_is_warned_of(tmp_path: 
     (warning,) = compare(rig).warnings
     assert warning == (
         "one-axis stimuli reach the hand 3.0 dB stronger than the three-axis reference, so they can be "
-        "distinguished by strength; set weight: 'left coil' 0.7071, 'right coil' 0.7071; or add direction = [x, y, z] to every actuator, "
-        "then these weights are the default"
+        "distinguished by strength; set weight: 'left coil' 0.7071, 'right coil' 0.7071; or add direction = [x, y, z] "
+        "to every actuator, then these weights are the default"
     )
     mended = OLD.replace('"x"]', '"x"]\nweight = 0.7071').replace('"y"]', '"y"]\nweight = 0.7071')
     assert compare(read(tmp_path, mended)).warnings == []
