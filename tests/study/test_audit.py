@@ -508,7 +508,7 @@ def test_a_study_written_anew_as_a_whole_is_betrayed_by_the_seal(
     assert main(["audit", str(copy.path), "--expect", seal, "--json"]) == 1
     told = json.loads(capsys.readouterr().out)
     assert (
-        f"{copy.path}: got seal {told['seal']}, expected {seal}; something was recorded or changed since"
+        f"{copy.path}: the seal must be {seal}, got {told['seal']}; something was recorded or changed since"
         in (told["findings"])
     )
 
