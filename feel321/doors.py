@@ -11,11 +11,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-import numpy as np
-
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator
     from typing import Any
+
+    import numpy as np
 
     from feel321.types import PathLike, Progress, Rng
 
@@ -41,6 +41,8 @@ def as_rng(rng: Rng, what: str = "rng") -> np.random.Generator:
     >>> as_rng(0).integers(10, size=3)
     array([8, 6, 5])
     """
+    import numpy as np  # only here, so that the command line answers at once
+
     if isinstance(rng, np.random.Generator):
         return rng
     if isinstance(rng, bool) or not isinstance(rng, int | np.integer) or rng < 0:
@@ -58,8 +60,10 @@ def as_seed(rng: Rng, what: str = "rng") -> int:
     >>> as_seed(7)
     7
     """
+    import numpy as np
+
     generator = as_rng(rng, what)
-    return int(generator.integers(2**32)) if generator is rng else int(rng)  # type: ignore[arg-type]  # a seed
+    return int(generator.integers(2**32) if isinstance(rng, np.random.Generator) else rng)
 
 
 @contextmanager

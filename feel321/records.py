@@ -10,8 +10,6 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 if TYPE_CHECKING:
     from pandas import DataFrame
 
@@ -85,6 +83,8 @@ def to_json_value(value: object) -> Any:  # noqa: ANN401 - whatever JSON holds
 
 
 def _unpack(value: Any) -> object:  # noqa: ANN401 - what pydantic does not know
+    import numpy as np
+
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if isinstance(value, Mapping):
@@ -100,6 +100,8 @@ def _list_fields(value: object) -> list[tuple[str, Any]]:
 
 
 def _list_scalars(value: object) -> list[tuple[str, Any]]:
+    import numpy as np
+
     return [
         (name, entry)
         for name, entry in _list_fields(value)
@@ -108,6 +110,8 @@ def _list_scalars(value: object) -> list[tuple[str, Any]]:
 
 
 def _shorten(value: object) -> str:
+    import numpy as np
+
     return f"{value:.4g}" if isinstance(value, float | np.floating) else repr(value)
 
 
@@ -119,6 +123,8 @@ def _write_frame(frame: DataFrame) -> str:
 
 
 def _is_equal(one: Any, other: Any) -> bool:  # noqa: ANN401 - fields hold anything
+    import numpy as np
+
     if dataclasses.is_dataclass(one) and type(one) is type(other):
         one, other = dict(_list_fields(one)), dict(_list_fields(other))
     if hasattr(one, "equals"):  # a table or a column of pandas

@@ -1,53 +1,52 @@
-"""Rating tasks: what is judged against what, in which order, in which words, and what comes next.
+"""Rating tasks: comparisons, orders, balance, scores, and the steps of a session.
 
 Knows nothing of signals, screens or files: a trial names a stimulus by its id.
 """
 
+from feel321.doors import forward_old_names as _forward_old_names
 from feel321.protocols.agenda import Agenda
-from feel321.protocols.balance import Balance, measure_balance, williams_square
-from feel321.protocols.order import ORDERS, make_order, make_rehearsal
-from feel321.protocols.tasks import PROTOCOLS, is_as_expected, make_task, score_trial
-from feel321.protocols.texts import PageText, list_languages, read_pages, read_refusals, read_scales
-from feel321.protocols.trial import (
-    RATING_RANGE,
-    Comparison,
-    Flow,
-    Item,
-    Judgement,
-    Page,
-    Part,
-    Protocol,
-    Scale,
-    Task,
-    Trial,
-)
+from feel321.protocols.balance import Balance, measure_balance
+from feel321.protocols.order import ORDERS, make_order
+from feel321.protocols.tasks import PROTOCOLS, make_task, score_trial
+from feel321.protocols.texts import read_scales
+from feel321.protocols.trial import Flow, Item, Scale, Task, Trial, Trials
 
 __all__ = [
     "ORDERS",
     "PROTOCOLS",
-    "RATING_RANGE",
     "Agenda",
     "Balance",
-    "Comparison",
     "Flow",
     "Item",
-    "Judgement",
-    "Page",
-    "PageText",
-    "Part",
-    "Protocol",
     "Scale",
     "Task",
     "Trial",
-    "is_as_expected",
-    "list_languages",
+    "Trials",
     "make_order",
-    "make_rehearsal",
     "make_task",
     "measure_balance",
-    "read_pages",
-    "read_refusals",
     "read_scales",
     "score_trial",
-    "williams_square",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__
+
+
+_OLD = {
+    "balance": "williams_square|make_order",
+    "order": "make_rehearsal",
+    "tasks": "Protocol is_as_expected",
+    "texts": "PageText list_languages read_pages read_refusals",
+    "trial": "Comparison Judgement Page Part RATING_RANGE",
+}
+
+__getattr__ = _forward_old_names(
+    __name__,
+    {
+        name.partition("|")[0]: f"{__name__}.{module}:{name}"
+        for module, names in _OLD.items()
+        for name in names.split()
+    },
+)

@@ -1,8 +1,8 @@
 """The agenda of a session: training, practice, trials and pages, and what comes next.
 
-Pages, training with feedback, practice, breaks, and what is tried again all follow from the plan and from what
-was told so far, and from nothing else. A session that is resumed therefore tells an agenda what its journal
-holds, and goes on as if it had never been broken off.
+Pages, training with feedback, practice, breaks, and repeated attempts all follow from the plan and from what was
+told so far, and from nothing else. A session that is resumed therefore tells an agenda what its journal holds, and
+goes on as if it had never been interrupted.
 """
 
 from __future__ import annotations
@@ -12,28 +12,25 @@ from itertools import groupby
 from typing import TYPE_CHECKING
 
 from feel321.protocols.tasks import measure_chance
-from feel321.protocols.trial import Page, Trial
+from feel321.protocols.trial import Flow, Page, Trial
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from feel321.protocols.trial import Flow
-
     Step = Page | Trial
 
-# Training: feedback after each answer, and rounds until enough of them were right.
+SECONDS = 60.0
+RELAXING = frozenset({"main", "break", "rest", "warm_up"})
+"""Pages after which the time to the next break starts anew."""
 
 
 class Training:
-    """Who has understood what, so far.
+    """Feedback after each answer of training, and rounds until enough answers were right.
 
-    A round is passed if, of those answers that are not right by guessing, the share that was asked for is right [1]_.
-    At 75 % that lets nobody miss one of four, and one of eight where the choice is between two.
-
-    References
-    ----------
-    .. [1] Macmillan, N. A., & Creelman, C. D. (2005). Detection theory: A user's guide (2nd ed.), chapter 4
-       (correction for guessing). doi:10.4324/9781410611147
+    A round is passed if, of those answers that are not right by guessing, the share that was asked for is right
+    (correction for guessing: Macmillan, N. A., & Creelman, C. D. (2005). Detection theory: A user's guide (2nd ed.),
+    chapter 4. doi:10.4324/9781410611147). At 75 % that lets nobody miss one of four, and one of eight where the
+    choice is between two.
     """
 
     def __init__(self, trials: Sequence[Trial], flow: Flow) -> None:
@@ -43,10 +40,8 @@ class Training:
         self._understood: list[bool] = []
         self._guessed = 0.0
 
-    def tell(
-        self, trial: Trial, *, understood: bool | None, is_last: bool
-    ) -> Iterator[Page | Trial]:
-        """Take an answer, and give what follows from it at once."""
+    def tell(self, trial: Trial, *, understood: bool | None, is_last: bool) -> Iterator[Step]:
+        """Take an answer, and give the steps that follow from it at once."""
         if understood is not None:
             self._understood.append(understood)
             self._guessed += measure_chance(trial)
@@ -55,26 +50,16 @@ class Training:
             yield from self._end_round(trial.protocol)
             self._understood, self._guessed = [], 0.0
 
-    def _end_round(self, protocol: str) -> Iterator[Page | Trial]:
+    def _end_round(self, protocol: str) -> Iterator[Step]:
         self._rounds[protocol] += 1
-        not_guessed = len(self._understood) - self._guessed
-        if (
-            max(sum(self._understood) - self._guessed, 0.0)
-            >= self._flow.training_pass * not_guessed
-        ):
+        needed = self._flow.training_pass * (len(self._understood) - self._guessed)
+        if max(sum(self._understood) - self._guessed, 0.0) >= needed:
             yield Page("training_passed")
         elif self._rounds[protocol] >= self._flow.training_rounds:
             yield Page("training_failed", by="experimenter")
         else:
             yield Page("training_again")
             yield from (trial for trial in self._trials if trial.protocol == protocol)
-
-
-# What comes next in a session: ask for a page or a trial, tell what became of it.
-
-SECONDS = 60.0
-RELAXING = frozenset({"main", "break", "rest", "warm_up"})
-"""Pages after which the time to the next break starts anew."""
 
 
 class Agenda:
@@ -89,8 +74,8 @@ class Agenda:
 
     Examples
     --------
-    >>> from feel321.protocols.trial import Flow
-    >>> agenda = Agenda([], Flow())
+    >>> from feel321 import protocols
+    >>> agenda = protocols.Agenda([], protocols.Flow())
     >>> agenda.ask()
     Page(key='welcome', least_s=0.0, by='participant')
     >>> agenda.tell_page("welcome", time_s=2.5)
@@ -101,11 +86,11 @@ class Agenda:
     def __init__(self, trials: Sequence[Trial], flow: Flow) -> None:
         self._flow = flow
         self._trials = {trial.number: trial for trial in trials}
-        self._steps: deque[Step] = deque(lay_out(trials, flow))
+        self._steps: deque[Step] = deque(_list_steps(trials, flow))
         self._attempts: Counter[int] = Counter()
         self._spent: Counter[int] = Counter()
         self._training = Training(trials, flow)
-        self._breaks = _Breaks(flow)
+        self._since_break, self._break_s = 0, 0.0
         self.total = sum(trial.phase == "main" for trial in trials)
         """Trials of the main phase."""
         self.done = 0
@@ -114,7 +99,7 @@ class Agenda:
         """Those of them that were tried too often without success."""
 
     def ask(self) -> Step | None:
-        """Name the next step.
+        """Return the next step.
 
         Returns
         -------
@@ -124,7 +109,7 @@ class Agenda:
         return self._steps[0] if self._steps else None
 
     def attempt(self, number: int) -> int:
-        """Count which attempt at a trial is next.
+        """Return the number of the next attempt at a trial.
 
         Parameters
         ----------
@@ -146,7 +131,7 @@ class Agenda:
         key : str
             Its key.
         time_s : float
-            When, in s since the session began.
+            Time in s since the session began.
 
         Raises
         ------
@@ -155,7 +140,7 @@ class Agenda:
         """
         self._take(key)
         if key in RELAXING:
-            self._breaks.begin_anew(time_s)
+            self._since_break, self._break_s = 0, time_s
 
     def tell_trial(
         self,
@@ -177,7 +162,7 @@ class Agenda:
         as_expected : bool or None
             Whether the answer was one of those expected; None where any will do.
         time_s : float
-            When, in s since the session began.
+            Time in s since the session began.
         spent : bool
             Whether a bad attempt is one of those that a trial has: a device that fails may not use them up.
 
@@ -192,54 +177,59 @@ class Agenda:
             self._attempts[number] += 1
             self._spent[number] += spent
             if self._spent[number] < self._flow.max_attempts:
-                self._steps.insert(find_place(self._steps, trial), trial)
+                self._steps.insert(_find_place(self._steps, trial), trial)
                 return
         if trial.phase == "training":
-            self._go_on_training(trial, understood=as_expected)
+            own = ("training", trial.protocol)
+            left = (step for step in self._steps if isinstance(step, Trial))
+            is_last = all((step.phase, step.protocol) != own for step in left)
+            steps = self._training.tell(trial, understood=as_expected, is_last=is_last)
+            self._put_first(list(steps))
         elif trial.phase == "main":
             self.done += 1
             self.given_up += not accepted
             # Where a page comes anyway, or nothing does, a break would be one too many.
-            if self._breaks.is_due(time_s) and isinstance(self.ask(), Trial):
+            if self._is_break_due(time_s) and isinstance(self.ask(), Trial):
                 self._steps.appendleft(Page("break", self._flow.break_s))
 
     def warm_up(self) -> None:
-        """Put the practice of the current task, if any, before all else: for who comes back after a long while."""
+        """Repeat the practice trials of the current task when a participant returns after a long break."""
         ahead = next((step for step in self._steps if isinstance(step, Trial)), None)
         if ahead is None or ahead.phase != "main" or self._steps[0] == Page("warm_up"):
-            return  # Nothing is left, or they are warming up anyway.
-        again = [
-            t
-            for t in self._trials.values()
-            if t.phase == "practice" and t.protocol == ahead.protocol
-        ]
+            return  # Nothing is left, or the warm-up is under way.
+        own = ("practice", ahead.protocol)
+        again = [trial for trial in self._trials.values() if (trial.phase, trial.protocol) == own]
         if again:
             self._put_first([Page("warm_up"), *again])
 
     def _take(self, name: str | int) -> None:
         step = self.ask()
-        expected = step.key if isinstance(step, Page) else step.number if step else "the end"
+        expected = step.key if isinstance(step, Page) else step.number if step else None
         if name != expected:
-            raise ValueError(f"got {_describe(name)}, expected {_describe(expected)}")
+            got, wanted = (
+                f"trial {key}" if isinstance(key, int) else f"page {key!r}" if key else "the end"
+                for key in (name, expected)
+            )
+            raise ValueError(f"got {got}, expected {wanted}")
         self._steps.popleft()
 
-    def _go_on_training(self, trial: Trial, *, understood: bool | None) -> None:
-        is_last = not any(
-            isinstance(step, Trial) and (step.phase, step.protocol) == ("training", trial.protocol)
-            for step in self._steps
-        )
-        self._put_first(list(self._training.tell(trial, understood=understood, is_last=is_last)))
-
     def _put_first(self, steps: Sequence[Step]) -> None:
-        """Put steps before all others; what was done before and comes again has all its attempts again."""
+        """Put steps before all others; a trial that comes again has all its attempts again."""
         for step in steps:
             if isinstance(step, Trial):
                 self._attempts.pop(step.number, None)
                 self._spent.pop(step.number, None)
         self._steps.extendleft(reversed(steps))
 
+    def _is_break_due(self, time_s: float) -> bool:
+        """Count one more trial, and check whether a break is due by trials or by minutes."""
+        self._since_break += 1
+        trials, minutes = self._flow.break_trials, self._flow.break_min
+        by_count = trials is not None and self._since_break >= trials
+        return by_count or (minutes is not None and time_s - self._break_s >= minutes * SECONDS)
 
-def find_place(steps: Iterable[Step], trial: Trial) -> int:
+
+def _find_place(steps: Iterable[Step], trial: Trial) -> int:
     """Find where a trial comes again: behind what is left of its block, else of its section, else at once."""
     in_block, in_section = 0, 0
     for place, step in enumerate(steps, start=1):
@@ -249,8 +239,8 @@ def find_place(steps: Iterable[Step], trial: Trial) -> int:
     return in_block or in_section
 
 
-def lay_out(trials: Sequence[Trial], flow: Flow) -> Iterator[Step]:
-    """Lay out a session in which nothing goes wrong and no break is due."""
+def _list_steps(trials: Sequence[Trial], flow: Flow) -> Iterator[Step]:
+    """List the steps of a session in which nothing goes wrong and no break is due."""
     yield from (Page("welcome"), Page("consent"))
     main = [trial for trial in trials if trial.phase == "main"]
     sections = [list(section) for _, section in groupby(main, key=lambda trial: trial.protocol)]
@@ -259,8 +249,11 @@ def lay_out(trials: Sequence[Trial], flow: Flow) -> Iterator[Step]:
         if place:
             yield Page("rest", flow.rest_s)
         yield Page(f"instructions.{protocol}")
-        yield from _lead_in("training", (t for t in trials if t.protocol == protocol))
-        yield from _lead_in("practice", (t for t in trials if t.protocol == protocol))
+        for phase in ("training", "practice"):
+            own = [t for t in trials if (t.protocol, t.phase) == (protocol, phase)]
+            if own:
+                yield Page(phase)
+            yield from own
         yield Page("main")
         half = (len(section) + 1) // 2 if len(sections) == 1 else len(section)
         yield from section[:half]
@@ -268,38 +261,3 @@ def lay_out(trials: Sequence[Trial], flow: Flow) -> Iterator[Step]:
             yield Page("rest", flow.rest_s)
         yield from section[half:]
     yield Page("end")
-
-
-def _lead_in(phase: str, trials: Iterable[Trial]) -> Iterator[Step]:
-    own = [trial for trial in trials if trial.phase == phase]
-    if own:
-        yield Page(phase)
-    yield from own
-
-
-class _Breaks:
-    """When the next break is due, by trials and by minutes."""
-
-    def __init__(self, flow: Flow) -> None:
-        self._flow = flow
-        self.begin_anew(0.0)
-
-    def begin_anew(self, time_s: float) -> None:
-        self._trials, self._since_s = 0, time_s
-
-    def is_due(self, time_s: float) -> bool:
-        """Count one more trial."""
-        self._trials += 1
-        trials, minutes = self._flow.break_trials, self._flow.break_min
-        by_count = trials is not None and self._trials >= trials
-        return by_count or (minutes is not None and time_s - self._since_s >= minutes * SECONDS)
-
-
-def _describe(step: str | int) -> str:
-    return (
-        f"trial {step}"
-        if isinstance(step, int)
-        else f"page {step!r}"
-        if step != "the end"
-        else step
-    )

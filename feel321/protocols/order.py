@@ -1,37 +1,38 @@
-"""Orders of trials: Williams squares, blocks, random orders, and rehearsals."""
+"""Orders of trials: Williams squares, blocks, random orders, and rehearsals (training and practice)."""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby, pairwise
 from math import gcd
-from types import MappingProxyType
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any
 
+from feel321.doors import Registry, as_rng, check_name, describe
 from feel321.protocols.balance import MIXABLE, shuffle_rows, williams_square
-from feel321.protocols.tasks import PROTOCOLS
-from feel321.protocols.trial import RATING_RANGE, Trial
+from feel321.protocols.tasks import PROTOCOLS, make_task
+from feel321.protocols.trial import RATING_RANGE, Item, Task, Trial, Trials
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
     from numpy.random import Generator
+    from pandas import DataFrame
 
-    from feel321.protocols.balance import Square
-    from feel321.protocols.trial import Comparison, Item, Task
+    from feel321.protocols.trial import Comparison
+    from feel321.types import Rng
 
     Groups = Mapping[str, Sequence[Comparison]]
-    """What is to be judged of each recording."""
+    """The comparisons of each recording."""
     Spot = tuple[str, int]
     """A comparison, by its recording and its index there."""
-
-# A section of a session: one task, with what is to be judged in it.
+    Blocks = tuple[tuple[Spot, ...], ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Section:
-    """One task of a session, with what is to be judged in it."""
+class TaskTrials:
+    """One task of a session, with the comparisons of its trials and of its training."""
 
     task: Task
     groups: Groups
@@ -41,10 +42,9 @@ class Section:
         """Make a trial of a comparison, before it has a number, a block and a repeat."""
         recording, index = spot
         protocol = PROTOCOLS[self.task.protocol]
-        comparisons = self.lessons if phase == "training" else self.groups
-        chosen = protocol.arrange(
-            comparisons[recording][index], turn + index + list(self.groups).index(recording)
-        )
+        groups = self.lessons if phase == "training" else self.groups
+        turn += index + list(self.groups).index(recording)
+        chosen = protocol.arrange(groups[recording][index], turn)
         return Trial(
             number=0,
             block=0,
@@ -60,41 +60,28 @@ class Section:
         )
 
 
-def make_sections(items: Sequence[Item], tasks: Sequence[Task]) -> tuple[Section, ...]:
-    """Let each task say what it judges of the stimuli."""
+def _gather_trials(items: Sequence[Item], tasks: Sequence[Task]) -> Iterator[TaskTrials]:
     for name, things in {"items": items, "tasks": tasks}.items():
         if not things:
-            raise ValueError(f"{name}: got none, an order needs at least one")
+            raise ValueError(f"{name} must be at least one for an order, got none")
     by_recording: dict[str, list[Item]] = {}
     for item in items:
         by_recording.setdefault(item.recording, []).append(item)
-    return tuple(_make_section(by_recording, task) for task in tasks)
+    for task in tasks:
+        protocol = PROTOCOLS[task.protocol]
+        compared = {name: protocol.compare(own, task) for name, own in by_recording.items()}
+        groups = {name: comparisons for name, comparisons in compared.items() if comparisons}
+        if not groups:
+            raise ValueError(
+                f"{task.protocol}: no stimulus of the set is to be judged; build a set with reducers to test"
+            )
+        lessons = {name: protocol.make_lessons(by_recording[name], task) for name in groups}
+        yield TaskTrials(task, groups, lessons)
 
 
-def _make_section(by_recording: Mapping[str, Sequence[Item]], task: Task) -> Section:
-    protocol = PROTOCOLS[task.protocol]
-    compared = {name: protocol.compare(own, task) for name, own in by_recording.items()}
-    if groups := {name: comparisons for name, comparisons in compared.items() if comparisons}:
-        return Section(
-            task, groups, {name: protocol.teach(by_recording[name], task) for name in groups}
-        )
-    raise ValueError(
-        f"{task.protocol}: got stimuli of which none is to be judged; build a set with reducers to test"
-    )
+def _order_williams(rounds: Sequence[Groups], *, number: int, rng: Generator) -> Iterator[Blocks]:
+    """Order recordings, and the comparisons of each, by rows of Williams squares.
 
-
-# The order by Williams squares: position and carry-over balance out over participants.
-
-
-def order_williams(
-    rounds: Sequence[Groups], *, number: int, rng: Generator
-) -> Iterator[tuple[tuple[Spot, ...], ...]]:
-    """Order recordings, and what is judged of each, by rows of Williams squares.
-
-    number: the participant's number, from 1.
-
-    Notes
-    -----
     Rows move on by one per round, and they are shuffled so that a row never begins with what the row before
     it ended with: no recording comes twice in a row, and no comparison where there is only one recording.
     Nobody is given a row out of turn for that, so that the balance over participants is exact in every round.
@@ -103,8 +90,11 @@ def order_williams(
     there are recordings: rows that this participant has used come up last for the next. So the positions of
     reducers, pooled over recordings, are near balance after a few participants already.
     """
-    outer = _draw_squares({len(groups) for groups in rounds}, rng)
-    inner = _draw_squares({len(own) for groups in rounds for own in groups.values()}, rng)
+    sizes = [{len(groups) for groups in rounds}, {len(g) for own in rounds for g in own.values()}]
+    # Sorted, so that the same state of the generator always gives the same rows.
+    outer, inner = (
+        {n: shuffle_rows(williams_square(n), rng) for n in sorted(own)} for own in sizes
+    )
     for turn, groups in enumerate(rounds):
         recordings, blocks = tuple(groups), []
         for place in _take_row(outer[len(recordings)], number, turn=turn, touching=True):
@@ -116,12 +106,9 @@ def order_williams(
         yield tuple(blocks)
 
 
-def _draw_squares(sizes: set[int], rng: Generator) -> dict[int, Square]:
-    # Sorted, so that the same state of the generator always gives the same rows.
-    return {size: shuffle_rows(williams_square(size), rng) for size in sorted(sizes)}
-
-
-def _take_row(square: Square, start: int, *, turn: int, touching: bool) -> tuple[int, ...]:
+def _take_row(
+    square: Sequence[tuple[int, ...]], start: int, *, turn: int, touching: bool
+) -> tuple[int, ...]:
     """Take the row whose turn it is. Where successive rows touch, two conditions can only come in the same order."""
     moves = 0 if touching and len(square) < MIXABLE else turn
     return square[(start + moves) % len(square)]
@@ -133,47 +120,37 @@ def _find_stride(n_rows: int, n_used: int) -> int:
     return min(steps, key=lambda step: min((step - n_used) % n_rows, (n_used - step) % n_rows))
 
 
-# The blocked order: a participant's own shuffle of recordings, and of what is judged of each.
-
-T = TypeVar("T")
-
-
-def make_generator(rng: Generator, number: int) -> Generator:
-    """Make a participant's own generator.
-
-    number: the participant's number, from 1.
-    """
-    import numpy as np
-
-    return np.random.default_rng([int(rng.integers(2**63)), number])
-
-
-def order_blocked(
-    rounds: Sequence[Groups], *, number: int, rng: Generator
-) -> Iterator[tuple[tuple[Spot, ...], ...]]:
-    """Shuffle the recordings, and what is judged of each, anew for every participant and round.
-
-    number: the participant's number, from 1.
-    """
-    own = make_generator(rng, number)
+def _order_blocked(rounds: Sequence[Groups], *, number: int, rng: Generator) -> Iterator[Blocks]:
+    """Shuffle the recordings, and the comparisons of each, anew for every participant and round."""
+    own = _spawn_participant(rng, number)
     last: Spot = ("", 0)
     for groups in rounds:
         blocks = []
-        for recording in _shuffle(list(groups), after=last[0], rng=own):
+        for recording in _shuffle_apart(list(groups), after=last[0], rng=own):
             spots = [(recording, index) for index in range(len(groups[recording]))]
-            block = tuple(_shuffle(spots, after=last, rng=own))
+            block = tuple(_shuffle_apart(spots, after=last, rng=own))
             blocks.append(block)
             last = block[-1]
         yield tuple(blocks)
 
 
-def _shuffle(things: Sequence[T], *, after: T, rng: Generator) -> list[T]:
-    """Shuffle so that what came before does not come first; all other orders are equally likely."""
-    order = [things[i] for i in rng.permutation(len(things))]
+def _spawn_participant(rng: Generator, number: int) -> Generator:
+    import numpy as np
+
+    return np.random.default_rng([int(rng.integers(2**63)), number])
+
+
+def _shuffle_apart(things: Sequence[Any], *, after: Any, rng: Generator) -> list[Any]:  # noqa: ANN401 - whatever is shuffled
+    """Shuffle so that `after` does not come first; all other orders are equally likely."""
+    order = _shuffle(things, rng)
     if order[0] == after and len(order) > 1:
         other = int(rng.integers(1, len(order)))
         order[0], order[other] = order[other], order[0]
     return order
+
+
+def _shuffle(things: Sequence[Any], rng: Generator) -> list[Any]:
+    return [things[i] for i in rng.permutation(len(things))]
 
 
 # The random order: all recordings mixed, none twice in a row, references spread over the whole.
@@ -192,15 +169,9 @@ class _Card:
     is_spaced: bool
 
 
-def order_random(
-    rounds: Sequence[Groups], *, number: int, rng: Generator
-) -> Iterator[tuple[tuple[Spot, ...], ...]]:
+def _order_random(rounds: Sequence[Groups], *, number: int, rng: Generator) -> Iterator[Blocks]:
     """Mix all recordings anew for every participant and round.
 
-    number: the participant's number, from 1.
-
-    Notes
-    -----
     A round, taken as a circle, is cut into as many equal stretches as it has trials in which the reference is
     judged. Each stretch gets one, at a place drawn from those that do not touch the last. The circle is opened
     anywhere, so that every place is as likely as any other. Then the places are filled from left to right, at
@@ -209,7 +180,7 @@ def order_random(
     Where the rules cannot be kept, such as with a single recording, they are broken as rarely as possible,
     for a pilot must be able to run; `find_crowding` says how often.
     """
-    own = make_generator(rng, number)
+    own = _spawn_participant(rng, number)
     last = _Card("", 0, is_spaced=False)
     for groups in rounds:
         cards = [
@@ -223,7 +194,7 @@ def order_random(
 
 
 def find_crowding(trials: Iterable[Trial]) -> list[str]:
-    """Find where a mixed order could not keep its rules."""
+    """Find where a random order could not keep its rules."""
     found = []
     main = (trial for trial in trials if trial.block)
     for protocol, group in groupby(main, key=lambda trial: trial.protocol):
@@ -255,7 +226,7 @@ def _draw_order(cards: Sequence[_Card], *, after: _Card, rng: Generator) -> list
     left, order = list(cards), [after]
     spaced_places = _draw_places(sum(card.is_spaced for card in cards), len(cards), rng=rng)
     for place in range(len(cards)):
-        pool = _list_choices(left, order[-1], is_spaced=place in spaced_places)
+        pool = _list_candidates(left, order[-1], is_spaced=place in spaced_places)
         card = pool[int(rng.integers(len(pool)))]
         left.remove(card)
         order.append(card)
@@ -276,7 +247,7 @@ def _draw_places(count: int, n: int, *, rng: Generator) -> set[int]:
     return {(place + opening) % n for place in places}
 
 
-def _list_choices(left: Sequence[_Card], last: _Card, *, is_spaced: bool) -> list[_Card]:
+def _list_candidates(left: Sequence[_Card], last: _Card, *, is_spaced: bool) -> list[_Card]:
     """List what may come next, by the strictest rule that leaves anything."""
     of_kind = [card for card in left if card.is_spaced == is_spaced]
     fresh = [card for card in of_kind if card.recording != last.recording]
@@ -297,59 +268,53 @@ def _count_crowding(order: Iterable[_Card]) -> int:
 def _count_unavoidable(cards: Sequence[_Card], *, after: _Card) -> int:
     """Count what each rule alone cannot avoid: n things hold at most (n + 1) / 2 of a kind apart."""
     per_recording = Counter(card.recording for card in cards)
-    same = max(
-        2 * count + (recording == after.recording) for recording, count in per_recording.items()
-    )
+    same = max(2 * count + (name == after.recording) for name, count in per_recording.items())
     spaced = 2 * sum(card.is_spaced for card in cards) + after.is_spaced
     return sum(max(0, doubled - 1 - len(cards)) for doubled in (same, spaced))
 
 
-# Designs: the main trials of each participant, in an order that balances or shuffles.
-
-ORDERS: Mapping[str, Callable[..., Iterable[tuple[tuple[Spot, ...], ...]]]] = MappingProxyType({
-    "williams": order_williams,
-    "blocked": order_blocked,
-    "random": order_random,
-})
-"""Name -> order, the only list of names: called with the rounds of a session, `number` and `rng`, it gives the blocks
-of each round."""
+ORDERS: Registry[Callable[..., Iterable[Blocks]]] = Registry(
+    "order", {"williams": _order_williams, "blocked": _order_blocked, "random": _order_random}
+)
+"""Name -> order, the only list of names: called with the rounds of a session, the participant's `number` from 1 and
+`rng`, it gives the blocks of each round."""
 
 
 def make_order(
-    items: Sequence[Item],
-    tasks: Sequence[Task],
+    items: Sequence[Item] | DataFrame,
+    tasks: Sequence[Task | str],
     *,
     number: int,
-    repeats: int,
+    repeats: int = 1,
     order: str = "williams",
-    rng: Generator,
-) -> tuple[Trial, ...]:
+    rng: Rng = 0,
+) -> Trials:
     """Order the main trials of one participant.
 
     Each task is one section of the session, and each of its repeats one round. In orders by blocks, each block
-    of a round is one recording. What stands where inside a trial moves on from participant to participant and
-    from repeat to repeat.
+    of a round is one recording. Positions within a trial move on from participant to participant and from
+    repeat to repeat.
 
     Parameters
     ----------
-    items : sequence of Item
-        All stimuli of the set.
-    tasks : sequence of Task
-        The sections of the session, in order.
+    items : sequence of Item, or DataFrame
+        All stimuli of the set; a table has the columns `stimulus_id, recording, reducer, level, role`.
+    tasks : sequence of Task or str
+        The sections of the session, in order: tasks, or names of protocols.
     number : int
         The participant's number, from 1.
     repeats : int
-        How often each comparison is judged, at least 1.
+        Number of times that each comparison is judged, at least 1.
     order : str
         A name in `ORDERS`.
-    rng : numpy.random.Generator
-        The study's randomness. Must stand in the same state for every participant of a study: squares only
-        balance over participants who share them. Shuffled orders are the participant's own even so, for they
-        are drawn from the generator and the number together.
+    rng : int or numpy.random.Generator
+        The study's randomness: the same for every participant of a study, for squares only balance over
+        participants who share them. Shuffled orders are the participant's own even so: they are drawn from
+        the generator and the number together.
 
     Returns
     -------
-    tuple of Trial
+    Trials
         Numbered from 1. In a section, no recording follows itself across blocks or rounds, and where there is
         only one recording, no comparison follows itself across rounds, unless it is alone as well.
 
@@ -357,14 +322,35 @@ def make_order(
     ------
     ValueError
         If there is nothing to order, a number or count is below 1, or there is no such order.
+
+    Notes
+    -----
+    Williams squares [1]_: participants 1, 2, ... take successive rows, in which each comparison follows each other
+    one equally often.
+
+    References
+    ----------
+    .. [1] Williams, E. J. (1949). Experimental designs balanced for the estimation of residual effects of
+       treatments. Australian Journal of Scientific Research A, 2, 149-168. doi:10.1071/CH9490149
+
+    Examples
+    --------
+    >>> from feel321 import protocols
+    >>> names = ["sax321", "dft321", "pca321"]
+    >>> items = [protocols.Item(f"oak-{name}", "oak", name, "as_is", "test") for name in names]
+    >>> trials = protocols.make_order(items, ["realism"], number=1, repeats=2, rng=5)
+    >>> trials
+    Trials(6 trials of realism)
     """
-    _check_choice(order, number=number, repeats=repeats)
-    rounds = [
-        (section, repeat)
-        for section in make_sections(items, tasks)
-        for repeat in range(1, repeats + 1)
-    ]
-    ordered = ORDERS[order]([section.groups for section, _ in rounds], number=number, rng=rng)
+    for name, count in {"number": number, "repeats": repeats}.items():
+        if count < 1:
+            raise ValueError(f"{name} must be a whole number from 1, got {count}")
+    check_name(order, ORDERS, "order")
+    sections = _gather_trials(_as_items(items), _as_tasks(tasks))
+    rounds = [(section, repeat) for section in sections for repeat in range(1, repeats + 1)]
+    ordered = ORDERS[order](
+        [section.groups for section, _ in rounds], number=number, rng=as_rng(rng)
+    )
     blocks = [
         (*turn, block) for turn, blocks in zip(rounds, ordered, strict=True) for block in blocks
     ]
@@ -373,18 +359,23 @@ def make_order(
         for place, (section, repeat, block) in enumerate(blocks, start=1)
         for spot in block
     )
-    return tuple(replace(draft, number=place) for place, draft in enumerate(drafts, start=1))
+    return Trials(replace(draft, number=place) for place, draft in enumerate(drafts, start=1))
 
 
-def _check_choice(order: str, *, number: int, repeats: int) -> None:
-    for name, count in {"number": number, "repeats": repeats}.items():
-        if count < 1:
-            raise ValueError(f"{name}: got {count}, allowed is a whole number of at least 1")
-    if order not in ORDERS:
-        raise ValueError(f"order: got {order!r}, allowed: {', '.join(ORDERS)}")
+def _as_items(items: Any) -> Sequence[Item]:  # noqa: ANN401 - what make_order takes
+    if isinstance(items, Sequence):
+        return items
+    table = items.to_frame() if hasattr(items, "to_frame") else items  # a stimulus set
+    if missing := [name for name in Item.__slots__ if name not in table.columns]:
+        raise ValueError(f"items must have the columns {', '.join(missing)}; add them")
+    return [Item(*row) for row in table[list(Item.__slots__)].itertuples(index=False)]
 
 
-# Rehearsal: training with feedback, and practice, before the trials that count.
+def _as_tasks(tasks: Sequence[Task | str]) -> list[Task]:
+    if isinstance(tasks, str | Task):
+        raise TypeError(f"tasks must be a list, got {describe(tasks)}; write [{tasks!r}]")
+    return [make_task(task) if isinstance(task, str) else task for task in tasks]
+
 
 TURNS = 2**16
 """So many turns to draw from: more than any trial has arrangements, so that all are about equally likely."""
@@ -392,69 +383,40 @@ TURNS = 2**16
 
 def make_rehearsal(
     items: Sequence[Item], tasks: Sequence[Task], *, first_number: int, rng: Generator
-) -> tuple[Trial, ...]:
-    """Choose the trials of training and practice of each task.
+) -> Trials:
+    """Choose the trials of training and practice of each task, numbered from `first_number`.
 
     Training takes comparisons whose right answer is known, and others only when these run out, or when those
     for high or for low answers would be more than half: nobody is to learn that one answer is right for all.
-    Practice takes what training left. Both are spread over recordings, and neither takes a comparison twice.
+    Where an answer is a choice, training is twice as long, for half of the guesses are right. Practice takes what
+    training left. Both are spread over recordings, and neither takes a comparison twice.
 
     Where only one kind of answer is known, as without anchors, training shows that the task is understood at that
     end of the scale; whoever always answers there passes. Anchors in the stimulus set are what prevents it.
 
-    Parameters
-    ----------
-    items : sequence of Item
-        All stimuli of the set.
-    tasks : sequence of Task
-        The sections of the session, in order, with their numbers of training and practice trials. Training has
-        twice as many where the answer is a choice, for half of the guesses are right.
-    first_number : int
-        Number of the first trial.
-    rng : numpy.random.Generator
-        Source of randomness. What is drawn comes from a child of it: the generator itself does not move on, so
-        that an order drawn from it stays what it is.
-
-    Returns
-    -------
-    tuple of Trial
-        Training and practice of the first task, then of the next, numbered on; those of training with a plain
-        answer come first. Fewer than asked for where there are fewer comparisons.
-
-    Raises
-    ------
-    ValueError
-        If there is nothing to rehearse.
+    Draws come from a child of `rng`, which does not move on, so that an order drawn from it stays what it is.
     """
     (own,) = rng.spawn(1)
-    drafts = (draft for section in make_sections(items, tasks) for draft in _rehearse(section, own))
-    return tuple(
-        replace(draft, number=number) for number, draft in enumerate(drafts, start=first_number)
+    drafts = (
+        draft for section in _gather_trials(items, tasks) for draft in _rehearse(section, own)
     )
+    return Trials(replace(draft, number=n) for n, draft in enumerate(drafts, start=first_number))
 
 
-def _rehearse(section: Section, rng: Generator) -> Iterator[Trial]:
+def _rehearse(section: TaskTrials, rng: Generator) -> Iterator[Trial]:
     lessons = {spot: section.lessons[spot[0]][spot[1]] for spot in _list_spots(section.lessons)}
     unclear = {spot for spot, comparison in lessons.items() if not _is_clear(comparison)}
     sides = {spot: _find_side(comparison) for spot, comparison in lessons.items()}
-    training = _choose(
-        list(lessons), _count_training(section.task), late=unclear, sides=sides, rng=rng
-    )
-    practice = _choose(
-        _list_spots(section.groups), section.task.practice, late=set(training), sides={}, rng=rng
-    )
-    # Chosen turn about; shuffled, so that nobody can count on a low answer after a high one.
-    clear_first = sorted(_shuffle_rehearsal(training, rng), key=lambda spot: spot in unclear)
-    for phase, chosen in {
-        "training": clear_first,
-        "practice": _shuffle_rehearsal(practice, rng),
-    }.items():
+    task = section.task
+    count = task.training * (2 if PROTOCOLS[task.protocol].choices else 1)
+    training = _choose(list(lessons), count, late=unclear, sides=sides, rng=rng)
+    spots = _list_spots(section.groups)
+    practice = _choose(spots, task.practice, late=set(training), sides={}, rng=rng)
+    # Chosen alternately; shuffled, so that nobody can count on a low answer after a high one.
+    clear_first = sorted(_shuffle(training, rng), key=lambda spot: spot in unclear)
+    for phase, chosen in {"training": clear_first, "practice": _shuffle(practice, rng)}.items():
         for spot in chosen:
             yield section.draft_trial(spot, turn=int(rng.integers(TURNS)), phase=phase)
-
-
-def _count_training(task: Task) -> int:
-    return task.training * (2 if PROTOCOLS[task.protocol].choices else 1)
 
 
 def _list_spots(groups: Groups) -> list[Spot]:
@@ -462,15 +424,15 @@ def _list_spots(groups: Groups) -> list[Spot]:
 
 
 def _is_clear(comparison: Comparison) -> bool:
-    """Tell whether the right answer is known, and plain to anybody."""
-    is_page = len(comparison.judgements) > 1  # no catch trial as a whole
+    """Check whether the right answer is known, and obvious to anybody; a page is no catch trial as a whole."""
+    is_page = len(comparison.judgements) > 1
     return bool(comparison.catch) or (
         is_page and any(judgement.expected for judgement in comparison.judgements)
     )
 
 
 def _find_side(comparison: Comparison) -> str:
-    """Tell whether the right answer is high or low; empty where none is known, or both are asked for."""
+    """Find whether the right answer is high or low; empty where none is known, or both are asked for."""
     middle = sum(RATING_RANGE) / 2
     known = [judgement.expected for judgement in comparison.judgements if judgement.expected]
     sides = {"high" if sum(expected) / 2 > middle else "low" for expected in known}
@@ -486,7 +448,7 @@ def _choose(
     rng: Generator,
 ) -> list[Spot]:
     """Choose so many: none of a side that leads if there is any other, then none that is late, then by recording."""
-    left = _shuffle_rehearsal(spots, rng)
+    left = _shuffle(spots, rng)
     chosen: list[Spot] = []
     sides_used: Counter[str] = Counter()
     recordings_used: Counter[str] = Counter()
@@ -501,7 +463,3 @@ def _choose(
         sides_used[sides.get(best, "")] += 1
         recordings_used[best[0]] += 1
     return chosen
-
-
-def _shuffle_rehearsal(spots: Sequence[Spot], rng: Generator) -> list[Spot]:
-    return [spots[i] for i in rng.permutation(len(spots))]

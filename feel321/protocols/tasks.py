@@ -1,32 +1,340 @@
-"""PROTOCOLS, the one list of rating tasks, and what is made from it: tasks and scores."""
+"""The rating tasks: what each compares and how it is scored, PROTOCOLS, the one list of them, and `make_task`.
+
+A new protocol is a `Protocol` in this module and its texts in `catalog/`.
+
+Realism: one stimulus, from not at all real to like the real surface, which may be stroked first. Every stimulus is
+judged by itself, the recording's own vibration and the anchors among them.
+
+Similarity: a reference, then a stimulus; 100 points mean identical. The reference is the recording itself, the real
+surface, or what a reducer made of the recording [1]_. The reference is judged against itself too: a participant who
+feels a difference there is caught. Nothing is identical to the real surface; there the recording itself is the hidden
+reference. Parts may be felt again unless a study asks for strict timing, as in [2]_.
+
+Dissimilarity: two stimuli; 0 points mean identical. All pairs of the reducers and the recording itself are judged, so
+that multidimensional scaling can draw the space in which they differ [3]_. One more pair holds the recording itself
+twice, as a catch trial. Anchors would stretch the space; they appear in training only, where they are what certainly
+differs from the recording. Which of the two comes first changes with every turn.
+
+MUSHRA: many stimuli on one page, each with a slider, and a reference that is named as such [4]_. The participant
+switches freely between them; 100 points mean just like the reference. Among them are, unnamed, the reference itself
+and two anchors that were made to be rated badly. A low-pass is no anchor below 1 kHz, so a stimulus set brings haptic
+ones; [2]_ brought the method to vibrations. A page holds one level arm of one recording.
+
+ABX: the participant feels a, b and x, and says which of the first two x was. One of a and b is a stimulus, the other
+its reference; x is one of them again. 100 points mean right, 0 wrong, so that the mean over trials is the percentage
+correct: 50 for someone who feels no difference. This is the task behind "not perceptibly different" [5]_. Everyone
+who has understood it distinguishes an anchor from the reference.
+
+References
+----------
+.. [1] Park, G., & Kuchenbecker, K. J. (2019). Objective and subjective assessment of algorithms for reducing
+   three-axis vibrations to one-axis vibrations. IEEE World Haptics Conference. doi:10.1109/WHC.2019.8816148
+.. [2] Muschter, E., et al. (2021). Perceptual quality assessment of compressed vibrotactile signals through comparative
+   judgment. IEEE Transactions on Haptics, 14(2). doi:10.1109/TOH.2021.3077191
+.. [3] Lee, H., Tombak, G. I., Park, G., & Kuchenbecker, K. J. (2022). Perceptual space of algorithms for three-to-one
+   dimensional reduction of realistic vibrations. IEEE Transactions on Haptics, 15(3). doi:10.1109/TOH.2022.3174229
+.. [4] ITU-R BS.1534-3, "Method for the subjective assessment of intermediate quality level of audio systems", 2015.
+.. [5] Macmillan, N. A., & Creelman, C. D. (2005). Detection theory: A user's guide (2nd ed.), chapter 9.
+   doi:10.4324/9781410611147
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+from itertools import combinations
 from math import prod
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from feel321.protocols.abx import ABX
-from feel321.protocols.dissimilarity import DISSIMILARITY
-from feel321.protocols.mushra import MUSHRA
-from feel321.protocols.realism import REALISM
-from feel321.protocols.similarity import SIMILARITY
-from feel321.protocols.trial import ORIGINAL, RATING_RANGE, SURFACE, Task
+from feel321.doors import Registry, check_name
+from feel321.protocols.balance import williams_square
+from feel321.protocols.trial import (
+    ORIGINAL,
+    RATING_RANGE,
+    SURFACE,
+    Comparison,
+    Item,
+    Judgement,
+    Part,
+    Task,
+    Trial,
+    select_items,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from feel321.protocols.trial import Protocol, Trial
+    Items = Sequence[Item]
+    Comparisons = tuple[Comparison, ...]
 
-# The one list of protocols: settings, messages and tests iterate it.
 
-PROTOCOLS: Mapping[str, Protocol] = MappingProxyType({
-    protocol.name: protocol for protocol in (REALISM, SIMILARITY, DISSIMILARITY, MUSHRA, ABX)
+@dataclass(frozen=True, slots=True)
+class Protocol:
+    """A rating task; the name is also that of its scale in the catalogue of texts.
+
+    factors: in which its trials differ. compare: makes the comparisons of all items of one recording, one trial
+    each. timings: its forms, of `TIMINGS`, the first by default. references: `original`, `surface`, `reducer` (any
+    by name); none where judgements are absolute. teach: makes the comparisons of training: those of `compare` in
+    the same order, perhaps with more known answers, then perhaps others. arrange: gives the arrangement whose turn
+    (a whole number) it is, so that successive turns balance positions within a trial. score: turns an answer, with
+    the ids of the parts by name, into 0 to 100 points. choices: parts to choose from; none where there is a slider.
+    """
+
+    name: str
+    factors: tuple[str, ...]
+    compare: Callable[[Items, Task], Comparisons]
+    timings: tuple[str, ...] = ("replay", "strict")
+    references: tuple[str, ...] = ()
+    teach: Callable[[Items, Task], Comparisons] | None = None
+    arrange: Callable[[Comparison, int], Comparison] = lambda comparison, _: comparison
+    score: Callable[[Judgement, float | str, Mapping[str, str | None]], float] = (
+        lambda _judgement, answer, _parts: float(answer)
+    )
+    choices: tuple[str, ...] = ()
+
+    @property
+    def scale(self) -> str:
+        """Name of its scale."""
+        return self.name
+
+    def make_lessons(self, items: Items, task: Task) -> Comparisons:
+        """Make the comparisons of training."""
+        return (self.teach or self.compare)(items, task)
+
+
+EXPECTED: Mapping[str, tuple[float, float]] = MappingProxyType({
+    "identical": (75.0, 100.0),
+    "hidden_reference": (55.0, 100.0),
+    "anchor": (0.0, 50.0),
 })
-"""Name -> protocol. Later ones are added, none renamed."""
+"""Catch trials: kind -> lowest and highest rating to expect, where 100 points mean that nothing is missing.
+
+The reference against itself is *identical*, the recording judged by itself or against the real surface a *hidden
+reference*; *anchors* should be rated 50 or lower, the better of two as well, so none needs to be known by name. The
+limits say whether a task was understood, no more: the upper quarter of the scale is for what is as good as the
+reference. No answer is right for both a reference and an anchor, nor are two that differ by less than 5 points, so
+nobody passes who always answers the same. Raters are screened in the analysis, by the limits of BS.1534-3 (90 points).
+"""
 
 
-# Tasks: what a study makes of a protocol, refused where the protocol does not have it.
+def find_catch(item: Item, reference: Item | None) -> str:
+    """Find the kind of catch trial that a stimulus makes beside its reference; empty for none."""
+    if item == reference:
+        return "identical"
+    if item.role == "reference" and reference is None:
+        return "hidden_reference"
+    return "anchor" if item.role == "anchor" else ""
+
+
+def find_reference(item: Item, items: Items, *, reference: str) -> Item:
+    """Find the reference of an item."""
+    if reference == ORIGINAL:
+        candidates = [other for other in items if other.role == "reference"]
+    else:
+        candidates = [o for o in items if o.reducer == reference and o.role == "test"]
+    # A set may render its references once, or once per level arm; the arm's own comes first.
+    own = [other for other in candidates if other.level == item.level] or candidates
+    if len(own) != 1:
+        raise ValueError(
+            f"recording {item.recording!r}, level {item.level!r} must have exactly one stimulus for the reference "
+            f"{reference!r}, got {len(own)}; build the stimulus set with it"
+        )
+    return own[0]
+
+
+def split_arms(items: Items) -> tuple[tuple[Item, ...], ...]:
+    """Split the stimuli of a recording into its level arms: they are compared with one another inside an arm only."""
+    levels = dict.fromkeys(item.level for item in items if item.role == "test")
+    if not levels:
+        recordings = ", ".join(dict.fromkeys(repr(item.recording) for item in items)) or "unknown"
+        raise ValueError(
+            f"recording {recordings} must have at least one stimulus to test, got none; "
+            "name reducers and build the stimulus set again"
+        )
+    return tuple(select_items(items, {"level": level}) for level in levels)
+
+
+def _compare_realism(items: Items, task: Task) -> Comparisons:
+    comparisons = []
+    for item in items:
+        felt_first = (Part(SURFACE, surface=item.recording),) if task.surface else ()
+        catch = find_catch(item, None)
+        judgement = Judgement("test", item.stimulus_id, expected=EXPECTED.get(catch))
+        parts = (*felt_first, Part("test", item.stimulus_id))
+        comparisons.append(Comparison(parts, (judgement,), catch))
+    return tuple(comparisons)
+
+
+def _compare_similarity(items: Items, task: Task) -> Comparisons:
+    comparisons = []
+    for item in items:
+        if task.reference == SURFACE:
+            found, first = None, Part("reference", surface=item.recording)
+        else:
+            found = find_reference(item, items, reference=task.reference)
+            first = Part("reference", found.stimulus_id)
+        catch = find_catch(item, found)
+        about = first.stimulus_id or SURFACE
+        judgement = Judgement("test", item.stimulus_id, about, EXPECTED.get(catch))
+        comparisons.append(Comparison((first, Part("test", item.stimulus_id)), (judgement,), catch))
+    return tuple(comparisons)
+
+
+def _compare_dissimilarity(items: Items, _task: Task) -> Comparisons:
+    """Compare all pairs of the reducers and the original, within each level arm."""
+    return tuple(comparison for arm in split_arms(items) for comparison in _list_pairs(arm))
+
+
+def _list_pairs(arm: Items) -> Iterator[Comparison]:
+    original = find_reference(arm[0], arm, reference=ORIGINAL)
+    compared = [original, *(item for item in arm if item.role == "test")]
+    for first, second in combinations(compared, 2):
+        yield _make_pair(first.stimulus_id, second.stimulus_id)
+    yield _make_pair(original.stimulus_id, original.stimulus_id, catch="identical")
+
+
+def _teach_dissimilarity(items: Items, task: Task) -> Comparisons:
+    """Show also how the anchors differ from the original."""
+    anchors = [(arm, item) for arm in split_arms(items) for item in arm if item.role == "anchor"]
+    references = [find_reference(item, arm, reference=ORIGINAL) for arm, item in anchors]
+    obvious = (
+        _make_pair(reference.stimulus_id, item.stimulus_id, catch="anchor")
+        for (_, item), reference in zip(anchors, references, strict=True)
+    )
+    return (*_compare_dissimilarity(items, task), *obvious)
+
+
+def _arrange_dissimilarity(comparison: Comparison, turn: int) -> Comparison:
+    """Put the other stimulus first on every odd turn."""
+    first, second = (str(part.stimulus_id) for part in comparison.parts)
+    return _make_pair(second, first, catch=comparison.catch) if turn % 2 else comparison
+
+
+def _make_pair(first: str, second: str, *, catch: str = "") -> Comparison:
+    expected = None
+    if catch:  # points of difference, where EXPECTED holds points of likeness
+        lowest, highest = EXPECTED[catch]
+        expected = sum(RATING_RANGE) - highest, sum(RATING_RANGE) - lowest
+    judgement = Judgement("second", second, first, expected)
+    return Comparison((Part("first", first), Part("second", second)), (judgement,), catch)
+
+
+MUSHRA_MOST = 12
+"""Most stimuli on a page of MUSHRA, the hidden reference and the anchors among them (BS.1534-3)."""
+
+
+def _compare_mushra(items: Items, task: Task) -> Comparisons:
+    """Put each level arm of a recording on one page."""
+    return tuple(_make_page(arm, reference=task.reference) for arm in split_arms(items))
+
+
+def _make_page(arm: Items, *, reference: str) -> Comparison:
+    if len(arm) > MUSHRA_MOST:
+        raise ValueError(
+            f"recording {arm[0].recording!r}, level {arm[0].level!r}: a page of mushra must have at most {MUSHRA_MOST} "
+            f"stimuli with the hidden reference and the anchors, got {len(arm)}; build a set of fewer reducers"
+        )
+    found = find_reference(arm[0], arm, reference=reference)
+    judgements = [
+        Judgement("", item.stimulus_id, found.stimulus_id, EXPECTED.get(find_catch(item, found)))
+        for item in arm
+    ]
+    return _fill_page(Part("reference", found.stimulus_id), judgements)
+
+
+def _arrange_mushra(comparison: Comparison, turn: int) -> Comparison:
+    """Put the stimuli of a page in the order of the row of a Williams square whose turn it is."""
+    square = williams_square(len(comparison.judgements))
+    row = square[turn % len(square)]
+    return _fill_page(comparison.parts[0], [comparison.judgements[place] for place in row])
+
+
+def _fill_page(reference: Part, judgements: Sequence[Judgement]) -> Comparison:
+    numbered = tuple(replace(j, part=str(place)) for place, j in enumerate(judgements, start=1))
+    parts = (Part(judgement.part, judgement.stimulus_id) for judgement in numbered)
+    return Comparison((reference, *parts), numbered)
+
+
+ABX_CHOICES = ("a", "b")
+WRONG, RIGHT = RATING_RANGE
+
+
+def _compare_abx(items: Items, task: Task) -> Comparisons:
+    """Compare every stimulus of a recording with the reference of its level arm."""
+    comparisons = []
+    for arm in split_arms(items):
+        reference = find_reference(arm[0], arm, reference=task.reference)
+        for item in (item for item in arm if item != reference):
+            catch = find_catch(item, reference)
+            expected = (RIGHT, RIGHT) if catch else None
+            judgement = Judgement("x", item.stimulus_id, reference.stimulus_id, expected)
+            comparisons.append(_arrange_abx(Comparison((), (judgement,), catch), 0))
+    return tuple(comparisons)
+
+
+def _teach_abx(items: Items, task: Task) -> Comparisons:
+    """Make the right answer of every comparison known: x was one of the two, however hard to distinguish."""
+    return tuple(
+        replace(c, judgements=tuple(replace(j, expected=(RIGHT, RIGHT)) for j in c.judgements))
+        for c in _compare_abx(items, task)
+    )
+
+
+def _arrange_abx(comparison: Comparison, turn: int) -> Comparison:
+    """Make one of the four arrangements: which stimulus is a, and which of the two comes again as x."""
+    (judgement,) = comparison.judgements
+    pair = (judgement.stimulus_id, judgement.reference_id)[:: -1 if turn % 2 else 1]
+    felt = zip((*ABX_CHOICES, "x"), (*pair, pair[turn // 2 % 2]), strict=True)
+    return replace(comparison, parts=tuple(Part(name, stimulus) for name, stimulus in felt))
+
+
+def _score_abx(judgement: Judgement, answer: float | str, parts: Mapping[str, str | None]) -> float:
+    chosen = check_name(str(answer), ABX_CHOICES, "answer")
+    return RIGHT if parts[chosen] == parts[judgement.part] else WRONG
+
+
+PROTOCOLS = Registry(
+    "protocol",
+    {
+        protocol.name: protocol
+        for protocol in (
+            Protocol("realism", ("recording", "reducer", "level"), _compare_realism),
+            Protocol(
+                "similarity",
+                ("recording", "reducer", "level"),
+                _compare_similarity,
+                references=(ORIGINAL, SURFACE, "reducer"),
+            ),
+            Protocol(
+                "dissimilarity",
+                ("recording", "pair", "level"),
+                _compare_dissimilarity,
+                references=(ORIGINAL,),
+                teach=_teach_dissimilarity,
+                arrange=_arrange_dissimilarity,
+            ),
+            Protocol(
+                "mushra",
+                ("recording", "level"),
+                _compare_mushra,
+                timings=("free",),
+                references=(ORIGINAL, "reducer"),
+                arrange=_arrange_mushra,
+            ),
+            Protocol(
+                "abx",
+                ("recording", "reducer", "level"),
+                _compare_abx,
+                references=(ORIGINAL, "reducer"),
+                teach=_teach_abx,
+                arrange=_arrange_abx,
+                score=_score_abx,
+                choices=ABX_CHOICES,
+            ),
+        )
+    },
+)
+"""Name -> protocol, the only list of names. Later ones are added, none renamed."""
 
 
 def make_task(
@@ -47,11 +355,11 @@ def make_task(
     timing : str or None
         One of the protocol's timings; None for its first.
     reference : str or None
-        What is judged against: `original`, `surface` or the name of a reducer; None for the protocol's first.
+        The reference: `original`, `surface` or the name of a reducer; None for the protocol's first.
     surface : bool
         Whether the real surface is felt first.
     training, practice : int
-        Trials with feedback, and trials without that do not count, before the first that does.
+        Number of trials with feedback, and of trials without feedback that do not count, before the first that does.
 
     Returns
     -------
@@ -61,35 +369,30 @@ def make_task(
     Raises
     ------
     ValueError
-        If there is no such protocol, or it does not have what is asked for.
+        If there is no such protocol, or it does not have an option.
 
     Examples
     --------
-    >>> make_task("similarity", reference="dft321").timing
+    >>> from feel321 import protocols
+    >>> protocols.make_task("similarity", reference="dft321").timing
     'replay'
     """
-    if name not in PROTOCOLS:
-        raise ValueError(f"protocol: got {name!r}, allowed: {', '.join(PROTOCOLS)}")
-    protocol = PROTOCOLS[name]
-    timing = protocol.timings[0] if timing is None else timing
-    if timing not in protocol.timings:
-        raise ValueError(
-            f"tasks.{name}.timing: got {timing!r}, allowed: {', '.join(protocol.timings)}"
-        )
-    if reference is not None:
+    protocol = PROTOCOLS[check_name(name, PROTOCOLS, "protocol")]
+    if timing is None:
+        timing = protocol.timings[0]
+    check_name(timing, protocol.timings, f"tasks.{name}.timing")
+    if reference is None:
+        reference = next(iter(protocol.references), ORIGINAL)
+    else:
         _check_reference(protocol, reference)
     if surface and protocol.references:
+        instead = f", or set reference = {SURFACE!r}" if SURFACE in protocol.references else ""
         raise ValueError(
-            f"tasks.{name}.surface: got true, allowed is false: nothing is judged by itself here; leave it out"
-            + (f", or set reference = {SURFACE!r}" if SURFACE in protocol.references else "")
+            f"tasks.{name}.surface must be false, got true: nothing is judged by itself here; leave it out{instead}"
         )
     for key, count in {"training": training, "practice": practice}.items():
         if count < 0:
-            raise ValueError(
-                f"tasks.{name}.{key}: got {count}, allowed is a whole number of at least 0"
-            )
-    if reference is None:
-        reference = next(iter(protocol.references), ORIGINAL)
+            raise ValueError(f"tasks.{name}.{key} must be a whole number from 0, got {count}")
     return Task(name, timing, reference, surface, training, practice)
 
 
@@ -97,21 +400,16 @@ def _check_reference(protocol: Protocol, reference: str) -> None:
     key = f"tasks.{protocol.name}.reference"
     if not protocol.references:
         raise ValueError(
-            f"{key}: got {reference!r}, allowed is none: each stimulus is judged by itself; leave it out"
+            f"{key} must not be set, got {reference!r}: each stimulus is judged by itself; leave it out"
         )
     kind = reference if reference in {ORIGINAL, SURFACE} else "reducer"
     if not reference or kind not in protocol.references:
-        allowed = [
-            "the name of a reducer" if kind == "reducer" else kind for kind in protocol.references
-        ]
-        raise ValueError(f"{key}: got {reference!r}, allowed: {', '.join(allowed)}")
-
-
-# What the answers to a trial are worth, and whether they are those of someone who has understood.
+        allowed = ", ".join(protocol.references).replace("reducer", "the name of a reducer")
+        raise ValueError(f"{key} must be one of {allowed}; got {reference!r}")
 
 
 def score_trial(trial: Trial, values: Mapping[str, float | str]) -> dict[str, float]:
-    """Turn the answers to a trial into points.
+    """Score the answers to a trial.
 
     Parameters
     ----------
@@ -129,41 +427,34 @@ def score_trial(trial: Trial, values: Mapping[str, float | str]) -> dict[str, fl
     ------
     KeyError
         If a judgement has no answer.
+
+    Examples
+    --------
+    >>> from feel321 import protocols
+    >>> oak = [
+    ...     protocols.Item("oak-original", "oak", "original", "as_is", "reference"),
+    ...     protocols.Item("oak-dft321", "oak", "dft321", "as_is", "test"),
+    ... ]
+    >>> (trial,) = protocols.make_order(oak, ["abx"], number=1)
+    >>> [part.stimulus_id for part in trial.parts]
+    ['oak-original', 'oak-dft321', 'oak-original']
+    >>> protocols.score_trial(trial, {"x": "a"})
+    {'x': 100.0}
     """
     protocol = PROTOCOLS[trial.protocol]
     parts = {part.name: part.stimulus_id for part in trial.parts}
-    return {
-        judgement.part: protocol.score(judgement, values[judgement.part], parts)
-        for judgement in trial.judgements
-    }
+    return {j.part: protocol.score(j, values[j.part], parts) for j in trial.judgements}
 
 
 def is_as_expected(trial: Trial, values: Mapping[str, float | str]) -> bool | None:
-    """Tell whether the answers lie where those of someone who has understood do.
-
-    Parameters
-    ----------
-    trial : Trial
-        The trial.
-    values : mapping of str to float or str
-        The answer to each of its judgements, by the part that is judged.
-
-    Returns
-    -------
-    bool or None
-        Whether all do; None where nothing is expected.
-    """
+    """Check whether all answers lie where those of someone who has understood do; None where any will do."""
     points = score_trial(trial, values)
-    met = [
-        judgement.expected[0] <= points[judgement.part] <= judgement.expected[1]
-        for judgement in trial.judgements
-        if judgement.expected is not None
-    ]
-    return all(met) if met else None
+    known = [(points[j.part], j.expected) for j in trial.judgements if j.expected is not None]
+    return all(low <= value <= high for value, (low, high) in known) if known else None
 
 
 def measure_chance(trial: Trial) -> float:
-    """Tell how often someone who guesses answers as expected."""
+    """Compute the probability that a guess is as expected."""
     if choices := PROTOCOLS[trial.protocol].choices:
         return 1 / len(choices)
     low, high = RATING_RANGE

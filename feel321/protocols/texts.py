@@ -1,11 +1,12 @@
-"""What participants read: one TOML file per language in `catalog/`, or a file of the lab's own.
+"""The texts for participants: one TOML file per language in `catalog/`, or a file of the lab's own.
 
-Every language has the keys, lists and {placeholders} of the English one; a lab's own file is held to that when it is
-read, so that nobody finds a gap in the middle of a session.
+Every language has the keys, lists and {placeholders} of the English one; a lab's own file is checked against it when
+it is read, so that no gap turns up in the middle of a session.
 """
 
 from __future__ import annotations
 
+import os
 import tomllib
 from dataclasses import dataclass
 from importlib.resources import files
@@ -13,32 +14,23 @@ from pathlib import Path
 from string import Formatter
 from typing import TYPE_CHECKING, Any
 
+from feel321.doors import check_name
 from feel321.protocols.trial import Scale
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    Place = tuple[str | int, ...]
+    from feel321.types import PathLike
 
 CATALOG = files("feel321.protocols") / "catalog"
 
 MODEL = "en"
-"""The language that every other one is held to."""
+"""The language that every other one is compared with."""
 
 
 @dataclass(frozen=True, slots=True)
 class PageText:
-    """What a page says.
-
-    Parameters
-    ----------
-    key : str
-        Which page it is.
-    title : str
-        Its headline.
-    text : str
-        Its text; line breaks are the author's. `{done}` and `{total}` stand for numbers of trials.
-    """
+    """Headline and text of a page; `{done}` and `{total}` stand for numbers of trials."""
 
     key: str
     title: str
@@ -46,12 +38,7 @@ class PageText:
 
 
 def list_languages() -> tuple[str, ...]:
-    """Name the languages that the catalogue holds.
-
-    Returns
-    -------
-    tuple of str
-        Language codes, sorted.
+    """List the language codes of the catalogue.
 
     Examples
     --------
@@ -61,13 +48,13 @@ def list_languages() -> tuple[str, ...]:
     return tuple(sorted(entry.name.removesuffix(".toml") for entry in CATALOG.iterdir()))
 
 
-def read_scales(language: str | Path = MODEL) -> dict[str, Scale]:
+def read_scales(language: str | PathLike = MODEL) -> dict[str, Scale]:
     """Read the texts of all scales.
 
     Parameters
     ----------
-    language : str or Path
-        Language code of the catalogue, or a file of the same form.
+    language : str or path
+        Language code of the catalogue, or a TOML file of the same form.
 
     Returns
     -------
@@ -83,93 +70,38 @@ def read_scales(language: str | Path = MODEL) -> dict[str, Scale]:
 
     Examples
     --------
-    >>> read_scales()["similarity"].high_label
+    >>> from feel321 import protocols
+    >>> protocols.read_scales("en")["similarity"].high_label
     'Identical'
     """
-    return {
-        name: _make_scale(name, entry) for name, entry in read_texts(language)["scales"].items()
-    }
+    scales = {}
+    for name, own in read_texts(language)["scales"].items():
+        texts: dict[str, Any] = {k: tuple(t) if isinstance(t, list) else t for k, t in own.items()}
+        scales[name] = Scale(name, **texts)
+    return scales
 
 
-def read_pages(language: str | Path = MODEL) -> dict[str, PageText]:
-    """Read the texts of all pages.
-
-    Parameters
-    ----------
-    language : str or Path
-        Language code of the catalogue, or a file of the same form.
-
-    Returns
-    -------
-    dict of str to PageText
-        The pages by key.
-
-    Raises
-    ------
-    ValueError
-        If there is no such language, or the file is not complete.
-    OSError
-        If the file cannot be read.
-
-    Examples
-    --------
-    >>> read_pages("de")["end"].title
-    'Vielen Dank'
-    """
+def read_pages(language: str | PathLike = MODEL) -> dict[str, PageText]:
+    """Read the texts of all pages, by key."""
     return {key: PageText(key, **entry) for key, entry in read_texts(language)["pages"].items()}
 
 
-def read_refusals(language: str | Path = MODEL) -> dict[str, str]:
-    """Read what participants are told when an act is not accepted.
-
-    Parameters
-    ----------
-    language : str or Path
-        Language code of the catalogue, or a file of the same form.
-
-    Returns
-    -------
-    dict of str to str
-        The texts by reason; `{parts}` stands for the parts that it is about.
-
-    Raises
-    ------
-    ValueError
-        If there is no such language, or the file is not complete.
-    OSError
-        If the file cannot be read.
-
-    Examples
-    --------
-    >>> read_refusals()["unknown_part"]
-    'There is nothing to feel under that key.'
-    """
+def read_refusals(language: str | PathLike = MODEL) -> dict[str, str]:
+    """Read the messages for acts that are not accepted, by reason; `{parts}` stands for the parts concerned."""
     return dict(read_texts(language)["refusals"])
 
 
-def read_part_names(language: str | Path = MODEL) -> dict[str, str]:
-    """Read what the parts of trials are called; those that are numbered are called by their numbers.
-
-    Examples
-    --------
-    >>> read_part_names("de")["surface"]
-    'Echte Oberfläche'
-    """
-    return dict(read_texts(language)["parts"])
-
-
-def read_texts(language: str | Path = MODEL) -> dict[str, Any]:
-    """Read all texts of a language; those that no other function gives are `prompts` and `keys` of the screen.
+def read_texts(language: str | PathLike = MODEL) -> dict[str, Any]:
+    """Read all texts of a language.
 
     Examples
     --------
     >>> list(read_texts())
     ['scales', 'pages', 'refusals', 'prompts', 'parts', 'keys']
     """
-    if isinstance(language, Path):
-        return _read_own(language)
-    if language not in list_languages():
-        raise ValueError(f"language: got {language!r}, allowed: {', '.join(list_languages())}")
+    if isinstance(language, os.PathLike) or str(language).endswith(".toml"):
+        return _read_own(Path(language))
+    check_name(language, list_languages(), "language")
     return tomllib.loads((CATALOG / f"{language}.toml").read_text(encoding="utf-8"))
 
 
@@ -179,32 +111,23 @@ def find_gaps(texts: dict[str, Any], model: dict[str, Any]) -> list[str]:
     Examples
     --------
     >>> find_gaps({"a": "un", "c": "x"}, {"a": "one {n}", "b": ["yes", "no"]})
-    ['a: got no placeholders, allowed is {n}', 'b[1]: is missing', 'b[2]: is missing', 'c: is no known text']
+    ['a must have the placeholders {n}, got none', 'b[1] is missing', 'b[2] is missing', 'c is not a known text']
     """
     own, wanted = dict(_flatten(texts)), dict(_flatten(model))
-    faults = {
-        place: _find_fault(place, own[place], wanted[place]) for place in wanted if place in own
-    }
-    gaps = [f"{_write_place(place)}: {fault}" for place, fault in faults.items() if fault]
-    gaps += [f"{_write_place(place)}: is missing" for place in wanted if place not in own]
-    return gaps + [
-        f"{_write_place(place)}: is no known text" for place in own if place not in wanted
+    gaps = [
+        fault
+        for place in wanted
+        if place in own and (fault := _find_fault(place, own[place], wanted[place]))
     ]
-
-
-def _make_scale(name: str, entry: dict[str, Any]) -> Scale:
-    """Make a scale of what TOML holds, which has lists for tuples."""
-    texts: dict[str, Any] = {
-        key: tuple(text) if isinstance(text, list) else text for key, text in entry.items()
-    }
-    return Scale(name, **texts)
+    gaps += [f"{place} is missing" for place in wanted if place not in own]
+    return gaps + [f"{place} is not a known text" for place in own if place not in wanted]
 
 
 def _read_own(path: Path) -> dict[str, Any]:
     try:
         texts = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (ValueError, RecursionError) as error:  # TOML's own errors and those of the encoding
-        raise ValueError(f"{path}: got no TOML ({error}); mend that place") from None
+        raise ValueError(f"{path}: not valid TOML ({error}); fix it there") from None
     if gaps := find_gaps(texts, read_texts()):
         raise ValueError(
             "\n".join(f"{path}: {gap}; compare protocols/catalog/{MODEL}.toml" for gap in gaps)
@@ -212,42 +135,33 @@ def _read_own(path: Path) -> dict[str, Any]:
     return texts
 
 
-def _flatten(texts: object, place: Place = ()) -> Iterator[tuple[Place, object]]:
-    """Name every text by its keys, and lists and tables that are empty; lists are counted from 1."""
+def _flatten(texts: object, place: str = "") -> Iterator[tuple[str, object]]:
+    """Name every text by its keys as TOML does, and lists and tables that are empty; lists are counted from 1."""
     if isinstance(texts, dict) and texts:
         for key, entry in texts.items():
-            yield from _flatten(entry, (*place, key))
+            name = f'"{key}"' if "." in key else key
+            yield from _flatten(entry, f"{place}.{name}".removeprefix("."))
     elif isinstance(texts, list) and texts:
         for number, entry in enumerate(texts, start=1):
-            yield from _flatten(entry, (*place, number))
+            yield from _flatten(entry, f"{place}[{number}]")
     else:
         yield place, texts
 
 
-def _write_place(place: Place) -> str:
-    """Write a place as it stands in TOML, where a key that holds dots is quoted."""
-    keys = (
-        f"[{key}]" if isinstance(key, int) else f'."{key}"' if "." in key else f".{key}"
-        for key in place
-    )
-    return "".join(keys).removeprefix(".")
-
-
-def _find_fault(place: Place, text: object, model: object) -> str:
+def _find_fault(place: str, text: object, model: object) -> str:
     if not isinstance(text, str) or not text.strip():
-        return f"got {text!r}, allowed is a text"
-    if "choices" in place and text != model:
-        return f"got {text!r}, allowed is {model!r}: choices are names of parts, the same in every language"
-    got, allowed = _list_placeholders(text), _list_placeholders(str(model))
-    return (
-        "" if got == allowed else f"got {got or 'no placeholders'}, allowed is {allowed or 'none'}"
-    )
+        return f"{place} must be a text, got {text!r}"
+    if ".choices[" in place and text != model:
+        return f"{place} must be {model!r}, got {text!r}: choices are names of parts, the same in every language"
+    got, wanted = _list_placeholders(text), _list_placeholders(str(model))
+    if got == wanted:
+        return ""
+    return f"{place} must have {f'the placeholders {wanted}' if wanted else 'no placeholders'}, got {got or 'none'}"
 
 
 def _list_placeholders(text: str) -> str:
     try:
-        return ", ".join(
-            sorted({f"{{{name}}}" for _, name, _, _ in Formatter().parse(text) if name is not None})
-        )
+        names = {name for _, name, _, _ in Formatter().parse(text) if name is not None}
     except ValueError as error:
         return str(error)
+    return ", ".join(sorted(f"{{{name}}}" for name in names))

@@ -29,7 +29,7 @@ from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.stimuli.synthesis import SCENES, make_scene
 from feel321.study.folder import StudyFolder, require_study
-from feel321.study.ledger.slots import write_roster
+from feel321.study.ledger.standing import write_roster
 from feel321.study.provenance import find_changes
 from feel321.study.ratings import write_ratings
 from feel321.study.settings.read import list_origins, make_recipe, read_settings, try_recordings

@@ -24,8 +24,8 @@ from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.trial import RATING_RANGE, Page, Trial
 from feel321.stimuli.sets.inspection import check_stimuli
 from feel321.stimuli.sets.manifest import FURTHER, describe_row, read_stimuli
-from feel321.study.ledger.database import find_cut, read_anchor
-from feel321.study.ledger.rebuilding import find_leftovers, find_lost, read_study_ledger
+from feel321.study.ledger.slots import find_lost, read_study_ledger
+from feel321.study.ledger.standing import find_cut, find_leftovers, read_anchor
 from feel321.study.provenance import MANIFEST_JSON, read_origin
 from feel321.study.session.journal import digest, read_journal
 from feel321.study.session.opening import OPENING_EVENTS, PLAN_FILE, TOMBSTONE_FILE, read_dossier
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
     from feel321.protocols.trial import Flow
     from feel321.study.folder import StudyFolder
-    from feel321.study.ledger.database import Entry
+    from feel321.study.ledger.slots import Entry
     from feel321.study.session.journal import Chain, Record
     from feel321.study.session.opening import Dossier
     from feel321.study.session.plan import Plan

@@ -26,9 +26,8 @@ from typing import TYPE_CHECKING, Any
 from feel321.protocols.texts import read_scales
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.actuator.rig import FILE_DEVICE, identify, read_rig, take_device
-from feel321.study.ledger.database import check_anchors
-from feel321.study.ledger.rebuilding import open_study_ledger
-from feel321.study.ledger.slots import claim_slots, note_progress, read_ledger
+from feel321.study.ledger.slots import claim_slots, note_progress, open_study_ledger, read_ledger
+from feel321.study.ledger.standing import check_anchors
 from feel321.study.observer.judging import SPECTRAL, ObserverModel, Touch, expect_rating
 from feel321.study.observer.participant import Participant, SimulatedObserver, identify_observer
 from feel321.study.observer.percepts import read_percepts

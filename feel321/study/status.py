@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from feel321.protocols.balance import measure_balance, pool_balances, williams_square
 from feel321.protocols.tasks import is_as_expected
-from feel321.study.ledger.slots import make_standing
+from feel321.study.ledger.standing import make_standing
 from feel321.study.session.opening import TOMBSTONE_FILE, read_as_written, read_dossier
 from feel321.study.session.plan import has_event
 

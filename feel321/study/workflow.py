@@ -15,7 +15,7 @@ from feel321.stimuli.sets.inspection import check_stimuli
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.actuator.render import find_mix
 from feel321.study.actuator.rig import read_rig
-from feel321.study.ledger.slots import write_roster
+from feel321.study.ledger.standing import write_roster
 from feel321.study.provenance import find_changes, is_in_use
 from feel321.study.ratings import write_ratings
 from feel321.study.session.opening import PLAN_FILE

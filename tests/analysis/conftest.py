@@ -128,6 +128,12 @@ def files(tmp_path: Path) -> Callable[..., Files]:
     return partial(write_files, tmp_path)
 
 
+@pytest.fixture(autouse=True)
+def foreground(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw in this process: tests run side by side as it is."""
+    monkeypatch.setattr("feel321.analysis.report.folder.BACKGROUND", False)
+
+
 @pytest.fixture
 def sketched(monkeypatch: pytest.MonkeyPatch) -> None:
     """Draw the figures of reports, but save empty files, which takes no time."""
@@ -139,7 +145,7 @@ def sketched(monkeypatch: pytest.MonkeyPatch) -> None:
         ):
             stem.with_name(f"{stem.name}{suffix}").write_text(text, encoding="utf-8")
 
-    monkeypatch.setattr("feel321.analysis.report.write.save_figure", save)
+    monkeypatch.setattr("feel321.analysis.report.folder.save_figure", save)
 
 
 @pytest.fixture

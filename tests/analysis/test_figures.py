@@ -294,7 +294,7 @@ def test_a_pdf_repeats_to_the_byte_and_nothing_else_is_known(
         save_figure(figure, tmp_path / name, formats=["pdf"])
     assert (tmp_path / "v1.0.pdf").read_bytes() == (tmp_path / "v1.1.pdf").read_bytes()
     assert len(list(tmp_path.iterdir())) == 2
-    with pytest.raises(ValueError, match="formats: got 'bmp', allowed are svg, png, pdf"):
+    with pytest.raises(ValueError, match="formats must be one of svg, png, pdf; got 'bmp'"):
         save_figure(figure, tmp_path / "figure", formats=["bmp"])
 
 

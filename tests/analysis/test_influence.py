@@ -18,7 +18,7 @@ from feel321.analysis.primary.influence import conclude, find_candidates, measur
 from feel321.analysis.primary.model import fit_primary
 from feel321.analysis.report import primary
 from feel321.analysis.report.association import reconcile
-from feel321.analysis.report.section import Choices
+from feel321.analysis.report.parts import Choices
 from feel321.analysis.table.reading import Table
 from feel321.analysis.words import Claim
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS

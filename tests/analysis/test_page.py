@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import pandas as pd
 import pytest
 
-from feel321.analysis.report.page import group_lines
 from feel321.analysis.report.section import Section
+from feel321.analysis.report.write import group_lines
 from feel321.analysis.resampling import METHODS
 from feel321.analysis.screening.rules import RULES
 from feel321.analysis.words import Line, keep_together, tell_method, tell_number, tell_range

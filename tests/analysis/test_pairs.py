@@ -13,7 +13,7 @@ import pytest
 
 from feel321.analysis.association.correlate import analyse, stack_records
 from feel321.analysis.contrasts.equivalence import profile_reducers
-from feel321.analysis.report.section import split_parts
+from feel321.analysis.report.parts import split_parts
 from feel321.analysis.report.write import write_report
 from feel321.analysis.table.reading import Table, read_table
 

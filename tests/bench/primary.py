@@ -24,7 +24,7 @@ from scipy.stats import t as student
 
 from feel321.analysis.mixed.design import build_design
 from feel321.analysis.mixed.model import Estimate, estimate_sum, find_uncertainty
-from feel321.analysis.mixed.optimum import Balanced, find_frame, find_optimum
+from feel321.analysis.mixed.optimum import Balanced, find_balance, find_optimum
 from feel321.analysis.mixed.profile import find_coefficients, find_sigma, find_spreads
 from feel321.analysis.primary.model import fit_primary
 from feel321.analysis.primary.plan import Plan, centre_twice, make_cells, plan_terms
@@ -127,7 +127,7 @@ class Quick:
             plan, table = Plan((*plan.fixed, "reducer"), random, ()), centre_twice(table, within)
         self.penalty = () if model == "without penalty" else plan.penalty
         self.design = build_design(plan.formula, table)
-        self.frame = find_frame(self.design)
+        self.balance = find_balance(self.design)
         pairs = table[["participant", "item"]].itertuples(index=False, name=None)
         place = {pair: row for row, pair in enumerate(pairs)}
         self.rows = np.array([
@@ -139,7 +139,7 @@ class Quick:
         response = np.empty(ratings[..., 0].size)
         response[self.rows] = ratings.mean(axis=-1)
         profile = Balanced(
-            replace(self.design, response=response), self.frame, reml=True, penalty=self.penalty
+            replace(self.design, response=response), self.balance, reml=True, penalty=self.penalty
         )
         best = find_optimum(profile)
         self.spreads = self._read_spreads(profile, best)

@@ -130,11 +130,9 @@ def test_pooled_groups_add_up_and_are_not_held_against_each_other() -> None:
 
 
 def test_nothing_run_is_refused() -> None:
-    with pytest.raises(
-        ValueError, match="sequences: got no condition, balance needs at least one that was run"
-    ):
+    with pytest.raises(ValueError, match="sequences must hold at least one condition that was run"):
         measure_balance([[], []])
-    with pytest.raises(ValueError, match="balances: got none, a pool needs at least one"):
+    with pytest.raises(ValueError, match="balances must be at least one"):
         pool_balances([])
 
 

@@ -1,15 +1,17 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
+from dataclasses import asdict
 from itertools import combinations, pairwise, product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from feel321.protocols.balance import williams_square
+from feel321.protocols.balance import measure_balance, williams_square
 from feel321.protocols.order import ORDERS, make_order
 from feel321.protocols.tasks import PROTOCOLS, make_task
 from feel321.protocols.trial import Item
@@ -289,10 +291,10 @@ def test_trials_carry_what_the_protocol_and_the_task_say(
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"number": 0}, "number: got 0, allowed is a whole number of at least 1"),
-        ({"repeats": 0}, "repeats: got 0, allowed"),
-        ({"tasks": ()}, "tasks: got none, an order needs at least one"),
-        ({"order": "latin"}, "order: got 'latin', allowed: williams, blocked, random"),
+        ({"number": 0}, "number must be a whole number from 1, got 0"),
+        ({"repeats": 0}, "repeats must be a whole number from 1, got 0"),
+        ({"tasks": ()}, "tasks must be at least one for an order, got none"),
+        ({"order": "latin"}, "order must be one of williams, blocked, random; got 'latin'"),
     ],
 )
 def test_orders_of_nothing_are_refused(
@@ -303,7 +305,7 @@ def test_orders_of_nothing_are_refused(
 
 
 def test_no_items_are_refused() -> None:
-    with pytest.raises(ValueError, match="items: got none, an order needs at least one"):
+    with pytest.raises(ValueError, match="items must be at least one"):
         order([])
 
 
@@ -319,7 +321,33 @@ def test_a_recording_without_anything_to_judge_is_left_out_and_a_task_without_an
     only = [item for item in lone if item.role == "test"]
     assert {t.recording for t in order_abx(only + pair)} == {"tap"}
     with pytest.raises(
-        ValueError,
-        match="abx: got stimuli of which none is to be judged; build a set with reducers",
+        ValueError, match="abx: no stimulus of the set is to be judged; build a set with reducers"
     ):
         order_abx(only)
+
+
+def test_a_table_of_items_names_of_tasks_and_a_seed_give_the_same_order(items: list[Item]) -> None:
+    table = pd.DataFrame([asdict(item) for item in items]).iloc[:, ::-1]
+    trials = make_order(table, ["realism"], number=2, rng=1)
+    assert trials == order(items, 2)
+    assert list(trials.to_frame()["stimulus_id"]) == [get_stimulus(t) for t in trials]
+    balance = measure_balance([make_order(table, ["realism"], number=n) for n in range(1, 7)])
+    assert balance.to_frame().shape == (len(items), len(items))
+    assert measure_balance(["AB", "BA"]) == measure_balance([["A", "B"], ["B", "A"]])
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda items: make_order(items, "realism", number=1), "tasks must be a list"),
+        (lambda items: make_order(items, ["realism"], number=1, rng="x"), "rng must be a whole"),
+        (
+            lambda items: measure_balance(make_order(items, ["realism"], number=1)),
+            "one sequence per",
+        ),
+        (lambda _: measure_balance("AB"), r"write \[sequence\]"),
+    ],
+)
+def test_what_is_no_list_is_refused(items: list[Item], make: Any, message: str) -> None:
+    with pytest.raises(TypeError, match=message):
+        make(items)

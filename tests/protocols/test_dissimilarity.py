@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from feel321.protocols.dissimilarity import DISSIMILARITY
-from feel321.protocols.tasks import make_task
+from feel321.protocols.tasks import PROTOCOLS, make_task
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -18,6 +17,7 @@ if TYPE_CHECKING:
 
     MakeItems = Callable[..., list[Item]]
 
+DISSIMILARITY = PROTOCOLS["dissimilarity"]
 LEE_2022 = ("saz321", "soc321", "mag321", "dft321", "pca321", "original")
 TASK = make_task("dissimilarity")
 

@@ -2,12 +2,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from feel321.protocols.realism import REALISM
-from feel321.protocols.tasks import make_task
+from feel321.protocols.tasks import PROTOCOLS, make_task
 from feel321.protocols.trial import Part
 
 if TYPE_CHECKING:
     from feel321.protocols.trial import Item
+
+REALISM = PROTOCOLS["realism"]
 
 
 def test_every_stimulus_is_judged_by_itself(items: list[Item]) -> None:

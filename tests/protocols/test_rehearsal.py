@@ -186,5 +186,5 @@ def test_rehearsal_depends_on_the_generator_alone() -> None:
 
 
 def test_rehearsal_of_nothing_is_refused() -> None:
-    with pytest.raises(ValueError, match="items: got none, an order needs at least one"):
+    with pytest.raises(ValueError, match="items must be at least one"):
         rehearse("realism", items=[])

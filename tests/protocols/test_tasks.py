@@ -37,51 +37,43 @@ def test_what_is_asked_for_is_what_the_task_says() -> None:
         (
             "loudness",
             {},
-            "protocol: got 'loudness', allowed: realism, similarity, dissimilarity, mushra, abx",
+            "protocol must be one of realism, similarity, dissimilarity, mushra, abx; got 'loudness'",
         ),
-        ("mushra", {"timing": "strict"}, "tasks.mushra.timing: got 'strict', allowed: free"),
+        ("mushra", {"timing": "strict"}, "tasks.mushra.timing must be one of free; got 'strict'"),
         (
             "similarity",
             {"timing": "free"},
-            "tasks.similarity.timing: got 'free', allowed: replay, strict",
+            "tasks.similarity.timing must be one of replay, strict; got 'free'",
         ),
         (
             "realism",
             {"reference": "original"},
-            "tasks.realism.reference: got 'original', allowed is none: each stimulus is judged by itself; leave it out",
+            "tasks.realism.reference must not be set, got 'original': each stimulus is judged by itself; leave it out",
         ),
         (
             "abx",
             {"reference": "surface"},
-            "tasks.abx.reference: got 'surface', allowed: original, the name of a reducer",
+            "tasks.abx.reference must be one of original, the name of a reducer; got 'surface'",
         ),
         (
             "dissimilarity",
             {"reference": "dft321"},
-            "tasks.dissimilarity.reference: got 'dft321', allowed: original",
+            "tasks.dissimilarity.reference must be one of original; got 'dft321'",
         ),
         (
             "similarity",
             {"reference": ""},
-            "tasks.similarity.reference: got '', allowed: original, surface, the name",
+            "tasks.similarity.reference must be one of original, surface, the name of a reducer; got ''",
         ),
         (
             "similarity",
             {"surface": True},
-            "tasks.similarity.surface: got true, allowed is false: nothing is judged by itself here; "
+            "tasks.similarity.surface must be false, got true: nothing is judged by itself here; "
             "leave it out, or set reference = 'surface'",
         ),
         ("abx", {"surface": True}, "nothing is judged by itself here; leave it out"),
-        (
-            "abx",
-            {"training": -1},
-            "tasks.abx.training: got -1, allowed is a whole number of at least 0",
-        ),
-        (
-            "abx",
-            {"practice": -2},
-            "tasks.abx.practice: got -2, allowed is a whole number of at least 0",
-        ),
+        ("abx", {"training": -1}, "tasks.abx.training must be a whole number from 0, got -1"),
+        ("abx", {"practice": -2}, "tasks.abx.practice must be a whole number from 0, got -2"),
     ],
 )
 def test_what_a_protocol_does_not_have_is_refused(

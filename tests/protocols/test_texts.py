@@ -6,15 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.protocols.abx import CHOICES
-from feel321.protocols.tasks import PROTOCOLS, make_task
+from feel321.protocols.tasks import ABX_CHOICES, PROTOCOLS, make_task
 from feel321.protocols.texts import (
     CATALOG,
     MODEL,
     find_gaps,
     list_languages,
     read_pages,
-    read_part_names,
     read_refusals,
     read_scales,
     read_texts,
@@ -77,7 +75,7 @@ def test_every_language_has_the_scale_of_every_protocol(language: str) -> None:
         for scale in scales.values()
     )
     assert {name: scale.choices for name, scale in scales.items() if scale.choices} == {
-        "abx": CHOICES
+        "abx": ABX_CHOICES
     }
     assert {name: len(scale.anchors) for name, scale in scales.items() if scale.anchors} == {
         "mushra": 5
@@ -111,7 +109,7 @@ def test_every_part_that_is_not_numbered_has_a_name(language: str) -> None:
     parts = {
         part.name for comparison in compared for part in comparison.parts if not part.name.isdigit()
     }
-    assert set(read_part_names(language)) == parts
+    assert set(read_texts(language)["parts"]) == parts
 
 
 @pytest.mark.parametrize(
@@ -154,7 +152,7 @@ def test_languages_do_not_share_their_texts() -> None:
 
 def test_unknown_language_is_refused_with_the_list() -> None:
     for read in (read_scales, read_pages, read_refusals):
-        with pytest.raises(ValueError, match=r"^language: got 'xx', allowed: de, en$"):
+        with pytest.raises(ValueError, match=r"^language must be one of de, en; got 'xx'"):
             read("xx")
 
 
@@ -174,10 +172,10 @@ def test_keys_with_dots_want_quotes(own: Path, english: str) -> None:
     assert [
         line.split(": ", 1)[1].partition(";")[0] for line in str(caught.value).splitlines()
     ] == [
-        'pages."instructions.realism".title: is missing',
-        'pages."instructions.realism".text: is missing',
-        "pages.instructions.realism.title: is no known text",
-        "pages.instructions.realism.text: is no known text",
+        'pages."instructions.realism".title is missing',
+        'pages."instructions.realism".text is missing',
+        "pages.instructions.realism.title is not a known text",
+        "pages.instructions.realism.text is not a known text",
     ]
 
 
@@ -195,7 +193,7 @@ def test_tables_that_nobody_reads_are_told_though_they_are_empty(
     extra: str, place: str, own: Path, english: str
 ) -> None:
     own.write_text(f"{english}\n{extra}\n", encoding="utf-8")
-    with pytest.raises(ValueError, match=rf": {re.escape(place)}: is no known text; compare"):
+    with pytest.raises(ValueError, match=rf": {re.escape(place)} is not a known text; compare"):
         read_texts(own)
 
 
@@ -204,7 +202,7 @@ def test_a_table_is_no_list(own: Path, english: str) -> None:
         r"(?m)^anchors = .*$", 'anchors = {1 = "a", 2 = "b", 3 = "c", 4 = "d", 5 = "e"}', english
     )
     own.write_text(text, encoding="utf-8")
-    with pytest.raises(ValueError, match=r"scales\.mushra\.anchors\[5\]: is missing"):
+    with pytest.raises(ValueError, match=r"scales\.mushra\.anchors\[5\] is missing"):
         read_scales(own)
 
 
@@ -216,8 +214,8 @@ def test_the_mark_that_some_editors_put_first_is_no_mistake(own: Path, english: 
 def test_all_gaps_of_an_own_file_are_told_at_once(own: Path, english: str) -> None:
     text = re.sub(r"(?s)\[pages\.rest\].*?(?=\[pages)", "", english)
     text = text.replace('"Fair", ', "").replace('choices = ["a", "b"]', 'choices = ["a", "c"]')
-    text = text.replace("Still to feel: {parts}", "{part}").replace("[keys]", '[keys]\nfly = "F"')
-    own.write_text(text.replace('title = "Just so"', "title = 5"), encoding="utf-8")
+    text = text.replace("Not yet played: {parts}", "{part}").replace("[keys]", '[keys]\nfly = "F"')
+    own.write_text(text.replace('title = "Welcome back"', "title = 5"), encoding="utf-8")
     with pytest.raises(ValueError, match="is missing") as caught:
         read_pages(own)
     told = [
@@ -226,24 +224,24 @@ def test_all_gaps_of_an_own_file_are_told_at_once(own: Path, english: str) -> No
     ]
     assert {remedy for _, _, remedy in told} == {"protocols/catalog/en.toml"}
     assert [gap for gap, _, _ in told] == [
-        "scales.abx.choices[2]: got 'c', allowed is 'b': choices are names of parts, the same in every language",
-        "pages.expected.title: got 5, allowed is a text",
-        "refusals.not_felt: got {part}, allowed is {parts}",
-        "scales.mushra.anchors[5]: is missing",
-        "pages.rest.title: is missing",
-        "pages.rest.text: is missing",
-        "keys.fly: is no known text",
+        "scales.abx.choices[2] must be 'b', got 'c': choices are names of parts, the same in every language",
+        "pages.warm_up.title must be a text, got 5",
+        "refusals.not_felt must have the placeholders {parts}, got {part}",
+        "scales.mushra.anchors[5] is missing",
+        "pages.rest.title is missing",
+        "pages.rest.text is missing",
+        "keys.fly is not a known text",
     ]
 
 
 @pytest.mark.parametrize(
     ("texts", "gap"),
     [
-        ({"a": "one"}, "a: got no placeholders, allowed is {n}"),
-        ({"a": "{n} {m}"}, "a: got {m}, {n}, allowed is {n}"),
-        ({"a": "{n"}, "a: got expected '}' before end of string, allowed is {n}"),
-        ({"a": "  "}, "a: got '  ', allowed is a text"),
-        ({"a": {"b": "{n}"}}, "a: is missing"),
+        ({"a": "one"}, "a must have the placeholders {n}, got none"),
+        ({"a": "{n} {m}"}, "a must have the placeholders {n}, got {m}, {n}"),
+        ({"a": "{n"}, "a must have the placeholders {n}, got expected '}' before end of string"),
+        ({"a": "  "}, "a must be a text, got '  '"),
+        ({"a": {"b": "{n}"}}, "a is missing"),
     ],
 )
 def test_a_gap_says_what_was_got_and_what_is_allowed(texts: dict[str, Any], gap: str) -> None:
@@ -254,7 +252,7 @@ def test_a_gap_says_what_was_got_and_what_is_allowed(texts: dict[str, Any], gap:
 def test_an_own_file_that_is_no_toml_is_one_line(text: bytes, own: Path) -> None:
     own.write_bytes(text)
     with pytest.raises(
-        ValueError, match=r"^[^\n]*fr\.toml: got no TOML \([^\n]*\); mend that place$"
+        ValueError, match=r"^[^\n]*fr\.toml: not valid TOML \([^\n]*\); fix it there$"
     ):
         read_scales(own)
 

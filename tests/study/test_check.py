@@ -67,8 +67,8 @@ def test_gaps_in_texts_are_all_named(study: StudyFolder, ask: list[str]) -> None
     english = (CATALOG / "en.toml").read_text(encoding="utf-8")
     (study.path / "fr.toml").write_text(english.replace("again =", "agian ="), encoding="utf-8")
     assert [line.split(": ", 1)[1] for line in check_study(study)[1][1:]] == [
-        "keys.again: is missing; compare protocols/catalog/en.toml",
-        "keys.agian: is no known text; compare protocols/catalog/en.toml",
+        "keys.again is missing; compare protocols/catalog/en.toml",
+        "keys.agian is not a known text; compare protocols/catalog/en.toml",
     ]
 
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from feel321.analysis.table.schema import HIGHEST, LOWEST
 from feel321.analysis.table.sheet import tell_measure
 from feel321.analysis.words import tell_name, wrap_name
+from feel321.doors import check_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -264,11 +265,14 @@ STAMPS: Mapping[str, tuple[str, ...]] = MappingProxyType({
 
 def save_figure(figure: Figure, stem: Path, *, formats: Sequence[str] = ("svg", "png")) -> None:
     """Write a figure as vector and as bitmap."""
-    if unknown := [name for name in formats if name not in STAMPS]:
-        raise ValueError(f"formats: got {unknown[0]!r}, allowed are {', '.join(STAMPS)}")
+    for name in formats:
+        check_name(name, STAMPS, "formats")
     with print_style():
+        if engine := figure.get_layout_engine():
+            # Everything gets its place once, for every format, and nothing is drawn for that.
+            engine.execute(figure)
+            figure.set_layout_engine("none")
         for name in formats:
             # A name may end in what looks like a suffix: dft_v1.5.
             path = stem.with_name(f"{stem.name}.{name}")
             figure.savefig(path, dpi=PNG_DPI, metadata=dict.fromkeys(STAMPS[name]))
-            figure.set_layout_engine("none")  # everything has its place now, in every format

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from feel321.analysis.mixed.design import build_design
-from feel321.analysis.mixed.optimum import Balanced, find_frame, find_optimum, find_slope
+from feel321.analysis.mixed.design import build_design, read_new_rows
+from feel321.analysis.mixed.optimum import Balanced, find_balance, find_optimum, find_slope
 from feel321.analysis.mixed.profile import (
     Profile,
     find_coefficients,
@@ -17,6 +18,7 @@ from feel321.analysis.mixed.profile import (
     find_spreads,
     hold_threads,
 )
+from feel321.records import Result
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -24,10 +26,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from pandas import DataFrame
 
-    from feel321.analysis.mixed.design import Block, Design, Term
+    from feel321.analysis.mixed.design import Block, Design
     from feel321.analysis.mixed.profile import State
-
-# How well a combination of fixed effects is known: Satterthwaite's degrees of freedom.
 
 STEP = 1e-4
 """Share of a relative spread, or of 1 if that is more, by which it is moved: beside 10 000, 0.0001 is rounding."""
@@ -35,11 +35,14 @@ STEP = 1e-4
 FLAT = 1e-8
 """Curvature below this carries no information: a spread at its boundary."""
 
+BOUND = 1 - 1e-6
+"""A correlation beyond this is one of ±1 but for rounding."""
+
 CONFIDENCE = 0.95
 
 
-@dataclass(frozen=True, slots=True)
-class Uncertainty:
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Uncertainty(Result):
     """What the variance of any combination of fixed effects follows from.
 
     covariance: (n_fixed, n_fixed); slopes: (n_theta + 1, n_fixed, n_fixed); parameters: (n_theta +
@@ -51,8 +54,8 @@ class Uncertainty:
     parameters: NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
-class Estimate:
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Estimate(Result):
     """A number with its t test against 0.
 
     Parameters
@@ -77,20 +80,17 @@ class Estimate:
 
 
 def find_uncertainty(profile: Profile, best: State) -> Uncertainty:
-    """Find out how the fixed effects' covariance hangs on the spreads, and how well those are known.
+    """Compute how the fixed effects' covariance depends on the spreads, and how well those are known.
 
     Notes
     -----
     With f(theta, log s) the deviance before s is profiled out, the spreads' covariance is 2 H⁻¹, H the matrix of
-    second derivatives, none of which hangs on units; directions in which H is not positive carry no information
+    second derivatives, none of which depends on units; directions in which H is not positive carry no information
     and are left out, as lmerTest does. Derivatives along theta are central differences of the exact slope. A penalty
     of -2 log theta adds 2 / theta².
     """
-    sigma, size, unit = (
-        find_sigma(profile, best),
-        profile.n_theta,
-        np.maximum(np.abs(best.theta), 1),
-    )
+    sigma, size = find_sigma(profile, best), len(best.theta)
+    unit = np.maximum(np.abs(best.theta), 1)
     covariance = find_coefficients(profile, best)[1] * sigma**2
     hessian = np.zeros((size + 1, size + 1))
     slopes = np.empty((size + 1, *covariance.shape))
@@ -120,9 +120,7 @@ def _invert(hessian: NDArray[np.float64]) -> NDArray[np.float64]:
 def estimate_sum(
     effects: NDArray[np.float64], weights: NDArray[np.float64], uncertainty: Uncertainty
 ) -> Estimate:
-    """Estimate a weighted sum of fixed effects.
-
-    effects: (n_fixed,); weights: (n_fixed,).
+    """Estimate a weighted sum of fixed effects; effects and weights: (n_fixed,).
 
     Notes
     -----
@@ -146,12 +144,8 @@ def estimate_sum(
     return Estimate(value, se, df, value / se, p, value - margin, value + margin)
 
 
-BOUND = 1 - 1e-6
-"""A correlation beyond this is one of ±1 but for rounding."""
-
-
-@dataclass(frozen=True, slots=True)
-class MixedFit:
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class MixedFit(Result):
     """A linear mixed model, fitted.
 
     Parameters
@@ -180,13 +174,15 @@ class MixedFit:
     fitted, residuals : ndarray, shape (n_rows,)
         Prediction with the random effects, and the response minus it.
     uncertainty : Uncertainty
-        What `contrast` works from.
+        What `contrast` works from: the variances of all combinations of fixed effects.
     n_rows : int
         Number of observations.
     n_levels : Mapping of str to int
         Number of levels of every grouping factor.
     notes : tuple of str
         What is unusual about the fit, one sentence each.
+    coding : object
+        How `predict` codes columns of words, as formulaic keeps it; None where all are numbers.
     """
 
     formula: str
@@ -206,6 +202,51 @@ class MixedFit:
     n_rows: int
     n_levels: Mapping[str, int]
     notes: tuple[str, ...] = ()
+    coding: object = None
+
+    def to_frame(self) -> DataFrame:
+        """Return the fixed effects.
+
+        Returns
+        -------
+        DataFrame
+            A row per term: term, estimate, se, df, t, p, low, high.
+        """
+        return self.fixed.reset_index()
+
+    def summary(self) -> str:
+        """Write the fit as lme4 does.
+
+        Returns
+        -------
+        str
+            Formula, spreads, fixed effects and notes.
+        """
+        sizes = ", ".join(f"{name} {count}" for name, count in self.n_levels.items())
+        residual = {"group": "residual", "term": "", "sd": self.residual_sd}
+        spreads = [*self.variances.to_dict("records"), dict[Any, Any](residual)]
+        return "\n".join([
+            self.formula, f"{self.n_rows} rows; levels: {sizes}", "",
+            *(f"{row['group']:24} {row['term']:20} {row['sd']:.4g}" for row in spreads), "",
+            self.fixed.to_string(float_format="{:.4g}".format), *self.notes,
+        ])  # fmt: skip
+
+    def predict(self, data: DataFrame) -> NDArray[np.float64]:
+        """Predict new rows for people and stimuli in general, that is without random effects.
+
+        Parameters
+        ----------
+        data : DataFrame
+            The columns of the fixed part.
+
+        Returns
+        -------
+        ndarray, shape (n_rows,)
+            Predicted responses.
+        """
+        columns = read_new_rows(list(self.fixed.index), self.coding, data)
+        predicted: NDArray[np.float64] = columns @ self.fixed["estimate"].to_numpy()
+        return predicted
 
 
 def fit_mixed(
@@ -250,7 +291,7 @@ def fit_mixed(
     the ends of the scale.
 
     The deviance is profiled and minimised over relative spreads (Bates et al. 2015) with its exact slope; where every
-    participant rated every stimulus equally often, it is the same function of two small matrices (see `balanced`);
+    participant rated every stimulus equally often, it is the same function of two small matrices (`Balanced`);
     degrees of freedom are Satterthwaite's, as in lmerTest. With few levels a spread is often estimated as zero when it
     is only unknown; for the factors named in `penalty`, -2 log of the spread is added to the deviance,
     which is the mode under a gamma(2, λ) prior with λ -> 0 (Chung et al. 2013). It enters the degrees of freedom too,
@@ -273,9 +314,10 @@ def fit_mixed(
     Four people, three ratings each.
 
     >>> import pandas as pd
+    >>> from feel321 import analysis
     >>> data = pd.DataFrame({"who": list("aaabbbcccddd"), "x": [0, 1, 2] * 4,
     ...     "y": [1.0, 2, 3, 3, 5, 6, 2, 2, 4, 5, 7, 8]})
-    >>> fit = fit_mixed("y ~ x + (1 | who)", data)
+    >>> fit = analysis.fit_mixed("y ~ x + (1 | who)", data)
     >>> fit.fixed.round(2)
                  estimate    se    df     t     p   low  high
     term
@@ -287,25 +329,59 @@ def fit_mixed(
     >>> round(fit.residual_sd, 2), round(fit.criterion, 2), fit.singular
     (0.46, 29.93, False)
     """
-    design = build_design(formula, data)
-    profile = Profile(design, reml=reml, penalty=penalty)
-    frame = find_frame(design)
-    quick = Balanced(design, frame, reml=reml, penalty=penalty) if frame else profile
+    solved = solve_design(build_design(formula, data), reml=reml, penalty=penalty)
+    return report_fit(formula, solved)
+
+
+class Solved(NamedTuple):
+    """A design's deviance at its minimum, and what is known of the fixed effects there."""
+
+    profile: Profile
+    best: State
+    coefficients: NDArray[np.float64]
+    uncertainty: Uncertainty
+
+    def estimate(self, weights: Mapping[str, float]) -> Estimate:
+        """Estimate a weighted sum of fixed effects, by name; all others count 0."""
+        values = np.array([weights.get(name, 0.0) for name in self.profile.design.names])
+        return estimate_sum(self.coefficients, values, self.uncertainty)
+
+
+def solve_design(design: Design, *, reml: bool = True, penalty: Sequence[str] = ()) -> Solved:
+    """Minimise a design's deviance, by the shortcut where it is balanced."""
+    balance = find_balance(design)
+    if balance:
+        profile: Profile = Balanced(design, balance, reml=reml, penalty=penalty)
+    else:
+        profile = Profile(design, reml=reml, penalty=penalty)
     with hold_threads(profile.n_random):
-        found = find_optimum(quick)
-        uncertainty = find_uncertainty(quick, found)
-        best = profile.evaluate(found.theta)
+        best = find_optimum(profile)
+        coefficients, _ = find_coefficients(profile, best)
+        return Solved(profile, best, coefficients, find_uncertainty(profile, best))
+
+
+def report_fit(formula: str, solved: Solved) -> MixedFit:
+    """Compute everything about a fit that is for people."""
+    import pandas as pd
+
+    quick, design = solved.profile, solved.profile.design
+    penalty = [block.factor.name for block in quick.blocks if quick.penalised[block.theta].any()]
+    profile = Profile(design, reml=quick.reml, penalty=penalty)
+    with hold_threads(profile.n_random):
+        best = profile.evaluate(solved.best.theta)
     coefficients, _ = find_coefficients(profile, best)
-    variances, correlations = _table_spreads(profile, best)
+    rows = [
+        asdict(estimate_sum(coefficients, row, solved.uncertainty))
+        for row in np.eye(profile.n_fixed)
+    ]
+    variances, correlations = _tabulate_spreads(profile, best)
     fitted, effects = _predict(profile, best)
-    zero = _name_zeros(
-        variances, correlations, boundary=bool((best.theta[profile.diagonal] == 0).any())
-    )
+    zero = note_zeros(solved)
     marginal, conditional = _explain_variance(profile, best)
     return MixedFit(
         formula=formula,
-        reml=reml,
-        fixed=_table_fixed(design, coefficients, uncertainty),
+        reml=profile.reml,
+        fixed=pd.DataFrame(rows, index=pd.Index(design.names, name="term")),
         variances=variances,
         correlations=correlations,
         residual_sd=find_sigma(profile, best),
@@ -316,22 +392,24 @@ def fit_mixed(
         effects=effects,
         fitted=fitted,
         residuals=design.response - fitted,
-        uncertainty=uncertainty,
+        uncertainty=solved.uncertainty,
         n_rows=profile.n_rows,
         n_levels={factor.name: len(factor.levels) for factor in design.factors},
-        notes=tuple(zero),
+        notes=zero,
+        coding=design.coding,
     )
 
 
-def contrast(fit: MixedFit, weights: Mapping[str, float]) -> Estimate:
+def contrast(fit: MixedFit, weights: Mapping[str, float] | str) -> Estimate:
     """Estimate a weighted sum of fixed effects, such as the difference of two slopes.
 
     Parameters
     ----------
     fit : MixedFit
         The model.
-    weights : Mapping of str to float
-        Term -> weight; terms left out count 0.
+    weights : Mapping of str to float, or str
+        Term -> weight; terms left out count 0. Or in words: ``"a - b"``, ``"0.5 * a + 2 * b"``; terms that hold signs
+        themselves are for the mapping.
 
     Returns
     -------
@@ -351,82 +429,77 @@ def contrast(fit: MixedFit, weights: Mapping[str, float]) -> Estimate:
     Examples
     --------
     >>> import pandas as pd
+    >>> from feel321 import analysis
     >>> data = pd.DataFrame({"who": list("aaabbbcccddd"), "x": list("uvw") * 4,
     ...     "y": [1.0, 2, 4, 3, 5, 6, 2, 2, 4, 5, 7, 8]})
-    >>> fit = fit_mixed("y ~ x + (1 | who)", data)
-    >>> difference = contrast(fit, {"xw": 1, "xv": -1})
+    >>> fit = analysis.fit_mixed("y ~ x + (1 | who)", data)
+    >>> difference = analysis.contrast(fit, "xw - xv")
     >>> round(difference.estimate, 2), round(difference.se, 2), round(difference.df, 1)
     (1.5, 0.35, 6.0)
     """
     terms = list(fit.fixed.index)
-    if strangers := [name for name in weights if name not in terms]:
+    wanted = _read_weights(weights) if isinstance(weights, str) else weights
+    if strangers := [name for name in wanted if name not in terms]:
         raise ValueError(
-            f"weights: got {strangers[0]!r}, allowed are the model's terms: {', '.join(terms)}"
+            f"weights must name terms of the model ({', '.join(terms)}), got {strangers[0]!r}"
         )
-    values = np.array([float(weights.get(name, 0)) for name in terms])
+    values = np.array([float(wanted.get(name, 0)) for name in terms])
     if not np.isfinite(values).all() or not values.any():
         raise ValueError(
-            f"weights: got {dict(weights)}, allowed are finite numbers, one of them other than 0"
+            f"weights must be finite numbers, one of them other than 0; got {dict(wanted)}"
         )
     return estimate_sum(fit.fixed["estimate"].to_numpy(), values, fit.uncertainty)
 
 
-def _table_fixed(
-    design: Design, coefficients: NDArray[np.float64], uncertainty: Uncertainty
-) -> DataFrame:
+def _read_weights(text: str) -> dict[str, float]:
+    """Read a sum of terms such as ``a - 0.5 * b``."""
+    weights: dict[str, float] = {}
+    for sign, number, term in re.findall(
+        r"([+-]?)\s*(?:(\d+\.?\d*|\.\d+)\s*\*\s*)?([^\s+*-][^+*-]*)", text
+    ):
+        name = term.strip()
+        weights[name] = weights.get(name, 0.0) + float(f"{sign}{number or 1}")
+    return weights
+
+
+def _tabulate_spreads(profile: Profile, best: State) -> tuple[DataFrame, DataFrame]:
+    """Write the random effects' spreads and their correlations as tables, in the order of the formula."""
     import pandas as pd
 
-    rows = [
-        asdict(estimate_sum(coefficients, row, uncertainty)) for row in np.eye(len(coefficients))
-    ]
-    return pd.DataFrame(rows, index=pd.Index(design.names, name="term"))
+    spreads, ties = [], []
+    for group, names, covariance in list_spreads(profile, best):
+        sd = np.sqrt(np.diag(covariance))
+        spreads += [(group, name, value) for name, value in zip(names, sd, strict=True)]
+        for j, i in zip(*np.tril_indices(len(names), -1), strict=True):
+            size = float(np.sqrt(covariance[i, i] * covariance[j, j]))
+            tie = float(np.clip(covariance[i, j] / size, -1, 1)) if size > 0 else float("nan")
+            ties.append((group, names[i], names[j], tie))
+    columns = ["group", "first", "second", "correlation"]
+    return (
+        pd.DataFrame(spreads, columns=["group", "term", "sd"]),
+        pd.DataFrame(ties, columns=columns).astype({"correlation": float}),
+    )
+
+
+def list_spreads(
+    profile: Profile, best: State
+) -> Iterator[tuple[str, tuple[str, ...], NDArray[np.float64]]]:
+    """List group, effects and covariance of what varies together, in the order of the formula."""
+    sigma = find_sigma(profile, best)
+    for block, covariance in _in_order(profile, find_spreads(profile, best)):
+        start = 0
+        for term in block.factor.terms:
+            place = slice(start, start := start + len(term.names))
+            yield block.factor.name, term.names, covariance[place, place] * sigma**2
 
 
 def _in_order(
     profile: Profile, values: list[NDArray[np.float64]]
 ) -> Iterator[tuple[Block, NDArray[np.float64]]]:
-    """Blocks with what belongs to them, in the order of the formula."""
+    """Pair blocks with what belongs to them, in the order of the formula."""
     names = [factor.name for factor in profile.design.factors]
     pairs = zip(profile.blocks, values, strict=True)
     return iter(sorted(pairs, key=lambda pair: names.index(pair[0].factor.name)))
-
-
-def _table_spreads(profile: Profile, best: State) -> tuple[DataFrame, DataFrame]:
-    import pandas as pd
-
-    sigma = find_sigma(profile, best)
-    spreads, ties = [], []
-    for block, covariance in _in_order(profile, find_spreads(profile, best)):
-        for term, places in _cut(block):
-            part = covariance[places, places] * sigma**2
-            names, group = term.names, block.factor.name
-            spreads += [
-                (group, name, sd) for name, sd in zip(names, np.sqrt(np.diag(part)), strict=True)
-            ]
-            ties += [
-                (group, names[i], names[j], _correlate(part, i, j))
-                for j in range(len(names))
-                for i in range(j)
-            ]
-    return (
-        pd.DataFrame(spreads, columns=["group", "term", "sd"]),
-        pd.DataFrame(ties, columns=["group", "first", "second", "correlation"]).astype({
-            "correlation": float
-        }),
-    )
-
-
-def _cut(block: Block) -> Iterator[tuple[Term, slice]]:
-    """Cut a factor's effects into its terms."""
-    start = 0
-    for term in block.factor.terms:
-        yield term, slice(start, start + len(term.names))
-        start += len(term.names)
-
-
-def _correlate(covariance: NDArray[np.float64], first: int, second: int) -> float:
-    size = float(np.sqrt(covariance[first, first] * covariance[second, second]))
-    return float(np.clip(covariance[first, second] / size, -1, 1)) if size > 0 else float("nan")
 
 
 def _predict(profile: Profile, best: State) -> tuple[NDArray[np.float64], DataFrame]:
@@ -459,11 +532,16 @@ def _explain_variance(profile: Profile, best: State) -> tuple[float, float]:
     return fixed / total, (fixed + random) / total
 
 
-def _name_zeros(variances: DataFrame, correlations: DataFrame, *, boundary: bool) -> list[str]:
+def note_zeros(solved: Solved) -> tuple[str, ...]:
     """Say what makes a fit singular; nothing for a regular one."""
-    zero = [f"{row.term} over {row.group}" for row in variances[variances["sd"] == 0].itertuples()]
-    perfect = correlations[correlations["correlation"].abs() > BOUND]
-    tied = [f"{row.first} and {row.second} over {row.group}" for row in perfect.itertuples()]
+    profile, theta = solved.profile, solved.best.theta
+    zero, tied = [], []
+    for group, names, covariance in list_spreads(profile, solved.best):
+        sd = np.sqrt(np.diag(covariance))
+        zero += [f"{name} over {group}" for name in np.array(names)[sd == 0]]
+        bound = np.abs(covariance) > BOUND * np.outer(sd, sd)
+        for j, i in np.argwhere(np.tril(bound & (np.outer(sd, sd) > 0), -1)):
+            tied.append(f"{names[i]} and {names[j]} over {group}")
     notes = []
     if zero:
         notes.append(
@@ -473,6 +551,6 @@ def _name_zeros(variances: DataFrame, correlations: DataFrame, *, boundary: bool
         notes.append(
             f"Singular fit: the effects {'; '.join(tied)} are estimated as perfectly correlated."
         )
-    if boundary and not notes:
+    if (theta[profile.diagonal] == 0).any() and not notes:
         notes.append("Singular fit: some random effects are estimated as weighted sums of others.")
-    return notes
+    return tuple(notes)

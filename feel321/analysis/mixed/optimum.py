@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from feel321.analysis.mixed.design import find_penalised, lay_out, scale_columns
+from feel321.analysis.mixed.design import scale_columns
 from feel321.analysis.mixed.profile import Profile, State
 
 if TYPE_CHECKING:
@@ -22,41 +22,41 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from feel321.analysis.mixed.design import Block, Design, Factor
+    from feel321.analysis.mixed.design import Design, Factor
 
-# The profiled deviance of a balanced design, in which every participant rated every stimulus equally often.
+ZERO = 1e-4
+"""A relative spread below this is none: what lme4 calls singular."""
+
+LARGEST = 1e5
+"""A spread so many times the residual means that there is no residual."""
+
+PROBE, RESTART, ATTEMPTS = 0.02, 0.3, 4
 
 
-class Place(NamedTuple):
-    """Where a factor stands.
-
-    columns: (n_each, n_levels * width).
-    """
+class Stand(NamedTuple):
+    """Where a factor stands among one participant's rows; columns: (n_each, n_levels * width)."""
 
     columns: NDArray[np.float64]
     shared: bool
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
-    """A design's rows in the order participant by participant.
-
-    order: (n_people, n_each); places: factor's name -> where it stands.
-    """
+class Balance:
+    """A design's rows participant by participant, (n_people, n_each), and where each factor stands."""
 
     order: NDArray[np.intp]
-    places: dict[str, Place]
+    stands: dict[str, Stand]
 
 
-def find_frame(design: Design) -> Frame | None:
+def find_balance(design: Design) -> Balance | None:
     """Order the rows of a design participant by participant, alike for all."""
     if any(len(term.names) > 1 for factor in design.factors for term in factor.terms):
         return None
-    frames = (_order_by(design, factor) for factor in design.factors)
-    return next((frame for frame in frames if frame is not None), None)
+    found = (_order_by(design, factor) for factor in design.factors)
+    return next((balance for balance in found if balance is not None), None)
 
 
-def _order_by(design: Design, who: Factor) -> Frame | None:
+def _order_by(design: Design, who: Factor) -> Balance | None:
     people, n_rows = len(who.levels), len(who.index)
     if n_rows % people or (np.bincount(who.index) != n_rows // people).any():
         return None
@@ -64,77 +64,50 @@ def _order_by(design: Design, who: Factor) -> Frame | None:
     order = np.lexsort(keys).reshape(people, -1)
     if not _is_same(design.fixed[order]):
         return None
-    places = {factor.name: _find_place(factor, order) for factor in design.factors}
-    known = {name: place for name, place in places.items() if place is not None}
-    return Frame(order, known) if len(known) == len(places) else None
+    stands = {}
+    for factor in design.factors:
+        stand = _find_stand(factor, order)
+        if stand is None:
+            return None
+        stands[factor.name] = stand
+    return Balance(order, stands)
 
 
 def _is_same(values: NDArray[np.generic]) -> bool:
     return bool((values == values[0]).all())
 
 
-def _find_place(factor: Factor, order: NDArray[np.intp]) -> Place | None:
+def _find_stand(factor: Factor, order: NDArray[np.intp]) -> Stand | None:
     """Read the columns of one participant's rows; None if they differ, or levels are neither own nor everybody's."""
-    levels = factor.index[order]
+    levels, values = factor.index[order], factor.columns[order]
     shared = _is_same(levels)
-    own = [np.unique(one, return_inverse=True)[1] for one in levels]
-    if not shared and (
-        len(factor.levels) != len(order) * (own[0].max() + 1) or not _is_same(np.array(own))
-    ):
+    own = np.array([np.unique(one, return_inverse=True)[1] for one in levels])
+    size = int(own[0].max()) + 1
+    if not shared and (len(factor.levels) != len(order) * size or not _is_same(own)):
         return None
-    values = factor.columns[order]
     if not _is_same(values):
         return None
-    marks = np.eye(own[0].max() + 1)[own[0]]
+    marks = np.eye(size)[own[0]]
     columns = (marks[:, :, None] * values[0][:, None, :]).reshape(len(marks), -1)
-    return Place(columns, shared)
+    return Stand(columns, shared)
 
 
 class Balanced(Profile):
     """The deviance as a function of theta, for a balanced design."""
 
     def __init__(
-        self, design: Design, frame: Frame, *, reml: bool, penalty: Sequence[str] = ()
+        self, design: Design, balance: Balance, *, reml: bool, penalty: Sequence[str] = ()
     ) -> None:
-        self.design, self.reml, self.frame = design, reml, frame
-        self.n_rows, self.n_fixed = design.fixed.shape
-        self.n_people, self.n_each = frame.order.shape
-        self.freedom = self.n_rows - self.n_fixed if reml else self.n_rows
-        self.blocks = tuple(lay_out(design.factors))
-        self.penalised = find_penalised(self.blocks, penalty)
-        self.weight = self.freedom - int(self.penalised.sum())
-        own = [block for block in self.blocks if not frame.places[block.factor.name].shared]
-        common = [block for block in self.blocks if frame.places[block.factor.name].shared]
-        # One level for every row of a participant: a multiple of the identity, not worth columns.
-        self.each = next(
-            (block for block in common if _is_identity(frame.places[block.factor.name])), None
-        )
-        self._read_columns(own, [block for block in common if block is not self.each])
-        self._reduce_rows()
+        self.balance = balance
+        self.n_people, self.n_each = balance.order.shape
+        super().__init__(design, reml=reml, penalty=penalty)
 
-    def _read_columns(self, own: list[Block], common: list[Block]) -> None:
-        def spread(block: Block) -> NDArray[np.float64]:
-            columns = self.frame.places[block.factor.name].columns
-            scaled: NDArray[np.float64] = columns / np.tile(
-                block.scale, columns.shape[1] // block.width
-            )
-            return scaled
-
-        def point(block: Block) -> NDArray[np.intp]:
-            levels = self.frame.places[block.factor.name].columns.shape[1] // block.width
-            return np.tile(np.arange(block.theta.start, block.theta.stop), levels)
-
-        self.n_own = sum(self.frame.places[block.factor.name].columns.shape[1] for block in own)
-        parts = [*map(spread, own), *(np.sqrt(self.n_people) * spread(block) for block in common)]
-        self.columns = np.hstack([np.empty((self.n_each, 0)), *parts])
-        self.parameters = np.concatenate([np.empty(0, np.intp), *map(point, [*own, *common])])
-        self.n_random = len(self.parameters)
-
-    def _reduce_rows(self) -> None:
+    def _reduce_data(self) -> None:
         """Keep the mean over participants and what deviates from it as cross products."""
-        values = self.design.response[self.frame.order]
+        self._read_columns()
+        values = self.design.response[self.balance.order]
         mean = values.mean(axis=0)
-        basis, triangle = np.linalg.qr(self.design.fixed[self.frame.order[0]])
+        basis, triangle = np.linalg.qr(self.design.fixed[self.balance.order[0]])
         self.triangle_x = triangle * np.sqrt(self.n_people)
         centre = mean * np.sqrt(self.n_people)
         self.offset = basis.T @ centre
@@ -147,11 +120,27 @@ class Balanced(Profile):
         dense = np.column_stack([self.columns, basis, rest / self.unit])
         self.products = dense.T @ dense
 
-    def evaluate(self, theta: NDArray[np.float64]) -> State:
-        """Factorise both matrices at theta.
+    def _read_columns(self) -> None:
+        """Put the columns of what is one person's own first, then what everybody shares."""
+        stands = self.balance.stands
+        shared = [block for block in self.blocks if stands[block.factor.name].shared]
+        # One level for every row of a participant: a multiple of the identity, not worth columns.
+        self.each = next((one for one in shared if _is_identity(stands[one.factor.name])), None)
+        parts, places = [np.empty((self.n_each, 0))], [np.empty(0, np.intp)]
+        for block in sorted(self.blocks, key=lambda block: stands[block.factor.name].shared):
+            if block is not self.each:
+                columns, is_shared = stands[block.factor.name]
+                levels = columns.shape[1] // block.width
+                factor = np.sqrt(self.n_people) if is_shared else 1.0
+                parts.append(factor * (columns / np.tile(block.scale, levels)))
+                places.append(np.tile(np.arange(block.theta.start, block.theta.stop), levels))
+        own = [stand.columns.shape[1] for stand in stands.values() if not stand.shared]
+        self.n_own = sum(own)
+        self.columns, self.parameters = np.hstack(parts), np.concatenate(places)
+        self.n_random = len(self.parameters)
 
-        theta: (n_theta,).
-        """
+    def evaluate(self, theta: NDArray[np.float64]) -> State:
+        """Factorise both matrices at theta, (n_theta,)."""
         from scipy.linalg.lapack import dpotrf, dpotri
 
         spreads, ratio = self._find_spreads(theta)
@@ -168,21 +157,9 @@ class Balanced(Profile):
         factor, failed_too = dpotrf(scaled, lower=1, clean=1)
         if failed or failed_too:
             raise np.linalg.LinAlgError("the residual is lost in rounding")
-        logs, log_own = 2 * np.log(factor.diagonal()), 2 * float(np.log(root.diagonal()).sum())
-        return State(
-            theta=theta,
-            log_random=float(
-                (self.n_people - 1) * log_own
-                + self.n_each * np.log(ratio)
-                + logs[: self.n_random].sum()
-            ),
-            log_fixed=float(
-                logs[self.n_random : -1].sum() + 2 * np.log(np.abs(np.diag(self.triangle_x))).sum()
-            ),
-            rss=float(factor[-1, -1] ** 2) * self.unit**2,
-            factor=factor,
-            inner=inner,
-        )
+        log_own = 2 * float(np.log(root.diagonal()).sum())
+        logs = (self.n_people - 1) * log_own + self.n_each * np.log(ratio)
+        return self._make_state(theta, logs, factor=factor, inner=inner)
 
     def _find_spreads(self, theta: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
         """Spread of every column, 1 for the fixed ones and y, and the variance of a mean's own row beside residual."""
@@ -191,10 +168,7 @@ class Balanced(Profile):
         return spreads, 1 + self.n_people * each**2
 
     def find_slope(self, state: State, weight: float) -> NDArray[np.float64]:
-        """Differentiate the deviance with respect to theta.
-
-        Returns (n_theta,).
-        """
+        """Differentiate the deviance with respect to theta, (n_theta,)."""
         from scipy.linalg.lapack import dtrtri
 
         spreads, ratio = self._find_spreads(state.theta)
@@ -223,22 +197,14 @@ class Balanced(Profile):
         return found
 
 
-def _is_identity(place: Place) -> bool:
-    rows, levels = place.columns.shape
-    return (
-        rows == levels
-        and bool((np.abs(np.diag(place.columns)) == np.abs(place.columns[0, 0])).all())
-        and (np.count_nonzero(place.columns) == rows)
-    )
-
-
-# The exact slope of the profiled deviance.
+def _is_identity(stand: Stand) -> bool:
+    size, diagonal = len(stand.columns), np.abs(stand.columns.diagonal())
+    square = stand.columns.shape == (size, size) and np.count_nonzero(stand.columns) == size
+    return bool(square and (diagonal == diagonal[0]).all())
 
 
 def find_slope(profile: Profile, state: State, weight: float | None = None) -> NDArray[np.float64]:
-    """Differentiate the deviance with respect to theta.
-
-    Returns (n_theta,).
+    """Differentiate the deviance with respect to theta, (n_theta,).
 
     Notes
     -----
@@ -290,17 +256,13 @@ def _find_inner_slope(
     width = len(lower)
     through = profile.border @ outer
     seen = np.empty((profile.blocks[0].n_levels, width, width))
-    for row in range(width):
-        for column in range(width):
-            seen[:, row, column] = (
-                profile.border[column::width].multiply(through[row::width]).sum(axis=1)
-            )
+    for row, column in np.ndindex(width, width):
+        products = profile.border[column::width].multiply(through[row::width])
+        seen[:, row, column] = products.sum(axis=1)
     back = state.inner @ lower.T
     kept = np.eye(width) - lower @ back @ profile.inner_products
-    slope: NDArray[np.float64] = (
-        2 * (back @ profile.inner_products - back @ seen @ kept).sum(axis=0).T
-    )
-    return slope
+    slope: NDArray[np.float64] = (back @ profile.inner_products - back @ seen @ kept).sum(axis=0)
+    return 2 * slope.T
 
 
 def _trace_blocks(
@@ -311,17 +273,6 @@ def _trace_blocks(
     columns = right.T.reshape(-1, width, right.shape[0])
     found: NDArray[np.float64] = np.einsum("aik,ajk->ij", rows, columns)
     return found
-
-
-# The minimum of the profiled deviance, at the boundary too.
-
-ZERO = 1e-4
-"""A relative spread below this is none: what lme4 calls singular."""
-
-LARGEST = 1e5
-"""A spread so many times the residual means that there is no residual."""
-
-PROBE, RESTART, ATTEMPTS = 0.02, 0.3, 4
 
 
 def find_optimum(profile: Profile) -> State:
@@ -361,12 +312,12 @@ def _descend(profile: Profile, start: NDArray[np.float64]) -> State:
             jac=True,
             method="L-BFGS-B",
             options={"ftol": 1e-15, "gtol": 1e-6, "maxiter": 1000, "maxls": 50},
-        )
+        ).x
     except np.linalg.LinAlgError as error:
         raise ValueError(_NO_RESIDUAL) from error
-    if np.abs(found.x).max() > LARGEST:
+    if np.abs(found).max() > LARGEST:
         raise ValueError(_NO_RESIDUAL)
-    return _snap(profile, _turn(profile, found.x))
+    return profile.evaluate(_settle_signs(profile, found))
 
 
 def _find_target(profile: Profile, state: State) -> float:
@@ -376,25 +327,20 @@ def _find_target(profile: Profile, state: State) -> float:
 
 
 _NO_RESIDUAL = (
-    "data: got a response that the random effects give exactly, without residual; "
-    "allowed is one with scatter within groups, leave the finest group out of the formula"
+    "data must have scatter within groups, got a response that the random effects give exactly, without residual; "
+    "leave the finest group out of the formula"
 )
 
 
-def _turn(profile: Profile, theta: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Write theta with spreads of 0 or more; turning an effect's column around changes nothing."""
-    turned = []
+def _settle_signs(profile: Profile, theta: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Write spreads as 0 or more, for turning an effect's column around changes nothing, and tiny ones as 0."""
+    settled = np.empty_like(theta)
     for block in profile.blocks:
         lower = block.triangle(theta)
         lower = lower * np.where(np.diag(lower) < 0, -1.0, 1.0)
-        turned.append(lower[block.rows, block.columns])
-    return np.concatenate(turned)
-
-
-def _snap(profile: Profile, theta: NDArray[np.float64]) -> State:
-    """Set spreads that are zero but for the search's tolerance to zero."""
-    none = profile.diagonal & (theta < ZERO) & ~profile.penalised
-    return profile.evaluate(np.where(none, 0.0, theta))
+        settled[block.theta] = lower[block.rows, block.columns]
+    settled[profile.diagonal & (settled < ZERO) & ~profile.penalised] = 0.0
+    return settled
 
 
 def _leave_boundary(profile: Profile, state: State) -> State | None:

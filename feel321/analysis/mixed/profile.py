@@ -31,8 +31,8 @@ import numpy as np
 
 from feel321.analysis.mixed.design import (
     find_penalised,
-    lay_out,
     pick_blocks,
+    place_factors,
     scale_columns,
     spread_columns,
 )
@@ -44,18 +44,19 @@ if TYPE_CHECKING:
 
     from feel321.analysis.mixed.design import Design
 
-# The profiled deviance of a linear mixed model.
-
 MOST_LEVELS = 10_000
 """Effects beside the largest factor's: with more, the dense equations alone need gigabytes."""
+
+LARGE = 600
+"""Rows of a dense matrix from which two threads are worth their while."""
+
+HELD = Lock()
+"""Taken by whoever set the limit; the process has one limit, and so has this module."""
 
 
 @dataclass(frozen=True)
 class State:
-    """Everything known at one theta.
-
-    theta: (n_theta,); inner: (n_levels, width, width).
-    """
+    """Everything known at one theta; theta: (n_theta,), inner: (n_levels, width, width)."""
 
     theta: NDArray[np.float64]
     log_random: float
@@ -68,26 +69,32 @@ class State:
 class Profile:
     """The deviance as a function of theta, for one design."""
 
+    n_random: int
+    triangle_x: NDArray[np.float64]
+    offset: NDArray[np.float64]
+    unit: float
+
     def __init__(self, design: Design, *, reml: bool, penalty: Sequence[str] = ()) -> None:
         self.design, self.reml = design, reml
         self.n_rows, self.n_fixed = design.fixed.shape
         self.freedom = self.n_rows - self.n_fixed if reml else self.n_rows
-        self.blocks = tuple(lay_out(design.factors))
+        self.blocks = tuple(place_factors(design.factors))
+        self.diagonal = np.concatenate([block.rows == block.columns for block in self.blocks])
         self.penalised = find_penalised(self.blocks, penalty)
         # Every spread whose logarithm is penalised takes one residual's along, for spreads are in units of it.
         self.weight = self.freedom - int(self.penalised.sum())
-        self.n_random = sum(block.n_levels * block.width for block in self.blocks[1:])
-        if self.n_random > MOST_LEVELS:
-            raise ValueError(
-                f"data: got {self.n_random} effects beside those of {self.blocks[0].factor.name}, allowed are "
-                f"{MOST_LEVELS}, for memory; average repeated rows, or leave out a group with many levels"
-            )
         self._reduce_data()
 
     def _reduce_data(self) -> None:
         """Keep only the cross products; rows are not needed again."""
         from scipy.sparse import csr_array, hstack
 
+        self.n_random = sum(block.n_levels * block.width for block in self.blocks[1:])
+        if self.n_random > MOST_LEVELS:
+            raise ValueError(
+                f"data must have at most {MOST_LEVELS} effects beside those of {self.blocks[0].factor.name}, for "
+                f"memory, got {self.n_random}; average repeated rows, or leave out a group with many levels"
+            )
         basis, self.triangle_x = np.linalg.qr(self.design.fixed)
         self.offset = basis.T @ self.design.response
         rest = self.design.response - basis @ self.offset
@@ -99,47 +106,49 @@ class Profile:
         self.border = (first.T @ tail).tocsr()
         self.outer = (tail.T @ tail).toarray()
 
-    @property
-    def n_theta(self) -> int:
-        """Number of parameters."""
-        return len(self.diagonal)
-
     @cached_property
-    def diagonal(self) -> NDArray[np.bool_]:
-        """Which parameters are spreads, 0 or more, rather than what ties two effects together."""
-        return np.concatenate([block.rows == block.columns for block in self.blocks])
+    def log_x(self) -> float:
+        """The determinant of X'X, as a logarithm."""
+        return float(2 * np.log(np.abs(np.diag(self.triangle_x))).sum())
 
     def evaluate(self, theta: NDArray[np.float64]) -> State:
-        """Factorise the equations at theta.
-
-        theta: (n_theta,).
-        """
+        """Factorise the equations at theta, (n_theta,)."""
         from scipy.linalg import cholesky
 
         lower = self.blocks[0].triangle(theta)
         blocks = lower.T @ self.inner_products @ lower + np.eye(len(lower))
         inner = np.linalg.inv(blocks).astype(np.float64, copy=False)
-        scaled = self._scale(self.eliminate(lower @ inner @ lower.T), theta)
-        place = np.arange(self.n_random)
-        scaled[place, place] += 1
+        scaled = self.eliminate(lower @ inner @ lower.T)
+        for place, other in self.tail(theta):
+            scaled[:, place] = scale_columns(scaled[:, place], other)
+        for place, other in self.tail(theta):
+            scaled[place] = scale_columns(scaled[place].T, other).T
+        diagonal = np.arange(self.n_random)
+        scaled[diagonal, diagonal] += 1
         factor = cholesky(scaled, lower=True, overwrite_a=True, check_finite=False)
-        logs = 2 * np.log(np.diag(factor))
+        log_blocks = float(np.linalg.slogdet(blocks)[1].sum())
+        return self._make_state(theta, log_blocks, factor=factor, inner=inner)
+
+    def _make_state(
+        self,
+        theta: NDArray[np.float64],
+        log_others: float,
+        *,
+        factor: NDArray[np.float64],
+        inner: NDArray[np.float64],
+    ) -> State:
+        logs = 2 * np.log(factor.diagonal())
         return State(
             theta=theta,
-            log_random=float(np.linalg.slogdet(blocks)[1].sum() + logs[: self.n_random].sum()),
-            log_fixed=float(
-                logs[self.n_random : -1].sum() + 2 * np.log(np.abs(np.diag(self.triangle_x))).sum()
-            ),
+            log_random=float(log_others + logs[: self.n_random].sum()),
+            log_fixed=float(logs[self.n_random : -1].sum()) + self.log_x,
             rss=float(factor[-1, -1] ** 2) * self.unit**2,
             factor=factor,
             inner=inner,
         )
 
     def eliminate(self, middle: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Take the first factor out of the others' cross products.
-
-        middle: (n_levels, width, width).
-        """
+        """Take the first factor out of the others' cross products; middle: (n_levels, width, width)."""
         from scipy.sparse import bsr_array
 
         count = len(middle)
@@ -147,21 +156,8 @@ class Profile:
         left: NDArray[np.float64] = self.outer - (self.border.T @ (spread @ self.border)).toarray()
         return left
 
-    def _scale(
-        self, products: NDArray[np.float64], theta: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """L' products L, in place."""
-        for place, lower in self.tail(theta):
-            products[:, place] = scale_columns(products[:, place], lower)
-        for place, lower in self.tail(theta):
-            products[place] = scale_columns(products[place].T, lower).T
-        return products
-
     def tail(self, theta: NDArray[np.float64]) -> Iterator[tuple[slice, NDArray[np.float64]]]:
-        """List the factors that are not eliminated.
-
-        theta: (n_theta,); Yields (width, width).
-        """
+        """List where the factors that are not eliminated stand, and their triangles, (width, width)."""
         start = 0
         for block in self.blocks[1:]:
             stop = start + block.n_levels * block.width
@@ -176,9 +172,6 @@ class Profile:
         )
 
 
-# What the equations at one theta say of the effects: fixed, random, and residual.
-
-
 def find_sigma(profile: Profile, state: State) -> float:
     """Residual standard deviation."""
     return float(np.sqrt(state.rss / profile.weight))
@@ -187,10 +180,7 @@ def find_sigma(profile: Profile, state: State) -> float:
 def find_coefficients(
     profile: Profile, state: State
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Solve for the fixed effects and their covariance in units of s².
-
-    Returns (n_fixed,); returns (n_fixed, n_fixed).
-    """
+    """Solve for the fixed effects, (n_fixed,), and their covariance in units of s²."""
     from scipy.linalg import solve_triangular
 
     place = slice(profile.n_random, -1)
@@ -203,10 +193,7 @@ def find_coefficients(
 
 
 def find_modes(profile: Profile, state: State) -> list[NDArray[np.float64]]:
-    """Predicted random effects of every factor, in the order of the blocks.
-
-    Returns (n_levels, width).
-    """
+    """Predict the random effects of every factor, (n_levels, width), in the order of the blocks."""
     from scipy.linalg import solve_triangular
 
     factor, last = state.factor[:-1, :-1], state.factor[-1, :-1]
@@ -227,21 +214,9 @@ def find_modes(profile: Profile, state: State) -> list[NDArray[np.float64]]:
 
 
 def find_spreads(profile: Profile, state: State) -> list[NDArray[np.float64]]:
-    """Covariances of the random effects in units of s², in the order of the blocks.
-
-    Returns (width, width).
-    """
+    """Covariances of the random effects, (width, width), in units of s², in the order of the blocks."""
     lowers = [block.triangle(state.theta) / block.scale[:, None] for block in profile.blocks]
     return [lower @ lower.T for lower in lowers]
-
-
-# How many threads small matrices may have: one.
-
-LARGE = 600
-"""Rows of a dense matrix from which two threads are worth their while."""
-
-HELD = Lock()
-"""Taken by whoever set the limit; the process has one limit, and so has this module."""
 
 
 @contextmanager

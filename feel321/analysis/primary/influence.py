@@ -13,19 +13,25 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from feel321.analysis.primary.model import fit_primary
-from feel321.analysis.primary.plan import ITEM, RATING, REDUCER, SCENE, SOURCE, WHO, make_cells
-from feel321.analysis.table.items import find_sources, leave_rejected, leave_untested, name_items
-from feel321.analysis.table.reading import order_reducers
+from feel321.analysis.primary.model import adjust_holm
+from feel321.analysis.primary.plan import ITEM, RATING, REDUCER, SCENE, WHO, make_cells, select_rows
+from feel321.analysis.primary.sensitivity import (
+    Variant,
+    keep_columns,
+    leave_out_items,
+    leave_out_units,
+)
 from feel321.analysis.table.schema import HIGHEST
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
     from pandas import DataFrame, Series
 
     from feel321.analysis.primary.model import Primary
+
+adjust = adjust_holm  # kept until all branches are in
 
 PREDICTS, OPEN, NOT_ESTIMABLE = "predicts", "open", "not_estimable"
 """What may be concluded about a slope."""
@@ -96,66 +102,29 @@ def conclude(p_holm: float) -> str:
     return PREDICTS if p_holm < LEVEL else OPEN
 
 
-def adjust(p: Sequence[float]) -> list[float]:
-    """Adjust probabilities for their number by Holm's step-down method; NaN stays NaN and does not count.
-
-    References
-    ----------
-    Holm (1979), Scandinavian Journal of Statistics 6, 65-70.
-
-    Examples
-    --------
-    >>> [round(value, 2) for value in adjust([0.01, float("nan"), 0.04, 0.03])]
-    [0.03, nan, 0.06, 0.06]
-    """
-    from statsmodels.stats.multitest import multipletests
-
-    values = np.asarray(p, dtype=np.float64)
-    known = np.isfinite(values)
-    if known.any():
-        values[known] = multipletests(values[known], method="holm")[1]
-    adjusted: list[float] = values.tolist()
-    return adjusted
-
-
 def measure_influence(
     rows: DataFrame, metrics: Sequence[str], whole: Primary, *, others: Sequence[float] = ()
 ) -> Influence:
     """Leave out each recording and reducer, and the stimuli that matter most, one at a time."""
     import pandas as pd
 
-    rows, _ = leave_rejected(name_items(rows))
-    rows, _ = leave_untested(rows)
+    rows, _ = select_rows(rows)
     found, slopes, notes = [], {}, []
     if len(rows[[WHO, ITEM]].drop_duplicates()) > MOST_CELLS:
         notes.append(
             f"Influence was not measured: more than {MOST_CELLS} participant x stimulus cells."
         )
     elif whole.slopes["estimable"].any():
-        before = pd.Series(
-            adjust([*whole.slopes["p"], *others])[: len(whole.slopes)], index=whole.slopes.index
-        )
-        for kind, unit, left in _leave_out(rows, metrics):
-            table = _refit(left, metrics, whole, before=before, others=others)
-            found.append(table.assign(kind=kind, unit=str(unit)))
-            slopes[kind, unit] = table.set_index("metric")["estimate"]
-    of_reducers = {unit: value for (kind, unit), value in slopes.items() if kind == REDUCER}
+        lean = keep_columns(rows, metrics)
+        candidates = find_candidates(rows, metrics)
+        before = _conclude(whole.slopes, others)
+        for variant in (*leave_out_units(lean), *leave_out_items(lean, candidates)):
+            table = _compare(variant, metrics, whole, before=before, others=others)
+            found.append(table.assign(kind=variant.kind, unit=variant.left))
+            if variant.kind == REDUCER:
+                slopes[variant.left] = table.set_index("metric")["estimate"]
     table = pd.concat(found, ignore_index=True) if found else pd.DataFrame()
-    return Influence(table, _find_exceptions(rows, metrics, of_reducers), tuple(notes))
-
-
-def _leave_out(rows: DataFrame, metrics: Sequence[str]) -> Iterator[tuple[str, str, DataFrame]]:
-    sources = find_sources(rows)
-    scene = SCENE if sources.is_unique else SOURCE
-    rows = rows if sources.is_unique else rows.assign(**{SOURCE: rows[SCENE].map(sources)})
-    units = {scene: sorted(rows[scene].unique(), key=str)}
-    if REDUCER in rows:
-        units[REDUCER] = order_reducers(rows[REDUCER].unique())
-    for column, names in units.items():
-        for name in names if len(names) > 1 else []:
-            yield column, name, rows[rows[column] != name]
-    for name in find_candidates(rows, metrics):
-        yield STIMULUS, name, rows[rows[ITEM] != name]
+    return Influence(table, _find_exceptions(rows, metrics, slopes), tuple(notes))
 
 
 def find_candidates(
@@ -196,9 +165,9 @@ def _gather_items(
 
 
 def _list_dummies(items: DataFrame, groups: Sequence[str]) -> NDArray[np.float64]:
-    import pandas as pd
+    from pandas import get_dummies
 
-    return pd.get_dummies(items[list(groups)].astype(str)).to_numpy(np.float64)
+    return get_dummies(items[list(groups)].astype(str)).to_numpy(np.float64)
 
 
 def _centre(dummies: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -219,32 +188,35 @@ def _measure_changes(
     return changes
 
 
-def _refit(
-    rows: DataFrame,
+def _conclude(slopes: DataFrame, others: Sequence[float]) -> DataFrame:
+    """Adjust the slopes' tests for each other and for those of other attributes, and give the verdicts."""
+    import pandas as pd
+
+    p_holm = adjust_holm([*slopes["p"], *others])[: len(slopes)]
+    verdicts = [conclude(p) for p in p_holm]
+    return pd.DataFrame({"p_holm": p_holm, "verdict": verdicts}, index=slopes.index)
+
+
+def _compare(
+    variant: Variant,
     metrics: Sequence[str],
     whole: Primary,
     *,
-    before: Series[float],
+    before: DataFrame,
     others: Sequence[float],
 ) -> DataFrame:
     """Fit without a unit, and compare every slope with that of the whole."""
-    import pandas as pd
-
-    names, reason = list(whole.slopes.index), ""
-    try:
-        left = fit_primary(rows, metrics, explain=False).slopes.reindex(names)
-    except ValueError as error:
-        left, reason = pd.DataFrame(np.nan, index=names, columns=list(ESTIMATES)), str(error)
-    table = left[list(ESTIMATES)].copy()
-    table["p_holm"] = adjust([*table["p"], *others])[: len(names)]
-    table["verdict"] = [conclude(p) for p in table["p_holm"].tolist()]
-    table["shift"] = (table["estimate"] - whole.slopes["estimate"]) / whole.slopes["se"]
+    fitted, _, reason = variant.try_to_fit(metrics)
+    table = fitted.reindex(whole.slopes.index)[list(ESTIMATES)]
+    table = table.join(_conclude(table, others))
+    estimate = whole.slopes["estimate"]
+    table["shift"] = (table["estimate"] - estimate) / whole.slopes["se"]
     known = table["verdict"] != NOT_ESTIMABLE
-    other = table["verdict"] != [conclude(p) for p in before.tolist()]
-    turned = np.sign(table["estimate"]) * np.sign(whole.slopes["estimate"]) < 0
-    table["turns"] = known & before.notna() & (other | turned)
+    turned = np.sign(table["estimate"]) * np.sign(estimate) < 0
+    other = table["verdict"] != before["verdict"]
+    table["turns"] = known & before["p_holm"].notna() & (other | turned)
     table["moves"] = table["turns"] | (known & (table["shift"].abs() > MOVED))
-    table["reason"] = reason
+    table["reason"] = "" if fitted["estimate"].notna().any() else reason
     return table.rename_axis("metric").reset_index()
 
 
@@ -265,10 +237,8 @@ def _find_exceptions(
         weights = slope.reindex(list(metrics)).fillna(0).to_numpy()
         means = pd.Series(own - within @ weights).groupby(items[REDUCER].to_numpy()).mean()
         rest, df = means.drop(name), len(means) - 2
-        excess, spread = (
-            float(means[name] - rest.mean()),
-            float(rest.std()) * math.sqrt(1 + 1 / len(rest)),
-        )
+        excess = float(means[name] - rest.mean())
+        spread = float(rest.std()) * math.sqrt(1 + 1 / len(rest))
         value = excess / spread if spread > 0 else math.nan
         p = min(1.0, len(means) * 2 * float(student.sf(abs(value), df))) if spread > 0 else math.nan
         found[name] = (excess, value, df, p, p < LEVEL and LEAST_EXCESS <= abs(excess) <= HIGHEST)

@@ -12,7 +12,8 @@ each counted once however often it was rated, so that nothing left out comes bac
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,26 +26,37 @@ from feel321.analysis.table.items import (
     open_ratings,
     refuse_pooled,
 )
+from feel321.doors import check_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
-    from pandas import DataFrame, Series
+    from pandas import DataFrame
 
-# From rated rows to what the primary model takes: cells, and every metric in two parts.
+    from feel321.analysis.table.reading import Table
 
 WHO, SCENE, ITEM, RATING = "participant", "recording", "item", "rating"
 SOURCE, REDUCER = "source", "reducer"
 KEYS = (WHO, SCENE, ITEM)
+
+ALIKE = f"{SOURCE}:{REDUCER}"
+"""Stimuli of one source that were reduced alike."""
+
 FLAT = 1e-10
 """Share of a metric's size below which its spread is rounding."""
+
+DEPENDENT = 1e-8
+"""Share of a column's spread below which what others leave of it is rounding."""
 
 MOST_LEVELS = 800
 """Levels beside those of participant x item up to which single ratings are fitted; the time grows with their cube."""
 
+FEW_REDUCERS = 8
+"""Fewer reducers than this get the boundary-avoiding penalty: their spread is estimated as 0 too often."""
 
-@dataclass(frozen=True, slots=True)
+
+@dataclass(frozen=True)
 class Cells:
     """What the primary model is fitted to."""
 
@@ -65,15 +77,46 @@ class Cells:
         """Number of sources: what is independent of each other among recordings."""
         return self.count(SOURCE if self.shared else SCENE)
 
+    @cached_property
+    def _codes(self) -> dict[str, NDArray[np.intp]]:
+        names = [*KEYS, *(name for name in (SOURCE, REDUCER) if name in self.table)]
+        return {name: self.table[name].factorize()[0].astype(np.intp) for name in names}
+
     def count(self, *columns: str) -> int:
         """Count the combinations of columns that occur."""
-        return len(self.table[list(columns)].drop_duplicates())
+        combined = np.zeros(len(self.table), dtype=np.intp)
+        for name in columns:
+            combined = combined * (len(self.table) + 1) + self._codes[name]
+        return len(np.unique(combined))
 
     def varies(self, column: str) -> bool:
-        """Tell whether a metric's part differs between items, beyond rounding."""
+        """Check whether a metric's part differs between items, beyond rounding."""
         metric = column[:-2]
         size = float(np.abs(self.table[f"{metric}_w"] + self.table[f"{metric}_b"]).max())
         return float(np.ptp(self.table[column].to_numpy())) > FLAT * size
+
+
+def choose_rows(
+    table: Table | DataFrame,
+    metrics: Sequence[str] | None,
+    *,
+    scale: str | None = None,
+    level: str | None = None,
+) -> tuple[DataFrame, Sequence[str]]:
+    """Take the rows of one scale and level where these are named, and a Table's own metrics where none are."""
+    from pandas import DataFrame
+
+    given: Any = table  # what is neither is refused where the rows are opened
+    is_frame = isinstance(table, DataFrame)
+    names = getattr(given, "metrics", None) if metrics is None and not is_frame else metrics
+    if names is None:
+        raise ValueError("metrics must be a list of names with a DataFrame, got none; name columns")
+    rows = open_ratings(given if is_frame else getattr(given, "rows", given), what="rows")
+    for column, name in (("scale", scale), ("level", level)):
+        if name is not None:
+            known = rows[column].astype(str) if column in rows else rows.index.astype(str)[:0]
+            rows = rows[known == check_name(name, sorted(known.unique()), column)]
+    return rows, names
 
 
 def make_cells(rows: DataFrame, metrics: Sequence[str]) -> Cells:
@@ -87,100 +130,88 @@ def make_cells(rows: DataFrame, metrics: Sequence[str]) -> Cells:
     of 132, slopes and standard errors within 0.1 % and 0.02 standard errors).
     """
     if not metrics or isinstance(metrics, str):
-        raise ValueError(f"metrics: got {metrics!r}, allowed is one name or more, in a list")
-    metrics = tuple(dict.fromkeys(metrics))
-    rows, notes = leave_rejected(name_items(open_ratings(rows, what="rows")))
-    rows, untested = leave_untested(rows)
-    rows = _read_rows(rows, metrics)
-    items = _list_items(rows, metrics)
+        raise ValueError(f"metrics must be a list of one name or more, got {metrics!r}")
+    names = list(dict.fromkeys(metrics))
+    rows, notes = select_rows(rows)
+    rows = _read_rows(rows, names)
+    items = rows[[SCENE, ITEM, *names]].drop_duplicates()
+    if twice := items.loc[items[ITEM].duplicated(), ITEM].tolist():
+        raise ValueError(
+            f"rows must have one stimulus per item, got item {twice[0]!r} with two recordings or two values of a metric"
+        )
     sizes = rows.groupby([WHO, ITEM], observed=True).size()
     unequal = bool(sizes.min() < sizes.max())
-    rough = unequal and _count_levels(rows) > MOST_LEVELS
+    levels = sum(
+        len(rows[keys].drop_duplicates()) for keys in ([WHO, SCENE], [ITEM], [WHO], [SCENE])
+    )
+    rough = unequal and levels > MOST_LEVELS
     averaged = rough or bool(sizes.min() == sizes.max() > 1)
     table = rows[[*KEYS, RATING]]
     if averaged:
         table = table.groupby(list(KEYS), observed=True)[RATING].mean().reset_index()
-    table = table.merge(_split(items, metrics), on=[SCENE, ITEM])
+    means = items.groupby(SCENE, observed=True)[names].transform("mean")
+    split = items[[SCENE, ITEM]].join((items[names] - means).add_suffix("_w"))
+    table = table.merge(split.join(means.add_suffix("_b")), on=[SCENE, ITEM])
     return Cells(
         _add_sources(table, rows),
-        metrics,
+        tuple(names),
         averaged,
         repeated=unequal and not rough,
         rough=rough,
-        notes=(*notes, *untested),
+        notes=notes,
     )
 
 
+def select_rows(rows: DataFrame) -> tuple[DataFrame, tuple[str, ...]]:
+    """Select valid ratings of test stimuli, each with the name of its item, and note what is left out."""
+    rows, rejected = leave_rejected(name_items(open_ratings(rows, what="rows")))
+    rows, untested = leave_untested(rows)
+    return rows, (*rejected, *untested)
+
+
 def _add_sources(table: DataFrame, rows: DataFrame) -> DataFrame:
-    """Say of every cell what its stimulus shares with those of other recordings: its reducer, and a source, if any."""
+    """Add to every cell what its stimulus shares with those of other recordings: its reducer, and a source, if any."""
     sources = find_sources(rows)
     if REDUCER in rows:
-        table = table.assign(**{REDUCER: table[ITEM].map(_find_reducers(rows))})
+        reducers = rows[[ITEM, REDUCER]].drop_duplicates().set_index(ITEM)[REDUCER]
+        if not reducers.index.is_unique:
+            twice = reducers.index[reducers.index.duplicated()].tolist()[0]
+            raise ValueError(
+                f"rows must have one stimulus per item, got item {twice!r} with two reducers"
+            )
+        table = table.assign(**{REDUCER: table[ITEM].map(reducers)})
     if sources.is_unique:
         return table
     if REDUCER not in rows:
         raise ValueError(
-            f"rows: got {len(sources)} recordings of {sources.nunique()} sources and no column 'reducer', allowed "
-            "is one that tells which stimuli of a source were reduced alike"
+            "rows must say which stimuli of a source were reduced alike, got "
+            f"{len(sources)} recordings of {sources.nunique()} sources and no column 'reducer'; add it"
         )
     return table.assign(**{SOURCE: table[SCENE].map(sources)})
-
-
-def _find_reducers(rows: DataFrame) -> Series:
-    reducers = rows[[ITEM, REDUCER]].drop_duplicates().set_index(ITEM)[REDUCER]
-    if not reducers.index.is_unique:
-        twice = reducers.index[reducers.index.duplicated()].tolist()[0]
-        raise ValueError(
-            f"rows: got item {twice!r} with two reducers, allowed is one; an item is one stimulus"
-        )
-    return reducers
-
-
-def _count_levels(rows: DataFrame) -> int:
-    return sum(
-        len(rows[list(names)].drop_duplicates())
-        for names in ((WHO, SCENE), (ITEM,), (WHO,), (SCENE,))
-    )
 
 
 def _read_rows(rows: DataFrame, metrics: Sequence[str]) -> DataFrame:
     wanted = [*KEYS, RATING, *metrics]
     if missing := [name for name in wanted if name not in rows]:
         raise ValueError(
-            f"rows: got no column {missing[0]!r}, allowed is a table with {', '.join(wanted)}"
+            f"rows must have the columns {', '.join(wanted)}; got no column {missing[0]!r}"
         )
     if rows.empty:
-        raise ValueError("rows: got none, allowed is one per rating")
+        raise ValueError("rows must hold a row per rating, got none")
     refuse_pooled(rows, metrics=metrics, what="rows")
     numbers = {
-        name: read_numbers(rows[name], what=f"rows, {name!r}") for name in (RATING, *metrics)
+        name: read_numbers(rows[name], what=f"rows, {name!r}") for name in wanted[len(KEYS) :]
     }
     for name, values in numbers.items():
         if bad := int((~np.isfinite(values)).sum()):
             raise ValueError(
-                f"rows: got {bad} values of {name!r} not finite, allowed are numbers; leave such rows out"
+                f"rows must have finite numbers, got {bad} values of {name!r} not finite; leave such rows out"
             )
     if rows[list(KEYS)].isna().any(axis=None):
         raise ValueError(
-            "rows: got a row without participant, recording or item, allowed is each in every row"
+            "rows must be complete, got one without participant, recording or item; leave it out"
         )
     return rows.assign(**numbers)
-
-
-def _list_items(rows: DataFrame, metrics: Sequence[str]) -> DataFrame:
-    items = rows[[SCENE, ITEM, *metrics]].drop_duplicates()
-    if twice := items.loc[items[ITEM].duplicated(), ITEM].tolist():
-        raise ValueError(
-            f"rows: got item {twice[0]!r} with two recordings or two values of a metric, "
-            "allowed is one of each; an item is one stimulus"
-        )
-    return items
-
-
-def _split(items: DataFrame, metrics: Sequence[str]) -> DataFrame:
-    means = items.groupby(SCENE, observed=True)[list(metrics)].transform("mean")
-    within = (items[list(metrics)] - means).add_suffix("_w")
-    return items[[SCENE, ITEM]].join(within).join(means.add_suffix("_b"))
 
 
 def centre_twice(table: DataFrame, names: Sequence[str]) -> DataFrame:
@@ -195,25 +226,13 @@ def centre_twice(table: DataFrame, names: Sequence[str]) -> DataFrame:
     known = pd.DataFrame(left, items.index, list(names))
     return table.assign(
         **{REDUCER: table[REDUCER].astype(str)},
-        **{name: table[ITEM].map(known[name]) for name in names},
+        **{name: table[ITEM].map(known[name]).astype(np.float64) for name in names},
     )
 
 
-# Which terms of the primary model the data can carry, and in words what they cannot.
-
-ALIKE = f"{SOURCE}:{REDUCER}"
-"""Stimuli of one source that were reduced alike."""
-
-FEW_REDUCERS = 8
-"""Fewer reducers than this get the boundary-avoiding penalty: their spread is estimated as 0 too often."""
-
-DEPENDENT = 1e-8
-"""Share of a column's spread below which what others leave of it is rounding."""
-
-
 @dataclass(frozen=True, slots=True)
-class Plan:
-    """Which terms the data can carry."""
+class Terms:
+    """Which terms the data can carry, and in words which they cannot."""
 
     fixed: tuple[str, ...]
     random: tuple[str, ...]
@@ -226,59 +245,54 @@ class Plan:
         return " + ".join([f"{RATING} ~ 1", *map(_quote, self.fixed), *self.random])
 
 
-def plan_terms(cells: Cells, *, correlated: bool, reducers: bool) -> Plan:
+def plan_terms(cells: Cells, *, correlated: bool, reducers: bool) -> Terms:
     """Choose the terms of the primary model."""
     reductions: list[str] = []
     fixed = _plan_fixed(cells, reductions)
     slopes = [name for name in fixed if name.endswith("_w")]
-    bar = "|" if correlated else "||"
-    random = [
-        *_plan_people(cells, slopes, reductions, bar=bar),
-        *_plan_groups(cells, reductions),
-        *_plan_sources(cells, reductions),
-        *(_plan_reducers(cells, slopes, reductions) if reducers else ()),
+    chosen = [
+        *_plan_people(cells, slopes, bar="|" if correlated else "||"),
+        *_plan_groups(cells),
+        *_plan_sources(cells),
+        *(_plan_reducers(cells, slopes) if reducers else ()),
     ]
+    random = [term for term in chosen if term.startswith("(")]
+    reductions += [reason for reason in chosen if not reason.startswith("(")]
     if cells.rough:
         reductions.append(
             "Means over unequal numbers of repeats, each counted as equally exact: single ratings have too many levels."
         )
     if not random:
         raise ValueError(
-            "rows: got one participant and one recording, allowed is more of either; "
-            "for one of each, use ordinary regression"
+            "rows must hold more, got one participant and one recording; for these, use ordinary regression"
         )
     few = f"(1 | {REDUCER})" in random and cells.count(REDUCER) < FEW_REDUCERS
     # Of a single difference the penalised likelihood has no maximum: it grows with the spread as fast as it falls.
     penalty = (REDUCER,) if few and _count_free(cells, slopes) > 1 else ()
-    return Plan(tuple(fixed), tuple(random), tuple(reductions), penalty)
+    return Terms(tuple(fixed), tuple(random), tuple(reductions), penalty)
 
 
 def _plan_fixed(cells: Cells, reductions: list[str]) -> list[str]:
-    within = [f"{name}_w" for name in cells.metrics]
-    for name in [name for name in within if not cells.varies(name)]:
-        within.remove(name)
-        reductions.append(
-            f"No slope of {name[:-2]}: it is the same for all stimuli of a recording."
-        )
+    within = [f"{name}_w" for name in cells.metrics if cells.varies(f"{name}_w")]
+    reductions += [
+        f"No slope of {name}: it is the same for all stimuli of a recording."
+        for name in cells.metrics
+        if f"{name}_w" not in within
+    ]
     within = _keep_independent(cells, within, reductions)
     if not within:
         raise ValueError(
-            f"metrics: got {', '.join(cells.metrics)}, none of which differs between stimuli of a recording; "
-            "allowed are metrics that do"
+            f"metrics must vary, got {', '.join(cells.metrics)}, none of which differs between stimuli of a recording"
         )
-    return [*within, *_plan_between(cells, reductions)]
-
-
-def _plan_between(cells: Cells, reductions: list[str]) -> list[str]:
     between = [f"{name}_b" for name in cells.metrics if cells.varies(f"{name}_b")]
+    if cells.n_sources >= len(between) + 2 and between:
+        return [*within, *_keep_independent(cells, between, reductions)]
     scenes = f"source{'s' if cells.n_sources > 1 else ''}" if cells.shared else "of them"
-    if cells.n_sources < len(between) + 2 or not between:
-        reductions.append(
-            f"No slopes between recordings: with {cells.n_sources} {scenes}, {len(cells.metrics)} such slopes "
-            "cannot be told from the recordings themselves."
-        )
-        return []
-    return _keep_independent(cells, between, reductions)
+    reductions.append(
+        f"No slopes between recordings: with {cells.n_sources} {scenes}, {len(cells.metrics)} such slopes "
+        "cannot be told from the recordings themselves."
+    )
+    return within
 
 
 def _keep_independent(cells: Cells, columns: list[str], reductions: list[str]) -> list[str]:
@@ -294,97 +308,64 @@ def _keep_independent(cells: Cells, columns: list[str], reductions: list[str]) -
     return kept
 
 
-def _plan_people(
-    cells: Cells, slopes: list[str], reductions: list[str], *, bar: str
-) -> Iterator[str]:
+# Each of the following yields terms, and the reason for every term that the data cannot carry.
+
+
+def _plan_people(cells: Cells, slopes: list[str], *, bar: str) -> Iterator[str]:
     people, rows = cells.count(WHO), len(cells.table)
     if people == 1:
-        reductions.append(
-            "No spread between people: one participant only; nothing here speaks of others."
-        )
+        yield "No spread between people: one participant only; nothing here speaks of others."
         return
     effects = 1 if bar == "||" else len(slopes) + 1
     if people * effects >= rows:
-        reductions.append(
-            f"No spread of people's slopes: {rows} rows for {people} participants are too few."
-        )
+        yield f"No spread of people's slopes: {rows} rows for {people} participants are too few."
         slopes = []
     yield f"({' + '.join(['1', *map(_quote, slopes)])} {bar} {WHO})"
 
 
-def _plan_groups(cells: Cells, reductions: list[str]) -> Iterator[str]:
+def _plan_groups(cells: Cells) -> Iterator[str]:
     """Name the grouping factors besides people, as far as the design tells them apart."""
-    recordings, rows, items = cells.count(SCENE), len(cells.table), cells.count(ITEM)
-    if recordings > 1:
-        yield f"(1 | {SCENE})"
-    else:
-        reductions.append(
-            "No spread between recordings: one recording only; nothing here speaks of others."
-        )
-    if items < rows:
-        yield f"(1 | {ITEM})"
-    else:
-        reductions.append(
-            "No spread between stimuli: each has one row only, its spread is in the residual."
-        )
-    pairs = cells.count(WHO, SCENE)
-    if recordings > 1 and cells.count(WHO) > 1:
-        if pairs < rows:
-            yield f"(1 | {WHO}:{SCENE})"
-        else:
-            reductions.append("No spread of people's recordings: each has one row only.")
-    if cells.repeated and cells.count(WHO) > 1:
+    several, people, rows = cells.count(SCENE) > 1, cells.count(WHO), len(cells.table)
+    lone = "No spread between recordings: one recording only; nothing here speaks of others."
+    yield f"(1 | {SCENE})" if several else lone
+    known = cells.count(ITEM) < rows
+    single = "No spread between stimuli: each has one row only, its spread is in the residual."
+    yield f"(1 | {ITEM})" if known else single
+    if several and people > 1:
+        paired = cells.count(WHO, SCENE) < rows
+        once = "No spread of people's recordings: each has one row only."
+        yield f"(1 | {WHO}:{SCENE})" if paired else once
+    if cells.repeated and people > 1:
         yield f"(1 | {WHO}:{ITEM})"
 
 
-def _plan_sources(cells: Cells, reductions: list[str]) -> Iterator[str]:
+def _plan_sources(cells: Cells) -> Iterator[str]:
     """Name what recordings of one source share; without it each copy would count as evidence of its own."""
-    if not cells.shared:
-        return
-    if cells.n_sources > 1:
-        yield f"(1 | {SOURCE})"
-    else:
-        reductions.append(
-            "No spread between sources: all recordings come from one; nothing here speaks of others."
-        )
-    if cells.count(SOURCE, REDUCER) < cells.count(ITEM):
-        yield f"(1 | {ALIKE})"
+    if cells.shared:
+        lone = "No spread between sources: all recordings come from one; nothing here speaks of others."
+        yield f"(1 | {SOURCE})" if cells.n_sources > 1 else lone
+        if cells.count(SOURCE, REDUCER) < cells.count(ITEM):
+            yield f"(1 | {ALIKE})"
 
 
-def _plan_reducers(cells: Cells, slopes: list[str], reductions: list[str]) -> Iterator[str]:
+def _plan_reducers(cells: Cells, slopes: list[str]) -> Iterator[str]:
     """Name what stimuli of one reducer share, for everyone and for one person, as far as recordings repeat reducers."""
+    none = "No spread between reducers: "
     if REDUCER not in cells.table:
-        reductions.append(
-            "No spread between reducers: no column 'reducer' says which stimuli were reduced alike."
-        )
+        yield none + "no column 'reducer' says which stimuli were reduced alike."
         return
-    number = cells.count(REDUCER)
-    if cells.count(SCENE) == 1 or number in {1, cells.count(ITEM)}:
-        why = (
-            "one recording only"
-            if cells.count(SCENE) == 1
-            else "no reducer was used on several recordings"
-        )
-        reductions.append(
-            f"No spread between reducers: {'one reducer only' if number == 1 else why}."
-        )
+    why = {cells.count(ITEM): "no reducer was used on several recordings", 1: "one reducer only"}
+    number, lone = cells.count(REDUCER), cells.count(SCENE) == 1
+    if lone or number in why:
+        yield none + ("one recording only" if lone and number > 1 else why[number]) + "."
         return
     # Of one source, (1 | source:reducer) is this term.
     if not cells.shared or cells.n_sources > 1:
-        if _count_free(cells, slopes):
-            yield f"(1 | {REDUCER})"
-        else:
-            reductions.append(
-                "No spread between reducers: too few stimuli to tell it from the slopes."
-            )
-    if cells.count(WHO) == 1:
-        return
-    if _has_residual(cells, slopes):
-        yield f"(1 | {WHO}:{REDUCER})"
-    else:
-        reductions.append(
-            "No spread of people's reducers: too few stimuli to tell it from the residual."
-        )
+        few = none + "too few stimuli to tell it from the slopes."
+        yield f"(1 | {REDUCER})" if _count_free(cells, slopes) else few
+    if cells.count(WHO) > 1:
+        few = "No spread of people's reducers: too few stimuli to tell it from the residual."
+        yield f"(1 | {WHO}:{REDUCER})" if _has_residual(cells, slopes) else few
 
 
 def _count_free(cells: Cells, slopes: list[str]) -> int:
@@ -396,7 +377,7 @@ def _count_free(cells: Cells, slopes: list[str]) -> int:
 
 
 def _has_residual(cells: Cells, slopes: list[str]) -> bool:
-    """Tell whether anybody's ratings have a dimension besides their recordings, reducers and slopes."""
+    """Check whether anybody's ratings have a dimension besides their recordings, reducers and slopes."""
     rated = cells.table.drop_duplicates([WHO, ITEM])
     groups = (_mark_levels(rated, name) for name in (SCENE, REDUCER))
     columns = np.hstack([*groups, _read_slopes(rated, slopes)])

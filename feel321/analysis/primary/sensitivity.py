@@ -11,42 +11,98 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from feel321.analysis.arrays import read_numbers
-from feel321.analysis.primary.model import fit_primary
-from feel321.analysis.primary.plan import RATING, REDUCER, SCENE, SOURCE, WHO
-from feel321.analysis.table.items import (
-    find_sources,
-    leave_rejected,
-    leave_untested,
-    name_items,
-    open_ratings,
+from feel321.analysis.mixed.model import note_zeros
+from feel321.analysis.primary.model import fit_slopes
+from feel321.analysis.primary.plan import (
+    ITEM,
+    KEYS,
+    RATING,
+    REDUCER,
+    SCENE,
+    SOURCE,
+    WHO,
+    select_rows,
 )
+from feel321.analysis.table.items import ARMS, find_sources
 from feel321.analysis.table.reading import order_reducers
+from feel321.records import Result
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from pandas import DataFrame
 
-# The primary slopes under other choices: one recording or reducer less, another use of the scale.
+ESTIMATED = ("estimate", "se", "df", "t", "p", "low", "high")
+STANDARDISED = ("standardised", "standardised_low", "standardised_high")
 
-CORRELATED, WITHOUT_REDUCERS = "correlated slopes", "without reducers"
-COLUMNS = (
-    "estimate",
-    "se",
-    "df",
-    "t",
-    "p",
-    "low",
-    "high",
-    "standardised",
-    "standardised_low",
-    "standardised_high",
-)
+
+class Variant(NamedTuple):
+    """The primary analysis under another choice: other rows, another scale of the ratings, other terms.
+
+    kind and left: column and name of what is left out, if anything is.
+    """
+
+    name: str
+    rows: DataFrame
+    unit: str = "points"
+    correlated: bool = False
+    reducers: bool = True
+    kind: str = ""
+    left: str = ""
+    note: str = ""
+
+    def fit(self, metrics: Sequence[str]) -> tuple[DataFrame, bool, str]:
+        """Fit the slopes, and tell whether the fit is singular and what its model lacks."""
+        found = fit_slopes(self.rows, metrics, correlated=self.correlated, reducers=self.reducers)
+        singular = bool(note_zeros(found.solved))
+        return found.table.reindex(list(metrics)), singular, " ".join(found.terms.reductions)
+
+    def try_to_fit(self, metrics: Sequence[str]) -> tuple[DataFrame, bool, str]:
+        """Fit the slopes; NaN and the reason where the rows carry no model."""
+        import pandas as pd
+
+        try:
+            return self.fit(metrics)
+        except ValueError as error:
+            columns = [*ESTIMATED, *STANDARDISED, "tenth", "tenth_low", "tenth_high"]
+            index = pd.Index(metrics, name="metric")
+            return pd.DataFrame(np.nan, index=index, columns=columns), False, str(error)
+
+
+def keep_columns(rows: DataFrame, metrics: Sequence[str]) -> DataFrame:
+    """Keep what the model takes, names as categories: a refit then takes a fifth of the time."""
+    names = [*KEYS, REDUCER, SOURCE, *ARMS]
+    wanted = [name for name in dict.fromkeys([*names, RATING, *metrics]) if name in rows]
+    words = [name for name in names if name in rows and name not in metrics]
+    return rows[wanted].astype(dict.fromkeys(words, "category"))
+
+
+def leave_out_units(rows: DataFrame) -> Iterator[Variant]:
+    """Leave out each recording, or source of recordings where several come from one, and each reducer.
+
+    Names stand in the same order whatever was rated, so that scales can be compared.
+    """
+    sources = find_sources(rows)
+    if not sources.is_unique:
+        rows = rows.assign(**{SOURCE: rows[SCENE].map(sources)})
+    for column in (SCENE if sources.is_unique else SOURCE, REDUCER):
+        names = list(rows[column].unique()) if column in rows else []
+        ordered = order_reducers(names) if column == REDUCER else sorted(names, key=str)
+        for name in ordered if len(names) > 1 else []:
+            left = rows[rows[column] != name]
+            yield Variant(f"without {column} {name}", left, kind=column, left=str(name))
+
+
+def leave_out_items(rows: DataFrame, names: Sequence[str]) -> Iterator[Variant]:
+    """Leave out single stimuli."""
+    for name in names:
+        left = rows[rows[ITEM] != name]
+        yield Variant(f"without stimulus {name}", left, kind="stimulus", left=str(name))
 
 
 def vary_primary(
@@ -94,87 +150,41 @@ def vary_primary(
     """
     import pandas as pd
 
-    rows, notes = leave_rejected(name_items(open_ratings(rows, what="rows")))
-    rows, untested = leave_untested(rows)
+    rows, notes = select_rows(rows)
     ratings = read_numbers(rows[RATING], what=f"rows, {RATING!r}")
-    rows = rows.assign(**{RATING: ratings})
     if ratings.min() < 0 or ratings.max() > top:
         raise ValueError(
-            f"rows: got ratings {ratings.min():g} to {ratings.max():g}, allowed is 0 to {top:g}; give top"
+            f"rows must have ratings from 0 to {top:g}, got {ratings.min():g} to {ratings.max():g}; give top"
         )
-    tables = [
-        _tabulate(variant, rows, metrics) for variant in ("primary", CORRELATED, WITHOUT_REDUCERS)
-    ]
-    tables += [
-        _tabulate(name, part, metrics) for name, part in (_leave_out(rows) if leave_out else ())
-    ]
-    tables.append(_tabulate_standardised(rows, metrics))
-    tables.append(_tabulate("logits", _squeeze(rows, top), metrics, unit="logits"))
-    table = pd.concat(tables, ignore_index=True)
-    return table.assign(
-        reason=[" ".join(filter(None, (*notes, *untested, reason))) for reason in table["reason"]]
-    )
+    rows = keep_columns(rows.assign(**{RATING: ratings}), metrics)
+    tables = []
+    for variant in _list_variants(rows, top=top, leave_out=leave_out):
+        fit = variant.fit if variant.name == "primary" else variant.try_to_fit
+        table, singular, reason = fit(metrics)
+        table = table[[*ESTIMATED, *STANDARDISED]].rename_axis("metric").reset_index()
+        reason = " ".join(filter(None, (*notes, variant.note, reason)))
+        table.insert(0, "unit", variant.unit)
+        table.insert(0, "variant", variant.name)
+        tables.append(table.assign(singular=singular, reason=reason))
+    return pd.concat(tables, ignore_index=True)
 
 
-def _leave_out(rows: DataFrame) -> Iterator[tuple[str, DataFrame]]:
-    sources = find_sources(rows)
-    if not sources.is_unique:
-        rows = rows.assign(**{SOURCE: rows[SCENE].map(sources)})
-    for column in (SCENE if sources.is_unique else SOURCE, REDUCER):
-        names = _order(rows[column].unique(), column) if column in rows else []
-        for name in names if len(names) > 1 else []:
-            yield f"without {column} {name}", rows[rows[column] != name]
-
-
-def _order(names: Iterable[str], column: str) -> list[str]:
-    """Put names in the same order whatever was rated, so that scales can be compared."""
-    return order_reducers(names) if column == REDUCER else sorted(names, key=str)
-
-
-def _tabulate_standardised(rows: DataFrame, metrics: Sequence[str]) -> DataFrame:
-    steady = rows.groupby(WHO, observed=True)[RATING].transform("std").fillna(0) == 0
-    table = _tabulate("rater-standardised", _standardise(rows[~steady]), metrics, unit="rater SDs")
-    if steady.any():
-        names = ", ".join(map(str, rows.loc[steady, WHO].unique()))
-        table["reason"] = f"Without {names}, whose ratings are all the same. " + table["reason"]
-    return table
-
-
-def _standardise(rows: DataFrame) -> DataFrame:
+def _list_variants(rows: DataFrame, *, top: float, leave_out: bool) -> Iterator[Variant]:
+    yield Variant("primary", rows)
+    yield Variant("correlated slopes", rows, correlated=True)
+    yield Variant("without reducers", rows, reducers=False)
+    if leave_out:
+        yield from leave_out_units(rows)
     own = rows.groupby(WHO, observed=True)[RATING]
-    return rows.assign(**{RATING: (rows[RATING] - own.transform("mean")) / own.transform("std")})
-
-
-def _squeeze(rows: DataFrame, top: float) -> DataFrame:
+    spread = own.transform("std").fillna(0)
+    steady = spread == 0
+    names = ", ".join(map(str, rows.loc[steady, WHO].unique()))
+    note = f"Without {names}, whose ratings are all the same." if names else ""
+    scaled = rows.assign(**{RATING: (rows[RATING] - own.transform("mean")) / spread.mask(steady)})
+    yield Variant("rater-standardised", scaled[~steady], unit="rater SDs", note=note)
     share = (rows[RATING] / top * (len(rows) - 1) + 0.5) / len(rows)
-    return rows.assign(**{RATING: np.log(share / (1 - share))})
-
-
-def _tabulate(
-    variant: str, rows: DataFrame, metrics: Sequence[str], *, unit: str = "points"
-) -> DataFrame:
-    import pandas as pd
-
-    try:
-        model = fit_primary(
-            rows,
-            metrics,
-            correlated=variant == CORRELATED,
-            reducers=variant != WITHOUT_REDUCERS,
-            explain=False,
-        )
-    except ValueError as error:
-        if variant == "primary":
-            raise
-        table = pd.DataFrame(np.nan, index=list(metrics), columns=list(COLUMNS))
-        singular, reason = False, str(error)
-    else:
-        table = model.slopes[list(COLUMNS)].reindex(list(metrics))
-        singular, reason = model.fit.singular, " ".join(model.reductions)
-    table = table.rename_axis("metric").reset_index().assign(singular=singular, reason=reason)
-    table.insert(0, "unit", unit)
-    table.insert(0, "variant", variant)
-    return table
+    logits = rows.assign(**{RATING: np.log(share / (1 - share))})
+    yield Variant("logits", logits, unit="logits")
 
 
 # How well would more participants or more recordings know a slope? The standard error, taken apart.
@@ -190,8 +200,8 @@ FEWEST_PEOPLE, FEWEST_RECORDINGS = 6, 4
 """No smaller study is advised, however large the slope: intervals over fewer are too unsure of themselves."""
 
 
-@dataclass(frozen=True, slots=True)
-class Precision:
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Precision(Result):
     """What the standard error of a slope within recordings is made of.
 
     Parameters
@@ -232,12 +242,9 @@ class Precision:
     level: float = SIGNIFICANCE
 
     def find_se(self) -> tuple[float, float]:
-        """Compute the standard error of the slope and its degrees of freedom.
+        """Compute the slope's standard error and its degrees of freedom, by Welch and Satterthwaite.
 
-        Returns
-        -------
-        tuple of two float
-            By Welch and Satterthwaite, from participants, stimuli and reducers less what is estimated from each.
+        Degrees of freedom come from participants, stimuli and reducers less what is estimated from each.
 
         Examples
         --------
@@ -252,29 +259,15 @@ class Precision:
         )
         stimuli = 1 / (within + between)
         others = max(self.n_reducers - 1, 0)
-        spare = (
-            max(self.n_items - self.n_recordings - self.n_slopes - others, 1),
-            max(others - self.n_slopes, 1),
-        )
-        unsure = stimuli**4 * (within**2 / spare[0] + between**2 / spare[1])
-        spread = people**2 / max(self.n_participants - 1, 1) + unsure
+        spare = self.n_items - self.n_recordings - self.n_slopes - others, others - self.n_slopes
+        unsure = within**2 / max(spare[0], 1) + between**2 / max(spare[1], 1)
+        spread = people**2 / max(self.n_participants - 1, 1) + stimuli**4 * unsure
         return math.sqrt(people + stimuli), (people + stimuli) ** 2 / spread if spread else math.inf
 
     def enlarge(
         self, *, participants: int | None = None, recordings: int | None = None
     ) -> Precision:
-        """Imagine the same study with other numbers.
-
-        Parameters
-        ----------
-        participants, recordings : int, optional
-            How many; each recording brings as many stimuli, of the same reducers, as those here.
-
-        Returns
-        -------
-        Precision
-            The same spreads.
-        """
+        """Imagine the same study with other numbers; each recording brings as many stimuli, of the same reducers."""
         share = (recordings or self.n_recordings) / self.n_recordings
         return replace(
             self,
@@ -287,18 +280,7 @@ class Precision:
         )
 
     def find_power(self, slope: float) -> float:
-        """Compute the chance that the test at `level` finds a slope.
-
-        Parameters
-        ----------
-        slope : float
-            The true one, in points per unit of the metric.
-
-        Returns
-        -------
-        float
-            By the noncentral t distribution, two-sided; NaN where nothing varies.
-        """
+        """Compute the chance that the two-sided test at `level` finds a true slope; NaN where nothing varies."""
         from scipy.stats import nct, norm, t
 
         se, df = self.find_se()
@@ -310,48 +292,20 @@ class Precision:
         return power if math.isfinite(power) else float(norm.sf(limit - shift))
 
     def find_participants(self, slope: float) -> float:
-        """Find how many participants give 80 % power with these recordings.
-
-        Parameters
-        ----------
-        slope : float
-            The true one.
-
-        Returns
-        -------
-        float
-            6 or more; NaN where not even 10 000 would do.
-        """
+        """Find how many participants give 80 % power with these recordings: 6 or more, NaN beyond 10 000."""
         return _find_least(
             lambda number: self.enlarge(participants=number).find_power(slope), least=FEWEST_PEOPLE
         )
 
     def find_recordings(self, slope: float) -> float:
-        """Find how many recordings give 80 % power with these participants.
-
-        Parameters
-        ----------
-        slope : float
-            The true one.
-
-        Returns
-        -------
-        float
-            4 or more; NaN where not even 10 000 would do.
-        """
+        """Find how many recordings give 80 % power with these participants: 4 or more, NaN beyond 10 000."""
         return _find_least(
             lambda number: self.enlarge(recordings=number).find_power(slope),
             least=FEWEST_RECORDINGS,
         )
 
     def find_slope(self) -> float:
-        """Find the smallest slope that this study would find with 80 % power.
-
-        Returns
-        -------
-        float
-            Points per unit of the metric; NaN where nothing varies.
-        """
+        """Find the smallest slope that this study finds with 80 % power; NaN where nothing varies."""
         from scipy.optimize import brentq
 
         se, _ = self.find_se()
@@ -377,8 +331,7 @@ def find_own(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find what one metric has and the others do not, and the part of it that is the same for a reducer.
 
-    metrics: (n_items, n_metrics); reducers: (n_items,); returns own: (n_items,); returns alike:
-    (n_items,).
+    metrics: (n_items, n_metrics); reducers, and both that are returned: (n_items,).
 
     Examples
     --------

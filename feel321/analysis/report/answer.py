@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis.primary.influence import NOT_ESTIMABLE, OPEN, PREDICTS, conclude
-from feel321.analysis.report.section import Cell, Grid, lay_estimate, name_estimate
+from feel321.analysis.report._old import Cell, Grid, lay_estimate, name_estimate
 from feel321.analysis.table.items import tell_recordings
 from feel321.analysis.words import (
     Claim,
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from feel321.analysis.primary.influence import Influence
     from feel321.analysis.primary.model import Primary
-    from feel321.analysis.report.section import Part
+    from feel321.analysis.report.parts import RatingsPart as Part
 
     Row = dict[Hashable, Any]
 

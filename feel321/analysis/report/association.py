@@ -14,19 +14,19 @@ from feel321.analysis.figures.style import assign_looks
 from feel321.analysis.p1401.mapping import p1401
 from feel321.analysis.primary.influence import NOT_ESTIMABLE, OPEN, PREDICTS, find_candidates
 from feel321.analysis.primary.model import fit_primary
-from feel321.analysis.report.pictures import picture_mapping, picture_scatter
-from feel321.analysis.report.section import (
+from feel321.analysis.report._old import (
     INTERVAL,
     VALUE,
     Cell,
     Grid,
-    Section,
     lay_estimate,
     name_estimate,
     name_mean,
-    split_parts,
     tell_associations,
 )
+from feel321.analysis.report.parts import split_parts
+from feel321.analysis.report.pictures import picture_mapping, picture_scatter
+from feel321.analysis.report.section import Section
 from feel321.analysis.report.verdict import LEADING, UNADJUSTED, judge_absence, sum_up_panels
 from feel321.analysis.table.items import make_items
 from feel321.analysis.table.reading import order_reducers
@@ -54,7 +54,8 @@ if TYPE_CHECKING:
     from feel321.analysis.association.correlate import Association, Difference, Panel
     from feel321.analysis.p1401.mapping import P1401
     from feel321.analysis.primary.model import Primary
-    from feel321.analysis.report.section import Choices, Part
+    from feel321.analysis.report.parts import Choices
+    from feel321.analysis.report.parts import RatingsPart as Part
     from feel321.analysis.table.reading import Table
     from feel321.analysis.words import Claim, Number
 

@@ -1,49 +1,213 @@
-"""The report's folder: results.json, and the files that a new report may replace."""
+"""The folder of results of report, chart, stress and advise: replaced as a whole, and only what is its own.
+
+A folder holds ``results.json``, ``index.html``, ``figures/*.svg`` and ``*.png``, ``tables/*.csv``. ``results.json``
+lists its files: these a later run may replace, all others stay as they are.
+"""
 
 from __future__ import annotations
 
 import json
-import math
+import os
+import pickle
 import re
-from collections import Counter
-from dataclasses import asdict, dataclass
-from itertools import chain
-from typing import TYPE_CHECKING
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from feel321.analysis.table.items import find_sources
-from feel321.analysis.words import Number, count_number
+from feel321.analysis.figures.style import save_figure
+from feel321.analysis.report.page import inline_svg
+from feel321.doors import as_path
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
-    from pathlib import Path
+    from collections.abc import Callable, Iterable, Mapping
+    from types import TracebackType
 
-    from feel321.analysis.table.reading import Table
-    from feel321.analysis.words import Claim
+    from markupsafe import Markup
+    from pandas import DataFrame
 
-# A report takes the place of the former one and of nothing else: files that are not its own stay untouched.
+    from feel321.analysis.report.section import Picture
+    from feel321.types import PathLike
 
 PAGE, RESULTS = "index.html", "results.json"
 OWN = re.compile(r"index\.html|results\.json|figures/[^/\\]+\.(?:svg|png)|tables/[^/\\]+\.csv")
-"""What a report's files are called; a list that names anything else is not obeyed."""
+"""Only these files may be deleted, whatever ``results.json`` lists."""
+
+BACKGROUND = len(os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else "12") > 1
+"""Whether figures may be drawn by a second process: only where there is a core for it."""
 
 
 def list_files(figures: Iterable[str], tables: Iterable[str]) -> tuple[str, ...]:
-    """List the files of a report."""
+    """List the files of a folder, by the names of its figures and tables."""
     drawn = (f"figures/{name}.{suffix}" for name in figures for suffix in ("svg", "png"))
     return (RESULTS, PAGE, *drawn, *(f"tables/{name}.csv" for name in tables))
 
 
 def check_target(target: Path) -> None:
-    """Find out whether a report may go to a folder, before minutes are spent on it."""
+    """Find out whether results may go to a folder, before minutes are spent on them."""
     if target.exists() and not target.is_dir():
-        raise FileExistsError(
-            f"{target}: got a file, allowed is a folder, there or not; choose another name"
-        )
+        raise FileExistsError(f"{target}: must be a folder, got a file; choose another name")
     _refuse_foreign(target, (RESULTS, PAGE))
 
 
+class ResultsFolder:
+    """A folder of results while it is written: everything is put beside its place first, then moved there.
+
+    An interrupted run leaves the former results as they were.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> rows = pd.DataFrame({"reducer": ["dft321"], "r": [0.5]})
+    >>> with tempfile.TemporaryDirectory() as place, ResultsFolder(f"{place}/report") as folder:
+    ...     content = {"answer": 0.5, "files": list_files([], ["rows"])}
+    ...     path = folder.write(content, page=lambda drawings: "<p>0.5</p>", tables={"rows": rows})
+    ...     sorted(file.name for file in path.rglob("*") if file.is_file())
+    ['index.html', 'results.json', 'rows.csv']
+    """
+
+    def __init__(self, path: PathLike, *, background: bool = False) -> None:
+        """Refuse a folder that holds other results.
+
+        Parameters
+        ----------
+        path : str or path
+            Where to; made when it is written.
+        background : bool
+            Whether `draw` returns at once and a second process draws, where there is a core for it.
+        """
+        self.path = as_path(path, "folder")
+        self.pictures: list[Picture] = []
+        self._place: tempfile.TemporaryDirectory[str] | None = None
+        self._artist: subprocess.Popen[str] | None = None
+        self._background = background and BACKGROUND
+        check_target(self.path)
+
+    def __enter__(self) -> ResultsFolder:
+        """Begin."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Remove what was not moved to its place."""
+        if self._artist is not None:
+            self._artist.kill()
+            self._artist.communicate()
+        if self._place is not None:
+            self._place.cleanup()
+
+    def draw(self, pictures: Iterable[Picture]) -> None:
+        """Draw and save figures, each as SVG and PNG under its name."""
+        for picture in pictures:
+            self.pictures.append(picture)
+            if not (self._background and self._hand_over(picture)):
+                save_figure(picture.figure, self._stage("figures") / picture.name)
+
+    def write(
+        self,
+        content: Mapping[str, Any],
+        *,
+        page: Callable[[Mapping[str, Markup]], str],
+        tables: Mapping[str, DataFrame],
+    ) -> Path:
+        """Write results, tables and page, and put all in the place of the former files.
+
+        Parameters
+        ----------
+        content : Mapping
+            What ``results.json`` holds; "files" are those of `list_files`.
+        page : callable
+            Renders the page; takes the figures, as SVG, by name.
+        tables : Mapping of str to DataFrame
+            By name without suffix.
+
+        Returns
+        -------
+        Path
+            The folder.
+        """
+        for name, frame in tables.items():
+            frame.to_csv(
+                self._stage("tables") / f"{name}.csv",
+                index=False,
+                float_format="%.10g",
+                lineterminator="\n",
+                encoding="utf-8",
+            )
+        self._finish_drawing()
+        stage = self._stage()
+        drawings = {
+            one.name: inline_svg(one, stage / "figures" / f"{one.name}.svg")
+            for one in self.pictures
+        }
+        text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+        (stage / RESULTS).write_text(f"{text}\n", encoding="utf-8", newline="")
+        (stage / PAGE).write_text(page(drawings), encoding="utf-8", newline="")
+        replace_report(stage, self.path, files=content["files"])
+        return self.path
+
+    def _stage(self, part: str = "") -> Path:
+        """Find where files wait, beside their place so that moving them is quick; made when it is needed."""
+        if self._place is None:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._place = tempfile.TemporaryDirectory(
+                dir=self.path.parent, prefix=f".{self.path.name}-"
+            )
+        stage = Path(self._place.name) / part
+        stage.mkdir(exist_ok=True)
+        return stage
+
+    def _hand_over(self, picture: Picture) -> bool:
+        """Let the second process draw a figure; False if it cannot."""
+        stem = self._stage("figures") / picture.name
+        order = self._stage("orders") / f"{len(self.pictures)}.pickle"
+        try:
+            order.write_bytes(pickle.dumps((picture.drawing, stem)))
+            if self._artist is None:
+                self._artist = subprocess.Popen(  # noqa: S603 - our own words
+                    [sys.executable, "-c", _ARTIST, json.dumps(sys.path)],
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.DEVNULL,
+                    stderr=subprocess.DEVNULL,
+                    text=True,
+                )
+            print(order, file=self._artist.stdin, flush=True)
+        except (OSError, pickle.PicklingError, AttributeError, TypeError):
+            self._background = False
+            return False
+        return True
+
+    def _finish_drawing(self) -> None:
+        """Wait for the second process; what it could not draw is drawn here, where its fault shows."""
+        failed = self._artist is not None and bool(
+            self._artist.communicate() and self._artist.returncode
+        )
+        for picture in self.pictures:
+            stem = self._stage("figures") / picture.name
+            if failed or not stem.with_name(f"{stem.name}.png").exists():
+                save_figure(picture.figure, stem)
+
+
+_ARTIST = """
+import json, sys
+sys.path[:] = json.loads(sys.argv[1])
+import pickle
+from pathlib import Path
+from feel321.analysis.figures.style import save_figure
+for line in sys.stdin:
+    drawing, stem = pickle.loads(Path(line.rstrip("\\n")).read_bytes())
+    save_figure(drawing() if callable(drawing) else drawing, stem)
+"""
+"""What the second process runs. It imports neither the caller's script nor anything of a running session."""
+
+
 def replace_report(place: Path, target: Path, *, files: Iterable[str]) -> None:
-    """Move a finished report to its folder, over the former one."""
+    """Move finished results to their folder, over the former ones."""
     wanted = tuple(files)
     former = _refuse_foreign(target, wanted)
     for name in former - set(wanted):
@@ -55,126 +219,23 @@ def replace_report(place: Path, target: Path, *, files: Iterable[str]) -> None:
 
 
 def _refuse_foreign(target: Path, wanted: Iterable[str]) -> set[str]:
-    """Refuse to write over what is not of a former report; say what is."""
-    former = _list_former(target)
-    foreign = [name for name in wanted if name not in former and (target / name).exists()]
-    if foreign:
-        why = "is there, but is not of a former report; move it away or choose another folder"
-        raise FileExistsError(f"{target / foreign[0]}: {why}")
+    """Refuse to write over what is not of a former run; return what is."""
+    try:
+        content = json.loads((target / RESULTS).read_text(encoding="utf-8"))
+        former = {name for name in content["files"] if OWN.fullmatch(name)}
+    except (OSError, ValueError, TypeError, KeyError):
+        former = set()
+    for name in wanted:
+        if name not in former and (target / name).exists():
+            raise FileExistsError(
+                f"{target / name}: exists and is not of a former report; move it away or choose another folder"
+            )
     return former
 
 
-def _list_former(target: Path) -> set[str]:
-    try:
-        content = json.loads((target / RESULTS).read_text(encoding="utf-8"))
-        return {name for name in content["files"] if OWN.fullmatch(name)}
-    except (OSError, ValueError, TypeError, KeyError):
-        return set()
+def __getattr__(name: str) -> Any:  # noqa: ANN401 - what has moved; kept until all branches are in
+    from feel321.analysis.report import results
 
-
-# A report as data: what ``results.json`` holds.
-
-SCHEMA_VERSION = 1
-"""Version of ``results.schema.json``, which describes ``results.json``: raised when a field changes or goes."""
-
-
-@dataclass(frozen=True, slots=True)
-class Results:
-    """A report as data.
-
-    Parameters
-    ----------
-    verdict : tuple of str
-        The answer in words.
-    verdicts : tuple of Claim
-        The answer for programs: one per scale, level and metric.
-    numbers : tuple of Number
-        Every number shown.
-    answers : Mapping of str to tuple of str
-        What each section shows, in words, by its key.
-    figures : Mapping of str to str
-        Caption of each figure, by file name without suffix.
-    captions : tuple of str
-        What each table of the page shows.
-    notes : tuple of str
-        What was left out or assumed.
-    how : tuple of str
-        How it was computed.
-    files : tuple of str
-        Every file of the report, relative to its folder: what a later report may replace.
-    simulated : bool
-        Whether any rating came from a simulated participant.
-    inputs : Mapping of str to str
-        File names and digests, seed and draws.
-    versions : Mapping of str to str
-        Software that computed it.
-    """
-
-    verdict: tuple[str, ...]
-    verdicts: tuple[Claim, ...]
-    numbers: tuple[Number, ...]
-    answers: Mapping[str, tuple[str, ...]]
-    figures: Mapping[str, str]
-    captions: tuple[str, ...]
-    notes: tuple[str, ...]
-    how: tuple[str, ...]
-    files: tuple[str, ...]
-    simulated: bool
-    inputs: Mapping[str, str]
-    versions: Mapping[str, str]
-
-    def to_json(self) -> str:
-        """Write as JSON text, the same text for the same results.
-
-        Returns
-        -------
-        str
-            UTF-8 JSON; a number that is not defined is null.
-        """
-        content = {
-            "schema_version": SCHEMA_VERSION,
-            "verdict": self.verdict,
-            "verdicts": [asdict(claim) for claim in self.verdicts],
-            "simulated": self.simulated,
-            "numbers": [_without_nan(asdict(number)) for number in self.numbers],
-            "answers": dict(self.answers),
-            "figures": dict(self.figures),
-            "captions": self.captions,
-            "notes": self.notes,
-            "how": self.how,
-            "files": self.files,
-            "inputs": dict(self.inputs),
-            "versions": dict(self.versions),
-        }
-        return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-
-
-def collect_numbers(table: Table, numbers: Iterable[Number]) -> tuple[Number, ...]:
-    """Put the sizes of a table before the numbers of its sections."""
-    gathered = tuple(
-        {repr(number): number for number in chain(_count_table(table), numbers)}.values()
-    )
-    doubled = [
-        name for name, times in Counter(number.name for number in gathered).items() if times > 1
-    ]
-    if doubled:
-        raise ValueError(
-            f"results: got {len(doubled)} names twice, first {doubled[0]}; every number needs its own"
-        )
-    return gathered
-
-
-def _count_table(table: Table) -> Iterator[Number]:
-    rows = table.rows
-    for name in ("participant", "recording", "stimulus_id", "reducer", "scale"):
-        yield count_number(f"size.{name}", rows[name].nunique(), n=len(rows))
-    yield count_number("size.source", find_sources(rows).nunique(), n=len(rows))
-    yield count_number("size.judgements", len(rows), n=len(rows))
-    yield count_number("size.simulated_judgements", int(rows["simulated"].sum()), n=len(rows))
-
-
-def _without_nan(fields: dict[str, object]) -> dict[str, object]:
-    return {
-        key: None if isinstance(value, float) and math.isnan(value) else value
-        for key, value in fields.items()
-    }
+    if name in {"Results", "collect_numbers"}:
+        return getattr(results, name)
+    raise AttributeError(name)

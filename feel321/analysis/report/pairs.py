@@ -10,8 +10,9 @@ import numpy as np
 from feel321.analysis.contrasts.discrimination import discriminate_pairs
 from feel321.analysis.figures.maps import draw_discrimination, draw_space
 from feel321.analysis.primary.influence import adjust
-from feel321.analysis.report.pictures import make_slug
-from feel321.analysis.report.section import INTERVAL, SIGNIFICANCE, Cell, Grid, Picture, Section
+from feel321.analysis.report._old import INTERVAL, Cell, Grid
+from feel321.analysis.report.parts import SIGNIFICANCE
+from feel321.analysis.report.section import Picture, Section, make_slug
 from feel321.analysis.space import (
     align_spaces,
     bootstrap_space,
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.analysis.contrasts.discrimination import Discrimination
-    from feel321.analysis.report.section import Choices
+    from feel321.analysis.report.parts import Choices
     from feel321.analysis.space import Alignment, Ellipses
     from feel321.analysis.table.reading import Table
 
@@ -84,7 +85,7 @@ def compute_discrimination(table: Table, choices: Choices) -> Section:  # noqa: 
         unseen=counts,
         grids=(_lay(found, adjusted),),
         tables={"discrimination": _tabulate_discrimination(found, adjusted)},
-        pictures=(Picture("discrimination", "discrimination", CAPTION, figure),),
+        pictures=(Picture("discrimination", CAPTION, figure),),
         notes=tuple(
             f"ABX, {name}, {level}: {note}"
             for (level, name), one in found.items()
@@ -379,7 +380,7 @@ def _draw(found: _Level, ellipses: Ellipses, stress: tuple[float, ...]) -> Pictu
         "participants; only distances have a meaning. Beside it, the stress of maps by their dimensions."
     )
     figure = draw_space(ellipses, found.names, stress=stress)
-    return Picture(make_slug("space", found.level), "space", caption, figure)
+    return Picture(make_slug("space", found.level), caption, figure)
 
 
 def _tabulate_space(found: _Level, ellipses: Ellipses) -> DataFrame:

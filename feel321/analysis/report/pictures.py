@@ -2,49 +2,28 @@
 
 from __future__ import annotations
 
-import re
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from feel321.analysis.agreement.reliability import SMALLEST
 from feel321.analysis.figures.estimates import draw_profile
 from feel321.analysis.figures.scatter import CUT, count_clipped, draw_mapping, draw_scatter
-from feel321.analysis.figures.style import Look, list_undrawable
-from feel321.analysis.report.section import Picture
+from feel321.analysis.report.section import Picture, make_slug
 from feel321.analysis.table.judgements import ROLES
 from feel321.analysis.table.sheet import ANSWERED, tell_measure
 from feel321.analysis.words import tell_name, tell_number, tell_span
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterator, Mapping
 
     from pandas import DataFrame
 
     from feel321.analysis.association.correlate import Association, Panel
+    from feel321.analysis.figures.style import Look
     from feel321.analysis.p1401.mapping import P1401
-    from feel321.analysis.table.reading import Table
 
 APART = {"reference": "the hidden reference", "anchor": "anchors"}
 SLUG_PART = 40
 """Characters of a name that a file's name keeps."""
-
-
-def number_pictures(pictures: Iterable[Picture]) -> Iterator[Picture]:
-    """Let the figures' numbers end their names, which makes these unique on any file system."""
-    for number, picture in enumerate(pictures, start=1):
-        yield replace(picture, name=f"{picture.name}_{number}")
-
-
-def note_undrawable(table: Table) -> tuple[str, ...]:
-    """Say which characters of names the figures cannot show."""
-    letters = list_undrawable(
-        name for column in ("scale", "level", "reducer") for name in table.rows[column].unique()
-    )
-    if not letters:
-        return ()
-    return (
-        f"The figures' font has no {' '.join(letters)}: boxes stand for them; captions and tables show them.",
-    )
 
 
 def picture_scatter(
@@ -53,7 +32,7 @@ def picture_scatter(
     """Draw ratings against a metric."""
     slug = make_slug("scatter", panel.scale, panel.level, association.metric)
     caption = _caption_scatter(panel, association)
-    return Picture(slug, "scatter", caption, draw_scatter(panel, association, looks=looks))
+    return Picture(slug, caption, draw_scatter(panel, association, looks=looks))
 
 
 def picture_mapping(
@@ -68,7 +47,7 @@ def picture_mapping(
         "in the ratings would let it come."
     )
     figure = draw_mapping(panel.stimuli, judged, association, scale=panel.scale, looks=looks)
-    return Picture(slug, "mapping", caption, figure, detail=True)
+    return Picture(slug, caption, figure, detail=True)
 
 
 def picture_profiles(
@@ -83,10 +62,7 @@ def picture_profiles(
         )
         figure = draw_profile(rows, chosen, looks=looks)
         yield Picture(
-            make_slug("profile", scale, level),
-            "profile",
-            _caption_profile(scale, level, rows),
-            figure,
+            make_slug("profile", scale, level), _caption_profile(scale, level, rows), figure
         )
 
 
@@ -126,8 +102,3 @@ def _caption_profile(scale: str, level: str, profile: DataFrame) -> str:
     if apart:
         caption += f" Below the dotted line: {' and '.join(apart)}."
     return caption
-
-
-def make_slug(*parts: str) -> str:
-    """Make names readable in a file's name; the number that follows it tells those apart that become alike."""
-    return "_".join(re.sub(r"[^A-Za-z0-9_-]+", "-", part)[:SLUG_PART] for part in parts)

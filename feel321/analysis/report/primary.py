@@ -12,6 +12,7 @@ from feel321.analysis.primary.influence import measure_influence
 from feel321.analysis.primary.model import fit_primary, tabulate_slopes
 from feel321.analysis.primary.plan import REDUCER, SOURCE, make_cells
 from feel321.analysis.primary.sensitivity import ENOUGH, Precision, find_own, find_variances
+from feel321.analysis.report._old import Cell, Grid, lay_estimate, name_estimate, name_tests
 from feel321.analysis.report.answer import (
     INFLUENCE,
     Finding,
@@ -22,19 +23,8 @@ from feel321.analysis.report.answer import (
     tell_findings,
 )
 from feel321.analysis.report.association import lay_paper
-from feel321.analysis.report.pictures import make_slug
-from feel321.analysis.report.section import (
-    ITEM,
-    SIGNIFICANCE,
-    Cell,
-    Grid,
-    Picture,
-    Section,
-    lay_estimate,
-    name_estimate,
-    name_tests,
-    thin_parts,
-)
+from feel321.analysis.report.parts import ITEM, SIGNIFICANCE, thin_parts
+from feel321.analysis.report.section import Picture, Section, make_slug
 from feel321.analysis.words import (
     COUNT,
     count_number,
@@ -50,7 +40,8 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.analysis.primary.model import Primary
-    from feel321.analysis.report.section import Choices, Part
+    from feel321.analysis.report.parts import Choices
+    from feel321.analysis.report.parts import RatingsPart as Part
     from feel321.analysis.table.reading import Table
     from feel321.analysis.words import Number
 
@@ -287,18 +278,14 @@ def _draw_models(fits: Fits) -> Iterator[Picture]:
     models = {lead: model for lead, (_, model) in fits.items()}
     bars = "bars are 95 % Satterthwaite intervals; hollow: singular fit."
     caption = f"Slope within recordings of ratings on each metric, points per +0.1 of it, mixed model; {bars}"
-    yield Picture("slopes", "forest", caption, draw_slopes(models))
+    yield Picture("slopes", caption, draw_slopes(models))
     for part, model in fits.values():
         caption = (
             f"Residuals of the primary model of {part.subject}: left against normal quantiles with a pointwise 95 % "
             "band, right against fitted values."
         )
         yield Picture(
-            make_slug("residuals", *part.place),
-            "residuals",
-            caption,
-            draw_residuals(model.fit),
-            detail=True,
+            make_slug("residuals", *part.place), caption, draw_residuals(model.fit), detail=True
         )
 
 

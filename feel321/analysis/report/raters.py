@@ -5,18 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis.figures.choices import draw_raters
-from feel321.analysis.report.section import (
-    Cell,
-    Grid,
-    Picture,
-    Section,
-    find_repeat_sd,
-    fit_rest,
-    lay_estimate,
-    name_estimate,
-    split_parts,
-    thin_parts,
-)
+from feel321.analysis.report._old import Cell, Grid, lay_estimate, name_estimate
+from feel321.analysis.report.parts import find_repeat_sd, fit_rest, split_parts, thin_parts
+from feel321.analysis.report.section import Picture, Section
 from feel321.analysis.screening.rules import RULES
 from feel321.analysis.screening.screen import screen_raters
 from feel321.analysis.table.sheet import APART, PAIR
@@ -27,7 +18,8 @@ if TYPE_CHECKING:
 
     from pandas import DataFrame
 
-    from feel321.analysis.report.section import Choices, Part
+    from feel321.analysis.report.parts import Choices
+    from feel321.analysis.report.parts import RatingsPart as Part
     from feel321.analysis.screening.screen import Screening
     from feel321.analysis.table.reading import Table
 
@@ -76,7 +68,7 @@ def compute(table: Table, choices: Choices) -> Section:
         ),
         unseen=tuple(_count_hit(screening)),
         tables=_make_tables(screening, slopes),
-        pictures=(Picture("raters", "raters", CAPTION, draw_raters(screening)),),
+        pictures=(Picture("raters", CAPTION, draw_raters(screening)),),
         notes=screening.notes,
         how=(*HOW, _tell_rules(screening)),
     )

@@ -20,28 +20,29 @@ from feel321.analysis.figures.style import assign_looks
 from feel321.analysis.mixed.model import contrast, fit_mixed
 from feel321.analysis.primary.influence import adjust
 from feel321.analysis.primary.plan import make_cells
-from feel321.analysis.report.pictures import make_slug, picture_profiles
-from feel321.analysis.report.section import (
+from feel321.analysis.report._old import (
     INTERVAL,
-    ITEM,
     PROFILES,
-    SIGNIFICANCE,
     Cell,
     Grid,
-    Picture,
-    Section,
-    count_units,
-    find_repeat_sd,
     lay_estimate,
     name_estimate,
     name_mean,
     name_tests,
     tell_estimate,
+)
+from feel321.analysis.report.parts import (
+    ITEM,
+    SIGNIFICANCE,
+    count_units,
+    find_repeat_sd,
     tell_p,
     tell_reach,
     thin_parts,
     thin_rows,
 )
+from feel321.analysis.report.pictures import picture_profiles
+from feel321.analysis.report.section import Picture, Section, make_slug
 from feel321.analysis.table.items import find_sources
 from feel321.analysis.table.judgements import ROLES
 from feel321.analysis.table.reading import order_reducers
@@ -54,7 +55,8 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.analysis.contrasts.equivalence import Equivalence
-    from feel321.analysis.report.section import Choices, Part
+    from feel321.analysis.report.parts import Choices
+    from feel321.analysis.report.parts import RatingsPart as Part
     from feel321.analysis.table.reading import Table
 
     ProfileRow = Mapping[Hashable, Any]
@@ -525,6 +527,4 @@ def _draw(pairs: list[_Pair], part: Part) -> Iterator[Picture]:
     figure = draw_equivalence(
         tests, n_participants=people, n_recordings=len(scenes), n_sources=scenes.nunique()
     )
-    yield Picture(
-        make_slug("equivalence", *part.place), "equivalence", caption, figure, detail=True
-    )
+    yield Picture(make_slug("equivalence", *part.place), caption, figure, detail=True)

@@ -13,19 +13,9 @@ from feel321.analysis.primary.multiverse import Estimate, run_multiverse
 from feel321.analysis.primary.sensitivity import vary_primary
 from feel321.analysis.refined.candidates import EQUAL
 from feel321.analysis.refined.refine import refine_metric
-from feel321.analysis.report.pictures import make_slug
-from feel321.analysis.report.section import (
-    INTERVAL,
-    ITEM,
-    Cell,
-    Grid,
-    Picture,
-    Section,
-    fit_rest,
-    lay_estimate,
-    name_estimate,
-    split_parts,
-)
+from feel321.analysis.report._old import INTERVAL, Cell, Grid, lay_estimate, name_estimate
+from feel321.analysis.report.parts import ITEM, fit_rest, split_parts
+from feel321.analysis.report.section import Picture, Section, make_slug
 from feel321.analysis.words import (
     COUNT,
     TWO_WAY,
@@ -48,7 +38,8 @@ if TYPE_CHECKING:
     from feel321.analysis.primary.model import Primary
     from feel321.analysis.primary.multiverse import Multiverse
     from feel321.analysis.refined.refine import Refined
-    from feel321.analysis.report.section import Choices, Part
+    from feel321.analysis.report.parts import Choices
+    from feel321.analysis.report.parts import RatingsPart as Part
     from feel321.analysis.table.reading import Table
 
     Row = dict[Hashable, Any]
@@ -169,7 +160,7 @@ def _draw_variants(part: Part, metrics: tuple[str, ...], table: DataFrame) -> Pi
         "standardised, under other choices; 95 % Satterthwaite intervals."
     )
     figure = draw_slopes({part.lead: model}, variants={part.lead: table})
-    return Picture(make_slug("variants", *part.place), "variants", caption, figure)
+    return Picture(make_slug("variants", *part.place), caption, figure)
 
 
 def _draw_universes(metric: str, part: Part, result: Multiverse) -> Picture:
@@ -178,9 +169,7 @@ def _draw_universes(metric: str, part: Part, result: Multiverse) -> Picture:
         "screening rules leave, from the smallest up; 95 % Satterthwaite intervals. Below: the rules applied."
     )
     figure = draw_multiverse(result, estimate="Points per +0.1")
-    return Picture(
-        make_slug("multiverse", *part.place, metric), "multiverse", caption, figure, detail=True
-    )
+    return Picture(make_slug("multiverse", *part.place, metric), caption, figure, detail=True)
 
 
 def _judge_robustness(found: tuple[tuple[str, str], tuple[Part, Multiverse]]) -> str:

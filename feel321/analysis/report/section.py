@@ -1,128 +1,231 @@
-"""Sections of a report: the record, what may be chosen, and what several sections share.
+"""What a report is made of: sections, each a record of declared tables, figures, sentences and claims.
 
-Every section is one function `compute_NAME(table, choices) -> Section`. One that the ratings do not allow is left out,
-and its notes say why.
+A table is declared once, as columns: `build_table` makes of them and of the rows what the page shows and the numbers
+of ``results.json``; the rows themselves are the CSV file. A section is one function `compute_NAME(table, choices)`
+that returns a `Section`; one that the ratings do not allow has nothing but notes, which say why.
 """
 
 from __future__ import annotations
 
-import zlib
+import re
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from feel321.analysis.primary.model import FEW, fit_primary
-from feel321.analysis.table.items import find_sources
-from feel321.analysis.table.sheet import APART
 from feel321.analysis.words import (
+    COUNT,
     SATTERTHWAITE,
-    STUDENT,
+    count_number,
     make_interval,
     make_number,
     name_path,
     tell_ends,
     tell_name,
-    tell_number,
-    tell_ratings,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from matplotlib.figure import Figure
-    from pandas import DataFrame, Series
+    from pandas import DataFrame
 
     from feel321.analysis.association.correlate import Panel
-    from feel321.analysis.primary.model import Primary
-    from feel321.analysis.table.reading import Table
     from feel321.analysis.words import Claim, Line, Number
 
-# How a report was computed, told to its reader; part of ``results.json``.
+    Record = Mapping[Any, Any]
 
-PROFILES = (
-    "Profiles: mean over participants of each participant's mean over stimuli, on a scale from 0 to 100; 95 % t "
-    "intervals over participants, cut off at the ends of the scale, which speak of other people judging these "
-    "recordings. Where all participants' means are alike there is no interval: they do not tell how people differ."
-)
+TEXT, NAME = "text", "name"
+"""Kinds of columns that hold no number: words made of a name, and names as they are."""
 
-
-def tell_associations(draws: int) -> tuple[str, ...]:
-    """Describe how correlations were computed."""
-    return (
-        "Ratings run from 0 to 100. A stimulus's rating is the mean over participants of each participant's mean "
-        "over repeats. The hidden reference and the anchors are left out of every association, because stimuli "
-        "chosen to be far apart inflate a correlation; they stand in the profile of ratings.",
-        "Correlations are over test stimuli, separately per scale and level. Pearson's r measures how straight the "
-        "relation is, Spearman's how monotone it is.",
-        f"Two-way intervals: {draws} bootstrap draws of participants and, independently, of recordings with all "
-        "their stimuli, both with replacement; "
-        "tanh(atanh r ± t(.975, U − 1) sqrt(U / (U − 1)) SD(atanh r*)) with U the number of recordings or of "
-        "participants, whichever is smaller (recordings of one source are drawn together and count as one): the fewer "
-        "there are, the less is known of how they differ. Draws that "
-        "give no correlation are left out and counted; with more than a tenth of them there is no interval. They say "
-        "what other people and other recordings might give. Intervals over participants only treat these very stimuli "
-        "as the only ones; they are far too narrow for a claim about the metric and are shown for comparison with the "
-        "literature.",
-        "Differences between metrics: both correlations are recomputed in every draw; the interval of the difference "
-        "of Fisher's z is told as a difference of correlations about their mean z.",
-        "Noise ceiling: sqrt(ICC(C,k)) from a two-way analysis of variance, the correlation that a perfect metric "
-        "would be expected to reach with ratings as noisy as these; it rests on the stimuli that everyone rated and "
-        "needs half of them. r / ceiling is for Pearson's r only, because the ceiling is that of a straight relation, "
-        "and is left out where the ceiling rests on fewer stimuli than r; it may exceed 1 by chance.",
-    )
-
-
-# What every section of a report is made of; a number is shown only by being part of it.
-
-VALUE, INTERVAL = "value", "interval"
+BOTH, VALUE, INTERVAL = "both", "value", "interval"
+"""What of a number the page shows: with an interval, two columns, the second headed "Interval"."""
 
 
 @dataclass(frozen=True, slots=True)
-class Cell:
-    """A number's place in a table of the page."""
+class Column:
+    """A column of a table: where its value comes from, how the page shows it, what ``results.json`` calls it.
 
-    number: Number
+    Parameters
+    ----------
+    head : str
+        Header on the page; a number without one is in ``results.json`` only.
+    key : str
+        Of the value in a row.
+    kind : str
+        `TEXT`, `NAME`, or how a number is rounded: a key of `words.PLACES`. A count without a method is a whole number.
+    end : str
+        What the number's dotted name has after the row's own; empty: nothing.
+    method : str
+        How the value was computed; may hold the row's keys in braces.
+    interval : str
+        What its interval is; empty: it has none.
+    ends : str
+        What comes before "low" and "high" in the keys of the interval's ends, such as "tenth_".
+    show : str
+        `BOTH`, `VALUE` or `INTERVAL`.
+    head_interval : str
+        Header of the interval.
+    n : str
+        Key of how many stimuli, participants or judgements it rests on; empty: the table's.
+    """
+
+    head: str
+    key: str
     kind: str = "correlation"
-    part: str = VALUE
+    end: str = ""
+    method: str = ""
+    interval: str = ""
+    ends: str = ""
+    show: str = BOTH
+    head_interval: str = "Interval"
+    n: str = ""
 
-    def __str__(self) -> str:
-        """Write it for the page."""
-        value, interval = tell_ends(
-            self.number.value, self.number.low, self.number.high, kind=self.kind
-        )
-        return interval if self.part == INTERVAL else value
+    @property
+    def heads(self) -> tuple[str, ...]:
+        """Headers on the page."""
+        if not self.head or self.show == INTERVAL or not self.interval or self.show == VALUE:
+            return (self.head,) if self.head else ()
+        return self.head, self.head_interval
+
+    def make_number(self, row: Record, *, path: str, n: str) -> Number:
+        """Make the number that a row holds."""
+        name, count = f"{path}.{self.end}" if self.end else path, int(row[self.n or n])
+        if self.kind == COUNT and not self.method:
+            return count_number(name, row[self.key], n=count)
+        number = make_number(name, row[self.key], self.method.format_map(row), n=count)
+        if not self.interval:
+            return number
+        low, high = row[f"{self.ends}low"], row[f"{self.ends}high"]
+        return make_interval(number, low, high, uncertainty=self.interval)
+
+    def show_number(self, number: Number) -> tuple[str, ...]:
+        """Write a number for the page."""
+        value, interval = tell_ends(number.value, number.low, number.high, kind=self.kind)
+        if not self.head:
+            return ()
+        if self.show == INTERVAL:
+            return (interval,)
+        return (value, interval) if len(self.heads) > 1 else (value,)
+
+
+def estimate(head: str, key: str, method: str, **more: str) -> Column:
+    """Declare an estimate of a mixed model with its t interval; its kind is "slope" unless told otherwise."""
+    return Column(head, key, method=method, interval=SATTERTHWAITE, **{"kind": "slope", **more})
+
+
+DF = Column("df", "df", "df", "df", "Satterthwaite's degrees of freedom")
+P = Column("p", "p", "p", "p", "two-sided t test")
+P_HOLM = Column(
+    "p (Holm)", "p_holm", "p", "p_holm", "two-sided t test, Holm's adjustment over its table"
+)
+RATINGS = Column("Ratings", "ratings", TEXT)
+METRIC = Column("Metric", "metric", TEXT)
 
 
 @dataclass(frozen=True, slots=True)
-class Grid:
-    """A table of the page."""
+class PageTable:
+    """A table of the page, in words, and its numbers."""
 
     caption: str
     head: tuple[str, ...]
-    rows: tuple[tuple[str | Cell, ...], ...]
+    rows: tuple[tuple[str, ...], ...]
+    numbers: tuple[Number, ...] = ()
+    text_columns: frozenset[int] = frozenset()
     detail: bool = True
 
-    @property
-    def text_columns(self) -> frozenset[int]:
-        """Numbers of the columns that hold words."""
-        return frozenset(
-            place
-            for row in self.rows[:1]
-            for place, cell in enumerate(row)
-            if isinstance(cell, str)
-        )
 
-    def cells(self) -> Iterator[Cell]:
-        """Yield every number's place."""
-        for row in self.rows:
-            yield from (cell for cell in row if isinstance(cell, Cell))
+def build_table(
+    caption: str,
+    columns: Sequence[Column],
+    rows: Iterable[Record],
+    *,
+    path: str = "",
+    n: str = "n",
+    detail: bool = True,
+) -> PageTable:
+    """Build a table of declared columns.
+
+    path: dotted name of a row's numbers, with the row's keys in braces; detail: folded away on the page.
+
+    Examples
+    --------
+    >>> columns = [Column("Scale", "scale", TEXT), Column("r", "r", method="Pearson's r")]
+    >>> table = build_table("How well.", columns, [{"scale": "v1.0", "r": 0.5, "n": 9}], path="r.{scale}")
+    >>> table.rows, table.numbers[0].name
+    ((('v1.0', '0.50'),), 'r.v1%2E0')
+    """
+    shown: list[tuple[str, ...]] = []
+    numbers: list[Number] = []
+    for row in rows:
+        own, cells = _fill(path, row), []
+        for column in columns:
+            if column.kind in {TEXT, NAME}:
+                value = str(row[column.key])
+                cells.append(tell_name(value) if column.kind == TEXT else value)
+                continue
+            numbers.append(column.make_number(row, path=own, n=n))
+            cells += column.show_number(numbers[-1])
+        shown.append(tuple(cells))
+    kinds = [column.kind for column in columns for _ in column.heads]
+    return PageTable(
+        caption=caption,
+        head=tuple(head for column in columns for head in column.heads),
+        rows=tuple(shown),
+        numbers=tuple(numbers),
+        text_columns=frozenset(i for i, kind in enumerate(kinds) if kind in {TEXT, NAME}),
+        detail=detail,
+    )
+
+
+def build_numbers(
+    columns: Sequence[Column], rows: Iterable[Record], *, path: str, n: str = "n"
+) -> tuple[Number, ...]:
+    """Build the numbers of declared columns that no table of the page shows."""
+    return build_table("", columns, rows, path=path, n=n).numbers
+
+
+def _fill(path: str, row: Record) -> str:
+    """Fill a path's keys in; a point in a value is escaped, because points separate."""
+    return re.sub(r"\{(\w+)\}", lambda match: name_path(str(row[match[1]])), path)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """A figure of a report: its file's name, its caption, and the figure or what draws it.
+
+    drawing: a `Figure`, or a function without arguments (a `functools.partial` that can be pickled), which is called
+    only when the figure is needed and may then run beside other work.
+    """
+
+    name: str
+    caption: str
+    drawing: Figure | Callable[[], Figure]
+    detail: bool = False
+
+    @property
+    def figure(self) -> Figure:
+        """The figure, drawn."""
+        return self.drawing() if callable(self.drawing) else self.drawing
+
+
+SLUG_PART = 40
+"""Characters of a name that a file's name keeps."""
+
+
+def make_slug(*parts: str) -> str:
+    """Make names readable in a file's name; the number that follows it tells those apart that become alike."""
+    return "_".join(re.sub(r"[^A-Za-z0-9_-]+", "-", part)[:SLUG_PART] for part in parts)
+
+
+def number_pictures(pictures: Iterable[Picture], start: int = 1) -> Iterator[Picture]:
+    """Let the figures' numbers end their names, which makes these unique on any file system."""
+    for number, picture in enumerate(pictures, start=start):
+        yield replace(picture, name=f"{picture.name}_{number}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Section:
-    """A part of a report, as data.
+    """A part of a report, as data; what is empty in it is left out.
 
     Parameters
     ----------
@@ -130,51 +233,62 @@ class Section:
         Its name in paths and anchors.
     title : str
         Its heading.
-    answers : tuple of str
+    answers : sequence of str
         What it shows, in words; numbers in them are among its numbers.
-    verdict : tuple of Line
+    verdict : sequence of Line
         What it has to say where the report opens.
-    grids : tuple of Grid
-        Tables of the page.
-    unseen : tuple of Number
+    grids : sequence of PageTable
+        Tables of the page; those without rows are left out.
+    unseen : sequence of Number
         Numbers that are in words or figures only.
-    tables : Mapping of str to DataFrame
-        Files, by name without suffix.
-    pictures : tuple of Picture
+    tables : Mapping of str to DataFrame, or to a list of rows
+        Files, by name without suffix; those without rows are left out.
+    pictures : sequence of Picture
         Figures.
-    notes : tuple of str
+    notes : sequence of str
         What was left out or assumed, and why; one sentence each.
-    how : tuple of str
-        How it was computed.
-    claims : tuple of Claim
+    how : sequence of str
+        How it was computed; left out if there is nothing to show.
+    claims : sequence of Claim
         What it concludes, for a program.
-    panels : tuple of Panel
+    panels : sequence of Panel
         Correlations, to be held against the claims of other sections.
     """
 
     key: str
     title: str
-    answers: tuple[str, ...] = ()
-    verdict: tuple[Line, ...] = ()
-    grids: tuple[Grid, ...] = ()
-    unseen: tuple[Number, ...] = ()
-    tables: Mapping[str, DataFrame] = field(default_factory=dict)
-    pictures: tuple[Picture, ...] = ()
-    notes: tuple[str, ...] = ()
-    how: tuple[str, ...] = ()
-    claims: tuple[Claim, ...] = ()
-    panels: tuple[Panel, ...] = ()
+    answers: Sequence[str] = ()
+    verdict: Sequence[Line] = ()
+    grids: Sequence[Any] = ()
+    unseen: Sequence[Number] = ()
+    tables: Mapping[str, Any] = field(default_factory=dict)
+    pictures: Sequence[Picture] = ()
+    notes: Sequence[str] = ()
+    how: Sequence[str] = ()
+    claims: Sequence[Claim] = ()
+    panels: Sequence[Panel] = ()
+
+    def __post_init__(self) -> None:
+        """Leave out what is empty, make frames of rows, and tuples of lists."""
+        frames = {name: rows for name, rows in self.tables.items() if len(rows)}
+        if any(isinstance(rows, list) for rows in frames.values()):
+            import pandas as pd
+
+            frames = {name: pd.DataFrame(rows) for name, rows in frames.items()}
+        lists = {name: tuple(getattr(self, name)) for name in ("answers", "verdict", "pictures")}
+        lists |= {
+            "grids": tuple(grid for grid in self.grids if grid.rows), "unseen": tuple(self.unseen),
+            "notes": tuple(dict.fromkeys(self.notes)), "claims": tuple(self.claims),
+        }  # fmt: skip
+        for name, value in {**lists, "tables": frames}.items():
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "how", () if self.is_empty else tuple(self.how))
 
     @property
     def numbers(self) -> tuple[Number, ...]:
         """Every number of the section, each once."""
-        shown = (cell.number for cell in chain.from_iterable(grid.cells() for grid in self.grids))
+        shown = chain.from_iterable(grid.numbers for grid in self.grids)
         return tuple(dict.fromkeys(chain(shown, self.unseen)))
-
-    @property
-    def has_details(self) -> bool:
-        """Whether the page folds something away."""
-        return bool(self.summary)
 
     @property
     def summary(self) -> str:
@@ -192,284 +306,15 @@ class Section:
         return not (self.grids or self.pictures or self.answers)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Picture:
-    """A figure of the report."""
+def stack(frames: Iterable[tuple[Mapping[str, Any], DataFrame]]) -> Any:  # noqa: ANN401 - a frame, or nothing
+    """Stack frames, each with further columns; empty ones are left out."""
+    import pandas as pd
 
-    name: str
-    kind: str
-    caption: str
-    figure: Figure
-    detail: bool = False
+    own = [frame.assign(**more) for more, frame in frames if len(frame)]
+    return pd.concat(own, ignore_index=True) if own else []
 
 
-# What whoever analyses a study may choose, and where randomness comes from.
+def __getattr__(name: str) -> Any:  # noqa: ANN401 - what has moved; kept until all branches are in
+    from feel321.analysis.report import parts
 
-
-@dataclass(frozen=True, slots=True)
-class Choices:
-    """Choices that were made before the ratings were seen.
-
-    Parameters
-    ----------
-    draws : int
-        Bootstrap draws per interval and random pairings per permutation test, at least 2.
-    margin : float or None
-        Difference in points that does not matter; None: half the spread with which people repeat their ratings.
-    seed : int
-        Of all randomness.
-    """
-
-    draws: int = 2000
-    margin: float | None = None
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        """Refuse what cannot be."""
-        if self.draws < 2:  # noqa: PLR2004 - a spread needs two
-            raise ValueError(
-                f"draws: got {self.draws}, allowed is 2 or more; use 2000 for results to be published"
-            )
-        if self.margin is not None and not 0 < self.margin < np.inf:
-            raise ValueError(
-                f"margin: got {self.margin}, allowed is above 0, in points of the scale, or none"
-            )
-
-    def make_rng(self, *names: str) -> np.random.Generator:
-        """Make the source of randomness of one result.
-
-        Parameters
-        ----------
-        *names : str
-            What the result is called.
-
-        Returns
-        -------
-        Generator
-            Its own: a further metric or section does not change the intervals of the others.
-        """
-        return np.random.default_rng([self.seed, zlib.crc32(name_path(*names).encode())])
-
-
-# Ratings split into what one model or one correlation is about: a scale and a level.
-
-ITEM = "item"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Part:
-    """Ratings of test stimuli on one scale and one level."""
-
-    scale: str
-    level: str
-    rows: DataFrame
-    subject: str
-    thinned: str = ""
-
-    @property
-    def ratings(self) -> str:
-        """How to call it within a sentence."""
-        return tell_ratings(self.subject)
-
-    @property
-    def place(self) -> tuple[str, str]:
-        """What leads the path of its numbers."""
-        return self.scale, self.level
-
-    @property
-    def lead(self) -> str:
-        """What leads a note."""
-        return f"{self.scale}, {self.level}"
-
-
-def split_parts(table: Table, *, matched: bool = True) -> Iterator[Part]:
-    """Split the ratings of test stimuli."""
-    rows = table.rows
-    rated = rows[(rows["role"] == "test") & ~rows["scale"].isin(APART)]
-    rated = rated[rated["matched"]] if matched and "matched" in rated else rated
-    several = len(rated["level"].unique()) > 1
-    for (scale, level), part in rated.groupby(["scale", "level"], observed=True):
-        subject = tell_name(str(scale)) + (f" (level {tell_name(str(level))})" if several else "")
-        yield Part(str(scale), str(level), part.assign(**{ITEM: part["stimulus_id"]}), subject)
-
-
-# More ratings than a mixed model can be fitted to in reasonable time and memory: whole people or recordings are drawn.
-
-WHO, SCENE = "participant", "recording"
-MOST_DENSE = 1500
-"""Random effects besides those of the largest group, which make a dense matrix."""
-
-MOST_PRODUCTS = 40_000_000
-"""Of those and the effects of the largest group: 320 MB."""
-
-FEWEST = 8
-"""People and recordings are not thinned below this."""
-
-
-def thin_parts(
-    table: Table, choices: Choices, *, n_slopes: int | None = None, matched: bool = True
-) -> Iterator[Part]:
-    """Split the ratings of test stimuli into what one mixed model can carry."""
-    size = len(table.metrics) if n_slopes is None else n_slopes
-    for part in split_parts(table, matched=matched):
-        rows, thinned = thin_rows(
-            part.rows, n_slopes=size, rng=choices.make_rng("thin", *part.place)
-        )
-        yield replace(part, rows=rows, thinned=thinned and f"{part.lead}: {thinned}")
-
-
-def thin_rows(rows: DataFrame, *, n_slopes: int, rng: np.random.Generator) -> tuple[DataFrame, str]:
-    """Draw people or recordings, whichever are more, by half until a mixed model can carry the rest."""
-    sources, left = find_sources(rows), rows
-    while _is_large(left, n_slopes):
-        names = {name: sorted(left[name].unique()) for name in (WHO, SCENE)}
-        longer = max((WHO, SCENE), key=lambda name: len(names[name]))
-        if len(names[longer]) < 2 * FEWEST:
-            break
-        kept = _draw_half(names[longer], None if longer == WHO else sources, rng=rng)
-        left = left[left[longer].isin(kept)]
-    if len(left) == len(rows):
-        return rows, ""
-    told = " and ".join(
-        f"{left[name].nunique()} of {rows[name].nunique()} {name}s" for name in (WHO, SCENE)
-    )
-    if not sources.is_unique:
-        told += f" ({find_sources(left).nunique()} of {sources.nunique()} sources)"
-    return (
-        left,
-        f"mixed models rest on {told}, drawn at random: {len(rows)} ratings are too many for one fit.",
-    )
-
-
-def _draw_half(names: list[str], sources: Series | None, *, rng: np.random.Generator) -> set[str]:
-    """Draw half of people or recordings; of recordings, the first of every source before the second of any."""
-    half = len(names) // 2
-    if sources is None or sources.is_unique:
-        return set(rng.choice(names, size=half, replace=False))
-    shuffled = sources.loc[rng.permutation(names)]
-    copy = shuffled.groupby(shuffled).cumcount()
-    return set(copy.sort_values(kind="stable").index[:half])
-
-
-def _is_large(rows: DataFrame, n_slopes: int) -> bool:
-    cells = rows.groupby([WHO, ITEM], observed=True).size()
-    levels = [
-        rows[WHO].nunique() * (1 + n_slopes), rows[SCENE].nunique(), rows[ITEM].nunique(),
-        len(rows[[WHO, SCENE]].drop_duplicates()),
-    ]  # fmt: skip
-    # Unequal repeats bring a spread of their own.
-    levels += [len(cells)] if cells.min() < cells.max() else []
-    dense = sum(levels) - max(levels)
-    return dense > MOST_DENSE or dense * max(levels) > MOST_PRODUCTS
-
-
-# Estimates of mixed models as numbers and cells, the same in every section.
-
-SIGNIFICANCE = 0.05
-
-
-def fit_rest(rows: DataFrame, metrics: Sequence[str], *, people: int) -> Primary:
-    """Fit the primary model to the raters whom a rule leaves."""
-    left = rows["participant"].nunique()
-    if left == 1 < people:
-        raise ValueError(
-            f"One rater of {people} is left: an interval would not know how people differ."
-        )
-    return fit_primary(rows, metrics, explain=False)
-
-
-def name_estimate(
-    name: str, row: Mapping[Hashable, Any], method: str, *, n: int, prefix: str = ""
-) -> Number:
-    """Name an estimate with its t interval."""
-    lead = f"{prefix}_" if prefix else ""
-    number = make_number(name, row[prefix or "estimate"], method, n=n)
-    return make_interval(number, row[f"{lead}low"], row[f"{lead}high"], uncertainty=SATTERTHWAITE)
-
-
-def name_tests(name: str, row: Mapping[Hashable, Any], *, n: int) -> tuple[Number, ...]:
-    """Name the degrees of freedom and the probabilities of an estimate."""
-    return (
-        make_number(f"{name}.df", row["df"], "Satterthwaite's degrees of freedom", n=n),
-        make_number(f"{name}.p", row["p"], "two-sided t test", n=n),
-        make_number(
-            f"{name}.p_holm",
-            row["p_holm"],
-            "two-sided t test, Holm's adjustment over its table",
-            n=n,
-        ),
-    )
-
-
-def lay_estimate(number: Number, kind: str) -> tuple[Cell, Cell]:
-    """Lay an estimate and its interval out."""
-    return Cell(number, kind), Cell(number, kind, INTERVAL)
-
-
-def tell_estimate(number: Number, *, kind: str) -> str:
-    """Tell an estimate and its interval in words.
-
-    Returns such as ``1.83 points, 95 % interval 1.75 to 1.92``.
-    """
-    value, interval = tell_ends(number.value, number.low, number.high, kind=kind)
-    return f"{value} points, 95 % interval {interval}"
-
-
-def tell_reach(sizes: Mapping[str, int], *, claimed: bool = True) -> str:
-    """Say what a claim does not reach, or hardly.
-
-    sizes: what was drawn -> how many.
-
-    Examples
-    --------
-    >>> tell_reach({"participant": 1, "recording": 9}), tell_reach({"participant": 9, "recording": 4})
-    (', about this one participant only', ', a hint rather than a result with so few recordings')
-    """
-    alone = [name for name, count in sizes.items() if count == 1]
-    few = [f"{name}s" for name, count in sizes.items() if 1 < count < FEW]
-    told = f", about this one {' and this one '.join(alone)} only" if alone else ""
-    return (
-        f"{told}, a hint rather than a result with so few {' and '.join(few)}"
-        if few and claimed
-        else told
-    )
-
-
-def count_units(rows: DataFrame) -> dict[str, int]:
-    """Count what is independent of each other: participants, and recordings or their sources."""
-    sources = find_sources(rows)
-    scene = "recording" if sources.is_unique else "source"
-    return {"participant": rows["participant"].nunique(), scene: sources.nunique()}
-
-
-def tell_p(p: float) -> str:
-    """Tell a probability in words."""
-    told = tell_number(p, kind="p")
-    return f"p (Holm) {told if told.startswith('<') else f'= {told}'}"
-
-
-def find_repeat_sd(rows: DataFrame) -> tuple[float, int]:
-    """Find the standard deviation with which people repeat their ratings of a stimulus.
-
-    Returns sd: naN without repeats.
-    """
-    cells = rows.groupby(["participant", ITEM], observed=True)["rating"]
-    repeated = cells.transform("size") > 1
-    freedom = int(repeated.sum()) - len(
-        rows[repeated].groupby(["participant", ITEM], observed=True)
-    )
-    left = (rows["rating"] - cells.transform("mean"))[repeated]
-    return (float(np.sqrt((left**2).sum() / freedom)) if freedom else float("nan")), int(
-        repeated.sum()
-    )
-
-
-# Mean ratings as numbers.
-
-MEAN = "rating, mean over participants of each participant's mean"
-
-
-def name_mean(name: str, row: Mapping[Hashable, Any]) -> Number:
-    """Name a mean over participants."""
-    number = make_number(name, row["mean"], MEAN, n=row["n_participants"])
-    return make_interval(number, row["low"], row["high"], uncertainty=STUDENT)
+    return getattr(parts, {"Part": "RatingsPart"}.get(name, name))

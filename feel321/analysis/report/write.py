@@ -2,18 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-import platform
-import tempfile
-from dataclasses import asdict, replace
-from importlib.metadata import version
-from itertools import islice
-from pathlib import Path
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from feel321.analysis.association.correlate import refuse_untested
-from feel321.analysis.figures.style import save_figure
+from feel321.analysis.figures.style import list_undrawable
 from feel321.analysis.report import (
     association,
     pairs,
@@ -23,82 +16,24 @@ from feel321.analysis.report import (
     robustness,
     standard,
 )
-from feel321.analysis.report.association import name_subject, reconcile
-from feel321.analysis.report.folder import (
-    Results,
-    check_target,
-    collect_numbers,
-    list_files,
-    replace_report,
-)
-from feel321.analysis.report.page import render_page
-from feel321.analysis.report.pictures import note_undrawable, number_pictures
-from feel321.analysis.report.section import Choices
+from feel321.analysis.report.folder import ResultsFolder, list_files
+from feel321.analysis.report.page import render_template
+from feel321.analysis.report.parts import Choices
+from feel321.analysis.report.results import Results, collect_numbers, describe_inputs, list_versions
+from feel321.analysis.report.section import number_pictures
 from feel321.analysis.screening.rules import RULES
-from feel321.analysis.table.items import find_sources, tell_recordings
-from feel321.analysis.table.reading import ROSTER_FILE, read_table
+from feel321.analysis.table.reading import read_table
 from feel321.analysis.words import Line, tell_note
+from feel321.doors import as_path
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+
+    from markupsafe import Markup
 
     from feel321.analysis.report.section import Section
     from feel321.analysis.table.reading import Further, Table
-
-# What a report was made from: files, choices and what was handed over, each with its digest, for ``results.json``.
-
-
-def describe_inputs(
-    ratings: Path, manifest: Path, *, table: Table, further: Further | None, choices: Choices
-) -> dict[str, str]:
-    """Describe everything that decides a report."""
-    roster = ratings.with_name(ROSTER_FILE)
-    return {
-        **_describe_file("ratings", ratings),
-        **_describe_file("manifest", manifest),
-        **(_describe_file("participants", roster) if roster.is_file() else {}),
-        **_describe_sources(table),
-        **({} if further is None or further.metrics.empty else _describe_further(further)),
-        "metrics": ", ".join(table.metrics),
-        **_tell_choices(choices),
-    }
-
-
-def _describe_file(role: str, path: Path) -> dict[str, str]:
-    return {role: path.name, f"{role}_sha256": _digest(path.read_bytes())}
-
-
-def _describe_sources(table: Table) -> dict[str, str]:
-    found = find_sources(table.rows)
-    if found.is_unique:
-        return {}
-    told = json.dumps(found.to_dict(), sort_keys=True).encode()
-    return {
-        "sources": tell_recordings(len(found), found.nunique()),
-        "sources_sha256": _digest(told),
-    }
-
-
-def _describe_further(further: Further) -> dict[str, str]:
-    text = further.metrics.sort_index().to_csv(float_format="%.17g", lineterminator="\n").encode()
-    return {
-        "further_metrics": ", ".join(map(str, further.metrics)),
-        "further_metrics_sha256": _digest(text),
-    }
-
-
-def _tell_choices(choices: Choices) -> dict[str, str]:
-    return {
-        name: "from repeated ratings" if value is None else str(value)
-        for name, value in asdict(choices).items()
-    }
-
-
-def _digest(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()
-
-
-# SECTIONS: the one list of a report's sections, in its order.
+    from feel321.types import PathLike
 
 SECTIONS: tuple[Callable[[Table, Choices], Section], ...] = (
     primary.compute,
@@ -114,36 +49,32 @@ SECTIONS: tuple[Callable[[Table, Choices], Section], ...] = (
     robustness.compute_robustness,
     standard.compute,
 )
-"""Each takes all ratings and gives one section, or the reason why there is none."""
-
-
-# The report: a page, its numbers, its tables and its figures, all derived from two CSV files.
-
-COMPUTED_WITH = ("numpy", "scipy", "pandas", "statsmodels", "scikit-learn", "matplotlib", "jinja2")
+"""The one list of a report's sections, in its order; each takes all ratings and gives a section, or the reason why
+there is none."""
 
 
 def write_report(  # noqa: PLR0913 - every choice that changes a report has a name of its own
-    ratings_path: Path | str,
-    manifest_path: Path | str,
-    folder: Path | str,
+    ratings_path: PathLike,
+    manifest_path: PathLike,
+    folder: PathLike,
     *,
     draws: int = 2000,
     margin: float | None = None,
     metrics: Sequence[str] | None = None,
     sources: Mapping[str, str] | None = None,
     further: Further | None = None,
-    seed: int,
+    seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Results:
     """Analyse ratings against the match metrics and write the report.
 
     Parameters
     ----------
-    ratings_path : Path or str
+    ratings_path : str or path
         ``ratings.csv``, from feel321 or from elsewhere.
-    manifest_path : Path or str
+    manifest_path : str or path
         ``manifest.csv`` of the stimuli that were rated.
-    folder : Path or str
+    folder : str or path
         The report's folder. The files of a former report, which its ``results.json`` lists, are replaced;
         all others stay.
     draws : int
@@ -160,7 +91,7 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     further : Further, optional
         Metrics to explore that neither file holds, such as rotation statistics.
     seed : int
-        Of all randomness; the same files and choices give the same bytes.
+        Random seed; the same files and choices give the same bytes.
     progress : callable, optional
         Called with the numbers of sections done and to do.
 
@@ -175,22 +106,30 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
         If the tables cannot be analysed; names the file and the lines.
     OSError
         If a file cannot be read or written, or would replace one that is not of a former report.
+
+    Examples
+    --------
+    >>> from feel321 import analysis
+    >>> results = analysis.write_report("ratings.csv", "manifest.csv", "report")  # doctest: +SKIP
+    >>> print(results.summary())  # doctest: +SKIP
     """
-    ratings, manifest, target = Path(ratings_path), Path(manifest_path), Path(folder)
-    check_target(target)
-    choices = Choices(draws=draws, margin=margin, seed=seed)
-    table = read_table(ratings, manifest, metrics=metrics, sources=sources, further=further)
-    sections = compute_sections(table, choices, progress=progress)
-    inputs = describe_inputs(ratings, manifest, table=table, further=further, choices=choices)
-    results = gather_results(table, sections, inputs=inputs)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    # Everything is written beside its place first: an interrupted run leaves the former report as it was.
-    with tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}-") as place:
-        _write_parts(Path(place), results, sections)
-        page = render_page(results, sections, figures=Path(place) / "figures")
-        (Path(place) / "index.html").write_text(page, encoding="utf-8", newline="")
-        replace_report(Path(place), target, files=results.files)
-    return results
+    ratings, manifest = as_path(ratings_path, "ratings"), as_path(manifest_path, "manifest")
+    with ResultsFolder(folder, background=True) as target:
+        choices = Choices(draws=draws, margin=margin, seed=seed)
+        table = read_table(ratings, manifest, metrics=metrics, sources=sources, further=further)
+        sections = []
+        for section in _compute(table, choices, progress):
+            sections.append(section)
+            target.draw(section.pictures)
+        sections = _reconcile(sections)
+        inputs = describe_inputs(ratings, manifest, table=table, further=further, choices=choices)
+        results = gather_results(table, sections, inputs=inputs)
+        target.write(
+            results.to_dict(),
+            page=lambda drawings: render_page(results, sections, drawings=drawings),
+            tables={name: rows for section in sections for name, rows in section.tables.items()},
+        )
+    return replace(results, path=target.path)
 
 
 def compute_sections(
@@ -217,24 +156,28 @@ def compute_sections(
     ValueError
         If no test stimulus was rated.
     """
+    return tuple(_reconcile(list(_compute(table, choices, progress))))
+
+
+def _compute(
+    table: Table, choices: Choices, progress: Callable[[int, int], None] | None
+) -> Iterator[Section]:
+    """Compute section after section, figures numbered through."""
     import scipy.linalg  # noqa: F401 - brings a second library of linear algebra, whose threads are held too
     from threadpoolctl import threadpool_limits
 
     refuse_untested(table)
-    done = []
+    drawn = 0
     # Matrices here are small: threads of the linear algebra wait for each other most of the time, and take nine
     # times as long on a busy machine.
     with threadpool_limits(limits=1, user_api="blas"):
         for number, compute in enumerate(SECTIONS, start=1):
-            done.append(compute(table, choices))
+            section = compute(table, choices)
+            pictures = tuple(number_pictures(section.pictures, start=drawn + 1))
+            drawn += len(pictures)
+            yield replace(section, pictures=pictures)
             if progress is not None:
                 progress(number, len(SECTIONS))
-    done = _reconcile(done)
-    pictures = number_pictures(picture for section in done for picture in section.pictures)
-    return tuple(
-        replace(section, pictures=tuple(islice(pictures, len(section.pictures))))
-        for section in done
-    )
 
 
 def _reconcile(sections: Sequence[Section]) -> list[Section]:
@@ -243,9 +186,9 @@ def _reconcile(sections: Sequence[Section]) -> list[Section]:
     several = len({claim.level for claim in claims}) > 1
 
     def add(section: Section) -> Section:
-        told = {panel: reconcile(panel, claims) for panel in section.panels}
+        told = {panel: association.reconcile(panel, claims) for panel in section.panels}
         lines = [
-            Line(text, name_subject(panel, several=several), "pooled")
+            Line(text, association.name_subject(panel, several=several), "pooled")
             for panel, text in told.items()
             if text
         ]
@@ -258,53 +201,62 @@ def gather_results(
     table: Table, sections: Sequence[Section], *, inputs: Mapping[str, str]
 ) -> Results:
     """Gather what ``results.json`` holds."""
-    pictures = [picture for section in sections for picture in section.pictures]
-    tables = [name for section in sections for name in section.tables]
-    names = [
-        *table.rows["scale"].unique(),
-        *table.rows["level"].unique(),
-        *table.metrics,
-        *table.further,
-        *RULES,
-    ]
-    told = (tell_note(note, names) for section in sections for note in section.notes)
-    notes = (*table.notes, *told, *note_undrawable(table))
+    rows = table.rows
+    names = [*rows["scale"].unique(), *rows["level"].unique(), *table.metrics, *table.further]
+    own = [tell_note(note, [*names, *RULES]) for note in _gather(sections, "notes")]
+    pictures = _gather(sections, "pictures")
     return Results(
-        verdict=write_verdict(sections),
-        verdicts=tuple(claim for section in sections for claim in section.claims),
-        numbers=collect_numbers(
-            table, (number for section in sections for number in section.numbers)
-        ),
-        answers={section.key: section.answers for section in sections if section.answers},
+        verdict=tuple(dict.fromkeys(map(str, _gather(sections, "verdict")))),
+        verdicts=tuple(_gather(sections, "claims")),
+        numbers=collect_numbers(table, _gather(sections, "numbers")),
+        answers={section.key: tuple(section.answers) for section in sections if section.answers},
         figures={picture.name: picture.caption for picture in pictures},
-        captions=tuple(grid.caption for section in sections for grid in section.grids),
-        notes=tuple(dict.fromkeys(notes)),
-        how=tuple(dict.fromkeys(line for section in sections for line in section.how)),
-        files=list_files([picture.name for picture in pictures], tables),
-        simulated=bool(table.rows["simulated"].any()),
+        captions=tuple(grid.caption for grid in _gather(sections, "grids")),
+        notes=tuple(dict.fromkeys((*table.notes, *own, *_note_undrawable(table)))),
+        how=tuple(dict.fromkeys(_gather(sections, "how"))),
+        files=list_files([picture.name for picture in pictures], _gather(sections, "tables")),
+        simulated=bool(rows["simulated"].any()),
         inputs=inputs,
-        versions=_list_versions(),
+        versions=list_versions(),
     )
 
 
-def write_verdict(sections: Sequence[Section]) -> tuple[str, ...]:
-    """Gather the sentences that open the report."""
-    return tuple(dict.fromkeys(str(line) for section in sections for line in section.verdict))
+def _gather(sections: Iterable[Section], name: str) -> list:  # type: ignore[type-arg]  # of whatever sections hold
+    return [one for section in sections for one in getattr(section, name)]
 
 
-def _write_parts(place: Path, results: Results, sections: Sequence[Section]) -> None:
-    (place / "tables").mkdir()
-    for name, frame in (entry for section in sections for entry in section.tables.items()):
-        text = frame.to_csv(index=False, float_format="%.10g", lineterminator="\n")
-        (place / "tables" / f"{name}.csv").write_text(text, encoding="utf-8", newline="")
-    (place / "figures").mkdir()
-    for picture in (picture for section in sections for picture in section.pictures):
-        save_figure(picture.figure, place / "figures" / picture.name)
-    (place / "results.json").write_text(results.to_json(), encoding="utf-8", newline="")
+def _note_undrawable(table: Table) -> Iterator[str]:
+    """Say which characters of names the figures cannot show."""
+    names = [name for key in ("scale", "level", "reducer") for name in table.rows[key].unique()]
+    if letters := list_undrawable(names):
+        boxes = "boxes stand for them; captions and tables show them"
+        yield f"The figures' font has no {' '.join(letters)}: {boxes}."
 
 
-def _list_versions() -> dict[str, str]:
-    from feel321.stimuli.version import __version__
+def render_page(
+    results: Results, sections: Sequence[Section], *, drawings: Mapping[str, Markup]
+) -> str:
+    """Render the page."""
+    sizes = {
+        number.name.removeprefix("size."): number.value
+        for number in results.numbers
+        if number.name.startswith("size.")
+    }
+    return render_template(
+        "report.html",
+        results=results,
+        sections=sections,
+        answer=group_lines(sections),
+        drawings=drawings,
+        sizes=sizes,
+    )
 
-    libraries = {name: version(name) for name in COMPUTED_WITH}
-    return {"feel321": __version__, "python": platform.python_version(), **libraries}
+
+def group_lines(sections: Iterable[Section]) -> dict[str, list[Line]]:
+    """Put together what opens the page about the same ratings; what is about all of them comes last."""
+    lines = dict.fromkeys(_gather(sections, "verdict"))
+    subjects = dict.fromkeys(line.subject for line in lines)
+    return {
+        subject: [line for line in lines if line.subject == subject]
+        for subject in sorted(subjects, key=lambda subject: not subject)
+    }

@@ -318,7 +318,7 @@ def release(*, study: StudyFolder, participant: str) -> None:
 @json_option
 def ledger(*, study: StudyFolder, rebuild: bool, as_json: bool) -> None:
     """Show who takes part under which number; rebuild the ledger."""
-    from feel321.study.ledger.rebuilding import read_study_ledger, rebuild_ledger
+    from feel321.study.ledger.slots import read_study_ledger, rebuild_ledger
 
     for line in rebuild_ledger(study, now=now) if rebuild else []:
         warn(line)

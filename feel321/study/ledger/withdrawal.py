@@ -1,40 +1,44 @@
-"""Participants who leave: one who withdraws takes all data along, one who is given up leaves them.
+"""Participants who leave: one who withdraws takes all data along, one who is released leaves them.
 
-Either way the slot is free for the next. A withdrawal that is broken off at any instant has left everything as it
+Either way the slot is free for the next. A withdrawal that is interrupted at any instant has left everything as it
 was, or a tombstone that says so; the same call finishes it.
 """
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from feel321.files import sync_folder
-from feel321.study.ledger.database import Entry, check_anchors, read_anchor
-from feel321.study.ledger.rebuilding import (
+from feel321.files import hold_lock, sync_folder
+from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.study.ledger.slots import (
+    Entry,
+    make_entry,
+    open_study_ledger,
+    read_ledger,
+    rewrite_ledger,
+)
+from feel321.study.ledger.standing import (
     LOCK_FILE,
     REMOVED,
     REMOVING,
+    ROSTER_FILE,
     Tombstone,
-    make_entry,
-    open_study_ledger,
+    check_anchors,
+    read_anchor,
+    read_standing,
     read_tombstone,
+    write_roster,
     write_tombstone,
 )
-from feel321.study.ledger.slots import (
-    ROSTER_FILE,
-    read_ledger,
-    read_standing,
-    rewrite_ledger,
-    write_roster,
-)
+from feel321.study.ratings import write_ratings
 from feel321.study.session.journal import require_journal
 from feel321.study.session.opening import TOMBSTONE_FILE
 from feel321.study.session.plan import find_header, has_event, list_journals
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from contextlib import AbstractContextManager
     from pathlib import Path
 
     from sqlalchemy import Engine
@@ -57,12 +61,12 @@ def withdraw_participant(
     folder = study.sessions / participant
     if (found := read_tombstone(folder)) and found.state == REMOVED and entry.state == "withdrawn":
         raise ValueError(f"participant {participant}: withdrew at {found.utc}, all data are gone")
-    folder.mkdir(parents=True, exist_ok=True)
     with _hold(folder):
-        tombstone = _settle_tombstone(folder, entry, reason=reason, now=now)
+        # Or the one of a withdrawal that was interrupted.
+        tombstone = found or _make_tombstone(folder, entry, reason=reason, now=now)
         removed = _remove_data(folder)
         warnings = [notice, *_renew_tables(study)]
-        _enter(ledger, Entry(participant, entry.simulated, entry.number, "withdrawn"))
+        _enter(ledger, participant, Entry(participant, entry.simulated, entry.number, "withdrawn"))
         write_tombstone(folder, replace(tombstone, state=REMOVED))
     (folder / LOCK_FILE).unlink(missing_ok=True)
     if warn is not None:
@@ -72,7 +76,7 @@ def withdraw_participant(
 
 
 def release_participant(study: StudyFolder, participant: str, *, now: Clock) -> int:
-    """Give a participant up who will not come back: the slot is free again, what was recorded is kept.
+    """Release a participant who will not come back: the slot is free again, what was recorded is kept.
 
     Of one who never began there is nothing to keep: the plan goes, and the code may be used again.
     """
@@ -85,16 +89,15 @@ def release_participant(study: StudyFolder, participant: str, *, now: Clock) -> 
         raise ValueError(
             f"participant {participant}: was released before; number {entry.number} is free"
         )
-    folder.mkdir(parents=True, exist_ok=True)
     with _hold(folder):
         check_anchors(entry.anchors, folder)
         journal = _open_newest(folder, now=now)
         if journal is not None:
             _write_release(journal, participant)
-            _enter(ledger, make_entry(read_standing(folder)))
+            _enter(ledger, participant, make_entry(read_standing(folder)))
             return entry.number
         _remove_data(folder)
-        _enter(ledger, None, instead_of=participant)
+        _enter(ledger, participant, None)
     (folder / LOCK_FILE).unlink(missing_ok=True)
     folder.rmdir()
     return entry.number
@@ -104,33 +107,34 @@ def _require_entry(ledger: Engine, participant: str) -> Entry:
     entries = {entry.participant: entry for entry in read_ledger(ledger)}
     if participant not in entries:
         known = ", ".join(entries) or "nobody yet"
-        raise ValueError(f"participant: got {participant!r}, the ledger knows: {known}")
+        raise ValueError(f"participant must be in the ledger, got {participant!r}; known: {known}")
     return entries[participant]
 
 
-def _hold(folder: Path) -> AbstractContextManager[None]:
-    from feel321.files import hold_lock
+@contextmanager
+def _hold(folder: Path) -> Iterator[None]:
+    folder.mkdir(parents=True, exist_ok=True)
+    busy = "a session is running here; let it finish or stop it first"
+    with hold_lock(folder / LOCK_FILE, busy=busy):
+        yield
 
-    return hold_lock(
-        folder / LOCK_FILE, busy="a session is running here; let it finish or stop it first"
+
+def _make_tombstone(folder: Path, entry: Entry, *, reason: str, now: Clock) -> Tombstone:
+    tombstone = Tombstone(
+        participant=entry.participant,
+        number=entry.number,
+        simulated=entry.simulated,
+        utc=now().isoformat(timespec="seconds"),
+        reason=reason,
+        journals=tuple(read_anchor(path) for path in list_journals(folder)),
+        state=REMOVING,
     )
-
-
-def _settle_tombstone(folder: Path, entry: Entry, *, reason: str, now: Clock) -> Tombstone:
-    """Write the tombstone, or go on with the one of a withdrawal that was broken off."""
-    tombstone = read_tombstone(folder)
-    if tombstone is None:
-        journals = tuple(read_anchor(path) for path in list_journals(folder))
-        utc = now().isoformat(timespec="seconds")
-        tombstone = Tombstone(
-            entry.participant, entry.number, entry.simulated, utc, reason, journals, REMOVING
-        )
-        write_tombstone(folder, tombstone)
+    write_tombstone(folder, tombstone)
     return tombstone
 
 
 def _remove_data(folder: Path) -> list[str]:
-    """Remove all that lies in a folder, but for its tombstone and the lock that is held."""
+    """Remove everything in a folder but its tombstone and the lock that is held."""
     kept = {folder / TOMBSTONE_FILE, folder / LOCK_FILE}
     found = [path for path in sorted(folder.rglob("*"), reverse=True) if path not in kept]
     for path in found:
@@ -143,14 +147,10 @@ def _remove_data(folder: Path) -> list[str]:
 
 
 def _renew_tables(study: StudyFolder) -> Iterator[str]:
-    """Write anew, without the participant, the tables that are there; yield what is to be done by hand."""
-    from feel321.stimuli.sets.manifest import read_stimuli
-    from feel321.study.ratings import write_ratings
-
-    roster = study.path / ROSTER_FILE
+    """Rewrite, without the participant, the tables that are there; yield what is left to do by hand."""
     tables: dict[Path, Callable[[], object]] = {
         study.ratings: lambda: write_ratings(study, read_stimuli(study.stimuli)),
-        roster: lambda: write_roster(study),
+        study.path / ROSTER_FILE: lambda: write_roster(study),
     }
     for path, write in tables.items():
         # What a kill may have left of an earlier writing.
@@ -162,16 +162,15 @@ def _renew_tables(study: StudyFolder) -> Iterator[str]:
             except (OSError, ValueError) as error:
                 # A derived table can be made again; the data of someone who withdrew may not stay.
                 path.unlink()
-                yield f"{path}: was removed, for it could not be written anew ({error})"
+                yield f"{path}: was removed, because it could not be rewritten ({error})"
     if study.report.exists():
         yield f"{study.report}: still holds the participant's data; write it anew: feel321 analyze"
 
 
-def _enter(ledger: Engine, entry: Entry | None, *, instead_of: str = "") -> None:
-    name = entry.participant if entry else instead_of
-
+def _enter(ledger: Engine, participant: str, entry: Entry | None) -> None:
     def change(known: list[Entry]) -> list[Entry]:
-        return [other for other in known if other.participant != name] + ([entry] if entry else [])
+        others = [other for other in known if other.participant != participant]
+        return [*others, entry] if entry else others
 
     rewrite_ledger(ledger, change)
 
@@ -188,7 +187,7 @@ def _open_newest(folder: Path, *, now: Clock) -> Journal | None:
 def _write_release(journal: Journal, participant: str) -> None:
     if has_event(journal.records, "finished"):
         raise ValueError(
-            f"participant {participant}: has finished, the slot is used up; to remove the data: feel321 withdraw"
+            f"participant {participant}: has finished, so the slot stays taken; to remove the data: feel321 withdraw"
         )
     # After a crash, the journal may know already what the ledger does not.
     if not has_event(journal.records, "released"):

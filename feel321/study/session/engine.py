@@ -12,7 +12,7 @@ from math import isfinite
 from numbers import Real
 from typing import TYPE_CHECKING, Any
 
-from feel321.protocols.trial import RATING_RANGE, Page, find_missing
+from feel321.protocols.trial import RATING_RANGE, Page
 from feel321.study.session.plan import find_elapsed, has_event, replay, tell
 from feel321.study.session.ports import Abort, Confirm, Feel, Move, Pause, Place
 
@@ -209,9 +209,7 @@ def _feel_again(attempt: _Attempt, act: Feel) -> None:
 
 def _move(attempt: _Attempt, act: Move) -> None:
     scale = attempt.stage.scales[attempt.trial.scale]
-    if act.part in find_missing(attempt.trial, set()) and act.part in _find_valid(
-        {act.part: act.value}, scale
-    ):
+    if act.part in attempt.trial.judged and act.part in _find_valid({act.part: act.value}, scale):
         attempt.write("moved", {"part": act.part, "value": float(act.value), "time_s": act.time_s})
     else:
         _refuse(attempt, act, reason="unknown_part", parts=(act.part,))
@@ -233,12 +231,13 @@ def _accept(attempt: _Attempt, act: Confirm) -> bool:
     stage, trial = attempt.stage, attempt.trial
     if unfelt := attempt.list_unfelt():
         return _refuse(attempt, act, reason="not_felt", parts=unfelt)
-    if missing := find_missing(trial, _find_valid(act.values, stage.scales[trial.scale])):
+    valid = _find_valid(act.values, stage.scales[trial.scale])
+    if missing := [part for part in trial.judged if part not in valid]:
         return _refuse(attempt, act, reason="not_answered", parts=tuple(missing))
     flags = attempt.list_flags()
     if act.response_time_s < stage.flow.min_response_s:
         flags.append("too_fast")
-    values = {part: act.values[part] for part in find_missing(trial, set())}
+    values = {part: act.values[part] for part in trial.judged}
     attempt.write(
         "rated",
         {

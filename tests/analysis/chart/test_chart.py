@@ -222,7 +222,7 @@ def test_everything_is_written_and_a_former_chart_replaced(
 
 def test_what_is_not_a_former_chart_is_not_replaced(tiny: Chart, tmp_path: Path) -> None:
     (tmp_path / "index.html").write_text("mine")
-    with pytest.raises(FileExistsError, match="is there, but is not of a former report"):
+    with pytest.raises(FileExistsError, match="exists and is not of a former report"):
         write_chart(tiny, tmp_path)
     assert (tmp_path / "index.html").read_text() == "mine"
 

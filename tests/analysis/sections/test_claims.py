@@ -11,7 +11,8 @@ import pytest
 
 from feel321.analysis.primary.influence import Influence
 from feel321.analysis.report import primary
-from feel321.analysis.report.section import Choices, lay_estimate, tell_estimate
+from feel321.analysis.report._old import lay_estimate, tell_estimate
+from feel321.analysis.report.parts import Choices
 from feel321.analysis.table.reading import Table
 from feel321.analysis.words import SATTERTHWAITE, make_interval, make_number
 

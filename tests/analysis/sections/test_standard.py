@@ -8,7 +8,7 @@ import pytest
 
 from feel321.analysis.p1401.difference import compare_p1401
 from feel321.analysis.p1401.mapping import p1401
-from feel321.analysis.report.section import Choices, split_parts
+from feel321.analysis.report.parts import Choices, split_parts
 from feel321.analysis.report.standard import compute
 from feel321.analysis.table.items import make_items
 from feel321.analysis.table.reading import Table

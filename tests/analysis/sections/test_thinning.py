@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.analysis.report import section
-from feel321.analysis.report.section import FEWEST, thin_rows
+from feel321.analysis.report import parts
+from feel321.analysis.report.parts import FEWEST, thin_rows
 
 
 def make_rows(people: int, scenes: int, *, repeats: int = 1) -> pd.DataFrame:
@@ -37,17 +37,17 @@ def test_the_longer_side_is_halved(
     rows = make_rows(people, scenes)
     # Just below what the whole has, so that one halving does.
     whole = people * 3 + scenes + scenes * 3 + people * scenes
-    monkeypatch.setattr(section, "MOST_DENSE", whole - max(people * scenes, people * 3) - 1)
+    monkeypatch.setattr(parts, "MOST_DENSE", whole - max(people * scenes, people * 3) - 1)
     left, told = thin(rows)
     assert (left["participant"].nunique(), left["recording"].nunique()) == kept
     assert told == (
-        f"mixed models rest on {kept[0]} of {people} participants and {kept[1]} of {scenes} recordings, drawn at "
+        f"mixed models use {kept[0]} of {people} participants and {kept[1]} of {scenes} recordings, drawn at "
         f"random: {len(rows)} ratings are too many for one fit."
     )
 
 
 def test_whoever_is_kept_is_kept_whole(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(section, "MOST_PRODUCTS", 20_000)
+    monkeypatch.setattr(parts, "MOST_PRODUCTS", 20_000)
     rows = make_rows(64, 10, repeats=2)
     left, _ = thin(rows)
     assert set(left.groupby("participant").size()) == {10 * 3 * 2}
@@ -56,7 +56,7 @@ def test_whoever_is_kept_is_kept_whole(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_few_are_not_thinned_away(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(section, "MOST_DENSE", 1)
+    monkeypatch.setattr(parts, "MOST_DENSE", 1)
     left, _ = thin(make_rows(40, 40))
     assert FEWEST <= left["participant"].nunique() < 2 * FEWEST
     assert FEWEST <= left["recording"].nunique() < 2 * FEWEST
@@ -68,7 +68,7 @@ def test_copies_go_before_sources(monkeypatch: pytest.MonkeyPatch) -> None:
         scene: 0 if scene < 20 else 1 if scene < 30 else 2 + scene % 10 for scene in range(45)
     }
     rows = make_rows(20, 45).assign(source=lambda own: own["recording"].map(sources))
-    monkeypatch.setattr(section, "_is_large", lambda left, _: left["recording"].nunique() > 12)
+    monkeypatch.setattr(parts, "_is_large", lambda left, _: left["recording"].nunique() > 12)
     for seed in range(5):
         left, told = thin(rows, seed)
         assert (left["recording"].nunique(), left["source"].nunique()) == (11, 11)
@@ -76,7 +76,7 @@ def test_copies_go_before_sources(monkeypatch: pytest.MonkeyPatch) -> None:
             "20 of 20 participants and 11 of 45 recordings (11 of 12 sources), drawn at random"
             in told
         )
-    monkeypatch.setattr(section, "_is_large", lambda left, _: left["recording"].nunique() > 22)
+    monkeypatch.setattr(parts, "_is_large", lambda left, _: left["recording"].nunique() > 22)
     per_source = thin(rows)[0].groupby("source")["recording"].nunique()
     assert len(per_source) == 12
     assert per_source[[0, 1]].min() >= per_source.max() - 1

@@ -164,7 +164,7 @@ def test_a_former_test_is_replaced_and_foreign_files_stay(small: Any, tmp_path: 
     other = tmp_path / "other"
     other.mkdir()
     (other / "index.html").write_text("mine", encoding="utf-8")
-    with pytest.raises(FileExistsError, match="is there, but is not of a former report"):
+    with pytest.raises(FileExistsError, match="exists and is not of a former report"):
         write_stress(small, other)
 
 

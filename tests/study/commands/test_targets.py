@@ -35,7 +35,7 @@ def test_a_page_that_is_not_ours_is_refused_at_once(
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / taken).write_text("mine")
     assert main([*verb, "mine"]) == 1
-    why = "is there, but is not of a former report; move it away or choose another folder"
+    why = "exists and is not of a former report; move it away or choose another folder"
     assert capsys.readouterr() == ("", f"feel321: mine/{taken}: {why}\n")
     assert (tmp_path / "mine" / taken).read_text() == "mine"
 
@@ -45,6 +45,6 @@ def test_a_file_is_no_folder(
 ) -> None:
     (tmp_path / "mine").write_text("mine")
     assert main([*verb, "mine"]) == 1
-    told = "feel321: mine: got a file, allowed is a folder, there or not; choose another name\n"
+    told = "feel321: mine: must be a folder, got a file; choose another name\n"
     assert capsys.readouterr() == ("", told)
     assert (tmp_path / "mine").read_text() == "mine"

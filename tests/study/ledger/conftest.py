@@ -9,8 +9,7 @@ import pytest
 
 from feel321.protocols.trial import Flow, Judgement, Page, Part, Task, Trial
 from feel321.study.folder import StudyFolder
-from feel321.study.ledger.rebuilding import open_study_ledger
-from feel321.study.ledger.slots import claim_slots, note_progress
+from feel321.study.ledger.slots import claim_slots, note_progress, open_study_ledger
 from feel321.study.session.journal import Journal, create_journal, require_journal
 from feel321.study.session.opening import PLAN_FILE
 from feel321.study.session.plan import (

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from feel321.study.cli import main
-from feel321.study.ledger.rebuilding import find_lost
+from feel321.study.ledger.slots import find_lost
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-import feel321.study.ledger.database
+import feel321.study.ledger.slots
 from feel321.study.ledger.slots import claim_slots, note_progress, open_ledger, read_ledger
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ def test_codes_that_name_one_folder_elsewhere_are_refused(
 ) -> None:
     claim_slots(ledger, ["p01"], simulated=False, now=now)
     with pytest.raises(
-        ValueError, match=r"participant P0\d: differs from p0\d in capitals only; take another code"
+        ValueError, match=r"participant P0\d: differs from p0\d in capitals only; use another code"
     ):
         claim_slots(ledger, names, simulated=False, now=now)
     assert list(slots(ledger)) == ["p01"]
@@ -98,7 +98,7 @@ def test_a_slot_that_was_given_up_goes_to_the_next_one_and_its_code_to_nobody(
     note(ledger, "p02", state=state)
     assert claim_slots(ledger, ["p04", "p05"], simulated=False, now=now) == {"p04": 2, "p05": 4}
     with pytest.raises(
-        ValueError, match=f"participant p02: was {state}; no code is used twice, take another"
+        ValueError, match=f"participant p02: was {state}; no code is used twice, use another"
     ):
         claim_slots(ledger, ["p06", "p02"], simulated=False, now=now)
     assert "p06" not in slots(ledger)  # All or nobody.
@@ -113,10 +113,10 @@ def test_a_finished_participant_keeps_the_slot(ledger: Engine, now: Now) -> None
 @pytest.mark.parametrize(
     ("names", "message"),
     [
-        (["p02", "../p03"], r"participant: got '\.\./p03', allowed are letters, digits, - and _"),
+        (["p02", "../p03"], r"must be letters, digits, - and _, got '\.\./p03'"),
         (
             ["p02", "p01"],
-            "participant p01: got a simulated one, the ledger knows a real one; take another code",
+            "participant p01: real in the ledger, got a simulated one; use another code",
         ),
     ],
 )
@@ -214,12 +214,12 @@ def test_a_journal_never_gets_shorter_or_ends_otherwise(
 @pytest.mark.parametrize(
     ("participant", "changes", "message"),
     [
-        ("p09", {}, "participant p09: holds no slot in the ledger; claim one first"),
+        ("p09", {}, "participant p09: no slot in the ledger; claim one first"),
         ("p02", {}, "participant p02: was released; no code is used twice"),
         (
             "p01",
             {"state": "done"},
-            "state: got 'done', allowed: claimed, running, finished, released, withdrawn",
+            "state must be one of claimed, running, finished, released, withdrawn, got 'done'",
         ),
     ],
 )
@@ -277,12 +277,12 @@ def test_a_ledger_that_another_program_holds_is_given_up_after_a_while(
     tmp_path: Path, now: Now, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     open_ledger(tmp_path / "ledger.sqlite")
-    monkeypatch.setattr(feel321.study.ledger.database, "PATIENCE_S", 0.05)
+    monkeypatch.setattr(feel321.study.ledger.slots, "PATIENCE_S", 0.05)
     with closing(sqlite3.connect(tmp_path / "ledger.sqlite", isolation_level=None)) as other:
         other.execute("BEGIN IMMEDIATE")
         hurried = open_ledger(tmp_path / "ledger.sqlite")
         assert read_ledger(hurried) == []  # Who reads need not wait.
-        with pytest.raises(OSError, match=r"could not be used \(database is locked\); see that"):
+        with pytest.raises(OSError, match=r"could not be used \(database is locked\); check that"):
             claim_slots(hurried, ["p01"], simulated=False, now=now)
     assert claim_slots(hurried, ["p01"], simulated=False, now=now) == {"p01": 1}
 

@@ -10,24 +10,22 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-import feel321.study.ledger.rebuilding
-from feel321.study.ledger.database import check_anchors
-from feel321.study.ledger.rebuilding import (
-    REMOVING,
+import feel321.study.ledger.slots
+from feel321.study.ledger.slots import (
     find_lost,
     open_study_ledger,
-    read_tombstone,
+    read_ledger,
     rebuild_ledger,
-    write_tombstone,
+    rewrite_ledger,
 )
-from feel321.study.ledger.slots import read_ledger, rewrite_ledger
+from feel321.study.ledger.standing import REMOVING, check_anchors, read_tombstone, write_tombstone
 from feel321.study.ledger.withdrawal import release_participant, withdraw_participant
 from feel321.study.session.journal import digest
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from feel321.study.ledger.database import Entry
+    from feel321.study.ledger.slots import Entry
 
 NAMES = ("p01", "p02", "p03", "sim001", "sim002")
 DEEDS = ("work", "finish", "spoil", "again", "release", "withdraw")
@@ -95,7 +93,7 @@ def test_who_finds_it_missing_second_leaves_what_was_claimed_since(
 ) -> None:
     lab.begin("p01")
     lab.study.ledger.unlink()
-    read = feel321.study.ledger.rebuilding._read_disk
+    read = feel321.study.ledger.slots._read_disk
 
     def be_slow(folder: Any) -> Any:
         found = read(folder)
@@ -103,7 +101,7 @@ def test_who_finds_it_missing_second_leaves_what_was_claimed_since(
         lab.claim("p02")
         return found
 
-    monkeypatch.setattr(feel321.study.ledger.rebuilding, "_read_disk", be_slow)
+    monkeypatch.setattr(feel321.study.ledger.slots, "_read_disk", be_slow)
     assert open_study_ledger(lab.study)[1] == ""
     assert [entry.participant for entry in entries(lab)] == ["p01", "p02"]
 
@@ -124,7 +122,7 @@ def test_one_number_held_twice_is_refused_and_the_ledger_stays(make_lab: Any) ->
     shutil.copytree(other.begin("p02"), lab.study.sessions / "p02")
     kept = entries(lab)
     with pytest.raises(
-        ValueError, match="number 1: is held by p01 and by p02, allowed is one of them; release"
+        ValueError, match="number 1 must be held by one participant, got p01 and p02; release"
     ):
         rebuild_ledger(lab.study)
     assert entries(lab) == kept
@@ -226,15 +224,12 @@ def bring_stranger(journal: Path) -> None:
         ),
         (
             damage_tombstone,
-            "sessions/gone/withdrawn.json: got no tombstone, or one that was changed after it was",
+            "sessions/gone/withdrawn.json: not a tombstone, or changed after it was",
         ),
-        (
-            edit_tombstone,
-            "sessions/gone/withdrawn.json: got no tombstone, or one that was changed after it was",
-        ),
+        (edit_tombstone, "sessions/gone/withdrawn.json: not a tombstone, or changed after it was"),
         (
             reopen_tombstone,
-            "sessions/gone: the withdrawal was broken off; finish it: feel321 withdraw",
+            "sessions/gone: the withdrawal was interrupted; finish it: feel321 withdraw",
         ),
         (bring_stranger, "sessions/stranger: is not in the ledger; enter it: feel321 ledger"),
     ],
@@ -269,7 +264,7 @@ def test_a_loss_is_accepted_by_a_rebuild_that_is_named_ever_after(lab: Any, now:
     cut(journal)
     with pytest.raises(
         ValueError,
-        match=r"ends with line 6, 7 lines of it were seen; restore it from a copy, or take",
+        match=r"ends with line 6, 7 lines of it were seen; restore it from a copy, or accept",
     ):
         check_anchors(remembered, journal.parent)
     loss = "sessions/p01/session-01.jsonl: ends with line 6, 7 lines of it were seen"
@@ -332,7 +327,7 @@ def test_another_tombstone_than_the_ledger_saw_is_named(lab: Any, now: Any) -> N
     edit(lab, "p01", number=2)
     (line,) = find_lost(lab.study)
     assert line.startswith(
-        f"{lab.study.sessions / 'p01'}: the tombstone is another one than the ledger saw written"
+        f"{lab.study.sessions / 'p01'}: the tombstone is not the one that the ledger knows"
     )
 
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from feel321.files import hold_lock
-from feel321.study.ledger.rebuilding import find_lost, open_study_ledger, read_tombstone
-from feel321.study.ledger.slots import read_ledger, write_roster
+from feel321.study.ledger.slots import find_lost, open_study_ledger, read_ledger
+from feel321.study.ledger.standing import read_tombstone, write_roster
 from feel321.study.ledger.withdrawal import release_participant, withdraw_participant
 from feel321.study.session.journal import create_journal, digest, read_journal
 from feel321.study.session.opening import PLAN_FILE
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from feel321.study.folder import StudyFolder
-    from feel321.study.ledger.database import Entry
+    from feel321.study.ledger.slots import Entry
 
 DYING = """
 import os, signal, sys
 from datetime import UTC, datetime
 from pathlib import Path
 from feel321.study.folder import StudyFolder
-from feel321.study.ledger.rebuilding import find_lost
+from feel321.study.ledger.slots import find_lost
 from feel321.study.ledger.withdrawal import withdraw_participant
 import feel321.files, feel321.stimuli.sets.manifest, feel321.study.ratings, filelock
 root, steps = Path(sys.argv[1]), {"open", "os.remove", "os.rename", "os.rmdir", "os.truncate", "sqlite3.connect"}
@@ -121,7 +121,7 @@ def test_the_slot_is_free_and_the_code_is_not(two: Any, now: Any) -> None:
         (),
     )
     with pytest.raises(
-        ValueError, match="participant p01: was withdrawn; no code is used twice, take another"
+        ValueError, match="participant p01: was withdrawn; no code is used twice, use another"
     ):
         two.claim("p01")
     assert two.claim("p03") == 1
@@ -156,7 +156,9 @@ def test_a_running_session_is_not_pulled_away(two: Any, now: Any) -> None:
 @pytest.mark.parametrize("name", ["p09", "../sessions/p01", ""])
 def test_nobody_else_can_leave(two: Any, now: Any, leave: Callable[..., Any], name: str) -> None:
     before = read_files(two.study.path)
-    with pytest.raises(ValueError, match=f"participant: got '{name}', the ledger knows: p01, p02"):
+    with pytest.raises(
+        ValueError, match=f"participant must be in the ledger, got '{name}'; known: p01, p02"
+    ):
         leave(two.study, name, now=now)
     assert read_files(two.study.path) == before
 
@@ -178,9 +180,9 @@ def test_derived_tables_are_written_anew_and_a_stale_report_is_named(
     write_roster(two.study)
     two.study.ratings.write_text("participant\np01\np02\n")
     two.study.report.mkdir()
-    monkeypatch.setattr("feel321.stimuli.sets.manifest.read_stimuli", lambda folder: folder)
+    monkeypatch.setattr("feel321.study.ledger.withdrawal.read_stimuli", lambda folder: folder)
     monkeypatch.setattr(
-        "feel321.study.ratings.write_ratings",
+        "feel321.study.ledger.withdrawal.write_ratings",
         lambda study, _stimuli: study.ratings.write_text(
             "\n".join(path.parent.name for path in study.journals)
         ),
@@ -209,8 +211,8 @@ def test_a_table_that_cannot_be_written_anew_is_removed(two: Any, now: Any) -> N
     warnings: list[str] = []
     withdraw_participant(two.study, "p01", now=now, warn=warnings.append)
     assert [line.partition(" (")[0] for line in warnings] == [
-        f"{two.study.ratings}: was removed, for it could not be written anew",
-        f"{two.study.path / 'participants.csv'}: was removed, for it could not be written anew",
+        f"{two.study.ratings}: was removed, because it could not be rewritten",
+        f"{two.study.path / 'participants.csv'}: was removed, because it could not be rewritten",
     ]
     assert not two.study.ratings.exists()
     withdraw_participant(two.study, "p02", now=now)  # Nobody has to listen.
@@ -265,7 +267,7 @@ def check_after_kill(study: StudyFolder, before: dict[str, bytes], *, is_whole: 
     if tombstone.state == "removing":
         (line,) = find_lost(study)
         finish = f"feel321 withdraw {study.path} --participant p01"
-        assert line.endswith(f"the withdrawal was broken off; finish it: {finish}")
+        assert line.endswith(f"the withdrawal was interrupted; finish it: {finish}")
 
 
 def test_release_keeps_the_data_and_frees_the_slot(lab: Any, now: Any) -> None:
@@ -288,7 +290,8 @@ def test_release_keeps_the_data_and_frees_the_slot(lab: Any, now: Any) -> None:
 def test_who_has_finished_is_not_released(two: Any, now: Any) -> None:
     before = read_files(two.study.sessions)
     with pytest.raises(
-        ValueError, match="participant p01: has finished, the slot is used up; to remove the data"
+        ValueError,
+        match="participant p01: has finished, so the slot stays taken; to remove the data",
     ):
         release_participant(two.study, "p01", now=now)
     after = read_files(two.study.sessions)

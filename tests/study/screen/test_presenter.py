@@ -74,7 +74,7 @@ def test_slider_by_mouse(seat: Callable[..., Any]) -> None:
     here.click("mark test", at=0.5, to=1.3)
     here.see(markers={"test": 100.0})
     here.click("confirm")
-    here.until(lambda view: view["notice"].startswith("Please feel it to its end first"))
+    here.until(lambda view: view["notice"].startswith("Please let it play to the end"))
     here.click("again")
     here.see(state="feeling")
     here.see(state="answering", felt=["test"])
@@ -123,7 +123,7 @@ def test_rows_by_keys(seat: Callable[..., Any]) -> None:
     here.press("Return")
     here.until(
         lambda view: (
-            view["notice"] == "Please feel it to its end first. Still to feel: Reference, 1, 3"
+            view["notice"] == "Please let it play to the end. Not yet played: Reference, 1, 3"
         )
     )
     here.press("Up", "r")

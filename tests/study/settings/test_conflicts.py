@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 TWO = '[[recordings]]\nscene = "bumps"\nsample = "ridges"\n[[recordings]]\nscene = "hard_taps"\n'
-ANY = "tasks.similarity: recording 'bumps', level 'as_is': "
+ANY = "tasks.similarity: recording 'bumps', level 'as_is' "
 
 
 def tell(path: Path, text: str) -> list[str]:
@@ -51,12 +51,15 @@ def test_settings_that_go_together_pass(text: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[tasks.mushra]\ntiming = 'strict'", "tasks.mushra.timing: got 'strict', allowed: free"),
+        (
+            "[tasks.mushra]\ntiming = 'strict'",
+            "tasks.mushra.timing must be one of free; got 'strict'",
+        ),
         (
             "[tasks.realism]\nreference = 'original'",
-            "tasks.realism.reference: got 'original', allowed is none",
+            "tasks.realism.reference must not be set, got 'original'",
         ),
-        ("[tasks.abx]\nsurface = true", "tasks.abx.surface: got true, allowed is false"),
+        ("[tasks.abx]\nsurface = true", "tasks.abx.surface must be false, got true"),
         (
             "[tasks.realism]\nsurface = true",
             "recordings[2].sample: missing, but participants touch the real surface in realism",
@@ -87,11 +90,11 @@ def test_settings_that_go_together_pass(text: str, tmp_path: Path) -> None:
         ),
         (
             "[tasks.similarity]\nreference = 'dft'",
-            ANY + "got 0 stimuli for the reference 'dft', allowed is",
+            ANY + "must have exactly one stimulus for the reference 'dft', got 0",
         ),
         (
             "[stimuli]\nreference = 'none'",
-            ANY + "got 0 stimuli for the reference 'original', allowed is exactly one",
+            ANY + "must have exactly one stimulus for the reference 'original', got 0",
         ),
     ],
 )
@@ -104,10 +107,10 @@ def test_a_page_of_mushra_has_its_limit(tmp_path: Path, monkeypatch: pytest.Monk
     text = "[session]\nprotocols = ['mushra']"
     assert tell(tmp_path, text) == []
     # There are just as many reducers as a page holds: one place less, and it is too full.
-    monkeypatch.setattr("feel321.protocols.mushra.MOST", 11)
+    monkeypatch.setattr("feel321.protocols.tasks.MUSHRA_MOST", 11)
     (told,) = tell(tmp_path, text)
     assert told.startswith(
-        "tasks.mushra: recording 'bumps', level 'as_is': got 12 stimuli for a page of mushra,"
+        "tasks.mushra: recording 'bumps', level 'as_is': a page of mushra must have at most 11"
     )
 
 

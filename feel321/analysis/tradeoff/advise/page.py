@@ -159,7 +159,7 @@ def render_page(content: Mapping[str, Any], drawing: Path) -> str:
         finalize=keep_together,
     )
     style = (TEMPLATES / "report.css").read_text(encoding="utf-8")
-    picture = inline_svg(Picture("advice", "advice", CAPTION, Figure()), drawing)
+    picture = inline_svg(Picture("advice", CAPTION, Figure()), drawing)
     first = content["measures"][0]["scene"] if content["measures"] else None
     records = [row for row in content["measures"] if row["scene"] == first]
     return environment.get_template("advise.html").render(

@@ -16,7 +16,7 @@ import numpy as np
 
 from feel321.analysis.contrasts.equivalence import equivalence
 from feel321.analysis.mixed.model import contrast, fit_mixed
-from feel321.analysis.report.section import find_repeat_sd, split_parts
+from feel321.analysis.report.parts import find_repeat_sd, split_parts
 from feel321.analysis.tradeoff.advise.scene import Rated
 
 if TYPE_CHECKING:

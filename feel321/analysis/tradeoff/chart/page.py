@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 from feel321.analysis.figures.style import save_figure
 from feel321.analysis.report.folder import list_files, replace_report
 from feel321.analysis.report.page import TEMPLATES, inline_svg
-from feel321.analysis.report.pictures import make_slug, number_pictures
-from feel321.analysis.report.section import Picture
+from feel321.analysis.report.section import Picture, make_slug, number_pictures
 from feel321.analysis.table.sheet import tell_measure
 from feel321.analysis.tradeoff.chart.axes import CUT, look_up, merge_equal
 from feel321.analysis.tradeoff.chart.drawing import draw_cost, draw_latency, draw_rated
@@ -127,36 +126,35 @@ def _list_pictures(chart: Chart) -> Iterator[Picture]:
     paper, bounded = MEASURES[:2], MEASURES[2:]
     yield Picture(
         "cost",
-        "cost",
         f"Both of the paper's metrics against cost. {MARKS} {FRONT}",
         draw_cost(chart, paper),
     )
     yield Picture(
-        "cost_invariant", "cost",
+        "cost_invariant",
         f"Their bounded counterparts, which no orientation of the sensor changes, against cost. {MARKS} {FRONT}",
         draw_cost(chart, bounded),
     )  # fmt: skip
     yield Picture(
-        "latency", "latency",
+        "latency",
         "Both of the paper's metrics against algorithmic latency, windowed reducers with windows of 10 to 200 ms. A "
         f"vertical line spans the scenes; what lies below {CUT:g} stands at the edge. Markers stand aside of each "
         "other.",
         draw_latency(chart, paper),
     )  # fmt: skip
     yield Picture(
-        "growth", "growth",
+        "growth",
         "Time of one call (median, shaded: quartiles) and the most memory that it holds beside its input, against the "
         "length of the signal.",
         draw_growth(chart),
     )  # fmt: skip
     yield Picture(
-        "blocks", "blocks",
+        "blocks",
         "Cost of streaming against the samples per call (median, shaded: quartiles); reducers that need the whole "
         "signal cannot stream.",
         draw_blocks(chart),
     )  # fmt: skip
     yield Picture(
-        "rates", "rates",
+        "rates",
         "Both of the paper's metrics and speed against the sampling rate: medians over scenes of the means over "
         f"orientations; what lies below {CUT:g} stands at the edge.",
         draw_rates(chart, paper),
@@ -169,9 +167,7 @@ def _picture_rated(chart: Chart, scale: str, level: str) -> Picture:
         "interval over participants, "
         "for these recordings; thin: 95 % bootstrap interval over participants and recordings."
     )
-    return Picture(
-        make_slug("rated", scale, level), "rated", caption, draw_rated(chart, scale, level)
-    )
+    return Picture(make_slug("rated", scale, level), caption, draw_rated(chart, scale, level))
 
 
 def _write(path: Path, text: str) -> None:

@@ -194,7 +194,7 @@ def render_page(result: StressResult, *, figures: Path) -> str:
         keep_trailing_newline=True,
         finalize=keep_together,
     )
-    picture = Picture(FIGURES[0], "heat map", CAPTION, new_canvas(1))
+    picture = Picture(FIGURES[0], CAPTION, new_canvas(1))
     return environment.get_template("stress.html").render(
         result=result,
         style=(TEMPLATES / "report.css").read_text(encoding="utf-8"),

@@ -20,9 +20,8 @@ from feel321.protocols.trial import Flow
 from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
 from feel321.study.audit import audit_study
 from feel321.study.folder import StudyFolder
-from feel321.study.ledger.database import list_forgotten
-from feel321.study.ledger.rebuilding import open_study_ledger
-from feel321.study.ledger.slots import claim_slots, write_roster
+from feel321.study.ledger.slots import claim_slots, list_forgotten, open_study_ledger
+from feel321.study.ledger.standing import write_roster
 from feel321.study.observer.judging import ObserverModel
 from feel321.study.observer.participant import SimulatedObserver, identify_observer
 from feel321.study.ratings import write_ratings

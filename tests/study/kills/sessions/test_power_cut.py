@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from feel321.study.audit import audit_study
-from feel321.study.ledger.rebuilding import rebuild_ledger
+from feel321.study.ledger.slots import rebuild_ledger
 from feel321.study.session.journal import read_journal
 
 if TYPE_CHECKING:

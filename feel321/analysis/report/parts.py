@@ -1,0 +1,240 @@
+"""Ratings split into what one model or one correlation is about, and what several sections compute of them."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from feel321.analysis.primary.model import FEW, fit_primary
+from feel321.analysis.table.items import find_sources
+from feel321.analysis.table.sheet import APART
+from feel321.analysis.words import name_path, tell_name, tell_number, tell_ratings
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from pandas import DataFrame, Series
+
+    from feel321.analysis.primary.model import Primary
+    from feel321.analysis.table.reading import Table
+
+ITEM, SIGNIFICANCE = "item", 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Choices:
+    """Choices that were made before the ratings were seen.
+
+    Parameters
+    ----------
+    draws : int
+        Bootstrap draws per interval and random pairings per permutation test, at least 2.
+    margin : float or None
+        Difference in points that does not matter; None: half the spread with which people repeat their ratings.
+    seed : int
+        Random seed.
+    """
+
+    draws: int = 2000
+    margin: float | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be."""
+        if self.draws < 2:  # noqa: PLR2004 - a spread needs two
+            raise ValueError(
+                f"draws must be 2 or more, got {self.draws}; use 2000 for results to be published"
+            )
+        if self.margin is not None and not 0 < self.margin < np.inf:
+            raise ValueError(
+                f"margin must be above 0, in points of the scale, or None; got {self.margin}"
+            )
+
+    def make_rng(self, *names: str) -> np.random.Generator:
+        """Make the source of randomness of one result.
+
+        Parameters
+        ----------
+        *names : str
+            What the result is called.
+
+        Returns
+        -------
+        Generator
+            Its own: a further metric or section does not change the intervals of the others.
+        """
+        return np.random.default_rng([self.seed, zlib.crc32(name_path(*names).encode())])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RatingsPart:
+    """Ratings of test stimuli on one scale and one level."""
+
+    scale: str
+    level: str
+    rows: DataFrame
+    subject: str
+    thinned: str = ""
+
+    @property
+    def ratings(self) -> str:
+        """How to call it within a sentence."""
+        return tell_ratings(self.subject)
+
+    @property
+    def place(self) -> tuple[str, str]:
+        """What leads the path of its numbers."""
+        return self.scale, self.level
+
+    @property
+    def lead(self) -> str:
+        """What leads a note, and its name in a table."""
+        return f"{self.scale}, {self.level}"
+
+    @property
+    def keys(self) -> dict[str, str]:
+        """What a row of a table says of it."""
+        return {"scale": self.scale, "level": self.level, "ratings": self.lead}
+
+
+def split_parts(table: Table, *, matched: bool = True) -> Iterator[RatingsPart]:
+    """Split the ratings of test stimuli by scale and level."""
+    rated = select_tests(table, matched=matched)
+    several = len(rated["level"].unique()) > 1
+    for (scale, level), part in rated.groupby(["scale", "level"], observed=True):
+        subject = tell_name(str(scale)) + (f" (level {tell_name(str(level))})" if several else "")
+        rows = part.assign(**{ITEM: part["stimulus_id"]})
+        yield RatingsPart(str(scale), str(level), rows, subject)
+
+
+def select_tests(table: Table, *, matched: bool = True) -> DataFrame:
+    """Select the ratings of single test stimuli, with metrics where asked for."""
+    rows = table.rows
+    rated = rows[(rows["role"] == "test") & ~rows["scale"].isin(APART)]
+    return rated[rated["matched"]] if matched and "matched" in rated else rated
+
+
+# More ratings than a mixed model can be fitted to in reasonable time and memory.
+
+WHO, SCENE = "participant", "recording"
+MOST_DENSE = 1500
+"""Random effects besides those of the largest group, which make a dense matrix."""
+
+MOST_PRODUCTS = 40_000_000
+"""Of those and the effects of the largest group: 320 MB."""
+
+FEWEST = 8
+"""Participants and recordings are not thinned below this."""
+
+
+def thin_parts(
+    table: Table, choices: Choices, *, n_slopes: int | None = None, matched: bool = True
+) -> Iterator[RatingsPart]:
+    """Split the ratings of test stimuli into parts that a mixed model can be fitted to."""
+    size = len(table.metrics) if n_slopes is None else n_slopes
+    for part in split_parts(table, matched=matched):
+        rng = choices.make_rng("thin", *part.place)
+        rows, thinned = thin_rows(part.rows, n_slopes=size, rng=rng)
+        yield replace(part, rows=rows, thinned=thinned and f"{part.lead}: {thinned}")
+
+
+def thin_rows(rows: DataFrame, *, n_slopes: int, rng: np.random.Generator) -> tuple[DataFrame, str]:
+    """Subsample participants or recordings so that the model fits in memory; say so."""
+    sources, left = find_sources(rows), rows
+    while _is_large(left, n_slopes):
+        names = {name: sorted(left[name].unique()) for name in (WHO, SCENE)}
+        longer = max((WHO, SCENE), key=lambda name: len(names[name]))
+        if len(names[longer]) < 2 * FEWEST:
+            break
+        kept = _draw_half(names[longer], None if longer == WHO else sources, rng=rng)
+        left = left[left[longer].isin(kept)]
+    if len(left) == len(rows):
+        return rows, ""
+    told = " and ".join(
+        f"{left[name].nunique()} of {rows[name].nunique()} {name}s" for name in (WHO, SCENE)
+    )
+    if not sources.is_unique:
+        told += f" ({find_sources(left).nunique()} of {sources.nunique()} sources)"
+    why = f"{len(rows)} ratings are too many for one fit"
+    return left, f"mixed models use {told}, drawn at random: {why}."
+
+
+def _draw_half(names: list[str], sources: Series | None, *, rng: np.random.Generator) -> set[str]:
+    """Draw half of the names; of recordings, the first of every source before the second of any."""
+    half = len(names) // 2
+    if sources is None or sources.is_unique:
+        return set(rng.choice(names, size=half, replace=False))
+    shuffled = sources.loc[rng.permutation(names)]
+    copy = shuffled.groupby(shuffled).cumcount()
+    return set(copy.sort_values(kind="stable").index[:half])
+
+
+def _is_large(rows: DataFrame, n_slopes: int) -> bool:
+    cells = rows.groupby([WHO, ITEM], observed=True).size()
+    levels = [
+        rows[WHO].nunique() * (1 + n_slopes), rows[SCENE].nunique(), rows[ITEM].nunique(),
+        len(rows[[WHO, SCENE]].drop_duplicates()),
+    ]  # fmt: skip
+    # Unequal repeats bring a spread of their own.
+    levels += [len(cells)] if cells.min() < cells.max() else []
+    dense = sum(levels) - max(levels)
+    return dense > MOST_DENSE or dense * max(levels) > MOST_PRODUCTS
+
+
+# What several sections compute and say of a part.
+
+
+def fit_rest(rows: DataFrame, metrics: Sequence[str], *, people: int) -> Primary:
+    """Fit the primary model to the raters that a rule leaves, of so many people."""
+    if rows[WHO].nunique() == 1 < people:
+        raise ValueError(
+            f"One rater of {people} is left: an interval would not know how people differ."
+        )
+    return fit_primary(rows, metrics, explain=False)
+
+
+def find_repeat_sd(rows: DataFrame) -> tuple[float, int]:
+    """Find the standard deviation of a rater's repeated ratings (NaN without repeats), and how many are repeated."""
+    cells = rows.groupby([WHO, ITEM], observed=True)["rating"]
+    repeated = cells.transform("size") > 1
+    n = int(repeated.sum())
+    freedom = n - len(rows[repeated].groupby([WHO, ITEM], observed=True))
+    left = (rows["rating"] - cells.transform("mean"))[repeated]
+    return (float(np.sqrt((left**2).sum() / freedom)) if freedom else float("nan")), n
+
+
+def count_units(rows: DataFrame) -> dict[str, int]:
+    """Count what is independent of each other: participants, and recordings or their sources."""
+    sources = find_sources(rows)
+    scene = SCENE if sources.is_unique else "source"
+    return {WHO: rows[WHO].nunique(), scene: sources.nunique()}
+
+
+def tell_reach(sizes: Mapping[str, int], *, claimed: bool = True) -> str:
+    """Say what a claim does not reach, or hardly, by the number of what was drawn.
+
+    Examples
+    --------
+    >>> tell_reach({"participant": 1, "recording": 9}), tell_reach({"participant": 9, "recording": 4})
+    (', about this one participant only', ', a hint rather than a result with so few recordings')
+    """
+    alone = [name for name, count in sizes.items() if count == 1]
+    few = [f"{name}s" for name, count in sizes.items() if 1 < count < FEW]
+    told = f", about this one {' and this one '.join(alone)} only" if alone else ""
+    hint = f", a hint rather than a result with so few {' and '.join(few)}"
+    return told + hint * bool(few and claimed)
+
+
+def tell_p(p: float) -> str:
+    """Write a probability that was adjusted by Holm's method.
+
+    Examples
+    --------
+    >>> tell_p(0.0123)
+    'p (Holm) = 0.012'
+    """
+    told = tell_number(p, kind="p")
+    return f"p (Holm) {told if told.startswith('<') else f'= {told}'}"

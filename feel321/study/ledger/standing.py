@@ -1,0 +1,239 @@
+"""Where participants stand by the files of a study: plans, journals, tombstones, and `participants.csv` made of them.
+
+The chain inside a journal cannot show that whole lines are missing at its end; whoever kept an anchor can.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from dataclasses import asdict, dataclass, replace
+from shlex import quote
+from typing import TYPE_CHECKING, Any
+
+from feel321.files import write_text
+from feel321.study.columns import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS
+from feel321.study.session.journal import START, digest
+from feel321.study.session.opening import (
+    PLAN_FILE,
+    TOMBSTONE_FILE,
+    Dossier,
+    read_as_written,
+    read_dossier,
+    require_own_plan,
+)
+from feel321.study.session.plan import find_header, has_event, list_journals, replay
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+    from pathlib import Path
+
+    from feel321.study.folder import StudyFolder
+    from feel321.study.session.journal import Record
+
+ROSTER_FILE = "participants.csv"
+
+REMOVING, REMOVED = "removing", "removed"
+"""States of a withdrawal: begun, and finished."""
+
+LOCK_FILE = ".lock"
+"""Held while a session runs or a participant leaves."""
+
+
+# What was last seen of a journal.
+
+
+@dataclass(frozen=True, slots=True)
+class Anchor:
+    """What was seen of a journal: how many lines, and the digest of the last of them."""
+
+    journal: str
+    lines: int
+    tip: str
+
+
+def read_anchor(path: Path) -> Anchor:
+    """Look at a journal as it is now, whether or not its chain holds."""
+    lines = _read_lines(path)
+    return Anchor(path.name, len(lines), digest(lines[-1]) if lines else START)
+
+
+def find_cut(anchor: Anchor, folder: Path) -> str:
+    """Describe what is missing of a journal since it was last seen; empty if nothing is."""
+    path = folder / anchor.journal
+    if not path.is_file():
+        return f"{path}: is gone, {anchor.lines} lines of it were seen"
+    lines = _read_lines(path)
+    if len(lines) < anchor.lines:
+        return f"{path}: ends with line {len(lines)}, {anchor.lines} lines of it were seen"
+    if anchor.lines and digest(lines[anchor.lines - 1]) != anchor.tip:
+        return f"{path}, line {anchor.lines}: is not the line that was seen there"
+    return ""
+
+
+def check_anchors(anchors: Iterable[Anchor], folder: Path) -> None:
+    """Refuse to go on with journals of which less is there than was seen."""
+    for anchor in anchors:
+        if cut := find_cut(anchor, folder):
+            rebuild = f"feel321 ledger {quote(str(folder.parent.parent))} --rebuild"
+            raise ValueError(f"{cut}; restore it from a copy, or accept it as it is: {rebuild}")
+
+
+def _read_lines(path: Path) -> list[bytes]:
+    return path.read_bytes().split(b"\n")[:-1]
+
+
+# Tombstones.
+
+
+@dataclass(frozen=True, slots=True)
+class Tombstone:
+    """What stays of a participant who withdrew: a code that is not used again, and digests of what was removed."""
+
+    participant: str
+    number: int
+    simulated: bool
+    utc: str
+    reason: str
+    journals: tuple[Anchor, ...]
+    state: str
+
+
+def write_tombstone(folder: Path, tombstone: Tombstone) -> None:
+    """Write a tombstone and seal it with its digest, replacing the one that is there."""
+    entry = asdict(tombstone)
+    sealed = entry | {"sha256": _digest(entry)}
+    write_text(folder / TOMBSTONE_FILE, json.dumps(sealed, indent=1, ensure_ascii=False) + "\n")
+
+
+def read_tombstone(folder: Path) -> Tombstone | None:
+    """Read a tombstone, if there is one."""
+    path = folder / TOMBSTONE_FILE
+    if not path.exists():
+        return None
+    try:
+        entry = json.loads(path.read_bytes())
+        is_sealed = entry.pop("sha256") == _digest(entry)
+        journals = tuple(Anchor(**anchor) for anchor in entry["journals"])
+        tombstone = Tombstone(**entry | {"journals": journals})
+    except (AttributeError, KeyError, TypeError, ValueError, RecursionError):
+        is_sealed, tombstone = False, None
+    if not is_sealed:
+        raise ValueError(
+            f"{path}: not a tombstone, or changed after it was written; restore the file from a copy"
+        )
+    return tombstone
+
+
+def find_leftovers(folder: Path) -> list[str]:
+    """Find what lies beside a tombstone: no data of someone who withdrew may stay, or come back with a copy."""
+    if not (folder / TOMBSTONE_FILE).exists():
+        return []
+    kept = {folder / TOMBSTONE_FILE, folder / LOCK_FILE}
+    files = {path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir()}
+    return [
+        f"{path}: lies beside a tombstone, the participant withdrew; remove it"
+        for path in sorted(files - kept)
+    ]
+
+
+def _digest(entry: Mapping[str, Any]) -> str:
+    return digest(json.dumps(entry, sort_keys=True))
+
+
+# Where each participant stands.
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """Where a participant stands."""
+
+    participant: str
+    simulated: bool
+    number: int
+    groups: Mapping[str, str]
+    total: int
+    done: int = 0
+    state: str = "claimed"
+    anchors: tuple[Anchor, ...] = ()
+    first_utc: str = ""
+    last_utc: str = ""
+    training_passed: bool | None = None
+    problem: str = ""
+
+
+def read_standings(study: StudyFolder) -> list[Standing]:
+    """Read where all participants stand who have a plan or a journal and did not withdraw."""
+    return [
+        read_standing(folder)
+        for folder in study.participants
+        if not (folder / TOMBSTONE_FILE).exists()
+        and ((folder / PLAN_FILE).exists() or list_journals(folder))
+    ]
+
+
+def read_standing(folder: Path) -> Standing:
+    """Read where one participant stands, also while a session runs."""
+    try:
+        return make_standing(read_dossier(folder))
+    except ValueError as error:
+        # A broken plan raises again; of a broken journal the plan still says who it is.
+        planned = make_standing(Dossier(folder, require_own_plan(folder), ()))
+        return replace(planned, state="running", problem=str(error))
+
+
+def make_standing(dossier: Dossier) -> Standing:
+    """Derive where one participant stands from plan and journals."""
+    plan, newest = dossier.plan, dossier.records
+    times = [record.utc for chain in dossier.chains for record in chain.records]
+    with read_as_written(dossier.folder):
+        return Standing(
+            participant=plan.participant,
+            simulated=plan.simulated,
+            number=plan.number,
+            groups=plan.groups,
+            total=sum(trial.phase == "main" for trial in plan.trials),
+            done=replay(plan, newest).done,
+            state=_find_state(newest),
+            anchors=tuple(read_anchor(path) for path in list_journals(dossier.folder)),
+            first_utc=times[0] if times else "",
+            last_utc=times[-1] if times else "",
+            training_passed=_find_training(newest),
+        )
+
+
+def _find_state(records: Sequence[Record]) -> str:
+    for event in ("released", "finished"):
+        if has_event(records, event):
+            return event
+    return "running" if find_header(records) else "claimed"
+
+
+def _find_training(records: Sequence[Record]) -> bool | None:
+    pages = {record.data["key"] for record in records if record.event == "page"}
+    if "training_failed" in pages:
+        return False
+    return True if "training_passed" in pages else None
+
+
+def write_roster(study: StudyFolder) -> Path:
+    """Write `participants.csv`: one row per participant, without those who withdrew."""
+    standings = read_standings(study)
+    for standing in standings:
+        if standing.problem:
+            raise ValueError(standing.problem)
+    factors = dict.fromkeys(factor for standing in standings for factor in standing.groups)
+    text = io.StringIO(newline="")
+    columns = [*PARTICIPANT_COLUMNS, *factors, *LAST_PARTICIPANT_COLUMNS]
+    table = csv.DictWriter(text, columns, extrasaction="ignore")
+    table.writeheader()
+    flags = {True: "true", False: "false", None: ""}
+    for standing in standings:
+        row = {name: getattr(standing, name) for name in Standing.__slots__}
+        row |= standing.groups
+        row["sessions"] = len(standing.anchors)
+        row |= {name: flags[row[name]] for name in ("simulated", "training_passed")}
+        table.writerow(row)
+    write_text(study.path / ROSTER_FILE, text.getvalue())
+    return study.path / ROSTER_FILE
