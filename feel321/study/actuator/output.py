@@ -60,8 +60,7 @@ def write_delivered(folder: Path, samples: ArrayLike, *, rate_hz: float) -> int:
     return number
 
 
-BLOCK_FRAMES = 512
-"""Longest delay of a stop, as with a device."""
+BLOCK_FRAMES = 512  # longest delay of a stop, as with a device
 
 
 class FileOutput:

@@ -40,20 +40,11 @@ if TYPE_CHECKING:
     from feel321.study.actuator.rig import Rig
     from feel321.study.actuator.stream import BlockTimes, Device, Fill
 
-OPENING_S = 5.0
-"""Longest time, beyond its pre-roll, until a device's stream runs; sound servers usually take two seconds."""
-
-N_OPENINGS = 3
-"""Attempts: a busy sound server may let a first stream stand; a later one runs."""
-
-WAKING_S = 1.0
-"""Longest time until a stream that nobody looked at, and that was silent for long, asks for a block."""
-
-REVIVING_S = 8.0
-"""Longest wait of a start for a dead device; it may well come back later."""
-
-BEYOND_S = 5.0
-"""Longest recording of the sensor beyond the stimulus; two latencies of 2 s fit in."""
+OPENING_S = 5.0  # beyond its pre-roll; sound servers usually take two seconds to run a stream
+N_OPENINGS = 3  # attempts: a busy sound server may let a first stream stand; a later one runs
+WAKING_S = 1.0  # until a stream asks for a block that nobody looked at and that was silent for long
+REVIVING_S = 8.0  # longest wait of a start for a dead device; it may well come back later
+BEYOND_S = 5.0  # longest recording of the sensor beyond the stimulus; two latencies of 2 s fit in
 
 
 class Connection:

@@ -45,20 +45,14 @@ if TYPE_CHECKING:
 
 NORMAL, STRAIGHT_LINER = "normal", "straight_liner"
 RANDOM_CLICKER, SCALE_REVERSER = "random_clicker", "scale_reverser"
-KINDS = (NORMAL, STRAIGHT_LINER, RANDOM_CLICKER, SCALE_REVERSER)
-"""Kinds of raters."""
-
-STRAIGHT_SD = 1.0
-"""Standard deviation, in points, of the place to which a straight-liner returns."""
+KINDS = (NORMAL, STRAIGHT_LINER, RANDOM_CLICKER, SCALE_REVERSER)  # kinds of raters
+STRAIGHT_SD = 1.0  # standard deviation, in points, of the place to which a straight-liner returns
 
 UNHURRIED, HASTY = (0.7, 0.4), (-0.7, 0.3)
 """Mean and standard deviation of the logarithm of a response time in s: medians of 2.0 s and 0.5 s."""
 
-SPECTRAL = ("spectral_match_bounded", "spectral_match")
-"""Spectral matches that simulated participants may feel by."""
-
-NODES = 15
-"""Of the quadrature over gains and over sizes of the noise."""
+SPECTRAL = ("spectral_match_bounded", "spectral_match")  # that participants may feel by
+NODES = 15  # of the quadrature over gains and over sizes of the noise
 
 
 class ObserverModel(ObserverTable):
@@ -211,11 +205,8 @@ class Location:
     percept: Percept
 
 
-UNCHANGED = Percept(0.0, 0.0, 0.0)
-"""The percept of the original."""
-
-REAL = Location(1.0, 1.0, UNCHANGED)
-"""The original and the real surface."""
+UNCHANGED = Percept(0.0, 0.0, 0.0)  # the percept of the original
+REAL = Location(1.0, 1.0, UNCHANGED)  # the original and the real surface
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,11 +36,8 @@ if TYPE_CHECKING:
     from feel321.study.session.journal import Record
     from feel321.study.session.ports import Act, Place
 
-MIDDLE = sum(RATING_RANGE) / 2
-"""Percept of a trial that does not shift the answer to the next one, in points."""
-
-FATIGUE_TRIALS = 100
-"""Trials for which the size of fatigue is given."""
+MIDDLE = sum(RATING_RANGE) / 2  # percept of a trial that does not shift the next answer
+FATIGUE_TRIALS = 100  # trials for which the size of fatigue is given
 
 
 class Participant:
@@ -122,8 +119,7 @@ class Participant:
         return np.random.default_rng([self._seed, self._number, trial, attempt])
 
 
-STROKE_S = 3.0
-"""Duration of a stroke over the real surface."""
+STROKE_S = 3.0  # duration of a stroke over the real surface
 
 
 class SimulatedObserver(Participant):

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 RATE_HZ = 1000
 N = 100
-DEVICE = Device(0, "coils", "ALSA", 2, 1, 48000.0)
+DEVICE = Device(0, "coils", "ALSA", 2, 1)
 LIMITS = LimitsTable(peak_m_s2=100, rms_m_s2=50, duration_s=60)
 RIG = Rig(device=DeviceTable(name="coils", latency_s=0.1), limits=LIMITS)
 SENSING = RIG.model_copy(update={"sensor": SensorTable(channel=1, full_scale_m_s2=10)})

@@ -178,6 +178,16 @@ def check_widths(window: Window) -> None:
             assert height <= item.size * LEADING, item
 
 
+def capture(window: Window, path: Path) -> None:
+    """Save what is on the screen as a picture."""
+    for stimulus in window.easel.drawn.values():
+        stimulus.draw()
+    window.handle.getMovieFrame(buffer="back")  # the front buffer reads black under Xvfb
+    window.handle.flip()
+    window.handle.saveMovieFrames(str(path))
+    window.handle.movieFrames = []
+
+
 def save_gallery(folder: Path, size: tuple[int, int], languages: list[str]) -> None:
     """Save a picture of every screen."""
     from feel321.protocols.texts import read_scales
@@ -192,7 +202,7 @@ def save_gallery(folder: Path, size: tuple[int, int], languages: list[str]) -> N
             for name, view in views.items():
                 window.show(compose(view, texts, size=window.size).items)
                 check_widths(window)
-                window.capture(folder / f"{name} {language}.png".replace(" ", "_"))
+                capture(window, folder / f"{name} {language}.png".replace(" ", "_"))
 
 
 if __name__ == "__main__":
