@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from feel321.stimuli.wav import read_wav
+from feel321.study.actuator.output import open_stream
 from feel321.study.actuator.stream import list_devices, list_rates
-from feel321.study.actuator.stream_output import open_stream
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
+    from feel321.study.actuator.output import StreamOutput
     from feel321.study.actuator.rig import Rig
-    from feel321.study.actuator.stream_output import StreamOutput
     from feel321.study.session.ports import Playback
 
 RATES_HZ = (8000.0, 16000.0, 44100.0, 48000.0, 96000.0, 192000.0)

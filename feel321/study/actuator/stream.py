@@ -22,10 +22,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from feel321.study.actuator.mixer import Cue
-    from feel321.study.actuator.output import Clock
     from feel321.study.actuator.rig import Rig
 
     Foreign = Any  # sounddevice has no types
+    SessionClock = Callable[
+        [], float
+    ]  # s since the session began, without the time between its openings
     Fill = Callable[[NDArray[np.float32], "BlockTimes", NDArray[np.float32] | None], None]
 
 FALLBACKS = ("default", "sysdefault")  # not always the same device, so no study can use them
@@ -265,9 +267,8 @@ class Take:
         if self.end_s is not None:
             n_since = frame - self.end_frame
             # Some host interfaces give no times: then the device's own latency counts, twice to be safe.
-            is_heard = block.now_s >= self.end_s or n_since >= round(
-                2 * self.latency_s * self.rate_hz
-            )
+            n_late = round(2 * self.latency_s * self.rate_hz)
+            is_heard = block.now_s >= self.end_s or n_since >= n_late
             # Times of inputs are less true than those of outputs, so the sensor is recorded by frames.
             n_sensed = round((self.latency_s + SENSOR_TAIL_S) * self.rate_hz)
             self.is_out = is_heard and (self.sensor is None or n_since >= n_sensed)
@@ -311,9 +312,8 @@ class DeviceStream:
         self._fill = fill
         self._column = rig.sensor.channel - 1 if rig.sensor else None
         self._rate_hz = rate_hz
-        self._held_s = (
-            OPENED_S  # what the device has to play; sound servers do not always say that it ran out
-        )
+        # What the device has to play: sound servers do not always say that it ran out.
+        self._held_s = OPENED_S
         self._is_closed = False
         self._seen_s, self._patience = 0.0, Patience()
         try:
@@ -359,7 +359,7 @@ class DeviceStream:
         """Whether it has asked for nothing for long; if nobody looked meanwhile, it may just go on."""
         return perf_counter() - self._last_s > STALL_S
 
-    def compare_clocks(self, clock: Clock) -> float:
+    def compare_clocks(self, clock: SessionClock) -> float:
         """Find by how much the session's clock is ahead of the device's, in s; NaN if the device is dead."""
         readings = []
         try:

@@ -18,8 +18,7 @@ if TYPE_CHECKING:
 
     from feel321.protocols.trial import Trial
     from feel321.stimuli.sets.manifest import Stimulus
-    from feel321.study.observer.judging import Experience
-    from feel321.study.observer.participant import Participant
+    from feel321.study.observer.participant import Experience, Participant
     from feel321.study.screen.view import View
 
 
