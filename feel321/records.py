@@ -13,8 +13,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-# numpy is imported where it is needed, so that the command line answers at once.
-
 REPR_WIDTH = 200
 """Characters of a result's repr, at most."""
 

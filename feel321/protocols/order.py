@@ -7,10 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby, pairwise
 from math import gcd
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from feel321.doors import as_rng, check_name, describe
+from feel321.doors import Registry, as_rng, check_name, describe
 from feel321.protocols.balance import MIXABLE, shuffle_rows, williams_square
 from feel321.protocols.tasks import PROTOCOLS, make_task
 from feel321.protocols.trial import RATING_RANGE, Item, Task, Trial, Trials
@@ -274,11 +273,9 @@ def _count_unavoidable(cards: Sequence[_Card], *, after: _Card) -> int:
     return sum(max(0, doubled - 1 - len(cards)) for doubled in (same, spaced))
 
 
-ORDERS: Mapping[str, Callable[..., Iterable[Blocks]]] = MappingProxyType({
-    "williams": _order_williams,
-    "blocked": _order_blocked,
-    "random": _order_random,
-})
+ORDERS: Registry[Callable[..., Iterable[Blocks]]] = Registry(
+    "order", {"williams": _order_williams, "blocked": _order_blocked, "random": _order_random}
+)
 """Name -> order, the only list of names: called with the rounds of a session, the participant's `number` from 1 and
 `rng`, it gives the blocks of each round."""
 

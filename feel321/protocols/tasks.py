@@ -46,7 +46,7 @@ from math import prod
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from feel321.doors import check_name
+from feel321.doors import Registry, check_name
 from feel321.protocols.balance import williams_square
 from feel321.protocols.trial import (
     ORIGINAL,
@@ -293,44 +293,47 @@ def _score_abx(judgement: Judgement, answer: float | str, parts: Mapping[str, st
     return RIGHT if parts[chosen] == parts[judgement.part] else WRONG
 
 
-PROTOCOLS: Mapping[str, Protocol] = MappingProxyType({
-    protocol.name: protocol
-    for protocol in (
-        Protocol("realism", ("recording", "reducer", "level"), _compare_realism),
-        Protocol(
-            "similarity",
-            ("recording", "reducer", "level"),
-            _compare_similarity,
-            references=(ORIGINAL, SURFACE, "reducer"),
-        ),
-        Protocol(
-            "dissimilarity",
-            ("recording", "pair", "level"),
-            _compare_dissimilarity,
-            references=(ORIGINAL,),
-            teach=_teach_dissimilarity,
-            arrange=_arrange_dissimilarity,
-        ),
-        Protocol(
-            "mushra",
-            ("recording", "level"),
-            _compare_mushra,
-            timings=("free",),
-            references=(ORIGINAL, "reducer"),
-            arrange=_arrange_mushra,
-        ),
-        Protocol(
-            "abx",
-            ("recording", "reducer", "level"),
-            _compare_abx,
-            references=(ORIGINAL, "reducer"),
-            teach=_teach_abx,
-            arrange=_arrange_abx,
-            score=_score_abx,
-            choices=ABX_CHOICES,
-        ),
-    )
-})
+PROTOCOLS = Registry(
+    "protocol",
+    {
+        protocol.name: protocol
+        for protocol in (
+            Protocol("realism", ("recording", "reducer", "level"), _compare_realism),
+            Protocol(
+                "similarity",
+                ("recording", "reducer", "level"),
+                _compare_similarity,
+                references=(ORIGINAL, SURFACE, "reducer"),
+            ),
+            Protocol(
+                "dissimilarity",
+                ("recording", "pair", "level"),
+                _compare_dissimilarity,
+                references=(ORIGINAL,),
+                teach=_teach_dissimilarity,
+                arrange=_arrange_dissimilarity,
+            ),
+            Protocol(
+                "mushra",
+                ("recording", "level"),
+                _compare_mushra,
+                timings=("free",),
+                references=(ORIGINAL, "reducer"),
+                arrange=_arrange_mushra,
+            ),
+            Protocol(
+                "abx",
+                ("recording", "reducer", "level"),
+                _compare_abx,
+                references=(ORIGINAL, "reducer"),
+                teach=_teach_abx,
+                arrange=_arrange_abx,
+                score=_score_abx,
+                choices=ABX_CHOICES,
+            ),
+        )
+    },
+)
 """Name -> protocol, the only list of names. Later ones are added, none renamed."""
 
 
