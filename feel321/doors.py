@@ -233,6 +233,30 @@ class Registry(Mapping[str, Entry]):
             raise ValueError(f"{self._what} {given!r} cannot be imported: {error}") from None
         return entry
 
+    def choose(self, wanted: str | Iterable[str | Entry] = "all") -> dict[str, Entry]:
+        """Return several entries by their names: all of them, or what `find` finds of each.
+
+        Parameters
+        ----------
+        wanted : "all", or a list of str or any other
+            Names of this registry, dotted names, or a lab's own entries.
+
+        Returns
+        -------
+        dict
+            Name -> entry, in the order that is wanted.
+        """
+        if isinstance(wanted, str):
+            if wanted == "all":
+                return dict(self._entries)
+            as_names(wanted, f"{self._what}s")
+        return {name_of(one): self.find(one) for one in wanted}
+
+
+def name_of(method: object) -> str:
+    """Name a method of a registry: the name it was given by, or that of its function."""
+    return method if isinstance(method, str) else getattr(method, "__name__", repr(method))
+
 
 def forward_old_names(face: str, places: Mapping[str, str]) -> Callable[[str], Any]:
     """Make a face's `__getattr__`, which still finds names that have left `__all__`, with a warning.

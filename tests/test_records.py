@@ -1,4 +1,5 @@
 import copy
+import math
 import pickle
 from dataclasses import dataclass, replace
 
@@ -100,6 +101,18 @@ def test_a_registry_survives_pickling_and_copying() -> None:
 def test_a_registry_refuses_what_it_cannot_find(name: str) -> None:
     with pytest.raises(ValueError, match="thing"):
         Registry("thing", {"one": len}).find(name)
+
+
+def test_several_entries_are_chosen_by_name_by_dotted_name_or_as_they_are() -> None:
+    registry = Registry("thing", {"one": len, "two": max})
+    assert registry.choose() == {"one": len, "two": max}
+    assert registry.choose(["two", "math:sqrt", abs]) == {
+        "two": max,
+        "math:sqrt": math.sqrt,
+        "abs": abs,
+    }
+    with pytest.raises(TypeError, match=r"things.*write \['one'\]"):
+        registry.choose("one")
 
 
 def test_rows_that_are_plain_records_are_compared_field_by_field() -> None:

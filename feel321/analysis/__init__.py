@@ -34,14 +34,13 @@ from feel321.analysis.contrasts.equivalence import (
 from feel321.analysis.mixed.model import Estimate, MixedFit, contrast, fit_mixed
 from feel321.analysis.p1401.difference import P1401Difference, compare_p1401
 from feel321.analysis.p1401.mapping import P1401, p1401
-from feel321.analysis.primary.model import Primary, fit_attributes, fit_primary, tabulate_slopes
+from feel321.analysis.primary.model import Primaries, Primary, fit_attributes, fit_primary
 from feel321.analysis.primary.multiverse import Multiverse, run_multiverse
-from feel321.analysis.primary.sensitivity import Precision, vary_primary
 from feel321.analysis.refined.refine import Refined, refine_metric
 from feel321.analysis.report.folder import Results
 from feel321.analysis.report.section import Choices, Section
 from feel321.analysis.report.write import compute_sections, write_report
-from feel321.analysis.screening.rules import RULES, multimodality, tukey_fences
+from feel321.analysis.screening.rules import RULES
 from feel321.analysis.screening.screen import Screening, screen_raters
 from feel321.analysis.space import (
     Alignment,
@@ -63,6 +62,7 @@ from feel321.analysis.tradeoff.chart.page import write_chart
 from feel321.analysis.tradeoff.chart.records import Chart
 from feel321.analysis.tradeoff.stress.run import stress_reducers, write_stress
 from feel321.analysis.words import Number
+from feel321.doors import forward_old_names as _forward_old_names
 
 __all__ = [  # noqa: RUF022 - in the order of sorted(), which a test checks
     "Alignment",
@@ -86,7 +86,7 @@ __all__ = [  # noqa: RUF022 - in the order of sorted(), which a test checks
     "Number",
     "P1401",
     "P1401Difference",
-    "Precision",
+    "Primaries",
     "Primary",
     "RULES",
     "Rated",
@@ -123,7 +123,6 @@ __all__ = [  # noqa: RUF022 - in the order of sorted(), which a test checks
     "intraclass",
     "judge_ratings",
     "krippendorff_alpha",
-    "multimodality",
     "noise_ceiling",
     "non_inferiority",
     "p1401",
@@ -136,11 +135,19 @@ __all__ = [  # noqa: RUF022 - in the order of sorted(), which a test checks
     "screen_raters",
     "stress_by_dimension",
     "stress_reducers",
-    "tabulate_slopes",
-    "tukey_fences",
-    "vary_primary",
     "write_advice",
     "write_chart",
     "write_report",
     "write_stress",
 ]
+
+__getattr__ = _forward_old_names(
+    __name__,
+    {
+        "Precision": "feel321.analysis.primary.sensitivity:SlopePrecision",
+        "multimodality": "feel321.analysis.screening.rules:multimodality|Screening.items",
+        "tabulate_slopes": "feel321.analysis.primary.model:tabulate_slopes|fit_attributes(table).to_frame()",
+        "tukey_fences": "feel321.analysis.screening.rules:tukey_fences|Screening.items",
+        "vary_primary": "feel321.analysis.primary.sensitivity:vary_primary|run_multiverse",
+    },
+)

@@ -1,29 +1,25 @@
 """Recordings in, stimuli out: readers, conditioning, reducers, metrics and stimulus sets.
 
-Samples flow one way: `read_recording` or `make_scene` -> `condition` -> `REDUCERS` -> `METRICS` -> `build_stimuli`.
+Samples flow one way: `read_recording` or `make_scene` -> `condition` -> `reduce` -> `match` -> `build_stimuli`.
 """
 
-from feel321.stimuli.condition import Conditioning, condition, fade, resample
-from feel321.stimuli.conform import check_dft321, golden_vectors
-from feel321.stimuli.formats.read import read_recording
+from feel321.doors import forward_old_names as _forward_old_names
+from feel321.stimuli.condition import Conditioning, condition
+from feel321.stimuli.conform import check_dft321
+from feel321.stimuli.formats.read import read_recording, read_recordings
 from feel321.stimuli.match import (
     METRICS,
+    SpectralMatch,
+    TemporalMatch,
     spectral_match,
     spectral_match_bounded,
     spectral_match_details,
     temporal_match,
     temporal_match_details,
 )
-from feel321.stimuli.recording import UNITS, Recording
-from feel321.stimuli.reducers.registry import REDUCERS, StreamingReducer
-from feel321.stimuli.rotation import (
-    INVARIANTS,
-    RotationStatistics,
-    rotation_statistics,
-    spectral_match_energy_weighted,
-    spectral_match_invariant,
-    temporal_match_invariant,
-)
+from feel321.stimuli.recording import Recording, Reduced
+from feel321.stimuli.reducers.registry import REDUCERS, StreamingReducer, reduce
+from feel321.stimuli.rotation import INVARIANTS, match, rotation_statistics
 from feel321.stimuli.sets.anchors import (
     ANCHORS,
     THRESHOLDS,
@@ -32,11 +28,10 @@ from feel321.stimuli.sets.anchors import (
     sensation_level_db,
 )
 from feel321.stimuli.sets.build import build_stimuli
-from feel321.stimuli.sets.inspection import check_stimuli
-from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, read_stimuli
+from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, check_stimuli, read_stimuli
 from feel321.stimuli.sets.recipe import LEVELS, Recipe
+from feel321.stimuli.spectra import Spectrogram, Spectrum, psd, spectrogram
 from feel321.stimuli.synthesis import SCENES, make_scene
-from feel321.stimuli.version import __version__
 from feel321.stimuli.wav import read_wav, write_wav
 
 __all__ = [
@@ -47,37 +42,58 @@ __all__ = [
     "REDUCERS",
     "SCENES",
     "THRESHOLDS",
-    "UNITS",
     "Conditioning",
     "Recipe",
     "Recording",
-    "RotationStatistics",
+    "Reduced",
+    "SpectralMatch",
+    "Spectrogram",
+    "Spectrum",
     "Stimulus",
     "StimulusSet",
     "StreamingReducer",
-    "__version__",
+    "TemporalMatch",
     "acceleration_threshold",
     "build_stimuli",
     "check_dft321",
     "check_stimuli",
     "condition",
-    "fade",
     "felt_level",
-    "golden_vectors",
     "make_scene",
+    "match",
+    "psd",
     "read_recording",
+    "read_recordings",
     "read_stimuli",
     "read_wav",
-    "resample",
+    "reduce",
     "rotation_statistics",
     "sensation_level_db",
     "spectral_match",
     "spectral_match_bounded",
     "spectral_match_details",
-    "spectral_match_energy_weighted",
-    "spectral_match_invariant",
+    "spectrogram",
     "temporal_match",
     "temporal_match_details",
-    "temporal_match_invariant",
     "write_wav",
 ]
+
+_ROTATION = "feel321.stimuli.rotation"
+__getattr__ = _forward_old_names(
+    __name__,
+    {
+        "RotationStatistics": f"{_ROTATION}:RotationStatistics|the data frame of rotation_statistics",
+        "UNITS": "feel321.stimuli.recording:UNITS|unit=... of Recording and read_recording",
+        "__version__": "feel321.stimuli.version:__version__|feel321.__version__",
+        "fade": "feel321.stimuli.condition:fade",
+        "golden_vectors": "feel321.stimuli.conform:golden_vectors|python -m feel321.stimuli",
+        "resample": "feel321.stimuli.condition:resample",
+        "spectral_match_energy_weighted": f"{_ROTATION}:spectral_match_energy_weighted|INVARIANTS",
+        "spectral_match_invariant": f"{_ROTATION}:spectral_match_energy_weighted|INVARIANTS",
+        "temporal_match_invariant": f"{_ROTATION}:temporal_match_invariant|INVARIANTS",
+    },
+)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from feel321.stimuli.recording import Recording
+    from feel321.types import Samples
 
 FILTER_ORDER = 4
 
@@ -38,6 +37,12 @@ class Conditioning:
     ------
     ValueError
         If a corner is not above 0, the corners are in the wrong order, or the crop is not a forward interval.
+
+    Examples
+    --------
+    >>> from feel321 import stimuli
+    >>> stimuli.Conditioning(crop_s=(0.5, 2.5), low_pass_hz=None).high_pass_hz
+    20.0
     """
 
     crop_s: tuple[float, float] | None = None
@@ -51,28 +56,28 @@ class Conditioning:
             corner = getattr(self, name)
             if corner is not None and not 0 < corner < np.inf:
                 raise ValueError(
-                    f"{name}: got {corner}, allowed is a frequency above 0 Hz, or nothing for no filter"
+                    f"{name} must be a frequency above 0 Hz, or nothing for no filter; got {corner}"
                 )
         if self.high_pass_hz and self.low_pass_hz and self.high_pass_hz >= self.low_pass_hz:
             raise ValueError(
-                f"high_pass_hz: got {self.high_pass_hz}, allowed is below low_pass_hz, {self.low_pass_hz}"
+                f"high_pass_hz must be below low_pass_hz, {self.low_pass_hz}; got {self.high_pass_hz}"
             )
         crop = (0.0, 1.0) if self.crop_s is None else self.crop_s
         if len(crop) != len(("start", "end")) or not 0 <= crop[0] < crop[1] < np.inf:
             raise ValueError(
-                f"crop_s: got {self.crop_s}, allowed is (start, end) in s with 0 <= start < end"
+                f"crop_s must be (start, end) in s with 0 <= start < end, got {self.crop_s}"
             )
 
 
-def condition(recording: Recording, steps: Conditioning) -> Recording:
+def condition(recording: Recording, steps: Conditioning | None = None) -> Recording:
     """Put a recording through the named steps.
 
     Parameters
     ----------
     recording : Recording
         Acceleration in m/s².
-    steps : Conditioning
-        Which steps.
+    steps : Conditioning, optional
+        Which steps; `Conditioning()` if left out.
 
     Returns
     -------
@@ -84,8 +89,15 @@ def condition(recording: Recording, steps: Conditioning) -> Recording:
     ValueError
         If the crop reaches beyond the recording, a corner is above the Nyquist frequency, or the recording is too
         short to be filtered.
+
+    Examples
+    --------
+    >>> from feel321 import stimuli
+    >>> stimuli.condition(stimuli.make_scene("bumps"), stimuli.Conditioning(crop_s=(0, 1)))
+    Recording('bumps', 10000 samples at 10000 Hz, 1 s)
     """
-    samples = _cropped(recording, steps.crop_s)
+    steps = steps or Conditioning()
+    samples = (recording.crop(*steps.crop_s) if steps.crop_s else recording).acceleration
     if steps.remove_offset:
         samples = samples - samples.mean(axis=-1, keepdims=True)
     if steps.high_pass_hz is not None:
@@ -100,7 +112,7 @@ def condition(recording: Recording, steps: Conditioning) -> Recording:
 
 
 def list_steps(steps: Conditioning, rate_hz: float) -> list[str]:
-    """Name the steps that a recording of a given rate really goes through, for the manifest.
+    """List the steps that a recording of a given rate really goes through, for the manifest.
 
     Examples
     --------
@@ -128,58 +140,31 @@ def _has_low_pass(steps: Conditioning, rate_hz: float) -> bool:
 
 
 def filter_zero_phase(
-    samples: NDArray[np.float64],
-    rate_hz: float,
-    *,
-    corner_hz: float,
-    kind: Literal["highpass", "lowpass"],
-) -> NDArray[np.float64]:
-    """Filter forwards and backwards with a Butterworth filter of fourth order.
-
-    samples: (..., n_samples); returns (..., n_samples).
-    """
+    samples: Samples, rate_hz: float, *, corner_hz: float, kind: Literal["highpass", "lowpass"]
+) -> Samples:
+    """Filter signals, (..., n_samples), forwards and backwards with a Butterworth filter of fourth order."""
     from scipy import signal
 
     if corner_hz >= rate_hz / 2:
         raise ValueError(
-            f"{kind}: got {corner_hz} Hz, allowed is below the Nyquist frequency of {rate_hz / 2:g} Hz"
+            f"{kind} must be below the Nyquist frequency of {rate_hz / 2:g} Hz, got {corner_hz} Hz"
         )
     sections = signal.butter(FILTER_ORDER, corner_hz, btype=kind, fs=rate_hz, output="sos")
     # The filter's start-up dies out in about a period of its corner; padding by that much keeps it out of the signal.
     padding = min(max(int(rate_hz / corner_hz), 3 * (2 * len(sections) + 1)), samples.shape[-1] - 1)
     if padding < 1:
         raise ValueError(
-            f"{kind}: got {samples.shape[-1]} samples, allowed is 2 or more; switch the filter off"
+            f"{kind} needs 2 samples or more, got {samples.shape[-1]}; switch the filter off"
         )
     return np.asarray(signal.sosfiltfilt(sections, samples, padlen=padding), dtype=np.float64)
 
 
-def fade(samples: NDArray[np.float64], rate_hz: float, *, fade_s: float) -> NDArray[np.float64]:
-    """Fade a signal in and out with raised cosines, so that it starts and ends in silence.
-
-    Parameters
-    ----------
-    samples : ndarray, shape (..., n_samples)
-        Signals.
-    rate_hz : float
-        Sampling rate in Hz.
-    fade_s : float
-        Duration of each fade in s, at most half the signal; 0 for none.
-
-    Returns
-    -------
-    ndarray of float64, shape (..., n_samples)
-        Faded signals.
-
-    Raises
-    ------
-    ValueError
-        If the fades are negative or longer than the signal.
-    """
+def fade(samples: Samples, rate_hz: float, *, fade_s: float) -> Samples:
+    """Fade signals, (..., n), in and out with raised cosines, so that they start and end in silence."""
     n = samples.shape[-1]
     if not 0 <= 2 * fade_s * rate_hz <= n:
         raise ValueError(
-            f"fade_s: got {fade_s}, allowed is 0 to {n / rate_hz / 2:.6g} s, half the signal"
+            f"fade_s must be 0 to {n / rate_hz / 2:.6g} s, half the signal; got {fade_s}"
         )
     length = int(fade_s * rate_hz)
     ramp = 0.5 - 0.5 * np.cos(np.pi * (np.arange(length) + 0.5) / max(length, 1))
@@ -189,23 +174,8 @@ def fade(samples: NDArray[np.float64], rate_hz: float, *, fade_s: float) -> NDAr
     return faded
 
 
-def resample(samples: NDArray[np.float64], rate_hz: float, *, to_hz: float) -> NDArray[np.float64]:
-    """Resample with the SoX resampler (linear phase, band-limited).
-
-    Parameters
-    ----------
-    samples : ndarray, shape (..., n_samples)
-        Signals.
-    rate_hz : float
-        Their sampling rate in Hz; fractions of a Hz are honoured.
-    to_hz : float
-        Wanted rate in Hz.
-
-    Returns
-    -------
-    ndarray of float64, shape (..., m_samples)
-        Resampled signals.
-    """
+def resample(samples: Samples, rate_hz: float, *, to_hz: float) -> Samples:
+    """Resample signals, (..., n), with the SoX resampler (linear phase, band-limited; fractions of a Hz count)."""
     import soxr
 
     if rate_hz == to_hz:
@@ -215,18 +185,3 @@ def resample(samples: NDArray[np.float64], rate_hz: float, *, to_hz: float) -> N
         for one in samples.reshape(-1, samples.shape[-1])
     ]
     return np.asarray(channels, dtype=np.float64).reshape(*samples.shape[:-1], -1)
-
-
-def _cropped(recording: Recording, crop_s: tuple[float, float] | None) -> NDArray[np.float64]:
-    if crop_s is None:
-        return recording.acceleration
-    if crop_s[1] > recording.duration_s * (1 + 1e-9):
-        raise ValueError(
-            f"crop_s: got {crop_s}, allowed for {recording.name!r} is up to {recording.duration_s:.4f} s, its duration"
-        )
-    start, end = (round(time * recording.rate_hz) for time in crop_s)
-    if end <= start:
-        raise ValueError(
-            f"crop_s: got {crop_s}, which holds no sample at {recording.rate_hz:g} Hz; keep a longer part"
-        )
-    return recording.acceleration[:, start:end]

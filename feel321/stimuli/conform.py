@@ -1,7 +1,7 @@
 """Golden vectors for DFT321: a test of any implementation, in any language, against the paper.
 
 `check_dft321` tries a Python callable; `python -m feel321.stimuli write-vectors FOLDER` writes the
-same vectors as three-channel WAV files, and `python -m feel321.stimuli check-vectors FOLDER` judges
+same vectors as three-channel WAV files, and `python -m feel321.stimuli check-vectors FOLDER` checks
 the one-channel files `NAME.out.wav` that a MATLAB or C++ port put beside them. Expected outputs are
 closed forms or come from the defining sums, never from this package's own reducers. The vectors
 were chosen so that the faults seen in public code all fail: a full-wave rectified output, a half
@@ -16,15 +16,15 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from feel321.doors import check_name
 from feel321.stimuli.wav import read_wav, write_wav
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
     Form = Literal["whole", "windowed"]
+    from feel321.types import Samples
 
 FORMS = ("whole", "windowed")
 RATE_HZ = 1000
@@ -45,38 +45,22 @@ class GoldenVector:
     """
 
     name: str
-    acceleration: NDArray[np.float64]
-    expected: NDArray[np.float64]
+    acceleration: Samples
+    expected: Samples
     slack: float = 0.0
 
 
 def golden_vectors(form: Form = "whole") -> tuple[GoldenVector, ...]:
-    """Give the vectors that a conforming DFT321 must reproduce.
+    """List the vectors, at 1000 Hz, that a conforming DFT321 must reproduce.
 
-    Parameters
-    ----------
-    form : {"whole", "windowed"}
-        One transform over the whole signal, or short overlapping frames; for the latter only those vectors are given
-        whose output does not, or hardly, depend on where the frames lie.
-
-    Returns
-    -------
-    tuple of GoldenVector
-        Inputs of shape (3, n) and expected outputs of shape (n,), at 1000 Hz.
-
-    Raises
-    ------
-    ValueError
-        If the form is unknown.
+    A form is one transform over the whole signal, or short overlapping frames; for the latter only those vectors are
+    listed whose output does not, or hardly, depend on where the frames lie.
     """
-    if form not in FORMS:
-        raise ValueError(f"form: got {form!r}, allowed is one of {', '.join(FORMS)}")
+    check_name(form, FORMS, "form")
     return (*_everywhere(), *(_whole_only() if form == "whole" else _windowed_only()))
 
 
-def check_dft321(
-    candidate: Callable[[NDArray[np.float64], float], NDArray[np.float64]], *, form: Form = "whole"
-) -> None:
+def check_dft321(candidate: Callable[[Samples, float], Samples], *, form: Form = "whole") -> None:
     """Raise unless a DFT321 implementation reproduces every golden vector.
 
     Parameters
@@ -93,9 +77,9 @@ def check_dft321(
 
     Examples
     --------
-    >>> from feel321.stimuli.reducers.fourier import dft321
-    >>> check_dft321(dft321)
-    >>> check_dft321(lambda acceleration, rate_hz: abs(dft321(acceleration, rate_hz)))  # doctest: +ELLIPSIS
+    >>> from feel321 import stimuli
+    >>> stimuli.check_dft321(stimuli.REDUCERS.dft321)
+    >>> stimuli.check_dft321(lambda acceleration, rate_hz: abs(stimuli.REDUCERS.dft321(acceleration, rate_hz)))
     Traceback (most recent call last):
     ...
     ValueError: dft321 does not conform: ...
@@ -187,11 +171,11 @@ def _windowed_only() -> Iterator[GoldenVector]:
     )
 
 
-def _along(direction: tuple[float, float, float], wave: NDArray[np.float64]) -> NDArray[np.float64]:
+def _along(direction: tuple[float, float, float], wave: Samples) -> Samples:
     return np.array(direction)[:, None] * wave
 
 
-def _by_definition(acceleration: NDArray[np.float64]) -> NDArray[np.float64]:
+def _by_definition(acceleration: Samples) -> Samples:
     """Equations 3 and 4 from the defining sums of the two-sided transform, one frequency after the other."""
     n = acceleration.shape[1]
     time = np.arange(n)
@@ -214,10 +198,10 @@ def _faults(vector: GoldenVector, output: object, tolerance: float) -> Iterator[
         off = float(np.abs(got - vector.expected).max() / np.abs(vector.expected).max())
         allowed = max(tolerance, vector.slack)
         if off > allowed:
-            yield f"{vector.name}: off by {off:.2g} of the peak, allowed is {allowed:g}"
+            yield f"{vector.name}: off by {off:.2g} of the peak, more than {allowed:g}"
         energy = float(np.vdot(got, got) / np.vdot(vector.expected, vector.expected))
         if abs(energy - 1) > ENERGY_TOLERANCE:
-            yield f"{vector.name}: holds {energy:.3g} times the energy, allowed is 1 +- {ENERGY_TOLERANCE:g}"
+            yield f"{vector.name}: holds {energy:.3g} times the energy, must be 1 +- {ENERGY_TOLERANCE:g}"
 
 
 def _raise(faults: list[str]) -> None:

@@ -14,7 +14,7 @@ that says what the figure rests on.
 Where there is nothing to match (no frequency from 20 to 1000 Hz with energy, a silent recording) a match is NaN, never
 1 or 0, and the details hold the reason. A silent reduced signal of a recording that is not silent scores 0.
 
-Conventions: spectra are one-sided energy spectral densities on the DFT's grid, shape (..., n_bins), bin k at
+Spectra are one-sided energy spectral densities on the DFT's grid, shape (..., n_bins), bin k at
 k * rate_hz / n_samples; frequencies in Hz.
 
 The kernel is a rectangle (Daniell smoothing) of full width 0.22 f around f: the Weber fraction of vibration frequency.
@@ -32,21 +32,29 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from feel321.stimuli.recording import SAFE_PEAK, admit, check_rate, check_reduced, is_safe, largest
+from feel321 import types
+from feel321.doors import Registry, check_name
+from feel321.records import Result
+from feel321.stimuli.recording import (
+    SAFE_PEAK,
+    admit,
+    as_signal,
+    check_reduced,
+    largest,
+    scale_down,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
     from numpy.typing import ArrayLike, NDArray
 
-    Grid = Literal["linear", "log"]
+    from feel321.stimuli.recording import Recording
+    from feel321.types import Samples
 
-# Energy spectra smoothed as coarsely as people tell frequencies apart.
+    Grid = Literal["linear", "log"]
 
 WEBER_FRACTION = 0.22
 """Smallest relative change of vibration frequency that people notice; full width of the smoothing over its centre."""
@@ -60,11 +68,8 @@ NUMERICAL_FLOOR = 1e-12
 spectrum is the rounding error of the transforms, not a vibration."""
 
 
-def energy_spectrum(samples: NDArray[np.float64], bins: slice = slice(None)) -> NDArray[np.float64]:
-    """Compute the energy of a signal at every DFT frequency, or at some of them.
-
-    samples: (..., n_samples); returns (..., n_bins).
-    """
+def energy_spectrum(samples: Samples, bins: slice = slice(None)) -> Samples:
+    """Compute the energy of signals, (..., n_samples), at every DFT frequency or at some of them: (..., n_bins)."""
     from scipy import fft
 
     spectrum = fft.rfft(samples)[..., bins]
@@ -73,10 +78,8 @@ def energy_spectrum(samples: NDArray[np.float64], bins: slice = slice(None)) -> 
     return energy
 
 
-def linear_grid(n_samples: int, rate_hz: float) -> NDArray[np.float64]:
-    """DFT frequencies from 20 Hz to 1000 Hz, or to the Nyquist frequency if that is lower.
-
-    Returns (n_frequencies,), frequencies in Hz, possibly none.
+def linear_grid(n_samples: int, rate_hz: float) -> Samples:
+    """DFT frequencies from 20 Hz to 1000 Hz, or to the Nyquist frequency if that is lower; possibly none.
 
     Examples
     --------
@@ -90,11 +93,8 @@ def linear_grid(n_samples: int, rate_hz: float) -> NDArray[np.float64]:
     return np.arange(first, last + 1, dtype=np.float64) * spacing
 
 
-def log_grid(n_samples: int, rate_hz: float, *, points_per_octave: int = 24) -> NDArray[np.float64]:
-    """Logarithmically spaced frequencies from 20 Hz to 1000 Hz, or to the Nyquist frequency if that is lower.
-
-    Returns (n_frequencies,), frequencies in Hz, possibly none.
-    """
+def log_grid(n_samples: int, rate_hz: float, *, points_per_octave: int = 24) -> Samples:
+    """Logarithmically spaced frequencies over the same range as `linear_grid`; possibly none."""
     lowest, highest = max(LOWEST_HZ, rate_hz / n_samples), min(HIGHEST_HZ, rate_hz / 2)
     if lowest > highest:
         return np.zeros(0)
@@ -105,17 +105,13 @@ def log_grid(n_samples: int, rate_hz: float, *, points_per_octave: int = 24) -> 
 class WeberSmoothing:
     """Running mean over 0.22 f around f, for one grid: O(n), without loops or matrices over frequencies.
 
-    frequencies_hz: (n_frequencies,).
-
-    Notes
-    -----
     Each bin's energy is spread evenly over one spacing, so the window's edges may cut bins. A window narrower than one
     spacing gives the bin itself; one that reaches beyond the last bin is cut off there and averaged over what is left.
     Bins far below the lowest frequency, the offset among them, never enter the running sum, and the sum is kept in
     extended precision where the platform has it: a strong tone costs its weak neighbours no accuracy.
     """
 
-    def __init__(self, frequencies_hz: NDArray[np.float64], spacing_hz: float, n_bins: int) -> None:
+    def __init__(self, frequencies_hz: Samples, spacing_hz: float, n_bins: int) -> None:
         centre = frequencies_hz / spacing_hz + 0.5
         half = np.maximum(WEBER_FRACTION / 2 * frequencies_hz / spacing_hz, 0.5)
         low, high = np.maximum(centre - half, 0.0), np.minimum(centre + half, float(n_bins))
@@ -125,11 +121,8 @@ class WeberSmoothing:
         self._low, self._high = (_Edges.at(edge - first, last - first) for edge in (low, high))
         self._width = high - low
 
-    def __call__(self, spectrum: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Smooth spectra.
-
-        spectrum: (..., number of `bins`); returns (..., n_frequencies).
-        """
+    def __call__(self, spectrum: Samples) -> Samples:
+        """Smooth spectra: (..., number of `bins`) in, (..., n_frequencies) out."""
         running = np.zeros((*spectrum.shape[:-1], spectrum.shape[-1] + 1), dtype=np.longdouble)
         np.cumsum(spectrum, axis=-1, out=running[..., 1:])
         low, high = self._low, self._high
@@ -142,18 +135,15 @@ class _Edges(NamedTuple):
     """Where the windows' edges cut the running sum: after so many whole bins, and a share of the next."""
 
     bin: NDArray[np.intp]
-    share: NDArray[np.float64]
+    share: Samples
 
     @classmethod
-    def at(cls, position: NDArray[np.float64], n_bins: int) -> _Edges:
+    def at(cls, position: Samples, n_bins: int) -> _Edges:
         whole = np.clip(position.astype(np.intp), 0, max(n_bins - 1, 0))
         return cls(whole, position - whole)
 
 
-GRIDS: Mapping[str, Callable[[int, float], NDArray[np.float64]]] = MappingProxyType({
-    "linear": linear_grid,
-    "log": log_grid,
-})
+GRIDS = {"linear": linear_grid, "log": log_grid}
 """Name -> frequencies that the spectral match averages over."""
 
 
@@ -161,14 +151,10 @@ class OriginalSpectrum:
     """The smoothed spectrum of one recording, ready to be compared with many reduced signals.
 
     The sum of the axes' energies does not change when the sensor is turned, so one such spectrum serves every
-    orientation.
-
-    samples: (3, n_samples), the recording, n_samples >= 1.
+    orientation. Samples are (3, n_samples) with n_samples >= 1.
     """
 
-    def __init__(
-        self, samples: NDArray[np.float64], rate_hz: float, *, grid: Grid = "linear"
-    ) -> None:
+    def __init__(self, samples: Samples, rate_hz: float, *, grid: Grid = "linear") -> None:
         n = samples.shape[-1]
         frequencies = GRIDS[grid](n, rate_hz)
         self._smooth = WeberSmoothing(frequencies, rate_hz / n, n // 2 + 1)
@@ -191,46 +177,55 @@ class OriginalSpectrum:
             return ""
         if len(self._smoothed):
             return (
-                "the recording has no energy from 20 to 1000 Hz: it is silent there, or its offset, a million times as "
-                "large, must be removed first"
+                "the recording has no energy from 20 to 1000 Hz: it is silent there, or its offset, a million times "
+                "larger, must be removed first"
             )
         return (
             "the recording is too short, or its rate too low, for any frequency from 20 to 1000 Hz"
         )
 
-    def match(self, reduced: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Spectral match of one or many reduced signals.
+    def describe(self, reduced: Samples) -> SpectralMatch:
+        """Match one reduced signal, frequency by frequency."""
+        difference = self._subtract(reduced)
+        apart = difference[self._used]
+        used = self.frequencies_hz
+        return SpectralMatch(
+            value=float(self._relate(difference)),
+            lowest_hz=float(used[0]) if len(used) else np.nan,
+            highest_hz=float(used[-1]) if len(used) else np.nan,
+            n_frequencies=len(used),
+            n_left_out=self.n_left_out,
+            bounded=float(self._relate_bounded(reduced, difference)),
+            reason=self.reason,
+            frequencies_hz=used,
+            energy=self.smoothed,
+            energy_reduced=self.smoothed - apart,
+            deviation=np.abs(apart) / self.smoothed,
+        )
 
-        reduced: (..., n_samples); returns (...), naN where no frequency can be compared.
-        """
+    def match(self, reduced: Samples) -> Samples:
+        """Spectral match of reduced signals, (..., n_samples); NaN where no frequency can be compared."""
         return self._relate(self._subtract(reduced))
 
-    def match_both(
-        self, reduced: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Spectral match and bounded spectral match, from one spectrum of each reduced signal.
-
-        reduced: (..., n_samples); returns (...), naN where no frequency can be compared.
-        """
+    def match_both(self, reduced: Samples) -> tuple[Samples, Samples]:
+        """Spectral match and bounded spectral match, from one spectrum of each reduced signal."""
         difference = self._subtract(reduced)
         return self._relate(difference), self._relate_bounded(reduced, difference)
 
-    def _subtract(self, reduced: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _subtract(self, reduced: Samples) -> Samples:
         """Smoothed energy of the recording minus that of the reduced signals, shape (..., n_frequencies)."""
         # The difference is taken before it is smoothed: what two equal spectra share cancels without rounding.
         difference = energy_spectrum(reduced, self._smooth.bins)
         np.subtract(self._spectrum, difference, out=difference)
         return self._smooth(difference)
 
-    def _relate(self, difference: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _relate(self, difference: Samples) -> Samples:
         if not len(self.smoothed):
             return np.full(difference.shape[:-1], np.nan)
         deviation = np.abs(difference[..., self._used])
         return np.asarray(1.0 - (deviation / self.smoothed).mean(axis=-1))
 
-    def _relate_bounded(
-        self, reduced: NDArray[np.float64], difference: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def _relate_bounded(self, reduced: Samples, difference: Samples) -> Samples:
         strongest = self._smoothed + np.maximum(-difference, 0.0)  # max(E, S) = E + max(S - E, 0)
         energy = np.maximum(np.einsum("...n,...n->...", reduced, reduced), self._energy)
         used = self._used | (strongest > NUMERICAL_FLOOR * energy[..., None])
@@ -242,18 +237,28 @@ class OriginalSpectrum:
         return np.where(count > 0, np.maximum(match, 0.0), np.nan)
 
 
-# METRICS: how well a reduced signal matches the recording, in spectrum and in time.
-
 _SILENT = 1e-12
 _BEYOND_COMPARISON = 1e80
 
 
-@dataclass(frozen=True, slots=True)
-class SpectralMatch:
-    """A spectral match and what it rests on.
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class SpectralMatch(Result):
+    """A spectral match and the frequencies it rests on.
 
-    value: naN if no frequency could be compared; lowest_hz, highest_hz: naN if none could be;
-    reason: why the match is NaN.
+    Parameters
+    ----------
+    value : float
+        Spectral match; NaN if no frequency could be compared.
+    lowest_hz, highest_hz : float
+        Range that was compared, in Hz; NaN if there was none.
+    n_frequencies, n_left_out : int
+        Frequencies compared, and left out below the numerical floor.
+    bounded : float
+        Bounded spectral match.
+    reason : str
+        Why the match is NaN; empty where it is not.
+    frequencies_hz, energy, energy_reduced, deviation : ndarray, shape (n_frequencies,)
+        Frequencies compared, the smoothed energy of both signals there, and the relative deviation that eq. 1 averages.
     """
 
     value: float
@@ -262,15 +267,29 @@ class SpectralMatch:
     n_frequencies: int
     n_left_out: int
     bounded: float
-    reason: str = ""
+    reason: str
+    frequencies_hz: Samples
+    energy: Samples
+    energy_reduced: Samples
+    deviation: Samples
 
 
-@dataclass(frozen=True, slots=True)
-class TemporalMatch:
-    """A temporal match and what it rests on.
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class TemporalMatch(Result):
+    """A temporal match and the axes it rests on.
 
-    value: naN if all three axes are silent; correlations: naN for a silent axis; reason: why the
-    match is NaN.
+    Parameters
+    ----------
+    value : float
+        Temporal match; NaN if all three axes are silent.
+    correlations : tuple of float
+        Absolute correlation with each axis; NaN for a silent one.
+    silent_axes : tuple of int
+        The silent axes, from 0: those whose norm is below 1e-12 of the strongest axis's.
+    silent_reduced : bool
+        Whether the reduced signal is silent.
+    reason : str
+        Why the match is NaN; empty where it is not.
     """
 
     value: float
@@ -281,18 +300,22 @@ class TemporalMatch:
 
 
 def spectral_match(
-    acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float, *, grid: Grid = "linear"
+    acceleration: ArrayLike | Recording,
+    reduced: ArrayLike,
+    rate_hz: float | None = None,
+    *,
+    grid: Grid = "linear",
 ) -> float:
-    r"""Tell how well a reduced signal keeps the energy of all three axes at every frequency (eq. 1).
+    r"""Compute how well a reduced signal keeps the energy of all three axes at every frequency (eq. 1).
 
     Parameters
     ----------
-    acceleration : array_like, shape (3, n_samples)
+    acceleration : array_like, shape (3, n_samples), or Recording
         The recording, any unit.
     reduced : array_like, shape (n_samples,)
         The reduced signal, same unit.
-    rate_hz : float
-        Sampling rate in Hz.
+    rate_hz : float, optional
+        Sampling rate in Hz, unless a Recording is given.
     grid : {"linear", "log"}
         Frequencies averaged over: the DFT's own from 20 Hz to min(1000 Hz, Nyquist), as in the paper, or 24 per octave.
 
@@ -309,7 +332,7 @@ def spectral_match(
 
     Notes
     -----
-    With :math:`\tilde E` the energy spectral density smoothed over 22 % of the frequency (see `spectrum`),
+    With :math:`\tilde E` the energy spectral density smoothed over 22 % of the frequency (`WeberSmoothing`),
 
     .. math:: M_{sm} = 1 - \frac{1}{n_f} \sum_{f = 20\,\mathrm{Hz}}^{1000\,\mathrm{Hz}}
         \frac{|\tilde E_x + \tilde E_y + \tilde E_z - \tilde E_s|}{\tilde E_x + \tilde E_y + \tilde E_z}
@@ -320,10 +343,12 @@ def spectral_match(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from feel321 import stimuli
     >>> u = np.sin(np.arange(1000))
-    >>> round(spectral_match([u, u, u], u, 1000), 9)
+    >>> round(stimuli.spectral_match([u, u, u], u, 1000), 9)
     0.333333333
-    >>> round(spectral_match([u, u, u], u + u + u, 1000), 9)
+    >>> round(stimuli.spectral_match([u, u, u], u + u + u, 1000), 9)
     -1.0
     """
     original, signal = _compare(acceleration, reduced, rate_hz, grid=grid)
@@ -331,57 +356,54 @@ def spectral_match(
 
 
 def spectral_match_details(
-    acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float, *, grid: Grid = "linear"
+    acceleration: ArrayLike | Recording,
+    reduced: ArrayLike,
+    rate_hz: float | None = None,
+    *,
+    grid: Grid = "linear",
 ) -> SpectralMatch:
-    """Compute `spectral_match` and say which frequencies it rests on.
+    """Compute both spectral matches, and show them frequency by frequency.
 
     Parameters
     ----------
-    acceleration : array_like, shape (3, n_samples)
-        The recording, any unit.
-    reduced : array_like, shape (n_samples,)
-        The reduced signal, same unit.
-    rate_hz : float
-        Sampling rate in Hz.
-    grid : {"linear", "log"}
-        Frequencies averaged over.
+    acceleration, reduced, rate_hz, grid : as for `spectral_match`
+        What is compared.
 
     Returns
     -------
     SpectralMatch
-        The match, the range covered, the number of frequencies, and how many were left out below the numerical floor.
+        The matches, the frequencies compared, the energy of both signals there, and why a match is NaN.
 
     Raises
     ------
     ValueError
         If shapes or values are wrong.
+
+    Examples
+    --------
+    >>> from feel321 import stimuli
+    >>> scene = stimuli.make_scene("bumps", duration_s=1)
+    >>> found = stimuli.spectral_match_details(scene, stimuli.reduce(scene, "say321"))
+    >>> found.n_frequencies, bool(abs(1 - found.deviation.mean() - found.value) < 1e-12)
+    (981, True)
     """
     original, signal = _compare(acceleration, reduced, rate_hz, grid=grid)
-    used = original.frequencies_hz
-    value, bounded = map(float, original.match_both(signal))
-    lowest, highest = (
-        (float(used[0]), float(used[-1])) if len(used) else (float("nan"), float("nan"))
-    )
-    return SpectralMatch(
-        value, lowest, highest, len(used), original.n_left_out, bounded, original.reason
-    )
+    return original.describe(signal)
 
 
 def spectral_match_bounded(
-    acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float, *, grid: Grid = "linear"
+    acceleration: ArrayLike | Recording,
+    reduced: ArrayLike,
+    rate_hz: float | None = None,
+    *,
+    grid: Grid = "linear",
 ) -> float:
     r"""Compute the spectral match with deviations relative to the stronger spectrum: eq. 1, bounded by 0 and 1.
 
     Parameters
     ----------
-    acceleration : array_like, shape (3, n_samples)
-        The recording, any unit.
-    reduced : array_like, shape (n_samples,)
-        The reduced signal, same unit.
-    rate_hz : float
-        Sampling rate in Hz.
-    grid : {"linear", "log"}
-        Frequencies averaged over, as for `spectral_match`.
+    acceleration, reduced, rate_hz, grid : as for `spectral_match`
+        What is compared.
 
     Returns
     -------
@@ -413,10 +435,10 @@ def spectral_match_bounded(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from feel321 import stimuli
     >>> u = np.sin(np.arange(1000))
-    >>> round(spectral_match_bounded([u, u, u], u, 1000), 9)
-    0.333333333
-    >>> round(spectral_match_bounded([u, u, u], u + u + u, 1000), 9)
+    >>> round(stimuli.spectral_match_bounded([u, u, u], u + u + u, 1000), 9)
     0.333333333
     """
     original, signal = _compare(acceleration, reduced, rate_hz, grid=grid)
@@ -424,13 +446,13 @@ def spectral_match_bounded(
 
 
 def temporal_match(
-    acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float | None = None
+    acceleration: ArrayLike | Recording, reduced: ArrayLike, rate_hz: float | None = None
 ) -> float:
-    r"""Tell how well peaks and sudden changes of the reduced signal coincide with those of the axes (eq. 2).
+    r"""Compute how well peaks and sudden changes of the reduced signal coincide with those of the axes (eq. 2).
 
     Parameters
     ----------
-    acceleration : array_like, shape (3, n_samples)
+    acceleration : array_like, shape (3, n_samples), or Recording
         The recording, any unit.
     reduced : array_like, shape (n_samples,)
         The reduced signal, any unit.
@@ -458,71 +480,63 @@ def temporal_match(
 
     Examples
     --------
-    >>> temporal_match([[1, 0], [0, 1], [0, 0]], [1, 0])
+    >>> from feel321 import stimuli
+    >>> stimuli.temporal_match([[1, 0], [0, 1], [0, 0]], [1, 0])
     0.5
     """
     return temporal_match_details(acceleration, reduced, rate_hz).value
 
 
 def temporal_match_details(
-    acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float | None = None
+    acceleration: ArrayLike | Recording, reduced: ArrayLike, rate_hz: float | None = None
 ) -> TemporalMatch:
-    """Compute `temporal_match` and say which axes it rests on.
+    """Compute `temporal_match`, and show it axis by axis.
 
     Parameters
     ----------
-    acceleration : array_like, shape (3, n_samples)
-        The recording, any unit.
-    reduced : array_like, shape (n_samples,)
-        The reduced signal, any unit.
-    rate_hz : float, optional
-        Not used by this metric.
+    acceleration, reduced, rate_hz : as for `temporal_match`
+        What is compared.
 
     Returns
     -------
     TemporalMatch
-        The match, the absolute correlation with each axis (NaN for a silent one), the silent axes, and whether the
-        reduced signal is silent. An axis is silent if its norm is below 1e-12 of the strongest axis's.
+        The match, the absolute correlation with each axis, the silent axes, and why the match is NaN.
 
     Raises
     ------
     ValueError
         If shapes or values are wrong.
+
+    Examples
+    --------
+    >>> from feel321 import stimuli
+    >>> stimuli.temporal_match_details([[3, 4], [4, 3], [0, 0]], [3, 4]).silent_axes
+    (2,)
     """
-    samples = admit(acceleration, 1.0 if rate_hz is None else rate_hz).samples
-    signal = check_reduced(reduced, samples.shape)
+    samples = admit(*as_signal(acceleration, rate_hz, otherwise=1.0)).samples
     # The reduced signal's strength does not matter, so it gets a scale of its own.
-    if not is_safe(largest(signal)):
-        signal = np.ldexp(signal, -np.frexp(largest(signal))[1])
+    (signal,) = scale_down(check_reduced(reduced, samples.shape))
     correlations = axis_correlations(samples, signal)
     x, y, z = (float(r) for r in correlations)
     silent = tuple(int(axis) for axis in np.flatnonzero(np.isnan(correlations)))
-    reason = (
-        "all three axes of the recording are silent" if len(silent) == len(correlations) else ""
-    )
-    return TemporalMatch(
-        float(mean_heard(correlations)), (x, y, z), silent, not signal.any(), reason
-    )
+    reason = "all three axes of the recording are silent" if len(silent) == len("xyz") else ""
+    value = float(mean_over_axes(correlations))
+    return TemporalMatch(value, (x, y, z), silent, not signal.any(), reason)
 
 
-def mean_heard(correlations: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Mean over the axes that are not silent.
-
-    correlations: (..., 3); returns (...), naN where all axes are silent.
-    """
-    heard = ~np.isnan(correlations)
-    count = heard.sum(axis=-1)
-    mean = np.where(heard, correlations, 0.0).sum(axis=-1) / np.maximum(count, 1)
+def mean_over_axes(correlations: Samples) -> Samples:
+    """Mean over the axes that are not silent: (..., 3) in, (...) out, NaN where all axes are silent."""
+    moving = ~np.isnan(correlations)
+    count = moving.sum(axis=-1)
+    mean = np.where(moving, correlations, 0.0).sum(axis=-1) / np.maximum(count, 1)
     return np.where(count > 0, mean, np.nan)
 
 
-def axis_correlations(
-    samples: NDArray[np.float64], reduced: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Absolute correlation at zero lag of reduced signals with each axis, NaN for silent axes.
+mean_heard = mean_over_axes  # kept until all branches are in
 
-    samples: (..., 3, n_samples); reduced: (..., n_samples); returns (..., 3).
-    """
+
+def axis_correlations(samples: Samples, reduced: Samples) -> Samples:
+    """Absolute correlation at zero lag of reduced signals, (..., n), with each axis: (..., 3), NaN for silent axes."""
     together = np.abs(np.einsum("...in,...n->...i", samples, reduced))
     norms = np.sqrt(np.einsum("...in,...in->...i", samples, samples))
     silent = norms <= _SILENT * norms.max(axis=-1, keepdims=True)
@@ -531,44 +545,34 @@ def axis_correlations(
     return np.where(silent, np.nan, np.minimum(together / np.where(silent, 1.0, scale), 1.0))
 
 
-class Metric(Protocol):
-    """A match metric: how well a reduced signal matches its recording."""
+Metric = types.Metric  # kept until all branches are in
 
-    def __call__(self, acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float, /) -> float:
-        """Match of one reduced signal."""
-
-
-METRICS: Mapping[str, Metric] = MappingProxyType({
-    "spectral_match": spectral_match,
-    "temporal_match": temporal_match,
-    "spectral_match_bounded": spectral_match_bounded,
-})
-"""Name -> metric."""
+METRICS: Registry[types.Metric] = Registry(
+    "metric",
+    {
+        "spectral_match": spectral_match,
+        "temporal_match": temporal_match,
+        "spectral_match_bounded": spectral_match_bounded,
+    },
+)
+"""Name -> metric, called as `METRICS[name](acceleration, reduced, rate_hz)`."""
 
 PLANNED = ("spectral_match_bounded", "temporal_match")
 """The metrics of the primary analysis, unless a study declares others."""
 
 
 def _compare(
-    acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float, *, grid: Grid
-) -> tuple[OriginalSpectrum, NDArray[np.float64]]:
-    """Check a pair, and give the recording's spectrum and the reduced signal on its scale."""
-    if grid not in GRIDS:
-        raise ValueError(f"grid: got {grid!r}, allowed is one of {', '.join(GRIDS)}")
-    samples, signal = _admit_pair(acceleration, reduced, rate_hz)
+    acceleration: ArrayLike | Recording, reduced: ArrayLike, rate_hz: float | None, *, grid: Grid
+) -> tuple[OriginalSpectrum, Samples]:
+    """Check a pair, and return the recording's spectrum and the reduced signal, both scaled into a safe range."""
+    check_name(grid, GRIDS, "grid")
+    given, rate = as_signal(acceleration, rate_hz)
+    admitted = admit(given, rate)
+    signal = check_reduced(reduced, admitted.samples.shape)
+    if admitted.exponents is not None:
+        signal = np.ldexp(signal, -admitted.exponents)
     if largest(signal) > _BEYOND_COMPARISON * SAFE_PEAK[1]:
         raise ValueError(
-            "reduced: is more than 1e80 times as strong as the recording; are they in the same unit?"
+            "reduced is more than 1e80 times as strong as the recording; are they in the same unit?"
         )
-    return OriginalSpectrum(samples, check_rate(rate_hz), grid=grid), signal
-
-
-def _admit_pair(
-    acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Check both signals and scale them by one power of two into a safe range."""
-    admitted = admit(acceleration, rate_hz)
-    signal = check_reduced(reduced, admitted.samples.shape)
-    return admitted.samples, signal if admitted.exponents is None else np.ldexp(
-        signal, -admitted.exponents
-    )
+    return OriginalSpectrum(admitted.samples, float(rate), grid=grid), signal

@@ -1,4 +1,4 @@
-"""Recordings: three axes of acceleration at a sampling rate, checked at the door.
+"""Recordings: three axes of acceleration at a sampling rate, and the checks that every reducer and metric begins with.
 
 Units: acceleration in m/s², rate in Hz, time in s.
 
@@ -9,15 +9,19 @@ power of two (which is exact) and its output scaled back. Ordinary recordings pa
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, NamedTuple, SupportsFloat
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+from feel321.doors import check_name, describe
+from feel321.records import Result
 
-# A recording: three-axis acceleration that never travels without its rate.
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, DTypeLike, NDArray
+    from pandas import DataFrame
+
+    from feel321.types import Samples
 
 STANDARD_GRAVITY = 9.80665
 """m/s² per g, CGPM 1901."""
@@ -27,15 +31,18 @@ UNITS = {"m/s^2": 1.0, "g": STANDARD_GRAVITY, "mg": STANDARD_GRAVITY / 1000}
 
 AXES = 3
 
+SAFE_PEAK = (1e-60, 1e60)
+"""Fourth powers of anything between these stay far inside float64's range, for any length."""
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Recording:
+
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Recording(Result):
     """Three-axis acceleration measured on a hand-held tool.
 
     Parameters
     ----------
     acceleration : array_like, shape (3, n_samples)
-        Acceleration in m/s². Copied to float64 and made read-only.
+        Acceleration, kept as m/s²: a read-only float64 copy.
     rate_hz : float
         Sampling rate in Hz, greater than 0.
     name : str
@@ -44,9 +51,11 @@ class Recording:
         What the reader noticed (saturated runs, silent axes, an assumed unit); never repaired.
     sha256 : str
         Digest of the source file; if left out, of the samples and the rate.
+    unit : {"m/s^2", "g", "mg"}
+        Unit of the given acceleration; that of the recording is always m/s².
     sha256_of : str
-        Set by the class: the digest of source and of samples for which `sha256` was given. So a copy made by
-        `dataclasses.replace` with other samples or another rate gets a digest of its own.
+        Set by the class: the digest of source and of samples for which `sha256` was given. So a copy with other
+        samples or another rate gets a digest of its own.
 
     Raises
     ------
@@ -55,26 +64,32 @@ class Recording:
 
     Examples
     --------
-    >>> tap = Recording([[0, 1, 0], [0, 2, 0], [0, 2, 0]], rate_hz=1000, name="tap")
-    >>> tap.n_samples, tap.duration_s
-    (3, 0.003)
+    >>> from feel321 import stimuli
+    >>> tap = stimuli.Recording([[0, 1, 0], [0, 2, 0], [0, 2, 0]], rate_hz=1000, name="tap")
+    >>> tap
+    Recording('tap', 3 samples at 1000 Hz, 0.003 s)
+    >>> tap.times_s
+    array([0.   , 0.001, 0.002])
     """
 
-    acceleration: NDArray[np.float64]
+    acceleration: Samples
     rate_hz: float
-    name: str
+    name: str = ""
     warnings: tuple[str, ...] = ()
     sha256: str = ""
-    sha256_of: str = field(default="", repr=False, kw_only=True)
+    unit: str = field(default="m/s^2", kw_only=True)
+    sha256_of: str = field(default="", kw_only=True)
 
     def __post_init__(self) -> None:
-        """Coerce once, at the door."""
+        """Check and convert once, when the recording is made."""
         samples = check_acceleration(self.acceleration).copy()
         if samples.ndim != 2 or samples.shape[1] == 0:  # noqa: PLR2004 - axes x samples
             raise ValueError(
-                f"recording {self.name!r}: got shape {samples.shape}, allowed is (3, n) with n >= 1"
+                f"recording {self.name!r} must have the shape (3, n) with n >= 1, got {samples.shape}"
             )
+        samples *= UNITS[check_name(self.unit, UNITS, "unit")]
         samples.flags.writeable = False
+        object.__setattr__(self, "unit", "m/s^2")
         object.__setattr__(self, "acceleration", samples)
         object.__setattr__(self, "rate_hz", check_rate(self.rate_hz))
         own = digest_samples(self)
@@ -93,6 +108,163 @@ class Recording:
         """Duration in s."""
         return self.n_samples / self.rate_hz
 
+    @property
+    def times_s(self) -> Samples:
+        """Time of each sample in s, from 0."""
+        return np.arange(self.n_samples) / self.rate_hz
+
+    def crop(self, start_s: float, end_s: float) -> Recording:
+        """Keep a part.
+
+        Parameters
+        ----------
+        start_s, end_s : float
+            Its start and end in s.
+
+        Returns
+        -------
+        Recording
+            The part, with a digest of its own.
+
+        Raises
+        ------
+        ValueError
+            If the part reaches beyond the recording or holds no sample.
+        """
+        if not 0 <= start_s < end_s <= self.duration_s * (1 + 1e-9):
+            raise ValueError(
+                f"crop_s must be (start, end) with 0 <= start < end <= {self.duration_s:.4f} s, the duration of "
+                f"{self.name!r}; got ({start_s}, {end_s})"
+            )
+        start, end = (round(time * self.rate_hz) for time in (start_s, end_s))
+        if end <= start:
+            raise ValueError(
+                f"crop_s ({start_s}, {end_s}) holds no sample at {self.rate_hz:g} Hz; keep a longer part"
+            )
+        return replace(self, acceleration=self.acceleration[:, start:end])
+
+    def with_(
+        self,
+        *,
+        acceleration: ArrayLike | None = None,
+        rate_hz: float | None = None,
+        name: str | None = None,
+    ) -> Recording:
+        """Make a copy in which something is changed.
+
+        Parameters
+        ----------
+        acceleration : array_like, shape (3, n_samples), optional
+            Other samples in m/s²; the copy gets a digest of its own.
+        rate_hz : float, optional
+            Another rate in Hz; the copy gets a digest of its own.
+        name : str, optional
+            Another name.
+
+        Returns
+        -------
+        Recording
+            The copy.
+        """
+        given = {"acceleration": acceleration, "rate_hz": rate_hz, "name": name}
+        changes = {field: value for field, value in given.items() if value is not None}
+        return replace(self, **changes)  # type: ignore[arg-type]  # checked by the class
+
+    def to_frame(self) -> DataFrame:
+        """Return the samples as a table.
+
+        Returns
+        -------
+        DataFrame
+            Columns x, y, z in m/s², indexed by time_s.
+        """
+        import pandas as pd
+
+        index = pd.Index(self.times_s, name="time_s")
+        return pd.DataFrame(self.acceleration.T, index, columns=["x", "y", "z"])
+
+    def summary(self) -> str:
+        """Describe the recording for reading.
+
+        Returns
+        -------
+        str
+            Name, length, strength per axis, and what the reader noticed.
+        """
+        strength = np.sqrt(np.mean(np.square(self.acceleration), axis=1))
+        rms = ", ".join(f"{axis} {value:.3g}" for axis, value in zip("xyz", strength, strict=True))
+        return "\n".join([repr(self), f"RMS in m/s^2: {rms}", *self.warnings])
+
+    def __repr__(self) -> str:
+        """Name, length and rate."""
+        length = f"{self.n_samples} samples at {self.rate_hz:g} Hz, {self.duration_s:g} s"
+        return f"Recording({self.name!r}, {length})"
+
+
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Reduced(Result):
+    """A recording reduced to one axis; NumPy takes it as its samples.
+
+    Parameters
+    ----------
+    samples : ndarray, shape (n_samples,)
+        The reduced signal, in the recording's unit.
+    rate_hz : float
+        Sampling rate in Hz.
+    reducer : str
+        Name of the reducer.
+    recording : str
+        Name of the recording.
+    """
+
+    samples: Samples
+    rate_hz: float
+    reducer: str
+    recording: str = ""
+
+    def __array__(
+        self, dtype: DTypeLike = None, *, copy: bool | None = None
+    ) -> NDArray[np.generic]:
+        """Return the samples."""
+        return np.array(self.samples, dtype) if copy else np.asarray(self.samples, dtype)
+
+    def __len__(self) -> int:
+        """Count the samples."""
+        return len(self.samples)
+
+    def to_frame(self) -> DataFrame:
+        """Return the samples as a table.
+
+        Returns
+        -------
+        DataFrame
+            One column, named after the reducer, indexed by time_s.
+        """
+        import pandas as pd
+
+        index = pd.Index(np.arange(len(self)) / self.rate_hz, name="time_s")
+        return pd.DataFrame({self.reducer: self.samples}, index)
+
+
+def as_signal(
+    signal: ArrayLike | Recording | Reduced,
+    rate_hz: float | None = None,
+    *,
+    otherwise: float | None = None,
+) -> tuple[ArrayLike, float]:
+    """Take samples and their rate: of a Recording or a Reduced, or as given."""
+    if not isinstance(signal, Recording | Reduced):
+        rate_hz = otherwise if rate_hz is None else rate_hz
+        if rate_hz is None:
+            raise TypeError("rate_hz must be given with plain samples; or pass a Recording")
+        return signal, rate_hz
+    if rate_hz is not None and rate_hz != signal.rate_hz:
+        raise ValueError(
+            f"rate_hz must be left out or {signal.rate_hz:g}, that of the signal; got {rate_hz:g}"
+        )
+    samples = signal.acceleration if isinstance(signal, Recording) else signal.samples
+    return samples, signal.rate_hz
+
 
 def digest_samples(recording: Recording) -> str:
     """Digest what a recording holds, however it was stored: two readings of one file in different units differ."""
@@ -101,45 +273,39 @@ def digest_samples(recording: Recording) -> str:
     return digest.hexdigest()
 
 
-def check_acceleration(acceleration: ArrayLike) -> NDArray[np.float64]:
-    """Coerce to float64 of shape (..., 3, n), or say what is wrong.
-
-    acceleration: (..., 3, n_samples); returns (..., 3, n_samples).
-    """
+def check_acceleration(acceleration: ArrayLike) -> Samples:
+    """Coerce to finite float64 of shape (..., 3, n), or say what is wrong."""
     samples = coerce_acceleration(acceleration)
     check_finite(samples, "acceleration")
     return samples
 
 
-def coerce_acceleration(acceleration: ArrayLike) -> NDArray[np.float64]:
-    """Coerce to float64 of shape (..., 3, n); whether the values are finite is left to the caller.
-
-    acceleration: (..., 3, n_samples); returns (..., 3, n_samples).
-    """
+def coerce_acceleration(acceleration: ArrayLike) -> Samples:
+    """Coerce to float64 of shape (..., 3, n); whether the values are finite is left to the caller."""
     samples = coerce_real(acceleration, "acceleration")
     if samples.ndim < 2 or samples.shape[-2] != AXES:  # noqa: PLR2004 - axes x samples
         raise ValueError(
-            f"acceleration: got shape {samples.shape}, allowed is (..., 3, n): three axes, then samples"
+            f"acceleration must have the shape (..., 3, n), three axes, then samples; got {samples.shape}"
         )
     return samples
 
 
-def coerce_real(values: ArrayLike, what: str) -> NDArray[np.float64]:
+def coerce_real(values: ArrayLike, what: str) -> Samples:
     """Coerce real numbers to float64, or say what they are instead."""
     try:
         given = np.asarray(values)
     except ValueError as error:
         raise ValueError(
-            f"{what}: got rows of unequal lengths ({error}); allowed is one array"
+            f"{what} must be one array, got rows of unequal lengths ({error})"
         ) from None
     if given.dtype.kind not in "biuf":
-        raise ValueError(f"{what}: got values of type {given.dtype}, allowed are real numbers")
+        raise ValueError(f"{what} must be real numbers, got values of type {given.dtype}")
     if np.ma.is_masked(values):
-        raise ValueError(f"{what}: got masked values; fill or cut them out first")
+        raise ValueError(f"{what} must not be masked; fill the masked values or cut them out first")
     return given.astype(np.float64, copy=False)
 
 
-def check_finite(samples: NDArray[np.float64], what: str) -> None:
+def check_finite(samples: Samples, what: str) -> None:
     """Raise ValueError that counts and places the values that are not finite."""
     # A finite sum proves that all are finite, in one pass; an infinite one may only be an overflow.
     with np.errstate(over="ignore", invalid="ignore"):
@@ -149,50 +315,35 @@ def check_finite(samples: NDArray[np.float64], what: str) -> None:
     if len(bad):
         place = ", ".join(str(i) for i in bad[0])
         raise ValueError(
-            f"{what}: got {len(bad)} values that are not finite (first at {place}); remove or mend them"
+            f"{what} must be finite, got {len(bad)} values that are not (first at {place}); remove or correct them"
         )
 
 
-def check_rate(rate_hz: float) -> float:
-    """Return the rate as float, or say what is wrong."""
+def check_rate(rate_hz: SupportsFloat | str, what: str = "rate_hz", unit: str = " of Hz") -> float:
+    """Return a rate, or any other quantity above 0, as float, or say what is wrong."""
     try:
         rate = float(rate_hz)
     except (TypeError, ValueError):
         rate = float("nan")
     if not (np.isfinite(rate) and rate > 0):
-        raise ValueError(f"rate_hz: got {rate_hz!r}, allowed is a finite number of Hz above 0")
+        raise ValueError(f"{what} must be a finite number{unit} above 0, got {describe(rate_hz)}")
     return rate
 
 
-# The one door of every reducer: coerce, refuse, and bring extreme values into a safe range.
-
-# Fourth powers of anything between these stay far inside float64's range, for any length.
-SAFE_PEAK = (1e-60, 1e60)
-
-
 class Admitted(NamedTuple):
-    """Samples in a safe range, and the way back.
+    """Samples (..., 3, n) in a safe range, their energy (..., 1), and the way back to the caller's unit."""
 
-    samples: (..., 3, n_samples); energy: (..., 1); exponents: (..., 1).
-    """
-
-    samples: NDArray[np.float64]
-    energy: NDArray[np.float64]
+    samples: Samples
+    energy: Samples
     exponents: NDArray[np.intc] | None = None
 
-    def restore(self, reduced: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Give a reduced signal back in the caller's unit.
-
-        reduced: (..., n_samples); returns (..., n_samples).
-        """
+    def restore(self, reduced: Samples) -> Samples:
+        """Return a reduced signal in the caller's unit."""
         return reduced if self.exponents is None else np.ldexp(reduced, self.exponents)
 
 
 def admit(acceleration: ArrayLike, rate_hz: float) -> Admitted:
-    """Check a reducer's input, shape (..., 3, n_samples), and scale it only where squares would overflow or vanish.
-
-    acceleration: (..., 3, n_samples).
-    """
+    """Check a reducer's input, (..., 3, n), and scale it only where squares would overflow or vanish."""
     check_rate(rate_hz)
     samples = coerce_acceleration(acceleration)
     energy = _energy(samples)
@@ -206,36 +357,42 @@ def admit(acceleration: ArrayLike, rate_hz: float) -> Admitted:
     return Admitted(samples, _energy(samples), exponents)
 
 
-def _energy(samples: NDArray[np.float64]) -> NDArray[np.float64]:
+def _energy(samples: Samples) -> Samples:
     with np.errstate(over="ignore", invalid="ignore"):
         return np.asarray(np.einsum("...in,...in->...", samples, samples))[..., None]
 
 
 def is_safe(peaks: ArrayLike) -> NDArray[np.bool_]:
-    """Tell which peaks need no scaling."""
+    """Which peaks need no scaling."""
     peaks = np.asarray(peaks)
     return np.asarray((peaks == 0.0) | ((peaks >= SAFE_PEAK[0]) & (peaks <= SAFE_PEAK[1])))
 
 
-def largest(samples: NDArray[np.float64]) -> float:
+def scale_down(*signals: Samples) -> tuple[Samples, ...]:
+    """Divide signals by one power of two where squares would overflow or vanish."""
+    peak = max(largest(signal) for signal in signals)
+    if is_safe(peak):
+        return signals
+    exponent = int(np.frexp(peak)[1])
+    return tuple(np.ldexp(signal, -exponent) for signal in signals)
+
+
+def largest(samples: Samples) -> float:
     """Return the largest magnitude, 0 for an empty array, without making a copy."""
     return max(float(samples.max()), -float(samples.min())) if samples.size else 0.0
 
 
-def check_reduced(reduced: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Coerce a reduced signal to float64, or say why it does not go with its recording.
-
-    reduced: (n_samples,); shape: shape of the recording's acceleration, to be (3, n_samples) with
-    n_samples >= 1; returns (n_samples,).
-    """
+def check_reduced(reduced: ArrayLike, shape: tuple[int, ...]) -> Samples:
+    """Coerce a reduced signal to float64, or say why it does not fit a recording of the given shape, (3, n)."""
     if len(shape) != 2 or shape[-1] == 0:  # noqa: PLR2004 - axes x samples
         raise ValueError(
-            f"acceleration: got shape {shape}, allowed is (3, n) with n >= 1: one recording at a time"
+            f"acceleration must have the shape (3, n) with n >= 1, one recording at a time; got {shape}"
         )
     signal = coerce_real(reduced, "reduced")
     if signal.shape != shape[-1:]:
         raise ValueError(
-            f"reduced: got shape {signal.shape}, allowed is {shape[-1:]}: as many samples as the recording, one axis"
+            f"reduced must have the shape {shape[-1:]}, one axis with as many samples as the recording; "
+            f"got {signal.shape}"
         )
     check_finite(signal, "reduced")
     return signal

@@ -1,4 +1,4 @@
-"""Metrics that no rotation of the sensor changes, and how the others vary over rotations.
+"""Matches by reducer and metric, metrics that no rotation of the sensor changes, and how the others vary over them.
 
 Conventions as in `match`: acceleration (3, n_samples) and reduced (n_samples,), both finite; every counterpart is
 called alike, `INVARIANTS[name](acceleration, reduced, rate_hz)`, and `name` is the name of its metric in `METRICS`.
@@ -25,66 +25,56 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from feel321.doors import Registry, as_rng
 from feel321.stimuli.match import (
+    METRICS,
     OriginalSpectrum,
     WeberSmoothing,
     axis_correlations,
     energy_spectrum,
     linear_grid,
-    mean_heard,
+    mean_over_axes,
 )
 from feel321.stimuli.recording import (
+    Recording,
+    Reduced,
     admit,
+    as_signal,
     check_acceleration,
     check_rate,
     check_reduced,
-    is_safe,
-    largest,
+    scale_down,
 )
-from feel321.stimuli.reducers.registry import get_reducer
+from feel321.stimuli.reducers.registry import REDUCERS
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Sequence
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
+    from pandas import DataFrame
 
-    from feel321.stimuli.match import Metric
+    from feel321 import types
+    from feel321.types import Rng, Samples
 
-# INVARIANTS: for each of the paper's metrics, a bounded counterpart that turning the sensor cannot change.
+LEAST_ROTATIONS = 200
+# Rotated copies made at a time: enough to amortise a call, few enough to stay in the processor's cache.
+_SAMPLES_AT_A_TIME = 200_000
 
 # A band whose amplitude is below this share of the signals' is the rounding error of the transforms.
 _ROUNDING = 32 * np.finfo(np.float64).eps
 
 
 def spectral_match_energy_weighted(
-    acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float
+    acceleration: ArrayLike | Recording, reduced: ArrayLike, rate_hz: float | None = None
 ) -> float:
     r"""Compute the share of the energy that either signal has which is common to both, frequency by frequency.
 
-    Parameters
-    ----------
-    acceleration : array_like, shape (3, n_samples)
-        The recording, any unit.
-    reduced : array_like, shape (n_samples,)
-        The reduced signal, same unit.
-    rate_hz : float
-        Sampling rate in Hz.
-
-    Returns
-    -------
-    float
-        0 to 1: 1 if the smoothed spectra agree, 0 if one signal is silent wherever the other is not; NaN if both are
-        silent from 20 to 1000 Hz, or too short for any frequency there.
-
-    Raises
-    ------
-    ValueError
-        If shapes or values are wrong.
+    0 to 1: 1 if the smoothed spectra agree, 0 if one signal is silent wherever the other is not; NaN if both are silent
+    from 20 to 1000 Hz, or too short for any frequency there.
 
     Notes
     -----
@@ -115,17 +105,15 @@ def spectral_match_energy_weighted(
     >>> round(spectral_match_energy_weighted([u, u, u], u + u + u, 1000), 9)
     0.333333333
     """
-    rate = check_rate(rate_hz)
-    samples = check_acceleration(acceleration)
-    signal = check_reduced(reduced, samples.shape)
-    samples, signal = _bring_into_range(samples, signal)
+    given, rate = as_signal(acceleration, rate_hz)
+    samples = check_acceleration(given)
+    samples, signal = scale_down(samples, check_reduced(reduced, samples.shape))
+    check_rate(rate)
     n = samples.shape[-1]
     frequencies = linear_grid(n, rate)
     smooth = WeberSmoothing(frequencies, rate / n, n // 2 + 1)
-    original, kept = (
-        energy_spectrum(samples, smooth.bins).sum(axis=0),
-        energy_spectrum(signal, smooth.bins),
-    )
+    original = energy_spectrum(samples, smooth.bins).sum(axis=0)
+    kept = energy_spectrum(signal, smooth.bins)
     energies = float(np.einsum("in,in->", samples, samples)), float(signal @ signal)
     if not len(frequencies):
         return math.nan
@@ -138,29 +126,12 @@ def spectral_match_energy_weighted(
 
 
 def temporal_match_invariant(
-    acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float | None = None
+    acceleration: ArrayLike | Recording, reduced: ArrayLike, rate_hz: float | None = None
 ) -> float:
     r"""Compute the share of the recording's motion that goes along with the reduced signal, in amplitude.
 
-    Parameters
-    ----------
-    acceleration : array_like, shape (3, n_samples)
-        The recording, any unit.
-    reduced : array_like, shape (n_samples,)
-        The reduced signal, any unit.
-    rate_hz : float, optional
-        Not used; every counterpart takes it so that all are called alike.
-
-    Returns
-    -------
-    float
-        0 to 1: 1 if the tool moved along one line and the reduced signal is that motion; 0 if the reduced signal is
-        silent; NaN if the recording is.
-
-    Raises
-    ------
-    ValueError
-        If shapes or values are wrong.
+    0 to 1: 1 if the tool moved along one line and the reduced signal is that motion; 0 if the reduced signal is silent;
+    NaN if the recording is. The rate is not used.
 
     Notes
     -----
@@ -186,11 +157,12 @@ def temporal_match_invariant(
     >>> round(temporal_match_invariant([[3, 0], [0, 4], [0, 0]], [1, 0]), 12)
     0.6
     """
-    check_rate(1.0 if rate_hz is None else rate_hz)
-    samples = check_acceleration(acceleration)
-    signal = check_reduced(reduced, samples.shape)
+    given, rate = as_signal(acceleration, rate_hz, otherwise=1.0)
+    check_rate(rate)
+    samples = check_acceleration(given)
     # Each in its own unit.
-    (samples,), (signal,) = (_bring_into_range(samples), _bring_into_range(signal))
+    (signal,) = scale_down(check_reduced(reduced, samples.shape))
+    (samples,) = scale_down(samples)
     together = np.linalg.norm(np.einsum("in,n->i", samples, signal))
     scale = np.linalg.norm(samples) * np.linalg.norm(signal)
     if not samples.any():
@@ -201,42 +173,79 @@ def temporal_match_invariant(
 spectral_match_invariant = spectral_match_energy_weighted
 """The former name of `spectral_match_energy_weighted`."""
 
-INVARIANTS: Mapping[str, Metric] = MappingProxyType({
-    "spectral_match": spectral_match_energy_weighted,
-    "temporal_match": temporal_match_invariant,
-})
+INVARIANTS: Registry[types.Metric] = Registry(
+    "invariant",
+    {"spectral_match": spectral_match_energy_weighted, "temporal_match": temporal_match_invariant},
+)
 """Name of one of the paper's metrics -> its bounded, rotation-invariant counterpart."""
 
 
-def _bring_into_range(*signals: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
-    """Divide signals by one power of two where squares would overflow or vanish."""
-    peak = max(largest(signal) for signal in signals)
-    if is_safe(peak):
-        return signals
-    exponent = int(np.frexp(peak)[1])
-    return tuple(np.ldexp(signal, -exponent) for signal in signals)
+def match(
+    recording: Recording | ArrayLike,
+    reduced: ArrayLike | None = None,
+    *,
+    rate_hz: float | None = None,
+    reducers: str | Iterable[str | types.Reducer] = "all",
+    metrics: str | Iterable[str | types.Metric] = "all",
+) -> DataFrame:
+    """Match a recording with one reduced signal, or with what each reducer makes of it.
 
+    Parameters
+    ----------
+    recording : Recording, or array_like of shape (3, n_samples)
+        Acceleration; plain samples need `rate_hz`.
+    reduced : array_like of shape (n_samples,), or Reduced, optional
+        A reduced signal; if left out, the outputs of `reducers`.
+    rate_hz : float, optional
+        Sampling rate of plain samples in Hz.
+    reducers : "all", or a list of str or callables
+        Names of `REDUCERS`, dotted names ("mylab.haptics:my321"), or functions f(acceleration, rate_hz).
+    metrics : "all", or a list of str or callables
+        Names of `METRICS`, dotted names, or functions f(acceleration, reduced, rate_hz).
 
-# How much the metrics depend on the way the sensor was glued on: their spread over random sensor orientations.
+    Returns
+    -------
+    DataFrame
+        A row per reducer, a column per metric.
 
-LEAST_ROTATIONS = 200
-# Rotated copies made at a time: enough to amortise a call, few enough to stay in the processor's cache.
-_SAMPLES_AT_A_TIME = 200_000
+    Raises
+    ------
+    ValueError
+        If there is no such reducer or metric, or a signal cannot be matched.
+
+    Examples
+    --------
+    >>> from feel321 import stimuli
+    >>> scene = stimuli.make_scene("bumps", duration_s=1)
+    >>> stimuli.match(scene, reducers=["say321", "dft321"], metrics=["spectral_match"]).round(2)
+             spectral_match
+    reducer
+    say321             0.49
+    dft321             1.00
+    >>> stimuli.match(scene, scene.acceleration[0]).columns.tolist()
+    ['spectral_match', 'temporal_match', 'spectral_match_bounded']
+    """
+    import pandas as pd
+
+    given, rate = as_signal(recording, rate_hz)
+    samples = check_acceleration(given)
+    measures = METRICS.choose(metrics)
+    if reduced is None:
+        functions = REDUCERS.choose(reducers)
+        outputs = {name: function(samples, rate) for name, function in functions.items()}
+    else:
+        name = reduced.reducer if isinstance(reduced, Reduced) else "reduced"
+        outputs = {name: np.asarray(reduced, dtype=np.float64)}
+    rows = [
+        [measure(samples, output, rate) for measure in measures.values()]
+        for output in outputs.values()
+    ]
+    return pd.DataFrame(rows, pd.Index(outputs, name="reducer"), columns=list(measures))
 
 
 @dataclass(frozen=True, slots=True)
 class RotationStatistics:
-    """The metrics over random sensor orientations.
-
-    Parameters
-    ----------
-    spectral_mean, spectral_sd, temporal_mean, temporal_sd : float
-        Means and standard deviations (ddof 1).
-    rotations : int
-        Number of orientations.
-    bounded_mean, bounded_sd : float
-        The same of the bounded spectral match.
-    """
+    """Means and standard deviations (ddof 1) of the metrics over random sensor orientations."""
 
     spectral_mean: float
     spectral_sd: float
@@ -248,32 +257,36 @@ class RotationStatistics:
 
 
 def rotation_statistics(
-    acceleration: ArrayLike,
-    rate_hz: float,
+    recording: Recording | ArrayLike,
+    reducers: str | float | Iterable[str | types.Reducer] = "all",
     *,
-    reducer: str,
     rotations: int = LEAST_ROTATIONS,
-    rng: np.random.Generator,
-) -> RotationStatistics:
+    rng: Rng = 0,
+    reducer: str | None = None,
+    rate_hz: float | None = None,
+) -> DataFrame | RotationStatistics:
     """Reduce a recording as if the sensor had been mounted in many random ways, and describe the metrics.
 
     Parameters
     ----------
-    acceleration : array_like, shape (3, n_samples)
-        The recording, any unit.
-    rate_hz : float
-        Sampling rate in Hz.
-    reducer : str
-        A name of `REDUCERS`.
+    recording : Recording, or array_like of shape (3, n_samples)
+        Acceleration, any unit; plain samples need `rate_hz`.
+    reducers : "all", or a list of str or callables
+        Names of `REDUCERS`, dotted names ("mylab.haptics:my321"), or functions f(acceleration, rate_hz). A number is
+        taken as `rate_hz`, which stood here before.
     rotations : int
         Number of orientations, uniform over all rotations; at least 200.
-    rng : numpy.random.Generator
-        Source of the orientations.
+    rng : int or numpy.random.Generator
+        Seed or source of the orientations; all reducers meet the same ones.
+    reducer : str, optional
+        One reducer; then a RotationStatistics record is returned, as earlier versions did.
+    rate_hz : float, optional
+        Sampling rate of plain samples in Hz.
 
     Returns
     -------
-    RotationStatistics
-        Mean and standard deviation of each metric.
+    DataFrame
+        A row per reducer: mean and standard deviation (ddof 1) of each metric, and the number of orientations.
 
     Raises
     ------
@@ -283,31 +296,55 @@ def rotation_statistics(
     References
     ----------
     .. [1] Park & Kuchenbecker 2019. doi:10.1109/WHC.2019.8816148
+
+    Examples
+    --------
+    >>> from feel321 import stimuli
+    >>> scene = stimuli.make_scene("bumps", rate_hz=4000, duration_s=0.5)
+    >>> found = stimuli.rotation_statistics(scene, ["sax321", "dft321_principal"])
+    >>> found["spectral_sd"].round(2).tolist()
+    [0.05, 0.0]
     """
     if rotations != int(rotations) or rotations < LEAST_ROTATIONS:
         raise ValueError(
-            f"rotations: got {rotations}, allowed is a whole number of {LEAST_ROTATIONS} or more"
+            f"rotations must be a whole number of {LEAST_ROTATIONS} or more, got {rotations}"
         )
-    turns = random_rotations(rotations, rng)
-    found = match_rotations(acceleration, rate_hz, reducers=(reducer,), turns=turns)[0]
-    means, sds = found.mean(axis=1).tolist(), found.std(axis=1, ddof=1).tolist()
-    spectral, temporal, bounded = zip(means, sds, strict=True)
-    return RotationStatistics(*spectral, *temporal, rotations, *bounded)
+    wanted, rate_hz = (
+        ("all", reducers) if isinstance(reducers, int | float) else (reducers, rate_hz)
+    )
+    given, rate = as_signal(recording, rate_hz)
+    chosen = REDUCERS.choose(wanted if reducer is None else [reducer])
+    turns = random_rotations(rotations, as_rng(rng))
+    found = match_rotations(given, rate, reducers=list(chosen.values()), turns=turns)
+    means, sds = found.mean(axis=2), found.std(axis=2, ddof=1)
+    rows = [
+        RotationStatistics(mean[0], sd[0], mean[1], sd[1], rotations, mean[2], sd[2])
+        for mean, sd in zip(means.tolist(), sds.tolist(), strict=True)
+    ]
+    if reducer is not None:
+        return rows[0]
+    import pandas as pd
+
+    return pd.DataFrame(rows, pd.Index(chosen, name="reducer"))
 
 
 def match_rotations(
-    acceleration: ArrayLike, rate_hz: float, *, reducers: Sequence[str], turns: NDArray[np.float64]
-) -> NDArray[np.float64]:
+    acceleration: ArrayLike,
+    rate_hz: float,
+    *,
+    reducers: Sequence[str | types.Reducer],
+    turns: Samples,
+) -> Samples:
     """Turn a recording, as if the sensor had been mounted otherwise, reduce it, and match it with itself.
 
-    acceleration: (3, n_samples); turns: (rotations, 3, 3); returns (n_reducers, 3, rotations).
+    turns: (rotations, 3, 3); returns (n_reducers, 3, rotations): spectral, temporal, bounded spectral match.
     """
     samples = admit(acceleration, rate_hz).samples
     if samples.ndim != 2 or samples.shape[1] == 0:  # noqa: PLR2004 - axes x samples
         raise ValueError(
-            f"acceleration: got shape {samples.shape}, allowed is (3, n), n >= 1: one recording at a time"
+            f"acceleration must have the shape (3, n), n >= 1, one recording at a time; got {samples.shape}"
         )
-    reduce = [get_reducer(name) for name in reducers]
+    reduce = [REDUCERS.find(one) for one in reducers]
     original = OriginalSpectrum(samples, rate_hz)
     found = np.empty((len(reduce), 3, len(turns)))
     per_batch = max(1, _SAMPLES_AT_A_TIME // samples.size)
@@ -317,19 +354,13 @@ def match_rotations(
         for place, one in enumerate(reduce):
             reduced = one(turned, rate_hz)
             spectral, bounded = original.match_both(reduced)
-            found[place, :, batch] = (
-                spectral,
-                mean_heard(axis_correlations(turned, reduced)),
-                bounded,
-            )
+            temporal = mean_over_axes(axis_correlations(turned, reduced))
+            found[place, :, batch] = spectral, temporal, bounded
     return found
 
 
-def random_rotations(count: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Draw rotations uniformly.
-
-    Returns (count, 3, 3).
-    """
+def random_rotations(count: int, rng: np.random.Generator) -> Samples:
+    """Draw rotations uniformly: (count, 3, 3)."""
     from scipy.stats import special_ortho_group
 
     return np.asarray(special_ortho_group(3, seed=rng).rvs(count)).reshape(count, 3, 3)

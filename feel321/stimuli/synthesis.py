@@ -19,19 +19,18 @@ References
 
 from __future__ import annotations
 
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from feel321.doors import Registry, as_rng, check_name
 from feel321.stimuli.recording import Recording, check_rate
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable
 
-    from numpy.typing import NDArray
+    from feel321.types import Rng, Samples
 
-    Samples = NDArray[np.float64]
 
 # Modes of a stylus held in the hand: frequency in Hz, decay time in s, direction of the motion at the sensor.
 _TOOL_MODES = (
@@ -42,15 +41,13 @@ _TOOL_MODES = (
 )
 
 
-class Scene(Protocol):
-    """Makes acceleration in m/s², shape (3, n), at the times given in s."""
-
-    def __call__(self, time_s: Samples, rng: np.random.Generator, /) -> Samples:
-        """Acceleration of the three axes."""
-
-
 def make_scene(
-    name: str, *, seed: int = 0, rate_hz: float = 10000.0, duration_s: float = 4.0
+    name: str,
+    *,
+    rng: Rng = 0,
+    rate_hz: float = 10000.0,
+    duration_s: float = 4.0,
+    seed: int | None = None,
 ) -> Recording:
     """Make a synthetic recording.
 
@@ -58,12 +55,14 @@ def make_scene(
     ----------
     name : str
         One of `SCENES`.
-    seed : int
-        Seed of the scene's random parts.
+    rng : int or numpy.random.Generator
+        Seed or source of the scene's random parts; with the same seed, scenes of different names differ.
     rate_hz : float
         Sampling rate in Hz, at least 4000 so that the tool's modes are represented.
     duration_s : float
         Duration in s, at least 0.1.
+    seed : int, optional
+        Former name of `rng`.
 
     Returns
     -------
@@ -77,25 +76,25 @@ def make_scene(
 
     Examples
     --------
-    >>> make_scene("bumps", duration_s=1.0).acceleration.shape
-    (3, 10000)
+    >>> from feel321 import stimuli
+    >>> stimuli.make_scene("bumps", duration_s=1)
+    Recording('bumps', 10000 samples at 10000 Hz, 1 s)
     """
-    if name not in SCENES:
-        raise ValueError(f"scene: got {name!r}, allowed is one of {', '.join(SCENES)}")
+    make = SCENES[check_name(name, SCENES, "scene")]
     if check_rate(rate_hz) < 4000 or not 0.1 <= duration_s <= 3600:  # noqa: PLR2004 - limits named in the message
         raise ValueError(
-            f"scene: got {rate_hz} Hz for {duration_s} s, allowed is 4000 Hz or more for 0.1 s to 3600 s"
+            "a scene must have 4000 Hz or more and last 0.1 s to 3600 s, "
+            f"got {rate_hz} Hz and {duration_s} s"
         )
     time_s = np.arange(round(duration_s * rate_hz)) / rate_hz
-    rng = np.random.default_rng([seed, *name.encode()])
-    return Recording(SCENES[name](time_s, rng), rate_hz, name)
+    if not isinstance(rng, np.random.Generator):
+        as_rng(rng if seed is None else seed)
+        rng = np.random.default_rng([rng if seed is None else seed, *name.encode()])
+    return Recording(make(time_s, rng), rate_hz, name)
 
 
 def bumps(time_s: Samples, rng: np.random.Generator) -> Samples:
-    """Ride over small ridges with the tip: a push sideways and up at each, and the tool rings.
-
-    time_s: (n,); returns (3, n), acceleration in m/s².
-    """
+    """Ride over small ridges with the tip: a push sideways and up at each, and the tool rings."""
     at = np.arange(0.15, time_s[-1], 0.22)
     at = at + rng.uniform(-0.04, 0.04, len(at))
     width_s, strength = rng.uniform(0.0006, 0.0015, len(at)), rng.uniform(0.5, 1.5, len(at))
@@ -109,10 +108,7 @@ def bumps(time_s: Samples, rng: np.random.Generator) -> Samples:
 
 
 def texture_drag(time_s: Samples, rng: np.random.Generator) -> Samples:
-    """Free drag over textured vinyl: spatial roughness, played faster and louder where the hand is faster.
-
-    time_s: (n,); returns (3, n), acceleration in m/s².
-    """
+    """Free drag over textured vinyl: spatial roughness, played faster and louder where the hand is faster."""
     speed = _strokes(time_s, rng)
     normal, friction, lateral = (_roughness(time_s, speed, rng) for _ in range(3))
     forces = (normal, 0.4 * normal + 0.5 * friction, 0.3 * lateral)
@@ -128,10 +124,7 @@ def texture_drag(time_s: Samples, rng: np.random.Generator) -> Samples:
 
 
 def hard_taps(time_s: Samples, rng: np.random.Generator) -> Samples:
-    """Taps on hard plastic: a contact shorter than a millisecond excites every mode of the tool.
-
-    time_s: (n,); returns (3, n), acceleration in m/s².
-    """
+    """Taps on hard plastic: a contact shorter than a millisecond excites every mode of the tool."""
     at = np.arange(0.2, time_s[-1], 0.35)
     at = at + rng.uniform(-0.05, 0.05, len(at))
     moved = np.zeros((3, len(time_s)))
@@ -143,10 +136,7 @@ def hard_taps(time_s: Samples, rng: np.random.Generator) -> Samples:
 
 
 def constrained_drag(time_s: Samples, rng: np.random.Generator) -> Samples:
-    """Drag in a guide that lets the tool move along one line only.
-
-    time_s: (n,); returns (3, n), acceleration in m/s².
-    """
+    """Drag in a guide that lets the tool move along one line only."""
     # Micro-contacts fill the band above the grain's own frequencies, as in the free drag.
     along = _roughness(time_s, _strokes(time_s, rng), rng) + 0.3 * _coloured(
         time_s, rng, low_hz=30.0, high_hz=1500.0
@@ -161,34 +151,34 @@ def constrained_drag(time_s: Samples, rng: np.random.Generator) -> Samples:
 
 
 def isotropic_rumble(time_s: Samples, rng: np.random.Generator) -> Samples:
-    """Feel a vibrating machine through a soft grip: the same spectrum on every axis, independent of each other.
-
-    time_s: (n,); returns (3, n), acceleration in m/s².
-    """
+    """Feel a vibrating machine through a soft grip: the same spectrum on every axis, independent of each other."""
     axes = [_coloured(time_s, rng, low_hz=40.0, high_hz=400.0) for _ in range(3)]
     return 4.0 * np.array(axes) + _sensor_noise(time_s, rng)
 
 
 def circular_motion(time_s: Samples, rng: np.random.Generator) -> Samples:
-    """Turn with an unbalanced rotor: x and y a quarter of a turn apart, with a slowly drifting speed.
-
-    time_s: (n,); returns (3, n), acceleration in m/s².
-    """
+    """Turn with an unbalanced rotor: x and y a quarter of a turn apart, with a slowly drifting speed."""
     turns = 150.0 * time_s + 4.0 * np.sin(2 * np.pi * 0.5 * time_s)
     wobble = 0.2 * _coloured(time_s, rng, low_hz=100.0, high_hz=300.0)
     angle = 2 * np.pi * turns
     return 6.0 * np.array([np.cos(angle), np.sin(angle), wobble]) + _sensor_noise(time_s, rng)
 
 
-SCENES: Mapping[str, Scene] = MappingProxyType({
-    "bumps": bumps,
-    "texture_drag": texture_drag,
-    "hard_taps": hard_taps,
-    "constrained_drag": constrained_drag,
-    "isotropic_rumble": isotropic_rumble,
-    "circular_motion": circular_motion,
-})
-"""Name -> scene, the only list."""
+SCENES: Registry[Callable[[Samples, np.random.Generator], Samples]] = Registry(
+    "scene",
+    {
+        scene.__name__: scene
+        for scene in (
+            bumps,
+            texture_drag,
+            hard_taps,
+            constrained_drag,
+            isotropic_rumble,
+            circular_motion,
+        )
+    },
+)
+"""Name -> scene: acceleration in m/s², (3, n), at times in s, (n,); the only list of names."""
 
 
 def _ring(push: Samples, time_s: Samples, *, size: float, shares: Samples | None = None) -> Samples:

@@ -5,25 +5,28 @@ Samples are in the file's own scale; which unit that is stands in a manifest or 
 
 from __future__ import annotations
 
-import os
+import io
 import struct
 import warnings
-from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
 import numpy as np
 
+from feel321.doors import as_path
+from feel321.files import file_named, write_bytes
 from feel321.stimuli.recording import check_finite, check_rate
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from numpy.typing import ArrayLike, NDArray
+
+    from feel321.types import PathLike, Samples
 
 BYTE_ORDERS = {b"RIFF": "<", b"RIFX": ">"}
 """The container names that are read, each with its byte order in `struct` notation."""
 
-IEEE_FLOAT = 0x0003
-PCM = 0x0001
+IEEE_FLOAT, PCM = 0x0003, 0x0001
 EXTENSIBLE = 0xFFFE
 """Codings in a format chunk; the last says that the true one stands further on."""
 
@@ -34,24 +37,23 @@ SAMPLE_BITS = {PCM: range(1, 65), IEEE_FLOAT: (32, 64)}
 """Codings that are read, each with the allowed bits per sample."""
 
 
-@dataclass(frozen=True, slots=True)
-class WavHeader:
+class WavHeader(NamedTuple):
     """What the chunks of a WAV file promise, and what the file holds."""
 
     channels: int
     rate_hz: int
     frame_bytes: int
+    is_float: bool
     data_bytes: int
     present_bytes: int
-    is_float: bool
 
 
-def write_wav(path: str | Path, samples: ArrayLike, rate_hz: float) -> None:
+def write_wav(path: PathLike, samples: ArrayLike, rate_hz: float) -> None:
     """Write samples as a float32 WAV: the whole file or nothing, the same bytes every time.
 
     Parameters
     ----------
-    path : str or Path
+    path : str or path
         Where to write. The folder must exist; a file of that name is replaced in one step.
     samples : array_like, shape (n_samples,) or (channels, n_samples)
         Samples in any unit; rounded to float32.
@@ -66,35 +68,33 @@ def write_wav(path: str | Path, samples: ArrayLike, rate_hz: float) -> None:
     Examples
     --------
     >>> import tempfile
+    >>> from feel321 import stimuli
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     write_wav(Path(folder) / "tap.wav", [0.0, 0.5, -0.25], 48000)
-    ...     read_wav(Path(folder) / "tap.wav")
+    ...     stimuli.write_wav(f"{folder}/tap.wav", [0.0, 0.5, -0.25], 48000)
+    ...     stimuli.read_wav(f"{folder}/tap.wav")
     (array([ 0.  ,  0.5 , -0.25]), 48000)
     """
     from scipy.io import wavfile
 
-    target = Path(path)
-    frames = _as_frames(samples, target.name)
-    rate = _whole_rate(rate_hz, target.name)
-    # Beside the target, so that the replacement stays on one file system and is atomic.
-    unfinished = target.with_name(f".{target.name}.{os.getpid()}.part")
-    try:
-        with unfinished.open("wb") as file:
-            wavfile.write(file, rate, frames)
-            file.flush()
-            # Else a power cut may leave the name of the new file with nothing in it.
-            os.fsync(file.fileno())
-        unfinished.replace(target)
-    finally:
-        unfinished.unlink(missing_ok=True)
+    target = as_path(path)
+    with file_named(target):
+        rate = check_rate(rate_hz)
+        if rate != int(rate) or rate >= 2**32:
+            raise ValueError(
+                f"the rate in a WAV header must be a whole number below 2**32, got {rate!r} Hz"
+            )
+        frames = _as_frames(samples)
+    content = io.BytesIO()
+    wavfile.write(content, int(rate), frames)
+    write_bytes(target, content.getvalue())
 
 
-def read_wav(path: str | Path) -> tuple[NDArray[np.float64], int]:
+def read_wav(path: PathLike) -> tuple[Samples, int]:
     """Read a WAV file of float or integer samples.
 
     Parameters
     ----------
-    path : str or Path
+    path : str or path
         The file.
 
     Returns
@@ -113,7 +113,7 @@ def read_wav(path: str | Path) -> tuple[NDArray[np.float64], int]:
     """
     from scipy.io import wavfile
 
-    source = Path(path)
+    source = as_path(path)
     read_wav_header(source)
     with warnings.catch_warnings():
         # Chunks that scipy does not know (cue points, author) are of no concern; lengths were checked above.
@@ -126,30 +126,28 @@ def read_wav(path: str | Path) -> tuple[NDArray[np.float64], int]:
             Exception
         ) as error:  # at damaged chunks scipy raises anything, even UnboundLocalError
             raise ValueError(
-                f"{source.name}: got a WAV file whose chunks cannot be read ({error}); save it again as PCM or float"
+                f"{source.name}: has chunks that cannot be read ({error}); save it again as PCM or float"
             ) from error
     return np.ascontiguousarray(_as_fractions(frames).T), int(rate)
 
 
 def read_wav_header(path: Path) -> WavHeader:
     """Read what a WAV file's chunks promise, without reading samples."""
-    with path.open("rb") as file:
+    with path.open("rb") as file, file_named(path):
         try:
             header = _scan_chunks(file, path.stat().st_size)
         except struct.error:
-            raise ValueError(
-                f"{path.name}: got a WAV file that ends inside its header; copy or export it again"
-            ) from None
-        except ValueError as error:
-            raise ValueError(f"{path.name}: {error}") from None
-    promised, present = (n // header.frame_bytes for n in (header.data_bytes, header.present_bytes))
-    if promised == 0:
-        raise ValueError(f"{path.name}: got a WAV file without samples; record or export it again")
-    if header.present_bytes < header.data_bytes:
-        raise ValueError(
-            f"{path.name}: got {present} samples where the header promises {promised}; "
-            "the file is truncated or its header is wrong, copy or export it again"
+            raise ValueError("the file ends inside its header; copy or export it again") from None
+        promised, present = (
+            n // header.frame_bytes for n in (header.data_bytes, header.present_bytes)
         )
+        if promised == 0:
+            raise ValueError("the WAV file holds no samples; record or export it again")
+        if header.present_bytes < header.data_bytes:
+            raise ValueError(
+                f"the header promises {promised} samples, the file holds {present}; "
+                "it is truncated or its header is wrong, copy or export it again"
+            )
     return header
 
 
@@ -157,7 +155,7 @@ def _scan_chunks(file: BinaryIO, size: int) -> WavHeader:
     container, _, kind = struct.unpack("<4sI4s", file.read(12))
     if container not in BYTE_ORDERS or kind != b"WAVE":
         raise ValueError(
-            f"got a file that begins with {container!r}, allowed is RIFF/WAVE; export it as WAV"
+            f"the file must begin with RIFF and WAVE, got {container!r}; export it as WAV"
         )
     order = BYTE_ORDERS[container]
     layout: tuple[int, int, int, bool] | None = None
@@ -170,9 +168,8 @@ def _scan_chunks(file: BinaryIO, size: int) -> WavHeader:
             layout = _parse_format(file.read(min(length, EXTENSIBLE_BYTES)), order)
         file.seek(start + length + length % 2)  # chunks start at even places
     if layout is None:
-        raise ValueError("got samples before any format chunk; export it as WAV again")
-    channels, rate, frame_bytes, is_float = layout
-    return WavHeader(channels, rate, frame_bytes, length, min(length, size - file.tell()), is_float)
+        raise ValueError("the samples come before any format chunk; export it as WAV again")
+    return WavHeader(*layout, length, min(length, size - file.tell()))
 
 
 def _parse_format(body: bytes, order: str) -> tuple[int, int, int, bool]:
@@ -181,45 +178,37 @@ def _parse_format(body: bytes, order: str) -> tuple[int, int, int, bool]:
         coding = struct.unpack(f"{order}H", body[24:26])[0]
     if 0 in {channels, rate, frame_bytes}:
         raise ValueError(
-            f"got {channels} channels at {rate} Hz in frames of {frame_bytes} bytes; all must be above 0"
+            f"channels, rate and frame size must be above 0, got {channels}, {rate} Hz, {frame_bytes} bytes"
         )
     if coding not in SAMPLE_BITS or bits not in SAMPLE_BITS[coding]:
         raise ValueError(
-            f"got the WAV coding 0x{coding:04x} of {bits} bits, which is not read; save as PCM or float"
+            f"the WAV coding 0x{coding:04x} of {bits} bits is not read; save as PCM or float"
         )
     if frame_bytes != channels * -(-bits // 8):
         raise ValueError(
-            f"got frames of {frame_bytes} bytes for {channels} channels of {bits} bits; "
-            "the header is wrong, copy or export it again"
+            f"the header gives frames of {frame_bytes} bytes for {channels} channels of {bits} bits; "
+            "it is wrong, copy or export the file again"
         )
     return channels, rate, frame_bytes, coding == IEEE_FLOAT
 
 
-def _as_frames(samples: ArrayLike, name: str) -> NDArray[np.float32]:
+def _as_frames(samples: ArrayLike) -> NDArray[np.float32]:
     values = np.asarray(samples, dtype=np.float64)
     if values.ndim not in {1, 2} or values.size == 0:
         raise ValueError(
-            f"{name}: got shape {values.shape}, allowed is (n,) or (channels, n), not empty"
+            f"samples must have the shape (n,) or (channels, n), not empty; got {values.shape}"
         )
-    check_finite(values, name)
+    check_finite(values, "samples")
     with np.errstate(over="ignore"):
         frames = values.T.astype(np.float32)
     if not np.isfinite(frames).all():
-        peak = np.abs(values).max()
-        raise ValueError(f"{name}: got a peak of {peak:g}, allowed is what float32 holds (3.4e38)")
+        raise ValueError(
+            f"samples must fit into float32 (3.4e38), got a peak of {np.abs(values).max():g}"
+        )
     return np.ascontiguousarray(frames)
 
 
-def _whole_rate(rate_hz: float, name: str) -> int:
-    rate = check_rate(rate_hz)
-    if rate != int(rate) or rate >= 2**32:
-        raise ValueError(
-            f"{name}: got a rate of {rate!r} Hz, allowed in a WAV header is a whole number below 2**32"
-        )
-    return int(rate)
-
-
-def _as_fractions(frames: NDArray[Any]) -> NDArray[np.float64]:
+def _as_fractions(frames: NDArray[Any]) -> Samples:
     if frames.dtype.kind == "f":
         return frames.astype(np.float64)
     info = np.iinfo(frames.dtype)

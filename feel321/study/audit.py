@@ -22,8 +22,7 @@ from typing import TYPE_CHECKING, Any
 from feel321.protocols.agenda import Agenda
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.trial import RATING_RANGE, Page, Trial
-from feel321.stimuli.sets.inspection import check_stimuli
-from feel321.stimuli.sets.manifest import FURTHER, describe_row, read_stimuli
+from feel321.stimuli.sets.manifest import FURTHER, check_stimuli, describe_row, read_stimuli
 from feel321.study.ledger.slots import find_lost, read_study_ledger
 from feel321.study.ledger.standing import find_cut, find_leftovers, read_anchor
 from feel321.study.provenance import MANIFEST_JSON, read_origin

@@ -61,7 +61,7 @@ if TYPE_CHECKING:
     from feel321.study.actuator.rig import Rig
     from feel321.study.folder import StudyFolder
     from feel321.study.observer.percepts import Percept
-    from feel321.study.screen.parts import Hand
+    from feel321.study.screen.view import Hand
     from feel321.study.session.journal import Clock, Journal
     from feel321.study.session.opening import Stale
     from feel321.study.session.plan import Plan
@@ -453,8 +453,8 @@ def open_lab(
     plan: Plan, journal: Journal, stimuli: Mapping[str, Stimulus], *, lab: Lab
 ) -> Iterator[Presenter]:
     """Open the actuators and the screen, and close both whatever happens."""
-    from feel321.study.screen.parts import make_screen_texts
     from feel321.study.screen.presenter import ScreenPresenter
+    from feel321.study.screen.view import make_screen_texts
     from feel321.study.screen.window import open_screen
 
     clock = start_clock(find_elapsed(journal.records))
@@ -500,12 +500,12 @@ def _open_hand(
     if casting is None:
         yield None
         return
-    from feel321.study.screen.robot import PressingHand, XFingers
+    from feel321.study.screen.robot import PressingHand, XKeyboard
 
     person = tell_person(plan.participant)
     mind = Participant(casting.model, seed=casting.seed, number=person, percepts=casting.percepts)
     mind.recall(journal.records, plan.trials, stimuli=stimuli)
-    with closing(XFingers()) as keyboard:
+    with closing(XKeyboard()) as keyboard:
         yield PressingHand(mind, keyboard, stimuli=stimuli, clock=perf_counter)
 
 

@@ -11,8 +11,7 @@ from feel321.protocols.trial import CHOOSING
 from feel321.stimuli.condition import condition, fade
 from feel321.stimuli.sets.anchors import quietest_hz
 from feel321.stimuli.sets.build import build_stimuli, foresee_stimuli
-from feel321.stimuli.sets.inspection import check_stimuli
-from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.stimuli.sets.manifest import check_stimuli, read_stimuli
 from feel321.study.actuator.render import find_mix
 from feel321.study.actuator.rig import read_rig
 from feel321.study.ledger.standing import write_roster
@@ -243,7 +242,7 @@ def _check_pictures(study: StudyFolder, settings: Settings) -> list[str]:
 
 def _check_texts(study: StudyFolder, settings: Settings) -> list[str]:
     from feel321.study.screen.layout import find_overflows
-    from feel321.study.screen.parts import make_screen_texts
+    from feel321.study.screen.view import make_screen_texts
 
     language = find_language(settings, study.path)
     try:

@@ -13,7 +13,12 @@ from feel321.analysis.mixed.model import fit_mixed
 from feel321.analysis.primary import plan
 from feel321.analysis.primary.model import fit_attributes, fit_primary, tabulate_slopes
 from feel321.analysis.primary.plan import make_cells
-from feel321.analysis.primary.sensitivity import Precision, find_own, find_variances, vary_primary
+from feel321.analysis.primary.sensitivity import (
+    SlopePrecision,
+    find_own,
+    find_variances,
+    vary_primary,
+)
 
 if TYPE_CHECKING:
     from feel321.analysis.primary.model import Primary
@@ -507,7 +512,7 @@ def test_precision_is_that_of_the_model_with_its_own_spreads() -> None:
     design = np.column_stack([within, np.eye(scenes)[scene]])
     weighted = np.linalg.inv(design.T @ np.linalg.solve(spread, design))
     for place in (0, 1):
-        study = Precision(
+        study = SlopePrecision(
             slopes,
             of_item,
             noise,
@@ -529,7 +534,7 @@ def test_precision_is_that_of_the_model_with_its_own_spreads() -> None:
 
 
 def test_plans_grow_with_what_they_need() -> None:
-    study = Precision(5, 4, 10, 2.5, n_participants=20, n_recordings=10, n_items=90)
+    study = SlopePrecision(5, 4, 10, 2.5, n_participants=20, n_recordings=10, n_items=90)
     shared = replace(study, reducer_sd=6.0, n_reducers=9, n_alike=10.0)
     alike, partly = (replace(shared, reducer_square=share * study.square) for share in (1.0, 0.5))
     # What is the same in all recordings does not become more with recordings, what differs does.

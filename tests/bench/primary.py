@@ -27,8 +27,8 @@ from feel321.analysis.mixed.model import Estimate, estimate_sum, find_uncertaint
 from feel321.analysis.mixed.optimum import Balanced, find_balance, find_optimum
 from feel321.analysis.mixed.profile import find_coefficients, find_sigma, find_spreads
 from feel321.analysis.primary.model import fit_primary
-from feel321.analysis.primary.plan import Plan, centre_twice, make_cells, plan_terms
-from feel321.analysis.primary.sensitivity import Precision, find_own, find_variances
+from feel321.analysis.primary.plan import Terms, centre_twice, make_cells, plan_terms
+from feel321.analysis.primary.sensitivity import SlopePrecision, find_own, find_variances
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.match import METRICS
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
@@ -124,7 +124,7 @@ class Quick:
         table, within = self.cells.table, [f"{name}_w" for name in USED]
         if model == "reducers fixed":
             random = tuple(term for term in plan.random if term != "(1 | reducer)")
-            plan, table = Plan((*plan.fixed, "reducer"), random, ()), centre_twice(table, within)
+            plan, table = Terms((*plan.fixed, "reducer"), random, ()), centre_twice(table, within)
         self.penalty = () if model == "without penalty" else plan.penalty
         self.design = build_design(plan.formula, table)
         self.balance = find_balance(self.design)
@@ -229,11 +229,11 @@ def show_whole(studies: int) -> None:
 
 def plan_study(
     items: pd.DataFrame, spreads: dict[str, float], place: int, *, people: int
-) -> Precision:
+) -> SlopePrecision:
     """What estimated spreads say of a study."""
     within = (items[USED] - items.groupby("recording")[USED].transform("mean")).to_numpy()
     kinds = items["reducer"].nunique()
-    study = Precision(
+    study = SlopePrecision(
         spreads[f"{USED[place]}_w"],
         spreads["item"],
         spreads["residual"],

@@ -70,9 +70,9 @@ def test_the_low_pass_works_up_to_the_nyquist_frequency() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"high_pass_hz": 0.0}, "high_pass_hz: got 0.0"),
-        ({"low_pass_hz": -5.0}, "low_pass_hz: got -5.0"),
-        ({"high_pass_hz": 900.0, "low_pass_hz": 500.0}, "allowed is below low_pass_hz"),
+        ({"high_pass_hz": 0.0}, "high_pass_hz must be .*got 0.0"),
+        ({"low_pass_hz": -5.0}, "low_pass_hz must be .*got -5.0"),
+        ({"high_pass_hz": 900.0, "low_pass_hz": 500.0}, "must be below low_pass_hz"),
         ({"crop_s": (1.0, 0.5)}, "0 <= start < end"),
         ({"crop_s": (-1.0, 0.5)}, "0 <= start < end"),
         ({"crop_s": (1.0,)}, "0 <= start < end"),
@@ -84,13 +84,13 @@ def test_steps_that_make_no_sense_are_refused(changes: dict[str, object], messag
 
 
 def test_recordings_that_cannot_take_a_step_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"up to 2.0000 s, its duration"):
+    with pytest.raises(ValueError, match=r"<= 2.0000 s, the duration of"):
         condition(recording(tones(100)), Conditioning(crop_s=(0.0, 2.1)))
     with pytest.raises(ValueError, match="holds no sample"):
         condition(recording(tones(100)), Conditioning(crop_s=(0.0, 1e-5)))
     with pytest.raises(ValueError, match="below the Nyquist frequency of 15 Hz"):
         condition(recording(tones(5, rate=30.0), 30.0), Conditioning())
-    with pytest.raises(ValueError, match="2 or more; switch the filter off"):
+    with pytest.raises(ValueError, match=r"2 samples or more, .*switch the filter off"):
         condition(recording(np.ones(1)), Conditioning())
 
 
@@ -116,7 +116,7 @@ def test_fades_are_raised_cosines_at_both_ends() -> None:
 
 @pytest.mark.parametrize("fade_s", [-0.1, 0.6, float("nan")])
 def test_fades_fit_into_the_signal(fade_s: float) -> None:
-    with pytest.raises(ValueError, match=r"allowed is 0 to 0.5 s, half the signal"):
+    with pytest.raises(ValueError, match=r"must be 0 to 0.5 s, half the signal"):
         fade(np.ones(1000), 1000.0, fade_s=fade_s)
 
 

@@ -108,7 +108,7 @@ def test_energy_is_judged_where_the_shape_has_slack() -> None:
 
 
 def test_an_unknown_form_is_refused() -> None:
-    with pytest.raises(ValueError, match="form: got 'windowd', allowed is one of whole, windowed"):
+    with pytest.raises(ValueError, match="form must be one of whole, windowed; got 'windowd'"):
         golden_vectors("windowd")
 
 

@@ -125,7 +125,7 @@ def test_bins_that_hold_only_rounding_are_left_out() -> None:
 
 
 def test_an_unknown_grid_is_refused() -> None:
-    with pytest.raises(ValueError, match="grid: got 'octave', allowed is one of linear, log"):
+    with pytest.raises(ValueError, match="grid must be one of linear, log; got 'octave'"):
         spectral_match(noise(3, 400), noise(400), RATE, grid="octave")
 
 
@@ -233,16 +233,12 @@ def test_every_metric_is_called_alike() -> None:
 @pytest.mark.parametrize(
     ("acceleration", "reduced", "message"),
     [
-        (np.ones((3, 5)), np.ones(4), r"got shape \(4,\), allowed is \(5,\)"),
+        (np.ones((3, 5)), np.ones(4), r"shape \(5,\), .*got \(4,\)"),
         (np.ones((3, 5)), np.ones((3, 5)), "one axis"),
         (np.ones((2, 3, 5)), np.ones(5), "one recording at a time"),
         (np.ones((3, 0)), np.ones(0), "n >= 1"),
-        (
-            np.ones((3, 5)),
-            np.array([1, 2, np.nan, 4, 5]),
-            "reduced: got 1 values that are not finite",
-        ),
-        (np.full((3, 5), np.inf), np.ones(5), "acceleration: got 15 values"),
+        (np.ones((3, 5)), np.array([1, 2, np.nan, 4, 5]), "reduced must be finite, got 1 values"),
+        (np.full((3, 5), np.inf), np.ones(5), "acceleration must be finite, got 15 values"),
         (np.ones((2, 5)), np.ones(5), "three axes"),
     ],
 )

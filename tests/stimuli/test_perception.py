@@ -129,6 +129,6 @@ def test_the_stylus_keeps_the_published_numbers() -> None:
 
 def test_an_unknown_curve_is_refused() -> None:
     with pytest.raises(
-        ValueError, match=r"threshold: got 'finger', allowed is one of contactor, grasped_stylus"
+        ValueError, match=r"threshold must be one of contactor, grasped_stylus; got 'finger'"
     ):
         acceleration_threshold(100.0, threshold="finger")

@@ -58,7 +58,7 @@ def test_the_registry_holds_the_contract_in_its_order() -> None:
 
 
 def test_an_unknown_reducer_is_answered_with_the_list() -> None:
-    with pytest.raises(ValueError, match=r"got 'dft', allowed is one of sax321, .*dft321_windowed"):
+    with pytest.raises(ValueError, match=r"must be one of sax321, .*dft321_windowed.*got 'dft'"):
         get_reducer("dft")
 
 
@@ -142,7 +142,7 @@ def test_silence_stays_silence(name: str) -> None:
 def test_bad_input_is_refused_at_every_door(name: str) -> None:
     with pytest.raises(ValueError, match="three axes"):
         REDUCERS[name](np.zeros((2, 9)), RATE)
-    with pytest.raises(ValueError, match="not finite"):
+    with pytest.raises(ValueError, match="must be finite"):
         REDUCERS[name](np.full((3, 9), np.nan), RATE)
     with pytest.raises(ValueError, match="rate_hz"):
         REDUCERS[name](np.zeros((3, 9)), 0.0)

@@ -98,7 +98,7 @@ def test_bad_calls_are_refused() -> None:
         rotation_statistics(acceleration, RATE, reducer="dft321", rotations=199, rng=rng())
     with pytest.raises(ValueError, match="whole number"):
         rotation_statistics(acceleration, RATE, reducer="dft321", rotations=200.5, rng=rng())
-    with pytest.raises(ValueError, match="allowed is one of"):
+    with pytest.raises(ValueError, match="must be one of"):
         rotation_statistics(acceleration, RATE, reducer="none", rng=rng())
     with pytest.raises(ValueError, match="one recording at a time"):
         rotation_statistics(np.ones((2, 3, 50)), RATE, reducer="dft321", rng=rng())

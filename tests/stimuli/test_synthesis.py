@@ -79,7 +79,7 @@ def test_the_pattern_of_the_papers_table_1(name: str, seed: int) -> None:
 @pytest.mark.parametrize(
     ("name", "changes", "message"),
     [
-        ("bump", {}, "allowed is one of bumps"),
+        ("bump", {}, "must be one of bumps"),
         ("bumps", {"rate_hz": 1000.0}, "4000 Hz or more"),
         ("bumps", {"duration_s": 0.01}, "0.1 s to 3600 s"),
         ("bumps", {"rate_hz": -1.0}, "rate_hz"),

@@ -335,7 +335,7 @@ def test_match_compares_like_with_like_or_says_why_not(
         (
             {"conditioning": {"high_pass_hz": -1}},
             1,
-            "feel321: o.json: no conditioning (high_pass_hz: got -1",
+            "feel321: o.json: no conditioning (high_pass_hz must be",
         ),
         (
             {"recording_sha256": "0"},
@@ -383,7 +383,7 @@ def test_a_recording_that_cannot_be_conditioned_can_still_be_taken_raw(
         str(tmp_path / "o.wav"),
     ]
     assert main(arguments) == 1
-    told = "feel321: slow: highpass: got 20.0 Hz, allowed is below the Nyquist frequency of 15 Hz"
+    told = "feel321: slow: highpass must be below the Nyquist frequency of 15 Hz, got 20.0 Hz"
     assert capsys.readouterr().err.endswith(f"{told}; or take it as it was measured, with --raw\n")
     assert main([*arguments, "--raw"]) == 0
     assert (

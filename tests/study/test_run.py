@@ -296,14 +296,14 @@ def test_people_have_no_seed(ready: StudyFolder, capsys: pytest.CaptureFixture[s
 
 def test_a_hand_without_a_screen_is_one_line() -> None:
     # In a process of its own: python-xlib leaves the sockets open that it tried.
-    code = "from feel321.study.screen.robot import XFingers; XFingers()"
+    code = "from feel321.study.screen.robot import XKeyboard; XKeyboard()"
     env = {**os.environ, "DISPLAY": ":4711"}
     done = subprocess.run(
         [sys.executable, "-c", code], env=env, capture_output=True, text=True, check=False
     )
     last = done.stderr.splitlines()[-1]
     assert last.startswith("OSError: simulated participant: ")
-    assert last.endswith("; allowed is an X11 screen, named by DISPLAY")
+    assert last.endswith("; set DISPLAY to the name of an X11 screen")
 
 
 def test_the_clock_goes_on_where_it_stopped(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -194,7 +194,7 @@ def build_design(formula: str, data: DataFrame) -> Design:
     return design
 
 
-def read_new_rows(names: Sequence[str], coding: Any, data: DataFrame) -> NDArray[np.float64]:  # noqa: ANN401
+def read_new_rows(names: Sequence[str], coding: Any, data: DataFrame) -> NDArray[np.float64]:  # noqa: ANN401 - formulaic has no types
     """Compute the columns of a fixed part for new rows, coded as those that were fitted."""
     settled = _settle_types(data)
     try:

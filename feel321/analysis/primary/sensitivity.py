@@ -201,7 +201,7 @@ FEWEST_PEOPLE, FEWEST_RECORDINGS = 6, 4
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
-class Precision(Result):
+class SlopePrecision(Result):
     """What the standard error of a slope within recordings is made of.
 
     Parameters
@@ -248,7 +248,7 @@ class Precision(Result):
 
         Examples
         --------
-        >>> study = Precision(5, 4, 10, 2.5, n_participants=20, n_recordings=10, n_items=90)
+        >>> study = SlopePrecision(5, 4, 10, 2.5, n_participants=20, n_recordings=10, n_items=90)
         >>> [round(value, 2) for value in study.find_se()]
         [3.11, 95.47]
         """
@@ -266,7 +266,7 @@ class Precision(Result):
 
     def enlarge(
         self, *, participants: int | None = None, recordings: int | None = None
-    ) -> Precision:
+    ) -> SlopePrecision:
         """Imagine the same study with other numbers; each recording brings as many stimuli, of the same reducers."""
         share = (recordings or self.n_recordings) / self.n_recordings
         return replace(
@@ -314,7 +314,10 @@ class Precision(Result):
         return float(brentq(lambda slope: self.find_power(slope) - ENOUGH, 0, 20 * se))
 
 
-def find_variances(study: Precision) -> tuple[float, float]:
+Precision = SlopePrecision  # kept until all branches are in
+
+
+def find_variances(study: SlopePrecision) -> tuple[float, float]:
     """Compute the variance of a stimulus's mean rating, and n times that of the mean over n stimuli of a reducer."""
     alike = study.reducer_sd**2 + study.rater_reducer_sd**2 / study.n_participants
     # Nothing is known exactly: without any noise the sums of squares would be divided by zero.

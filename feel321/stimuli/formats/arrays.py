@@ -34,9 +34,9 @@ from feel321.stimuli.formats.common import (
 from feel321.stimuli.formats.tables import (
     AXIS,
     Columns,
+    add_units,
     find_columns,
     find_time,
-    name_units,
     pick_columns,
 )
 from feel321.stimuli.recording import AXES, check_rate
@@ -48,8 +48,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from feel321.stimuli.formats.common import Request
-
-# NPZ and NPY: named arrays to a recording.
+    from feel321.types import Samples
 
 ACCELERATION_KEYS = ("acceleration", "accel", "acc", "data", "tmp")
 """Names of an array of all three axes; `tmp` is that of the LMT-69 tapping recordings."""
@@ -81,17 +80,22 @@ def decode_arrays(arrays: Mapping[str, NDArray[Any]], request: Request) -> Decod
     place = choose_arrays(columns, request, found=tuple(arrays))
     names = tuple(columns)
     time_s, step_s = (
-        (None, 0.0) if place.time is None else _stamps(columns, names[place.time], place)
+        (None, 0.0) if place.time is None else _read_stamps(columns, names[place.time], place)
     )
+    rates = {name: array for name, array in arrays.items() if name.casefold() in RATE_KEYS}
+    said = {name: array for name, array in arrays.items() if name.casefold() in UNIT_KEYS}
+    units = {name: parse_unit(str(array.squeeze())) for name, array in said.items()}
+    if place.unit:
+        units[names[place.axes[0]]] = place.unit
     return Decoded(
         _stack(columns, [names[i] for i in place.axes]),
-        _unit(arrays, request, by_name={names[place.axes[0]]: place.unit} if place.unit else {}),
         one_value(
-            {
-                name: _scalar(array, "the rate")
-                for name, array in arrays.items()
-                if name.casefold() in RATE_KEYS
-            },
+            units,
+            argument="unit",
+            requested=None if request.unit is None else parse_unit(request.unit),
+        ),
+        one_value(
+            {name: _as_scalar(array, "the rate") for name, array in rates.items()},
             argument="rate_hz",
             requested=request.rate_hz,
         ),
@@ -114,31 +118,32 @@ def choose_arrays(
     if wholes and len(candidates) > 1:
         several = ", ".join(labels[i] for i in candidates)
         raise ValueError(
-            f"got several arrays for the acceleration ({several}); "
+            f"several arrays may be the acceleration ({several}); "
             f"say which, e.g. columns=({labels[wholes[0]]!r},) or columns=(x, y, z)"
         )
     if not wholes and not axes:
         named = ", ".join(found) or "nothing"
         raise ValueError(
-            f"got arrays named {named}; allowed is 'acceleration' (3, n), or 'x', 'y' and 'z', or columns=(name,)"
+            f"an array must be named 'acceleration' (3, n), or three 'x', 'y' and 'z', got {named}; "
+            "or say columns=(name,)"
         )
     return (
-        name_units(labels, axes=(wholes[0],), time=find_time(labels))
+        add_units(labels, axes=(wholes[0],), time=find_time(labels))
         if wholes
         else find_columns(labels)
     )
 
 
-def as_numbers(array: NDArray[Any], what: str) -> NDArray[np.float64]:
+def as_numbers(array: NDArray[Any], what: str) -> Samples:
     """Convert real numbers to float64; refuse texts, objects and complex numbers."""
     if array.dtype.kind not in "fiu":
-        raise ValueError(f"got values of type {array.dtype} in {what}, allowed are real numbers")
+        raise ValueError(f"{what} must be real numbers, got values of type {array.dtype}")
     # What is not finite is refused where its place is known.
     with np.errstate(over="ignore", invalid="ignore"):
         return array.astype(np.float64)
 
 
-def _stack(columns: Mapping[str, NDArray[Any]], names: Sequence[str]) -> NDArray[np.float64]:
+def _stack(columns: Mapping[str, NDArray[Any]], names: Sequence[str]) -> Samples:
     if len(names) == 1:
         return as_three_axes(as_numbers(columns[names[0]], repr(names[0])))
     return stack_axes({
@@ -146,38 +151,25 @@ def _stack(columns: Mapping[str, NDArray[Any]], names: Sequence[str]) -> NDArray
     })
 
 
-def _vector(array: NDArray[Any], name: str) -> NDArray[np.float64]:
+def _vector(array: NDArray[Any], name: str) -> Samples:
     if max(array.shape) != array.size:  # MATLAB knows no vectors, only rows and columns
-        raise ValueError(
-            f"got an array of shape {array.shape} for {name!r}, allowed is one value per sample"
-        )
+        raise ValueError(f"{name!r} must have one value per sample, got shape {array.shape}")
     return as_numbers(array.ravel(), repr(name))
 
 
-def _stamps(
+def _read_stamps(
     columns: Mapping[str, NDArray[Any]], name: str, place: Columns
-) -> tuple[NDArray[np.float64], float]:
+) -> tuple[Samples, float]:
     stamps, second = _vector(columns[name], name), place.time_unit_s or 1.0
     coarse = columns[name].dtype.type if columns[name].dtype.kind == "f" else np.float64
     return stamps * second, float(np.spacing(coarse(np.abs(stamps).max(initial=0.0)))) * second
 
 
-def _unit(
-    arrays: Mapping[str, NDArray[Any]], request: Request, *, by_name: Mapping[str, str]
-) -> str | None:
-    said = {name: array for name, array in arrays.items() if name.casefold() in UNIT_KEYS}
-    units = {name: parse_unit(str(array.squeeze())) for name, array in said.items()}
-    requested = None if request.unit is None else parse_unit(request.unit)
-    return one_value({**units, **by_name}, argument="unit", requested=requested)
-
-
-def _scalar(array: NDArray[Any], what: str) -> float:
+def _as_scalar(array: NDArray[Any], what: str) -> float:
     if np.size(array) != 1:
-        raise ValueError(f"got {np.size(array)} values for {what}, allowed is one number")
+        raise ValueError(f"{what} must be one number, got {np.size(array)} values")
     return float(as_numbers(np.asarray(array), what).item())
 
-
-# MAT files of version 4 to 7: named arrays to a recording.
 
 HEADER_BYTES = 128
 BYTE_ORDERS = {b"IM": "<", b"MI": ">"}
@@ -301,8 +293,6 @@ def _check_values(values: bytes, kind: int, shape: tuple[int, ...], *, is_text: 
         raise ValueError(f"{len(values)} bytes of values for the shape {shape}")
 
 
-# The sidecar of a WAV file: what a WAV header cannot say.
-
 KEYS = ("unit", "rate_hz", "axes", "full_scale", *UNIT_KEYS, *RATE_KEYS)
 ALLOWED = ", ".join(dict.fromkeys(KEYS))
 """Every entry that is read. Others are refused: a misspelt unit is worth a factor of 9.8."""
@@ -310,7 +300,7 @@ ALLOWED = ", ".join(dict.fromkeys(KEYS))
 
 @dataclass(frozen=True, slots=True)
 class Sidecar:
-    """What stands in ``NAME.json`` or ``NAME.toml`` beside ``NAME.wav``."""
+    """What a WAV header cannot say: ``NAME.json`` or ``NAME.toml`` beside ``NAME.wav``."""
 
     path: Path | None = None
     unit: str | None = None
@@ -327,7 +317,7 @@ def read_sidecar(path: Path) -> Sidecar:
         return Sidecar()
     if len(present) > 1:
         names = " and ".join(sidecar.name for sidecar in present)
-        raise ValueError(f"got two sidecars, {names}, allowed is one; remove the other")
+        raise ValueError(f"there must be one sidecar, got {names}; remove one of them")
     try:
         return _parse_sidecar(present[0])
     except ValueError as error:
@@ -335,39 +325,32 @@ def read_sidecar(path: Path) -> Sidecar:
 
 
 def _parse_sidecar(path: Path) -> Sidecar:
-    entries = _load(path)
+    load = json.loads if path.suffix == ".json" else tomllib.loads
+    content = path.read_bytes()
+    with foreign_errors(path.suffix[1:].upper()):
+        entries: Any = load(content.decode("utf-8-sig"))
     if not isinstance(entries, dict):
-        raise ValueError(f"got a {type(entries).__name__}, allowed is a table with {ALLOWED}")  # noqa: TRY004 - a file's fault, not a caller's
+        raise ValueError(f"must be a table with {ALLOWED}, got a {type(entries).__name__}")  # noqa: TRY004 - a file's fault, not a caller's
     if unknown := [key for key in entries if key not in KEYS]:
         raise ValueError(
-            f"got the unknown {', '.join(map(repr, unknown))}, allowed is {ALLOWED}; mend or remove it"
+            f"entries must be {ALLOWED}, got {', '.join(map(repr, unknown))}; correct or remove it"
         )
-    unit = _entry(entries, UNIT_KEYS)
-    rate_hz = _entry(entries, RATE_KEYS)
+    unit, rate_hz = (_find_entry(entries, keys) for keys in (UNIT_KEYS, RATE_KEYS))
     full_scale = entries.get("full_scale")
     return Sidecar(
         path,
         None if unit is None else parse_unit(unit),
         None if rate_hz is None else check_rate(rate_hz),
         _parse_axes(entries.get("axes")),
-        None if full_scale is None else check_full_scale(full_scale),
+        None if full_scale is None else check_rate(full_scale, "full_scale", ""),
     )
 
 
-def _load(path: Path) -> Any:  # noqa: ANN401 - whatever stands in it
-    content = path.read_bytes()
-    with foreign_errors("JSON" if path.suffix == ".json" else "TOML"):
-        text = content.decode("utf-8-sig")
-        return json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
-
-
-def _entry(entries: Mapping[str, Any], keys: Sequence[str]) -> Any:  # noqa: ANN401 - whatever stands there
+def _find_entry(entries: Mapping[str, Any], keys: Sequence[str]) -> Any:  # noqa: ANN401 - whatever stands there
     """Return what stands under one of several spellings."""
     present = [key for key in keys if entries.get(key) is not None]
     if len(present) > 1:
-        raise ValueError(
-            f"got both {' and '.join(present)}, allowed is one of them; remove the other"
-        )
+        raise ValueError(f"{' and '.join(present)} mean the same; remove all but one")
     return entries[present[0]] if present else None
 
 
@@ -376,15 +359,5 @@ def _parse_axes(axes: Any) -> tuple[str, ...] | None:  # noqa: ANN401 - whatever
         return None
     names = tuple(str(axis).lower() for axis in axes) if isinstance(axes, list | str) else ()
     if sorted(name for name in names if name in {"x", "y", "z"}) != ["x", "y", "z"]:
-        raise ValueError(f'got axes {axes!r}, allowed is a list with "x", "y" and "z" once each')
+        raise ValueError(f'axes must be a list with "x", "y" and "z" once each, got {axes!r}')
     return names
-
-
-def check_full_scale(full_scale: float) -> float:
-    """Return the full scale as a float, or say what is wrong."""
-    try:
-        return check_rate(full_scale)
-    except ValueError:
-        raise ValueError(
-            f"got full_scale {full_scale!r}, allowed is a finite number above 0"
-        ) from None

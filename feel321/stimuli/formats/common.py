@@ -1,4 +1,7 @@
-"""What all readers of recordings share: decoded samples, units, keywords, errors."""
+"""What all readers of recordings share: decoded samples, units, keywords, errors.
+
+A reader raises ValueError with a bare sentence; `read_recording` adds the file's name.
+"""
 
 from __future__ import annotations
 
@@ -15,125 +18,15 @@ if TYPE_CHECKING:
     from collections.abc import Container, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
+    from feel321.types import Samples
 
-# What goes into a format's reader and what comes out, before units and sampling are settled.
+Value = TypeVar("Value", float, str)
 
+RATE_KEYS = ("rate_hz", "fs", "rate", "sample_rate", "samplerate", "sampling_rate", "fs_hz")
+UNIT_KEYS = ("unit", "units")
+"""What the rate and the unit are called, in archives and sidecars alike."""
 
-@dataclass(frozen=True, slots=True)
-class Request:
-    """What the caller says about the file.
-
-    columns: (x, y, z) or (time, x, y, z): names, or numbers from 0.
-    """
-
-    rate_hz: float | None = None
-    unit: str | None = None
-    columns: Sequence[str | int] | None = None
-    full_scale: float | None = None
-    resample: bool = False
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Decoded:
-    """What a file says of itself.
-
-    acceleration: (3, n_samples); time_s: (n_samples,); first_line: the line of a text file that
-    holds the first sample, from 1.
-    """
-
-    acceleration: NDArray[np.float64]
-    unit: str | None = None
-    rate_hz: float | None = None
-    time_s: NDArray[np.float64] | None = None
-    time_step_s: float = 0.0
-    first_line: int | None = None
-    notes: tuple[str, ...] = ()
-    sources: tuple[Path, ...] = ()
-    name: str = ""
-
-
-def stack_axes(axes: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Stack three axes of equal length; never shorten one to fit.
-
-    axes: (n_samples,); returns (3, n_samples).
-    """
-    if len(axes) < AXES:
-        got = f"only the axes {', '.join(sorted(axes))}" if axes else "no axes"
-        raise ValueError(f"got {got}, allowed is three axes x, y, z; a reduction needs all three")
-    lengths = {axis: axes[axis].size for axis in "xyz"}
-    if len(set(lengths.values())) > 1:
-        counts = ", ".join(f"{axis} {n}" for axis, n in lengths.items())
-        raise ValueError(
-            f"got axes of unequal length ({counts} samples), allowed is one length; cut them alike"
-        )
-    return np.stack([axes[axis] for axis in "xyz"])
-
-
-def as_three_axes(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Turn an array to (3, n_samples), or say why it is not three axes.
-
-    Returns (3, n_samples).
-    """
-    if values.size == 0:
-        raise ValueError(f"got an empty array of shape {values.shape}, allowed is (3, n) or (n, 3)")
-    if values.ndim == 2 and values.shape[0] == AXES:  # noqa: PLR2004 - axes x samples
-        return values
-    if values.ndim < 2 or (values.ndim == 2 and 1 in values.shape):  # noqa: PLR2004 - axes x samples
-        raise already_reduced(f"an array of shape {values.shape}")
-    if values.ndim == 2 and values.shape[1] == AXES:  # noqa: PLR2004 - axes x samples
-        return values.T
-    raise ValueError(
-        f"got an array of shape {values.shape}, allowed is (3, n) or (n, 3): exactly three axes"
-    )
-
-
-def already_reduced(got: str) -> ValueError:
-    """Return the refusal of a signal with one axis."""
-    return ValueError(
-        f"got {got}: one channel, so already reduced to one axis; allowed is the raw three-axis recording"
-    )
-
-
-# Where foreign exceptions become one clear line: file name, what was got, what is allowed, what to do.
-
-
-@contextmanager
-def file_named(path: Path) -> Iterator[None]:
-    """Put the file's name before every refusal raised inside."""
-    prefix = f"{path.name}: "
-    try:
-        yield
-    except ValueError as error:
-        raise ValueError(prefix + _one_line(str(error).removeprefix(prefix))) from error
-    except OSError as error:
-        reason = error.strerror or str(error).removeprefix(prefix)
-        raise type(error)(f"{prefix}{reason}") from error
-
-
-@contextmanager
-def foreign_errors(what: str) -> Iterator[None]:
-    """Translate whatever a library raises at a damaged file."""
-    try:
-        yield
-    except Exception as error:  # libraries raise anything at damaged files, even UnboundLocalError
-        # The system's own; libraries raise theirs without a number.
-        if isinstance(error, OSError) and error.errno:
-            raise
-        reason = (str(error).strip() or type(error).__name__).splitlines()[0]
-        raise ValueError(
-            f"cannot be read as {what} ({reason}); the file is damaged or of another kind, copy or export it again"
-        ) from error
-
-
-def _one_line(text: str) -> str:
-    """Spell out what cannot be printed: a file's own names may hold line feeds and worse."""
-    return "".join(
-        c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text
-    )
-
-
-# Units of acceleration and time as people spell them.
+NO_UNIT_NOTE = "the file names no unit of acceleration: taken as m/s^2 (unit=... says otherwise)"
 
 ACCELERATION_SPELLINGS = {
     "m/s^2": "m/s^2", "m/s2": "m/s^2", "m/s²": "m/s^2", "m/s/s": "m/s^2", "m/s**2": "m/s^2",
@@ -151,7 +44,83 @@ TIME_SPELLINGS = {
 }  # fmt: skip
 """Accepted spellings of a unit of time and its size in s."""
 
-NO_UNIT_NOTE = "the file names no unit of acceleration: taken as m/s^2 (unit=... says otherwise)"
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What the caller says about the file; columns are (x, y, z) or (time, x, y, z), by name or number from 0."""
+
+    rate_hz: float | None = None
+    unit: str | None = None
+    columns: Sequence[str | int] | None = None
+    full_scale: float | None = None
+    resample: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Decoded:
+    """What a file says of itself; first_line is the line of a text file that holds the first sample, from 1."""
+
+    acceleration: Samples
+    unit: str | None = None
+    rate_hz: float | None = None
+    time_s: Samples | None = None
+    time_step_s: float = 0.0
+    first_line: int | None = None
+    notes: tuple[str, ...] = ()
+    sources: tuple[Path, ...] = ()
+    name: str = ""
+
+
+def stack_axes(axes: Mapping[str, Samples]) -> Samples:
+    """Stack three axes of equal length, (n,) each, to (3, n); never shorten one to fit."""
+    if len(axes) < AXES:
+        got = f"only the axes {', '.join(sorted(axes))}" if axes else "no axes"
+        raise ValueError(
+            f"the file must hold three axes x, y, z, got {got}; a reduction needs all three"
+        )
+    lengths = {axis: axes[axis].size for axis in "xyz"}
+    if len(set(lengths.values())) > 1:
+        counts = ", ".join(f"{axis} {n}" for axis, n in lengths.items())
+        raise ValueError(f"the axes must be of equal length, got {counts} samples; cut them alike")
+    return np.stack([axes[axis] for axis in "xyz"])
+
+
+def as_three_axes(values: Samples) -> Samples:
+    """Turn an array to (3, n_samples), or say why it is not three axes."""
+    got = f"an array of shape {values.shape}"
+    if values.size == 0:
+        raise ValueError(f"the array must have the shape (3, n) or (n, 3), got {got}: it is empty")
+    if values.ndim == 2 and values.shape[0] == AXES:  # noqa: PLR2004 - axes x samples
+        return values
+    if values.ndim < 2 or (values.ndim == 2 and 1 in values.shape):  # noqa: PLR2004 - axes x samples
+        raise refuse_reduced(got)
+    if values.ndim == 2 and values.shape[1] == AXES:  # noqa: PLR2004 - axes x samples
+        return values.T
+    raise ValueError(
+        f"the array must have the shape (3, n) or (n, 3), exactly three axes; got {got}"
+    )
+
+
+def refuse_reduced(got: str) -> ValueError:
+    """Return the refusal of a signal with one axis."""
+    return ValueError(
+        f"{got} is one channel, so already reduced to one axis; read the raw three-axis recording instead"
+    )
+
+
+@contextmanager
+def foreign_errors(what: str) -> Iterator[None]:
+    """Translate whatever a library raises at a damaged file."""
+    try:
+        yield
+    except Exception as error:  # libraries raise anything at damaged files, even UnboundLocalError
+        # The system's own; libraries raise theirs without a number.
+        if isinstance(error, OSError) and error.errno:
+            raise
+        reason = (str(error).strip() or type(error).__name__).splitlines()[0]
+        raise ValueError(
+            f"cannot be read as {what} ({reason}); the file is damaged or of another kind, copy or export it again"
+        ) from error
 
 
 def normalise(text: str) -> str:
@@ -166,9 +135,7 @@ def normalise(text: str) -> str:
 
 
 def split_unit(label: str, spellings: Container[str]) -> tuple[str, str | None]:
-    """Split a column's label into its bare name and its unit.
-
-    label: A label such as ``x_g``, ``acc x (m/s²)`` or ``time [µs]``.
+    """Split a column's label, such as ``x_g``, ``acc x (m/s²)`` or ``time [µs]``, into its bare name and its unit.
 
     Examples
     --------
@@ -197,24 +164,16 @@ def parse_unit(text: str) -> str:
     try:
         return ACCELERATION_SPELLINGS[normalise(text)]
     except (KeyError, TypeError):
-        raise ValueError(f"got the unit {text!r}, allowed is one of {', '.join(UNITS)}") from None
+        raise ValueError(f"the unit must be one of {', '.join(UNITS)}; got {text!r}") from None
 
 
 def settle_unit(own: str | None, requested: str | None) -> tuple[str, tuple[str, ...]]:
     """Decide the unit from what the file and the caller say."""
     wanted = None if requested is None else parse_unit(requested)
     if own and wanted and own != wanted:
-        raise ValueError(f"got unit={requested!r}, but the file says {own!r}; leave unit out")
+        raise ValueError(f"the file gives the unit {own!r}, but unit={requested!r}; leave unit out")
     unit = own or wanted
     return (unit, ()) if unit else ("m/s^2", (NO_UNIT_NOTE,))
-
-
-# What the rate and the unit are called, in archives and sidecars alike, and one value where several names say it.
-
-Value = TypeVar("Value", float, str)
-
-RATE_KEYS = ("rate_hz", "fs", "rate", "sample_rate", "samplerate", "sampling_rate", "fs_hz")
-UNIT_KEYS = ("unit", "units")
 
 
 def one_value(
@@ -234,5 +193,5 @@ def one_value(
         return requested
     said = ", ".join(f"{name} says {value!r}" for name, value in found.items())
     raise ValueError(
-        f"got several values that differ ({said}); choose one of them by {argument}=..."
+        f"the file gives several values that differ ({said}); choose one of them by {argument}=..."
     )

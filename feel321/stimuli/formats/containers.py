@@ -1,6 +1,10 @@
 """Recordings in WAV, HaTT, LMT and IDE files.
 
-The tags are known second-hand only, so ``AccelX`` and nested ``Accel/X`` are both read, in any case.
+- WAV: three channels, and a sidecar for what a WAV header cannot say.
+- HaTT (Penn Haptic Texture Toolkit): XML with one element per axis. The tags are known second-hand only, so ``AccelX``
+  and nested ``Accel/X`` are both read, in any case.
+- LMT-108 (TU München): one text file per axis, one value per line, 10 kHz.
+- IDE (enDAQ), read by the optional package idelib.
 """
 
 from __future__ import annotations
@@ -12,18 +16,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from feel321.stimuli.formats.arrays import check_full_scale, read_sidecar
+from feel321.stimuli.formats.arrays import read_sidecar
 from feel321.stimuli.formats.common import (
     ACCELERATION_SPELLINGS,
     Decoded,
-    already_reduced,
     foreign_errors,
     normalise,
     parse_unit,
+    refuse_reduced,
     stack_axes,
 )
-from feel321.stimuli.formats.tables import lay_out, read_numbers, read_text
-from feel321.stimuli.recording import AXES
+from feel321.stimuli.formats.tables import read_numbers, read_text, split_table
+from feel321.stimuli.recording import AXES, check_rate
 from feel321.stimuli.wav import read_wav, read_wav_header
 
 if TYPE_CHECKING:
@@ -31,13 +35,12 @@ if TYPE_CHECKING:
     from pathlib import Path
     from xml.etree.ElementTree import Element
 
-    from numpy.typing import NDArray
-
     from feel321.stimuli.formats.arrays import Sidecar
     from feel321.stimuli.formats.common import Request
     from feel321.stimuli.wav import WavHeader
+    from feel321.types import Samples
 
-# WAV recordings: three channels, and a sidecar for what a WAV header cannot say.
+FULL_SCALE_NOTE = "integer WAV without full_scale: full scale taken as 1.0 in the unit"
 
 
 def read_wav_recording(path: Path, request: Request) -> Decoded:
@@ -46,30 +49,27 @@ def read_wav_recording(path: Path, request: Request) -> Decoded:
     sidecar = read_sidecar(path)
     channels = _channels(header.channels, sidecar)
     full_scale = _full_scale(header, sidecar, requested=request.full_scale)
-    notes = (
-        ()
-        if full_scale
-        else ("integer WAV without full_scale: full scale taken as 1.0 in the unit",)
-    )
+    assumed = not (full_scale or header.is_float)
     samples, _ = read_wav(path)
     return Decoded(
         samples[channels] * (full_scale or 1.0),
         sidecar.unit,
         _true_rate(header.rate_hz, sidecar),
-        notes=() if header.is_float else notes,
+        notes=(FULL_SCALE_NOTE,) if assumed else (),
         sources=(path,) if sidecar.path is None else (path, sidecar.path),
     )
 
 
 def _channels(n_channels: int, sidecar: Sidecar) -> list[int]:
     if n_channels == 1:
-        raise already_reduced("a WAV file with 1 channel")
+        raise refuse_reduced("a WAV file with 1 channel")
     if n_channels < AXES:
-        raise ValueError(f"got {n_channels} channels, allowed is 3: one per axis x, y, z")
+        raise ValueError(f"there must be 3 channels, one per axis x, y, z; got {n_channels}")
     axes = sidecar.axes or ("x", "y", "z")
     if len(axes) != n_channels:
         raise ValueError(
-            f"got {n_channels} channels for {len(axes)} axes, allowed is 3, or a sidecar whose axes name every channel"
+            f"there must be 3 channels, or a sidecar whose axes name every channel; "
+            f"got {n_channels} for {len(axes)} axes"
         )
     return [axes.index(axis) for axis in "xyz"]
 
@@ -80,28 +80,25 @@ def _true_rate(header_hz: int, sidecar: Sidecar) -> float:
         return float(header_hz)
     if abs(rate_hz - header_hz) > max(1.0, 0.001 * header_hz):
         raise ValueError(
-            f"got {header_hz} Hz in the header and {rate_hz:g} Hz in the sidecar, "
-            "allowed is a difference of 1 Hz or 0.1 %; mend the one that is wrong"
+            f"the header says {header_hz} Hz and the sidecar {rate_hz:g} Hz, which differ by more than 1 Hz or 0.1 %; "
+            "correct the one that is wrong"
         )
     return rate_hz
 
 
 def _full_scale(header: WavHeader, sidecar: Sidecar, *, requested: float | None) -> float | None:
-    requested = None if requested is None else check_full_scale(requested)
+    requested = None if requested is None else check_rate(requested, "full_scale", "")
     if requested and sidecar.full_scale and requested != sidecar.full_scale:
-        own = sidecar.full_scale
         raise ValueError(
-            f"got full_scale={requested:g}, but the sidecar says {own:g}; leave one out"
+            f"full_scale={requested:g}, but the sidecar says {sidecar.full_scale:g}; leave one out"
         )
     full_scale = requested or sidecar.full_scale
     if full_scale and header.is_float:
         raise ValueError(
-            "got full_scale for float samples, which are in the unit already; leave it out"
+            "full_scale is for integer samples, these are float and in the unit already; leave it out"
         )
     return full_scale
 
-
-# HaTT recordings (Penn Haptic Texture Toolkit): XML with one element per axis.
 
 SENSOR = r"accel(?:eration)?"
 AXIS = re.compile(rf"{SENSOR}_?([xyz])")
@@ -119,16 +116,21 @@ def read_hatt(path: Path, _: Request) -> Decoded:
     # Entities can expand without end or name other files; a recording needs neither.
     if re.search(rb"<!\s*(doctype|entity)", content, re.IGNORECASE):
         raise ValueError(
-            "got XML that declares a document type or entities, allowed is plain XML; remove them"
+            "the XML declares a document type or entities, which are not read; remove them"
         )
     tags = _collect_tags(_parse(content))
-    axes = {tag[-1]: _one(found, tag) for tag, found in tags.items() if AXIS.fullmatch(tag)}
+    axes = {tag[-1]: _only(found, tag) for tag, found in tags.items() if AXIS.fullmatch(tag)}
+    if not axes and re.search(rf"\b{SENSOR}\b", " ".join(tags)):
+        raise refuse_reduced("a scalar Accel signal (the toolkit's DFT321 output)")
     if not axes:
-        raise _no_axes(tags)
+        raise ValueError(
+            "the XML must hold AccelX, AccelY, AccelZ or Accel/X, Y, Z, "
+            f"got the tags {', '.join(list(tags)[:12]) or 'none'}"
+        )
     units = {text for tag, found in tags.items() if UNIT.fullmatch(tag) for text in found}
     return Decoded(
         stack_axes({axis: _numbers(text, axis) for axis, text in axes.items()}),
-        parse_unit(_one(sorted(units), "units")) if units else None,
+        parse_unit(_only(sorted(units), "units")) if units else None,
         _rate(tags),
     )
 
@@ -143,7 +145,7 @@ def _parse(content: bytes) -> Element:
         for event, _ in steps:
             depth += 1 if event == "start" else -1
             if depth > DEEPEST:
-                raise ValueError(f"got tags nested deeper than {DEEPEST}")
+                raise ValueError(f"tags are nested deeper than {DEEPEST}")
     return root
 
 
@@ -162,36 +164,25 @@ def _local(element: Element) -> str:
     return element.tag.rpartition("}")[2].casefold()
 
 
-def _one(texts: list[str], tag: str) -> str:
+def _only(texts: list[str], tag: str) -> str:
     if len(texts) != 1:
         raise ValueError(
-            f"got {len(texts)} elements for {tag}, allowed is one; which is meant cannot be told"
+            f"there must be one element for {tag}, got {len(texts)}; it is not clear which is meant"
         )
     return texts[0]
 
 
-def _no_axes(tags: Mapping[str, list[str]]) -> ValueError:
-    if re.search(rf"\b{SENSOR}\b", " ".join(tags)):
-        return already_reduced("a scalar Accel signal (the toolkit's DFT321 output)")
-    found = ", ".join(list(tags)[:12]) or "none"
-    return ValueError(
-        f"got XML without acceleration (tags: {found}), allowed is AccelX, AccelY, AccelZ or Accel/X, Y, Z"
-    )
-
-
-def _numbers(text: str, axis: str) -> NDArray[np.float64]:
+def _numbers(text: str, axis: str) -> Samples:
     words = re.split(r"[\s,;]+", text.strip(" \t\r\n,;"))
     try:
         values = np.array(words, dtype=np.float64)
     except ValueError as error:
         raise ValueError(
-            f"got a value of the {axis} axis that is no number ({error}); mend it"
+            f"a value of the {axis} axis is not a number ({error}); correct it"
         ) from None
     if not np.isfinite(values).all():
         i = int(np.argmin(np.isfinite(values)))
-        raise ValueError(
-            f"got {words[i]!r} as value {i} of the {axis} axis, allowed is a finite number"
-        )
+        raise ValueError(f"value {i} of the {axis} axis must be a finite number, got {words[i]!r}")
     return values
 
 
@@ -201,13 +192,11 @@ def _rate(tags: Mapping[str, list[str]]) -> float | None:
     texts = own or {text for found in rates.values() for text in found}
     if not texts:
         return None
-    text = _one(sorted(texts), "the sampling rate")
+    text = _only(sorted(texts), "the sampling rate")
     if not (match := RATE_VALUE.fullmatch(text)):
-        raise ValueError(f"got the sampling rate {text!r}, allowed is a number in Hz")
+        raise ValueError(f"the sampling rate must be a number in Hz, got {text!r}")
     return float(match[1]) * (1000.0 if match[2] else 1.0)
 
-
-# LMT-108 recordings (TU München): one text file per axis, one value per line, 10 kHz.
 
 NAME = re.compile(r"(.+_(?:Movement|Tapping))_([XYZ])_((?:train|test)\d+)", re.IGNORECASE)
 REDUCED_FOLDER = "accelscansdft321"
@@ -218,7 +207,7 @@ RATE_NOTE = (
 
 
 def is_lmt(path: Path) -> bool:
-    """Tell from the path whether a file belongs to the LMT-108 set."""
+    """Whether, by its path, a file belongs to the LMT-108 set."""
     return path.suffix.lower() == ".txt" and bool(NAME.fullmatch(path.stem) or _is_reduced(path))
 
 
@@ -229,7 +218,7 @@ def read_lmt(path: Path, request: Request) -> Decoded:
     """
     match = NAME.fullmatch(path.stem)
     if match is None or _is_reduced(path):
-        raise already_reduced("a file of the folder AccelScansDFT321")
+        raise refuse_reduced("a file of the folder AccelScansDFT321")
     head, axis, tail = match.groups()
     letters = "XYZ" if axis.isupper() else "xyz"
     sisters = {
@@ -237,7 +226,7 @@ def read_lmt(path: Path, request: Request) -> Decoded:
     }
     if missing := [sister.name for sister in sisters.values() if not sister.is_file()]:
         raise ValueError(
-            f"got no {' and no '.join(missing)} beside it, allowed is one file per axis x, y, z"
+            f"there must be one file per axis x, y, z beside it, got no {' and no '.join(missing)}"
         )
     known = request.rate_hz is not None
     return Decoded(
@@ -253,16 +242,12 @@ def _is_reduced(path: Path) -> bool:
     return any(part.lower() == REDUCED_FOLDER for part in path.absolute().parts[:-1])
 
 
-def _read_axis(path: Path) -> NDArray[np.float64]:
-    table = lay_out(read_text(path))
+def _read_axis(path: Path) -> Samples:
+    table = split_table(read_text(path))
     if table.n_columns != 1:
-        raise ValueError(
-            f"got {table.n_columns} columns in {path.name}, allowed is one value per line"
-        )
+        raise ValueError(f"{path.name} must hold one value per line, got {table.n_columns} columns")
     return read_numbers(table, (0,)).ravel()
 
-
-# enDAQ recordings (.IDE), read by the optional package idelib.
 
 LOST_SAMPLE = 1.5
 """An interval of so many periods means that samples were lost; less is the coarse clock of the blocks."""
@@ -274,7 +259,7 @@ def read_ide(path: Path, _: Request) -> Decoded:
         from idelib import importer
     except ImportError:
         how = "install it from feel321's source folder: pip install -c constraints.txt '.[ide]'"
-        raise ValueError(f"got an enDAQ recording, which idelib reads; {how}") from None
+        raise ValueError(f"an enDAQ recording is read by idelib, which is missing; {how}") from None
     # Opened here, because idelib leaves a file that it cannot read open.
     with foreign_errors("an enDAQ recording"), path.open("rb") as stream:
         dataset = importer.openFile(stream, quiet=True)
@@ -283,9 +268,7 @@ def read_ide(path: Path, _: Request) -> Decoded:
         found = [_read_channel(channel) for channel in triaxial]
     measured = [(samples, unit) for samples, unit in found if samples.shape[1] > 1]
     if not measured:
-        raise ValueError(
-            "got no accelerometer with three axes and samples, allowed is a triaxial recording"
-        )
+        raise ValueError("there must be an accelerometer with three axes and samples, got none")
     samples, unit = max(measured, key=lambda pair: _rate_hz(pair[0][0]))
     time_s = samples[0] - samples[0, 0]
     even = bool(np.diff(time_s).max() * _rate_hz(time_s) < LOST_SAMPLE)
@@ -312,7 +295,7 @@ def _unit(subchannel: Any) -> str | None:  # noqa: ANN401 - idelib is not typed
     return ACCELERATION_SPELLINGS.get(normalise(str(label_and_unit[1])))
 
 
-def _read_channel(channel: Any) -> tuple[NDArray[np.float64], str | None]:  # noqa: ANN401 - idelib is not typed
+def _read_channel(channel: Any) -> tuple[Samples, str | None]:  # noqa: ANN401 - idelib is not typed
     """Return time in s and the three axes, shape (4, n_samples), and their unit."""
     rows = _axes(channel)
     values = np.asarray(channel.getSession().arraySlice(), dtype=np.float64)
@@ -320,5 +303,5 @@ def _read_channel(channel: Any) -> tuple[NDArray[np.float64], str | None]:  # no
     return stacked, _unit(channel.subchannels[rows["x"]])
 
 
-def _rate_hz(time_s: NDArray[np.float64]) -> float:
+def _rate_hz(time_s: Samples) -> float:
     return float((time_s.size - 1) / (time_s[-1] - time_s[0]))

@@ -1,16 +1,21 @@
-"""Read a recording of any known format: detect it, decode it, check its sampling."""
+"""Read a recording of any known format: detect it, decode it, settle unit and sampling, inspect it.
+
+The first bytes decide which format a file is, and only then its suffix. What is noticed is never repaired.
+"""
 
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import TYPE_CHECKING
+import os
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from feel321.doors import as_path
+from feel321.files import file_named
 from feel321.stimuli.formats.arrays import read_mat, read_npy, read_npz
-from feel321.stimuli.formats.common import Decoded, Request, file_named, settle_unit
+from feel321.stimuli.formats.common import Decoded, Request, settle_unit
 from feel321.stimuli.formats.containers import (
     is_lmt,
     read_hatt,
@@ -23,10 +28,11 @@ from feel321.stimuli.recording import UNITS, Recording, check_finite, check_rate
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
-# Which format a file is, by its first bytes and only then by its suffix.
+    from feel321.types import PathLike, Samples
 
 MAGIC = {
     b"RIFF": "wav", b"RIFX": "wav", b"RF64": "wav",
@@ -47,22 +53,20 @@ HEAD_BYTES = 4096
 
 
 def detect_format(path: Path) -> str:
-    """Tell a file's format."""
+    """Find a file's format."""
     with path.open("rb") as file:
         head = file.read(HEAD_BYTES)
     if not head:
-        raise ValueError(
-            "got an empty file (0 bytes), allowed is a recording; copy or export it again"
-        )
+        raise ValueError("the file is empty (0 bytes); copy or export it again")
     for magic, name in MAGIC.items():
         if head.startswith(magic):
             return name
     if head.startswith(HDF5):
         raise ValueError(
-            "got a MATLAB 7.3 or HDF5 file, allowed is an older MAT-file; save it with save(..., '-v7')"
+            "MATLAB 7.3 and HDF5 files are not read; save it as an older MAT-file with save(..., '-v7')"
         )
     if head.startswith(WIDE_TEXT):
-        raise ValueError("got text in UTF-16 or UTF-32, allowed is UTF-8; save the file as UTF-8")
+        raise ValueError("the text is in UTF-16 or UTF-32; save the file as UTF-8")
     return _detect_text(path, head)
 
 
@@ -71,28 +75,19 @@ def _detect_text(path: Path, head: bytes) -> str:
     is_text = all(byte >= ord(" ") or byte in TEXT_CONTROLS for byte in head)
     if suffix == ".mat" and not is_text:
         return "mat"  # version 4 has no first bytes of its own
-    if not is_text:
-        raise ValueError(
-            f"got binary data of no known format (suffix {suffix!r}), allowed is {_allowed()}"
-        )
-    if head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<"):
+    if is_text and head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<"):
         return "hatt"
-    if is_lmt(path):
+    if is_text and is_lmt(path):
         return "lmt"
-    if suffix in TABLE_SUFFIXES:
+    if is_text and suffix in TABLE_SUFFIXES:
         return "table"
-    if suffix in SUFFIXES:
+    if is_text and suffix in SUFFIXES:
         raise ValueError(
-            f"got text in a {suffix} file; rename it to .csv if it is a table, or export it again"
+            f"a {suffix} file must not hold text; rename it to .csv if it is a table, or export it again"
         )
-    raise ValueError(f"got the unknown suffix {suffix!r}, allowed is {_allowed()}")
+    got = f"the suffix {suffix!r}" if is_text else f"binary data of no known format ({suffix!r})"
+    raise ValueError(f"the file must be one of {' '.join(SUFFIXES)}, got {got}")
 
-
-def _allowed() -> str:
-    return " ".join(SUFFIXES)
-
-
-# What a reader notices and never mends: saturated runs, silent axes, axes that stand still.
 
 SATURATED_SAMPLES = 3
 """So many equal samples in a row at an axis's extreme count as saturated."""
@@ -101,22 +96,16 @@ STILL_S = 0.05
 """So long a run of equal samples counts as standing still."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Runs:
-    """Runs of equal samples on one axis.
-
-    start: (n_runs,); length: (n_runs,); value: (n_runs,), what they are, in m/s².
-    """
+class Runs(NamedTuple):
+    """Runs of equal samples on one axis, (n_runs,) each: where they begin, how long they are, their value in m/s²."""
 
     start: NDArray[np.intp]
     length: NDArray[np.intp]
-    value: NDArray[np.float64]
+    value: Samples
 
 
-def inspect_samples(acceleration: NDArray[np.float64], rate_hz: float) -> tuple[str, ...]:
-    """Report saturated runs, constant axes and axes that stand still, with counts and positions.
-
-    acceleration: (3, n_samples), samples in m/s², as recorded (not resampled).
+def inspect_samples(acceleration: Samples, rate_hz: float) -> tuple[str, ...]:
+    """Report saturated runs, constant axes and axes that stand still, in samples (3, n) as recorded, not resampled.
 
     Notes
     -----
@@ -138,51 +127,40 @@ def inspect_samples(acceleration: NDArray[np.float64], rate_hz: float) -> tuple[
     silence = np.logical_and.reduce(held)
     findings: list[str] = []
     for name, axis_runs, still in zip("xyz", runs, held, strict=True):
-        if axis_runs.start.size == 1:
-            findings += _constant(name, axis_runs)
-        else:
-            findings += _saturated(name, axis_runs, rate_hz=rate_hz)
-            findings += _stands_still(name, still & ~silence, rate_hz=rate_hz)
+        if axis_runs.start.size > 1:
+            findings += _find_saturated(name, axis_runs, rate_hz=rate_hz)
+            findings += _find_standing(name, still & ~silence, rate_hz=rate_hz)
+        elif axis_runs.length[0] > 1:
+            constant = f"{axis_runs.value[0]:.6g} m/s^2 in all {axis_runs.length[0]} samples"
+            findings.append(f"axis {name}: flat, {constant}")
     return tuple(findings)
 
 
-def find_runs(axis: NDArray[np.float64]) -> Runs:
-    """Find the runs of equal samples.
-
-    axis: (n_samples,).
-    """
+def find_runs(axis: Samples) -> Runs:
+    """Find the runs of equal samples."""
     start = np.concatenate([[0], np.flatnonzero(np.diff(axis)) + 1])
     return Runs(start, np.diff(np.append(start, axis.size)), axis[start])
 
 
-def _constant(name: str, runs: Runs) -> Iterator[str]:
-    if runs.length[0] > 1:
-        yield f"axis {name}: flat, {runs.value[0]:.6g} m/s^2 in all {runs.length[0]} samples"
-
-
-def _saturated(name: str, runs: Runs, *, rate_hz: float) -> Iterator[str]:
+def _find_saturated(name: str, runs: Runs, *, rate_hz: float) -> Iterator[str]:
     jumps = np.abs(np.diff(runs.value))
     jump = np.maximum(np.append(0.0, jumps), np.append(jumps, 0.0))
     for extreme in (runs.value.min(), runs.value.max()):
         hit = (runs.value == extreme) & (runs.length >= SATURATED_SAMPLES)
-        if hit.any() and (hit := hit & (jump > 2 * _smallest_step(runs))).any():
+        if hit.any() and (hit := hit & (jump > 2 * np.diff(np.unique(runs.value)).min())).any():
             yield (
                 f"axis {name}: saturated at {extreme:.6g} m/s^2 in {hit.sum()} runs "
                 f"({runs.length[hit].sum()} samples), the first at {runs.start[hit][0] / rate_hz:.6g} s"
             )
 
 
-def _smallest_step(runs: Runs) -> float:
-    return float(np.diff(np.unique(runs.value)).min())
-
-
 def _held(runs: Runs, rate_hz: float) -> NDArray[np.bool_]:
-    """Return which samples belong to a long run of equal ones, shape (n_samples,)."""
+    """Which samples, (n_samples,), belong to a long run of equal ones."""
     long = runs.length >= max(SATURATED_SAMPLES, STILL_S * rate_hz)
     return np.repeat(long, runs.length)
 
 
-def _stands_still(name: str, still: NDArray[np.bool_], *, rate_hz: float) -> Iterator[str]:
+def _find_standing(name: str, still: NDArray[np.bool_], *, rate_hz: float) -> Iterator[str]:
     runs = find_runs(still.astype(np.float64))
     long = (runs.value > 0) & (runs.length >= STILL_S * rate_hz)
     if long.any():
@@ -192,8 +170,6 @@ def _stands_still(name: str, still: NDArray[np.bool_], *, rate_hz: float) -> Ite
             f"({runs.length[long].sum()} samples), the first at {runs.start[long][0] / rate_hz:.6g} s"
         )
 
-
-# One rate for all samples: agreed by file and caller, checked on the time stamps, or made on request.
 
 AGREEMENT = 0.01
 """How far, relatively, two statements of one rate may differ."""
@@ -205,43 +181,33 @@ SPLINE_POINTS = 4
 """A cubic spline needs as many samples."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Sampled:
-    """Samples at one rate.
-
-    acceleration: (3, n_samples).
-    """
-
-    acceleration: NDArray[np.float64]
-    rate_hz: float
-    notes: tuple[str, ...] = ()
-
-
-def settle_sampling(decoded: Decoded, request: Request) -> Sampled:
-    """Settle the rate, and check that the samples are regular."""
+def settle_sampling(decoded: Decoded, request: Request) -> tuple[Samples, float, tuple[str, ...]]:
+    """Settle the rate, and check that the samples are regular, or make them so; samples, rate and notes."""
     requested = None if request.rate_hz is None else check_rate(request.rate_hz)
     stated = _agree(requested, decoded.rate_hz, who="the file")
     if decoded.time_s is None:
         if stated is None:
-            raise ValueError(
-                "got no sampling rate and no time column, one is needed; give rate_hz=..."
-            )
-        return Sampled(decoded.acceleration, stated)
-    time_s = _check_stamps(decoded)
-    measured_hz = (time_s.size - 1) / float(time_s[-1] - time_s[0])
-    irregular = _irregular(time_s, decoded.time_step_s)
+            raise ValueError("there is no sampling rate and no time column; give rate_hz=...")
+        return decoded.acceleration, stated, ()
+    time_s = _check_stamps(decoded, decoded.time_s)
+    irregular = _find_irregular(time_s, decoded.time_step_s)
     if irregular.size == 0:
+        measured_hz = (time_s.size - 1) / float(time_s[-1] - time_s[0])
         rate_hz = _agree(stated, measured_hz, who="the time stamps") or measured_hz
-        return Sampled(decoded.acceleration, rate_hz, _coarse_stamps(decoded, rate_hz))
+        share = decoded.time_step_s * rate_hz
+        steps = f"{decoded.time_step_s:g} s, {share:.0%} of the period"
+        note = f"time stamps show steps of {steps}: finer jitter cannot be seen"
+        return decoded.acceleration, rate_hz, (note,) if share > JITTER_LIMIT else ()
     finding = _describe(time_s, irregular)
     if not request.resample:
         raise ValueError(
-            f"got irregular sampling: {finding}; allowed is {JITTER_LIMIT:.0%} of the period; "
+            f"sampling must be regular to {JITTER_LIMIT:.0%} of the period, got {finding}; "
             "resample=True (command line: --resample) interpolates to an even rate"
         )
-    resampled = _resample(decoded.acceleration, time_s, finding=finding)
-    _agree(stated, resampled.rate_hz, who="the time stamps")
-    return resampled
+    even, rate_hz = _resample(decoded.acceleration, time_s)
+    _agree(stated, rate_hz, who="the time stamps")
+    note = f"resampled on request to {even.shape[1]} samples at {rate_hz:.6g} Hz by cubic spline: {finding}"
+    return even, rate_hz, (note,)
 
 
 def _agree(stated: float | None, own: float | None, *, who: str) -> float | None:
@@ -249,35 +215,34 @@ def _agree(stated: float | None, own: float | None, *, who: str) -> float | None
         return stated or own
     if abs(stated / check_rate(own) - 1) > AGREEMENT:
         raise ValueError(
-            f"got {stated:g} Hz, but {own:g} Hz by {who}; allowed is a difference of {AGREEMENT:.0%}"
+            f"the rate is {stated:g} Hz, but {own:g} Hz by {who}; they may differ by {AGREEMENT:.0%}"
         )
     return stated
 
 
-def _check_stamps(decoded: Decoded) -> NDArray[np.float64]:
-    time_s, n_samples = decoded.time_s, decoded.acceleration.shape[1]
-    if time_s is None or time_s.shape != (n_samples,):
-        count = 0 if time_s is None else time_s.size
+def _check_stamps(decoded: Decoded, time_s: Samples) -> Samples:
+    n_samples = decoded.acceleration.shape[1]
+    if time_s.shape != (n_samples,):
         raise ValueError(
-            f"got {count} time stamps for {n_samples} samples, allowed is one stamp per sample"
+            f"there must be one time stamp per sample, got {time_s.size} for {n_samples} samples"
         )
     if n_samples < 2:  # noqa: PLR2004 - an interval has two ends
         raise ValueError(
-            f"got {n_samples} sample with a time stamp, allowed is 2 or more: they give the rate"
+            f"there must be 2 time stamps or more, which give the rate; got {n_samples}"
         )
     rising = np.diff(time_s) > 0  # false for NaN too
     if not rising.all():
         i = int(np.argmin(rising)) + 1
         place = f"sample {i}" if decoded.first_line is None else f"line {decoded.first_line + i}"
         raise ValueError(
-            f"got time stamps that do not increase: {time_s[i]:.9g} after {time_s[i - 1]:.9g} s at {place}; "
-            "mend the stamps, or leave the time column out and give rate_hz"
+            f"time stamps must increase, got {time_s[i]:.9g} after {time_s[i - 1]:.9g} s at {place}; "
+            "correct them, or leave the time column out and give rate_hz"
         )
     return time_s
 
 
-def _irregular(time_s: NDArray[np.float64], step_s: float) -> NDArray[np.intp]:
-    """Return the intervals off the median by more than the limit and the rounding of the stamps."""
+def _find_irregular(time_s: Samples, step_s: float) -> NDArray[np.intp]:
+    """Find the intervals that are off the median by more than the limit and the rounding of the stamps."""
     intervals = np.diff(time_s)
     period = float(np.median(intervals))
     # A rounded stamp is off by half a printed place, an interval by a whole one.
@@ -285,7 +250,7 @@ def _irregular(time_s: NDArray[np.float64], step_s: float) -> NDArray[np.intp]:
     return np.flatnonzero(np.abs(intervals - period) > JITTER_LIMIT * period + 1.001 * rounding)
 
 
-def _describe(time_s: NDArray[np.float64], irregular: NDArray[np.intp]) -> str:
+def _describe(time_s: Samples, irregular: NDArray[np.intp]) -> str:
     intervals = np.diff(time_s)
     period = float(np.median(intervals))
     jitter = float(np.abs(intervals - period).max()) / period
@@ -296,34 +261,17 @@ def _describe(time_s: NDArray[np.float64], irregular: NDArray[np.intp]) -> str:
     )
 
 
-def _coarse_stamps(decoded: Decoded, rate_hz: float) -> tuple[str, ...]:
-    step_s = decoded.time_step_s
-    if step_s * rate_hz <= JITTER_LIMIT:
-        return ()
-    share = step_s * rate_hz
-    return (
-        f"time stamps show steps of {step_s:g} s, {share:.0%} of the period: finer jitter cannot be seen",
-    )
-
-
-def _resample(
-    acceleration: NDArray[np.float64], time_s: NDArray[np.float64], *, finding: str
-) -> Sampled:
+def _resample(acceleration: Samples, time_s: Samples) -> tuple[Samples, float]:
     from scipy.interpolate import make_interp_spline
 
     if time_s.size < SPLINE_POINTS:
-        raise ValueError(
-            f"got {time_s.size} samples to resample, allowed is at least {SPLINE_POINTS}"
-        )
+        raise ValueError(f"resampling needs {SPLINE_POINTS} samples or more, got {time_s.size}")
     elapsed = time_s - time_s[0]
     period = float(np.median(np.diff(time_s)))
     grid = np.arange(int(elapsed[-1] / period * (1 + 1e-12)) + 1) * period
     even = make_interp_spline(elapsed, acceleration, k=3, axis=1)(np.minimum(grid, elapsed[-1]))
-    note = f"resampled on request to {grid.size} samples at {1 / period:.6g} Hz by cubic spline: {finding}"
-    return Sampled(np.asarray(even, dtype=np.float64), 1 / period, (note,))
+    return np.asarray(even, dtype=np.float64), 1 / period
 
-
-# One door for every format: detect, decode, settle unit and sampling, inspect, keep the digest.
 
 READERS: Mapping[str, Callable[[Path, Request], Decoded]] = {
     "wav": read_wav_recording,
@@ -339,7 +287,7 @@ READERS: Mapping[str, Callable[[Path, Request], Decoded]] = {
 
 
 def read_recording(
-    path: str | Path,
+    path: PathLike,
     *,
     rate_hz: float | None = None,
     unit: str | None = None,
@@ -347,11 +295,11 @@ def read_recording(
     full_scale: float | None = None,
     resample: bool = False,
 ) -> Recording:
-    """Read a three-axis recording of any known format.
+    r"""Read a three-axis recording of any known format.
 
     Parameters
     ----------
-    path : str or Path
+    path : str or path
         WAV, CSV, TSV, TXT, NPZ, NPY, MAT, HaTT XML, any axis of an LMT-108 triple, or enDAQ IDE. The content
         decides first, the suffix second.
     rate_hz : float, optional
@@ -378,8 +326,18 @@ def read_recording(
         allowed and what to do.
     OSError
         If there is no such file.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> from feel321 import stimuli
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pathlib.Path(folder, "tap.csv")
+    ...     _ = path.write_text("x,y,z\n0,0,1\n0,1,0\n1,0,0\n")
+    ...     stimuli.read_recording(path, rate_hz=1000, unit="g")
+    Recording('tap', 3 samples at 1000 Hz, 0.003 s)
     """
-    source = Path(path)
+    source = as_path(path)
     request = Request(rate_hz, unit, columns, full_scale, resample)
     with file_named(source):
         decoded = _decode(source, request)
@@ -388,35 +346,105 @@ def read_recording(
         with np.errstate(over="ignore", invalid="ignore"):
             acceleration = decoded.acceleration * UNITS[unit_found]
         check_finite(acceleration, "acceleration")
-        sampled = settle_sampling(replace(decoded, acceleration=acceleration), request)
+        samples, rate, notes = settle_sampling(replace(decoded, acceleration=acceleration), request)
+        found = inspect_samples(acceleration, rate)
         return Recording(
-            sampled.acceleration,
-            sampled.rate_hz,
+            samples,
+            rate,
             name=decoded.name or source.stem,
-            warnings=(
-                *unit_notes,
-                *decoded.notes,
-                *sampled.notes,
-                *inspect_samples(acceleration, sampled.rate_hz),
-            ),
+            warnings=(*unit_notes, *decoded.notes, *notes, *found),
             sha256=_digest(decoded.sources or (source,)),
         )
 
 
+def read_recordings(
+    paths: PathLike | Iterable[PathLike],
+    *,
+    rate_hz: float | None = None,
+    unit: str | None = None,
+    columns: Sequence[str | int] | None = None,
+    full_scale: float | None = None,
+    resample: bool = False,
+) -> list[Recording]:
+    """Read several recordings, or report what is wrong with each at once.
+
+    Parameters
+    ----------
+    paths : str or path, or sequence of them
+        A folder, of which every file with a known suffix is read, or files.
+    rate_hz, unit, columns, full_scale, resample : as for `read_recording`
+        What holds for every file.
+
+    Returns
+    -------
+    list of Recording
+        In the order of the files, by name for a folder; the files of an LMT-108 triple are one recording.
+
+    Raises
+    ------
+    ValueError
+        If any cannot be read; a line per file.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from feel321 import stimuli
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     for name in ("bumps", "hard_taps"):
+    ...         scene = stimuli.make_scene(name, duration_s=1)
+    ...         stimuli.write_wav(f"{folder}/{name}.wav", scene.acceleration, scene.rate_hz)
+    ...     [recording.name for recording in stimuli.read_recordings(folder, unit="m/s^2")]
+    ['bumps', 'hard_taps']
+    """
+    files = (
+        _list_files(as_path(paths))
+        if isinstance(paths, str | os.PathLike)
+        else [*map(as_path, paths)]
+    )
+    read: dict[tuple[str, str], Recording] = {}
+    problems = []
+    for file in files:
+        try:
+            found = read_recording(
+                file,
+                rate_hz=rate_hz,
+                unit=unit,
+                columns=columns,
+                full_scale=full_scale,
+                resample=resample,
+            )
+        except (OSError, ValueError) as error:
+            problems.append(str(error))
+        else:
+            read.setdefault((found.name, found.sha256), found)
+    if problems:
+        raise ValueError("\n".join(problems))
+    return list(read.values())
+
+
+def _list_files(folder: Path) -> list[Path]:
+    if not folder.is_dir():
+        return [folder]
+    found = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in SUFFIXES]
+    if not found:
+        raise ValueError(
+            f"{folder}: holds no recording; the suffix must be one of {' '.join(SUFFIXES)}"
+        )
+    return found
+
+
 def _decode(path: Path, request: Request) -> Decoded:
     if path.is_dir():
-        raise IsADirectoryError("got a folder, allowed is one recording file; name a file in it")
+        raise IsADirectoryError("is a folder; name a recording file in it")
     if not path.exists():
-        raise FileNotFoundError(f"got no such file in {path.parent}; check the name and the folder")
+        raise FileNotFoundError(
+            f"there is no such file in {path.parent}; check the name and the folder"
+        )
     kind = detect_format(path)
     if request.columns is not None and kind not in {"table", "npz", "mat"}:
-        raise ValueError(
-            f"got columns for a {kind} file, allowed is columns for tables, NPZ and MAT; leave it out"
-        )
+        raise ValueError(f"columns is for tables, NPZ and MAT, got a {kind} file; leave it out")
     if request.full_scale is not None and kind != "wav":
-        raise ValueError(
-            f"got full_scale for a {kind} file, allowed is only for integer WAV; leave it out"
-        )
+        raise ValueError(f"full_scale is for integer WAV, got a {kind} file; leave it out")
     return READERS[kind](path, request)
 
 

@@ -1,7 +1,8 @@
 """Reducers to one axis, fixed or principal, and the frames in which windowed reducers work.
 
 Conventions: acceleration (..., 3, n) in, reduced signal (..., n) out, same unit, float64; the input is never
-modified. None of them needs the sampling rate; they take it so that every reducer is called alike.
+modified. Fixed axes do not need the sampling rate; they take it so that every reducer is called alike. A window of
+`window_s` is the nearest even number of samples, at least 2.
 
 A signal of n samples is cut into blocks of one hop; a frame is two neighbouring blocks, so every sample lies in exactly
 two frames. A silent block before the first and after the last gives both ends their second frame. A *block
@@ -9,8 +10,7 @@ processor* is fed blocks in time order and answers with finished blocks, one hop
 hundred blocks at a time (so that its work stays in the processor's cache), the streaming form as they come. Both
 therefore compute the same thing.
 
-Conventions: acceleration (..., 3, n) in, reduced signal (..., n) out, same unit, float64; the input is never
-modified. An axis has no sign of its own: it is chosen so that the output does not correlate negatively with the sum of
+An axis has no sign of its own: it is chosen so that the output does not correlate negatively with the sum of
 the components, and kept from segment to segment.
 
 References
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-# Signals cut into half-overlapping frames: the shared frame of every windowed reducer.
+    from feel321.types import Samples
 
 DEFAULT_WINDOW_S = 0.035
 """Window of 35 ms: the paper's value, 10 ms below the shortest delay noticed between sight and touch."""
@@ -43,17 +43,14 @@ _SAMPLES_AT_A_TIME = 16384
 
 
 class BlockProcessor(Protocol):
-    """What turns blocks of three axes into finished blocks of one, one hop late.
-
-    hop: length of a block in samples.
-    """
+    """Turns blocks of three axes, `hop` samples long, into finished blocks of one axis, one hop late."""
 
     hop: int
 
-    def push(self, blocks: NDArray[np.float64], valid: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Take the next blocks and give as many finished ones; the first is the one before the first that is pushed.
+    def push(self, blocks: Samples, valid: NDArray[np.bool_]) -> Samples:
+        """Take the next blocks, (..., 3, m, hop), and which of their samples, (m, hop), belong to the signal.
 
-        blocks: (..., 3, m, hop); valid: (m, hop); returns (..., m, hop).
+        Returns as many finished blocks, (..., m, hop); the first is the one before the first that is pushed.
         """
 
 
@@ -67,27 +64,32 @@ def window_samples(window_s: float, rate_hz: float) -> int:
     """
     rate = check_rate(rate_hz)
     if not (math.isfinite(window_s) and window_s > 0):
-        raise ValueError(f"window_s: got {window_s!r}, allowed is a finite time in s above 0")
+        raise ValueError(f"window_s must be a finite time in s above 0, got {window_s!r}")
     return max(2, 2 * math.floor(window_s * rate / 2 + 0.5))
 
 
-def sqrt_hann(length: int) -> NDArray[np.float64]:
-    """Square root of the periodic Hann window; its squares at half overlap add up to 1.
-
-    Returns (length,).
-    """
+def sqrt_hann(length: int) -> Samples:
+    """Square root of the periodic Hann window: at half overlap its squares add up to 1."""
     return np.sin(np.pi * np.arange(length) / length)
 
 
-def run_offline(
+def reduce_in_frames(
     processor_for: Callable[[tuple[int, ...], int], BlockProcessor],
-    samples: NDArray[np.float64],
-    hop: int,
-) -> NDArray[np.float64]:
-    """Feed a whole signal through a block processor.
+    acceleration: ArrayLike,
+    *,
+    rate_hz: float,
+    window_s: float,
+) -> Samples:
+    """Check a recording and feed it through a block processor."""
+    admitted = admit(acceleration, rate_hz)
+    hop = window_samples(window_s, rate_hz) // 2
+    return admitted.restore(run_offline(processor_for, admitted.samples, hop))
 
-    samples: (..., 3, n); hop: block length in samples; returns (..., n).
-    """
+
+def run_offline(
+    processor_for: Callable[[tuple[int, ...], int], BlockProcessor], samples: Samples, hop: int
+) -> Samples:
+    """Feed a whole signal, (..., 3, n), through a block processor."""
     *batch, _, n = samples.shape
     if not samples.size:
         return np.zeros((*batch, n))
@@ -107,14 +109,8 @@ def run_offline(
     return reduced
 
 
-def cut_blocks(
-    samples: NDArray[np.float64], hop: int, n_blocks: int
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Cut samples into blocks, filling up with silence where they end early.
-
-    samples: (..., 3, k), the next samples of the signal, k <= n_blocks * hop; hop: block length in
-    samples; returns blocks: (..., 3, n_blocks, hop); returns valid: (n_blocks, hop).
-    """
+def cut_blocks(samples: Samples, hop: int, n_blocks: int) -> tuple[Samples, NDArray[np.bool_]]:
+    """Cut samples (..., 3, k) into blocks (..., 3, n_blocks, hop), silent where they end early; and say where."""
     k = samples.shape[-1]
     valid = (np.arange(n_blocks * hop) < k).reshape(n_blocks, hop)
     if k < n_blocks * hop:
@@ -124,44 +120,25 @@ def cut_blocks(
     return samples.reshape(*samples.shape[:-1], n_blocks, hop), valid
 
 
-# Reducers without memory: one axis, the sum of the axes, the vector's magnitude.
-
-
-def sax321(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.float64]:
-    """Keep the sensor's x axis.
-
-    acceleration: (..., 3, n_samples); returns (..., n_samples).
-
-    Examples
-    --------
-    >>> sax321([[1, 2], [3, 4], [5, 6]], 1000)
-    array([1., 2.])
-    """
+def sax321(acceleration: ArrayLike, rate_hz: float) -> Samples:
+    """Keep the sensor's x axis."""
     return _axis(acceleration, rate_hz, 0)
 
 
-def say321(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.float64]:
-    """Keep the sensor's y axis.
-
-    acceleration: (..., 3, n_samples); returns (..., n_samples).
-    """
+def say321(acceleration: ArrayLike, rate_hz: float) -> Samples:
+    """Keep the sensor's y axis."""
     return _axis(acceleration, rate_hz, 1)
 
 
-def saz321(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.float64]:
-    """Keep the sensor's z axis.
-
-    acceleration: (..., 3, n_samples); returns (..., n_samples).
-    """
+def saz321(acceleration: ArrayLike, rate_hz: float) -> Samples:
+    """Keep the sensor's z axis."""
     return _axis(acceleration, rate_hz, 2)
 
 
-def soc321(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.float64]:
+def soc321(acceleration: ArrayLike, rate_hz: float) -> Samples:
     """Add the three axes.
 
     Axes in phase interfere constructively (three equal axes: three times the energy), axes in anti-phase cancel.
-
-    acceleration: (..., 3, n_samples); returns (..., n_samples).
 
     Examples
     --------
@@ -172,12 +149,10 @@ def soc321(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.float64]:
     return admitted.restore(admitted.samples.sum(axis=-2))
 
 
-def mag321(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.float64]:
+def mag321(acceleration: ArrayLike, rate_hz: float) -> Samples:
     """Take the length of the acceleration vector.
 
     Never negative, so it has an offset that the vibration did not have, and frequencies are doubled and mixed.
-
-    acceleration: (..., 3, n_samples); returns (..., n_samples).
 
     Examples
     --------
@@ -190,12 +165,10 @@ def mag321(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.float64]:
     )
 
 
-def _axis(acceleration: ArrayLike, rate_hz: float, axis: int) -> NDArray[np.float64]:
+def _axis(acceleration: ArrayLike, rate_hz: float, axis: int) -> Samples:
     admitted = admit(acceleration, rate_hz)
     return admitted.restore(admitted.samples[..., axis, :].copy())
 
-
-# PCA321: project on the axis that holds most energy, once for the whole signal or anew in short segments.
 
 # Below this the sum of an axis's components is rounding, and cannot choose its sign.
 NO_SIGN = 1e-9
@@ -203,10 +176,8 @@ NO_SIGN = 1e-9
 _CONSTANT = 1e-20
 
 
-def pca321(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.float64]:
+def pca321(acceleration: ArrayLike, rate_hz: float) -> Samples:
     """Project on the principal axis of the whole signal, its mean removed.
-
-    acceleration: (..., 3, n_samples); returns (..., n_samples).
 
     Notes
     -----
@@ -230,11 +201,8 @@ def pca321(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.float64]:
 
 def pca321_adaptive(
     acceleration: ArrayLike, rate_hz: float, *, window_s: float = DEFAULT_WINDOW_S
-) -> NDArray[np.float64]:
+) -> Samples:
     """Project on a principal axis that is estimated anew in short overlapping segments and turns smoothly.
-
-    acceleration: (..., 3, n_samples); window_s: the nearest even number of samples, at least 2, is
-    used; returns (..., n_samples).
 
     Notes
     -----
@@ -243,24 +211,16 @@ def pca321_adaptive(
     with the sum of the components). At every sample the axes of its two segments are mixed with their weights and
     brought to unit length. A constant segment keeps the axis before it. Only the past is used, so the method streams.
     """
-    admitted = admit(acceleration, rate_hz)
-    hop = window_samples(window_s, rate_hz) // 2
-    return admitted.restore(run_offline(PrincipalFrames, admitted.samples, hop))
+    return reduce_in_frames(PrincipalFrames, acceleration, rate_hz=rate_hz, window_s=window_s)
 
 
-def leading_axis(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the unit eigenvector of the largest eigenvalue, its sign left open.
-
-    covariance: (..., 3, 3); returns (..., 3).
-    """
+def leading_axis(covariance: Samples) -> Samples:
+    """Return the unit eigenvector of the largest eigenvalue of (..., 3, 3), its sign left open."""
     return np.asarray(np.linalg.eigh(covariance)[1][..., -1])
 
 
-def with_sign(axes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Turn axes so that they point along the sensor's diagonal, or by their largest component where they cannot.
-
-    axes: (..., 3); returns (..., 3).
-    """
+def with_sign(axes: Samples) -> Samples:
+    """Turn axes (..., 3) along the sensor's diagonal, or by their largest component where they cannot."""
     along = axes.sum(axis=-1, keepdims=True)
     strength = np.abs(axes)
     first = np.argmax(strength >= (1 - NO_SIGN) * strength.max(axis=-1, keepdims=True), axis=-1)
@@ -270,11 +230,16 @@ def with_sign(axes: NDArray[np.float64]) -> NDArray[np.float64]:
     )
 
 
-class PrincipalFrames:
-    """The block processor of `pca321_adaptive`: see `frames.BlockProcessor`.
+def turn_alike(axes: Samples) -> Samples:
+    """Let each of the axes, (..., m, 3), but the first point along the one before it; the first is left out."""
+    along = np.einsum("...mi,...mi->...m", axes[..., 1:, :], axes[..., :-1, :])
+    # An axis across the one before it keeps the sign that it has by itself: rounding must not choose.
+    signs = np.cumprod(np.where(along < -NO_SIGN, -1.0, 1.0), axis=-1)
+    return np.asarray(axes[..., 1:, :] * signs[..., None])
 
-    hop: half a segment, in samples.
-    """
+
+class PrincipalFrames:
+    """The block processor of `pca321_adaptive`: see `BlockProcessor`."""
 
     def __init__(self, batch: tuple[int, ...], hop: int) -> None:
         self.hop = hop
@@ -284,11 +249,8 @@ class PrincipalFrames:
         self._valid = np.zeros((1, hop), dtype=bool)
         self._axis = np.full((*batch, 1, 3), 1 / np.sqrt(3))
 
-    def push(self, blocks: NDArray[np.float64], valid: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Take blocks (..., 3, m, hop), give as many finished ones (..., m, hop), one hop late.
-
-        blocks: (..., 3, m, hop); valid: (m, hop); returns (..., m, hop).
-        """
+    def push(self, blocks: Samples, valid: NDArray[np.bool_]) -> Samples:
+        """Take blocks (..., 3, m, hop), give as many finished ones (..., m, hop), one hop late."""
         blocks = np.concatenate([self._previous, blocks], axis=-2)
         valid = np.concatenate([self._valid, valid])
         frames = np.concatenate([blocks[..., :-1, :], blocks[..., 1:, :]], axis=-1)
@@ -303,25 +265,17 @@ class PrincipalFrames:
         mixed /= np.linalg.norm(mixed, axis=-2, keepdims=True)
         return np.asarray(np.einsum("...mih,...imh->...mh", mixed, blocks[..., :-1, :]))
 
-    def _turned(
-        self, axes: NDArray[np.float64], constant: NDArray[np.bool_]
-    ) -> NDArray[np.float64]:
+    def _turned(self, axes: Samples, constant: NDArray[np.bool_]) -> Samples:
         """Let constant segments keep the axis before them, and turn each axis to point along the one before."""
         axes = np.concatenate([self._axis, with_sign(axes)], axis=-2)
         own = np.where(constant, 0, np.arange(1, axes.shape[-2]))
         own = np.concatenate(
             [np.zeros_like(own[..., :1]), np.maximum.accumulate(own, axis=-1)], axis=-1
         )
-        axes = np.take_along_axis(axes, own[..., None], axis=-2)
-        along = np.einsum("...mi,...mi->...m", axes[..., 1:, :], axes[..., :-1, :])
-        # An axis across the one before it keeps the sign that it has by itself: rounding must not choose.
-        signs = np.cumprod(np.where(along < -NO_SIGN, -1.0, 1.0), axis=-1)
-        return np.asarray(axes[..., 1:, :] * signs[..., None])
+        return turn_alike(np.take_along_axis(axes, own[..., None], axis=-2))
 
 
-def _segment_axes(
-    frames: NDArray[np.float64], weights: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def _segment_axes(frames: Samples, weights: Samples) -> tuple[Samples, NDArray[np.bool_]]:
     """Leading axes (..., m, 3) of frames (..., 3, m, length), and which frames are constant (..., m)."""
     total = np.maximum(weights.sum(axis=-1), np.finfo(np.float64).tiny)
     mean = np.einsum("...imt,mt->...im", frames, weights) / total

@@ -1,16 +1,15 @@
 r"""DFT321 and its relatives: the energy of all three axes at every frequency, with one phase.
 
 Conventions: acceleration (..., 3, n) in, reduced signal (..., n) out, same unit, float64; the input is never
-modified. `dft321` works on the whole signal at once (offline, stationary vibrations); `dft321_windowed` on short
-overlapping frames (transients, streaming).
+modified. Spectra are lists of three (..., n_bins), axes and onsets (..., 3), covariances and anchors (the mean products
+of onsets) (..., 3, 3). `dft321` works on the whole signal at once (offline, stationary vibrations); `dft321_windowed`
+on short overlapping frames (transients, streaming).
 
 `dft321` takes its phase from the sum of the axes: from the projection on the sensor's own diagonal. Where the motion is
 perpendicular to that diagonal (axes in anti-phase) the phase is left to noise, and turning the sensor changes the
-output. Here the axis is found in the motion itself, so it turns with the sensor and the output stays.
-
-
-In the windowed form that follows the axis only the past
-is used, so the method streams. An offset of the recording leaks into all frames' first bins: remove it first.
+output. In the `principal` forms the axis is found in the motion itself, so it turns with the sensor and the output
+stays. Their windowed form uses only the past, so it streams. An offset of the recording leaks into all frames' first
+bins: remove it first.
 
 Notes
 -----
@@ -57,9 +56,8 @@ from feel321.stimuli.recording import admit
 from feel321.stimuli.reducers.axes import (
     DEFAULT_WINDOW_S,
     leading_axis,
-    run_offline,
+    reduce_in_frames,
     sqrt_hann,
-    window_samples,
 )
 
 if TYPE_CHECKING:
@@ -67,9 +65,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    Spectra = list[NDArray[np.complex128]]
-
-# DFT321: keep the energy of all three axes at every frequency, with the phase of their sum.
+    Bins = NDArray[np.complex128]
+    Spectra = list[Bins]
+    from feel321.types import Samples
 
 ROUNDING = 32 * np.finfo(np.float64).eps
 """A sum of three axes below this share of the spectrum's root mean square is the rounding error of the transforms."""
@@ -80,10 +78,8 @@ _BINS_AT_A_TIME = 16384
 _TIE = 1e-6
 
 
-def dft321(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.float64]:
+def dft321(acceleration: ArrayLike, rate_hz: float) -> Samples:
     r"""Keep the energy of all axes at every frequency, with the phase of their sum, over the whole signal.
-
-    acceleration: (..., 3, n_samples); returns (..., n_samples).
 
     Notes
     -----
@@ -117,11 +113,8 @@ def dft321(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.float64]:
 
 def dft321_windowed(
     acceleration: ArrayLike, rate_hz: float, *, window_s: float = DEFAULT_WINDOW_S
-) -> NDArray[np.float64]:
+) -> Samples:
     """Apply the rule of `dft321` to short overlapping frames.
-
-    acceleration: (..., 3, n_samples); window_s: the nearest even number of samples, at least 2, is
-    used; returns (..., n_samples).
 
     Notes
     -----
@@ -132,16 +125,11 @@ def dft321_windowed(
     ----------
     .. [1] Landin et al. 2010, section 4. doi:10.1007/978-3-642-14075-4_12
     """
-    admitted = admit(acceleration, rate_hz)
-    hop = window_samples(window_s, rate_hz) // 2
-    return admitted.restore(run_offline(FourierFrames, admitted.samples, hop))
+    return reduce_in_frames(FourierFrames, acceleration, rate_hz=rate_hz, window_s=window_s)
 
 
 class FourierFrames:
-    """The block processor of `dft321_windowed`: see `frames.BlockProcessor`.
-
-    hop: half a frame, in samples.
-    """
+    """The block processor of `dft321_windowed`: see `BlockProcessor`."""
 
     def __init__(self, batch: tuple[int, ...], hop: int) -> None:
         self.hop = hop
@@ -149,11 +137,8 @@ class FourierFrames:
         self._previous = np.zeros((*batch, 3, hop))
         self._tail = np.zeros((*batch, hop))
 
-    def push(self, blocks: NDArray[np.float64], valid: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Take blocks (..., 3, m, hop), give as many finished ones (..., m, hop), one hop late.
-
-        blocks: (..., 3, m, hop); valid: (m, hop); returns (..., m, hop).
-        """
+    def push(self, blocks: Samples, valid: NDArray[np.bool_]) -> Samples:
+        """Take blocks (..., 3, m, hop), give as many finished ones (..., m, hop), one hop late."""
         from scipy import fft
 
         del valid
@@ -172,36 +157,24 @@ class FourierFrames:
         self._tail = reduced[..., -1, hop:].copy()
         return finished
 
-    def merge(
-        self, spectra: list[NDArray[np.complex128]], frames: NDArray[np.float64]
-    ) -> NDArray[np.complex128]:
-        """Make one spectrum of the three axes', frame by frame; other rules override this.
-
-        spectra: (..., m, n_bins); frames: (..., 3, m, 2 * hop); returns (..., m, n_bins).
-        """
+    def merge(self, spectra: Spectra, frames: Samples) -> Bins:
+        """Make one spectrum of the three axes', frame by frame; other rules override this."""
         return merge_spectra(spectra, np.einsum("...imt,...imt->...m", frames, frames)[..., None])
 
 
-def transform(samples: NDArray[np.float64]) -> list[NDArray[np.complex128]]:
-    """Give the spectra of the three axes.
+def transform(samples: Samples) -> Spectra:
+    """Compute the spectra of the three axes, one after the other.
 
-    One after the other: at once they would ask for one large piece of fresh memory, and axes that lie a whole number of
-    memory pages apart would fight for the same places in the processor's cache.
-
-    samples: (..., 3, n_samples); returns (..., n_samples // 2 + 1).
+    At once they would ask for one large piece of fresh memory, and axes that lie a whole number of memory pages apart
+    would compete for the same places in the processor's cache.
     """
     from scipy import fft
 
     return [fft.rfft(axis) for axis in np.moveaxis(samples, -2, 0)]
 
 
-def merge_spectra(
-    spectra: list[NDArray[np.complex128]], energy: NDArray[np.float64]
-) -> NDArray[np.complex128]:
-    """Merge the spectra of the axes by equations 3 and 4.
-
-    spectra: (..., n_bins); energy: (..., 1); returns (..., n_bins).
-    """
+def merge_spectra(spectra: Spectra, energy: Samples) -> Bins:
+    """Merge the spectra of the axes by equations 3 and 4."""
     floor = ROUNDING**2 * energy
     for start in range(0, spectra[0].shape[-1], _BINS_AT_A_TIME):
         parts = [spectrum[..., start : start + _BINS_AT_A_TIME] for spectrum in spectra]
@@ -209,11 +182,9 @@ def merge_spectra(
     return spectra[0]
 
 
-def _merge(
-    spectra: list[NDArray[np.complex128]], floor: NDArray[np.float64]
-) -> NDArray[np.complex128]:
+def _merge(spectra: Spectra, floor: Samples) -> Bins:
     x, y, z = spectra
-    merged: NDArray[np.complex128] = x + y
+    merged: Bins = x + y
     merged += z
     energy = bin_energy(x)
     energy += bin_energy(y)
@@ -229,11 +200,7 @@ def _merge(
 
 
 def _take_strongest(
-    merged: NDArray[np.complex128],
-    of_sum: NDArray[np.float64],
-    *,
-    spectra: list[NDArray[np.complex128]],
-    vanishing: NDArray[np.bool_],
+    merged: Bins, of_sum: Samples, *, spectra: Spectra, vanishing: NDArray[np.bool_]
 ) -> None:
     """Put the strongest axis where the sum vanishes; silence stays silence."""
     there = np.array([spectrum[vanishing] for spectrum in spectra])
@@ -245,14 +212,12 @@ def _take_strongest(
     of_sum[vanishing] = np.where(of_strongest > 0, of_strongest, 1.0)
 
 
-def bin_energy(spectrum: NDArray[np.complex128]) -> NDArray[np.float64]:
+def bin_energy(spectrum: Bins) -> Samples:
     """Compute the energy of every bin."""
-    energy: NDArray[np.float64] = np.square(spectrum.real)
+    energy: Samples = np.square(spectrum.real)
     energy += np.square(spectrum.imag)
     return energy
 
-
-# DFT321 along a leading axis: equation 3's magnitude, and the phase of the projection on one axis of the motion.
 
 PULL = 0.01
 """How far the start leans towards the onset's direction, as a share of the motion's energy: where the two leading
@@ -281,10 +246,8 @@ _ONSET = 0.5  # of the largest excursion: far from both the noise before it and 
 _MAYBE, _SURELY = 0.3, 0.7
 
 
-def dft321_principal(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.float64]:
+def dft321_principal(acceleration: ArrayLike, rate_hz: float) -> Samples:
     r"""Keep the energy of all axes at every frequency, with the phase of the projection on the leading axis.
-
-    acceleration: (..., 3, n_samples); returns (..., n_samples).
 
     Notes
     -----
@@ -330,12 +293,8 @@ def dft321_principal(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.floa
     return admitted.restore(fft.irfft(aligned, n, overwrite_x=True))
 
 
-def find_onset(samples: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Direction in which the motion begins: where it first comes near half of its largest excursion from the mean.
-
-    samples: (..., 3, n_samples), the three axes, n_samples >= 1; returns onset: (..., 3); returns
-    anchor: (..., 3, 3).
-    """
+def find_onset(samples: Samples) -> tuple[Samples, Samples]:
+    """Direction in which the motion begins: where it first comes near half of its largest excursion from the mean."""
     mean = samples.mean(axis=-1, keepdims=True)
     size = _measure_excursion(samples, mean)
     largest = size.max(axis=-1, keepdims=True)
@@ -354,9 +313,7 @@ def find_onset(samples: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArr
     return onset, np.where(still[..., None], onset[..., :, None] * onset[..., None, :], anchor)
 
 
-def _measure_excursion(
-    samples: NDArray[np.float64], mean: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _measure_excursion(samples: Samples, mean: Samples) -> Samples:
     """Squared distance from the mean, sample by sample."""
     size = np.empty((*samples.shape[:-2], samples.shape[-1]))
     for start in range(0, samples.shape[-1], _AT_A_TIME):
@@ -367,7 +324,7 @@ def _measure_excursion(
     return size
 
 
-def _share_beginning(shares: NDArray[np.float64]) -> NDArray[np.float64]:
+def _share_beginning(shares: Samples) -> Samples:
     """Tell how much each sample is the beginning, from its share of the largest energy; they add up to 1."""
     chance = np.clip((shares - _MAYBE**2) / (_SURELY**2 - _MAYBE**2), 0.0, 1.0)
     not_yet = np.cumprod(1 - chance, axis=-1)
@@ -375,11 +332,8 @@ def _share_beginning(shares: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(chance)
 
 
-def measure(spectra: Spectra) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Sum the energies of the axes bin by bin, and tell their covariance by Parseval's theorem.
-
-    spectra: (..., n_bins); returns energy: (..., n_bins); returns covariance: (..., 3, 3).
-    """
+def measure(spectra: Spectra) -> tuple[Samples, Samples]:
+    """Sum the energies of the axes bin by bin, and tell their covariance by Parseval's theorem."""
     energy = np.empty(spectra[0].shape)
     covariance = np.zeros((*energy.shape[:-1], 3, 3))
     for place in _places(spectra):
@@ -398,23 +352,13 @@ def measure(spectra: Spectra) -> tuple[NDArray[np.float64], NDArray[np.float64]]
     return energy, covariance * vibrates[..., None, None]
 
 
-def start_axis(
-    covariance: NDArray[np.float64], anchor: NDArray[np.float64], *, pull: float
-) -> NDArray[np.float64]:
-    """First principal axis, leaning a little towards the onset; its sign is left open.
-
-    covariance: (..., 3, 3); anchor: (..., 3, 3); returns (..., 3).
-    """
+def start_axis(covariance: Samples, anchor: Samples, *, pull: float) -> Samples:
+    """First principal axis, leaning a little towards the onset; its sign is left open."""
     return leading_axis(_shares(covariance) + pull * anchor)
 
 
-def tilt(
-    axis: NDArray[np.float64], covariance: NDArray[np.float64], anchor: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Tilt axes so that they see weak directions too, by point 4 of the module's notes.
-
-    axis: (..., 3); covariance: (..., 3, 3); anchor: (..., 3, 3); returns (..., 3).
-    """
+def tilt(axis: Samples, covariance: Samples, anchor: Samples) -> Samples:
+    """Tilt axes so that they see weak directions too, by point 4 of the module's notes."""
     onset = np.einsum("...ij,...j->...i", anchor, axis)
     aside = np.linalg.solve(_shares(covariance) + _WEAK * np.eye(3), onset[..., None])[..., 0]
     deviations = np.sqrt(np.einsum("...i,...i->...", aside, onset))[..., None]
@@ -423,20 +367,15 @@ def tilt(
     return unit(axis + aside, axis)
 
 
-def _shares(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+def _shares(covariance: Samples) -> Samples:
     trace = np.trace(covariance, axis1=-2, axis2=-1)[..., None, None]
     return np.asarray(covariance / np.where(trace > 0, trace, 1.0))
 
 
-def align(
-    spectra: Spectra, energy: NDArray[np.float64], *, axis: NDArray[np.float64]
-) -> NDArray[np.complex128]:
-    """Give bins the magnitude of equation 3 and the phase of the projection on an axis.
-
-    spectra: (..., n_bins); energy: (..., n_bins); axis: (..., 3); returns (..., n_bins).
-    """
+def align(spectra: Spectra, energy: Samples, *, axis: Samples) -> Bins:
+    """Give bins the magnitude of equation 3 and the phase of the projection on an axis."""
     x, y, z = spectra
-    aligned: NDArray[np.complex128] = x * axis[..., 0, None]
+    aligned: Bins = x * axis[..., 0, None]
     aligned += y * axis[..., 1, None]
     aligned += z * axis[..., 2, None]
     projected = bin_energy(aligned)
@@ -458,33 +397,25 @@ def _places(spectra: Spectra) -> Iterator[slice]:
         yield slice(start, start + _AT_A_TIME)
 
 
-def unit(vectors: NDArray[np.float64], otherwise: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Bring vectors to length 1, and take others where there is no direction.
-
-    vectors: (..., 3); otherwise: (..., 3); returns (..., 3).
-    """
+def unit(vectors: Samples, otherwise: Samples) -> Samples:
+    """Bring vectors to length 1, and take others where there is no direction."""
     length = np.sqrt(np.einsum("...i,...i->...", vectors, vectors))[..., None]
     return np.asarray(np.where(length > 0, vectors / np.where(length > 0, length, 1.0), otherwise))
 
-
-# DFT321 along a leading axis, in short frames: the axis is remembered from frame to frame and never jumps.
 
 MEMORY = 0.99
 """What a frame still counts one frame later: with frames of 35 ms, a time constant of 1.75 s."""
 
 PULL_PER_FRAME = 0.1
-"""As `leading.PULL`, for an axis that must not wander. With 0.05, 0.1 and 0.3 the rotation-invariant match on isotropic
+"""As `PULL`, for an axis that must not wander. With 0.05, 0.1 and 0.3 the rotation-invariant match on isotropic
 noise is 0.52, 0.545 and 0.551 (`dft321_windowed`: 0.552) and the gain on a chirp up to 2.5, 2.9 and 3.7; a longer
 `MEMORY` would do it too, but lose motion that turns half a turn in 15 s (0.83 to 0.77 with 0.998)."""
 
 
 def dft321_principal_windowed(
     acceleration: ArrayLike, rate_hz: float, *, window_s: float = DEFAULT_WINDOW_S
-) -> NDArray[np.float64]:
+) -> Samples:
     """Apply the rule of `dft321_principal` to short overlapping frames, with an axis that turns slowly.
-
-    acceleration: (..., 3, n_samples); window_s: the nearest even number of samples, at least 2, is
-    used; returns (..., n_samples).
 
     Notes
     -----
@@ -503,16 +434,11 @@ def dft321_principal_windowed(
     At 0 Hz and at half the sampling rate a spectrum is real: its phase cannot turn, it can only flip. There the
     projection itself is taken, magnitude and all, so that what crosses zero does so without a jump.
     """
-    admitted = admit(acceleration, rate_hz)
-    hop = window_samples(window_s, rate_hz) // 2
-    return admitted.restore(run_offline(TrackingFrames, admitted.samples, hop))
+    return reduce_in_frames(TrackingFrames, acceleration, rate_hz=rate_hz, window_s=window_s)
 
 
 class TrackingFrames(FourierFrames):
-    """The block processor of `dft321_principal_windowed`: see `frames.BlockProcessor`.
-
-    hop: half a frame, in samples.
-    """
+    """The block processor of `dft321_principal_windowed`: see `BlockProcessor`."""
 
     def __init__(self, batch: tuple[int, ...], hop: int) -> None:
         super().__init__(batch, hop)
@@ -522,13 +448,8 @@ class TrackingFrames(FourierFrames):
         self._covariance = np.zeros((*batch, 1, 3, 3))
         self._past = np.zeros((*batch, 1, 3))
 
-    def merge(
-        self, spectra: list[NDArray[np.complex128]], frames: NDArray[np.float64]
-    ) -> NDArray[np.complex128]:
-        """Give every frame equation 3's magnitude and the phase of the projection on its axis.
-
-        spectra: (..., m, n_bins); frames: (..., 3, m, 2 * hop); returns (..., m, n_bins).
-        """
+    def merge(self, spectra: Spectra, frames: Samples) -> Bins:
+        """Give every frame equation 3's magnitude and the phase of the projection on its axis."""
         energy, covariances = measure(spectra)
         covariances, self._covariance = _remember(covariances, self._covariance, axis=-3)
         strength = energy.sum(axis=-1)
@@ -543,9 +464,7 @@ class TrackingFrames(FourierFrames):
             merged[..., real] = sum(spectra[i][..., real] * axis[..., i] for i in range(3))
         return merged
 
-    def _find_anchors(
-        self, loudness: NDArray[np.float64], frames: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _find_anchors(self, loudness: Samples, frames: Samples) -> tuple[Samples, Samples]:
         """Mean products of the onsets so far, frame by frame; and the onset where silence ends, 0 elsewhere."""
         loudest = np.maximum.accumulate(
             np.concatenate([self._loudness, loudness], axis=-1), axis=-1
@@ -562,9 +481,7 @@ class TrackingFrames(FourierFrames):
         waking = np.logical_and(loudest[..., :-1, None] == 0, louder[..., None] > 0)
         return sums / np.where(loudest > 0, loudest, 1.0)[..., 1:, None, None], onsets * waking
 
-    def _keep_sign(
-        self, axes: NDArray[np.float64], anchors: NDArray[np.float64], waking: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def _keep_sign(self, axes: Samples, anchors: Samples, waking: Samples) -> Samples:
         """Turn each axis to point along the one before it, the first along the first onset; silence has none."""
         axes = np.where(np.asarray(anchors.any(axis=(-2, -1)))[..., None], axes, 0.0)
         before = np.concatenate([self._axis, axes[..., :-1, :]], axis=-2) + waking
@@ -574,9 +491,7 @@ class TrackingFrames(FourierFrames):
         return axes
 
 
-def _remember(
-    values: NDArray[np.float64], state: NDArray[np.float64], *, axis: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _remember(values: Samples, state: Samples, *, axis: int) -> tuple[Samples, Samples]:
     """Sum up what frame after frame brings, forgetting slowly; give the sums, and the state for the next frames."""
     from scipy.signal import lfilter
 

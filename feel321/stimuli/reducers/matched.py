@@ -28,18 +28,17 @@ import numpy as np
 from feel321.stimuli.recording import admit
 from feel321.stimuli.reducers.axes import (
     DEFAULT_WINDOW_S,
-    NO_SIGN,
     leading_axis,
     pca321,
-    run_offline,
-    window_samples,
+    reduce_in_frames,
+    turn_alike,
     with_sign,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import ArrayLike, NDArray
+
+    from feel321.types import Samples
 
 MOST_GAIN = 10.0
 """Largest gain of a single axis: 20 dB."""
@@ -52,7 +51,7 @@ HOLD = 0.3
 hold noticeably more before the axis turns. Without it the axis of isotropic motion wanders, which smears the output."""
 
 
-def match_energy(total: NDArray[np.float64], kept: NDArray[np.float64]) -> NDArray[np.float64]:
+def match_energy(total: Samples, kept: Samples) -> Samples:
     """Find the gain that gives what is kept the energy of all; at most `MOST_GAIN`, and 0 for silence."""
     limited = np.maximum(kept, total / MOST_GAIN**2)
     return np.asarray(
@@ -60,40 +59,23 @@ def match_energy(total: NDArray[np.float64], kept: NDArray[np.float64]) -> NDArr
     )
 
 
-def sax321_matched(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.float64]:
-    """Keep the sensor's x axis, with one gain that gives it the energy of all three axes.
-
-    acceleration: (..., 3, n_samples); returns (..., n_samples), the x axis times sqrt(energy of all
-    axes / energy of x), at most times 10.
-
-    Examples
-    --------
-    >>> sax321_matched([[3, -3], [4, 0], [0, 4]], 1000)
-    array([ 5., -5.])
-    """
+def sax321_matched(acceleration: ArrayLike, rate_hz: float) -> Samples:
+    """Keep the sensor's x axis, with one gain that gives it the energy of all three axes."""
     return _match_axis(acceleration, rate_hz, 0)
 
 
-def say321_matched(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.float64]:
-    """Keep the sensor's y axis, with one gain that gives it the energy of all three axes.
-
-    acceleration: (..., 3, n_samples); returns (..., n_samples).
-    """
+def say321_matched(acceleration: ArrayLike, rate_hz: float) -> Samples:
+    """Keep the sensor's y axis, with one gain that gives it the energy of all three axes."""
     return _match_axis(acceleration, rate_hz, 1)
 
 
-def saz321_matched(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.float64]:
-    """Keep the sensor's z axis, with one gain that gives it the energy of all three axes.
-
-    acceleration: (..., 3, n_samples); returns (..., n_samples).
-    """
+def saz321_matched(acceleration: ArrayLike, rate_hz: float) -> Samples:
+    """Keep the sensor's z axis, with one gain that gives it the energy of all three axes."""
     return _match_axis(acceleration, rate_hz, 2)
 
 
-def pca321_matched(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.float64]:
+def pca321_matched(acceleration: ArrayLike, rate_hz: float) -> Samples:
     """Project on the principal axis of the whole signal, with one gain that gives it the energy of all three axes.
-
-    acceleration: (..., 3, n_samples); returns (..., n_samples).
 
     Examples
     --------
@@ -111,42 +93,25 @@ def pca321_matched(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.float6
     return admitted.restore(gain[..., None] * kept)
 
 
-def sax321_matched_running(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.float64]:
-    r"""Keep the sensor's x axis, with a gain that gives it the energy of all three axes in the recent past.
-
-    acceleration: (..., 3, n_samples); returns (..., n_samples).
-
-    Notes
-    -----
-    With :math:`e_i(k) = m \, e_i(k-1) + a_i(k)^2` and :math:`m = \exp(-1 / (1\,\mathrm{s} \cdot rate))` in place of
-    the energies. Nothing waits: the gain of a sample rests on it and those before it.
-    """
+def sax321_matched_running(acceleration: ArrayLike, rate_hz: float) -> Samples:
+    """Keep the sensor's x axis, with a gain that gives it the energy of all three axes in the recent past."""
     return _run_axis(acceleration, rate_hz, 0)
 
 
-def say321_matched_running(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.float64]:
-    """Keep the sensor's y axis, with a gain that gives it the energy of all three axes in the recent past.
-
-    acceleration: (..., 3, n_samples); returns (..., n_samples).
-    """
+def say321_matched_running(acceleration: ArrayLike, rate_hz: float) -> Samples:
+    """Keep the sensor's y axis, with a gain that gives it the energy of all three axes in the recent past."""
     return _run_axis(acceleration, rate_hz, 1)
 
 
-def saz321_matched_running(acceleration: ArrayLike, rate_hz: float) -> NDArray[np.float64]:
-    """Keep the sensor's z axis, with a gain that gives it the energy of all three axes in the recent past.
-
-    acceleration: (..., 3, n_samples); returns (..., n_samples).
-    """
+def saz321_matched_running(acceleration: ArrayLike, rate_hz: float) -> Samples:
+    """Keep the sensor's z axis, with a gain that gives it the energy of all three axes in the recent past."""
     return _run_axis(acceleration, rate_hz, 2)
 
 
 def pca321_matched_windowed(
     acceleration: ArrayLike, rate_hz: float, *, window_s: float = DEFAULT_WINDOW_S
-) -> NDArray[np.float64]:
+) -> Samples:
     """Project on the principal axis of the recent past, as strong as all three axes were there.
-
-    acceleration: (..., 3, n_samples); window_s: the nearest even number of samples, at least 2, is
-    used; returns (..., n_samples).
 
     Notes
     -----
@@ -155,24 +120,24 @@ def pca321_matched_windowed(
     the one before it; within half a window axis and gain fade from one estimate to the next. Only the past is used, so
     the method streams.
     """
-    admitted = admit(acceleration, rate_hz)
-    hop = window_samples(window_s, rate_hz) // 2
-    return admitted.restore(run_offline(frames_at(rate_hz), admitted.samples, hop))
+    frames = partial(MatchedFrames, rate_hz=rate_hz)
+    return reduce_in_frames(frames, acceleration, rate_hz=rate_hz, window_s=window_s)
 
 
 class RunningAxis:
-    """One sensor axis with the gain of `match_energy`, from energies remembered from call to call."""
+    r"""One sensor axis with the gain of `match_energy`, from energies remembered from call to call.
+
+    In place of energies stand :math:`e_i(k) = m \, e_i(k-1) + a_i(k)^2`, :math:`m = \exp(-1 / (1\,\mathrm{s} \cdot
+    rate))`. Nothing waits: the gain of a sample rests on it and those before it.
+    """
 
     def __init__(self, batch: tuple[int, ...], axis: int, rate_hz: float) -> None:
         self._axis = axis
         self._memory = _forget(1 / rate_hz)
         self._energies = np.zeros((*batch, 2, 1))
 
-    def push(self, samples: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Take samples (..., 3, k), give as many of the output (..., k), without delay.
-
-        samples: (..., 3, k); returns (..., k).
-        """
+    def push(self, samples: Samples) -> Samples:
+        """Reduce the next samples, (..., 3, k), to as many of the output, (..., k), without delay."""
         from scipy.signal import lfilter
 
         kept = samples[..., self._axis, :]
@@ -188,10 +153,7 @@ class RunningAxis:
 
 
 class MatchedFrames:
-    """The block processor of `pca321_matched_windowed`: see `frames.BlockProcessor`.
-
-    hop: half a window, in samples.
-    """
+    """The block processor of `pca321_matched_windowed`: see `BlockProcessor`."""
 
     def __init__(self, batch: tuple[int, ...], hop: int, rate_hz: float) -> None:
         self.hop = hop
@@ -202,11 +164,8 @@ class MatchedFrames:
         self._axis = np.zeros((*batch, 3))
         self._gain = np.zeros((*batch, 1))
 
-    def push(self, blocks: NDArray[np.float64], valid: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Take blocks (..., 3, m, hop), give as many finished ones (..., m, hop), one hop late.
-
-        blocks: (..., 3, m, hop); valid: (m, hop); returns (..., m, hop).
-        """
+    def push(self, blocks: Samples, valid: NDArray[np.bool_]) -> Samples:
+        """Take blocks (..., 3, m, hop), give as many finished ones (..., m, hop), one hop late."""
         from scipy.signal import lfilter
 
         del valid
@@ -228,13 +187,11 @@ class MatchedFrames:
         scale = np.divide(self._fade(gains), size, out=np.zeros_like(size), where=size > 0)
         return np.asarray(scale * np.einsum("...imh,...imh->...mh", mixed, blocks[..., :-1, :]))
 
-    def _fade(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _fade(self, values: Samples) -> Samples:
         """Fade from one value to the next: (..., m + 1) in, (..., m, hop) out."""
         return np.asarray(values[..., :-1, None] + np.diff(values)[..., None] * self._fading_in)
 
-    def _follow(
-        self, moments: NDArray[np.float64], own: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def _follow(self, moments: Samples, own: Samples) -> Samples:
         """Leading axes (..., m, 3) of moments (..., m, 3, 3), each leaning and pointing towards the one before it.
 
         An axis is held by the share of the energy that it rests on: noise before the first tap has no say.
@@ -255,20 +212,9 @@ class MatchedFrames:
                 energy[..., place, :, 0] > 0, leading_axis(leaning), before
             )
         axes[..., 1:, :] = with_sign(axes[..., 1:, :])
-        along = np.einsum("...mi,...mi->...m", axes[..., 1:, :], axes[..., :-1, :])
-        axes = (
-            axes[..., 1:, :] * np.cumprod(np.where(along < -NO_SIGN, -1.0, 1.0), axis=-1)[..., None]
-        )
+        axes = turn_alike(axes)
         self._axis = axes[..., -1, :]
-        return np.asarray(axes)
-
-
-def frames_at(rate_hz: float) -> Callable[[tuple[int, ...], int], MatchedFrames]:
-    """Make the block processor of `pca321_matched_windowed` for a sampling rate.
-
-    Returns batch shape, hop -> a fresh block processor.
-    """
-    return partial(MatchedFrames, rate_hz=rate_hz)
+        return axes
 
 
 def _forget(duration_s: float) -> float:
@@ -276,14 +222,14 @@ def _forget(duration_s: float) -> float:
     return math.exp(-duration_s / FORGETTING_S)
 
 
-def _match_axis(acceleration: ArrayLike, rate_hz: float, axis: int) -> NDArray[np.float64]:
+def _match_axis(acceleration: ArrayLike, rate_hz: float, axis: int) -> Samples:
     admitted = admit(acceleration, rate_hz)
     kept = admitted.samples[..., axis, :]
     gain = match_energy(admitted.energy, np.einsum("...n,...n->...", kept, kept)[..., None])
     return admitted.restore(gain * kept)
 
 
-def _run_axis(acceleration: ArrayLike, rate_hz: float, axis: int) -> NDArray[np.float64]:
+def _run_axis(acceleration: ArrayLike, rate_hz: float, axis: int) -> Samples:
     admitted = admit(acceleration, rate_hz)
     running = RunningAxis(admitted.samples.shape[:-2], axis, rate_hz)
     return admitted.restore(running.push(admitted.samples))

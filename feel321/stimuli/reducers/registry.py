@@ -20,141 +20,150 @@ References
 from __future__ import annotations
 
 from functools import partial
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Literal, Protocol
+from inspect import signature
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from feel321 import types
+from feel321.doors import Registry, check_name, name_of
 from feel321.stimuli.recording import (
     SAFE_PEAK,
+    Recording,
+    Reduced,
+    as_signal,
     check_finite,
     check_rate,
     coerce_acceleration,
     largest,
 )
-from feel321.stimuli.reducers.axes import (
-    DEFAULT_WINDOW_S,
-    BlockProcessor,
-    PrincipalFrames,
-    cut_blocks,
-    mag321,
-    pca321,
-    pca321_adaptive,
-    sax321,
-    say321,
-    saz321,
-    soc321,
-    window_samples,
-)
-from feel321.stimuli.reducers.fourier import (
-    FourierFrames,
-    TrackingFrames,
-    dft321,
-    dft321_principal,
-    dft321_principal_windowed,
-    dft321_windowed,
-)
-from feel321.stimuli.reducers.matched import (
-    RunningAxis,
-    frames_at,
-    pca321_matched,
-    pca321_matched_windowed,
-    sax321_matched,
-    sax321_matched_running,
-    say321_matched,
-    say321_matched_running,
-    saz321_matched,
-    saz321_matched_running,
-)
+from feel321.stimuli.reducers import axes, fourier, matched
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
 
     from numpy.typing import ArrayLike, NDArray
 
+    from feel321.types import Samples
+
     OnGap = Literal["raise", "hold", "zero"]
 
-# REDUCERS: the one list of the 321 transforms, in the order of the paper, simplest first; later ones follow.
+Reducer = types.Reducer  # kept until all branches are in
 
-
-class Reducer(Protocol):
-    """A 321 transform: (..., 3, n_samples) -> (..., n_samples)."""
-
-    def __call__(self, acceleration: ArrayLike, rate_hz: float, /) -> NDArray[np.float64]:
-        """Reduce three axes of acceleration to one."""
-
-
-REDUCERS: Mapping[str, Reducer] = MappingProxyType({
-    "sax321": sax321,
-    "say321": say321,
-    "saz321": saz321,
-    "soc321": soc321,
-    "mag321": mag321,
-    "pca321": pca321,
-    "pca321_adaptive": pca321_adaptive,
-    "dft321": dft321,
-    "dft321_windowed": dft321_windowed,
-    "dft321_principal": dft321_principal,
-    "dft321_principal_windowed": dft321_principal_windowed,
-    "sax321_matched": sax321_matched,
-    "say321_matched": say321_matched,
-    "saz321_matched": saz321_matched,
-    "pca321_matched": pca321_matched,
-    "sax321_matched_running": sax321_matched_running,
-    "say321_matched_running": say321_matched_running,
-    "saz321_matched_running": saz321_matched_running,
-    "pca321_matched_windowed": pca321_matched_windowed,
-})
-"""Name -> reducer."""
+REDUCERS: Registry[types.Reducer] = Registry(
+    "reducer",
+    {
+        reducer.__name__: reducer
+        for reducer in (
+            axes.sax321,
+            axes.say321,
+            axes.saz321,
+            axes.soc321,
+            axes.mag321,
+            axes.pca321,
+            axes.pca321_adaptive,
+            fourier.dft321,
+            fourier.dft321_windowed,
+            fourier.dft321_principal,
+            fourier.dft321_principal_windowed,
+            matched.sax321_matched,
+            matched.say321_matched,
+            matched.saz321_matched,
+            matched.pca321_matched,
+            matched.sax321_matched_running,
+            matched.say321_matched_running,
+            matched.saz321_matched_running,
+            matched.pca321_matched_windowed,
+        )
+    },
+)
+"""Name -> reducer, in the order of the paper, simplest first; later ones follow. The only list of names."""
 
 DEFAULT_REDUCERS = tuple(REDUCERS)[:9]
 """What a study compares unless it says otherwise: as many as a MUSHRA page holds beside the reference and anchors."""
 
+get_reducer: Callable[[str], Callable[..., Samples]] = (
+    REDUCERS.find
+)  # kept until all branches are in
 
-def get_reducer(name: str) -> Reducer:
-    """Look a reducer up, or say which there are."""
-    try:
-        return REDUCERS[name]
-    except KeyError:
+
+def reduce(
+    recording: Recording | ArrayLike,
+    reducer: str | types.Reducer = "dft321",
+    *,
+    rate_hz: float | None = None,
+    window_s: float | None = None,
+) -> Reduced:
+    """Reduce three axes to one.
+
+    Parameters
+    ----------
+    recording : Recording, or array_like of shape (3, n_samples)
+        Acceleration; plain samples need `rate_hz`.
+    reducer : str or callable
+        A name of `REDUCERS`, a dotted name ("mylab.haptics:my321"), or a function f(acceleration, rate_hz).
+    rate_hz : float, optional
+        Sampling rate of plain samples in Hz.
+    window_s : float, optional
+        Length of a window in s, for the reducers that work in windows; 0.035 unless given.
+
+    Returns
+    -------
+    Reduced
+        The reduced signal, with its rate and the names of reducer and recording.
+
+    Raises
+    ------
+    ValueError
+        If there is no such reducer, it has no window, or it returns another number of samples.
+
+    Examples
+    --------
+    >>> from feel321 import stimuli
+    >>> stimuli.reduce(stimuli.make_scene("bumps"), "dft321")
+    Reduced(rate_hz=1e+04, reducer='dft321', recording='bumps')
+    >>> stimuli.reduce([[1, 2], [3, 4], [5, 6]], lambda samples, rate_hz: samples[2], rate_hz=1000).samples
+    array([5., 6.])
+    """
+    given, rate = as_signal(recording, rate_hz)
+    acceleration = coerce_acceleration(given)
+    function: Callable[..., ArrayLike] = REDUCERS.find(reducer)
+    if window_s is not None:
+        if "window_s" not in signature(function).parameters:
+            raise ValueError(f"window_s must be left out: {name_of(reducer)} has no window")
+        function = partial(function, window_s=window_s)
+    samples = np.asarray(function(acceleration, rate), dtype=np.float64)
+    if samples.shape != acceleration.shape[-1:]:
         raise ValueError(
-            f"reducer: got {name!r}, allowed is one of {', '.join(REDUCERS)}"
-        ) from None
+            f"reducer {name_of(reducer)} must return the shape {acceleration.shape[-1:]}, got {samples.shape}"
+        )
+    name = recording.name if isinstance(recording, Recording) else ""
+    return Reduced(samples, float(rate), name_of(reducer), name)
 
-
-# Reducers that run while the vibration is still being made: blocks in, blocks out, a constant delay.
 
 ON_GAP = ("raise", "hold", "zero")
 """What can stand for a missing sample: an error, the last sample that arrived (0 before the first), or 0."""
 
-_NO_MEMORY = MappingProxyType({
-    "sax321": sax321,
-    "say321": say321,
-    "saz321": saz321,
-    "soc321": soc321,
-    "mag321": mag321,
-})
-_RUNNING = MappingProxyType({
-    "sax321_matched_running": 0,
-    "say321_matched_running": 1,
-    "saz321_matched_running": 2,
-})
-_IN_FRAMES: Mapping[str, Callable[[float], Callable[[tuple[int, ...], int], BlockProcessor]]] = (
-    MappingProxyType({
-        "pca321_adaptive": lambda _: PrincipalFrames,
-        "dft321_windowed": lambda _: FourierFrames,
-        "dft321_principal_windowed": lambda _: TrackingFrames,
-        "pca321_matched_windowed": frames_at,
-    })
-)
-WHY_NOT_STREAMING: Mapping[str, str] = MappingProxyType({
-    "pca321": "its axis and its mean need the whole recording; stream pca321_adaptive instead",
-    "dft321": "its spectrum needs the whole recording; stream dft321_windowed instead",
-    "dft321_principal": "its axis needs the whole recording; stream dft321_principal_windowed instead",
-    "sax321_matched": "its gain needs the whole recording; stream sax321_matched_running instead",
-    "say321_matched": "its gain needs the whole recording; stream say321_matched_running instead",
-    "saz321_matched": "its gain needs the whole recording; stream saz321_matched_running instead",
-    "pca321_matched": "its axis and its gain need the whole recording; stream pca321_matched_windowed instead",
-})
+_NO_MEMORY = ("sax321", "say321", "saz321", "soc321", "mag321")
+_RUNNING = ("sax321_matched_running", "say321_matched_running", "saz321_matched_running")
+_IN_FRAMES: dict[str, Callable[[float], Callable[[tuple[int, ...], int], axes.BlockProcessor]]] = {
+    "pca321_adaptive": lambda _: axes.PrincipalFrames,
+    "dft321_windowed": lambda _: fourier.FourierFrames,
+    "dft321_principal_windowed": lambda _: fourier.TrackingFrames,
+    "pca321_matched_windowed": lambda rate_hz: partial(matched.MatchedFrames, rate_hz=rate_hz),
+}
+WHY_NOT_STREAMING = {
+    name: f"its {needs} the whole recording; stream {instead} instead"
+    for name, needs, instead in (
+        ("pca321", "axis and its mean need", "pca321_adaptive"),
+        ("dft321", "spectrum needs", "dft321_windowed"),
+        ("dft321_principal", "axis needs", "dft321_principal_windowed"),
+        ("sax321_matched", "gain needs", "sax321_matched_running"),
+        ("say321_matched", "gain needs", "say321_matched_running"),
+        ("saz321_matched", "gain needs", "saz321_matched_running"),
+        ("pca321_matched", "axis and its gain need", "pca321_matched_windowed"),
+    )
+}
 """Name -> reason, for the reducers that cannot run causally."""
 
 
@@ -167,7 +176,7 @@ class _Gaps:
         self._inside = False
         self.gaps = self.samples = 0
 
-    def fill(self, samples: NDArray[np.float64], there: NDArray[np.bool_]) -> NDArray[np.float64]:
+    def fill(self, samples: Samples, there: NDArray[np.bool_]) -> Samples:
         """Put something in the place of missing samples, or raise ValueError; nothing is remembered yet."""
         if self._on_gap == "raise":
             check_finite(samples, "block")
@@ -180,7 +189,7 @@ class _Gaps:
         before = self._last if self._on_gap == "hold" else np.zeros((3, 1))
         return np.asarray(np.concatenate([before, samples], axis=1)[:, which])
 
-    def count(self, samples: NDArray[np.float64], there: NDArray[np.bool_]) -> None:
+    def count(self, samples: Samples, there: NDArray[np.bool_]) -> None:
         """Count missing samples, and gaps where they begin; remember the last of the filled samples."""
         missing = ~np.concatenate([[not self._inside], there])
         self.gaps += int(np.count_nonzero(missing[1:] & ~missing[:-1]))
@@ -193,42 +202,42 @@ class _Gaps:
 class _Samplewise:
     """A reducer without frames: as many samples out as in."""
 
-    def __init__(self, push: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> None:
+    def __init__(self, push: Callable[[Samples], Samples]) -> None:
         self._push = push
 
-    def step(self, samples: NDArray[np.float64], out: NDArray[np.float64]) -> None:
+    def step(self, samples: Samples, out: Samples) -> None:
         """Write the output of samples (3, k) to `out`."""
         np.copyto(out, self._push(samples))
 
-    def end(self) -> NDArray[np.float64]:
-        """Give nothing: nothing is held back."""
+    def end(self) -> Samples:
+        """Return nothing: nothing is held back."""
         return np.zeros(0)
 
 
 class _InFrames:
     """A block processor, fed samples as they come."""
 
-    def __init__(self, processor: BlockProcessor) -> None:
+    def __init__(self, processor: axes.BlockProcessor) -> None:
         self._processor, self._to_drop = processor, processor.hop
         self._waiting = np.zeros((3, 0))
         self._ready = np.zeros(2 * processor.hop - 1)
 
-    def step(self, samples: NDArray[np.float64], out: NDArray[np.float64]) -> None:
+    def step(self, samples: Samples, out: Samples) -> None:
         """Write the output of samples (3, k) to `out`."""
         self._waiting = np.concatenate([self._waiting, samples], axis=1)
         if n_blocks := self._waiting.shape[1] // self._processor.hop:
             self._push(n_blocks)
         out[:], self._ready = self._ready[: out.size], self._ready[out.size :]
 
-    def end(self) -> NDArray[np.float64]:
-        """Give what the delay still holds back."""
+    def end(self) -> Samples:
+        """Return what the delay still holds back."""
         self._push(-(-self._waiting.shape[1] // self._processor.hop) + 1)
         return self._ready[: 2 * self._processor.hop - 1]
 
     def _push(self, n_blocks: int) -> None:
         used = n_blocks * self._processor.hop
         finished = self._processor.push(
-            *cut_blocks(self._waiting[:, :used], self._processor.hop, n_blocks)
+            *axes.cut_blocks(self._waiting[:, :used], self._processor.hop, n_blocks)
         ).ravel()
         self._waiting = self._waiting[:, used:]
         dropped, self._to_drop = self._to_drop, 0
@@ -261,7 +270,8 @@ class StreamingReducer:
 
     Examples
     --------
-    >>> stream = StreamingReducer("soc321", rate_hz=1000, on_gap="hold")
+    >>> from feel321 import stimuli
+    >>> stream = stimuli.StreamingReducer("soc321", rate_hz=1000, on_gap="hold")
     >>> stream.process([[1, 2], [3, 4], [5, 6]])
     array([ 9., 12.])
     >>> stream.skip(2), stream.gaps, stream.missing_samples
@@ -272,24 +282,23 @@ class StreamingReducer:
         self,
         name: str,
         rate_hz: float,
-        window_s: float = DEFAULT_WINDOW_S,
+        window_s: float = axes.DEFAULT_WINDOW_S,
         *,
         on_gap: OnGap = "raise",
     ) -> None:
-        get_reducer(name)
+        check_name(name, REDUCERS, "reducer")
         if name in WHY_NOT_STREAMING:
             raise ValueError(f"{name} cannot stream: {WHY_NOT_STREAMING[name]}")
-        if on_gap not in ON_GAP:
-            raise ValueError(f"on_gap: got {on_gap!r}, allowed is one of {', '.join(ON_GAP)}")
+        check_name(on_gap, ON_GAP, "on_gap")
         self._name = name
         self._rate_hz = check_rate(rate_hz)
-        self._hop = window_samples(window_s, rate_hz) // 2 if name in _IN_FRAMES else 0
+        self._hop = axes.window_samples(window_s, rate_hz) // 2 if name in _IN_FRAMES else 0
         self._on_gap = on_gap
         self.latency_samples = max(2 * self._hop - 1, 0)
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything that was fed, the counts of gaps included: as new, also after `flush`."""
+        """Forget everything that was fed, the counts of gaps included; it is as new, also after `flush`."""
         self._stream = self._make_stream()
         self._flushed = False
         self._gaps = _Gaps(self._on_gap)
@@ -304,9 +313,7 @@ class StreamingReducer:
         """Runs of such samples, however they were cut into blocks."""
         return self._gaps.gaps
 
-    def process(
-        self, block: ArrayLike, *, out: NDArray[np.float64] | None = None
-    ) -> NDArray[np.float64]:
+    def process(self, block: ArrayLike, *, out: Samples | None = None) -> Samples:
         """Reduce the next samples.
 
         Parameters
@@ -331,32 +338,30 @@ class StreamingReducer:
         samples = coerce_acceleration(block)
         if samples.ndim != 2:  # noqa: PLR2004 - axes x samples
             raise ValueError(
-                f"block: got shape {samples.shape}, allowed is (3, k): one stream at a time"
+                f"block must have the shape (3, k), one stream at a time; got {samples.shape}"
             )
         if self._flushed:
             raise ValueError(
-                "the stream was flushed, its signal has ended; reset it or make a new StreamingReducer"
+                "the stream was flushed and its signal has ended; reset it or make a new StreamingReducer"
             )
         if out is None:
             out = np.empty(samples.shape[1])
         elif out.shape != samples.shape[1:] or out.dtype != np.float64:
             raise ValueError(
-                f"out: got {out.dtype} of shape {out.shape}, allowed is float64 of shape {samples.shape[1:]}"
+                f"out must be float64 of shape {samples.shape[1:]}, got {out.dtype} of shape {out.shape}"
             )
         there = np.asarray(np.isfinite(samples).all(axis=0))
         samples = self._gaps.fill(samples, there)
         # A whole recording can be scaled by its peak; a stream cannot know the peak that is to come.
         if self._name not in _NO_MEMORY and largest(samples) > SAFE_PEAK[1]:
             raise ValueError(
-                f"block: got a peak of {largest(samples):.3g}, allowed is up to {SAFE_PEAK[1]:g}"
+                f"block must have a peak of at most {SAFE_PEAK[1]:g}, got {largest(samples):.3g}"
             )
         self._gaps.count(samples, there)
         self._stream.step(samples, out)
         return out
 
-    def skip(
-        self, n_samples: int, *, out: NDArray[np.float64] | None = None
-    ) -> NDArray[np.float64]:
+    def skip(self, n_samples: int, *, out: Samples | None = None) -> Samples:
         """Declare that the next samples were lost on their way, as a driver reports it after an overrun.
 
         Parameters
@@ -377,11 +382,11 @@ class StreamingReducer:
             As `process`.
         """
         if n_samples < 0:
-            raise ValueError(f"n_samples: got {n_samples}, allowed is 0 or more")
+            raise ValueError(f"n_samples must be 0 or more, got {n_samples}")
         return self.process(np.full((3, n_samples), np.nan), out=out)
 
-    def flush(self) -> NDArray[np.float64]:
-        """End the signal and give what the delay still holds back.
+    def flush(self) -> Samples:
+        """End the signal and return what the delay still holds back.
 
         Returns
         -------
@@ -396,5 +401,6 @@ class StreamingReducer:
         if self._hop:
             return _InFrames(_IN_FRAMES[self._name](self._rate_hz)((), self._hop))
         if self._name in _RUNNING:
-            return _Samplewise(RunningAxis((), _RUNNING[self._name], self._rate_hz).push)
-        return _Samplewise(partial(_NO_MEMORY[self._name], rate_hz=self._rate_hz))
+            axis = _RUNNING.index(self._name)
+            return _Samplewise(matched.RunningAxis((), axis, self._rate_hz).push)
+        return _Samplewise(lambda samples: REDUCERS[self._name](samples, self._rate_hz))

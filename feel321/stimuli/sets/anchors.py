@@ -44,23 +44,22 @@ References
 
 from __future__ import annotations
 
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from feel321.doors import Registry
 from feel321.stimuli.match import HIGHEST_HZ, LOWEST_HZ, WEBER_FRACTION, OriginalSpectrum
+from feel321.stimuli.recording import as_signal
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
 
     from numpy.typing import ArrayLike, NDArray
 
-    from feel321.stimuli.recording import Recording
+    from feel321.stimuli.recording import Recording, Reduced
+    from feel321.types import Samples
 
-    Samples = NDArray[np.float64]
-
-# What the hand feels of a vibration: detection thresholds by frequency, and levels over them.
 
 MOST_SENSITIVE_HZ = 250.0
 LEAST_DISPLACEMENT_M = 1e-7
@@ -76,30 +75,27 @@ EDGE_OCTAVES = 0.5
 """In short windows the felt range ends gradually, or a brief vibration at 20 Hz would lose half its energy."""
 
 
-def _contactor(frequency_hz: NDArray[np.float64]) -> NDArray[np.float64]:
+def _contactor(frequency_hz: Samples) -> Samples:
     ratio = frequency_hz / MOST_SENSITIVE_HZ
     return np.asarray(LEAST_DISPLACEMENT_M * (ratio**-2 + ratio**2) / 2)
 
 
-def _grasped_stylus(frequency_hz: NDArray[np.float64]) -> NDArray[np.float64]:
+def _grasped_stylus(frequency_hz: Samples) -> Samples:
     """Join the corners by straight lines in dB over octaves; -12 dB per octave below the first, +12 above the last."""
     ends = (STYLUS_HZ[0] / 1000, *STYLUS_HZ, STYLUS_HZ[-1] * 1000)
     levels = (STYLUS_M[0] * 1000**2, *STYLUS_M, STYLUS_M[-1] * 1000**2)
     return np.asarray(np.exp(np.interp(np.log(frequency_hz), np.log(ends), np.log(levels))))
 
 
-THRESHOLDS: Mapping[str, Callable[[NDArray[np.float64]], NDArray[np.float64]]] = MappingProxyType({
-    "contactor": _contactor,
-    "grasped_stylus": _grasped_stylus,
-})
-"""Name of a detection threshold curve -> peak displacement in m by frequency in Hz: the only list of names."""
-
 CONTACTOR = "contactor"
 
+THRESHOLDS: Registry[Callable[[Samples], Samples]] = Registry(
+    "threshold", {CONTACTOR: _contactor, "grasped_stylus": _grasped_stylus}
+)
+"""Name of a detection threshold curve -> peak displacement in m by frequency in Hz: the only list of names."""
 
-def displacement_threshold(
-    frequency_hz: ArrayLike, *, threshold: str = CONTACTOR
-) -> NDArray[np.float64]:
+
+def displacement_threshold(frequency_hz: ArrayLike, *, threshold: str = CONTACTOR) -> Samples:
     """Smallest displacement felt, by frequency.
 
     Examples
@@ -107,12 +103,10 @@ def displacement_threshold(
     >>> float(displacement_threshold(250.0))
     1e-07
     """
-    return THRESHOLDS[check_threshold(threshold)](np.asarray(frequency_hz, dtype=np.float64))
+    return THRESHOLDS.find(threshold)(np.asarray(frequency_hz, dtype=np.float64))
 
 
-def acceleration_threshold(
-    frequency_hz: ArrayLike, *, threshold: str = CONTACTOR
-) -> NDArray[np.float64]:
+def acceleration_threshold(frequency_hz: ArrayLike, *, threshold: str = CONTACTOR) -> Samples:
     """Smallest acceleration felt, by frequency.
 
     Parameters
@@ -131,29 +125,31 @@ def acceleration_threshold(
     ------
     ValueError
         If there is no such curve.
+
+    Examples
+    --------
+    >>> from feel321 import stimuli
+    >>> stimuli.acceleration_threshold([50.0, 250.0, 1000.0]).round(2)
+    array([ 0.12,  0.25, 31.71])
     """
     frequency = np.asarray(frequency_hz, dtype=np.float64)
     return (2 * np.pi * frequency) ** 2 * displacement_threshold(frequency, threshold=threshold)
 
 
-def check_threshold(name: str) -> str:
-    """Refuse a name that is not one of `THRESHOLDS`."""
-    if name not in THRESHOLDS:
-        raise ValueError(f"threshold: got {name!r}, allowed is one of {', '.join(THRESHOLDS)}")
-    return name
-
-
 def felt_level(
-    acceleration: NDArray[np.float64], rate_hz: float, *, threshold: str = CONTACTOR
+    signal: Recording | Reduced | ArrayLike,
+    rate_hz: float | None = None,
+    *,
+    threshold: str = CONTACTOR,
 ) -> float:
-    """Root mean square over the felt range, 20 to 1000 Hz, in units of the threshold; axes add by energy.
+    """Compute the root mean square over the felt range, 20 to 1000 Hz, in units of the threshold; axes add by energy.
 
     Parameters
     ----------
-    acceleration : ndarray, shape (n_samples,) or (axes, n_samples)
-        Acceleration in m/s².
-    rate_hz : float
-        Sampling rate in Hz.
+    signal : Recording, Reduced, or array_like of shape (n_samples,) or (axes, n_samples)
+        Acceleration in m/s²; plain samples need `rate_hz`.
+    rate_hz : float, optional
+        Sampling rate of plain samples in Hz.
     threshold : str
         Name of `THRESHOLDS`.
 
@@ -161,7 +157,15 @@ def felt_level(
     -------
     float
         Level of the whole signal as a multiple of the threshold's root mean square; 0 for silence.
+
+    Examples
+    --------
+    >>> from feel321 import stimuli
+    >>> round(stimuli.felt_level(stimuli.make_scene("circular_motion")), 1)
+    61.6
     """
+    given, rate_hz = as_signal(signal, rate_hz)
+    acceleration = np.asarray(given)
     from scipy import fft
 
     n = acceleration.shape[-1]
@@ -174,15 +178,11 @@ def felt_level(
     return float(np.sqrt(np.sum(shares * weighted**2) / n / padded))
 
 
-def loudest_level(
-    acceleration: NDArray[np.float64], rate_hz: float, *, threshold: str = CONTACTOR
-) -> float:
+def loudest_level(acceleration: Samples, rate_hz: float, *, threshold: str = CONTACTOR) -> float:
     """Largest root mean square in any 200 ms, 20 to 1000 Hz, as a multiple of the threshold's; axes add by energy.
 
     Before and after the signal is silence, so that appending some changes nothing, and a signal shorter than 200 ms
     has the level that its energy gives over 200 ms.
-
-    acceleration: (n_samples,), acceleration in m/s².
     """
     from scipy import fft
 
@@ -197,16 +197,19 @@ def loudest_level(
 
 
 def sensation_level_db(
-    acceleration: NDArray[np.float64], rate_hz: float, *, threshold: str = CONTACTOR
+    signal: Recording | Reduced | ArrayLike,
+    rate_hz: float | None = None,
+    *,
+    threshold: str = CONTACTOR,
 ) -> float:
-    """Level over the detection threshold, as it is felt where it is loudest.
+    """Compute the level over the detection threshold, as it is felt where it is loudest.
 
     Parameters
     ----------
-    acceleration : ndarray, shape (n_samples,) or (axes, n_samples)
-        Acceleration at the hand in m/s², as it is played.
-    rate_hz : float
-        Sampling rate in Hz.
+    signal : Recording, Reduced, or array_like of shape (n_samples,) or (axes, n_samples)
+        Acceleration at the hand in m/s², as it is played; plain samples need `rate_hz`.
+    rate_hz : float, optional
+        Sampling rate of plain samples in Hz.
     threshold : str
         Name of `THRESHOLDS`: `"contactor"` or `"grasped_stylus"`.
 
@@ -231,22 +234,23 @@ def sensation_level_db(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from feel321 import stimuli
     >>> time_s = np.arange(8000) / 8000
-    >>> tone = 10 * acceleration_threshold(250.0) * np.sin(2 * np.pi * 250 * time_s)
-    >>> round(sensation_level_db(tone, 8000.0))
+    >>> tone = 10 * stimuli.acceleration_threshold(250.0) * np.sin(2 * np.pi * 250 * time_s)
+    >>> round(stimuli.sensation_level_db(tone, 8000.0))
     20
     """
-    return to_db(loudest_level(acceleration, rate_hz, threshold=threshold))
+    given, rate = as_signal(signal, rate_hz)
+    return to_db(loudest_level(np.asarray(given), rate, threshold=threshold))
 
 
 def to_db(level: float) -> float:
-    """Give a ratio of amplitudes in dB; minus infinity for 0."""
+    """Ratio of amplitudes in dB; minus infinity for 0."""
     return 20 * float(np.log10(level)) if level > 0 else -np.inf
 
 
-def _weigh(
-    frequency_hz: NDArray[np.float64], *, threshold: str, edge_octaves: float = 0.0
-) -> NDArray[np.float64]:
+def _weigh(frequency_hz: Samples, *, threshold: str, edge_octaves: float = 0.0) -> Samples:
     """Weight of each frequency: the threshold's RMS inverted from 20 to 1000 Hz, falling to 0 over the edges beyond."""
     weights = np.zeros_like(frequency_hz)
     beyond = np.full_like(frequency_hz, np.inf)
@@ -261,8 +265,6 @@ def _weigh(
     return weights
 
 
-# Haptic anchors: stimuli that are meant to be rated badly, made for 20 to 1000 Hz.
-
 EASILY_FELT = 2.0
 """Acceleration thresholds up to this multiple of the lowest count as easily felt: up to 250 Hz."""
 
@@ -271,25 +273,18 @@ ENVELOPE_HZ = 50.0
 
 
 def low_anchor(recording: Recording, rng: np.random.Generator) -> Samples:
-    """Make a steady hum with the recording's energy, where the recording has least.
-
-    Returns (n_samples,), acceleration in m/s².
-    """
+    """Make a steady hum with the recording's energy, where the recording has least."""
     return _with_energy_of(recording, _hum(recording, rng))
 
 
 def mid_anchor(recording: Recording, rng: np.random.Generator) -> Samples:
-    """Make a hum as `low_anchor` does, with the recording's envelope.
-
-    Returns (n_samples,), acceleration in m/s².
-    """
+    """Make a hum as `low_anchor` does, with the recording's envelope."""
     return _with_energy_of(recording, _hum(recording, rng) * _envelope(recording))
 
 
-ANCHORS: Mapping[str, Callable[[Recording, np.random.Generator], Samples]] = MappingProxyType({
-    "anchor_low": low_anchor,
-    "anchor_mid": mid_anchor,
-})
+ANCHORS: Registry[Callable[[Recording, np.random.Generator], Samples]] = Registry(
+    "anchor", {"anchor_low": low_anchor, "anchor_mid": mid_anchor}
+)
 """Name -> anchor; the names stand in the manifest's column `reducer`."""
 
 
@@ -302,7 +297,7 @@ def quietest_hz(recording: Recording) -> tuple[float, float]:
     frequencies = original.frequencies_hz
     if not len(frequencies):
         raise ValueError(
-            f"{recording.name!r} is silent between 20 and 1000 Hz: it can have no anchors; leave it out"
+            f"{recording.name!r} is silent between 20 and 1000 Hz and can have no anchors; leave it out"
         )
     inside = (frequencies >= LOWEST_HZ * (1 + WEBER_FRACTION)) & (
         frequencies * (1 + WEBER_FRACTION) <= frequencies[-1]

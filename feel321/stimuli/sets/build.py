@@ -12,19 +12,20 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import re
 import shutil
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from feel321.doors import as_path
 from feel321.files import hold_lock
 from feel321.stimuli.condition import list_steps
-from feel321.stimuli.recording import largest
+from feel321.stimuli.recording import Recording, largest
 from feel321.stimuli.sets.anchors import sensation_level_db, to_db
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, write_manifest
+from feel321.stimuli.sets.recipe import Recipe, check_names
 from feel321.stimuli.sets.render import (
     Candidate,
     Measured,
@@ -41,21 +42,20 @@ from feel321.stimuli.wav import read_wav, write_wav
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from feel321.stimuli.recording import Recording
-    from feel321.stimuli.sets.recipe import Recipe
+    from feel321.types import PathLike
 
     Progress = Callable[[int, int], None]
     Job = tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]
 
-# What an earlier build left in `manifest.json`: read to spare work, never trusted further than that.
+PARTS = ".parts"
+FINISHED = "finished"
 
 
 @dataclass(frozen=True, slots=True)
 class History:
-    """An earlier build.
+    """What an earlier build left in `manifest.json`: read to save work, never trusted further than that.
 
-    rows: stimulus id -> row; keys: stimulus id -> the key it was rendered under; measured: key ->
-    what was measured on the rendered stimulus.
+    rows: by stimulus id; keys: stimulus id -> the key it was rendered under; measured: by key.
     """
 
     rows: dict[str, Stimulus] = field(default_factory=dict)
@@ -86,13 +86,6 @@ def read_history(folder: Path) -> History:
     return History(own, keys, measured)
 
 
-# Stimulus sets: every recording through every reducer at every level; only what changed, all or nothing.
-
-PARTS = ".parts"
-FINISHED = "finished"
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
-
-
 @dataclass(frozen=True, slots=True)
 class _Order:
     """One file to be: a candidate, what was measured on it, its level arm, and the gain that brings it there."""
@@ -115,10 +108,7 @@ class _Order:
 
 @dataclass(frozen=True, slots=True)
 class Foreseen:
-    """A stimulus as a build would make it.
-
-    sensation_levels_db: name of a threshold curve -> sensation level.
-    """
+    """A stimulus as a build would make it, with its sensation level by threshold curve."""
 
     recording: str
     reducer: str
@@ -130,32 +120,35 @@ class Foreseen:
 
 
 def build_stimuli(
-    recordings: Sequence[Recording],
-    folder: str | Path,
+    recordings: Recording | Sequence[Recording],
+    folder: PathLike,
+    recipe: Recipe | None = None,
     *,
-    recipe: Recipe,
     workers: int = 1,
     progress: Progress | None = None,
+    **changes: Any,  # noqa: ANN401 - fields of a recipe, checked there
 ) -> StimulusSet:
     """Build a stimulus set, or bring one up to date.
 
     Parameters
     ----------
-    recordings : sequence of Recording
+    recordings : Recording, or sequence of Recording
         One or more, each with a name of its own that can stand in a file name.
-    folder : str or Path
+    folder : str or path
         Where to; made if missing. Files of an earlier build that are no longer wanted are removed.
-    recipe : Recipe
-        What is made of every recording.
+    recipe : Recipe, optional
+        What is made of every recording; `Recipe()` if left out.
     workers : int
         Number of processes. The result does not depend on it.
     progress : callable, optional
         Called with (steps done, steps in all) after each step.
+    **changes
+        Fields of the recipe that are to be different, such as `reducers=["dft321"]`.
 
     Returns
     -------
     StimulusSet
-        What `manifest.csv` holds.
+        What `manifest.csv` holds; its `warnings` name recordings that are played much stronger than recorded.
 
     Raises
     ------
@@ -163,11 +156,24 @@ def build_stimuli(
         If names clash, or a recording cannot be used; nothing already built is harmed.
     BlockingIOError
         If another build is running in the folder.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from feel321 import stimuli
+    >>> scene = stimuli.make_scene("bumps", duration_s=0.5)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     built = stimuli.build_stimuli(scene, folder, reducers=["say321", "dft321"])
+    ...     samples, rate_hz = built.read("bumps__dft321__as_is")
+    >>> [stimulus.role for stimulus in built], samples.shape, rate_hz
+    (['test', 'test', 'reference', 'anchor', 'anchor'], (24000,), 48000)
     """
     if workers < 1:
-        raise ValueError(f"workers: got {workers}, allowed is 1 or more")
+        raise ValueError(f"workers must be 1 or more, got {workers}")
+    recordings = [recordings] if isinstance(recordings, Recording) else recordings
+    recipe = replace(recipe or Recipe(), **changes)
     check_names([recording.name for recording in recordings])
-    folder = Path(folder)
+    folder = as_path(folder, "folder")
     folder.mkdir(parents=True, exist_ok=True)
     with hold_lock(
         folder / ".lock", busy="another build is running here; let it finish or stop it first"
@@ -187,26 +193,23 @@ def _build(
     history = read_history(folder)
     wanted = {recording.name: list_candidates(recording, recipe) for recording in recordings}
     new = [r for r in recordings if any(c.key not in history.measured for c in wanted[r.name])]
-    counter = _Counter(progress, total=len(new) + len(recordings))
+    total = len(new) + len(recordings)
     measure = [
         (render_recording, (r, wanted[r.name]), {"recipe": recipe, "parts": parts}) for r in new
     ]
     measured = dict(history.measured)
-    for found in counter.count(_in_parallel(measure, workers=workers)):
+    for found in _report(_in_parallel(measure, workers=workers), progress, done=0, total=total):
         measured.update(found)
     orders = _place_orders(wanted, measured, recipe)
     how = {"recipe": recipe, "folder": folder, "history": history}
     write = [(_write_recording, (r, orders[r.name]), how) for r in recordings]
-    written = {
-        row.stimulus_id: row
-        for rows in counter.count(_in_parallel(write, workers=workers))
-        for row in rows
-    }
+    passes = _in_parallel(write, workers=workers)
+    rows = [row for some in _report(passes, progress, done=len(new), total=total) for row in some]
+    written = {row.stimulus_id: row for row in rows}
     in_order = [order for recording in recordings for order in orders[recording.name]]
-    details = _details(in_order, recipe, recordings)
-    return _publish(
-        [written[order.stimulus_id] for order in in_order], folder, history=history, details=details
-    )
+    details = _list_details(in_order, recipe, recordings)
+    rows = [written[order.stimulus_id] for order in in_order]
+    return _publish(rows, folder, history=history, details=details)
 
 
 def foresee_stimuli(
@@ -256,23 +259,6 @@ def _publish(
     return published
 
 
-def check_names(names: Sequence[str]) -> None:
-    """Demand that every recording has a name of its own that can stand in a file name on any system."""
-    if not names:
-        raise ValueError("recordings: got none, allowed is one or more; name them in study.toml")
-    seen: set[str] = set()
-    for name in names:
-        if not _NAME.fullmatch(name):
-            raise ValueError(
-                f"recording name: got {name!r}, allowed are up to 100 letters (A-Z), digits, '.', '_' and '-', "
-                "beginning with a letter or digit; give it another name"
-            )
-        # Some file systems do not tell capitals from small letters.
-        if name.casefold() in seen:
-            raise ValueError(f"recording name: got {name!r} twice; give one of them another name")
-        seen.add(name.casefold())
-
-
 def _make_parts_folder(folder: Path) -> Path:
     """Make the folder of unfinished work; what a killed build had rendered is kept, what it was writing is not."""
     parts = folder / PARTS
@@ -286,9 +272,7 @@ def _make_parts_folder(folder: Path) -> Path:
 def _place_orders(
     wanted: Mapping[str, Sequence[Candidate]], measured: Mapping[str, Measured], recipe: Recipe
 ) -> dict[str, list[_Order]]:
-    keys = {
-        name: [candidate.key for candidate in candidates] for name, candidates in wanted.items()
-    }
+    keys = {name: [one.key for one in candidates] for name, candidates in wanted.items()}
     gains = choose_gains(measured, recipe, recordings=keys)
     return {
         name: [
@@ -308,7 +292,7 @@ def _write_recording(
     folder: Path,
     history: History,
 ) -> list[Stimulus]:
-    """Write the files of one recording that are not there already, and give all their rows."""
+    """Write the files of one recording that are not there already, and return all their rows."""
     kept = {
         order.stimulus_id: history.rows[order.stimulus_id]
         for order in orders
@@ -318,11 +302,8 @@ def _write_recording(
     render_recording(
         recording, [order.candidate for order in changed], recipe=recipe, parts=folder / PARTS
     )
-    kept.update(
-        (order.stimulus_id, _write(order, recording, recipe=recipe, parts=folder / PARTS))
-        for order in changed
-    )
-    return list(kept.values())
+    written = [_write(one, recording, recipe=recipe, parts=folder / PARTS) for one in changed]
+    return [*kept.values(), *written]
 
 
 def _is_there(order: _Order, folder: Path, history: History) -> bool:
@@ -373,10 +354,10 @@ def _write(order: _Order, recording: Recording, *, recipe: Recipe, parts: Path) 
     )
 
 
-def _details(
+def _list_details(
     orders: Sequence[_Order], recipe: Recipe, recordings: Sequence[Recording]
 ) -> dict[str, Any]:
-    """Give what `manifest.json` holds beside the rows: enough to rebuild the set and to find what has changed."""
+    """List what `manifest.json` holds beside the rows: enough to rebuild the set and to find what has changed."""
     return {
         "recipe": asdict(recipe),
         "conditioning": {r.name: list_steps(recipe.conditioning, r.rate_hz) for r in recordings},
@@ -393,22 +374,17 @@ def _details(
     }
 
 
-class _Counter:
-    """Reports progress over several passes as one count."""
-
-    def __init__(self, progress: Progress | None, *, total: int) -> None:
-        self._progress, self._total, self._done = progress, total, 0
-
-    def count(self, results: Iterator[Any]) -> Iterator[Any]:
-        for result in results:
-            self._done += 1
-            if self._progress:
-                self._progress(self._done, self._total)
-            yield result
+def _report(
+    results: Iterator[Any], progress: Progress | None, *, done: int, total: int
+) -> Iterator[Any]:
+    for step, result in enumerate(results, start=done + 1):
+        if progress:
+            progress(step, total)
+        yield result
 
 
 def _in_parallel(jobs: Sequence[Job], *, workers: int) -> Iterator[Any]:
-    """Give results as they are done; in this process where one worker is enough."""
+    """Yield results as they are done; in this process where one worker is enough."""
     if workers == 1 or len(jobs) <= 1:
         for function, arguments, named in jobs:
             yield function(*arguments, **named)

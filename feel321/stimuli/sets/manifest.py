@@ -1,4 +1,4 @@
-"""The manifest of a stimulus set: one row per stimulus, and the recipe that made it.
+"""The manifest of a stimulus set: one row per stimulus, the recipe that made it, and a check of the files.
 
 `manifest.csv` holds the rows; `manifest.json` the same, the recipe, the software's versions, and the unit of every
 column. Both are written last, whole or not at all, so a set with a manifest is complete.
@@ -11,15 +11,22 @@ import hashlib
 import io
 import json
 import math
-import os
+from collections import defaultdict
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+from feel321.doors import Registry, as_path
+from feel321.files import write_text
+from feel321.records import Result
+from feel321.stimuli.wav import read_wav
 
-ROLES = ("test", "reference", "anchor")
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from pandas import DataFrame
+
+    from feel321.types import PathLike, Samples
 
 COLUMN_UNITS = {
     "stimulus_id": "name, unique in the set",
@@ -89,9 +96,24 @@ class Stimulus:
     sensation_level_db: float = math.nan
 
 
-@dataclass(frozen=True, slots=True)
-class StimulusSet:
-    """A built set.
+COLUMNS = tuple(COLUMN_UNITS)
+FURTHER = COLUMNS[COLUMNS.index("recording_sha256") + 1 :]
+"""Columns of further metrics: a set that an earlier version built may lack them, and a cell may be empty."""
+
+STRONG_GAIN = 100.0
+"""40 dB: a recording that is played with more is mostly sensor noise, or its unit is wrong."""
+
+# The temporal match of an anchor is 0 but for rounding; so may be that of a silent test stimulus.
+_ROUNDING = 1e-9
+_READ_AS = {
+    field.name: {"float": float, "int": int, "str": str}[str(field.type)]
+    for field in fields(Stimulus)
+}
+
+
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class StimulusSet(Result):
+    """A built set: it has a length, can be iterated over, and indexed by stimulus id.
 
     Parameters
     ----------
@@ -107,14 +129,64 @@ class StimulusSet:
     stimuli: tuple[Stimulus, ...]
     sha256: str
 
+    def __len__(self) -> int:
+        """Count the stimuli."""
+        return len(self.stimuli)
 
-COLUMNS = tuple(field.name for field in fields(Stimulus))
-FURTHER = COLUMNS[COLUMNS.index("recording_sha256") + 1 :]
-"""Columns of further metrics: a set that an earlier version built may lack them, and a cell may be empty."""
-_READ_AS = {
-    field.name: {"float": float, "int": int, "str": str}[str(field.type)]
-    for field in fields(Stimulus)
-}
+    def __iter__(self) -> Iterator[Stimulus]:
+        """Iterate over the stimuli."""
+        return iter(self.stimuli)
+
+    def __getitem__(self, stimulus_id: str) -> Stimulus:
+        """Return the stimulus of an id."""
+        return Registry("stimulus_id", {row.stimulus_id: row for row in self})[stimulus_id]
+
+    def __repr__(self) -> str:
+        """Count the stimuli and say where they are."""
+        return f"StimulusSet({len(self)} stimuli in {str(self.folder)!r})"
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """One line for each recording that is played more than 40 dB stronger than it was recorded."""
+        gains: dict[str, float] = {}
+        for row in self:
+            if row.role != "anchor":
+                gains[row.recording] = min(row.gain, gains.get(row.recording, math.inf))
+        return tuple(
+            f"{name}: played {20 * math.log10(gain):.0f} dB stronger than it was recorded (gain {gain:.3g}); is it "
+            "more than sensor noise, and its unit right? If not, leave it out"
+            for name, gain in gains.items()
+            if gain > STRONG_GAIN
+        )
+
+    def to_frame(self) -> DataFrame:
+        """Return the manifest as a table.
+
+        Returns
+        -------
+        DataFrame
+            A row per stimulus; the columns are those of `manifest.csv`.
+        """
+        import pandas as pd
+
+        return pd.DataFrame([asdict(row) for row in self])
+
+    def read(self, stimulus_id: str) -> tuple[Samples, int]:
+        """Read the samples of a stimulus.
+
+        Parameters
+        ----------
+        stimulus_id : str
+            Which one.
+
+        Returns
+        -------
+        samples : ndarray of float64, shape (n_samples,) or (3, n_samples)
+            Samples as shares of full scale.
+        rate_hz : int
+            Sampling rate in Hz.
+        """
+        return read_wav(self.folder / self[stimulus_id].file)
 
 
 def write_manifest(
@@ -126,30 +198,28 @@ def write_manifest(
     writer = csv.DictWriter(text, COLUMNS, lineterminator="\r\n")
     writer.writeheader()
     writer.writerows(rows)
-    table = text.getvalue().encode()
-    whole = {"columns": COLUMN_UNITS, "stimuli": rows, **details}
-    write_bytes(
-        folder / "manifest.json", (json.dumps(whole, indent=1, sort_keys=True) + "\n").encode()
+    built = StimulusSet(
+        folder, tuple(stimuli), hashlib.sha256(text.getvalue().encode()).hexdigest()
     )
-    write_bytes(folder / "manifest.csv", table)
-    return StimulusSet(folder, tuple(stimuli), hashlib.sha256(table).hexdigest())
+    warned = {"warnings": built.warnings} if built.warnings else {}
+    whole = {"columns": COLUMN_UNITS, "stimuli": rows, **details, **warned}
+    write_text(folder / "manifest.json", json.dumps(whole, indent=1, sort_keys=True) + "\n")
+    write_text(folder / "manifest.csv", text.getvalue())
+    return built
 
 
 def describe_row(stimulus: Stimulus) -> dict[str, Any]:
-    """Give a row as CSV and JSON hold it: a number that is not known is an empty cell, or null.
-
-    Returns column -> value, or None.
-    """
+    """Return a row as CSV and JSON hold it: a number that is not known is an empty cell, or null."""
     row = asdict(stimulus)
     return row | {name: None for name in FURTHER if math.isnan(row[name])}
 
 
-def read_stimuli(folder: str | Path) -> StimulusSet:
+def read_stimuli(folder: PathLike) -> StimulusSet:
     """Read a built stimulus set.
 
     Parameters
     ----------
-    folder : str or Path
+    folder : str or path
         Where `build_stimuli` built it.
 
     Returns
@@ -162,9 +232,19 @@ def read_stimuli(folder: str | Path) -> StimulusSet:
     FileNotFoundError
         If there is no manifest.
     ValueError
-        If the manifest is not one; the message names the line.
+        If the manifest is damaged; the message names the line.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from feel321 import stimuli
+    >>> scene = stimuli.make_scene("bumps", duration_s=0.5)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     built = stimuli.build_stimuli([scene], folder, reducers=["dft321"], anchors=False)
+    ...     len(stimuli.read_stimuli(folder)), stimuli.check_stimuli(folder)
+    (2, [])
     """
-    path = Path(folder) / "manifest.csv"
+    path = as_path(folder, "folder") / "manifest.csv"
     if not path.is_file():
         raise FileNotFoundError(
             f"{path}: there is no manifest; build the stimulus set first (feel321 build)"
@@ -176,35 +256,20 @@ def read_stimuli(folder: str | Path) -> StimulusSet:
         raise ValueError(
             f"{path}: not a CSV table in UTF-8 ({error}); build the set again"
         ) from None
-    stimuli = tuple(_row(row, f"{path}, line {line}") for line, row in enumerate(rows, start=2))
+    stimuli = tuple(
+        _read_row(row, f"{path}, line {line}") for line, row in enumerate(rows, start=2)
+    )
     if not stimuli:
         raise ValueError(f"{path}: holds no stimulus; build the set again")
-    return StimulusSet(Path(folder), stimuli, hashlib.sha256(table).hexdigest())
+    return StimulusSet(path.parent, stimuli, hashlib.sha256(table).hexdigest())
 
 
-def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file whole or not at all."""
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with part.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())  # or a power cut could leave the name without the content
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
-
-
-def _row(row: dict[str, str], place: str) -> Stimulus:
-    wrong = [
-        name
-        for name in COLUMNS
-        if row.get(name) is None and not (name in FURTHER and name not in row)
-    ]
+def _read_row(row: dict[str, str], place: str) -> Stimulus:
+    wrong = [name for name in COLUMNS if row.get(name) is None and name not in {*FURTHER} - {*row}]
     wrong += [str(name) for name in row if name not in COLUMNS]
     if wrong:
         raise ValueError(
-            f"{place}: wrong or missing columns {', '.join(wrong)}; allowed are {', '.join(COLUMNS)}"
+            f"{place}: wrong or missing columns {', '.join(wrong)}; they must be {', '.join(COLUMNS)}"
         )
     try:
         values = {
@@ -214,6 +279,74 @@ def _row(row: dict[str, str], place: str) -> Stimulus:
         raise ValueError(f"{place}: {error}; build the set again") from None
     if Path(values["file"]).name != values["file"]:
         raise ValueError(
-            f"{place}: got file {values['file']!r}, allowed is a name in the set's own folder"
+            f"{place}: file must be a name in the set's own folder, got {values['file']!r}"
         )
     return Stimulus(**values)
+
+
+def check_stimuli(folder: PathLike) -> list[str]:
+    """Check a built set before a study starts: files, digests, clipping, and whether its anchors can serve as anchors.
+
+    Parameters
+    ----------
+    folder : str or path
+        Where `build_stimuli` built it.
+
+    Returns
+    -------
+    list of str
+        Every problem in one line, with what to do; empty if there is none.
+
+    Examples
+    --------
+    >>> from feel321 import stimuli
+    >>> stimuli.check_stimuli("no_such_folder")
+    ['no_such_folder/manifest.csv: there is no manifest; build the stimulus set first (feel321 build)']
+    """
+    try:
+        built = read_stimuli(folder)
+    except (OSError, ValueError) as error:
+        return [str(error)]
+    problems = [problem for stimulus in built for problem in _check_file(stimulus, built.folder)]
+    named = {stimulus.file for stimulus in built}
+    problems += [
+        f"{path.name}: not in the manifest; move it away, or build the set again"
+        for path in sorted(built.folder.glob("*.wav"))
+        if path.name not in named
+    ]
+    together = defaultdict(list)
+    for stimulus in built:
+        together[stimulus.recording, stimulus.level].append(stimulus)
+    for _, rows in sorted(together.items()):
+        problems += _check_anchors(rows)
+    return problems
+
+
+def _check_file(stimulus: Stimulus, folder: Path) -> Iterator[str]:
+    path = folder / stimulus.file
+    if not path.is_file():
+        yield f"{stimulus.file}: missing; build the set again"
+        return
+    if hashlib.sha256(path.read_bytes()).hexdigest() != stimulus.sha256:
+        yield f"{stimulus.file}: was changed after it was built (its SHA-256 differs); build the set again"
+        return
+    if stimulus.clipped:
+        yield f"{stimulus.file}: {stimulus.clipped} samples clipped; lower the gain or raise full_scale_m_s2"
+    samples, rate = read_wav(path)
+    if samples.shape[-1] != stimulus.n_samples or rate != stimulus.rate_hz:
+        yield f"{stimulus.file}: {samples.shape[-1]} samples at {rate} Hz, but the manifest says otherwise; build again"
+
+
+def _check_anchors(stimuli: Sequence[Stimulus]) -> Iterator[str]:
+    """Demand that anchors score below every test stimulus of their recording, on both metrics."""
+    tests = [stimulus for stimulus in stimuli if stimulus.role == "test"]
+    for anchor in (stimulus for stimulus in stimuli if stimulus.role == "anchor"):
+        for test in tests:
+            better = anchor.spectral_match >= test.spectral_match
+            if better or anchor.temporal_match > test.temporal_match + _ROUNDING:
+                yield (
+                    f"{anchor.stimulus_id}: spectral match {anchor.spectral_match:.3g}, "
+                    f"temporal {anchor.temporal_match:.3g}, not below {test.stimulus_id} ({test.spectral_match:.3g}, "
+                    f"{test.temporal_match:.3g}); an anchor must be worse than every test: leave out that recording "
+                    "or that reducer, or set anchors = false"
+                )

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any
+import re
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any
 
+from feel321.doors import as_names, check_name
 from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.recording import check_rate
-from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS, get_reducer
-from feel321.stimuli.sets.anchors import CONTACTOR, check_threshold
+from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
+from feel321.stimuli.sets.anchors import CONTACTOR, THRESHOLDS
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 LEVELS = ("as_is", "equal_intensity")
 """Level arms: one physical gain, so that lost energy is felt as loss; or every stimulus brought to the same sensation
@@ -26,6 +31,8 @@ each recording with its reference and anchors, so that no spike of one recording
 RIG_RATES_HZ = (2000, 384_000)
 """Rates at which 1000 Hz can be played and sound devices run."""
 
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
@@ -37,9 +44,9 @@ class Recipe:
         Acceleration that the rig gives for a file's full scale, m/s².
     conditioning : Conditioning
         Steps before reduction.
-    reducers : tuple of str
+    reducers : sequence of str
         Names of `REDUCERS`.
-    levels : tuple of str
+    levels : sequence of str
         Names of `LEVELS`.
     anchors : bool
         Whether each recording gets a low and a mid anchor.
@@ -61,12 +68,18 @@ class Recipe:
     ------
     ValueError
         If a name is unknown or twice, or a number is out of range; the message says what is allowed.
+
+    Examples
+    --------
+    >>> from feel321 import stimuli
+    >>> stimuli.Recipe(reducers=["dft321", "pca321"], levels=["equal_intensity"]).reducers
+    ('dft321', 'pca321')
     """
 
     full_scale_m_s2: float = 100.0
     conditioning: Conditioning = field(default_factory=Conditioning)
-    reducers: tuple[str, ...] = DEFAULT_REDUCERS
-    levels: tuple[str, ...] = ("as_is",)
+    reducers: Sequence[str] = DEFAULT_REDUCERS
+    levels: Sequence[str] = ("as_is",)
     anchors: bool = True
     reference: str = ORIGINAL
     rate_hz: float = 48000.0
@@ -77,60 +90,64 @@ class Recipe:
 
     def __post_init__(self) -> None:
         """Refuse unknown names and numbers out of range."""
-        for name in self.reducers:
-            get_reducer(name)
-        for name in self.levels:
-            if name not in LEVELS:
-                raise ValueError(f"level: got {name!r}, allowed is one of {', '.join(LEVELS)}")
-        for what, names in (("reducers", self.reducers), ("levels", self.levels)):
+        for what, known in (("reducers", REDUCERS), ("levels", LEVELS)):
+            names = as_names(getattr(self, what), what)
+            object.__setattr__(self, what, names)
+            for name in names:
+                check_name(name, known, what.removesuffix("s"))
             if not names or len(set(names)) < len(names):
-                raise ValueError(f"{what}: got {names}, allowed is one or more names, each once")
-        if self.reference not in {ORIGINAL, NO_REFERENCE, *REDUCERS}:
-            allowed = ", ".join((ORIGINAL, NO_REFERENCE, *REDUCERS))
-            raise ValueError(f"reference: got {self.reference!r}, allowed is one of {allowed}")
+                raise ValueError(f"{what} must be one or more names, each once; got {names}")
+        self._check_numbers()
+        check_name(self.reference, (ORIGINAL, NO_REFERENCE, *REDUCERS), "reference")
+        check_name(self.threshold, THRESHOLDS, "threshold")
+
+    def _check_numbers(self) -> None:
         low, high = RIG_RATES_HZ
         if check_rate(self.rate_hz) != int(self.rate_hz) or not low <= self.rate_hz <= high:
             raise ValueError(
-                f"rate_hz: got {self.rate_hz}, allowed is a whole number of Hz from {low} to {high}"
+                f"rate_hz must be a whole number of Hz from {low} to {high}, got {self.rate_hz}"
             )
-        self._check_levels()
-
-    def _check_levels(self) -> None:
         if not 0 < self.headroom <= 1:
             raise ValueError(
-                f"headroom: got {self.headroom}, allowed is above 0 and up to 1 (full scale)"
+                f"headroom must be above 0 and at most 1 (full scale), got {self.headroom}"
             )
-        if not 0 < self.full_scale_m_s2 < float("inf"):
-            raise ValueError(
-                f"full_scale_m_s2: got {self.full_scale_m_s2}, allowed is a finite number above 0"
-            )
+        check_rate(self.full_scale_m_s2, "full_scale_m_s2", " of m/s^2")
         if self.gain not in GAINS and (
             isinstance(self.gain, str) or not 0 < self.gain < float("inf")
         ):
-            allowed = " or ".join(f"{name!r}" for name in GAINS)
             raise ValueError(
-                f"gain: got {self.gain!r}, allowed is a finite number above 0, {allowed}"
+                f"gain must be a finite number above 0, 'set' or 'per_recording'; got {self.gain!r}"
             )
-        check_threshold(self.threshold)
         if not 0 <= self.fade_s < float("inf"):
-            raise ValueError(f"fade_s: got {self.fade_s}, allowed is 0 s or more")
+            raise ValueError(f"fade_s must be 0 s or more, got {self.fade_s}")
 
     def rendering(self) -> dict[str, Any]:
-        """Give what decides a file besides its gain, for the key under which it is remembered.
+        """Return what decides a file besides its gain, for the key under which it is remembered.
 
         Returns
         -------
         dict
             Conditioning, rate, fade and full scale, ready for JSON.
         """
-        steps = self.conditioning
-        return {
-            "crop_s": steps.crop_s,
-            "remove_offset": steps.remove_offset,
-            "high_pass_hz": steps.high_pass_hz,
-            "low_pass_hz": steps.low_pass_hz,
-            "rate_hz": self.rate_hz,
-            "fade_s": self.fade_s,
-            "full_scale_m_s2": self.full_scale_m_s2,
-            "threshold": self.threshold,  # anchors are made as strong as their recording
-        }
+        # Anchors are made as strong as their recording, by the threshold.
+        own = ("rate_hz", "fade_s", "full_scale_m_s2", "threshold")
+        return asdict(self.conditioning) | {name: getattr(self, name) for name in own}
+
+
+def check_names(names: Sequence[str]) -> None:
+    """Demand that every recording has a name of its own that can stand in a file name on any system."""
+    if not names:
+        raise ValueError("recordings must be one or more, got none; name them in study.toml")
+    seen: set[str] = set()
+    for name in names:
+        if not _NAME.fullmatch(name):
+            raise ValueError(
+                "a recording's name must be up to 100 letters (A-Z), digits, '.', '_' and '-', beginning with a letter "
+                f"or digit; got {name!r}, give it another name"
+            )
+        # Some file systems do not distinguish capitals from small letters.
+        if name.casefold() in seen:
+            raise ValueError(
+                f"recording name {name!r} is there twice; give one of them another name"
+            )
+        seen.add(name.casefold())

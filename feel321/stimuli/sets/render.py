@@ -23,11 +23,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from feel321.stimuli.condition import condition, fade, resample
-from feel321.stimuli.match import OriginalSpectrum, axis_correlations, mean_heard
+from feel321.stimuli.match import OriginalSpectrum, axis_correlations, mean_over_axes
 from feel321.stimuli.recording import digest_samples, largest
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.anchors import ANCHORS, THRESHOLDS, loudest_level, to_db
-from feel321.stimuli.sets.manifest import write_bytes
 from feel321.stimuli.sets.recipe import GAIN_PER_RECORDING, NO_REFERENCE, ORIGINAL
 from feel321.stimuli.version import __version__
 from feel321.stimuli.wav import write_wav
@@ -36,14 +35,9 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
     from feel321.stimuli.recording import Recording
     from feel321.stimuli.sets.recipe import Recipe
-
-    Samples = NDArray[np.float64]
-
-# From one recording to its rendered stimuli: condition, reduce, match, resample, fade; no gain yet.
+    from feel321.types import Samples
 
 ROUNDING = 1e-9
 """A stimulus below this share of its recording's level is what rounding left of axes that cancelled: silence."""
@@ -92,23 +86,17 @@ def list_candidates(recording: Recording, recipe: Recipe) -> tuple[Candidate, ..
     if recipe.anchors:
         wanted += [(name, "anchor") for name in ANCHORS]
     # The samples, not the file: the same file read in another unit or at another rate is another recording.
-    basis = {
-        "version": __version__,
-        "recording": digest_samples(recording),
-        **versions(),
-        **recipe.rendering(),
-    }
+    basis = {"version": __version__, "recording": digest_samples(recording)}
+    basis |= versions() | recipe.rendering()
+    keys = [json.dumps({**basis, "reducer": reducer}, sort_keys=True) for reducer, _ in wanted]
     return tuple(
-        Candidate(recording.name, reducer, role, _digest({**basis, "reducer": reducer}))
-        for reducer, role in wanted
+        Candidate(recording.name, reducer, role, hashlib.sha256(key.encode()).hexdigest())
+        for (reducer, role), key in zip(wanted, keys, strict=True)
     )
 
 
 def versions() -> dict[str, str]:
-    """Versions of the software whose arithmetic decides the samples.
-
-    Returns package name -> version.
-    """
+    """Versions of the software whose arithmetic decides the samples."""
     from importlib.metadata import version
 
     return {name: version(name) for name in ("numpy", "scipy", "soxr")}
@@ -117,19 +105,15 @@ def versions() -> dict[str, str]:
 def render_recording(
     recording: Recording, candidates: Sequence[Candidate], *, recipe: Recipe, parts: Path
 ) -> dict[str, Measured]:
-    """Render those candidates of one recording that are not in the parts folder yet, and say what was measured.
-
-    Returns key -> what was measured.
-    """
+    """Render those candidates of one recording that are not in the parts folder yet; key -> what was measured."""
     measured = {c.key: found for c in candidates if (found := _read_part(parts, c.key)) is not None}
-    for candidate, samples, note in _render(
-        recording, [c for c in candidates if c.key not in measured], recipe
-    ):
+    new = [c for c in candidates if c.key not in measured]
+    for candidate, samples, note in _render(recording, new, recipe):
         path = part_path(parts, candidate.key)
         write_wav(path, samples, recipe.rate_hz)
-        write_bytes(
-            _note_path(path), json.dumps({"bytes": path.stat().st_size, **asdict(note)}).encode()
-        )
+        # A note that a killed build left unfinished does not count, so it may be written as it comes.
+        whole = json.dumps({"bytes": path.stat().st_size, **asdict(note)})
+        path.with_suffix(".json").write_text(whole, encoding="utf-8")
         measured[candidate.key] = note
     return measured
 
@@ -137,19 +121,23 @@ def render_recording(
 def measure_recording(
     recording: Recording, candidates: Sequence[Candidate], *, recipe: Recipe
 ) -> dict[str, Measured]:
-    """Measure candidates of one recording as `render_recording` does, without writing anything.
-
-    Returns key -> what was measured.
-    """
+    """Measure candidates of one recording as `render_recording` does, without writing anything."""
     return {candidate.key: note for candidate, _, note in _render(recording, candidates, recipe)}
 
 
 def part_path(parts: Path, key: str) -> Path:
-    """Where a rendered stimulus is kept until the set is complete.
-
-    Returns the WAV file, in m/s².
-    """
+    """Where a rendered stimulus, in m/s², is kept until the set is complete."""
     return parts / f"{key}.wav"
+
+
+def _read_part(parts: Path, key: str) -> Measured | None:
+    """Read a part's note, which is written after its samples; a part that is damaged or has none does not count."""
+    path = part_path(parts, key)
+    try:
+        note = json.loads(path.with_suffix(".json").read_bytes())
+        return Measured(**note) if path.stat().st_size == note.pop("bytes") else None
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+        return None
 
 
 def _render(
@@ -176,43 +164,37 @@ def _make_scale(conditioned: Recording, recipe: Recipe) -> _Scale:
 
 
 def _play(reducer: str, scale: _Scale, recipe: Recipe) -> tuple[Samples, Samples]:
-    """Give what is made of a recording, at its own rate and for the rig; there, anchors are as strong as it is."""
+    """Make a stimulus, at its recording's rate and for the rig; there, anchors are as strong as the recording."""
+    recording = scale.recording
     if reducer == ORIGINAL:
-        return scale.recording.acceleration, scale.played
-    samples = _make(reducer, scale.recording)
-    played = _for_the_rig(samples, scale.recording.rate_hz, recipe)
+        return recording.acceleration, scale.played
     if reducer not in ANCHORS:
-        return samples, played
+        samples = REDUCERS[reducer](recording.acceleration, recording.rate_hz)
+        return samples, _for_the_rig(samples, recording.rate_hz, recipe)
+    seed = [int(recording.sha256[:16], 16), *reducer.encode()]
+    samples = ANCHORS[reducer](recording, np.random.default_rng(seed))
+    played = _for_the_rig(samples, recording.rate_hz, recipe)
     own = loudest_level(played, recipe.rate_hz, threshold=recipe.threshold)
     return samples, scale.levels[recipe.threshold] / own * played
-
-
-def _make(reducer: str, recording: Recording) -> Samples:
-    if reducer in ANCHORS:
-        seed = [int(recording.sha256[:16], 16), *reducer.encode()]
-        return ANCHORS[reducer](recording, np.random.default_rng(seed))
-    return REDUCERS[reducer](recording.acceleration, recording.rate_hz)
 
 
 def _for_the_rig(samples: Samples, rate_hz: float, recipe: Recipe) -> Samples:
     # An offset (mag321 makes one) cannot be felt and only heats the coil; the metrics are taken before it is removed.
     vibration = samples - samples.mean(axis=-1, keepdims=True)
-    return fade(
-        resample(vibration, rate_hz, to_hz=recipe.rate_hz), recipe.rate_hz, fade_s=recipe.fade_s
-    )
+    played = resample(vibration, rate_hz, to_hz=recipe.rate_hz)
+    return fade(played, recipe.rate_hz, fade_s=recipe.fade_s)
 
 
 def _measure(samples: Samples, rendered: Samples, *, scale: _Scale, rate_hz: float) -> Measured:
     # The level is that of what is played: fades and a removed offset change it. The metrics are those of the reduction.
-    found = _measure_levels(rendered, rate_hz)
     levels = {
         name: level if level > ROUNDING * scale.levels[name] else 0.0
-        for name, level in found.items()
+        for name, level in _measure_levels(rendered, rate_hz).items()
     }
     if samples.ndim > 1:  # the original itself, matched channel by channel
         return Measured(largest(rendered), levels, 1.0, 1.0, 1.0)
     spectral, bounded = scale.spectrum.match_both(samples)
-    temporal = mean_heard(axis_correlations(scale.recording.acceleration, samples))
+    temporal = mean_over_axes(axis_correlations(scale.recording.acceleration, samples))
     return Measured(largest(rendered), levels, float(spectral), float(temporal), float(bounded))
 
 
@@ -220,50 +202,19 @@ def _measure_levels(played: Samples, rate_hz: float) -> dict[str, float]:
     return {name: loudest_level(played, rate_hz, threshold=name) for name in THRESHOLDS}
 
 
-def _read_part(parts: Path, key: str) -> Measured | None:
-    """Read a part's note, which is written after its samples; a part that is damaged or has none does not count."""
-    path = part_path(parts, key)
-    try:
-        note = json.loads(_note_path(path).read_bytes())
-        return Measured(**note) if path.stat().st_size == note.pop("bytes") else None
-    except (OSError, ValueError, TypeError, KeyError, AttributeError):
-        return None
-
-
-def _note_path(part: Path) -> Path:
-    return part.with_suffix(".json")
-
-
-def _digest(what: object) -> str:
-    return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()
-
-
-# Level arms: which gain brings a rendered stimulus to the level at which it is played.
-
-
 def choose_gains(
     measured: Mapping[str, Measured], recipe: Recipe, *, recordings: Mapping[str, Collection[str]]
 ) -> dict[tuple[str, str], float]:
-    """Choose the gain of every stimulus in every level arm.
-
-    measured: key of a rendered stimulus -> what was measured on it, for the whole set; recordings:
-    name of a recording -> keys of its stimuli; returns (level, key) -> gain.
-    """
-    together = (
-        recordings.values()
-        if recipe.gain == GAIN_PER_RECORDING
-        else [set().union(*recordings.values())]
-    )
-    gains: dict[tuple[str, str], float] = {}
-    for keys in together:
-        notes = {key: measured[key] for key in keys}
-        if "as_is" in recipe.levels:
-            gains.update((("as_is", key), gain) for key, gain in _keep(notes, recipe).items())
-        if "equal_intensity" in recipe.levels:
-            gains.update(
-                (("equal_intensity", key), gain) for key, gain in _equalise(notes, recipe).items()
-            )
-    return gains
+    """Choose the gain of every stimulus, (level, key) -> gain, from what was measured on the keys of each recording."""
+    per_recording = recipe.gain == GAIN_PER_RECORDING
+    together = recordings.values() if per_recording else [set().union(*recordings.values())]
+    choose = {"as_is": _keep_levels, "equal_intensity": _equalise_levels}
+    return {
+        (level, key): gain
+        for keys in together
+        for level in recipe.levels
+        for key, gain in choose[level]({key: measured[key] for key in keys}, recipe).items()
+    }
 
 
 def find_headroom_cost(peaks: Mapping[str, float]) -> tuple[str, float]:
@@ -272,14 +223,14 @@ def find_headroom_cost(peaks: Mapping[str, float]) -> tuple[str, float]:
     return first, to_db(peaks[first] / peaks[others[0]]) if others and peaks[others[0]] else 0.0
 
 
-def _keep(notes: Mapping[str, Measured], recipe: Recipe) -> dict[str, float]:
+def _keep_levels(notes: Mapping[str, Measured], recipe: Recipe) -> dict[str, float]:
     loudest = max(note.peak for note in notes.values())
     room = recipe.headroom * recipe.full_scale_m_s2
     automatic = room / loudest if loudest else 1.0
     return dict.fromkeys(notes, automatic if isinstance(recipe.gain, str) else recipe.gain)
 
 
-def _equalise(notes: Mapping[str, Measured], recipe: Recipe) -> dict[str, float]:
+def _equalise_levels(notes: Mapping[str, Measured], recipe: Recipe) -> dict[str, float]:
     levels = {key: note.levels[recipe.threshold] for key, note in notes.items()}
     if silent := sum(level == 0.0 for level in levels.values()):
         raise ValueError(

@@ -289,9 +289,10 @@ def _match(recording: Recording, samples: Samples) -> dict[str, Any]:
     from feel321.stimuli.match import spectral_match_details, temporal_match_details
 
     conditioned, rate_hz = recording.acceleration, recording.rate_hz
-    spectral = asdict(spectral_match_details(conditioned, samples, rate_hz))
+    details = asdict(spectral_match_details(conditioned, samples, rate_hz))
+    spectral = {name: value for name, value in details.items() if isinstance(value, float | int)}
     temporal = asdict(temporal_match_details(conditioned, samples))
-    told = {"spectral_match": spectral.pop("reason"), "temporal_match": temporal.pop("reason")}
+    told = {"spectral_match": details["reason"], "temporal_match": temporal.pop("reason")}
     if math.isnan(spectral["bounded"]):
         told["spectral_match_bounded"] = told["spectral_match"]
     return {

@@ -1,32 +1,26 @@
-"""Drawing: texts, boxes and pictures in pixels, fonts, and the grid they are set on.
+"""Drawing: texts, areas and pictures in pixels, the font, and the sheet that they are put on.
 
-matplotlib brings the file, so participants of every lab see the same letters whatever fonts are installed.
-
-From top to bottom: progress, the body, a notice, buttons, what the keys do. A unit is a hundredth of the screen's
-height, less on screens that are not wide: then the width decides.
+matplotlib brings the font's file, so participants of every lab see the same letters whatever fonts are installed.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
 from math import cos, pi, sin
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from feel321.protocols.trial import RATING_RANGE
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from matplotlib.ft2font import FT2Font
 
-# What a screen is made of: texts of one line, areas and pictures in boxes of pixels, and what can be clicked.
-
-LEADING = 1.3
-"""Height of a line of text, in heights of its letters (em)."""
-
-# Light on dark tires less in a dim room. The three hues are Okabe and Ito's, told apart by every kind of colour vision;
-# none of them is the only sign of anything.
+# Light on dark tires less in a dim room. The three hues are Okabe and Ito's, which every kind of colour vision can
+# distinguish; none of them is the only sign of anything.
 GROUND = "#14171c"
 PANEL = "#20252d"
 LINE = "#4a515c"
@@ -38,11 +32,7 @@ ORANGE = "#e69f00"
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """A rectangle on the screen.
-
-    left, top: its upper left corner, in pixels from that of the screen; width, height: its size in
-    pixels.
-    """
+    """A rectangle on the screen, in pixels from the screen's upper left corner."""
 
     left: float
     top: float
@@ -60,26 +50,17 @@ class Box:
         return self.top + self.height
 
     def contains(self, x: float, y: float) -> bool:
-        """Tell whether a point lies in it.
-
-        x, y: the point, in pixels from the upper left corner of the screen.
-        """
+        """Whether a point lies in it."""
         return self.left <= x < self.right and self.top <= y < self.bottom
 
     def grow(self, by: float) -> Box:
-        """Move every edge out.
-
-        by: by how many pixels.
-        """
+        """Move every edge out by so many pixels."""
         return Box(self.left - by, self.top - by, self.width + 2 * by, self.height + 2 * by)
 
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """One line of text, in the middle of its box's height.
-
-    size: height of the letters (em), in pixels.
-    """
+    """One line of text, in the middle of its box's height; size: height of the letters (em), in pixels."""
 
     box: Box
     words: str
@@ -101,7 +82,7 @@ class Area:
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
+class Photo:
     """A picture as large as its box allows."""
 
     box: Box
@@ -122,32 +103,26 @@ class Target:
 class Composition:
     """A whole screen."""
 
-    items: tuple[Text | Area | Picture, ...]
+    items: tuple[Text | Area | Photo, ...]
     targets: tuple[Target, ...] = ()
 
 
-Item = Text | Area | Picture
+Item = Text | Area | Photo
 
 
 def round_corners(box: Box, radius: float, *, steps: int = 8) -> list[tuple[float, float]]:
-    """Draw a rectangle with rounded corners as a polygon.
-
-    radius: radius of its corners, in pixels.
+    """Make a polygon of a rectangle with rounded corners, whose radius is in pixels.
 
     Examples
     --------
     >>> round_corners(Box(0, 0, 2, 1), 0.0)
     [(2, 0), (2, 1), (0, 1), (0, 0)]
     """
+    right, left, top, bottom = box.right, box.left, box.top, box.bottom
     if radius <= 0:
-        return [
-            (box.right, box.top),
-            (box.right, box.bottom),
-            (box.left, box.bottom),
-            (box.left, box.top),
-        ]
+        return [(right, top), (right, bottom), (left, bottom), (left, top)]
     inner = box.grow(-min(radius, box.width / 2, box.height / 2))
-    reach = inner.left - box.left
+    reach = inner.left - left
     right, left, top, bottom = inner.right, inner.left, inner.top, inner.bottom
     corners = ((right, top), (right, bottom), (left, bottom), (left, top))
     return [
@@ -157,25 +132,38 @@ def round_corners(box: Box, radius: float, *, steps: int = 8) -> list[tuple[floa
     ]
 
 
+def find_points(track: Box, x: float) -> float:
+    """Find the value that a place on a slider stands for.
+
+    Examples
+    --------
+    >>> find_points(Box(100, 0, 200, 10), 250.0), find_points(Box(100, 0, 200, 10), 0.0)
+    (75.0, 0.0)
+    """
+    low, high = RATING_RANGE
+    return float(round(min(max(low + (x - track.left) / track.width * (high - low), low), high)))
+
+
 # The font of the screen, and how wide its words are.
 
 FONT = "DejaVu Sans"
 FONT_FILES = ("DejaVuSans.ttf", "DejaVuSans-Bold.ttf")
+LEADING = 1.3
+"""Height of a line of text, in heights of its letters (em)."""
+
 SLACK = 1.04
 """How much wider the window's own text engine sets a line at most: it rounds letters to whole pixels."""
 
 
 def find_font_files() -> tuple[Path, Path]:
-    """Find the files of the font."""
+    """Find the files of the font, regular and bold."""
     folder = Path(str(files("matplotlib"))) / "mpl-data" / "fonts" / "ttf"
     regular, bold = (folder / name for name in FONT_FILES)
     return regular, bold
 
 
 def measure(words: str, size: float, *, bold: bool = False) -> float:
-    """Measure a line of text.
-
-    size: height of its letters (em), in pixels; returns its width in pixels.
+    """Measure the width of a line of text; size: height of its letters (em); both in pixels.
 
     Examples
     --------
@@ -187,14 +175,14 @@ def measure(words: str, size: float, *, bold: bool = False) -> float:
 
 @cache
 def _measure_em(words: str, *, bold: bool) -> float:
-    font = _open_face(bold=bold)
+    font = _open_font(bold=bold)
     font.set_text(words, 0.0)
     width, _ = font.get_width_height()
     return float(width) / 64 / 1000
 
 
 @cache
-def _open_face(*, bold: bool) -> FT2Font:
+def _open_font(*, bold: bool) -> FT2Font:
     from matplotlib.ft2font import FT2Font
 
     font = FT2Font(str(find_font_files()[bold]))
@@ -203,9 +191,7 @@ def _open_face(*, bold: bool) -> FT2Font:
 
 
 def wrap(words: str, width: float, *, size: float, bold: bool = False) -> list[str]:
-    """Break a text into lines; line breaks of its author stay.
-
-    width: how wide lines may be, in pixels; size: height of the letters (em), in pixels.
+    """Break a text into lines of at most a width in pixels; line breaks of its author stay.
 
     Examples
     --------
@@ -224,222 +210,79 @@ def wrap(words: str, width: float, *, size: float, bold: bool = False) -> list[s
     return lines
 
 
-def find_height(lines: list[str], size: float) -> float:
-    """Tell how high lines of text are.
-
-    size: height of the letters (em), in pixels; returns their height in pixels.
-    """
+def find_height(lines: Sequence[str], size: float) -> float:
+    """Compute the height of lines of text, in pixels."""
     return len(lines) * size * LEADING
 
 
-# The parts of the screen that every page and trial shares, and the unit that all sizes are counted in.
+# What every page and trial is put on, and the unit that all its sizes are counted in.
 
 WIDE = 1.58
 """Screens at least this wide for their height are measured by their height."""
 
-BODY = 3.0
-SMALL = 2.8
-QUESTION = 4.0
-TITLE = 5.6
+BODY, SMALL, QUESTION, TITLE = 3.0, 2.8, 4.0, 5.6
 """Sizes of letters (em) in units; at 1 m nothing may be smaller than 2.2 % of the screen's height."""
 
+STRIPS = {
+    "top": (2.5, 7.0),
+    "body": (9.0, -24.0),
+    "notice": (-23.0, -14.5),
+    "buttons": (-13.5, -6.5),
+    "hints": (-5.5, -1.5),
+}
+"""Upper and lower edge of what is on every screen, in units from the screen's top, or from its bottom if negative:
+progress, the page or trial, what passes, buttons, and what the keys do that have none."""
 
-@dataclass(frozen=True, slots=True)
-class Grid:
-    """A screen's size and how it is divided.
 
-    width, height: of the screen, in pixels.
-    """
+@dataclass(slots=True)
+class Sheet:
+    """A screen while it is composed: its size in pixels, and what has been put on it."""
 
     width: float
     height: float
+    items: list[Item] = field(default_factory=list)
+    targets: list[Target] = field(default_factory=list)
 
     @property
     def unit(self) -> float:
-        """What all sizes are counted in, in pixels."""
+        """A hundredth of the screen's height, in pixels; less on screens that are not wide."""
         return min(self.height, self.width / WIDE) / 100
 
-    @property
-    def body(self) -> Box:
-        """Where a page or a trial stands."""
+    def find_strip(self, name: str) -> Box:
+        """Find one of the strips that a screen is divided into."""
         unit = self.unit
-        return self._cut(9 * unit, self.height - 24 * unit)
-
-    @property
-    def notice(self) -> Box:
-        """Where the participant is told something that passes."""
-        unit = self.unit
-        return self._cut(self.height - 23 * unit, self.height - 14.5 * unit)
-
-    @property
-    def buttons(self) -> Box:
-        """Where the buttons stand."""
-        unit = self.unit
-        return self._cut(self.height - 13.5 * unit, self.height - 6.5 * unit)
-
-    @property
-    def hints(self) -> Box:
-        """Where it says what the keys do."""
-        unit = self.unit
-        return self._cut(self.height - 5.5 * unit, self.height - 1.5 * unit)
-
-    @property
-    def top(self) -> Box:
-        """Where it says how far the session has come."""
-        unit = self.unit
-        return self._cut(2.5 * unit, 7 * unit)
-
-    def _cut(self, top: float, bottom: float) -> Box:
-        width = min(self.width - 8 * self.unit, 150 * self.unit)
+        top, bottom = (edge * unit + self.height * (edge < 0) for edge in STRIPS[name])
+        width = min(self.width - 8 * unit, 150 * unit)
         return Box((self.width - width) / 2, top, width, bottom - top)
 
+    def fill(
+        self, box: Box, fill: str, *, line: str = "", round_px: float = 0.0, line_px: float = 0.0
+    ) -> None:
+        """Fill a box; line: the color of its outline."""
+        self.items.append(Area(box, fill, line, round_px, line_px))
 
-@dataclass(frozen=True, slots=True)
-class Button:
-    """A button.
+    def write(
+        self,
+        box: Box,
+        words: str | Sequence[str],
+        size: float,
+        *,
+        color: str = INK,
+        bold: bool = False,
+        align: str = "left",
+    ) -> None:
+        """Write a line of text, or several under each other from the top of a box; size: in units."""
+        size_px = size * self.unit
+        step = box.height if isinstance(words, str) else size_px * LEADING
+        for place, line in enumerate([words] if isinstance(words, str) else words):
+            if line:
+                row = Box(box.left, box.top + place * step, box.width, step)
+                self.items.append(Text(row, line, size_px, color, bold, align))
 
-    share: how much of the time until it does has gone by, from 0 to 1.
-    """
+    def measure(self, words: str, size: float, *, bold: bool = False) -> float:
+        """Measure the width of a line of text, in pixels; size: in units."""
+        return measure(words, size * self.unit, bold=bold)
 
-    text: str
-    name: str
-    part: str = ""
-    is_main: bool = False
-    is_ready: bool = True
-    share: float = 0.0
-
-
-def split_key(text: str) -> tuple[str, str]:
-    """Take apart a key and what it does.
-
-    Examples
-    --------
-    >>> split_key("Esc twice  pause")
-    ('Esc twice', 'Pause')
-    """
-    key, _, action = text.partition("  ")
-    return key, action[:1].upper() + action[1:]
-
-
-def lay_progress(grid: Grid, words: str, share: float) -> list[Item]:
-    """Say how far the session has come, in words and by a thin bar.
-
-    share: how far, from 0 to 1.
-    """
-    if not words:
-        return []
-    unit = grid.unit
-    bar = Box(0, 0, grid.width, 0.8 * unit)
-    return [
-        Area(bar, fill=PANEL),
-        Area(Box(0, 0, max(grid.width * share, 1.0), bar.height), fill=LINE),
-        Text(grid.top, words, SMALL * unit, DIM, align="right"),
-    ]
-
-
-def lay_notice(grid: Grid, words: str) -> list[Item]:
-    """Tell the participant something that passes."""
-    if not words:
-        return []
-    size = BODY * grid.unit
-    lines = wrap(words, grid.notice.width - 6 * grid.unit, size=size, bold=True)
-    height = find_height(lines, size)
-    middle = grid.notice.top + grid.notice.height / 2
-    mark = Box(grid.notice.left, middle - height / 2, 0.8 * grid.unit, height)
-    box = Box(mark.right + 2 * grid.unit, mark.top, grid.notice.width - 4 * grid.unit, height)
-    return [Area(mark, fill=ORANGE), *lay_lines(box, lines, size=size, color=ORANGE, bold=True)]
-
-
-def lay_lines(
-    box: Box,
-    lines: Sequence[str],
-    *,
-    size: float,
-    color: str = INK,
-    bold: bool = False,
-    align: str = "left",
-) -> list[Item]:
-    """Set lines of text under each other.
-
-    size: height of the letters (em), in pixels.
-    """
-    step = size * LEADING
-    return [
-        Text(Box(box.left, box.top + place * step, box.width, step), line, size, color, bold, align)
-        for place, line in enumerate(lines)
-        if line
-    ]
-
-
-def lay_hints(grid: Grid, texts: Sequence[str]) -> list[Item]:
-    """Say in one line what keys do that have no button."""
-    size, gap = SMALL * grid.unit, 1.0 * grid.unit
-    pairs = [text.partition("  ")[::2] for text in texts]
-    widths = [(measure(key, size, bold=True), measure(action, size)) for key, action in pairs]
-    between = 4.5 * grid.unit
-    left = (
-        grid.width - sum(key + gap + action for key, action in widths) - between * (len(pairs) - 1)
-    ) / 2
-    items: list[Item] = []
-    for (key, action), (key_width, action_width) in zip(pairs, widths, strict=True):
-        items.append(
-            Text(Box(left, grid.hints.top, key_width, grid.hints.height), key, size, DIM, bold=True)
-        )
-        left += key_width + gap
-        items.append(
-            Text(Box(left, grid.hints.top, action_width, grid.hints.height), action, size, DIM)
-        )
-        left += action_width + between
-    return items
-
-
-def lay_buttons(
-    grid: Grid, left: Sequence[Button], right: Sequence[Button]
-) -> tuple[list[Item], list[Target]]:
-    """Put buttons at both ends of their line."""
-    items: list[Item] = []
-    targets: list[Target] = []
-    line, gap = grid.buttons, 2 * grid.unit
-    start = line.right - sum(find_width(grid, button) for button in right) - gap * (len(right) - 1)
-    for place, buttons in ((line.left, left), (start, right)):
-        for button in buttons:
-            box = Box(place, line.top, find_width(grid, button), line.height)
-            items += draw_button(grid, button, box)
-            if button.is_ready:
-                targets.append(Target(box, button.name, button.part))
-            place = box.right + gap  # noqa: PLW2901 - walks along the line
-    return items, targets
-
-
-def find_width(grid: Grid, button: Button) -> float:
-    """Tell how wide a button is.
-
-    Returns its width in pixels.
-    """
-    key, action = split_key(button.text)
-    size = SMALL * grid.unit
-    return measure(action, size, bold=True) + measure(key, size) + 6.5 * grid.unit
-
-
-def draw_button(grid: Grid, button: Button, box: Box) -> list[Item]:
-    """Draw a button: what it does, then the key that does the same."""
-    unit, size = grid.unit, SMALL * grid.unit
-    key, action = split_key(button.text)
-    filled = button.is_main and button.is_ready
-    ink = GROUND if filled else INK if button.is_ready or button.share else DIM
-    words = Box(box.left + 2.5 * unit, box.top, measure(action, size, bold=True), box.height)
-    cap = Box(words.right + 1.5 * unit, box.top, measure(key, size), box.height)
-    frame = Area(
-        box,
-        fill=BLUE if filled else PANEL,
-        line="" if filled else LINE,
-        round_px=1.2 * unit,
-        line_px=0.25 * unit,
-    )
-    gone = Box(box.left, box.top, box.width * button.share, box.height)
-    return [
-        frame,
-        *([Area(gone, fill=LINE, round_px=1.2 * unit)] if button.share else []),
-        Text(words, action, size, ink, bold=True),
-        Text(cap, key, size, GROUND if filled else INK if button.share else DIM),
-    ]
+    def wrap(self, words: str, width: float, size: float, *, bold: bool = False) -> list[str]:
+        """Break a text into lines of at most a width in pixels; size: in units."""
+        return wrap(words, width, size=size * self.unit, bold=bold)

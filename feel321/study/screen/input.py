@@ -12,88 +12,49 @@ import threading
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import count
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from feel321.protocols.trial import RATING_RANGE
-from feel321.study.screen.parts import find_points
+from feel321.study.screen.drawing import find_points
 from feel321.study.session.ports import Move
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator
 
     from feel321.protocols.trial import Scale, Trial
     from feel321.study.screen.drawing import Target
 
-# What reaches a window: keys by name, clicks in pixels from the top left, its own fate; each with its time.
+# The keys. Every other module takes them from here.
 
-REPEAT_S = 0.003
-"""A key that goes down so soon after it went up never went up: X repeats held keys in this way."""
+CONFIRM = {"participant": "enter", "experimenter": "f12"}
+"""By whom a page is left; trials are the participant's."""
+
+STOP, PAUSE, AGAIN, REFERENCE = "space", "escape", "r", "0"
+"""Stop what plays; pause, pressed twice; feel again; feel the reference where every vibration has its digit."""
+
+FINE, COARSE = 1.0, 10.0
+
+STEPS: dict[str, dict[str, float]] = {
+    "slider": {
+        "left": -FINE,
+        "right": FINE,
+        "up": COARSE,
+        "down": -COARSE,
+        "pageup": COARSE,
+        "pagedown": -COARSE,
+    },
+    "rows": {"left": -FINE, "right": FINE, "pageup": COARSE, "pagedown": -COARSE},
+    "choice": {},
+}
+"""How far keys move the marker, in points, by kind of screen."""
+
+ROW_STEPS = {"up": -1, "down": 1}
+"""How far keys move the selection, in rows."""
+
+FAR = frozenset({"up", "down", "pageup", "pagedown"})
+"""Keys that move far, or from row to row; they repeat slowly."""
 
 ALIASES = {"return": "enter", "page_up": "pageup", "page_down": "pagedown"}
-
-
-@dataclass(frozen=True, slots=True)
-class Press:
-    """A key went down."""
-
-    key: str
-    time_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class Release:
-    """A key went up."""
-
-    key: str
-    time_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class Click:
-    """The mouse's button went down.
-
-    x, y: where, in pixels from the upper left corner.
-    """
-
-    x: float
-    y: float
-    time_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class Drag:
-    """The mouse was moved with its button down.
-
-    x, y: where to, in pixels from the upper left corner.
-    """
-
-    x: float
-    y: float
-    time_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class Closed:
-    """The window was closed, or is gone."""
-
-    time_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class Hidden:
-    """The window was put away: it is still there, but nobody sees what is asked."""
-
-    time_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class Unfocused:
-    """Keys go to another window from now on; those that are down are let go there."""
-
-    time_s: float
-
-
-Event = Press | Release | Click | Drag | Closed | Hidden | Unfocused
 
 
 def name_key(symbol: str) -> str:
@@ -108,26 +69,51 @@ def name_key(symbol: str) -> str:
     return ALIASES.get(name, name)
 
 
+def find_choice_keys(choices: tuple[str, ...]) -> dict[str, str]:
+    """Find what keys choose: the arrows the first and the last, digits and letters any."""
+    digits = {str(number): name for number, name in enumerate(choices, 1)}
+    return {"left": choices[0], "right": choices[-1], **digits, **{name: name for name in choices}}
+
+
+# What reaches a window.
+
+REPEAT_S = 0.003
+"""A key that goes down so soon after it went up never went up: X repeats held keys in this way."""
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that was done to the window; x, y: pixels from its upper left corner.
+
+    closed: it was closed, or is gone. hidden: it is still there, but nobody sees what is asked. unfocused: keys go to
+    another window from now on; those that are down are released there.
+    """
+
+    kind: Literal["press", "release", "click", "drag", "closed", "hidden", "unfocused"]
+    time_s: float
+    key: str = ""
+    x: float = 0.0
+    y: float = 0.0
+
+
 def drop_repeats(events: list[Event]) -> list[Event]:
     """Leave out the releases and presses that a held key makes up.
 
     Examples
     --------
-    >>> drop_repeats([Release("left", 1.0), Press("left", 1.001), Press("r", 1.002)])
-    [Press(key='r', time_s=1.002)]
+    >>> [left, again] = Event("release", 1.0, "left"), Event("press", 1.001, "left")
+    >>> [event.key for event in drop_repeats([left, again, Event("press", 1.002, "r")])]
+    ['r']
     """
     kept: list[Event] = []
     for event in events:
-        last = kept[-1] if kept else None
-        if isinstance(event, Press) and isinstance(last, Release) and _is_repeat(last, event):
+        last = kept[-1] if kept else event
+        is_pair = (last.kind, event.kind) == ("release", "press") and last.key == event.key
+        if is_pair and event.time_s - last.time_s < REPEAT_S:
             kept.pop()
         else:
             kept.append(event)
     return kept
-
-
-def _is_repeat(release: Release, press: Press) -> bool:
-    return release.key == press.key and press.time_s - release.time_s < REPEAT_S
 
 
 # Keys over time: held ones that repeat, digits that become a number, and one that must be pressed twice.
@@ -145,7 +131,7 @@ DIGITS_S = 0.8
 """How long a number that could go on waits for its next digit."""
 
 TWICE_S = 1.0
-"""Within which time a key counts as pressed twice."""
+"""Time within which a key counts as pressed twice."""
 
 
 def count_repeats(held_s: float, speeds: tuple[tuple[float, float], ...] = SPEEDS) -> int:
@@ -164,32 +150,28 @@ def count_repeats(held_s: float, speeds: tuple[tuple[float, float], ...] = SPEED
 
 @dataclass(slots=True)
 class Held:
-    """The keys that are down, and how often each has repeated."""
+    """The key that is down, if any, and how often it has repeated; only the last one repeats."""
 
-    _since_s: dict[str, float] = field(default_factory=dict)
-    _given: dict[str, int] = field(default_factory=dict)
+    _key: str = ""
+    _since_s: float = 0.0
+    _given: int = 0
 
     def press(self, key: str, time_s: float) -> None:
-        """Take note that a key went down; only the last one repeats."""
-        self.clear()
-        self._since_s[key], self._given[key] = time_s, 0
+        """Take account of a key that went down."""
+        self._key, self._since_s, self._given = key, time_s, 0
 
-    def release(self, key: str) -> None:
-        """Take note that a key went up."""
-        self._since_s.pop(key, None)
-
-    def clear(self) -> None:
-        """Forget all keys."""
-        self._since_s.clear()
+    def release(self, key: str = "") -> None:
+        """Take account of a key that went up, or of all."""
+        if key in {self._key, ""}:
+            self._key = ""
 
     def list_due(self, time_s: float, coarse: frozenset[str]) -> list[str]:
         """List the repeats that are due and have not been given."""
-        due: list[str] = []
-        for key, since_s in self._since_s.items():
-            count = count_repeats(time_s - since_s, COARSE_SPEEDS if key in coarse else SPEEDS)
-            due += [key] * (count - self._given[key])
-            self._given[key] = count
-        return due
+        if not self._key:
+            return []
+        speeds = COARSE_SPEEDS if self._key in coarse else SPEEDS
+        before, self._given = self._given, count_repeats(time_s - self._since_s, speeds)
+        return [self._key] * (self._given - before)
 
 
 @dataclass(slots=True)
@@ -200,7 +182,7 @@ class Digits:
     _time_s: float = field(default=0.0, init=False)
 
     def type(self, digit: str, time_s: float) -> float | None:
-        """Take a digit."""
+        """Add a digit; returns the number if it is complete."""
         if float(self.text + digit) > RATING_RANGE[1]:
             self.text = ""
         self.text, self._time_s = self.text + digit, time_s
@@ -224,13 +206,13 @@ class Twice:
     _first_s: float | None = None
 
     def press(self, time_s: float) -> bool:
-        """Take note of it."""
+        """Take account of one time; returns whether it is the second."""
         is_second = self.is_armed(time_s)
         self._first_s = None if is_second else time_s
         return is_second
 
     def is_armed(self, time_s: float) -> bool:
-        """Tell whether it was done once, a short time ago."""
+        """Whether it was done once, a short time ago."""
         return self._first_s is not None and time_s - self._first_s <= TWICE_S
 
 
@@ -241,9 +223,9 @@ HELD = (signal.SIGINT, signal.SIGTERM)
 
 @contextmanager
 def hold_signals() -> Iterator[Callable[[], None]]:
-    """Hold Ctrl-C and the request to end until it is asked for them.
+    """Hold Ctrl-C and the request to end until the function that this gives is called.
 
-    Outside the main thread, which alone is told of signals, nothing is held.
+    Outside the main thread, which alone receives signals, nothing is held.
     """
     if threading.current_thread() is not threading.main_thread():
         yield lambda: None
@@ -259,7 +241,7 @@ def hold_signals() -> Iterator[Callable[[], None]]:
         else:
             before[number](number, frame)
 
-    def heed() -> None:
+    def deliver() -> None:
         if waiting:
             number = waiting.pop()
             before[number](number, None)
@@ -267,13 +249,13 @@ def hold_signals() -> Iterator[Callable[[], None]]:
     for number in before:
         signal.signal(number, hold)
     try:
-        yield heed
+        yield deliver
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
 
 
-# The answer to a trial as it takes shape under the participant's hand.
+# The answer to a trial while the participant works on it.
 
 REST_S = 0.25
 """How long a marker stands still before it has come to rest."""
@@ -284,40 +266,14 @@ end would anchor: what lies far from it would be rated too close to it. The midd
 other, so its pull favours neither answer, and it is the same for all vibrations. By digit or mouse a marker appears
 where it is put."""
 
-FINE, COARSE = 1.0, 10.0
-
-STEPS = {
-    "slider": {
-        "left": -FINE,
-        "right": FINE,
-        "up": COARSE,
-        "down": -COARSE,
-        "pageup": COARSE,
-        "pagedown": -COARSE,
-    },
-    "rows": {"left": -FINE, "right": FINE, "pageup": COARSE, "pagedown": -COARSE},
-    "choice": {},
-}
-"""How far keys move the marker, in points, by kind of screen."""
-
-FAR = frozenset({"up", "down", "pageup", "pagedown"})
-"""Keys that move far, or from row to row."""
-
 
 @dataclass(frozen=True, slots=True)
-class Wish:
+class Request:
     """What the participant wants to be done, by key or by mouse."""
 
     name: str
     time_s: float
     part: str = ""
-
-
-def find_kind(trial: Trial, scale: Scale) -> str:
-    """Tell which kind of screen a trial takes."""
-    if scale.choices:
-        return "choice"
-    return "rows" if trial.timing == "free" else "slider"
 
 
 class Markers:
@@ -337,24 +293,24 @@ class Markers:
             self._restless[part] = time_s
 
     def settle(self, time_s: float, *, rest_s: float = REST_S) -> list[Move]:
-        """List the markers that came to rest since this was asked last."""
+        """List the markers that came to rest since the last call."""
         rested = [part for part, moved_s in self._restless.items() if time_s - moved_s >= rest_s]
         return [Move(self._restless.pop(part), part, self.values[part]) for part in rested]
 
 
-class Desk:
+class Answer:
     """Markers and choices of one trial, and what keys and clicks do to them."""
 
     def __init__(self, trial: Trial, scale: Scale) -> None:
-        self.kind = find_kind(trial, scale)
-        self.judged = [judgement.part for judgement in trial.judgements]
+        self.kind = "rows" if trial.timing == "free" else "slider"
+        self.kind = "choice" if scale.choices else self.kind
+        self.rated = [judgement.part for judgement in trial.judgements]
         self.markers = Markers()
-        self.selected = self.judged[0]
+        self.selected = self.rated[0]
         self.chosen = ""
         self._parts = [part.name for part in trial.parts]
-        self._choices = scale.choices
-        self._held = Held()
-        self._digits = Digits()
+        self._choice_keys = find_choice_keys(scale.choices) if scale.choices else {}
+        self._held, self._digits = Held(), Digits()
         self._dragged: Target | None = None
 
     @property
@@ -364,35 +320,34 @@ class Desk:
 
     @property
     def values(self) -> dict[str, float | str]:
-        """The answer as it stands, by the part that is judged."""
+        """The answer as it stands, by the part that is rated."""
         if self.kind == "choice":
-            return dict.fromkeys(self.judged, self.chosen) if self.chosen else {}
+            return dict.fromkeys(self.rated, self.chosen) if self.chosen else {}
         return dict(self.markers.values)
 
-    def take(self, event: Event, target: Target | None, *, can_answer: bool) -> Wish | None:
+    def take(self, event: Event, target: Target | None, *, can_answer: bool) -> Request | None:
         """Do what an event asks for, as far as it is about the answer."""
-        match event:
-            case Release():
+        match event.kind:
+            case "release":
                 self._held.release(event.key)
-            case Unfocused():
-                self._held.clear()
-            case Press():
+            case "unfocused":
+                self._held.release()
+            case "press":
                 return self._press(event, can_answer=can_answer)
-            case Click():
+            case "click":
                 return self._click(event, target)
-            case Drag() if self._dragged and self._dragged.track and can_answer:
-                self._set(
-                    self._dragged.part, find_points(self._dragged.track, event.x), event.time_s
-                )
+            case "drag" if self._dragged and self._dragged.track and can_answer:
+                value = find_points(self._dragged.track, event.x)
+                self._set(self._dragged.part, value, event.time_s)
             case _:
                 pass
         return None
 
     def tick(self, time_s: float, *, can_answer: bool) -> None:
-        """Let time go on: held keys repeat, typed digits become a value."""
+        """Let time pass: held keys repeat, typed digits become a value."""
         for key in self._held.list_due(time_s, FAR):
             if can_answer:
-                self._go(key, time_s)
+                self._step(key, time_s)
         self._set(self.selected, self._digits.take_if_due(time_s), time_s)
 
     def finish_typing(self, time_s: float) -> bool:
@@ -401,70 +356,56 @@ class Desk:
         self._set(self.selected, value, time_s)
         return value is not None
 
-    def _press(self, press: Press, *, can_answer: bool) -> Wish | None:
-        key = press.key
+    def _press(self, event: Event, *, can_answer: bool) -> Request | None:
+        key, time_s = event.key, event.time_s
         if self.kind == "rows" and key.isdigit():
-            return self._feel_row(key, press.time_s)
-        if key == "r":
-            return Wish("feel", press.time_s, self.selected if self.kind == "rows" else "")
+            others = [part for part in self._parts if part not in self.rated]
+            return self._feel_row(others[0] if key == REFERENCE and others else key, time_s)
+        if key == AGAIN:
+            return self._feel_again(time_s)
         if can_answer:
-            self._held.press(key, press.time_s)
-            self._go(key, press.time_s)
+            self._held.press(key, time_s)
+            self._step(key, time_s)
             if self.kind == "slider" and key.isdigit():
-                self._set(self.selected, self._digits.type(key, press.time_s), press.time_s)
+                self._set(self.selected, self._digits.type(key, time_s), time_s)
         return None
 
-    def _click(self, click: Click, target: Target | None) -> Wish | None:
+    def _click(self, event: Event, target: Target | None) -> Request | None:
         self._dragged = target if target and target.name == "mark" else None
-        if target is None:
-            return None
-        if target.name == "feel":
-            return self._feel_row(target.part, click.time_s)
-        if target.name == "again":
-            return Wish("feel", click.time_s, self.selected if self.kind == "rows" else "")
-        if target.name == "choose":
-            self.chosen = target.part
-        elif target.track is not None:
-            self._digits.take()  # What was typed before does not take the marker back.
-            self._set(target.part, find_points(target.track, click.x), click.time_s)
+        match target.name if target else "":
+            case "feel" if target:
+                return self._feel_row(target.part, event.time_s)
+            case "again":
+                return self._feel_again(event.time_s)
+            case "choose" if target:
+                self.chosen = target.part
+            case "mark" if target and target.track:
+                self._digits.take()  # What was typed before does not take the marker back.
+                self._set(target.part, find_points(target.track, event.x), event.time_s)
         return None
 
-    def _feel_row(self, name: str, time_s: float) -> Wish:
-        """Feel one part, and let the keys move its marker if it has one; 0 is the reference."""
-        part = (
-            next((part for part in self._parts if part not in self.judged), name)
-            if name == "0"
-            else name
-        )
-        if part in self.judged:
-            self.selected = part
-        return Wish("feel", time_s, part)
+    def _feel_again(self, time_s: float) -> Request:
+        return Request("feel", time_s, self.selected if self.kind == "rows" else "")
 
-    def _go(self, key: str, time_s: float) -> None:
+    def _feel_row(self, part: str, time_s: float) -> Request:
+        """Feel one part, and let the keys move its marker if it has one."""
+        if part in self.rated:
+            self.selected = part
+        return Request("feel", time_s, part)
+
+    def _step(self, key: str, time_s: float) -> None:
         """Move the marker, the row or the choice by one step."""
-        if key in STEPS[self.kind]:
+        if (step := STEPS[self.kind].get(key)) is not None:
             self._digits.take()
             value = self.markers.values.get(self.selected)
-            self._set(
-                self.selected, FIRST if value is None else value + STEPS[self.kind][key], time_s
-            )
-        elif self.kind == "rows" and key in {"up", "down"}:
-            place = self.judged.index(self.selected) + (1 if key == "down" else -1)
-            self.selected = self.judged[min(max(place, 0), len(self.judged) - 1)]
+            self._set(self.selected, FIRST if value is None else value + step, time_s)
+        elif self.kind == "rows" and key in ROW_STEPS:
+            place = self.rated.index(self.selected) + ROW_STEPS[key]
+            self.selected = self.rated[min(max(place, 0), len(self.rated) - 1)]
         elif self.kind == "choice":
-            self.chosen = _find_choice(key, self._choices) or self.chosen
+            self.chosen = self._choice_keys.get(key, self.chosen)
 
     def _set(self, part: str, value: float | None, time_s: float) -> None:
-        if part in self.judged and value is not None:
+        if part in self.rated and value is not None:
             self.selected = part
             self.markers.put(part, value, time_s)
-
-
-def _find_choice(key: str, choices: Sequence[str]) -> str | None:
-    """Tell what a key chooses: the arrows the first and the last, digits and letters any."""
-    keys = {
-        "left": choices[0],
-        "right": choices[-1],
-        **{str(n): name for n, name in enumerate(choices, 1)},
-    }
-    return key if key in choices else keys.get(key)

@@ -1,48 +1,41 @@
-"""From what is on the screen to where it stands: pure geometry, pixels in and boxes out."""
+"""From what is on the screen to where it stands: pure geometry, a view in and boxes of pixels out."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from feel321.protocols.trial import Page
+from feel321.protocols.trial import RATING_RANGE, Page
 from feel321.study.screen.drawing import (
+    BLUE,
     BODY,
     DIM,
+    GROUND,
+    INK,
+    LEADING,
+    LINE,
+    ORANGE,
+    PANEL,
     QUESTION,
     SMALL,
     TITLE,
     Box,
-    Button,
     Composition,
-    Grid,
-    Picture,
+    Photo,
+    Sheet,
+    Target,
     Text,
     find_height,
-    lay_buttons,
-    lay_hints,
-    lay_lines,
-    lay_notice,
-    lay_progress,
     measure,
-    split_key,
-    wrap,
 )
-from feel321.study.screen.parts import (
-    LABEL_LINES,
-    View,
-    count_label_lines,
-    find_slider_height,
-    lay_answer,
-    lay_parts,
-)
+from feel321.study.screen.view import View
 from feel321.study.session.ports import Place
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
-    from feel321.protocols.trial import Scale
-    from feel321.study.screen.drawing import Item, Target
-    from feel321.study.screen.parts import ScreenTexts
+    from feel321.protocols.trial import Scale, Trial
+    from feel321.study.screen.view import ScreenTexts
 
 HINTS = {
     "slider": ("move", "coarse", "digits"),
@@ -52,8 +45,7 @@ HINTS = {
 """The keys that have no button, by kind of screen."""
 
 COLUMN = 108.0
-"""How wide a page's text is, in units: some 65 letters."""
-
+"""Width of a page's text, in units: some 65 letters."""
 
 BELOW = 1.5
 """Free space under a picture, in units."""
@@ -67,182 +59,436 @@ TIGHTEST = (1920, 1080)
 LINES = 3
 """Most lines of a question."""
 
+ABOVE, TRACK, UNDER = 8.0, 4.5, 1.0
+"""Heights of what stands over a slider's track, of the track, and of what is free under it, in units."""
+
+ROW = 6.6
+"""Largest height of a row, in units."""
+
+LABEL = 0.45
+"""Largest width of a slider's label, as a share of the track."""
+
+LABEL_LINES = 2
+"""Most lines of a slider's label."""
+
+FELT = "✓"
+
 
 def compose(view: View, texts: ScreenTexts, *, size: tuple[int, int]) -> Composition:
-    """Lay out a screen.
-
-    size: width and height of the screen in pixels.
-    """
-    grid = Grid(*size)
-    place = view.place
-    words = (
-        texts.prompts["trial"].format(done=place.done, total=place.total)
-        if _is_counted(view)
-        else ""
-    )
-    items = lay_progress(grid, words, place.done / max(place.total, 1))
-    items += lay_notice(grid, view.notice)
-    body, targets = _lay_page(view, texts, grid) if view.page else _lay_trial(view, texts, grid)
-    return Composition((*items, *body), tuple(targets))
-
-
-def _is_counted(view: View) -> bool:
-    """Trials that do not count, and the pages before those that do, are no progress."""
-    return view.place.done > 0 or (view.trial is not None and view.trial.phase == "main")
-
-
-def _lay_page(view: View, texts: ScreenTexts, grid: Grid) -> tuple[list[Item], list[Target]]:
-    page = view.page
-    if page is None:
-        raise ValueError("got a view without a page, allowed is one with a page")
-    items = _lay_text(view, page, texts=texts, grid=grid)
-    leave = [Button(texts.keys["leave"], "pause")] if view.can_leave else []
-    if page.by == "experimenter":
-        ask = Text(
-            grid.buttons, texts.prompts["experimenter"], SMALL * grid.unit, DIM, align="right"
-        )
-        buttons, targets = lay_buttons(grid, leave, [])
-        return [*items, ask, *buttons], targets
-    key = texts.keys["confirm"]
-    if view.left_s:
-        # The number stands where the key's name will: a key that does nothing yet is not named.
-        key = f"{texts.prompts['wait'].format(seconds=view.left_s)}  {split_key(key)[1]}"
-    share = 1 - view.left_s / page.least_s if view.left_s and page.least_s else 0.0
-    go_on = Button(key, "confirm", is_main=True, is_ready=not view.left_s, share=max(share, 0.0))
-    buttons, targets = lay_buttons(grid, leave, [go_on])
-    return items + buttons, targets
-
-
-def _lay_text(view: View, page: Page, *, texts: ScreenTexts, grid: Grid) -> list[Item]:
-    """Set title and text as a column, smaller where it is long."""
-    text = texts.pages[page.key]
-    width = min(COLUMN * grid.unit, grid.body.width)
-    left = (grid.width - width) / 2
-    # Not by `format`: a lab's own consent may hold braces of its own.
-    words = text.text.replace("{done}", str(view.place.done)).replace(
-        "{total}", str(view.place.total)
-    )
-    paragraphs = words.strip().splitlines()
-    title_size = TITLE * grid.unit
-    heading = wrap(text.title, width, size=title_size, bold=True)
-    for size in (share * grid.unit for share in TEXT_SIZES):
-        blocks = [wrap(paragraph, width, size=size) for paragraph in paragraphs]
-        gap = 0.73 * size
-        height = find_height(heading, title_size) + sum(
-            gap + find_height(block, size) for block in blocks
-        )
-        if height <= grid.body.height:
-            break
-    top = grid.body.top + max(0.0, grid.body.height - height) * 0.4
-    items = lay_lines(Box(left, top, width, title_size), heading, size=title_size, bold=True)
-    top += find_height(heading, title_size) + gap
-    for block in blocks:
-        items += lay_lines(Box(left, top, width, size), block, size=size)
-        top += find_height(block, size) + gap
-    return items
-
-
-def _lay_trial(view: View, texts: ScreenTexts, grid: Grid) -> tuple[list[Item], list[Target]]:
-    items, targets, left_over = _lay_head(view, texts, grid)
-    if view.picture and view.kind != "rows":
-        below = (
-            find_slider_height(view.scale, grid) if view.kind == "slider" and view.scale else 0.0
-        )
-        box, left_over = _split(left_over, below=below, gap=BELOW * grid.unit)
-        items.append(Picture(box, view.picture))
-    more_items, more_targets = lay_answer(view, texts, grid=grid, box=left_over)
-    buttons, button_targets = lay_buttons(
-        grid, [Button(texts.keys["pause"], "pause")], _list_buttons(view, texts)
-    )
-    hints = (
-        lay_hints(grid, [texts.keys[key] for key in HINTS[view.kind]])
-        if view.state == "answering"
-        else []
-    )
-    return [*items, *more_items, *buttons, *hints], [*targets, *more_targets, *button_targets]
-
-
-def _lay_head(view: View, texts: ScreenTexts, grid: Grid) -> tuple[list[Item], list[Target], Box]:
-    """Set what is felt and what is asked; the rest of the body is left over."""
-    body, unit = grid.body, grid.unit
-    items: list[Item] = []
-    targets: list[Target] = []
-    top = body.top
-    if view.kind != "rows":
-        items, targets = lay_parts(view, texts, grid=grid, top=top)
-        top += 10.5 * unit
-    lines = wrap(find_question(view, texts), body.width, size=QUESTION * unit, bold=True)
-    height = find_height(lines, QUESTION * unit)
-    items += lay_lines(
-        Box(body.left, top, body.width, height),
-        lines,
-        size=QUESTION * unit,
-        bold=True,
-        align="center",
-    )
-    top += height + (1.5 if view.kind == "rows" else 3.0) * unit
-    return items, targets, Box(body.left, top, body.width, body.bottom - top)
+    """Lay out a screen of a size in pixels."""
+    sheet, place = Sheet(*size), view.place
+    # Trials that do not count, and the pages before those that do, are no progress.
+    if place.done > 0 or (view.trial is not None and view.trial.phase == "main"):
+        bar, share = Box(0, 0, sheet.width, 0.8 * sheet.unit), place.done / max(place.total, 1)
+        sheet.fill(bar, PANEL)
+        sheet.fill(Box(0, 0, max(sheet.width * share, 1.0), bar.height), LINE)
+        words = texts.prompts["trial"].format(done=place.done, total=place.total)
+        sheet.write(sheet.find_strip("top"), words, SMALL, color=DIM, align="right")
+    if view.notice:
+        _add_notice(sheet, view.notice)
+    if view.page is not None:
+        _add_page(sheet, view, view.page, texts=texts)
+    elif view.trial is not None and view.scale is not None:
+        _TrialLayout(sheet, view, texts, view.trial, view.scale).add()
+    return Composition(tuple(sheet.items), tuple(sheet.targets))
 
 
 def find_overflows(texts: ScreenTexts, scales: Iterable[Scale]) -> list[str]:
     """Find texts that are too long for a screen."""
-    grid = Grid(*TIGHTEST)
     problems = []
     for key in texts.pages:
-        view = View("page", "reading", 0, Place(999, 999), page=Page(key))
-        lines = [
-            item
-            for item in _lay_text(view, Page(key), texts=texts, grid=grid)
-            if isinstance(item, Text)
-        ]
-        share = (max(line.box.bottom for line in lines) - grid.body.top) / grid.body.height
+        sheet, page = Sheet(*TIGHTEST), Page(key)
+        body = sheet.find_strip("body")
+        _add_text(sheet, View("page", "reading", 0, Place(999, 999), page=page), page, texts=texts)
+        lines = [item for item in sheet.items if isinstance(item, Text)]
+        share = (max(line.box.bottom for line in lines) - body.top) / body.height
         if share > 1:
             problems.append(
-                f"page {key!r}: its text takes {share:.1f} screens, allowed is one; shorten it"
+                f"page {key!r}: its text must fit on one screen, got {share:.1f} screens; shorten it"
             )
-        wide = [
-            line.words
+        problems += [
+            f"page {key!r}: got {line.words!r}, which fits on no line; break it"
             for line in lines
             if measure(line.words, line.size, bold=line.bold) > line.box.width
         ]
-        problems += [
-            f"page {key!r}: got {words!r}, which fits on no line; break it" for words in wide
-        ]
     for scale in scales:
-        question = len(wrap(scale.question, grid.body.width, size=QUESTION * grid.unit, bold=True))
-        counts = (
-            ("question", question, LINES),
-            ("longer label", count_label_lines(scale, grid), LABEL_LINES),
-        )
+        sheet = Sheet(*TIGHTEST)
+        width = sheet.find_strip("body").width
+        question = len(sheet.wrap(scale.question, width, QUESTION, bold=True))
         problems += [
-            f"scale {scale.name!r}: its {name} takes {count} lines, allowed: {most}; shorten it"
-            for name, count, most in counts
+            f"scale {scale.name!r}: its {name} must take at most {most} lines, got {count}; shorten it"
+            for name, count, most in (
+                ("question", question, LINES),
+                ("longer label", _count_label_lines(scale, sheet), LABEL_LINES),
+            )
             if count > most
         ]
     return problems
 
 
-def find_question(view: View, texts: ScreenTexts) -> str:
-    """Tell what the participant is asked, or asked to do."""
-    if view.state == "stroking":
-        return texts.prompts["surface" if view.sample else "surface_unnamed"].format(
-            sample=view.sample
-        )
-    return view.scale.question if view.scale else ""
+def _add_notice(sheet: Sheet, words: str) -> None:
+    unit, strip = sheet.unit, sheet.find_strip("notice")
+    lines = sheet.wrap(words, strip.width - 6 * unit, BODY, bold=True)
+    height = find_height(lines, BODY * unit)
+    mark = Box(strip.left, strip.top + strip.height / 2 - height / 2, 0.8 * unit, height)
+    box = Box(mark.right + 2 * unit, mark.top, strip.width - 4 * unit, height)
+    sheet.fill(mark, ORANGE)
+    sheet.write(box, lines, BODY, color=ORANGE, bold=True)
 
 
-def _split(box: Box, *, below: float, gap: float) -> tuple[Box, Box]:
-    height = max(box.height - below - gap, box.height / 3)
-    upper = Box(box.left, box.top, box.width, height)
-    return upper, Box(box.left, upper.bottom + gap, box.width, box.height - height - gap)
+# Pages.
 
 
-def _list_buttons(view: View, texts: ScreenTexts) -> list[Button]:
-    timing = view.trial.timing if view.trial else ""
-    buttons = []
-    if view.state == "feeling":
-        buttons.append(Button(texts.keys["stop"], "stop"))
-    elif timing != "strict":
-        buttons.append(Button(texts.keys["again"], "again", is_ready=view.state == "answering"))
-    is_ready = view.state in {"answering", "stroking"}
-    return [*buttons, Button(texts.keys["confirm"], "confirm", is_main=True, is_ready=is_ready)]
+def _add_page(sheet: Sheet, view: View, page: Page, *, texts: ScreenTexts) -> None:
+    _add_text(sheet, view, page, texts=texts)
+    leave = [_Button(texts.keys["leave"], "pause")] if view.can_leave else []
+    if page.by == "experimenter":
+        strip, words = sheet.find_strip("buttons"), texts.prompts["experimenter"]
+        sheet.write(strip, words, SMALL, color=DIM, align="right")
+        _add_buttons(sheet, leave, [])
+        return
+    key, share = texts.keys["confirm"], 0.0
+    if view.left_s:
+        # The number stands where the key's name will: a key that does nothing yet is not named.
+        key = f"{texts.prompts['wait'].format(seconds=view.left_s)}  {_split_key(key)[1]}"
+        share = max(1 - view.left_s / page.least_s, 0.0) if page.least_s else 0.0
+    go_on = _Button(key, "confirm", is_main=True, is_ready=not view.left_s, share=share)
+    _add_buttons(sheet, leave, [go_on])
+
+
+def _add_text(sheet: Sheet, view: View, page: Page, *, texts: ScreenTexts) -> None:
+    """Set title and text as a column, smaller where it is long."""
+    text, body, unit = texts.pages[page.key], sheet.find_strip("body"), sheet.unit
+    width = min(COLUMN * unit, body.width)
+    left = (sheet.width - width) / 2
+    # Not by `format`: a lab's own consent may hold braces of its own.
+    words = text.text.replace("{done}", str(view.place.done))
+    paragraphs = words.replace("{total}", str(view.place.total)).strip().splitlines()
+    heading = sheet.wrap(text.title, width, TITLE, bold=True)
+    title_height = find_height(heading, TITLE * unit)
+    for size in TEXT_SIZES:
+        blocks = [sheet.wrap(paragraph, width, size) for paragraph in paragraphs]
+        heights = [find_height(block, size * unit) for block in blocks]
+        gap = 0.73 * size * unit
+        height = title_height + sum(gap + block for block in heights)
+        if height <= body.height:
+            break
+    top = body.top + max(0.0, body.height - height) * 0.4
+    sheet.write(Box(left, top, width, 0), heading, TITLE, bold=True)
+    top += title_height + gap
+    for block, block_height in zip(blocks, heights, strict=True):
+        sheet.write(Box(left, top, width, 0), block, size)
+        top += block_height + gap
+
+
+# Buttons, and keys that have none.
+
+
+@dataclass(frozen=True, slots=True)
+class _Button:
+    """A button; share: how much of the time until it is ready has gone by, from 0 to 1."""
+
+    text: str
+    name: str
+    is_main: bool = False
+    is_ready: bool = True
+    share: float = 0.0
+
+
+def _split_key(text: str) -> tuple[str, str]:
+    """Split "Esc twice  pause" into the key and what it does."""
+    key, _, action = text.partition("  ")
+    return key, action[:1].upper() + action[1:]
+
+
+def _add_buttons(sheet: Sheet, left: Sequence[_Button], right: Sequence[_Button]) -> None:
+    """Put buttons at both ends of their strip."""
+    strip, gap = sheet.find_strip("buttons"), 2 * sheet.unit
+    widths = {}
+    for button in (*left, *right):
+        key, action = _split_key(button.text)
+        words = sheet.measure(action, SMALL, bold=True) + sheet.measure(key, SMALL)
+        widths[button] = words + 6.5 * sheet.unit
+    start = strip.right - sum(widths[button] for button in right) - gap * (len(right) - 1)
+    for place, buttons in ((strip.left, left), (start, right)):
+        for button in buttons:
+            box = Box(place, strip.top, widths[button], strip.height)
+            _add_button(sheet, button, box)
+            if button.is_ready:
+                sheet.targets.append(Target(box, button.name))
+            place = box.right + gap  # noqa: PLW2901 - walks along the strip
+
+
+def _add_button(sheet: Sheet, button: _Button, box: Box) -> None:
+    """Draw a button: what it does, then the key that does the same."""
+    unit, (key, action) = sheet.unit, _split_key(button.text)
+    is_filled = button.is_main and button.is_ready
+    action_color = INK if button.is_ready or button.share else DIM
+    key_color = INK if button.share else DIM
+    left = box.left + 2.5 * unit
+    words = Box(left, box.top, sheet.measure(action, SMALL, bold=True), box.height)
+    cap = Box(words.right + 1.5 * unit, box.top, sheet.measure(key, SMALL), box.height)
+    fill, line = (BLUE, "") if is_filled else (PANEL, LINE)
+    sheet.fill(box, fill, line=line, round_px=1.2 * unit, line_px=0.25 * unit)
+    if button.share:
+        gone = Box(box.left, box.top, box.width * button.share, box.height)
+        sheet.fill(gone, LINE, round_px=1.2 * unit)
+    sheet.write(words, action, SMALL, color=GROUND if is_filled else action_color, bold=True)
+    sheet.write(cap, key, SMALL, color=GROUND if is_filled else key_color)
+
+
+def _add_hints(sheet: Sheet, texts: Sequence[str]) -> None:
+    """Write in one line what keys do that have no button."""
+    unit, strip = sheet.unit, sheet.find_strip("hints")
+    words = []
+    for text in texts:
+        key, _, action = text.partition("  ")
+        words += [(key, True, 1.0 * unit), (action, False, 4.5 * unit)]
+    widths = [sheet.measure(word, SMALL, bold=bold) for word, bold, _ in words]
+    left = (sheet.width - sum(widths) - sum(gap for *_, gap in words[:-1])) / 2
+    for (word, bold, gap), width in zip(words, widths, strict=True):
+        sheet.write(Box(left, strip.top, width, strip.height), word, SMALL, color=DIM, bold=bold)
+        left += width + gap
+
+
+# Trials: what is felt, what is asked, and where it is answered.
+
+
+def _count_label_lines(scale: Scale, sheet: Sheet) -> int:
+    """Count the lines that the longer label of a slider takes."""
+    width = LABEL * _find_slider_width(sheet)
+    labels = (scale.low_label, scale.high_label)
+    return max(len(sheet.wrap(label, width, BODY)) for label in labels)
+
+
+def _find_slider_width(sheet: Sheet) -> float:
+    """Compute how wide a slider is that stands alone, in pixels."""
+    return min(110 * sheet.unit, sheet.find_strip("body").width - 8 * sheet.unit)
+
+
+def _add_track(sheet: Sheet, track: Box, *, is_ready: bool) -> None:
+    """Draw a line with ends; none of its places stands out but these."""
+    color = DIM if is_ready else LINE
+    thick = max(2.0, 0.45 * sheet.unit)
+    middle = track.top + track.height / 2
+    sheet.fill(Box(track.left, middle - thick / 2, track.width, thick), color)
+    top, height = track.top + track.height * 0.15, track.height * 0.7
+    for x in (track.left, track.right):
+        sheet.fill(Box(x - thick / 2, top, thick, height), color)
+
+
+def _add_marker(sheet: Sheet, track: Box, value: float | None, *, color: str) -> None:
+    """Draw a marker, if there is one."""
+    if value is not None:
+        low, high = RATING_RANGE
+        x = track.left + (value - low) / (high - low) * track.width
+        width = track.height * 0.36
+        box = Box(x - width / 2, track.top, width, track.height)
+        sheet.fill(box, color, round_px=width / 2)
+
+
+def _label_anchors(sheet: Sheet, track: Box, scale: Scale, *, top: float) -> None:
+    """Write the words between the ends of a scale where they belong."""
+    count = len(scale.anchors)
+    for place, word in enumerate(scale.anchors):
+        width = sheet.measure(word, SMALL)
+        x = track.left + track.width * (place / (count - 1) if count > 1 else 0.5)
+        box = Box(x - width / 2, top, width, SMALL * sheet.unit * LEADING)
+        sheet.write(box, word, SMALL, color=DIM, align="center")
+
+
+@dataclass(frozen=True, slots=True)
+class _TrialLayout:
+    """Puts a trial on a sheet."""
+
+    sheet: Sheet
+    view: View
+    texts: ScreenTexts
+    trial: Trial
+    scale: Scale
+
+    def add(self) -> None:
+        """Add everything, from top to bottom."""
+        sheet, view, unit = self.sheet, self.view, self.sheet.unit
+        body = sheet.find_strip("body")
+        is_rows, top = view.kind == "rows", body.top
+        if not is_rows:
+            self.add_parts(top)
+            top += 10.5 * unit
+        lines = sheet.wrap(self.find_question(), body.width, QUESTION, bold=True)
+        box = Box(body.left, top, body.width, 0)
+        sheet.write(box, lines, QUESTION, bold=True, align="center")
+        top += find_height(lines, QUESTION * unit) + (1.5 if is_rows else 3.0) * unit
+        box = Box(body.left, top, body.width, body.bottom - top)
+        if view.picture and not is_rows:
+            below = self.find_slider_height() if view.kind == "slider" else 0.0
+            height = max(box.height - below - BELOW * unit, box.height / 3)
+            sheet.items.append(Photo(Box(box.left, top, box.width, height), view.picture))
+            top += height + BELOW * unit
+            box = Box(box.left, top, box.width, body.bottom - top)
+        {"rows": self.add_rows, "choice": self.add_choice}.get(view.kind, self.add_slider)(box)
+        _add_buttons(sheet, [_Button(self.texts.keys["pause"], "pause")], self.list_buttons())
+        if view.state == "answering":
+            _add_hints(sheet, [self.texts.keys[key] for key in HINTS[view.kind]])
+
+    def find_question(self) -> str:
+        """Find what the participant is asked, or asked to do."""
+        if self.view.state != "stroking":
+            return self.scale.question
+        prompt = self.texts.prompts["surface" if self.view.sample else "surface_unnamed"]
+        return prompt.format(sample=self.view.sample)
+
+    def list_buttons(self) -> list[_Button]:
+        """List the buttons on the right."""
+        keys, state = self.texts.keys, self.view.state
+        is_ready = state in {"answering", "stroking"}
+        confirm = _Button(keys["confirm"], "confirm", is_main=True, is_ready=is_ready)
+        if state == "feeling":
+            return [_Button(keys["stop"], "stop"), confirm]
+        if self.trial.timing == "strict":
+            return [confirm]
+        return [_Button(keys["again"], "again", is_ready=state == "answering"), confirm]
+
+    def add_parts(self, top: float) -> None:
+        """Set the parts of a trial beside each other."""
+        sheet, unit = self.sheet, self.sheet.unit
+        # A reference that is stroked is called by what it is.
+        names = {
+            part.name: self.texts.name_part("surface" if part.surface else part.name)
+            for part in self.trial.parts
+        }
+        # Wide enough that a tick stands apart from the name, which stays in the middle.
+        width = max(sheet.measure(name, BODY, bold=True) for name in names.values()) + 14 * unit
+        left = (sheet.width - len(names) * width - (len(names) - 1) * 2 * unit) / 2
+        can_feel = self.view.state == "answering" and self.trial.timing != "strict"
+        for part, name in names.items():
+            box = Box(left, top, width, 7 * unit)
+            self.add_part(box, part, name, size=BODY)
+            if can_feel:
+                sheet.targets.append(Target(box, "feel", part))
+            left += width + 2 * unit
+
+    def add_part(self, box: Box, part: str, name: str, *, size: float) -> None:
+        """Draw a part: filled while it is on, ticked once it was felt."""
+        sheet, size_px = self.sheet, size * self.sheet.unit
+        is_on, is_felt = part == self.view.playing, part in self.view.felt
+        ink = GROUND if is_on else INK if is_felt else DIM
+        tick = sheet.measure(FELT, size, bold=True)
+        fill, line = (BLUE, "") if is_on else (PANEL, LINE)
+        sheet.fill(box, fill, line=line, round_px=size_px / 2.5, line_px=size_px / 12)
+        inner = Box(box.left + 1.6 * tick, box.top, box.width - 3.2 * tick, box.height)
+        sheet.write(inner, name, size, color=ink, bold=True, align="center")
+        if is_felt:
+            right = Box(box.right - 1.5 * tick, box.top, tick, box.height)
+            sheet.write(right, FELT, size, color=ink, bold=True)
+
+    # One slider.
+
+    def find_slider_height(self) -> float:
+        """Compute the height of a slider with the number over it and the words under it, in pixels."""
+        lines = 1 + bool(self.scale.anchors) + _count_label_lines(self.scale, self.sheet)
+        return (ABOVE + TRACK + UNDER + lines * BODY * LEADING) * self.sheet.unit
+
+    def add_slider(self, box: Box) -> None:
+        """Draw one slider in the middle of a box."""
+        sheet, view, unit = self.sheet, self.view, self.sheet.unit
+        part, width = self.trial.judgements[0].part, _find_slider_width(sheet)
+        # Number, track and labels together stand in the middle of what is left.
+        top = box.top + max(0.0, box.height - self.find_slider_height()) / 2
+        track = Box((sheet.width - width) / 2, top + ABOVE * unit, width, TRACK * unit)
+        is_ready, value = view.can_answer, view.markers.get(part)
+        _add_track(sheet, track, is_ready=is_ready)
+        self.label_ends(track)
+        if view.typed or value is not None:
+            at = 0.5 if view.typed or value is None else value / RATING_RANGE[1]
+            words = f"{view.typed}_" if view.typed or value is None else f"{value:.0f}"
+            number, size = sheet.measure("100_", QUESTION, bold=True), QUESTION * unit
+            left = track.left + at * track.width - number / 2
+            over = Box(left, track.top - 1.9 * size, number, size * LEADING)
+            sheet.write(over, words, QUESTION, bold=True, align="center")
+        _add_marker(sheet, track, value, color=BLUE if is_ready else LINE)
+        if is_ready:
+            sheet.targets.append(Target(track.grow(2 * unit), "mark", part, track))
+
+    def label_ends(self, track: Box) -> None:
+        """Write the numbers and words of both ends under the track, and what stands in between."""
+        sheet, scale = self.sheet, self.scale
+        step, top = BODY * sheet.unit * LEADING, track.bottom + UNDER * sheet.unit
+        if scale.anchors:
+            _label_anchors(sheet, track, self.scale, top=top)
+            top += step
+        width = LABEL * track.width
+        for number, label, align, left in (
+            (RATING_RANGE[0], scale.low_label, "left", track.left),
+            (RATING_RANGE[1], scale.high_label, "right", track.right - width),
+        ):
+            box = Box(left, top, width, step)
+            sheet.write(box, f"{number:.0f}", SMALL, color=DIM, align=align)
+            lines = sheet.wrap(label, width, BODY)
+            sheet.write(Box(left, top + step, width, step), lines, BODY, align=align)
+
+    # Rows of sliders.
+
+    def add_rows(self, box: Box) -> None:
+        """Set the reference beside the words of the scale, and under them a row for each vibration."""
+        sheet, unit, small = self.sheet, self.sheet.unit, SMALL * self.sheet.unit
+        rated = [judgement.part for judgement in self.trial.judgements]
+        names = {part.name: self.texts.name_part(part.name) for part in self.trial.parts}
+        width = max(sheet.measure(name, SMALL, bold=True) for name in names.values()) + 9 * unit
+        left, head = box.left + width + 12 * unit, 2 * LEADING * small + 1.2 * unit
+        track = Box(left, box.top, box.right - 12 * unit - left, 0)
+        row = min(ROW * unit, (box.height - head) / len(rated))
+        step, half = small * LEADING, track.width / 2
+        sheet.write(Box(left, box.top, half, step), self.scale.low_label, SMALL)
+        high = Box(left + half, box.top, half, step)
+        sheet.write(high, self.scale.high_label, SMALL, align="right")
+        _label_anchors(sheet, track, self.scale, top=box.top + step)
+        fields = {
+            name: Box(box.left, box.top, width, head - 1.2 * unit)
+            for name in names
+            if name not in rated
+        }
+        for place, name in enumerate(rated):
+            line = Box(box.left, box.top + head + place * row, box.width, row)
+            own = Box(track.left, line.top + 0.14 * row, track.width, 0.72 * row)
+            self.add_row(name, line, own)
+            target = Box(own.left - 2 * unit, line.top, own.width + 4 * unit, row)
+            sheet.targets.append(Target(target, "mark", name, own))
+            fields[name] = Box(box.left + unit, line.top + 0.04 * row, width - unit, 0.92 * row)
+        for name, spot in fields.items():
+            self.add_part(spot, name, names[name], size=SMALL)
+            sheet.targets.append(Target(spot, "feel", name))
+
+    def add_row(self, name: str, line: Box, track: Box) -> None:
+        """Draw one row with its slider."""
+        sheet, unit = self.sheet, self.sheet.unit
+        is_selected, value = name == self.view.selected, self.view.markers.get(name)
+        if is_selected:
+            sheet.fill(line, PANEL)
+            sheet.fill(Box(line.left - 0.8 * unit, line.top, 0.8 * unit, line.height), BLUE)
+        _add_track(sheet, track, is_ready=True)
+        _add_marker(sheet, track, value, color=BLUE if is_selected else INK)
+        if value is not None:
+            width = line.right - track.right - 4 * unit
+            box = Box(track.right + 3 * unit, line.top, width, line.height)
+            sheet.write(box, f"{value:.0f}", BODY, bold=True, align="right")
+
+    # A choice.
+
+    def add_choice(self, box: Box) -> None:
+        """Set what can be chosen side by side; what was chosen is framed and marked."""
+        sheet, view, unit = self.sheet, self.view, self.sheet.unit
+        count = len(self.scale.choices)
+        width, height, gap = 34 * unit, min(22 * unit, box.height), 8 * unit
+        left = (sheet.width - count * width - (count - 1) * gap) / 2
+        top = box.top + (box.height - height) / 2
+        for place, name in enumerate(self.scale.choices):
+            field = Box(left + place * (width + gap), top, width, height)
+            is_chosen = name == view.chosen
+            ink = GROUND if is_chosen else INK if view.can_answer else DIM
+            fill = BLUE if is_chosen else PANEL
+            sheet.fill(field, fill, line=LINE, round_px=2 * unit, line_px=0.3 * unit)
+            words = self.texts.name_part(name)
+            sheet.write(field, words, 2 * QUESTION, color=ink, bold=True, align="center")
+            if view.can_answer:
+                sheet.targets.append(Target(field, "choose", name))

@@ -1,40 +1,44 @@
 """A simulated participant who presses real keys, through X11's test extension.
 
-What is answered comes from the mind in `participant`, so that the same person gives the same ratings (in whole
-points) here as in `feel321 simulate`. What is pressed next follows from what is on the screen alone, one key at a
-time: a key that got lost is pressed again, and one too many is taken back.
+The answers come from the participant of `observer`, so that the same person gives the same ratings (in whole points)
+here as in `feel321 simulate`. The next key follows from what is on the screen alone, one key at a time: a key that got
+lost is pressed again, and one too many is taken back.
 """
 
 from __future__ import annotations
 
+from math import copysign
 from typing import TYPE_CHECKING, Protocol
 
-from feel321.study.observer.judging import REAL, Experience
-from feel321.study.screen.parts import Hand
+from feel321.study.screen.input import AGAIN, CONFIRM, REFERENCE, ROW_STEPS, STEPS, find_choice_keys
+from feel321.study.screen.view import Hand
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from feel321.protocols.trial import Part
+    from feel321.protocols.trial import Trial
     from feel321.stimuli.sets.manifest import Stimulus
+    from feel321.study.observer.judging import Experience
     from feel321.study.observer.participant import Participant
-    from feel321.study.screen.parts import View
-
-# Pressing the keys of the real keyboard, as far as a program can tell: through X11's test extension.
+    from feel321.study.screen.view import View
 
 
-class Fingers(Protocol):
-    """Whatever keys can be pressed on."""
+class Keyboard(Protocol):
+    """Something whose keys can be pressed."""
 
     def press(self, key: str) -> None:
         """Press a key down."""
 
     def release(self, key: str) -> None:
-        """Let a key go."""
+        """Release a key."""
 
 
-class XFingers:
-    """The keyboard of an X11 screen."""
+KEYSYMS = {"enter": "Return", "pageup": "Prior", "pagedown": "Next"}
+"""X11's names of keys, where they are not ours, beginning with a capital."""
+
+
+class XKeyboard:
+    """The keyboard of an X11 screen, through X11's test extension."""
 
     def __init__(self) -> None:
         try:
@@ -43,15 +47,15 @@ class XFingers:
             from Xlib.error import DisplayError
         except ImportError:
             raise OSError(
-                "simulated participant: got no python-xlib, allowed is Linux with X11; install: pip install python-xlib"
+                "simulated participant: python-xlib not found, which works on Linux with X11; install it: "
+                "pip install python-xlib"
             ) from None
-        self._down, self._up = X.KeyPress, X.KeyRelease
-        self._name_key = XK.string_to_keysym
+        self._down, self._up, self._find_keysym = X.KeyPress, X.KeyRelease, XK.string_to_keysym
         try:
             self._display = Display()
         except DisplayError as error:
             raise OSError(
-                f"simulated participant: {error}; allowed is an X11 screen, named by DISPLAY"
+                f"simulated participant: {error}; set DISPLAY to the name of an X11 screen"
             ) from None
 
     def press(self, key: str) -> None:
@@ -59,7 +63,7 @@ class XFingers:
         self._send(self._down, key)
 
     def release(self, key: str) -> None:
-        """Let a key go."""
+        """Release a key."""
         self._send(self._up, key)
 
     def close(self) -> None:
@@ -67,41 +71,34 @@ class XFingers:
         self._display.close()
 
     def _send(self, event: int, key: str) -> None:
-        self._display.xtest_fake_input(event, self._display.keysym_to_keycode(self._name_key(key)))
+        name = KEYSYMS.get(key, key.capitalize() if len(key) > 1 else key)
+        code = self._display.keysym_to_keycode(self._find_keysym(name))
+        self._display.xtest_fake_input(event, code)
         self._display.sync()
 
 
-# The hand of a simulated participant: it watches the screen and presses real keys, as people do.
+XFingers = XKeyboard  # kept until all branches are in
 
 THINKING_S = 0.3
 """How long a screen is looked at before the first key; answers in less than 0.2 s would count as too fast."""
 
 SETTLING_FRAMES = 2
-"""Frames after a key was let go until the screen is believed to show what it did."""
-
-COARSE = 10
-"""Points by which the coarse keys move a marker."""
-
-REFERENCE_KEY = "0"
-"""What feels the reference where every vibration has its digit."""
+"""Frames after a key was released until the screen shows what it did."""
 
 
 class PressingHand(Hand):
-    """A simulated participant before a real screen.
-
-    clock: gives the time in s.
-    """
+    """A simulated participant before a real screen; clock: gives the time in s."""
 
     def __init__(
         self,
         mind: Participant,
-        keyboard: Fingers,
+        keyboard: Keyboard,
         *,
         stimuli: Mapping[str, Stimulus],
         clock: Callable[[], float],
     ) -> None:
         self._mind, self._keyboard, self._stimuli, self._clock = mind, keyboard, stimuli, clock
-        self._scene: tuple[int, str] = (-1, "")
+        self._task: tuple[int, str] = (-1, "")
         self._since_s = 0.0
         self._values: Mapping[str, float | str] = {}
         self._experience: Experience | None = None
@@ -110,8 +107,12 @@ class PressingHand(Hand):
         self._settling = 0
 
     def watch(self, view: View) -> None:
-        """Look at what is on the screen, and press or let go of a key."""
-        self._notice(view)
+        """Look at what is on the screen, and press or release a key."""
+        if view.screen != self._task[0]:
+            self._experience, self._values = None, {}
+            self._mind.before, self._confirmed = self._confirmed or self._mind.before, None
+        if (task := (view.screen, view.state)) != self._task:
+            self._task, self._since_s = task, self._clock()
         if self._held:
             self._keyboard.release(self._held)
             self._held, self._settling = "", SETTLING_FRAMES
@@ -121,107 +122,66 @@ class PressingHand(Hand):
             self._keyboard.press(key)
             self._held = key
 
-    def _notice(self, view: View) -> None:
-        """Notice what has changed: another page or trial, or what is to be done there."""
-        if view.screen != self._scene[0]:
-            self._experience, self._values = None, {}
-            self._mind.before, self._confirmed = self._confirmed or self._mind.before, None
-        if (scene := (view.screen, view.state)) != self._scene:
-            self._scene, self._since_s = scene, self._clock()
-
     def _choose_key(self, view: View) -> str:
         match view.state:
             case "reading":
-                return (
-                    ""
-                    if view.left_s
-                    else "Return"
-                    if view.page is None or view.page.by == "participant"
-                    else "F12"
-                )
+                by = view.page.by if view.page else "participant"
+                return "" if view.left_s else CONFIRM[by]
             case "stroking":
-                return "Return"
-            case "answering":
-                return self._go_on(view)
+                return CONFIRM["participant"]
+            case "answering" if view.trial is not None:
+                return self._answer(view, view.trial)
         return ""
 
-    def _go_on(self, view: View) -> str:
-        """Feel what was not felt, answer what was not answered, confirm."""
-        trial = view.trial
-        if trial is None:
-            return ""
-        if unfelt := [part for part in trial.parts if part.name not in view.felt]:
-            self._confirmed = None
-            return _name_part_key(view, unfelt[0])
+    def _answer(self, view: View, trial: Trial) -> str:
+        """Feel what was not felt, answer what was not answered, confirm; empty to wait."""
+        for part in trial.parts:
+            if part.name not in view.felt:
+                self._confirmed = None
+                # Its digit where parts are felt at will, elsewhere all are felt again.
+                digit = part.name if part.name.isdigit() else REFERENCE
+                return digit if view.kind == "rows" else AGAIN
+        if self._experience is None and view.scale is not None:
+            self._experience = self._mind.imagine(trial, self._stimuli)
+            self._values, _ = self._mind.answer(self._experience, view.scale, view.place)
         for judgement in trial.judgements:
-            if (key := self._answer(view, judgement.part)) is not None:
+            value = self._values[judgement.part]
+            key = (
+                _find_choice_key(view, value)
+                if isinstance(value, str)
+                else _find_marker_key(view, judgement.part, round(value))
+            )
+            if key is not None:
                 return key
         if trial.phase == "main":
             self._confirmed = self._experience
-        return "Return"
-
-    def _answer(self, view: View, part: str) -> str | None:
-        """Choose the key that brings an answer nearer, none to wait; None if it stands as it should."""
-        value = self._make_up_mind(view)[part]
-        if isinstance(value, str):
-            return None if view.chosen == value else _name_choice_key(view, value)
-        return _find_marker_key(view, part, round(value))
-
-    def _make_up_mind(self, view: View) -> Mapping[str, float | str]:
-        if self._experience is None and view.trial is not None and view.scale is not None:
-            touch = self._mind.touch
-            felt = {part.name: part.stimulus_id for part in view.trial.parts}
-            points = {
-                name: touch.locate(self._stimuli[code]) if code else REAL
-                for name, code in felt.items()
-            }
-            self._experience = Experience(view.trial, points)
-            self._values, _ = self._mind.answer(self._experience, view.scale, view.place)
-        return self._values
+        return CONFIRM["participant"]
 
 
-def _name_part_key(view: View, part: Part) -> str:
-    """Name the key that plays a part: its digit where parts are felt at will, elsewhere all are felt again."""
-    if view.kind != "rows":
-        return "r"
-    return part.name if part.name.isdigit() else REFERENCE_KEY
-
-
-def _name_choice_key(view: View, choice: str) -> str:
-    choices = view.scale.choices if view.scale else ()
-    return str(choices.index(choice) + 1)
+def _find_choice_key(view: View, choice: str) -> str | None:
+    """Find the digit that chooses a part; None if it is chosen."""
+    keys = find_choice_keys(view.scale.choices) if view.scale else {}
+    digits = (key for key, name in keys.items() if name == choice and key.isdigit())
+    return None if view.chosen == choice else next(digits)
 
 
 def _find_marker_key(view: View, part: str, target: int) -> str | None:
-    """Choose the key that brings a marker nearer to a value; None if it stands there."""
+    """Find the key that brings a marker nearer to a value: empty to wait, None if it stands there."""
     marker = view.markers.get(part)
     if marker == target and not view.typed:
         return None
-    if view.kind == "rows":
-        return _find_row_key(view, part) or _find_step_key(marker, target, coarse=("Next", "Prior"))
-    # Every other trial by digits, so that both ways are gone.
-    if view.trial is not None and view.trial.number % 2:
-        return _find_digit_key(view.typed, str(target))
-    return _find_step_key(marker, target, coarse=("Down", "Up"))
-
-
-def _find_row_key(view: View, part: str) -> str:
-    """Choose the key that brings the selection nearer to a row."""
-    rows = [judgement.part for judgement in view.trial.judgements] if view.trial else []
-    if view.selected == part:
-        return ""
-    return (
-        "Up" if view.selected in rows and rows.index(view.selected) > rows.index(part) else "Down"
-    )
-
-
-def _find_step_key(marker: float | None, target: int, *, coarse: tuple[str, str]) -> str:
+    if view.kind == "rows" and view.selected != part:
+        rows = [judgement.part for judgement in view.trial.judgements] if view.trial else []
+        direction = 1 if view.selected not in rows else rows.index(part) - rows.index(view.selected)
+        return next((key for key, step in ROW_STEPS.items() if step * direction > 0), "")
+    # Every other trial by digits, so that both ways are used.
+    if view.kind == "slider" and view.trial is not None and view.trial.number % 2:
+        text = str(target)
+        is_open = view.typed != text and text.startswith(view.typed)
+        return text[len(view.typed)] if is_open else ""
     if marker is None:
-        return "Right"  # Where the first key puts a marker is the screen's business.
-    lower, higher = coarse if abs(target - marker) >= COARSE else ("Left", "Right")
-    return higher if target > marker else lower
-
-
-def _find_digit_key(typed: str, text: str) -> str:
-    """Choose the next digit; none while those that were typed wait to become a value."""
-    return text[len(typed)] if typed != text and text.startswith(typed) else ""
+        return "right"  # Where the first key puts a marker is the screen's business.
+    apart = target - marker
+    steps = {key: copysign(1, apart) * step for key, step in STEPS[view.kind].items()}
+    near = (key for key in steps if 0 < steps[key] <= abs(apart))
+    return max(near, key=steps.__getitem__, default="")

@@ -22,8 +22,7 @@ from feel321.stimuli.match import PLANNED
 from feel321.stimuli.recording import UNITS
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.anchors import THRESHOLDS
-from feel321.stimuli.sets.build import check_names
-from feel321.stimuli.sets.recipe import GAINS, LEVELS, NO_REFERENCE, ORIGINAL, Recipe
+from feel321.stimuli.sets.recipe import GAINS, LEVELS, NO_REFERENCE, ORIGINAL, Recipe, check_names
 from feel321.stimuli.synthesis import SCENES
 from feel321.study import columns
 from feel321.study.session.plan import POLICIES
@@ -270,8 +269,10 @@ BELOW_THRESHOLD = ("refuse", ACCEPT)
 class StimuliTable(Table):
     """`[stimuli]`: what is made of each recording."""
 
-    reducers: Annotated[tuple[Annotated[str, one_of(REDUCERS)], ...], Some] = _RECIPE.reducers
-    levels: Annotated[tuple[Annotated[str, one_of(LEVELS)], ...], Some] = _RECIPE.levels
+    reducers: Annotated[tuple[Annotated[str, one_of(REDUCERS)], ...], Some] = tuple(
+        _RECIPE.reducers
+    )
+    levels: Annotated[tuple[Annotated[str, one_of(LEVELS)], ...], Some] = tuple(_RECIPE.levels)
     anchors: bool = _RECIPE.anchors
     reference: Annotated[str, one_of((ORIGINAL, NO_REFERENCE, *REDUCERS))] = _RECIPE.reference
     gain: Annotated[float | str, number_or(GAINS, least=1e-6, most=1e6)] = _RECIPE.gain

@@ -122,13 +122,13 @@ REDUCED = {
     "one reducer": (lambda f: f[f["reducer"] == "dft321"], "reducers are not compared. Only one was rated, 'dft321'."),
     "one of each": (
         lambda f: f[(f["recording"] == "rec0") & (f["participant"] == "p00")],
-        "no primary model. rows: got one participant and one recording",
+        "got one participant and one recording",
     ),
     "one judgement": (lambda f: f[f["reducer"] == "dft321"].iloc[:1], "No correlation: it needs 3 test stimuli, got"),
-    "all alike": (set_ratings(lambda _: "50"), "no primary model. data: got a response that is constant"),
+    "all alike": (set_ratings(lambda _: "50"), "no primary model. data must have a response with scatter"),
     "each rater alike": (
         set_ratings(lambda f: f["participant"].map({"p00": "5", "p01": "50", "p02": "95"})),
-        "no primary model. data: got a response that the random effects give exactly",
+        "got a response that the random effects give exactly",
     ),
     "one rater alike": (
         set_ratings(lambda f: f["rating"].mask(f["participant"] == "p00", "50")),

@@ -87,30 +87,22 @@ def test_extensible_float_wav_is_float(tmp_path: Path, signal: Signal) -> None:
 @pytest.mark.parametrize(
     ("sidecar", "arguments", "message"),
     [
-        ({"rate_hz": 8020}, {}, "8000 Hz in the header and 8020 Hz in the sidecar"),
-        ({"unit": "ft"}, {}, r"sidecar a\.json: got the unit 'ft'"),
-        ({"unit": 9}, {}, r"sidecar a\.json: got the unit 9"),
-        ({"unit": "g"}, {"unit": "mg"}, "unit='mg', but the file says 'g'"),
-        ({"rate_hz": "fast"}, {}, "sidecar .*'fast', allowed is a finite number"),
-        ({"axes": ["x", "y"]}, {}, 'allowed is a list with "x", "y" and "z" once each'),
-        ({"axes": 3}, {}, "got axes 3"),
-        ({"axes": ["x", "y", "z", "force"]}, {}, "3 channels for 4 axes"),
-        ({"full_scale": 4}, {}, "full_scale for float samples"),
-        ({"full_scale": -4}, {}, "full_scale -4, allowed is a finite number above 0"),
+        ({"rate_hz": 8020}, {}, "header says 8000 Hz and the sidecar 8020 Hz"),
+        ({"unit": "ft"}, {}, r"sidecar a\.json: the unit must be .*got 'ft'"),
+        ({"unit": 9}, {}, r"sidecar a\.json: the unit must be .*got 9"),
+        ({"unit": "g"}, {"unit": "mg"}, "gives the unit 'g', but unit='mg'"),
+        ({"rate_hz": "fast"}, {}, "sidecar .*finite number .*got 'fast'"),
+        ({"axes": ["x", "y"]}, {}, 'must be a list with "x", "y" and "z" once each'),
+        ({"axes": 3}, {}, "axes must be .*got 3"),
+        ({"axes": ["x", "y", "z", "force"]}, {}, "got 3 for 4 axes"),
+        ({"full_scale": 4}, {}, "full_scale .*these are float"),
+        ({"full_scale": -4}, {}, "full_scale must be a finite number above 0, got -4"),
         ({"full_scale": 4}, {"full_scale": 5.0}, "full_scale=5, but the sidecar says 4"),
-        ({}, {"rate_hz": 9000}, "got 9000 Hz, but 8000 Hz by the file"),
-        ({}, {"columns": (0, 1, 2)}, "columns for a wav file"),
-        ([], {}, "sidecar a.json: got a list, allowed is a table"),
-        (
-            {"unt": "g", "Fs": 8000},
-            {},
-            "sidecar a.json: got the unknown 'unt', 'Fs', allowed is unit, rate_hz, axes",
-        ),
-        (
-            {"unit": "g", "units": "mg"},
-            {},
-            "sidecar a.json: got both unit and units, allowed is one",
-        ),
+        ({}, {"rate_hz": 9000}, "9000 Hz, but 8000 Hz by the file"),
+        ({}, {"columns": (0, 1, 2)}, "columns .*got a wav file"),
+        ([], {}, "sidecar a.json: must be a table .*got a list"),
+        ({"unt": "g", "Fs": 8000}, {}, "sidecar a.json: .*unit, rate_hz, axes.*got 'unt', 'Fs'"),
+        ({"unit": "g", "units": "mg"}, {}, "sidecar a.json: unit and units mean the same"),
     ],
 )
 def test_a_wav_that_contradicts_what_is_said_of_it_is_refused(
@@ -146,13 +138,13 @@ def test_two_sidecars_are_refused(tmp_path: Path, signal: Signal) -> None:
     write_wav(tmp_path / "a.wav", signal, 8000)
     (tmp_path / "a.json").write_text("{}")
     (tmp_path / "a.toml").write_text("")
-    with pytest.raises(ValueError, match=r"two sidecars, a\.json and a\.toml"):
+    with pytest.raises(ValueError, match=r"one sidecar, got a\.json and a\.toml"):
         read_recording(tmp_path / "a.wav")
 
 
 @pytest.mark.parametrize(
     ("channels", "message"),
-    [(1, "already reduced"), (2, "2 channels, allowed is 3"), (4, "4 channels for 3 axes")],
+    [(1, "already reduced"), (2, "must be 3 channels, .* got 2"), (4, "got 4 for 3 axes")],
 )
 def test_a_wav_without_three_channels_is_refused(
     tmp_path: Path, channels: int, message: str
@@ -165,7 +157,9 @@ def test_a_wav_without_three_channels_is_refused(
 def test_a_truncated_wav_is_named_once(tmp_path: Path, signal: Signal) -> None:
     write_wav(tmp_path / "a.wav", signal, 8000)
     (tmp_path / "a.wav").write_bytes((tmp_path / "a.wav").read_bytes()[:-100])
-    with pytest.raises(ValueError, match=r"^a\.wav: got 51 samples where the header promises 60"):
+    with pytest.raises(
+        ValueError, match=r"^a\.wav: the header promises 60 samples, the file holds 51"
+    ):
         read_recording(tmp_path / "a.wav")
 
 
@@ -218,29 +212,29 @@ def test_a_matlab_4_file_is_read(tmp_path: Path, signal: Signal) -> None:
 ARRAY_REFUSALS = {
     "reduced": ({"acceleration": np.ones(9), "fs": 1}, "already reduced to one axis"),
     "one row": ({"acceleration": np.ones((1, 9)), "fs": 1}, "already reduced"),
-    "two rows": ({"acceleration": np.ones((2, 9)), "fs": 1}, r"shape \(2, 9\), allowed is \(3, n\) or \(n, 3\)"),
-    "four columns": ({"acceleration": np.ones((9, 4)), "fs": 1}, r"shape \(9, 4\), allowed"),
+    "two rows": ({"acceleration": np.ones((2, 9)), "fs": 1}, r"shape \(3, n\) or \(n, 3\).* got .*\(2, 9\)"),
+    "four columns": ({"acceleration": np.ones((9, 4)), "fs": 1}, r"exactly three axes; got .*\(9, 4\)"),
     "cube": ({"acceleration": np.ones((3, 3, 3)), "fs": 1}, r"shape \(3, 3, 3\)"),
-    "empty": ({"acceleration": np.ones((3, 0)), "fs": 1}, "empty array"),
+    "empty": ({"acceleration": np.ones((3, 0)), "fs": 1}, "it is empty"),
     "two axes": ({"x": np.ones(9), "y": np.ones(9), "fs": 1}, "only the axes x, y"),
     "unequal": (
         {"x": np.ones(9), "y": np.ones(9), "z": np.ones(8), "fs": 1},
-        r"unequal length \(x 9, y 9, z 8 samples\)",
+        r"equal length, got x 9, y 9, z 8 samples",
     ),
-    "unknown": ({"force": np.ones(9)}, "arrays named force; allowed is 'acceleration'"),
-    "nothing": ({}, "arrays named nothing"),
-    "text": ({"acceleration": np.array([["a"] * 3] * 9), "fs": 1}, "values of type <U1 in 'acceleration'"),
+    "unknown": ({"force": np.ones(9)}, "must be named 'acceleration' .*got force"),
+    "nothing": ({}, "got nothing"),
+    "text": ({"acceleration": np.array([["a"] * 3] * 9), "fs": 1}, "'acceleration' must be real numbers, .*<U1"),
     "complex": ({"acceleration": np.ones((3, 9)) * 1j, "fs": 1}, "type complex128"),
-    "NaN": ({"acceleration": np.full((3, 9), np.nan), "fs": 1}, r"27 values that are not finite"),
+    "NaN": ({"acceleration": np.full((3, 9), np.nan), "fs": 1}, r"got 27 values that are not"),
     "no rate": ({"acceleration": np.ones((3, 9))}, "no sampling rate and no time column"),
-    "two rates": ({"acceleration": np.ones((3, 9)), "fs": [1, 2]}, "2 values for the rate"),
+    "two rates": ({"acceleration": np.ones((3, 9)), "fs": [1, 2]}, "the rate must be one number, got 2 values"),
     "rate and time differ": (
         {"acceleration": np.ones((3, 9)), "fs": 2, "t": np.arange(9)},
-        "got 2 Hz, but 1 Hz by the time",
+        "2 Hz, but 1 Hz by the time",
     ),
-    "short time": ({"acceleration": np.ones((3, 9)), "t": np.arange(8)}, "8 time stamps for 9 samples"),
-    "clock stops": ({"acceleration": np.ones((3, 9)), "t": np.zeros(9)}, "do not increase: 0 after 0 s at sample 1"),
-    "no unit": ({"acceleration": np.ones((3, 9)), "fs": 1, "unit": "ft"}, "unit 'ft', allowed"),
+    "short time": ({"acceleration": np.ones((3, 9)), "t": np.arange(8)}, "got 8 for 9 samples"),
+    "clock stops": ({"acceleration": np.ones((3, 9)), "t": np.zeros(9)}, "must increase, got 0 after 0 s at sample 1"),
+    "no unit": ({"acceleration": np.ones((3, 9)), "fs": 1, "unit": "ft"}, "unit must be .*got 'ft'"),
     "pickled": ({"acceleration": np.array([None] * 9)}, "cannot be read as an NPZ archive .*allow_pickle"),
 }  # fmt: skip
 
@@ -323,25 +317,25 @@ def test_hatt_rate_is_the_accelerometers(
     ("content", "message"),
     [
         ("<R><Accel>1 2 3</Accel></R>", "scalar Accel signal .*already reduced"),
-        ("<R><Force>1</Force></R>", r"XML without acceleration \(tags: force, rforce\)"),
-        ("<R/>", r"XML without acceleration \(tags: none\)"),
+        ("<R><Force>1</Force></R>", r"AccelX.*got the tags force, rforce"),
+        ("<R/>", r"AccelX.*got the tags none"),
         ("<R><AccelX>1 2</AccelX><AccelY>1 2</AccelY></R>", "only the axes x, y"),
-        ("<R><AccelX>1 2</AccelX><AccelX>1 2</AccelX></R>", "2 elements for accelx"),
+        ("<R><AccelX>1 2</AccelX><AccelX>1 2</AccelX></R>", "one element for accelx, got 2"),
         (
             "<R><AccelX>1 2</AccelX><AccelY>1 2</AccelY><AccelZ>1</AccelZ></R>",
-            r"unequal length \(x 2, y 2, z 1",
+            r"equal length, got x 2, y 2, z 1",
         ),
-        ("<R><AccelX>1 two</AccelX></R>", "a value of the x axis that is no number"),
-        ("<R><AccelX>1 nan</AccelX></R>", "'nan' as value 1 of the x axis"),
-        ("<R><AccelX/></R>", "a value of the x axis that is no number"),
+        ("<R><AccelX>1 two</AccelX></R>", "a value of the x axis is not a number"),
+        ("<R><AccelX>1 nan</AccelX></R>", "value 1 of the x axis .*got 'nan'"),
+        ("<R><AccelX/></R>", "a value of the x axis is not a number"),
         ("<R><AccelX>1</AccelX><AccelY>1</AccelY><AccelZ>1</AccelZ></R>", "no sampling rate"),
         (
             "<R><AccelX>1</AccelX><AccelY>1</AccelY><AccelZ>1</AccelZ><SampleRate>fast</SampleRate></R>",
-            "sampling rate 'fast'",
+            "sampling rate .*got 'fast'",
         ),
         ("<R><AccelX>1", "cannot be read as XML"),
-        ("<R><SampleRate>1.2.3</SampleRate>" + "<AccelX/><AccelY/><AccelZ/></R>", "no number"),
-        ("<a>" * 20000 + "</a>" * 20000, "cannot be read as XML .*tags nested deeper than 64"),
+        ("<R><SampleRate>1.2.3</SampleRate>" + "<AccelX/><AccelY/><AccelZ/></R>", "not a number"),
+        ("<a>" * 20000 + "</a>" * 20000, "cannot be read as XML .*tags are nested deeper than 64"),
         (
             '<!DOCTYPE R [<!ENTITY a "1">]><R><AccelX>&a;</AccelX></R>',
             "declares a document type or entities",
@@ -384,16 +378,14 @@ def test_any_axis_of_an_lmt_triple_finds_its_sisters(
 def test_an_lmt_triple_of_unequal_lengths_is_refused(tmp_path: Path, signal: Signal) -> None:
     paths = _write_lmt(tmp_path, signal)
     paths[1].write_text("1\n2\n")
-    with pytest.raises(ValueError, match=r"unequal length \(x 60, y 2, z 60 samples\)"):
+    with pytest.raises(ValueError, match=r"equal length, got x 60, y 2, z 60 samples"):
         read_recording(paths[0])
 
 
 def test_an_lmt_file_without_sisters_is_refused(tmp_path: Path, signal: Signal) -> None:
     paths = _write_lmt(tmp_path, signal)
     paths[0].unlink()
-    with pytest.raises(
-        ValueError, match=r"got no G1RhombAluminumMesh_Movement_X_train1\.txt beside it"
-    ):
+    with pytest.raises(ValueError, match=r"got no G1RhombAluminumMesh_Movement_X_train1\.txt"):
         read_recording(paths[2])
 
 
@@ -401,7 +393,7 @@ def test_an_lmt_file_of_several_columns_is_refused(tmp_path: Path, signal: Signa
     paths = _write_lmt(tmp_path, signal)
     paths[0].write_text("1,2\n")
     with pytest.raises(
-        ValueError, match=r"2 columns in G1RhombAluminumMesh_Movement_X_train1\.txt"
+        ValueError, match=r"X_train1\.txt must hold one value per line, got 2 columns"
     ):
         read_recording(paths[0])
 
@@ -410,7 +402,7 @@ def test_the_reduced_lmt_folder_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "AccelScansDFT321" / "G1RhombAluminumMesh_Movement_train1.txt"
     path.parent.mkdir()
     path.write_text("1\n2\n3\n")
-    with pytest.raises(ValueError, match="AccelScansDFT321: one channel, so already reduced"):
+    with pytest.raises(ValueError, match="AccelScansDFT321 is one channel, so already reduced"):
         read_recording(path)
 
 
@@ -433,7 +425,7 @@ def test_lost_samples_of_an_ide_file_are_refused(write_ide: Callable[..., Path])
     counts = np.random.default_rng(1).integers(-3000, 3000, size=(500, 3))
     path = write_ide(counts, lost_us=400)
     with pytest.raises(
-        ValueError, match=r"recorder\.IDE: got irregular sampling: .*the longest 0\.45 ms"
+        ValueError, match=r"recorder\.IDE: sampling must be regular .*the longest 0\.45 ms"
     ):
         read_recording(path)
     assert read_recording(path, resample=True).n_samples == 508
@@ -442,7 +434,7 @@ def test_lost_samples_of_an_ide_file_are_refused(write_ide: Callable[..., Path])
 @pytest.mark.filterwarnings("ignore")
 def test_an_ide_file_without_accelerometer_is_refused(write_ide: Callable[..., Path]) -> None:
     path = write_ide(np.ones((100, 3), np.int16), unit="dps")
-    with pytest.raises(ValueError, match="no accelerometer with three axes"):
+    with pytest.raises(ValueError, match="an accelerometer with three axes"):
         read_recording(path)
 
 
@@ -467,16 +459,20 @@ def test_without_idelib_the_way_to_get_it_is_told(
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("a.csv", b"", r"empty file \(0 bytes\)"),
-        ("a.csv", "x,y,z\n1,2,3\n".encode("utf-16"), "UTF-16 or UTF-32, allowed is UTF-8"),
+        ("a.csv", b"", r"empty \(0 bytes\)"),
+        ("a.csv", "x,y,z\n1,2,3\n".encode("utf-16"), "UTF-16 or UTF-32; save the file as UTF-8"),
         ("a.csv", "x,y,z\n1,2,3\n".encode("utf-16-le"), "binary data of no known format"),
-        ("a.csv", "t [µs],x,y,z\n1,1,2,3\n".encode("latin-1"), "byte 0xb5 on line 1, not UTF-8"),
-        ("a.csv", b"x,y,z\n1,2,3\n1,2,\xff\n", "byte 0xff on line 3, not UTF-8"),
-        ("a.csv", b"\x00\x01\x02garbage", r"binary data of no known format \(suffix '\.csv'\)"),
-        ("a.wav", b"x,y,z\n1,2,3\n", r"text in a \.wav file; rename it to \.csv"),
-        ("a.log", b"x,y,z\n1,2,3\n", r"unknown suffix '\.log', allowed is \.csv \.tsv"),
-        ("a", b"x,y,z\n1,2,3\n", "unknown suffix ''"),
-        ("a.mat", b"\x89HDF\r\n\x1a\n", r"MATLAB 7\.3 or HDF5 file.*'-v7'"),
+        (
+            "a.csv",
+            "t [µs],x,y,z\n1,1,2,3\n".encode("latin-1"),
+            "line 1 holds the byte 0xb5, which is not UTF-8",
+        ),
+        ("a.csv", b"x,y,z\n1,2,3\n1,2,\xff\n", "line 3 holds the byte 0xff, which is not UTF-8"),
+        ("a.csv", b"\x00\x01\x02garbage", r"binary data of no known format \('\.csv'\)"),
+        ("a.wav", b"x,y,z\n1,2,3\n", r"must not hold text; rename it to \.csv"),
+        ("a.log", b"x,y,z\n1,2,3\n", r"one of \.csv \.tsv .*, got the suffix '\.log'"),
+        ("a", b"x,y,z\n1,2,3\n", "got the suffix ''"),
+        ("a.mat", b"\x89HDF\r\n\x1a\n", r"MATLAB 7\.3 and HDF5 .*'-v7'"),
         ("a.mat", b"MATLAB 7.3 MAT-file, Platform: GLNXA64", r"MATLAB 7\.3"),
         ("a.mat", b"\x00\x01\x02\x03", "cannot be read as a MATLAB file"),
         ("a.npz", b"PK\x03\x04 and no more", "cannot be read as an NPZ archive"),
@@ -491,10 +487,10 @@ def test_what_is_no_recording_is_refused(
 
 
 def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match=r"^a\.csv: got no such file"):
+    with pytest.raises(FileNotFoundError, match=r"^a\.csv: there is no such file"):
         read_recording(tmp_path / "a.csv")
     (tmp_path / "a.csv").mkdir()
-    with pytest.raises(IsADirectoryError, match=r"^a\.csv: got a folder"):
+    with pytest.raises(IsADirectoryError, match=r"^a\.csv: is a folder"):
         read_recording(tmp_path / "a.csv")
 
 

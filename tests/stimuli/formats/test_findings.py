@@ -96,7 +96,7 @@ def test_every_real_recording_reads_as_its_list_says() -> None:
         assert recording.rate_hz == pytest.approx(rate_hz, abs=0.6), name
         assert recording.warnings == (), name
         assert read_recording(RECORDINGS / name, unit=unit).sha256 == recording.sha256
-        with pytest.raises(ValueError, match="but the file says"):
+        with pytest.raises(ValueError, match="the file gives the unit"):
             read_recording(RECORDINGS / name, unit=next(other for other in UNITS if other != unit))
 
 

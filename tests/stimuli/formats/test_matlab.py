@@ -103,7 +103,7 @@ MAT_REFUSALS = {
         "1 bytes of values for the shape",
     ),
     "twice": (HEADER + 2 * _element(14, _matrix(VALUES)), "two variables are called tmp"),
-    "name of two lines": (HEADER + _element(14, _matrix(VALUES).replace(b"tmp", b"a\nb")), r"named a\\nb; allowed"),
+    "name of two lines": (HEADER + _element(14, _matrix(VALUES).replace(b"tmp", b"a\nb")), r"got a\\nb; or say"),
     "half compressed": (HEADER + _element(15, zlib.compress(VALUES)[:-6]), "a compressed variable that is cut short"),
     "not compressed": (HEADER + _element(15, VALUES), "while decompressing data"),
 }  # fmt: skip

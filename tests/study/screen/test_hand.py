@@ -11,8 +11,9 @@ from feel321.protocols.trial import Judgement, Page, Part, Trial
 from feel321.stimuli.sets.manifest import Stimulus
 from feel321.study.observer.judging import ObserverModel
 from feel321.study.observer.participant import Participant, SimulatedObserver
-from feel321.study.screen.parts import View
+from feel321.study.screen.input import STEPS
 from feel321.study.screen.robot import THINKING_S, PressingHand
+from feel321.study.screen.view import View
 from feel321.study.session.ports import Place
 from feel321.study.sessions import tell_person
 
@@ -22,7 +23,6 @@ MODEL = ObserverModel(
     intercept=50.0,
     spectral=20.0,
     temporal=20.0,
-    bias_sd=6.0,
     gain_sd=0.1,
     noise_sd=25.0,
     noise_spread=0.2,
@@ -89,7 +89,7 @@ class Screen:
 
     def obey(self, key: str) -> None:
         view = self.view
-        if key in {"Return", "F12"}:
+        if key in {"enter", "f12"}:
             self.confirmed = True
         elif view.kind == "choice" and view.scale is not None:
             self.view = replace(view, chosen=view.scale.choices[int(key) - 1])
@@ -101,15 +101,15 @@ class Screen:
             self.view = replace(view, felt=view.felt | {"reference" if key == "0" else key})
         elif key.isdigit():
             self.view, self.typed_frames = replace(view, typed=view.typed + key), 10
-        elif view.kind == "rows" and key in {"Up", "Down"}:
+        elif view.kind == "rows" and key in {"up", "down"}:
             rows = [judgement.part for judgement in view.trial.judgements if view.trial]
-            place = rows.index(view.selected) + (1 if key == "Down" else -1)
+            place = rows.index(view.selected) + (1 if key == "down" else -1)
             self.view = replace(view, selected=rows[min(max(place, 0), len(rows) - 1)])
         else:
             self.move(key)
 
     def move(self, key: str) -> None:
-        step = {"Left": -1, "Right": 1, "Down": -10, "Up": 10, "Next": -10, "Prior": 10}[key]
+        step = STEPS[self.view.kind][key]
         at = self.view.markers.get(self.view.selected, 50.0 - step)
         moved = min(max(at + step, 0.0), 100.0)
         self.view = replace(self.view, markers={**self.view.markers, self.view.selected: moved})
@@ -200,11 +200,11 @@ def test_every_way_to_move_a_marker_is_gone() -> None:
     pressed = {
         key for number in range(1, 9) for key in visit.meet(bring_up(number, "realism")).pressed
     }
-    assert {"Left", "Right", "Up", "Down", "Return"} & pressed > {"Right", "Return"}
+    assert {"left", "right", "up", "down", "enter"} & pressed > {"right", "enter"}
     assert any(key.isdigit() for key in pressed)
     rows = visit.meet(bring_up(9, "mushra")).pressed
     assert rows[:5] == ["0", "1", "2", "3", "4"]
-    assert {"Down", "Right", "Return"} <= set(rows)
+    assert {"down", "right", "enter"} <= set(rows)
 
 
 def test_nothing_is_pressed_while_something_is_felt_or_before_it_was_thought_about() -> None:
@@ -222,7 +222,7 @@ def test_nothing_is_pressed_while_something_is_felt_or_before_it_was_thought_abo
     assert visit.time_s - began_s >= THINKING_S
 
 
-@pytest.mark.parametrize(("by", "key"), [("participant", "Return"), ("experimenter", "F12")])
+@pytest.mark.parametrize(("by", "key"), [("participant", "enter"), ("experimenter", "f12")])
 def test_pages_are_left_by_the_key_of_whom_they_are_for(by: str, key: str) -> None:
     view = View("page", "reading", 1, Place(0, 80), page=Page("welcome", by=by))
     visit = Visit()
@@ -235,7 +235,7 @@ def test_pages_are_left_by_the_key_of_whom_they_are_for(by: str, key: str) -> No
 
 
 def test_the_real_surface_is_stroked_until_enter() -> None:
-    assert Visit().meet(replace(bring_up(1, "realism"), state="stroking")).pressed == ["Return"]
+    assert Visit().meet(replace(bring_up(1, "realism"), state="stroking")).pressed == ["enter"]
 
 
 def test_what_was_not_felt_to_its_end_is_felt_again_before_the_answer() -> None:

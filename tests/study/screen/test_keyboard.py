@@ -5,10 +5,9 @@ import pytest
 from feel321.study.screen.input import (
     COARSE_SPEEDS,
     Digits,
+    Event,
     Held,
     Markers,
-    Press,
-    Release,
     Twice,
     count_repeats,
     drop_repeats,
@@ -62,7 +61,8 @@ def test_twice_means_within_a_second() -> None:
 
 
 def test_a_real_second_press_is_no_repeat() -> None:
-    events = [Press("escape", 0.0), Release("escape", 0.01), Press("escape", 0.02)]
+    kinds = ("press", "release", "press")
+    events = [Event(kind, n / 100, "escape") for n, kind in enumerate(kinds)]
     assert drop_repeats(events) == events
 
 

@@ -18,15 +18,15 @@ from feel321.study.screen.drawing import (
     LEADING,
     Area,
     Box,
-    Grid,
-    Picture,
+    Photo,
+    Sheet,
     Target,
     Text,
     measure,
     round_corners,
 )
 from feel321.study.screen.layout import compose
-from feel321.study.screen.parts import View, make_screen_texts
+from feel321.study.screen.view import View, make_screen_texts
 from feel321.study.session.ports import Place
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def test_screens(gallery: dict[str, Any], language: str, size: tuple[int, int]) 
             if not (screen.contains(ink.left, ink.top) and screen.contains(ink.right, ink.bottom)):
                 faults.append(f"{name}: {text.words!r} leaves the screen")
         boxes = [(text.words, find_ink(text)) for text in written]
-        boxes += [("picture", item.box) for item in composition.items if isinstance(item, Picture)]
+        boxes += [("picture", item.box) for item in composition.items if isinstance(item, Photo)]
         faults += [
             f"{name}: {one!r} and {other!r} overlap"
             for (one, box), (other, next_box) in itertools.combinations(boxes, 2)
@@ -169,11 +169,11 @@ def test_long_texts_shrink_and_braces_stay(size: tuple[int, int]) -> None:
         if isinstance(item, Text)
     ]
     lines = [item for item in texts if "{us} 3" in item.words]
-    grid = Grid(*size)
+    sheet = Sheet(*size)
     # Where there is less room.
-    assert (lines[0].size < 1.1 * BODY * grid.unit) == (size[0] / size[1] > 1.5)
-    assert lines[0].size >= LEAST * grid.unit * 100
-    assert max(line.box.bottom for line in lines) <= grid.body.bottom
+    assert (lines[0].size < 1.1 * BODY * sheet.unit) == (size[0] / size[1] > 1.5)
+    assert lines[0].size >= LEAST * sheet.unit * 100
+    assert max(line.box.bottom for line in lines) <= sheet.find_strip("body").bottom
 
 
 def test_corners_lie_on_circles() -> None:

@@ -346,7 +346,7 @@ def test_a_display_that_is_not_there_is_one_line() -> None:
     done = subprocess.run(
         [sys.executable, "-c", code], env=env, capture_output=True, text=True, check=False
     )
-    assert done.stderr.splitlines()[-1].startswith("OSError: got no display (")
+    assert done.stderr.splitlines()[-1].startswith("OSError: no display found (")
 
 
 def test_a_window_that_is_closed_between_two_screens_is_not_missed(
