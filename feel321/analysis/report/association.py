@@ -20,9 +20,9 @@ from feel321.analysis.figures.style import assign_looks
 from feel321.analysis.p1401.mapping import p1401
 from feel321.analysis.primary.influence import NOT_ESTIMABLE, OPEN, PREDICTS
 from feel321.analysis.report.parts import split_parts
-from feel321.analysis.report.reducers import MEAN
 from feel321.analysis.report.section import (
     INTERVAL,
+    MEAN,
     METRIC,
     NAME,
     RATINGS,

@@ -34,6 +34,7 @@ from feel321.analysis.report.parts import (
 )
 from feel321.analysis.report.section import (
     DF,
+    MEAN,
     NAME,
     P_HOLM,
     RATINGS,
@@ -54,7 +55,6 @@ from feel321.analysis.table.reading import order_reducers
 from feel321.analysis.table.sheet import ANSWERED, PAIR, tell_measure
 from feel321.analysis.words import (
     COUNT,
-    STUDENT,
     count_number,
     make_number,
     name_path,
@@ -76,10 +76,6 @@ if TYPE_CHECKING:
 
 # Ratings per reducer: means, their intervals over participants, hidden reference and anchors beside them.
 
-MEAN = Column(
-    "Mean", "mean", "rating", method="rating, mean over participants of each participant's mean", interval=STUDENT,
-    n="n_participants",
-)  # fmt: skip
 PROFILE_COLUMNS = (
     RATINGS, Column("Role", "role", NAME), Column("Reducer", "reducer", NAME), MEAN,
     Column("Participants", "n_participants", COUNT, "n_participants"),

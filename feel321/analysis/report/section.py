@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from feel321.analysis.words import (
     COUNT,
     SATTERTHWAITE,
+    STUDENT,
     count_number,
     make_interval,
     make_number,
@@ -105,6 +106,10 @@ P_HOLM = Column(
     "p (Holm)", "p_holm", "p", "p_holm", "two-sided t test, Holm's adjustment over its table"
 )
 RATINGS = Column("Ratings", "_ratings", TEXT)
+MEAN = Column(
+    "Mean", "mean", "rating", method="rating, mean over participants of each participant's mean", interval=STUDENT,
+    n="n_participants",
+)  # fmt: skip
 METRIC = Column("Metric", "metric", TEXT)
 
 
