@@ -350,7 +350,7 @@ def test_ratings_of_anchors_alone_are_refused(files: Callable[..., object], tmp_
     study = files()
     ratings = pd.read_csv(study.ratings)
     ratings[ratings["reducer"] == "anchor_low"].to_csv(study.ratings, index=False)
-    with pytest.raises(ValueError, match="got none of a stimulus with role 'test'"):
+    with pytest.raises(ValueError, match="must be of one stimulus or more with role 'test'"):
         write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
     assert not (tmp_path / "report").exists()
 
