@@ -57,7 +57,7 @@ _RECORDS = (
 )  # fmt: skip
 
 _OLD = {
-    "Choices": "report.section:Choices",
+    "Choices": "report.parts:Choices",
     "Number": "words:Number",
     "Precision": "primary.sensitivity:SlopePrecision",
     "Section": "report.section:Section",
