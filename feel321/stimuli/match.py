@@ -31,7 +31,7 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -51,9 +51,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from feel321.stimuli.recording import Signal
-    from feel321.types import Samples
-
-    Grid = Literal["linear", "log"]
+    from feel321.types import Grid, Samples
 
 WEBER_FRACTION = 0.22
 """Smallest relative change of vibration frequency that people notice; full width of the smoothing over its centre."""

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 
     from feel321.types import Samples
 
-    Signal: TypeAlias = "Recording | Reduced | ArrayLike"  # plain samples come with their rate
+Signal: TypeAlias = "Recording | Reduced | ArrayLike"
+"""A recording, a reduced one, or plain samples, which come with their rate."""
 
 STANDARD_GRAVITY = 9.80665
 """m/s² per g, CGPM 1901."""
