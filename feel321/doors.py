@@ -258,19 +258,24 @@ def name_of(method: object) -> str:
     return method if isinstance(method, str) else getattr(method, "__name__", repr(method))
 
 
-def forward_old_names(face: str, places: Mapping[str, str]) -> Callable[[str], Any]:
+def forward_old_names(
+    face: str, places: Mapping[str, str], *, lazy: Mapping[str, str] | None = None
+) -> Callable[[str], Any]:
     """Make a face's `__getattr__`, which still finds names that have left `__all__`, with a warning.
 
-    places: "module:name" or "module:name|what to use instead" of each old name.
+    places: "module:name" or "module:name|what to use instead" of each old name. lazy: "module:name" of names of the
+    face that are imported when they are asked for, because that takes long.
     """
+    known = {**places, **(lazy or {})}
 
     def find(name: str) -> Any:  # noqa: ANN401 - whatever the name stood for
-        if name not in places:
+        if name not in known:
             raise AttributeError(f"module {face!r} has no attribute {name!r}")
-        place, _, instead = places[name].partition("|")
+        place, _, instead = known[name].partition("|")
         module, _, attribute = place.partition(":")
-        advice = f"; use {instead}" if instead else ""
-        warnings.warn(f"{face}.{name} is deprecated{advice}", DeprecationWarning, stacklevel=2)
+        if name in places:
+            advice = f"; use {instead}" if instead else ""
+            warnings.warn(f"{face}.{name} is deprecated{advice}", DeprecationWarning, stacklevel=2)
         return getattr(importlib.import_module(module), attribute)
 
     return find

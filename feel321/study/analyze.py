@@ -1,31 +1,23 @@
-"""Steps of a study that need the analysis: report, recordings for chart, stress and advise, rotations.
-
-The manifest tells what a reducer made of a recording as it is. Another orientation of the sensor would have given
-another signal and other metrics, though people would have felt the same tool: their mean and spread over orientations
-(Park & Kuchenbecker 2019, doi:10.1109/WHC.2019.8816148) belong to the recording and the reducer alone.
-
-All go through the same conditioning, the study's own, because that is what participants feel. Its crop, which names
-times in the study's recordings, is done to those alone. Unconditioned they are as the sensor gave them: conditioning
-hides offsets, clipping and the sensor's steps.
-"""
+"""Steps of a study that need the analysis: the report, and the recordings for chart, stress and advise."""
 
 from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
 from itertools import chain, count
 from shlex import quote
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from feel321.analysis.report.write import write_report
-from feel321.analysis.table.reading import Further
+from feel321.analysis.table.reading import Further, read_table
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.formats.read import read_recording
+from feel321.stimuli.match import METRICS
+from feel321.stimuli.rotation import match_rotations, random_rotations
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.stimuli.synthesis import SCENES, make_scene
 from feel321.study.folder import StudyFolder, require_study
@@ -33,13 +25,13 @@ from feel321.study.ledger.standing import write_roster
 from feel321.study.provenance import find_changes
 from feel321.study.ratings import write_ratings
 from feel321.study.settings.read import list_origins, make_recipe, read_settings, try_recordings
+from feel321.study.settings.schema import AnalysisTable
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
+    from feel321.analysis.report.folder import Results
     from feel321.analysis.table.reading import Table
     from feel321.stimuli.recording import Recording
     from feel321.stimuli.sets.manifest import StimulusSet
@@ -47,7 +39,60 @@ if TYPE_CHECKING:
 
     Progress = Callable[[int, int], None]
 
+# The report: of a study's own ratings, or of tables from elsewhere.
+
+
+def analyze_study(  # noqa: PLR0913 - one per choice
+    study: StudyFolder,
+    *,
+    ratings: Path | None = None,
+    manifest: Path | None = None,
+    metrics: Sequence[str] | None = None,
+    draws: int | None = None,
+    out: Path | None = None,
+    progress: Progress | None = None,
+) -> Results:
+    """Derive the table of ratings, or take one from elsewhere, and write the report as the study declares it."""
+    if ratings is None or manifest is None:
+        require_study(study.path)
+    settings = read_settings(study.settings) if study.settings.is_file() else None
+    chosen = settings.analysis if settings else AnalysisTable()
+    further = Further(pd.DataFrame(), ())
+    if settings and ratings is None:
+        further = _derive_ratings(study, settings)
+    if settings and metrics and set(metrics) != set(chosen.metrics):
+        note = (
+            f"Metrics {', '.join(metrics)} were asked for with this analysis; {study.settings.name} declares "
+            f"{', '.join(chosen.metrics)}."
+        )
+        further = replace(further, notes=(*further.notes, note))
+    return write_report(
+        ratings or study.ratings,
+        manifest or study.manifest,
+        out or study.report,
+        draws=draws or chosen.draws,
+        margin=chosen.margin,
+        metrics=metrics or chosen.metrics,
+        sources=list_origins(settings) if settings else {},
+        further=further,
+        seed=settings.study.seed if settings else 0,
+        progress=progress,
+    )
+
+
+def _derive_ratings(study: StudyFolder, settings: Settings) -> Further:
+    write_roster(study)
+    stimuli = read_stimuli(study.stimuli)
+    if not write_ratings(study, stimuli):
+        simulate = f"feel321 simulate {quote(str(study.path))}"
+        raise ValueError(f"{study.path}: no ratings yet; run sessions first, or {simulate}")
+    return measure_rotations(study, settings, stimuli)
+
+
 # How the metrics of a study's stimuli depend on the way the sensor was mounted, for the report to explore.
+# The manifest has the metrics of each recording as it is. Another orientation of the sensor would have given another
+# signal and other metrics, though people would have felt the same tool: mean and spread over orientations (Park &
+# Kuchenbecker 2019, doi:10.1109/WHC.2019.8816148) belong to the recording and the reducer alone.
 
 MOST, LEAST = 64, 16
 """Orientations: the mean is then known to 1/8 of their spread, or to 1/4 where there is so much to reduce."""
@@ -56,11 +101,11 @@ AFFORDABLE = 400_000_000
 """Samples, of all orientations, reducers and axes, that are reduced: about five seconds on two cores."""
 
 DIGITS = 9
-"""Behind the point: what is left of a spread that is none is rounding error, and no metric."""
+"""Decimals: below, a spread that should be zero is rounding error."""
 
 
 def measure_rotations(study: StudyFolder, settings: Settings, stimuli: StimulusSet) -> Further:
-    """Compute mean and spread of both metrics over sensor orientations for every test stimulus."""
+    """Compute mean and spread of the metrics over sensor orientations for every test stimulus."""
     recordings, mistakes = try_recordings(settings, study.path)
     recipe = make_recipe(settings)
     try:
@@ -69,7 +114,9 @@ def measure_rotations(study: StudyFolder, settings: Settings, stimuli: StimulusS
     except (OSError, ValueError) as error:
         problems = [str(error)]
     if problems:
-        return _make_nothing(problems[0])
+        reason = problems[0].splitlines()[0].rstrip(".")
+        note = f"Rotation statistics of the metrics are left out: {reason}."
+        return Further(pd.DataFrame(), (note,))
     return compute_rotations(
         recordings, stimuli, steps=recipe.conditioning, seed=settings.study.seed
     )
@@ -78,129 +125,72 @@ def measure_rotations(study: StudyFolder, settings: Settings, stimuli: StimulusS
 def compute_rotations(
     recordings: Sequence[Recording], stimuli: StimulusSet, *, steps: Conditioning, seed: int
 ) -> Further:
-    """Condition recordings, turn them, reduce them, and describe their metrics."""
-    import pandas as pd
-
-    from feel321.stimuli.rotation import random_rotations
-
+    """Condition recordings, rotate them, reduce them, and describe their metrics."""
     tests = [stimulus for stimulus in stimuli.stimuli if stimulus.role == "test"]
     reducers = list(dict.fromkeys(stimulus.reducer for stimulus in tests))
-    count = _afford(recordings, len(reducers))
-    turns = random_rotations(count, np.random.default_rng(seed))
-    describe = partial(_describe_recording, reducers=reducers, steps=steps, turns=turns)
-    # Threads: nearly all of the work is done by libraries that let go of the interpreter.
+    size = sum(recording.acceleration.size for recording in recordings) * len(reducers)
+    n_turns = min(MOST, max(LEAST, AFFORDABLE // size))
+    turns = random_rotations(n_turns, np.random.default_rng(seed))
+
+    def describe(recording: Recording) -> np.ndarray:
+        ready = condition(recording, steps)
+        matches = match_rotations(ready.acceleration, ready.rate_hz, reducers=reducers, turns=turns)
+        both = np.stack([matches.mean(axis=-1), matches.std(axis=-1, ddof=1)], axis=-1)
+        return both.reshape(len(reducers), -1).round(DIGITS)
+
+    # Threads: nearly all of the work is done by libraries that release the interpreter.
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        found = dict(
-            zip(
-                (recording.name for recording in recordings),
-                pool.map(describe, recordings),
-                strict=True,
-            )
-        )
-    rows = [found[stimulus.recording][reducers.index(stimulus.reducer)] for stimulus in tests]
-    ids = pd.Index([stimulus.stimulus_id for stimulus in tests], name="stimulus_id")
-    return Further(
-        pd.DataFrame(rows, index=ids, columns=_list_columns()), (_tell_how(count, seed),)
+        names = [recording.name for recording in recordings]
+        found = dict(zip(names, pool.map(describe, recordings), strict=True))
+    table = pd.DataFrame(
+        [found[stimulus.recording][reducers.index(stimulus.reducer)] for stimulus in tests],
+        index=pd.Index([stimulus.stimulus_id for stimulus in tests], name="stimulus_id"),
+        columns=[f"{metric}_rotation_{kind}" for metric in METRICS for kind in ("mean", "sd")],
     )
-
-
-def _make_nothing(problem: str) -> Further:
-    import pandas as pd
-
-    told = problem.splitlines()[0].rstrip(".")
-    return Further(pd.DataFrame(), (f"Rotation statistics of the metrics are left out: {told}.",))
-
-
-def _afford(recordings: Sequence[Recording], n_reducers: int) -> int:
-    size = sum(recording.acceleration.size for recording in recordings) * n_reducers
-    return min(MOST, max(LEAST, AFFORDABLE // size))
-
-
-def _describe_recording(
-    recording: Recording,
-    *,
-    reducers: Sequence[str],
-    steps: Conditioning,
-    turns: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    from feel321.stimuli.condition import condition
-    from feel321.stimuli.rotation import match_rotations
-
-    conditioned = condition(recording, steps)
-    matches = match_rotations(
-        conditioned.acceleration, conditioned.rate_hz, reducers=reducers, turns=turns
-    )
-    both = np.stack([matches.mean(axis=-1), matches.std(axis=-1, ddof=1)], axis=-1)
-    return both.reshape(len(reducers), -1).round(DIGITS)
-
-
-def _list_columns() -> list[str]:
-    from feel321.stimuli.match import METRICS
-
-    return [f"{metric}_{kind}" for metric in METRICS for kind in ("rotation_mean", "rotation_sd")]
-
-
-def _tell_how(count: int, seed: int) -> str:
-    return (
-        f"Rotation statistics: each recording, conditioned as for its stimuli, was turned into {count} random "
+    note = (
+        f"Rotation statistics: each recording, conditioned as for its stimuli, was turned into {n_turns} random "
         f"orientations of the sensor (seed {seed}, the same ones for all), reduced and matched with itself; level, "
         "resampling and fades, which stimuli go through afterwards, have no part in it."
     )
-
-
-def analyze_study(
-    study: StudyFolder,
-    *,
-    metrics: Sequence[str] | None = None,
-    out: Path | None = None,
-    progress: Progress | None = None,
-) -> Path:
-    """Derive the table of ratings and write the report."""
-    settings = read_settings(study.settings)
-    write_roster(study)
-    stimuli = read_stimuli(study.stimuli)
-    if not write_ratings(study, stimuli):
-        simulate = f"feel321 simulate {quote(str(study.path))}"
-        raise ValueError(f"{study.path}: holds no ratings yet; run sessions first, or {simulate}")
-    folder = out or study.report
-    chosen, origins = settings.analysis, list_origins(settings)
-    write_report(
-        study.ratings,
-        study.manifest,
-        folder,
-        draws=chosen.draws,
-        margin=chosen.margin,
-        metrics=metrics or chosen.metrics,
-        sources=origins,
-        further=measure_rotations(study, settings, stimuli),
-        seed=settings.study.seed,
-        progress=progress,
-    )
-    return folder
+    return Further(table, (note,))
 
 
 # What chart, stress and advise work on: a study's recordings, the bundled scenes, recordings from elsewhere.
 
 SUFFIXES = frozenset({".wav", ".csv", ".tsv", ".txt", ".npz", ".npy", ".mat", ".xml", ".ide"})
-"""What files in a folder are taken for recordings; a single file is read whatever it is called."""
+"""Files in a folder that are taken for recordings; a single file is read whatever it is called."""
 
 
 def gather_recordings(
     folder: Path, *, scenes: bool = False, extra: Sequence[Path] = (), conditioned: bool = True
 ) -> tuple[Recording, ...]:
-    """Gather the recordings that methods are compared on."""
+    """Gather the recordings that methods are compared on.
+
+    All are conditioned as the study's own, because that is what participants feel; its crop, which names times in the
+    study's recordings, is done to those alone. Unconditioned they are as the sensor gave them: conditioning hides
+    offsets, clipping and the sensor's steps.
+    """
+    study = StudyFolder(folder) if scenes or extra else require_study(folder)
+    own: list[Recording] = []
     mistakes: list[str] = []
-    own, steps = _open_study(folder, mistakes, needed=not (scenes or extra))
+    steps = Conditioning()
+    if study.settings.is_file():
+        settings = read_settings(study.settings)
+        own, mistakes = try_recordings(settings, folder)
+        steps = make_recipe(settings).conditioning
     others = [make_scene(name) for name in SCENES] if scenes else []
     for path in _list_files(extra):
-        with _noted(mistakes):
+        try:
             others.append(read_recording(path))
+        except (OSError, ValueError) as error:
+            mistakes.append(str(error))
     recordings = _name_apart(own, others)
-    if conditioned:
-        crops = [steps.crop_s] * len(own) + [None] * (len(recordings) - len(own))
-        recordings = list(
-            _condition_all(recordings, [replace(steps, crop_s=crop) for crop in crops], mistakes)
-        )
+    for place, recording in enumerate(recordings if conditioned else ()):
+        try:
+            crop = steps.crop_s if place < len(own) else None
+            recordings[place] = condition(recording, replace(steps, crop_s=crop))
+        except ValueError as error:
+            mistakes.append(f"recording {recording.name!r}: {error}")
     if mistakes:
         raise ValueError("\n".join(mistakes))
     return tuple(recordings)
@@ -208,8 +198,6 @@ def gather_recordings(
 
 def find_ratings(study: StudyFolder) -> Table | None:
     """Find the ratings of a study, as analyze does: derived from its journals, or a table that was put there."""
-    from feel321.analysis.table.reading import read_table
-
     if study.journals:
         rated = write_ratings(study, read_stimuli(study.stimuli)) > 0
     else:
@@ -217,37 +205,8 @@ def find_ratings(study: StudyFolder) -> Table | None:
     return read_table(study.ratings, study.manifest) if rated else None
 
 
-def _open_study(
-    folder: Path, mistakes: list[str], *, needed: bool
-) -> tuple[list[Recording], Conditioning]:
-    study = require_study(folder) if needed else StudyFolder(folder)
-    if not study.settings.is_file():
-        return [], Conditioning()
-    settings = read_settings(study.settings)
-    recordings, unreadable = try_recordings(settings, folder)
-    mistakes += unreadable
-    return recordings, make_recipe(settings).conditioning
-
-
-def _condition_all(
-    recordings: Iterable[Recording], steps: Iterable[Conditioning], mistakes: list[str]
-) -> Iterator[Recording]:
-    for recording, own in zip(recordings, steps, strict=True):
-        with _noted(mistakes, f"recording {recording.name!r}: "):
-            yield condition(recording, own)
-
-
-@contextmanager
-def _noted(mistakes: list[str], whose: str = "") -> Iterator[None]:
-    """Note what goes wrong inside, so that everything that is wrong is told at once."""
-    try:
-        yield
-    except (OSError, ValueError) as error:
-        mistakes.append(f"{whose}{error}")
-
-
 def _name_apart(own: Sequence[Recording], others: Iterable[Recording]) -> list[Recording]:
-    """Leave out what is there twice, and number those others whose names are taken."""
+    """Leave out duplicates, and number those others whose names are taken."""
     named = list(own)
     for recording in others:
         if any(recording.sha256 == former.sha256 for former in named):
@@ -261,18 +220,16 @@ def _name_apart(own: Sequence[Recording], others: Iterable[Recording]) -> list[R
 def _list_files(paths: Iterable[Path]) -> list[Path]:
     files: list[Path] = []
     for path in paths:
-        if not path.is_dir():
-            files.append(path)
-            continue
-        found = sorted(
-            entry
-            for entry in path.glob("[!.]*")
-            if entry.suffix.lower() in SUFFIXES and entry.is_file()
-        )
+        found = [path]
+        if path.is_dir():
+            found = sorted(
+                entry
+                for entry in path.glob("[!.]*")
+                if entry.suffix.lower() in SUFFIXES and entry.is_file()
+            )
         if not found:
             raise FileNotFoundError(
-                f"{path}: got a folder without recordings, allowed are files ending in {' '.join(sorted(SUFFIXES))}; "
-                "name another"
+                f"{path}: no recordings in this folder; name another, or files ending in {' '.join(sorted(SUFFIXES))}"
             )
         files += found
     return files

@@ -7,19 +7,38 @@ from __future__ import annotations
 
 import errno
 import sys
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 import click
-
-from feel321.study import commands
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
 DONE, COULD_NOT, WRONG_USE, INTERRUPTED = 0, 1, 2, 130
 
+VERBS = {
+    "lab": ("doctor", "run"),
+    "methods": ("advise", "chart", "stress"),
+    "signals": ("match", "reduce"),
+    "studies": (
+        "analyze",
+        "audit",
+        "build",
+        "check",
+        "demo",
+        "ledger",
+        "new",
+        "release",
+        "simulate",
+        "status",
+        "withdraw",
+    ),
+}
+"""Module of `feel321.study.commands` -> its verbs."""
+
 RESUMED = {"build", "demo", "run", "simulate", "withdraw"}
-"""Verbs that go on, when called again, where they were interrupted."""
+"""Verbs that continue, when called again, where they were interrupted."""
 
 
 class Interrupted(Exception):  # noqa: N818 - nothing went wrong
@@ -27,7 +46,7 @@ class Interrupted(Exception):  # noqa: N818 - nothing went wrong
 
 
 class _Verbs(click.Group):
-    """The verbs; what click says about Ctrl-C takes two lines, and it cannot know what goes on."""
+    """The verbs; what click says about Ctrl-C takes two lines, and it cannot know what continues."""
 
     def invoke(self, ctx: click.Context) -> object:
         try:
@@ -39,7 +58,11 @@ class _Verbs(click.Group):
 @click.group(
     cls=_Verbs,
     epilog="Begin with: feel321 demo",
-    commands=[getattr(commands, name) for name in commands.__all__],
+    commands=[
+        getattr(import_module(f"feel321.study.commands.{module}"), verb)
+        for module, verbs in VERBS.items()
+        for verb in verbs
+    ],
     no_args_is_help=False,
 )
 @click.version_option(package_name="feel321", prog_name="feel321")
@@ -62,12 +85,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except click.UsageError as error:
         return _complain(_hint(error), code=WRONG_USE)
     except (Interrupted, click.Abort) as stop:
-        goes_on = (
-            "; what is done is kept, the same command goes on"
-            if RESUMED.intersection(stop.args)
-            else ""
-        )
-        return _complain(f"interrupted{goes_on}", code=INTERRUPTED)
+        kept = "; what is done is kept, the same command continues"
+        resumed = RESUMED.intersection(stop.args)
+        return _complain(f"interrupted{kept if resumed else ''}", code=INTERRUPTED)
     except Exception as error:  # the last door: whatever it is, it is one line
         if "--traceback" in arguments:
             raise
@@ -87,12 +107,9 @@ def _describe(error: Exception) -> str:
     # The system's own errors say what happened to which file, but not in our words.
     if isinstance(error, OSError) and error.errno is not None:
         place = "" if error.filename is None else f"{error.filename}: "
-        full = error.errno in {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
-        remedy = (
-            "make room there and run again"
-            if full
-            else "check the name, and whether you may write there"
-        )
+        remedy = "check the name, and whether you may write there"
+        if error.errno in {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}:
+            remedy = "make room there and run again"
         return f"{place}{error.strerror}; {remedy}"
     return str(error)
 

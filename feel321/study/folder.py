@@ -1,9 +1,10 @@
-"""The folder of a study, and the record of which settings its stimuli were built from."""
+"""The folder of a study: its places, and how it is begun and found."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib.resources import files
+from shlex import quote
 from typing import TYPE_CHECKING
 
 from feel321.files import create_text
@@ -14,25 +15,21 @@ if TYPE_CHECKING:
 
 SETTINGS_FILE = "study.toml"
 RIG_FILE = "rig.toml"
-
 LEDGER_FILE = "ledger.sqlite"
 
 LEDGER_FILES = "ledger."
 """How the names of all files of the ledger begin: the database, what it keeps beside itself, the log."""
 
-BUNDLED = files("feel321.study") / "settings" / "bundled"
+TEMPLATES = files("feel321.study") / "settings"
+BUNDLED = TEMPLATES / "bundled"
 
 
 @dataclass(frozen=True, slots=True)
 class StudyFolder:
-    """The places in a study.
+    """The places in the folder that holds `study.toml`.
 
-    Parameters
-    ----------
-    path : Path
-        The folder that holds `study.toml`.
-    is_rehearsal : bool
-        Whether sessions are tried out: they lie apart, with a ledger of their own, and nothing is derived from them.
+    is_rehearsal: whether sessions are tried out: they are stored apart, with a ledger of their own, and nothing is
+    derived from them.
     """
 
     path: Path
@@ -60,7 +57,7 @@ class StudyFolder:
 
     @property
     def ledger(self) -> Path:
-        """Who takes part under which number; beside what it speaks of, so that both are moved or copied as one."""
+        """Who takes part under which number; beside the sessions, so that both are moved or copied as one."""
         return self.sessions / LEDGER_FILE
 
     @property
@@ -99,7 +96,7 @@ class StudyFolder:
 
     @property
     def journals(self) -> list[Path]:
-        """All journals, sorted by participant, then session; copies under other names are none."""
+        """All journals, sorted by participant, then session, without copies under other names."""
         return [journal for folder in self.participants for journal in list_journals(folder)]
 
     @property
@@ -113,7 +110,7 @@ def _is_ours(entry: Path) -> bool:
 
 
 def list_bundled() -> tuple[str, ...]:
-    """Name the published studies that are ready to be run again.
+    """List the published studies that are ready to be run again.
 
     Examples
     --------
@@ -124,73 +121,45 @@ def list_bundled() -> tuple[str, ...]:
 
 
 def create_study(path: Path, *, bundled: str | None = None) -> StudyFolder:
-    """Begin a study: its folder, a commented `study.toml` that names the bundled scenes, and a `rig.toml`.
+    """Begin a study: its folder, a commented `study.toml` that works as it is, and a `rig.toml`.
 
-    Parameters
-    ----------
-    path : Path
-        The folder; created if missing.
-    bundled : str, optional
-        Which published study it is to be; one with every setting at its default if left out.
-
-    Returns
-    -------
-    StudyFolder
-        The new study.
-
-    Raises
-    ------
-    FileExistsError
-        If the folder holds a `study.toml` already.
-    ValueError
-        If there is no such published study.
+    bundled: which published study it is to be; one with every setting at its default if left out.
     """
     text = read_template() if bundled is None else read_bundled(bundled)
     study = StudyFolder(path)
     (path / "recordings").mkdir(parents=True, exist_ok=True)
     create_text(study.settings, text)
     if not study.rig.exists():
-        create_text(study.rig, _read_text("rig_template.toml"))
+        create_text(study.rig, (TEMPLATES / "rig_template.toml").read_text(encoding="utf-8"))
     return study
 
 
 def require_study(path: Path) -> StudyFolder:
-    """Find a study that is there.
-
-    Parameters
-    ----------
-    path : Path
-        The folder.
-
-    Returns
-    -------
-    StudyFolder
-        The study.
-
-    Raises
-    ------
-    FileNotFoundError
-        If the folder holds no `study.toml`.
-    """
+    """Find a study that is there, or describe what the path is instead."""
+    if not path.exists():
+        raise FileNotFoundError(
+            f"{path}: no such folder; begin a study with: feel321 new {quote(str(path))}"
+        )
+    if not path.is_dir():
+        raise NotADirectoryError(
+            f"{path}: a study must be a folder, got a file; try {quote(str(path.parent))}"
+        )
     study = StudyFolder(path)
     if not study.settings.is_file():
+        where = "the current folder" if str(path) == "." else str(path)
         raise FileNotFoundError(
-            f"{path}: got a folder without {SETTINGS_FILE}; name a study, or begin one with: feel321 new {path}"
+            f"no {SETTINGS_FILE} in {where}; name a study, or begin one with: feel321 new {quote(str(path))}"
         )
     return study
 
 
 def read_template() -> str:
     """Read the `study.toml` that a new study begins with."""
-    return _read_text("template.toml")
+    return (TEMPLATES / "template.toml").read_text(encoding="utf-8")
 
 
 def read_bundled(name: str) -> str:
     """Read the `study.toml` of a published study."""
     if name not in list_bundled():
-        raise ValueError(f"study: got {name!r}, allowed: {', '.join(list_bundled())}")
+        raise ValueError(f"study must be one of {', '.join(list_bundled())}; got {name!r}")
     return (BUNDLED / f"{name}.toml").read_text(encoding="utf-8")
-
-
-def _read_text(name: str) -> str:
-    return (files("feel321.study") / "settings" / name).read_text(encoding="utf-8")

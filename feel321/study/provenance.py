@@ -41,8 +41,8 @@ def read_origin(folder: Path) -> Origin:
         )
     except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
         raise ValueError(
-            f"{path}: is missing or damaged ({type(error).__name__}); restore it from a copy, or as long as nobody "
-            "was planned with this set, write it anew with: feel321 build"
+            f"{path}: is missing or damaged ({type(error).__name__}); restore it from a copy, or, as long as no "
+            "session was planned with this set, write it anew with: feel321 build"
         ) from None
 
 
@@ -66,7 +66,7 @@ def find_changes(folder: Path, recipe: Recipe, recordings: Mapping[str, str | No
 
 
 def is_in_use(study: StudyFolder, stimuli_sha256: str) -> bool:
-    """Tell whether any plan or journal names a stimulus set."""
+    """Check whether any plan or journal names a stimulus set."""
     # By the bare text, so that damaged files count too.
     files = study.sessions.glob("*/*.json*")
     return any(stimuli_sha256.encode() in path.read_bytes() for path in files if path.is_file())

@@ -25,12 +25,11 @@ from feel321.study.actuator.render import (
     reduced_energy,
 )
 from feel321.study.actuator.rig import AXES, REDUCED
-from feel321.study.settings.read import make_design, make_recipe, read_settings
+from feel321.study.settings.read import make_design, make_recipe
 from feel321.study.settings.schema import ACCEPT
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
-    from pathlib import Path
 
     import numpy as np
     from numpy.typing import NDArray
@@ -119,12 +118,14 @@ def find_unfelt(settings: Settings, stimuli: StimulusSet) -> str:
     )
 
 
-def describe_built(path: Path, recordings: Sequence[Recording], stimuli: StimulusSet) -> list[str]:
+def describe_built(
+    settings: Settings, recordings: Sequence[Recording], stimuli: StimulusSet
+) -> list[str]:
     """Say after a build by which gains stimuli are played, and how many of them cannot be felt."""
-    settings = read_settings(path)
     recipe = make_recipe(settings)
     foreseen = foresee_stimuli(recordings, stimuli.folder, recipe=recipe)
-    return [*describe_gains(foreseen, recipe), *filter(None, [find_unfelt(settings, stimuli)])]
+    unfelt = filter(None, [find_unfelt(settings, stimuli)])
+    return [*describe_gains(foreseen, recipe), *unfelt, *stimuli.warnings]
 
 
 def find_clipping(foreseen: Sequence[Foreseen], recipe: Recipe) -> list[str]:

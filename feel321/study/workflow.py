@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -46,9 +47,10 @@ from feel321.study.strength import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from feel321.stimuli.recording import Recording
+    from feel321.stimuli.sets.build import Foreseen
     from feel321.stimuli.sets.manifest import StimulusSet
     from feel321.stimuli.sets.recipe import Recipe
     from feel321.study.actuator.rig import Rig
@@ -58,8 +60,6 @@ if TYPE_CHECKING:
 
     Progress = Callable[[int, int], None]
 
-# The steps of a study, from settings to report, each one call.
-
 
 def build_study(
     study: StudyFolder, *, workers: int = 1, progress: Progress | None = None
@@ -68,11 +68,30 @@ def build_study(
     settings = read_settings(study.settings)
     recordings = open_recordings(settings, study.path)
     recipe = make_recipe(settings)
-    _spare_used_set(study, recipe, recordings)
+    _protect_used_set(study, recipe, recordings)
     stimuli = build_stimuli(
         recordings, study.stimuli, recipe=recipe, workers=workers, progress=progress
     )
     return recordings, stimuli
+
+
+def _protect_used_set(study: StudyFolder, recipe: Recipe, recordings: Sequence[Recording]) -> None:
+    """Refuse to replace a set that sessions were run with, or may have been."""
+    if not study.stimuli.exists() or not any(study.sessions.glob(f"*/{PLAN_FILE}")):
+        return
+    try:
+        sha256 = read_stimuli(study.stimuli).sha256
+        changes = find_changes(
+            study.stimuli, recipe, {recording.name: recording.sha256 for recording in recordings}
+        )
+    except (OSError, ValueError) as error:
+        raise ValueError(
+            f"{study.stimuli}: sessions may have been run with this set, which cannot be read ({error}); "
+            f"restore it from a copy, or move {study.sessions} away"
+        ) from None
+    if changes and is_in_use(study, sha256):
+        remedy = f"sessions were run with this set; make a new study, or move {study.sessions} away"
+        raise ValueError("\n".join(f"{change}; {remedy}" for change in changes))
 
 
 def simulate_study(
@@ -84,39 +103,18 @@ def simulate_study(
     progress: Progress | None = None,
     warn: Callable[[str], None] | None = None,
 ) -> int:
-    """Lead simulated participants through a study and derive the table of ratings."""
+    """Run the sessions of simulated participants and derive the table of ratings; returns its rows."""
     settings = read_settings(study.settings)
     stimuli = read_stimuli(study.stimuli)
     require_current_set(study, settings)
     seed = settings.study.seed if seed is None else seed
-    unfelt = find_unfelt(settings, stimuli)
-    notices = run_simulation(
-        Simulation(study, settings, stimuli, seed, now), participants, progress=progress
-    )
+    simulation = Simulation(study, settings, stimuli, seed, now)
+    notices = run_simulation(simulation, participants, progress=progress)
     if warn is not None:
-        for notice in filter(None, (unfelt, *notices)):
+        for notice in filter(None, (find_unfelt(settings, stimuli), *notices)):
             warn(notice)
     write_roster(study)
     return write_ratings(study, stimuli)
-
-
-def _spare_used_set(study: StudyFolder, recipe: Recipe, recordings: Sequence[Recording]) -> None:
-    """Refuse to replace a set that sessions were run with, or may have been."""
-    if not study.stimuli.exists() or not any(study.sessions.glob(f"*/{PLAN_FILE}")):
-        return
-    try:
-        sha256 = read_stimuli(study.stimuli).sha256
-        changes = find_changes(
-            study.stimuli, recipe, {recording.name: recording.sha256 for recording in recordings}
-        )
-    except (OSError, ValueError) as error:
-        raise ValueError(
-            f"{study.stimuli}: nobody can tell whether sessions were run with this set ({error}); "
-            f"restore it from a copy, or move {study.sessions} away"
-        ) from None
-    if changes and is_in_use(study, sha256):
-        remedy = f"sessions were run with this set; make a new study, or move {study.sessions} away"
-        raise ValueError("\n".join(f"{change}; {remedy}" for change in changes))
 
 
 # Everything that stands in the way of a study, found in one go.
@@ -130,9 +128,7 @@ class Checked(NamedTuple):
     strength: Findings
 
 
-def check_study(
-    study: StudyFolder, *, progress: Callable[[int, int], None] | None = None
-) -> Checked:
+def check_study(study: StudyFolder, *, progress: Progress | None = None) -> Checked:
     """Check settings, recordings, pictures, texts, strength of the stimuli, rig and, once built, the stimulus set."""
     try:
         settings = read_settings(study.settings)
@@ -146,38 +142,28 @@ def check_study(
         *_check_texts(study, settings),
         *rig_problems,
     ]
-    recipe, unusable = _check_recipe(study, settings, recordings)
+    recipe, unusable = None, list[str]()
+    try:
+        recipe = make_recipe(settings)
+        unusable = list(_check_recordings(recordings, recipe))
+    except ValueError as error:
+        unusable = [f"{study.settings.name}: {error}"]
     problems += unusable
     strength = Findings()
     if recipe is not None and not unread and not unusable:
         try:
-            strength = _find_strength(
-                study, settings, recordings, recipe=recipe, rig=rig, progress=progress
-            )
+            foreseen = foresee_stimuli(recordings, study.stimuli, recipe=recipe, progress=progress)
+            strength = _find_strength(study, settings, recordings, foreseen=foreseen, rig=rig)
         except ValueError as error:
             problems.append(str(error))
     problems += strength.problems
     if study.stimuli.exists():
-        problems += check_stimuli(study.stimuli) or _check_plan(study, settings)
-        if recipe is not None:
-            sources = {recording.name: recording.sha256 for recording in recordings}
-            named = {entry.title: sources.get(entry.title) for entry in settings.recordings}
-            problems += _check_origin(study, recipe, named)
+        problems += _check_set(study, settings, recordings, recipe=recipe)
     elif study.participants:
         problems.append(
-            f"{study.stimuli}: is missing, but sessions were run with it; put it back or build it again"
+            f"{study.stimuli}: missing, but sessions were run with it; put it back or build it again"
         )
     return Checked(recordings, problems, strength)
-
-
-def _check_recipe(
-    study: StudyFolder, settings: Settings, recordings: Sequence[Recording]
-) -> tuple[Recipe | None, list[str]]:
-    try:
-        recipe = make_recipe(settings)
-    except ValueError as error:
-        return None, [f"{study.settings.name}: {error}"]
-    return recipe, list(_check_recordings(recordings, recipe))
 
 
 def _find_strength(
@@ -185,14 +171,13 @@ def _find_strength(
     settings: Settings,
     recordings: Sequence[Recording],
     *,
-    recipe: Recipe,
+    foreseen: Sequence[Foreseen],
     rig: Rig | None,
-    progress: Callable[[int, int], None] | None,
 ) -> Findings:
     """Find out how strong stimuli are, and, where there is a rig, how it brings them to the hand."""
-    foreseen = foresee_stimuli(recordings, study.stimuli, recipe=recipe, progress=progress)
+    recipe = make_recipe(settings)
     found = find_strength(settings, foreseen, recipe)
-    is_built = (study.stimuli / "manifest.csv").exists()  # then its files are examined themselves
+    is_built = study.manifest.exists()  # then its files are examined themselves
     found.problems.extend([] if is_built else find_clipping(foreseen, recipe))
     if rig is None:
         return found
@@ -207,17 +192,64 @@ def _find_strength(
     )
 
 
-def _check_origin(
-    study: StudyFolder, recipe: Recipe, recordings: Mapping[str, str | None]
-) -> list[str]:
-    """Check that the set that is there is the one that the settings ask for."""
+def _check_set(
+    study: StudyFolder,
+    settings: Settings,
+    recordings: Sequence[Recording],
+    *,
+    recipe: Recipe | None,
+) -> Iterator[str]:
+    """Check the set that is there: its files, that tasks and analysis can use it, and that the settings ask for it."""
+    damage = check_stimuli(study.stimuli)
+    yield from damage
+    if not damage:
+        yield from _check_plan(study, settings)
+        yield from _check_metrics(study, settings)
+    if recipe is None:
+        return
+    sources = {recording.name: recording.sha256 for recording in recordings}
+    named = {entry.title: sources.get(entry.title) for entry in settings.recordings}
     try:
-        return [
-            f"{change}; run feel321 build"
-            for change in find_changes(study.stimuli, recipe, recordings)
-        ]
+        changes = find_changes(study.stimuli, recipe, named)
     except ValueError as error:
-        return [str(error)]
+        yield str(error)
+    else:
+        yield from (f"{change}; run feel321 build" for change in changes)
+
+
+def _check_plan(study: StudyFolder, settings: Settings) -> Iterator[str]:
+    """Check that the tasks of every group find the stimuli that they need; labels make no difference to that."""
+    design, stimuli = make_design(settings), read_stimuli(study.stimuli)
+    choosing = {factor: levels for factor, levels in design.between.items() if factor in CHOOSING}
+    design = replace(design, between=choosing)
+    problems: dict[str, None] = {}
+    for number in range(1, count_groups(choosing) + 1):
+        try:
+            make_plan(design, stimuli, "check", number=number, simulated=False)
+        except ValueError as error:
+            problems[str(error)] = None
+    yield from problems
+
+
+def _check_metrics(study: StudyFolder, settings: Settings) -> Iterator[str]:
+    """Check that the metrics that the analysis declares are numeric columns of the manifest."""
+    with study.manifest.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    numeric = [name for name in rows[0] if any(_is_number(row[name]) for row in rows)]
+    for name in settings.analysis.metrics:
+        if name not in numeric:
+            yield (
+                f"{study.settings.name}: analysis.metrics must be numeric columns of {study.manifest}, got {name!r}; "
+                f"there are: {', '.join(numeric)}"
+            )
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _check_recordings(recordings: Sequence[Recording], recipe: Recipe) -> Iterator[str]:
@@ -234,7 +266,7 @@ def _check_recordings(recordings: Sequence[Recording], recipe: Recipe) -> Iterat
 
 def _check_pictures(study: StudyFolder, settings: Settings) -> list[str]:
     return [
-        f"recording {entry.title!r}: {study.path / entry.picture}: there is no such picture; put it there"
+        f"recording {entry.title!r}: {study.path / entry.picture}: no such picture; put it there"
         for entry in settings.recordings
         if entry.picture and not (study.path / entry.picture).is_file()
     ]
@@ -259,20 +291,8 @@ def _check_texts(study: StudyFolder, settings: Settings) -> list[str]:
     ]
 
 
-def find_warnings(study: StudyFolder) -> list[str]:
-    """Find what is allowed in a study and still worth knowing."""
-    settings = read_settings(study.settings)
-    remarks = [f"{study.settings.name}: {remark}" for remark in list_remarks(settings)]
-    if settings.session.order != "random" or not study.stimuli.exists():
-        return remarks
-    plan = make_plan(
-        make_design(settings), read_stimuli(study.stimuli), "check", number=1, simulated=False
-    )
-    return remarks + [f"order 'random': {line}" for line in find_crowding(plan.trials)]
-
-
 def _check_rig(study: StudyFolder, settings: Settings) -> tuple[Rig | None, list[str]]:
-    """Check the rig, where there is one: simulated participants need none. One that serves for nothing is None."""
+    """Check the rig, where there is one: simulated participants need none. An unusable one is None."""
     if not study.rig.is_file():
         return None, []
     try:
@@ -286,19 +306,17 @@ def _check_rig(study: StudyFolder, settings: Settings) -> tuple[Rig | None, list
     try:
         stimuli = read_stimuli(study.stimuli)
     except (OSError, ValueError):
-        return rig, []  # Not built yet, or damaged: others look at that.
+        return rig, []  # not built yet, or damaged, which is found by itself
     return rig, list_rig_problems(study, rig, settings=settings, stimuli=stimuli)
 
 
-def _check_plan(study: StudyFolder, settings: Settings) -> list[str]:
-    """Check that the tasks of every group find the stimuli that they need; labels make no difference to that."""
-    design, stimuli = make_design(settings), read_stimuli(study.stimuli)
-    choosing = {factor: levels for factor, levels in design.between.items() if factor in CHOOSING}
-    design = replace(design, between=choosing)
-    problems: dict[str, None] = {}
-    for number in range(1, count_groups(choosing) + 1):
-        try:
-            make_plan(design, stimuli, "check", number=number, simulated=False)
-        except ValueError as error:
-            problems[str(error)] = None
-    return list(problems)
+def find_warnings(study: StudyFolder) -> list[str]:
+    """Find what is allowed in a study and still worth knowing."""
+    settings = read_settings(study.settings)
+    remarks = [f"{study.settings.name}: {remark}" for remark in list_remarks(settings)]
+    if settings.session.order != "random" or not study.stimuli.exists():
+        return remarks
+    plan = make_plan(
+        make_design(settings), read_stimuli(study.stimuli), "check", number=1, simulated=False
+    )
+    return remarks + [f"order 'random': {line}" for line in find_crowding(plan.trials)]

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from feel321 import analysis
-from feel321.analysis.table.reading import Table
+from feel321.analysis.table.items import Table
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -74,7 +74,8 @@ def test_every_task_loads(lab: StudyFolder) -> None:
 
 
 def test_every_task_has_its_place_in_the_report(lab: StudyFolder) -> None:
-    folder = analyze_study(lab)
+    analyze_study(lab)
+    folder = lab.report
     associations = pd.read_csv(folder / "tables" / "associations.csv")
     assert dict(zip(associations["scale"], associations["n_items"], strict=True)) == {
         "realism": 6,

@@ -72,7 +72,7 @@ def faults(name: str, checks: set[str]) -> list[str]:
 def shown_names() -> set[str]:
     """Dotted names, where they are defined, of the functions and classes in the faces' `__all__`."""
     faces = [importlib.import_module(f"feel321.{room}") for room in ROOMS]
-    things = [vars(face)[name] for face in faces for name in face.__all__]
+    things = [getattr(face, name) for face in faces for name in face.__all__]
     return {
         f"{thing.__module__}.{thing.__qualname__}"
         for thing in things

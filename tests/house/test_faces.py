@@ -14,7 +14,7 @@ def faults(package: types.ModuleType) -> list[str]:
     promised = list(getattr(package, "__all__", []))
     shown = [name for name, value in vars(package).items() if is_public(name, value)]
     return [
-        *(f"{name}: in __all__, not there" for name in promised if name not in vars(package)),
+        *(f"{name}: in __all__, not there" for name in promised if not hasattr(package, name)),
         *(f"{name}: there, not in __all__" for name in shown if name not in promised),
         *(["a name stands twice in __all__"] if len(promised) != len(set(promised)) else []),
     ]

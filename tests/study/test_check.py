@@ -25,7 +25,7 @@ def ask(study: StudyFolder) -> list[str]:
 
 def test_pictures_and_texts_that_are_missing_are_named(study: StudyFolder, ask: list[str]) -> None:
     assert ask == [
-        f"recording 'bumps': {study.path / 'pictures' / 'oak.png'}: there is no such picture; put it there",
+        f"recording 'bumps': {study.path / 'pictures' / 'oak.png'}: no such picture; put it there",
         f"{study.path / 'fr.toml'}: No such file or directory; "
         "put your texts there, or name a language of the catalogue",
     ]
@@ -36,7 +36,7 @@ def test_pictures_and_texts_that_are_missing_are_named(study: StudyFolder, ask: 
     [
         (
             "Read this. " * 300,
-            "page 'consent': its text takes 2.5 screens, allowed is one; shorten it",
+            "page 'consent': its text must fit on one screen, got 2.5 screens; shorten it",
         ),
         ("w" * 120, f"page 'consent': got '{'w' * 120}', which fits on no line; break it"),
     ],
@@ -58,8 +58,8 @@ def test_questions_and_labels_that_are_too_long_are_named(study: StudyFolder) ->
     study.settings.write_text(f'{text}[session]\nlanguage = "own.toml"\n', encoding="utf-8")
     problems = check_study(study)[1]
     assert len(problems) == 2
-    assert "its question takes" in problems[0]
-    assert "its longer label takes" in problems[1]
+    assert "its question must take at most" in problems[0]
+    assert "its longer label must" in problems[1]
 
 
 def test_gaps_in_texts_are_all_named(study: StudyFolder, ask: list[str]) -> None:

@@ -20,7 +20,7 @@ from feel321.stimuli.match import METRICS, spectral_match
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.synthesis import make_scene
 from feel321.stimuli.wav import read_wav, write_wav
-from feel321.study import cli, commands
+from feel321.study import cli
 from feel321.study.cli import main
 from feel321.study.commands import shared
 from feel321.study.folder import read_template
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     Capture = pytest.CaptureFixture[str]
 
-VERBS = commands.__all__
+VERBS = sorted(verb for verbs in cli.VERBS.values() for verb in verbs)
 
 
 @pytest.fixture
@@ -54,7 +54,9 @@ def test_every_verb_explains_itself_with_an_example(verb: str, capsys: Capture) 
 def test_help_lists_every_verb_and_version_answers(capsys: Capture) -> None:
     assert main(["--help"]) == 0
     listed = re.findall(r"^  (\w+)  ", capsys.readouterr().out, flags=re.MULTILINE)
-    assert listed == sorted(VERBS)
+    assert listed == VERBS
+    assert main(["--help"]) == 0
+    assert "..." not in capsys.readouterr().out.partition("Commands:")[2]
     assert main(["--version"]) == 0
     assert re.fullmatch(r"feel321, version \d+\.\d+\.\d+\S*\n", capsys.readouterr().out)
 
@@ -68,14 +70,14 @@ def test_help_lists_every_verb_and_version_answers(capsys: Capture) -> None:
         (["build", "--wrokers", "2"], "No such option '--wrokers'. Did you mean"),
         (["build", "--workers", "0"], "Invalid value for '--workers': 0 is not in the range x>=1"),
         (["simulate", "--participants", "10001"], "10001 is not in the range 1<=x<=10000"),
-        (["analyze", "--manifest", "m.csv"], "--manifest: got it without --ratings; give both"),
+        (["analyze", "--manifest", "m.csv"], "--manifest needs --ratings; give both"),
         (
             ["reduce", "{recording}", "--reducer", "dft", "-o", "a.wav"],
-            f"got 'dft', allowed: {', '.join(REDUCERS)}",
+            f"reducer must be one of {', '.join(REDUCERS)}; got 'dft'",
         ),
         (
             ["reduce", "{recording}", "--reducer", "sax321", "-o", "a.wav", "--window-ms", "20"],
-            "--window-ms: sax321 has no window, allowed with: pca321_adaptive, dft321_windowed, "
+            "--window-ms: sax321 has no window; those with one: pca321_adaptive, dft321_windowed, "
             "dft321_principal_windowed",
         ),
         (
@@ -89,7 +91,7 @@ def test_help_lists_every_verb_and_version_answers(capsys: Capture) -> None:
                 "--window-ms",
                 "0",
             ],
-            "--window-ms: got 0, allowed is a finite time above 0 ms; see: feel321 reduce --help",
+            "--window-ms must be a finite time above 0 ms, got 0; see: feel321 reduce --help",
         ),
     ],
 )
@@ -109,12 +111,12 @@ def test_verbs_on_a_folder_that_is_no_study_say_so(
     verb: str, tmp_path: Path, capsys: Capture
 ) -> None:
     assert main([verb, str(tmp_path)]) == 1
-    message = f"feel321: {tmp_path}: got a folder without study.toml; name a study, or begin one with: feel321 new"
+    message = f"feel321: no study.toml in {tmp_path}; name a study, or begin one with: feel321 new"
     assert capsys.readouterr().err.startswith(message)
 
 
 def test_the_hidden_switch_shows_where_an_error_comes_from(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match="got a folder without"):
+    with pytest.raises(FileNotFoundError, match=r"no study\.toml in"):
         main(["--traceback", "status", str(tmp_path)])
 
 
@@ -204,7 +206,7 @@ def test_reduce_overwrites_only_when_told(recording: Path, tmp_path: Path, capsy
     output.write_bytes(b"mine")
     arguments = ["reduce", str(recording), "--reducer", "sax321", "-o", str(output)]
     assert main(arguments) == 1
-    assert "out.wav: is there already; name another file or add --force" in capsys.readouterr().err
+    assert "out.wav: already exists; name another file or add --force" in capsys.readouterr().err
     assert output.read_bytes() == b"mine"
     assert main([*arguments, "--force"]) == 0
     assert len(read_wav(output)[0]) == 5000
@@ -225,7 +227,7 @@ def test_reduce_writes_nothing_but_wav(
         "--force",
     ]
     assert main(arguments) == 2
-    assert "allowed is a name that ends in .wav; give it that ending" in capsys.readouterr().err
+    assert "give it that ending" in capsys.readouterr().err
     assert recording.read_bytes() == before
     assert [path.name for path in tmp_path.iterdir()] == ["bumps.csv"]
 
@@ -331,11 +333,11 @@ def test_match_compares_like_with_like_or_says_why_not(
     )
     facts = json.loads(sidecar.read_text(encoding="utf-8"))
     for change, code, message in (
-        ({"conditioning": {"speed": 3}}, 1, "feel321: o.json: no conditioning ("),
+        ({"conditioning": {"speed": 3}}, 1, "feel321: o.json: invalid conditioning ("),
         (
             {"conditioning": {"high_pass_hz": -1}},
             1,
-            "feel321: o.json: no conditioning (high_pass_hz must be",
+            "feel321: o.json: invalid conditioning (high_pass_hz must be",
         ),
         (
             {"recording_sha256": "0"},
@@ -384,7 +386,7 @@ def test_a_recording_that_cannot_be_conditioned_can_still_be_taken_raw(
     ]
     assert main(arguments) == 1
     told = "feel321: slow: highpass must be below the Nyquist frequency of 15 Hz, got 20.0 Hz"
-    assert capsys.readouterr().err.endswith(f"{told}; or take it as it was measured, with --raw\n")
+    assert capsys.readouterr().err.endswith(f"{told}; or use it as it was measured, with --raw\n")
     assert main([*arguments, "--raw"]) == 0
     assert (
         "spectral match none: the recording is too short, or its rate too low"
@@ -446,7 +448,7 @@ def test_an_error_of_the_system_names_the_file(tmp_path: Path, capsys: Capture) 
             10000,
             "got 4999 samples, bumps has 5000; both must cover the same samples, nothing is cut",
         ),
-        (np.ones((3, 5000)), 10000, "got 3 channels, a reduced signal has 1; reduce it first"),
+        (np.ones((3, 5000)), 10000, "a reduced signal has 1 channel, got 3; reduce it first"),
         (np.ones(5000), 8000, "got 8000 Hz, bumps has 10000 Hz; both must have one rate"),
     ],
 )
@@ -576,7 +578,7 @@ def test_an_empty_name_is_not_this_folder(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["new", ""]) == 2
-    assert "got an empty name, allowed is that of a file or folder" in capsys.readouterr().err
+    assert "a name must not be empty" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 
@@ -585,10 +587,10 @@ def test_a_study_that_is_not_there_or_a_file_is_told_from_a_folder(
 ) -> None:
     nowhere = study.path / "no where"
     assert main(["check", str(nowhere)]) == 1
-    message = f"{nowhere}: there is no such folder; begin a study with: feel321 new '{nowhere}'"
+    message = f"{nowhere}: no such folder; begin a study with: feel321 new '{nowhere}'"
     assert capsys.readouterr().err == f"feel321: {message}\n"
     assert main(["analyze", str(study.settings)]) == 1
-    message = f"{study.settings}: got a file, allowed is a study's folder; try {study.path}"
+    message = f"{study.settings}: a study must be a folder, got a file; try {study.path}"
     assert capsys.readouterr().err == f"feel321: {message}\n"
 
 
@@ -651,7 +653,8 @@ def test_demo_adds_nobody_to_a_study_in_which_people_took_part(
     assert main(["demo", "--dir", str(tmp_path / "oak")]) == 1
     assert capsys.readouterr() == (
         "",
-        f"feel321: {tmp_path}/oak: got p07, who is no simulated participant; name another folder with --dir\n",
+        f"feel321: {tmp_path}/oak: holds a session of p07, who is no simulated participant; "
+        "name another folder with --dir\n",
     )
     assert sorted(tmp_path.rglob("*")) == before
 
@@ -673,7 +676,7 @@ def test_ctrl_c_is_one_line_and_exit_130(
     assert main(["build", str(study.path)]) == 130
     assert (
         capsys.readouterr().err
-        == "feel321: interrupted; what is done is kept, the same command goes on\n"
+        == "feel321: interrupted; what is done is kept, the same command continues\n"
     )
 
 

@@ -104,11 +104,11 @@ def test_every_unreadable_recording_is_named_at_once(study: Path, tmp_path: Path
 
 def test_a_folder_without_recordings_is_refused(tmp_path: Path) -> None:
     with pytest.raises(
-        FileNotFoundError, match="got a folder without recordings, allowed are files ending in"
+        FileNotFoundError, match="no recordings in this folder; name another, or files ending in"
     ):
         gather_recordings(tmp_path, extra=[tmp_path])
 
 
 def test_without_a_study_something_else_must_be_named(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match=r"got a folder without study\.toml"):
+    with pytest.raises(FileNotFoundError, match=r"no study\.toml in"):
         gather_recordings(tmp_path)

@@ -177,7 +177,10 @@ def test_ctrl_c_is_answered_in_one_line_and_the_simulation_goes_on(
     uninterrupted: StudyFolder, tmp_path: Path
 ) -> None:
     study, ended = stop_in_time(uninterrupted, tmp_path, n_bytes=20_000, sent=signal.SIGINT)
-    assert ended == (130, "feel321: interrupted; what is done is kept, the same command goes on\n")
+    assert ended == (
+        130,
+        "feel321: interrupted; what is done is kept, the same command continues\n",
+    )
     assert audit_study(study) == []
     assert run("simulate", study.path, "--participants", 3).returncode == 0
     assert study.ratings.read_bytes() == uninterrupted.ratings.read_bytes()

@@ -179,7 +179,8 @@ def test_who_stops_is_told_how_to_go_on(
 ) -> None:
     present(pages={"rest": [Abort(9.0, "tired")]})
     assert main(["run", str(ready.path), "--participant", "p01", "--windowed"]) == 1
-    line = f"p01: 1 of {TOTAL} done (aborted: tired); go on with: feel321 run {ready.path} --participant p01 --windowed"
+    line = f"p01: 1 of {TOTAL} done (aborted: tired); resume with: "
+    line += f"feel321 run {ready.path} --participant p01 --windowed"
     assert capsys.readouterr().err == f"{line}\n"
 
 
@@ -192,16 +193,16 @@ def test_the_command_that_goes_on_has_every_option(
         "p01",
         "--device",
         "file",
-        "--seed",
-        "3",
         "--rehearse",
         "--simulate-participant",
+        "--seed",
+        "0",
     ]
     assert main(["run", str(ready.path), *options]) == 130
     told, interrupted = capsys.readouterr().err.splitlines()
     command = f"feel321 run {ready.path} {' '.join(options)}"
-    assert told == f"p01: 1 of {TOTAL} done (aborted: KeyboardInterrupt); go on with: {command}"
-    assert interrupted == "feel321: interrupted; what is done is kept, the same command goes on"
+    assert told == f"p01: 1 of {TOTAL} done (aborted: KeyboardInterrupt); resume with: {command}"
+    assert interrupted == "feel321: interrupted; what is done is kept, the same command continues"
     assert read_status(ready).participants == ()
     assert read_status(replace(ready, is_rehearsal=True)).participants[0].done == 1
 
@@ -291,7 +292,7 @@ def test_new_keeps_a_rig_that_is_there(tmp_path: Path) -> None:
 
 def test_people_have_no_seed(ready: StudyFolder, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", str(ready.path), "--participant", "p01", "--seed", "1"]) == 2
-    assert "--seed: got it without --simulate-participant" in capsys.readouterr().err
+    assert "--seed needs --simulate-participant" in capsys.readouterr().err
 
 
 def test_a_hand_without_a_screen_is_one_line() -> None:

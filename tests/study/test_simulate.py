@@ -271,5 +271,5 @@ def test_check_reports_mistakes_in_the_settings_alone(copy: StudyFolder) -> None
 
 def test_nothing_can_be_analysed_before_anybody_rated(copy: StudyFolder) -> None:
     shutil.rmtree(copy.sessions)
-    with pytest.raises(ValueError, match="holds no ratings yet; run sessions first"):
+    with pytest.raises(ValueError, match="no ratings yet; run sessions first"):
         analyze_study(copy)

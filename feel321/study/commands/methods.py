@@ -5,16 +5,18 @@ from __future__ import annotations
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import wraps
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from feel321.study.commands.shared import (
     FILE,
+    folder_argument,
     json_option,
     print_json,
+    print_results,
     report_warnings,
+    seed_option,
     show_progress,
     warn,
 )
@@ -22,6 +24,7 @@ from feel321.study.folder import StudyFolder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+    from pathlib import Path
 
     from feel321.analysis.tradeoff.advise.scene import Rated
     from feel321.stimuli.recording import Recording
@@ -29,12 +32,10 @@ if TYPE_CHECKING:
     Verb = Callable[..., None]
     Ratings = dict[str, dict[str, Rated]]
 
-# What the verbs about methods (chart, stress, advise) share: which recordings, where to, which seed.
-
 
 @dataclass(frozen=True, slots=True)
-class Task:
-    """What a verb about methods was asked to do."""
+class Comparison:
+    """What reducers are to be compared on, and where the results go."""
 
     study: StudyFolder
     scenes: bool
@@ -42,35 +43,29 @@ class Task:
     output: Path
     seed: int
 
-    def gather(self) -> tuple[Recording, ...]:
-        """Gather what is asked for, conditioned, and report what is odd about it."""
-        recordings = self._gather(conditioned=True)
-        report_warnings(recordings)
-        return recordings
-
-    def gather_raw(self) -> dict[str, Recording]:
-        """Gather the same as it came from the sensor."""
-        return {recording.name: recording for recording in self._gather(conditioned=False)}
-
-    def _gather(self, *, conditioned: bool) -> tuple[Recording, ...]:
+    def gather(self, *, conditioned: bool = True) -> tuple[Recording, ...]:
+        """Gather the recordings, conditioned or as they came from the sensor."""
         from feel321.study.analyze import gather_recordings
 
-        return gather_recordings(
+        recordings = gather_recordings(
             self.study.path, scenes=self.scenes, extra=self.extra, conditioned=conditioned
         )
+        if conditioned:
+            report_warnings(recordings)
+        return recordings
 
 
-def method_options(output: str) -> Callable[[Verb], Verb]:
+def comparison_options(output: str) -> Callable[[Verb], Verb]:
     """Give a verb STUDY and the options that say which recordings; it receives `task` and `as_json`."""
 
     def give(verb: Verb) -> Verb:
-        @click.argument("folder", metavar="[STUDY]", default=Path(), type=FILE)
+        @folder_argument
         @click.option(
-            "--scenes", is_flag=True, help="The bundled scenes too; then no study is needed."
+            "--scenes", is_flag=True, help="Also use the bundled scenes; no study required."
         )
         @click.option(
             "--recordings", "extra", type=FILE, multiple=True,
-            help="A recording from elsewhere too, or a folder of them; repeatable, and then no study is needed.",
+            help="Also use this recording, or a folder of them; repeatable; no study required.",
         )  # fmt: skip
         @click.option(
             "-o",
@@ -79,11 +74,7 @@ def method_options(output: str) -> Callable[[Verb], Verb]:
             type=FILE,
             help=f"Folder of the results.  [default: STUDY/{output}]",
         )
-        @click.option(
-            "--seed",
-            type=click.IntRange(min=0),
-            help="Of all randomness.  [default: the study's, or 0]",
-        )
+        @seed_option("", default="the study's, or 0")
         @json_option
         @wraps(verb)
         def ask_then_do(
@@ -96,40 +87,29 @@ def method_options(output: str) -> Callable[[Verb], Verb]:
             **own: object,
         ) -> None:
             from feel321.analysis.report.folder import check_target
+            from feel321.study.settings.read import read_settings
 
-            study, output_folder = _find_folder(folder), target or folder / output
+            if not folder.is_dir():
+                raise NotADirectoryError(f"{folder}: a study must be a folder; check the name")
+            study, output_folder = StudyFolder(folder), target or folder / output
             check_target(output_folder)
-            chosen = _find_seed(study) if seed is None else seed
-            verb(task=Task(study, scenes, extra, output_folder, chosen), **own)
+            if seed is None:
+                seed = read_settings(study.settings).study.seed if study.settings.is_file() else 0
+            verb(task=Comparison(study, scenes, extra, output_folder, seed), **own)
 
         return ask_then_do
 
     return give
 
 
-def _find_folder(folder: Path) -> StudyFolder:
-    if not folder.is_dir():
-        raise NotADirectoryError(f"{folder}: got no folder, allowed is a study's; check the name")
-    return StudyFolder(folder)
-
-
-def _find_seed(study: StudyFolder) -> int:
-    from feel321.study.settings.read import read_settings
-
-    return read_settings(study.settings).study.seed if study.settings.is_file() else 0
-
-
-# The verb that sets the speed of every reducer against its accuracy.
-
-
 @click.command(epilog="Example: feel321 chart my-study --scenes")
-@method_options("chart")
+@comparison_options("chart")
 @click.option(
     "--full/--quick",
     help="Whole recordings, 200 orientations, signals up to 10^7 samples; takes many times as long.  [default: quick]",
 )
-def chart(*, task: Task, full: bool, as_json: bool) -> None:
-    """Set the speed of every reducer against its accuracy.
+def chart(*, task: Comparison, full: bool, as_json: bool) -> None:
+    """Plot the speed of every reducer against its accuracy.
 
     Writes a page to explore, figures for print, CSV and JSON. Times are measured on this machine: leave it idle.
     """
@@ -147,43 +127,32 @@ def chart(*, task: Task, full: bool, as_json: bool) -> None:
             progress=progress,
         )
     write_chart(measured, task.output)
-    if as_json:
-        click.echo((task.output / "results.json").read_text(encoding="utf-8"))
-    else:
-        click.echo(task.output / "index.html")
-
-
-# The verb stress: its work is done in analysis/tradeoff/stress.
+    print_results(task.output, as_json=as_json)
 
 
 @click.command(epilog="Example: feel321 stress my-study --scenes")
-@method_options("stress")
-def stress(*, task: Task, as_json: bool) -> None:
-    """Find where methods fail, how badly, and which recordings come near.
+@comparison_options("stress")
+def stress(*, task: Comparison, as_json: bool) -> None:
+    """Find where reducers fail, and which recordings come near.
 
     Every reducer meets a battery of scenes: anti-phase axes, circular motion, clipping, gaps and so on. Each figure
     comes with its limit, each failure with its explanation: index.html, results.json, tables/*.csv, figures/stress.
     """
     from feel321.analysis.tradeoff.stress.run import stress_reducers, write_stress
 
-    recordings, sensor = task.gather(), task.gather_raw()
+    recordings = task.gather()
+    sensor = {recording.name: recording for recording in task.gather(conditioned=False)}
     with show_progress("stress") as progress:
         result = stress_reducers(recordings, sensor=sensor, seed=task.seed, progress=progress)
-    page = write_stress(result, task.output)
+    write_stress(result, task.output)
     for name, lines in result.warnings.items():
         for line in lines:
             warn(f"{name}: {line}")
-    click.echo(
-        (page.parent / "results.json").read_text(encoding="utf-8") if as_json else page,
-        nl=not as_json,
-    )
-
-
-# The verb advise: its work is done in analysis/tradeoff/advise.
+    print_results(task.output, as_json=as_json)
 
 
 @click.command(epilog="Example: feel321 advise my-study --scenes --online --latency-ms 45")
-@method_options("advice")
+@comparison_options("advice")
 @click.option("--online", is_flag=True, help="The reducer runs while the vibration is made.")
 @click.option(
     "--latency-ms",
@@ -205,7 +174,7 @@ def stress(*, task: Task, as_json: bool) -> None:
     type=click.Choice(["any", "recorded"]),
     default="any",
     show_default=True,
-    help="Whether advice must hold however the sensor is mounted, or for the mounting that was recorded.",
+    help="Whether advice must hold however the sensor is mounted, or only as it was mounted.",
 )
 @click.option(
     "--axes",
@@ -215,12 +184,16 @@ def stress(*, task: Task, as_json: bool) -> None:
     help="Axes that the actuator can move, 1 to 3.",
 )
 @click.option(
-    "--tolerance", type=float, help="Weber fraction of energy that nobody feels.  [default: 0.22]"
+    "--tolerance",
+    type=float,
+    help="Largest energy change taken as imperceptible, as a Weber fraction.  [default: 0.22]",
 )
-@click.option("--segment", "segment_s", type=float, help="Advise for segments of so many seconds.")
+@click.option(
+    "--segment", "segment_s", type=float, help="Advise for segments of this duration, in s."
+)
 def advise(  # noqa: PLR0913 - every option has a name of its own
     *,
-    task: Task,
+    task: Comparison,
     as_json: bool,
     online: bool,
     latency_ms: float | None,
@@ -245,7 +218,7 @@ def advise(  # noqa: PLR0913 - every option has a name of its own
         times = {name: value for name, value in given.items() if value is not None}
         context = Context(online=online, axes=axes, tolerance=limits, mounting=mounting, **times)
         segment = None if segment_s is None else check_segment(segment_s)
-    recordings, ratings = task.gather(), _hear(task.study)
+    recordings, ratings = task.gather(), _read_ratings(task.study)
     with show_progress("advise") as progress:
         study = advise_recordings(
             recordings,
@@ -259,11 +232,8 @@ def advise(  # noqa: PLR0913 - every option has a name of its own
     if as_json:
         print_json(content)
         return
-    for advice in study.advices:
-        click.echo(advice.line)
-    for line in filter(None, (study.summary, study.note)):
-        click.echo(line)
-    click.echo(task.output / "index.html")
+    lines = [*(advice.line for advice in study.advices), study.summary, study.note]
+    click.echo("\n".join([*filter(None, lines), str(task.output / "index.html")]))
 
 
 @contextmanager
@@ -275,8 +245,8 @@ def _as_options() -> Iterator[None]:
         raise click.UsageError(f"--{error}") from None
 
 
-def _hear(study: StudyFolder) -> Ratings | None:
-    """Read what people said, if they have said something."""
+def _read_ratings(study: StudyFolder) -> Ratings | None:
+    """Read what the ratings say of each reducer, if there are any."""
     from feel321.analysis.tradeoff.advise.ratings import judge_ratings
     from feel321.study.analyze import find_ratings
     from feel321.study.settings.read import read_settings

@@ -1,23 +1,21 @@
-"""What several verbs share: arguments, progress, output, the clock."""
+"""What several verbs share: arguments, options, progress and output."""
 
 from __future__ import annotations
 
 import json
 import sys
-from contextlib import contextmanager
-from datetime import UTC, datetime
 from functools import wraps
-from math import isfinite
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING
 
 import click
 
-from feel321.study.folder import StudyFolder, require_study
+from feel321.study.folder import require_study
+from feel321.study.study import Study
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterable
+    from contextlib import AbstractContextManager
     from os import PathLike
 
     from feel321.stimuli.recording import Recording
@@ -25,48 +23,52 @@ if TYPE_CHECKING:
     Verb = Callable[..., None]
 
 
-class _Place(click.Path):
+class _GivenPath(click.Path):
     """A path that was given: the empty name would be the working directory."""
 
     def convert(
         self, value: str | PathLike[str], param: click.Parameter | None, ctx: click.Context | None
     ) -> str | bytes | PathLike[str]:
         if value == "":
-            self.fail(
-                "got an empty name, allowed is that of a file or folder ('.' is this one)",
-                param,
-                ctx,
-            )
+            self.fail("a name must not be empty; '.' is the current folder", param, ctx)
         return super().convert(value, param, ctx)
 
 
-FILE = _Place(path_type=Path)
+FILE = _GivenPath(path_type=Path)
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print figures as JSON.")
+folder_argument = click.argument("folder", metavar="[STUDY]", default=Path(), type=FILE)
+participant_option = click.option(
+    "--participant", metavar="ID", required=True, help="The participant's code."
+)
+rehearsals_option = click.option(
+    "--rehearsals", is_flag=True, help="Those of run --rehearse instead."
+)
+
+
+def seed_option(of: str, default: str = "the study's") -> Callable[[Verb], Verb]:
+    """Give a verb a random seed."""
+    text = f"Random seed{of}.  [default: {default}]"
+    return click.option("--seed", type=click.IntRange(min=0), help=text)
 
 
 def study_argument(verb: Verb) -> Verb:
-    """Give a verb the argument STUDY; it receives `study`, a StudyFolder that is there."""
+    """Give a verb the argument STUDY; it receives `study`, a Study that is there."""
 
-    def find(_context: click.Context, _parameter: click.Parameter, value: Path) -> StudyFolder:
-        return find_study(value)
+    def find(_context: click.Context, _parameter: click.Parameter, value: Path) -> Study:
+        return Study(require_study(value), is_terminal(), warn=warn)
 
     return click.argument("study", metavar="[STUDY]", default=Path(), type=FILE, callback=find)(
         verb
     )
 
 
-def find_study(path: Path) -> StudyFolder:
-    """Find the study that a user means, or say what the name stands for instead."""
-    if not path.exists():
-        raise FileNotFoundError(
-            f"{path}: there is no such folder; begin a study with: feel321 new {quote(str(path))}"
-        )
-    if not path.is_dir():
-        raise NotADirectoryError(
-            f"{path}: got a file, allowed is a study's folder; try {quote(str(path.parent))}"
-        )
-    return require_study(path)
+def _split_columns(
+    _context: click.Context, _parameter: click.Parameter, text: str | None
+) -> list[str | int] | None:
+    if text is None:
+        return None
+    return [int(name) if name.strip().isdigit() else name for name in text.split(",")]
 
 
 def recording_argument(verb: Verb) -> Verb:
@@ -80,17 +82,21 @@ def recording_argument(verb: Verb) -> Verb:
         "--rate-hz", type=float, help="Sampling rate in Hz.  [default: what the file says]"
     )
     @click.option(
-        "--columns", help="Names or numbers (from 0), such as time,x,y,z.  [default: by name]"
+        "--columns",
+        callback=_split_columns,
+        help="Names or numbers (from 0), such as time,x,y,z.  [default: by name]",
     )
     @click.option("--full-scale", type=float, help="Full scale of integer samples, in the unit.")
-    @click.option("--resample", is_flag=True, help="Mend irregular sampling.")
+    @click.option(
+        "--resample", is_flag=True, help="Interpolate irregular sampling to an even rate."
+    )
     @wraps(verb)
     def read_then_do(
         *,
         recording: Path,
         unit: str | None,
         rate_hz: float | None,
-        columns: str | None,
+        columns: list[str | int] | None,
         full_scale: float | None,
         resample: bool,
         **own: object,
@@ -101,9 +107,7 @@ def recording_argument(verb: Verb) -> Verb:
             recording,
             rate_hz=rate_hz,
             unit=unit,
-            columns=None
-            if columns is None
-            else [_name_column(name) for name in columns.split(",")],
+            columns=columns,
             full_scale=full_scale,
             resample=resample,
         )
@@ -113,16 +117,16 @@ def recording_argument(verb: Verb) -> Verb:
     return read_then_do
 
 
-def report_warnings(recordings: Iterable[Recording]) -> None:
-    """Print what was noticed in recordings, one line each, to stderr."""
-    for recording in recordings:
-        for warning in recording.warnings:
-            warn(f"{recording.name}: {warning}")
-
-
 def warn(message: str) -> None:
     """Print a warning to stderr."""
     click.echo(f"feel321: warning: {message}", err=True)
+
+
+def report_warnings(recordings: Iterable[Recording]) -> None:
+    """Print what was noticed in recordings, one line each, to stderr."""
+    for recording in recordings:
+        for text in recording.warnings:
+            warn(f"{recording.name}: {text}")
 
 
 def print_json(entry: object) -> None:
@@ -138,37 +142,24 @@ def dump_json(entry: object) -> str:
     >>> dump_json([1.5, float("nan")]).split()
     ['[', '1.5,', 'null', ']']
     """
-    return json.dumps(_replace_undefined(entry), indent=2, ensure_ascii=False, allow_nan=False)
+    from feel321.records import to_json_value
+
+    return json.dumps(to_json_value(entry), indent=2, ensure_ascii=False, allow_nan=False)
 
 
-@contextmanager
-def show_progress(what: str) -> Iterator[Callable[[int, int], None]]:
+def print_results(folder: Path, *, as_json: bool) -> None:
+    """Print where the page of results is, or all of its numbers."""
+    results = folder / "results.json"
+    click.echo(results.read_text(encoding="utf-8") if as_json else folder / "index.html")
+
+
+def is_terminal() -> bool:
+    """Check whether somebody watches stderr; where it is closed (2>&-), Python has none."""
+    return sys.stderr is not None and sys.stderr.isatty()
+
+
+def show_progress(what: str) -> AbstractContextManager[Callable[[int, int], None]]:
     """Show a progress bar on stderr, if that is a terminal."""
-    from tqdm import tqdm
+    from feel321.doors import follow
 
-    # Where stderr is closed (2>&-), Python has none.
-    hidden = sys.stderr is None or not sys.stderr.isatty()
-    with tqdm(desc=what, file=sys.stderr, disable=hidden, leave=False) as bar:
-
-        def move(done: int, total: int) -> None:
-            bar.total = total
-            bar.update(done - bar.n)
-
-        yield move
-
-
-def now() -> datetime:
-    """Tell the time of day."""
-    return datetime.now(UTC)
-
-
-def _name_column(text: str) -> str | int:
-    return int(text) if text.strip().isdigit() else text
-
-
-def _replace_undefined(entry: object) -> object:
-    if isinstance(entry, dict):
-        return {key: _replace_undefined(value) for key, value in entry.items()}
-    if isinstance(entry, list | tuple):
-        return [_replace_undefined(value) for value in entry]
-    return None if isinstance(entry, float) and not isfinite(entry) else entry
+    return follow(is_terminal(), what)

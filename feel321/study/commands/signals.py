@@ -24,18 +24,18 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    import numpy as np
-    from numpy.typing import NDArray
-
     from feel321.stimuli.condition import Conditioning
     from feel321.stimuli.recording import Recording
-
-    Samples = NDArray[np.float64]
-
-RAW = "Take the recording as it was measured; a study removes the offset and keeps 20 to 1000 Hz."
+    from feel321.types import Samples
 
 RATE_TOLERANCE_HZ = 1.0
 """A WAV header holds whole Hz only; a recording's true rate may lie between."""
+
+raw_option = click.option(
+    "--raw",
+    is_flag=True,
+    help="Use the recording as it was measured; a study removes the offset and keeps 20 to 1000 Hz.",
+)
 
 
 class ReducerName(click.ParamType[str]):
@@ -53,19 +53,17 @@ class ReducerName(click.ParamType[str]):
         self, value: object, param: click.Parameter | None, ctx: click.Context | None
     ) -> str:
         """Check a name."""
+        from feel321.doors import refuse_name
         from feel321.stimuli.reducers.registry import REDUCERS
 
-        name = str(value)
-        if name not in REDUCERS:
-            self.fail(f"got {name!r}, allowed: {', '.join(REDUCERS)}", param, ctx)
-        return name
+        if value not in REDUCERS:
+            self.fail(refuse_name(value, list(REDUCERS), "reducer"), param, ctx)
+        return str(value)
 
 
 def _check_wav(_context: click.Context, _parameter: click.Parameter, path: Path) -> Path:
     if path.suffix.lower() != ".wav":
-        raise click.BadParameter(
-            f"got {str(path)!r}, allowed is a name that ends in .wav; give it that ending"
-        )
+        raise click.BadParameter(f"must end in .wav, got {str(path)!r}; give it that ending")
     return path
 
 
@@ -83,8 +81,8 @@ def _check_wav(_context: click.Context, _parameter: click.Parameter, path: Path)
 @click.option(
     "--window-ms", type=float, help="Window of the reducers that have one.  [default: 35]"
 )
-@click.option("--raw", is_flag=True, help=RAW)
-@click.option("--force", is_flag=True, help="Replace the output if it is there.")
+@raw_option
+@click.option("--force", is_flag=True, help="Replace the output if it exists.")
 @json_option
 def reduce(  # noqa: PLR0913 - one per option
     *,
@@ -103,25 +101,24 @@ def reduce(  # noqa: PLR0913 - one per option
     """
     from feel321.files import write_text
     from feel321.stimuli.condition import Conditioning
+    from feel321.stimuli.version import __version__
     from feel321.stimuli.wav import write_wav
 
     sidecar = output.with_suffix(".json")
-    _spare_source(click.get_current_context().params["recording"], output, sidecar)
-    taken = [str(path) for path in (output, sidecar) if path.exists()]
-    if taken and not force:
-        raise FileExistsError(
-            f"{', '.join(taken)}: is there already; name another file or add --force"
-        )
-    if not output.parent.is_dir():
-        raise FileNotFoundError(f"{output.parent}: there is no such folder; make it first")
-    reduce_it, steps = _choose(reducer, window_ms), None if raw else Conditioning()
+    _check_output(output, sidecar, force=force)
+    reduce_it, steps = _choose_reducer(reducer, window_ms), None if raw else Conditioning()
     conditioned = _condition(recording, steps)
     reduced = reduce_it(conditioned.acceleration, conditioned.rate_hz)
-    facts = (
-        _describe(recording, reducer, window_ms)
-        | _tell_steps(recording, steps)
-        | _match(conditioned, reduced)
-    )
+    facts = {
+        "recording": recording.name,
+        "recording_sha256": recording.sha256,
+        "reducer": reducer,
+        "window_ms": window_ms,
+        "unit": "m/s^2",
+        "version": __version__,
+        **_list_steps(recording, steps),
+        **_match(conditioned, reduced),
+    }
     write_wav(output, reduced, round(recording.rate_hz))
     write_text(sidecar, dump_json(facts) + "\n")
     if as_json:
@@ -136,7 +133,7 @@ def reduce(  # noqa: PLR0913 - one per option
 @click.command(epilog="Example: feel321 match oak.csv oak-dft321.wav --json")
 @recording_argument
 @click.argument("reduced", metavar="REDUCED.wav", type=FILE)
-@click.option("--raw", is_flag=True, help=RAW)
+@raw_option
 @json_option
 def match(*, recording: Recording, reduced: Path, raw: bool, as_json: bool) -> None:
     """Match a reduced WAV file, in m/s^2, against its recording.
@@ -148,45 +145,50 @@ def match(*, recording: Recording, reduced: Path, raw: bool, as_json: bool) -> N
 
     samples, rate_hz = read_wav(reduced)
     _check_pair(recording, samples, rate_hz=rate_hz, name=reduced.name)
-    steps, source = _settle_steps(recording, reduced.with_suffix(".json"), raw=raw)
-    facts = _tell_steps(recording, steps) | {"conditioning_from": source}
+    steps, source = _find_steps(recording, reduced.with_suffix(".json"), raw=raw)
+    facts = _list_steps(recording, steps) | {"conditioning_from": source}
     facts |= _match(_condition(recording, steps), samples)
     if as_json:
         print_json(facts)
     else:
         _print_matches(facts)
     if facts["reasons"]:
-        told = "; ".join(f"{name}: {reason}" for name, reason in facts["reasons"].items())
-        raise ValueError(f"{recording.name}: {told}")
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in facts["reasons"].items())
+        raise ValueError(f"{recording.name}: {reasons}")
 
 
-def _spare_source(source: Path, *targets: Path) -> None:
-    """Refuse to write over a recording or what is read beside it, by whatever name."""
+def _check_output(*targets: Path, force: bool) -> None:
+    """Refuse to write over the recording or what is read beside it, by whatever name, or over other files unasked."""
+    source = click.get_current_context().params["recording"]
     own = [path for path in (source, *map(source.with_suffix, (".json", ".toml"))) if path.exists()]
-    for target in targets:
-        if target.exists() and any(target.samefile(path) for path in own):
+    taken = [target for target in targets if target.exists()]
+    for target in taken:
+        if any(target.samefile(path) for path in own):
             raise click.UsageError(
-                f"--output: got {target}, which belongs to the recording; name another file"
+                f"--output: {target} belongs to the recording; name another file"
             )
+    if taken and not force:
+        names = ", ".join(map(str, taken))
+        raise FileExistsError(f"{names}: already exists; name another file or add --force")
+    if not targets[0].parent.is_dir():
+        raise FileNotFoundError(f"{targets[0].parent}: there is no such folder; make it first")
 
 
-def _choose(name: str, window_ms: float | None) -> Callable[..., Samples]:
+def _choose_reducer(name: str, window_ms: float | None) -> Callable[..., Samples]:
     from feel321.stimuli.reducers.registry import REDUCERS
 
+    chosen: Callable[..., Samples] = REDUCERS[name]
     if window_ms is None:
-        return REDUCERS[name]
+        return chosen
     windowed = [
         other for other, reducer in REDUCERS.items() if "window_s" in signature(reducer).parameters
     ]
     if name not in windowed:
         raise click.UsageError(
-            f"--window-ms: {name} has no window, allowed with: {', '.join(windowed)}"
+            f"--window-ms: {name} has no window; those with one: {', '.join(windowed)}"
         )
     if not 0 < window_ms < math.inf:
-        raise click.UsageError(
-            f"--window-ms: got {window_ms:g}, allowed is a finite time above 0 ms"
-        )
-    chosen: Callable[..., Samples] = REDUCERS[name]
+        raise click.UsageError(f"--window-ms must be a finite time above 0 ms, got {window_ms:g}")
     return partial(chosen, window_s=window_ms / 1000)
 
 
@@ -197,11 +199,11 @@ def _condition(recording: Recording, steps: Conditioning | None) -> Recording:
         return recording if steps is None else condition(recording, steps)
     except ValueError as error:
         raise ValueError(
-            f"{recording.name}: {error}; or take it as it was measured, with --raw"
+            f"{recording.name}: {error}; or use it as it was measured, with --raw"
         ) from None
 
 
-def _tell_steps(recording: Recording, steps: Conditioning | None) -> dict[str, Any]:
+def _list_steps(recording: Recording, steps: Conditioning | None) -> dict[str, Any]:
     from feel321.stimuli.condition import list_steps
 
     if steps is None:
@@ -209,24 +211,22 @@ def _tell_steps(recording: Recording, steps: Conditioning | None) -> dict[str, A
     return {"conditioning": asdict(steps), "steps": list_steps(steps, recording.rate_hz)}
 
 
-def _settle_steps(
+def _find_steps(
     recording: Recording, sidecar: Path, *, raw: bool
 ) -> tuple[Conditioning | None, str]:
     """Find out how the recording was conditioned before it was reduced, and where that is known from."""
     from feel321.stimuli.condition import Conditioning
 
     facts = _read_sidecar(sidecar)
+    if facts is None and raw:
+        return None, "--raw"
     if facts is None:
-        return (
-            (None, "--raw")
-            if raw
-            else (Conditioning(), f"assumed: no {sidecar.name} of reduce beside it")
-        )
+        return Conditioning(), f"assumed: no {sidecar.name} of reduce beside it"
     if facts["recording_sha256"] != recording.sha256:
         warn(f"{sidecar.name}: was written for another recording or file than {recording.name}")
     # None for --raw, and in the files of versions that conditioned nothing.
-    source, told = f"as {sidecar.name} says", facts.get("conditioning")
-    if told is None:
+    source, steps = f"as {sidecar.name} says", facts.get("conditioning")
+    if steps is None:
         return None, source
     if raw:
         raise click.UsageError(
@@ -234,10 +234,10 @@ def _settle_steps(
             "reduce the recording again with --raw"
         )
     try:
-        return Conditioning(**told), source
+        return Conditioning(**steps), source
     except (TypeError, ValueError) as error:
         raise ValueError(
-            f"{sidecar.name}: no conditioning ({error}); reduce the recording again"
+            f"{sidecar.name}: invalid conditioning ({error}); reduce the recording again"
         ) from None
 
 
@@ -259,7 +259,7 @@ def _read_sidecar(path: Path) -> dict[str, Any] | None:
 def _check_pair(recording: Recording, samples: Samples, *, rate_hz: int, name: str) -> None:
     if samples.ndim != 1:
         raise ValueError(
-            f"{name}: got {len(samples)} channels, a reduced signal has 1; reduce it first"
+            f"{name}: a reduced signal has 1 channel, got {len(samples)}; reduce it first"
         )
     if len(samples) != recording.n_samples:
         raise ValueError(
@@ -272,19 +272,6 @@ def _check_pair(recording: Recording, samples: Samples, *, rate_hz: int, name: s
         )
 
 
-def _describe(recording: Recording, reducer: str, window_ms: float | None) -> dict[str, Any]:
-    from feel321.stimuli.version import __version__
-
-    return {
-        "recording": recording.name,
-        "recording_sha256": recording.sha256,
-        "reducer": reducer,
-        "window_ms": window_ms,
-        "unit": "m/s^2",
-        "version": __version__,
-    }
-
-
 def _match(recording: Recording, samples: Samples) -> dict[str, Any]:
     from feel321.stimuli.match import spectral_match_details, temporal_match_details
 
@@ -292,9 +279,9 @@ def _match(recording: Recording, samples: Samples) -> dict[str, Any]:
     details = asdict(spectral_match_details(conditioned, samples, rate_hz))
     spectral = {name: value for name, value in details.items() if isinstance(value, float | int)}
     temporal = asdict(temporal_match_details(conditioned, samples))
-    told = {"spectral_match": details["reason"], "temporal_match": temporal.pop("reason")}
+    reasons = {"spectral_match": details["reason"], "temporal_match": temporal.pop("reason")}
     if math.isnan(spectral["bounded"]):
-        told["spectral_match_bounded"] = told["spectral_match"]
+        reasons["spectral_match_bounded"] = reasons["spectral_match"]
     return {
         "spectral_match": spectral.pop("value"),
         "temporal_match": temporal.pop("value"),
@@ -303,16 +290,16 @@ def _match(recording: Recording, samples: Samples) -> dict[str, Any]:
         "n_samples": recording.n_samples,
         **spectral,
         **temporal,
-        "reasons": {name: reason for name, reason in told.items() if reason},
+        "reasons": {name: reason for name, reason in reasons.items() if reason},
     }
 
 
 def _print_matches(facts: dict[str, Any]) -> None:
     from feel321.stimuli.match import METRICS
 
-    told = ", ".join(facts["steps"]) or "none, as it was measured"
+    steps = ", ".join(facts["steps"]) or "none, as it was measured"
     source = f" ({facts['conditioning_from']})" if "conditioning_from" in facts else ""
-    click.echo(f"conditioning of the recording: {told}{source}")
+    click.echo(f"conditioning of the recording: {steps}{source}")
     compared = (
         f"{facts['n_frequencies']} frequencies, {facts['lowest_hz']:.1f} to {facts['highest_hz']:.1f} Hz, "
         f"{facts['n_left_out']} left out"

@@ -12,24 +12,24 @@ import click
 
 from feel321.study.commands.shared import (
     FILE,
-    find_study,
+    folder_argument,
+    is_terminal,
     json_option,
-    now,
+    participant_option,
     print_json,
+    print_results,
+    rehearsals_option,
     report_warnings,
+    seed_option,
     show_progress,
     study_argument,
     warn,
 )
 from feel321.study.folder import StudyFolder, create_study, list_bundled, read_template
+from feel321.study.study import Study
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from feel321.study.settings.schema import AnalysisTable
     from feel321.study.status import Progress
-
-# Verbs that begin, check and build a study, and the demonstration.
 
 DEMO_PARTICIPANTS = 16
 
@@ -40,8 +40,8 @@ DEMO_PARTICIPANTS = 16
     "--study", "bundled", type=click.Choice(list_bundled()), help="A published study to run again."
 )
 def new(folder: Path, *, bundled: str | None) -> None:
-    """Begin a study: a commented study.toml that works as it is."""
-    study = create_study(folder, bundled=bundled)
+    """Begin a study: a commented study.toml, ready to use."""
+    study = Study.create(folder, like=bundled).folder
     click.echo(f"{study.settings}: edit it, then: feel321 check {quote(str(folder))}")
 
 
@@ -49,30 +49,27 @@ def new(folder: Path, *, bundled: str | None) -> None:
 @study_argument
 @json_option
 @click.pass_context
-def check(context: click.Context, *, study: StudyFolder, as_json: bool) -> None:
-    """Check settings, recordings, strength of the stimuli, rig and stimulus set, all at once."""
-    from feel321.study.workflow import check_study, find_warnings
+def check(context: click.Context, *, study: Study, as_json: bool) -> None:
+    """Check everything that a study needs.
 
-    with show_progress("check") as progress:
-        recordings, problems, strength = check_study(study, progress=progress)
-    report_warnings(recordings)
-    warnings = [*strength.warnings, *([] if problems else find_warnings(study))]
-    for warning in warnings:
-        warn(warning)
+    Settings, recordings, strength of the stimuli, rig and stimulus set: every problem is listed at once.
+    """
+    found = study.check()
+    for text in (*found.remarks, *found.warnings):
+        warn(text)
     if as_json:
         print_json({
-            "problems": problems,
-            "warnings": warnings,
-            "notes": strength.notes,
-            **strength.figures,
+            "problems": found.problems,
+            "warnings": found.warnings,
+            "notes": found.notes,
+            **found.figures,
         })
     else:
-        count = len(warnings) + sum(len(recording.warnings) for recording in recordings)
-        good = f"{study.path}: no problems" + (
-            f", {count} warning{'s' * (count > 1)}" if count else ""
-        )
-        click.echo("\n".join([*(problems or [good]), *strength.notes]))
-    context.exit(1 if problems else 0)
+        count = len(found.warnings) + len(found.remarks)
+        counted = f", {count} warning{'s' * (count > 1)}" if count else ""
+        good = f"{study.folder.path}: no problems{counted}"
+        click.echo("\n".join([*(found.problems or [good]), *found.notes]))
+    context.exit(1 if found.problems else 0)
 
 
 @click.command(epilog="Example: feel321 build my-study --workers 2")
@@ -85,26 +82,21 @@ def check(context: click.Context, *, study: StudyFolder, as_json: bool) -> None:
     help="Number of processes.",
 )
 @json_option
-def build(*, study: StudyFolder, workers: int, as_json: bool) -> None:
+def build(*, study: Study, workers: int, as_json: bool) -> None:
     """Build the stimulus set; only what changed is made again."""
     from feel321.study.strength import describe_built
     from feel321.study.workflow import build_study
 
     with show_progress("build") as progress:
-        recordings, stimuli = build_study(study, workers=workers, progress=progress)
+        recordings, stimuli = build_study(study.folder, workers=workers, progress=progress)
     report_warnings(recordings)
     notes = describe_built(study.settings, recordings, stimuli)
-    summary = {
-        "stimuli": len(stimuli.stimuli),
-        "folder": str(stimuli.folder),
-        "sha256": stimuli.sha256,
-    }
+    count, sha256 = len(stimuli.stimuli), stimuli.sha256
     if as_json:
-        print_json({**summary, "notes": notes})
+        folder = str(stimuli.folder)
+        print_json({"stimuli": count, "folder": folder, "sha256": sha256, "notes": notes})
     else:
-        click.echo(f"{stimuli.folder}: {len(stimuli.stimuli)} stimuli, set {stimuli.sha256[:12]}")
-        for note in notes:
-            click.echo(note)
+        click.echo("\n".join([f"{stimuli.folder}: {count} stimuli, set {sha256[:12]}", *notes]))
 
 
 @click.command(epilog="Example: feel321 demo --dir demo-study")
@@ -114,27 +106,37 @@ def build(*, study: StudyFolder, workers: int, as_json: bool) -> None:
     type=FILE,
     default=Path("demo-study"),
     show_default=True,
-    help="Where it goes.",
+    help="Folder of the study.",
 )
 def demo(folder: Path) -> None:
-    """Run the whole chain with simulated participants."""
-    from feel321.study.analyze import analyze_study
-    from feel321.study.workflow import build_study, simulate_study
-
-    study = _open_demo(folder)
-    with show_progress("build") as progress:
-        _, stimuli = build_study(study, progress=progress)
+    """Run a whole study with simulated participants."""
+    study = Study(_open_demo(folder), is_terminal(), warn=warn)
+    stimuli = study.build()
     click.echo(f"{stimuli.folder}: {len(stimuli.stimuli)} stimuli")
+    rows = _simulate(study, DEMO_PARTICIPANTS)
+    click.echo(
+        f"{study.folder.ratings}: {rows} ratings of {DEMO_PARTICIPANTS} simulated participants"
+    )
+    study.analyze()
+    print_results(study.folder.report, as_json=False)
+
+
+def _simulate(study: Study, participants: int, seed: int | None = None) -> int:
+    from feel321.study.workflow import simulate_study  # no pandas: a table of ratings is not wanted
+
     with show_progress("simulate") as progress:
-        rows = simulate_study(
-            study, participants=DEMO_PARTICIPANTS, seed=None, now=now, progress=progress, warn=warn
+        return simulate_study(
+            study.folder,
+            participants=participants,
+            seed=seed,
+            now=study.now,
+            progress=progress,
+            warn=warn,
         )
-    click.echo(f"{study.ratings}: {rows} ratings of {DEMO_PARTICIPANTS} simulated participants")
-    click.echo(analyze_study(study) / "index.html")
 
 
 def _open_demo(folder: Path) -> StudyFolder:
-    """Begin the demonstration, or go on with one; anybody else's folder is left alone."""
+    """Begin the demonstration, or resume it; a folder with anything else in it is left alone."""
     from feel321.study.sessions import NUMBERED
 
     study = StudyFolder(folder)
@@ -148,8 +150,10 @@ def _open_demo(folder: Path) -> StudyFolder:
             f"{folder}: holds files that demo did not write; name another folder with --dir"
         )
     if people := [entry.name for entry in study.participants if not NUMBERED.fullmatch(entry.name)]:
-        told = f"{folder}: got {people[0]}, who is no simulated participant; name another folder with --dir"
-        raise FileExistsError(told)
+        raise FileExistsError(
+            f"{folder}: holds a session of {people[0]}, who is no simulated participant; "
+            "name another folder with --dir"
+        )
     return study
 
 
@@ -163,57 +167,39 @@ def _open_demo(folder: Path) -> StudyFolder:
     type=click.IntRange(1, 10_000),
     default=16,
     show_default=True,
-    help="How many take part.",
+    help="Number of simulated participants.",
 )
-@click.option(
-    "--seed", type=click.IntRange(min=0), help="Seed of the participants.  [default: the study's]"
-)
+@seed_option(" of the participants")
 @json_option
-def simulate(*, study: StudyFolder, participants: int, seed: int | None, as_json: bool) -> None:
+def simulate(*, study: Study, participants: int, seed: int | None, as_json: bool) -> None:
     """Run sessions with simulated participants, or resume them."""
-    from feel321.stimuli.sets.manifest import read_stimuli
     from feel321.study.sessions import find_planted
-    from feel321.study.settings.read import read_settings
-    from feel321.study.workflow import simulate_study
 
-    with show_progress("simulate") as progress:
-        rows = simulate_study(
-            study, participants=participants, seed=seed, now=now, progress=progress, warn=warn
-        )
-    planted = find_planted(read_settings(study.settings), read_stimuli(study.stimuli))
+    rows = _simulate(study, participants, seed)
+    planted = find_planted(study.settings, study.stimuli())
+    file = str(study.folder.ratings)
     if as_json:
-        facts = {
-            "participants": participants,
-            "ratings": rows,
-            "file": str(study.ratings),
-            "planted": planted,
-        }
+        facts = {"participants": participants, "ratings": rows, "file": file, "planted": planted}
         print_json(facts)
-    else:
-        click.echo(f"{study.ratings}: {rows} ratings")
-        told = ", ".join(f"{slope:.2f} per +0.1 of {metric}" for metric, slope in planted.items())
-        click.echo(
-            f"planted in realism, in points: {told}"
-            if planted
-            else "planted: more than the two matches"
-        )
-
-
-_rehearsals_option = click.option(
-    "--rehearsals", is_flag=True, help="Those of run --rehearse instead."
-)
+        return
+    slopes = ", ".join(f"{slope:.2f} per +0.1 of {metric}" for metric, slope in planted.items())
+    click.echo(f"{file}: {rows} ratings")
+    click.echo(
+        f"planted in realism, in points: {slopes}"
+        if planted
+        else "planted: more than the two matches"
+    )
 
 
 @click.command(epilog="Example: feel321 status my-study")
 @study_argument
-@_rehearsals_option
+@rehearsals_option
 @json_option
-def status(*, study: StudyFolder, rehearsals: bool, as_json: bool) -> None:
-    """Show how far every participant has come."""
-    from feel321.study.status import describe_balance, read_status
+def status(*, study: Study, rehearsals: bool, as_json: bool) -> None:
+    """Show the progress of every participant."""
+    from feel321.study.status import describe_balance
 
-    with show_progress("status") as progress:
-        state = read_status(replace(study, is_rehearsal=rehearsals), progress=progress)
+    state = _choose(study, rehearsals=rehearsals).status()
     if as_json:
         print_json(asdict(state))
         return
@@ -223,6 +209,10 @@ def status(*, study: StudyFolder, rehearsals: bool, as_json: bool) -> None:
         for warning in entry.warnings:
             click.echo(f"{'':<14}{warning}")
     click.echo("\n".join(describe_balance(state.balance)))
+
+
+def _choose(study: Study, *, rehearsals: bool) -> Study:
+    return replace(study, folder=replace(study.folder, is_rehearsal=rehearsals))
 
 
 def _describe(entry: Progress) -> str:
@@ -238,91 +228,84 @@ def _describe(entry: Progress) -> str:
 @click.option(
     "--expect",
     metavar="DIGEST",
-    help="The seal that an earlier audit printed; fail if it is another now.",
+    help="The seal that an earlier audit printed; fail if it has changed.",
 )
-@_rehearsals_option
+@rehearsals_option
 @json_option
 @click.pass_context
 def audit(
-    context: click.Context,
-    *,
-    study: StudyFolder,
-    expect: str | None,
-    rehearsals: bool,
-    as_json: bool,
+    context: click.Context, *, study: Study, expect: str | None, rehearsals: bool, as_json: bool
 ) -> None:
-    """Verify plans, journals and stimuli; name every change."""
-    from feel321.study.audit import audit_study, make_seal
-
-    study = replace(study, is_rehearsal=rehearsals)
-    with show_progress("audit") as progress:
-        findings = audit_study(study, progress=progress)
-    seal = make_seal(study)
-    if expect not in {None, seal}:
+    """Verify plans, journals and stimuli; list every change."""
+    study = _choose(study, rehearsals=rehearsals)
+    found = study.audit()
+    path, findings = study.folder.path, list(found.findings)
+    if expect not in {None, found.seal}:
         findings.append(
-            f"{study.path}: got seal {seal}, expected {expect}; something was recorded or changed since"
+            f"{path}: the seal must be {expect}, got {found.seal}; something was recorded or changed since"
         )
     if as_json:
-        print_json({"findings": findings, "seal": seal})
+        print_json({"findings": findings, "seal": found.seal})
     else:
-        count = len(study.journals)
-        click.echo(
-            "\n".join(findings) or f"{study.path}: {count} journals, all as they were written"
-        )
-        click.echo(f"seal: {seal}; keep it elsewhere")
+        good = f"{path}: {len(study.folder.journals)} journals, all as they were written"
+        click.echo("\n".join(findings) or good)
+        click.echo(f"seal: {found.seal}; keep it elsewhere")
     context.exit(1 if findings else 0)
-
-
-# Verbs that look after who takes part.
-
-participant_option = click.option(
-    "--participant", metavar="ID", required=True, help="The participant's code."
-)
 
 
 @click.command(epilog="Example: feel321 withdraw my-study --participant p07 --yes")
 @study_argument
 @participant_option
-@click.option("--reason", default="", help="Why, for the tombstone.")
+@click.option("--reason", default="", help="The reason, for the tombstone.")
 @click.option("--yes", "is_sure", is_flag=True, help="Do not ask.")
 @click.pass_context
 def withdraw(
-    context: click.Context, *, study: StudyFolder, participant: str, reason: str, is_sure: bool
+    context: click.Context, *, study: Study, participant: str, reason: str, is_sure: bool
 ) -> None:
-    """Remove the data of one participant for good; the code stays taken, the slot is free."""
+    """Remove the data of a participant for good.
+
+    The code is not used again; the design slot is free.
+    """
     from feel321.study.ledger.withdrawal import withdraw_participant
 
-    if not is_sure and not _ask(f"Remove all data of {participant} in {study.path} for good?"):
-        click.echo(f"{study.path}: nothing was removed")
+    folder = study.folder
+    if not is_sure and not sys.stdin.isatty():
+        raise click.UsageError("a terminal is needed to ask whether you are sure; else add --yes")
+    question = f"Remove all data of {participant} in {folder.path} for good?"
+    if not is_sure and not click.confirm(question, err=True):
+        click.echo(f"{folder.path}: nothing was removed")
         context.exit(1)
-    removed = withdraw_participant(study, participant, now=now, reason=reason, warn=warn)
+    removed = withdraw_participant(folder, participant, now=study.now, reason=reason, warn=warn)
     click.echo(
-        f"{study.sessions / participant}: removed {len(removed)} files; a tombstone keeps the code"
+        f"{folder.sessions / participant}: removed {len(removed)} files; a tombstone keeps the code"
     )
 
 
 @click.command(epilog="Example: feel321 release my-study --participant p07")
 @study_argument
 @participant_option
-def release(*, study: StudyFolder, participant: str) -> None:
-    """Give up one participant who will not come back: data stay, the next one gets the slot."""
+def release(*, study: Study, participant: str) -> None:
+    """Free the slot of a participant who will not return.
+
+    What was recorded is kept; the next participant gets the design slot.
+    """
     from feel321.study.ledger.withdrawal import release_participant
 
-    number = release_participant(study, participant, now=now)
-    click.echo(f"{study.path}: {participant} is released, number {number} is free")
+    number = release_participant(study.folder, participant, now=study.now)
+    click.echo(f"{study.folder.path}: {participant} is released, number {number} is free")
 
 
 @click.command(epilog="Example: feel321 ledger my-study")
 @study_argument
 @click.option("--rebuild", is_flag=True, help="Make it anew from plans, journals and tombstones.")
 @json_option
-def ledger(*, study: StudyFolder, rebuild: bool, as_json: bool) -> None:
-    """Show who takes part under which number; rebuild the ledger."""
+def ledger(*, study: Study, rebuild: bool, as_json: bool) -> None:
+    """List participants and their design slots."""
     from feel321.study.ledger.slots import read_study_ledger, rebuild_ledger
 
-    for line in rebuild_ledger(study, now=now) if rebuild else []:
+    for line in rebuild_ledger(study.folder, now=study.now) if rebuild else []:
         warn(line)
-    entries = read_study_ledger(study)
+    entries = read_study_ledger(study.folder)
     if as_json:
         print_json([asdict(entry) for entry in entries])
         return
@@ -334,14 +317,6 @@ def ledger(*, study: StudyFolder, rebuild: bool, as_json: bool) -> None:
         )
 
 
-def _ask(question: str) -> bool:
-    if not sys.stdin.isatty():
-        raise click.UsageError("got no terminal to ask on; if it is meant for good, say --yes")
-    return click.confirm(question, err=True)
-
-
-# The verb that sets ratings against metrics.
-
 EXAMPLE = """\b
 Example: feel321 analyze my-study
          feel321 analyze --ratings ratings.csv --manifest manifest.csv --out report
@@ -350,7 +325,7 @@ Example: feel321 analyze my-study
 
 
 @click.command(epilog=EXAMPLE)
-@click.argument("folder", metavar="[STUDY]", default=Path(), type=FILE)
+@folder_argument
 @click.option(
     "--ratings", type=FILE, help="Ratings from elsewhere; with --manifest, no study is needed."
 )
@@ -379,62 +354,20 @@ def analyze(
     and all else that the ratings allow. Writes index.html, results.json (every number of the page; --json prints it),
     tables/ and figures/. Metrics, bootstrap draws and margin of equivalence are declared in study.toml, [analysis].
     """
-    if ratings is None and manifest is None:
-        from feel321.study.analyze import analyze_study
-
-        study = find_study(folder)
-        with show_progress("analyze") as progress:
-            report = analyze_study(study, metrics=metrics or None, out=out, progress=progress)
-    else:
-        report = _analyze_tables(
-            folder, ratings=ratings, manifest=manifest, out=out, metrics=metrics
-        )
-    if as_json:
-        click.echo((report / "results.json").read_text(encoding="utf-8"))
-    else:
-        click.echo(report / "index.html")
-
-
-def _analyze_tables(
-    folder: Path,
-    *,
-    ratings: Path | None,
-    manifest: Path | None,
-    out: Path | None,
-    metrics: Sequence[str],
-) -> Path:
-    from feel321.analysis.report.write import write_report
-
-    if ratings is None:
+    if manifest is not None and ratings is None:
         raise click.UsageError(
-            "--manifest: got it without --ratings; give both, or --ratings alone in a study"
+            "--manifest needs --ratings; give both, or --ratings alone in a study"
         )
-    if manifest is None:
-        manifest = find_study(folder).manifest
-    report = out or folder / "report"
-    chosen, seed, origins = _read_choices(folder)
-    with show_progress("analyze") as progress:
-        write_report(
-            ratings,
-            manifest,
-            report,
-            draws=chosen.draws,
-            margin=chosen.margin,
-            metrics=metrics or chosen.metrics,
-            sources=origins,
-            seed=seed,
-            progress=progress,
-        )
-    return report
-
-
-def _read_choices(folder: Path) -> tuple[AnalysisTable, int, dict[str, str]]:
-    """Read how a study is analysed; tables from elsewhere are analysed with the defaults."""
-    from feel321.study.settings.read import list_origins, read_settings
-    from feel321.study.settings.schema import AnalysisTable
+    from feel321.study.analyze import analyze_study
 
     study = StudyFolder(folder)
-    if not study.settings.is_file():
-        return AnalysisTable(), 0, {}
-    settings = read_settings(study.settings)
-    return settings.analysis, settings.study.seed, list_origins(settings)
+    with show_progress("analyze") as progress:
+        analyze_study(
+            study,
+            ratings=ratings,
+            manifest=manifest,
+            metrics=metrics or None,
+            out=out,
+            progress=progress,
+        )
+    print_results(out or study.report, as_json=as_json)

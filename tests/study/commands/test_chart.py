@@ -112,15 +112,15 @@ def test_ratings_are_derived_from_the_journals_where_there_are_some(study: Path)
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        (["{folder}/nowhere"], 1, "nowhere: got no folder, allowed is a study's; check the name"),
-        (["{folder}"], 1, "got a folder without study.toml"),
+        (["{folder}/nowhere"], 1, "nowhere: a study must be a folder; check the name"),
+        (["{folder}"], 1, "no study.toml in"),
         (
             ["{folder}", "--recordings", "{folder}/nothing.csv"],
             1,
             "nothing.csv: there is no such file",
         ),
         (["{folder}", "--seed", "-1"], 2, "-1 is not in the range x>=0"),
-        (["{folder}", "--recordings", ""], 2, "got an empty name"),
+        (["{folder}", "--recordings", ""], 2, "a name must not be empty"),
     ],
 )
 def test_bad_use_is_one_line(

@@ -28,7 +28,7 @@ HAND = ("--simulate-participant",)
 TOTAL = 8
 """Trials of a session of realism."""
 
-INTERRUPTED = "feel321: interrupted; what is done is kept, the same command goes on"
+INTERRUPTED = "feel321: interrupted; what is done is kept, the same command continues"
 
 STREAM = "pulse"
 """The device of the private PulseAudio as PortAudio lists it."""
@@ -84,8 +84,8 @@ def test_killed_in_the_middle_it_resumes_and_is_analysed(
     assert (code, err) == (0, "")
     assert out.startswith(f"sim001: {done} of {TOTAL} done so far\n")
     check_whole(study)
-    report = analyze_study(study)
-    assert json.loads((report / "results.json").read_text(encoding="utf-8"))
+    analyze_study(study)
+    assert json.loads((study.report / "results.json").read_text(encoding="utf-8"))
     played = [record.data for record in session.records if record.event == "played"]
     assert all(entry["measured"]["n_samples"] == 7200 for entry in played if entry["completed"])
     assert rig.run(study, "sim001", *HAND) == (0, f"sim001: all {TOTAL} done\n", "")

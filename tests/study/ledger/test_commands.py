@@ -109,7 +109,7 @@ def test_a_damaged_ledger_is_one_line(begun: Any, say: Say) -> None:
 def test_withdraw_wants_to_be_meant(begun: Any, say: Say, monkeypatch: pytest.MonkeyPatch) -> None:
     code, _, err = say("withdraw", begun.study.path, "--participant", "p01")
     assert (code, err.count("\n")) == (2, 1)
-    assert "got no terminal to ask on; if it is meant for good, say --yes" in err
+    assert "a terminal is needed to ask whether you are sure; else add --yes" in err
     monkeypatch.setattr(sys.stdin, "isatty", lambda: True)
     for answer, expected in (("n", 1), ("y", 0)):
         monkeypatch.setattr(

@@ -84,7 +84,7 @@ def test_new_offers_the_bundled_studies(tmp_path: Path, capsys: pytest.CaptureFi
 
 def test_an_unknown_study_is_refused_with_the_list_before_anything_is_made(tmp_path: Path) -> None:
     with pytest.raises(
-        ValueError, match=r"^study: got 'park', allowed: landin2010, lee2022, park2019$"
+        ValueError, match=r"^study must be one of landin2010, lee2022, park2019; got 'park'$"
     ):
         create_study(tmp_path / "s", bundled="park")
     assert not (tmp_path / "s").exists()

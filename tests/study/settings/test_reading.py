@@ -471,7 +471,7 @@ def test_a_new_study_is_never_made_over_an_old_one(tmp_path: Path) -> None:
 
 
 def test_a_folder_without_settings_is_no_study(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match=r"got a folder without study\.toml"):
+    with pytest.raises(FileNotFoundError, match=r"no study\.toml in"):
         require_study(tmp_path)
 
 

@@ -1,0 +1,89 @@
+"""Results of checking and auditing a study."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from feel321.records import Result
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from pandas import DataFrame
+
+
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Problems(Result):
+    """What `Study.check` found.
+
+    Parameters
+    ----------
+    problems : tuple of str
+        What stands in the way of the study; empty if nothing does.
+    warnings : tuple of str
+        What is allowed and may not be meant.
+    notes : tuple of str
+        How strongly the stimuli are played.
+    remarks : tuple of str
+        What was noticed in the recordings.
+    figures : dict
+        The numbers behind them.
+    """
+
+    problems: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+    figures: Mapping[str, Any] = field(default_factory=dict)
+
+    def to_frame(self) -> DataFrame:
+        """Return one row per finding.
+
+        Returns
+        -------
+        DataFrame
+            With the columns `kind` and `text`.
+        """
+        return _list_findings(self, "problems", "warnings", "remarks", "notes")
+
+    def __repr__(self) -> str:
+        """Count the findings."""
+        return f"Problems({len(self.problems)} problems, {len(self.warnings)} warnings)"
+
+
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Audit(Result):
+    """What `Study.audit` found.
+
+    Parameters
+    ----------
+    findings : tuple of str
+        Every gap, duplicate and edit; empty if all is as it was written.
+    seal : str
+        Digest of plans, journals and stimuli, to be kept elsewhere.
+    """
+
+    findings: tuple[str, ...]
+    seal: str
+
+    def to_frame(self) -> DataFrame:
+        """Return one row per finding.
+
+        Returns
+        -------
+        DataFrame
+            With the columns `kind` and `text`.
+        """
+        return _list_findings(self, "findings")
+
+    def __repr__(self) -> str:
+        """Count the findings."""
+        return f"Audit({len(self.findings)} findings, seal={self.seal[:12]!r})"
+
+
+def _list_findings(found: Result, *kinds: str) -> DataFrame:
+    import pandas as pd
+
+    rows = [(kind.rstrip("s"), text) for kind in kinds for text in getattr(found, kind)]
+    return pd.DataFrame(rows, columns=["kind", "text"])

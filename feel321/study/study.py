@@ -1,0 +1,212 @@
+"""A study as a scientist works with it: from Python or a notebook, by the same steps as the command line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from feel321.study.contents import Contents
+from feel321.study.folder import create_study, require_study
+
+if TYPE_CHECKING:
+    from typing import Self
+
+    from pandas import DataFrame
+
+    from feel321.analysis.report.folder import Results
+    from feel321.stimuli.sets.manifest import StimulusSet
+    from feel321.study.findings import Audit, Problems
+    from feel321.study.status import Status
+    from feel321.types import PathLike, Progress, Rng
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Study(Contents):
+    """A study in its folder; begin with `Study.create` or `Study.open`.
+
+    Parameters
+    ----------
+    folder : StudyFolder
+        Its places.
+    progress : bool or callable
+        Whether long steps show a progress bar.
+    now : callable
+        The clock.
+    warn : callable, optional
+        Called with each warning; Python's own warnings by default.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from feel321 import study
+    >>> pilot = study.Study.create(tempfile.mkdtemp() + "/pilot")
+    >>> pilot.with_settings({"session.repeats": 2}).settings.session.repeats
+    2
+    >>> len(pilot.recordings())
+    6
+    """
+
+    @classmethod
+    def create(cls, path: PathLike, *, like: str | None = None, progress: Progress = False) -> Self:
+        """Begin a study in a new folder: a commented `study.toml` that works as it is, and a `rig.toml`.
+
+        Parameters
+        ----------
+        path : str or path
+            The folder; refused if it holds a study.
+        like : str, optional
+            A published study to run again: `landin2010`, `lee2022` or `park2019`.
+        progress : bool or callable
+            Whether long steps show a progress bar.
+
+        Returns
+        -------
+        Study
+            The study.
+        """
+        from feel321.doors import as_path
+
+        return cls(create_study(as_path(path), bundled=like), progress)
+
+    @classmethod
+    def open(cls, path: PathLike = ".", *, progress: Progress = False) -> Self:
+        """Open a study that is there.
+
+        Parameters
+        ----------
+        path : str or path
+            The folder that holds `study.toml`.
+        progress : bool or callable
+            Whether long steps show a progress bar.
+
+        Returns
+        -------
+        Study
+            The study.
+        """
+        from feel321.doors import as_path
+
+        return cls(require_study(as_path(path)), progress)
+
+    def check(self) -> Problems:
+        """Check settings, recordings, texts, strength of the stimuli, rig and, once built, the stimulus set.
+
+        Returns
+        -------
+        Problems
+            All that was found, at once.
+        """
+        from feel321.doors import follow
+        from feel321.study.findings import Problems
+        from feel321.study.workflow import check_study, find_warnings
+
+        with follow(self.progress, "check") as step:
+            recordings, problems, strength = check_study(self.folder, progress=step)
+        warnings = [] if problems else find_warnings(self.folder)
+        remarks = tuple(f"{one.name}: {text}" for one in recordings for text in one.warnings)
+        warnings = [*strength.warnings, *warnings]
+        return Problems(
+            tuple(problems), tuple(warnings), tuple(strength.notes), remarks, strength.figures
+        )
+
+    def build(self, workers: int = 1) -> StimulusSet:
+        """Build the stimulus set; only what changed is made again.
+
+        Parameters
+        ----------
+        workers : int
+            Number of processes.
+
+        Returns
+        -------
+        StimulusSet
+            The set.
+        """
+        from feel321.doors import follow
+        from feel321.study.workflow import build_study
+
+        with follow(self.progress, "build") as step:
+            recordings, stimuli = build_study(self.folder, workers=workers, progress=step)
+        for recording in recordings:
+            for text in recording.warnings:
+                self._warn(f"{recording.name}: {text}")
+        return stimuli
+
+    def simulate(self, participants: int = 16, rng: Rng | None = None) -> DataFrame:
+        """Run sessions with simulated participants, or resume them.
+
+        Parameters
+        ----------
+        participants : int
+            How many take part.
+        rng : int or Generator, optional
+            Random seed of the participants; the study's by default.
+
+        Returns
+        -------
+        DataFrame
+            The ratings, as `ratings.csv` holds them.
+        """
+        import pandas as pd
+
+        from feel321.doors import as_seed, follow
+        from feel321.study.workflow import simulate_study
+
+        with follow(self.progress, "simulate") as step:
+            simulate_study(
+                self.folder,
+                participants=participants,
+                seed=None if rng is None else as_seed(rng),
+                now=self.now,
+                progress=step,
+                warn=self._warn,
+            )
+        return pd.read_csv(self.folder.ratings)
+
+    def status(self) -> Status:
+        """Read how far every participant has come, and how balanced the design is so far. Blind.
+
+        Returns
+        -------
+        Status
+            Participants and balance.
+        """
+        from feel321.doors import follow
+        from feel321.study.status import read_status
+
+        with follow(self.progress, "status") as step:
+            return read_status(self.folder, progress=step)
+
+    def audit(self) -> Audit:
+        """Verify plans, journals and stimuli.
+
+        Returns
+        -------
+        Audit
+            Every change, and the seal.
+        """
+        from feel321.doors import follow
+        from feel321.study.audit import audit_study, make_seal
+        from feel321.study.findings import Audit
+
+        with follow(self.progress, "audit") as step:
+            return Audit(tuple(audit_study(self.folder, progress=step)), make_seal(self.folder))
+
+    def analyze(self, draws: int | None = None) -> Results:
+        """Relate the ratings to the match metrics and write the report into `report/`.
+
+        Parameters
+        ----------
+        draws : int, optional
+            Bootstrap draws per interval; as `study.toml` declares by default.
+
+        Returns
+        -------
+        Results
+            Every number of the report, and its answer.
+        """
+        from feel321.doors import follow
+        from feel321.study.analyze import analyze_study
+
+        with follow(self.progress, "analyze") as step:
+            return analyze_study(self.folder, draws=draws, progress=step)

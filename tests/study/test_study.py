@@ -1,0 +1,146 @@
+"""The study as Python shows it: the same steps and the same files as the verbs."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+import pytest
+
+from feel321 import study as face
+from feel321.study import Study
+from feel321.study.cli import main
+from feel321.study.folder import read_template
+from feel321.study.settings.edit import change_settings
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+SHORT = """\
+[study]  # a pilot
+seed = 5
+[[recordings]]
+scene = "bumps"
+duration_s = 0.5
+[[recordings]]
+scene = "hard_taps"
+duration_s = 0.5
+[stimuli]
+reducers = ["sax321", "dft321"]  # few
+[session.rehearsal]
+training = 0
+practice = 0
+"""
+
+
+@pytest.fixture(scope="module")
+def pilot(tmp_path_factory: pytest.TempPathFactory) -> Study:
+    """A small study that two simulated participants finished."""
+    folder: Path = tmp_path_factory.mktemp("pilot")
+    (folder / "study.toml").write_text(SHORT, encoding="utf-8")
+    study = Study.open(str(folder))
+    study.build()
+    assert len(study.simulate(2, 7)) == len(study.ratings())
+    return study
+
+
+def test_a_study_is_created_once_and_opened_by_its_path(tmp_path: Path) -> None:
+    study = Study.create(tmp_path / "a", like="park2019")
+    assert study.settings.study.name == "park2019"
+    assert repr(study) == f"Study.open('{tmp_path / 'a'}')"
+    with pytest.raises(FileExistsError, match="already"):
+        Study.create(tmp_path / "a")
+    with pytest.raises(FileNotFoundError, match=r"no study\.toml in"):
+        Study.open(tmp_path)
+    with pytest.raises(TypeError, match="path must be a path"):
+        Study.open(3)  # type: ignore[arg-type] - that it is refused is the point
+
+
+def test_steps_find_what_the_verbs_find(pilot: Study, capsys: pytest.CaptureFixture[str]) -> None:
+    found, audit, folder = pilot.check(), pilot.audit(), str(pilot.folder.path)
+    assert found.problems == ()
+    assert set(found.to_frame()["kind"]) <= {"warning", "remark", "note"}
+    assert main(["audit", folder]) == 0
+    assert f"seal: {audit.seal};" in capsys.readouterr().out
+    assert audit.findings == ()
+    assert [entry.state for entry in pilot.status().participants] == ["finished"] * 2
+    assert len(pilot.table().rows) == (~pilot.ratings()["rejected"]).sum()
+
+
+def test_plans_are_blind_until_names_are_asked_for(pilot: Study) -> None:
+    coded, named = pilot.plan("sim001"), pilot.plan("sim001", blind=False)
+    ids = {stimulus.stimulus_id for stimulus in pilot.stimuli().stimuli}
+    assert set(named["stimulus_id"]) <= ids
+    assert ids.isdisjoint(coded["stimulus_id"])
+    rated = pilot.journal("sim001").query("event == 'rated'")
+    assert len(rated) == len(coded.query("phase == 'main'")["number"].unique())
+    with pytest.raises(ValueError, match="participant must be one of sim001, sim002; got 'p01'"):
+        pilot.plan("p01")
+
+
+def test_settings_are_changed_in_their_place(tmp_path: Path) -> None:
+    (tmp_path / "study.toml").write_text(SHORT, encoding="utf-8")
+    study = Study.open(tmp_path).with_settings({
+        "study.seed": 6,
+        "stimuli.reducers": ["sax321"],
+        "session.rehearsal.practice": None,
+        "observer.noise_sd": 4.5,
+    })
+    settings = study.settings
+    assert (settings.study.seed, settings.stimuli.reducers) == (6, ("sax321",))
+    assert (settings.session.rehearsal.practice, settings.observer.noise_sd) == (2, 4.5)
+    text = study.folder.settings.read_text(encoding="utf-8")
+    assert "[study]  # a pilot" in text
+    assert 'reducers = ["sax321"]  # few' in text
+    for change, message in (
+        ({"session.order": "latin"}, "study.toml: session.order must be one of williams"),
+        ({"sesion.order": "random"}, "sesion: unknown setting; did you mean session"),
+        ({"recordings.name": "x"}, "settings must have names such as 'session.repeats'"),
+        ({"seed": 1}, "settings must have names such as"),
+    ):
+        with pytest.raises(ValueError, match=re.escape(message)):
+            study.with_settings(change)
+    assert study.folder.settings.read_text(encoding="utf-8") == text
+
+
+def test_every_setting_of_the_template_can_be_changed_and_nothing_else_changes() -> None:
+    text = read_template()
+    for name, value in (
+        ("stimuli.reducers", ["dft321"]),  # several lines
+        ("stimuli.gain", 1.0),  # a comment of several lines
+        ("analysis.margin", 5.0),  # so far a comment
+        ("tasks.similarity.timing", "strict"),  # so far no table
+        ("session.breaks.every_min", "off"),
+        ("study.name", 'a "# b'),
+    ):
+        before, after = text.split("\n"), change_settings(text, {name: value}).split("\n")
+        assert sum(line not in after for line in before) <= 3
+        assert sum(line not in before for line in after) <= 2
+
+
+def test_old_names_are_found_with_a_warning() -> None:
+    with pytest.warns(DeprecationWarning, match=r"create_study is deprecated; use Study\.create"):
+        assert callable(face.create_study)
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        face.nothing  # noqa: B018 - asking is the point
+
+
+def test_metrics_that_are_declared_must_be_in_the_manifest(
+    pilot: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "study.toml").write_text(
+        SHORT + '[analysis]\nmetrics = ["temporal_match", "roughness"]\n', encoding="utf-8"
+    )
+    (tmp_path / "stimuli").symlink_to(pilot.folder.stimuli)
+    (problem,) = Study.open(tmp_path).check().problems
+    assert problem.startswith("study.toml: analysis.metrics must be numeric columns of ")
+    assert "got 'roughness'; there are: " in problem
+    notes: list[str] = []
+    monkeypatch.setattr(
+        "feel321.study.analyze.write_report", lambda *_, further, **__: notes.extend(further.notes)
+    )
+    assert main(["analyze", str(pilot.folder.path), "--metric", "rms_m_s2", "--json"]) == 1
+    assert notes[-1] == (
+        "Metrics rms_m_s2 were asked for with this analysis; study.toml declares "
+        "spectral_match_bounded, temporal_match."
+    )
