@@ -12,9 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from feel321.analysis.arrays import CONFIDENCE
-from feel321.analysis.arrays import FLAT as FLAT  # noqa: PLC0414 - its former place
-from feel321.analysis.arrays import PERFECT as PERFECT  # noqa: PLC0414 - its former place
+from feel321.analysis.arrays import CONFIDENCE, FLAT, PERFECT
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

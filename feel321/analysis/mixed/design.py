@@ -52,7 +52,6 @@ class RandomTerm:
 class Formula:
     """A formula taken apart."""
 
-    text: str
     response: str
     fixed: str
     random: tuple[RandomTerm, ...]
@@ -96,7 +95,7 @@ def parse_formula(text: str) -> Formula:
             "for none, use ordinary regression"
         )
     joined = " ".join(f"{sign} {piece}" for sign, piece in fixed).removeprefix("+ ")
-    return Formula(text, sides[0], joined or "1", tuple(random))
+    return Formula(sides[0], joined or "1", tuple(random))
 
 
 def _split_sum(text: str) -> Iterator[tuple[str, str]]:

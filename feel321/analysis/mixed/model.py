@@ -362,40 +362,27 @@ def report_fit(formula: str, solved: Solved) -> MixedFit:
     """Compute everything about a fit that is for people."""
     import pandas as pd
 
-    quick, design = solved.profile, solved.profile.design
-    penalty = [block.factor.name for block in quick.blocks if quick.penalised[block.theta].any()]
-    profile = Profile(design, reml=quick.reml, penalty=penalty)
-    with hold_threads(profile.n_random):
-        best = profile.evaluate(solved.best.theta)
+    profile, best, design = solved.profile, solved.best, solved.profile.design
+    if isinstance(profile, Balanced):  # which knows no random effects of rows
+        held = [one.factor.name for one in profile.blocks if profile.penalised[one.theta].any()]
+        profile = Profile(design, reml=profile.reml, penalty=held)
+        with hold_threads(profile.n_random):
+            best = profile.evaluate(best.theta)
     coefficients, _ = find_coefficients(profile, best)
-    rows = [
-        asdict(estimate_sum(coefficients, row, solved.uncertainty))
-        for row in np.eye(profile.n_fixed)
-    ]
+    weights = np.eye(profile.n_fixed)
+    rows = [asdict(estimate_sum(coefficients, row, solved.uncertainty)) for row in weights]
     variances, correlations = _tabulate_spreads(profile, best)
     fitted, effects = _predict(profile, best)
     zero = note_zeros(solved)
     marginal, conditional = _explain_variance(profile, best)
     return MixedFit(
-        formula=formula,
-        reml=profile.reml,
-        fixed=pd.DataFrame(rows, index=pd.Index(design.names, name="term")),
-        variances=variances,
-        correlations=correlations,
-        residual_sd=find_sigma(profile, best),
-        criterion=profile.deviance(best),
-        singular=bool(zero),
-        marginal_r2=marginal,
-        conditional_r2=conditional,
-        effects=effects,
-        fitted=fitted,
-        residuals=design.response - fitted,
-        uncertainty=solved.uncertainty,
-        n_rows=profile.n_rows,
-        n_levels={factor.name: len(factor.levels) for factor in design.factors},
-        notes=zero,
+        formula=formula, reml=profile.reml, fixed=pd.DataFrame(rows, index=pd.Index(design.names, name="term")),
+        variances=variances, correlations=correlations, residual_sd=find_sigma(profile, best),
+        criterion=profile.deviance(best), singular=bool(zero), marginal_r2=marginal, conditional_r2=conditional,
+        effects=effects, fitted=fitted, residuals=design.response - fitted, uncertainty=solved.uncertainty,
+        n_rows=profile.n_rows, n_levels={factor.name: len(factor.levels) for factor in design.factors}, notes=zero,
         coding=design.coding,
-    )
+    )  # fmt: skip
 
 
 def contrast(fit: MixedFit, weights: Mapping[str, float] | str) -> Estimate:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.analysis.screening.screen import Screening
-    from feel321.analysis.table.reading import Table
+    from feel321.analysis.table.items import Table
     from feel321.types import Rng
 
 NONE = float("nan")
@@ -167,9 +167,8 @@ def run_multiverse(
 
     if together < 1:
         raise ValueError(f"together must be 1 or more rules in a combination, got {together}")
-    given: Any = table
     screening = screen_raters(table, rules, rng=rng)
-    ratings, _ = leave_rejected(open_ratings(given))
+    ratings, _ = leave_rejected(open_ratings(table))
     hits, sets = screening.hits, defaultdict(list)
     for chosen in _list_combinations(screening.rules, together):
         sets[frozenset(who for rule in chosen for who in hits[rule])].append(chosen)

@@ -28,8 +28,7 @@ from feel321.analysis.primary.plan import (
     WHO,
     select_rows,
 )
-from feel321.analysis.table.items import ARMS, find_sources
-from feel321.analysis.table.reading import order_reducers
+from feel321.analysis.table.items import ARMS, find_sources, order_reducers
 from feel321.records import Result
 
 if TYPE_CHECKING:

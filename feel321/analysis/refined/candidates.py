@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from feel321.analysis.resampling import FLAT
+from feel321.analysis.arrays import FLAT
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from feel321.analysis.refined.candidates import (
     sum_moments,
 )
 from feel321.analysis.resampling import BLOCK, bootstrap_margin, draw_counts, fisher_z
-from feel321.analysis.table.items import make_items
+from feel321.analysis.table.items import Table, make_items
 from feel321.doors import as_rng
 from feel321.records import Result
 
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 
     from feel321.analysis.refined.candidates import Basis
     from feel321.analysis.table.items import Items
-    from feel321.analysis.table.reading import Table
     from feel321.types import Rng
 
     Values = NDArray[np.float64]
@@ -205,8 +204,7 @@ def refine_metric(
     ('equal weights', 0.98, True)
     """
     names, rng = _check_choices(table, metrics, draws=draws), as_rng(rng)
-    given: Any = table
-    items = make_items(given, list(dict.fromkeys([*names, *others])))
+    items = make_items(table, list(dict.fromkeys([*names, *others])))
     data = _prepare(items, names, others, within=within, rng=rng)
     whole = score_draws(
         data, people=np.ones((1, items.n_participants)), recordings=np.ones((1, items.n_recordings))
@@ -243,7 +241,7 @@ def _check_choices(
         raise ValueError(
             f"draws must be 2 or more, got {draws}; use 400 for results to be published"
         )
-    names: Sequence[str] = getattr(table, "metrics", ()) if metrics is None else metrics
+    names = table.metrics if metrics is None and isinstance(table, Table) else metrics
     if not names or isinstance(names, str):
         raise ValueError(f"metrics must be a list of one name or more, got {metrics!r}")
     return names

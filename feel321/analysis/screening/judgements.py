@@ -7,16 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from feel321.analysis.table.sheet import NAMING
+from feel321.analysis.table.schema import HIGHEST, LOWEST, NAMING
 from feel321.protocols.tasks import PROTOCOLS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from pandas import DataFrame, Index, Series
-
-LOWEST, HIGHEST = 0.0, 100.0
-"""The ends of the scale that every limit here presupposes."""
 
 MOST_STEPS = 11
 """Different ratings up to which a scale may be one of few steps."""

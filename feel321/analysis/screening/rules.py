@@ -20,9 +20,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from feel321.analysis.arrays import read_numbers
-from feel321.analysis.resampling import FEWEST_ITEMS, FLAT
-from feel321.analysis.screening.judgements import HIGHEST, SAME_POINTS
+from feel321.analysis.arrays import FLAT, read_numbers
+from feel321.analysis.resampling import FEWEST_ITEMS
+from feel321.analysis.screening.judgements import SAME_POINTS
+from feel321.analysis.table.schema import HIGHEST
 from feel321.doors import check_name
 from feel321.protocols.mushra import MUSHRA
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.analysis.screening.judgements import Judgements
-    from feel321.analysis.table.reading import Table
+    from feel321.analysis.table.items import Table
     from feel321.types import Rng
 
 FIGURES = ("icc_a_1", "icc_a_k", "icc_c_1", "icc_c_k", "alpha")
@@ -197,8 +197,7 @@ def screen_raters(
     import pandas as pd
 
     limits = choose_limits(rules, random=rng is not None)
-    given: Any = table
-    ratings, left_out = leave_rejected(name_stimuli(open_ratings(given)))
+    ratings, left_out = leave_rejected(name_stimuli(open_ratings(table)))
     if "rating" in ratings:
         ratings = ratings.assign(rating=read_numbers(ratings["rating"], what="ratings, 'rating'"))
     judgements = make_judgements(ratings, assumed="" if rules is None else SIGHTED[0])
