@@ -1,19 +1,30 @@
-"""Arrays of numbers, from whatever was given: the one place that says which cell is none."""
+"""Arrays of numbers from whatever was given: which cells are missing, and what is refused."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from collections.abc import Sequence
+
+    from pandas import DataFrame
+
+Values: TypeAlias = NDArray[np.float64]
+
+CONFIDENCE = 0.95
+
+FLAT = 1e-24
+"""Share of a sum of squares below which its centred part is rounding error: the values are all the same."""
+
+PERFECT = 1 - 1e-12
+"""From here on a correlation is perfect to rounding error."""
 
 
-def read_numbers(given: ArrayLike, *, what: str) -> NDArray[np.float64]:
-    """Read numbers.
-
-    Returns the same, NaN where missing.
+def read_numbers(given: object, *, what: str) -> Values:
+    """Read numbers; NaN where one is missing.
 
     Examples
     --------
@@ -28,17 +39,31 @@ def read_numbers(given: ArrayLike, *, what: str) -> NDArray[np.float64]:
         return _to_numbers(np.asarray(given, dtype=object))
     except (TypeError, ValueError):
         raise ValueError(
-            f"{what}: got {_find_odd(given)}, allowed are numbers; leave names out, as of rows or columns"
+            f"{what} must hold numbers, got {_find_odd(given)}; leave names out, as of rows or columns"
         ) from no_numbers
 
 
-def check_labels(first: ArrayLike, second: ArrayLike, *, what: str) -> None:
-    """Refuse two pandas tables or columns whose labels are the same ones in another order: rows go together by place.
+def read_array(given: object, *, what: str, axes: Sequence[str], missing: bool = False) -> Values:
+    """Read numbers of a certain shape, all finite, or NaN where one may be missing.
 
-    Examples
-    --------
-    >>> check_labels([1, 2], [3, 4], what="metric")
+    axes: what each axis counts, such as ("items", "raters").
     """
+    values = read_numbers(given, what=what)
+    if values.ndim != len(axes):
+        form = ", ".join(axes) + ("," if len(axes) == 1 else "")
+        raise ValueError(f"{what} must have shape ({form}), got shape {values.shape}")
+    bad = np.argwhere(np.isinf(values) if missing else ~np.isfinite(values))
+    if len(bad):
+        kind, do = ("infinite", "use NaN for a missing one") if missing else ("", "leave them out")
+        raise ValueError(
+            f"{what} must be finite, got {len(bad)} {kind or 'missing or infinite'} values, "
+            f"first in row {bad[0][0]}; {do}"
+        )
+    return values
+
+
+def check_labels(first: object, second: object, *, what: str) -> None:
+    """Refuse two pandas tables or columns with the same labels in another order: rows go together by place."""
     from pandas import DataFrame, Series
 
     if not (isinstance(first, DataFrame | Series) and isinstance(second, DataFrame | Series)):
@@ -46,14 +71,14 @@ def check_labels(first: ArrayLike, second: ArrayLike, *, what: str) -> None:
     one, other = first.index, second.index
     if one.is_unique and other.is_unique and not one.equals(other) and set(one) == set(other):
         raise ValueError(
-            f"{what}: got the same labels in another order; bring both into one, as with reindex"
+            f"{what} must have its labels in the order of the other, got the same labels in another order; reindex it"
         )
 
 
-def read_groups(given: ArrayLike, *, n: int, what: str) -> tuple[NDArray[np.intp], list[object]]:
-    """Read what each target or item belongs to.
-
-    given: (n,); returns number: (n,).
+def read_groups(
+    given: object, *, n: int, what: str, of: str = "group", sort: bool = True
+) -> tuple[NDArray[np.intp], list[object]]:
+    """Find the number of the group of each target or item, (n,); also the distinct names.
 
     Examples
     --------
@@ -63,21 +88,56 @@ def read_groups(given: ArrayLike, *, n: int, what: str) -> tuple[NDArray[np.intp
     """
     from pandas import factorize
 
-    names = np.asarray(given)
+    names, rule = np.asarray(given), f"{of}s must hold one {of} per {what}"
     if names.shape != (n,):
-        raise ValueError(
-            f"groups: got shape {names.shape} for {n} {what}s, allowed is one group per {what}"
-        )
-    number, distinct = factorize(names, sort=True)
-    if (number < 0).any():
-        raise ValueError(
-            f"groups: got {int((number < 0).sum())} {what}s without a group; name it or leave them out"
-        )
+        raise ValueError(f"{rule}, got shape {names.shape} for {n} {what}s")
+    number, distinct = factorize(names, sort=sort)
+    if unnamed := int((number < 0).sum()):
+        raise ValueError(f"{rule}, got {unnamed} {what}s without a {of}; name it or leave them out")
     return number, distinct.tolist()
 
 
-def _find_odd(given: ArrayLike) -> str:
-    """Name what is no number."""
+def check_columns(table: DataFrame, names: Sequence[str], what: str) -> None:
+    """Refuse a table that lacks a column."""
+    if missing := [name for name in dict.fromkeys(names) if name not in table]:
+        got = ", ".join(map(str, table.columns))
+        raise ValueError(f"{what}: column {', '.join(missing)} is missing; got {got}")
+
+
+def check_draws(draws: int, *, least: int = 2, usual: int = 2000) -> None:
+    """Refuse fewer bootstrap draws than have a spread."""
+    if draws < least:
+        raise ValueError(
+            f"draws must be {least} or more, got {draws}; use {usual} for results to be published"
+        )
+
+
+def fisher_interval(r: float, n: int, *, quantile: float | None = None) -> tuple[float, float]:
+    """95 % interval of a correlation whose Fisher's z has the variance 1 / n; NaN where it is perfect or n is 0.
+
+    Examples
+    --------
+    >>> [round(end, 3) for end in fisher_interval(0.5, 25)]
+    [0.156, 0.736]
+    """
+    from scipy.stats import norm
+
+    if n < 1 or not abs(r) < PERFECT:
+        return float("nan"), float("nan")
+    margin = (norm.ppf((1 + CONFIDENCE) / 2) if quantile is None else quantile) / np.sqrt(n)
+    z = np.arctanh(r)
+    return float(np.tanh(z - margin)), float(np.tanh(z + margin))
+
+
+def find_p(z: float) -> float:
+    """Two-sided probability of a standard normal statistic."""
+    from scipy.stats import norm
+
+    return float(2 * norm.sf(abs(z)))
+
+
+def _find_odd(given: object) -> str:
+    """Quote what is no number."""
     uneven = "rows of different lengths"
     try:
         cells = np.asarray(given, dtype=object).ravel().tolist()
@@ -97,7 +157,7 @@ def _is_number(cell: object) -> bool:
     return True
 
 
-def _to_numbers(cells: NDArray[np.object_]) -> NDArray[np.float64]:
+def _to_numbers(cells: NDArray[np.object_]) -> Values:
     from pandas import isna
 
     return np.where(isna(cells), np.nan, cells).astype(np.float64)

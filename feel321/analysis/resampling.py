@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
-from feel321.analysis.words import CONFIDENCE
+from feel321.analysis.arrays import CONFIDENCE
+from feel321.analysis.arrays import FLAT as FLAT  # noqa: PLC0414 - its former place
+from feel321.analysis.arrays import PERFECT as PERFECT  # noqa: PLC0414 - its former place
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -130,12 +132,6 @@ class Correlation(Protocol):
         """Correlate along the last axis."""
         ...
 
-
-FLAT = 1e-24
-"""Share of a sum of squares below which its centred part is rounding error: the values are all the same."""
-
-PERFECT = 1 - 1e-12
-"""From here on a correlation is perfect to rounding error."""
 
 STILL = 1e-12
 """Spread of draws up to which they are all the same but for rounding error."""

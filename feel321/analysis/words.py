@@ -1,36 +1,39 @@
-"""Words and numbers of a report: names, units, digits, lists, and the record of a number."""
+"""Words and numbers of a report: names, units, digits, lists, and the record of a number.
+
+One place formats names and numbers for a reader, so that text, tables and figures agree.
+"""
 
 from __future__ import annotations
 
 import math
 import re
 import textwrap
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
+
+from feel321.analysis.arrays import CONFIDENCE as CONFIDENCE  # noqa: PLC0414 - its former place
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-# How names and numbers are told to a reader: one place, so that text, tables and figures agree.
-
 MINUS = "\N{MINUS SIGN}"
 ABSENT = "\N{EN DASH}"
-"""What stands where a number is not defined."""
+"""Written where a number is not defined."""
 
 PLACES = {"correlation": 2, "slope": 2, "rating": 1, "df": 1, "count": 0, "p": 3}
 """Digits behind the point, per kind of number."""
 
 SMALLEST_P = 0.001
-"""Below this a probability is told as smaller."""
+"""Below this a probability is written as smaller."""
 
 UNWIELDY = 1e6
-"""From here on a number is told by its power of ten."""
+"""From here on a number is written with its power of ten."""
 
 TORN = re.compile("(?<=[0-9]) (?=%)|(?<=\\bp) (?=\\(Holm\\))| (?=<\N{NO-BREAK SPACE})")
 """Spaces at which no line may break."""
 
 PARTS = {"_w": " within recordings", "_b": " between recordings", None: ""}
-"""What a term of a model adds to a metric's name -> how it is told."""
+"""Suffix of a metric's name in a model -> how it is written."""
 
 METRIC_AXES = {
     "spectral_match": "Spectral match (1 = identical energy)",
@@ -39,13 +42,24 @@ METRIC_AXES = {
 }
 """Axis label of each metric; another metric is labelled by its name."""
 
+MEASURES = {"dissimilarity": "dissimilarity from the reference", "abx": "percentage correct"}
+"""Scales whose points are no rating of one stimulus -> what they measure."""
 
-def tell_name(name: str) -> str:
+TWO_WAY = "95 % two-way bootstrap interval, over participants and recordings"
+ONE_WAY = "95 % bootstrap interval over participants only: these stimuli as the only ones"
+STUDENT = "95 % t interval over participants, for these recordings"
+SATTERTHWAITE = "95 % t interval, Satterthwaite's degrees of freedom"
+NONE = ""
+
+COUNT = "count"
+
+
+def format_name(name: str) -> str:
     """Turn a column or scale name into words.
 
     Examples
     --------
-    >>> tell_name("equal_intensity"), tell_name("spectral_match_bounded_delivered")
+    >>> format_name("equal_intensity"), format_name("spectral_match_bounded_delivered")
     ('equal intensity', 'bounded spectral match delivered')
     """
     return name.replace("spectral_match_bounded", "bounded_spectral_match").replace("_", " ")
@@ -63,65 +77,57 @@ def keep_together(value: object) -> object:
     return TORN.sub("\N{NO-BREAK SPACE}", value) if type(value) is str else value
 
 
-def tell_note(note: str, names: Iterable[str]) -> str:
+def format_note(note: str, names: Iterable[str]) -> str:
     """Put the names that a note holds into words.
 
     Examples
     --------
-    >>> tell_note("realism, as_is: 'spectral_match' is the same everywhere.", ["as_is", "spectral_match"])
+    >>> format_note("realism, as_is: 'spectral_match' is the same everywhere.", ["as_is", "spectral_match"])
     'realism, as is: spectral match is the same everywhere.'
-    >>> tell_note("The spread of spectral_match_w is zero.", ["spectral_match"])
+    >>> format_note("The spread of spectral_match_w is zero.", ["spectral_match"])
     'The spread of spectral match within recordings is zero.'
     """
+
+    def put(match: re.Match[str]) -> str:
+        _, name, part = match.groups()
+        return format_name(name) + PARTS[part] if part or "_" in name else match[0]
+
     raw = "|".join(re.escape(name) for name in sorted(set(names), key=len, reverse=True))
-    told = re.sub(rf"(?<![\w./])('?)({raw})(_[wb])?\1(?!\w)", _tell_found, note) if raw else note
-    return told.replace("(Intercept)", "the intercept")
+    words = re.sub(rf"(?<![\w./])('?)({raw})(_[wb])?\1(?!\w)", put, note) if raw else note
+    return words.replace("(Intercept)", "the intercept")
 
 
-def _tell_found(match: re.Match[str]) -> str:
-    _, name, part = match.groups()
-    return tell_name(name) + PARTS[part] if part or "_" in name else match[0]
-
-
-def tell_ratings(subject: str) -> str:
-    """Call ratings by their scale and level.
+def format_ratings(subject: str) -> str:
+    """Name ratings by their scale and level.
 
     Examples
     --------
-    >>> tell_ratings("realism"), tell_ratings("realism (level as is)")
+    >>> format_ratings("realism"), format_ratings("realism (level as is)")
     ('realism ratings', 'realism ratings (level as is)')
     """
     name, bracket, level = subject.partition(" (level ")
     return f"{name} ratings{bracket}{level}"
 
 
-def tell_method(name: str) -> str:
+def format_method(name: str) -> str:
     """Name a kind of correlation.
 
     Examples
     --------
-    >>> tell_method("spearman"), tell_method("within"), tell_method("within_kendall")
+    >>> format_method("spearman"), format_method("within"), format_method("within_kendall")
     ('Spearman', 'Pearson within recordings', 'Kendall within recordings')
     """
     kind = (name.removeprefix("within").strip("_") or "pearson").capitalize()
     return f"{kind} within recordings" if name.startswith("within") else kind
 
 
-def start(text: str) -> str:
-    """Begin a sentence.
-
-    Examples
-    --------
-    >>> start("realism ratings")
-    'Realism ratings'
-    """
+def capitalise(text: str) -> str:
+    """Begin a sentence, leaving all but its first letter as it is."""
     return text[:1].upper() + text[1:]
 
 
 def wrap_name(name: str, width: int, *, lines: int = 2) -> str:
-    """Break a name into lines for a figure, where it must not run off.
-
-    lines: how many lines at most.
+    """Break a name into a few lines for a figure, where it must not run off.
 
     Examples
     --------
@@ -134,105 +140,100 @@ def wrap_name(name: str, width: int, *, lines: int = 2) -> str:
     return "\n".join(found)
 
 
-def tell_axis(metric: str) -> str:
+def format_measure(scale: str) -> str:
+    """Say what the points of a scale measure.
+
+    Examples
+    --------
+    >>> format_measure("realism"), format_measure("abx")
+    ('realism rating', 'percentage correct')
+    """
+    return MEASURES.get(scale, f"{format_name(scale)} rating")
+
+
+def format_axis(metric: str) -> str:
     """Label an axis by its metric."""
-    words = tell_name(metric)
-    return METRIC_AXES.get(metric, words[:1].upper() + words[1:])
+    return METRIC_AXES.get(metric, capitalise(format_name(metric)))
 
 
-def list_words(names: Sequence[str], last: str = "and") -> str:
+def join_words(names: Sequence[str], last: str = "and") -> str:
     """List names in a sentence.
 
     Examples
     --------
-    >>> list_words(["a"]), list_words(["a", "b", "c"])
+    >>> join_words(["a"]), join_words(["a", "b", "c"])
     ('a', 'a, b and c')
     """
     return f" {last} ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
-def tell_span(counts: Iterable[int]) -> str:
-    """Write how many there are where that differs from case to case.
+def format_span(counts: Iterable[int]) -> str:
+    """Write a count, or its range where it differs from case to case.
 
     Examples
     --------
-    >>> tell_span([6, 6]), tell_span([6, 4, 5])
+    >>> format_span([6, 6]), format_span([6, 4, 5])
     ('6', '4–6')
     """
     found = sorted(set(counts))
     return f"{found[0]}" if len(found) == 1 else f"{found[0]}–{found[-1]}"
 
 
-def tell_number(value: float, *, kind: str = "correlation") -> str:
-    """Write a number as the report shows it.
-
-    value: naN gives a dash.
+def format_number(value: float, *, kind: str = "correlation") -> str:
+    """Write a number as the report shows it; a dash where it is not defined.
 
     Examples
     --------
-    >>> tell_number(-0.256), tell_number(-0.001), tell_number(71.26, kind="rating"), tell_number(-1e200)
+    >>> format_number(-0.256), format_number(-0.001), format_number(71.26, kind="rating"), format_number(-1e200)
     ('−0.26', '0.00', '71.3', '−1.0e+200')
     """
     if not math.isfinite(value):
         return ABSENT
-    places = PLACES[kind]
     if kind == "p" and value < SMALLEST_P:
         return f"<\N{NO-BREAK SPACE}{SMALLEST_P}"
     if kind != "count" and abs(value) >= UNWIELDY:
-        return f"{value:.1e}".replace("-", MINUS)
-    text = f"{round(value, places) + 0.0:.{places}f}"
-    return text.replace("-", MINUS)
+        return _write_power(value)
+    places = PLACES[kind]
+    return f"{round(value, places) + 0.0:.{places}f}".replace("-", MINUS)
 
 
-def tell_range(low: float, high: float, *, kind: str = "correlation") -> str:
-    """Write an interval as the report shows it.
+def _write_power(value: float) -> str:
+    return f"{value:.1e}".replace("-", MINUS)
 
-    low, high: naN gives a dash.
+
+def format_interval(low: float, high: float, *, kind: str = "correlation") -> str:
+    """Write an interval as the report shows it; a dash where it is not defined.
 
     Examples
     --------
-    >>> tell_range(-0.1, 0.734)
+    >>> format_interval(-0.1, 0.734)
     '−0.10 to 0.73'
     """
     if not math.isfinite(low + high):
         return ABSENT
-    return f"{tell_number(low, kind=kind)} to {tell_number(high, kind=kind)}"
+    return f"{format_number(low, kind=kind)} to {format_number(high, kind=kind)}"
 
 
-def tell_ends(
+def format_estimate(
     value: float, low: float, high: float, *, kind: str = "correlation"
 ) -> tuple[str, str]:
     """Write an estimate and its interval as the report shows them, both in powers of ten where all would read 0.
 
-    value, low, high: naN gives a dash.
-
     Examples
     --------
-    >>> tell_ends(0.3, 0.1, 0.5), tell_ends(2e-4, -1e-3, 2e-3)
+    >>> format_estimate(0.3, 0.1, 0.5), format_estimate(2e-4, -1e-3, 2e-3)
     (('0.30', '0.10 to 0.50'), ('2.0e−04', '−1.0e−03 to 2.0e−03'))
     """
-    ends, nothing = (value, low, high), tell_number(0.0, kind=kind)
-    if any(ends) and all(tell_number(one, kind=kind) == nothing for one in ends):
+    ends, nothing = (value, low, high), format_number(0.0, kind=kind)
+    if any(ends) and all(format_number(one, kind=kind) == nothing for one in ends):
         # Of a metric that runs over hundreds, +0.1 is next to nothing, and yet not 0.
-        told, *limits = (f"{one:.1e}".replace("-", MINUS) for one in ends)
-        return told, " to ".join(limits)
-    return tell_number(value, kind=kind), tell_range(low, high, kind=kind)
-
-
-# A number of a report, with its name, uncertainty, method and n.
-
-TWO_WAY = "95 % two-way bootstrap interval, over participants and recordings"
-ONE_WAY = "95 % bootstrap interval over participants only: these stimuli as the only ones"
-STUDENT = "95 % t interval over participants, for these recordings"
-SATTERTHWAITE = "95 % t interval, Satterthwaite's degrees of freedom"
-NONE = ""
-
-COUNT = "count"
+        return _write_power(value), f"{_write_power(low)} to {_write_power(high)}"
+    return format_number(value, kind=kind), format_interval(low, high, kind=kind)
 
 
 @dataclass(frozen=True, slots=True)
 class Number:
-    """A number and all that is needed to judge it.
+    """A number of a report and all that is needed to judge it.
 
     Parameters
     ----------
@@ -243,7 +244,7 @@ class Number:
     low, high : float
         Ends of the interval; NaN where there is none.
     uncertainty : str
-        What kind of interval that is; empty where there is none.
+        The kind of interval; empty where there is none.
     method : str
         How the value was computed.
     n : int
@@ -271,10 +272,7 @@ def name_path(*parts: str) -> str:
 
 
 def make_number(name: str, value: float, method: str, *, n: int) -> Number:
-    """Name a number that has no interval.
-
-    Returns infinite values count as not defined.
-    """
+    """Name a number that has no interval; an infinite one counts as not defined."""
     known = float(value) if math.isfinite(value) else math.nan
     return Number(name, known, math.nan, math.nan, NONE, method, int(n))
 
@@ -283,20 +281,12 @@ def make_interval(number: Number, low: float, high: float, *, uncertainty: str) 
     """Give a number its interval."""
     if not math.isfinite(low + high):
         return number
-    return Number(
-        number.name, number.value, float(low), float(high), uncertainty, number.method, number.n
-    )
+    return replace(number, low=float(low), high=float(high), uncertainty=uncertainty)
 
 
 def count_number(name: str, value: int, *, n: int) -> Number:
     """Name a count."""
     return Number(name, int(value), math.nan, math.nan, NONE, COUNT, int(n))
-
-
-CONFIDENCE = 0.95
-
-
-# The lines that open a report, and what they claim, for a program to read.
 
 
 @dataclass(frozen=True, slots=True)
@@ -315,7 +305,7 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """What is concluded about one metric, for a program to read."""
+    """The conclusion about one metric, for a program to read."""
 
     scale: str
     level: str
@@ -325,3 +315,20 @@ class Claim:
     number: str
     hinges_on: tuple[str, ...] = ()
     better_than: tuple[str, ...] = ()
+
+
+# Former names, kept until all branches are in.
+tell_name, tell_note, tell_ratings, tell_method = (
+    format_name,
+    format_note,
+    format_ratings,
+    format_method,
+)
+tell_axis, tell_span, tell_number, tell_range = (
+    format_axis,
+    format_span,
+    format_number,
+    format_interval,
+)
+tell_ends, start, list_words = format_estimate, capitalise, join_words
+tell_measure = format_measure

@@ -325,11 +325,6 @@ def spectral_match(
         1 if the smoothed spectra agree, 0 for silence, negative for more than twice the energy on average; NaN for a
         recording without energy, or without any frequency, from 20 to 1000 Hz (`spectral_match_details` says which).
 
-    Raises
-    ------
-    ValueError
-        If shapes or values are wrong.
-
     Notes
     -----
     With :math:`\tilde E` the energy spectral density smoothed over 22 % of the frequency (`WeberSmoothing`),
@@ -374,11 +369,6 @@ def spectral_match_details(
     SpectralMatch
         The matches, the frequencies compared, the energy of both signals there, and why a match is NaN.
 
-    Raises
-    ------
-    ValueError
-        If shapes or values are wrong.
-
     Examples
     --------
     >>> from feel321 import stimuli
@@ -410,11 +400,6 @@ def spectral_match_bounded(
     float
         0 to 1: 1 if the smoothed spectra agree, 0 if one signal is silent wherever the other is not; NaN if there is no
         frequency from 20 to 1000 Hz at which either has energy.
-
-    Raises
-    ------
-    ValueError
-        If shapes or values are wrong.
 
     Notes
     -----
@@ -465,11 +450,6 @@ def temporal_match(
         0 to 1: mean of the absolute correlations with the axes that are not silent; 0 for a silent reduced signal; NaN
         for a silent recording, in which there is nothing to match.
 
-    Raises
-    ------
-    ValueError
-        If shapes or values are wrong.
-
     Notes
     -----
     .. math:: M_{tm} = \frac{1}{3} \sum_{i \in x,y,z} \frac{|a_i \cdot a_s|}{\|a_i\| \, \|a_s\|}
@@ -501,11 +481,6 @@ def temporal_match_details(
     -------
     TemporalMatch
         The match, the absolute correlation with each axis, the silent axes, and why the match is NaN.
-
-    Raises
-    ------
-    ValueError
-        If shapes or values are wrong.
 
     Examples
     --------

@@ -352,7 +352,9 @@ def match_rotations(
         batch = slice(start, start + per_batch)
         turned = np.einsum("rij,jn->rin", turns[batch], samples)
         for place, one in enumerate(reduce):
-            reduced = one(turned, rate_hz)
+            # A lab's own function need not take many recordings at once.
+            ours = one in REDUCERS.values()
+            reduced = one(turned, rate_hz) if ours else np.stack([one(t, rate_hz) for t in turned])
             spectral, bounded = original.match_both(reduced)
             temporal = mean_over_axes(axis_correlations(turned, reduced))
             found[place, :, batch] = spectral, temporal, bounded

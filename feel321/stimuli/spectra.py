@@ -166,8 +166,10 @@ def _estimate(
 
     given, rate = as_signal(signal, rate_hz)
     samples = coerce_real(given, "signal")
-    if samples.ndim not in {1, 2} or (samples.ndim == 2 and len(samples) != AXES):  # noqa: PLR2004 - axes x samples
-        raise ValueError(f"signal must have the shape (n,) or (3, n), got {samples.shape}")
+    if samples.shape[:-1] not in {(), (AXES,)} or not samples.size:
+        raise ValueError(
+            f"signal must have the shape (n,) or (3, n) with n >= 1, got {samples.shape}"
+        )
     check_finite(samples, "signal")
     length = min(window_samples(window_s, rate), samples.shape[-1])
     frequencies, times, density = by_scipy(

@@ -125,7 +125,8 @@ def describe_built(
     """Describe after a build by which gains stimuli are played, and how many of them cannot be felt."""
     recipe = make_recipe(settings)
     foreseen = foresee_stimuli(recordings, stimuli.folder, recipe=recipe)
-    return [*describe_gains(foreseen, recipe), *filter(None, [find_unfelt(settings, stimuli)])]
+    unfelt = filter(None, [find_unfelt(settings, stimuli)])
+    return [*describe_gains(foreseen, recipe), *unfelt, *stimuli.warnings]
 
 
 def find_clipping(foreseen: Sequence[Foreseen], recipe: Recipe) -> list[str]:

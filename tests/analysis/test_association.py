@@ -575,8 +575,11 @@ def test_difference_is_told_in_both_units(tidy: Callable[..., pd.DataFrame]) -> 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"method": "kendal"}, "method: got 'kendal', allowed is one of pearson, spearman"),
-        ({"draws": 1}, "draws: got 1, allowed is 2 or more"),
+        (
+            {"method": "kendal"},
+            "method must be one of pearson, spearman, kendall, within, within_spearman,",
+        ),
+        ({"draws": 1}, "draws must be 2 or more, got"),
         ({"metric": "loudness"}, "column loudness is missing; got participant, .*"),
     ],
 )
@@ -589,7 +592,9 @@ def test_requests_not_met(
 
 
 def test_a_metric_is_not_compared_with_itself(tidy: Callable[..., pd.DataFrame]) -> None:
-    with pytest.raises(ValueError, match="second: got 'spectral_match' twice"):
+    with pytest.raises(
+        ValueError, match="second must be another metric than the first, got 'spectral_match' twice"
+    ):
         compare_metrics(tidy(), SPECTRAL, SPECTRAL, rng=rng())
 
 
@@ -609,13 +614,19 @@ def spoil(table: pd.DataFrame, what: str) -> pd.DataFrame:
 @pytest.mark.parametrize(
     ("what", "message"),
     [
-        ("scales", "got the scales realism, similarity, allowed is one"),
+        ("scales", "ratings must be of one scale, got the scales realism, similarity"),
         ("roles", "got no row with role 'test'"),
-        ("rating", "got 1 values of 'rating' that are not finite"),
-        ("participant", "got 1 rows without a participant"),
-        ("recording", "got 1 rows without a recording"),
-        ("metric", "'spectral_match' differs between rows of stimulus rec0_sax321_as_is"),
-        ("columns", "column reducer is missing"),
+        ("rating", "ratings: column 'rating' must be finite, got 1 values that are not"),
+        ("participant", "ratings must name a participant in each row, got 1 without"),
+        ("recording", "ratings must name a recording in each row, got 1 without"),
+        (
+            "metric",
+            "ratings: column 'spectral_match' must be the same in all rows of a stimulus, got",
+        ),
+        (
+            "columns",
+            "ratings: column 'spectral_match' must be finite, got 48 values that are not finite",
+        ),
     ],
 )
 def test_tables_that_cannot_be_used(

@@ -117,14 +117,17 @@ def test_variables_that_determine_each_other_have_no_williams() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((1.2, 0, 0, 20), "r_jk: got 1.2, allowed is -1 to 1"),
-        ((0, math.nan, 0, 20), "r_jh: got nan, allowed is -1 to 1"),
-        ((0.1, 0.2, 1.0, 20), "r_kh: got 1.0, the two variables compared are one"),
-        ((0.9, -0.9, 0.9, 20), r"r_kh: got 0.9 with .* no three variables correlate like that"),
-        ((0.1, 0.2, 0.3, 3), "n: got 3, allowed is a whole number of cases, 4 or more"),
-        ((0.1, 0.2, 0.3, 10.5), "n: got 10.5, allowed is a whole number"),
-        ((0.1, 0.2, 0.3, math.nan), "n: got nan, allowed is a whole number"),
-        ((0.1, 0.2, 0.3, math.inf), "n: got inf, allowed is a whole number"),
+        ((1.2, 0, 0, 20), "r_jk must be -1 to 1, got 1.2"),
+        ((0, math.nan, 0, 20), "r_jh must be -1 to 1, got nan"),
+        ((0.1, 0.2, 1.0, 20), "r_kh must be below 1, got 1.0: the two variables compared are one"),
+        (
+            (0.9, -0.9, 0.9, 20),
+            "r_kh must be possible with r_jk 0.9 and r_jh -0.9, got 0.9: no three variables",
+        ),
+        ((0.1, 0.2, 0.3, 3), "n must be a whole number of cases, 4 or more, got 3"),
+        ((0.1, 0.2, 0.3, 10.5), "n must be a whole number of cases, 4 or more, got 10.5"),
+        ((0.1, 0.2, 0.3, math.nan), "n must be a whole number of cases, 4 or more, got nan"),
+        ((0.1, 0.2, 0.3, math.inf), "n must be a whole number of cases, 4 or more, got inf"),
     ],
 )
 def test_bad_input_is_refused_in_words(

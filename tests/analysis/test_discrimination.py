@@ -95,7 +95,9 @@ def test_pairs_in_either_order_are_one() -> None:
     "counts", [(-1, 4), (5, 4), (0, 0), (1.5, 4), (math.nan, 4), (1, math.inf)]
 )
 def test_impossible_counts_are_refused(counts: tuple[int, int]) -> None:
-    with pytest.raises(ValueError, match=r"n_correct: got .* allowed is 0 to n_trials"):
+    with pytest.raises(
+        ValueError, match="n_correct must be 0 to n_trials, of 1 or more trials, got"
+    ):
         discriminate(*counts)
 
 
@@ -103,19 +105,22 @@ def test_impossible_counts_are_refused(counts: tuple[int, int]) -> None:
     ("trials", "message"),
     [
         ({"first": ["a"], "second": ["b"]}, "trials: column correct is missing"),
-        ({"first": [], "second": [], "correct": []}, "trials: got no row"),
+        ({"first": [], "second": [], "correct": []}, "trials must have a row or more, got none"),
         (
             {"first": ["a"], "second": [None], "correct": [1]},
-            "trials: got 1 rows without a first or second",
+            "trials must name first and second, got 1 rows that do not",
         ),
-        ({"first": ["a"], "second": ["a"], "correct": [1]}, "trials: got 'a' against itself"),
+        (
+            {"first": ["a"], "second": ["a"], "correct": [1]},
+            "trials must be of two stimuli, got 'a' against itself",
+        ),
         (
             {"first": ["a"], "second": ["b"], "correct": [2]},
-            "trials: got .*2.* in column 'correct'",
+            "trials must hold true or false in column 'correct', got np.int64.2.",
         ),
         (
             {"first": ["a"], "second": ["b"], "correct": [None]},
-            "trials: got .* in column 'correct'.*leave lapses out",
+            "trials must hold true or false in column 'correct', got None",
         ),
     ],
 )
@@ -125,9 +130,7 @@ def test_bad_trials_are_refused_in_words(trials: dict[str, list[object]], messag
 
 
 def test_unknown_models_and_shares_are_refused() -> None:
-    with pytest.raises(
-        ValueError, match="model: got 'guess', allowed is one of independent, differencing"
-    ):
+    with pytest.raises(ValueError, match="model must be one of independent, differencing"):
         abx_d_prime(0.7, model="guess")
-    with pytest.raises(ValueError, match=r"share: got 1.2, allowed is 0 to 1"):
+    with pytest.raises(ValueError, match=r"share must be 0 to 1, got 1.2"):
         abx_d_prime(1.2)

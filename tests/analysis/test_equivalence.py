@@ -78,18 +78,14 @@ def test_non_inferiority_is_one_half_of_equivalence() -> None:
 @pytest.mark.parametrize(
     ("arguments", "margin", "message"),
     [
-        ((math.nan, 1, 5), (-1, 1), "estimate: got nan, allowed is a finite number"),
-        (
-            (0, 0, 5),
-            (-1, 1),
-            "se: got 0, allowed is a finite number above 0; a singular fit tests nothing",
-        ),
-        ((0, math.inf, 5), (-1, 1), "se: got inf"),
-        ((0, 1, 0), (-1, 1), "df: got 0, allowed is above 0"),
-        ((0, 1, math.nan), (-1, 1), "df: got nan"),
-        ((0, 1, 5), (1, -1), "low: got 1 with high -1, allowed is a margin with low below high"),
-        ((0, 1, 5), (-math.inf, 1), "low: got -inf, allowed is a finite number"),
-        ((0, 1, 5), (-1, math.nan), "high: got nan"),
+        ((math.nan, 1, 5), (-1, 1), "estimate must be a finite number, got nan"),
+        ((0, 0, 5), (-1, 1), "se must be finite and above 0, got 0"),
+        ((0, math.inf, 5), (-1, 1), "se must be finite and above 0, got inf"),
+        ((0, 1, 0), (-1, 1), "df must be above 0, infinity for a normal estimate, got 0"),
+        ((0, 1, math.nan), (-1, 1), "df must be above 0, infinity for a normal estimate, got nan"),
+        ((0, 1, 5), (1, -1), "low must be below high, got 1 with high -1"),
+        ((0, 1, 5), (-math.inf, 1), "low must be a finite number, got -inf"),
+        ((0, 1, 5), (-1, math.nan), "high must be a finite number, got nan"),
     ],
 )
 def test_bad_input_is_refused_in_words(
@@ -100,7 +96,11 @@ def test_bad_input_is_refused_in_words(
 
 
 @pytest.mark.parametrize(
-    ("margin", "message"), [(0, "margin: got 0, allowed is below 0"), (math.nan, "margin: got nan")]
+    ("margin", "message"),
+    [
+        (0, "margin must be below 0 where higher is better, above 0 where lower is better, got 0"),
+        (math.nan, "margin must be a finite number, got nan"),
+    ],
 )
 def test_a_margin_without_a_side_is_refused(margin: float, message: str) -> None:
     with pytest.raises(ValueError, match=message):

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from itertools import combinations
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,7 +10,8 @@ import pytest
 from matplotlib import rc_context, rcParams
 from matplotlib.image import imread
 
-from feel321.analysis.association.correlate import analyse
+from feel321.analysis.association.correlate import make_panel
+from feel321.analysis.contrasts.equivalence import participant_means, profile_reducers
 from feel321.analysis.figures.estimates import draw_profile
 from feel321.analysis.figures.scatter import draw_scatter
 from feel321.analysis.figures.style import (
@@ -20,7 +22,7 @@ from feel321.analysis.figures.style import (
     assign_looks,
     save_figure,
 )
-from feel321.analysis.table.reading import Table, order_reducers
+from feel321.analysis.table.items import order_reducers, split_tests
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -29,7 +31,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.text import Text
 
-    from feel321.analysis.association.correlate import Findings
 
 SMALLEST_PT = 7
 
@@ -39,9 +40,12 @@ def table(tidy: Callable[..., pd.DataFrame]) -> pd.DataFrame:
     return tidy()
 
 
-def find(table: pd.DataFrame) -> Findings:
-    whole = Table(table, ("spectral_match", "temporal_match"), ())
-    return analyse(whole, draws=20, rng=np.random.default_rng(0))
+def find(table: pd.DataFrame) -> SimpleNamespace:
+    metrics, rng = ("spectral_match", "temporal_match"), np.random.default_rng(0)
+    panels = [make_panel(part.rows, metrics, draws=20, rng=rng) for part in split_tests(table)]
+    return SimpleNamespace(
+        panels=panels, profile=profile_reducers(table), participants=participant_means(table)
+    )
 
 
 def scatter(table: pd.DataFrame) -> Figure:

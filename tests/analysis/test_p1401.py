@@ -266,58 +266,73 @@ GOOD = ([[1, 2], [2, 3], [4, 4], [5, 6], [6, 8]], [1, 2, 3, 4, 5])
 @pytest.mark.parametrize(
     ("votes", "metric", "options", "message"),
     [
-        ([1, 2, 3], [1, 2, 3], {}, r"votes: got shape \(3,\), allowed is \(items, raters\)"),
-        ([[1, np.inf]], [1], {}, "votes: got 1 infinite votes; use NaN"),
+        ([1, 2, 3], [1, 2, 3], {}, "votes must have shape .items, raters., got shape .3,."),
+        ([[1, np.inf]], [1], {}, "votes must be finite, got 1 infinite values, first in row 0"),
         (
             [[1, 2], [3, np.nan]],
             [1, 2],
             {},
-            r"votes: got item 1 with 1 votes \(1 such items\), allowed is 2 or more",
+            "votes must be 2 or more per item, for its confidence interval, got item 1 with 1",
         ),
-        (GOOD[0], [[1], [2]], {}, r"metric: got shape \(2, 1\), allowed is one value per item"),
+        (GOOD[0], [[1], [2]], {}, "metric must have shape .items,., got shape .2, 1."),
         (
             GOOD[0],
             [1, 2, np.nan, 4, 5],
             {},
-            "metric: got 1 values that are not finite, first of item 2",
+            "metric must be finite, got 1 missing or infinite values, first in row 2",
         ),
-        (*GOOD, {"order": 2}, r"order: got 2, allowed is 3 \(monotone cubic\), 1 \(line\) or 0"),
-        (*GOOD, {"order": 3.0}, "order: got 3.0, allowed is 3"),
-        (*GOOD, {"order": True}, "order: got True, allowed is 3"),
-        ([["a", 1], [2, 3]], [1, 2], {}, "votes: got 'a', allowed are numbers; leave names out"),
-        ([[1, 2], [3]], [1, 2], {}, "votes: got rows of different lengths, allowed are numbers"),
-        (GOOD[0], [1, "two", 3, 4, 5], {}, "metric: got 'two', allowed are numbers"),
-        (GOOD[0], [1, 2], {}, "metric: got 2 values for 5 items"),
         (
-            GOOD[0][:4],
-            [1, 2, 3, 4],
-            {},
-            "votes: got 4 items, order 3 needs at least 5; lower the order",
+            *GOOD,
+            {"order": 2},
+            "order must be 3 .monotone cubic., 1 .line. or 0 .no mapping., got 2",
         ),
+        (
+            *GOOD,
+            {"order": 3.0},
+            "order must be 3 .monotone cubic., 1 .line. or 0 .no mapping., got 3.0",
+        ),
+        (
+            *GOOD,
+            {"order": True},
+            "order must be 3 .monotone cubic., 1 .line. or 0 .no mapping., got True",
+        ),
+        ([["a", 1], [2, 3]], [1, 2], {}, "votes must hold numbers, got 'a'"),
+        ([[1, 2], [3]], [1, 2], {}, "votes must hold numbers, got rows of different lengths"),
+        (GOOD[0], [1, "two", 3, 4, 5], {}, "metric must hold numbers, got 'two'"),
+        (GOOD[0], [1, 2], {}, "metric must have one value per item, got 2 values for 5 items"),
+        (GOOD[0][:4], [1, 2, 3, 4], {}, "votes must be of 5 items or more for order 3, got 4"),
         (
             GOOD[0],
             [1, 1, 2, 2, 3],
             {},
-            "metric: got 3 different values over the items, order 3 needs 4",
+            "metric must have 4 different values over the items for order 3, got 3",
         ),
         (
             GOOD[0],
             [7] * 5,
             {"order": 1},
-            "metric: got 1 different values over the items, order 1 needs 2",
+            "metric must have 2 different values over the items for order 1, got 1",
         ),
-        (*GOOD, {"groups": [1, 2]}, r"groups: got shape \(2,\) for 5 items"),
+        (
+            *GOOD,
+            {"groups": [1, 2]},
+            "groups must hold one group per item, got shape .2,. for 5 items",
+        ),
         (
             *GOOD,
             {"groups": [1, 1, 2, np.nan, np.nan]},
-            "groups: got 2 items without a group; name it or leave them",
+            "groups must hold one group per item, got 2 items without a group",
         ),
-        (*GOOD, {"groups": [None, "a", "b", "a", "b"]}, "groups: got 1 items without a group"),
-        (*GOOD, {"groups": ["a"] * 5}, "groups: got the one group .*leave groups out"),
+        (
+            *GOOD,
+            {"groups": [None, "a", "b", "a", "b"]},
+            "groups must hold one group per item, got 1 items without a group",
+        ),
+        (*GOOD, {"groups": ["a"] * 5}, "groups must be two or more, got the one group a"),
         (
             *GOOD,
             {"groups": list("aabbb")},
-            "metric: got 3 different values over the items outside group a, order 3 needs 4",
+            "metric must have 4 different values over the items outside group a for order 3, got",
         ),
     ],
 )
@@ -378,11 +393,13 @@ def test_what_cannot_be_compared_is_said() -> None:
 
 def test_different_votes_or_mappings_are_not_compared() -> None:
     good, poor = pair()
-    with pytest.raises(ValueError, match="second: got results on other votes"):
+    with pytest.raises(
+        ValueError, match="second must be on the votes of the first, got other items or raters"
+    ):
         compare_p1401(good, pair(seed=2)[1])
     with pytest.raises(
         ValueError,
-        match=r"second: got order 1, held_out False, but the first has order 3.*map both",
+        match=r"second must have the mapping of the first .order 3.* got order 1.*map both",
     ):
         compare_p1401(good, pair(order=1)[1])
     assert compare_p1401(good, poor).n_items == 40
@@ -393,7 +410,9 @@ def test_items_named_in_another_order_are_refused() -> None:
     names = [f"item {number}" for number in range(len(metric))]
     table, column = pd.DataFrame(votes, index=names), pd.Series(metric, index=names)
     assert p1401(table, column).plcc == pytest.approx(p1401(votes, metric).plcc)
-    with pytest.raises(ValueError, match="metric: got the same labels in another order"):
+    with pytest.raises(ValueError, match="metric must have its labels in the order of the other"):
         p1401(table, column[::-1])
-    with pytest.raises(ValueError, match="y: got the same labels in another order"):
+    with pytest.raises(
+        ValueError, match=r"y must have its labels .* got the same labels in another order"
+    ):
         repeated_measures_correlation(column, column[::-1], ["a"] * len(column))

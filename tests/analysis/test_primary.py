@@ -307,10 +307,10 @@ def test_shapes_refused(rows: pd.DataFrame) -> None:
         fit_primary(rows.iloc[:0], METRICS)
     with pytest.raises(ValueError, match="metrics must be a list of one name or more, got 'sm'"):
         fit_primary(rows, "sm")
-    with pytest.raises(ValueError, match="rows, 'sm': got 'high', allowed are numbers"):
+    with pytest.raises(ValueError, match="rows, 'sm' must hold numbers, got 'high'"):
         fit_primary(rows.assign(sm="high"), METRICS)
     with pytest.raises(
-        ValueError, match="rows: got the scales realism, similarity, allowed is one scale; select"
+        ValueError, match="rows must be of one scale, got the scales realism, similarity; select"
     ):
         fit_primary(
             rows.assign(scale=np.where(rows["repeat"] == 0, "realism", "similarity")), METRICS

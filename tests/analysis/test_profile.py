@@ -61,21 +61,18 @@ def test_one_participant_has_no_interval(tidy: Callable[..., pd.DataFrame]) -> N
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (
-            lambda table: table.drop(columns="scale"),
-            "ratings: column scale is missing; needed are scale, level",
-        ),
+        (lambda table: table.drop(columns="scale"), "ratings: column scale is missing"),
         (
             lambda table: table.assign(rating=table["rating"].where(table.index > 1)),
-            "ratings: got 2 rows without",
+            "ratings must have scale, level, role, reducer, participant, stimulus_id and a",
         ),
         (
             lambda table: table.assign(reducer=table["reducer"].where(table.index > 0)),
-            "ratings: got 1 rows without",
+            "ratings must have scale, level, role, reducer, participant, stimulus_id and a",
         ),
         (
             lambda table: table.assign(rating="good"),
-            "ratings, 'rating': got 'good', allowed are numbers",
+            "ratings, 'rating' must hold numbers, got 'good'",
         ),
     ],
 )

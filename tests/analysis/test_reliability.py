@@ -112,9 +112,7 @@ def test_equal_ratings_are_undefined_not_perfect(rating: float, offset: float) -
 
 @pytest.mark.parametrize("table", [[[1, 2]], [[1], [2]], [1, 2, 3]])
 def test_tables_too_small_are_refused(table: list[object]) -> None:
-    with pytest.raises(
-        ValueError, match=r"table: got shape .*allowed is \(targets, raters\), at least 2 by 2"
-    ):
+    with pytest.raises(ValueError, match="table must"):
         intraclass(table)
 
 
@@ -130,12 +128,14 @@ def test_a_table_of_pandas_is_read_and_names_are_refused() -> None:
     assert intraclass(table.astype("Int64")) == intraclass(table.to_numpy())
     gap = krippendorff_alpha([[9, 2], [6, math.nan], [8, 4]])
     assert krippendorff_alpha(table.astype("Int64").mask(table == 1)) == gap
-    with pytest.raises(ValueError, match="table: got 'S1', allowed are numbers; leave names out"):
+    with pytest.raises(ValueError, match="table must hold numbers, got 'S1'"):
         intraclass(table.assign(target=["S1", "S2", "S3"])[["target", "one", "two"]])
 
 
 def test_holes_are_refused() -> None:
-    with pytest.raises(ValueError, match="table: got 1 cells that are not finite"):
+    with pytest.raises(
+        ValueError, match="table must be finite, got 1 missing or infinite values, first in row 1"
+    ):
         noise_ceiling([[1, 2], [math.nan, 3]])
 
 

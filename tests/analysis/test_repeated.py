@@ -76,12 +76,24 @@ def test_a_perfect_line_has_no_interval() -> None:
 @pytest.mark.parametrize(
     ("rows", "message"),
     [
-        (([1, 2], [1, 2, 3], [1, 1]), r"x: got shapes \(2,\), \(3,\) and 2 names"),
-        (([1, math.nan, 3], [1, 2, 3], [1, 1, 1]), "x: got 1 values that are not finite"),
-        (([1, 2, 3], [1, math.inf, 3], [1, 1, 1]), "y: got 1 values that are not finite"),
-        (([1, 2, 3], [1, 2, 3], ["a", None, "a"]), "participant: got 1 rows without a name"),
-        (([1, 2, 3, 4], [1, 2, 3, 5], list("aabc")), "participant: got 4 rows of 3 participants"),
-        (([], [], []), "x: got no row"),
+        (([1, 2], [1, 2, 3], [1, 1]), "x, y and participant must have one length, got 2, 3 and 2"),
+        (
+            ([1, math.nan, 3], [1, 2, 3], [1, 1, 1]),
+            "x must be finite, got 1 missing or infinite values, first in row 1",
+        ),
+        (
+            ([1, 2, 3], [1, math.inf, 3], [1, 1, 1]),
+            "y must be finite, got 1 missing or infinite values, first in row 1",
+        ),
+        (
+            ([1, 2, 3], [1, 2, 3], ["a", None, "a"]),
+            "participants must hold one participant per row, got 1 rows without a participant",
+        ),
+        (
+            ([1, 2, 3, 4], [1, 2, 3, 5], list("aabc")),
+            "participant must have at least participants . 2 rows, got 4 rows of 3 participants",
+        ),
+        (([], [], []), "x must have at least participants . 2 rows, got none"),
     ],
 )
 def test_bad_input_is_refused_in_words(rows: tuple[object, object, object], message: str) -> None:

@@ -243,7 +243,7 @@ def test_two_numbers_of_one_name_are_refused(
     study: object, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(
-        "feel321.analysis.report.association.name_path", lambda *parts: ".".join(parts[:1])
+        "feel321.analysis.report.section._fill", lambda path, _: path.partition(".")[0]
     )
     with pytest.raises(ValueError, match=r"results: got \d+ names twice, first association"):
         write_report(study.ratings, study.manifest, tmp_path / "report", draws=5, seed=0)
@@ -339,7 +339,7 @@ def test_ratings_of_anchors_alone_are_refused(files: Callable[..., object], tmp_
     study = files()
     ratings = pd.read_csv(study.ratings)
     ratings[ratings["reducer"] == "anchor_low"].to_csv(study.ratings, index=False)
-    with pytest.raises(ValueError, match="got none of a stimulus with role 'test'"):
+    with pytest.raises(ValueError, match="must be of one stimulus or more with role 'test'"):
         write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
     assert not (tmp_path / "report").exists()
 

@@ -117,10 +117,7 @@ def test_sources_are_left_out_whole(rows: pd.DataFrame) -> None:
             lambda rows: rows.drop(columns="reducer"),
             "15 recordings of 5 sources and no column 'reducer'",
         ),
-        (
-            lambda rows: rows.assign(source=rows["reducer"]),
-            "two sources of recording 0; a recording has one",
-        ),
+        (lambda rows: rows.assign(source=rows["reducer"]), "got two sources of recording 0"),
         (lambda rows: rows.assign(reducer=rows["participant"]), "got item 0 with two reducers"),
     ],
 )

@@ -199,17 +199,26 @@ GOOD = apart(np.random.default_rng(0).normal(size=(4, 2)))
     [
         (
             lambda d: d[:2, :2],
-            r"dissimilarities: got shape \(2, 2\), allowed is \(stimuli, stimuli\)",
+            "dissimilarities must have shape .stimuli, stimuli. or .participants, stimuli,",
         ),
-        (lambda d: d[0], r"dissimilarities: got shape \(4,\)"),
-        (lambda d: -d, "dissimilarities: got a negative or infinite value"),
-        (lambda d: d + np.eye(4), "dissimilarities: got a stimulus unlike itself"),
-        (np.triu, "dissimilarities: got a matrix that is not symmetric"),
+        (
+            lambda d: d[0],
+            "dissimilarities must have shape .stimuli, stimuli. or .participants, stimuli,",
+        ),
+        (
+            lambda d: -d,
+            "dissimilarities must be 0 or more, NaN where missing, got a negative or infinite",
+        ),
+        (
+            lambda d: d + np.eye(4),
+            "dissimilarities must be 0 on the diagonal, got a stimulus unlike itself",
+        ),
+        (np.triu, "dissimilarities must be symmetric, got a matrix that is not"),
         (
             lambda d: np.where(d == d[0, 1], np.nan, d),
-            "dissimilarities: got no rating of stimuli 0 and 1",
+            "dissimilarities must hold every pair, got no rating of stimuli 0 and 1",
         ),
-        (lambda d: 0 * d, "dissimilarities: got 0 for every pair"),
+        (lambda d: 0 * d, "dissimilarities must differ from 0, got 0 for every pair"),
     ],
 )
 def test_bad_dissimilarities_are_refused(change: object, message: str) -> None:
@@ -219,35 +228,45 @@ def test_bad_dissimilarities_are_refused(change: object, message: str) -> None:
 
 def test_impossible_requests_are_refused() -> None:
     rng, place = np.random.default_rng(0), np.arange(8.0).reshape(4, 2)
-    with pytest.raises(ValueError, match="dimensions: got 4, allowed is 1 to 3 for 4 stimuli"):
+    with pytest.raises(ValueError, match="dimensions must be 1 to 3 for 4 stimuli, got 4"):
         fit_space(GOOD, dimensions=4, rng=rng)
-    with pytest.raises(ValueError, match="most: got 0"):
+    with pytest.raises(ValueError, match="most must be 1 or more, got 0"):
         stress_by_dimension(GOOD, most=0, rng=rng)
-    with pytest.raises(ValueError, match="permutations: got 0"):
+    with pytest.raises(ValueError, match="permutations must be 1 or more, got 0"):
         align_spaces(place, place, permutations=0, rng=rng)
-    with pytest.raises(ValueError, match="reference: got 3 stimuli for 4 positions"):
+    with pytest.raises(
+        ValueError, match="reference must be of the same 4 stimuli as positions, got 3"
+    ):
         align_spaces(place, place[:3], rng=rng)
-    with pytest.raises(ValueError, match=r"positions: got shape \(2, 2\)"):
+    with pytest.raises(
+        ValueError, match=r"positions must be of 3 stimuli or more, got shape .2, 2."
+    ):
         align_spaces(place[:2], place, rng=rng)
-    with pytest.raises(ValueError, match="positions: got 1 values that are not finite"):
+    with pytest.raises(
+        ValueError, match="positions must be finite, got 1 missing or infinite values"
+    ):
         align_spaces(np.where(place == 0, np.nan, place), place, rng=rng)
-    with pytest.raises(ValueError, match="reference: got all stimuli in one place"):
+    with pytest.raises(
+        ValueError, match="reference must have a shape, got all stimuli in one place"
+    ):
         align_spaces(place, np.full((4, 2), 33.3), rng=rng)
     with pytest.raises(
-        ValueError, match="positions: got 3 stimuli in 2 dimensions, a regression needs 4"
+        ValueError,
+        match="positions must be of 4 stimuli or more for a regression in 2 dimensions, got 3",
     ):
         regress_attributes(place[:3], {})
-    with pytest.raises(ValueError, match="attributes: 'a' is not 4 finite numbers"):
+    with pytest.raises(ValueError, match="attribute 'a' must be 4 finite numbers"):
         regress_attributes(place, {"a": [1, 2]})
-    with pytest.raises(ValueError, match="attributes: 'a' is the same for all"):
+    with pytest.raises(ValueError, match="attribute 'a' must differ between stimuli"):
         regress_attributes(place, {"a": [33.3] * 4})
     with pytest.raises(
-        ValueError, match="positions: got 2 dimensions, one of which follows from the others"
+        ValueError,
+        match="positions must have independent dimensions, got 2, one of which follows from the others",
     ):
         regress_attributes(place, {"a": [1, 2, 3, 5]})
-    with pytest.raises(ValueError, match="positions: got 'x', allowed are numbers"):
+    with pytest.raises(ValueError, match="positions must hold numbers, got 'x'"):
         regress_attributes([["x", 1], [2, 3], [4, 5], [5, 9]], {"a": [1, 2, 3, 5]})
-    with pytest.raises(ValueError, match="dissimilarities: got one participant"):
+    with pytest.raises(ValueError, match="dissimilarities must be of two participants or more"):
         bootstrap_space(GOOD, rng=rng)
-    with pytest.raises(ValueError, match="draws: got 2, allowed is 3"):
+    with pytest.raises(ValueError, match="draws must be 3 or more, got 2"):
         bootstrap_space(np.stack([GOOD, GOOD]), draws=2, rng=rng)

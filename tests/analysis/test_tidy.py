@@ -74,7 +74,9 @@ def test_screening_and_means_leave_rejected_judgements_out(
 
 
 def test_what_is_not_rejected_must_have_a_rating(marked: pd.DataFrame) -> None:
-    with pytest.raises(ValueError, match="got 1 values of 'rating' that are not finite"):
+    with pytest.raises(
+        ValueError, match="ratings: column 'rating' must be finite, got 1 values that are not"
+    ):
         count(marked.assign(rejected=False), METRICS[0])
 
 
@@ -96,7 +98,8 @@ def test_marks_as_tables_hold_them(marks: list[object]) -> None:
 
 def test_marks_refused() -> None:
     with pytest.raises(
-        ValueError, match="got 'perhaps' in column 'rejected', allowed is true, false"
+        ValueError,
+        match="ratings: column 'rejected' must be true, false, 1, 0, yes, no or empty, got",
     ):
         leave_rejected(pd.DataFrame({"rejected": ["no", "perhaps"]}))
     with pytest.raises(ValueError, match="all 2 judgements are marked as rejected"):

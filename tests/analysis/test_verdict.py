@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from feel321.analysis.association.correlate import Association, Difference, Panel
-from feel321.analysis.report.verdict import sum_up_panels
+from feel321.analysis.report.association import sum_up_panels
 from feel321.analysis.words import tell_method
 
 CLEAR = Association(

@@ -1,4 +1,4 @@
-"""Reliability of mean ratings: intraclass correlations, and the noise ceiling for metrics.
+"""Reliability of mean ratings: intraclass correlations, and the noise ceiling that they set for metrics.
 
 Conventions: a table has shape (targets, raters); targets are stimuli, raters are participants; no cell is
 missing.
@@ -7,31 +7,28 @@ missing.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from feel321.analysis.arrays import read_numbers
-from feel321.analysis.resampling import FLAT
-from feel321.analysis.words import CONFIDENCE
+from feel321.analysis.arrays import CONFIDENCE, FLAT, Values, read_array
+from feel321.analysis.table.items import Items, Table, as_votes
+from feel321.records import Result
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from feel321.analysis.table.items import Items
-
-    Values = NDArray[np.float64]
-
-# How reliable are mean ratings? Intraclass correlations and the noise ceiling they set.
-
 SMALLEST = 2
 """Targets and raters that a variance needs at least."""
+
+COMPLETE = 0.5
+"""Share of the stimuli that everyone must have rated for a ceiling to speak of them all."""
 
 UPPER = (1 + CONFIDENCE) / 2
 
 
-@dataclass(frozen=True, slots=True)
-class Intraclass:
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Intraclass(Result):
     """The six intraclass correlations, in McGraw and Wong's names.
 
     Parameters
@@ -42,8 +39,7 @@ class Intraclass:
         The same of the mean over all raters. NaN where every rating is the same; ICC(A,k) also where targets differ
         so little that the variance it divides by comes out negative.
     icc_1_1_low, icc_1_1_high, icc_a_1_low, icc_a_1_high, icc_c_1_low, icc_c_1_high : float
-        Their 95 % intervals for targets that are independent, not rounded; NaN where ratings have no error, and with
-        it no F.
+        Their 95 % intervals for independent targets, not rounded; NaN where ratings have no error, and with it no F.
     icc_1_k_low, icc_1_k_high, icc_a_k_low, icc_a_k_high, icc_c_k_low, icc_c_k_high : float
         The same of the mean over all raters.
     n_targets, n_raters : int
@@ -72,8 +68,7 @@ class Intraclass:
     n_raters: int
 
 
-@dataclass(frozen=True, slots=True)
-class _MeanSquares:
+class _MeanSquares(NamedTuple):
     targets: float
     raters: float
     error: float
@@ -82,13 +77,13 @@ class _MeanSquares:
     k: int
 
 
-def intraclass(table: ArrayLike) -> Intraclass:
+def intraclass(table: Table | ArrayLike) -> Intraclass:
     """Intraclass correlations of a complete table.
 
     Parameters
     ----------
-    table : array_like, shape (targets, raters)
-        Ratings, no cell missing, at least 2 by 2.
+    table : Table, DataFrame or array_like, shape (targets, raters)
+        Ratings, or numbers with no cell missing, at least 2 by 2.
 
     Returns
     -------
@@ -113,8 +108,8 @@ def intraclass(table: ArrayLike) -> Intraclass:
     for raters who differ from target to target. A negative value means that targets do not differ beyond
     noise. Intervals are exact F intervals for (1) and (C), and Satterthwaite's approximation for (A), for targets and
     raters that are independent draws. **Stimuli made from a few recordings are not:** in 400 simulated studies with
-    stimuli clustered in recordings, the 95 % intervals covered 86 to 89 %. They hold for these stimuli taken as if
-    independent, and tell nothing of other recordings.
+    stimuli clustered in recordings, the 95 % intervals covered 86 to 89 %. They treat these stimuli as
+    independent, and do not generalise to other recordings.
 
     References
     ----------
@@ -123,52 +118,50 @@ def intraclass(table: ArrayLike) -> Intraclass:
 
     Examples
     --------
+    >>> from feel321 import analysis
     >>> shrout_fleiss = [[9, 2, 5, 8], [6, 1, 3, 2], [8, 4, 6, 8], [7, 1, 2, 6], [10, 5, 6, 9], [6, 2, 4, 7]]
-    >>> icc = intraclass(shrout_fleiss)
+    >>> icc = analysis.intraclass(shrout_fleiss)
     >>> round(icc.icc_a_1, 2), round(icc.icc_c_k, 2)
     (0.29, 0.91)
     >>> round(icc.icc_a_1_low, 3), round(icc.icc_a_1_high, 3)
     (0.019, 0.761)
     """
-    ms = _mean_squares(_check_table(table))
+    ratings = read_array(as_votes(table), what="table", axes=("targets", "raters"))
+    if min(ratings.shape) < SMALLEST:
+        raise ValueError(f"table must be at least 2 targets by 2 raters, got shape {ratings.shape}")
+    ms = _mean_squares(ratings)
     n, k = ms.n, ms.k
-    bias = (ms.raters - ms.error) / n
-    agreement = _ratio(ms.targets - ms.error, ms.targets + (k - 1) * ms.error + k * bias)
-    one_way = _limits(ms.targets, ms.within, (n - 1, n * (k - 1)))
-    consistent = _limits(ms.targets, ms.error, (n - 1, (n - 1) * (k - 1)))
-    agreed = _agreement_interval(ms, agreement)
-    return Intraclass(
-        icc_1_1=_ratio(ms.targets - ms.within, ms.targets + (k - 1) * ms.within),
-        icc_a_1=agreement,
-        icc_c_1=_ratio(ms.targets - ms.error, ms.targets + (k - 1) * ms.error),
-        icc_1_k=_ratio(ms.targets - ms.within, ms.targets),
+    found = {
+        "1": (ms.targets - ms.within, (k - 1) * ms.within, 0.0),
+        "a": (ms.targets - ms.error, (k - 1) * ms.error, (ms.raters - ms.error) / n),
+        "c": (ms.targets - ms.error, (k - 1) * ms.error, 0.0),
+    }
+    values = {}
+    for form, (signal, noise, bias) in found.items():
+        values[f"icc_{form}_1"] = _ratio(signal, ms.targets + noise + k * bias)
         # Where targets differ so little that their mean's variance comes out negative, the ratio would pass 1.
-        icc_a_k=_ratio(ms.targets - ms.error, max(ms.targets + bias, 0.0)),
-        icc_c_k=_ratio(ms.targets - ms.error, ms.targets),
-        icc_1_1_low=_of_one(one_way[0], k),
-        icc_1_1_high=_of_one(one_way[1], k),
-        icc_a_1_low=agreed[0],
-        icc_a_1_high=agreed[1],
-        icc_c_1_low=_of_one(consistent[0], k),
-        icc_c_1_high=_of_one(consistent[1], k),
-        icc_1_k_low=1 - 1 / one_way[0],
-        icc_1_k_high=1 - 1 / one_way[1],
-        icc_a_k_low=_of_mean(agreed[0], k),
-        icc_a_k_high=_of_mean(agreed[1], k),
-        icc_c_k_low=1 - 1 / consistent[0],
-        icc_c_k_high=1 - 1 / consistent[1],
-        n_targets=n,
-        n_raters=k,
-    )
+        values[f"icc_{form}_k"] = _ratio(signal, max(ms.targets + bias, 0.0))
+    limits = {
+        "1": _limits(ms.targets, ms.within, (n - 1, n * (k - 1))),
+        "c": _limits(ms.targets, ms.error, (n - 1, (n - 1) * (k - 1))),
+    }
+    agreed = _agreement_interval(ms, values["icc_a_1"])
+    for place, end in enumerate(("low", "high")):
+        for form, pair in limits.items():
+            values[f"icc_{form}_1_{end}"] = (pair[place] - 1) / (pair[place] + k - 1)
+            values[f"icc_{form}_k_{end}"] = 1 - 1 / pair[place]
+        values[f"icc_a_1_{end}"] = agreed[place]
+        values[f"icc_a_k_{end}"] = _step_up(agreed[place], k)
+    return Intraclass(**values, n_targets=n, n_raters=k)
 
 
-def noise_ceiling(table: ArrayLike) -> float:
+def noise_ceiling(table: Table | ArrayLike) -> float:
     """Correlation that a perfect predictor would reach with mean ratings as noisy as these.
 
     Parameters
     ----------
-    table : array_like, shape (targets, raters)
-        Ratings, no cell missing, at least 2 by 2.
+    table : Table, DataFrame or array_like, shape (targets, raters)
+        As for `intraclass`.
 
     Returns
     -------
@@ -189,28 +182,14 @@ def noise_ceiling(table: ArrayLike) -> float:
 
     Examples
     --------
-    >>> round(noise_ceiling([[1, 2], [3, 5], [6, 6]]), 3)
+    >>> from feel321 import analysis
+    >>> round(analysis.noise_ceiling([[1, 2], [3, 5], [6, 6]]), 3)
     0.975
     """
-    reliability = intraclass(table).icc_c_k
-    return float(np.sqrt(reliability)) if reliability > 0 else float("nan")
+    return _root(intraclass(table).icc_c_k)
 
 
-def _check_table(table: ArrayLike) -> NDArray[np.float64]:
-    ratings = read_numbers(table, what="table")
-    if ratings.ndim != 2 or min(ratings.shape) < SMALLEST:  # noqa: PLR2004 - targets x raters
-        raise ValueError(
-            f"table: got shape {ratings.shape}, allowed is (targets, raters), at least 2 by 2"
-        )
-    if not np.isfinite(ratings).all():
-        holes = int((~np.isfinite(ratings)).sum())
-        raise ValueError(
-            f"table: got {holes} cells that are not finite; leave their targets or raters out"
-        )
-    return ratings
-
-
-def _mean_squares(ratings: NDArray[np.float64]) -> _MeanSquares:
+def _mean_squares(ratings: Values) -> _MeanSquares:
     n, k = ratings.shape
     of_targets = ratings.mean(axis=1, keepdims=True)
     of_raters = ratings.mean(axis=0, keepdims=True)
@@ -218,7 +197,7 @@ def _mean_squares(ratings: NDArray[np.float64]) -> _MeanSquares:
     residual = ratings - of_targets - of_raters + grand
     rounding = FLAT * float((ratings**2).sum())
 
-    def square(deviations: NDArray[np.float64]) -> float:
+    def square(deviations: Values) -> float:
         total = float((deviations**2).sum())
         return total if total > rounding else 0.0
 
@@ -233,7 +212,7 @@ def _mean_squares(ratings: NDArray[np.float64]) -> _MeanSquares:
 
 
 def _limits(between: float, noise: float, freedom: tuple[int, int]) -> tuple[float, float]:
-    """Give the ends of the interval of the ratio of expected mean squares."""
+    """Interval of the ratio of expected mean squares."""
     from scipy.stats import f
 
     if not (noise and between):
@@ -242,11 +221,7 @@ def _limits(between: float, noise: float, freedom: tuple[int, int]) -> tuple[flo
     return ratio / float(f.ppf(UPPER, *freedom)), ratio * float(f.ppf(UPPER, *freedom[::-1]))
 
 
-def _of_one(limit: float, k: int) -> float:
-    return (limit - 1) / (limit + k - 1)
-
-
-def _of_mean(limit: float, k: int) -> float:
+def _step_up(limit: float, k: int) -> float:
     """Spearman and Brown's step from one rater to the mean of k; unbounded where it has a pole."""
     below = 1 + limit * (k - 1)
     return float("-inf") if below <= 0 else k * limit / below
@@ -274,17 +249,12 @@ def _ratio(part: float, whole: float) -> float:
     return part / whole if whole else float("nan")
 
 
-# The noise ceiling of item means: over all stimuli, or over those of one recording at a time.
-
-COMPLETE = 0.5
-"""Share of the stimuli that everyone must have rated for a ceiling to speak of them all."""
+def _root(reliability: float) -> float:
+    return float(np.sqrt(reliability)) if reliability > 0 else float("nan")
 
 
 def find_ceiling(items: Items, *, within: bool) -> tuple[float, list[str]]:
-    """Noise ceiling of the mean ratings, as far as everyone rated the same stimuli.
-
-    Returns ceiling: naN where there is none.
-    """
+    """Noise ceiling of the mean ratings, NaN where there is none, as far as everyone rated the same stimuli."""
     complete = np.isfinite(items.ratings).all(axis=0)
     if items.n_participants < SMALLEST or complete.sum() < SMALLEST:
         return float("nan"), [
@@ -295,10 +265,10 @@ def find_ceiling(items: Items, *, within: bool) -> tuple[float, list[str]]:
         return float("nan"), [f"No noise ceiling: {few}."]
     notes = []
     if not complete.all():
-        rests = (
-            f"The noise ceiling rests on the {complete.sum()} stimuli that every participant rated"
+        notes.append(
+            f"The noise ceiling rests on the {complete.sum()} stimuli that every participant rated, "
+            f"r on all {items.n_items}; r / ceiling is left out."
         )
-        notes.append(f"{rests}, r on all {items.n_items}; r / ceiling is left out.")
     table, groups = items.ratings[:, complete].T, items.recordings[complete]
     ceiling = noise_ceiling_within(table, groups) if within else noise_ceiling(table)
     if np.isnan(ceiling):
@@ -318,7 +288,7 @@ def noise_ceiling_within(table: Values, groups: NDArray[np.intp]) -> float:
     -----
     Each group has its own two-way analysis of variance, targets x raters, and the sums of squares are pooled:
     with n_g targets and k raters, R has Σ (n_g - 1) degrees of freedom and the residual E k - 1 times as many. What
-    lifts all targets of a group, for everyone or for one rater, is neither signal nor noise here. With one group it
+    raises all targets of a group, for everyone or for one rater, is neither signal nor noise here. With one group it
     is `noise_ceiling`.
 
     Examples
@@ -335,5 +305,4 @@ def noise_ceiling_within(table: Values, groups: NDArray[np.intp]) -> float:
     signal, noise = float((targets**2).sum()) * n_raters, float(((by_target - targets) ** 2).sum())
     if signal <= FLAT * float((table**2).sum()):
         return float("nan")
-    reliability = 1 - noise / (n_raters - 1) / signal
-    return float(np.sqrt(reliability)) if reliability > 0 else float("nan")
+    return _root(1 - noise / (n_raters - 1) / signal)

@@ -10,143 +10,41 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from feel321.analysis.agreement.reliability import SMALLEST, find_ceiling
-from feel321.analysis.contrasts.equivalence import (
-    participant_means,
-    profile_reducers,
-    stimulus_means,
-)
+from feel321.analysis.arrays import PERFECT, Values, check_draws
+from feel321.analysis.contrasts.equivalence import stimulus_means
 from feel321.analysis.resampling import (
     FEWEST_ITEMS,
     METHODS,
     MOST_UNDEFINED,
-    PERFECT,
     STILL,
+    Draws,
     bootstrap_margin,
     count_scarcest,
     draw_intervals,
     fisher_z,
     measure_lean,
 )
-from feel321.analysis.table.items import make_items
-from feel321.analysis.table.sheet import APART, PAIR
+from feel321.analysis.table.items import Items, Table, make_items, split_tests
+from feel321.analysis.table.schema import PAIR
+from feel321.doors import as_names, as_rng, check_name
+from feel321.records import Result
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
     from pandas import DataFrame
 
-    from feel321.analysis.resampling import Draws
-    from feel321.analysis.table.items import Items
-    from feel321.analysis.table.reading import Table
-
-# Why a correlation or its interval is not defined, or less than it seems, told in sentences.
+    from feel321.types import Rng
 
 
-def explain_size(items: Items) -> list[str]:
-    """Say what was left out, what cells are missing, and which interval one of a kind does not allow."""
-    notes = list(items.notes)
-    if items.n_missing:
-        cells = items.ratings.size
-        notes.append(f"{items.n_missing} of {cells} participant x stimulus cells hold no rating.")
-    if items.n_participants < SMALLEST:
-        notes.append("One participant only: no interval, the spread between people is unknown.")
-    if items.n_recordings < SMALLEST:
-        notes.append(
-            "One recording only: no two-way interval, the spread between recordings is unknown."
-        )
-    elif items.n_sources < SMALLEST:
-        notes.append(
-            "All recordings come from one source: no two-way interval, the spread between sources is unknown."
-        )
-    elif items.n_sources < items.n_recordings:
-        notes.append(
-            f"Two-way intervals draw the {items.n_sources} sources of the {items.n_recordings} recordings."
-        )
-    return notes
-
-
-def explain_value(items: Items, drawn: Draws, metrics: tuple[str, ...]) -> list[str]:
-    """Say why a correlation is not defined, or what it rests on."""
-    notes = []
-    for row, metric in enumerate(metrics):
-        if drawn.of_recordings.size:
-            notes += _explain_recordings(drawn.of_recordings[row], metric)
-        elif np.isnan(drawn.point[row]):
-            notes.append(_explain_undefined(items, metric, row=row))
-        if abs(drawn.point[row]) >= PERFECT:
-            notes.append(
-                f"No interval: the correlation with '{metric}' is perfect, and Fisher's z of that infinite."
-            )
-    return notes
-
-
-def _explain_recordings(correlations: NDArray[np.float64], metric: str) -> list[str]:
-    """Say which recordings a correlation within recordings does not rest on, or not as they are."""
-    n, defined = len(correlations), int(np.isfinite(correlations).sum())
-    perfect = int((np.abs(correlations) >= PERFECT).sum())
-    why = f"where it takes three rated stimuli that differ in mean rating and in '{metric}'"
-    if not defined:
-        return [f"No correlation within any of {n} recordings, {why}."]
-    notes = [f"{n - defined} of {n} recordings are left out {why}."] if defined < n else []
-    if defined < SMALLEST <= n:
-        notes.append("One recording only has a correlation within: no two-way interval.")
-    if 0 < perfect < n:
-        notes.append(
-            f"In {perfect} of {n} recordings the correlation with '{metric}' is perfect: Fisher's z is held."
-        )
-    return notes
-
-
-def explain_draws(drawn: Draws) -> list[str]:
-    """Say how many draws of one metric gave no correlation, both ways of drawing."""
-    if np.isnan(drawn.point[0]):
-        return []
-    two_way = explain_undrawn(drawn.two_way[0], "two-way")
-    return [*two_way, *explain_undrawn(drawn.participants[0], "participants-only")]
-
-
-def explain_undrawn(drawn: NDArray[np.float64], kind: str) -> list[str]:
-    """Say how many draws gave no result, or that all gave the same.
-
-    drawn: (draws,), naN where there is none.
-    """
-    undefined = int(np.isnan(drawn).sum())
-    if not undefined:
-        same = np.ptp(drawn) <= STILL
-        return (
-            [f"All {drawn.size} {kind} draws gave the same: no interval without spread."]
-            if same
-            else []
-        )
-    why = "fewer than three stimuli, a constant, or all points on a line"
-    note = f"{undefined} of {drawn.size} {kind} draws gave no correlation ({why}) and are left out"
-    return [
-        f"{note}: too many for an interval."
-        if undefined > MOST_UNDEFINED * drawn.size
-        else f"{note}."
-    ]
-
-
-def _explain_undefined(items: Items, metric: str, *, row: int = 0) -> str:
-    if items.n_items < FEWEST_ITEMS:
-        return f"No correlation: it needs {FEWEST_ITEMS} test stimuli, got {items.n_items}."
-    if np.ptp(items.metrics[row]) == 0:
-        return f"No correlation: '{metric}' is the same for every stimulus."
-    return "No correlation: the mean rating is the same for every stimulus."
-
-
-# Does a metric go with what people feel? Item-level correlations with intervals that may be believed.
-
-
-@dataclass(frozen=True, slots=True)
-class Association:
-    """How a metric goes with mean ratings over stimuli.
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Association(Result):
+    """Correlation of a metric with mean ratings over stimuli.
 
     Parameters
     ----------
@@ -195,9 +93,9 @@ class Association:
     notes: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Difference:
-    """How much better one metric goes with mean ratings than another.
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Difference(Result):
+    """Difference between the correlations of two metrics with mean ratings.
 
     Parameters
     ----------
@@ -241,20 +139,20 @@ class Difference:
 
 
 def correlate(
-    ratings: DataFrame,
+    ratings: Table | DataFrame,
     metric: str,
     *,
     method: str = "pearson",
     draws: int = 2000,
-    rng: np.random.Generator,
+    rng: Rng = 0,
 ) -> Association:
     """Correlate mean ratings with a metric over test stimuli.
 
     Parameters
     ----------
-    ratings : DataFrame
-        Tidy table of one scale, one row per judgement: participant, recording, rating, the metric's column,
-        and stimulus_id or reducer (and level). Rows whose role is not ``test`` are left out.
+    ratings : Table or DataFrame
+        Ratings of one scale and level (`Table.select`), one row per judgement: participant, recording, rating, the
+        metric's column, and stimulus_id or reducer (and level). Rows whose role is not ``test`` are left out.
     metric : str
         Column to correlate with.
     method : str
@@ -262,8 +160,8 @@ def correlate(
         ``within_kendall`` within each recording, averaged over Fisher's z.
     draws : int
         Number of bootstrap draws, at least 2; 2000 or more for results to be published.
-    rng : Generator
-        Source of randomness; the same state gives the same result to the last bit.
+    rng : int or Generator
+        Seed, or source of randomness; the same state gives the same result to the last bit.
 
     Returns
     -------
@@ -295,8 +193,8 @@ def correlate(
     also count that a recording with a higher metric is rated higher, whatever the reason. The within methods compare
     stimuli of the same recording only: with z_r = atanh of the correlation in recording r, tanh(Σ z_r / R), over the
     recordings in which it is defined (three stimuli, neither constant); that is the claim about a metric of reducers.
-    With few stimuli per recording single z_r are noisy, and by ranks perfect ones are common: see
-    `average_recordings`. The mean z leans to the far side by about r / (2 (n_r - 1)); the intervals of
+    With few stimuli per recording single z_r are noisy, and by ranks perfect ones are common: a perfect one of n items
+    counts as 1 - 6 / (n (n² - 1)). The mean z leans to the far side by about r / (2 (n_r - 1)); the intervals of
     ``within`` are drawn about the mean z less that, or they would cover 91 % at six stimuli a recording (sim).
 
     References
@@ -308,60 +206,60 @@ def correlate(
     Examples
     --------
     >>> import pandas as pd
+    >>> from feel321 import analysis
     >>> tidy = pd.DataFrame({"participant": list("aaaabbbb"), "recording": list("rrssrrss"),
     ...     "reducer": ["mag321", "dft321"] * 4, "spectral_match": [0.2, 1, 0.4, 1] * 2,
     ...     "rating": [20, 70, 35, 90, 25, 80, 30, 75]})
-    >>> result = correlate(tidy, "spectral_match", rng=np.random.default_rng(1))
+    >>> result = analysis.correlate(tidy, "spectral_match", rng=1)
     >>> round(result.value, 2), result.n_items
     (0.99, 4)
     """
-    _check_request(method, draws)
-    items, how = make_items(ratings, [metric]), METHODS[method]
-    drawn = draw_intervals(items, method, draws=draws, rng=rng)
+    found = _draw(ratings, (metric,), method, draws=draws, rng=rng)
+    items, drawn, how = found.items, found.drawn, METHODS[method]
     value = float(drawn.point[0])
     middle = float(fisher_z(drawn.point)[0] - measure_lean(items, method, drawn)[0])
-    low, high = _interval(middle, drawn.two_way[0], n_units=count_scarcest(items, drawn))
-    narrow_low, narrow_high = _interval(middle, drawn.participants[0], n_units=items.n_participants)
+    units = count_scarcest(items, drawn), items.n_participants
+    (low, high), (narrow_low, narrow_high) = (
+        np.tanh(middle + bootstrap_margin(part[0], n) * np.array([-1, 1])).tolist()
+        for part, n in zip((drawn.two_way, drawn.participants), units, strict=True)
+    )
     ceiling, more_notes = find_ceiling(items, within=how.within)
-    notes = [
-        *explain_size(items),
-        *explain_value(items, drawn, (metric,)),
-        *explain_draws(drawn),
-        *more_notes,
-    ]
+    undrawn: list[str] = []
+    if not np.isnan(value):
+        undrawn += _explain_undrawn(drawn.two_way[0], "two-way")
+        undrawn += _explain_undrawn(drawn.participants[0], "participants-only")
     divisible = not how.ranked and not items.n_missing
     return Association(
-        value=value, low=low, high=high, n_items=items.n_items, ceiling=ceiling,
+        value=value, low=low, high=high, ceiling=ceiling,
         disattenuated=value / ceiling if divisible else float("nan"), draws=int(np.isfinite(drawn.two_way[0]).sum()),
         participants_low=narrow_low, participants_high=narrow_high,
-        n_participants=items.n_participants, n_recordings=items.n_recordings, n_sources=items.n_sources,
-        n_missing=items.n_missing, metric=metric, method=method, notes=tuple(notes),
+        metric=metric, method=method, notes=(*found.notes, *undrawn, *more_notes), **found.sizes,
     )  # fmt: skip
 
 
 def compare_metrics(
-    ratings: DataFrame,
+    ratings: Table | DataFrame,
     first: str,
     second: str,
     *,
     method: str = "pearson",
     draws: int = 2000,
-    rng: np.random.Generator,
+    rng: Rng = 0,
 ) -> Difference:
-    """Compare two metrics by how strongly mean ratings go with each.
+    """Compare two metrics by how strongly mean ratings correlate with each.
 
     Parameters
     ----------
-    ratings : DataFrame
-        Tidy table of one scale, as for `correlate`.
+    ratings : Table or DataFrame
+        Ratings of one scale and level, as for `correlate`.
     first, second : str
         Columns to compare.
     method : str
         As for `correlate`.
     draws : int
         Number of bootstrap draws, at least 2.
-    rng : Generator
-        Source of randomness.
+    rng : int or Generator
+        Seed, or source of randomness.
 
     Returns
     -------
@@ -371,26 +269,33 @@ def compare_metrics(
     Raises
     ------
     ValueError
-        If the table lacks a column, mixes scales or holds values that are not finite, or an argument is not
-        allowed.
+        As for `correlate`, or if both metrics are one.
 
     Notes
     -----
     Both correlations are recomputed in every draw, so their dependence is accounted for. With d = atanh r1 -
     atanh r2, the interval is d ± t(.975, R - 1) sqrt(R / (R - 1)) SD(d*), P in the place of R as for
-    `correlate`. It is told as a difference of
+    `correlate`. It is expressed as a difference of
     correlations by d -> tanh(m + d / 2) - tanh(m - d / 2), m the mean of the two z.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> from feel321 import analysis
+    >>> tidy = pd.DataFrame({"participant": list("aaaabbbb"), "recording": list("rrssrrss"),
+    ...     "reducer": ["mag321", "dft321"] * 4, "good": [0.2, 1, 0.4, 1] * 2, "poor": [0.3, 0.1, 0.9, 0.2] * 2,
+    ...     "rating": [20, 70, 35, 90, 25, 80, 30, 75]})
+    >>> round(analysis.compare_metrics(tidy, "good", "poor", draws=100).value, 1)
+    1.6
     """
-    _check_request(method, draws)
     if first == second:
-        raise ValueError(f"second: got {second!r} twice, allowed is another metric than the first")
-    items = make_items(ratings, [first, second])
-    drawn = draw_intervals(items, method, draws=draws, rng=rng)
+        raise ValueError(f"second must be another metric than the first, got {second!r} twice")
+    found = _draw(ratings, (first, second), method, draws=draws, rng=rng)
+    items, drawn, notes = found.items, found.drawn, found.notes
     z_first, z_second = fisher_z(drawn.point)
     differences = np.subtract(*drawn.two_way)
-    notes = [*explain_size(items), *explain_value(items, drawn, (first, second))]
     if np.isfinite(drawn.point).all():
-        notes += explain_undrawn(differences, "two-way")
+        notes += _explain_undrawn(differences, "two-way")
     z, margin = z_first - z_second, bootstrap_margin(differences, count_scarcest(items, drawn))
     z_range = z - np.subtract(*measure_lean(items, method, drawn)) + np.array([-margin, margin])
     middle = (z_first + z_second) / 2
@@ -399,32 +304,167 @@ def compare_metrics(
         value=float(drawn.point[0] - drawn.point[1]), low=float(low), high=float(high),
         z_value=float(z), z_low=float(z_range[0]), z_high=float(z_range[1]),
         first_value=float(drawn.point[0]), second_value=float(drawn.point[1]),
-        n_items=items.n_items, n_participants=items.n_participants, n_recordings=items.n_recordings,
-        n_sources=items.n_sources, n_missing=items.n_missing, draws=int(np.isfinite(differences).sum()),
-        first=first, second=second, method=method, notes=tuple(notes),
+        draws=int(np.isfinite(differences).sum()), first=first, second=second, method=method, notes=tuple(notes),
+        **found.sizes,
     )  # fmt: skip
 
 
-def _check_request(method: str, draws: int) -> None:
-    if method not in METHODS:
-        raise ValueError(f"method: got {method!r}, allowed is one of {', '.join(METHODS)}")
-    if draws < 2:  # noqa: PLR2004 - a spread needs two
-        raise ValueError(
-            f"draws: got {draws}, allowed is 2 or more; use 2000 for results to be published"
+def tabulate_correlations(
+    table: Table | DataFrame,
+    metrics: Sequence[str] | None = None,
+    *,
+    method: str = "pearson",
+    draws: int = 2000,
+    rng: Rng = 0,
+) -> DataFrame:
+    """Correlate the ratings of every scale and level with every metric.
+
+    Parameters
+    ----------
+    table : Table or DataFrame
+        Ratings, as for `correlate`, of one or several scales and levels.
+    metrics : sequence of str, optional
+        Columns to correlate with; the table's own if left out.
+    method : str
+        As for `correlate`; ``all`` for every method.
+    draws : int
+        Number of bootstrap draws, at least 2.
+    rng : int or Generator
+        Seed, or source of randomness.
+
+    Returns
+    -------
+    DataFrame
+        A row per scale, level, metric and method, with the fields of `Association`.
+
+    Raises
+    ------
+    ValueError
+        As for `correlate`, or if no metric is named.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> from feel321 import analysis
+    >>> tidy = pd.DataFrame({"participant": list("aaaabbbb"), "recording": list("rrssrrss"), "scale": "realism",
+    ...     "reducer": ["mag321", "dft321"] * 4, "good": [0.2, 1, 0.4, 1] * 2, "poor": [0.3, 0.1, 0.9, 0.2] * 2,
+    ...     "rating": [20, 70, 35, 90, 25, 80, 30, 75]})
+    >>> found = analysis.tabulate_correlations(tidy, ["good", "poor"], draws=100)
+    >>> found[["scale", "metric", "value"]].round(1)
+         scale metric  value
+    0  realism   good    1.0
+    1  realism   poor   -0.6
+    """
+    import pandas as pd
+
+    names = as_names(metrics or (table.metrics if isinstance(table, Table) else ()), "metrics")
+    if not names:
+        raise ValueError("metrics must name one column or more, got none")
+    methods, seed = list(METHODS) if method == "all" else [method], as_rng(rng).integers(2**63)
+    rows = [
+        {
+            "scale": part.scale,
+            "level": part.level,
+            **asdict(correlate(part.rows, name, method=how, draws=draws, rng=int(seed))),
+        }
+        for part in split_tests(table)
+        for name in names
+        for how in methods
+    ]
+    return pd.DataFrame(rows).assign(notes=lambda found: found["notes"].map(" ".join))
+
+
+class _Drawn(NamedTuple):
+    """Items and their bootstrap draws, with the notes and counts that go into a result."""
+
+    items: Items
+    drawn: Draws
+    notes: list[str]
+    sizes: dict[str, Any]
+
+
+def _draw(
+    ratings: Table | DataFrame, metrics: tuple[str, ...], method: str, *, draws: int, rng: Rng
+) -> _Drawn:
+    check_name(method, METHODS, "method")
+    check_draws(draws)
+    items = make_items(ratings, metrics)
+    drawn = draw_intervals(items, method, draws=draws, rng=as_rng(rng))
+    sizes = ("n_items", "n_participants", "n_recordings", "n_sources", "n_missing")
+    return _Drawn(
+        items,
+        drawn,
+        [*_explain_size(items), *_explain_value(items, drawn, metrics)],
+        {name: getattr(items, name) for name in sizes},
+    )
+
+
+def _explain_size(items: Items) -> Iterator[str]:
+    """Say what was left out, what cells are missing, and which interval one of a kind does not allow."""
+    yield from items.notes
+    if items.n_missing:
+        yield f"{items.n_missing} of {items.ratings.size} participant x stimulus cells hold no rating."
+    if items.n_participants < SMALLEST:
+        yield "One participant only: no interval, the spread between people is unknown."
+    if items.n_recordings < SMALLEST:
+        yield "One recording only: no two-way interval, the spread between recordings is unknown."
+    elif items.n_sources < SMALLEST:
+        yield "All recordings come from one source: no two-way interval, the spread between sources is unknown."
+    elif items.n_sources < items.n_recordings:
+        yield f"Two-way intervals draw the {items.n_sources} sources of the {items.n_recordings} recordings."
+
+
+def _explain_value(items: Items, drawn: Draws, metrics: tuple[str, ...]) -> Iterator[str]:
+    """Say why a correlation is not defined, or what it rests on."""
+    for row, metric in enumerate(metrics):
+        if drawn.of_recordings.size:
+            yield from _explain_recordings(drawn.of_recordings[row], metric)
+        elif np.isnan(drawn.point[row]):
+            yield _explain_undefined(items, metric, row=row)
+        if abs(drawn.point[row]) >= PERFECT:
+            yield f"No interval: the correlation with '{metric}' is perfect, and Fisher's z of that infinite."
+
+
+def _explain_recordings(correlations: Values, metric: str) -> Iterator[str]:
+    """Say which recordings a correlation within recordings does not rest on, or not as they are."""
+    n, defined = len(correlations), int(np.isfinite(correlations).sum())
+    perfect = int((np.abs(correlations) >= PERFECT).sum())
+    why = f"where it takes three rated stimuli that differ in mean rating and in '{metric}'"
+    if not defined:
+        yield f"No correlation within any of {n} recordings, {why}."
+        return
+    if defined < n:
+        yield f"{n - defined} of {n} recordings are left out {why}."
+    if defined < SMALLEST <= n:
+        yield "One recording only has a correlation within: no two-way interval."
+    if 0 < perfect < n:
+        yield f"In {perfect} of {n} recordings the correlation with '{metric}' is perfect: Fisher's z is held."
+
+
+def _explain_undefined(items: Items, metric: str, *, row: int) -> str:
+    if items.n_items < FEWEST_ITEMS:
+        return f"No correlation: it needs {FEWEST_ITEMS} test stimuli, got {items.n_items}."
+    if np.ptp(items.metrics[row]) == 0:
+        return f"No correlation: '{metric}' is the same for every stimulus."
+    return "No correlation: the mean rating is the same for every stimulus."
+
+
+def _explain_undrawn(drawn: Values, kind: str) -> Iterator[str]:
+    """Say how many draws gave no result, or that all gave the same."""
+    undefined = int(np.isnan(drawn).sum())
+    if undefined:
+        end = ": too many for an interval" if undefined > MOST_UNDEFINED * drawn.size else ""
+        yield (
+            f"{undefined} of {drawn.size} {kind} draws gave no correlation (fewer than three stimuli, a constant, or "
+            f"all points on a line) and are left out{end}."
         )
-
-
-def _interval(z: float, drawn: NDArray[np.float64], *, n_units: int) -> tuple[float, float]:
-    margin = bootstrap_margin(drawn, n_units)
-    return float(np.tanh(z - margin)), float(np.tanh(z + margin))
-
-
-# Everything that is computed from a table of ratings, before a word or a picture is made of it.
+    elif np.ptp(drawn) <= STILL:
+        yield f"All {drawn.size} {kind} draws gave the same: no interval without spread."
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Panel:
-    """Findings on the test stimuli of one scale and one level."""
+    """Associations of the test stimuli of one scale and one level."""
 
     scale: str
     level: str
@@ -433,36 +473,12 @@ class Panel:
     stimuli: DataFrame
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Findings:
-    """Everything computed from a table."""
-
-    panels: tuple[Panel, ...]
-    profile: DataFrame
-    participants: DataFrame
-    scales: tuple[str, ...]
-
-
-def analyse(table: Table, *, draws: int, rng: np.random.Generator) -> Findings:
-    """Compute everything that a report shows."""
-    rows = table.rows
-    refuse_untested(table)
-    rated = rows[(rows["role"] == "test") & ~rows["scale"].isin(APART)]
-    groups = rated.groupby(["scale", "level"], observed=True)
-    panels = tuple(make_panel(part, table.metrics, draws=draws, rng=rng) for _, part in groups)
-    single = rows[rows["role"] != PAIR]
-    return Findings(
-        panels,
-        profile_reducers(single),
-        participant_means(single),
-        tuple(sorted(rows["scale"].unique())),
-    )
-
-
 def refuse_untested(table: Table) -> None:
     """Refuse ratings of references and anchors alone."""
     if not table.rows["role"].isin(["test", PAIR]).any():
-        raise ValueError("ratings: got none of a stimulus with role 'test'; at least one is needed")
+        raise ValueError(
+            "ratings must be of one stimulus or more with role 'test', got none of such"
+        )
 
 
 def make_panel(
@@ -472,39 +488,30 @@ def make_panel(
     # The same draws for every metric and method: a further metric changes nothing, and metrics that say the same get
     # the same intervals.
     seed = int(rng.integers(2**63))
-    one = [(metric, method) for metric in metrics for method in METHODS]
-    two = [
-        (first, second, method) for first, second in combinations(metrics, 2) for method in METHODS
-    ]
     of_stimuli = part.drop_duplicates("stimulus_id").set_index("stimulus_id")[list(metrics)]
     return Panel(
         scale=str(part["scale"].iloc[0]),
         level=str(part["level"].iloc[0]),
         associations=tuple(
-            correlate(part, metric, method=method, draws=draws, rng=np.random.default_rng(seed))
-            for metric, method in one
+            correlate(part, metric, method=method, draws=draws, rng=seed)
+            for metric in metrics
+            for method in METHODS
         ),
         differences=tuple(
-            compare_metrics(
-                part, first, second, method=method, draws=draws, rng=np.random.default_rng(seed)
-            )
-            for first, second, method in two
+            compare_metrics(part, first, second, method=method, draws=draws, rng=seed)
+            for first, second in combinations(metrics, 2)
+            for method in METHODS
         ),
         stimuli=stimulus_means(part).join(of_stimuli, on="stimulus_id"),
     )
 
 
 def stack_records(panels: Sequence[Panel], kind: str) -> DataFrame:
-    """Lay associations or differences out as a table to be written."""
+    """Tabulate the associations or differences of panels, for a file."""
     import pandas as pd
 
     return pd.DataFrame([
-        {
-            "scale": panel.scale,
-            "level": panel.level,
-            **asdict(record),
-            "notes": " ".join(record.notes),
-        }
+        {"scale": panel.scale, "level": panel.level, **asdict(record), "notes": " ".join(record.notes)}
         for panel in panels
         for record in getattr(panel, kind)
-    ])
+    ])  # fmt: skip

@@ -7,15 +7,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from feel321.analysis.resampling import PERFECT
-from feel321.analysis.words import CONFIDENCE
+from feel321.analysis.arrays import PERFECT, find_p, fisher_interval
+from feel321.records import Result
 
 FEWEST = 4
 """Cases that Fisher's z and Williams' t need at least: both divide by n - 3."""
 
 
-@dataclass(frozen=True, slots=True)
-class Dependent:
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Dependent(Result):
     """Four comparisons of the correlation of j with k to that of j with h.
 
     Parameters
@@ -117,12 +117,15 @@ def compare_dependent(r_jk: float, r_jh: float, r_kh: float, n: int) -> Dependen
     --------
     Zou (2007), example of overlapping correlations:
 
-    >>> result = compare_dependent(0.396, 0.179, 0.088, 66)
+    >>> from feel321 import analysis
+    >>> result = analysis.compare_dependent(0.396, 0.179, 0.088, 66)
     >>> round(result.zou_low, 3), round(result.zou_high, 3)
     (-0.093, 0.517)
     >>> round(result.williams_t, 2), result.williams_df, round(result.meng_p, 2)
     (1.38, 63, 0.17)
     """
+    from scipy.stats import t
+
     given = _Triple(float(r_jk), float(r_jh), float(r_kh), int(n) if np.isfinite(n) else 0)
     _check_triple(given, n)
     williams = _williams(given)
@@ -136,34 +139,25 @@ def compare_dependent(r_jk: float, r_jh: float, r_kh: float, n: int) -> Dependen
     if np.isnan(williams):
         notes.append("Williams' t is not defined: the three variables determine each other.")
     return Dependent(
-        difference=given.first - given.second,
-        williams_t=williams,
-        williams_df=given.n - 3,
-        williams_p=_student_p(williams, given.n - 3),
-        steiger_z=steiger,
-        steiger_p=_normal_p(steiger),
-        meng_z=meng,
-        meng_p=_normal_p(meng),
-        zou_low=zou_low,
-        zou_high=zou_high,
-        notes=tuple(notes),
-    )
+        given.first - given.second, williams, given.n - 3, float(2 * t.sf(abs(williams), given.n - 3)),
+        steiger, find_p(steiger), meng, find_p(meng), zou_low, zou_high, tuple(notes),
+    )  # fmt: skip
 
 
 def _check_triple(given: _Triple, n: float) -> None:
     for name, value in (("r_jk", given.first), ("r_jh", given.second), ("r_kh", given.between)):
         if not abs(value) <= 1:
-            raise ValueError(f"{name}: got {value}, allowed is -1 to 1")
+            raise ValueError(f"{name} must be -1 to 1, got {value}")
     if n != given.n or given.n < FEWEST:
-        raise ValueError(f"n: got {n}, allowed is a whole number of cases, {FEWEST} or more")
+        raise ValueError(f"n must be a whole number of cases, {FEWEST} or more, got {n}")
     if given.between >= PERFECT:
         raise ValueError(
-            f"r_kh: got {given.between}, the two variables compared are one; leave one out"
+            f"r_kh must be below 1, got {given.between}: the two variables compared are one; leave one out"
         )
     if given.determinant < PERFECT - 1:
         raise ValueError(
-            f"r_kh: got {given.between} with r_jk {given.first} and r_jh {given.second}; no three variables correlate "
-            f"like that (determinant {given.determinant:.3g}); take all three from the same cases"
+            f"r_kh must be possible with r_jk {given.first} and r_jh {given.second}, got {given.between}: no three "
+            f"variables correlate like that (determinant {given.determinant:.3g}); take all three from the same cases"
         )
 
 
@@ -177,33 +171,27 @@ def _williams(given: _Triple) -> float:
     return float((given.first - given.second) * np.sqrt((n - 1) * (1 + given.between) / spread))
 
 
-def _z_difference(given: _Triple) -> float:
+def _subtract_z(given: _Triple) -> float:
     return float(np.arctanh(given.first) - np.arctanh(given.second))
 
 
 def _steiger(given: _Triple) -> float:
     r12, square = given.between, ((given.first + given.second) / 2) ** 2
     covariance = r12 * (1 - 2 * square) - square * (1 - 2 * square - r12**2) / 2
-    return _z_difference(given) * float(
-        np.sqrt((given.n - 3) / (2 - 2 * covariance / (1 - square) ** 2))
-    )
+    spread = 2 - 2 * covariance / (1 - square) ** 2
+    return _subtract_z(given) * float(np.sqrt((given.n - 3) / spread))
 
 
 def _meng(given: _Triple) -> float:
     square = (given.first**2 + given.second**2) / 2
     f = min(1.0, (1 - given.between) / (2 * (1 - square)))
     h = (1 - f * square) / (1 - square)
-    return _z_difference(given) * float(np.sqrt((given.n - 3) / (2 * (1 - given.between) * h)))
+    return _subtract_z(given) * float(np.sqrt((given.n - 3) / (2 * (1 - given.between) * h)))
 
 
 def _zou(given: _Triple) -> tuple[float, float]:
-    from scipy.stats import norm
-
     r1, r2, r12, n = given
-    margin = norm.ppf((1 + CONFIDENCE) / 2) / np.sqrt(n - 3)
-    (low1, high1), (low2, high2) = (
-        np.tanh(np.arctanh(r) + np.array([-margin, margin])) for r in (r1, r2)
-    )
+    (low1, high1), (low2, high2) = (fisher_interval(r, n - 3) for r in (r1, r2))
     c = ((r12 - r1 * r2 / 2) * (1 - r1**2 - r2**2 - r12**2) + r12**3) / ((1 - r1**2) * (1 - r2**2))
 
     def reach(first: float, second: float) -> float:
@@ -211,15 +199,3 @@ def _zou(given: _Triple) -> tuple[float, float]:
         return float(np.sqrt(max(0.0, first**2 + second**2 - 2 * c * first * second)))
 
     return r1 - r2 - reach(r1 - low1, high2 - r2), r1 - r2 + reach(high1 - r1, r2 - low2)
-
-
-def _student_p(statistic: float, df: int) -> float:
-    from scipy.stats import t
-
-    return float(2 * t.sf(abs(statistic), df))
-
-
-def _normal_p(statistic: float) -> float:
-    from scipy.stats import norm
-
-    return float(2 * norm.sf(abs(statistic)))

@@ -3,22 +3,30 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from feel321.analysis.arrays import check_labels, read_numbers
-from feel321.analysis.resampling import FLAT, PERFECT
-from feel321.analysis.words import CONFIDENCE
+from feel321.analysis.arrays import (
+    FLAT,
+    PERFECT,
+    Values,
+    check_labels,
+    fisher_interval,
+    read_array,
+    read_groups,
+)
+from feel321.analysis.table.items import is_tidy, open_tests
+from feel321.records import Result
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    Values = NDArray[np.float64]
+    from feel321.analysis.table.items import Table
 
 
-@dataclass(frozen=True, slots=True)
-class RepeatedMeasures:
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class RepeatedMeasures(Result):
     """A repeated-measures correlation.
 
     Parameters
@@ -47,24 +55,19 @@ class RepeatedMeasures:
     notes: tuple[str, ...] = ()
 
 
-class _Within(NamedTuple):
-    """What is left of x and y without their participants' means; all 0 where that is rounding only."""
-
-    x: Values
-    y: Values
-
-
 def repeated_measures_correlation(
-    x: ArrayLike, y: ArrayLike, participant: ArrayLike
+    x: Table | ArrayLike, y: str | ArrayLike, participant: ArrayLike | None = None
 ) -> RepeatedMeasures:
     """Correlate x and y within participants.
 
     Parameters
     ----------
-    x, y : array_like, shape (n,)
-        Paired values, one row per judgement.
-    participant : array_like, shape (n,)
-        Who each row belongs to. A participant with a single row says nothing about the inside and leaves r
+    x : Table, DataFrame or array_like, shape (n,)
+        Ratings of test stimuli; or the values of one variable, one row per judgement.
+    y : str or array_like, shape (n,)
+        The metric that ratings are correlated with; or the other variable.
+    participant : array_like, shape (n,), optional
+        Who each row belongs to, unless x holds ratings. A participant with a single row does not vary, and leaves r
         as it is.
 
     Returns
@@ -96,81 +99,64 @@ def repeated_measures_correlation(
 
     Examples
     --------
-    Both participants rate higher what matches better, though the one who felt the better matches rates lower:
+    Both participants rate better matches higher, though the one who felt the better matches rates lower overall:
 
     >>> x, y = [0.1, 0.2, 0.4, 0.6, 0.7, 0.9], [60, 65, 75, 30, 38, 45]
-    >>> result = repeated_measures_correlation(x, y, ["a", "a", "a", "b", "b", "b"])
+    >>> from feel321 import analysis
+    >>> result = analysis.repeated_measures_correlation(x, y, ["a", "a", "a", "b", "b", "b"])
     >>> round(result.r, 3), result.df, round(result.p, 4)
     (0.987, 3, 0.0018)
     """
-    first, second, number = _check_rows(x, y, participant)
+    if is_tidy(x) and isinstance(y, str):
+        rows, _ = open_tests(x, (y,))
+        x, y, participant = rows[y].to_numpy(), rows["rating"].to_numpy(), rows["participant"]
+    first, second, number = _read_rows(x, y, participant)
     n, n_participants = len(first), int(number.max()) + 1
     df = n - n_participants - 1
     if df < 1:
         raise ValueError(
-            f"participant: got {n} rows of {n_participants} participants, allowed is at least participants + 2 rows"
+            f"participant must have at least participants + 2 rows, got {n} rows of {n_participants} participants"
         )
-    inside = _Within(_take_off_means(first, number), _take_off_means(second, number))
-    r, notes = _correlate(inside)
-    low, high = _interval(r, df)
-    if np.isnan(low) and np.isfinite(r):
-        notes = [
-            "No interval: the correlation is perfect, or fewer than 2 degrees of freedom are left."
-        ]
-    return RepeatedMeasures(r, df, _p(r, df), low, high, n, n_participants, tuple(notes))
+    inside = [_remove_means(values, number) for values in (first, second)]
+    if flat := [name for name, values in zip("xy", inside, strict=True) if not values.any()]:
+        nan, note = float("nan"), f"No correlation: {flat[0]} does not vary within any participant."
+        return RepeatedMeasures(nan, df, nan, nan, nan, n, n_participants, (note,))
+    one, other = inside
+    r = float(np.clip(one @ other / np.sqrt((one @ one) * (other @ other)), -1, 1))
+    low, high = fisher_interval(r, df - 1)
+    missing = (
+        "No interval: the correlation is perfect, or fewer than 2 degrees of freedom are left."
+    )
+    notes = (missing,) if np.isnan(low) else ()
+    return RepeatedMeasures(r, df, _find_p(r, df), low, high, n, n_participants, notes)
 
 
-def _check_rows(
-    x: ArrayLike, y: ArrayLike, participant: ArrayLike
+def _read_rows(
+    x: object, y: object, participant: object
 ) -> tuple[Values, Values, NDArray[np.intp]]:
-    from pandas import factorize
-
     check_labels(x, y, what="y")
-    first, second = read_numbers(x, what="x"), read_numbers(y, what="y")
-    number = factorize(np.asarray(participant).ravel())[0]
-    if not first.shape == second.shape == (len(number),):
+    first, second = (read_array(one, what=name, axes=("n",)) for one, name in ((x, "x"), (y, "y")))
+    names = np.asarray(participant).ravel()
+    if not first.shape == second.shape == names.shape:
         raise ValueError(
-            f"x: got shapes {first.shape}, {second.shape} and {len(number)} names; allowed is one length"
+            f"x, y and participant must have one length, got {len(first)}, {len(second)} and {names.size}"
         )
-    for name, values in (("x", first), ("y", second)):
-        if not np.isfinite(values).all():
-            bad = int((~np.isfinite(values)).sum())
-            raise ValueError(f"{name}: got {bad} values that are not finite; leave their rows out")
-    if (number < 0).any():
-        raise ValueError(
-            f"participant: got {int((number < 0).sum())} rows without a name; name or leave them out"
-        )
-    if not len(number):
-        raise ValueError("x: got no row, allowed is at least participants + 2")
+    number, distinct = read_groups(names, n=len(names), what="row", of="participant")
+    if not distinct:
+        raise ValueError("x must have at least participants + 2 rows, got none")
     return first, second, number
 
 
-def _take_off_means(values: Values, number: NDArray[np.intp]) -> Values:
+def _remove_means(values: Values, number: NDArray[np.intp]) -> Values:
+    """Remove participants' means; all 0 where what is left is rounding only."""
     rest = values - (np.bincount(number, values) / np.bincount(number))[number]
     flat = (rest**2).sum() <= FLAT * (values**2).sum()
     return np.zeros_like(rest) if flat else rest
 
 
-def _correlate(inside: _Within) -> tuple[float, list[str]]:
-    for name, values in zip("xy", inside, strict=True):
-        if not values.any():
-            return float("nan"), [f"No correlation: {name} does not vary within any participant."]
-    x, y = inside
-    return float(np.clip(x @ y / np.sqrt((x @ x) * (y @ y)), -1, 1)), []
-
-
-def _p(r: float, df: int) -> float:
+def _find_p(r: float, df: int) -> float:
     from scipy.stats import t
 
     if abs(r) >= PERFECT:
         return 0.0
     return float(2 * t.sf(abs(r) * np.sqrt(df / (1 - r**2)), df))
-
-
-def _interval(r: float, df: int) -> tuple[float, float]:
-    from scipy.stats import norm
-
-    if df < 2 or not abs(r) < PERFECT:  # noqa: PLR2004 - the standard error divides by df - 1
-        return float("nan"), float("nan")
-    z, margin = np.arctanh(r), norm.ppf((1 + CONFIDENCE) / 2) / np.sqrt(df - 1)
-    return float(np.tanh(z - margin)), float(np.tanh(z + margin))

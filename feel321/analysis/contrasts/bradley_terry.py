@@ -1,21 +1,37 @@
-"""Which of several would win a comparison, and by how much? The Bradley-Terry model of paired choices."""
+"""Which of several would win a comparison, and by how much? The Bradley-Terry model of paired choices.
+
+Conventions: a row is a pair in the order in which it was presented. Four forms are understood: trials, with the
+columns ``first``, ``second`` and ``winner``; counts, whose first two columns name the pair and whose next two count
+the wins of each; and, without an order of presentation, trials with the columns ``winner`` and ``loser``, and a square
+table that counts how often the item of the row beat the item of the column.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from feel321.analysis.contrasts.duels import Duels, count_duels
+from feel321.analysis.arrays import CONFIDENCE, Values, check_columns, check_draws, read_groups
 from feel321.analysis.resampling import MOST_UNDEFINED, bootstrap_margin, draw_counts
-from feel321.analysis.words import CONFIDENCE
+from feel321.doors import as_rng, check_name
+from feel321.records import Result
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import ArrayLike, NDArray
     from pandas import DataFrame
 
-    Values = NDArray[np.float64]
+    from feel321.types import Rng
+
+    Names = NDArray[np.str_]
+
+TRIAL = ("first", "second", "winner")
+TIES = ("refuse", "half")
+COUNTED = 4
+"""Columns of a table of counts."""
 
 ORDER = "order"
 """The term of being presented first."""
@@ -28,8 +44,8 @@ CLOSE = 1e-9
 RIDGE, LOOSE = 1e-10, 1e-9
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class BradleyTerry:
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class BradleyTerry(Result):
     """A fitted Bradley-Terry model.
 
     Parameters
@@ -64,14 +80,39 @@ class BradleyTerry:
     uncertainty: str
     notes: tuple[str, ...] = ()
 
+    def to_frame(self) -> DataFrame:
+        """Return the abilities as a table.
 
-def bradley_terry(
+        Returns
+        -------
+        DataFrame
+            A row per item, with the columns of `fixed`.
+        """
+        return self.fixed.rename_axis("item").reset_index()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Duels:
+    """Wins by pair: items, the first and the second of each row (n_rows,), and the wins of both (n_rows, 2)."""
+
+    items: tuple[str, ...]
+    first: NDArray[np.intp]
+    second: NDArray[np.intp]
+    wins: Values
+    n_ties: int
+    ordered: bool = True
+
+
+def bradley_terry(  # noqa: PLR0913 - the model's options, and those of its bootstrap
     pairs: DataFrame,
     *,
     reference: str | None = None,
     order_effect: bool = False,
     ties: str = "refuse",
     prior: float = 0,
+    by_rater: bool | str = False,
+    draws: int = 1000,
+    rng: Rng = 0,
 ) -> BradleyTerry:
     """Fit a Bradley-Terry model to paired comparisons.
 
@@ -86,21 +127,28 @@ def bradley_terry(
     order_effect : bool
         Whether being presented first may help, equally for all.
     ties : str
-        ``refuse`` trials without a winner, or count ``half`` a win for each.
+        ``refuse`` trials without a winner, or count ``half`` a win for each; half by rater.
     prior : float
         Wins added to both sides of every row; 0 for maximum likelihood. With 0.5 an item that always won has
         a finite, shrunken ability.
+    by_rater : bool or str
+        Whether the errors come from drawing raters anew: True for those of the column ``participant``, or a column.
+    draws : int
+        Number of draws of raters, at least 2.
+    rng : int or Generator
+        Seed, or source of randomness, of these draws.
 
     Returns
     -------
     BradleyTerry
-        Abilities, errors and fit.
+        Abilities, errors and fit; by rater with ``p`` and interval on raters - 1 degrees of freedom.
 
     Raises
     ------
     ValueError
         If the table is not as it must be, the reference is unknown, items were never compared with each other
-        even through others, or one or more always won or lost (separation), which leaves no finite estimate.
+        even through others, or one or more always won or lost (separation), which leaves no finite estimate; by rater
+        if the column is missing or names fewer than two raters.
 
     Notes
     -----
@@ -108,8 +156,12 @@ def bradley_terry(
     i presented first. It is a binomial regression without intercept on ±1 contrasts, fitted by statsmodels'
     GLM. Estimates are finite exactly if, however the items are parted in two, each part won against the other
     (Ford 1957), which is checked before fitting. Half wins for ties keep the estimates sensible, but errors
-    are then those of as many decided comparisons. Comparisons of one rater are not independent: the errors
-    here are too small for a panel, and `bradley_terry_by_rater` is for conclusions.
+    are then those of as many decided comparisons.
+
+    Comparisons of one rater are not independent: the plain errors are too small for a panel, and those by rater are
+    for conclusions. With U raters and λ* an ability in a draw, se = √(U/(U - 1)) SD(λ*) and the interval is
+    λ ± t(.975, U - 1) se. Draws in which an item always wins or loses, or meets no other, have no estimate; where they
+    are more than a tenth, there is no interval, and a note says so. These stimuli are taken as the only ones.
 
     No section of the report uses it: a protocol of feel321 that asks which of two is better does not exist, and
     dissimilarities and ABX trials name no winner. It is for tables of preferences from elsewhere.
@@ -123,35 +175,41 @@ def bradley_terry(
     Examples
     --------
     >>> import pandas as pd
+    >>> from feel321 import analysis
     >>> pairs = pd.DataFrame({"a": ["dft321", "dft321", "pca321"], "b": ["pca321", "sax321", "sax321"],
     ...     "wins_a": [14, 18, 13], "wins_b": [6, 2, 7]})
-    >>> result = bradley_terry(pairs)
+    >>> result = analysis.bradley_terry(pairs)
     >>> result.fixed[["estimate", "se"]].round(2)
             estimate    se
     dft321      0.00  0.00
     pca321     -1.04  0.43
     sax321     -1.83  0.48
     """
+    if by_rater:
+        rater = "participant" if by_rater is True else by_rater
+        options = {"reference": reference, "order_effect": order_effect, "prior": prior}
+        return _fit_by_rater(pairs, rater, options, draws=draws, rng=as_rng(rng))
     duels = count_duels(pairs, ties=ties)
-    base = _find_reference(duels, reference)
     if not 0 <= prior < np.inf:
-        raise ValueError(f"prior: got {prior}, allowed is 0 or more; 0.5 is usual")
+        raise ValueError(f"prior must be 0 or more, got {prior}; 0.5 is usual")
+    # Items are names, even where a table holds numbers.
+    base = duels.items[0] if reference is None else str(reference)
+    check_name(base, duels.items, "reference")
     wins = duels.wins + prior
     _check_separation(duels, wins)
-    design, names = _build_design(duels, base, order_effect=order_effect)
+    design, names = _build_design(duels, duels.items.index(base), order_effect=order_effect)
     fit = _fit_glm(wins, design, names=names)
-    fixed = _tabulate(fit.params, fit.bse, names=names, reference=duels.items[base])
+    notes = [f"{duels.n_ties} ties count half a win for each."] if duels.n_ties else []
+    if prior:
+        notes.append(
+            f"{prior:g} wins are added to both sides of every row; abilities are shrunken."
+        )
     return BradleyTerry(
-        fixed=fixed,
-        deviance=float(fit.deviance),
-        df=int(fit.df_resid),
-        log_likelihood=float(fit.llf),
-        reference=duels.items[base],
-        n_comparisons=float(duels.wins.sum()),
-        n_ties=duels.n_ties,
-        uncertainty="95 % Wald interval, comparisons taken for independent",
-        notes=_explain(duels, prior),
-    )
+        fixed=_tabulate(fit.params, fit.bse, names=names, reference=base), deviance=float(fit.deviance),
+        df=int(fit.df_resid), log_likelihood=float(fit.llf), reference=base,
+        n_comparisons=float(duels.wins.sum()), n_ties=duels.n_ties,
+        uncertainty="95 % Wald interval, comparisons taken for independent", notes=tuple(notes),
+    )  # fmt: skip
 
 
 def bradley_terry_by_rater(
@@ -161,144 +219,102 @@ def bradley_terry_by_rater(
     reference: str | None = None,
     order_effect: bool = False,
     draws: int = 1000,
-    rng: np.random.Generator,
+    rng: Rng = 0,
 ) -> BradleyTerry:
-    """Fit a Bradley-Terry model whose errors come from drawing raters anew.
+    """Fit a Bradley-Terry model whose errors come from drawing raters anew."""
+    options = {"reference": reference, "order_effect": order_effect}
+    return _fit_by_rater(trials, rater, options, draws=draws, rng=as_rng(rng))
 
-    Parameters
-    ----------
-    trials : DataFrame
-        As for `bradley_terry`, in either form, with a column that names the rater. Ties count half.
-    rater : str
-        That column.
-    reference : str, optional
-        As for `bradley_terry`.
-    order_effect : bool
-        As for `bradley_terry`.
-    draws : int
-        Number of bootstrap draws, at least 2.
-    rng : Generator
-        Source of randomness.
 
-    Returns
-    -------
-    BradleyTerry
-        The same estimates; ``se`` from the draws, and with it ``z``, ``p`` (on raters - 1 degrees of freedom)
-        and the interval.
+def _fit_by_rater(
+    trials: DataFrame, rater: str, options: dict[str, Any], *, draws: int, rng: np.random.Generator
+) -> BradleyTerry:
+    from scipy.stats import t
 
-    Raises
-    ------
-    ValueError
-        As for `bradley_terry`, or if the column is missing or names fewer than two raters.
-
-    Notes
-    -----
-    With U raters and λ* an ability in a draw, se = √(U/(U - 1)) SD(λ*) and the interval is λ ± t(.975, U - 1)
-    se. Draws in which an item always wins or loses, or meets no other, have no estimate; where they are more than
-    a tenth, there is no interval, and a note says so. The comparisons' stimuli are taken as the only ones.
-
-    Examples
-    --------
-    >>> import pandas as pd
-    >>> rng = np.random.default_rng(1)
-    >>> trials = pd.DataFrame({"first": ["x", "y"] * 40, "second": ["y", "x"] * 40,
-    ...     "winner": rng.choice(["x", "y"], 80, p=[0.7, 0.3]), "participant": np.arange(80) // 10})
-    >>> fixed = bradley_terry_by_rater(trials, draws=200, rng=rng).fixed
-    >>> bool(fixed.loc["y", "high"] < 0)
-    True
-    """
-    if draws < 2:  # noqa: PLR2004 - a spread needs two
-        raise ValueError(
-            f"draws: got {draws}, allowed is 2 or more; use 1000 for results to be published"
-        )
-    people = _read_raters(trials, rater)
+    check_draws(draws, usual=1000)
+    check_columns(trials, [rater], "trials")
+    people, names = read_groups(trials[rater], n=len(trials), what="row", of=rater, sort=False)
+    if (n_raters := len(names)) < 2:  # noqa: PLR2004 - a spread needs two
+        raise ValueError("trials must be of two raters or more, got one; leave by_rater out")
     judgements = trials.drop(columns=rater)
-    result = bradley_terry(judgements, reference=reference, order_effect=order_effect, ties="half")
-    drawn = _draw_abilities(
-        judgements, people, result, order_effect=order_effect, draws=draws, rng=rng
-    )
-    n_raters = int(people.max()) + 1
+    result = bradley_terry(judgements, ties="half", **options)
+    order_effect = options["order_effect"]
+    each = [judgements[people == person] for person in range(n_raters)]
+    drawn = _draw_abilities(each, result, order_effect=order_effect, draws=draws, rng=rng)
     margins = np.array([bootstrap_margin(column, n_raters) for column in drawn.T])
-    fixed = _replace_errors(result.fixed, margins, n_raters)
+    fixed = result.fixed.copy()
+    rows = fixed["se"] > 0
+    estimate, error = (
+        fixed.loc[rows, "estimate"],
+        margins / t.ppf((1 + CONFIDENCE) / 2, n_raters - 1),
+    )
+    fixed.loc[rows, "se"], fixed.loc[rows, "z"] = error, estimate / error
+    fixed.loc[rows, "p"] = 2 * t.sf(np.abs(estimate / error), n_raters - 1)
+    fixed.loc[rows, "low"], fixed.loc[rows, "high"] = estimate - margins, estimate + margins
     lost = int(np.isnan(drawn).any(axis=1).sum())
-    left_out = f"In {lost} of {draws} draws an item always won or lost, or met no other; they are left out."
-    notes = [left_out] if lost else []
+    notes = list(result.notes)
+    if lost:
+        notes.append(
+            f"In {lost} of {draws} draws an item always won or lost, or met no other; they are left out."
+        )
     if np.isnan(margins).any():
         few = "too many draws have no estimate; ask for more comparisons per rater"
-        alike = "all draws gave the same, so that nothing tells how raters differ"
+        alike = "all draws gave the same, so that nothing shows how raters differ"
         notes.append(f"No interval: {few if lost > MOST_UNDEFINED * draws else alike}.")
-    return BradleyTerry(
-        fixed=fixed,
-        deviance=result.deviance,
-        df=result.df,
-        log_likelihood=result.log_likelihood,
-        reference=result.reference,
-        n_comparisons=result.n_comparisons,
-        n_ties=result.n_ties,
-        uncertainty="95 % bootstrap interval over raters",
-        notes=(*result.notes, *notes),
+    return replace(
+        result, fixed=fixed, notes=tuple(notes), uncertainty="95 % bootstrap interval over raters"
     )
-
-
-def _find_reference(duels: Duels, reference: str | None) -> int:
-    if reference is None:
-        return 0
-    name = str(reference)  # items are names, even where a table holds numbers
-    if name not in duels.items:
-        raise ValueError(
-            f"reference: got {reference!r}, allowed is one of {', '.join(duels.items)}"
-        )
-    return duels.items.index(name)
 
 
 def _check_separation(duels: Duels, wins: Values) -> None:
     from scipy.sparse.csgraph import connected_components
+
+    def name(chosen: NDArray[np.bool_]) -> str:
+        pairs = zip(duels.items, chosen, strict=True)
+        return " and ".join(f"'{item}'" for item, taken in pairs if taken)
 
     beat = np.zeros((len(duels.items), len(duels.items)))
     np.add.at(beat, (duels.first, duels.second), wins[:, 0])
     np.add.at(beat, (duels.second, duels.first), wins[:, 1])
     n_apart, label = connected_components(beat, directed=False)
     if n_apart > 1:
-        one, other = (_name(duels, label == number) for number in range(2))
         raise ValueError(
-            f"pairs: got {one} never compared with {other}, even through others; fit them apart"
+            f"pairs must connect all items, got {name(label == 0)} never compared with {name(label == 1)}, even "
+            "through others; fit them apart"
         )
     n_parts, label = connected_components(beat, connection="strong")
     # The smallest part that always won, or lost, is the one to name.
-    for inside in (
-        label == number for number in np.argsort(np.bincount(label), kind="stable") if n_parts > 1
-    ):
+    for number in np.argsort(np.bincount(label), kind="stable") if n_parts > 1 else ():
+        inside = label == number
         never_lost = not beat[np.ix_(~inside, inside)].any()
         if never_lost or not beat[np.ix_(inside, ~inside)].any():
-            always = f"{_name(duels, inside)} always {'won' if never_lost else 'lost'} against all others"
             raise ValueError(
-                f"pairs: got separation, {always}: no finite estimate; gather more comparisons, or use prior=0.5"
+                f"pairs must have no separation, but {name(inside)} always {'won' if never_lost else 'lost'} against "
+                "all others: no finite estimate; gather more comparisons, or use prior=0.5"
             )
 
 
-def _name(duels: Duels, chosen: NDArray[np.bool_]) -> str:
-    return " and ".join(
-        f"'{item}'" for item, taken in zip(duels.items, chosen, strict=True) if taken
-    )
-
-
 def _build_design(duels: Duels, base: int, *, order_effect: bool) -> tuple[Values, list[str]]:
+    """Write each row as +1 for the first item and -1 for the second, without the reference."""
     names = [item for number, item in enumerate(duels.items) if number != base]
-    design = np.delete(duels.contrasts(), base, axis=1)
+    rows = np.arange(len(duels.first))
+    design = np.zeros((len(rows), len(duels.items)))
+    design[rows, duels.first], design[rows, duels.second] = 1, -1
+    design = np.delete(design, base, axis=1)
     if not order_effect:
         return design, names
     if ORDER in duels.items:
         raise ValueError(
-            f"pairs: got an item named '{ORDER}', which is the name of the order effect; rename it"
+            f"pairs must not have an item named '{ORDER}', the name of the order effect; rename it"
         )
     if not duels.ordered:
         raise ValueError(
-            "order_effect: got pairs that do not say which was presented first; leave it out"
+            "order_effect needs pairs that say which was presented first, got others; leave it out"
         )
     design = np.column_stack([design, np.ones(len(design))])
     if np.linalg.matrix_rank(design) < design.shape[1]:
         raise ValueError(
-            "order_effect: got pairs always presented in one order, from which it cannot be told; leave it out"
+            "order_effect needs pairs in both orders, got pairs always presented in one order; leave it out"
         )
     return design, [*names, ORDER]
 
@@ -318,7 +334,7 @@ def _fit_glm(wins: Values, design: Values, *, names: list[str]) -> Any:  # noqa:
     if np.abs(design @ fit.params).max() > EXTREME:
         worst = names[int(np.abs(fit.params).argmax())]
         raise ValueError(
-            f"pairs: got separation, the estimate of '{worst}' runs away; use prior=0.5"
+            f"pairs must have no separation, but the estimate of '{worst}' runs away; use prior=0.5"
         )
     return fit
 
@@ -335,49 +351,17 @@ def _tabulate(
     fixed["p"] = 2 * norm.sf(np.abs(fixed["z"]))
     fixed["low"], fixed["high"] = fixed["estimate"] - margin, fixed["estimate"] + margin
     fixed.loc[reference] = [0.0, 0.0, np.nan, np.nan, 0.0, 0.0]
-    items = sorted(name for name in fixed.index if name != ORDER)
-    return fixed.loc[[*items, *(name for name in fixed.index if name == ORDER)]]
-
-
-def _explain(duels: Duels, prior: float) -> tuple[str, ...]:
-    ties = [f"{duels.n_ties} ties count half a win for each."] if duels.n_ties else []
-    added = (
-        [f"{prior:g} wins are added to both sides of every row; abilities are shrunken."]
-        if prior
-        else []
-    )
-    return (*ties, *added)
-
-
-def _read_raters(trials: DataFrame, rater: str) -> NDArray[np.intp]:
-    from pandas import factorize
-
-    if rater not in trials:
-        raise ValueError(f"trials: column {rater} is missing; name the raters' column with rater=")
-    people = factorize(trials[rater])[0]
-    if (people < 0).any():
-        raise ValueError(
-            f"trials: got {int((people < 0).sum())} rows without a {rater}; name or leave them out"
-        )
-    if people.max() < 1:
-        raise ValueError("trials: got one rater, allowed is two or more; use bradley_terry")
-    return people
+    return fixed.loc[sorted(fixed.index, key=lambda name: (name == ORDER, name))]
 
 
 def _draw_abilities(
-    judgements: DataFrame,
-    people: NDArray[np.intp],
-    result: BradleyTerry,
-    *,
-    order_effect: bool,
-    draws: int,
-    rng: np.random.Generator,
-) -> Values:
+    each: list[DataFrame], result: BradleyTerry, *, order_effect: bool, draws: int, rng: np.random.Generator,
+) -> Values:  # fmt: skip
     """Fit every draw of raters, in the order of the table's rows without the reference."""
     items = tuple(name for name in result.fixed.index if name != ORDER)
     rows = []
-    for person in range(int(people.max()) + 1):
-        duels = count_duels(judgements[people == person], ties="half")
+    for judgements in each:
+        duels = count_duels(judgements, ties="half")
         place = np.array([items.index(item) for item in duels.items])
         tally = np.zeros((len(items), len(items), 2))
         np.add.at(tally, (place[duels.first], place[duels.second]), duels.wins)
@@ -410,14 +394,109 @@ def _fit_many(wins: Values, design: Values) -> Values:
     return beta
 
 
-def _replace_errors(fixed: DataFrame, margins: Values, n_raters: int) -> DataFrame:
-    from scipy.stats import t
+def count_duels(pairs: DataFrame, *, ties: str = "refuse") -> Duels:
+    """Read paired comparisons, as trials or as counts."""
+    from pandas import DataFrame
 
-    table = fixed.copy()
-    rows = table["se"] > 0
-    error = margins / float(t.ppf((1 + CONFIDENCE) / 2, n_raters - 1))
-    estimate = table.loc[rows, "estimate"]
-    table.loc[rows, "se"], table.loc[rows, "z"] = error, estimate / error
-    table.loc[rows, "p"] = 2 * t.sf(np.abs(estimate / error), n_raters - 1)
-    table.loc[rows, "low"], table.loc[rows, "high"] = estimate - margins, estimate + margins
-    return table
+    if not isinstance(pairs, DataFrame):
+        raise TypeError(
+            f"pairs must be a pandas DataFrame, one row per pair or trial, got {type(pairs).__name__}"
+        )
+    check_name(ties, TIES, "ties")
+    if pairs.empty:
+        raise ValueError("pairs must hold a comparison or more, got no row")
+    first, second, wins, n_ties = _read_pairs(pairs, ties=ties)
+    if (first == second).any():
+        raise ValueError(
+            f"pairs must be of two items, got '{first[first == second][0]}' against itself; leave such rows out"
+        )
+    met = wins.sum(axis=1) > 0  # a pair that never met says nothing
+    if not met.any():
+        raise ValueError("pairs must hold a comparison or more, got no win in any row")
+    items, numbers = np.unique(np.concatenate([first[met], second[met]]), return_inverse=True)
+    (one, other), wins = np.split(numbers, 2), wins[met]
+    if "winner" in pairs:
+        both, row = np.unique(one * len(items) + other, return_inverse=True)
+        one, other = both // len(items), both % len(items)
+        wins = np.stack([np.bincount(row, wins[:, side]) for side in (0, 1)], axis=1)
+    ordered = "loser" not in pairs and not _is_square(pairs)
+    return Duels(tuple(items.tolist()), one, other, wins.astype(np.float64), n_ties, ordered)
+
+
+def _read_pairs(pairs: DataFrame, *, ties: str) -> tuple[Names, Names, Values, int]:
+    """Read whichever form it is: names of the first and the second, their wins, and the number of ties."""
+    if _is_square(pairs):
+        return *_read_square(pairs), 0
+    if "winner" in pairs and "loser" in pairs:
+        sides = np.stack(list(_read_names(pairs, ("winner", "loser"))), axis=1)
+        names = np.sort(sides, axis=1)
+        return names[:, 0], names[:, 1], (names == sides[:, :1]).astype(np.float64), 0
+    if "winner" in pairs:
+        check_columns(pairs, TRIAL, "pairs")
+        first, second = _read_names(pairs, TRIAL[:2])
+        return first, second, *_read_winners(pairs, first, second, ties=ties)
+    if pairs.shape[1] < COUNTED:
+        got = ", ".join(map(str, pairs.columns))
+        raise ValueError(
+            f"pairs must have the columns {', '.join(TRIAL)}, or two names and two counts, got {got}"
+        )
+    first, second = _read_names(pairs, pairs.columns[:2])
+    return first, second, _read_counts(pairs.iloc[:, 2:COUNTED]), 0
+
+
+def _is_square(pairs: DataFrame) -> bool:
+    numbers = pairs.select_dtypes("number").shape == pairs.shape
+    return numbers and list(map(str, pairs.index)) == list(map(str, pairs.columns))
+
+
+def _read_square(pairs: DataFrame) -> tuple[Names, Names, Values]:
+    names = pairs.columns.astype(str).to_numpy(dtype=np.str_)
+    counts = _read_counts(pairs.where(pairs.notna(), 0))
+    if np.diag(counts).any() or len(set(names)) < len(names):
+        raise ValueError(
+            "pairs must be 0 on the diagonal of a square table, got an item twice or against itself"
+        )
+    one, other = np.triu_indices(len(names), 1)
+    return names[one], names[other], np.stack([counts[one, other], counts[other, one]], axis=1)
+
+
+def _read_names(pairs: DataFrame, columns: Any) -> Iterator[Names]:  # noqa: ANN401 - labels of any kind
+    for column in columns:
+        if missing := int(pairs[column].isna().sum()):
+            raise ValueError(
+                f"pairs must name an item in column '{column}', got {missing} rows without a name; name or leave "
+                "them out"
+            )
+        yield pairs[column].astype(str).to_numpy(dtype=np.str_)
+
+
+def _read_winners(
+    pairs: DataFrame, first: Names, second: Names, *, ties: str
+) -> tuple[Values, int]:
+    named = pairs["winner"].astype(object).where(pairs["winner"].notna(), "tie")
+    winner = named.astype(str).to_numpy(dtype=np.str_)
+    wins = np.stack([winner == first, winner == second], axis=1).astype(np.float64)
+    undecided = ~wins.any(axis=1)
+    if (strangers := winner[undecided & (winner != "tie")]).size:
+        raise ValueError(
+            f"pairs must have the row's first or second, or 'tie', as winner, got the winner '{strangers[0]}'"
+        )
+    if undecided.any() and ties == "refuse":
+        raise ValueError(
+            f"pairs must have a winner, got {int(undecided.sum())} ties; leave them out, or count them with ties='half'"
+        )
+    wins[undecided] = 0.5
+    return wins, int(undecided.sum())
+
+
+def _read_counts(columns: DataFrame) -> Values:
+    try:
+        wins = columns.to_numpy(dtype=np.float64)
+    except (TypeError, ValueError):
+        names = " and ".join(map(str, columns.columns))
+        raise ValueError(f"pairs must hold counts of wins, got text in columns {names}") from None
+    if not (np.isfinite(wins) & (wins >= 0)).all():
+        raise ValueError(
+            "pairs must hold counts of wins from 0, got a count of wins that is negative or not finite"
+        )
+    return wins

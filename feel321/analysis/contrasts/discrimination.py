@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
+
+from feel321.analysis.arrays import CONFIDENCE, check_columns
+from feel321.analysis.table.items import Table, open_ratings
+from feel321.analysis.table.schema import ANSWERED, HIGHEST
+from feel321.doors import check_name
+from feel321.records import Result
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from pandas import DataFrame
 
-CONFIDENCE = 0.95
 GUESSING = 0.5
 """Share that comes out right by guessing."""
 
@@ -27,9 +32,9 @@ SPREADS: Mapping[str, float] = MappingProxyType({
 """Observer's model -> divisor of d' in the second factor of the share correct; the first is always √2."""
 
 
-@dataclass(frozen=True, slots=True)
-class Discrimination:
-    """How well two stimuli are told apart in ABX trials.
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Discrimination(Result):
+    """How well two stimuli are discriminated in ABX trials.
 
     Parameters
     ----------
@@ -69,25 +74,38 @@ class Discrimination:
     notes: tuple[str, ...] = ()
 
 
-def discriminate(n_correct: int, n_trials: int) -> Discrimination:
-    """Evaluate ABX trials of one pair of stimuli.
+@overload
+def discriminate(n_correct: int, n_trials: int) -> Discrimination: ...
+
+
+@overload
+def discriminate(n_correct: Table | DataFrame) -> DataFrame: ...
+
+
+def discriminate(
+    n_correct: int | Table | DataFrame, n_trials: int | None = None
+) -> Discrimination | DataFrame:
+    """Evaluate ABX trials.
 
     Parameters
     ----------
-    n_correct : int
-        Trials answered correctly.
-    n_trials : int
-        Trials, at least 1; half of them with X = A, so that no bias for a button can pose as hearing.
+    n_correct : int, Table or DataFrame
+        Trials of one pair of stimuli answered correctly; or ratings, whose ABX answers are taken per level and reducer,
+        each against its reference; or trials with the columns ``first`` and ``second``, the stimuli in either order,
+        and ``correct``.
+    n_trials : int, optional
+        Trials, at least 1; half of them with X = A, so that no bias for a button can pose as discrimination.
 
     Returns
     -------
-    Discrimination
-        Share, intervals, test and d' under two models of the observer.
+    Discrimination or DataFrame
+        Share, intervals, test and d' under two models of the observer; of a table, a row per pair (and pooled).
 
     Raises
     ------
     ValueError
-        If the counts are not whole, or not 0 <= n_correct <= n_trials with n_trials of 1 or more.
+        If the counts are not whole, or not 0 <= n_correct <= n_trials with n_trials of 1 or more; if a table lacks a
+        column or trials, or has an answer that is neither true nor false.
 
     Notes
     -----
@@ -100,7 +118,8 @@ def discriminate(n_correct: int, n_trials: int) -> Discrimination:
     Which of the two people use is not known from shares alone; with A and B fixed over many trials the first
     is likely, when the pair roves the second. Ends of the interval of d' are the d' of the ends of Wilson's
     interval. Trials are taken for independent: pooled over people, the interval is about these people. A
-    share below .5 has d' 0: chance, or answers mixed up.
+    share below .5 has d' 0: chance, or answers mixed up. The pooled d' is that of the pooled share, which is smaller
+    than the mean d' when pairs differ in difficulty.
 
     References
     ----------
@@ -110,7 +129,8 @@ def discriminate(n_correct: int, n_trials: int) -> Discrimination:
 
     Examples
     --------
-    >>> result = discriminate(18, 24)
+    >>> from feel321 import analysis
+    >>> result = analysis.discriminate(18, 24)
     >>> round(result.share, 2), round(result.p, 4), round(result.d_independent, 2), round(result.d_differencing, 2)
     (0.75, 0.0113, 1.79, 2.02)
     >>> round(result.wilson_low, 3), round(result.wilson_high, 3)
@@ -118,64 +138,49 @@ def discriminate(n_correct: int, n_trials: int) -> Discrimination:
     """
     from scipy.stats import binomtest
 
+    if not isinstance(n_correct, int | float | np.number):
+        return _tabulate(n_correct)
+    n_trials = 0 if n_trials is None else n_trials
     whole = all(float(count).is_integer() for count in (n_correct, n_trials))
     if not whole or not 0 <= n_correct <= n_trials or n_trials < 1:
         raise ValueError(
-            f"n_correct: got {n_correct} of {n_trials}, allowed is 0 to n_trials, of 1 or more trials"
+            f"n_correct must be 0 to n_trials, of 1 or more trials, got {n_correct} of {n_trials}"
         )
     test = binomtest(int(n_correct), int(n_trials), GUESSING, alternative="greater")
     both = binomtest(int(n_correct), int(n_trials), GUESSING)
-    wilson, exact = (
-        both.proportion_ci(CONFIDENCE, "wilson"),
-        both.proportion_ci(CONFIDENCE, "exact"),
-    )
+    wilson, exact = (both.proportion_ci(CONFIDENCE, method) for method in ("wilson", "exact"))
     share = n_correct / n_trials
     shares = (share, float(wilson.low), float(wilson.high))
-    alone = [abx_d_prime(value, model="independent") for value in shares]
-    compared = [abx_d_prime(value, model="differencing") for value in shares]
+    alone, compared = ([abx_d_prime(value, model=model) for value in shares] for model in SPREADS)
     return Discrimination(
-        share=share,
-        wilson_low=shares[1],
-        wilson_high=shares[2],
-        exact_low=float(exact.low),
-        exact_high=float(exact.high),
-        p=float(test.pvalue),
-        d_independent=alone[0],
-        d_independent_low=alone[1],
-        d_independent_high=alone[2],
-        d_differencing=compared[0],
-        d_differencing_low=compared[1],
-        d_differencing_high=compared[2],
-        n_correct=int(n_correct),
-        n_trials=int(n_trials),
-        notes=_explain(share),
-    )
+        *shares, float(exact.low), float(exact.high), float(test.pvalue), alone[0], alone[1], alone[2],
+        compared[0], compared[1], compared[2], int(n_correct), int(n_trials), _explain(share),
+    )  # fmt: skip
+
+
+def _tabulate(trials: Table | DataFrame) -> DataFrame:
+    import pandas as pd
+
+    keys: list[dict[str, Any]] = []
+    found: list[Discrimination] = []
+    rows = open_ratings(trials, what="trials")
+    if "scale" not in rows:
+        for pair, one in discriminate_pairs(rows).items():
+            keys.append(dict(zip(("first", "second"), pair or ("all", "all"), strict=True)))
+            found.append(one)
+    else:
+        check_columns(rows, ["level", "reducer", "role", "rating"], "ratings")
+        answers = rows[(rows["scale"] == ANSWERED) & (rows["role"] != "reference")]
+        for (level, reducer), part in answers.groupby(["level", "reducer"], observed=True):
+            keys.append({"level": level, "reducer": reducer})
+            found.append(discriminate(int((part["rating"] == HIGHEST).sum()), len(part)))
+    names = [field.name for field in fields(Discrimination)]
+    records = ({name: getattr(one, name) for name in names} for one in found)
+    return pd.DataFrame([key | record for key, record in zip(keys, records, strict=True)])
 
 
 def discriminate_pairs(trials: DataFrame) -> dict[tuple[str, str] | None, Discrimination]:
-    """Evaluate ABX trials pair by pair, and pooled.
-
-    Parameters
-    ----------
-    trials : DataFrame
-        One row per trial: ``first`` and ``second``, the two stimuli, in either order, and ``correct``, true
-        or false (or 1 or 0).
-
-    Returns
-    -------
-    dict
-        Pair, in alphabetical order -> its result; None -> all trials pooled.
-
-    Raises
-    ------
-    ValueError
-        If a column is missing, there is no row, a stimulus is not named or paired with itself, or an answer
-        is neither true nor false.
-
-    Notes
-    -----
-    The pooled d' is that of the pooled share, which is smaller than the mean d' when pairs differ in
-    difficulty.
+    """Evaluate ABX trials pair by pair, in alphabetical order; None -> all trials pooled.
 
     Examples
     --------
@@ -185,56 +190,37 @@ def discriminate_pairs(trials: DataFrame) -> dict[tuple[str, str] | None, Discri
     >>> {pair: result.share for pair, result in discriminate_pairs(trials).items()}
     {('a', 'b'): 1.0, ('a', 'c'): 0.5, None: 0.75}
     """
-    missing = [name for name in ("first", "second", "correct") if name not in trials]
-    if missing:
-        raise ValueError(
-            f"trials: column {', '.join(missing)} is missing; needed are first, second, correct"
-        )
+    check_columns(trials, ["first", "second", "correct"], "trials")
     if trials.empty:
-        raise ValueError("trials: got no row, allowed is one trial or more")
-    unnamed = int(trials[["first", "second"]].isna().any(axis=1).sum())
-    if unnamed:
+        raise ValueError("trials must have a row or more, got none")
+    if unnamed := int(trials[["first", "second"]].isna().any(axis=1).sum()):
         raise ValueError(
-            f"trials: got {unnamed} rows without a first or second stimulus; name or leave them out"
+            f"trials must name first and second, got {unnamed} rows that do not; name or leave them out"
         )
     names = np.sort(trials[["first", "second"]].astype(str).to_numpy(dtype=np.str_), axis=1)
-    alike = names[names[:, 0] == names[:, 1]]
-    if len(alike):
-        raise ValueError(f"trials: got '{alike[0, 0]}' against itself; leave such rows out")
-    if not trials["correct"].isin([True, False]).all():
-        odd = trials["correct"][~trials["correct"].isin([True, False])].iloc[0]
+    if len(alike := names[names[:, 0] == names[:, 1]]):
         raise ValueError(
-            f"trials: got {odd!r} in column 'correct', allowed is true or false; leave lapses out"
+            f"trials must be of two stimuli, got '{alike[0, 0]}' against itself; leave such rows out"
+        )
+    odd = trials.loc[~trials["correct"].isin([True, False]), "correct"]
+    if len(odd):
+        raise ValueError(
+            f"trials must hold true or false in column 'correct', got {odd.iloc[0]!r}; leave lapses out"
         )
     correct = trials["correct"].to_numpy().astype(np.int64)
     pairs, number = np.unique(names, axis=0, return_inverse=True)
-    results: dict[tuple[str, str] | None, Discrimination] = {}
-    for place, (first, second) in enumerate(pairs.tolist()):
-        of_pair = correct[number.ravel() == place]
-        results[first, second] = discriminate(int(of_pair.sum()), len(of_pair))
-    results[None] = discriminate(int(correct.sum()), len(correct))
-    return results
+    parts = [correct[number.ravel() == place] for place in range(len(pairs))]
+    keys: list[tuple[str, str] | None] = [(str(first), str(second)) for first, second in pairs]
+    return {
+        key: discriminate(int(part.sum()), len(part))
+        for key, part in zip([*keys, None], [*parts, correct], strict=True)
+    }
 
 
 def abx_d_prime(share: float, *, model: str = "independent") -> float:
     """Distance in standard deviations at which an unbiased observer reaches a share correct in ABX trials.
 
-    Parameters
-    ----------
-    share : float
-        Share correct, 0 to 1.
-    model : str
-        ``independent`` observations or ``differencing``.
-
-    Returns
-    -------
-    float
-        d'; 0 for a share of .5 or less, infinity for 1.
-
-    Raises
-    ------
-    ValueError
-        If the share is not between 0 and 1, or the model is unknown.
+    0 for a share of .5 or less, infinity for 1.
 
     Examples
     --------
@@ -246,23 +232,21 @@ def abx_d_prime(share: float, *, model: str = "independent") -> float:
     (1.66, 1.87)
     """
     from scipy.optimize import brentq
-
-    if model not in SPREADS:
-        raise ValueError(f"model: got {model!r}, allowed is one of {', '.join(SPREADS)}")
-    if not 0 <= share <= 1:
-        raise ValueError(f"share: got {share}, allowed is 0 to 1")
-    if share <= GUESSING:
-        return 0.0
-    if share >= _share_correct(LARGEST, model):
-        return float("inf")
-    return float(brentq(lambda d: _share_correct(d, model) - share, 0, LARGEST, xtol=1e-12))
-
-
-def _share_correct(d_prime: float, model: str) -> float:
     from scipy.stats import norm
 
-    scaled = d_prime / np.array([np.sqrt(2), SPREADS[model]])
-    return float(norm.cdf(scaled).prod() + norm.cdf(-scaled).prod())
+    check_name(model, SPREADS, "model")
+    if not 0 <= share <= 1:
+        raise ValueError(f"share must be 0 to 1, got {share}")
+
+    def surplus(d_prime: float) -> float:
+        scaled = d_prime / np.array([np.sqrt(2), SPREADS[model]])
+        return float(norm.cdf(scaled).prod() + norm.cdf(-scaled).prod()) - share
+
+    if share <= GUESSING:
+        return 0.0
+    if surplus(LARGEST) <= 0:
+        return float("inf")
+    return float(brentq(surplus, 0, LARGEST, xtol=1e-12))
 
 
 def _explain(share: float) -> tuple[str, ...]:

@@ -12,21 +12,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from feel321.analysis.arrays import read_numbers
-from feel321.analysis.table.items import leave_rejected, open_ratings
+from feel321.analysis.arrays import CONFIDENCE, check_columns, read_numbers
+from feel321.analysis.table.items import Table, leave_rejected, open_ratings
 from feel321.analysis.table.schema import HIGHEST, LOWEST
-from feel321.analysis.words import CONFIDENCE
+from feel321.records import Result
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-# Is a difference small enough not to matter? Equivalence and non-inferiority with a margin fixed beforehand.
-
 SIGNIFICANCE = 0.05
 
 
-@dataclass(frozen=True, slots=True)
-class Equivalence:
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Equivalence(Result):
     """Two one-sided tests of an estimate against a margin.
 
     Parameters
@@ -60,8 +58,8 @@ class Equivalence:
     equivalent: bool
 
 
-@dataclass(frozen=True, slots=True)
-class NonInferiority:
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class NonInferiority(Result):
     """A one-sided test that an estimate is not worse than a margin.
 
     Parameters
@@ -128,7 +126,8 @@ def equivalence(estimate: float, se: float, df: float, *, low: float, high: floa
     --------
     Two reducers differ by 1.5 points, standard error 1.2, on 11 degrees of freedom; up to 5 do not matter:
 
-    >>> result = equivalence(1.5, 1.2, 11, low=-5, high=5)
+    >>> from feel321 import analysis
+    >>> result = analysis.equivalence(1.5, 1.2, 11, low=-5, high=5)
     >>> round(result.t_high, 3), round(result.p, 4), result.equivalent
     (-2.917, 0.007, True)
     >>> round(result.low90, 2), round(result.high90, 2)
@@ -136,30 +135,17 @@ def equivalence(estimate: float, se: float, df: float, *, low: float, high: floa
     """
     from scipy.stats import t
 
-    _check_numbers(estimate, se, df)
-    _check_finite("low", low)
-    _check_finite("high", high)
+    _check_numbers(estimate, se, df, low=low, high=high)
     if low >= high:
-        raise ValueError(
-            f"low: got {low} with high {high}, allowed is a margin with low below high; swap them"
-        )
+        raise ValueError(f"low must be below high, got {low} with high {high}; swap them")
     t_low, t_high = (estimate - low) / se, (estimate - high) / se
     p_low, p_high = float(t.sf(t_low, df)), float(t.cdf(t_high, df))
     half = float(t.ppf(1 - SIGNIFICANCE, df)) * se
     p = max(p_low, p_high)
     return Equivalence(
-        estimate=estimate,
-        t_low=t_low,
-        p_low=p_low,
-        t_high=t_high,
-        p_high=p_high,
-        p=p,
-        low90=estimate - half,
-        high90=estimate + half,
-        low=low,
-        high=high,
-        equivalent=p < SIGNIFICANCE,
-    )
+        estimate, t_low, p_low, t_high, p_high, p,
+        low90=estimate - half, high90=estimate + half, low=low, high=high, equivalent=p < SIGNIFICANCE,
+    )  # fmt: skip
 
 
 def non_inferiority(estimate: float, se: float, df: float, *, margin: float) -> NonInferiority:
@@ -198,17 +184,17 @@ def non_inferiority(estimate: float, se: float, df: float, *, margin: float) -> 
 
     Examples
     --------
-    >>> result = non_inferiority(-1.5, 1.2, 11, margin=-5)
+    >>> from feel321 import analysis
+    >>> result = analysis.non_inferiority(-1.5, 1.2, 11, margin=-5)
     >>> round(result.t, 3), round(result.p, 4), round(result.bound, 2), result.non_inferior
     (2.917, 0.007, -3.66, True)
     """
     from scipy.stats import t
 
-    _check_numbers(estimate, se, df)
-    _check_finite("margin", margin)
+    _check_numbers(estimate, se, df, margin=margin)
     if not margin:
         raise ValueError(
-            "margin: got 0, allowed is below 0 where higher is better, above 0 where lower is better"
+            "margin must be below 0 where higher is better, above 0 where lower is better, got 0"
         )
     away = -math.copysign(1.0, margin)
     statistic = (estimate - margin) / se
@@ -217,41 +203,34 @@ def non_inferiority(estimate: float, se: float, df: float, *, margin: float) -> 
     return NonInferiority(estimate, statistic, p, bound, margin, p < SIGNIFICANCE)
 
 
-def _check_numbers(estimate: float, se: float, df: float) -> None:
-    _check_finite("estimate", estimate)
+def _check_numbers(estimate: float, se: float, df: float, **limits: float) -> None:
+    for name, value in {"estimate": estimate, **limits}.items():
+        if not math.isfinite(value):
+            raise ValueError(f"{name} must be a finite number, got {value}")
     if not 0 < se < math.inf:
-        raise ValueError(
-            f"se: got {se}, allowed is a finite number above 0; a singular fit tests nothing"
-        )
+        raise ValueError(f"se must be finite and above 0, got {se}; a singular fit tests nothing")
     if not df > 0:
-        raise ValueError(f"df: got {df}, allowed is above 0, infinity for a normal estimate")
+        raise ValueError(f"df must be above 0, infinity for a normal estimate, got {df}")
 
-
-def _check_finite(name: str, value: float) -> None:
-    if not math.isfinite(value):
-        raise ValueError(f"{name}: got {value}, allowed is a finite number")
-
-
-# What each reducer was rated: means per participant, their mean, and its interval.
 
 GROUP = ["scale", "level", "role", "reducer"]
 """What a profile is split by."""
 
 
-def participant_means(ratings: DataFrame) -> DataFrame:
+def participant_means(ratings: Table | DataFrame) -> DataFrame:
     """Mean rating that each participant gave each reducer."""
     ratings = _read_rows(ratings, [*GROUP, "participant", "stimulus_id"])
     cells = ratings.groupby([*GROUP, "participant", "stimulus_id"], observed=True)["rating"].mean()
     return cells.groupby([*GROUP, "participant"], observed=True).mean().reset_index()
 
 
-def profile_reducers(ratings: DataFrame) -> DataFrame:
+def profile_reducers(ratings: Table | DataFrame) -> DataFrame:
     """Mean rating of each reducer with its interval over participants.
 
     Parameters
     ----------
-    ratings : DataFrame
-        Tidy table: participant, stimulus_id, reducer, level, role, scale, rating; rejected rows are left out.
+    ratings : Table or DataFrame
+        Ratings: participant, stimulus_id, reducer, level, role, scale, rating; rejected rows are left out.
 
     Returns
     -------
@@ -265,9 +244,20 @@ def profile_reducers(ratings: DataFrame) -> DataFrame:
 
     Notes
     -----
-    The interval is mean ± t(.975, P - 1) SD / sqrt(P) over the P participants' means: it speaks of other
-    participants judging these recordings, not of other recordings. It ends where the scale ends. NaN for a single
-    participant, and where all means are alike, as at an end of the scale: that tells nothing of how people differ.
+    The interval is mean ± t(.975, P - 1) SD / sqrt(P) over the P participants' means: it holds for other
+    participants judging these recordings, not for other recordings. It ends where the scale ends. NaN for a single
+    participant, and where all means are alike, as at an end of the scale: that does not show how people differ.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> from feel321 import analysis
+    >>> rows = pd.DataFrame({"participant": list("aabb"), "stimulus_id": list("xyxy"), "reducer": list("uvuv"),
+    ...     "level": "as_is", "role": "test", "scale": "realism", "rating": [20, 70, 30, 90]})
+    >>> analysis.profile_reducers(rows)[["reducer", "mean", "n_participants"]]
+      reducer  mean  n_participants
+    0       u  25.0               2
+    1       v  80.0               2
     """
     profile = _summarise(participant_means(ratings), GROUP)
     rows = _read_rows(ratings, GROUP).groupby(GROUP, observed=True)
@@ -275,7 +265,7 @@ def profile_reducers(ratings: DataFrame) -> DataFrame:
     return profile.join(counts).reset_index()
 
 
-def stimulus_means(ratings: DataFrame) -> DataFrame:
+def stimulus_means(ratings: Table | DataFrame) -> DataFrame:
     """Mean rating of each stimulus with its interval over participants."""
     key = ["scale", "level", "role", "recording", "reducer", "stimulus_id"]
     ratings = _read_rows(ratings, [*key, "participant"])
@@ -283,20 +273,15 @@ def stimulus_means(ratings: DataFrame) -> DataFrame:
     return _summarise(cells, key).reset_index()
 
 
-def _read_rows(ratings: DataFrame, names: list[str]) -> DataFrame:
+def _read_rows(ratings: Table | DataFrame, names: list[str]) -> DataFrame:
     """Leave out rejected rows; refuse what would drop out of a mean unseen."""
-    ratings, wanted = open_ratings(ratings), [*names, "rating"]
-    if missing := [name for name in wanted if name not in ratings]:
-        raise ValueError(
-            f"ratings: column {', '.join(missing)} is missing; needed are {', '.join(wanted)}"
-        )
-    rows, _ = leave_rejected(ratings)
+    table = open_ratings(ratings)
+    check_columns(table, [*names, "rating"], "ratings")
+    rows, _ = leave_rejected(table)
     values = read_numbers(rows["rating"], what="ratings, 'rating'")
-    unnamed = rows[names].isna().any(axis=1)
-    if unnamed.any() or not np.isfinite(values).all():
-        n = int((unnamed | ~np.isfinite(values)).sum())
+    if n := int((rows[names].isna().any(axis=1) | ~np.isfinite(values)).sum()):
         raise ValueError(
-            f"ratings: got {n} rows without {', '.join(names)} or a finite rating; leave them out"
+            f"ratings must have {', '.join(names)} and a finite rating in each row, got {n} without; leave them out"
         )
     return rows.assign(rating=values)
 
@@ -311,9 +296,6 @@ def _summarise(means: DataFrame, key: list[str]) -> DataFrame:
     with np.errstate(invalid="ignore"):
         margin = t.ppf((1 + CONFIDENCE) / 2, n - 1) * spread / np.sqrt(n)
     table = table.rename(columns={"size": "n_participants"})
-    low, high = (
-        (table["mean"] - margin).clip(lower=LOWEST),
-        (table["mean"] + margin).clip(upper=HIGHEST),
-    )
-    table = table.assign(low=low, high=high)
+    table["low"] = (table["mean"] - margin).clip(lower=LOWEST)
+    table["high"] = (table["mean"] + margin).clip(upper=HIGHEST)
     return table[["mean", "low", "high", "n_participants"]]

@@ -13,19 +13,18 @@ from feel321.analysis.figures.style import (
     GREY,
     MARGIN_CM,
     RED,
-    THIN,
+    Look,
     add_title,
     fit_text,
     new_canvas,
     new_figure,
+    plot_marks,
     print_style,
 )
 from feel321.analysis.screening.rules import RULES
 from feel321.analysis.words import MINUS, tell_name, tell_span
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Sequence
-
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
@@ -46,50 +45,28 @@ def draw_multiverse(
     """Draw the estimate for every distinct set of raters, from the smallest up, and the rules that leave it."""
     curve = result.curve
     if not len(curve):
-        raise ValueError(
-            "result: got no universe with an estimate, allowed is one or more; its notes say why"
-        )
+        raise ValueError("result must have a universe with an estimate, got none; see its notes")
     rules = list(result.screening.rules)
+    heights = [CURVE_CM, ROW_CM * len(rules)]
     with print_style():
-        figure = new_canvas(CURVE_CM + ROW_CM * len(rules) + UNIVERSES_AXIS_CM)
-        upper, lower = figure.subplots(
-            2, 1, sharex=True, height_ratios=[CURVE_CM, ROW_CM * len(rules)]
-        )
+        figure = new_canvas(sum(heights) + UNIVERSES_AXIS_CM)
+        upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=heights)
         _draw_curve(upper, curve, alone=~curve[rules].any(axis=1).to_numpy(bool))
         _draw_rules(lower, curve[rules].to_numpy(bool).T, names=rules)
         upper.set_ylabel(fit_text(estimate, CURVE_CM, lines=3))
         lower.set_xlabel("Sets of raters, from the smallest estimate up")
-        add_title(figure, _tell(result, curve, interval))
+        add_title(figure, _describe_sets(result, curve, interval))
     return figure
 
 
 def _draw_curve(axes: Axes, curve: DataFrame, *, alone: NDArray[np.bool_]) -> None:
     place = np.arange(1, len(curve) + 1)
     value, low, high = curve[["value", "low", "high"]].to_numpy(np.float64).T
-    style: dict[str, Any] = {
-        "linestyle": "none",
-        "markeredgecolor": "white",
-        "markeredgewidth": THIN,
-    }
-    for chosen, colour, marker, size in ((~alone, BLUE, "o", 3.5), (alone, RED, "D", 5)):
-        axes.vlines(
-            place[chosen],
-            low[chosen],
-            high[chosen],
-            color=colour,
-            linewidth=0.8,
-            alpha=0.6,
-            zorder=2,
-        )
-        axes.plot(
-            place[chosen],
-            value[chosen],
-            marker=marker,
-            markersize=size,
-            color=colour,
-            zorder=3,
-            **style,
-        )
+    for chosen, look, size in ((~alone, Look(BLUE, "o"), 3.5), (alone, Look(RED, "D"), 5)):
+        at = place[chosen]
+        bars: dict[str, Any] = {"color": look.colour, "linewidth": 0.8, "alpha": 0.6}
+        axes.vlines(at, low[chosen], high[chosen], zorder=2, **bars)
+        plot_marks(axes, at, value[chosen], look=look, size=size)
     for everybody in value[alone]:
         axes.axhline(everybody, color=RED, linewidth=0.6, linestyle="--", zorder=1)
     axes.axhline(0, color=GREY, linewidth=0.6, zorder=1)
@@ -99,19 +76,17 @@ def _draw_curve(axes: Axes, curve: DataFrame, *, alone: NDArray[np.bool_]) -> No
 
 def _draw_rules(axes: Axes, applied: NDArray[np.bool_], *, names: list[str]) -> None:
     for row, chosen in enumerate(applied):
-        place = np.flatnonzero(chosen) + 1
-        axes.plot(
-            place, np.full(len(place), -row), "s", markersize=2.2, color=BLACK, markeredgewidth=0
-        )
-    axes.set_yticks(
-        -np.arange(len(names)), [fit_text(tell_name(name), LABEL_CM, lines=1) for name in names]
-    )
+        sets = np.flatnonzero(chosen) + 1
+        style: dict[str, Any] = {"marker": "s", "markersize": 2.2, "markeredgewidth": 0}
+        axes.plot(sets, np.full(len(sets), -row), color=BLACK, linestyle="none", **style)
+    labels = [fit_text(tell_name(name), LABEL_CM, lines=1) for name in names]
+    axes.set_yticks(-np.arange(len(names)), labels)
     axes.set(ylim=(0.6 - len(names), 0.6), xlim=(0.2, applied.shape[1] + 0.8))
     axes.tick_params(axis="y", length=0)
     axes.locator_params(axis="x", integer=True)
 
 
-def _tell(result: Multiverse, curve: DataFrame, interval: str) -> str:
+def _describe_sets(result: Multiverse, curve: DataFrame, interval: str) -> str:
     lost = len(result.table) - len(curve)
     without = f" {lost} without an estimate are left out." if lost else ""
     bars = f"Bars: {interval}. " if curve["low"].notna().any() else "No intervals. "
@@ -133,15 +108,16 @@ NAMED = 4
 
 NAME_CM = 1.4
 GOLDEN = 0.618
-"""Steps by this share of a strip part neighbours as far as can be."""
+"""Steps by this share of a strip keep neighbours as far apart as can be."""
 
 
 def draw_raters(screening: Screening) -> Figure:
     """Draw every rater's share under every rule against the rule's limit."""
     table = screening.table
+    parts = {rule: table[table["rule"] == rule] for rule in screening.limits}
     with print_style():
         texts = {
-            rule: _tell_quality(rule, table[table["rule"] == rule], limit)
+            rule: _describe_rule(rule, parts[rule], limit)
             for rule, limit in screening.limits.items()
         }
         heights = [STRIP_CM + GAP_CM + LINE_CM * (1 + text.count("\n")) for text in texts.values()]
@@ -153,7 +129,7 @@ def draw_raters(screening: Screening) -> Figure:
         for (rule, text), bottom in zip(texts.items(), -np.cumsum(heights), strict=True):
             # Left out of the layout, which would take the texts for something beside the axes.
             axes.text(limits[0], bottom + STRIP_CM, text, va="bottom", in_layout=False)
-            _draw_strip(axes, table[table["rule"] == rule], bottom=float(bottom))
+            _draw_strip(axes, parts[rule], bottom=float(bottom))
         figure.supxlabel(
             "Share of judgements; or the rule's correlation,\nor SD as share of the scale"
         )
@@ -167,47 +143,29 @@ def draw_raters(screening: Screening) -> Figure:
     return figure
 
 
-def _tell_quality(rule: str, part: DataFrame, limit: float) -> str:
-    known = RULES[rule]
+def _describe_rule(rule: str, part: DataFrame, limit: float) -> str:
+    known, width = RULES[rule], COLUMN_CM - 3 * MARGIN_CM
     says = known.says.format(limit=limit).replace("%", " %").replace(" -", f" {MINUS}")
-    width = COLUMN_CM - 3 * MARGIN_CM
     source = fit_text(f"{says[:1].upper()}{says[1:]} ({known.source})", width, lines=3)
     silent = int(part["share"].isna().sum())
     if silent == len(part):
         return f"{source}\n{fit_text(f'Not applied: it needs {known.needs}.', width)}"
     few = f"; not applied to {silent}" if silent else ""
-    hits = _name_hits(part.loc[part["hit"], "participant"].tolist())
-    return f"{source}\n{fit_text(f'{hits}{few}', width)}"
-
-
-def _name_hits(names: Sequence[Hashable]) -> str:
-    if not names:
-        return "Nobody flagged"
-    shown = ", ".join(fit_text(str(name), NAME_CM, lines=1) for name in names[:NAMED])
+    names = [str(name) for name in part.loc[part["hit"], "participant"]]
+    shown = ", ".join(fit_text(name, NAME_CM, lines=1) for name in names[:NAMED])
     more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    return f"Flagged: {shown}{more}"
+    hits = f"Flagged: {shown}{more}" if names else "Nobody flagged"
+    return f"{source}\n{fit_text(f'{hits}{few}', width)}"
 
 
 def _draw_strip(axes: Axes, part: DataFrame, *, bottom: float) -> None:
     share, hit = part["share"].to_numpy(np.float64), part["hit"].to_numpy(bool)
     height = bottom + STRIP_CM * (0.15 + 0.7 * (np.arange(len(part)) * GOLDEN % 1))
+    limit = part["limit"].iloc[0]
     axes.axhline(bottom, color=BLACK, linewidth=0.3, zorder=1)
-    axes.vlines(
-        part["limit"].iloc[0], bottom, bottom + STRIP_CM, color=BLACK, linewidth=1.0, zorder=2
-    )
+    axes.vlines(limit, bottom, bottom + STRIP_CM, color=BLACK, linewidth=1.0, zorder=2)
     # Nothing to draw is not drawn: unclipped, it would count as a point in the figure's corner.
-    for chosen, marker, size, colour in ((~hit, "o", 3.5, BLUE), (hit, "X", 5.0, RED)):
+    for chosen, look, size in ((~hit, Look(BLUE, "o"), 3.5), (hit, Look(RED, "X"), 5.0)):
         if np.isfinite(share[chosen]).any():
-            axes.plot(
-                share[chosen],
-                height[chosen],
-                marker=marker,
-                markersize=size,
-                color=colour,
-                linestyle="none",
-                markeredgecolor="white",
-                markeredgewidth=0.3,
-                alpha=0.8,
-                zorder=3,
-                clip_on=False,
-            )
+            style: dict[str, Any] = {"markeredgewidth": 0.3, "alpha": 0.8, "clip_on": False}
+            plot_marks(axes, share[chosen], height[chosen], look=look, size=size, **style)

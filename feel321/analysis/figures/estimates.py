@@ -26,6 +26,7 @@ from feel321.analysis.figures.style import (
     make_handles,
     new_canvas,
     new_figure,
+    plot_marks,
     print_style,
     tell_scale,
 )
@@ -65,10 +66,7 @@ UNKNOWN = "no estimate"
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """An estimate to be drawn.
-
-    value, low, high: naN where there is none, infinite ends get an arrow.
-    """
+    """An estimate to be drawn; NaN where there is none, infinite ends get an arrow."""
 
     value: float
     low: float = float("nan")
@@ -78,8 +76,8 @@ class Mark:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
-    """A row."""
+class ForestRow:
+    """A row of a forest plot, with its marks below each other."""
 
     label: str
     marks: tuple[Mark, ...] = ()
@@ -90,23 +88,17 @@ class Row:
         return GAP_CM + max(LINE_CM * (1 + self.label.count("\n")), MARK_CM * len(self.marks))
 
 
-def fit_rows(rows: Iterable[Row], *, width_cm: float = LABEL_CM) -> list[Row]:
-    """Break the labels of rows to their place.
-
-    Returns with labels of two lines at most.
-    """
+def fit_rows(rows: Iterable[ForestRow], *, width_cm: float = LABEL_CM) -> list[ForestRow]:
+    """Break the labels of rows to two lines at most that fit their place."""
     return [replace(row, label=fit_text(row.label, width_cm)) for row in rows]
 
 
-def find_height(rows: Iterable[Row]) -> float:
-    """Add the heights of rows.
-
-    Returns in cm.
-    """
+def find_height(rows: Iterable[ForestRow]) -> float:
+    """Add the heights of rows, in cm."""
     return sum(row.height_cm for row in rows)
 
 
-def find_limits(rows: Iterable[Row], *include: float) -> tuple[float, float]:
+def find_limits(rows: Iterable[ForestRow], *include: float) -> tuple[float, float]:
     """Find the part of the axis that holds all estimates, and all intervals that are not endless."""
     marks = [mark for row in rows for mark in row.marks]
     values = np.array([*(mark.value for mark in marks), *include], dtype=np.float64)
@@ -123,12 +115,18 @@ def find_limits(rows: Iterable[Row], *include: float) -> tuple[float, float]:
     return float(low - pad), float(high + pad)
 
 
-def draw_rows(axes: Axes, rows: Sequence[Row], *, limits: tuple[float, float]) -> None:
-    """Draw rows and label them."""
-    middles = _place(rows)
+def draw_rows(
+    axes: Axes, rows: Sequence[ForestRow], *, limits: tuple[float, float], zero: bool = False
+) -> None:
+    """Draw rows and label them; zero: with a line at zero."""
+    heights = np.array([row.height_cm for row in rows])
+    middles = heights / 2 - np.cumsum(heights)
     axes.set(xlim=limits, ylim=(-find_height(rows), 0))
-    for row, middle in zip(rows, middles, strict=True):
-        for mark, height in zip(row.marks, _spread(middle, len(row.marks)), strict=True):
+    if zero:
+        axes.axvline(0, color=GREY, linewidth=0.6, zorder=1)
+    for row, middle in zip(rows, middles.tolist(), strict=True):
+        for place, mark in enumerate(row.marks):
+            height = middle + MARK_CM * ((len(row.marks) - 1) / 2 - place)
             _draw_mark(axes, mark, height=height, limits=limits)
     axes.set_yticks(middles, [row.label for row in rows])
     axes.tick_params(axis="y", length=0)
@@ -137,38 +135,21 @@ def draw_rows(axes: Axes, rows: Sequence[Row], *, limits: tuple[float, float]) -
     axes.locator_params(axis="x", nbins=5)
 
 
-def _place(rows: Sequence[Row]) -> list[float]:
-    heights = np.array([row.height_cm for row in rows])
-    middles: list[float] = (heights / 2 - np.cumsum(heights)).tolist()
-    return middles
-
-
-def _spread(middle: float, number: int) -> Iterator[float]:
-    return (middle + MARK_CM * ((number - 1) / 2 - place) for place in range(number))
-
-
 def _draw_mark(axes: Axes, mark: Mark, *, height: float, limits: tuple[float, float]) -> None:
-    style: dict[str, Any] = {"color": mark.look.colour, "zorder": 3, "clip_on": False}
     if np.isnan(mark.value):
         axes.text(sum(limits) / 2, height, UNKNOWN, ha="center", va="center", color=GREY)
         return
+    style: dict[str, Any] = {"color": mark.look.colour, "zorder": 3, "clip_on": False}
     low, high = np.clip((mark.low, mark.high), *limits)
     axes.plot([low, high], [height, height], linewidth=1.0, solid_capstyle="butt", **style)
-    for end, edge, arrow in ((mark.low, limits[0], "<"), (mark.high, limits[1], ">")):
-        if (end < edge) if arrow == "<" else (end > edge):
+    for beyond, edge, arrow in (
+        (mark.low < limits[0], limits[0], "<"),
+        (mark.high > limits[1], limits[1], ">"),
+    ):
+        if beyond:
             axes.plot(edge, height, marker=arrow, markersize=3, markeredgewidth=0, **style)
     if np.isfinite(mark.value):
-        face = mark.look.colour if mark.filled else "white"
-        edge_colour = "white" if mark.filled else mark.look.colour
-        axes.plot(
-            mark.value,
-            height,
-            marker=mark.look.marker,
-            markerfacecolor=face,
-            markeredgecolor=edge_colour,
-            markeredgewidth=THIN if mark.filled else 0.8,
-            **style,
-        )
+        plot_marks(axes, mark.value, height, look=mark.look, filled=mark.filled, clip_on=False)
 
 
 # Forest plot: slopes of the primary model, and what other choices make of them.
@@ -189,57 +170,55 @@ RESCALED = "ratings rescaled"
 def draw_slopes(
     models: Mapping[str, Primary], *, variants: Mapping[str, DataFrame] | None = None
 ) -> Figure:
-    """Draw the slopes of the primary model per attribute and metric.
+    """Draw the slopes of the primary model per attribute and metric, points per +0.1 with Satterthwaite intervals.
 
-    models: attribute -> its model, as of `fit_attributes`; variants: attribute -> what
-    `vary_primary` returns, of three attributes at most: a second panel of standardised slopes,
-    which alone compare across units; returns points per +0.1 of the metric with 95 % Satterthwaite
-    intervals.
+    variants: attribute -> what `vary_primary` returns, of three attributes at most: a second panel of standardised
+    slopes, which alone compare across units.
     """
     if not models:
-        raise ValueError("models: got none, allowed is one or more attributes with their models")
+        raise ValueError("models must hold one or more attributes with their models, got none")
     varied = dict(variants or {})
     if len(varied) > MOST:
         raise ValueError(
-            f"variants: got {len(varied)} attributes, allowed are {MOST}; draw several figures"
+            f"variants must be of at most {MOST} attributes, got {len(varied)}; draw several figures"
         )
-    metrics = [*(str(name) for model in models.values() for name in model.slopes.index)]
+    metrics = [str(name) for model in models.values() for name in model.slopes.index]
     metrics += [str(name) for table in varied.values() for name in table["metric"]]
     looks = assign_looks(list(dict.fromkeys(metrics)))
     with print_style():
         rows = fit_rows(_list_slopes(models, looks))
         below = {name: fit_rows(_list_variants(table, looks)) for name, table in varied.items()}
-        heights = [find_height(rows), max(map(find_height, below.values()), default=0.0)]
+        heights = [find_height(rows), *([max(map(find_height, below.values()))] if below else [])]
         figure = new_canvas(sum(heights) + AXIS_CM * (2 + bool(below)))
-        grid = figure.add_gridspec(
-            1 + bool(below), max(1, len(below)), height_ratios=heights[: 1 + bool(below)]
-        )
-        _draw_primary(figure.add_subplot(grid[0, :]), rows)
+        grid = figure.add_gridspec(len(heights), max(1, len(below)), height_ratios=heights)
+        axes = figure.add_subplot(grid[0, :])
+        draw_rows(axes, rows, limits=find_limits(rows, 0), zero=True)
+        axes.set_xlabel("Points of rating per +0.1 of metric")
         _draw_variants([figure.add_subplot(grid[1, place]) for place in range(len(below))], below)
-        add_title(figure, _tell(models, varied))
+        add_title(figure, _describe_slopes(models, varied))
         add_legend(figure, make_handles({tell_name(name): look for name, look in looks.items()}))
     return figure
 
 
-def _list_slopes(models: Mapping[str, Primary], looks: Mapping[str, Look]) -> Iterator[Row]:
+def _list_slopes(models: Mapping[str, Primary], looks: Mapping[str, Look]) -> Iterator[ForestRow]:
     for attribute, model in models.items():
-        yield Row(tell_name(attribute))
+        yield ForestRow(tell_name(attribute))
         for metric, row in zip(model.slopes.index, model.slopes.to_dict("records"), strict=True):
             ends = row["tenth"], row["tenth_low"], row["tenth_high"]
-            yield Row(
+            yield ForestRow(
                 tell_name(metric), (Mark(*ends, looks[metric], filled=not model.fit.singular),)
             )
 
 
-def _list_variants(table: DataFrame, looks: Mapping[str, Look]) -> Iterator[Row]:
+def _list_variants(table: DataFrame, looks: Mapping[str, Look]) -> Iterator[ForestRow]:
     headed = ""
     for variant, part in table.groupby("variant", sort=False):
         name = str(variant)
         heading = next((lead for lead in LEFT_OUT if name.startswith(f"{lead} ")), "")
         if heading != headed:
-            yield Row(heading or RESCALED)
+            yield ForestRow(heading or RESCALED)
         headed = heading
-        yield Row(
+        yield ForestRow(
             name.removeprefix(heading).strip(),
             tuple(_mark_slopes(row, looks) for row in part.to_dict("records")),
         )
@@ -250,17 +229,10 @@ def _mark_slopes(row: Mapping[Hashable, object], looks: Mapping[str, Look]) -> M
     return Mark(value, low, high, looks[str(row["metric"])], filled=not row["singular"])
 
 
-def _draw_primary(axes: Axes, rows: list[Row]) -> None:
-    axes.axvline(0, color=GREY, linewidth=0.6, zorder=1)
-    draw_rows(axes, rows, limits=find_limits(rows, 0))
-    axes.set_xlabel("Points of rating per +0.1 of metric")
-
-
-def _draw_variants(panels: list[Axes], below: Mapping[str, list[Row]]) -> None:
+def _draw_variants(panels: list[Axes], below: Mapping[str, list[ForestRow]]) -> None:
     limits = find_limits([row for rows in below.values() for row in rows], 0)
     for place, (axes, (attribute, rows)) in enumerate(zip(panels, below.items(), strict=True)):
-        axes.axvline(0, color=GREY, linewidth=0.6, zorder=1)
-        draw_rows(axes, rows, limits=limits)
+        draw_rows(axes, rows, limits=limits, zero=True)
         axes.locator_params(axis="x", nbins=5 - len(below))
         axes.set_title(fit_text(tell_name(attribute), PANEL_CM / len(below)))
         axes.set_xlabel(fit_text(STANDARDISED, PANEL_CM / len(below), lines=4))
@@ -268,7 +240,7 @@ def _draw_variants(panels: list[Axes], below: Mapping[str, list[Row]]) -> None:
             axes.tick_params(axis="y", labelleft=False)
 
 
-def _tell(models: Mapping[str, Primary], varied: Mapping[str, DataFrame]) -> str:
+def _describe_slopes(models: Mapping[str, Primary], varied: Mapping[str, DataFrame]) -> str:
     def span(what: str) -> str:
         return f"{tell_span(getattr(model, f'n_{what}') for model in models.values())} {what}"
 
@@ -299,22 +271,18 @@ def draw_equivalence(
     n_sources: int | None = None,
     unit: str = "points of rating",
 ) -> Figure:
-    """Draw 90 % intervals of differences against the margin of equivalence.
-
-    contrasts: what is compared, such as ``dft321 − mag321`` -> its test.
-    """
+    """Draw 90 % intervals of differences, such as ``dft321 − mag321``, against the margin of equivalence."""
     margins = {(test.low, test.high) for test in contrasts.values()}
     if len(margins) != 1:
         raise ValueError(
-            f"contrasts: got {len(margins)} margins, allowed is one for all; draw a figure for each"
+            f"contrasts must have one margin for all, got {len(margins)}; draw a figure for each"
         )
     ((low, high),) = margins
     with print_style():
-        rows = fit_rows(Row(name, (_mark_contrasts(test),)) for name, test in contrasts.items())
+        rows = fit_rows(ForestRow(name, (_mark(test),)) for name, test in contrasts.items())
         figure, axes = new_figure(find_height(rows) + AXIS_CM)
         axes.axvspan(low, high, color=PALE, linewidth=0, zorder=0)
-        axes.axvline(0, color=GREY, linewidth=0.6, zorder=1)
-        draw_rows(axes, rows, limits=find_limits(rows, 0, low, high))
+        draw_rows(axes, rows, limits=find_limits(rows, 0, low, high), zero=True)
         axes.set_xlabel(f"Difference ({unit})")
         shown = sum(test.equivalent for test in contrasts.values())
         margin = f"{tell_number(low, kind='rating')} to {tell_number(high, kind='rating')}"
@@ -327,7 +295,7 @@ def draw_equivalence(
     return figure
 
 
-def _mark_contrasts(test: Equivalence) -> Mark:
+def _mark(test: Equivalence) -> Mark:
     look = EQUIVALENT if test.equivalent else OPEN
     return Mark(test.estimate, test.low90, test.high90, look, filled=test.equivalent)
 
@@ -359,22 +327,23 @@ def draw_profile(
         _draw_people(axes, participants, places=places)
         for (role, name), height in places.items():
             chosen = (participants["role"] == role) & (participants["reducer"] == name)
-            _draw_cloud(
-                axes, participants.loc[chosen, "rating"].to_numpy(), height=height, look=looks[name]
-            )
+            ratings = participants.loc[chosen, "rating"].to_numpy()
+            _draw_cloud(axes, ratings, height=height, look=looks[name])
         for row in profile.to_dict("records"):
-            _draw_mean(
-                axes, row, height=places[row["role"], row["reducer"]], look=looks[row["reducer"]]
-            )
-        _mark_rows(axes, places, labels=list(labels.values()))
-        axes.set(xlim=(LOWEST - 2, HIGHEST + 2))
-        # Told of the figure, not the axes: long names may leave the axes less room than the words need.
+            height, look = places[row["role"], row["reducer"]], looks[row["reducer"]]
+            _draw_mean(axes, row, height=height, look=look)
+        axes.set_yticks(list(places.values()), list(labels.values()))
+        axes.set(xlim=(LOWEST - 2, HIGHEST + 2), ylim=(min(places.values()) - 0.6, 0.8))
+        if apart := [height for (role, _), height in places.items() if role != ROLES[0]]:
+            line = max(apart) + (TWO_LINES + APART) / 2
+            axes.axhline(line, color=GREY, linewidth=THIN, linestyle=":")
+        # A label of the figure, not the axes: long names may leave the axes less room than the words need.
         figure.supxlabel(tell_scale(profile["scale"].iloc[0]))
-        figure.suptitle(_tell_profile(profile["n_participants"]), x=0.02, ha="left")
+        figure.suptitle(_describe_people(profile["n_participants"]), x=0.02, ha="left")
     return figure
 
 
-def _tell_profile(n_participants: Series) -> str:
+def _describe_people(n_participants: Series) -> str:
     people = "\ngrey: each participant's mean; clouds: their distribution"
     if n_participants.max() < SMALLEST:
         return f"Mean of 1 participant, no interval;{people}"
@@ -404,13 +373,8 @@ def _place_rows(labels: Mapping[tuple[str, str], str]) -> dict[tuple[str, str], 
 def _draw_people(
     axes: Axes, participants: DataFrame, *, places: Mapping[tuple[str, str], float]
 ) -> None:
-    style: dict[str, Any] = {
-        "color": GREY,
-        "linewidth": 0.4,
-        "alpha": 0.6,
-        "marker": ".",
-        "markersize": 2,
-    }
+    style: dict[str, Any] = {"color": GREY, "linewidth": 0.4, "alpha": 0.6}
+    style |= {"marker": ".", "markersize": 2}
     is_test = participants["role"] == ROLES[0]
     for (joined, _), part in participants.groupby([is_test, "participant"]):
         height = np.array([places[key] for key in zip(part["role"], part["reducer"], strict=True)])
@@ -426,42 +390,16 @@ def _draw_cloud(axes: Axes, ratings: NDArray[np.float64], *, height: float, look
         return
     place = np.linspace(LOWEST, HIGHEST, CLOUD_POINTS)
     density = gaussian_kde(ratings)(place)
-    seen = density > CLOUD_EDGE * density.max()
-    top = height + CLOUD_OFF + CLOUD_ROWS * density / density.max()
-    axes.fill(
-        np.concatenate([place[seen], place[seen][::-1]]),
-        np.concatenate([top[seen], np.full(seen.sum(), height + CLOUD_OFF)]),
-        color=look.colour,
-        alpha=0.3,
-        linewidth=0,
-        zorder=2,
-    )
+    seen, base = density > CLOUD_EDGE * density.max(), height + CLOUD_OFF
+    top = base + CLOUD_ROWS * density / density.max()
+    style: dict[str, Any] = {"color": look.colour, "alpha": 0.3, "linewidth": 0, "zorder": 2}
+    around = np.concatenate([place[seen], place[seen][::-1]])
+    axes.fill(around, np.concatenate([top[seen], np.full(seen.sum(), base)]), **style)
 
 
 def _draw_mean(axes: Axes, row: Mapping[Hashable, Any], *, height: float, look: Look) -> None:
     spread = np.array([[row["mean"] - row["low"]], [row["high"] - row["mean"]]])
+    style: dict[str, Any] = {"color": look.colour, "fmt": look.marker, "markersize": 4.5}
+    style |= {"markeredgecolor": "white", "markeredgewidth": THIN, "elinewidth": 1.2}
     error = None if np.isnan(spread).any() else spread
-    axes.errorbar(
-        row["mean"],
-        height,
-        xerr=error,
-        fmt=look.marker,
-        color=look.colour,
-        markersize=4.5,
-        markeredgecolor="white",
-        markeredgewidth=THIN,
-        elinewidth=1.2,
-        capsize=2.5,
-        zorder=3,
-    )
-
-
-def _mark_rows(
-    axes: Axes, places: Mapping[tuple[str, str], float], *, labels: Sequence[str]
-) -> None:
-    axes.set_yticks(list(places.values()), labels)
-    axes.set_ylim(min(places.values()) - 0.6, 0.8)
-    apart = [height for (role, _), height in places.items() if role != ROLES[0]]
-    if apart:
-        line = max(apart) + (TWO_LINES + APART) / 2
-        axes.axhline(line, color=GREY, linewidth=THIN, linestyle=":")
+    axes.errorbar(row["mean"], height, xerr=error, capsize=2.5, zorder=3, **style)

@@ -14,7 +14,6 @@ from feel321.analysis.figures.style import (
     GREY,
     MARGIN_CM,
     PALE,
-    PRINT,
     RED,
     THIN,
     Look,
@@ -23,6 +22,7 @@ from feel321.analysis.figures.style import (
     fit_text,
     new_canvas,
     new_figure,
+    plot_marks,
     print_style,
     tell_scale,
 )
@@ -69,33 +69,22 @@ def draw_scatter(panel: Panel, association: Association, *, looks: Mapping[str, 
         limits = LOWEST - 3, HIGHEST + 3
         axes.set(xlabel=tell_axis(association.metric), ylabel=tell_scale(panel.scale), ylim=limits)
         axes.locator_params(axis="x", nbins=5)
-        axes.set_title(_tell_association(association))
+        axes.set_title(_describe_association(association))
         add_legend(figure, shown)
     return figure
 
 
 def scatter_reducer(
-    axes: Axes,
-    stimuli: DataFrame,
-    *,
-    metric: str,
-    look: Look,
-    size: float = PRINT["lines.markersize"],
+    axes: Axes, stimuli: DataFrame, *, metric: str, look: Look, size: float = 4.0
 ) -> Line2D:
-    """Draw the stimuli of one reducer.
-
-    size: of the marker, in points.
-    """
+    """Draw the stimuli of one reducer, with markers of so many points."""
     true = stimuli[metric].to_numpy(np.float64)
     mean, low, high = stimuli[["mean", "low", "high"]].to_numpy(np.float64).T
     shown, inside = np.maximum(true, CUT), true >= CUT
     axes.vlines(shown, low, high, colors=GREY, linewidths=0.35, alpha=0.6, zorder=1)
-    style: dict[str, Any] = {"marker": look.marker, "markersize": size, "color": look.colour}
-    style |= {"linestyle": "none", "zorder": 3}
-    axes.plot(shown[~inside], mean[~inside], markerfacecolor="white", markeredgewidth=THIN, **style)
-    return axes.plot(
-        shown[inside], mean[inside], markeredgecolor="white", markeredgewidth=THIN, **style
-    )[0]
+    hollow: dict[str, Any] = {"filled": False, "markeredgewidth": THIN}
+    plot_marks(axes, shown[~inside], mean[~inside], look=look, size=size, **hollow)
+    return plot_marks(axes, shown[inside], mean[inside], look=look, size=size)
 
 
 def count_clipped(metric: NDArray[np.float64]) -> int:
@@ -114,7 +103,7 @@ def _mark_clipped(axes: Axes, metric: NDArray[np.float64], *, falling: bool) -> 
         axes.text(0.02, height, text, transform=axes.transAxes, va=side)
 
 
-def _tell_association(result: Association) -> str:
+def _describe_association(result: Association) -> str:
     size = f"{result.n_items} stimuli, {tell_recordings(result.n_recordings, result.n_sources)}"
     narrow = tell_range(result.participants_low, result.participants_high)
     return (
@@ -161,7 +150,7 @@ def draw_mapping(
         upper.supxlabel(tell_axis(association.metric))
         upper.supylabel(fit_text(tell_scale(scale).replace("\n", " "), ROW_CM * rows + 1, lines=3))
         _draw_strip(lower.add_subplot(), association)
-        add_title(figure, _tell(stimuli, judged, association))
+        add_title(figure, _describe_mapping(stimuli, judged, association))
         add_legend(figure, {name: shown[name] for name in looks if name in shown})
     return figure
 
@@ -204,38 +193,22 @@ def _find_range(stimuli: DataFrame) -> tuple[float, float]:
 
 
 def _draw_strip(axes: Axes, association: Association) -> None:
-    """Draw the correlation on its own axis, with how far it could come."""
-    style: dict[str, Any] = {"color": BLUE, "clip_on": False, "zorder": 3}
-    axes.plot([association.low, association.high], [0, 0], linewidth=1.2, **style)
-    axes.plot(
-        association.value,
-        0,
-        marker="o",
-        markersize=4.5,
-        markeredgecolor="white",
-        markeredgewidth=0.5,
-        **style,
-    )
-    axes.axvline(association.ceiling, color=BLACK, linestyle="--", linewidth=1.0, zorder=2)
+    """Draw the correlation on its own axis, with the highest that noise allows."""
+    value, ceiling, falling = association.value, association.ceiling, association.value < 0
+    ends = [association.low, association.high]
+    axes.plot(ends, [0, 0], linewidth=1.2, color=BLUE, clip_on=False, zorder=3)
+    plot_marks(axes, value, 0, look=Look(BLUE, "o"), size=4.5, clip_on=False)
+    for limit in (ceiling, *([-ceiling] if falling else [])):
+        axes.axvline(limit, color=BLACK, linestyle="--", linewidth=1.0, zorder=2)
     axes.axvline(0, color=GREY, linewidth=0.6, zorder=1)
-    ends = [
-        0.0,
-        1.0,
-        association.low,
-        association.value,
-        -association.ceiling if association.value < 0 else 0.0,
-    ]
-    low = float(np.nanmin(ends))
-    if association.value < 0:
-        axes.axvline(-association.ceiling, color=BLACK, linestyle="--", linewidth=1.0, zorder=2)
+    low = float(np.nanmin([0.0, association.low, value, -ceiling if falling else 0.0]))
     axes.set(xlim=(low - 0.02, 1.02), ylim=(-1, 1), yticks=[])
     axes.spines["left"].set_visible(False)
-    axes.set_xlabel(
-        f"{association.method.capitalize()} correlation over all stimuli; broken: ceiling"
-    )
+    method = association.method.capitalize()
+    axes.set_xlabel(f"{method} correlation over all stimuli; broken: ceiling")
 
 
-def _tell(stimuli: DataFrame, judged: P1401, association: Association) -> str:
+def _describe_mapping(stimuli: DataFrame, judged: P1401, association: Association) -> str:
     ceiling = tell_number(association.ceiling)
     clipped = count_clipped(stimuli[association.metric].to_numpy(np.float64))
     edge = tell_number(CUT, kind="count")

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+    from numpy.typing import ArrayLike
 
 # How figures look: made for print.
 
@@ -106,6 +108,24 @@ def new_figure(height_cm: float) -> tuple[Figure, Axes]:
     """Make an empty figure, one column wide."""
     figure = new_canvas(height_cm)
     return figure, figure.add_subplot()
+
+
+def plot_marks(
+    axes: Axes,
+    x: ArrayLike,
+    y: ArrayLike,
+    *,
+    look: Look,
+    size: float = 4.0,
+    filled: bool = True,
+    **style: Any,  # noqa: ANN401 - whatever a line takes
+) -> Line2D:
+    """Draw points, with a white rim that keeps neighbours apart, or hollow."""
+    rim, face = ("white", look.colour) if filled else (look.colour, "white")
+    return axes.plot(x, y, **{
+        "marker": look.marker, "markersize": size, "linestyle": "none", "color": look.colour, "markerfacecolor": face,
+        "markeredgecolor": rim, "markeredgewidth": THIN if filled else 0.8, "zorder": 3, **style,
+    })[0]  # fmt: skip
 
 
 # Words in figures: broken by measured width, so that no name runs off or into another.
@@ -209,16 +229,9 @@ COLUMNS, LETTERS = 3, 30
 
 
 def add_legend(figure: Figure, shown: Mapping[str, Artist]) -> None:
-    """Give the legend as many columns as its names leave room for, and the figure the height that it takes.
-
-    shown: name -> what stands for it.
-    """
-    tight: dict[str, Any] = {
-        "loc": "outside lower center",
-        "handletextpad": 0,
-        "columnspacing": 0.6,
-        "frameon": False,
-    }
+    """Give the legend of names as many columns as there is room for, and the figure the height that it takes."""
+    tight: dict[str, Any] = {"loc": "outside lower center", "handletextpad": 0}
+    tight |= {"columnspacing": 0.6, "frameon": False}
     labels = [wrap_name(name, LETTERS) for name in shown]
     for columns in range(COLUMNS, 0, -1):
         legend = figure.legend(list(shown.values()), labels, ncols=columns, **tight)
@@ -231,24 +244,14 @@ def add_legend(figure: Figure, shown: Mapping[str, Artist]) -> None:
 
 
 def make_handles(looks: Mapping[str, Look]) -> dict[str, Artist]:
-    """Make what stands for each name in a legend.
-
-    looks: name -> its look.
-    """
+    """Make what stands for each name in a legend."""
     from matplotlib.lines import Line2D
 
-    def handle(look: Look) -> Line2D:
-        return Line2D(
-            [],
-            [],
-            color=look.colour,
-            marker=look.marker,
-            linestyle="none",
-            markeredgecolor="white",
-            markeredgewidth=THIN,
-        )
-
-    return {name: handle(look) for name, look in looks.items()}
+    rim: dict[str, Any] = {"linestyle": "none", "markeredgecolor": "white", "markeredgewidth": THIN}
+    return {
+        name: Line2D([], [], color=look.colour, marker=look.marker, **rim)
+        for name, look in looks.items()
+    }
 
 
 # How figures are saved: as vector and as bitmap, the same bytes for the same data.

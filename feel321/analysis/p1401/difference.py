@@ -6,15 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from feel321.analysis.arrays import PERFECT, find_p
 from feel321.analysis.p1401.mapping import P1401, PARAMETERS
-from feel321.analysis.resampling import PERFECT
+from feel321.records import Result
 
 SIGNIFICANCE = 0.05
 
 
-@dataclass(frozen=True, slots=True)
-class P1401Difference:
-    """What P.1401 says of two metrics against the same votes.
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class P1401Difference(Result):
+    """Two metrics compared on the same votes by ITU-T P.1401.
 
     Parameters
     ----------
@@ -84,72 +85,40 @@ def compare_p1401(first: P1401, second: P1401) -> P1401Difference:
 
     Examples
     --------
-    >>> from feel321.analysis.p1401.mapping import p1401
+    >>> from feel321 import analysis
     >>> votes = [[10, 20, 15], [30, 25, 20], [50, 40, 45], [55, 60, 50], [80, 75, 70], [85, 95, 90]]
-    >>> good = p1401(votes, [0.1, 0.2, 0.45, 0.5, 0.8, 0.9], order=1)
-    >>> poor = p1401(votes, [0.3, 0.1, 0.2, 0.9, 0.4, 0.8], order=1)
-    >>> result = compare_p1401(good, poor)
+    >>> good = analysis.p1401(votes, [0.1, 0.2, 0.45, 0.5, 0.8, 0.9], order=1)
+    >>> poor = analysis.p1401(votes, [0.3, 0.1, 0.2, 0.9, 0.4, 0.8], order=1)
+    >>> result = analysis.compare_p1401(good, poor)
     >>> round(result.plcc_z, 2), round(result.plcc_p, 3), round(result.rmse_f, 1), round(result.rmse_p, 3)
     (2.83, 0.005, 68.5, 0.001)
     """
-    _check_pair(first, second)
-    notes: list[str] = []
-    n, freedom = first.n_items, first.n_items - PARAMETERS[0 if first.held_out else first.order]
-    plcc_z = _compare_correlations(first, second, notes)
-    outlier_z = _compare_outliers(first, second, notes)
-    rmse_f, rmse_limit, rmse_p = _compare_errors(
-        (first.rmse, second.rmse), freedom, name="rmse", notes=notes
-    )
-    star_f, star_limit, star_p = _compare_errors(
-        (first.rmse_star, second.rmse_star), n, name="rmse*", notes=notes
-    )
-    return P1401Difference(
-        plcc_z=plcc_z,
-        plcc_p=_two_sided(plcc_z),
-        outlier_z=outlier_z,
-        outlier_p=_two_sided(outlier_z),
-        rmse_f=rmse_f,
-        rmse_limit=rmse_limit,
-        rmse_p=rmse_p,
-        rmse_star_f=star_f,
-        rmse_star_limit=star_limit,
-        rmse_star_p=star_p,
-        n_items=n,
-        notes=tuple(notes),
-    )
-
-
-def _check_pair(first: P1401, second: P1401) -> None:
     if not np.array_equal(first.mos, second.mos):
-        raise ValueError(
-            "second: got results on other votes than the first; allowed is the same items and raters"
-        )
+        raise ValueError("second must be on the votes of the first, got other items or raters")
     if (first.order, first.held_out) != (second.order, second.held_out):
         raise ValueError(
-            f"second: got order {second.order}, held_out {second.held_out}, but the first has order {first.order}, "
-            f"held_out {first.held_out}; map both alike"
+            f"second must have the mapping of the first (order {first.order}, held_out {first.held_out}), got order "
+            f"{second.order}, held_out {second.held_out}; map both alike"
         )
-
-
-def _compare_correlations(first: P1401, second: P1401, notes: list[str]) -> float:
-    if not max(abs(first.plcc), abs(second.plcc)) < PERFECT:
+    notes: list[str] = []
+    n, freedom = first.n_items, first.n_items - PARAMETERS[0 if first.held_out else first.order]
+    plcc_z = outlier_z = float("nan")
+    if max(abs(first.plcc), abs(second.plcc)) < PERFECT:
+        plcc_z = float((np.arctanh(first.plcc) - np.arctanh(second.plcc)) / np.sqrt(2 / (n - 3)))
+    else:
         notes.append("No test of the correlations: one is perfect or not defined.")
-        return float("nan")
-    return float(
-        (np.arctanh(first.plcc) - np.arctanh(second.plcc)) / np.sqrt(2 / (first.n_items - 3))
-    )
-
-
-def _compare_outliers(first: P1401, second: P1401, notes: list[str]) -> float:
     pooled = (first.outlier_ratio + second.outlier_ratio) / 2
     if pooled in {0.0, 1.0}:
         notes.append(
             "No test of the outlier ratios: no item, or every item, is an outlier with both metrics."
         )
-        return float("nan")
-    return float(
-        (first.outlier_ratio - second.outlier_ratio)
-        / np.sqrt(2 * pooled * (1 - pooled) / first.n_items)
+    else:
+        error = np.sqrt(2 * pooled * (1 - pooled) / n)
+        outlier_z = float((first.outlier_ratio - second.outlier_ratio) / error)
+    rmse = _compare_errors((first.rmse, second.rmse), freedom, name="rmse", notes=notes)
+    star = _compare_errors((first.rmse_star, second.rmse_star), n, name="rmse*", notes=notes)
+    return P1401Difference(
+        plcc_z, find_p(plcc_z), outlier_z, find_p(outlier_z), *rmse, *star, n, tuple(notes)
     )
 
 
@@ -164,9 +133,3 @@ def _compare_errors(
         return float("nan"), limit, float("nan")
     ratio = float((max(errors) / min(errors)) ** 2)
     return ratio, limit, float(min(1.0, 2 * f.sf(ratio, freedom, freedom)))
-
-
-def _two_sided(z: float) -> float:
-    from scipy.stats import norm
-
-    return float(2 * norm.sf(abs(z)))

@@ -17,25 +17,38 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from feel321.analysis.arrays import check_labels, read_groups, read_numbers
-from feel321.analysis.resampling import FLAT, PERFECT
+from feel321.analysis.arrays import (
+    FLAT,
+    PERFECT,
+    Values,
+    check_labels,
+    fisher_interval,
+    read_array,
+    read_groups,
+)
+from feel321.analysis.table.items import Table, is_tidy, make_items
+from feel321.records import Result
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import ArrayLike, NDArray
-
-    Values = NDArray[np.float64]
-
-# The best cubic that never turns back: how a metric is mapped onto a rating scale before errors are counted.
+    from numpy.typing import ArrayLike
 
 UNIT = (0.0, 1.0)
+
+PARAMETERS = {0: 1, 1: 2, 3: 4}
+"""Order of the mapping -> degrees of freedom that the standard takes off the number of items."""
+
+NORMAL_QUANTILE = 1.96
+"""The standard's rounded quantile; also for an item's interval from 30 votes on."""
+
+MANY_VOTES = 30
+FEW_ITEMS = 30
+"""With fewer items a cubic bends to noise: the first order leads."""
 
 
 def fit_monotone_cubic(x: Values, y: Values, *, span: tuple[float, float]) -> Polynomial:
     """Least-squares cubic that rises, or falls, over all of an interval.
-
-    x: (n,); y: (n,).
 
     Notes
     -----
@@ -49,26 +62,25 @@ def fit_monotone_cubic(x: Values, y: Values, *, span: tuple[float, float]) -> Po
 
     References
     ----------
-    ITU-T P.1401 (2020), Methods, metrics and procedures for statistical evaluation of objective quality
-    prediction models. Szegő (1975), Orthogonal Polynomials, theorem 1.21.1, for the form of q.
+    ITU-T P.1401 (2020). Szegő (1975), Orthogonal Polynomials, theorem 1.21.1, for the form of q.
 
     Examples
     --------
     >>> x = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
     >>> turning = np.array([0.0, 3.0, 2.0, 1.0, 4.0])
-    >>> mapping = fit_monotone_cubic(x, turning, span=(0, 1))
-    >>> bool((np.diff(mapping(np.linspace(0, 1, 1001))) >= 0).all())
-    True
-    >>> mapping(x).round(2)
+    >>> fit_monotone_cubic(x, turning, span=(0, 1))(x).round(2)
     array([0.15, 1.77, 2.  , 2.23, 3.85])
     """
     u = (x - span[0]) / (span[1] - span[0])
-    free = Polynomial.fit(u, y, 3, domain=UNIT, window=UNIT)
-    if _is_monotone(free):
-        return _stretch(free, span)
-    rising = _fit_border(u, y)
-    falling = -_fit_border(u, -y)
-    return _stretch(min((rising, falling), key=lambda cubic: _misfit(cubic, u, y)), span)
+    cubic = Polynomial.fit(u, y, 3, domain=UNIT, window=UNIT)
+    if not _is_monotone(cubic):
+        # The best rising or falling cubic among those whose slope is 0 somewhere.
+        falling = (-cubic for cubic in _list_candidates(u, -y))
+        cubic = min(
+            (*_list_candidates(u, y), *falling),
+            key=lambda cubic: float(((y - cubic(u)) ** 2).sum()),
+        )
+    return Polynomial(cubic.coef, domain=span, window=UNIT)
 
 
 def _is_monotone(cubic: Polynomial) -> bool:
@@ -79,27 +91,25 @@ def _is_monotone(cubic: Polynomial) -> bool:
     return bool((extremes >= 0).all() or (extremes <= 0).all())
 
 
-def _fit_border(u: Values, y: Values) -> Polynomial:
-    """Fit the best rising cubic among those whose slope is 0 somewhere."""
-    return min(_candidates(u, y), key=lambda cubic: _misfit(cubic, u, y))
-
-
-def _candidates(u: Values, y: Values) -> Iterator[Polynomial]:
+def _list_candidates(u: Values, y: Values) -> Iterator[Polynomial]:
     from scipy.optimize import nnls
+
+    def centre(cubic: Polynomial) -> Polynomial:
+        return cubic + float(y.mean() - cubic(u).mean())
 
     bow = Polynomial([0, 0, 1 / 2, -1 / 3])  # slope u (1 - u)
     # Slopes u² and (1 - u)².
     for corner in (Polynomial([0, 0, 0, 1 / 3]), Polynomial([0, 1, -1, 1 / 3])):
         columns = np.stack([bow(u), corner(u)], axis=1)
         weights, _ = nnls(columns - columns.mean(axis=0), y - y.mean())
-        yield _centre(weights[0] * bow + weights[1] * corner, u, y)
-    for touch in _touching_points(u, y):
+        yield centre(weights[0] * bow + weights[1] * corner)
+    for touch in _find_touching_points(u, y):
         shape = Polynomial([0, touch**2, -touch, 1 / 3])  # slope (u - touch)²
         column = shape(u) - shape(u).mean()
-        yield _centre(max(0.0, column @ y / (column @ column)) * shape, u, y)
+        yield centre(max(0.0, column @ y / (column @ column)) * shape)
 
 
-def _touching_points(u: Values, y: Values) -> Values:
+def _find_touching_points(u: Values, y: Values) -> Values:
     """Where inside [0, 1] a slope k (u - t)² may best touch 0: stationary points of the variance explained."""
     powers = np.stack([u**3 / 3, -(u**2), u])
     powers -= powers.mean(axis=1, keepdims=True)
@@ -107,38 +117,13 @@ def _touching_points(u: Values, y: Values) -> Values:
     with_y = Polynomial(powers @ y)
     with_itself = Polynomial([np.fliplr(moments).trace(offset) for offset in range(2, -3, -1)])
     stationary = 2 * with_y.deriv() * with_itself - with_y * with_itself.deriv()
-    # A root that rounding has made complex, or pushed out, is still a candidate: each is judged by its fit.
+    # A root that rounding has made complex, or pushed out, is still a candidate: its fit decides.
     return np.clip(stationary.trim().roots().real, *UNIT)
 
 
-def _centre(cubic: Polynomial, u: Values, y: Values) -> Polynomial:
-    return cubic + float(y.mean() - cubic(u).mean())
-
-
-def _misfit(cubic: Polynomial, u: Values, y: Values) -> float:
-    return float(((y - cubic(u)) ** 2).sum())
-
-
-def _stretch(cubic: Polynomial, span: tuple[float, float]) -> Polynomial:
-    return Polynomial(cubic.coef, domain=span, window=UNIT)
-
-
-# How well does a metric predict mean votes? ITU-T P.1401, the standard for judging objective metrics.
-
-PARAMETERS = {0: 1, 1: 2, 3: 4}
-"""Order of the mapping -> degrees of freedom that the standard takes off the number of items."""
-
-NORMAL_QUANTILE = 1.96
-"""The standard's rounded quantile; also for an item's interval from 30 votes on."""
-
-MANY_VOTES = 30
-FEW_ITEMS = 30
-"""With fewer items a cubic bends to noise: the first order leads."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class P1401:
-    """What P.1401 says of one metric.
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class P1401(Result):
+    """A metric judged against mean votes by ITU-T P.1401.
 
     Parameters
     ----------
@@ -193,31 +178,38 @@ class P1401:
     notes: tuple[str, ...] = ()
 
 
-class _Errors(NamedTuple):
-    """Root mean squares of the errors and of their excess over the items' intervals."""
+class _Votes(NamedTuple):
+    """Items: metric, mean vote, half its interval, and the mapping's order."""
 
-    rmse: float
-    rmse_star: float
+    x: Values
+    mos: Values
+    interval: Values
+    order: int
 
 
 def p1401(
-    votes: ArrayLike, metric: ArrayLike, *, order: int = 3, groups: ArrayLike | None = None
+    votes: Table | ArrayLike,
+    metric: str | ArrayLike,
+    *,
+    order: int = 3,
+    groups: ArrayLike | None = None,
 ) -> P1401:
     """Judge a metric against votes as ITU-T P.1401 does.
 
     Parameters
     ----------
-    votes : array_like, shape (items, raters)
-        Votes on one scale; NaN where missing, but at least two per item.
-    metric : array_like, shape (items,)
-        The metric's value of each item, in the order of the votes' rows.
+    votes : Table, DataFrame or array_like, shape (items, raters)
+        Ratings of one scale, whose references and anchors are left out; or votes, NaN where missing, but at least two
+        per item.
+    metric : str or array_like, shape (items,)
+        A column of the ratings; or the metric's value of each item, in the order of the votes' rows.
     order : int
         Of the mapping from metric to MOS: 3 for the monotone cubic, 1 for a straight line, 0 for none (the
         metric is already on the votes' scale).
     groups : array_like, shape (items,), optional
-        What each item belongs to, usually its recording. Given, every item is predicted by a mapping fitted
-        without its group; without it, the errors are those of a mapping fitted to the same items, and
-        flatter the metric.
+        What each item belongs to, usually its recording (``"recording"`` for ratings). Given, every item is predicted
+        by a mapping fitted without its group; without it, the errors are those of a mapping fitted to the same
+        items, and flatter the metric.
 
     Returns
     -------
@@ -235,7 +227,7 @@ def p1401(
     -----
     Per item with n votes and standard deviation s (n - 1): MOS, and ci = q s / √n with q = t(.975, n - 1)
     below 30 votes and 1.96 from there on. The mapping is least squares and monotone over the metric's whole
-    range, rising or falling, whichever fits better (`fit_monotone_cubic`). Out of fold, a cubic is held at its
+    range, rising or falling, whichever fits better. Out of fold, a cubic is held at its
     end for items beyond the range that it was fitted on, where it would shoot off; a note counts them. With
     e = MOS - MOSp and d = 4 (cubic), 2 (line) or 1 (none, and out of fold: nothing was fitted to the item)::
 
@@ -255,124 +247,104 @@ def p1401(
 
     Examples
     --------
+    >>> from feel321 import analysis
     >>> votes = [[10, 20, 15], [30, 25, 20], [50, 40, 45], [55, 60, 50], [80, 75, 70], [85, 95, 90]]
-    >>> result = p1401(votes, [0.1, 0.2, 0.45, 0.5, 0.8, 0.9], order=1)
+    >>> result = analysis.p1401(votes, [0.1, 0.2, 0.45, 0.5, 0.8, 0.9], order=1)
     >>> round(result.plcc, 4), round(result.srocc, 4), round(result.rmse, 3), result.outlier_ratio
     (0.9957, 1.0, 2.966, 0.0)
     >>> [round(coefficient, 2) for coefficient in result.coefficients]
     [6.48, 90.21]
     """
+    if is_tidy(votes) and isinstance(metric, str):
+        items = make_items(votes, [metric])
+        votes, metric = items.ratings.T, items.metrics[0]
+        groups = items.recordings if isinstance(groups, str) else groups
     check_labels(votes, metric, what="metric")
-    table, x = _check_votes(votes), _check_metric(metric)
-    _check_sizes(table, x, order)
-    mos, interval = _summarise(table)
-    mapping = _fit_mapping(x, mos, order=order, span=_span(x))
-    mapped, notes = np.asarray(mapping(x), np.float64), list[str]()
+    given = _read_votes(votes, metric, order)
+    mapping, notes = _fit_mapping(given, np.ones(len(given.x), bool)), list[str]()
+    mapped = np.asarray(mapping(given.x), np.float64)
     if groups is not None:
-        mapped, notes = _map_out_of_fold(x, mos, groups=groups, order=order)
+        mapped, notes = _map_out_of_fold(given, groups)
+    n, mos = len(given.x), given.mos
     errors = np.abs(mos - mapped)
     errors[errors**2 <= FLAT * float((mos**2).sum())] = 0.0
-    spent = PARAMETERS[order if groups is None else 0]
-    main, n_minus_1 = (
-        _root_mean_squares(errors, interval, spent),
-        _root_mean_squares(errors, interval, 1),
-    )
+    excess = np.maximum(0.0, errors - given.interval)
+    freedom = n - PARAMETERS[order if groups is None else 0]
+
+    def root_mean_square(of: Values, freedom: int) -> float:
+        return float(np.sqrt((of**2).sum() / freedom))
+
+    rmse = root_mean_square(errors, freedom)
     plcc, undefined = _correlate(mos, mapped)
-    notes += undefined
-    ratio = float((errors > interval).mean())
-    plcc_low, plcc_high = _interval_of_correlation(plcc, len(x))
-    rmse_low, rmse_high = _interval_of_rmse(main.rmse, len(x) - spent)
-    if abs(plcc) >= PERFECT:
-        notes.append("The correlation is perfect to rounding and has no interval.")
-    if order > 1 and len(x) < FEW_ITEMS:
-        notes.append(
-            f"With {len(x)} items, fewer than {FEW_ITEMS}, a cubic bends to noise: report order 1 first."
-        )
+    low, high = fisher_interval(plcc, n - 3, quantile=NORMAL_QUANTILE)
+    rmse_low, rmse_high = _interval_of_rmse(rmse, freedom)
+    ratio = float((errors > given.interval).mean())
+    notes += [*undefined, *_explain(plcc, given)]
     return P1401(
-        plcc=plcc, plcc_low=plcc_low, plcc_high=plcc_high, srocc=_correlate(_rank(mos), _rank(x))[0],
-        rmse=main.rmse, rmse_low=rmse_low, rmse_high=rmse_high, rmse_star=main.rmse_star,
-        outlier_ratio=ratio, outlier_ratio_sd=float(np.sqrt(ratio * (1 - ratio) / len(x))),
-        coefficients=_list_coefficients(mapping, order), order=order, n_items=len(x),
-        rmse_n1=n_minus_1.rmse, rmse_star_n1=n_minus_1.rmse_star,
-        mos=mos, interval=interval, mapped=mapped, held_out=groups is not None, notes=tuple(notes),
+        plcc=plcc, plcc_low=low, plcc_high=high, srocc=_correlate_ranks(given),
+        rmse=rmse, rmse_low=rmse_low, rmse_high=rmse_high, rmse_star=root_mean_square(excess, freedom),
+        outlier_ratio=ratio, outlier_ratio_sd=float(np.sqrt(ratio * (1 - ratio) / n)),
+        coefficients=_list_coefficients(mapping, order), order=order, n_items=n,
+        rmse_n1=root_mean_square(errors, n - 1), rmse_star_n1=root_mean_square(excess, n - 1),
+        mos=mos, interval=given.interval, mapped=mapped, held_out=groups is not None, notes=tuple(notes),
     )  # fmt: skip
 
 
-def _check_votes(votes: ArrayLike) -> Values:
-    table = read_numbers(votes, what="votes")
-    if table.ndim != 2:  # noqa: PLR2004 - items x raters
-        raise ValueError(
-            f"votes: got shape {table.shape}, allowed is (items, raters), NaN where a vote is missing"
-        )
-    if np.isinf(table).any():
-        raise ValueError(
-            f"votes: got {int(np.isinf(table).sum())} infinite votes; use NaN for a missing one"
-        )
+def _explain(plcc: float, given: _Votes) -> Iterator[str]:
+    if abs(plcc) >= PERFECT:
+        yield "The correlation is perfect to rounding and has no interval."
+    if given.order > 1 and len(given.x) < FEW_ITEMS:
+        yield f"With {len(given.x)} items, fewer than {FEW_ITEMS}, a cubic bends to noise: report order 1 first."
+
+
+def _read_votes(votes: object, metric: object, order: int) -> _Votes:
+    from scipy.stats import t
+
+    table = read_array(votes, what="votes", axes=("items", "raters"), missing=True)
     counts = np.isfinite(table).sum(axis=1)
     poor = np.flatnonzero(counts < 2)  # noqa: PLR2004 - a spread needs two
     if poor.size:
-        got = f"item {poor[0]} with {counts[poor[0]]} votes ({poor.size} such items)"
         raise ValueError(
-            f"votes: got {got}, allowed is 2 or more, for its confidence interval; leave it out"
+            f"votes must be 2 or more per item, for its confidence interval, got item {poor[0]} with "
+            f"{counts[poor[0]]} votes ({poor.size} such items); leave it out"
         )
-    return table
-
-
-def _check_metric(metric: ArrayLike) -> Values:
-    x = read_numbers(metric, what="metric")
-    if x.ndim != 1:
-        raise ValueError(f"metric: got shape {x.shape}, allowed is one value per item")
-    if not np.isfinite(x).all():
-        bad = np.flatnonzero(~np.isfinite(x))
-        raise ValueError(
-            f"metric: got {bad.size} values that are not finite, first of item {bad[0]}; leave them out"
-        )
-    return x
-
-
-def _check_sizes(table: Values, x: Values, order: int) -> None:
+    x = read_array(metric, what="metric", axes=("items",))
     if order not in PARAMETERS or isinstance(order, bool | float):
         raise ValueError(
-            f"order: got {order!r}, allowed is 3 (monotone cubic), 1 (line) or 0 (no mapping)"
+            f"order must be 3 (monotone cubic), 1 (line) or 0 (no mapping), got {order!r}"
         )
     if len(table) != len(x):
         raise ValueError(
-            f"metric: got {len(x)} values for {len(table)} items, allowed is one per item"
+            f"metric must have one value per item, got {len(x)} values for {len(table)} items"
         )
     # One degree of freedom for the errors, one for Fisher's z.
     fewest = max(PARAMETERS[order], 3) + 1
     if len(x) < fewest:
         raise ValueError(
-            f"votes: got {len(x)} items, order {order} needs at least {fewest}; lower the order"
+            f"votes must be of {fewest} items or more for order {order}, got {len(x)}; lower the order"
         )
-    _check_spread(x, order, who="items")
+    _check_spread(x, order, where="items")
+    quantile = np.where(counts < MANY_VOTES, t.ppf(0.975, counts - 1), NORMAL_QUANTILE)
+    interval = quantile * np.nanstd(table, axis=1, ddof=1) / np.sqrt(counts)
+    return _Votes(x, np.nanmean(table, axis=1), interval, order)
 
 
-def _check_spread(x: Values, order: int, *, who: str) -> None:
+def _check_spread(x: Values, order: int, *, where: str) -> None:
     needed, different = max(order, 1) + 1, len(np.unique(x))
     if different < needed:
         raise ValueError(
-            f"metric: got {different} different values over the {who}, order {order} needs {needed}; lower the order"
+            f"metric must have {needed} different values over the {where} for order {order}, got {different}; "
+            "lower the order"
         )
 
 
-def _summarise(table: Values) -> tuple[Values, Values]:
-    from scipy.stats import t
-
-    counts = np.isfinite(table).sum(axis=1)
-    quantile = np.where(counts < MANY_VOTES, t.ppf(0.975, counts - 1), NORMAL_QUANTILE)
-    return np.nanmean(table, axis=1), quantile * np.nanstd(table, axis=1, ddof=1) / np.sqrt(counts)
-
-
-def _span(x: Values) -> tuple[float, float]:
-    return float(x.min()), float(x.max())
-
-
-def _fit_mapping(x: Values, mos: Values, *, order: int, span: tuple[float, float]) -> Polynomial:
-    if order == 0:
+def _fit_mapping(given: _Votes, chosen: Values) -> Polynomial:
+    x, mos = given.x[chosen], given.mos[chosen]
+    span = float(x.min()), float(x.max())
+    if given.order == 0:
         return Polynomial([0.0, 1.0])
-    if order == 1:
-        return Polynomial.fit(x, mos, 1, domain=span, window=(0.0, 1.0))
+    if given.order == 1:
+        return Polynomial.fit(x, mos, 1, domain=span, window=UNIT)
     return fit_monotone_cubic(x, mos, span=span)
 
 
@@ -383,33 +355,21 @@ def _list_coefficients(mapping: Polynomial, order: int) -> tuple[float, ...]:
     return tuple(coefficients.tolist())
 
 
-def _map_out_of_fold(
-    x: Values, mos: Values, *, groups: ArrayLike, order: int
-) -> tuple[Values, list[str]]:
+def _map_out_of_fold(given: _Votes, groups: ArrayLike) -> tuple[Values, list[str]]:
+    x, order = given.x, given.order
     numbers, names = read_groups(groups, n=len(x), what="item")
     if len(names) < 2:  # noqa: PLR2004 - one to fit to, one to predict
-        raise ValueError(
-            f"groups: got the one group {names[0]}, allowed is two or more; leave groups out"
-        )
+        raise ValueError(f"groups must be two or more, got the one group {names[0]}; leave it out")
     mapped, n_beyond = np.empty_like(x), 0
     for number, name in enumerate(names):
         held = numbers == number
         if order:
-            _check_spread(x[~held], order, who=f"items outside group {name}")
-        span = _span(x[~held])
-        known = np.clip(x[held], *span) if order > 1 else x[held]
-        mapped[held] = _fit_mapping(x[~held], mos[~held], order=order, span=span)(known)
+            _check_spread(x[~held], order, where=f"items outside group {name}")
+        known = np.clip(x[held], x[~held].min(), x[~held].max()) if order > 1 else x[held]
+        mapped[held] = _fit_mapping(given, ~held)(known)
         n_beyond += int((known != x[held]).sum())
     beyond = f"{n_beyond} items lie beyond the metric's range in the other groups; the cubic is held at its end there."
     return mapped, [beyond] if n_beyond else []
-
-
-def _root_mean_squares(errors: Values, interval: Values, spent: int) -> _Errors:
-    excess = np.maximum(0.0, errors - interval)
-    freedom = len(errors) - spent
-    return _Errors(
-        float(np.sqrt((errors**2).sum() / freedom)), float(np.sqrt((excess**2).sum() / freedom))
-    )
 
 
 def _correlate(mos: Values, other: Values) -> tuple[float, list[str]]:
@@ -419,18 +379,10 @@ def _correlate(mos: Values, other: Values) -> tuple[float, list[str]]:
     return float(np.clip(np.corrcoef(mos, other)[0, 1], -1, 1)), []
 
 
-def _rank(values: Values) -> Values:
+def _correlate_ranks(given: _Votes) -> float:
     from scipy.stats import rankdata
 
-    ranks: Values = rankdata(values)
-    return ranks
-
-
-def _interval_of_correlation(plcc: float, n_items: int) -> tuple[float, float]:
-    if not abs(plcc) < PERFECT:
-        return float("nan"), float("nan")
-    z, margin = np.arctanh(plcc), NORMAL_QUANTILE / np.sqrt(n_items - 3)
-    return float(np.tanh(z - margin)), float(np.tanh(z + margin))
+    return _correlate(rankdata(given.mos), rankdata(given.x))[0]
 
 
 def _interval_of_rmse(rmse: float, freedom: int) -> tuple[float, float]:

@@ -68,15 +68,7 @@ class ResultsFolder:
     """
 
     def __init__(self, path: PathLike, *, background: bool = False) -> None:
-        """Refuse a folder that holds other results.
-
-        Parameters
-        ----------
-        path : str or path
-            Where to; made when it is written.
-        background : bool
-            Whether `draw` returns at once and a second process draws, where there is a core for it.
-        """
+        """Refuse a folder that holds other results; in the background: let a second process draw, if a core is free."""
         self.path = as_path(path, "folder")
         self.pictures: list[Picture] = []
         self._place: tempfile.TemporaryDirectory[str] | None = None
@@ -115,21 +107,10 @@ class ResultsFolder:
         page: Callable[[Mapping[str, Markup]], str],
         tables: Mapping[str, DataFrame],
     ) -> Path:
-        """Write results, tables and page, and put all in the place of the former files.
+        """Write results, tables and page, and put all in the place of the former files; return the folder.
 
-        Parameters
-        ----------
-        content : Mapping
-            What ``results.json`` holds; "files" are those of `list_files`.
-        page : callable
-            Renders the page; takes the figures, as SVG, by name.
-        tables : Mapping of str to DataFrame
-            By name without suffix.
-
-        Returns
-        -------
-        Path
-            The folder.
+        content: what ``results.json`` holds; its "files" are those of `list_files`. page: renders the page from the
+        figures' SVG, by name. tables: by name without suffix.
         """
         for name, frame in tables.items():
             frame.to_csv(

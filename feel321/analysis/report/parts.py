@@ -28,14 +28,8 @@ ITEM, SIGNIFICANCE = "item", 0.05
 class Choices:
     """Choices that were made before the ratings were seen.
 
-    Parameters
-    ----------
-    draws : int
-        Bootstrap draws per interval and random pairings per permutation test, at least 2.
-    margin : float or None
-        Difference in points that does not matter; None: half the spread with which people repeat their ratings.
-    seed : int
-        Random seed.
+    draws: bootstrap draws per interval and random pairings per permutation test. margin: difference in points that
+    does not matter; None: half the standard deviation of raters' repeated ratings. seed: random seed.
     """
 
     draws: int = 2000
@@ -54,18 +48,7 @@ class Choices:
             )
 
     def make_rng(self, *names: str) -> np.random.Generator:
-        """Make the source of randomness of one result.
-
-        Parameters
-        ----------
-        *names : str
-            What the result is called.
-
-        Returns
-        -------
-        Generator
-            Its own: a further metric or section does not change the intervals of the others.
-        """
+        """Make the generator of one result, its own: another metric or section does not change its interval."""
         return np.random.default_rng([self.seed, zlib.crc32(name_path(*names).encode())])
 
 
@@ -97,7 +80,7 @@ class RatingsPart:
     @property
     def keys(self) -> dict[str, str]:
         """What a row of a table says of it."""
-        return {"scale": self.scale, "level": self.level, "ratings": self.lead}
+        return {"scale": self.scale, "level": self.level, "_ratings": self.lead}
 
 
 def split_parts(table: Table, *, matched: bool = True) -> Iterator[RatingsPart]:

@@ -1,166 +1,184 @@
-"""Sections about reducers: profile of mean ratings, levels compared, contrasts and equivalence."""
+"""Sections about reducers: profile of mean ratings, levels compared, differences and equivalence."""
 
 from __future__ import annotations
 
 from dataclasses import asdict
+from functools import partial
 from itertools import combinations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from feel321.analysis.agreement.reliability import SMALLEST
 from feel321.analysis.contrasts.equivalence import (
-    GROUP,
     equivalence,
     non_inferiority,
     participant_means,
     profile_reducers,
 )
-from feel321.analysis.figures.estimates import draw_equivalence
+from feel321.analysis.figures.estimates import draw_equivalence, draw_profile
 from feel321.analysis.figures.style import assign_looks
 from feel321.analysis.mixed.model import contrast, fit_mixed
 from feel321.analysis.primary.influence import adjust
 from feel321.analysis.primary.plan import make_cells
-from feel321.analysis.report._old import (
-    INTERVAL,
-    PROFILES,
-    Cell,
-    Grid,
-    lay_estimate,
-    name_estimate,
-    name_mean,
-    name_tests,
-    tell_estimate,
-)
 from feel321.analysis.report.parts import (
     ITEM,
     SIGNIFICANCE,
     count_units,
     find_repeat_sd,
+    select_tests,
     tell_p,
     tell_reach,
     thin_parts,
     thin_rows,
 )
-from feel321.analysis.report.pictures import picture_profiles
-from feel321.analysis.report.section import Picture, Section, make_slug
+from feel321.analysis.report.section import (
+    DF,
+    NAME,
+    P_HOLM,
+    RATINGS,
+    TEXT,
+    Column,
+    P,
+    Picture,
+    Section,
+    TableForm,
+    build_table,
+    estimate,
+    make_slug,
+    read_methods,
+)
 from feel321.analysis.table.items import find_sources
 from feel321.analysis.table.judgements import ROLES
 from feel321.analysis.table.reading import order_reducers
-from feel321.analysis.table.sheet import APART, PAIR
-from feel321.analysis.words import COUNT, count_number, make_number, name_path, start, tell_name
+from feel321.analysis.table.sheet import ANSWERED, PAIR, tell_measure
+from feel321.analysis.words import (
+    COUNT,
+    STUDENT,
+    count_number,
+    make_number,
+    name_path,
+    start,
+    tell_ends,
+    tell_name,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Iterator, Mapping
+    from collections.abc import Iterator
 
     from pandas import DataFrame
 
     from feel321.analysis.contrasts.equivalence import Equivalence
-    from feel321.analysis.report.parts import Choices
-    from feel321.analysis.report.parts import RatingsPart as Part
+    from feel321.analysis.report.parts import Choices, RatingsPart
     from feel321.analysis.table.reading import Table
 
-    ProfileRow = Mapping[Hashable, Any]
-    Row = dict[Hashable, Any]
+    Row = dict[Any, Any]
 
 # Ratings per reducer: means, their intervals over participants, hidden reference and anchors beside them.
+
+MEAN = Column(
+    "Mean", "mean", "rating", method="rating, mean over participants of each participant's mean", interval=STUDENT,
+    n="n_participants",
+)  # fmt: skip
+PROFILE_COLUMNS = (
+    RATINGS, Column("Role", "role", NAME), Column("Reducer", "reducer", NAME), MEAN,
+    Column("Participants", "n_participants", COUNT, "n_participants"),
+    Column("Stimuli", "n_stimuli", COUNT, "n_stimuli"), Column("Judgements", "n_ratings", COUNT, "n_ratings"),
+)  # fmt: skip
 
 
 def compute_profile(table: Table, choices: Choices) -> Section:  # noqa: ARG001 - every section has this form
     """Average ratings per reducer."""
     single = table.rows[table.rows["role"] != PAIR]
     profile, people = profile_reducers(single), participant_means(single)
-    looks = assign_looks(order_reducers(table.rows["reducer"]))
-    title = "Ratings per reducer"
+    key, title = "reducers", "Ratings per reducer"
     if profile.empty:
-        return Section(
-            "reducers",
-            title,
-            notes=("Only pairs of two test stimuli were rated: no ratings per reducer.",),
-        )
+        why = "Only pairs of two test stimuli were rated: no ratings per reducer."
+        return Section(key, title, notes=(why,))
+    order = order_reducers(profile["reducer"])
+    rows = sorted(
+        ({**row, "_ratings": f"{row['scale']}, {row['level']}"} for row in profile.to_dict("records")),
+        key=lambda row: (
+            row["scale"], row["level"], ROLES.index(row["role"]), order.index(row["reducer"])
+        ),
+    )  # fmt: skip
     caption = (
         "Mean rating per reducer in points, with its 95 % t interval over participants: other people, these "
-        "recordings. Roles tell hidden references and anchors from what was tested."
+        "recordings. Roles: what was tested, hidden references and anchors."
     )
-    head = (
-        "Ratings",
-        "Role",
-        "Reducer",
-        "Mean",
-        "Interval",
-        "Participants",
-        "Stimuli",
-        "Judgements",
-    )
+    path = "profile.{scale}.{level}.{role}.{reducer}"
     return Section(
-        key="reducers",
+        key=key,
         title=title,
-        grids=(Grid(caption, head, tuple(map(_lay_row, sort_profile(profile)))),),
+        grids=(build_table(caption, PROFILE_COLUMNS, rows, path=path, n="n_ratings"),),
         tables={"profiles": profile, "participants": people},
-        pictures=tuple(picture_profiles(profile, people, looks=looks)),
-        how=(PROFILES,),
+        pictures=tuple(_picture_profiles(profile, people, order_reducers(table.rows["reducer"]))),
+        how=read_methods(key),
     )
 
 
-def sort_profile(profile: DataFrame) -> list[dict[Hashable, Any]]:
-    """Put the rows of a profile into the figure's order."""
-    order = order_reducers(profile["reducer"])
+def _picture_profiles(
+    profile: DataFrame, people: DataFrame, reducers: list[str]
+) -> Iterator[Picture]:
+    looks, tests = assign_looks(reducers), profile[profile["role"] == ROLES[0]]
+    for scale, level in sorted(set(zip(tests["scale"], tests["level"], strict=True))):
+        rows, chosen = (
+            frame[(frame["scale"] == scale) & (frame["level"] == level)]
+            for frame in (profile, people)
+        )
+        yield Picture(
+            make_slug("profile", scale, level),
+            _caption_profile(scale, level, rows),
+            partial(draw_profile, rows, chosen, looks=looks),
+        )
 
-    def place(row: dict[Hashable, Any]) -> tuple[str, str, int, int]:
-        return row["scale"], row["level"], ROLES.index(row["role"]), order.index(row["reducer"])
 
-    return sorted(profile.to_dict("records"), key=place)
-
-
-def _lay_row(row: ProfileRow) -> tuple[str | Cell, ...]:
-    name = name_path("profile", *(row[key] for key in GROUP))
-    mean = name_mean(name, row)
-    counts = (
-        count_number(f"{name}.{what}", row[what], n=row["n_ratings"])
-        for what in ("n_participants", "n_stimuli", "n_ratings")
-    )
-    place = f"{tell_name(row['scale'])}, {tell_name(row['level'])}"
-    shown = Cell(mean, "rating"), Cell(mean, "rating", part=INTERVAL)
-    return (place, row["role"], row["reducer"], *shown, *(Cell(count, COUNT) for count in counts))
+def _caption_profile(scale: str, level: str, profile: DataFrame) -> str:
+    caption = f"Mean {tell_measure(scale)} per reducer (level {tell_name(level)})"
+    if profile["n_participants"].max() < SMALLEST:
+        caption += "; one participant each, so no intervals."
+    else:
+        caption += " with 95 % t intervals over participants: other people, these recordings."
+    caption += " Grey: each participant's mean."
+    caption += " Guessing gives 50." if scale == ANSWERED else ""
+    # A manifest may have any of these roles, or none.
+    roles = {"reference": "the hidden reference", "anchor": "anchors"}
+    apart = [name for role, name in roles.items() if (profile["role"] == role).any()]
+    return caption + (f" Below the dotted line: {' and '.join(apart)}." if apart else "")
 
 
 # Level arms compared, for the question whether something felt good because it was strong.
 
 KEY_LEVELS, TITLE_LEVELS = "levels", "Level arms compared"
-HOW_LEVELS = (
-    "Level arms: a mixed model per scale of ratings on level, each metric within recordings, and their product, with "
-    "spreads between participants, participants' levels, recordings, what was reduced how (shared by the arms), and "
-    "stimuli (and, where several recordings come from one source, the same between sources). The difference in rating "
-    "is at the mean of the metrics; the difference in slope says whether a metric "
-    "counts for less once levels are equal. Satterthwaite's degrees of freedom; p adjusted by Holm.",
-)
+LEVELS = TableForm(
+    "First level minus second: in rating (points), and in the slope on each metric (points per +0.1). 95 % intervals; "
+    "p adjusted over this table.",
+    (
+        Column("Ratings", "scale", TEXT), Column("First", "first", TEXT), Column("Second", "second", TEXT),
+        Column("Of", "of", TEXT),
+        estimate("Difference", "estimate", "mixed model, {_unit}, first level minus second"), DF, P, P_HOLM,
+    ),
+    path="level.{scale}.{first}.{second}.{of}", detail=False,
+)  # fmt: skip
 
 
 def compute_levels(table: Table, choices: Choices) -> Section:
     """Compare the levels at which stimuli were rated."""
-    rows = table.rows
-    tests = rows[(rows["role"] == "test") & ~rows["scale"].isin(APART)]
-    tests = tests[tests["matched"]] if "matched" in tests else tests
-    if len(tests["level"].unique()) < 2:  # noqa: PLR2004 - one arm has nothing to be compared with
-        return Section(KEY_LEVELS, TITLE_LEVELS)
+    tests = select_tests(table)
     notes: list[str] = []
-    found = list(_compare_scales(tests, table.metrics, choices=choices, notes=notes))
-    if not found:
-        return Section(KEY_LEVELS, TITLE_LEVELS, notes=tuple(notes))
-    adjusted = adjust([row["p"] for row in found])
-    found = [{**row, "p_holm": holm} for row, holm in zip(found, adjusted, strict=True)]
-    caption = (
-        "First level minus second: in rating (points), and in the slope on each metric (points per +0.1). 95 % "
-        "intervals; p adjusted over this table."
-    )
-    head = ("Ratings", "First", "Second", "Of", "Difference", "Interval", "df", "p", "p (Holm)")
+    found = []
+    if len(tests["level"].unique()) > 1:
+        found = list(_compare_scales(tests, table.metrics, choices=choices, notes=notes))
+    adjusted = adjust([row["p"] for row in found]) if found else []
+    rows = [{**row, "p_holm": holm} for row, holm in zip(found, adjusted, strict=True)]
     return Section(
         key=KEY_LEVELS,
         title=TITLE_LEVELS,
-        answers=tuple(map(_judge_levels, found)),
-        grids=(Grid(caption, head, tuple(map(_lay, found)), detail=False),),
-        tables={"levels": _tabulate_levels(found)},
-        notes=tuple(notes),
-        how=HOW_LEVELS,
+        answers=tuple(map(_describe_levels, rows)),
+        grids=(LEVELS.build(rows),),
+        tables={"levels": rows},
+        notes=notes,
+        how=read_methods(KEY_LEVELS),
     )
 
 
@@ -168,24 +186,14 @@ def _compare_scales(
     tests: DataFrame, metrics: tuple[str, ...], *, choices: Choices, notes: list[str]
 ) -> Iterator[Row]:
     for name, rows in tests.assign(**{ITEM: tests["stimulus_id"]}).groupby("scale", observed=True):
-        scale = str(name)
-        part, thinned = thin_rows(
-            rows, n_slopes=len(metrics), rng=choices.make_rng(KEY_LEVELS, scale)
-        )
+        rng = choices.make_rng(KEY_LEVELS, scale := str(name))
+        part, thinned = thin_rows(rows, n_slopes=len(metrics), rng=rng)
         notes += [f"{scale}, levels compared: {thinned}"] if thinned else []
+        more = {"scale": scale, "_reach": count_units(part)}
         try:
-            yield from [
-                {"scale": scale, "reach": count_units(part), **row}
-                for row in _compare_levels(part, metrics)
-            ]
+            yield from [more | row for row in _compare_levels(part, metrics)]
         except ValueError as error:
             notes.append(f"{scale}: levels are not compared. {error}")
-
-
-def _tabulate_levels(found: list[Row]) -> DataFrame:
-    import pandas as pd
-
-    return pd.DataFrame(found).drop(columns="reach")
 
 
 def _compare_levels(part: DataFrame, metrics: tuple[str, ...]) -> Iterator[Row]:
@@ -193,111 +201,76 @@ def _compare_levels(part: DataFrame, metrics: tuple[str, ...]) -> Iterator[Row]:
     if len(levels) == 1:
         raise ValueError(f"All were rated at one level, '{levels[0]}'.")
     codes = {level: f"c{number}" for number, level in enumerate(levels)}
-    cells = _gather(part, metrics)
+    cells = _gather_arms(part, metrics)
     used = [name for name in metrics if cells[f"{name}_w"].std() > 0]
-    slopes = [f"arm:`{name}_w`" for name in used]
-    people = (
-        ["(1 | participant)", "(1 | participant:arm)"]
-        if len(part["participant"].unique()) > 1
-        else []
-    )
-    scenes = ["(1 | recording)"] if len(part["recording"].unique()) > 1 else []
-    groups = [*people, *scenes, "(1 | base)", *_item_term(cells), *_source_terms(cells)]
-    formula = " + ".join(["rating ~ 0 + arm", *slopes, *groups])
+    sizes = {name: len(cells[name].unique()) for name in ("participant", "recording", "source")}
+    groups = ["participant", "participant:arm"] * (sizes["participant"] > 1)
+    groups += ["recording"] * (sizes["recording"] > 1) + ["base"]
+    groups += [ITEM] * (len(cells[ITEM].unique()) < len(cells))
+    if sizes["source"] < sizes["recording"]:
+        # What recordings of one source share: as a whole, of what was reduced alike, and of that at one level.
+        groups += ["source"] * (sizes["source"] > 1) + ["source:reducer", "source:reducer:level"]
+    terms = [*(f"arm:`{name}_w`" for name in used), *(f"(1 | {group})" for group in groups)]
+    formula = " + ".join(["rating ~ 0 + arm", *terms])
     fit = fit_mixed(formula, cells.assign(arm=cells["level"].map(codes)))
     for first, second in combinations(levels, 2):
         one, two = f"arm{codes[first]}", f"arm{codes[second]}"
-        pair: Row = {"first": first, "second": second, "n": len(cells)}
         wanted = {"rating": {one: 1.0, two: -1.0}}
         wanted |= {name: {f"{one}:{name}_w": 0.1, f"{two}:{name}_w": -0.1} for name in used}
         for what, weights in wanted.items():
-            found: Row = dict(asdict(contrast(fit, weights)).items())
-            yield pair | {"of": what} | found
+            unit = "points of rating" if what == "rating" else "points per +0.1 of the metric"
+            pair = {"first": first, "second": second, "n": len(cells), "of": what, "_unit": unit}
+            yield pair | asdict(contrast(fit, weights))
 
 
-def _item_term(cells: DataFrame) -> list[str]:
-    return [f"(1 | {ITEM})"] if len(cells[ITEM].unique()) < len(cells) else []
-
-
-def _source_terms(cells: DataFrame) -> list[str]:
-    """Name what recordings of one source share: as a whole, of what was reduced alike, and of that at one level."""
-    recordings, sources = (len(cells[name].unique()) for name in ("recording", "source"))
-    if sources == recordings:
-        return []
-    whole = ["source"] if sources > 1 else []
-    return [f"(1 | {group})" for group in (*whole, "source:reducer", "source:reducer:level")]
-
-
-def _gather(part: DataFrame, metrics: tuple[str, ...]) -> DataFrame:
+def _gather_arms(part: DataFrame, metrics: tuple[str, ...]) -> DataFrame:
     """Average repeats, and centre each metric within recording and level."""
     import pandas as pd
 
     tables, sources = [], find_sources(part)
     for level, arm in part.groupby("level", observed=True):
-        cells = make_cells(arm, metrics).table
-        means = (
-            cells
-            .groupby(["participant", "recording", ITEM], observed=True)
-            .mean(numeric_only=True)
-            .reset_index()
+        cells = make_cells(arm, metrics).table.groupby(
+            ["participant", "recording", ITEM], observed=True
         )
+        means = cells.mean(numeric_only=True).reset_index()
         reducers = means[ITEM].map(arm.drop_duplicates(ITEM).set_index(ITEM)["reducer"])
-        places = {
-            "base": means["recording"] + "/" + reducers,
-            "source": means["recording"].map(sources),
-        }
-        tables.append(means.assign(level=level, reducer=reducers, **places))
+        base, source = means["recording"] + "/" + reducers, means["recording"].map(sources)
+        tables.append(means.assign(level=level, reducer=reducers, base=base, source=source))
     return pd.concat(tables, ignore_index=True)
 
 
-def _lay(row: Row) -> tuple[str | Cell, ...]:
-    name, n = name_path("level", row["scale"], row["first"], row["second"], row["of"]), row["n"]
-    unit = "points of rating" if row["of"] == "rating" else "points per +0.1 of the metric"
-    value = name_estimate(name, row, f"mixed model, {unit}, first level minus second", n=n)
-    names = (
-        tell_name(row["scale"]),
-        tell_name(row["first"]),
-        tell_name(row["second"]),
-        tell_name(row["of"]),
-    )
-    return (
-        *names,
-        *lay_estimate(value, "slope"),
-        *map(Cell, name_tests(name, row, n=n), ("df", "p", "p")),
-    )
-
-
-def _judge_levels(row: Row) -> str:
-    what = f"{tell_name(row['scale'])} ratings"
-    arms = f"at {tell_name(row['first'])} than at {tell_name(row['second'])}"
-    value = name_estimate("", row, "", n=row["n"])
-    evidence = f"({tell_estimate(value, kind='slope')}; {tell_p(row['p_holm'])})"
+def _describe_levels(row: Row) -> str:
+    what, metric = f"{tell_name(row['scale'])} ratings", tell_name(row["of"])
+    first, second = tell_name(row["first"]), tell_name(row["second"])
+    value, interval = tell_ends(row["estimate"], row["low"], row["high"], kind="slope")
+    found = f"{value} points, 95 % CI {interval}; {tell_p(row['p_holm'])}"
     decided, more = row["p_holm"] < SIGNIFICANCE, row["estimate"] > 0
-    if row["of"] == "rating":
-        if not decided:
-            between = f"between {tell_name(row['first'])} and {tell_name(row['second'])}"
-            return f"Whether {what} differ {between} is undecided {evidence}."
-        return f"{start(what)} are {'higher' if more else 'lower'} {arms} {evidence}{tell_reach(row['reach'])}."
-    metric = tell_name(row["of"])
+    if not decided and row["of"] == "rating":
+        return f"It is unclear whether {what} differ between {first} and {second} ({found})."
     if not decided:
-        return f"Whether {metric} counts otherwise for {what} {arms} is undecided (difference of slopes {evidence[1:]}."
-    slope = f"the slope on {metric} is {'larger' if more else 'smaller'}"
-    return f"For {what} {slope} {arms} {evidence}{tell_reach(row['reach'])}."
+        differs = f"the effect of {metric} on {what} differs between {first} and {second}"
+        return f"It is unclear whether {differs} (difference of slopes {found})."
+    reach = tell_reach(row["_reach"])
+    if row["of"] == "rating":
+        way = "higher" if more else "lower"
+        return f"{start(what)} are {way} at {first} than at {second} ({found}){reach}."
+    size = "larger" if more else "smaller"
+    slope = f"the slope on {metric} is {size} at {first} than at {second}"
+    return f"For {what} {slope} ({found}){reach}."
 
 
 # Reducers against each other: differences, equivalence, non-inferiority of the simpler one.
 
-KEY_CONTRASTS, TITLE_CONTRASTS = "contrasts", "Reducers against each other"
 REDUCER = "reducer"
-HOW_CONTRASTS = (
-    "Reducers compared: a mixed model per scale and level of ratings on reducer, with spreads between participants, "
-    "recordings, stimuli, participants' recordings and participants' reducers (and, where several recordings come from "
-    "one source, between sources and sources' reducers); differences with Satterthwaite's "
-    "degrees of freedom, p adjusted by Holm. Equivalence by two one-sided tests (Schuirmann 1987, doi "
-    "10.1007/BF01068419): shown where the 90 % interval lies within the margin. Non-inferiority: the reducer named "
-    "first, which is the simpler by the order of feel321's list, is not worse than the other by the margin or more "
-    "(5 %, one-sided). Neither is adjusted for the number of pairs; no difference found is no proof of equivalence.",
-)
+CONTRAST_COLUMNS = (
+    Column("First", "first", NAME), Column("Second", "second", NAME),
+    estimate("Difference", "estimate", "mixed model, points of rating, first minus second", kind="rating"),
+    DF, P, P_HOLM,
+    Column("Equivalence p", "p_equivalence", "p", "p_equivalence", "equivalence"),
+    Column("Equivalent", "_equivalent", NAME),
+    Column("Non-inferiority p", "p_non_inferiority", "p", "p_non_inferiority", "non-inferiority"),
+    Column("First not worse", "_not_worse", NAME),
+)  # fmt: skip
 
 
 class _Margin(NamedTuple):
@@ -317,96 +290,79 @@ class _Pair(NamedTuple):
 
 def compute_contrasts(table: Table, choices: Choices) -> Section:
     """Compare every two reducers on every scale and level."""
-    answers, notes, grids, numbers = [], [], [], []
-    tables: dict[str, DataFrame] = {}
+    answers, notes, grids, numbers, rows = [], [], [], [], []
     pictures: list[Picture] = []
     # A person's reducers are so many effects.
     for part in thin_parts(table, choices, n_slopes=table.rows[REDUCER].nunique(), matched=False):
         notes += [f"Reducers compared: {part.thinned}"] if part.thinned else []
         margin = _find_margin(part, choices)
         try:
-            pairs = _compare_contrasts(part.rows, margin)
+            pairs = _compare_reducers(part.rows, margin)
         except ValueError as error:
             notes.append(f"{part.lead}: reducers are not compared. {error}")
             continue
-        rows = [_lay_pair(pair, part) for pair in pairs]
-        grids.append(Grid(_caption(part, margin, pairs), HEAD, tuple(rows)))
-        numbers.append(
-            make_number(name_path("margin", *part.place), margin.points, margin.source, n=margin.n)
-        )
         notes += [] if margin.points > 0 else [f"{part.lead}: no equivalence. {margin.source}"]
-        answers.append(_judge_contrasts(pairs, part))
-        differ = count_number(
-            name_path("contrasts", *part.place, "n_differ"), _count_different(pairs), n=len(pairs)
-        )
+        own = [_word_tests(part.keys | pair.row) for pair in pairs]
+        path = "contrast.{scale}.{level}.{first}.{second}"
+        caption = _caption_contrasts(part, margin, len(pairs))
+        grids.append(build_table(caption, CONTRAST_COLUMNS, own, path=path))
+        counts = {"n_differ": _count_different(pairs), "n_pairs": len(pairs)}
         numbers += [
-            differ,
-            count_number(name_path("contrasts", *part.place, "n_pairs"), len(pairs), n=len(pairs)),
+            make_number(name_path("margin", *part.place), margin.points, margin.source, n=margin.n),
+            *(
+                count_number(name_path("contrasts", *part.place, name), count, n=len(pairs))
+                for name, count in counts.items()
+            ),
         ]
-        tables[part.lead] = _tabulate_contrasts(pairs, part)
-        pictures += _draw(pairs, part)
+        answers.append(_describe_contrasts(pairs, part))
+        rows += own
+        pictures += _picture_equivalence(pairs, part)
     return Section(
-        key=KEY_CONTRASTS,
-        title=TITLE_CONTRASTS,
-        answers=tuple(answers),
-        grids=tuple(grids),
-        unseen=tuple(numbers),
-        tables=_stack(tables),
-        pictures=tuple(pictures),
-        notes=tuple(notes),
-        how=HOW_CONTRASTS if grids else (),
+        "contrasts",
+        "Reducers against each other",
+        answers=answers,
+        grids=grids,
+        unseen=numbers,
+        tables={"contrasts": rows},
+        pictures=pictures,
+        notes=notes,
+        how=read_methods("contrasts"),
     )
 
 
-HEAD = (
-    "First", "Second", "Difference", "Interval", "df", "p", "p (Holm)", "Equivalence p", "Equivalent",
-    "Non-inferiority p", "First not worse",
-)  # fmt: skip
-
-
-def _find_margin(part: Part, choices: Choices) -> _Margin:
+def _find_margin(part: RatingsPart, choices: Choices) -> _Margin:
     if choices.margin is not None:
         return _Margin(choices.margin, "margin fixed beforehand", len(part.rows))
     sd, n = find_repeat_sd(part.rows)
-    if not n:
-        return _Margin(
-            float("nan"),
-            "Nobody rated a stimulus twice, so there is no margin: fix `margin` (points).",
-            n,
-        )
-    if not sd > 0:
-        return _Margin(
-            float("nan"), "All repeats are alike, so there is no margin: fix `margin` (points).", n
-        )
-    return _Margin(sd / 2, "half the standard deviation with which people repeat their ratings", n)
+    if n and sd > 0:
+        why = "half the standard deviation of raters' repeated ratings"
+        return _Margin(sd / 2, why, n)
+    why = "All repeats are the same" if n else "Nobody rated a stimulus twice"
+    return _Margin(float("nan"), f"{why}, so there is no margin: set `margin` (points).", n)
 
 
-def _compare_contrasts(rows: DataFrame, margin: _Margin) -> list[_Pair]:
+def _compare_reducers(rows: DataFrame, margin: _Margin) -> list[_Pair]:
     names = order_reducers(rows[REDUCER])
     if len(names) == 1:
         raise ValueError(f"Only one was rated, '{names[0]}'.")
     codes = {name: f"c{number}" for number, name in enumerate(names)}
-    cells = (
-        rows
-        .groupby(["participant", "recording", REDUCER, ITEM], observed=True)["rating"]
-        .mean()
-        .reset_index()
-    )
+    groups = rows.groupby(["participant", "recording", REDUCER, ITEM], observed=True)
+    cells = groups["rating"].mean().reset_index()
     cells["source"] = cells["recording"].map(find_sources(rows))
-    fit = fit_mixed(_plan(cells), cells.assign(which=cells[REDUCER].map(codes)))
+    fit = fit_mixed(_write_formula(cells), cells.assign(which=cells[REDUCER].map(codes)))
     found: list[Row] = []
     for first, second in combinations(names, 2):
         weights = {f"which{codes[first]}": 1, f"which{codes[second]}": -1}
-        estimate: Row = dict(asdict(contrast(fit, weights)).items())
-        found.append({"first": first, "second": second} | estimate)
+        pair = {"first": first, "second": second}
+        found.append(pair | asdict(contrast(fit, weights)))
     adjusted = adjust([row["p"] for row in found])
-    rows_of = [
-        {**row, "p_holm": holm, "n": len(cells)} for row, holm in zip(found, adjusted, strict=True)
+    return [
+        _test(row | {"p_holm": holm, "n": len(cells)}, margin)
+        for row, holm in zip(found, adjusted, strict=True)
     ]
-    return [_test(row, margin) for row in rows_of]
 
 
-def _plan(cells: DataFrame) -> str:
+def _write_formula(cells: DataFrame) -> str:
     """Write the model; a spread that has one row per level is in the residual already."""
     groups = {
         "participant": ["participant"], "recording": ["recording"], ITEM: [ITEM],
@@ -429,102 +385,73 @@ def _plan(cells: DataFrame) -> str:
 
 
 def _test(row: Row, margin: _Margin) -> _Pair:
+    row |= {"p_equivalence": np.nan, "p_non_inferiority": np.nan, "margin": margin.points}
     if not (margin.points > 0 and 0 < row["se"] < np.inf):
-        return _Pair(
-            row | {"p_equivalence": np.nan, "p_non_inferiority": np.nan, "margin": margin.points},
-            None,
-        )
+        return _Pair(row, None)
     numbers = row["estimate"], row["se"], row["df"]
     test = equivalence(*numbers, low=-margin.points, high=margin.points)
     worse = non_inferiority(*numbers, margin=-margin.points)
-    return _Pair(
-        row | {"p_equivalence": test.p, "p_non_inferiority": worse.p, "margin": margin.points}, test
-    )
+    return _Pair(row | {"p_equivalence": test.p, "p_non_inferiority": worse.p}, test)
 
 
-def _lay_pair(pair: _Pair, part: Part) -> tuple[str | Cell, ...]:
-    row = pair.row
-    name, n = name_path("contrast", *part.place, row["first"], row["second"]), row["n"]
-    value = name_estimate(name, row, "mixed model, points of rating, first minus second", n=n)
-    df, p, holm = name_tests(name, row, n=n)
-    return (
-        row["first"], row["second"], *lay_estimate(value, "rating"), Cell(df, "df"), Cell(p, "p"), Cell(holm, "p"),
-        *_lay_test(name, row, "equivalence"), *_lay_test(name, row, "non_inferiority"),
-    )  # fmt: skip
+def _word_tests(row: Row) -> Row:
+    def say(p: float) -> str:
+        return "–" if np.isnan(p) else "yes" if p < SIGNIFICANCE else "not shown"
+
+    equivalent, not_worse = say(row["p_equivalence"]), say(row["p_non_inferiority"])
+    return row | {"_equivalent": equivalent, "_not_worse": not_worse}
 
 
-def _lay_test(name: str, row: Row, test: str) -> tuple[Cell, str]:
-    p = row[f"p_{test}"]
-    said = "–" if np.isnan(p) else "yes" if p < SIGNIFICANCE else "not shown"
-    return Cell(make_number(f"{name}.p_{test}", p, test.replace("_", "-"), n=row["n"]), "p"), said
-
-
-def _caption(part: Part, margin: _Margin, pairs: list[_Pair]) -> str:
+def _caption_contrasts(part: RatingsPart, margin: _Margin, n_pairs: int) -> str:
+    several = [f"other {name}s" for name, count in count_units(part.rows).items() if count > 1]
+    others = " and ".join(several).replace("participants", "people")
     differ = (
         f"{start(part.subject)}: difference of the first reducer from the second in points, from the mixed model, with "
-        f"95 % intervals for {_tell_others(part)}; p adjusted over {len(pairs)} pairs."
+        f"95 % intervals for {others}; p adjusted over {n_pairs} pairs."
     )
     if not margin.points > 0:
         return f"{differ} {margin.source}"
     return f"{differ} Margin of equivalence and non-inferiority: {margin.points:.1f} points ({margin.source})."
 
 
-def _tell_others(part: Part) -> str:
-    """Say for whom and what else intervals hold."""
-    several = [f"other {name}s" for name, count in count_units(part.rows).items() if count > 1]
-    return " and ".join(several).replace("participants", "people")
-
-
 def _count_different(pairs: list[_Pair]) -> int:
     return sum(pair.row["p_holm"] < SIGNIFICANCE for pair in pairs)
 
 
-def _judge_contrasts(pairs: list[_Pair], part: Part) -> str:
+def _describe_contrasts(pairs: list[_Pair], part: RatingsPart, most: int = 5) -> str:
     alike = [
         f"{pair.row['first']} and {pair.row['second']}"
         for pair in pairs
         if pair.test and pair.test.equivalent
     ]
-    told = f"{_count_different(pairs)} of {len(pairs)} pairs of reducers differ after Holm's adjustment"
-    tested = (
-        "none is shown to be equivalent"
-        if any(pair.test for pair in pairs)
-        else "equivalence is not tested"
-    )
-    same = f"shown to be equivalent: {_list(alike)}" if alike else tested
-    reach = tell_reach(count_units(part.rows), claimed=bool(alike) or _count_different(pairs) > 0)
+    more = f" and {len(alike) - most} more pairs" if len(alike) > most else ""
+    same = f"shown to be equivalent: {'; '.join(alike[:most])}{more}"
+    if not alike:
+        tested = any(pair.test for pair in pairs)
+        same = "none is shown to be equivalent" if tested else "equivalence is not tested"
+    differ = _count_different(pairs)
+    reach = tell_reach(count_units(part.rows), claimed=bool(alike) or differ > 0)
+    told = f"{differ} of {len(pairs)} pairs of reducers differ after Holm's adjustment"
     return f"{start(part.subject)}: {told}; {same}{reach}."
 
 
-def _list(names: list[str], most: int = 5) -> str:
-    more = f" and {len(names) - most} more pairs" if len(names) > most else ""
-    return "; ".join(names[:most]) + more
-
-
-def _tabulate_contrasts(pairs: list[_Pair], part: Part) -> DataFrame:
-    import pandas as pd
-
-    return pd.DataFrame([{"scale": part.scale, "level": part.level, **pair.row} for pair in pairs])
-
-
-def _stack(tables: dict[str, DataFrame]) -> dict[str, DataFrame]:
-    import pandas as pd
-
-    return {"contrasts": pd.concat(tables.values(), ignore_index=True)} if tables else {}
-
-
-def _draw(pairs: list[_Pair], part: Part) -> Iterator[Picture]:
+def _picture_equivalence(pairs: list[_Pair], part: RatingsPart) -> Iterator[Picture]:
     tests = {
         f"{pair.row['first']} − {pair.row['second']}": pair.test for pair in pairs if pair.test
     }
     if not tests:
         return
-    people, scenes = len(part.rows["participant"].unique()), find_sources(part.rows)
+    scenes = find_sources(part.rows)
     caption = (
         f"Differences between reducers in {part.ratings} with 90 % intervals; shaded: the margin of "
         "equivalence. Filled: equivalence is shown."
     )
-    figure = draw_equivalence(
-        tests, n_participants=people, n_recordings=len(scenes), n_sources=scenes.nunique()
+    slug = make_slug("equivalence", *part.place)
+    draw = partial(
+        draw_equivalence,
+        tests,
+        n_participants=part.rows["participant"].nunique(),
+        n_recordings=len(scenes),
+        n_sources=scenes.nunique(),
     )
-    yield Picture(make_slug("equivalence", *part.place), caption, figure, detail=True)
+    yield Picture(slug, caption, draw, detail=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,167 +15,200 @@ from feel321.analysis.primary.multiverse import Estimate, run_multiverse
 from feel321.analysis.primary.sensitivity import vary_primary
 from feel321.analysis.refined.candidates import EQUAL
 from feel321.analysis.refined.refine import refine_metric
-from feel321.analysis.report._old import INTERVAL, Cell, Grid, lay_estimate, name_estimate
 from feel321.analysis.report.parts import ITEM, fit_rest, split_parts
-from feel321.analysis.report.section import Picture, Section, make_slug
-from feel321.analysis.words import (
-    COUNT,
-    TWO_WAY,
-    Line,
-    count_number,
-    make_interval,
-    make_number,
-    name_path,
-    start,
-    tell_name,
-    tell_number,
-    tell_range,
+from feel321.analysis.report.section import (
+    METRIC,
+    NAME,
+    RATINGS,
+    TEXT,
+    Column,
+    P,
+    Picture,
+    Section,
+    TableForm,
+    estimate,
+    make_slug,
+    read_methods,
+    stack,
 )
+from feel321.analysis.words import COUNT, TWO_WAY, Line, start, tell_name, tell_number, tell_range
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Iterator
+    from collections.abc import Callable, Hashable, Iterator, Mapping
 
     from pandas import DataFrame
 
-    from feel321.analysis.primary.model import Primary
     from feel321.analysis.primary.multiverse import Multiverse
     from feel321.analysis.refined.refine import Refined
-    from feel321.analysis.report.parts import Choices
-    from feel321.analysis.report.parts import RatingsPart as Part
+    from feel321.analysis.report.parts import Choices, RatingsPart
     from feel321.analysis.table.reading import Table
 
-    Row = dict[Hashable, Any]
-    Found = list[tuple[Part, Refined]]
+    Row = dict[Any, Any]
+    Universes = dict[tuple[str, str], tuple[RatingsPart, Multiverse]]
 
 # The primary slopes under other choices: of data, of scale, of raters.
 
-KEY_ROBUSTNESS, TITLE_ROBUSTNESS = "robustness", "Under other choices"
+KEY_ROBUSTNESS = "robustness"
 MOST_CELLS = 20_000
 """Participants x stimuli beyond which some sixty models would take many minutes."""
 
-SIZES = ("Combinations of rules", "Sets of raters", "With a model")
-
-HOW_ROBUSTNESS = (
-    "The primary slopes are re-estimated under other choices: correlated slopes of participants; no terms for "
-    "reducers; ratings standardised within raters; ratings as logits; and, as a multiverse, without the raters flagged "
-    "by each screening rule, each pair of rules, and all of them. Combinations that leave the same raters are one set "
-    "and count once.",
-)
+VARIANTS = TableForm(
+    "Standardised slope under other choices, with 95 % t intervals (Satterthwaite's df); p not adjusted. Only "
+    "standardised slopes can be compared across units. A dash: no model; the notes say why.",
+    (
+        RATINGS, Column("Choice", "variant", NAME), METRIC,
+        estimate("Standardised slope", "standardised", "standardised slope", ends="standardised_"), P,
+    ),
+    path="variant.{scale}.{level}.{variant}.{metric}",
+)  # fmt: skip
+OVER_SETS = {
+    "median": ("Median", "slope"), "smallest": ("Smallest", "slope"), "largest": ("Largest", "slope"),
+    "same_sign": ("Same sign", "correlation"), "beyond_zero": ("Excludes zero", "correlation"),
+}  # fmt: skip
+UNIVERSES = TableForm(
+    "Slope (points per +0.1) across the distinct sets of raters that combinations of screening rules leave: "
+    "median, smallest, largest, share with the same sign as with everyone, share of intervals that exclude zero, "
+    "number of combinations, of distinct sets, and of sets with enough raters to fit the model.",
+    (
+        RATINGS, METRIC,
+        *(
+            Column(head, key, kind, key, f"{key} over distinct sets of raters")
+            for key, (head, kind) in OVER_SETS.items()
+        ),
+        Column("Combinations of rules", "n_combinations", COUNT, "n_combinations"),
+        Column("Sets of raters", "n_distinct", COUNT, "n_distinct"),
+        Column("With a model", "n_defined", COUNT, "n_defined"),
+    ),
+    path="multiverse.{scale}.{level}.{metric}", n="n_distinct",
+)  # fmt: skip
 
 
 def compute_robustness(table: Table, choices: Choices) -> Section:
     """Repeat the primary analysis under other choices."""
     notes: list[str] = []
     varied: dict[str, DataFrame] = {}
-    universes: dict[tuple[str, str], tuple[Part, Multiverse]] = {}
+    universes: Universes = {}
     pictures: list[Picture] = []
     parts = {part.lead: part for part in split_parts(table)}
     for part in parts.values():
         try:
             _check_size(part)
             varied[part.lead] = vary_primary(part.rows, table.metrics, leave_out=False)
-            pictures.append(_draw_variants(part, table.metrics, varied[part.lead]))
+            pictures.append(_picture_variants(part, table.metrics, varied[part.lead]))
             universes |= _run_universes(table, part, choices)
         except ValueError as error:
             notes.append(f"{part.lead}: no variants. {error}")
-    grids = [_lay_variants(parts, varied)] if varied else []
-    grids += [_lay_universes(universes)] if universes else []
     pictures += [
-        _draw_universes(metric, *found)
+        _picture_universes(metric, *found)
         for (_, metric), found in universes.items()
         if len(found[1].curve)
     ]
     return Section(
         key=KEY_ROBUSTNESS,
-        title=TITLE_ROBUSTNESS,
-        answers=tuple(map(_judge_robustness, universes.items())),
-        grids=tuple(grids),
-        tables=_make_tables_robustness(varied, universes),
-        pictures=tuple(pictures),
+        title="Under other choices",
+        answers=[_describe_universes(metric, *found) for (_, metric), found in universes.items()],
+        grids=(
+            VARIANTS.build(_list_variants(parts, varied)),
+            UNIVERSES.build(
+                _read_universe(metric, *found) for (_, metric), found in universes.items()
+            ),
+        ),
+        tables={
+            "variants": stack(({"ratings": lead}, frame) for lead, frame in varied.items()),
+            "multiverse": stack(
+                ({"ratings": lead, "metric": metric}, _join_excluded(result.table))
+                for (lead, metric), (_, result) in universes.items()
+            ),
+        },
+        pictures=pictures,
         notes=(*notes, *_note_variants(varied)),
-        how=HOW_ROBUSTNESS if grids else (),
+        how=read_methods(KEY_ROBUSTNESS),
     )
 
 
-def _check_size(part: Part) -> None:
+def _list_variants(
+    parts: Mapping[str, RatingsPart], varied: Mapping[str, DataFrame]
+) -> Iterator[Row]:
+    for lead, frame in varied.items():
+        more = {**parts[lead].keys, "n": len(parts[lead].rows)}
+        yield from (more | row for row in frame.to_dict("records"))
+
+
+def _check_size(part: RatingsPart) -> None:
     cells = len(part.rows.groupby(["participant", ITEM], observed=True))
     if cells > MOST_CELLS:
-        raise ValueError(
-            f"They are left out for {cells} participant x stimulus cells; up to {MOST_CELLS} are varied."
-        )
+        why = f"They are left out for {cells} participant x stimulus cells"
+        raise ValueError(f"{why}; up to {MOST_CELLS} are varied.")
 
 
-def _run_universes(
-    table: Table, part: Part, choices: Choices
-) -> dict[tuple[str, str], tuple[Part, Multiverse]]:
+def _join_excluded(table: DataFrame) -> DataFrame:
+    return table.assign(excluded=[" ".join(map(str, who)) for who in table["excluded"]])
+
+
+def _read_universe(metric: str, part: RatingsPart, result: Multiverse) -> Row:
+    keys = (*OVER_SETS, "n_combinations", "n_distinct")
+    found = {key: getattr(result, key) for key in keys}
+    return {**part.keys, "metric": metric, **found, "n_defined": len(result.curve)}
+
+
+def _run_universes(table: Table, part: RatingsPart, choices: Choices) -> Universes:
     rows = table.rows
     own = rows[(rows["scale"] == part.scale) & (rows["level"] == part.level)]
-    estimate = _remember_slopes(table.metrics, people=own["participant"].nunique())
-    return {
-        (part.lead, metric): (
-            part,
-            run_multiverse(
-                own, estimate(metric), rng=choices.make_rng(KEY_ROBUSTNESS, *part.place)
-            ),
-        )
-        for metric in table.metrics
-    }
+    estimate_slope = _remember_slopes(table.metrics, people=own["participant"].nunique())
+    found: Universes = {}
+    for metric in table.metrics:
+        rng = choices.make_rng(KEY_ROBUSTNESS, *part.place)
+        result = run_multiverse(own, partial(estimate_slope, metric=metric), rng=rng)
+        found[part.lead, metric] = part, result
+    return found
 
 
-def _remember_slopes(
-    metrics: tuple[str, ...], *, people: int
-) -> Callable[[str], Callable[[DataFrame], Estimate]]:
+def _remember_slopes(metrics: tuple[str, ...], *, people: int) -> Callable[..., Estimate]:
     """Fit each set of raters once, whichever metric is asked for."""
     known: dict[frozenset[Hashable], dict[str, Estimate]] = {}
 
-    def fit(tests: DataFrame) -> dict[str, Estimate]:
+    def fit(rows: DataFrame) -> dict[str, Estimate]:
+        tests = rows[rows["role"] == "test"]
         try:
-            slopes = fit_rest(
-                tests.assign(**{ITEM: tests["stimulus_id"]}), metrics, people=people
-            ).slopes
+            model = fit_rest(tests.assign(**{ITEM: tests["stimulus_id"]}), metrics, people=people)
         except ValueError as error:
             return dict.fromkeys(metrics, Estimate(float("nan"), note=str(error)))
-        ends = slopes[["tenth", "tenth_low", "tenth_high"]].itertuples(index=False)
-        return {str(name): Estimate(*row) for name, row in zip(slopes.index, ends, strict=True)}
+        ends = model.slopes[["tenth", "tenth_low", "tenth_high"]]
+        return {str(name): Estimate(*row) for name, row in ends.T.to_dict("list").items()}
 
-    def of_metric(metric: str) -> Callable[[DataFrame], Estimate]:
-        def estimate(rows: DataFrame) -> Estimate:
-            who = frozenset(rows["participant"])
-            if who not in known:
-                known[who] = fit(rows[rows["role"] == "test"])
-            found = known[who].get(
-                metric, Estimate(float("nan"), note=f"{metric} does not differ within recordings")
-            )
-            if found.note:
-                raise ValueError(found.note)
-            return found
+    def estimate_slope(rows: DataFrame, *, metric: str) -> Estimate:
+        who = frozenset(rows["participant"])
+        if who not in known:
+            known[who] = fit(rows)
+        none = Estimate(float("nan"), note=f"{metric} does not differ within recordings")
+        found = known[who].get(metric, none)
+        if found.note:
+            raise ValueError(found.note)
+        return found
 
-        return estimate
-
-    return of_metric
+    return estimate_slope
 
 
-def _draw_variants(part: Part, metrics: tuple[str, ...], table: DataFrame) -> Picture:
-    model: Primary = fit_primary(part.rows, metrics, explain=False)
+def _picture_variants(part: RatingsPart, metrics: tuple[str, ...], table: DataFrame) -> Picture:
     caption = (
         f"Slopes of {part.ratings} within recordings: above in points per +0.1 of the metric, below "
         "standardised, under other choices; 95 % Satterthwaite intervals."
     )
-    figure = draw_slopes({part.lead: model}, variants={part.lead: table})
-    return Picture(make_slug("variants", *part.place), caption, figure)
+    models = {part.lead: fit_primary(part.rows, metrics, explain=False)}
+    draw = partial(draw_slopes, models, variants={part.lead: table})
+    return Picture(make_slug("variants", *part.place), caption, draw)
 
 
-def _draw_universes(metric: str, part: Part, result: Multiverse) -> Picture:
+def _picture_universes(metric: str, part: RatingsPart, result: Multiverse) -> Picture:
     caption = (
         f"Slope of {part.ratings} on {tell_name(metric)}, points per +0.1, for every distinct set of raters that the "
         "screening rules leave, from the smallest up; 95 % Satterthwaite intervals. Below: the rules applied."
     )
-    figure = draw_multiverse(result, estimate="Points per +0.1")
-    return Picture(make_slug("multiverse", *part.place, metric), caption, figure, detail=True)
+    draw = partial(draw_multiverse, result, estimate="Points per +0.1")
+    return Picture(make_slug("multiverse", *part.place, metric), caption, draw, detail=True)
 
 
-def _judge_robustness(found: tuple[tuple[str, str], tuple[Part, Multiverse]]) -> str:
-    (_, metric), (part, result) = found
+def _describe_universes(metric: str, part: RatingsPart, result: Multiverse) -> str:
     what = f"Slope of {part.ratings} on {tell_name(metric)}"
     if not len(result.curve):
         return f"{what}: no set of raters is large enough to fit the model."
@@ -188,173 +223,142 @@ def _judge_robustness(found: tuple[tuple[str, str], tuple[Part, Multiverse]]) ->
     return f"{what}: {reach} points per +0.1 across {some}{sets} from {rules}{few}."
 
 
-def _lay_variants(parts: dict[str, Part], varied: dict[str, DataFrame]) -> Grid:
-    caption = (
-        "Standardised slope under other choices, with 95 % t intervals (Satterthwaite's df); p not adjusted. Only "
-        "standardised slopes can be compared across units. A dash: no model; the notes say why."
-    )
-    head = ("Ratings", "Choice", "Metric", "Standardised slope", "Interval", "p")
-    rows = [
-        _lay_variant(parts[lead], row)
-        for lead, table in varied.items()
-        for row in table.to_dict("records")
-    ]
-    return Grid(caption, head, tuple(rows))
-
-
-def _lay_variant(part: Part, row: Row) -> tuple[str | Cell, ...]:
-    name, n = name_path("variant", *part.place, row["variant"], row["metric"]), len(part.rows)
-    value = name_estimate(name, row, "standardised slope", n=n, prefix="standardised")
-    p = Cell(make_number(f"{name}.p", row["p"], "two-sided t test", n=n), "p")
-    return (
-        tell_name(part.lead),
-        row["variant"],
-        tell_name(row["metric"]),
-        *lay_estimate(value, "slope"),
-        p,
-    )
-
-
-UNIVERSES = (
-    "Slope (points per +0.1) across the distinct sets of raters that combinations of screening rules leave: "
-    "median, smallest, largest, share with the same sign as with everyone, share of intervals that exclude zero, "
-    "number of combinations, of distinct sets, and of sets with enough raters to fit the model."
-)
-
-
-def _lay_universes(universes: dict[tuple[str, str], tuple[Part, Multiverse]]) -> Grid:
-    head = (
-        "Ratings",
-        "Metric",
-        "Median",
-        "Smallest",
-        "Largest",
-        "Same sign",
-        "Excludes zero",
-        *SIZES,
-    )
-    rows: list[tuple[str | Cell, ...]] = []
-    for (_, metric), (part, result) in universes.items():
-        name, n = name_path("multiverse", *part.place, metric), result.n_distinct
-        kinds = {"median": "slope", "smallest": "slope", "largest": "slope", "same_sign": "correlation",
-                 "beyond_zero": "correlation"}  # fmt: skip
-        values = [
-            Cell(
-                make_number(
-                    f"{name}.{key}",
-                    getattr(result, key),
-                    f"{key} over distinct sets of raters",
-                    n=n,
-                ),
-                kind,
-            )
-            for key, kind in kinds.items()
-        ]
-        counts = {
-            "n_combinations": result.n_combinations,
-            "n_distinct": n,
-            "n_defined": len(result.curve),
-        }
-        sizes = [
-            Cell(count_number(f"{name}.{key}", count, n=n), COUNT) for key, count in counts.items()
-        ]
-        rows.append((tell_name(part.lead), tell_name(metric), *values, *sizes))
-    return Grid(UNIVERSES, head, tuple(rows))
-
-
-def _note_variants(varied: dict[str, DataFrame]) -> Iterator[str]:
+def _note_variants(varied: Mapping[str, DataFrame]) -> Iterator[str]:
     for lead, table in varied.items():
         own = table.drop_duplicates("variant").set_index("variant")["reason"]
-        # What the primary model lacks is said where it is told.
+        # What the primary model lacks is said in its own section.
         others = own[(own != "") & (own != own["primary"])]
         for reason, names in others.groupby(others, sort=False).groups.items():
             yield f"{lead}, {'; '.join(names)}: {reason}"
 
 
-def _make_tables_robustness(
-    varied: dict[str, DataFrame], universes: dict[tuple[str, str], tuple[Part, Multiverse]]
-) -> dict[str, DataFrame]:
-    import pandas as pd
-
-    tables = {}
-    if varied:
-        tables["variants"] = pd.concat(
-            [table.assign(ratings=lead) for lead, table in varied.items()], ignore_index=True
-        )
-    if universes:
-        found = [
-            result.table.assign(ratings=lead, metric=metric)
-            for (lead, metric), (_, result) in universes.items()
-        ]
-        whole = pd.concat(found, ignore_index=True)
-        tables["multiverse"] = whole.assign(
-            excluded=[" ".join(map(str, who)) for who in whole["excluded"]]
-        )
-    return tables
-
-
 # Refined metrics: whether a combination of metrics, or another shape of one, is worth having.
 
-KEY_REFINED, TITLE_REFINED = "refined", "Would a refined metric predict better?"
 DRAWS = 400
 """Each draw repeats the whole search, and more of them change the interval's width by a few hundredths only."""
 
 AMPLITUDE, LEVEL = "rms_m_s2", "level in dB"
-"""The amplitude that a manifest may tell, and the term made of it."""
+"""The amplitude that a manifest may have, and the term made of it."""
 
 OUT_OF_FOLD = "of differences within recordings, out of fold"
-HOW_REFINED = (
-    "Refined metrics: each metric, metrics to the power 0.5 or 2, their sum with equal weights, and weighted sums are "
-    "compared by nested cross-validation of differences within recordings: the inner one takes the simplest candidate "
-    "within one standard error of the least squared error, the outer one judges that on recordings and participants "
-    "that had no part in it (Varma & Simon 2006, doi 10.1186/1471-2105-7-91). Intervals are two-way bootstrap "
-    f"intervals that repeat the search, of at most {DRAWS} draws. A refinement is recommended only where its gain over "
-    "every single metric is above zero with its whole interval; intervals are not adjusted for their number.",
-)
+ERROR = f"root mean squared error {OUT_OF_FOLD}"
+SCORE_COLUMNS = (
+    RATINGS, Column("Chosen", "chosen", TEXT), Column("Recommended", "_recommended", NAME),
+    Column("r", "value", end="value", method=f"correlation with the refined metric {OUT_OF_FOLD}", interval=TWO_WAY),
+    Column("Noise ceiling", "ceiling", end="ceiling", method="noise ceiling within recordings"),
+    Column("r / ceiling", "share", end="share", method="correlation / ceiling"),
+    Column("rmse", "rmse", "rating", "rmse", ERROR, interval=TWO_WAY, ends="rmse_"),
+    *(
+        Column(head, key, COUNT, key)
+        for key, head in {
+            "n_items": "Stimuli", "n_participants": "Participants", "n_recordings": "Recordings", "n_folds": "Folds",
+            "draws": "Draws",
+        }.items()
+    ),
+)  # fmt: skip
+GAIN_COLUMNS = (
+    RATINGS, METRIC,
+    Column("r of the metric", "plain", end="plain", method="correlation of differences within recordings"),
+    Column("Gain", "value", end="gain", method=f"gain in correlation {OUT_OF_FOLD}", interval=TWO_WAY),
+    Column("rmse of the metric", "rmse", "rating", "rmse", ERROR),
+)  # fmt: skip
+CANDIDATE_COLUMNS = (
+    RATINGS, Column("Candidate", "name", TEXT), Column("Parameters", "parameters", COUNT, "parameters"),
+    Column("r", "value", end="value", method=f"correlation {OUT_OF_FOLD}"),
+    Column("rmse", "rmse", "rating", "rmse", ERROR),
+    Column("Chosen", "chosen", end="chosen", method="share of outer folds", n="_n_folds"),
+)  # fmt: skip
+WEIGHT_COLUMNS = (
+    RATINGS, Column("Term", "term", TEXT),
+    Column("Weight", "weight", "slope", "weight", "least squares, points per standard deviation"),
+    Column("Smallest", "lowest", "slope", "lowest", "smallest over outer folds"),
+    Column("Largest", "highest", "slope", "highest", "largest over outer folds"),
+    Column("Per unit", "per_unit", "slope", "per_unit", "least squares, points per unit"),
+)  # fmt: skip
+PLACE = "refined.{scale}.{level}"
+REFINED_TABLES = {
+    "": TableForm(
+        "How well a refined metric predicts recordings and participants that were not used to make it, for differences "
+        "within recordings: correlation, its share of the noise ceiling, error in points. 95 % two-way intervals.",
+        SCORE_COLUMNS, PLACE, n="_n",
+    ),
+    "gains": TableForm(
+        "Gain in correlation of the refined metric out of fold over each metric as it is, to which nothing is fitted; "
+        "and the error of that metric, mapped to points out of fold. 95 % two-way intervals, not adjusted.",
+        GAIN_COLUMNS, f"{PLACE}.over.{{metric}}", n="_n",
+    ),
+    "candidates": TableForm(
+        "Candidates, each as if it had been the only one: correlation and error out of fold, and the share of outer "
+        "folds in which it was chosen. The best of this table is optimistic; the table above is not.",
+        CANDIDATE_COLUMNS, f"{PLACE}.candidate.{{name}}", n="_n",
+    ),
+    "weights": TableForm(
+        "Weights of what is chosen on all ratings: points per standard deviation of each term within recordings, the "
+        "smallest and the largest over the outer folds, and points per unit of the term.",
+        WEIGHT_COLUMNS, f"{PLACE}.weight.{{term}}", n="_n",
+    ),
+}  # fmt: skip
+"""Attribute of a result, empty for itself -> its table."""
 
 
 def compute_refined(table: Table, choices: Choices) -> Section:
     """Search a refined metric for every scale and level."""
-    found: Found = []
+    found: list[tuple[RatingsPart, Refined]] = []
     notes: list[str] = []
     for part in split_parts(table):
         lead = f"{part.lead}, refined metrics"
         try:
-            result = _search(part, table, choices)
+            found.append((part, _search(part, table, choices)))
         except ValueError as error:
             notes.append(f"{lead}: none is searched. {error}")
             continue
-        found.append((part, result))
-        notes += [f"{lead}: {note}" for note in result.notes]
-    if not found:
-        return Section(KEY_REFINED, TITLE_REFINED, notes=tuple(notes))
+        notes += [f"{lead}: {note}" for note in found[-1][1].notes]
+    rows = {
+        name: [row for one in found for row in _list_rows(*one, name)] for name in REFINED_TABLES
+    }
     return Section(
-        key=KEY_REFINED,
-        title=TITLE_REFINED,
-        answers=tuple(_judge_refined(part, result) for part, result in found),
+        key="refined",
+        title="Would a refined metric predict better?",
+        answers=tuple(str(_describe_refined(*one)) for one in found),
         verdict=tuple(_sum_up(found)),
-        grids=(_lay_scores(found), _lay_gains(found), _lay_candidates(found), _lay_weights(found)),
-        tables=_make_tables_refined(found),
-        notes=tuple(notes),
-        how=HOW_REFINED,
-    )
+        grids=tuple(
+            form.build(rows[name]) for name, form in REFINED_TABLES.items()
+        ),
+        tables={f"refined_{name}": rows[name] for name in REFINED_TABLES if name},
+        notes=notes,
+        how=read_methods("refined", draws=DRAWS),
+    )  # fmt: skip
 
 
-def _search(part: Part, table: Table, choices: Choices) -> Refined:
+def _search(part: RatingsPart, table: Table, choices: Choices) -> Refined:
     rows, others = part.rows, list(table.further)
     if AMPLITUDE in rows and (rows[AMPLITUDE] > 0).all():
         rows, others = rows.assign(**{LEVEL: 20 * np.log10(rows[AMPLITUDE])}), [LEVEL, *others]
-    rng = choices.make_rng(KEY_REFINED, *part.place)
-    return refine_metric(
-        rows, table.metrics, others=others, draws=min(choices.draws, DRAWS), rng=rng
+    rng, draws = choices.make_rng("refined", *part.place), min(choices.draws, DRAWS)
+    return refine_metric(rows, table.metrics, others=others, draws=draws, rng=rng)
+
+
+def _list_rows(part: RatingsPart, result: Refined, name: str) -> list[Row]:
+    more = {**part.keys, "_n": result.n_items, "_n_folds": result.n_folds}
+    if name:
+        return [more | row for row in getattr(result, name).to_dict("records")]
+    keys = (
+        "chosen",
+        "low",
+        "high",
+        "rmse_low",
+        "rmse_high",
+        *(one.key for one in SCORE_COLUMNS[3:]),
     )
+    recommended = "yes" if result.recommended else "no"
+    return [more | {key: getattr(result, key) for key in keys} | {"_recommended": recommended}]
 
 
-def _sum_up(found: Found) -> Iterator[Line]:
+def _sum_up(found: list[tuple[RatingsPart, Refined]]) -> Iterator[Line]:
     """Open the report with what is recommended; of all the rest, in one line, that it is not."""
     for part, result in found:
         if result.recommended:
-            yield Line(_judge_refined(part, result))
+            yield _describe_refined(part, result)
     rest = [_find_best(result) for _, result in found if not result.recommended]
     if not rest:
         return
@@ -378,163 +382,31 @@ def _find_best(result: Refined) -> Row:
     return best
 
 
-def _judge_refined(part: Part, result: Refined) -> str:
-    gain = _find_best(result)
-    told = f"{tell_number(gain['value'])} (95 % two-way interval {tell_range(gain['low'], gain['high'])})"
-    pair = (
-        f"{tell_number(result.value)} with what the search finds, {tell_number(gain['plain'])} with"
+def _describe_refined(part: RatingsPart, result: Refined) -> Line:
+    gain, line = _find_best(result), Line("", start(part.subject))
+    best = f"{tell_name(gain['metric'])}, the best single metric, at {tell_number(gain['plain'])}"
+    interval = f"95 % two-way interval {tell_range(gain['low'], gain['high'])}"
+    what = "it" if result.recommended else "the metric that the search chose"
+    scored = (
+        f"on recordings and participants that were left out, {what} correlates with rating differences within "
+        f"recordings at r = {tell_number(result.value)}, {best} (gain {tell_number(gain['value'])}, {interval})"
     )
-    scored = "differences within recordings, of recordings and people left out, correlate by"
-    reach = f"{scored} {pair} {tell_name(gain['metric'])}, the best single metric here, a gain of {told}"
     if result.recommended:
-        return f"{start(part.subject)}: {_tell_choice(result)} predicts better than each metric: {reach}."
-    if np.isfinite(gain["low"]) and gain["low"] > 0:
-        simple = "but one is not chosen on all ratings, or does not gain over every single metric"
-        return f"{start(part.subject)}: no refined metric is recommended: {reach}, {simple}."
+        return replace(
+            line, text=f"{_name_choice(result)} predicts better than each metric alone: {scored}."
+        )
+    none = "no refined metric is recommended: "
     if np.isnan(gain["low"]):
-        return f"{start(part.subject)}: no refined metric is recommended: its gain has no interval here."
+        return replace(line, text=f"{none}its gain has no interval here.")
+    if gain["low"] > 0:
+        simple = "but one is not chosen on all ratings, or does not gain over every single metric"
+        return replace(line, text=f"{none}{scored}, {simple}.")
     below = "is below" if gain["high"] < 0 else "covers"
-    return f"{start(part.subject)}: no refined metric is recommended: {reach}; the interval {below} zero."
+    return replace(line, text=f"{none}{scored}; the interval {below} zero.")
 
 
-def _tell_choice(result: Refined) -> str:
+def _name_choice(result: Refined) -> str:
     if result.chosen == EQUAL:
         return "the sum of the metrics, each in standard deviations, with equal weights,"
-    return (
-        f"the weighted sum of {tell_name(result.chosen)}"
-        if " + " in result.chosen
-        else tell_name(result.chosen)
-    )
-
-
-def _lay_scores(found: Found) -> Grid:
-    caption = (
-        "What a refined metric is worth on recordings and participants that had no part in making it, for differences "
-        "within recordings: correlation, its share of the noise ceiling, error in points. 95 % two-way intervals."
-    )
-    head = (
-        "Ratings", "Chosen", "Recommended", "r", "Interval", "Noise ceiling", "r / ceiling", "rmse", "Interval",
-        "Stimuli", "Participants", "Recordings", "Folds", "Draws",
-    )  # fmt: skip
-    return Grid(caption, head, tuple(_lay_score(part, result) for part, result in found))
-
-
-def _lay_score(part: Part, result: Refined) -> tuple[str | Cell, ...]:
-    name, n = name_path(KEY_REFINED, *part.place), result.n_items
-    value = make_number(
-        f"{name}.value", result.value, f"correlation with the refined metric {OUT_OF_FOLD}", n=n
-    )
-    value = make_interval(value, result.low, result.high, uncertainty=TWO_WAY)
-    error = make_number(f"{name}.rmse", result.rmse, f"root mean squared error {OUT_OF_FOLD}", n=n)
-    error = make_interval(error, result.rmse_low, result.rmse_high, uncertainty=TWO_WAY)
-    ceiling = make_number(f"{name}.ceiling", result.ceiling, "noise ceiling within recordings", n=n)
-    share = make_number(f"{name}.share", result.share, "correlation / ceiling", n=n)
-    counts = [
-        Cell(count_number(f"{name}.{what}", getattr(result, what), n=n), COUNT)
-        for what in ("n_items", "n_participants", "n_recordings", "n_folds", "draws")
-    ]
-    recommended = "yes" if result.recommended else "no"
-    return (
-        _tell_place(part), tell_name(result.chosen), recommended, Cell(value), Cell(value, part=INTERVAL),
-        Cell(ceiling), Cell(share), Cell(error, "rating"), Cell(error, "rating", INTERVAL), *counts,
-    )  # fmt: skip
-
-
-def _lay_gains(found: Found) -> Grid:
-    caption = (
-        "Gain in correlation of the refined metric out of fold over each metric as it is, to which nothing is fitted; "
-        "and the error of that metric, mapped to points out of fold. 95 % two-way intervals, not adjusted."
-    )
-    head = ("Ratings", "Metric", "r of the metric", "Gain", "Interval", "rmse of the metric")
-    rows = [
-        _lay_gain(part, result, row)
-        for part, result in found
-        for row in result.gains.to_dict("records")
-    ]
-    return Grid(caption, head, tuple(rows))
-
-
-def _lay_gain(part: Part, result: Refined, row: Row) -> tuple[str | Cell, ...]:
-    name, n = name_path(KEY_REFINED, *part.place, "over", row["metric"]), result.n_items
-    plain = make_number(
-        f"{name}.plain", row["plain"], "correlation of differences within recordings", n=n
-    )
-    gain = make_number(f"{name}.gain", row["value"], f"gain in correlation {OUT_OF_FOLD}", n=n)
-    gain = make_interval(gain, row["low"], row["high"], uncertainty=TWO_WAY)
-    error = make_number(f"{name}.rmse", row["rmse"], f"root mean squared error {OUT_OF_FOLD}", n=n)
-    return (
-        _tell_place(part), tell_name(row["metric"]), Cell(plain), Cell(gain), Cell(gain, part=INTERVAL),
-        Cell(error, "rating"),
-    )  # fmt: skip
-
-
-def _lay_candidates(found: Found) -> Grid:
-    caption = (
-        "Candidates, each as if it had been the only one: correlation and error out of fold, and the share of outer "
-        "folds in which it was chosen. The best of this table flatters; what the search is worth stands above."
-    )
-    head = ("Ratings", "Candidate", "Parameters", "r", "rmse", "Chosen")
-    rows = [
-        _lay_candidate(part, result, row)
-        for part, result in found
-        for row in result.candidates.to_dict("records")
-    ]
-    return Grid(caption, head, tuple(rows))
-
-
-def _lay_candidate(part: Part, result: Refined, row: Row) -> tuple[str | Cell, ...]:
-    name, n = name_path(KEY_REFINED, *part.place, "candidate", row["name"]), result.n_items
-    return (
-        _tell_place(part), tell_name(row["name"]),
-        Cell(count_number(f"{name}.parameters", row["parameters"], n=n), COUNT),
-        Cell(make_number(f"{name}.value", row["value"], f"correlation {OUT_OF_FOLD}", n=n)),
-        Cell(make_number(f"{name}.rmse", row["rmse"], f"root mean squared error {OUT_OF_FOLD}", n=n), "rating"),
-        Cell(make_number(f"{name}.chosen", row["chosen"], "share of outer folds", n=result.n_folds)),
-    )  # fmt: skip
-
-
-def _lay_weights(found: Found) -> Grid:
-    caption = (
-        "Weights of what is chosen on all ratings: points per standard deviation of each term within recordings, the "
-        "smallest and the largest over the outer folds, and points per unit of the term."
-    )
-    head = ("Ratings", "Term", "Weight", "Smallest", "Largest", "Per unit")
-    rows = [
-        _lay_weight(part, result, row)
-        for part, result in found
-        for row in result.weights.to_dict("records")
-    ]
-    return Grid(caption, head, tuple(rows))
-
-
-def _lay_weight(part: Part, result: Refined, row: Row) -> tuple[str | Cell, ...]:
-    name, n = name_path(KEY_REFINED, *part.place, "weight", row["term"]), result.n_items
-    methods = {
-        "weight": "least squares, points per standard deviation", "lowest": "smallest over outer folds",
-        "highest": "largest over outer folds", "per_unit": "least squares, points per unit",
-    }  # fmt: skip
-    cells = [
-        Cell(make_number(f"{name}.{key}", row[key], how, n=n), "slope")
-        for key, how in methods.items()
-    ]
-    return (_tell_place(part), tell_name(row["term"]), *cells)
-
-
-def _tell_place(part: Part) -> str:
-    return f"{tell_name(part.scale)}, {tell_name(part.level)}"
-
-
-def _make_tables_refined(found: Found) -> dict[str, DataFrame]:
-    import pandas as pd
-
-    def stack(name: str) -> DataFrame:
-        return pd.concat(
-            [_place(getattr(result, name), part) for part, result in found], ignore_index=True
-        )
-
-    return {f"refined_{name}": stack(name) for name in ("gains", "candidates", "weights")}
-
-
-def _place(table: DataFrame, part: Part) -> DataFrame:
-    placed = table.assign(scale=part.scale, level=part.level)
-    return placed[["scale", "level", *table.columns]]
+    several = " + " in result.chosen
+    return f"{'the weighted sum of ' if several else ''}{tell_name(result.chosen)}"

@@ -8,8 +8,10 @@ that returns a `Section`; one that the ratings do not allow has nothing but note
 from __future__ import annotations
 
 import re
+import tomllib
 from dataclasses import dataclass, field, replace
 from itertools import chain
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis.words import (
@@ -45,28 +47,12 @@ BOTH, VALUE, INTERVAL = "both", "value", "interval"
 class Column:
     """A column of a table: where its value comes from, how the page shows it, what ``results.json`` calls it.
 
-    Parameters
-    ----------
-    head : str
-        Header on the page; a number without one is in ``results.json`` only.
-    key : str
-        Of the value in a row.
-    kind : str
-        `TEXT`, `NAME`, or how a number is rounded: a key of `words.PLACES`. A count without a method is a whole number.
-    end : str
-        What the number's dotted name has after the row's own; empty: nothing.
-    method : str
-        How the value was computed; may hold the row's keys in braces.
-    interval : str
-        What its interval is; empty: it has none.
-    ends : str
-        What comes before "low" and "high" in the keys of the interval's ends, such as "tenth_".
-    show : str
-        `BOTH`, `VALUE` or `INTERVAL`.
-    head_interval : str
-        Header of the interval.
-    n : str
-        Key of how many stimuli, participants or judgements it rests on; empty: the table's.
+    head: header on the page; a number without one is in ``results.json`` only. key: of the value in a row. kind:
+    `TEXT`, `NAME`, or how a number is rounded, a key of `words.PLACES`; a count without a method is a whole number.
+    end: what the number's dotted name has after the row's own. method: how it was computed; may hold the row's keys in
+    braces. interval: what its interval is; ends: what comes before "low" and "high" in the keys of its ends. show: of
+    a number with an interval, both in two columns (the second headed head_interval), or one of them. n: key of how
+    many stimuli, participants or judgements it rests on, if not the table's.
     """
 
     head: str
@@ -118,7 +104,7 @@ P = Column("p", "p", "p", "p", "two-sided t test")
 P_HOLM = Column(
     "p (Holm)", "p_holm", "p", "p_holm", "two-sided t test, Holm's adjustment over its table"
 )
-RATINGS = Column("Ratings", "ratings", TEXT)
+RATINGS = Column("Ratings", "_ratings", TEXT)
 METRIC = Column("Metric", "metric", TEXT)
 
 
@@ -177,6 +163,28 @@ def build_table(
     )
 
 
+@dataclass(frozen=True, slots=True)
+class TableForm:
+    """A table before it has rows; the arguments are those of `build_table`."""
+
+    caption: str
+    columns: Sequence[Column]
+    path: str
+    n: str = "n"
+    detail: bool = True
+
+    def build(self, rows: Iterable[Record], *, caption: str = "") -> PageTable:
+        """Build the table, with a caption of its own if that is given."""
+        return build_table(
+            caption or self.caption,
+            self.columns,
+            rows,
+            path=self.path,
+            n=self.n,
+            detail=self.detail,
+        )
+
+
 def build_numbers(
     columns: Sequence[Column], rows: Iterable[Record], *, path: str, n: str = "n"
 ) -> tuple[Number, ...]:
@@ -227,32 +235,11 @@ def number_pictures(pictures: Iterable[Picture], start: int = 1) -> Iterator[Pic
 class Section:
     """A part of a report, as data; what is empty in it is left out.
 
-    Parameters
-    ----------
-    key : str
-        Its name in paths and anchors.
-    title : str
-        Its heading.
-    answers : sequence of str
-        What it shows, in words; numbers in them are among its numbers.
-    verdict : sequence of Line
-        What it has to say where the report opens.
-    grids : sequence of PageTable
-        Tables of the page; those without rows are left out.
-    unseen : sequence of Number
-        Numbers that are in words or figures only.
-    tables : Mapping of str to DataFrame, or to a list of rows
-        Files, by name without suffix; those without rows are left out.
-    pictures : sequence of Picture
-        Figures.
-    notes : sequence of str
-        What was left out or assumed, and why; one sentence each.
-    how : sequence of str
-        How it was computed; left out if there is nothing to show.
-    claims : sequence of Claim
-        What it concludes, for a program.
-    panels : sequence of Panel
-        Correlations, to be held against the claims of other sections.
+    key: its name in paths and anchors. answers: what it shows, in words; numbers in them are among its numbers.
+    verdict: what it has to say where the report opens. grids: tables of the page. unseen: numbers that are in words or
+    figures only. tables: CSV files by name, each a frame or a list of rows (keys that begin with an underscore are for
+    the page only, and tuples are joined). notes: what was left out or assumed, and why. how: how it was computed.
+    claims: what it concludes, for a program. panels: correlations, to be compared with the claims of other sections.
     """
 
     key: str
@@ -274,7 +261,10 @@ class Section:
         if any(isinstance(rows, list) for rows in frames.values()):
             import pandas as pd
 
-            frames = {name: pd.DataFrame(rows) for name, rows in frames.items()}
+            frames = {
+                name: pd.DataFrame(list(map(_clean, rows)) if isinstance(rows, list) else rows)
+                for name, rows in frames.items()
+            }
         lists = {name: tuple(getattr(self, name)) for name in ("answers", "verdict", "pictures")}
         lists |= {
             "grids": tuple(grid for grid in self.grids if grid.rows), "unseen": tuple(self.unseen),
@@ -304,6 +294,20 @@ class Section:
     def is_empty(self) -> bool:
         """Whether there is nothing to be shown."""
         return not (self.grids or self.pictures or self.answers)
+
+
+def read_methods(key: str, **numbers: float) -> tuple[str, ...]:
+    """Read how a section is computed, paragraph by paragraph, from ``methods.toml``."""
+    texts = tomllib.loads((Path(__file__).parent / "methods.toml").read_text(encoding="utf-8"))
+    return tuple(text.format(**numbers) for text in texts[key])
+
+
+def _clean(row: Record) -> dict[Any, Any]:
+    return {
+        key: " ".join(map(str, value)) if isinstance(value, tuple) else value
+        for key, value in row.items()
+        if not key.startswith("_")
+    }
 
 
 def stack(frames: Iterable[tuple[Mapping[str, Any], DataFrame]]) -> Any:  # noqa: ANN401 - a frame, or nothing

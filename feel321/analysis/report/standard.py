@@ -14,7 +14,15 @@ from feel321.analysis.association.repeated import repeated_measures_correlation
 from feel321.analysis.p1401.difference import compare_p1401
 from feel321.analysis.p1401.mapping import p1401
 from feel321.analysis.report.parts import split_parts
-from feel321.analysis.report.section import METRIC, RATINGS, TEXT, Column, Section, build_table
+from feel321.analysis.report.section import (
+    METRIC,
+    RATINGS,
+    TEXT,
+    Column,
+    Section,
+    build_table,
+    read_methods,
+)
 from feel321.analysis.table.items import make_items
 from feel321.analysis.words import COUNT
 
@@ -32,17 +40,9 @@ NUMBERS = (
     "outlier_ratio_sd", "n_items",
 )  # fmt: skip
 INDEPENDENT = "95 % interval that takes stimuli for independent"
-HOW = (
-    "ITU-T P.1401: the metric is mapped to mean ratings (first order, and monotone third order), then PLCC, SROCC, "
-    "rmse, rmse* and outlier ratio; held out: mapped without the stimulus's recording, and without all others of its "
-    "source. Its intervals and tests, the classic tests of dependent correlations (Williams, Steiger, Meng, Zou) and "
-    "the repeated-measures correlation treat stimuli or rows as independent, which those of one recording are not: in "
-    "simulated studies without any difference or relation they found one in 13 to 51 %. No conclusion is drawn from "
-    "them here.",
-)
 FIRST, SECOND = Column("First", "first", TEXT), Column("Second", "second", TEXT)
 ORDER = Column("Order", "order", COUNT, "order")
-MAPPING = Column("Mapping", "mapping", TEXT)
+MAPPING = Column("Mapping", "_which", TEXT)
 
 
 def _judge(head: str, key: str, kind: str = "correlation", **more: str) -> Column:
@@ -86,13 +86,13 @@ TABLES: dict[str, tuple[str, tuple[Column, ...], str, str]] = {
         "ITU-T P.1401. Errors in points, after mapping of the given order; fitted: by a mapping of the same stimuli, "
         "which is optimistic; held out: by one of recordings of other sources. 95 % intervals as the standard has "
         "them, stimuli treated as independent. Metrics other than the match metrics are exploratory.",
-        P1401_COLUMNS, "p1401.{scale}.{level}.{metric}.order_{order}.{which}", "n_items",
+        P1401_COLUMNS, "p1401.{scale}.{level}.{metric}.order_{order}.{_which}", "n_items",
     ),
     "p1401_differences": (
         "The tests of ITU-T P.1401 for a difference between two metrics: Z is positive where the first has the larger "
         "value, F is the larger squared error over the smaller; p are two-sided and not adjusted. They treat both "
         f"metrics' errors as unrelated. {ANTICONSERVATIVE} A dash: not defined.",
-        DIFFERENCE_COLUMNS, "p1401_difference.{scale}.{level}.{first}.{second}.order_{order}.{which}", "n_items",
+        DIFFERENCE_COLUMNS, "p1401_difference.{scale}.{level}.{first}.{second}.order_{order}.{_which}", "n_items",
     ),
     "dependent": (
         f"Classic tests of the difference between two dependent correlations (first minus second). {ANTICONSERVATIVE}",
@@ -112,27 +112,20 @@ def compute(table: Table, choices: Choices) -> Section:  # noqa: ARG001 - every 
     found: dict[str, list[dict[str, Any]]] = {name: [] for name in TABLES}
     for part in split_parts(table):
         for name, rows in _evaluate(part, table, notes).items():
-            found[name] += [{"scale": part.scale, "level": part.level, **row} for row in rows]
+            for row in rows:
+                which = "held_out" if row.get("held_out") else "fitted"
+                found[name].append(part.keys | row | {"_which": which})
     return Section(
         key="standard",
         title="For comparison with the literature",
         grids=tuple(
-            build_table(caption, columns, map(_word, found[name]), path=path, n=n)
+            build_table(caption, columns, found[name], path=path, n=n)
             for name, (caption, columns, path, n) in TABLES.items()
         ),
-        tables={name: list(map(_join_notes, rows)) for name, rows in found.items()},
+        tables=found,
         notes=notes,
-        how=HOW,
+        how=read_methods("standard"),
     )
-
-
-def _word(row: dict[str, Any]) -> dict[str, Any]:
-    which = "held_out" if row.get("held_out") else "fitted"
-    return row | {"ratings": f"{row['scale']}, {row['level']}", "which": which, "mapping": which}
-
-
-def _join_notes(row: dict[str, Any]) -> dict[str, Any]:
-    return {key: " ".join(value) if key == "notes" else value for key, value in row.items()}
 
 
 def _evaluate(part: RatingsPart, table: Table, notes: list[str]) -> dict[str, list[dict[str, Any]]]:

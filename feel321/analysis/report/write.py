@@ -135,27 +135,7 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
 def compute_sections(
     table: Table, choices: Choices, *, progress: Callable[[int, int], None] | None = None
 ) -> tuple[Section, ...]:
-    """Run the whole analysis.
-
-    Parameters
-    ----------
-    table : Table
-        Ratings and metrics.
-    choices : Choices
-        What was chosen beforehand.
-    progress : callable, optional
-        Called with the numbers of sections done and to do.
-
-    Returns
-    -------
-    tuple of Section
-        In the report's order, figures numbered through.
-
-    Raises
-    ------
-    ValueError
-        If no test stimulus was rated.
-    """
+    """Run the whole analysis; returns its sections in the report's order, figures numbered through."""
     return tuple(_reconcile(list(_compute(table, choices, progress))))
 
 

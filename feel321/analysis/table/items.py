@@ -1,52 +1,220 @@
-"""From a tidy table to arrays: ratings and metrics per item, and the sources of recordings.
+"""Ratings in memory: the table, the rows that count, and arrays of ratings and metrics per item.
 
 Conventions: an item is a stimulus; a cell is the mean of a participant's repeated ratings of an item, NaN
 where they gave none; only items with role ``test`` count, because the hidden reference and the anchors are
 chosen to be far apart and would inflate every correlation.
 
-Conventions: every public function that takes such a table passes it through `open_ratings` first. The index of a table
+Conventions: every public function that takes ratings passes them through `open_ratings` first. The index of a table
 means nothing; a row is one judgement. A judgement marked in a column ``rejected`` does not count, whatever its rating;
 the notes count them. A stimulus is named by ``stimulus_id``, or by recording, reducer and level together, or else by
 ``stimulus`` or ``item``.
 
 Whatever is said about other recordings rests on how many different things were recorded. Where several recordings come
 from one source, intervals draw sources, with all their recordings, mixed models hold what the recordings of a source
-share, and the count of sources is told.
+share, and the count of sources is reported.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple, TypeGuard
 
 import numpy as np
 
-from feel321.analysis.arrays import read_numbers
-from feel321.analysis.table.sheet import NAMING, NO, YES, refuse_lines
+from feel321.analysis.arrays import Values, check_columns, read_numbers
+from feel321.analysis.table.schema import APART, NAMING, NO, YES
+from feel321.doors import as_names, check_name
+from feel321.records import Result
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Iterator, Sequence
 
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
     from pandas import DataFrame, Series
-
-# Tidy tables in memory, from anywhere: what they may look like, which judgements count, what names the stimulus.
 
 STIMULUS, REJECTED = "stimulus_id", "rejected"
 ROLE, TEST = "role", "test"
 
 SPOKEN = ("stimulus", "item")
-"""What else the column is called."""
-
+"""Other names of the column ``stimulus_id``."""
 
 ARMS = ("scale", "level")
 """Columns of which one model or one correlation takes a single value."""
 
 
-def open_ratings(ratings: DataFrame, *, what: str = "ratings") -> DataFrame:
-    """Give a table a plain index, so that no row is matched with another by a label that both happen to have.
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Table(Result):
+    """Ratings and metrics, side by side.
 
-    Returns the same rows in the same order, numbered from 0.
+    Parameters
+    ----------
+    rows : DataFrame
+        One row per judgement: participant, stimulus_id, reference_id and reference_reducer (may be empty), source,
+        recording, reducer, level, role, matched, scale, repeat, rating, simulated, protocol and response_time_s if
+        there are any, one column per metric and further metric, rms_m_s2 if there is one, and one per label of the
+        participants. The role is the one that the stimulus had in that judgement; matched is whether the metrics
+        describe that judgement; a dissimilarity is about the stimulus compared with the reference.
+    metrics : tuple of str
+        The metrics that the primary analysis is about, as they were declared.
+    notes : tuple of str
+        What was left out and what was assumed, one sentence each.
+    further : tuple of str
+        Columns of metrics that are explored only.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> from feel321 import analysis
+    >>> ratings = pd.DataFrame({"participant": list("aabb"), "stimulus_id": list("xyxy"), "scale": "realism",
+    ...     "trial": [1, 2, 1, 2], "rating": [20, 70, 30, 90]})
+    >>> manifest = pd.DataFrame({"stimulus_id": list("xy"), "recording": "tap", "reducer": ["mag321", "dft321"],
+    ...     "level": "as_is", "role": "test", "temporal_match": [0.2, 0.9]})
+    >>> table = analysis.read_table(ratings, manifest)
+    >>> table.select(scale="realism").votes()
+    participant     a     b
+    stimulus_id
+    x            20.0  30.0
+    y            70.0  90.0
+    """
+
+    rows: DataFrame
+    metrics: tuple[str, ...]
+    notes: tuple[str, ...]
+    further: tuple[str, ...] = ()
+
+    def select(self, *, scale: str | None = None, level: str | None = None) -> Table:
+        """Select the ratings of one scale or level.
+
+        Parameters
+        ----------
+        scale, level : str, optional
+            Its name; all if left out.
+
+        Returns
+        -------
+        Table
+            The same metrics and notes, and fewer rows.
+        """
+        rows = self.rows
+        for column, name in (("scale", scale), ("level", level)):
+            if name is not None:
+                rows = rows[rows[column] == check_name(name, sorted(rows[column].unique()), column)]
+        return replace(self, rows=rows.reset_index(drop=True))
+
+    def items(self) -> DataFrame:
+        """Average the ratings of every stimulus.
+
+        Returns
+        -------
+        DataFrame
+            A row per stimulus, scale and level: role, recording, reducer, rating (mean over participants of their mean
+            over repeats), n_participants, and the metrics.
+        """
+        keys = ["scale", "level", "role", "recording", "reducer", STIMULUS]
+        cells = self.rows.groupby([*keys, "participant"], observed=True)["rating"].mean()
+        means = cells.groupby(keys, observed=True).agg(rating="mean", n_participants="size")
+        metrics = self.rows.drop_duplicates(STIMULUS).set_index(STIMULUS)
+        return means.reset_index().join(metrics[[*self.metrics, *self.further]], on=STIMULUS)
+
+    def votes(self) -> DataFrame:
+        """Lay the ratings of test stimuli of one scale and level out as items by raters.
+
+        Returns
+        -------
+        DataFrame, shape (items, raters)
+            Each participant's mean over repeats, NaN where there is none.
+        """
+        rows, _ = open_tests(self)
+        return rows.pivot_table("rating", STIMULUS, "participant", observed=True)
+
+    def model_frame(self) -> DataFrame:
+        """Make the table that a mixed model takes, here or in R.
+
+        Returns
+        -------
+        DataFrame
+            A row per judgement of a test stimulus: participant, item, recording, source, reducer, scale, level,
+            repetition, rating, and of every metric the value, its part within the recording (``_w``: minus the mean
+            over the recording's stimuli) and between recordings (``_b``: that mean).
+        """
+        kept = ["participant", "item", "recording", "source", "reducer", *ARMS, "repetition"]
+        parts = []
+        for part in split_tests(self):
+            rows = part.rows.assign(item=part.rows[STIMULUS]).rename(
+                columns={"repeat": "repetition"}
+            )
+            items = rows.drop_duplicates("item").set_index("item")
+            means = items.groupby("recording", observed=True)[list(self.metrics)].transform("mean")
+            within = items[list(self.metrics)] - means
+            both = within.add_suffix("_w").join(means.add_suffix("_b"))
+            parts.append(rows[[*kept, "rating", *self.metrics]].join(both, on="item"))
+        from pandas import concat
+
+        return concat(parts, ignore_index=True)
+
+    def wide(self) -> DataFrame:
+        """Lay the ratings out with a row per participant, as JASP and SPSS take them.
+
+        Returns
+        -------
+        DataFrame, indexed by participant
+            A column per scale and stimulus, such as ``realism_oak_dft321_as_is``: the mean over repeats.
+        """
+        rows = self.rows.assign(column=self.rows["scale"] + "_" + self.rows[STIMULUS])
+        wide = rows.pivot_table("rating", "participant", "column", observed=True)
+        return wide.rename_axis(columns=None)
+
+    def to_frame(self) -> DataFrame:
+        """Return the judgements.
+
+        Returns
+        -------
+        DataFrame
+            A copy of the rows.
+        """
+        return self.rows.copy()
+
+    def summary(self) -> str:
+        """Write what the table holds.
+
+        Returns
+        -------
+        str
+            Counts, metrics and notes, one per line.
+        """
+        counts = (
+            f"{self.rows[name].nunique()} {name.removesuffix('_id')}s"
+            for name in ("participant", STIMULUS, "recording", "reducer", *ARMS)
+        )
+        return "\n".join((
+            f"{len(self.rows)} judgements: {', '.join(counts)}",
+            f"metrics: {', '.join(self.metrics)}",
+            *self.notes,
+        ))
+
+
+class Tests(NamedTuple):
+    """Judgements of test stimuli of one scale and level that the metrics describe."""
+
+    scale: str
+    level: str
+    rows: DataFrame
+
+
+def is_tidy(given: object) -> TypeGuard[Table | DataFrame]:
+    """Tell whether these are ratings, one row per judgement, and not an array of them."""
+    return isinstance(given, Table) or {"participant", "rating"} <= set(
+        getattr(given, "columns", ())
+    )
+
+
+def as_votes(given: Table | ArrayLike) -> ArrayLike:
+    """Lay ratings of one scale and level out as items by raters; anything else is taken as that already."""
+    return make_items(given, ()).ratings.T if is_tidy(given) else given  # type: ignore[return-value]  # no ratings, so an array
+
+
+def open_ratings(ratings: Table | DataFrame, *, what: str = "ratings") -> DataFrame:
+    """Give ratings a plain index, so that no row is matched with another by a label that both happen to have.
 
     Examples
     --------
@@ -57,32 +225,29 @@ def open_ratings(ratings: DataFrame, *, what: str = "ratings") -> DataFrame:
     """
     from pandas import DataFrame
 
+    ratings = ratings.rows if isinstance(ratings, Table) else ratings
     if not isinstance(ratings, DataFrame):
         raise TypeError(
-            f"{what}: got {type(ratings).__name__}, allowed is a pandas DataFrame, one row per judgement"
+            f"{what} must be a Table or a pandas DataFrame, one row per judgement, got {type(ratings).__name__}"
         )
     named = ratings.index.to_frame(index=False) if any(ratings.index.names) else DataFrame()
     kept = [name for name in named if name in ratings.index.names and name not in ratings]
     table = ratings.reset_index(drop=True).assign(**{str(name): named[name] for name in kept})
     if twice := table.columns[table.columns.duplicated()].tolist():
         raise ValueError(
-            f"{what}: got two columns {twice[0]!r}, allowed is one of each name; rename or drop one"
+            f"{what} must have one column of each name, got two columns {twice[0]!r}; rename or drop one"
         )
     return table
 
 
 def refuse_pooled(rows: DataFrame, *, metrics: Collection[str] = (), what: str = "ratings") -> None:
     """Refuse rows of several scales or several levels: their ratings are not about one thing."""
-    for column in ARMS:
-        names = (
-            sorted(map(str, rows[column].unique()))
-            if column in rows and column not in metrics
-            else []
-        )
+    for column in (name for name in ARMS if name in rows and name not in metrics):
+        names = sorted(map(str, rows[column].unique()))
         if len(names) > 1:
             raise ValueError(
-                f"{what}: got the {column}s {', '.join(names)}, allowed is one {column}; select its rows first, or fit "
-                f"a model to each with fit_attributes(..., attribute={column!r})"
+                f"{what} must be of one {column}, got the {column}s {', '.join(names)}; select one, as with "
+                f"table.select({column}=...), or fit a model to each with fit_attributes"
             )
 
 
@@ -97,16 +262,13 @@ def leave_rejected(ratings: DataFrame) -> tuple[DataFrame, tuple[str, ...]]:
     >>> rows["rating"].tolist(), notes
     ([40.0, 60.0], ('1 judgement marked as rejected is left out.',))
     """
-    if REJECTED not in ratings:
-        return ratings, ()
-    rejected = _read_marks(ratings[REJECTED])
-    n = int(rejected.sum())
-    if not n:
+    rejected = _read_marks(ratings[REJECTED]) if REJECTED in ratings else None
+    if rejected is None or not (n := int(rejected.sum())):
         return ratings, ()
     if n == len(ratings):
         raise ValueError(f"ratings: all {n} judgements are marked as rejected; one must be valid")
-    told = "judgement marked as rejected is" if n == 1 else "judgements marked as rejected are"
-    return ratings[~rejected], (f"{n} {told} left out.",)
+    left = "judgement marked as rejected is" if n == 1 else "judgements marked as rejected are"
+    return ratings[~rejected], (f"{n} {left} left out.",)
 
 
 def leave_untested(ratings: DataFrame) -> tuple[DataFrame, tuple[str, ...]]:
@@ -122,35 +284,24 @@ def leave_untested(ratings: DataFrame) -> tuple[DataFrame, tuple[str, ...]]:
     if ROLE not in ratings:
         return ratings, ()
     tested = ratings[ROLE] == TEST
-    n = int((~tested).sum())
-    if not n:
+    if not (n := int((~tested).sum())):
         return ratings, ()
     if n == len(ratings):
-        raise ValueError(
-            f"ratings: got no row with role 'test' among {n}; it takes rated test stimuli"
-        )
+        raise ValueError(f"ratings must be of test stimuli, got no row with role 'test' among {n}")
     what = "of other stimuli than test stimuli (hidden references, anchors)"
-    return ratings[tested], (
-        f"{n} rating {what} is left out." if n == 1 else f"{n} ratings {what} are left out.",
-    )
+    note = f"{n} rating {what} is left out." if n == 1 else f"{n} ratings {what} are left out."
+    return ratings[tested], (note,)
 
 
 def _read_marks(marks: Series) -> Series:
     if marks.dtype == bool:
         return marks
-    words = (
-        marks
-        .astype(object)
-        .where(marks.notna(), "")
-        .astype(str)
-        .str.strip()
-        .str.lower()
-        .str.removesuffix(".0")
-    )
-    odd = marks[~words.isin(YES | NO)]
-    if len(odd):
-        got = f"{odd.iloc[0]!r} in column '{REJECTED}'"
-        raise ValueError(f"ratings: got {got}, allowed is true, false, 1, 0, yes, no or nothing")
+    words = marks.astype(object).where(marks.notna(), "").astype(str).str.strip().str.lower()
+    words = words.str.removesuffix(".0")
+    if len(odd := marks[~words.isin(YES | NO)]):
+        raise ValueError(
+            f"ratings: column '{REJECTED}' must be true, false, 1, 0, yes, no or empty, got {odd.iloc[0]!r}"
+        )
     return words.isin(YES)
 
 
@@ -177,7 +328,7 @@ def name_stimuli(ratings: DataFrame) -> DataFrame:
 
 
 def _refuse_finer(ratings: DataFrame, spoken: list[str], named: list[str]) -> None:
-    """Refuse a column that tells apart what others call one stimulus."""
+    """Refuse a column that distinguishes stimuli that others call one."""
     for name in spoken:
         pairs = ratings[[*named, name]].drop_duplicates()
         twice = pairs[pairs.duplicated(named)]
@@ -185,7 +336,7 @@ def _refuse_finer(ratings: DataFrame, spoken: list[str], named: list[str]) -> No
             of = "/".join(map(str, twice[named].iloc[0]))
             raise ValueError(
                 f"ratings: got several values of '{name}' for {' x '.join(named)} {of}; which of them names the "
-                f"stimulus cannot be told: call its column '{STIMULUS}'"
+                f"stimulus is unknown: call its column '{STIMULUS}'"
             )
 
 
@@ -202,42 +353,73 @@ def name_items(ratings: DataFrame) -> DataFrame:
     return named.assign(item=named.groupby(keys, observed=True, dropna=False).ngroup())
 
 
-# Recordings made from one another: turned, cut or edited, they are several signals of one thing that happened.
+def find_keys(ratings: DataFrame) -> list[str]:
+    """Find the columns that name a stimulus, or that would."""
+    if STIMULUS in ratings:
+        return [STIMULUS]
+    keys = [name for name in NAMING if name in ratings]
+    return keys if keys != ["recording"] else [*keys, "reducer"]
 
 
-def read_sources(sheet: DataFrame, sources: Mapping[str, str], *, what: str) -> Series:
-    """Find what every stimulus's recording was made from.
+def open_tests(
+    ratings: Table | DataFrame, metrics: Iterable[str] = (), *, named: Sequence[str] = ()
+) -> tuple[DataFrame, tuple[str, ...]]:
+    """Open the ratings of test stimuli of one scale and level, with finite ratings and metrics; also notes."""
+    metrics = as_names(metrics, "metrics")
+    table, notes = leave_rejected(name_stimuli(open_ratings(ratings)))
+    keys = find_keys(table) if "recording" in named else []
+    check_columns(table, [*named, *keys, "participant", "rating", *metrics], "ratings")
+    rows = table[table[ROLE] == TEST] if ROLE in table else table
+    if isinstance(ratings, Table) and not (matched := rows["matched"]).all():
+        rows = rows[matched]
+        notes += (f"{(~matched).sum()} judgements against other references are left out.",)
+    if rows.empty:
+        raise ValueError("ratings must be of test stimuli, got no row with role 'test'")
+    refuse_pooled(rows, metrics=metrics)
+    for name in ("participant", *named):
+        if missing := int(rows[name].isna().sum()):
+            raise ValueError(
+                f"ratings must name a {name} in each row, got {missing} without; name it or leave them out"
+            )
+    values = {
+        name: read_numbers(rows[name], what=f"ratings, {name!r}") for name in ("rating", *metrics)
+    }
+    for name, numbers in values.items():
+        if bad := int((~np.isfinite(numbers)).sum()):
+            raise ValueError(
+                f"ratings: column '{name}' must be finite, got {bad} values that are not finite; leave them out"
+            )
+    return rows.assign(**values), notes
 
-    sources: recording -> source, where the manifest does not tell it.
+
+def split_tests(ratings: Table | DataFrame) -> Iterator[Tests]:
+    """Split the ratings of test stimuli that the metrics describe by scale and level."""
+    rows = open_ratings(ratings).assign()
+    for column in ARMS:
+        rows[column] = rows.get(column, "")
+    rated = (rows[ROLE] == TEST if ROLE in rows else True) & ~rows["scale"].isin(APART)
+    if "matched" in rows:
+        rated &= rows["matched"]
+    for (scale, level), part in rows[rated].groupby(list(ARMS), observed=True):
+        yield Tests(str(scale), str(level), part)
+
+
+def order_reducers(names: Iterable[str]) -> list[str]:
+    """Put reducer names into the order of `feel321.stimuli.REDUCERS`; unknown ones follow by alphabet.
+
+    Examples
+    --------
+    >>> order_reducers(["mine", "dft321", "soc321", "dft321"])
+    ['soc321', 'dft321', 'mine']
     """
-    if "source" not in sheet:
-        return sheet["recording"].map(lambda name: sources.get(name, name))
-    found = sheet["source"].mask(sheet["source"] == "", sheet["recording"])
-    first = found.groupby(sheet["recording"]).transform("first")
-    otherwise = (
-        "in column 'source', but an earlier line of its recording has another; a recording has one"
-    )
-    refuse_lines(found[found != first].rename("source"), what, why=otherwise)
-    return found
+    from feel321.stimuli.reducers.registry import REDUCERS
+
+    found = set(names)
+    return [name for name in REDUCERS if name in found] + sorted(found - set(REDUCERS))
 
 
-def find_sources(rows: DataFrame) -> Series:
-    """Find what each recording of a tidy table was made from.
-
-    Parameters
-    ----------
-    rows : DataFrame
-        Judgements: recording, and source where that is told.
-
-    Returns
-    -------
-    Series
-        The source, indexed by recording in alphabetical order; the recording itself where nothing is said.
-
-    Raises
-    ------
-    ValueError
-        If there is no column of recordings, or a recording has two sources.
+def find_sources(rows: Table | DataFrame) -> Series:
+    """Find what each recording of a tidy table was made from, itself where nothing is said; indexed by recording.
 
     Examples
     --------
@@ -245,75 +427,45 @@ def find_sources(rows: DataFrame) -> Series:
     >>> find_sources(pd.DataFrame({"recording": ["b-r1", "b-r2", "c"], "source": ["b", "b", None]})).to_dict()
     {'b-r1': 'b', 'b-r2': 'b', 'c': 'c'}
     """
-    rows = open_ratings(rows, what="rows")
-    if "recording" not in rows:
-        raise ValueError(f"rows: column recording is missing; got {', '.join(map(str, rows))}")
-    told = rows["source"] if "source" in rows else rows["recording"]
-    pairs = (
-        rows[["recording"]]
-        .assign(source=told)
-        .drop_duplicates()
-        .astype(object)
-        .sort_values("recording")
-    )
+    table = open_ratings(rows, what="rows")
+    check_columns(table, ["recording"], "rows")
+    source = table["source"] if "source" in table else table["recording"]
+    pairs = table[["recording"]].assign(source=source).drop_duplicates().astype(object)
     unsaid = pairs["source"].isna() | (pairs["source"] == "")
     pairs["source"] = pairs["source"].mask(unsaid, pairs["recording"])
-    twice = pairs.loc[pairs["recording"].duplicated(), "recording"]
-    if len(twice):
+    pairs = pairs.sort_values("recording")
+    if len(twice := pairs.loc[pairs["recording"].duplicated(), "recording"]):
         raise ValueError(
-            f"ratings: got two sources of recording {twice.iloc[0]}; a recording has one"
+            f"ratings must have one source per recording, got two sources of recording {twice.iloc[0]}"
         )
     return pairs.set_index("recording")["source"]
 
 
-def tell_recordings(recordings: int, sources: int) -> str:
+def format_recordings(recordings: int, sources: int) -> str:
     """Say how many recordings there are, and how many things happened that they record.
 
     Examples
     --------
-    >>> tell_recordings(12, 4), tell_recordings(3, 1), tell_recordings(1, 1)
+    >>> format_recordings(12, 4), format_recordings(3, 1), format_recordings(1, 1)
     ('12 recordings of 4 sources', '3 recordings of 1 source', '1 recording')
     """
-    told = f"{recordings} recording{'s' if recordings != 1 else ''}"
-    return (
-        told
-        if sources >= recordings
-        else f"{told} of {sources} source{'s' if sources != 1 else ''}"
-    )
-
-
-def note_sources(rows: DataFrame) -> Iterator[str]:
-    """Say how many independent sources the rated recordings come from, where they are fewer."""
-    tests = rows["role"] == "test"
-    recordings, sources = (rows.loc[tests, name].nunique() for name in ("recording", "source"))
-    if sources < recordings:
-        told = f"The {recordings} recordings come from {{}}, turned, cut or edited: they are not independent"
-        if sources == 1:
-            yield told.format("1 source") + ", and nothing here speaks of other sources."
-            return
-        yield (
-            told.format(f"{sources} sources")
-            + ", and what is said of others rests on sources. Two-way intervals draw "
-            "them; mixed models hold what the recordings of a source share, as a whole and reducer by reducer."
-        )
-
-
-# From a tidy table to arrays: what each participant gave each stimulus, and what each metric says of it.
+    of = "" if sources >= recordings else f" of {sources} source{'s' if sources != 1 else ''}"
+    return f"{recordings} recording{'s' if recordings != 1 else ''}{of}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Items:
     """Ratings and metrics of the items of one scale.
 
-    ratings: (n_participants, n_items), naN where there is none; metrics: (n_metrics, n_items);
+    ratings: (n_participants, n_items), NaN where there is none; metrics: (n_metrics, n_items);
     recordings: (n_items,), number of the recording that each item was made from, counted from 0;
     sources: (n_recordings,), number of the source that each recording comes from, counted from 0:
     several may be one, turned, cut or edited.
     """
 
     names: tuple[str, ...]
-    ratings: NDArray[np.float64]
-    metrics: NDArray[np.float64]
+    ratings: Values
+    metrics: Values
     recordings: NDArray[np.intp]
     sources: NDArray[np.intp] | None = None
     notes: tuple[str, ...] = ()
@@ -349,24 +501,22 @@ class Items:
         return int(np.isnan(self.ratings).sum())
 
 
-def make_items(ratings: DataFrame, metrics: Sequence[str]) -> Items:
+def make_items(ratings: Table | DataFrame, metrics: Sequence[str]) -> Items:
     """Gather a tidy table of one scale into arrays."""
-    ratings, notes = leave_rejected(name_stimuli(open_ratings(ratings)))
-    keys = _check_columns(ratings, metrics)
-    rows = ratings[ratings["role"] == "test"] if "role" in ratings else ratings
-    if rows.empty:
-        raise ValueError(
-            "ratings: got no row with role 'test'; an association needs rated test stimuli"
-        )
-    refuse_pooled(rows, metrics=metrics)
-    _check_names(rows, ["participant", "recording"])
-    rows = rows.assign(**_read_values(rows, ["rating", *metrics]))
+    from pandas import factorize
+
+    rows, notes = open_tests(ratings, metrics, named=["recording"])
+    keys = find_keys(rows)
     # Sorting by rating too makes the sums below, and so the last digit of every result, independent of row
     # order.
     rows = rows.sort_values([*keys, "participant", "rating"])
     cells = rows.pivot_table("rating", index=keys, columns="participant", observed=True)
     items = rows.groupby(keys, observed=True)[["recording", *metrics]].agg(["first", "nunique"])
-    _check_constant(items, ["recording", *metrics])
+    for name in ("recording", *metrics):
+        if len(varying := items.index[items[name, "nunique"] > 1]):
+            raise ValueError(
+                f"ratings: column '{name}' must be the same in all rows of a stimulus, got several for {varying[0]}"
+            )
     return Items(
         names=tuple(
             "/".join(map(str, key)) if isinstance(key, tuple) else str(key) for key in cells.index
@@ -374,56 +524,11 @@ def make_items(ratings: DataFrame, metrics: Sequence[str]) -> Items:
         ratings=cells.to_numpy(np.float64).T.copy(),
         metrics=np.array([items[name, "first"].to_numpy(np.float64) for name in metrics]),
         recordings=np.unique(items["recording", "first"].to_numpy(), return_inverse=True)[1],
-        sources=_number_sources(rows) if "source" in rows else None,
+        sources=factorize(find_sources(rows).to_numpy(), sort=True)[0]
+        if "source" in rows
+        else None,
         notes=notes,
     )
 
 
-def _number_sources(rows: DataFrame) -> NDArray[np.intp]:
-    from pandas import factorize
-
-    return factorize(find_sources(rows).to_numpy(), sort=True)[0]
-
-
-def _check_columns(ratings: DataFrame, metrics: Sequence[str]) -> list[str]:
-    named = (
-        ["stimulus_id"]
-        if "stimulus_id" in ratings
-        else [name for name in NAMING if name in ratings]
-    )
-    keys = named if named != ["recording"] else [*named, "reducer"]
-    needed = dict.fromkeys(("participant", "recording", "rating", *keys, *metrics))
-    missing = ", ".join(name for name in needed if name not in ratings)
-    if missing:
-        got = ", ".join(map(str, ratings.columns))
-        raise ValueError(f"ratings: column {missing} is missing; got {got}")
-    return keys
-
-
-def _check_names(rows: DataFrame, names: Sequence[str]) -> None:
-    for name in names:
-        missing = int(rows[name].isna().sum())
-        if missing:
-            raise ValueError(
-                f"ratings: got {missing} rows without a {name}; name it or leave them out"
-            )
-
-
-def _read_values(rows: DataFrame, names: Sequence[str]) -> dict[str, NDArray[np.float64]]:
-    found = {name: read_numbers(rows[name], what=f"ratings, {name!r}") for name in names}
-    for name, values in found.items():
-        if bad := int((~np.isfinite(values)).sum()):
-            raise ValueError(
-                f"ratings: got {bad} values of '{name}' that are not finite; leave them out"
-            )
-    return found
-
-
-def _check_constant(items: DataFrame, names: Sequence[str]) -> None:
-    for name in names:
-        varying = items.index[items[name, "nunique"] > 1]
-        if len(varying):
-            stimulus = varying[0]
-            raise ValueError(
-                f"ratings: '{name}' differs between rows of stimulus {stimulus}; it must not"
-            )
+tell_recordings = format_recordings  # former name, kept until all branches are in

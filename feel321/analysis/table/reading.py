@@ -1,231 +1,122 @@
 """Ratings joined with their stimuli, labels and further metrics: one tidy table, or one clear line about what is wrong.
 
 Conventions: ratings run from 0 to 100; one row per judgement; recording, reducer, level, role and the metrics
-of a stimulus come from the manifest. Nothing is repaired and nothing is dropped silently: what is left out,
-or taken for granted because a column is missing, stands in `Table.notes`.
+of a stimulus come from the manifest. `reference_id` names another stimulus, or `surface`, or is empty. A dissimilarity
+has no direction, so it is about whichever of the two stimuli is not the reference. Nothing is repaired and nothing is
+dropped silently: what is left out, or assumed because a column is missing, is in `Table.notes`.
 
-A study whose participants differ, in how they hold the tool for example, writes that table with a column for each such
-factor. Its columns become columns of the judgements; no test compares groups of people.
+A study whose participants differ, in how they hold the tool for example, writes `participants.csv` with a column for
+each such factor. Its columns become columns of the judgements; no test compares groups of people.
 
-They are the rotation statistics of the metrics, the metrics of signals as they were delivered, and counterparts that no
-orientation of the sensor changes (`analysis.table.schema.FURTHER`). A stimulus has them from the manifest, from the
-ratings (the mean over its judgements), or from whoever asks for the report. They are explored: no primary analysis and
-no correction for several tests holds them.
+Further metrics are the rotation statistics of the metrics, the metrics of signals as they were delivered, and
+counterparts that no orientation of the sensor changes (`feel321.analysis.table.schema.FURTHER`). A stimulus has them
+from the manifest, from the ratings (the mean over its judgements), or from the caller. They are explored: no primary
+analysis and no correction for several tests holds them.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from feel321.analysis.table.items import note_sources
-from feel321.analysis.table.judgements import (
-    AMPLITUDE,
-    ROLES,
-    SENSATION,
-    find_matched,
-    find_roles,
-    note_references,
-    read_manifest,
-    read_ratings,
-    turn_pairs,
+from feel321.analysis.table.items import ROLE, STIMULUS, TEST, Table, order_reducers
+from feel321.analysis.table.notes import (
+    list_names,
+    note_apart,
+    note_gaps,
+    note_lacking,
+    note_lookalikes,
+    note_scales,
+    note_sources,
+    note_stimuli,
 )
 from feel321.analysis.table.schema import (
+    AMPLITUDE,
+    ANSWERED,
+    GAIN,
     HIGHEST,
+    IDENTITY,
+    LARGEST,
     LOWEST,
+    MATCHES,
+    NOT_METRICS,
+    PAIR,
+    PAIRED,
+    PLANNED,
+    ROLES,
+    SENSATION,
+    STAND_INS,
+    SURFACE,
     Column,
     describe_explored,
     describe_further,
+    describe_manifest,
+    describe_ratings,
 )
 from feel321.analysis.table.sheet import (
-    LARGEST,
-    list_names,
-    note_gaps,
-    note_lookalikes,
+    read_cells,
+    read_column,
     read_header,
     read_sheet,
     refuse_lines,
+    shorten,
 )
+from feel321.doors import as_names, as_path
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-    from pathlib import Path
+    from collections.abc import Iterator, Mapping, Sequence
 
-    from pandas import DataFrame
+    from pandas import DataFrame, Series
 
-# Groups of participants: what `participants.csv`, beside the ratings, says of who judged.
+    from feel321.types import PathLike
+
+__all__ = [
+    "ROSTER",
+    "ROSTER_FILE",
+    "Further",
+    "Table",
+    "note_apart",
+    "order_reducers",
+    "read_table",
+]
+
+RATINGS_FILE, MANIFEST_FILE = "ratings.csv", "stimuli/manifest.csv"
+"""Tables of a study, in its folder."""
 
 ROSTER_FILE = "participants.csv"
 ROSTER = frozenset({
-    "number",
-    "simulated",
-    "state",
-    "sessions",
-    "done",
-    "total",
-    "first_utc",
-    "last_utc",
-    "training_passed",
-})
-"""Columns that tell how far a participant has come; all others, but for the participant's name, are labels."""
+    "number", "simulated", "state", "sessions", "done", "total", "first_utc", "last_utc", "training_passed",
+})  # fmt: skip
+"""Columns on the progress of a participant; all others, but for the participant's name, are labels."""
 
+JUDGEMENT = ("participant", "session", "protocol", "scale", "block", STIMULUS, "reference_id")
+"""What, with its trial, may occur once only. The stimulus belongs to it: a page of stimuli is one trial; and where
+repeats are counted instead, so does what it was judged against."""
 
-def join_labels(rows: DataFrame, ratings_path: Path) -> tuple[DataFrame, list[str]]:
-    """Add a column for each label of the participants."""
-    path = ratings_path.with_name(ROSTER_FILE)
-    names = _list_labels(path, rows) if path.is_file() else []
-    if not names:
-        return rows, []
-    schema = {
-        "participant": Column("who", needed=True),
-        **{name: Column("a label") for name in names},
-    }
-    sheet, _ = read_sheet(path, schema)
-    doubled = sheet.loc[sheet["participant"].duplicated(), "participant"]
-    refuse_lines(
-        doubled,
-        path.name,
-        why="in column 'participant', but an earlier line lists it already; keep one",
-    )
-    labels = sheet.set_index("participant")
-    joined = rows.join(labels, on="participant").fillna(dict.fromkeys(labels, ""))
-    return joined, [_tell_groups(joined, name) for name in names]
+ECHOED = ("recording", "reducer", "level")
+"""Columns that both files may hold and must then agree on."""
 
+MOSTLY = 0.5
+"""Share of a column's cells that are numbers where the column is meant to hold numbers."""
 
-def _list_labels(path: Path, rows: DataFrame) -> list[str]:
-    header = read_header(path)
-    return [name for name in header if name and name not in ROSTER | {*rows, "participant"}]
-
-
-def _tell_groups(rows: DataFrame, name: str) -> str:
-    groups = rows.groupby(name)["participant"].nunique()
-    told = ", ".join(
-        f"{list_names([str(group)]) if group else 'unknown'} {count}"
-        for group, count in groups.items()
-    )
-    return f"Participants differ in {list_names([name])} ({ROSTER_FILE}; participants: {told}): no test compares them."
-
-
-# Further metrics: what else may predict ratings, beside the metrics that the analysis was planned for.
+SURFACED, UNLISTED = "the real surface", "what the manifest does not list"
+FOREIGN = "a stimulus of another recording"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Further:
-    """Further metrics that neither file holds.
-
-    Parameters
-    ----------
-    metrics : DataFrame
-        Indexed by stimulus_id; columns of `feel321.analysis.table.schema.describe_further`.
-    notes : tuple of str
-        How they were computed, or why they were not, one sentence each.
-    """
+    """Further metrics that neither file holds, indexed by stimulus_id, and how they were computed."""
 
     metrics: DataFrame
     notes: tuple[str, ...] = ()
 
 
-def join_further(
-    manifest: DataFrame, ratings: DataFrame, handed: DataFrame | None, *, names: tuple[str, str]
-) -> tuple[DataFrame, list[str]]:
-    """Give every stimulus the further metrics that there are."""
-    known = describe_further()
-    judged = [name for name in known if name in ratings]
-    found = manifest
-    if judged:
-        means = ratings.groupby("stimulus_id")[judged].mean()
-        _refuse_doubled(found, means, f"{names[1]} and {names[0]}")
-        found = found.join(means)
-    if handed is not None:
-        _check_handed(handed)
-        _refuse_doubled(found, handed, "the files and what was handed over")
-        found = found.join(handed)
-    average = f"in {names[0]} it is told per judgement; a stimulus has the mean over its judgements that tell it"
-    return found, [f"'{name}': {average}." for name in judged]
-
-
-def _refuse_doubled(manifest: DataFrame, more: DataFrame, what: str) -> None:
-    doubled = [str(name) for name in more if name in manifest]
-    if doubled:
-        raise ValueError(
-            f"{what}: got '{doubled[0]}' in both; keep one, or a stimulus would have two values of it"
-        )
-
-
-def _check_handed(handed: DataFrame) -> None:
-    allowed = describe_further()
-    for name in handed:
-        if name not in allowed:
-            raise ValueError(
-                f"further metrics: got column {name!r}, allowed is one of {', '.join(allowed)}"
-            )
-        values = handed[name].to_numpy(np.float64)
-        if not (np.isnan(values) | (np.abs(values) <= LARGEST)).all():
-            raise ValueError(
-                f"further metrics: got infinite or huge values of '{name}'; allowed are finite ones"
-            )
-    if not handed.index.is_unique:
-        raise ValueError(
-            "further metrics: got a stimulus twice in the index; allowed is one row per stimulus_id"
-        )
-
-
-def list_further(rows: DataFrame, metrics: Sequence[str]) -> tuple[str, ...]:
-    """List the metrics that every rated test stimulus has and that the primary analysis is not about."""
-    tests, explored = rows["role"] == "test", describe_explored(metrics)
-    return tuple(name for name in explored if name in rows and rows.loc[tests, name].notna().all())
-
-
-def note_lacking(rows: DataFrame, metrics: Sequence[str]) -> Iterator[str]:
-    """Say which further metrics some rated test stimuli lack."""
-    tests = rows[rows["role"] == "test"]
-    for name in (name for name in describe_explored(metrics) if name in rows):
-        lacking = tests.loc[tests[name].isna(), "stimulus_id"].unique()
-        if len(lacking):
-            told = f"{len(lacking)} rated test stimuli have none, first {list_names([str(lacking[0])])}"
-            yield f"'{name}' is not reported: {told}."
-
-
-# Ratings married to their stimuli: one tidy table, or one clear line about what is wrong.
-
-__all__ = ["HIGHEST", "LOWEST", "ROLES", "Table", "order_reducers", "read_table"]
-
-ECHOED = ("recording", "reducer", "level")
-"""Columns that both files may hold and must then agree on."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Table:
-    """Ratings and metrics, side by side.
-
-    Parameters
-    ----------
-    rows : DataFrame
-        One row per judgement: participant, stimulus_id, reference_id and reference_reducer (may be empty), source,
-        recording, reducer, level, role, matched, scale, repeat, rating, simulated, protocol and response_time_s if
-        there are any, one column per metric and further metric, rms_m_s2 if there is one, and one per label of the
-        participants (`join_labels`). The role is the one that the stimulus had in that judgement (`find_roles`);
-        matched tells whether the metrics speak of that judgement (`find_matched`); a dissimilarity is about the
-        stimulus compared with the reference.
-    metrics : tuple of str
-        The metrics that the primary analysis is about, as they were declared.
-    notes : tuple of str
-        What was left out and what was assumed, one sentence each.
-    further : tuple of str
-        Columns of metrics that are explored only (`feel321.analysis.table.reading`).
-    """
-
-    rows: DataFrame
-    metrics: tuple[str, ...]
-    notes: tuple[str, ...]
-    further: tuple[str, ...] = ()
-
-
 def read_table(
-    ratings_path: Path,
-    manifest_path: Path,
+    ratings: PathLike | DataFrame,
+    manifest: PathLike | DataFrame | None = None,
     *,
     metrics: Sequence[str] | None = None,
     sources: Mapping[str, str] | None = None,
@@ -235,11 +126,11 @@ def read_table(
 
     Parameters
     ----------
-    ratings_path : Path
-        ``ratings.csv`` from anywhere: participant, stimulus_id, scale and rating are enough (`describe_ratings`).
-        Labels of the participants are read from ``participants.csv`` beside it, if there is one.
-    manifest_path : Path
-        ``manifest.csv``: stimulus_id, recording, reducer and at least one metric are enough (`describe_manifest`).
+    ratings : path or DataFrame
+        ``ratings.csv`` from anywhere: participant, stimulus_id, scale and rating are enough. Labels of the participants
+        are read from ``participants.csv`` beside it, if there is one. Or a study's folder, which holds both tables.
+    manifest : path or DataFrame, optional
+        ``manifest.csv``: stimulus_id, recording, reducer and at least one metric are enough. Left out for a study.
     metrics : sequence of str, optional
         Numeric columns of the manifest that the primary analysis is about; ``spectral_match_bounded`` and
         ``temporal_match`` if left out, and where the former is missing, ``spectral_match``. Other metrics are explored.
@@ -252,7 +143,7 @@ def read_table(
     Returns
     -------
     Table
-        The rows and what there is to say about them.
+        The rows, and notes on them.
 
     Raises
     ------
@@ -260,62 +151,401 @@ def read_table(
         If a column, cell, stimulus, role or trial is not as it must be; names the file and the lines.
     OSError
         If a file cannot be opened.
-    """
-    manifest, planned, notes = read_manifest(manifest_path, sources=sources, metrics=metrics)
-    ratings, more_notes = read_ratings(ratings_path)
-    names = ratings_path.name, manifest_path.name
-    _check_stimuli(ratings, manifest, names=names)
-    manifest, told = join_further(
-        manifest, ratings, further.metrics if further else None, names=names
-    )
-    notes += [*(further.notes if further else ()), *told]
-    turned = turn_pairs(ratings, manifest, what=ratings_path.name)
-    echoed = [name for name in turned if name in manifest]
-    rows = turned.drop(columns=echoed).join(manifest, on="stimulus_id")
-    rows["role"] = find_roles(rows, manifest)
-    rows["matched"] = find_matched(rows, manifest)
-    rows["reference_reducer"] = rows["reference_id"].map(manifest["reducer"]).fillna("")
-    notes += [
-        *more_notes,
-        *note_gaps(rows, manifest),
-        *note_references(rows, manifest),
-        *note_sources(rows),
-    ]
-    notes += [*note_lookalikes(rows), *note_lacking(rows, planned)]
-    explored = list_further(rows, planned)
-    judged = ["role", "matched", "scale", "repeat", "rating", "simulated"]
-    optional = ["protocol", "response_time_s", AMPLITUDE, SENSATION]
-    optional = [name for name in optional if name in rows and name not in planned]
-    identity = ["participant", "stimulus_id", "reference_id", "reference_reducer", "source"]
-    rows = rows[[*identity, *ECHOED, *judged, *optional, *planned, *explored]].reset_index(
-        drop=True
-    )
-    labelled, more_notes = join_labels(rows, ratings_path)
-    return Table(labelled, planned, (*notes, *more_notes), explored)
-
-
-def order_reducers(names: Iterable[str]) -> list[str]:
-    """Put reducer names into the order of `stimuli.reduce.REDUCERS`; unknown ones follow by alphabet.
 
     Examples
     --------
-    >>> order_reducers(["mine", "dft321", "soc321", "dft321"])
-    ['soc321', 'dft321', 'mine']
+    >>> import pandas as pd
+    >>> from feel321 import analysis
+    >>> ratings = pd.DataFrame({"participant": list("aabb"), "stimulus_id": list("xyxy"), "scale": "realism",
+    ...     "trial": [1, 2, 1, 2], "rating": [20, 70, 30, 90]})
+    >>> manifest = pd.DataFrame({"stimulus_id": list("xy"), "recording": "tap", "reducer": ["mag321", "dft321"],
+    ...     "level": "as_is", "role": "test", "temporal_match": [0.2, 0.9]})
+    >>> analysis.read_table(ratings, manifest).metrics
+    ('temporal_match',)
     """
+    if manifest is None:
+        folder = as_path(ratings, "ratings")  # type: ignore[arg-type]  # a DataFrame is refused in words
+        ratings, manifest = folder / RATINGS_FILE, folder / MANIFEST_FILE
+    judged, listed = _open(ratings, "ratings"), _open(manifest, "manifest")
+    stimuli, planned, notes = _read_manifest(listed, sources or {}, metrics)
+    rows, more_notes = _read_ratings(*judged)
+    _check_stimuli(rows, stimuli, names=(judged.what, listed.what))
+    stimuli, joined = _join_further(stimuli, rows, further, names=(judged.what, listed.what))
+    rows = _turn_pairs(rows, stimuli, judged.what)
+    rows = rows.drop(columns=[name for name in rows if name in stimuli]).join(stimuli, on=STIMULUS)
+    rows[ROLE] = _find_roles(rows, stimuli)
+    rows["matched"] = _find_references(rows, stimuli).isin(["", SURFACED, UNLISTED])
+    rows["reference_reducer"] = rows["reference_id"].map(stimuli["reducer"]).fillna("")
+    notes += [
+        *joined,
+        *more_notes,
+        *note_gaps(rows, stimuli),
+        *_note_references(rows, stimuli),
+        *note_sources(rows),
+        *note_lookalikes(rows),
+        *note_lacking(rows, planned),
+    ]
+    tests, known = rows[rows[ROLE] == TEST], describe_explored(planned)
+    explored = [name for name in known if name in rows and tests[name].notna().all()]
+    optional = ("protocol", "response_time_s", AMPLITUDE, SENSATION)
+    rows = rows[[
+        "participant", STIMULUS, "reference_id", "reference_reducer", "source", *ECHOED, ROLE, "matched", "scale",
+        "repeat", "rating", "simulated", *(name for name in optional if name in rows and name not in planned),
+        *planned, *explored,
+    ]].reset_index(drop=True)  # fmt: skip
+    rows, more_notes = _join_labels(rows, judged.given)
+    return Table(rows, planned, (*notes, *more_notes), tuple(explored))
+
+
+class _Source(NamedTuple):
+    """A table's file, or the table in memory, and what messages call it."""
+
+    given: Path | DataFrame
+    what: str
+
+
+def _open(given: PathLike | DataFrame, what: str) -> _Source:
+    from pandas import DataFrame
+
+    if isinstance(given, DataFrame):
+        return _Source(given, what)
+    path = as_path(given, what)
+    return _Source(path, path.name)
+
+
+# `ratings.csv`, from feel321 or from elsewhere.
+
+
+def _read_ratings(source: Path | DataFrame, what: str) -> tuple[DataFrame, list[str]]:
+    """Read every judgement that counts."""
+    schema = describe_ratings()
+    sheet, notes = read_sheet(source, what, schema)
+    sheet, more_notes = _leave_rejected(sheet, what)  # which needs no rating
+    notes += more_notes
+    for name in [str(name) for name in sheet if name != "rejected"]:
+        read_column(sheet, name, what, kind=schema[name].kind)
+    sheet, more_notes = _leave_simulated(sheet, what)
+    notes += more_notes
+    unclear = sheet.loc[
+        (sheet["scale"] == ANSWERED) & ~sheet["rating"].isin([LOWEST, HIGHEST]), "rating"
+    ]
+    refuse_lines(unclear, what, must=f"be 100 (right) or 0 (wrong) on scale '{ANSWERED}'")
+    if "reference_id" not in sheet:
+        sheet["reference_id"] = ""
+    notes += [*_check_doubles(sheet, what), *note_scales(sheet)]
+    if "underruns" in sheet and len(broken := sheet.loc[sheet["underruns"] > 0, "participant"]):
+        notes.append(
+            f"{len(broken)} judgements of {broken.nunique()} participants were made on an interrupted playback "
+            "(underruns): they count; mark them as rejected to leave them out."
+        )
+    if "repeat" not in sheet:
+        alike = ["participant", STIMULUS, "reference_id", "scale"]
+        sheet["repeat"] = (sheet.groupby(alike).cumcount() + 1).astype(str)
+    return sheet, notes
+
+
+def _leave_rejected(sheet: DataFrame, what: str) -> tuple[DataFrame, list[str]]:
+    read_column(sheet, "rejected", what, kind="flag")
+    if "rejected" not in sheet or not (rejected := sheet["rejected"]).any():
+        return sheet, []
+    if rejected.all():
+        raise ValueError(
+            f"{what}: all {len(sheet)} judgements are marked as rejected; one must be valid"
+        )
+    notes = [f"{int(rejected.sum())} judgements marked as rejected are left out."]
+    people = sheet["participant"]
+    if lost := sorted(set(people) - set(people[~rejected])):
+        notes.append(
+            f"Participants without a valid judgement, who do not count: {list_names(lost)}."
+        )
+    return sheet[~rejected].copy(), notes
+
+
+def _leave_simulated(sheet: DataFrame, what: str) -> tuple[DataFrame, list[str]]:
+    if "simulated" not in sheet:
+        return sheet.assign(simulated=False), []
+    simulated, who = sheet["simulated"], sheet["participant"]
+    both = who[simulated & who.isin(who[~simulated])]
+    refuse_lines(both, what, must="be simulated in all of its lines or in none")
+    if simulated.all() or not simulated.any():
+        return sheet, []
+    note = (
+        f"{int(simulated.sum())} judgements of {who[simulated].nunique()} simulated participants are left out, because "
+        "people rated too; to analyse them, bring a table of them alone."
+    )
+    return sheet[~simulated].copy(), [note]
+
+
+def _check_doubles(sheet: DataFrame, what: str) -> list[str]:
+    """Refuse what occurs twice: a trial names a judgement; without trials its repeat does."""
+    counted = next((name for name in ("trial", "repeat") if name in sheet), None)
+    if not counted:
+        repeats = "rows alike in participant, stimulus, reference and scale are taken as repeats"
+        return [f"{what} has nothing in a column 'trial' or 'repeat': {repeats}."]
+    key = [name for name in (*JUDGEMENT, counted) if name in sheet]
+    doubled = sheet.loc[sheet.duplicated(key), counted]
+    must = f"occur once with the same {', '.join(key[:-1])}"
+    refuse_lines(doubled, what, must=must, do="keep one of the lines")
+    if counted == "repeat" or "repeat" not in sheet:
+        return []
+    if not (count := int(sheet.duplicated([*key[:-1], "repeat"]).sum())):
+        return []
+    return [
+        f"{count} judgements differ from an earlier one in their trial only: each counts as a further repeat."
+    ]
+
+
+# `manifest.csv`: what every stimulus is, and how well it matches its recording.
+
+
+def _read_manifest(
+    source: _Source, sources: Mapping[str, str], metrics: Sequence[str] | None
+) -> tuple[DataFrame, tuple[str, ...], list[str]]:
+    """Read the manifest's columns that an analysis needs, indexed by stimulus; also the planned metrics, and notes."""
+    metrics, what = None if metrics is None else as_names(metrics, "metrics"), source.what
+    schema = describe_manifest(metrics or PLANNED)
+    sheet, notes = read_sheet(*source, schema)
+    planned, more_notes = _choose_metrics(sheet, metrics, source)
+    notes += more_notes
+    for name, value in (("level", "as_is"), (ROLE, TEST)):
+        if name not in sheet:
+            sheet[name] = value
+            notes.append(
+                f"{what} has nothing in a column '{name}': every stimulus is taken as '{value}'."
+            )
+    for name in (*IDENTITY, "level"):
+        read_column(sheet, name, what, kind="name")
+    refuse_lines(
+        sheet.loc[~sheet[ROLE].isin(ROLES), ROLE], what, must=f"be one of {', '.join(ROLES)}"
+    )
+    _refuse_doubled(sheet, STIMULUS, what)
+    _read_metrics(sheet, planned, what)
+    for name in (AMPLITUDE, GAIN, SENSATION):
+        if name not in planned:
+            read_column(sheet, name, what, kind=schema[name].kind)
+    sheet["source"] = _read_sources(sheet, sources, what)
+    notes += note_stimuli(sheet)
+    return sheet.set_index(STIMULUS), planned, notes
+
+
+def _read_metrics(sheet: DataFrame, planned: Sequence[str], what: str) -> None:
+    for name in (*planned, *(name for name in describe_explored(planned) if name in sheet)):
+        # The reference need not have a metric: it is what the others are matched against.
+        if name in planned or name not in MATCHES:
+            lacking = sheet.loc[(sheet[name] == "") & (sheet[ROLE] == TEST), name]
+            do = "correct it or leave the row out"
+            refuse_lines(lacking, what, must="be a finite number", do=do)
+        read_column(sheet, name, what, kind="metric")
+
+
+def _choose_metrics(
+    sheet: DataFrame, metrics: Sequence[str] | None, source: _Source
+) -> tuple[tuple[str, ...], list[str]]:
+    """Find the columns that the primary analysis is about; only the default pair may be incomplete."""
+    if metrics is not None and tuple(metrics) != PLANNED:
+        _refuse_missing(sheet, metrics, source)
+        return tuple(metrics), []
+    found = [name if name in sheet else STAND_INS.get(name, name) for name in PLANNED]
+    if not any(name in sheet for name in found):
+        raise ValueError(
+            f"{source.what}: got no metric; at least one of the columns {', '.join(PLANNED)} is needed, or a metric of "
+            f"your own by its name (--metric); {_list_numeric(source.given)}"
+        )
+    notes = [
+        f"{source.what} has nothing in a column '{name}', so that metric is not reported."
+        for name in found
+        if name not in sheet
+    ]
+    return tuple(name for name in found if name in sheet), notes
+
+
+def _refuse_missing(sheet: DataFrame, metrics: Sequence[str], source: _Source) -> None:
+    if not metrics or len(set(metrics)) < len(metrics):
+        raise ValueError(
+            f"metrics must be one name or more, each once, got {', '.join(metrics) or 'none'}"
+        )
+    for name in metrics:
+        if name in sheet and name not in NOT_METRICS and _is_numeric(sheet[name]):
+            continue
+        instead, why = STAND_INS.get(name), ""
+        if instead in sheet:
+            why = f" (built before it existed: build the set again, or use {instead})"
+        lacks = "no numbers in column" if name in sheet else "no column"
+        raise ValueError(
+            f"{source.what}: got {lacks} {shorten(name)} as a metric{why}; {_list_numeric(source.given)}"
+        )
+
+
+def _list_numeric(source: Path | DataFrame) -> str:
+    """List what may be used as a metric, of all columns of the table."""
+    cells = read_cells(source)
+    names = [str(name) for name in cells if name not in NOT_METRICS and _is_numeric(cells[name])]
+    return f"its numeric columns are {', '.join(names)}" if names else "it has no numeric column"
+
+
+def _is_numeric(cells: Series) -> bool:
+    import pandas as pd
+
+    filled = cells[cells != ""]
+    share = pd.to_numeric(filled, errors="coerce").notna().mean() if len(filled) else 0
+    return bool(share > MOSTLY)
+
+
+def _refuse_doubled(sheet: DataFrame, name: str, what: str) -> None:
+    doubled = sheet.loc[sheet[name].duplicated(), name]
+    refuse_lines(doubled, what, must="be listed once", do="keep one of the lines")
+
+
+def _read_sources(sheet: DataFrame, sources: Mapping[str, str], what: str) -> Series:
+    """Find what every stimulus's recording was made from."""
+    if "source" not in sheet:
+        return sheet["recording"].map(lambda name: sources.get(name, name))
+    found = sheet["source"].mask(sheet["source"] == "", sheet["recording"])
+    first = found.groupby(sheet["recording"]).transform("first")
+    do = "an earlier line of its recording has another"
+    refuse_lines(found[found != first].rename("source"), what, must="be one per recording", do=do)
+    return found
+
+
+def _known_reducers() -> Mapping[str, object]:
     from feel321.stimuli.reducers.registry import REDUCERS
 
-    found = set(names)
-    return [name for name in REDUCERS if name in found] + sorted(found - set(REDUCERS))
+    return REDUCERS
+
+
+# Judgements and stimuli together: what was judged against what, and what of it the metrics describe.
 
 
 def _check_stimuli(ratings: DataFrame, manifest: DataFrame, *, names: tuple[str, str]) -> None:
     what, listed = names
-    strangers = ratings.loc[~ratings["stimulus_id"].isin(manifest.index), "stimulus_id"]
-    unknown = f"in column 'stimulus_id', which {listed} does not know; is it the manifest of these stimuli?"
-    refuse_lines(strangers, what, why=unknown)
+    strangers = ratings.loc[~ratings[STIMULUS].isin(manifest.index), STIMULUS]
+    must = f"be a stimulus of {listed}"
+    refuse_lines(strangers, what, must=must, do="is it the manifest of these stimuli?")
     for name in [name for name in ECHOED if name in ratings]:
-        of_stimulus = ratings["stimulus_id"].map(manifest[name])
+        of_stimulus = ratings[STIMULUS].map(manifest[name])
         differing = ratings.loc[ratings[name] != of_stimulus, name]
-        said = "" if differing.empty else list_names([of_stimulus[differing.index[0]]])
-        otherwise = f"in column '{name}', but {listed} says {said} of that stimulus; mend whichever is wrong"
-        refuse_lines(differing, what, why=otherwise)
+        if len(differing):
+            must = (
+                f"be {shorten(of_stimulus[differing.index[0]])}, as {listed} says of that stimulus"
+            )
+            refuse_lines(differing, what, must=must, do="correct whichever is wrong")
+
+
+def _turn_pairs(ratings: DataFrame, manifest: DataFrame, what: str) -> DataFrame:
+    """Let every dissimilarity be about the stimulus that was compared with the reference."""
+    is_paired = (ratings["scale"] == PAIRED) & (ratings["reference_id"] != "")
+    others = ratings.loc[is_paired, "reference_id"]
+    must = f"be a stimulus of the manifest, or empty, in a {PAIRED}"
+    refuse_lines(others[~others.isin(manifest.index)], what, must=must)
+    backward = is_paired & (ratings[STIMULUS].map(manifest[ROLE]) == "reference")
+    ids = [STIMULUS, "reference_id"]
+    turned = ratings.copy()
+    turned.loc[backward, ids] = ratings.loc[backward, ids[::-1]].to_numpy()
+    return turned
+
+
+def _find_roles(rows: DataFrame, manifest: DataFrame) -> Series:
+    """Find the role that each stimulus had in its judgement."""
+    is_same = rows[STIMULUS] == rows["reference_id"]
+    roles = rows[ROLE].mask(is_same & (rows[ROLE] == TEST), "reference")
+    is_pair = (rows["scale"] == PAIRED) & (rows["reference_id"] != "") & ~is_same
+    return roles.mask(is_pair & (rows["reference_id"].map(manifest[ROLE]) != "reference"), PAIR)
+
+
+def _find_references(rows: DataFrame, manifest: DataFrame) -> Series:
+    """Name every judgement's reference in words, unless it is the recording itself or nothing is said of it.
+
+    Metrics say how well a stimulus matches its own recording: they describe judgements against that only.
+    """
+    known = {"": "", SURFACE: SURFACED}
+    for name in set(rows["reference_id"].unique()) - set(known):
+        known[name] = UNLISTED
+        if name in manifest.index:
+            reducer, role = manifest.loc[name, ["reducer", ROLE]]
+            whole = role == "reference" and reducer not in _known_reducers()
+            known[name] = "" if whole else f"what '{reducer}' made of the recording"
+    of_reference = rows["reference_id"].map(manifest["recording"])
+    is_foreign = of_reference.notna() & (of_reference != rows["recording"])
+    return rows["reference_id"].map(known).mask(is_foreign, FOREIGN)
+
+
+def _note_references(rows: DataFrame, manifest: DataFrame) -> Iterator[str]:
+    """Say which judgements had another reference than the metrics have, or none that is known."""
+    nameless = int(((rows["scale"] == PAIRED) & (rows["reference_id"] == "")).sum())
+    if nameless:
+        yield f"{nameless} judgements of scale '{PAIRED}' name no reference_id: they are taken as from the reference."
+    told = rows.assign(reference=_find_references(rows, manifest))
+    told = told[(told[ROLE] != PAIR) & (told["reference"] != "")]
+    for (scale, reference), part in told.groupby(["scale", "reference"]):
+        against = f"{len(part)} judgements were made against {reference}"
+        fate = ": none enters an association or a slope"
+        fate = "" if reference in {SURFACED, UNLISTED} else fate
+        yield f"Scale '{scale}': {against}; the metrics compare with the recording{fate}."
+
+
+# Labels of participants and further metrics.
+
+
+def _join_labels(rows: DataFrame, ratings: Path | DataFrame) -> tuple[DataFrame, list[str]]:
+    """Add a column for each label of the participants, from the table beside the ratings."""
+    path = ratings.with_name(ROSTER_FILE) if isinstance(ratings, Path) else None
+    if path is None or not path.is_file():
+        return rows, []
+    known = ROSTER | {*rows, "participant"}
+    names = [name for name in read_header(path) if name and name not in known]
+    if not names:
+        return rows, []
+    schema = {"participant": Column("who", needed=True)} | dict.fromkeys(names, Column("a label"))
+    sheet, _ = read_sheet(path, path.name, schema)
+    _refuse_doubled(sheet, "participant", path.name)
+    labels = sheet.set_index("participant")
+    joined = rows.join(labels, on="participant").fillna(dict.fromkeys(labels, ""))
+    notes = []
+    for name in names:
+        groups = joined.groupby(name)["participant"].nunique()
+        sizes = ", ".join(
+            f"{list_names([str(group)]) if group else 'unknown'} {count}"
+            for group, count in groups.items()
+        )
+        notes.append(
+            f"Participants differ in {list_names([name])} ({ROSTER_FILE}; participants: {sizes}): no test compares "
+            "them."
+        )
+    return joined, notes
+
+
+def _join_further(
+    manifest: DataFrame, ratings: DataFrame, given: Further | None, *, names: tuple[str, str]
+) -> tuple[DataFrame, list[str]]:
+    """Give every stimulus the further metrics that there are."""
+    judged = [name for name in describe_further() if name in ratings]
+    parts = (
+        [(ratings.groupby(STIMULUS)[judged].mean(), " and ".join(names[::-1]))] if judged else []
+    )
+    if given is not None:
+        _check_given(given.metrics)
+        parts.append((given.metrics, "the files and the further metrics given"))
+    for more, where in parts:
+        if doubled := [str(name) for name in more if name in manifest]:
+            raise ValueError(
+                f"{where}: got '{doubled[0]}' in both; keep one, or a stimulus would have two values of it"
+            )
+        manifest = manifest.join(more)
+    mean = f"in {names[0]} it is given per judgement; a stimulus has the mean over its judgements that hold it"
+    return manifest, [*(given.notes if given else ()), *(f"'{name}': {mean}." for name in judged)]
+
+
+def _check_given(metrics: DataFrame) -> None:
+    allowed = describe_further()
+    for name in metrics:
+        if name not in allowed:
+            raise ValueError(
+                f"further metrics must be of the columns {', '.join(allowed)}, got column {name!r}"
+            )
+        values = metrics[name].to_numpy(np.float64)
+        if not (np.isnan(values) | (np.abs(values) <= LARGEST)).all():
+            raise ValueError(
+                f"further metrics must be finite, got infinite or huge values of '{name}'"
+            )
+    if not metrics.index.is_unique:
+        raise ValueError("further metrics must have one row per stimulus_id, got a stimulus twice")

@@ -1,84 +1,129 @@
-"""What columns the two tables may have, in which unit, and which of them must be there.
+"""Columns that the tables may have: their meaning, unit and kind, and which of them must be there.
 
 Conventions: names are matched exactly. A column that is spelt almost like one of these is refused, because it would
-otherwise be passed over; any other column is not used, and is named in the report's notes. What depends on the
-lists of `stimuli` is made by a call, so that importing this loads nothing heavy.
+otherwise be passed over; any other column is not used, and is named in the report's notes.
+
+Names of metrics, tasks and columns that other packages define are repeated here as data, so that a table is read
+without them; tests compare both.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-MATCH = "how well a stimulus matches its recording"
-MATCHES = {"spectral_match": "eq. 1 of Landin et al. 2010, which has no lower bound"}
-"""What some metrics are, in words."""
-
 LOWEST, HIGHEST = 0.0, 100.0
 """The ends of every rating scale."""
+
+LARGEST = 1e12
+"""No metric is larger in size; squares of much larger numbers are no numbers any more."""
+
+PAIRED, ANSWERED = "dissimilarity", "abx"
+APART = (PAIRED, ANSWERED)
+"""Scales that enter no association: a metric describes one stimulus, and is larger or smaller."""
+
+ROLES = ("test", "reference", "anchor")
+PAIR = "pair"
+"""Role of a stimulus that is rated against another one than the reference."""
+
+SURFACE = "surface"
+"""Reference of a judgement that compares with the real surface."""
+
+NAMING = ("recording", "reducer", "level")
+"""Columns that together name a stimulus where there is no stimulus_id."""
+
+IDENTITY = ("stimulus_id", "recording", "reducer")
+AMPLITUDE, GAIN, SENSATION = "rms_m_s2", "gain", "sensation_level_db"
+
+YES = frozenset({"true", "1", "yes"})
+NO = frozenset({"false", "0", "no", ""})
+
+PLANNED = ("spectral_match_bounded", "temporal_match")
+"""Metrics of the primary analysis unless others are declared."""
+
+STAND_INS = {"spectral_match_bounded": "spectral_match"}
+"""Used for a planned metric that a manifest does not have."""
+
+MATCHES = {
+    "spectral_match": "eq. 1 of Landin et al. 2010, which has no lower bound",
+    "temporal_match": "how well a stimulus matches its recording",
+    "spectral_match_bounded": "how well a stimulus matches its recording",
+}
+"""Match metrics of feel321, and what they are in words."""
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column of a table."""
+    """A column of a table; its kind is one of `feel321.analysis.table.sheet.KINDS`, or empty for plain text."""
 
     meaning: str
     unit: str = ""
+    kind: str = ""
     needed: bool = False
     used: bool = True
 
 
 RATINGS: Mapping[str, Column] = {
-    "participant": Column("who judged", needed=True),
+    "participant": Column("who judged", kind="name", needed=True),
     "session": Column("which visit of the participant"),
     "protocol": Column("which task"),
     "block": Column("which block of the session"),
-    "trial": Column("which trial of the block; with the stimulus, it occurs once"),
-    "repeat": Column("how many times the participant has judged it, counted from 1"),
-    "stimulus_id": Column("what was judged", needed=True),
+    "trial": Column("which trial of the block; with the stimulus, it occurs once", kind="name"),
+    "repeat": Column("how many times the participant has judged it, counted from 1", kind="name"),
+    "stimulus_id": Column("what was judged", kind="name", needed=True),
     "recording": Column("as in the manifest"),
     "reducer": Column("as in the manifest"),
     "level": Column("as in the manifest"),
     "reference_id": Column("what it was judged against: a stimulus, 'surface', or nothing"),
-    "scale": Column("what was asked, such as realism", needed=True),
-    "rating": Column("the answer", unit="points from 0 to 100", needed=True),
-    "response_time_s": Column("from the end of playback to the answer", unit="s"),
-    "onset_s": Column("start of playback, from the start of the session", unit="s", used=False),
-    "underruns": Column("interruptions of playback", unit="count"),
-    "rejected": Column("whether the judgement does not count", unit="true or false"),
-    "simulated": Column("whether the participant is a program", unit="true or false"),
+    "scale": Column("what was asked, such as realism", kind="name", needed=True),
+    "rating": Column("the answer", "points from 0 to 100", kind="rating", needed=True),
+    "response_time_s": Column("from the end of playback to the answer", "s", kind="time"),
+    "onset_s": Column("start of playback, from the start of the session", "s", used=False),
+    "underruns": Column("interruptions of playback", "count", kind="count"),
+    "rejected": Column("whether the judgement does not count", "true or false", kind="flag"),
+    "simulated": Column("whether the participant is a program", "true or false", kind="flag"),
 }
 """One row per judgement."""
 
-STAND_INS = {"spectral_match_bounded": "spectral_match"}
-"""What is used for a planned metric that a manifest does not have."""
+MANIFEST: Mapping[str, Column] = {
+    **{name: Column("what it is", kind="name", needed=True) for name in IDENTITY},
+    "level": Column("how its gain was chosen", kind="name"),
+    "role": Column("test, reference or anchor"),
+    AMPLITUDE: Column("root mean square as played", "m/s^2", kind="amplitude"),
+    GAIN: Column("m/s^2 played per m/s^2 recorded", kind="known"),
+    SENSATION: Column("over the detection threshold, as played", "dB", kind="known"),
+    **{name: Column(meaning, "1 = perfect match") for name, meaning in MATCHES.items()},
+    **{
+        name: Column("not used", used=False)
+        for name in (
+            "file", "rate_hz", "n_samples", "duration_s", "peak", "clipped", "sha256", "recording_sha256",
+        )
+    },
+    "source": Column(
+        "what the recording was made from, where several are one and the same, turned, cut or edited"
+    ),
+}  # fmt: skip
+"""One row per stimulus."""
 
-FURTHER: Mapping[str, Column] = {
-    "rotation_mean": Column(
-        "mean of the {metric} over random orientations of the sensor", unit="1 = perfect match"
-    ),
-    "rotation_sd": Column(
-        "standard deviation of the {metric} over random orientations of the sensor", unit="1"
-    ),
-    "delivered": Column("{metric} of the signal as it was delivered", unit="1 = perfect match"),
-    "energy_weighted": Column(
-        "{metric} with frequencies weighted by their energy", unit="1 = perfect match"
-    ),
-    "invariant": Column(
-        "counterpart of the {metric} that no orientation changes", unit="1 = perfect match"
-    ),
-}
-"""What may follow the name of a metric and an underscore: per stimulus in the manifest, or per judgement in the
-ratings, where a stimulus has the mean over its judgements. `spectral_match_invariant` is the former name of
-`spectral_match_energy_weighted`; tables that use it are read as before."""
+NOT_METRICS = frozenset({
+    *IDENTITY, "level", "role", "source", "file", "sha256", "recording_sha256"
+})  # fmt: skip
 
-_ONLY_OF = {
-    "energy_weighted": ("spectral_match",),
-    "invariant": ("spectral_match", "temporal_match"),
-}
+FURTHER: Mapping[str, tuple[str, str, tuple[str, ...]]] = {
+    "rotation_mean": ("mean of the {} over random orientations of the sensor", "1 = perfect match", tuple(MATCHES)),
+    "rotation_sd": ("standard deviation of the {} over random orientations of the sensor", "1", tuple(MATCHES)),
+    "delivered": ("{} of the signal as it was delivered", "1 = perfect match", tuple(MATCHES)),
+    "energy_weighted": ("{} with frequencies weighted by their energy", "1 = perfect match", ("spectral_match",)),
+    "invariant": (
+        "counterpart of the {} that no orientation changes", "1 = perfect match", ("spectral_match", "temporal_match")
+    ),
+}  # fmt: skip
+"""Suffix of a metric's name -> meaning, unit, and the metrics that have it: per stimulus in the manifest, or per
+judgement in the ratings, where a stimulus has the mean over its judgements. `spectral_match_invariant` is the former
+name of `spectral_match_energy_weighted`; tables that use it are read as before."""
 
 
 def describe_further() -> dict[str, Column]:
@@ -89,15 +134,11 @@ def describe_further() -> dict[str, Column]:
     >>> list(describe_further())[:3]
     ['spectral_match_rotation_mean', 'spectral_match_rotation_sd', 'spectral_match_delivered']
     """
-    from feel321.stimuli.match import METRICS
-
     return {
-        f"{metric}_{kind}": replace(
-            column, meaning=column.meaning.format(metric=metric.replace("_", " "))
-        )
-        for metric in METRICS
-        for kind, column in FURTHER.items()
-        if metric in _ONLY_OF.get(kind, METRICS)
+        f"{metric}_{kind}": Column(meaning.format(metric.replace("_", " ")), unit, kind="metric")
+        for metric in MATCHES
+        for kind, (meaning, unit, metrics) in FURTHER.items()
+        if metric in metrics
     }
 
 
@@ -109,14 +150,8 @@ def describe_explored(metrics: Sequence[str]) -> dict[str, Column]:
     >>> list(describe_explored(["spectral_match_bounded", "temporal_match"]))[:2]
     ['spectral_match', 'spectral_match_rotation_mean']
     """
-    from feel321.stimuli.match import METRICS
-
-    others = {name: Column(MATCHES.get(name, MATCH), unit="1 = perfect match") for name in METRICS}
-    return {
-        name: column
-        for name, column in {**others, **describe_further()}.items()
-        if name not in metrics
-    }
+    others = {name: MANIFEST[name] for name in MATCHES} | describe_further()
+    return {name: column for name, column in others.items() if name not in metrics}
 
 
 def describe_ratings() -> dict[str, Column]:
@@ -125,35 +160,7 @@ def describe_ratings() -> dict[str, Column]:
 
 
 def describe_manifest(metrics: Sequence[str] = ()) -> dict[str, Column]:
-    """List the columns that a manifest may have: one row per stimulus."""
-    from feel321.stimuli.match import METRICS
-    from feel321.stimuli.sets.manifest import COLUMN_UNITS
-
-    needed = ("stimulus_id", "recording", "reducer")
-    used = ("level", "role", "rms_m_s2", "gain", "sensation_level_db", *METRICS)
-    source = "what the recording was made from, where several are one and the same, turned, cut or edited"
-    return {
-        **{
-            name: Column(unit, needed=name in needed, used=name in (*needed, *used))
-            for name, unit in COLUMN_UNITS.items()
-        },
-        **{name: Column(MATCH) for name in METRICS},
-        "source": Column(source),
-        **describe_further(),
-        **{
-            name: Column("a metric that the study declares")
-            for name in metrics
-            if name not in needed
-        },
-    }
-
-
-def list_needed(schema: Mapping[str, Column]) -> list[str]:
-    """List the columns without which there is no analysis.
-
-    Examples
-    --------
-    >>> list_needed(RATINGS)
-    ['participant', 'stimulus_id', 'scale', 'rating']
-    """
-    return [name for name, column in schema.items() if column.needed]
+    """List the columns that a manifest may have, with the metrics that a study declares."""
+    declared = {name: Column("a metric that the study declares") for name in metrics}
+    needed = {name: column for name, column in MANIFEST.items() if column.needed}
+    return {**MANIFEST, **describe_further(), **declared, **needed}

@@ -375,11 +375,6 @@ class StreamingReducer:
         -------
         ndarray of float64, shape (n_samples,)
             As many samples of the output.
-
-        Raises
-        ------
-        ValueError
-            As `process`.
         """
         if n_samples < 0:
             raise ValueError(f"n_samples must be 0 or more, got {n_samples}")

@@ -121,11 +121,6 @@ def acceleration_threshold(frequency_hz: ArrayLike, *, threshold: str = CONTACTO
     ndarray of float64
         Peak acceleration in m/s².
 
-    Raises
-    ------
-    ValueError
-        If there is no such curve.
-
     Examples
     --------
     >>> from feel321 import stimuli
@@ -218,11 +213,6 @@ def sensation_level_db(
     float
         dB over the threshold: of the 200 ms with the largest root mean square over the threshold, between 20 and 1000
         Hz; axes add by energy. 0 for a lasting sinusoid at its threshold, minus infinity for silence.
-
-    Raises
-    ------
-    ValueError
-        If there is no such curve.
 
     Notes
     -----

@@ -14,12 +14,13 @@ import json
 import math
 import shutil
 from dataclasses import asdict, dataclass, field, replace
+from itertools import count
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from feel321.doors import as_path
+from feel321.doors import as_path, follow
 from feel321.files import hold_lock
 from feel321.stimuli.condition import list_steps
 from feel321.stimuli.recording import Recording, largest
@@ -42,9 +43,8 @@ from feel321.stimuli.wav import read_wav, write_wav
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from feel321.types import PathLike
+    from feel321.types import PathLike, Progress
 
-    Progress = Callable[[int, int], None]
     Job = tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]
 
 PARTS = ".parts"
@@ -106,19 +106,6 @@ class _Order:
         return {name: to_db(level * self.gain) for name, level in self.measured.levels.items()}
 
 
-@dataclass(frozen=True, slots=True)
-class Foreseen:
-    """A stimulus as a build would make it, with its sensation level by threshold curve."""
-
-    recording: str
-    reducer: str
-    role: str
-    level: str
-    gain: float
-    peak_m_s2: float
-    sensation_levels_db: dict[str, float]
-
-
 def build_stimuli(
     recordings: Recording | Sequence[Recording],
     folder: PathLike,
@@ -140,8 +127,8 @@ def build_stimuli(
         What is made of every recording; `Recipe()` if left out.
     workers : int
         Number of processes. The result does not depend on it.
-    progress : callable, optional
-        Called with (steps done, steps in all) after each step.
+    progress : bool or callable, optional
+        True for a progress bar, or what is called with (steps done, steps in all) after each step.
     **changes
         Fields of the recipe that are to be different, such as `reducers=["dft321"]`.
 
@@ -175,10 +162,9 @@ def build_stimuli(
     check_names([recording.name for recording in recordings])
     folder = as_path(folder, "folder")
     folder.mkdir(parents=True, exist_ok=True)
-    with hold_lock(
-        folder / ".lock", busy="another build is running here; let it finish or stop it first"
-    ):
-        return _build(recordings, folder, recipe=recipe, workers=workers, progress=progress)
+    busy = "another build is running here; let it finish or stop it first"
+    with hold_lock(folder / ".lock", busy=busy), follow(progress or False, "build") as move:
+        return _build(recordings, folder, recipe=recipe, workers=workers, move=move)
 
 
 def _build(
@@ -187,29 +173,44 @@ def _build(
     *,
     recipe: Recipe,
     workers: int,
-    progress: Progress | None,
+    move: Callable[[int, int], None],
 ) -> StimulusSet:
     parts = _make_parts_folder(folder)
     history = read_history(folder)
     wanted = {recording.name: list_candidates(recording, recipe) for recording in recordings}
     new = [r for r in recordings if any(c.key not in history.measured for c in wanted[r.name])]
-    total = len(new) + len(recordings)
-    measure = [
+    total, done = len(new) + len(recordings), count(1)
+    measured = dict(history.measured)
+    jobs: list[Job] = [
         (render_recording, (r, wanted[r.name]), {"recipe": recipe, "parts": parts}) for r in new
     ]
-    measured = dict(history.measured)
-    for found in _report(_in_parallel(measure, workers=workers), progress, done=0, total=total):
+    for found in _run_jobs(jobs, workers=workers):
         measured.update(found)
+        move(next(done), total)
     orders = _place_orders(wanted, measured, recipe)
     how = {"recipe": recipe, "folder": folder, "history": history}
-    write = [(_write_recording, (r, orders[r.name]), how) for r in recordings]
-    passes = _in_parallel(write, workers=workers)
-    rows = [row for some in _report(passes, progress, done=len(new), total=total) for row in some]
-    written = {row.stimulus_id: row for row in rows}
+    written: dict[str, Stimulus] = {}
+    jobs = [(_write_recording, (r, orders[r.name]), how) for r in recordings]
+    for rows in _run_jobs(jobs, workers=workers):
+        written.update((row.stimulus_id, row) for row in rows)
+        move(next(done), total)
     in_order = [order for recording in recordings for order in orders[recording.name]]
     details = _list_details(in_order, recipe, recordings)
-    rows = [written[order.stimulus_id] for order in in_order]
-    return _publish(rows, folder, history=history, details=details)
+    stimuli = [written[order.stimulus_id] for order in in_order]
+    return _publish(stimuli, folder, history=history, details=details)
+
+
+@dataclass(frozen=True, slots=True)
+class Foreseen:
+    """A stimulus as a build would make it, with its sensation level by threshold curve."""
+
+    recording: str
+    reducer: str
+    role: str
+    level: str
+    gain: float
+    peak_m_s2: float
+    sensation_levels_db: dict[str, float]
 
 
 def foresee_stimuli(
@@ -217,7 +218,7 @@ def foresee_stimuli(
     folder: Path,
     *,
     recipe: Recipe,
-    progress: Progress | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> list[Foreseen]:
     """Compute how strong the stimuli of a set will be; nothing is written."""
     measured = dict(read_history(folder).measured)
@@ -374,16 +375,7 @@ def _list_details(
     }
 
 
-def _report(
-    results: Iterator[Any], progress: Progress | None, *, done: int, total: int
-) -> Iterator[Any]:
-    for step, result in enumerate(results, start=done + 1):
-        if progress:
-            progress(step, total)
-        yield result
-
-
-def _in_parallel(jobs: Sequence[Job], *, workers: int) -> Iterator[Any]:
+def _run_jobs(jobs: Sequence[Job], *, workers: int) -> Iterator[Any]:
     """Yield results as they are done; in this process where one worker is enough."""
     if workers == 1 or len(jobs) <= 1:
         for function, arguments, named in jobs:

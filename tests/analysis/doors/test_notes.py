@@ -192,7 +192,7 @@ def test_a_study_tells_which_recordings_are_one_turned(tmp_path: Path) -> None:
 
 def test_a_recording_with_two_sources_is_refused(tidy: Callable[..., pd.DataFrame]) -> None:
     rated = tidy()
-    with pytest.raises(ValueError, match="got two sources of recording rec0; a recording has one"):
+    with pytest.raises(ValueError, match="got two sources of recording rec0"):
         make_items(rated.assign(source=rated["reducer"]), ["spectral_match"])
 
 
@@ -220,7 +220,6 @@ def test_labels_of_participants_are_joined(files: Callable[..., object]) -> None
     assert read_table(study.ratings, study.manifest).notes == ()
     pd.concat([people, people]).to_csv(roster_path, index=False)
     with pytest.raises(
-        ValueError,
-        match=r"participants.csv, lines 5, 6, 7: got 'p00' in column 'participant', but an",
+        ValueError, match=r"participants.csv, lines 5, 6, 7: participant must be listed once, got"
     ):
         read_table(study.ratings, study.manifest)

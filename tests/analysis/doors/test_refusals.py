@@ -99,30 +99,39 @@ FOREIGN = [
     ),
     (lambda t: t.replace(",", "\t").encode(), "its columns are separated by tabs"),
     (lambda t: t.replace(",", "|").encode(), "its columns are separated by bars"),
-    (lambda t: t.encode("utf-16"), "got UTF-16 text, allowed is UTF-8; save it as CSV (UTF-8)"),
-    (lambda t: t.encode("utf-16-le"), "got bytes that are no UTF-8 text (zeros)"),
+    (
+        lambda t: t.encode("utf-16"),
+        "must be plain UTF-8 text, got UTF-16 text; save it as CSV (UTF-8)",
+    ),
+    (
+        lambda t: t.encode("utf-16-le"),
+        "must be UTF-8 text, got other bytes (zeros); is it the right file? Save it as CSV",
+    ),
     (lambda t: t.replace("p2", "J\xf6rg").encode("latin-1"), "not UTF-8 text (invalid"),
     (
         lambda t: gzip.compress(t.encode()),
-        "got a gzip file, allowed is plain text; unpack it first",
+        "must be plain UTF-8 text, got a gzip file; unpack it first",
     ),
     (
         lambda t: b"PK\x03\x04" + t.encode(),
-        "got an Excel or other zipped file, allowed is plain text; save the sheet",
+        "must be plain UTF-8 text, got an Excel or other zipped file; save the sheet as CSV",
     ),
     (lambda t: b"\xd0\xcf\x11\xe0" + t.encode(), "got an old Excel file"),
     (
         lambda t: t.encode() + b"\n" * 600 + b"\0",
-        "line 610: got a zero byte, allowed is text; is the file damaged?",
+        "line 610: must be text, got a zero byte; is the file damaged?",
     ),
-    (lambda t: t.replace("p1", '"p1', 1).encode(), "not a regular CSV file, mend lines or quotes"),
+    (
+        lambda t: t.replace("p1", '"p1', 1).encode(),
+        "not a regular CSV file, correct lines or quotes",
+    ),
     (
         lambda t: t.replace("p1", '"p1"x', 1).encode(),
-        "not a regular CSV file, mend lines or quotes",
+        "not a regular CSV file, correct lines or quotes",
     ),
     (
         lambda t: t.replace("p1", "p" * 200_000, 1).encode(),
-        "not a regular CSV file, mend lines or quotes (field larger",
+        "not a regular CSV file, correct lines or quotes (field larger than field limit",
     ),
     (
         lambda t: ("# my ratings\n" + t).encode(),
@@ -139,12 +148,15 @@ FOREIGN = [
     ),
     (
         lambda t: t.encode()[:-30],
-        "line 9: got 12 cells, but the header has 18; is the file cut off?",
+        "line 9: must have 18 cells like the header, got 12; is the file cut off?",
     ),
-    (lambda t: (t + "total,8\n").encode(), "line 10: got 2 cells, but the header has 18"),
+    (
+        lambda t: (t + "total,8\n").encode(),
+        "line 10: must have 18 cells like the header, got 2; is the file cut off?",
+    ),
     (
         lambda t: t.replace("10.5", "10,5").encode(),
-        "line 2: got 19 cells, but the header has 18; put a cell that holds",
+        "line 2: must have 18 cells like the header, got 19; put a cell that holds a comma in",
     ),
 ]
 
@@ -160,39 +172,39 @@ def test_files_that_are_no_comma_separated_text(
 
 RATINGS = [
     (lambda f: f.drop(columns="rating"), "line 1: column rating is missing; got"),
-    (lambda f: f.rename(columns={"rating": "Rating"}), "got column 'Rating', allowed is 'rating'; rename or remove it"),
-    (lambda f: f.rename(columns={"rejected": " rejected "}), "got column ' rejected ', allowed is 'rejected'"),
-    (lambda f: f.rename(columns={"stimulus_id": "Stimulus ID"}), "got column 'Stimulus ID', allowed is 'stimulus_id'"),
+    (lambda f: f.rename(columns={"rating": "Rating"}), "line 1: column 'Rating' must be spelt 'rating'; rename or"),
+    (lambda f: f.rename(columns={"rejected": " rejected "}), "line 1: column ' rejected ' must be spelt"),
+    (lambda f: f.rename(columns={"stimulus_id": "Stimulus ID"}), "line 1: column 'Stimulus ID' must be spelt"),
     (lambda f: f.assign(again=f["rating"]).rename(columns={"again": "rating"}), "column rating appears more than once"),
-    *((cell("rating", text), f"line 2: got {text!r} in column 'rating', allowed is a finite number; mend it or leave")
+    *((cell("rating", text), f"line 2: rating must be a finite number, got {text!r}; correct it or leave")
       for text in ("", "nan", "inf", "-inf", "1e400", "good", "50%", "10,5", "0x1A", "1_0", "1 0", "True", "５０")),
-    (cell("rating", "-1"), "line 2: got -1 in column 'rating', allowed is 0 to 100; rescale what was asked on another"),
-    (cell("rating", "101", 3), "line 5: got 101 in column 'rating', allowed is 0 to 100"),
-    (cell("rating", "1e308"), "line 2: got 1e+308 in column 'rating', allowed is 0 to 100"),
-    (cell("scale", "abx"), "got 10.5 in column 'rating' of scale 'abx', allowed is 100 (right) or 0 (wrong)"),
-    (lambda f: pd.concat([f, f.iloc[[4]]]), "line 10: got '1' in column 'trial', but an earlier line has the same"),
-    (lambda f: pd.concat([f, f.iloc[[4]]]).drop(columns="trial"), "line 10: got '1' in column 'repeat', but an earlie"),
-    (cell("trial", ""), "line 2: got '' in column 'trial', which must not be empty; name it"),
-    (cell("repeat", ""), "line 2: got '' in column 'repeat', which must not be empty"),
-    (cell("stimulus_id", "ghost"), "line 2: got 'ghost' in column 'stimulus_id', which manifest.csv does not know; is"),
-    (cell("stimulus_id", "g" * 999), "ggg' in column 'stimulus_id', which manifest.csv does not know"),
-    (cell("reducer", "say321"), "got 'say321' in column 'reducer', but manifest.csv says 'mag321' of that stimulus"),
-    (cell("recording", "s"), "got 's' in column 'recording', but manifest.csv says 'r' of that stimulus; mend"),
-    (cell("level", ""), "got '' in column 'level', but manifest.csv says 'as_is' of that stimulus; mend"),
-    (cell("participant", ""), "line 2: got '' in column 'participant', which must not be empty"),
-    (cell("participant", "p1\u00a0"), "line 2: got 'p1\\xa0' in column 'participant', which must not begin or end wit"),
-    (cell("participant", "p\n1"), "line 2: got 'p\\n1' in column 'participant', which must not hold line breaks"),
-    (cell("scale", "real\x07ism"), "which must not hold line breaks or other control characters; remove them"),
-    (cell("rejected", "perhaps"), "got 'perhaps' in column 'rejected', allowed is true, false, 1, 0, yes, no or nothi"),
+    (cell("rating", "-1"), "line 2: rating must be 0 to 100, got '-1'; rescale what was asked on another scale"),
+    (cell("rating", "101", 3), "line 5: rating must be 0 to 100, got '101'; rescale what was asked on another scale"),
+    (cell("rating", "1e308"), "line 2: rating must be 0 to 100, got '1e308'; rescale what was asked on another scale"),
+    (cell("scale", "abx"), "line 2: rating must be 100 (right) or 0 (wrong) on scale 'abx', got 10.5"),
+    (lambda f: pd.concat([f, f.iloc[[4]]]), "line 10: trial must occur once with the same participant, session,"),
+    (lambda f: pd.concat([f, f.iloc[[4]]]).drop(columns="trial"), "line 10: repeat must occur once with the same"),
+    (cell("trial", ""), "line 2: trial must not be empty, got ''; name it"),
+    (cell("repeat", ""), "line 2: repeat must not be empty, got ''; name it"),
+    (cell("stimulus_id", "ghost"), "line 2: stimulus_id must be a stimulus of manifest.csv, got 'ghost'; is it the"),
+    (cell("stimulus_id", "g" * 999), "line 2: stimulus_id must be a stimulus of manifest.csv, got"),
+    (cell("reducer", "say321"), "line 2: reducer must be 'mag321', as manifest.csv says of that stimulus, got"),
+    (cell("recording", "s"), "line 2: recording must be 'r', as manifest.csv says of that stimulus, got 's'; correct"),
+    (cell("level", ""), "line 2: level must be 'as_is', as manifest.csv says of that stimulus, got ''; correct"),
+    (cell("participant", ""), "line 2: participant must not be empty, got ''; name it"),
+    (cell("participant", "p1\u00a0"), "line 2: participant must not begin or end with a blank, got 'p1\\xa0';"),
+    (cell("participant", "p\n1"), "line 2: participant must not hold line breaks or other control characters, got"),
+    (cell("scale", "real\x07ism"), "line 2: scale must not hold line breaks or other control characters, got"),
+    (cell("rejected", "perhaps"), "line 2: rejected must be true, false, 1, 0, yes, no or empty, got 'perhaps'"),
     (lambda f: f.assign(rejected="yes"), "all 8 judgements are marked as rejected; one must be valid"),
-    (cell("simulated", "?"), "got '?' in column 'simulated', allowed is true, false"),
-    (cell("simulated", "true"), "line 2: got 'p1' in column 'participant' as simulated, but as a person in other line"),
-    (cell("underruns", "-1"), "got '-1' in column 'underruns', allowed is a count (0, 1, 2, ...) or nothing"),
-    (cell("underruns", "0.5"), "got '0.5' in column 'underruns', allowed is a count"),
-    (cell("underruns", "many"), "got 'many' in column 'underruns', allowed is a finite number"),
-    (cell("response_time_s", "-0.1"), "got '-0.1' in column 'response_time_s', allowed is 0 or more, in seconds"),
-    (cell("response_time_s", "nan"), "got 'nan' in column 'response_time_s', allowed is a finite number"),
-    (lambda f: f.assign(scale="dissimilarity", reference_id="ghost"), "got 'ghost' in column 'reference_id' of a diss"),
+    (cell("simulated", "?"), "line 2: simulated must be true, false, 1, 0, yes, no or empty, got '?'"),
+    (cell("simulated", "true"), "line 2: participant must be simulated in all of its lines or in none, got 'p1'"),
+    (cell("underruns", "-1"), "line 2: underruns must be a count (0, 1, 2, ...) or empty, got '-1'"),
+    (cell("underruns", "0.5"), "line 2: underruns must be a count (0, 1, 2, ...) or empty, got '0.5'"),
+    (cell("underruns", "many"), "line 2: underruns must be a finite number, got 'many'; correct it or leave the"),
+    (cell("response_time_s", "-0.1"), "line 2: response_time_s must be 0 or more, in seconds, or empty, got '-0.1'"),
+    (cell("response_time_s", "nan"), "line 2: response_time_s must be a finite number, got 'nan'; correct it or"),
+    (lambda f: f.assign(scale="dissimilarity", reference_id="ghost"), "lines 2, 3, 4 and 5 more: reference_id must"),
 ]  # fmt: skip
 
 
@@ -209,7 +221,7 @@ MANIFEST = [
     (lambda f: f.drop(columns="reducer"), "line 1: column reducer is missing; got"),
     (
         lambda f: f.rename(columns={"spectral_match": "Spectral_Match"}),
-        "got column 'Spectral_Match', allowed is 'spec",
+        "line 1: column 'Spectral_Match' must be spelt 'spectral_match'; rename or remove it",
     ),
     (
         lambda f: f.drop(columns=["spectral_match", "temporal_match"]),
@@ -219,40 +231,34 @@ MANIFEST = [
         lambda f: f.assign(spectral_match="", temporal_match=""),
         "got no metric; at least one of the columns spectral",
     ),
-    (
-        lambda f: pd.concat([f, f.iloc[[0]]]),
-        "line 6: got 'r_mag321' in column 'stimulus_id', but an earlier line lists",
-    ),
-    (
-        cell("role", "Test"),
-        "line 2: got 'Test' in column 'role', allowed is test, reference, anchor",
-    ),
-    (cell("role", ""), "line 2: got '' in column 'role', allowed is test, reference, anchor"),
+    (lambda f: pd.concat([f, f.iloc[[0]]]), "line 6: stimulus_id must be listed once, got"),
+    (cell("role", "Test"), "line 2: role must be one of test, reference, anchor, got 'Test'"),
+    (cell("role", ""), "line 2: role must be one of test, reference, anchor, got ''"),
     (
         cell("role", "test", 3),
-        "line 5: got '' in column 'spectral_match', allowed is a finite number; mend it or leave",
+        "line 5: spectral_match must be a finite number, got ''; correct it or leave the row out",
     ),
     (
         cell("spectral_match", "nan"),
-        "line 2: got 'nan' in column 'spectral_match', allowed is a finite number",
+        "line 2: spectral_match must be a finite number, got 'nan'; correct it or leave the row",
     ),
     (
         cell("temporal_match", "-inf", 1),
-        "line 3: got '-inf' in column 'temporal_match', allowed is a finite number",
+        "line 3: temporal_match must be a finite number, got '-inf'; correct it or leave the row",
     ),
     (
         cell("spectral_match", "-1e300"),
-        "got '-1e300' in column 'spectral_match', allowed is 1 or less and no more than",
+        "line 2: spectral_match must be 1 or less, and no more than 1e+12 in size, got '-1e300'",
     ),
-    (cell("recording", ""), "line 2: got '' in column 'recording', which must not be empty"),
+    (cell("recording", ""), "line 2: recording must not be empty, got ''; name it"),
     (
         cell("reducer", "mag321 "),
-        "got 'mag321 ' in column 'reducer', which must not begin or end with a blank",
+        "line 2: reducer must not begin or end with a blank, got 'mag321 '; remove it",
     ),
-    (cell("level", ""), "line 2: got '' in column 'level', which must not be empty"),
+    (cell("level", ""), "line 2: level must not be empty, got ''; name it"),
     (
         lambda f: f.assign(source=["a", "b", "c", "a"]),
-        "line 3: got 'b' in column 'source', but an earlier line of its",
+        "line 3: source must be one per recording, got 'b'",
     ),
 ]
 
@@ -279,4 +285,7 @@ def test_lines_are_those_of_the_file_where_cells_hold_line_breaks(
     frame.loc[[1, 3], "rating"] = "good"
     text = frame.to_csv(index=False, quoting=csv.QUOTE_ALL)
     assert text.splitlines()[2].count("good") == text.splitlines()[5].count("good") == 1
-    assert "lines 3, 6: got 'good'" in refuse(ratings=text.encode())
+    assert (
+        "lines 3, 6: rating must be a finite number, got 'good'; correct it or leave the row out"
+        in refuse(ratings=text.encode())
+    )

@@ -54,5 +54,7 @@ def test_long_names_stay_inside_and_apart(
 @pytest.mark.parametrize("margins", [(), (5, 6)])
 def test_no_common_margin_is_refused(margins: tuple[float, ...]) -> None:
     tests = {str(high): equivalence(0, 1, 11, low=-5, high=high) for high in margins}
-    with pytest.raises(ValueError, match=f"contrasts: got {len(margins)} margins, allowed is one"):
+    with pytest.raises(
+        ValueError, match=f"contrasts must have one margin for all, got {len(margins)}"
+    ):
         draw_equivalence(tests, n_participants=12, n_recordings=8)

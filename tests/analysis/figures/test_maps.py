@@ -72,9 +72,7 @@ def test_stress_has_a_panel_of_its_own(said: Callable[[Figure], str]) -> None:
 
 @pytest.mark.parametrize("names", [["a", "b"], ["a", "b", "b"]])
 def test_names_must_be_one_each(names: list[str]) -> None:
-    with pytest.raises(
-        ValueError, match="names: got 2 different ones, allowed is one for each of 3 stimuli"
-    ):
+    with pytest.raises(ValueError, match="names must be one for each of 3 stimuli, got 2"):
         draw_space(make_ellipses(3), names)
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from feel321.analysis.figures.estimates import (
+    ForestRow,
     Mark,
-    Row,
     draw_rows,
     find_height,
     find_limits,
@@ -19,7 +19,7 @@ INF, NAN = math.inf, math.nan
 
 
 def draw(*marks: Mark) -> object:
-    rows = [Row(f"row {number}", (mark,)) for number, mark in enumerate(marks)]
+    rows = [ForestRow(f"row {number}", (mark,)) for number, mark in enumerate(marks)]
     _, axes = new_figure(5.0)
     draw_rows(axes, rows, limits=find_limits(rows, 0))
     return axes
@@ -64,16 +64,16 @@ def test_a_missing_estimate_is_said() -> None:
 
 @pytest.mark.parametrize("marks", [(), (Mark(NAN),), (Mark(2.0),)])
 def test_limits_are_finite_whatever_is_missing(marks: tuple[Mark, ...]) -> None:
-    low, high = find_limits([Row("row", marks)])
+    low, high = find_limits([ForestRow("row", marks)])
     assert low < high
     assert np.isfinite([low, high]).all()
 
 
 def test_rows_take_the_room_of_their_labels_and_marks() -> None:
     one, two, many = fit_rows([
-        Row("a", (Mark(1),)),
-        Row("word " * 20, (Mark(1),)),
-        Row("b", (Mark(1),) * 4),
+        ForestRow("a", (Mark(1),)),
+        ForestRow("word " * 20, (Mark(1),)),
+        ForestRow("b", (Mark(1),) * 4),
     ])
     assert one.height_cm < two.height_cm
     assert one.height_cm < many.height_cm

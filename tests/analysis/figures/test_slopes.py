@@ -132,7 +132,7 @@ def test_long_names_stay_inside_and_apart(
 
 
 def test_nothing_to_draw_is_refused(model: Primary) -> None:
-    with pytest.raises(ValueError, match="models: got none, allowed is one or more"):
+    with pytest.raises(ValueError, match="models must hold one or more"):
         draw_slopes({})
-    with pytest.raises(ValueError, match="variants: got 4 attributes, allowed are 3"):
+    with pytest.raises(ValueError, match="variants must be of at most 3 attributes, got 4"):
         draw_slopes({"a": model}, variants=dict.fromkeys("abcd", make_variants(["x"], METRICS)))

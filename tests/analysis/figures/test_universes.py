@@ -79,7 +79,7 @@ def test_universes_without_an_estimate_are_counted(
         draw_multiverse(replace(result, table=table), estimate="Mean")
     )
     table[["value", "low", "high"]] = np.nan
-    with pytest.raises(ValueError, match="got no universe with an estimate"):
+    with pytest.raises(ValueError, match="result must have a universe with an estimate"):
         draw_multiverse(replace(result, table=table), estimate="Mean")
 
 

@@ -11,10 +11,10 @@ import pytest
 
 from feel321.analysis.primary.influence import Influence
 from feel321.analysis.report import primary
-from feel321.analysis.report._old import lay_estimate, tell_estimate
 from feel321.analysis.report.parts import Choices
+from feel321.analysis.report.section import build_table, estimate
 from feel321.analysis.table.reading import Table
-from feel321.analysis.words import SATTERTHWAITE, make_interval, make_number
+from feel321.analysis.words import tell_ends
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -137,8 +137,7 @@ def test_a_slope_on_a_metric_that_runs_over_thousands_is_not_told_as_zero(
 def test_tables_and_sentences_tell_a_slope_in_the_same_digits(
     ends: tuple[float, float, float], value: str, interval: str
 ) -> None:
-    number = make_interval(
-        make_number("slope", ends[0], "slope", n=9), *ends[1:], uncertainty=SATTERTHWAITE
-    )
-    assert [str(cell) for cell in lay_estimate(number, "slope")] == [value, interval]
-    assert tell_estimate(number, kind="slope") == f"{value} points, 95 % interval {interval}"
+    row = dict(zip(("estimate", "low", "high"), ends, strict=True), n=9)
+    table = build_table("", [estimate("Slope", "estimate", "slope")], [row], path="slope")
+    assert table.rows == ((value, interval),)
+    assert tell_ends(*ends, kind="slope") == (value, interval)

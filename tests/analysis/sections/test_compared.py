@@ -96,7 +96,7 @@ def test_levels_by_hand(tidy: Callable[..., pd.DataFrame]) -> None:
     rating, spectral, temporal = section.answers
     assert rating.startswith("Realism ratings are lower at as is than at equal intensity (−")
     assert "the slope on spectral match is larger at as is than at equal intensity (" in spectral
-    assert "Whether temporal match counts otherwise" in temporal
+    assert "It is unclear whether the effect of temporal match" in temporal
     assert not any("only" in answer or "hint" in answer for answer in section.answers)
 
 

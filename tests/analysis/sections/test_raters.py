@@ -41,7 +41,7 @@ def test_the_protocol_reaches_the_screening(read: Callable[[str], Table]) -> Non
     }
     assert found["mushra"].hits["hidden_reference"] == ("p01", "p02")
     assert found["realism"].hits["hidden_reference"] == ()
-    said = {name: raters._judge(screening) for name, screening in found.items()}
+    said = {name: raters._describe_flagged(screening) for name, screening in found.items()}
     flagged = "2 of 6 raters were flagged by screening rules (all by ITU-R BS.1534-3 rules). Nobody was removed."
     assert said["mushra"] == flagged
     none = "None of 6 raters were flagged by screening rules (the ITU-R BS.1534-3 rules do not apply to these ratings)."
@@ -60,7 +60,7 @@ def test_sets_of_raters_are_counted_and_not_combinations(read: Callable[[str], T
             return float(rows["participant"].nunique()), 1.0, 9.0
 
         found = run_multiverse(table.rows, estimate, rules=rules)
-        return robustness._judge_robustness((("", "spectral_match"), (part, found)))
+        return robustness._describe_universes("spectral_match", part, found)
 
     lead = "Slope of comfort ratings on spectral match: "
     sets = "2 distinct sets of raters from 8 combinations of screening rules"

@@ -53,6 +53,6 @@ def test_answers_that_are_neither_right_nor_wrong_are_not_evaluated(
     rows.loc[rows.index[:3], "rating"] = 55.0
     section = pairs.compute_discrimination(Table(rows, METRICS, ()), Choices(draws=2))
     assert section.notes == (
-        f"Scale '{ANSWERED}' is not evaluated: got 3 answers that are neither 100 (right) nor 0 (wrong).",
+        f"Scale '{ANSWERED}' is not evaluated: 3 answers are neither 100 (right) nor 0 (wrong).",
     )
     assert section.numbers == ()

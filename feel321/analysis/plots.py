@@ -1,0 +1,262 @@
+"""Plots of signals and ratings on matplotlib axes, in the caller's own figure and style."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from feel321.analysis.contrasts.equivalence import profile_reducers, stimulus_means
+from feel321.analysis.table.items import Table, open_tests, order_reducers
+from feel321.analysis.words import capitalise, format_axis, format_measure, format_name
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from matplotlib.axes import Axes
+    from pandas import DataFrame
+
+    from feel321.analysis.arrays import Values
+    from feel321.analysis.primary.model import Primary
+    from feel321.types import Signal
+
+FLOOR_DB = -80.0
+"""Below the strongest: what a spectrum or spectrogram does not show."""
+
+
+def plot_scatter(ratings: Table | DataFrame, metric: str, *, ax: Axes | None = None) -> Axes:
+    """Plot mean ratings of test stimuli against a metric, a colour per reducer.
+
+    Parameters
+    ----------
+    ratings : Table or DataFrame
+        Ratings of one scale and level.
+    metric : str
+        Column to plot against.
+    ax : Axes, optional
+        Where to plot; the current axes if left out.
+
+    Returns
+    -------
+    Axes
+        The same, with 95 % t intervals over participants as vertical lines.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> from feel321 import analysis
+    >>> rows = pd.DataFrame({"participant": list("aabb"), "stimulus_id": list("xyxy"), "reducer": list("uvuv"),
+    ...     "recording": "tap", "level": "as_is", "role": "test", "scale": "realism", "match": [0.2, 0.9] * 2,
+    ...     "rating": [20, 70, 30, 90]})
+    >>> analysis.plot_scatter(rows, "match").get_xlabel()
+    'Match'
+    """
+    rows, _ = open_tests(ratings, [metric])
+    means = stimulus_means(rows)
+    values = rows.drop_duplicates("stimulus_id").set_index("stimulus_id")[metric]
+    ax = _find_axes(ax)
+    for name in order_reducers(means["reducer"]):
+        part = means[means["reducer"] == name]
+        x = part["stimulus_id"].map(values).to_numpy(np.float64)
+        points = ax.plot(x, part["mean"], "o", label=format_name(name))
+        ax.vlines(x, part["low"], part["high"], color=points[0].get_color(), alpha=0.3)
+    ax.set(xlabel=format_axis(metric), ylabel=_label_ratings(rows))
+    ax.legend()
+    return ax
+
+
+def plot_profile(ratings: Table | DataFrame, *, ax: Axes | None = None) -> Axes:
+    """Plot the mean rating of each reducer, reference and anchor with its interval over participants.
+
+    Parameters
+    ----------
+    ratings : Table or DataFrame
+        Ratings; several scales and levels get a colour each.
+    ax : Axes, optional
+        Where to plot; the current axes if left out.
+
+    Returns
+    -------
+    Axes
+        The same: a row per reducer, the first one on top.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> from feel321 import analysis
+    >>> rows = pd.DataFrame({"participant": list("aabb"), "stimulus_id": list("xyxy"), "reducer": list("uvuv"),
+    ...     "level": "as_is", "role": "test", "scale": "realism", "rating": [20, 70, 30, 90]})
+    >>> analysis.plot_profile(rows).get_xlabel()
+    'Realism rating'
+    """
+    profile = profile_reducers(ratings)
+    names, ax = order_reducers(profile["reducer"]), _find_axes(ax)
+    for (scale, level), part in profile.groupby(["scale", "level"], observed=True):
+        rows = [names.index(name) for name in part["reducer"]]
+        label = f"{format_name(str(scale))}, {format_name(str(level))}"
+        points = ax.plot(part["mean"], rows, "o", label=label)
+        ax.hlines(rows, part["low"], part["high"], color=points[0].get_color())
+    ax.set_yticks(range(len(names)), [format_name(name) for name in names])
+    ax.set(xlabel=_label_ratings(profile), ylim=(len(names) - 0.5, -0.5))
+    ax.legend()
+    return ax
+
+
+def plot_slopes(models: Primary | Mapping[Any, Primary], *, ax: Axes | None = None) -> Axes:
+    """Plot the slopes of one or several primary models with their 95 % intervals.
+
+    Parameters
+    ----------
+    models : Primary or Mapping of Primary
+        What `fit_primary` or `fit_attributes` returned.
+    ax : Axes, optional
+        Where to plot; the current axes if left out.
+
+    Returns
+    -------
+    Axes
+        The same: change in rating per +0.1 of a metric, a row per slope and a colour per model.
+    """
+    ax, rows = _find_axes(ax), list[str]()
+    items = models.items() if hasattr(models, "items") else [("", models)]
+    for name, model in items:
+        slopes = model.slopes
+        rows += [term for term in map(str, slopes.index) if term not in rows]
+        places = [rows.index(str(term)) for term in slopes.index]
+        label = format_name(", ".join(name) if isinstance(name, tuple) else str(name))
+        points = ax.plot(slopes["estimate"], places, "o", label=label or None)
+        ax.hlines(places, slopes["low"], slopes["high"], color=points[0].get_color())
+    ax.axvline(0, color="0.6", linewidth=0.8)
+    ax.set_yticks(range(len(rows)), rows)
+    ax.set(xlabel="Change in rating per +0.1 of the metric", ylim=(len(rows) - 0.5, -0.5))
+    if len(items) > 1:
+        ax.legend()
+    return ax
+
+
+def plot_recording(signal: Signal, *, ax: Axes | None = None) -> Axes:
+    """Plot a recording's axes, or a reduced signal, over time.
+
+    Parameters
+    ----------
+    signal : Recording or Reduced
+        Samples with their rate.
+    ax : Axes, optional
+        Where to plot; the current axes if left out.
+
+    Returns
+    -------
+    Axes
+        The same, in seconds and m/s².
+
+    Examples
+    --------
+    >>> from feel321 import analysis, stimuli
+    >>> analysis.plot_recording(stimuli.make_scene("hard_taps")).get_xlabel()
+    'Time (s)'
+    """
+    samples, ax = _read_samples(signal), _find_axes(ax)
+    times = np.arange(samples.shape[-1]) / signal.rate_hz
+    for one, label in zip(samples, "xyz" if len(samples) > 1 else [_name(signal)], strict=True):
+        ax.plot(times, one, label=label, linewidth=0.6)
+    ax.set(xlabel="Time (s)", ylabel="Acceleration (m/s²)")
+    ax.legend()
+    return ax
+
+
+def plot_spectrum(*signals: Signal, window_s: float = 0.25, ax: Axes | None = None) -> Axes:
+    """Plot power spectral densities, summed over axes, to compare signals with their recording.
+
+    Parameters
+    ----------
+    *signals : Recording or Reduced
+        Samples with their rate, such as a recording and what a reducer made of it.
+    window_s : float
+        Length of Welch's windows, in s.
+    ax : Axes, optional
+        Where to plot; the current axes if left out.
+
+    Returns
+    -------
+    Axes
+        The same: both axes logarithmic, from 10 Hz on.
+
+    Examples
+    --------
+    >>> from feel321 import analysis, stimuli
+    >>> analysis.plot_spectrum(stimuli.make_scene("hard_taps")).get_xscale()
+    'log'
+    """
+    from scipy.signal import welch
+
+    ax = _find_axes(ax)
+    for signal in signals:
+        samples = _read_samples(signal)
+        size = min(samples.shape[-1], round(window_s * signal.rate_hz))
+        frequencies, power = welch(samples, signal.rate_hz, nperseg=size)
+        ax.loglog(frequencies[1:], power.sum(axis=0)[1:], label=_name(signal))
+    ax.set(xlabel="Frequency (Hz)", ylabel="Power spectral density ((m/s²)²/Hz)", xlim=(10, None))
+    ax.legend()
+    return ax
+
+
+def plot_spectrogram(signal: Signal, *, window_s: float = 0.035, ax: Axes | None = None) -> Axes:
+    """Plot a spectrogram, summed over axes, in dB under its strongest point.
+
+    Parameters
+    ----------
+    signal : Recording or Reduced
+        Samples with their rate.
+    window_s : float
+        Length of a window, in s; windows overlap by half.
+    ax : Axes, optional
+        Where to plot; the current axes if left out.
+
+    Returns
+    -------
+    Axes
+        The same: frequencies up to 1000 Hz over time.
+
+    Examples
+    --------
+    >>> from feel321 import analysis, stimuli
+    >>> analysis.plot_spectrogram(stimuli.make_scene("hard_taps")).get_ylabel()
+    'Frequency (Hz)'
+    """
+    from scipy.signal import spectrogram
+
+    samples, ax = _read_samples(signal), _find_axes(ax)
+    size = min(samples.shape[-1], round(window_s * signal.rate_hz))
+    frequencies, times, power = spectrogram(
+        samples, signal.rate_hz, nperseg=size, noverlap=size // 2
+    )
+    power = power.sum(axis=0)
+    level = 10 * np.log10(np.maximum(power, power.max() * 10 ** (FLOOR_DB / 10)) / power.max())
+    ax.pcolormesh(times, frequencies, level, shading="auto", vmin=FLOOR_DB, vmax=0)
+    ax.set(xlabel="Time (s)", ylabel="Frequency (Hz)", ylim=(0, min(1000, signal.rate_hz / 2)))
+    ax.set_title(_name(signal))
+    return ax
+
+
+def _find_axes(ax: Axes | None) -> Axes:
+    import matplotlib.pyplot as plt
+
+    return plt.gca() if ax is None else ax
+
+
+def _label_ratings(rows: DataFrame) -> str:
+    scales = sorted(rows["scale"].unique()) if "scale" in rows else []
+    return capitalise(format_measure(str(scales[0]))) if len(scales) == 1 else "Rating"
+
+
+def _read_samples(signal: Signal) -> Values:
+    """Take the samples of a recording (three axes) or of a reduced signal, as (axes, samples)."""
+    for name in ("acceleration", "samples"):
+        if hasattr(signal, name) and hasattr(signal, "rate_hz"):
+            return np.atleast_2d(np.asarray(getattr(signal, name), np.float64))
+    raise TypeError(f"signal must be a recording or a reduced signal, got {type(signal).__name__}")
+
+
+def _name(signal: Signal) -> str:
+    names = (getattr(signal, name, "") for name in ("reducer", "name", "recording"))
+    return format_name(next((str(name) for name in names if name), "signal"))

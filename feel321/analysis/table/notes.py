@@ -1,0 +1,162 @@
+"""Notes on a table of ratings: what it lacks or may have confused is said, never repaired."""
+
+from __future__ import annotations
+
+import unicodedata
+from collections import Counter
+from typing import TYPE_CHECKING
+
+from feel321.analysis.table.items import ROLE, STIMULUS, TEST
+from feel321.analysis.table.schema import (
+    ANSWERED,
+    APART,
+    GAIN,
+    MATCHES,
+    PAIR,
+    PAIRED,
+    SENSATION,
+    describe_explored,
+)
+from feel321.analysis.table.sheet import shorten
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from pandas import DataFrame
+
+NAMED = 3
+"""How many names a note lists before it only counts."""
+
+SHORT = 10
+"""Points below which a scale's highest rating makes one doubt that it went to 100."""
+
+SPACE = (
+    "Where a map of the dissimilarities can be made, it stands under The space of what was felt."
+)
+
+
+def list_names(names: Sequence[str]) -> str:
+    """List names for a note.
+
+    Examples
+    --------
+    >>> list_names(["a", "b", "c", "d", "e"])
+    "'a', 'b', 'c' and 2 more"
+    """
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return ", ".join(shorten(name) for name in names[:NAMED]) + more
+
+
+def note_scales(sheet: DataFrame) -> Iterator[str]:
+    """Say which scales may have had other ends, and which were judged in several tasks."""
+    ends = sheet.groupby("scale")["rating"].agg(["min", "max"])
+    for scale, low, high in ends.itertuples():
+        if low < high <= SHORT:
+            name = list_names([scale])
+            yield (
+                f"Ratings of scale {name} run from {low:g} to {high:g}: if 100 was not its upper end, rescale them to "
+                "0 to 100."
+            )
+    if "protocol" not in sheet:
+        return
+    for scale, tasks in sheet.groupby("scale")["protocol"].unique().items():
+        if len(tasks) > 1:
+            name = list_names([str(scale)])
+            yield (
+                f"Scale {name} was judged in {len(tasks)} protocols, which are taken together: "
+                f"{list_names(sorted(tasks))}."
+            )
+
+
+def note_stimuli(sheet: DataFrame) -> Iterator[str]:
+    """Say by which gains stimuli were played, and what about them is odd."""
+    as_is = sheet[sheet["level"] == "as_is"]
+    if GAIN in sheet and as_is[GAIN].notna().any():
+        low, high = as_is[GAIN].min(), as_is[GAIN].max()
+        one_each = as_is.groupby("recording")[GAIN].nunique().max() == 1
+        scope = "one gain per recording" if one_each else "gains"
+        if low == high:
+            scope = "one gain for the whole set"
+        values = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
+        yield f"Stimuli as is were played with {scope}: {values} m/s² per m/s² recorded."
+    if SENSATION in sheet and (weak := int((sheet[SENSATION] < 0).sum())):
+        yield f"{weak} of {len(sheet)} stimuli were played below the detection threshold."
+    for name in (name for name in MATCHES if name in sheet):
+        if len(above := sheet.loc[sheet[name] > 1, STIMULUS]):
+            first = list_names([above.iloc[0]])
+            yield f"'{name}' is above 1, which no match can be, for {len(above)} stimuli, first {first}."
+    from feel321.stimuli.reducers.registry import REDUCERS
+
+    tests = sheet.loc[sheet[ROLE] == TEST, "reducer"]
+    if strangers := sorted(set(tests) - set(REDUCERS)):
+        yield f"Reducers unknown to feel321, analysed as named: {list_names(strangers)}."
+
+
+def note_sources(rows: DataFrame) -> Iterator[str]:
+    """Say how many independent sources the rated recordings come from, where they are fewer."""
+    tests = rows[ROLE] == TEST
+    recordings, sources = (rows.loc[tests, name].nunique() for name in ("recording", "source"))
+    start = f"The {recordings} recordings come from {sources} source{'s' if sources > 1 else ''}, turned, cut or edited"
+    if sources == 1 < recordings:
+        yield f"{start}: they are not independent, and nothing here speaks of other sources."
+    elif sources < recordings:
+        yield (
+            f"{start}: they are not independent, and what is said of others rests on sources. Two-way intervals draw "
+            "them; mixed models hold what the recordings of a source share, as a whole and reducer by reducer."
+        )
+
+
+def note_gaps(rows: DataFrame, manifest: DataFrame) -> Iterator[str]:
+    """Say which stimuli nobody rated, and which scales have no test stimulus."""
+    apart = rows["scale"].isin(APART)
+    rated = {*rows[STIMULUS].unique(), *rows.loc[apart, "reference_id"].unique()}
+    if unrated := [str(name) for name in manifest.index if name not in rated]:
+        yield f"{len(unrated)} of {len(manifest)} stimuli of the manifest were rated by nobody: {list_names(unrated)}."
+    tested = set(rows.loc[rows[ROLE] == TEST, "scale"].unique())
+    for scale in sorted(set(rows["scale"].unique()) - tested - set(APART)):
+        yield f"Scale {list_names([scale])} was rated on references and anchors only: it has no association."
+
+
+def note_lookalikes(rows: DataFrame) -> Iterator[str]:
+    """Say which names look alike, but for what the eye does not see: capitals, accents' form, kinds of blanks."""
+
+    def look(name: str) -> str:
+        letters = unicodedata.normalize("NFKC", name)
+        seen = "".join(letter for letter in letters if unicodedata.category(letter) != "Cf")
+        return " ".join(seen.split()).casefold()
+
+    for column in ("participant", STIMULUS, "recording", "reducer", "level", "scale"):
+        looks = {name: look(name) for name in sorted(rows[column].unique())}
+        times = Counter(looks.values())
+        if alike := [name for name, seen in looks.items() if times[seen] > 1]:
+            yield (
+                f"Names in column '{column}' that differ in capitals, accents or blanks only are taken as different: "
+                f"{list_names(alike)}."
+            )
+
+
+def note_lacking(rows: DataFrame, metrics: Sequence[str]) -> Iterator[str]:
+    """Say which further metrics some rated test stimuli lack."""
+    tests = rows[rows[ROLE] == TEST]
+    for name in (name for name in describe_explored(metrics) if name in rows):
+        lacking = tests.loc[tests[name].isna(), STIMULUS].unique()
+        if len(lacking):
+            first = list_names([str(lacking[0])])
+            yield f"'{name}' is not reported: {len(lacking)} rated test stimuli have none, first {first}."
+
+
+def note_apart(rows: DataFrame) -> Iterator[str]:
+    """Say which scales enter no association, and why."""
+    counts = rows["scale"].value_counts()
+    lead = "Scale '{}': none of its {} judgements enters an association, because"
+    if PAIRED in counts:
+        pairs = int((rows[ROLE] == PAIR).sum())
+        yield (
+            f"{lead.format(PAIRED, counts[PAIRED])} a metric describes one stimulus and they compare two. The profile "
+            f"holds the {counts[PAIRED] - pairs} that compare with the reference, and leaves out {pairs}. {SPACE}"
+        )
+    if ANSWERED in counts:
+        yield (
+            f"{lead.format(ANSWERED, counts[ANSWERED])} they are right (100) or wrong (0). The profile holds the "
+            "percentage correct; guessing gives 50."
+        )
