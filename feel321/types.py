@@ -59,12 +59,3 @@ class Metric(Protocol):
 
     def __call__(self, acceleration: Samples, reduced: Samples, rate_hz: float, /) -> float:
         """Compare three axes, shape (3, n), with one, shape (n,)."""
-
-
-class Signal(Protocol):
-    """A recording, or one reduced to one axis: samples with their rate."""
-
-    @property
-    def rate_hz(self) -> float:
-        """Samples per second."""
-        ...

@@ -16,9 +16,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from pandas import DataFrame
 
-    from feel321.analysis.arrays import Values
     from feel321.analysis.primary.model import Primary
-    from feel321.types import Signal
+    from feel321.stimuli.recording import Recording, Reduced
 
 FLOOR_DB = -80.0
 """Below the strongest: what a spectrum or spectrogram does not show."""
@@ -134,7 +133,7 @@ def plot_slopes(models: Primary | Mapping[Any, Primary], *, ax: Axes | None = No
     return ax
 
 
-def plot_recording(signal: Signal, *, ax: Axes | None = None) -> Axes:
+def plot_recording(signal: Recording | Reduced, *, ax: Axes | None = None) -> Axes:
     """Plot a recording's axes, or a reduced signal, over time.
 
     Parameters
@@ -155,8 +154,11 @@ def plot_recording(signal: Signal, *, ax: Axes | None = None) -> Axes:
     >>> analysis.plot_recording(stimuli.make_scene("hard_taps")).get_xlabel()
     'Time (s)'
     """
-    samples, ax = _read_samples(signal), _find_axes(ax)
-    times = np.arange(samples.shape[-1]) / signal.rate_hz
+    from feel321.stimuli.recording import as_signal
+
+    given, rate_hz = as_signal(signal)
+    samples, ax = np.atleast_2d(np.asarray(given, np.float64)), _find_axes(ax)
+    times = np.arange(samples.shape[-1]) / rate_hz
     for one, label in zip(samples, "xyz" if len(samples) > 1 else [_name(signal)], strict=True):
         ax.plot(times, one, label=label, linewidth=0.6)
     ax.set(xlabel="Time (s)", ylabel="Acceleration (m/s²)")
@@ -164,7 +166,9 @@ def plot_recording(signal: Signal, *, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def plot_spectrum(*signals: Signal, window_s: float = 0.25, ax: Axes | None = None) -> Axes:
+def plot_spectrum(
+    *signals: Recording | Reduced, window_s: float = 0.25, ax: Axes | None = None
+) -> Axes:
     """Plot power spectral densities, summed over axes, to compare signals with their recording.
 
     Parameters
@@ -187,20 +191,20 @@ def plot_spectrum(*signals: Signal, window_s: float = 0.25, ax: Axes | None = No
     >>> analysis.plot_spectrum(stimuli.make_scene("hard_taps")).get_xscale()
     'log'
     """
-    from scipy.signal import welch
+    from feel321.stimuli.spectra import psd
 
     ax = _find_axes(ax)
     for signal in signals:
-        samples = _read_samples(signal)
-        size = min(samples.shape[-1], round(window_s * signal.rate_hz))
-        frequencies, power = welch(samples, signal.rate_hz, nperseg=size)
-        ax.loglog(frequencies[1:], power.sum(axis=0)[1:], label=_name(signal))
+        found = psd(signal, window_s=window_s)
+        ax.loglog(found.frequencies_hz[1:], found.density[1:], label=_name(signal))
     ax.set(xlabel="Frequency (Hz)", ylabel="Power spectral density ((m/s²)²/Hz)", xlim=(10, None))
     ax.legend()
     return ax
 
 
-def plot_spectrogram(signal: Signal, *, window_s: float = 0.035, ax: Axes | None = None) -> Axes:
+def plot_spectrogram(
+    signal: Recording | Reduced, *, window_s: float = 0.035, ax: Axes | None = None
+) -> Axes:
     """Plot a spectrogram, summed over axes, in dB under its strongest point.
 
     Parameters
@@ -223,16 +227,12 @@ def plot_spectrogram(signal: Signal, *, window_s: float = 0.035, ax: Axes | None
     >>> analysis.plot_spectrogram(stimuli.make_scene("hard_taps")).get_ylabel()
     'Frequency (Hz)'
     """
-    from scipy.signal import spectrogram
+    from feel321.stimuli.spectra import spectrogram
 
-    samples, ax = _read_samples(signal), _find_axes(ax)
-    size = min(samples.shape[-1], round(window_s * signal.rate_hz))
-    frequencies, times, power = spectrogram(
-        samples, signal.rate_hz, nperseg=size, noverlap=size // 2
-    )
-    power = power.sum(axis=0)
-    level = 10 * np.log10(np.maximum(power, power.max() * 10 ** (FLOOR_DB / 10)) / power.max())
-    ax.pcolormesh(times, frequencies, level, shading="auto", vmin=FLOOR_DB, vmax=0)
+    ax, found = _find_axes(ax), spectrogram(signal, window_s=window_s)
+    strongest = found.density.max()
+    level = 10 * np.log10(np.maximum(found.density / strongest, 10 ** (FLOOR_DB / 10)))
+    ax.pcolormesh(found.times_s, found.frequencies_hz, level, shading="auto", vmin=FLOOR_DB, vmax=0)
     ax.set(xlabel="Time (s)", ylabel="Frequency (Hz)", ylim=(0, min(1000, signal.rate_hz / 2)))
     ax.set_title(_name(signal))
     return ax
@@ -249,14 +249,6 @@ def _label_ratings(rows: DataFrame) -> str:
     return capitalise(format_measure(str(scales[0]))) if len(scales) == 1 else "Rating"
 
 
-def _read_samples(signal: Signal) -> Values:
-    """Take the samples of a recording (three axes) or of a reduced signal, as (axes, samples)."""
-    for name in ("acceleration", "samples"):
-        if hasattr(signal, name) and hasattr(signal, "rate_hz"):
-            return np.atleast_2d(np.asarray(getattr(signal, name), np.float64))
-    raise TypeError(f"signal must be a recording or a reduced signal, got {type(signal).__name__}")
-
-
-def _name(signal: Signal) -> str:
+def _name(signal: Recording | Reduced) -> str:
     names = (getattr(signal, name, "") for name in ("reducer", "name", "recording"))
     return format_name(next((str(name) for name in names if name), "signal"))

@@ -202,7 +202,7 @@ def test_plots_go_onto_the_axes_given(table: results.Table, realism: results.Tab
     scene = stimuli.make_scene("hard_taps", duration_s=0.5)
     for axis, name in zip(axes[3:], ("recording", "spectrum", "spectrogram"), strict=True):
         assert getattr(analysis, f"plot_{name}")(scene, ax=axis) is axis
-    with pytest.raises(TypeError, match="signal must be a recording or a reduced signal, got list"):
+    with pytest.raises(TypeError, match="rate_hz must be given with plain samples"):
         analysis.plot_recording([1.0])
 
 
