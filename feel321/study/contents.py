@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import asdict, dataclass
-from datetime import UTC, datetime
 from typing import TYPE_CHECKING
+
+from feel321.study.session.journal import utc_now
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -21,11 +22,6 @@ if TYPE_CHECKING:
     from feel321.study.session.journal import Clock
     from feel321.study.settings.schema import Settings
     from feel321.types import Progress
-
-
-def utc_now() -> datetime:
-    """Return the time of day."""
-    return datetime.now(UTC)
 
 
 @dataclass(frozen=True, slots=True, repr=False)

@@ -38,7 +38,6 @@ from sqlalchemy import (
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.pool import NullPool
 
-from feel321.study.contents import utc_now
 from feel321.study.ledger.standing import (
     REMOVED,
     Anchor,
@@ -49,7 +48,7 @@ from feel321.study.ledger.standing import (
     read_standings,
     read_tombstone,
 )
-from feel321.study.session.journal import create_journal, read_journal, require_journal
+from feel321.study.session.journal import create_journal, read_journal, require_journal, utc_now
 from feel321.study.session.opening import TOMBSTONE_FILE
 from feel321.study.session.plan import PARTICIPANT_ID
 

@@ -18,7 +18,7 @@ import os
 import re
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from datetime import datetime
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 from feel321.files import sync_folder
@@ -237,6 +237,11 @@ class Journal:
         self.records.append(record)
         self._tip = digest(line.rstrip(b"\n"))
         self._is_open = True
+
+
+def utc_now() -> datetime:
+    """Return the time of day."""
+    return datetime.now(UTC)
 
 
 def create_journal(path: Path, *, now: Clock) -> Journal:
