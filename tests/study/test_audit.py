@@ -279,7 +279,7 @@ def test_an_edited_row_of_the_ledger_is_found(
 def test_a_ledger_that_is_gone_is_missed(copy: StudyFolder) -> None:
     copy.ledger.unlink()
     assert find_only(copy).startswith(
-        f"{copy.ledger}: is missing, so nobody can tell what else is; rebuild it: "
+        f"{copy.ledger}: is missing, so losses cannot be detected; rebuild it: "
     )
 
 
@@ -506,7 +506,7 @@ def test_a_study_written_anew_as_a_whole_is_betrayed_by_the_seal(
     assert main(["audit", str(copy.path), "--expect", seal, "--json"]) == 1
     told = json.loads(capsys.readouterr().out)
     assert (
-        f"{copy.path}: got seal {told['seal']}, expected {seal}; something was recorded or changed since"
+        f"{copy.path}: the seal must be {seal}, got {told['seal']}; something was recorded or changed since"
         in (told["findings"])
     )
 
