@@ -314,7 +314,7 @@ def test_a_new_event_is_a_type_and_a_line_where_it_happens(
 
 
 @pytest.mark.parametrize("kind", events.EVENTS.values())
-def test_every_event_is_read_as_it_was_written(kind: type[events.Event]) -> None:
+def test_every_event_is_read_as_it_was_written(kind: type[events.SessionEvent]) -> None:
     values = {"int": 3, "float": 0.5, "str": "a", "bool": True, "float | None": None}
     values |= {"dict[str, Any]": {"rig": [1]}, "list[str]": ["a"], "dict[str, str]": {"b": "c"}}
     values |= {"dict[str, float]": {"b": 1.5}, "dict[str, float | str]": {"a": 1.0, "b": "a"}}
