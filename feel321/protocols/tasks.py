@@ -78,6 +78,7 @@ class Protocol:
     the same order, perhaps with more known answers, then perhaps others. arrange: gives the arrangement whose turn
     (a whole number) it is, so that successive turns balance positions within a trial. score: turns an answer, with
     the ids of the parts by name, into 0 to 100 points. choices: parts to choose from; none where there is a slider.
+    sure_end: the end of its slider that means the same to everybody, for the simulated observer.
     """
 
     name: str
@@ -91,6 +92,7 @@ class Protocol:
         lambda _judgement, answer, _parts: float(answer)
     )
     choices: tuple[str, ...] = ()
+    sure_end: float = RATING_RANGE[0]
 
     @property
     def scale(self) -> str:
@@ -304,6 +306,7 @@ PROTOCOLS = Registry(
                 ("recording", "reducer", "level"),
                 _compare_similarity,
                 references=(ORIGINAL, SURFACE, "reducer"),
+                sure_end=RATING_RANGE[1],
             ),
             Protocol(
                 "dissimilarity",
@@ -320,6 +323,7 @@ PROTOCOLS = Registry(
                 timings=("free",),
                 references=(ORIGINAL, "reducer"),
                 arrange=_arrange_mushra,
+                sure_end=RATING_RANGE[1],
             ),
             Protocol(
                 "abx",

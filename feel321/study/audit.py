@@ -76,7 +76,7 @@ def _name(path: Path, study: StudyFolder) -> str:
 
 # The steps of a session, in order, against what the plan, the rules and the engine allow in that place.
 
-_AFTER: Mapping[str, tuple[type[events.Event], ...]] = {
+_AFTER: Mapping[str, tuple[type[events.SessionEvent], ...]] = {
     # A session whose header a crash prevented may be given up.
     "": (events.SessionBegun, events.SessionReleased),
     # A crash may keep the end from the ledger; then the lab is opened once more, and Ctrl-C may come.
@@ -130,7 +130,7 @@ class _Course:
             self._follow_session(event)
         advance(self._agenda, event, self._trials)
 
-    def _check_place(self, kind: type[events.Event]) -> None:
+    def _check_place(self, kind: type[events.SessionEvent]) -> None:
         allowed = _AFTER.get(self._state)
         if (kind is events.SessionBegun) if allowed is None else not issubclass(kind, allowed):
             place = f"after {self._state!r}" if self._state else "first"
@@ -177,7 +177,7 @@ class _Course:
                 f"has rejected {event.rejected!r}, the rules of the plan say {rejected}"
             )
 
-    def _follow_session(self, event: events.Event) -> None:
+    def _follow_session(self, event: events.SessionEvent) -> None:
         agenda, step = self._agenda, self._agenda.ask()
         match event:
             case events.TrialShown():

@@ -79,7 +79,6 @@ if TYPE_CHECKING:
     MakePresenter = Callable[
         [Plan, Journal, Mapping[str, Stimulus]], AbstractContextManager[Presenter]
     ]
-    Progress = Callable[[int, int], None]
 
 TRIALS_BETWEEN_NOTES = 25
 """Trials that the ledger may lag behind the journals of simulated participants; it follows real ones trial by trial."""
@@ -308,7 +307,7 @@ class Simulation:
 
 
 def run_simulation(
-    simulation: Simulation, participants: int, *, progress: Progress | None = None
+    simulation: Simulation, participants: int, *, progress: Callable[[int, int], None] | None = None
 ) -> list[str]:
     """Run the sessions of simulated participants; finished ones are kept, broken ones resumed."""
     settings = simulation.settings
@@ -343,7 +342,7 @@ def list_participants(study: StudyFolder, number: int) -> list[str]:
 class _Tally:
     """Counts trials over all sessions, and ends those that run when one has failed."""
 
-    def __init__(self, plans: Sequence[Plan], progress: Progress | None) -> None:
+    def __init__(self, plans: Sequence[Plan], progress: Callable[[int, int], None] | None) -> None:
         self.stop = Event()
         self._progress = progress
         self._done = [0] * len(plans)

@@ -1,4 +1,4 @@
-"""Progress of every participant, and balance of the design as it was run. Blind."""
+"""ParticipantStatus of every participant, and balance of the design as it was run. Blind."""
 
 from __future__ import annotations
 
@@ -171,8 +171,8 @@ def _name_condition(trial: Trial) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Progress:
-    """Progress of one participant."""
+class ParticipantStatus:
+    """ParticipantStatus of one participant."""
 
     participant: str
     state: str = ""
@@ -188,9 +188,9 @@ class Progress:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """Progress of a study."""
+    """ParticipantStatus of a study."""
 
-    participants: tuple[Progress, ...]
+    participants: tuple[ParticipantStatus, ...]
     balance: Realised | None
 
 
@@ -210,10 +210,10 @@ def read_status(
     return Status(tuple(entries), measure_realised(dossiers))
 
 
-def _read_progress(folder: Path) -> tuple[Progress, Dossier | None]:
+def _read_progress(folder: Path) -> tuple[ParticipantStatus, Dossier | None]:
     """Read the progress of a participant; the dossier comes too if it counts for the balance."""
     if (folder / TOMBSTONE_FILE).exists():
-        return Progress(folder.name, state="withdrawn"), None
+        return ParticipantStatus(folder.name, state="withdrawn"), None
     try:
         dossier = read_dossier(folder)
         standing = make_standing(dossier)
@@ -222,8 +222,8 @@ def _read_progress(folder: Path) -> tuple[Progress, Dossier | None]:
             warnings = [line for chain in chains for line in _find_warnings(dossier.plan, chain)]
             _list_counted(dossier)  # for the balance, which tells no folder
     except (OSError, ValueError) as error:
-        return Progress(folder.name, problem=str(error)), None
-    entry = Progress(
+        return ParticipantStatus(folder.name, problem=str(error)), None
+    entry = ParticipantStatus(
         participant=standing.participant,
         state=standing.state,
         number=standing.number,

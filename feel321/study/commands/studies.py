@@ -29,7 +29,7 @@ from feel321.study.folder import StudyFolder, create_study, list_bundled, read_t
 from feel321.study.study import Study
 
 if TYPE_CHECKING:
-    from feel321.study.status import Progress
+    from feel321.study.status import ParticipantStatus
 
 DEMO_PARTICIPANTS = 16
 
@@ -215,7 +215,7 @@ def _choose(study: Study, *, rehearsals: bool) -> Study:
     return replace(study, folder=replace(study.folder, is_rehearsal=rehearsals))
 
 
-def _describe(entry: Progress) -> str:
+def _describe(entry: ParticipantStatus) -> str:
     if entry.problem:
         return f"{entry.participant:<14}{'?':<11}{'?':>5}{'?':>6}  {entry.problem}"
     notes = "; ".join(filter(None, ("simulated" if entry.simulated else "", entry.groups)))

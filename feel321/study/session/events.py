@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
     from feel321.protocols.trial import Flow, Trial
 
-E = TypeVar("E", bound="Event")
+E = TypeVar("E", bound="SessionEvent")
 
 
 @dataclass(frozen=True)
-class Event:
+class SessionEvent:
     """Something that happened in a session."""
 
     event: ClassVar[str] = ""
@@ -34,7 +34,7 @@ class Event:
         return data
 
 
-EVENTS: dict[str, type[Event]] = {}
+EVENTS: dict[str, type[SessionEvent]] = {}
 """Name -> type of every event."""
 
 
@@ -49,7 +49,7 @@ def _named(name: str) -> Callable[[type[E]], type[E]]:
 
 
 @_named("begun")
-class SessionBegun(Event):
+class SessionBegun(SessionEvent):
     """The header; identity: what must not change within the session besides the plan."""
 
     format: int
@@ -65,7 +65,7 @@ class SessionBegun(Event):
 
 
 @_named("resumed")
-class SessionResumed(Event):
+class SessionResumed(SessionEvent):
     """The session is opened again."""
 
     versions: dict[str, str]
@@ -74,21 +74,21 @@ class SessionResumed(Event):
 
 
 @_named("device")
-class DeviceOpened(Event):
+class DeviceOpened(SessionEvent):
     """The actuators are ready; identity: the device as it describes itself."""
 
     identity: dict[str, Any]
 
 
 @_named("clock_stepped")
-class ClockStepped(Event):
+class ClockStepped(SessionEvent):
     """The time of day was set back since the record before."""
 
     back_s: float
 
 
 @_named("recovered")
-class LineRecovered(Event):
+class LineRecovered(SessionEvent):
     """The end of a line that was never finished was moved into another file."""
 
     torn_bytes: int
@@ -96,12 +96,12 @@ class LineRecovered(Event):
 
 
 @_named("warm_up")
-class WarmUpBegun(Event):
+class WarmUpBegun(SessionEvent):
     """The participant was away for long; the practice of the current task comes again."""
 
 
 @_named("page")
-class PageRead(Event):
+class PageRead(SessionEvent):
     """A page was shown and left again."""
 
     key: str
@@ -110,7 +110,7 @@ class PageRead(Event):
 
 
 @_named("finished")
-class SessionFinished(Event):
+class SessionFinished(SessionEvent):
     """All trials are done."""
 
     trials: int
@@ -118,7 +118,7 @@ class SessionFinished(Event):
 
 
 @_named("aborted")
-class SessionAborted(Event):
+class SessionAborted(SessionEvent):
     """The session ended before its end; it can be resumed."""
 
     reason: str
@@ -126,19 +126,19 @@ class SessionAborted(Event):
 
 
 @_named("superseded")
-class SessionSuperseded(Event):
+class SessionSuperseded(SessionEvent):
     """Another session takes the place of this one."""
 
     by: int
 
 
 @_named("released")
-class SessionReleased(Event):
+class SessionReleased(SessionEvent):
     """The participant will not come back."""
 
 
 @dataclass(frozen=True)
-class AttemptEvent(Event):
+class AttemptEvent(SessionEvent):
     """Something that happened in an attempt at a trial; attempts are numbered from 1."""
 
     trial: int
@@ -243,14 +243,14 @@ UNTOUCHED = (*OPENING, SessionBegun, SessionAborted, SessionSuperseded)
 """May come in a journal in which nobody has done anything yet."""
 
 
-def find_kind(name: str) -> type[Event]:
+def find_kind(name: str) -> type[SessionEvent]:
     """Find the type of an event."""
     if not isinstance(name, str) or name not in EVENTS:
         raise ValueError(f"holds {name!r}, which no session writes")
     return EVENTS[name]
 
 
-def read_event(name: str, data: Mapping[str, Any]) -> Event:
+def read_event(name: str, data: Mapping[str, Any]) -> SessionEvent:
     """Read the data of a record; fields of later versions are left out."""
     from pydantic import ValidationError
     from pydantic_core import to_json
@@ -261,7 +261,7 @@ def read_event(name: str, data: Mapping[str, Any]) -> Event:
         if "identity" in known:
             data = {**data, "identity": {k: v for k, v in data.items() if k not in known}}
         # JSON's own strictness: a list may fill a tuple and 1 a float, "1" or true may not.
-        event: Event = _make_adapter(name).validate_json(to_json(data), strict=True)
+        event: SessionEvent = _make_adapter(name).validate_json(to_json(data), strict=True)
     except (ValidationError, TypeError, ValueError) as error:
         reason = str(error)
         if isinstance(error, ValidationError):

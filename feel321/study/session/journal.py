@@ -25,9 +25,9 @@ from feel321.files import sync_folder
 from feel321.study.session.events import (
     ClockStepped,
     E,
-    Event,
     LineRecovered,
     SessionBegun,
+    SessionEvent,
     read_event,
 )
 
@@ -56,7 +56,7 @@ class Record:
     data: Mapping[str, Any]
 
     @property
-    def content(self) -> Event:
+    def content(self) -> SessionEvent:
         """The event, checked."""
         try:
             return read_event(self.event, self.data)
@@ -81,7 +81,7 @@ def find_events(records: Iterable[Record], *kinds: type[E]) -> Iterator[E]:
             yield event
 
 
-def has_event(records: Iterable[Record], kind: type[Event] | str) -> bool:
+def has_event(records: Iterable[Record], kind: type[SessionEvent] | str) -> bool:
     """Check whether something ever happened in a session."""
     name = kind if isinstance(kind, str) else kind.event  # a name: kept until all branches are in
     return any(record.event == name for record in records)
@@ -193,14 +193,14 @@ class Journal:
         """Whether it takes records: after a write that was broken off it does not."""
         return self._is_open
 
-    def write(self, event: Event | str, data: Mapping[str, Any] | None = None) -> None:
+    def write(self, event: SessionEvent | str, data: Mapping[str, Any] | None = None) -> None:
         """Append one record; it is on the disk when this returns.
 
         If the time of day was set back since the last record, a record before it says by how much.
 
         Parameters
         ----------
-        event : Event or str
+        event : SessionEvent or str
             The event, or the name of any record.
         data : mapping, optional
             The fields that go with a name; everything JSON can hold.
@@ -218,7 +218,9 @@ class Journal:
                 self._append(utc, ClockStepped(back_s))
         self._append(utc, event, data)
 
-    def _append(self, utc: str, event: Event | str, data: Mapping[str, Any] | None = None) -> None:
+    def _append(
+        self, utc: str, event: SessionEvent | str, data: Mapping[str, Any] | None = None
+    ) -> None:
         if not self._is_open:
             raise OSError(
                 f"{self.path}: an earlier write was broken off, the journal is closed; reopen it to resume"

@@ -31,7 +31,13 @@ from feel321.protocols.trial import (
     select_tasks,
 )
 from feel321.study.session import journal
-from feel321.study.session.events import Event, PageRead, TrialRated, TrialSpoiled, WarmUpBegun
+from feel321.study.session.events import (
+    PageRead,
+    SessionEvent,
+    TrialRated,
+    TrialSpoiled,
+    WarmUpBegun,
+)
 from feel321.study.session.journal import digest
 
 if TYPE_CHECKING:
@@ -302,7 +308,7 @@ def replay(plan: Plan, records: Iterable[Record]) -> Agenda:
     return agenda
 
 
-def advance(agenda: Agenda, event: Event, trials: Mapping[int, Trial]) -> None:
+def advance(agenda: Agenda, event: SessionEvent, trials: Mapping[int, Trial]) -> None:
     """Tell an agenda one event; most change nothing about what comes next."""
     match event:
         case PageRead():

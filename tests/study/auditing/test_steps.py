@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import json
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from feel321.protocols.tasks import PROTOCOLS
+from feel321.study.session import events
 from feel321.study.session.events import ClockStepped, DeviceOpened, LineRecovered, SessionAborted
 from feel321.study.session.journal import Record
 from feel321.study.session.ports import Abort, Confirm, Feel, Move, Pause, Playback
@@ -293,3 +295,28 @@ def test_a_plan_that_cannot_be_worked_through_is_named(
     forged = replace(plan, trials=(None,))  # type: ignore[arg-type] - that it is none is the point
     (found,) = find(finished, forged)
     assert found.startswith(": its plan cannot be worked through")
+
+
+def test_a_new_event_is_a_type_and_a_line_where_it_happens(
+    finished: list[Record], find: Find, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    @dataclass(frozen=True)
+    class MarkerHidden(events.AttemptEvent):
+        part: str
+
+    monkeypatch.setattr(MarkerHidden, "event", "hidden")
+    monkeypatch.setitem(events.EVENTS, "hidden", MarkerHidden)
+    place = find_place(finished, "rated")
+    data = {"trial": 1, "attempt": 1, "part": "test"}
+    assert find(put(finished, place, "hidden", **data)) == []
+    (found,) = find(put(finished, place, "hidden", **data | {"attempt": 2}))
+    assert "'hidden' of trial 1, attempt 2, which was not shown" in found
+
+
+@pytest.mark.parametrize("kind", events.EVENTS.values())
+def test_every_event_is_read_as_it_was_written(kind: type[events.SessionEvent]) -> None:
+    values = {"int": 3, "float": 0.5, "str": "a", "bool": True, "float | None": None}
+    values |= {"dict[str, Any]": {"rig": [1]}, "list[str]": ["a"], "dict[str, str]": {"b": "c"}}
+    values |= {"dict[str, float]": {"b": 1.5}, "dict[str, float | str]": {"a": 1.0, "b": "a"}}
+    event = kind(*(values[str(field.type)] for field in fields(kind)))
+    assert events.read_event(event.event, json.loads(json.dumps(event.to_data()))) == event

@@ -119,7 +119,7 @@ def test_a_full_disk_under_the_ledger_or_a_plan(
     assert (said.code, said.err.count("\n")) == (1, 1), said.err
     assert said.err.startswith(f"feel321: {study.sessions}")
     assert (
-        "see that the folder may be written to, the disk has room" in said.err
+        "check that the folder may be written to, the disk has room" in said.err
         or "File too large" in said.err
     )
     check_all_there(lab, study, whole)
@@ -171,7 +171,7 @@ def test_a_read_only_folder_can_be_looked_at(
     assert (refused.code, refused.err.count("\n")) == (1, 1), refused.err
     reason = "could not be used (attempt to write a readonly database)"
     assert refused.err.startswith(
-        f"feel321: {finished.ledger}: {reason}; see that the folder may be written to"
+        f"feel321: {finished.ledger}: {reason}; check that the folder may be written to"
     )
     for verb in ("status", "audit"):
         looked = lab.processes.speak(

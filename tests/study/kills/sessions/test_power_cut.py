@@ -89,7 +89,7 @@ def test_lines_that_the_ledger_saw_are_not_given_up_in_silence(
     refusal = f"{journal}: ends with line {left}, {seen} lines of it were seen"
     with pytest.raises(
         ValueError,
-        match=f"^{re.escape(refusal)}; restore it from a copy, or take it as it is: feel321",
+        match=f"^{re.escape(refusal)}; restore it from a copy, or accept it as it is: feel321",
     ):
         lab.session("abx", "observer").lead(study)
     assert journal.read_bytes() == content
