@@ -33,8 +33,24 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any
 
+<<<<<<< HEAD
 from feel321.protocols.trial import RATING_RANGE, SURFACE
 from feel321.study.observer.percepts import Percept, compare_percepts
+=======
+from feel321.protocols.trial import RATING_RANGE
+from feel321.study.observer.judging import (
+    REAL,
+    Experience,
+    Location,
+    ObserverModel,
+    Touch,
+    draw_rater,
+    find_percept,
+    find_sure_end,
+    measure_distances,
+)
+from feel321.study.session.events import TrialRated
+>>>>>>> main
 from feel321.study.session.ports import Confirm, Feel, Playback
 from feel321.study.settings.fields import one_of
 from feel321.study.settings.schema import ObserverTable
@@ -348,7 +364,7 @@ class Participant:
     ) -> None:
         """Recall the trial that was answered last before a session was interrupted."""
         main = {trial.number: trial for trial in trials if trial.phase == "main"}
-        rated = [record.data["trial"] for record in records if record.event == "rated"]
+        rated = [record.data["trial"] for record in records if record.event == TrialRated.event]
         if answered := [main[number] for number in rated if number in main]:
             self.before = self.imagine(answered[-1], stimuli)
 

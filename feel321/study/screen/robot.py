@@ -10,7 +10,7 @@ from __future__ import annotations
 from math import copysign
 from typing import TYPE_CHECKING
 
-from feel321.study.screen.input import AGAIN, CONFIRM, REFERENCE, ROW_STEPS, STEPS, find_choice_keys
+from feel321.study.screen.input import AGAIN, CONFIRM, REFERENCE, ROW_STEPS, STEPS
 from feel321.study.screen.view import Hand
 
 if TYPE_CHECKING:
@@ -130,23 +130,17 @@ class PressingHand(Hand):
             self._values, _ = self._mind.answer(self._experience, view.scale, view.place)
         for judgement in trial.judgements:
             value = self._values[judgement.part]
-            key = (
-                _find_choice_key(view, value)
-                if isinstance(value, str)
-                else _find_marker_key(view, judgement.part, round(value))
-            )
+            if not isinstance(value, str):
+                key = _find_marker_key(view, judgement.part, round(value))
+            elif view.chosen != value and view.scale:
+                key = str(view.scale.choices.index(value) + 1)
+            else:
+                key = None
             if key is not None:
                 return key
         if trial.phase == "main":
             self._confirmed = self._experience
         return CONFIRM["participant"]
-
-
-def _find_choice_key(view: View, choice: str) -> str | None:
-    """Find the digit that chooses a part; None if it is chosen."""
-    keys = find_choice_keys(view.scale.choices) if view.scale else {}
-    digits = (key for key, name in keys.items() if name == choice and key.isdigit())
-    return None if view.chosen == choice else next(digits)
 
 
 def _find_marker_key(view: View, part: str, target: int) -> str | None:

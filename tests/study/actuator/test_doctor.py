@@ -177,10 +177,7 @@ def test_the_file_device_plays_nothing(pulse: Any, make_rig: Any, tmp_path: Path
         ),
         (["--device", " "], "feel321: device ' ' not found; name one of 'stylus' (ALSA), "),
         (["--device", "DEF"], "feel321: device 'DEF' not found; name one of 'stylus' (ALSA), "),
-        (
-            ["nowhere"],
-            "feel321: nowhere: no such folder; begin a study with: feel321 new nowhere",
-        ),
+        (["nowhere"], "feel321: nowhere: no such folder; begin a study with: feel321 new nowhere"),
     ],
 )
 def test_what_is_not_there_is_one_line(
