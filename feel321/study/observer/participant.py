@@ -33,24 +33,9 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any
 
-<<<<<<< HEAD
 from feel321.protocols.trial import RATING_RANGE, SURFACE
 from feel321.study.observer.percepts import Percept, compare_percepts
-=======
-from feel321.protocols.trial import RATING_RANGE
-from feel321.study.observer.judging import (
-    REAL,
-    Experience,
-    Location,
-    ObserverModel,
-    Touch,
-    draw_rater,
-    find_percept,
-    find_sure_end,
-    measure_distances,
-)
 from feel321.study.session.events import TrialRated
->>>>>>> main
 from feel321.study.session.ports import Confirm, Feel, Playback
 from feel321.study.settings.fields import one_of
 from feel321.study.settings.schema import ObserverTable

@@ -119,23 +119,21 @@ class PressingHand(Hand):
 
     def _answer(self, view: View, trial: Trial) -> str:
         """Feel what was not felt, answer what was not answered, confirm; empty to wait."""
-        for part in trial.parts:
-            if part.name not in view.felt:
-                self._confirmed = None
-                # Its digit where parts are felt at will, elsewhere all are felt again.
-                digit = part.name if part.name.isdigit() else REFERENCE
-                return digit if view.kind == "rows" else AGAIN
+        if unfelt := [part.name for part in trial.parts if part.name not in view.felt]:
+            self._confirmed = None
+            # Its digit where parts are felt at will, elsewhere all are felt again.
+            digit = unfelt[0] if unfelt[0].isdigit() else REFERENCE
+            return digit if view.kind == "rows" else AGAIN
         if self._experience is None and view.scale is not None:
             self._experience = self._mind.imagine(trial, self._stimuli)
             self._values, _ = self._mind.answer(self._experience, view.scale, view.place)
         for judgement in trial.judgements:
             value = self._values[judgement.part]
-            if not isinstance(value, str):
-                key = _find_marker_key(view, judgement.part, round(value))
-            elif view.chosen != value and view.scale:
-                key = str(view.scale.choices.index(value) + 1)
+            if isinstance(value, str):
+                choices = view.scale.choices if view.scale else ()
+                key = None if view.chosen == value else str(choices.index(value) + 1)
             else:
-                key = None
+                key = _find_marker_key(view, judgement.part, round(value))
             if key is not None:
                 return key
         if trial.phase == "main":
