@@ -52,7 +52,7 @@ def go_on(rig: Any, study: StudyFolder) -> tuple[int, str, str]:
 
 
 def tell_how_to_go_on(study: StudyFolder, participant: str, *options: str) -> str:
-    return f"go on with: feel321 run {study.path} --participant {participant}{''.join(f' {word}' for word in options)}"
+    return f"resume with: feel321 run {study.path} --participant {participant}{''.join(f' {word}' for word in options)}"
 
 
 def ask_to_close(display: str, window: int) -> None:
