@@ -83,10 +83,7 @@ def survey_devices(*, rates_hz: Sequence[float] = RATES_HZ) -> list[dict[str, An
 def examine_rig(
     rig: Rig, *, rate_hz: float, seconds: float, on_step: Callable[[int, int], None] | None = None
 ) -> Examination:
-    """Play pulses on all actuators for a while, measure when they began, and how long stops take.
-
-    on_step: called with the ms that have passed, and all of them.
-    """
+    """Play pulses on all actuators, and measure onsets and stops; on_step: called with the ms passed, and all."""
     longest_s = rig.limits.duration_s
     tone_s = min(TONE_S + 2 * rig.device.latency_s, longest_s)
     sounds = {

@@ -60,14 +60,7 @@ class Device:
 
 
 def find_device(devices: Sequence[Device], name: str, *, host_api: str | None = None) -> Device:
-    """Find an output device by its name or a part of it that no other has; never take another one instead.
-
-    Examples
-    --------
-    >>> coils = Device(3, "USB Audio: coils (hw:1,0)", "ALSA", 4, 2)
-    >>> find_device([coils], "coils").index
-    3
-    """
+    """Find an output device by its name or a part of it that no other has; never take another one instead."""
     outputs = [
         device for device in devices if device.n_outputs and device.name.lower() not in FALLBACKS
     ]

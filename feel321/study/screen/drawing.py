@@ -103,13 +103,7 @@ Item = Text | Area | Photo
 
 
 def round_corners(box: Box, radius: float, *, steps: int = 8) -> list[tuple[float, float]]:
-    """Make a polygon of a rectangle with rounded corners, whose radius is in pixels.
-
-    Examples
-    --------
-    >>> round_corners(Box(0, 0, 2, 1), 0.0)
-    [(2, 0), (2, 1), (0, 1), (0, 0)]
-    """
+    """Make a polygon of a rectangle with rounded corners, whose radius is in pixels."""
     right, left, top, bottom = box.right, box.left, box.top, box.bottom
     if radius <= 0:
         return [(right, top), (right, bottom), (left, bottom), (left, top)]
@@ -125,13 +119,7 @@ def round_corners(box: Box, radius: float, *, steps: int = 8) -> list[tuple[floa
 
 
 def find_points(track: Box, x: float) -> float:
-    """Find the value that a place on a slider stands for.
-
-    Examples
-    --------
-    >>> find_points(Box(100, 0, 200, 10), 250.0), find_points(Box(100, 0, 200, 10), 0.0)
-    (75.0, 0.0)
-    """
+    """Find the value that a place on a slider stands for."""
     low, high = RATING_RANGE
     return float(round(min(max(low + (x - track.left) / track.width * (high - low), low), high)))
 
@@ -152,13 +140,7 @@ def find_font_files() -> tuple[Path, Path]:
 
 
 def measure(words: str, size: float, *, bold: bool = False) -> float:
-    """Measure the width of a line of text; size: height of its letters (em); both in pixels.
-
-    Examples
-    --------
-    >>> round(measure("Continue", 100.0))
-    468
-    """
+    """Measure the width of a line of text; size: height of its letters (em); both in pixels."""
     return _measure_em(words, bold=bold) * size * SLACK
 
 
@@ -252,13 +234,7 @@ class Sheet:
         return measure(words, size * self.unit, bold=bold)
 
     def wrap(self, words: str, width: float, size: float, *, bold: bool = False) -> list[str]:
-        """Break a text into lines of at most a width in pixels; line breaks of its author stay. size: in units.
-
-        Examples
-        --------
-        >>> Sheet(1580.0, 1000.0).wrap("one two three", 70.0, 1.0)
-        ['one two', 'three']
-        """
+        """Break a text into lines of at most a width in pixels; line breaks of its author stay. size: in units."""
         lines: list[str] = []
         for paragraph in words.strip().splitlines():
             lines.append("")

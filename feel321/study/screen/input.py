@@ -49,13 +49,7 @@ ALIASES = {"return": "enter", "page_up": "pageup", "page_down": "pagedown"}
 
 
 def name_key(symbol: str) -> str:
-    """Name a key, the same on the main block and on the number block.
-
-    Examples
-    --------
-    >>> [name_key(symbol) for symbol in ("RETURN", "NUM_7", "_7", "PAGEUP", "NUM_PAGE_UP", "R")]
-    ['enter', '7', '7', 'pageup', 'pageup', 'r']
-    """
+    """Name a key, the same on the main block and on the number block."""
     name = symbol.lower().removeprefix("num_").removeprefix("_")
     return ALIASES.get(name, name)
 
@@ -87,14 +81,7 @@ class Event:
 
 
 def drop_repeats(events: list[Event]) -> list[Event]:
-    """Leave out the releases and presses that a held key makes up.
-
-    Examples
-    --------
-    >>> [left, again] = Event("release", 1.0, "left"), Event("press", 1.001, "left")
-    >>> [event.key for event in drop_repeats([left, again, Event("press", 1.002, "r")])]
-    ['r']
-    """
+    """Leave out the releases and presses that a held key makes up."""
     kept: list[Event] = []
     for event in events:
         last = kept[-1] if kept else event
@@ -116,13 +103,7 @@ TWICE_S = 1.0  # time within which a key counts as pressed twice
 
 
 def count_repeats(held_s: float, speeds: tuple[tuple[float, float], ...] = SPEEDS) -> int:
-    """Count how often a key has repeated.
-
-    Examples
-    --------
-    >>> [count_repeats(held_s) for held_s in (0.3, 0.5, 1.4, 2.4)]
-    [0, 2, 25, 85]
-    """
+    """Count how often a key has repeated."""
     since_s = held_s - DELAY_S + 1e-9
     ends = (*(start for start, _ in speeds[1:]), float("inf"))
     parts = zip(speeds, ends, strict=True)

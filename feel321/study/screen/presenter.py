@@ -132,10 +132,7 @@ SILENCE_S = 1.0  # longest wait for an output to fall silent before it is asked 
 
 
 class ScreenPresenter:
-    """Shows, plays, and passes on what the participant does; implements `study.session.ports.Presenter`.
-
-    clock: gives the time in s since the session began.
-    """
+    """Shows, plays, and passes on what the participant does: `study.session.ports.Presenter`."""
 
     def __init__(
         self,

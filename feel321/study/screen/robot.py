@@ -10,7 +10,7 @@ from __future__ import annotations
 from math import copysign
 from typing import TYPE_CHECKING
 
-from feel321.study.screen.input import AGAIN, CONFIRM, REFERENCE, ROW_STEPS, STEPS, find_choice_keys
+from feel321.study.screen.input import AGAIN, CONFIRM, REFERENCE, ROW_STEPS, STEPS
 from feel321.study.screen.view import Hand
 
 if TYPE_CHECKING:
@@ -119,34 +119,26 @@ class PressingHand(Hand):
 
     def _answer(self, view: View, trial: Trial) -> str:
         """Feel what was not felt, answer what was not answered, confirm; empty to wait."""
-        for part in trial.parts:
-            if part.name not in view.felt:
-                self._confirmed = None
-                # Its digit where parts are felt at will, elsewhere all are felt again.
-                digit = part.name if part.name.isdigit() else REFERENCE
-                return digit if view.kind == "rows" else AGAIN
+        if unfelt := [part.name for part in trial.parts if part.name not in view.felt]:
+            self._confirmed = None
+            # Its digit where parts are felt at will, elsewhere all are felt again.
+            digit = unfelt[0] if unfelt[0].isdigit() else REFERENCE
+            return digit if view.kind == "rows" else AGAIN
         if self._experience is None and view.scale is not None:
             self._experience = self._mind.imagine(trial, self._stimuli)
             self._values, _ = self._mind.answer(self._experience, view.scale, view.place)
         for judgement in trial.judgements:
             value = self._values[judgement.part]
-            key = (
-                _find_choice_key(view, value)
-                if isinstance(value, str)
-                else _find_marker_key(view, judgement.part, round(value))
-            )
+            if isinstance(value, str):
+                choices = view.scale.choices if view.scale else ()
+                key = None if view.chosen == value else str(choices.index(value) + 1)
+            else:
+                key = _find_marker_key(view, judgement.part, round(value))
             if key is not None:
                 return key
         if trial.phase == "main":
             self._confirmed = self._experience
         return CONFIRM["participant"]
-
-
-def _find_choice_key(view: View, choice: str) -> str | None:
-    """Find the digit that chooses a part; None if it is chosen."""
-    keys = find_choice_keys(view.scale.choices) if view.scale else {}
-    digits = (key for key, name in keys.items() if name == choice and key.isdigit())
-    return None if view.chosen == choice else next(digits)
 
 
 def _find_marker_key(view: View, part: str, target: int) -> str | None:

@@ -80,14 +80,7 @@ class ScreenTexts:
 
 
 def make_screen_texts(tables: Mapping[str, Any]) -> ScreenTexts:
-    """Pick the screen's texts from those of a language.
-
-    Examples
-    --------
-    >>> from feel321.protocols.texts import read_texts
-    >>> make_screen_texts(read_texts("de")).pages["pause"].title
-    'Pause'
-    """
+    """Pick the screen's texts from those of a language."""
     pages = {key: PageText(key, **entry) for key, entry in tables["pages"].items()}
     return ScreenTexts(
         pages, tables["refusals"], tables["prompts"], tables["parts"], tables["keys"]

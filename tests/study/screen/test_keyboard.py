@@ -11,6 +11,7 @@ from feel321.study.screen.input import (
     Twice,
     count_repeats,
     drop_repeats,
+    name_key,
 )
 
 
@@ -58,6 +59,17 @@ def test_twice_means_within_a_second() -> None:
         False,
         True,
     ]
+
+
+def test_keys_have_one_name_on_the_main_block_and_on_the_number_block() -> None:
+    symbols = ("RETURN", "NUM_7", "_7", "PAGEUP", "NUM_PAGE_UP", "R")
+    assert [name_key(symbol) for symbol in symbols] == ["enter", "7", "7", "pageup", "pageup", "r"]
+
+
+def test_what_a_held_key_makes_up_is_dropped() -> None:
+    made_up = [Event("release", 1.0, "left"), Event("press", 1.001, "left")]
+    real = Event("press", 1.002, "r")
+    assert drop_repeats([*made_up, real]) == [real]
 
 
 def test_a_real_second_press_is_no_repeat() -> None:

@@ -20,8 +20,8 @@ from feel321.study.screen.drawing import (
     Box,
     Photo,
     Sheet,
-    Target,
     Text,
+    find_points,
     measure,
     round_corners,
 )
@@ -187,8 +187,15 @@ def test_corners_lie_on_circles() -> None:
     )
 
 
-def test_targets_know_their_tracks() -> None:
-    assert Target(Box(0, 0, 1, 1), "mark").track is None
+def test_a_place_on_a_slider_is_a_value() -> None:
+    track = Box(100, 0, 200, 10)
+    assert [find_points(track, x) for x in (0.0, 250.0, 400.0)] == [0.0, 75.0, 100.0]
+
+
+def test_texts_break_where_they_are_too_wide() -> None:
+    sheet = Sheet(1580.0, 1000.0)
+    assert sheet.wrap("one two three\nfour", 70.0, 1.0) == ["one two", "three", "four"]
+    assert measure("Continue", 100.0) == pytest.approx(468, abs=1)
 
 
 def test_pictures_of_every_screen(display: Callable[..., dict[str, str]], tmp_path: Path) -> None:
