@@ -15,8 +15,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis.table.schema import HIGHEST, LOWEST
-from feel321.analysis.table.sheet import tell_measure
-from feel321.analysis.words import tell_name, wrap_name
+from feel321.analysis.words import format_measure, format_name, wrap_name
 from feel321.doors import check_name
 
 if TYPE_CHECKING:
@@ -142,11 +141,11 @@ LONGEST = 200
 TITLE_LINES = 10
 
 
-def tell_scale(scale: str) -> str:
+def label_scale(scale: str) -> str:
     """Label an axis by the scale that was rated."""
-    name = wrap_name(tell_name(scale), SCALE_LETTERS, lines=1)
+    name = wrap_name(format_name(scale), SCALE_LETTERS, lines=1)
     return wrap_name(
-        f"Mean {tell_measure(name)} ({LOWEST:.0f}–{HIGHEST:.0f})", AXIS_LETTERS, lines=3
+        f"Mean {format_measure(name)} ({LOWEST:.0f}–{HIGHEST:.0f})", AXIS_LETTERS, lines=3
     )
 
 

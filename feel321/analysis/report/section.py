@@ -19,11 +19,11 @@ from feel321.analysis.words import (
     SATTERTHWAITE,
     STUDENT,
     count_number,
+    format_estimate,
+    format_name,
     make_interval,
     make_number,
     name_path,
-    tell_ends,
-    tell_name,
 )
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ class Column:
 
     def show_number(self, number: Number) -> tuple[str, ...]:
         """Write a number for the page."""
-        value, interval = tell_ends(number.value, number.low, number.high, kind=self.kind)
+        value, interval = format_estimate(number.value, number.low, number.high, kind=self.kind)
         if not self.head:
             return ()
         if self.show == INTERVAL:
@@ -154,7 +154,7 @@ class TableForm:
             for column in self.columns:
                 if column.kind in {TEXT, NAME}:
                     value = str(row[column.key])
-                    cells.append(tell_name(value) if column.kind == TEXT else value)
+                    cells.append(format_name(value) if column.kind == TEXT else value)
                     continue
                 numbers.append(column.make_number(row, path=own, n=self.n))
                 cells += column.show_number(numbers[-1])
