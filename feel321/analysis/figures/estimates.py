@@ -57,7 +57,7 @@ AXIS_CM = 1.4
 PAD = 0.06
 FARTHEST = 6.0
 """An interval is cut, with an arrow, where it is this many times as wide as the range of the estimates and of half
-of all intervals: one that tells nothing must not squeeze all others."""
+of all intervals: one that is uninformative must not squeeze all others."""
 
 PLAIN = Look(BLACK, "o")
 UNKNOWN = "no estimate"

@@ -61,15 +61,10 @@ def draw_scatter(panel: Panel, association: Association, *, looks: Mapping[str, 
             for name, look in looks.items()
             if name in parts
         }
-        _mark_clipped(
-            axes,
-            panel.stimuli[association.metric].to_numpy(np.float64),
-            falling=association.value < 0,
-        )
-        limits = LOWEST - 3, HIGHEST + 3
-        axes.set(
-            xlabel=format_axis(association.metric), ylabel=label_scale(panel.scale), ylim=limits
-        )
+        values = panel.stimuli[association.metric].to_numpy(np.float64)
+        _mark_clipped(axes, values, falling=association.value < 0)
+        axes.set(xlabel=format_axis(association.metric), ylabel=label_scale(panel.scale))
+        axes.set_ylim(LOWEST - 3, HIGHEST + 3)
         axes.locator_params(axis="x", nbins=5)
         axes.set_title(_describe_association(association))
         add_legend(figure, shown)
@@ -138,10 +133,7 @@ def draw_mapping(
     scale: str,
     looks: Mapping[str, Look],
 ) -> Figure:
-    """Draw mean ratings against a metric in one panel per recording.
-
-    Returns bars are 95 % t intervals over participants.
-    """
+    """Draw mean ratings against a metric in one panel per recording; bars: 95 % t intervals over participants."""
     recordings = list(dict.fromkeys(stimuli["recording"]))
     rows = -(-len(recordings) // COLUMNS)
     with print_style():
@@ -240,10 +232,6 @@ POINTS: dict[str, Any] = {"marker": "o", "linestyle": "none", "markersize": 2, "
 def draw_residuals(fit: MixedFit, *, unit: str = "points") -> Figure:
     """Draw a normal quantile plot of the residuals, and the residuals against the fitted values.
 
-    Returns %.
-
-    Notes
-    -----
     The k-th of n normal values in order lies between the quantiles of Beta(k, n - k + 1), turned into normal ones;
     the band is pointwise: one point in twenty lies outside by chance, and neighbours leave it together.
     """

@@ -34,7 +34,7 @@ COLUMN_CM = 8.5
 CM_PER_INCH = 2.54
 THIN, GREY, BLACK = 0.5, "#8A8A8A", "#000000"
 BLUE, RED, PALE = "#0072B2", "#D55E00", "#D6E6F2"
-"""For figures that tell two kinds apart: Okabe and Ito's blue and vermilion, and a background."""
+"""For figures of two kinds: Okabe and Ito's blue and vermilion, and a background."""
 
 OKABE_ITO = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Colour-blind safe; its yellow is left out because it fades on white paper."""
@@ -81,7 +81,7 @@ def print_style() -> Iterator[None]:
         if not name.startswith(("backend", "_"))
     }
     with rc_context({**plain, **PRINT}), warnings.catch_warnings():
-        # `list_undrawable` tells of them once.
+        # `list_undrawable` lists them once.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
         yield
 

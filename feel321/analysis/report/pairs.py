@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
     Row = dict[str, Any]
 
-# ABX trials: how well what a reducer made is told from its reference.
+# ABX trials: how well what a reducer made is distinguished from its reference.
 
 RIGHT, WRONG = 100.0, 0.0
 WILSON = "95 % interval that follows from Wilson's"
@@ -110,7 +110,7 @@ def compute_discrimination(table: Table, choices: Choices) -> Section:  # noqa: 
     )  # fmt: skip
 
 
-# Dissimilarities: the map of what people tell apart, and what its axes are associated with.
+# Dissimilarities: the perceptual map, and what its axes are associated with.
 
 KEY = "space"
 DRAWS = 200

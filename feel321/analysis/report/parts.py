@@ -127,7 +127,7 @@ def thin_parts(
 
 
 def thin_rows(rows: DataFrame, *, n_slopes: int, rng: np.random.Generator) -> tuple[DataFrame, str]:
-    """Subsample participants or recordings so that the model fits in memory; say so."""
+    """Subsample participants or recordings so that the model fits in memory, and note it."""
     sources, left = find_sources(rows), rows
     while _is_large(left, n_slopes):
         names = {name: sorted(left[name].unique()) for name in (WHO, SCENE)}

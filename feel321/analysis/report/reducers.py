@@ -282,7 +282,7 @@ class _Margin(NamedTuple):
 
 
 class _Pair(NamedTuple):
-    """Two reducers and what tells them apart."""
+    """Two reducers, their difference, and the test of their equivalence."""
 
     row: Row
     test: Equivalence | None

@@ -53,7 +53,7 @@ class Column:
     end: what the number's dotted name has after the row's own. method: how it was computed; may hold the row's keys in
     braces. interval: what its interval is; ends: what comes before "low" and "high" in the keys of its ends. show: of
     a number with an interval, both in two columns (the second headed head_interval), or one of them. n: key of how
-    many stimuli, participants or judgements it rests on, if not the table's.
+    many stimuli, participants or judgements it is based on, if not the table's.
     """
 
     head: str
@@ -96,7 +96,7 @@ class Column:
 
 
 def estimate(head: str, key: str, method: str, **more: str) -> Column:
-    """Declare an estimate of a mixed model with its t interval; its kind is "slope" unless told otherwise."""
+    """Declare an estimate of a mixed model with its t interval; its kind is "slope" if no other is given."""
     return Column(head, key, method=method, interval=SATTERTHWAITE, **{"kind": "slope", **more})
 
 
@@ -129,7 +129,7 @@ class PageTable:
 class TableForm:
     """A declared table: its caption, its columns, and the dotted name of a row's numbers, the row's keys in braces.
 
-    n: key of how many stimuli, participants or judgements a row rests on. detail: folded away on the page.
+    n: key of how many stimuli, participants or judgements a row is based on. detail: folded away on the page.
 
     Examples
     --------
@@ -256,7 +256,7 @@ class Section:
 
     @property
     def summary(self) -> str:
-        """What the fold is called; empty without one. What opens the report is told there at length."""
+        """What the fold is called; empty without one. What opens the report is given there at length."""
         kinds = {
             "in words": bool(self.verdict) and self.answers != tuple(map(str, self.verdict)),
             "tables": any(grid.detail for grid in self.grids),
