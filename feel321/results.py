@@ -20,11 +20,13 @@ from feel321.analysis.screening.screen import Screening
 from feel321.analysis.space import Alignment, Ellipses, Space
 from feel321.analysis.table.items import Table
 from feel321.analysis.table.reading import Further
-from feel321.analysis.tradeoff.chart.records import Chart
+from feel321.analysis.tradeoff.advise.page import Advice
+from feel321.analysis.tradeoff.chart.compute import Chart
+from feel321.analysis.tradeoff.stress.run import Stress
 
 __all__ = [  # noqa: RUF022 - in the order of sorted(), which a test checks
-    "Alignment", "Alpha", "Association", "BradleyTerry", "Chart", "Dependent", "Difference", "Discrimination",
-    "Ellipses", "Equivalence", "Estimate", "Further", "Intraclass", "MixedFit", "Multiverse", "NonInferiority", "P1401",
-    "P1401Difference", "Primaries", "Primary", "ReducerDifference", "Refined", "RepeatedMeasures", "Results",
-    "Screening", "Space", "Table",
+    "Advice", "Alignment", "Alpha", "Association", "BradleyTerry", "Chart", "Dependent", "Difference",
+    "Discrimination", "Ellipses", "Equivalence", "Estimate", "Further", "Intraclass", "MixedFit", "Multiverse",
+    "NonInferiority", "P1401", "P1401Difference", "Primaries", "Primary", "ReducerDifference", "Refined",
+    "RepeatedMeasures", "Results", "Screening", "Space", "Stress", "Table",
 ]  # fmt: skip

@@ -1,7 +1,8 @@
 """Do the match metrics predict what people feel? Tables in, associations, models, profiles and a report out.
 
 Importing this package loads numpy and nothing heavier; pandas, scipy and matplotlib come with the first call.
-Records that functions return are in `feel321.results`.
+Records that functions return are in `feel321.results`. What cannot be computed is refused by a ValueError (a wrong
+type by a TypeError) that says what must be, what was got and what to do; what is left out or assumed is in the notes.
 """
 
 from feel321.analysis.agreement.alpha import krippendorff_alpha
@@ -33,48 +34,53 @@ from feel321.analysis.screening.screen import screen_raters
 from feel321.analysis.space import align_spaces, fit_space
 from feel321.analysis.table.items import Table
 from feel321.analysis.table.reading import read_table
-from feel321.analysis.tradeoff.advise.page import advise_recordings, write_advice
-from feel321.analysis.tradeoff.advise.scene import Context, Rated, Tolerance
-from feel321.analysis.tradeoff.chart.compute import compute_chart
-from feel321.analysis.tradeoff.chart.page import write_chart
-from feel321.analysis.tradeoff.stress.run import stress_reducers, write_stress
+from feel321.analysis.tradeoff.face import advise, chart, stress
 from feel321.doors import forward_old_names as _forward_old_names
 
-__all__ = [  # noqa: RUF022 - in the order of sorted(), which a test checks
-    "Context", "RULES", "Rated", "Table", "Tolerance", "advise_recordings", "align_spaces", "bradley_terry",
-    "compare_dependent", "compare_metrics", "compare_p1401", "compare_reducers", "compute_chart", "contrast",
-    "correlate", "discriminate", "equivalence", "fit_attributes", "fit_mixed", "fit_primary", "fit_space",
-    "intraclass", "krippendorff_alpha", "noise_ceiling", "non_inferiority", "p1401", "plot_profile",
-    "plot_recording", "plot_scatter", "plot_slopes", "plot_spectrogram", "plot_spectrum", "profile_reducers",
-    "read_table", "refine_metric", "repeated_measures_correlation", "run_multiverse", "screen_raters",
-    "stress_reducers", "tabulate_correlations", "write_advice", "write_chart", "write_report", "write_stress",
+__all__ = [
+    "RULES", "Table", "advise", "align_spaces", "bradley_terry", "chart", "compare_dependent", "compare_metrics",
+    "compare_p1401", "compare_reducers", "contrast", "correlate", "discriminate", "equivalence", "fit_attributes",
+    "fit_mixed", "fit_primary", "fit_space", "intraclass", "krippendorff_alpha", "noise_ceiling", "non_inferiority",
+    "p1401", "plot_profile", "plot_recording", "plot_scatter", "plot_slopes", "plot_spectrogram", "plot_spectrum",
+    "profile_reducers", "read_table", "refine_metric", "repeated_measures_correlation", "run_multiverse",
+    "screen_raters", "stress", "tabulate_correlations", "write_report",
 ]  # fmt: skip
 
 _RECORDS = (
     "Alignment", "Alpha", "Association", "BradleyTerry", "Chart", "Dependent", "Difference", "Discrimination",
     "Ellipses", "Equivalence", "Estimate", "Further", "Intraclass", "MixedFit", "Multiverse", "NonInferiority",
-    "P1401", "P1401Difference", "Primaries", "Primary", "Refined", "RepeatedMeasures", "Results", "Screening", "Space",
+    "P1401", "P1401Difference", "Primaries", "Primary", "Refined", "RepeatedMeasures", "Results", "Screening",
+    "Space",
 )  # fmt: skip
 
 _OLD = {
     "Choices": "report.parts:Choices",
+    "Context": "tradeoff.advise.scene:Context|the arguments of advise",
     "Number": "words:Number",
     "Precision": "primary.sensitivity:SlopePrecision",
+    "Rated": "tradeoff.advise.ratings:Rated|the arguments of advise",
     "Section": "report.section:Section",
+    "Tolerance": "tradeoff.advise.scene:Tolerance|advise(weber=...)",
     "abx_d_prime": "contrasts.discrimination:abx_d_prime|discriminate",
+    "advise_recordings": "tradeoff.advise.page:advise_recordings|advise",
     "bootstrap_alpha": "agreement.alpha:bootstrap_alpha|krippendorff_alpha with draws",
     "bootstrap_space": "space:bootstrap_space|fit_space with draws",
     "bradley_terry_by_rater": "contrasts.bradley_terry:bradley_terry_by_rater|bradley_terry with by_rater",
+    "compute_chart": "tradeoff.chart.compute:compute_chart|chart",
     "compute_sections": "report.write:compute_sections|write_report",
     "discriminate_pairs": "contrasts.discrimination:discriminate_pairs|discriminate",
     "find_sources": "table.items:find_sources",
-    "judge_ratings": "tradeoff.advise.ratings:judge_ratings",
+    "judge_ratings": "tradeoff.advise.ratings:judge_ratings|advise(ratings=...)",
     "multimodality": "screening.rules:multimodality|Screening.items",
     "regress_attributes": "space:regress_attributes",
     "stress_by_dimension": "space:stress_by_dimension",
+    "stress_reducers": "tradeoff.stress.run:stress_reducers|stress",
     "tabulate_slopes": "primary.model:tabulate_slopes|fit_attributes(table).to_frame()",
     "tukey_fences": "screening.rules:tukey_fences|Screening.items",
     "vary_primary": "primary.sensitivity:vary_primary|run_multiverse",
+    "write_advice": "tradeoff.advise.page:write_advice|advise(...).write",
+    "write_chart": "tradeoff.chart.page:write_chart|chart(...).write",
+    "write_stress": "tradeoff.stress.run:write_stress|stress(...).write",
 }
 
 __getattr__ = _forward_old_names(

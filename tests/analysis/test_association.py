@@ -625,7 +625,7 @@ def spoil(table: pd.DataFrame, what: str) -> pd.DataFrame:
         ),
         (
             "columns",
-            "ratings: column 'spectral_match' must be finite, got 48 values that are not finite",
+            "column reducer is missing",
         ),
     ],
 )

@@ -253,7 +253,7 @@ def test_a_machine_without_the_extra_is_told_what_to_install(
 )
 def test_no_display_is_one_line(ready: StudyFolder, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DISPLAY")
-    with pytest.raises(OSError, match="run: got no display"):
+    with pytest.raises(OSError, match="run: no display found"):
         visit(ready)
     assert not ready.ledger.exists()
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import re
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
+from feel321.analysis.tradeoff.stress import run
+from feel321.analysis.tradeoff.stress.measures import measure_battery
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.synthesis import make_scene
 from feel321.study.cli import main
@@ -34,6 +36,16 @@ def recording(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.fixture(autouse=True)
+def few_takes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two takes of every scene instead of forty."""
+
+    def measure(*given: Any, **named: Any) -> Any:
+        return measure_battery(*given, **{**named, "takes": 2})
+
+    monkeypatch.setattr(run, "measure_battery", measure)
+
+
 def test_figures_warnings_and_page(recording: Path, tmp_path: Path, capsys: Capture) -> None:
     target = tmp_path / "out"
     where = [str(tmp_path), "--recordings", str(recording), "-o", str(target)]
@@ -44,39 +56,27 @@ def test_figures_warnings_and_page(recording: Path, tmp_path: Path, capsys: Capt
     assert {cell["reducer"] for cell in content["cells"]} == set(REDUCERS)
     assert json.loads((target / "results.json").read_text(encoding="utf-8")) == content
     assert all((target / name).is_file() for name in content["files"])
-    assert re.search(r"feel321: warning: rumble: 9\d.* % of what the sensor gave is offset", err)
+    assert re.search(r"feel321: warning: rumble: 9\d.* % of the sensor's energy is offset", err)
     assert (
         "offset"
         in next(entry for entry in content["recordings"] if entry["name"] == "rumble")["near"]
     )
 
 
-def test_the_default_folder_is_in_the_study(
-    study: StudyFolder, monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
+def test_the_default_folder_is_in_the_study(study: StudyFolder, capsys: Capture) -> None:
     """A study's own recordings, found as they came from the sensor, under the names that the study gives them."""
-    from feel321.analysis.tradeoff.stress import run
-
-    asked: dict[str, object] = {}
-    whole = run.stress_reducers
-
-    def note(recordings: object, **options: object) -> object:
-        asked.update(recordings=recordings, **options)
-        few = {"mag321": REDUCERS["mag321"]}
-        return whole(recordings, few, **{**options, "seeds": 2, "draws": 2})
-
-    monkeypatch.setattr(run, "stress_reducers", note)
     assert main(["stress", str(study.path)]) == 0
     assert capsys.readouterr().out.strip() == str(study.path / "stress" / "index.html")
-    assert [one.name for one in asked["recordings"]] == ["bumps", "hard_taps"]
-    assert list(asked["sensor"]) == ["bumps", "hard_taps"]
-    assert asked["seed"] == 5
+    content = json.loads((study.path / "stress" / "results.json").read_text(encoding="utf-8"))
+    assert [one["name"] for one in content["recordings"]] == ["bumps", "hard_taps"]
+    assert content["inputs"]["seed"] == 5
+    assert not any("only the conditioned signal" in note for note in content["notes"])
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["missing"], "missing: got no folder, allowed is a study's; check the name"),
+        (["missing"], "missing: a study must be a folder; check the name"),
         (["."], "or begin one with: feel321 new"),
         ([".", "--recordings", "none.csv"], "none.csv"),
         ([".", "--scenes", "--seed", "-1"], "Invalid value for '--seed'"),

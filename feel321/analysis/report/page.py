@@ -45,5 +45,6 @@ def inline_svg(picture: Picture, path: Path) -> Markup:
     body = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{picture.name}-", body)
     for size in ("width", "height"):
         body = re.sub(rf'(<svg[^>]*?) {size}="[^"]*"', r"\1", body, count=1)
+    body = body.replace(' target="_blank"', "")  # links lead down the page, not to another one
     label = f'<svg role="img" aria-label="{escape(picture.caption)}"'
     return Markup(body.strip().replace("<svg", label, 1))  # noqa: S704 - our own drawing, its caption escaped

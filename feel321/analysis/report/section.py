@@ -290,9 +290,3 @@ def stack(frames: Iterable[tuple[Mapping[str, Any], DataFrame]]) -> Any:  # noqa
 
     own = [frame.assign(**more) for more, frame in frames if len(frame)]
     return pd.concat(own, ignore_index=True) if own else []
-
-
-def __getattr__(name: str) -> Any:  # noqa: ANN401 - what has moved; kept until all branches are in
-    from feel321.analysis.report import parts
-
-    return getattr(parts, {"Part": "RatingsPart"}.get(name, name))

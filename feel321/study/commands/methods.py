@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    from feel321.analysis.tradeoff.advise.scene import Rated
+    from feel321.analysis.tradeoff.advise.ratings import Rated
     from feel321.stimuli.recording import Recording
 
     Verb = Callable[..., None]
@@ -232,8 +232,8 @@ def advise(  # noqa: PLR0913 - every option has a name of its own
     if as_json:
         print_json(content)
         return
-    lines = [*(advice.line for advice in study.advices), study.summary, study.note]
-    click.echo("\n".join([*filter(None, lines), str(task.output / "index.html")]))
+    click.echo(study.summary())
+    click.echo(task.output / "index.html")
 
 
 @contextmanager

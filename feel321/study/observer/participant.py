@@ -23,6 +23,7 @@ from feel321.study.observer.judging import (
     find_sure_end,
     measure_distances,
 )
+from feel321.study.session.events import TrialRated
 from feel321.study.session.ports import Confirm, Feel, Playback
 
 if TYPE_CHECKING:
@@ -64,7 +65,7 @@ class Participant:
     ) -> None:
         """Recall the trial that was answered last before a session was interrupted."""
         main = {trial.number: trial for trial in trials if trial.phase == "main"}
-        rated = [record.data["trial"] for record in records if record.event == "rated"]
+        rated = [record.data["trial"] for record in records if record.event == TrialRated.event]
         if answered := [main[number] for number in rated if number in main]:
             self.before = self.imagine(answered[-1], stimuli)
 

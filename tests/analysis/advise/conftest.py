@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from feel321.analysis.tradeoff.advise.choice import Advice, advise_scene
+from feel321.analysis.tradeoff.advise.choice import SceneAdvice, advise_scene
 from feel321.analysis.tradeoff.advise.scene import Context, split_recording
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.formats.read import read_recording
@@ -43,10 +43,12 @@ def real() -> Callable[[str], Recording]:
 
 
 @pytest.fixture
-def tell() -> Callable[..., Advice]:
+def tell() -> Callable[..., SceneAdvice]:
     """Advises on one recording."""
 
-    def advise(recording: Recording, context: Context | None = None, **options: object) -> Advice:
+    def advise(
+        recording: Recording, context: Context | None = None, **options: object
+    ) -> SceneAdvice:
         (scene,) = split_recording(recording)
         return advise_scene(scene, context or Context(), **options)  # type: ignore[arg-type]  # options of a test
 

@@ -17,9 +17,9 @@ from feel321.stimuli.synthesis import SCENES, make_scene
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from feel321.analysis.tradeoff.advise.choice import Advice
+    from feel321.analysis.tradeoff.advise.choice import SceneAdvice
 
-    Tell = Callable[..., Advice]
+    Tell = Callable[..., SceneAdvice]
 
 AXIS = {"sax321", "say321", "saz321"}
 RUNNING = {f"{name}_matched_running" for name in AXIS}
@@ -176,7 +176,7 @@ def test_nothing_in_the_budget_says_so_and_what_would_do(tell: Tell) -> None:
     assert advice.answer is None
     assert advice.margin < 0
     assert advice.line.startswith("circular_motion: nothing suffices, closest ")
-    assert "pca321_matched_windowed would do, but needs 34.9 ms" in advice.line
+    assert "pca321_matched_windowed would suffice, but needs 34.9 ms" in advice.line
     assert "\n" not in advice.line
 
 
@@ -258,6 +258,6 @@ def test_an_actuator_of_several_axes_is_used_only_where_it_helps(tell: Tell) -> 
 
 def test_an_unknown_reducer_is_refused(tell: Tell) -> None:
     with pytest.raises(
-        ValueError, match=r"reducer: got 'mine', whose state and operations are not recorded"
+        ValueError, match="reducer 'mine' must have its state and operations recorded"
     ):
         tell(make_scene("bumps", duration_s=1.0), reducers={"mine": REDUCERS["sax321"]})

@@ -6,28 +6,31 @@ import numpy as np
 import pytest
 
 from feel321.analysis.tradeoff.advise.choice import (
+    describe_doubt,
+    describe_fault,
+    explain_choice,
+    explain_closest,
     find_deciding,
-    tell_choice,
-    tell_closest,
-    tell_doubt,
-    tell_fault,
 )
-from feel321.analysis.tradeoff.advise.draws import (
+from feel321.analysis.tradeoff.advise.measures import (
     SILENT_DB,
     TREATS_ALIKE,
     TURNS_ALONG,
-    Candidate,
-    Draw,
+    Complexity,
+    Contender,
+    MountedSegment,
+    Scores,
     Segment,
+    complete_scores,
     cut_segments,
     find_change,
+    find_complexity,
     score_scene,
     spread_turns,
 )
-from feel321.analysis.tradeoff.advise.measures import Cost, Measures, find_cost, measure
+from feel321.analysis.tradeoff.advise.ratings import Rated
 from feel321.analysis.tradeoff.advise.scene import (
     Context,
-    Rated,
     Shortfall,
     Tolerance,
     Verdict,
@@ -44,8 +47,8 @@ from feel321.stimuli.rotation import (
 from feel321.stimuli.sets.anchors import felt_level
 from feel321.stimuli.synthesis import make_scene
 
-COST = Cost("dft321", 1, 0.0, 0.0, 0.0, 0)
-BEST = Measures(0.0, 1.0, 0.9, 1e-3, 1.0, 0.9)
+COST = Complexity("dft321", 1, 0.0, 0.0, 0.0, 0)
+BEST = Scores(0.0, 1.0, 0.9, 1e-3, 1.0, 0.9)
 
 MOTION = "the motion's energy"
 HIDDEN = "loses 4.8 dB, which its gain hides (a sum of three axes is √3, 4.8 dB, louder)"
@@ -53,12 +56,13 @@ HIDDEN = "loses 4.8 dB, which its gain hides (a sum of three axes is √3, 4.8 d
 
 def order(*, online: bool, n: int = 40000, rate_hz: float = 10000.0) -> list[str]:
     costs = [
-        find_cost(name, reducer, n_samples=n, rate_hz=rate_hz) for name, reducer in REDUCERS.items()
+        find_complexity(name, reducer, n_samples=n, rate_hz=rate_hz)
+        for name, reducer in REDUCERS.items()
     ]
     return [cost.name for cost in sorted(costs, key=lambda cost: cost.rank(online=online))]
 
 
-def judged(shortfall: Shortfall, measures: Measures = BEST, **said: object) -> Verdict:
+def judged(shortfall: Shortfall, measures: Scores = BEST, **said: object) -> Verdict:
     return Verdict(COST, measures, shortfall, in_budget=True, **said)  # type: ignore[arg-type]  # fields of a test
 
 
@@ -100,15 +104,18 @@ def test_every_reducer_has_a_record() -> None:
 
 
 def test_latency_and_parameters_are_the_reducers_own() -> None:
-    windowed = find_cost(
+    windowed = find_complexity(
         "dft321_windowed", REDUCERS["dft321_windowed"], n_samples=5000, rate_hz=1000.0
     )
     assert (windowed.latency_ms, windowed.parameters) == (35.0, 1)
-    assert find_cost("dft321", REDUCERS["dft321"], n_samples=5000, rate_hz=1000.0).latency_ms == inf
+    assert (
+        find_complexity("dft321", REDUCERS["dft321"], n_samples=5000, rate_hz=1000.0).latency_ms
+        == inf
+    )
 
 
 def test_one_axis_outranks_all_else() -> None:
-    dear, two = Cost("a", 1, 1e9, inf, 1e9, 9), Cost("b", 2, 0.0, 0.0, 0.0, 0)
+    dear, two = Complexity("a", 1, 1e9, inf, 1e9, 9), Complexity("b", 2, 0.0, 0.0, 0.0, 0)
     assert all(dear.rank(online=online) < two.rank(online=online) for online in (True, False))
 
 
@@ -121,30 +128,33 @@ def test_tolerances_follow_from_the_weber_fraction() -> None:
 
 @pytest.mark.parametrize("weber", [0, -0.1, 1, 22, nan])
 def test_what_is_no_fraction_is_refused(weber: float) -> None:
-    with pytest.raises(ValueError, match=r"tolerance: got .*, allowed is above 0 and below 1"):
+    with pytest.raises(ValueError, match="tolerance must be above 0 and below 1, got"):
         Tolerance(weber)
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"axes": 4}, "axes: got 4, allowed is 1, 2 or 3"),
-        ({"axes": 0}, "axes: got 0, allowed is 1, 2 or 3"),
+        ({"axes": 4}, "axes must be 1, 2 or 3, got 4"),
+        ({"axes": 0}, "axes must be 1, 2 or 3, got 0"),
         (
             {"online": True, "latency_ms": -1.0},
-            "latency-ms: got -1, allowed is a finite time of 0 ms or more",
+            "latency-ms must be a finite time of 0 ms or more, got -1",
         ),
         (
             {"online": True, "device_ms": -1.0},
-            "device-ms: got -1, allowed is a finite time of 0 ms or more",
+            "device-ms must be a finite time of 0 ms or more, got -1",
         ),
         (
             {"online": True, "latency_ms": 5.0},
-            r"latency-ms: got 5, but block \(1.33 ms\) and device \(5 ms\) alone",
+            r"latency-ms must be at least 6.33, which block \(1.33 ms\) and device \(5 ms\) alone",
         ),
-        ({"mounting": "turned"}, "mounting: got 'turned', allowed is any or recorded"),
-        ({"online": True, "latency_ms": nan}, "latency-ms: got nan, allowed"),
-        ({"latency_ms": 10.0}, "latency-ms: got 10 offline, where nobody waits; add --online"),
+        ({"mounting": "turned"}, "mounting must be any or recorded, got 'turned'"),
+        ({"online": True, "latency_ms": nan}, "latency-ms must be a finite time .*, got nan"),
+        (
+            {"latency_ms": 10.0},
+            "latency-ms must be left out offline, where nobody waits, got 10; add --online",
+        ),
     ],
 )
 def test_a_context_that_cannot_be_is_refused(options: dict[str, object], message: str) -> None:
@@ -175,15 +185,17 @@ def test_segments_hold_every_sample_once(segment_s: float, lengths: list[int]) -
 
 @pytest.mark.parametrize("segment_s", [0.05, 0.0, -1.0, nan])
 def test_short_segments_are_refused(segment_s: float) -> None:
-    with pytest.raises(ValueError, match=r"segment: got .* s, allowed is 0.1 s or more"):
+    with pytest.raises(ValueError, match=r"segment must be 0.1 s or more, got"):
         list(split_recording(make_scene("bumps", duration_s=1.0), segment_s))
 
 
 def test_measures_of_known_outputs() -> None:
     u = np.random.default_rng(0).standard_normal(4000)
     segment = Segment(np.array([2 * u, u, 0 * u]), 2000.0, np.random.default_rng(1))
-    sax = Candidate("sax321", REDUCERS["sax321"])
-    found = measure(sax, Draw(segment, np.eye(3)), segment.score(sax.reduce, segment.both))
+    sax = Contender("sax321", REDUCERS["sax321"])
+    found = complete_scores(
+        sax, MountedSegment(segment, np.eye(3)), segment.score(sax.reduce, segment.both)
+    )
     assert found.level_db == pytest.approx(10 * np.log10(0.8))
     assert found.spectrum == pytest.approx(0.8)
     assert found.time == pytest.approx(1)
@@ -252,14 +264,14 @@ def test_leaving_out_what_has_failed_changes_nothing_for_the_others(
 ) -> None:
     scene = make_scene("circular_motion", duration_s=1.0)
     candidates = {
-        name: Candidate(name, REDUCERS[name]) for name in ("say321", "dft321", "pca321_matched")
+        name: Contender(name, REDUCERS[name]) for name in ("say321", "dft321", "pca321_matched")
     }
 
     def judge_levels(scores: np.ndarray) -> np.ndarray:
         return np.abs(scores[..., :1]) / Tolerance().level_db
 
     draws, scores = score_scene(scene, candidates, judge_levels, any_mounting=True, seed=0)
-    monkeypatch.setattr("feel321.analysis.tradeoff.advise.draws.HOPELESS", np.inf)
+    monkeypatch.setattr("feel321.analysis.tradeoff.advise.measures.HOPELESS", np.inf)
     _, full = score_scene(scene, candidates, judge_levels, any_mounting=True, seed=0)
     assert len(draws) == 72
     assert np.isnan(scores[0]).any()
@@ -294,7 +306,7 @@ def test_the_worst_mounting_of_the_worst_segment_decides_or_of_that_at_the_90th_
     segments = [
         Segment(scene.acceleration, scene.rate_hz, np.random.default_rng(0)) for _ in range(10)
     ]
-    draws = [Draw(segment, np.eye(3)) for segment in segments for _ in range(2)]
+    draws = [MountedSegment(segment, np.eye(3)) for segment in segments for _ in range(2)]
     worst = np.arange(20.0) / 10
     worst[3] = np.nan
     # Of ten segments the worst but one.
@@ -303,10 +315,10 @@ def test_the_worst_mounting_of_the_worst_segment_decides_or_of_that_at_the_90th_
 
 
 def test_a_gain_does_not_make_up_for_what_is_lost() -> None:
-    lucky = Measures(0.0, 1.0, 0.6, 0.0, 1.0, 0.6, gain_db=4.77)
+    lucky = Scores(0.0, 1.0, 0.6, 0.0, 1.0, 0.6, gain_db=4.77)
     assert lucky.deviation_db == 4.77
-    assert Measures(4.77, 1.0, 1.0, 0.0, 1.0, 1.0, gain_db=4.77).deviation_db == 4.77
-    assert Measures(-1.0, 1.0, 1.0, 0.0, 1.0, 1.0).deviation_db == 1.0
+    assert Scores(4.77, 1.0, 1.0, 0.0, 1.0, 1.0, gain_db=4.77).deviation_db == 4.77
+    assert Scores(-1.0, 1.0, 1.0, 0.0, 1.0, 1.0).deviation_db == 1.0
 
 
 def test_shortfalls_are_counted_from_the_best_in_tolerances() -> None:
@@ -328,30 +340,30 @@ def test_shortfalls_are_counted_from_the_best_in_tolerances() -> None:
 @pytest.mark.parametrize(
     ("shortfall", "measures", "words"),
     [
-        (Shortfall(2, 0, 0, 0), Measures(-2.0, 1, 1, 0, 1, 1), "is 2.0 dB too weak"),
-        (Shortfall(2, 0, 0, 0), Measures(2.0, 1, 1, 0, 1, 1), "is 2.0 dB too strong"),
-        (Shortfall(2, 0, 0, 0), Measures(0, 1, 1, 0, 1, 1, 4.77), HIDDEN),
+        (Shortfall(2, 0, 0, 0), Scores(-2.0, 1, 1, 0, 1, 1), "is 2.0 dB too weak"),
+        (Shortfall(2, 0, 0, 0), Scores(2.0, 1, 1, 0, 1, 1), "is 2.0 dB too strong"),
+        (Shortfall(2, 0, 0, 0), Scores(0, 1, 1, 0, 1, 1, 4.77), HIDDEN),
         (
             Shortfall(0, 2, 0, 0),
-            Measures(0, 0.5, 1, 0, 1, 1),
-            "has 50 % of the spectrum right, the best 100 %",
+            Scores(0, 0.5, 1, 0, 1, 1),
+            "gets 50 % of the spectrum right, the best 100 %",
         ),
         (
             Shortfall(0, 0, 2, 0),
-            Measures(0, 1, 0.5, 0, 1, 1),
-            f"goes along with 25 % of {MOTION}, the best 81 %",
+            Scores(0, 1, 0.5, 0, 1, 1),
+            f"carries 25 % of {MOTION}, the best 81 %",
         ),
         (
             Shortfall(0, 0, 0, 2),
-            Measures(0, 1, 1, 0.4, 1, 1),
+            Scores(0, 1, 1, 0.4, 1, 1),
             "changes by 40 % with sensor noise of -60 dB",
         ),
     ],
 )
-def test_every_fault_has_its_words(shortfall: Shortfall, measures: Measures, words: str) -> None:
+def test_every_fault_has_its_words(shortfall: Shortfall, measures: Scores, words: str) -> None:
     bad = judged(shortfall, measures, best_time=0.9)
     assert not bad.is_sufficient
-    assert tell_fault(bad) == words
+    assert describe_fault(bad) == words
 
 
 def test_people_must_agree_where_they_were_asked() -> None:
@@ -365,14 +377,14 @@ def test_people_must_agree_where_they_were_asked() -> None:
         "is not shown to feel like dft321 (p of equivalence 0.3)": judged(
             good, rated=unlike, needs_ratings=True
         ),
-        "is not shown to feel like dft321, because so few ratings": judged(
+        "is not shown to feel like dft321: too few ratings": judged(
             good, rated=untested, needs_ratings=True
         ),
         "was not rated": judged(good, needs_ratings=True),
     }
     for words, verdict in said.items():
         assert not verdict.is_sufficient
-        assert tell_fault(verdict).startswith(words)
+        assert describe_fault(verdict).startswith(words)
     assert not judged(Shortfall(2, 0, 0, 0), rated=same, needs_ratings=True).is_sufficient
 
 
@@ -383,32 +395,40 @@ def test_reasons_name_close_calls_agreement_and_what_waits() -> None:
         needs_ratings=True,
     )
     kept = "keeps 100 % of the spectrum, 81 % of the motion, the level to 0.0 dB"
-    doubt = "a close call, another take may go the other way: dft321 passes by 5 % of the tolerance"
-    assert tell_choice(near, [near]) == f"{kept}; nothing is simpler; people agree; {doubt}"
+    doubt = "a close call, another take could reverse it: dft321 passes by 5 % of the tolerance"
+    assert explain_choice(near, [near]) == f"{kept}; nothing is simpler; people agree; {doubt}"
     robot = judged(
         Shortfall(0, 0, 0, 0), rated=Rated(is_best=True, best="dft321", p=nan, simulated=True)
     )
     assert (
-        tell_choice(robot, [robot]) == f"{kept}; nothing is simpler; simulated participants agree"
+        explain_choice(robot, [robot])
+        == f"{kept}; nothing is simpler; simulated participants agree"
     )
-    late = Verdict(Cost("pca321", 1, 0, inf, 0, 0), BEST, Shortfall(0, 0, 0, 0), in_budget=False)
+    late = Verdict(
+        Complexity("pca321", 1, 0, inf, 0, 0), BEST, Shortfall(0, 0, 0, 0), in_budget=False
+    )
     good = judged(Shortfall(0, 0, 0, 0))
-    assert tell_choice(good, [late, good]).endswith(
-        "pca321 is simpler and would do, but needs the whole recording"
+    assert explain_choice(good, [late, good]).endswith(
+        "pca321 is simpler and would suffice, but needs the whole recording"
     )
-    missed = judged(Shortfall(1.1, 0, 0, 0), Measures(-0.95, 1, 1, 0, 1, 1))
-    assert tell_doubt(good, [missed, good]).endswith(": dft321 misses by 10 % of the tolerance")
-    assert tell_doubt(good, [good, missed]) == ""
+    missed = judged(Shortfall(1.1, 0, 0, 0), Scores(-0.95, 1, 1, 0, 1, 1))
+    assert describe_doubt(good, [missed, good]).endswith(": dft321 misses by 10 % of the tolerance")
+    assert describe_doubt(good, [good, missed]) == ""
     partly = judged(Shortfall(1.5, 0, 0, 0), suits=1, segments=2)
     # Dft321: that may be the mountings that were tried.
-    assert tell_doubt(good, [partly, good]) == ""
+    assert describe_doubt(good, [partly, good]) == ""
     leading = Verdict(
-        Cost("pca321@20ms", 1, 0, 0, 0, 0), BEST, Shortfall(2, 0, 0, 0), True, suits=1, segments=2
+        Complexity("pca321@20ms", 1, 0, 0, 0, 0),
+        BEST,
+        Shortfall(2, 0, 0, 0),
+        True,
+        suits=1,
+        segments=2,
     )
-    assert tell_doubt(good, [leading, good]).endswith(
-        "may go the other way: pca321@20ms suffices in 1 of 2 segments"
+    assert describe_doubt(good, [leading, good]).endswith(
+        "could reverse it: pca321@20ms suffices in 1 of 2 segments"
     )
-    bad = judged(Shortfall(2, 0, 0, 0), Measures(-2.0, 1, 1, 0, 1, 1))
-    assert tell_closest(bad, [bad]).endswith(
+    bad = judged(Shortfall(2, 0, 0, 0), Scores(-2.0, 1, 1, 0, 1, 1))
+    assert explain_closest(bad, [bad]).endswith(
         "no reducer is within tolerance of the best in everything"
     )

@@ -13,7 +13,7 @@ from feel321.analysis.tradeoff.advise.scene import Context
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from feel321.analysis.tradeoff.advise.choice import Advice
+    from feel321.analysis.tradeoff.advise.choice import SceneAdvice
     from feel321.stimuli.recording import Recording
 
 ALIKE = {"sax321": 30.0, "pca321": 70.0, "dft321": 70.0}
@@ -93,7 +93,7 @@ def test_one_judge_of_one_reducer_each_leaves_nothing_to_test() -> None:
 
 
 def test_ratings_overrule_metrics_that_let_pass(
-    tell: Callable[..., Advice], wave: np.ndarray
+    tell: Callable[..., SceneAdvice], wave: np.ndarray
 ) -> None:
     from feel321.stimuli.recording import Recording
 
@@ -107,7 +107,7 @@ def test_ratings_overrule_metrics_that_let_pass(
 
 
 def test_nothing_suffices_where_people_and_metrics_disagree(
-    tell: Callable[..., Advice], wave: np.ndarray
+    tell: Callable[..., SceneAdvice], wave: np.ndarray
 ) -> None:
     from feel321.stimuli.recording import Recording
 
@@ -119,13 +119,13 @@ def test_nothing_suffices_where_people_and_metrics_disagree(
     assert advice.margin < 0
     assert "nothing suffices" in advice.line
     assert (
-        "none of those within tolerance by the metrics is shown by ratings to feel like the best"
+        "the ratings show for no reducer within the tolerances of the metrics that it feels like the best"
         in advice.line
     )
 
 
 def test_what_was_rated_is_closer_than_what_was_not(
-    tell: Callable[..., Advice], wave: np.ndarray
+    tell: Callable[..., SceneAdvice], wave: np.ndarray
 ) -> None:
     from feel321.stimuli.recording import Recording
 

@@ -2,20 +2,23 @@ from __future__ import annotations
 
 import csv
 import json
+import pickle
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from feel321.analysis.tradeoff.advise.page import (
-    KEYS,
+    MARKS,
     advise_recordings,
+    build_content,
     draw_advice,
-    lay_out,
-    tell_state,
+    find_state,
     write_advice,
 )
-from feel321.analysis.tradeoff.advise.scene import Context, Rated
+from feel321.analysis.tradeoff.advise.ratings import Rated
+from feel321.analysis.tradeoff.advise.scene import Context
+from feel321.analysis.tradeoff.face import advise
 from feel321.analysis.words import keep_together
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.synthesis import make_scene
@@ -23,7 +26,7 @@ from feel321.stimuli.synthesis import make_scene
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from feel321.analysis.tradeoff.advise.page import Study
+    from feel321.analysis.tradeoff.advise.page import Advice
 
 ONLINE = Context(online=True, latency_ms=5, block_ms=0, device_ms=0)
 
@@ -36,11 +39,22 @@ def scenes() -> list[Recording]:
 
 
 @pytest.fixture(scope="module")
-def study() -> Study:
+def study() -> Advice:
     return advise_recordings(scenes(), Context())
 
 
-def test_the_order_of_recordings_does_not_matter(study: Study) -> None:
+@pytest.fixture(scope="module")
+def late() -> Advice:
+    """The same two scenes with a budget in which nothing suffices for one of them."""
+    return advise_recordings(scenes()[:2], ONLINE)
+
+
+@pytest.fixture(scope="module")
+def written(study: Advice, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return study.write(tmp_path_factory.mktemp("written") / "advice").parent
+
+
+def test_the_order_of_recordings_does_not_matter(study: Advice) -> None:
     turned = advise_recordings(scenes()[::-1], Context())
     assert sorted(advice.line for advice in turned.advices) == sorted(
         advice.line for advice in study.advices
@@ -48,12 +62,12 @@ def test_the_order_of_recordings_does_not_matter(study: Study) -> None:
     assert turned.common == study.common
 
 
-def test_one_reducer_for_all_scenes_is_named(study: Study) -> None:
+def test_one_reducer_for_all_scenes_is_named(study: Advice, late: Advice) -> None:
     assert study.common[0] == "pca321_matched"
-    assert study.summary.startswith("One for all 2 scenes: pca321_matched (or ")
-    assert (
-        advise_recordings(scenes(), ONLINE).summary == "No one reducer suffices for all 2 scenes."
-    )
+    assert study.headline.startswith("One for all 2 scenes: pca321_matched (or ")
+    assert late.headline == "No one reducer suffices for all 2 scenes."
+    lines = [advice.line for advice in study.advices]
+    assert study.summary().splitlines() == [*lines, study.headline]
 
 
 def test_segments_of_one_recording_may_differ() -> None:
@@ -71,7 +85,10 @@ def test_ratings_are_heard_for_whole_recordings_only() -> None:
     said = {"circular_motion": {"dft321": Rated(is_best=True, best="dft321", p=float("nan"))}}
     whole = advise_recordings(scenes()[:2], Context(), ratings=said)
     assert whole.rated == ("circular_motion",)
-    assert [row["basis"] for row in lay_out(whole)["scenes"]] == ["metrics", "metrics and ratings"]
+    assert [row["basis"] for row in build_content(whole)["scenes"]] == [
+        "metrics",
+        "metrics and ratings",
+    ]
     assert whole.note.startswith("Not rated everywhere, and not advised where others were rated: s")
     assert "dft321," not in whole.note
     robots = {
@@ -79,12 +96,12 @@ def test_ratings_are_heard_for_whole_recordings_only() -> None:
             "dft321": Rated(is_best=True, best="dft321", p=float("nan"), simulated=True)
         }
     }
-    content = lay_out(advise_recordings(scenes()[1:2], Context(), ratings=robots))
+    content = build_content(advise_recordings(scenes()[1:2], Context(), ratings=robots))
     assert (content["simulated"], content["scenes"][0]["basis"]) == (
         True,
         "metrics and simulated ratings",
     )
-    assert not lay_out(whole)["simulated"]
+    assert not build_content(whole)["simulated"]
     assert advise_recordings(scenes()[:1], Context()).note == ""
 
 
@@ -94,7 +111,7 @@ def test_ratings_that_are_not_heard_are_told_of(tmp_path: Path) -> None:
         "whole recordings, not segments": advise_recordings(
             scenes()[:1], Context(), ratings=said, segment_s=0.5
         ),
-        "what one axis of an actuator plays": advise_recordings(
+        "the output of one axis of an actuator": advise_recordings(
             scenes()[:1], Context(axes=2), ratings=said
         ),
         "two rated reducers and a margin": advise_recordings(scenes()[:1], Context(), ratings={}),
@@ -102,7 +119,7 @@ def test_ratings_that_are_not_heard_are_told_of(tmp_path: Path) -> None:
     for words, study in notes.items():
         assert study.rated == ()
         assert study.advices[0].answer == "pca321"
-        assert study.note.startswith("Ratings are not heard: ")
+        assert study.note.startswith("Ratings were not used: ")
         assert words in study.note
         write_advice(study, tmp_path / "advice")
         assert study.note in (tmp_path / "advice" / "index.html").read_text(
@@ -121,32 +138,39 @@ def test_progress_counts_scenes() -> None:
     assert steps == [(1, 2), (2, 2)]
 
 
-def test_no_recording_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"recordings: got none, allowed is one or more"):
-        advise_recordings([], Context())
+def test_nothing_to_advise_on_is_refused() -> None:
+    with pytest.raises(ValueError, match="recordings must be one or more, got none"):
+        advise([])
+    with pytest.raises(
+        ValueError, match=r"must have motion from 20 to 1000 Hz, got none that has .calm <b>: it is"
+    ):
+        advise(scenes()[2:])
 
 
-def test_files_hold_the_same_as_the_json(study: Study, tmp_path: Path) -> None:
-    content = write_advice(study, tmp_path / "advice")
-    read = json.loads((tmp_path / "advice" / "results.json").read_text(encoding="utf-8"))
-    assert read == json.loads(json.dumps(content))
-    for name in content["files"]:
-        assert (tmp_path / "advice" / name).is_file()
-    with (tmp_path / "advice" / "tables" / "advice.csv").open(encoding="utf-8", newline="") as file:
+def test_the_face_says_the_same(study: Advice) -> None:
+    assert advise(scenes()) == study
+    assert pickle.loads(pickle.dumps(study)) == study  # noqa: S301 - our own bytes
+    assert len(repr(study)) <= 200
+    assert list(study.to_frames()) == ["advice", "measures"]
+
+
+def test_files_hold_the_same_as_the_json(study: Advice, written: Path) -> None:
+    read = json.loads((written / "results.json").read_text(encoding="utf-8"))
+    files = read.pop("files")
+    assert read == json.loads(json.dumps(build_content(study)))
+    assert all((written / name).is_file() for name in files)
+    with (written / "tables" / "advice.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["answer"] for row in rows] == ["pca321", "pca321_matched", ""]
     assert [row["line"] for row in rows] == [advice.line for advice in study.advices]
-    with (tmp_path / "advice" / "tables" / "measures.csv").open(
-        encoding="utf-8", newline=""
-    ) as file:
+    with (written / "tables" / "measures.csv").open(encoding="utf-8", newline="") as file:
         measures = list(csv.DictReader(file))
     assert len(measures) == 2 * len(study.advices[0].verdicts)
     assert next(row for row in measures if row["reducer"] == "dft321")["latency_ms"] == ""
 
 
-def test_the_page_tells_all_and_escapes_names(study: Study, tmp_path: Path) -> None:
-    write_advice(study, tmp_path / "advice")
-    page = (tmp_path / "advice" / "index.html").read_text(encoding="utf-8")
+def test_the_page_shows_all_and_escapes_names(study: Advice, written: Path) -> None:
+    page = (written / "index.html").read_text(encoding="utf-8")
     assert "calm &lt;b&gt;" in page
     assert "calm <b>" not in page
     for advice in study.advices[:2]:
@@ -156,21 +180,14 @@ def test_the_page_tells_all_and_escapes_names(study: Study, tmp_path: Path) -> N
     assert "<svg role=" in page
 
 
-def test_the_page_tells_a_budget_and_what_is_closest(tmp_path: Path) -> None:
-    write_advice(advise_recordings(scenes()[:2], ONLINE), tmp_path / "advice")
-    page = (tmp_path / "advice" / "index.html").read_text(encoding="utf-8")
+def test_the_page_shows_a_budget_and_what_is_closest(late: Advice, tmp_path: Path) -> None:
+    page = late.write(tmp_path / "advice").read_text(encoding="utf-8")
     assert "at most 5 ms late" in page
     assert "ranked by latency, then memory, operations" in page
 
 
-def test_a_page_of_nothing_but_silence_is_written(tmp_path: Path) -> None:
-    content = write_advice(advise_recordings(scenes()[2:], Context()), tmp_path / "advice")
-    assert content["measures"] == []
-    assert content["summary"] == "No one reducer suffices for all 0 scenes."
-
-
 def test_writing_twice_gives_the_same_bytes_and_spares_what_is_not_ours(
-    study: Study, tmp_path: Path
+    study: Advice, tmp_path: Path
 ) -> None:
     folder = tmp_path / "advice"
     first = {name: (folder / name).read_bytes() for name in write_advice(study, folder)["files"]}
@@ -186,15 +203,14 @@ def test_writing_twice_gives_the_same_bytes_and_spares_what_is_not_ours(
     assert (tmp_path / "other" / "index.html").read_text() == "mine"
 
 
-def test_the_figure_shows_every_state_once_per_scene(study: Study) -> None:
-    late = advise_recordings(scenes()[:2], ONLINE)
+def test_the_figure_shows_every_state_once_per_scene(study: Advice, late: Advice) -> None:
     states = {
-        tell_state(advice, each)
+        find_state(advice, each)
         for each_study in (study, late)
         for advice in each_study.advices
         for each in advice.verdicts
     }
-    assert states == set(KEYS)
+    assert states == set(MARKS)
     (axes,) = draw_advice(study.advices).axes
     assert [label.get_text() for label in axes.get_yticklabels()] == [
         advice.scene.name for advice in study.advices

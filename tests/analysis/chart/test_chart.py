@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import csv
 import json
+import pickle
 import re
 import shutil
 import subprocess
@@ -10,30 +11,36 @@ from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from feel321.analysis.tradeoff.chart.axes import GROUPS, merge_equal, merge_rows, name_point
+from feel321.analysis.tradeoff.chart.accuracy import ReducerVariant, draw_turns, measure_accuracy
 from feel321.analysis.tradeoff.chart.compute import FULL, QUICK, compute_chart
-from feel321.analysis.tradeoff.chart.drawing import draw_cost, draw_latency
-from feel321.analysis.tradeoff.chart.explore import dump_data, list_choices
-from feel321.analysis.tradeoff.chart.measure import Method, draw_turns, measure_accuracy
-from feel321.analysis.tradeoff.chart.page import write_chart
-from feel321.analysis.tradeoff.chart.records import (
+from feel321.analysis.tradeoff.chart.figures import draw_cost, draw_latency
+from feel321.analysis.tradeoff.chart.page import (
+    collect_notes,
+    describe_answers,
+    dump_data,
+    list_axes,
+    merge_equal,
+    write_chart,
+)
+from feel321.analysis.tradeoff.chart.points import (
+    GROUPS,
     MEASURES,
     SWEEPS,
     TABLES,
-    Chart,
-    Precision,
     find_front,
-    read_json,
+    merge_rows,
+    name_point,
 )
-from feel321.analysis.tradeoff.chart.tables import list_notes, tell_answers
 from feel321.stimuli.reducers.registry import REDUCERS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from feel321.analysis.tradeoff.chart.compute import Chart
     from feel321.stimuli.recording import Recording
 
 SHOWN = tuple(dict.fromkeys(map(name_point, REDUCERS)))
@@ -49,88 +56,78 @@ BROWSER = next(
 )
 
 
+def dump(chart: Chart) -> str:
+    tables = chart.to_frames()
+    return dump_data(tables, list_axes(tables))
+
+
 def test_every_reducer_scene_measure_and_sweep_is_there(tiny: Chart) -> None:
-    points = {(point.reducer, point.measure) for point in tiny.points}
-    assert points == {(reducer, measure) for reducer in REDUCERS for measure in MEASURES}
-    usual = [row for row in tiny.accuracies if row.sweep == "reducer"]
+    points = set(zip(tiny.points["reducer"], tiny.points["measure"], strict=True))
+    assert points == set(product(REDUCERS, MEASURES))
+    usual = tiny.accuracies[tiny.accuracies["sweep"] == "reducer"]
     assert len(usual) == len(REDUCERS) * 2 * len(MEASURES)
-    assert {cost.sweep for cost in tiny.costs} == set(SWEEPS)
-    assert {row.sweep for row in tiny.accuracies} == {"reducer", "window", "hop", "rate"}
-    assert all(cost.low <= cost.ns_per_sample <= cost.high for cost in tiny.costs)
-    assert [row.reducer for row in tiny.growth] == list(REDUCERS)
-    assert [scene.used_s for scene in tiny.scenes] == [0.3, 0.3]
+    assert set(tiny.costs["sweep"]) == set(SWEEPS)
+    assert set(tiny.accuracies["sweep"]) == {"reducer", "window", "hop", "rate"}
+    assert (tiny.costs["low"] <= tiny.costs["ns_per_sample"]).all()
+    assert (tiny.costs["ns_per_sample"] <= tiny.costs["high"]).all()
+    assert tiny.growth["reducer"].tolist() == list(REDUCERS)
+    assert tiny.scenes["used_s"].tolist() == [0.3, 0.3]
+    assert {name: tuple(frame) for name, frame in tiny.to_frames().items()} == TABLES
 
 
 def test_strict_front_members_are_marked(tiny: Chart) -> None:
-    for measure in MEASURES:
-        points = [point for point in merge_equal(tiny).points if point.measure == measure]
-        strict = find_front([[point.ns_per_sample, -point.median] for point in points])
-        assert all(point.on_front for point, on in zip(points, strict, strict=True) if on)
+    for _, points in merge_equal(tiny.to_frames())["points"].groupby("measure"):
+        strict = find_front(np.c_[points["ns_per_sample"], -points["median"]])
+        assert points["on_front"][strict].all()
 
 
 def test_medians_lie_between_their_scenes_and_known_ones_are_right(tiny: Chart) -> None:
-    assert all(point.lowest <= point.median <= point.highest for point in tiny.points)
-    spectral = {
-        point.reducer: point.median for point in tiny.points if point.measure == "spectral_match"
-    }
+    points = tiny.points
+    assert points["median"].between(points["lowest"], points["highest"]).all()
+    spectral = points[points["measure"] == "spectral_match"].set_index("reducer")["median"]
     assert spectral["dft321"] == pytest.approx(1.0, abs=1e-9)
 
 
 def test_equal_by_construction_is_one_point_and_loses_no_name(tiny: Chart) -> None:
-    merged = merge_equal(tiny)
-    assert [point.reducer for point in merged.points if point.measure == MEASURES[0]] == list(SHOWN)
+    merged = merge_equal(tiny.to_frames())
+    points = merged["points"].set_index(["reducer", "measure"])
+    assert merged["points"]["reducer"].unique().tolist() == list(SHOWN)
     assert len(SHOWN) == len(REDUCERS) - 6
-    own = {(point.reducer, point.measure): point for point in tiny.points}
-    for label, members in GROUPS.items():
-        for member, measure in product(members, MEASURES):
-            assert own[member, measure].group == label
-            (point,) = [
-                one for one in merged.points if (one.reducer, one.measure) == (label, measure)
-            ]
-            assert own[member, measure].on_front == point.on_front
-            assert point.ns_per_sample == pytest.approx(
-                np.mean([own[one, measure].ns_per_sample for one in members])
-            )
-            means = [
-                [
-                    row.mean
-                    for row in tiny.accuracies
-                    if row.sweep == "reducer"
-                    and row.reducer in members
-                    and (row.measure, row.scene) == (measure, scene.name)
-                ]
-                for scene in tiny.scenes
-            ]
-            assert point.median == pytest.approx(np.median(np.mean(means, axis=1)))
-    assert {point.group for point in tiny.points if point.reducer == name_point(point.reducer)} == {
-        ""
-    }
-    assert merge_rows(merged.costs) == list(merged.costs)
-    assert {name for row in tiny.dominated for name in (row.reducer, row.by)} <= set(SHOWN)
+    own = tiny.points.set_index(["reducer", "measure"])
+    usual = tiny.accuracies[tiny.accuracies["sweep"] == "reducer"]
+    for (label, members), measure in product(GROUPS.items(), MEASURES):
+        same = [own.loc[member, measure] for member in members]
+        point = points.loc[label, measure]
+        assert {one["group"] for one in same} == {label}
+        assert {one["on_front"] for one in same} == {point["on_front"]}
+        mean = np.mean([one["ns_per_sample"] for one in same])
+        assert point["ns_per_sample"] == pytest.approx(mean)
+        rows = usual[usual["reducer"].isin(members) & (usual["measure"] == measure)]
+        median = rows.groupby("scene")["mean"].mean().median()
+        assert point["median"] == pytest.approx(median)
+    alone = tiny.points["reducer"].map(name_point) == tiny.points["reducer"]
+    assert set(tiny.points["group"][alone]) == {""}
+    assert merge_rows(merged["costs"]).equals(merged["costs"])
+    assert {*tiny.dominated["reducer"], *tiny.dominated["by"]} <= set(SHOWN)
 
 
 def test_single_axes_are_equal_over_many_orientations(
     make_recording: Callable[[str], Recording],
 ) -> None:
     """The law that the groups rest on; as mounted, the axes are far from equal."""
-    methods = [Method(name) for members in GROUPS.values() for name in members]
-    rows = measure_accuracy(make_recording("bumps"), methods, turns=draw_turns(300, 5))
+    variants = [ReducerVariant(name) for members in GROUPS.values() for name in members]
+    rows = measure_accuracy(make_recording("bumps"), variants, turns=draw_turns(300, 5))
     for members, measure in product(GROUPS.values(), MEASURES[1:3]):
-        own = [row for row in rows if row.reducer in members and row.measure == measure]
-        error = max(row.sd for row in own) / np.sqrt(300)
-        assert np.ptp([row.mean for row in own]) < 6 * error
-        assert np.ptp([row.as_mounted for row in own]) > 6 * error
+        own = [row for row in rows if row["reducer"] in members and row["measure"] == measure]
+        error = max(row["sd"] for row in own) / np.sqrt(300)
+        assert np.ptp([row["mean"] for row in own]) < 6 * error
+        assert np.ptp([row["as_mounted"] for row in own]) > 6 * error
 
 
 def test_rated_members_of_a_point_stand_beside_it(rated: Chart) -> None:
-    means = {"sax321": 40.0, "saz321": 60.0}
-    rows = tuple(replace(rated.rated[0], reducer=name, mean=mean) for name, mean in means.items())
-    chart = replace(rated, rated=rows)
-    members = [
-        entry
-        for entry in json.loads(dump_data(chart, list_choices(chart)))["methods"]
-        if entry["member"]
-    ]
+    first = rated.rated.iloc[[0, 0]]
+    chart = replace(rated, rated=first.assign(reducer=["sax321", "saz321"], mean=[40.0, 60.0]))
+    members = [entry for entry in json.loads(dump(chart))["methods"] if entry["member"]]
     assert [(entry["label"], *entry["ratings"].values()) for entry in members] == [
         ("sax321", [40.0, 55.0, 70.0, 50.0, 75.0]),
         ("saz321", [60.0, 55.0, 70.0, 50.0, 75.0]),
@@ -138,22 +135,16 @@ def test_rated_members_of_a_point_stand_beside_it(rated: Chart) -> None:
     assert {entry["reducer"] for entry in members} == {name_point("sax321")}
 
 
-def test_json_gives_the_same_chart_back(rated: Chart) -> None:
-    assert read_json(rated.to_json(files=["results.json"])) == rated
-
-
-@pytest.mark.parametrize("text", ["{}", "[]", '{"machine": 1}'])
-def test_other_json_is_refused(text: str) -> None:
-    with pytest.raises(ValueError, match="chart: got JSON that is no chart"):
-        read_json(text)
+def test_a_chart_is_small_to_look_at_and_goes_through_pickle(rated: Chart) -> None:
+    assert pickle.loads(pickle.dumps(rated)) == rated  # noqa: S301 - our own bytes
+    assert len(repr(rated)) <= 200
+    assert rated.summary().splitlines() == list(describe_answers(rated.to_frames()))
 
 
 def test_recordings_need_names_of_their_own(make_recording: Callable[[str], Recording]) -> None:
-    with pytest.raises(ValueError, match="recordings: got none, allowed is one or more"):
+    with pytest.raises(ValueError, match="recordings must be one or more, got none"):
         compute_chart([])
-    with pytest.raises(
-        ValueError, match="recordings: got 'bumps' twice, allowed is a name for each"
-    ):
+    with pytest.raises(ValueError, match="must have different names, got 'bumps' twice"):
         compute_chart([make_recording("bumps")] * 2)
 
 
@@ -163,103 +154,96 @@ def test_efforts_differ_in_everything() -> None:
 
 
 def test_answers_name_the_front_and_the_dominated(rated: Chart) -> None:
-    text = "\n".join(tell_answers(rated))
+    text, dominated = rated.summary(), rated.dominated
     assert re.search(r"Spectral match against cost: on the front are .*dft321 \(1\.00\)", text)
-    for row in rated.dominated:
-        assert row.reducer in text
-    assert (
-        "Best mean realism rating (as is): dft321, 71.0 (95 % two-way interval 60.0 to 80.0;"
-        in text
-    )
-    assert "No reducer is clearly dominated" in "\n".join(
-        tell_answers(replace(rated, dominated=()))
-    )
-    unclear = tuple(replace(row, clear=False) for row in rated.dominated)
-    assert "cannot be told apart from" in "\n".join(tell_answers(replace(rated, dominated=unclear)))
+    assert all(name in text for name in dominated["reducer"])
+    best = "Best mean realism rating (as is): dft321, 71.0 (95 % two-way interval 60.0 to 80.0;"
+    assert best in text
+    none = replace(rated, dominated=dominated[:0])
+    assert "No reducer is clearly dominated" in none.summary()
+    unclear = replace(rated, dominated=dominated.assign(clear=False))
+    assert "is not clearly worse than" in unclear.summary()
 
 
 def test_notes_tell_what_was_cut_and_a_busy_machine(
     tiny: Chart, make_recording: Callable[[str], Recording]
 ) -> None:
-    recordings, idle = [make_recording("bumps")], replace(tiny.machine, load=0.0)
-    busy = replace(tiny.machine, load=99.0)
-    odd = [Precision("soc321", "float32", None)]
-    whole = "\n".join(list_notes(recordings, 1.0, precision=tiny.precision, machine=idle))
+    recordings, rows = [make_recording("bumps")], tiny.precision.to_dict("records")
+    idle, busy = ({**tiny.machine, "load": load} for load in (0.0, 99.0))
+    odd = [{"reducer": "soc321", "output": "float32", "arithmetic_db": None}]
+    whole = "\n".join(collect_notes(recordings, 1.0, precision=rows, machine=idle))
     assert "32-bit input is not computed in 32 bit" in whole
     assert "their middle was used" not in whole
     assert "busy" not in whole
-    cut = "\n".join(list_notes(recordings, 0.1, precision=odd, machine=busy))
+    cut = "\n".join(collect_notes(recordings, 0.1, precision=odd, machine=busy))
     assert "1 of 1 recordings are longer than 0.1 s" in cut
     assert "(99.0 programs for" in cut
     assert "Output for 32-bit input: float32." in cut
 
 
-def test_everything_is_written_and_a_former_chart_replaced(
-    rated: Chart, tiny: Chart, tmp_path: Path
+def test_everything_is_written(rated: Chart, written: Path) -> None:
+    content = json.loads((written / "results.json").read_text(encoding="utf-8"))
+    files = {str(path.relative_to(written)) for path in written.rglob("*") if path.is_file()}
+    assert files == set(content["files"])
+    whole = rated.to_dict()
+    assert {name: content[name] for name in whole if name not in TABLES} == {
+        name: value for name, value in whole.items() if name not in TABLES
+    }
+    for name, frame in rated.to_frames().items():
+        read = pd.DataFrame(content[name], columns=list(frame)).astype(frame.dtypes)
+        pd.testing.assert_frame_equal(read, frame)
+        with (written / "tables" / f"{name}.csv").open(encoding="utf-8", newline="") as file:
+            assert len(list(csv.DictReader(file))) == len(frame)
+
+
+def test_a_former_chart_is_replaced_and_nothing_else(
+    tiny: Chart, written: Path, tmp_path: Path
 ) -> None:
     target = tmp_path / "chart"
-    files = write_chart(rated, target)
-    assert {str(path.relative_to(target)) for path in target.rglob("*") if path.is_file()} == set(
-        files
-    )
-    content = json.loads((target / "results.json").read_text(encoding="utf-8"))
-    assert read_json(json.dumps(content)) == rated
-    assert content["files"] == list(files)
-    for name in TABLES:
-        with (target / "tables" / f"{name}.csv").open(encoding="utf-8", newline="") as file:
-            assert len(list(csv.DictReader(file))) == len(getattr(rated, name))
+    shutil.copytree(written, target)
+    before = set(json.loads((target / "results.json").read_text(encoding="utf-8"))["files"])
     (target / "notes.txt").write_text("mine")
-    fewer = write_chart(tiny, target)
-    assert set(files) - set(fewer) == {
-        "figures/rated_realism_as_is_7.svg",
-        "figures/rated_realism_as_is_7.png",
-    }
-    assert {path.name for path in (target / "figures").iterdir()}.isdisjoint(
-        set(files) - set(fewer)
-    )
+    gone = before - set(write_chart(tiny, target))
+    assert gone == {"figures/rated_realism_as_is_7.svg", "figures/rated_realism_as_is_7.png"}
+    assert not any((target / name).exists() for name in gone)
     assert (target / "notes.txt").read_text() == "mine"
-
-
-def test_what_is_not_a_former_chart_is_not_replaced(tiny: Chart, tmp_path: Path) -> None:
-    (tmp_path / "index.html").write_text("mine")
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "index.html").write_text("mine")
     with pytest.raises(FileExistsError, match="exists and is not of a former report"):
-        write_chart(tiny, tmp_path)
-    assert (tmp_path / "index.html").read_text() == "mine"
+        tiny.write(tmp_path / "other")
+    assert (tmp_path / "other" / "index.html").read_text() == "mine"
 
 
 def test_no_mean_hides_its_scenes(tiny: Chart) -> None:
-    for axes, measure in zip(draw_cost(tiny).axes, MEASURES[:2], strict=True):
+    merged = merge_equal(tiny.to_frames())
+    for axes, measure in zip(draw_cost(merged).axes, MEASURES[:2], strict=True):
         dots = [line for line in axes.lines if line.get_marker() == "."]
         assert len(dots) == 2 * len(SHOWN)
-        means = {
-            row.mean
-            for row in merge_equal(tiny).accuracies
-            if row.sweep == "reducer" and row.measure == measure
-        }
+        rows = merged["accuracies"].query("sweep == 'reducer'")
+        rows = rows[rows["measure"] == measure]
         shown = {float(dot.get_ydata()[0]) for dot in dots}
-        assert shown == {max(mean, -1.0) for mean in means}
+        assert shown == set(rows["mean"].clip(-1.0))
 
 
 def test_every_window_stands_in_the_figure_of_latency(tiny: Chart) -> None:
-    (above, _) = draw_latency(tiny).axes
+    (above, _) = draw_latency(merge_equal(tiny.to_frames())).axes
     assert [len(line.get_xdata()) for line in above.lines if len(line.get_xdata()) == 6]
 
 
 def test_no_name_can_end_the_pages_data(tiny: Chart) -> None:
-    evil = replace(tiny, scenes=(replace(tiny.scenes[0], name="</script><b>"),))
-    text = dump_data(evil, list_choices(evil))
+    text = dump(replace(tiny, scenes=tiny.scenes[:1].assign(name="</script><b>")))
     assert "<" not in text
     assert json.loads(text)["scenes"] == ["</script><b>"]
 
 
 def test_the_page_holds_every_method_and_spans_that_rise(rated: Chart) -> None:
-    data = json.loads(dump_data(rated, list_choices(rated)))
-    merged = merge_equal(rated)
+    data = json.loads(dump(rated))
+    merged = merge_equal(rated.to_frames())
     measured = {
-        (row.sweep, row.method, row.rate_hz if row.sweep == "rate" else 0)
-        for row in merged.accuracies
+        (row["sweep"], row["method"], row["rate_hz"] if row["sweep"] == "rate" else 0)
+        for row in merged["accuracies"].to_dict("records")
     }
-    streams = [cost for cost in merged.costs if cost.sweep == "block"]
+    streams = merged["costs"].query("sweep == 'block'")
     assert len(data["methods"]) == len(measured) + len(streams)
     for method in data["methods"]:
         for value, low, high in (method["speed"]["cost"], method["speed"]["real_time"]):
@@ -295,10 +279,10 @@ def open_page(page: Path, tmp_path: Path) -> tuple[str, str]:
     not BROWSER, reason="NO BROWSER: chromium is not installed, the page was NOT opened"
 )
 def test_the_page_opens_in_a_real_browser_and_its_script_works(
-    rated: Chart, tmp_path: Path
+    rated: Chart, written: Path, tmp_path: Path
 ) -> None:
-    write_chart(rated, tmp_path / "chart")
-    page = tmp_path / "chart" / "index.html"
+    page = tmp_path / "index.html"
+    shutil.copy(written / "index.html", page)
     document, console = open_page(page, tmp_path)
     assert console == ""
     assert len(re.findall(r'<polygon[^>]*class="point', document)) == len(SHOWN)
@@ -322,7 +306,7 @@ def test_the_page_opens_in_a_real_browser_and_its_script_works(
     page.write_text(page.read_text(encoding="utf-8").replace("</body>", steps), encoding="utf-8")
     document, console = open_page(page, tmp_path)
     assert console == ""
-    points = len(json.loads(dump_data(rated, list_choices(rated)))["methods"])
+    points = len(json.loads(dump(rated))["methods"])
     assert f'data-points="{points}"' in document
     assert re.search(
         r'data-tip="sax/say/saz321[^"]*Cost of one sample \(ns\): [\d.]+ \[[\d.]+ to', document

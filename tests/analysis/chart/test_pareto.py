@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from feel321.analysis.tradeoff.chart.records import dominates, find_front
+from feel321.analysis.tradeoff.chart.points import dominates, find_front
 
 
 def is_beaten(point: list[float], others: list[list[float]]) -> bool:
@@ -34,5 +34,5 @@ def test_equal_points_stand_together_and_the_infinite_one_is_worst() -> None:
 
 
 def test_what_cannot_be_compared_is_refused() -> None:
-    with pytest.raises(ValueError, match="costs: got NaN, allowed are numbers"):
+    with pytest.raises(ValueError, match="costs must be numbers, got NaN"):
         find_front([[1, np.nan]])

@@ -1,4 +1,4 @@
-"""One stress test of all reducers with few draws, and its page; both to be read only."""
+"""One stress test of all reducers with few draws, one of a single reducer, and the page of the first."""
 
 from __future__ import annotations
 
@@ -7,16 +7,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from feel321.analysis.tradeoff.face import stress
 from feel321.analysis.tradeoff.stress.battery import BATTERY
-from feel321.analysis.tradeoff.stress.run import stress_reducers, write_stress
 from feel321.stimuli.recording import Recording
-from feel321.stimuli.reducers.registry import REDUCERS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from feel321.analysis.tradeoff.stress.result import StressResult
+    from feel321.analysis.tradeoff.stress.run import Stress
 
 
 def make_recording(
@@ -53,16 +52,16 @@ def recordings(drag: Recording) -> tuple[Recording, ...]:
 
 
 @pytest.fixture(scope="session")
-def result(recordings: tuple[Recording, ...]) -> StressResult:
-    return stress_reducers(recordings, sensor={"drag": recordings[0]}, seeds=4, draws=4, seed=3)
+def result(recordings: tuple[Recording, ...]) -> Stress:
+    return stress(recordings, sensor={"drag": recordings[0]}, takes=4, draws=4, rng=3)
 
 
 @pytest.fixture(scope="session")
-def small(drag: Recording) -> StressResult:
+def small(drag: Recording) -> Stress:
     """Test one reducer on one harmless recording, quickly."""
-    return stress_reducers([drag], {"mag321": REDUCERS["mag321"]}, seeds=2, draws=2, seed=0)
+    return stress([drag], reducers=["mag321"], takes=2, draws=2)
 
 
 @pytest.fixture(scope="session")
-def folder(result: StressResult, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_stress(result, tmp_path_factory.mktemp("stress") / "out").parent
+def folder(result: Stress, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return result.write(tmp_path_factory.mktemp("stress") / "out").parent

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from feel321.analysis.tradeoff.stress import diagnosis
-from feel321.analysis.tradeoff.stress.cells import Cell
-from feel321.analysis.tradeoff.stress.diagnosis import SIGNS, Diagnosis, diagnose, warn_of
+from feel321.analysis.tradeoff.stress.diagnosis import SIGNS, Diagnosis, diagnose, list_warnings
+from feel321.analysis.tradeoff.stress.measures import StressCell
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.formats.read import read_recording
 
@@ -16,6 +16,17 @@ SHARED = Path(__file__).resolve().parents[4] / "shared" / "recordings"
 needs_recordings = pytest.mark.skipif(
     not SHARED.is_dir(), reason="NO REAL RECORDINGS: ../shared/recordings is missing"
 )
+
+
+def test_signs_of_samples_that_are_known_by_heart(made: Any) -> None:
+    assert diagnosis.eigenvalue_ratio(made([[2, -2, 0, 0], [0, 0, 1, -1], [0] * 4])) == 0.25
+    assert diagnosis.silent_axes(made([[1, -1], [0, 0], [0.001, -0.001]])) == 2
+    assert diagnosis.offset_share(made([[2, 0, 2, 0], [0] * 4, [0] * 4])) == 0.5
+    assert diagnosis.clipped_share(made([[0, 1, 1, 1, 0, -1, 0, 1], [0] * 8, [0] * 8])) == 0.375
+    assert diagnosis.step_over_rms(made([[1, -1, 1, -1], [0] * 4, [0] * 4])) == 2
+    assert diagnosis.held_share(made([[1, 0, 0, 0, 2]] * 3)) == 0.5
+    shown = [SIGNS["offset_share"].format(value) for value in (0.32, 4e-8, 0.0)]
+    assert shown == ["32 %", "<0.01 %", "0 %"]
 
 
 @pytest.mark.parametrize("share", [0.1, 0.32, 0.7])
@@ -98,14 +109,14 @@ def test_a_warning_names_the_share_and_the_reducers_that_suffer() -> None:
         "undetermined_share": 0.32
     }
     gains = [
-        Cell("drag", name, "gain", gain, gain)
+        StressCell("drag", name, "gain", gain, gain)
         for name, gain in (("dft321", 40.0), ("dft321_windowed", 1.0))
     ]
     expected = "32 % of the energy sits where the phase is undetermined: dft321 is sensitive here (gain 40)"
-    assert warn_of(Diagnosis("drag", figures), gains) == (expected,)
-    assert warn_of(Diagnosis("other", figures), gains) == (expected.partition(":")[0],)
-    large = [Cell("drag", "dft321", "gain", 1384.2, 1384.2)]
-    assert "(gain 1384)" in warn_of(Diagnosis("drag", figures), large)[0]
+    assert list_warnings(Diagnosis("drag", figures), gains) == (expected,)
+    assert list_warnings(Diagnosis("other", figures), gains) == (expected.partition(":")[0],)
+    large = [StressCell("drag", "dft321", "gain", 1384.2, 1384.2)]
+    assert "(gain 1384)" in list_warnings(Diagnosis("drag", figures), large)[0]
 
 
 def test_conditioning_hides_what_the_sensor_shows(made: Any) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from feel321.analysis.tradeoff.stress.battery import BATTERY
-from feel321.analysis.tradeoff.stress.cells import compare_metrics_under_rotation, say_metrics
+from feel321.analysis.tradeoff.stress.result import compare_metrics_under_rotation, describe_metrics
 from feel321.stimuli.reducers.registry import REDUCERS
 
 
@@ -32,7 +32,7 @@ def test_the_spectral_match_explodes_in_empty_bands_and_its_counterpart_does_not
     assert row.worst_reducer == "mag321"
     assert 0 <= row.spectral_bounded <= 1
     assert 0 <= row.spectral_energy_weighted <= 1
-    assert f"({row.spectral_bounded:.2f} there)" in say_metrics([row])[1]
+    assert f"({row.spectral_bounded:.2f} there)" in [*describe_metrics([row])][1]
 
 
 def test_another_reducer_is_held_where_the_usual_one_is_not_there(drag: Any) -> None:
@@ -53,9 +53,9 @@ def test_without_a_frequency_there_is_no_spectral_match(made: Any) -> None:
 
 def test_sentences_count(drag: Any) -> None:
     still, moving = compare(BATTERY["near_silence"].make(0)), compare(drag)
-    lines = say_metrics([still, moving])
+    lines = [*describe_metrics([still, moving])]
     assert "of 2 scenes and recordings" in lines[0]
-    assert len(say_metrics([compare(drag)])) == 1 + moving.explodes
+    assert len([*describe_metrics([compare(drag)])]) == 1 + moving.explodes
 
 
 @pytest.mark.parametrize("name", BATTERY)

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import html
 import json
+import pickle
 import re
 import shutil
 import subprocess
@@ -11,10 +12,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from feel321.analysis.tradeoff.face import stress
 from feel321.analysis.tradeoff.stress.battery import BATTERY, take_excerpt
 from feel321.analysis.tradeoff.stress.measures import MEASURES
-from feel321.analysis.tradeoff.stress.page import name_anchor, tell_figure, tell_gain
-from feel321.analysis.tradeoff.stress.result import tell_reason
+from feel321.analysis.tradeoff.stress.page import build_page, format_gain, format_value, name_anchor
+from feel321.analysis.tradeoff.stress.result import find_reason
 from feel321.analysis.tradeoff.stress.run import stress_reducers, write_stress
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
@@ -40,31 +42,31 @@ def test_every_figure_is_there(result: Any) -> None:
 
 
 def test_the_recording_that_comes_near_is_named(result: Any) -> None:
-    assert any(
-        "half (Energy of undetermined phase" in told for told in result.find_near("anti_phase")
-    )
+    near = build_page(result)["near"]
+    assert any("half (Energy of undetermined phase" in line for line in near["anti_phase"])
     assert any(
         line.split("%")[1].startswith(" of the energy sits where the phase")
         for line in result.warnings["half"]
     )
     assert "drag" not in result.warnings
-    assert result.find_near("circular") == ()
+    assert near["circular"] == []
 
 
 def test_silence_and_what_conditioning_hides_are_noted(result: Any) -> None:
     assert "nothing: silent, left out." in result.notes
-    assert any(note.startswith("half: seen after conditioning only") for note in result.notes)
+    assert any(
+        note.startswith("half: only the conditioned signal was available") for note in result.notes
+    )
 
 
 def test_the_answer_names_what_fails(result: Any) -> None:
     text = " ".join(result.answers)
     assert re.search(
-        r"Anti-phase axes: perturbation gain above 10 of soc321 \(1414\), dft321 \(1\d\d\d\)", text
+        r"Anti-phase axes: perturbation gain above 10 for soc321 \(1414\), dft321 \(1\d\d\d\)", text
     )
     assert re.search(r"Circular motion: .*pca321 \(\d+\)", text)
     assert (
-        "Under a turn of the sensor the output changes by less than 22 % in every scene with mag321"
-        in text
+        "Rotating the sensor changes the output by less than 22 % in every scene for mag321" in text
     )
     assert re.search(
         r"pca321_matched_windowed: perturbation gain at most \d.* and \d\.\d in the worst of 4",
@@ -105,7 +107,7 @@ def test_every_link_leads_somewhere_and_every_failure_is_linked_and_explained(
         entry = body.split(f'<h4 id="{anchor}">', 1)[1].split("</ul>", 1)[0]
         assert MEASURES[cell.measure].title in entry
         assert (
-            html.escape(tell_reason(cell.measure, cell.reducer), quote=False).split("'")[0] in entry
+            html.escape(find_reason(cell.measure, cell.reducer), quote=False).split("'")[0] in entry
         )
     table = re.findall(r'<td class="fails"><a href="#(stress-[^"]+)">', page)
     assert len(table) == len(result.failures)
@@ -150,45 +152,42 @@ def test_a_browser_shows_it_without_overflow_and_follows_a_cell(
 
 
 def test_the_same_seed_writes_the_same_bytes(result: Any, folder: Path, tmp_path: Path) -> None:
-    again = write_stress(result, tmp_path / "again").parent
+    again = result.write(tmp_path / "again").parent
     for name in json.loads((folder / "results.json").read_text(encoding="utf-8"))["files"]:
         assert (again / name).read_bytes() == (folder / name).read_bytes()
 
 
 def test_a_former_test_is_replaced_and_foreign_files_stay(small: Any, tmp_path: Path) -> None:
     target = tmp_path / "stress"
-    write_stress(small, target)
+    small.write(target)
     (target / "notes.txt").write_text("mine", encoding="utf-8")
-    write_stress(small, target)
+    small.write(target)
     assert (target / "notes.txt").read_text(encoding="utf-8") == "mine"
     other = tmp_path / "other"
     other.mkdir()
     (other / "index.html").write_text("mine", encoding="utf-8")
     with pytest.raises(FileExistsError, match="exists and is not of a former report"):
-        write_stress(small, other)
+        small.write(other)
 
 
 def test_progress_reaches_the_end(drag: Any) -> None:
     told: list[tuple[int, int]] = []
-    few = {name: REDUCERS[name] for name in ("sax321", "mag321")}
-    done = stress_reducers(
-        [drag], few, seeds=2, draws=2, seed=0, progress=lambda *step: told.append(step)
-    )
+    few = ["sax321", "mag321"]
+    done = stress([drag], reducers=few, takes=2, draws=2, progress=lambda *step: told.append(step))
     assert told[-1] == (38, 38)
     assert [step for step, _ in told] == list(range(1, 39))
     assert set(done.reducers) == set(few)
 
 
 def test_without_recordings_the_page_is_about_the_battery(tmp_path: Path) -> None:
-    few = {"mag321": REDUCERS["mag321"]}
-    alone = stress_reducers(reducers=few, seeds=2, draws=2, seed=0)
-    page = write_stress(alone, tmp_path / "out").read_text(encoding="utf-8")
+    alone = stress(reducers=["mag321"], takes=2)
+    page = alone.write(tmp_path / "out").read_text(encoding="utf-8")
     assert "Recordings that come near" not in page
     assert "No reducer fails here." in page
 
 
 def test_a_harmless_recording_comes_near_nothing(small: Any, tmp_path: Path) -> None:
-    page = write_stress(small, tmp_path / "out").read_text(encoding="utf-8")
+    page = small.write(tmp_path / "out").read_text(encoding="utf-8")
     assert "<p>None does.</p>" in page
     assert "No recording comes near." in page
 
@@ -203,28 +202,47 @@ def test_the_strongest_part_is_taken(made: Any) -> None:
     assert take_excerpt(short, duration_s=0.5) is short
 
 
-def test_doors(drag: Any) -> None:
-    with pytest.raises(
-        ValueError, match="recordings: got 2 with 1 names, allowed is a name for each"
-    ):
-        stress_reducers([drag, drag], seed=0)
-    with pytest.raises(ValueError, match="reducers: got none, allowed is one or more"):
-        stress_reducers([drag], {}, seed=0)
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"recordings": 2}, "recordings must have different names, got 'drag' twice"),
+        ({"reducers": []}, "reducers must be one or more, got none"),
+        ({"reducers": "dft321"}, "reducers must be a list of names, got the text 'dft321'"),
+        ({"reducers": ["dft320"]}, "dft320"),
+        ({"draws": 1}, "draws must be 2 or more, got 1"),
+        ({"takes": 1}, "takes must be 2 or more, got 1"),
+        ({"rng": -1}, "rng must be a whole number from 0"),
+    ],
+)
+def test_doors(drag: Any, options: dict[str, Any], message: str) -> None:
+    recordings = [drag] * options.pop("recordings", 1)
+    with pytest.raises((ValueError, TypeError), match=message):
+        stress(recordings, **options)
+
+
+def test_former_names_do_the_same(small: Any, drag: Any, tmp_path: Path) -> None:
+    few = {"mag321": REDUCERS["mag321"]}
+    assert stress_reducers([drag], few, seeds=2, draws=2, seed=0) == small
+    assert write_stress(small, tmp_path / "out") == tmp_path / "out" / "index.html"
+
+
+def test_a_result_is_small_to_look_at_and_goes_through_pickle(small: Any) -> None:
+    assert pickle.loads(pickle.dumps(small)) == small  # noqa: S301 - our own bytes
+    assert len(repr(small)) <= 200
+    assert small.summary().splitlines() == list(small.answers)
+    assert list(small.to_frames()) == ["cells", "metrics", "recordings", "gains"]
 
 
 def test_warnings_of_the_reader_are_passed_on(drag: Any) -> None:
     warned = Recording(drag.acceleration, drag.rate_hz, "warned", warnings=("x is saturated",))
-    few = {"mag321": REDUCERS["mag321"]}
-    assert (
-        "warned: x is saturated" in stress_reducers([warned], few, seeds=2, draws=2, seed=0).notes
-    )
+    assert "warned: x is saturated" in stress([warned], reducers=["mag321"], takes=2, draws=2).notes
 
 
 def test_figures_in_words() -> None:
-    assert [tell_gain(gain) for gain in (0.9951, 9.96, float("nan"))] == ["1.0", "10", "–"]
-    assert [tell_figure(value) for value in (float("nan"), 2e7, -735.0)] == [
+    assert [format_gain(gain) for gain in (0.9951, 9.96, float("nan"))] == ["1.0", "10", "–"]
+    assert [format_value(value) for value in (float("nan"), 2e7, -735.0)] == [
         "–",
         "2.00e+07",
         "−735",
     ]
-    assert tell_reason("gain", "my321") == "the output rests on something that noise decides."
+    assert find_reason("gain", "my321") == "the output depends on something that noise determines."

@@ -75,7 +75,7 @@ def test_another_seed_gives_the_same_answers(
     assert answers[0] == answers[1]
 
 
-def test_ratings_of_the_study_are_heard(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_ratings_of_the_study_are_used(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (study / "stimuli").mkdir()
     reducers = {"pca321": 20.0, "dft321": 90.0}
     manifest = [f"constrained_drag-{name},constrained_drag,{name},0.5,0.5" for name in reducers]
@@ -101,16 +101,24 @@ def test_ratings_of_the_study_are_heard(study: Path, capsys: pytest.CaptureFixtu
 @pytest.mark.parametrize(
     ("options", "code", "message"),
     [
-        (["--axes", "4"], 2, "--axes: got 4, allowed is 1, 2 or 3"),
-        (["--latency-ms", "5"], 2, "--latency-ms: got 5 offline, where nobody waits; add --online"),
+        (["--axes", "4"], 2, "--axes must be 1, 2 or 3, got 4"),
+        (
+            ["--latency-ms", "5"],
+            2,
+            "--latency-ms must be left out offline, where nobody waits, got 5; add --online",
+        ),
         (
             ["--online", "--latency-ms", "-5"],
             2,
-            "--latency-ms: got -5, allowed is a finite time of 0 ms or more",
+            "--latency-ms must be a finite time of 0 ms or more, got -5",
         ),
-        (["--online", "--latency-ms", "nan"], 2, "--latency-ms: got nan, allowed is a finite time"),
-        (["--tolerance", "22"], 2, "--tolerance: got 22, allowed is above 0 and below 1"),
-        (["--segment", "0.01"], 2, "--segment: got 0.01 s, allowed is 0.1 s or more"),
+        (
+            ["--online", "--latency-ms", "nan"],
+            2,
+            "--latency-ms must be a finite time of 0 ms or more, got nan",
+        ),
+        (["--tolerance", "22"], 2, "--tolerance must be above 0 and below 1, got 22"),
+        (["--segment", "0.01"], 2, "--segment must be 0.1 s or more, got 0.01"),
         (["--segment", "soon"], 2, "'soon' is not a valid float"),
         (["--recordings", "nowhere.csv"], 1, "nowhere.csv"),
     ],
@@ -129,7 +137,18 @@ def test_bad_options_are_refused_before_anything_is_read(
     study: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["advise", str(study), "--recordings", "nowhere.csv", "--axes", "4"]) == 2
-    assert "--axes: got 4" in capsys.readouterr().err
+    assert "--axes must be 1, 2 or 3" in capsys.readouterr().err
+
+
+def test_silent_recordings_only_are_refused(
+    study: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    silent = study / "silent.npz"
+    np.savez(silent, acceleration=np.zeros((3, 4000)), rate_hz=4000.0, unit="m/s^2")
+    (study / "study.toml").unlink()
+    assert main(["advise", str(study), "--recordings", str(silent)]) == 1
+    assert "recordings must have motion from 20 to 1000 Hz" in capsys.readouterr().err
+    assert not (study / "advice").exists()
 
 
 def test_a_folder_without_a_study_says_so(

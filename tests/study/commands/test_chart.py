@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from feel321.analysis.tradeoff.chart import compute
-from feel321.analysis.tradeoff.chart.records import read_json
+from feel321.analysis.tradeoff.chart import compute, cost
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.analyze import find_ratings
 from feel321.study.cli import main
@@ -37,9 +36,11 @@ def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder.mkdir()
     (folder / "study.toml").write_text(STUDY)
     tiny = compute.Effort(
-        "quick", longest_s=0.2, rotations=2, sweep_rotations=2, largest_n=2000, rounds=3
+        "quick", longest_s=0.2, rotations=2, sweep_rotations=2, largest_n=5000, rounds=3
     )
     monkeypatch.setattr(compute, "QUICK", tiny)
+    for name, short in (("REFERENCE_N", 5000), ("RATE_DURATION_S", 0.1), ("CALLS", 20)):
+        monkeypatch.setattr(cost, name, short)
     return folder
 
 
@@ -59,8 +60,9 @@ def write_ratings(study: Path) -> None:
 def test_a_study_without_ratings_is_charted_with_its_own_seed(study: Path, capsys: Capture) -> None:
     assert main(["chart", str(study)]) == 0
     assert capsys.readouterr().out == f"{study / 'chart' / 'index.html'}\n"
-    chart = read_json((study / "chart" / "results.json").read_text(encoding="utf-8"))
-    assert (chart.seed, chart.rated, [scene.name for scene in chart.scenes]) == (5, (), ["bumps"])
+    chart = json.loads((study / "chart" / "results.json").read_text(encoding="utf-8"))
+    assert (chart["seed"], chart["rated"]) == (5, [])
+    assert [scene["name"] for scene in chart["scenes"]] == ["bumps"]
 
 
 def test_ratings_recordings_seed_and_folder_are_taken_as_told(

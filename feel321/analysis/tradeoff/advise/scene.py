@@ -2,15 +2,15 @@
 
 People notice a change of vibration intensity of about a fifth; below that, two vibrations are equally strong to them.
 Published fractions lie between 0.4 and 2.3 dB. The 22 % are taken here as a share of *energy* (0.86 dB), the cautious
-end of that range: "sufficient" is a claim that nothing is felt to be missing, and faults of several bands add up.
+end of that range: "sufficient" is a claim that nothing is felt to be missing, and errors in several bands add up.
 Energy is also what the metrics compare, so one number serves all of them:
 
 - *Level* (felt level of the output against the recording's, in dB): ``10 log10(1 + w)``, weaker or stronger.
 - *Spectrum* (`spectral_match_energy_weighted`, the share of energy common to both spectra, in bands as wide as people
   confuse frequencies): ``w``. A match that is lower by w means that a further share w of the energy is missing or
   misplaced.
-- *Time* (`temporal_match_invariant`; its square is the share of the motion's energy that goes along with the output):
-  that share may fall by ``w`` of the best's. The best is the projection on the first principal axis, by theorem.
+- *Time* (`temporal_match_invariant`; its square is the share of the motion's energy that the output carries): that
+  share may fall by ``w`` of the best's. The best is the projection on the first principal axis, by theorem.
 - *Steadiness* (change of the output, up to its sign, under sensor noise of -60 dB): ``sqrt(1 + w) - 1``, the amplitude
   which in phase with the output changes its energy by w. An output that depends on noise more than that is not
   determined by the scene.
@@ -33,85 +33,31 @@ References
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
-from math import isfinite
+from math import inf, isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from feel321.analysis.tradeoff.advise.draws import TURNS_ALONG
+from feel321.analysis.tradeoff.advise.measures import TURNS_ALONG
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
-    from feel321.analysis.tradeoff.advise.measures import Cost, Measures
+    from feel321.analysis.tradeoff.advise.measures import Complexity, Scores
+    from feel321.analysis.tradeoff.advise.ratings import Rated
     from feel321.stimuli.recording import Recording
 
-# How far from the best is still as good: every tolerance follows from one Weber fraction, 22 %.
-
 WEBER_FRACTION = 0.22
-
-
-@dataclass(frozen=True, slots=True)
-class Tolerance:
-    """What follows from a Weber fraction of intensity.
-
-    Parameters
-    ----------
-    weber : float
-        Smallest relative change of a vibration's energy that counts as felt.
-
-    Raises
-    ------
-    ValueError
-        If it is not above 0 and below 1.
-
-    Examples
-    --------
-    >>> round(Tolerance().level_db, 2), round(Tolerance().change, 3)
-    (0.86, 0.105)
-    """
-
-    weber: float = WEBER_FRACTION
-
-    def __post_init__(self) -> None:
-        """Refuse what is no fraction."""
-        if not 0 < self.weber < 1:
-            raise ValueError(
-                f"tolerance: got {self.weber:g}, allowed is above 0 and below 1; 0.22 is people's own"
-            )
-
-    @property
-    def level_db(self) -> float:
-        """Deviation of the felt level in dB."""
-        return 10 * math.log10(1 + self.weber)
-
-    @property
-    def spectrum(self) -> float:
-        """Difference of the spectral match (invariant form)."""
-        return self.weber
-
-    @property
-    def time(self) -> float:
-        """Relative loss of the motion's energy that goes along with the output: of the squared temporal match."""
-        return self.weber
-
-    @property
-    def change(self) -> float:
-        """Relative change of the output under sensor noise."""
-        return math.sqrt(1 + self.weber) - 1
-
-
-# A scene: a recording or a segment of one, and the context in which it is to be felt.
 
 LATENCY_MS = 45.0
 """Shortest delay between sight and touch that people notice, by the paper: the budget where none is named."""
 
 BLOCK_MS = 1000 * 64 / 48_000
-"""Time that a block of 64 samples at 48 kHz takes to come together."""
+"""Duration of a block of 64 samples at 48 kHz."""
 
 DEVICE_MS = 5.0
 """Assumed delay of converters and drivers where nobody has measured it; a sound card may need ten times as much."""
@@ -126,33 +72,47 @@ ALL_AXES = 3
 
 
 @dataclass(frozen=True, slots=True)
+class Tolerance:
+    """How far from the best is still as good; all follows from one Weber fraction of intensity.
+
+    weber: smallest relative change of a vibration's energy that counts as felt.
+    """
+
+    weber: float = WEBER_FRACTION
+
+    def __post_init__(self) -> None:
+        """Refuse a number that is not a fraction."""
+        if not 0 < self.weber < 1:
+            raise ValueError(
+                f"tolerance must be above 0 and below 1, got {self.weber:g}; people's own is {WEBER_FRACTION}"
+            )
+
+    @property
+    def level_db(self) -> float:
+        """Deviation of the felt level in dB."""
+        return 10 * math.log10(1 + self.weber)
+
+    @property
+    def spectrum(self) -> float:
+        """Difference of the spectral match (invariant form)."""
+        return self.weber
+
+    @property
+    def time(self) -> float:
+        """Relative loss of the share of the motion's energy that the output carries: of the squared temporal match."""
+        return self.weber
+
+    @property
+    def change(self) -> float:
+        """Relative change of the output under sensor noise."""
+        return math.sqrt(1 + self.weber) - 1
+
+
+@dataclass(frozen=True, slots=True)
 class Context:
-    """Where a reducer is to run.
+    """Where a reducer is to run: online or not, longest delay in ms (45 if left out), axes of the actuator, mounting.
 
-    Parameters
-    ----------
-    online : bool
-        Whether it runs while the vibration is being made.
-    latency_ms : float, optional
-        The longest delay online in ms; 45 ms if left out.
-    axes : int
-        Axes that the actuator can move, 1 to 3.
-    tolerance : Tolerance
-        What is as good as the best.
-    mounting : {"any", "recorded"}
-        Whether advice must hold however the sensor is mounted, or for the mounting that was recorded.
-    block_ms, device_ms : float
-        What a block of samples and the device take of the longest delay.
-
-    Raises
-    ------
-    ValueError
-        If there are other axes or mountings, or a budget that is no time, leaves none or belongs to no online context.
-
-    Examples
-    --------
-    >>> Context(online=True).budget_ms
-    45.0
+    block_ms, device_ms: the share of the longest delay that a block of samples and the device take.
     """
 
     online: bool = False
@@ -164,30 +124,25 @@ class Context:
     device_ms: float = DEVICE_MS
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be."""
+        """Refuse settings that contradict each other."""
         if self.mounting not in {ANY, RECORDED}:
-            raise ValueError(f"mounting: got {self.mounting!r}, allowed is {ANY} or {RECORDED}")
+            raise ValueError(f"mounting must be {ANY} or {RECORDED}, got {self.mounting!r}")
         if self.axes not in range(1, ALL_AXES + 1):
             raise ValueError(
-                f"axes: got {self.axes}, allowed is 1, 2 or 3: what the actuator can move"
+                f"axes must be 1, 2 or 3, got {self.axes}: the number that the actuator can move"
             )
-        times = {
-            "latency-ms": self.latency_ms,
-            "block-ms": self.block_ms,
-            "device-ms": self.device_ms,
-        }
+        times = {"latency": self.latency_ms, "block": self.block_ms, "device": self.device_ms}
         for name, value in times.items():
             if value is not None and not (isfinite(value) and value >= 0):
-                raise ValueError(f"{name}: got {value:g}, allowed is a finite time of 0 ms or more")
+                raise ValueError(f"{name}-ms must be a finite time of 0 ms or more, got {value:g}")
         if self.latency_ms is not None and not self.online:
             raise ValueError(
-                f"latency-ms: got {self.latency_ms:g} offline, where nobody waits; add --online"
+                f"latency-ms must be left out offline, where nobody waits, got {self.latency_ms:g}; add --online"
             )
         if self.online and self.room_ms < 0:
             raise ValueError(
-                f"latency-ms: got {self.budget_ms:g}, but block ({self.block_ms:.3g} ms) and device "
-                f"({self.device_ms:.3g} ms) alone take {self.overhead_ms:.3g} ms; allow more, or lower --block-ms or "
-                "--device-ms"
+                f"latency-ms must be at least {self.overhead_ms:.3g}, which block ({self.block_ms:.3g} ms) and device "
+                f"({self.device_ms:.3g} ms) alone take, got {self.budget_ms:g}; allow more, or lower block or device"
             )
 
     @property
@@ -204,12 +159,12 @@ class Context:
     def budget_ms(self) -> float:
         """The longest delay in ms, of reducer, block and device together; infinite offline."""
         if not self.online:
-            return float("inf")
+            return inf
         return LATENCY_MS if self.latency_ms is None else self.latency_ms
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
+class AdviceScene:
     """A recording, or a segment of one."""
 
     recording: Recording
@@ -220,47 +175,39 @@ class Scene:
 
     @property
     def name(self) -> str:
-        """How to call it."""
-        return (
-            f"{self.source} {self.start_s:.2f}-{self.stop_s:.2f} s"
-            if self.is_segment
-            else self.source
-        )
+        """The recording's name, and the times of a segment."""
+        times = f" {self.start_s:.2f}-{self.stop_s:.2f} s" if self.is_segment else ""
+        return f"{self.source}{times}"
 
 
 def check_segment(segment_s: float) -> float:
-    """Refuse segments in which the lowest frequency has no room."""
+    """Refuse segments that are too short for the lowest frequency."""
     if not (isfinite(segment_s) and segment_s >= SHORTEST_S):
-        raise ValueError(f"segment: got {segment_s:g} s, allowed is {SHORTEST_S} s or more")
+        raise ValueError(f"segment must be {SHORTEST_S} s or more, got {segment_s:g}")
     return segment_s
 
 
-def split_recording(recording: Recording, segment_s: float | None = None) -> Iterator[Scene]:
+def split_recording(recording: Recording, segment_s: float | None = None) -> Iterator[AdviceScene]:
     """Make one scene of a recording, or one of every segment.
 
-    segment_s: what is left at the end is a segment of its own if it is at least half as long, and
-    belongs to the one before it otherwise.
+    What is left at the end is a segment of its own if it is at least half as long, and belongs to the one before it
+    otherwise.
     """
     if segment_s is None:
-        yield Scene(recording, recording.name, 0.0, recording.duration_s, is_segment=False)
+        yield AdviceScene(recording, recording.name, 0.0, recording.duration_s, is_segment=False)
         return
     length = round(check_segment(segment_s) * recording.rate_hz)
     pieces = max(1, int(recording.n_samples / length + 0.5))
     edges = [*(piece * length for piece in range(pieces)), recording.n_samples]
     for start, stop in pairwise(edges):
         part = replace(recording, acceleration=recording.acceleration[:, start:stop], sha256="")
-        seconds = start / recording.rate_hz, stop / recording.rate_hz
-        yield Scene(part, recording.name, *seconds, is_segment=pieces > 1)
-
-
-# Is a reducer as good as the best? Shortfalls in units of the tolerance, one per criterion.
-
-SIGNIFICANCE = 0.05
+        times = start / recording.rate_hz, stop / recording.rate_hz
+        yield AdviceScene(part, recording.name, *times, is_segment=pieces > 1)
 
 
 @dataclass(frozen=True, slots=True)
 class Shortfall:
-    """How far a reducer stays behind the best one of each criterion; 1 is the tolerance, 0 the best itself."""
+    """How far a reducer falls short of the best one of each criterion; 1 is the tolerance, 0 the best itself."""
 
     level: float
     spectrum: float
@@ -275,44 +222,16 @@ class Shortfall:
     @property
     def criterion(self) -> str:
         """Where it is largest, the first among equals."""
-        return max(
-            (field.name for field in fields(self)), key=lambda name: float(getattr(self, name))
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class Rated:
-    """What the ratings of a scene say of a reducer.
-
-    Parameters
-    ----------
-    is_best : bool
-        Whether it was rated highest.
-    best : str
-        Which was, on the scale and level where equivalence is shown least.
-    p : float
-        Of equivalence with that, two one-sided tests; NaN where there is no test, as for the best itself.
-    simulated : bool
-        Whether simulated participants are among those who said so.
-    """
-
-    is_best: bool
-    best: str
-    p: float
-    simulated: bool = False
-
-    @property
-    def suffices(self) -> bool:
-        """Whether it is the best, or shown to be equivalent to it."""
-        return self.is_best or self.p < SIGNIFICANCE
+        values: dict[str, float] = asdict(self)
+        return max(values, key=values.__getitem__)
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """A reducer judged on a scene."""
+    """A reducer judged on a scene; suits: the number of segments in which it is within tolerance."""
 
-    cost: Cost
-    measures: Measures
+    cost: Complexity
+    measures: Scores
     shortfall: Shortfall
     in_budget: bool
     rated: Rated | None = None
@@ -333,18 +252,20 @@ class Verdict:
         return self.shortfall.worst <= 1
 
     @property
+    def passes_ratings(self) -> bool:
+        """Whether the ratings, if there are any, show it to feel like the best."""
+        return self.rated.suffices if self.rated else not self.needs_ratings
+
+    @property
     def is_sufficient(self) -> bool:
-        """Whether it fits, and people agree if they were asked."""
-        return self.fits and (self.rated.suffices if self.rated else not self.needs_ratings)
+        """Whether it fits, and passes the ratings."""
+        return self.fits and self.passes_ratings
 
     @property
     def suits_partly(self) -> bool:
         """Whether it suffices in some segments and not in others, by no chance of the mounting."""
-        return (
-            0 < self.suits < self.segments
-            and not self.fits
-            and self.name.partition("@")[0] in TURNS_ALONG
-        )
+        turns_along = self.name.partition("@")[0] in TURNS_ALONG
+        return 0 < self.suits < self.segments and not self.fits and turns_along
 
     @property
     def margin(self) -> float:
@@ -355,17 +276,16 @@ class Verdict:
 def compare(
     scores: NDArray[np.float64], gains_db: NDArray[np.float64], tolerance: Tolerance
 ) -> NDArray[np.float64]:
-    """Compare every reducer with the best one of each criterion, draw by draw.
+    """Compare every reducer with the best one of each criterion, in units of the tolerance, mounting by mounting.
 
-    scores: (n_reducers, n_draws, 4), level in dB, spectrum, time and change; gains_db: (n_reducers,
-    1); returns (n_reducers, n_draws, 4), naN as before.
+    scores: (n_reducers, n_mounted, 4), level in dB, spectrum, time and change, NaN where not tried; gains_db:
+    (n_reducers, 1).
     """
     level_db, spectrum, time, change = np.moveaxis(scores, -1, 0)
     deviation = np.maximum(np.abs(level_db), gains_db - level_db)
     best_time = np.fmax.reduce(time, axis=0)
-    shares = np.divide(
-        time, best_time, out=np.where(np.isnan(time), np.nan, 1.0), where=best_time > 0
-    )
+    nothing = np.where(np.isnan(time), np.nan, 1.0)
+    shares = np.divide(time, best_time, out=nothing, where=best_time > 0)
     shortfalls = (
         (deviation - np.fmin.reduce(deviation, axis=0)) / tolerance.level_db,
         (np.fmax.reduce(spectrum, axis=0) - spectrum) / tolerance.spectrum,

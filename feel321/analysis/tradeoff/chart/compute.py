@@ -3,31 +3,80 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from functools import partial
+import os
+import platform
+from dataclasses import dataclass, fields
+from importlib.metadata import version
 from itertools import count
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from feel321.analysis.tradeoff.chart.axes import list_dominated, place_points
-from feel321.analysis.tradeoff.chart.records import (
-    THREADS,
-    Chart,
-    Scene,
-    choose_clock,
-    describe_machine,
-    rate_reducers,
+from feel321.analysis.contrasts.equivalence import profile_reducers
+from feel321.analysis.resampling import draw_counts
+from feel321.analysis.table.judgements import ROLES
+from feel321.analysis.table.reading import order_reducers
+from feel321.analysis.tradeoff.chart.accuracy import (
+    change_rate,
+    cut_piece,
+    draw_turns,
+    list_variants,
+    measure_accuracy,
 )
+from feel321.analysis.tradeoff.chart.cost import (
+    RATE_HZ,
+    RATES_HZ,
+    choose_clock,
+    compare_precision,
+    fit_all,
+    list_jobs,
+    list_lengths,
+    list_resources,
+    measure_memory,
+    measure_stability,
+    time_blocks,
+    time_jobs,
+)
+from feel321.analysis.tradeoff.chart.page import (
+    build_page,
+    collect_notes,
+    describe_answers,
+    list_pictures,
+    merge_equal,
+)
+from feel321.analysis.tradeoff.chart.points import (
+    TABLES,
+    find_reference,
+    list_dominated,
+    list_records,
+    make_table,
+    merge_rows,
+    name_point,
+    place_points,
+)
+from feel321.analysis.tradeoff.results import write_results
+from feel321.analysis.words import CONFIDENCE
+from feel321.records import Result
+from feel321.stimuli.reducers.registry import REDUCERS, WHY_NOT_STREAMING
+from feel321.stimuli.version import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
+
+    from numpy.typing import NDArray
+    from pandas import DataFrame
 
     from feel321.analysis.table.reading import Table
-    from feel321.analysis.tradeoff.chart.records import Accuracy, Clock, Cost, Memory, Precision
+    from feel321.analysis.tradeoff.chart.cost import Clock
     from feel321.stimuli.recording import Recording
+    from feel321.types import PathLike
 
-    Tick = Callable[[], None]
+THREADS = 1
+"""Of linear algebra while times are taken."""
+
+DRAWS = 2000
+KEY = ["scale", "level", "reducer"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,219 +98,315 @@ FULL = Effort("full", math.inf, 200, 64, 10**7, 15)
 """Whole recordings, the 200 orientations of `rotation_statistics`, and signals up to 10^7 samples."""
 
 
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Chart(Result):
+    """Speed against accuracy, measured in one run; every table is a data frame.
+
+    Parameters
+    ----------
+    machine : dict
+        What the times were measured on: processor, clock, versions.
+    scenes : DataFrame
+        Recordings.
+    points : DataFrame
+        Reducers as they are, in the plane of speed and accuracy.
+    dominated : DataFrame
+        Reducers that another one beats in every respect.
+    accuracies : DataFrame
+        All methods, scenes and measures.
+    costs : DataFrame
+        All times.
+    growth : DataFrame
+        Of time with length.
+    memory : DataFrame
+        Memory of one call, by length.
+    precision : DataFrame
+        What 32-bit input and arithmetic change.
+    rated : DataFrame
+        Mean ratings; empty where nobody has rated.
+    realtime : DataFrame
+        Of the reducers that stream.
+    resources : DataFrame
+        State, operations and parameters of every reducer.
+    stability : DataFrame
+        Perturbation gain of all reducers and scenes.
+    seed : int
+        Of the orientations, signals and bootstrap.
+    effort : str
+        Name of the effort: quick or full.
+    simulated : bool
+        Whether ratings come from simulated participants.
+    notes : tuple of str
+        What was left out or assumed.
+    """
+
+    machine: dict[str, Any]
+    scenes: DataFrame
+    points: DataFrame
+    dominated: DataFrame
+    accuracies: DataFrame
+    costs: DataFrame
+    growth: DataFrame
+    memory: DataFrame
+    precision: DataFrame
+    rated: DataFrame
+    realtime: DataFrame
+    resources: DataFrame
+    stability: DataFrame
+    seed: int
+    effort: str
+    simulated: bool
+    notes: tuple[str, ...]
+
+    def to_frames(self) -> dict[str, DataFrame]:
+        """Return everything that was measured as tables.
+
+        Returns
+        -------
+        dict of str to DataFrame
+            The tables, by the names of the fields.
+        """
+        return {name: getattr(self, name) for name in TABLES}
+
+    def summary(self) -> str:
+        """Write the main results for reading.
+
+        Returns
+        -------
+        str
+            One line for each.
+        """
+        return "\n".join(describe_answers(self.to_frames()))
+
+    def write(self, folder: PathLike) -> Path:
+        """Write a page to explore, figures for print, tables and numbers.
+
+        Parameters
+        ----------
+        folder : str or PathLike
+            The folder. The files of a former chart are replaced; all others stay.
+
+        Returns
+        -------
+        Path
+            The page.
+
+        Raises
+        ------
+        OSError
+            If a file cannot be written, or would replace one that is not of a former chart.
+        """
+        tables = self.to_frames()
+        pictures, values = list_pictures(tables), build_page(tables)
+        rows = {name: list_records(frame) for name, frame in tables.items()}
+        content = {
+            field.name: rows.get(field.name, getattr(self, field.name)) for field in fields(self)
+        }
+        captions = {picture.name: picture.caption for picture in pictures}
+        return write_results(
+            folder, "chart",
+            content={**content, "answers": values["answers"], "figures": captions},
+            tables=tables, pictures=pictures, values={"chart": self, **values},
+        )  # fmt: skip
+
+
 def compute_chart(
     recordings: Sequence[Recording],
     *,
     ratings: Table | None = None,
     effort: Effort = QUICK,
     seed: int = 0,
-    clock: Callable[[], float] | None = None,
+    clock: Clock | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Chart:
-    """Measure speed and accuracy of every method.
-
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        The scenes, conditioned, each with a name of its own.
-    ratings : Table, optional
-        What was rated.
-    effort : Effort
-        How much is measured.
-    seed : int
-        The same seed gives the same accuracies; times are never the same twice.
-    clock : callable, optional
-        Gives seconds; `choose_clock` if left out.
-    progress : callable, optional
-        Called with the numbers of steps done and to do.
-
-    Returns
-    -------
-    Chart
-        Every figure.
-
-    Raises
-    ------
-    ValueError
-        If there is no recording, two bear one name, or one cannot be compared.
-
-    Examples
-    --------
-    >>> from feel321.stimuli.synthesis import make_scene
-    >>> tiny = Effort("tiny", longest_s=0.1, rotations=2, sweep_rotations=2, largest_n=5000, rounds=3)
-    >>> chart = compute_chart([make_scene("bumps", duration_s=0.1)], effort=tiny)
-    >>> [point.method for point in chart.points][:3]
-    ['sax321', 'say321', 'saz321']
-    """
+    """Measure speed and accuracy of every method; the same seed gives the same accuracies, never the same times."""
     from threadpoolctl import threadpool_limits
-
-    from feel321.analysis.tradeoff.chart.cost import fit_all
-    from feel321.analysis.tradeoff.chart.measure import list_methods
-    from feel321.analysis.tradeoff.chart.tables import list_notes
 
     _require_names(recordings)
     name, clock = choose_clock() if clock is None else ("given", clock)
-    tick = _make_tick(
-        progress, total=2 * len(recordings) + effort.rounds + 2 + 2 * len(list_methods())
-    )
-    # Threads of the linear algebra would be timed with the methods.
-    with threadpool_limits(limits=THREADS):
-        accuracies = _measure_scenes(recordings, effort, seed=seed, tick=tick)
-        costs = _time_methods(effort, seed=seed, clock=clock, tick=tick)
-        memory, precision = _measure_memory(recordings, effort, seed=seed, tick=tick)
-        running = _measure_running(recordings, effort, seed=seed, clock=clock, tick=tick)
-    machine = describe_machine(name)
-    return Chart(
-        machine=machine,
-        scenes=tuple(_describe_scene(recording, effort) for recording in recordings),
-        **_place_methods(accuracies, costs),
-        accuracies=tuple(accuracies),
-        costs=tuple(costs),
-        growth=tuple(fit_all(costs)),
-        memory=tuple(memory),
-        precision=tuple(precision),
-        rated=() if ratings is None else tuple(rate_reducers(ratings.rows, seed=seed)),
-        **running,
-        seed=seed,
-        effort=effort.name,
-        simulated=ratings is not None and bool(ratings.rows["simulated"].any()),
-        notes=list_notes(recordings, effort.longest_s, precision=precision, machine=machine),
-    )
-
-
-def _place_methods(accuracies: Sequence[Accuracy], costs: Sequence[Cost]) -> dict[str, Any]:
-    """Place every method by cost and accuracy, and list those that another beats in everything."""
-    from feel321.analysis.tradeoff.chart.axes import merge_points, merge_rows, name_groups
-    from feel321.analysis.tradeoff.chart.cost import RATE_HZ
-    from feel321.analysis.tradeoff.chart.measure import list_methods
-
-    usual = [row for row in accuracies if row.sweep == "reducer"]
-    points = place_points(list_methods(), usual, list_reference_costs(costs), rate_hz=RATE_HZ)
-    together = merge_rows(usual)
-    merged = merge_points(points, together)
-    return {
-        "points": tuple(name_groups(points, merged)),
-        "dominated": tuple(list_dominated(merged, together)),
-    }
-
-
-def _make_tick(progress: Callable[[int, int], None] | None, *, total: int) -> Tick:
-    steps = count(1)
+    steps, total = count(1), 2 * len(recordings) + effort.rounds + 2 + 2 * len(list_variants())
 
     def tick() -> None:
         if progress is not None:
             progress(next(steps), total)
 
-    return tick
+    # Threads of the linear algebra would be timed with the methods.
+    with threadpool_limits(limits=THREADS):
+        rows = _measure(recordings, effort, seed=seed, clock=clock, tick=tick)
+    tables = {name: make_table(name, own) for name, own in rows.items()}
+    tables["growth"] = make_table("growth", fit_all(tables["costs"]))
+    rated = () if ratings is None else rate_reducers(ratings.rows, seed=seed)
+    machine = describe_machine(name)
+    notes = collect_notes(
+        recordings, effort.longest_s, precision=rows["precision"], machine=machine
+    )
+    return Chart(
+        machine=machine,
+        **_place(tables),
+        rated=make_table("rated", rated),
+        seed=seed,
+        effort=effort.name,
+        simulated=ratings is not None and bool(ratings.rows["simulated"].any()),
+        notes=tuple(notes),
+    )
 
 
-def list_reference_costs(costs: Sequence[Cost]) -> list[Cost]:
-    """List the costs at which methods are compared: whole signals of the reference length."""
-    from feel321.analysis.tradeoff.chart.cost import REFERENCE_N
+def _measure(
+    recordings: Sequence[Recording],
+    effort: Effort,
+    *,
+    seed: int,
+    clock: Clock,
+    tick: Callable[[], None],
+) -> dict[str, list[dict[str, Any]]]:
+    """Measure the rows of most tables, each with the same seed."""
+    accuracies = list(_measure_scenes(recordings, effort, seed=seed, tick=tick))
+    rng = np.random.default_rng(seed)
+    jobs = list_jobs(largest=effort.largest_n, rng=rng)
+    costs = time_jobs(jobs, rounds=effort.rounds, clock=clock, rng=rng, done=tick)
+    pieces = [cut_piece(recording, effort.longest_s) for recording in recordings]
+    lengths = [n for n in list_lengths(effort.largest_n) if str(n).startswith("1")]
+    memory, precision, realtime = [], [], []
+    for variant in list_variants():
+        memory += [measure_memory(variant, n, np.random.default_rng(seed)) for n in lengths]
+        rng = np.random.default_rng(seed)
+        precision.append(compare_precision(variant.reducer, rng, pieces))
+        tick()
+    for name in REDUCERS:
+        if name not in WHY_NOT_STREAMING:
+            rng = np.random.default_rng(seed)
+            realtime.append(time_blocks(name, rounds=effort.rounds, clock=clock, rng=rng))
+        tick()
+    stability = list(measure_stability(recordings, seed=seed))
+    tick()
+    return {
+        "scenes": list(_list_scenes(recordings, effort)), "accuracies": accuracies, "costs": costs, "memory": memory,
+        "precision": precision, "realtime": realtime, "resources": list(list_resources()), "stability": stability,
+    }  # fmt: skip
 
-    return [
-        cost
-        for cost in costs
-        if cost.sweep in {"size", "window", "hop"} and cost.n_samples == REFERENCE_N
-    ]
+
+def _place(tables: dict[str, DataFrame]) -> dict[str, DataFrame]:
+    """Add the points, and who is dominated, of what was measured."""
+    accuracies = tables["accuracies"]
+    usual = accuracies[accuracies["sweep"] == "reducer"]
+    latencies = {one.reducer: one.find_latency(RATE_HZ) for one in list_variants()}
+    points = place_points(usual, find_reference(tables["costs"]), latencies)
+    merged = merge_equal({**tables, "points": points})["points"]
+    # Equal methods stand or fall together.
+    front = merged.set_index(["reducer", "measure"])["on_front"]
+    places = zip(points["reducer"].map(name_point), points["measure"], strict=True)
+    points["on_front"] = [bool(front[place]) for place in places]
+    return {**tables, "points": points, "dominated": list_dominated(merged, merge_rows(usual))}
 
 
 def _require_names(recordings: Sequence[Recording]) -> None:
     names = [recording.name for recording in recordings]
     if not names:
         raise ValueError(
-            "recordings: got none, allowed is one or more; name some, or add the bundled scenes"
+            "recordings must be one or more, got none; name some, or add the bundled scenes"
         )
     if len(set(names)) < len(names):
         doubled = next(name for name in names if names.count(name) > 1)
-        raise ValueError(
-            f"recordings: got {doubled!r} twice, allowed is a name for each; rename one"
-        )
+        raise ValueError(f"recordings must have different names, got {doubled!r} twice; rename one")
+
+
+def _list_scenes(recordings: Sequence[Recording], effort: Effort) -> Iterator[dict[str, Any]]:
+    for one in recordings:
+        used_s = min(one.duration_s, effort.longest_s)
+        yield {
+            "name": one.name, "rate_hz": one.rate_hz, "duration_s": one.duration_s, "used_s": used_s,
+            "sha256": one.sha256,
+        }  # fmt: skip
 
 
 def _measure_scenes(
-    recordings: Sequence[Recording], effort: Effort, *, seed: int, tick: Tick
-) -> list[Accuracy]:
-    from feel321.analysis.tradeoff.chart.cost import RATES_HZ
-    from feel321.analysis.tradeoff.chart.measure import (
-        change_rate,
-        cut_piece,
-        draw_turns,
-        list_hops,
-        list_methods,
-        list_windows,
-        measure_accuracy,
-    )
-
+    recordings: Sequence[Recording], effort: Effort, *, seed: int, tick: Callable[[], None]
+) -> Iterator[dict[str, Any]]:
     turns = draw_turns(effort.rotations, seed)
     few = turns[: effort.sweep_rotations]
-    found: list[Accuracy] = []
     for recording in recordings:
         piece = cut_piece(recording, effort.longest_s)
-        found += measure_accuracy(piece, list_methods(), turns=turns)
+        yield from measure_accuracy(piece, list_variants(), turns=turns)
         tick()
-        found += measure_accuracy(piece, list_windows(), turns=few, sweep="window")
-        found += measure_accuracy(piece, list_hops(), turns=few, sweep="hop")
+        for sweep in ("window", "hop"):
+            yield from measure_accuracy(piece, list_variants(sweep), turns=few, sweep=sweep)
         for rate_hz in RATES_HZ:
-            found += measure_accuracy(
-                change_rate(piece, rate_hz), list_methods(), turns=few, sweep="rate"
-            )
+            changed = change_rate(piece, rate_hz)
+            yield from measure_accuracy(changed, list_variants(), turns=few, sweep="rate")
         tick()
-    return found
 
 
-def _time_methods(effort: Effort, *, seed: int, clock: Clock, tick: Tick) -> list[Cost]:
-    from feel321.analysis.tradeoff.chart.cost import list_jobs, time_jobs
-
-    rng = np.random.default_rng(seed)
-    jobs = list_jobs(largest=effort.largest_n, rng=rng)
-    return time_jobs(jobs, rounds=effort.rounds, clock=clock, rng=rng, done=tick)
-
-
-def _measure_memory(
-    recordings: Sequence[Recording], effort: Effort, *, seed: int, tick: Tick
-) -> tuple[list[Memory], list[Precision]]:
-    from feel321.analysis.tradeoff.chart.cost import compare_precision, list_lengths, measure_memory
-    from feel321.analysis.tradeoff.chart.measure import cut_piece, list_methods
-
-    make_rng = partial(np.random.default_rng, seed)
-    pieces = [cut_piece(recording, effort.longest_s) for recording in recordings]
-    memory, precision = [], []
-    for method in list_methods():
-        lengths = [n for n in list_lengths(effort.largest_n) if str(n).startswith("1")]
-        memory += [measure_memory(method, n, make_rng()) for n in lengths]
-        precision.append(compare_precision(method, make_rng(), pieces))
-        tick()
-    return memory, precision
-
-
-def _measure_running(
-    recordings: Sequence[Recording], effort: Effort, *, seed: int, clock: Clock, tick: Tick
-) -> dict[str, Any]:
-    """Measure what reducers need while they run: the chart's fields by name."""
-    from feel321.analysis.tradeoff.chart.cost import RATE_HZ, REFERENCE_N
-    from feel321.analysis.tradeoff.chart.measure import list_methods
-    from feel321.analysis.tradeoff.chart.realtime import (
-        list_resources,
-        measure_stability,
-        time_blocks,
-    )
-
-    found = []
-    for method in list_methods():
-        found.append(
-            time_blocks(method, rounds=effort.rounds, clock=clock, rng=np.random.default_rng(seed))
-        )
-        tick()
-    stability = tuple(measure_stability(recordings, seed=seed))
-    tick()
+def describe_machine(clock: str, *, cpu_list: Path = Path("/proc/cpuinfo")) -> dict[str, Any]:
+    """Describe what times are measured on: without its name a time means nothing."""
+    try:
+        lines = cpu_list.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        lines = []
+    named = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    processor = next(named, "") or platform.processor() or platform.machine() or "unknown"
+    try:
+        load = round(os.getloadavg()[0], 2)  # programs that wanted to run in the last minute
+    except (AttributeError, OSError):  # not every system counts them
+        load = None
     return {
-        "realtime": tuple(row for row in found if row is not None),
-        "resources": tuple(list_resources(REFERENCE_N, RATE_HZ)),
-        "stability": stability,
+        "processor": processor,
+        "system": f"{platform.system()} {platform.release()}",
+        "cores": os.cpu_count() or 1,
+        "threads": THREADS,
+        "load": load,
+        "clock": clock,
+        "python": platform.python_version(),
+        "numpy": version("numpy"),
+        "scipy": version("scipy"),
+        "feel321": __version__,
     }
 
 
-def _describe_scene(recording: Recording, effort: Effort) -> Scene:
-    used = min(recording.duration_s, effort.longest_s)
-    return Scene(recording.name, recording.rate_hz, recording.duration_s, used, recording.sha256)
+def rate_reducers(ratings: DataFrame, *, seed: int, draws: int = DRAWS) -> list[dict[str, Any]]:
+    """Average the ratings of every reducer.
+
+    Notes
+    -----
+    The mean is that of the participants' means. The two-way interval draws participants and recordings with
+    replacement, the same draws for all reducers, and takes the 2.5 % and 97.5 % quantiles of the mean.
+    """
+    tests = ratings[ratings["role"] == ROLES[0]]
+    people, scenes = sorted(tests["participant"].unique()), sorted(tests["recording"].unique())
+    rng = np.random.default_rng(seed)
+    drawn = draw_counts(len(people), draws, rng=rng), draw_counts(len(scenes), draws, rng=rng)
+    means = tests.groupby([*KEY, "participant", "recording"], observed=True)["rating"].mean()
+    rows = []
+    for row in list_records(profile_reducers(tests)):
+        key = {name: row[name] for name in KEY}
+        table = means.loc[tuple(key.values())].reset_index()
+        table = table.pivot_table(index="participant", columns="recording", values="rating")
+        table = table.reindex(index=people, columns=scenes)
+        low, high = draw_interval(table.to_numpy(np.float64), *drawn)
+        # One participant, or participants who all agree, give no t interval.
+        ends = {
+            name: row[name] if math.isfinite(row[name]) else math.nan for name in ("low", "high")
+        }
+        rows.append({
+            **key, "mean": float(row["mean"]), **ends, "two_way_low": low, "two_way_high": high,
+            "participants": int(row["n_participants"]), "recordings": int(table.notna().any().sum()),
+        })  # fmt: skip
+    order = order_reducers(row["reducer"] for row in rows)
+    return sorted(rows, key=lambda row: (row["scale"], row["level"], order.index(row["reducer"])))
+
+
+def draw_interval(
+    table: NDArray[np.float64], people: NDArray[np.float64], scenes: NDArray[np.float64]
+) -> tuple[float, float]:
+    """Find the two-way interval, 95 % of the draws, of the mean of participants' means.
+
+    table: (n_participants, n_recordings), NaN where there is none; people: (draws, n_participants); scenes: (draws,
+    n_recordings), how often each was drawn.
+    """
+    seen = np.isfinite(table)
+    sums, counts = scenes @ np.where(seen, table, 0.0).T, scenes @ seen.T.astype(np.float64)
+    means = np.divide(sums, counts, out=np.zeros_like(sums), where=counts > 0)
+    weights = people * (counts > 0)
+    total = weights.sum(axis=1)
+    drawn = (weights * means).sum(axis=1)[total > 0] / total[total > 0]
+    low, high = np.quantile(drawn, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
+    return float(low), float(high)

@@ -1,205 +1,52 @@
-"""Cost of every reducer: time, its growth with length, and memory.
+"""Cost of every reducer: time, its growth with length, memory, precision, and what a stream needs while it runs.
 
-The signals are white noise: no spectral line of theirs vanishes, and no method knows them.
+Everything is timed in turn, in one run, by a clock that is passed in. The signals are white noise: no spectral line of
+theirs vanishes, and no method knows them. n is in samples per axis, times are in s. A plain line through log t against
+log n would take the overhead of short calls for slow growth; here it is a parameter of its own.
 
-Conventions: n in samples per axis, times in s. A plain line through log t against log n would take the overhead of
-short calls for slow growth; here it is a parameter of its own.
+Reducers compute in float64 whatever they are given, as a host computer may; a small processor would not. What they lose
+in 32-bit arithmetic is measured on private copies of their modules, whose numpy gives results that are all 32 bits
+wide; the reducers themselves are left alone.
 
-Reducers compute in float64 whatever they are given, as a host computer may; a small processor would not. While
-`in_32_bit` lasts, the modules of the reducers see a numpy whose results are all 32 bits wide, and the threshold of
-rounding is that of 32 bits. Only the chart uses it: it changes these modules for the whole process, so that nothing
-else may reduce at the same time.
+Streams are timed in the blocks of a sound card: 64 samples at 48 kHz, every 1.33 ms. The work of a window is not spread
+over its blocks: the block that completes half a window does it all, so the worst time, not the mean, must keep the
+deadline.
 """
 
 from __future__ import annotations
 
 import math
+import time
 import tracemalloc
-from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
+from importlib.util import find_spec, module_from_spec
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from feel321.analysis.tradeoff.chart.measure import Method, list_hops, list_methods, list_windows
-from feel321.analysis.tradeoff.chart.records import Cost, Growth, Memory, Precision, time_in_turn
+from feel321.analysis.tradeoff.advise.measures import find_complexity
+from feel321.analysis.tradeoff.chart.accuracy import ReducerVariant, list_variants
+from feel321.analysis.tradeoff.chart.points import split
+from feel321.analysis.tradeoff.stress.battery import take_excerpt
+from feel321.analysis.tradeoff.stress.measures import perturbation_gain
 from feel321.stimuli import recording
 from feel321.stimuli.reducers import axes, fourier, matched
 from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
-from feel321.stimuli.reducers.registry import WHY_NOT_STREAMING, StreamingReducer
+from feel321.stimuli.reducers.registry import REDUCERS, WHY_NOT_STREAMING, StreamingReducer
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
     from types import ModuleType
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
+    from pandas import DataFrame
 
-    from feel321.analysis.tradeoff.chart.records import Clock
     from feel321.stimuli.recording import Recording
+    from feel321.types import Samples
 
-    Values = NDArray[np.float64]
-    Samples = NDArray[np.float64]
-
-# How the time of one call grows with the length of the signal: a fixed overhead and a power of n.
-
-PARAMETERS = 3
-STEEPEST = 4.0
-
-
-def fit_growth(n_samples: ArrayLike, seconds: ArrayLike, *, reducer: str) -> Growth:
-    r"""Fit :math:`t = c + b\, n^p` to measured times.
-
-    n_samples: (k,), lengths, at least three different ones; seconds: (k,).
-
-    Notes
-    -----
-    Least squares of :math:`\log t`, so that every length counts alike. The interval is Student's, from the deviations
-    of the k medians from the fit with k - 3 degrees of freedom: it holds what the model does not know, such as caches
-    that are full at some length, and not only the clock's noise.
-
-    Examples
-    --------
-    >>> n = np.array([1e3, 1e4, 1e5, 1e6])
-    >>> round(fit_growth(n, 1e-5 + 2e-9 * n**1.1, reducer="made up").exponent, 6)
-    1.1
-    """
-    from scipy.optimize import least_squares
-
-    n, t = np.asarray(n_samples, dtype=np.float64), np.asarray(seconds, dtype=np.float64)
-    if len(set(n.tolist())) < PARAMETERS or n.shape != t.shape:
-        raise ValueError(
-            f"n_samples: got {len(n)} lengths, allowed is {PARAMETERS} or more, each with its time"
-        )
-    if not (np.all(t > 0) and np.all(np.isfinite(t))):
-        raise ValueError(
-            f"seconds: got {t.min():g}, allowed is above 0; take a finer clock, or repeat the call"
-        )
-    middle = float(np.exp(np.log(n).mean()))
-
-    def deviations(parameters: Values) -> Values:
-        overhead, scale, exponent = parameters
-        predicted = np.exp(overhead) + np.exp(scale + exponent * np.log(n / middle))
-        return np.asarray(np.log(predicted) - np.log(t))
-
-    highest = float(np.log(t.min()))
-    begin = [highest - 1, float(np.log(t).mean()), 1.0]
-    # An overhead of e^-10 of the shortest call is none; without that bound its logarithm would run away.
-    bounds = ([highest - 10, -np.inf, 0.0], [highest + 1e-9, np.inf, STEEPEST])
-    fit = least_squares(deviations, begin, bounds=bounds, xtol=1e-12, ftol=1e-12, gtol=1e-12)
-    low, high = _bound_exponent(float(fit.x[2]), np.asarray(fit.jac), fit.fun)
-    return Growth(
-        reducer,
-        1e6 * math.exp(fit.x[0]),
-        float(fit.x[2]),
-        low,
-        high,
-        int(n.min()),
-        int(n.max()),
-        float(np.sqrt(np.mean(fit.fun**2))),
-    )
-
-
-def _bound_exponent(
-    exponent: float, jacobian: Values, deviations: Values
-) -> tuple[float, float] | tuple[None, None]:
-    from scipy.stats import t
-
-    spare = len(deviations) - PARAMETERS
-    if spare < 1:
-        return None, None
-    variance = float(deviations @ deviations) / spare
-    spread = math.sqrt(variance * np.linalg.pinv(jacobian.T @ jacobian)[2, 2])
-    margin = float(t.ppf(0.975, spare)) * spread
-    return exponent - margin, exponent + margin
-
-
-# What reducers lose in 32-bit arithmetic: their own code, with 32-bit samples, coefficients and transforms.
-
-_MODULES = (axes, recording, fourier, axes, fourier, matched, axes, fourier)
-_TYPES = {"float64": np.float32, "complex128": np.complex64}
-_NARROW = {np.dtype(name): kind for name, kind in _TYPES.items()}
-_SAFE_PEAK = (1e-9, 1e9)
-_ROUNDING = 32 * float(np.finfo(np.float32).eps)
-
-
-class _Narrowed:
-    """A function of numpy whose results are at most 32 bits wide per real number."""
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self._function = function
-
-    def __call__(self, *given: object, **named: object) -> object:
-        return _narrow(self._function(*given, **named))
-
-    def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - whatever a function of numpy has
-        return _Narrowed(getattr(self._function, name))
-
-
-class _Numpy32:
-    """numpy as the modules of the reducers see it in 32 bits."""
-
-    def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - whatever numpy has
-        found = _TYPES.get(name, getattr(np, name))
-        return _Narrowed(found) if callable(found) and not isinstance(found, type) else found
-
-
-def measure_loss(method: Method, recordings: Iterable[Recording]) -> tuple[float | None, str]:
-    """Measure the energy of the error of 32-bit arithmetic relative to the output in 64 bits."""
-    worst: tuple[float | None, str] = (None, "")
-    for scene in recordings:
-        exact = method.reduce(scene.acceleration, scene.rate_hz)
-        error = float(np.sum((reduce_in_32_bit(method, scene) - exact) ** 2))
-        if error > 0 and exact.any():
-            loss = 10 * float(np.log10(error / np.sum(exact**2)))
-            worst = max(
-                worst, (loss, scene.name), key=lambda one: -np.inf if one[0] is None else one[0]
-            )
-    return worst
-
-
-def reduce_in_32_bit(method: Method, recording: Recording) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Reduce a recording in 32-bit arithmetic.
-
-    Returns (n_samples,).
-    """
-    exponent = int(np.frexp(np.abs(recording.acceleration).max(initial=0.0))[1])
-    samples = np.ldexp(recording.acceleration, -exponent).astype(np.float32)
-    with in_32_bit():
-        reduced = method.reduce(samples, recording.rate_hz)
-    if reduced.dtype != np.float32:
-        raise TypeError(
-            f"{method.label}: got an output of type {reduced.dtype}, allowed is float32 in 32 bits"
-        )
-    return np.ldexp(reduced.astype(np.float64), exponent)
-
-
-@contextmanager
-def in_32_bit() -> Iterator[None]:
-    """Let all reducers compute in 32 bits; not for use beside other threads."""
-    swaps: list[tuple[ModuleType, str, Any]] = [(module, "np", _Numpy32()) for module in _MODULES]
-    swaps += [(module, "ROUNDING", _ROUNDING) for module in _MODULES if hasattr(module, "ROUNDING")]
-    swaps += [(fourier, "_CUT", np.complex64(np.exp(1j))), (recording, "SAFE_PEAK", _SAFE_PEAK)]
-    swaps += [(recording, "coerce_acceleration", np.asarray)]
-    before = [(module, name, getattr(module, name)) for module, name, _ in swaps]
-    try:
-        for module, name, narrow in swaps:
-            setattr(module, name, narrow)
-        yield
-    finally:
-        for module, name, usual in before:
-            setattr(module, name, usual)
-
-
-def _narrow(result: Any) -> Any:  # noqa: ANN401 - whatever numpy gives
-    if isinstance(result, (tuple, list)):
-        return type(result)(map(_narrow, result))
-    kind = _NARROW.get(result.dtype) if isinstance(result, (np.ndarray, np.generic)) else None
-    with np.errstate(over="ignore", invalid="ignore"):  # fresh memory holds anything
-        return result if kind is None else result.astype(kind)
-
-
-# What methods cost: time per sample by length, window, hop, block, rate and type of the input; memory.
+    Clock = Callable[[], float]
+    Row = dict[str, Any]
 
 RATE_HZ, NS = 10_000.0, 1e9
 REFERENCE_N = 100_000
@@ -211,13 +58,119 @@ RATE_DURATION_S = 4.0
 CALLS, FRAMES = 200, 8
 """What a stream is timed over at least: blocks, and half windows, whose work comes all at once."""
 
+CARD_HZ, CARD_BLOCK = 48_000.0, 64
+BLOCKS_PER_ROUND = 200
+WARM_UP = 60
+"""Blocks before times are taken: two windows and more."""
+
+FEWEST_ROUNDS = 3
+"""Quartiles of fewer are the values themselves."""
+
+FINE_S = 1e-6
+"""A clock that moves in longer steps cannot time a short call."""
+
+PARAMETERS, STEEPEST = 3, 4.0
+"""Of the model of growth: number of parameters, and the largest exponent."""
+
+NUMBER_BYTES, NOISES = 8, 4
+STRONGEST_S = 1.0
+"""Longest part of a scene whose stability is measured."""
+
+
+def choose_clock() -> tuple[str, Clock]:
+    """Choose the clock that other programs disturb least."""
+    fine = time.get_clock_info("thread_time").resolution < FINE_S
+    return ("thread_time", time.thread_time) if fine else ("perf_counter", time.perf_counter)
+
+
+def time_in_turn(
+    tasks: Sequence[Callable[[], object]],
+    *,
+    rounds: int,
+    clock: Clock,
+    rng: np.random.Generator,
+    done: Callable[[], None] = lambda: None,
+) -> Samples:
+    """Time every task once per round, in a new order each round: (rounds, n_tasks).
+
+    A machine that slows down for a while slows all tasks alike, and none always runs behind the same other one. One
+    round goes before, unmeasured, so that caches and plans are warm.
+    """
+    if rounds < FEWEST_ROUNDS:
+        raise ValueError(
+            f"rounds must be {FEWEST_ROUNDS} or more, got {rounds}: quartiles need them"
+        )
+    seconds = np.empty((rounds + 1, len(tasks)))
+    for number in range(rounds + 1):
+        for which in rng.permutation(len(tasks)):
+            begun = clock()
+            tasks[which]()
+            seconds[number, which] = clock() - begun
+        done()
+    return seconds[1:]
+
+
+def fit_growth(n_samples: ArrayLike, seconds: ArrayLike, *, reducer: str) -> Row:
+    r"""Fit :math:`t = c + b\, n^p` to the times, (k,), of at least three different lengths, (k,).
+
+    Notes
+    -----
+    Least squares of :math:`\log t`, so that every length counts alike. The interval is Student's, from the deviations
+    of the k medians from the fit with k - 3 degrees of freedom: it holds what the model does not know, such as caches
+    that are full at some length, and not only the clock's noise.
+    """
+    from scipy.optimize import least_squares
+    from scipy.stats import t as student
+
+    n, t = np.asarray(n_samples, dtype=np.float64), np.asarray(seconds, dtype=np.float64)
+    if len(set(n.tolist())) < PARAMETERS or n.shape != t.shape:
+        raise ValueError(
+            f"n_samples must be {PARAMETERS} or more different lengths, each with its time, got {len(n)} and {len(t)}"
+        )
+    if not (np.all(t > 0) and np.all(np.isfinite(t))):
+        raise ValueError(
+            f"seconds must be above 0 and finite, got {t.min():g} to {t.max():g}; take a finer clock, or repeat"
+        )
+    middle = float(np.exp(np.log(n).mean()))
+
+    def deviations(parameters: Samples) -> Samples:
+        overhead, scale, exponent = parameters
+        predicted = np.exp(overhead) + np.exp(scale + exponent * np.log(n / middle))
+        return np.asarray(np.log(predicted) - np.log(t))
+
+    highest = float(np.log(t.min()))
+    begin = [highest - 1, float(np.log(t).mean()), 1.0]
+    # An overhead of e^-10 of the shortest call is none; without that bound its logarithm would run away.
+    bounds = ([highest - 10, -np.inf, 0.0], [highest + 1e-9, np.inf, STEEPEST])
+    fit = least_squares(deviations, begin, bounds=bounds, xtol=1e-12, ftol=1e-12, gtol=1e-12)
+    exponent, spare, margin = float(fit.x[2]), len(n) - PARAMETERS, math.nan
+    if spare > 0:
+        variance = float(fit.fun @ fit.fun) / spare
+        jacobian = np.asarray(fit.jac)
+        spread = math.sqrt(variance * np.linalg.pinv(jacobian.T @ jacobian)[2, 2])
+        margin = float(student.ppf(0.975, spare)) * spread
+    return {
+        "reducer": reducer, "overhead_us": 1e6 * math.exp(fit.x[0]), "exponent": exponent,
+        "low": exponent - margin, "high": exponent + margin,
+        "smallest": int(n.min()), "largest": int(n.max()), "misfit": float(np.sqrt(np.mean(fit.fun**2))),
+    }  # fmt: skip
+
+
+def fit_all(costs: DataFrame) -> list[Row]:
+    """Fit the growth of every reducer."""
+    sizes = costs[costs["sweep"] == "size"]
+    return [
+        fit_growth(own["n_samples"], own["ns_per_sample"] * own["n_samples"] / NS, reducer=reducer)
+        for reducer, own in split(sizes, "reducer")
+    ]
+
 
 @dataclass(frozen=True, slots=True)
 class Job:
     """One thing to be timed."""
 
     sweep: str
-    method: Method
+    variant: ReducerVariant
     n_samples: int
     rate_hz: float
     block: int
@@ -233,49 +186,48 @@ def list_lengths(largest: int) -> tuple[int, ...]:
     >>> list_lengths(10_000)
     (1000, 2000, 5000, 10000)
     """
-    decades = (10**power for power in range(3, 10))
-    return tuple(
-        length
-        for decade in decades
-        for length in (decade, 2 * decade, 5 * decade)
-        if length <= largest
-    )
+    lengths = (step * 10**power for power in range(3, 10) for step in (1, 2, 5))
+    return tuple(length for length in lengths if length <= largest)
 
 
 def list_jobs(*, largest: int, rng: np.random.Generator) -> list[Job]:
     """List everything that is timed."""
-    signals = {
-        n: rng.standard_normal((3, n)) for n in sorted({*list_lengths(largest), REFERENCE_N})
-    }
-    usual = signals[REFERENCE_N]
-    whole = [
-        *(
-            ("size", method, signal, RATE_HZ)
-            for signal in signals.values()
-            for method in list_methods()
-        ),
-        *(("window", method, usual, RATE_HZ) for method in list_windows()),
-        *(("hop", method, usual, RATE_HZ) for method in list_hops()),
-        *(
-            ("rate", method, rng.standard_normal((3, round(RATE_DURATION_S * rate_hz))), rate_hz)
-            for rate_hz in RATES_HZ
-            for method in list_methods()
-        ),
-        *(
-            ("bits", method, usual.astype(kind), RATE_HZ)
-            for kind in ("f4", "f8")
-            for method in list_methods()
-        ),
+    lengths = sorted({*list_lengths(largest), REFERENCE_N})
+    signals = {n: rng.standard_normal((3, n)) for n in lengths}
+    usual, every = signals[REFERENCE_N], list_variants()
+    jobs = [_make_whole("size", one, signal) for signal in signals.values() for one in every]
+    jobs += [
+        _make_whole(sweep, one, usual)
+        for sweep in ("window", "hop")
+        for one in list_variants(sweep)
     ]
-    return [
-        _make_whole(sweep, method, signal, rate_hz=rate_hz)
-        for sweep, method, signal, rate_hz in whole
-    ] + [
-        _make_stream(method, block, rng)
-        for method in list_methods()
-        for block in BLOCKS
-        if _streams(method)
-    ]
+    for rate_hz in RATES_HZ:
+        for one in every:
+            signal = rng.standard_normal((3, round(RATE_DURATION_S * rate_hz)))
+            jobs.append(_make_whole("rate", one, signal, rate_hz=rate_hz))
+    for kind in ("f4", "f8"):
+        jobs += [_make_whole("bits", one, usual.astype(kind)) for one in every]
+    streaming = [one for one in every if one.reducer not in WHY_NOT_STREAMING]
+    return jobs + [_make_stream(one, block, rng) for one in streaming for block in BLOCKS]
+
+
+def _make_whole(
+    sweep: str, variant: ReducerVariant, signal: Samples, *, rate_hz: float = RATE_HZ
+) -> Job:
+    n, run = signal.shape[-1], partial(variant.reduce, signal, rate_hz)
+    return Job(sweep, variant, n, rate_hz, n, 8 * signal.itemsize, run)
+
+
+def _make_stream(variant: ReducerVariant, block: int, rng: np.random.Generator) -> Job:
+    signal = rng.standard_normal((3, block))
+    stream = StreamingReducer(variant.reducer, RATE_HZ)
+    calls = max(CALLS, FRAMES * window_samples(DEFAULT_WINDOW_S, RATE_HZ) // 2 // block)
+
+    def run() -> None:
+        for _ in range(calls):
+            stream.process(signal)
+
+    return Job("block", variant, calls * block, RATE_HZ, block, 64, run)
 
 
 def time_jobs(
@@ -284,98 +236,179 @@ def time_jobs(
     rounds: int,
     clock: Clock,
     rng: np.random.Generator,
-    done: Callable[[], None] | None = None,
-) -> list[Cost]:
-    """Time jobs in turn."""
-    seconds = time_in_turn(
-        [job.run for job in jobs], rounds=rounds, clock=clock, rng=rng, done=done
-    )
-    quartiles = np.quantile(seconds, (0.5, 0.25, 0.75), axis=0).T
-    return [
-        _make_cost(job, own, rounds=rounds)
-        for job, own in zip(jobs, quartiles.tolist(), strict=True)
-    ]
+    done: Callable[[], None] = lambda: None,
+) -> list[Row]:
+    """Time jobs in turn: rows of the table "costs"."""
+    tasks = [job.run for job in jobs]
+    seconds = time_in_turn(tasks, rounds=rounds, clock=clock, rng=rng, done=done)
+    quartiles = np.quantile(seconds, (0.5, 0.25, 0.75), axis=0).T.tolist()
+    rows = []
+    for job, (median, low, high) in zip(jobs, quartiles, strict=True):
+        if not low > 0:
+            raise ValueError(
+                f"clock must show more than 0 s for {job.variant.label}, got {low:g}; take a finer clock"
+            )
+        per_sample = NS / job.n_samples
+        rows.append({
+            "sweep": job.sweep, "method": job.variant.label, "reducer": job.variant.reducer,
+            "n_samples": job.n_samples, "rate_hz": job.rate_hz, "block": job.block, "bits": job.bits,
+            "ns_per_sample": per_sample * median, "low": per_sample * low, "high": per_sample * high,
+            "real_time": job.n_samples / job.rate_hz / median, "rounds": rounds,
+        })  # fmt: skip
+    return rows
 
 
-def fit_all(costs: Sequence[Cost]) -> list[Growth]:
-    """Fit the growth of every reducer."""
-    sizes: dict[str, list[Cost]] = {}
-    for cost in costs:
-        if cost.sweep == "size":
-            sizes.setdefault(cost.reducer, []).append(cost)
-    return [
-        fit_growth(
-            [cost.n_samples for cost in own],
-            [1e-9 * cost.ns_per_sample * cost.n_samples for cost in own],
-            reducer=reducer,
-        )
-        for reducer, own in sizes.items()
-    ]
-
-
-def measure_memory(method: Method, n_samples: int, rng: np.random.Generator) -> Memory:
+def measure_memory(variant: ReducerVariant, n_samples: int, rng: np.random.Generator) -> Row:
     """Measure the most memory that a method holds beside its input."""
     signal = rng.standard_normal((3, n_samples))
-    method.reduce(signal[:, :100], RATE_HZ)  # what is imported at the first call is not the call's
+    variant.reduce(signal[:, :100], RATE_HZ)  # what is imported at the first call is not the call's
     tracemalloc.start()
     try:
-        method.reduce(signal, RATE_HZ)
+        variant.reduce(signal, RATE_HZ)
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    return Memory(method.reducer, n_samples, peak, peak / signal.nbytes)
+    relative = peak / signal.nbytes
+    return {
+        "reducer": variant.reducer,
+        "n_samples": n_samples,
+        "peak_bytes": peak,
+        "relative": relative,
+    }
 
 
 def compare_precision(
-    method: Method, rng: np.random.Generator, recordings: Iterable[Recording] = ()
-) -> Precision:
-    """Find out what becomes of 32-bit input, and what 32-bit arithmetic loses."""
-    signal = rng.standard_normal((3, REFERENCE_N))
-    exact, rough = method.reduce(signal, RATE_HZ), method.reduce(signal.astype(np.float32), RATE_HZ)
+    name: str, rng: np.random.Generator, recordings: Iterable[Recording] = ()
+) -> Row:
+    """Measure what 32-bit input changes, and what 32-bit arithmetic loses."""
+    signal, reduce = rng.standard_normal((3, REFERENCE_N)), REDUCERS[name]
+    exact, rough = reduce(signal, RATE_HZ), reduce(signal.astype(np.float32), RATE_HZ)
     change = float(np.sum((rough - exact) ** 2) / np.sum(exact**2))
-    change_db = 10 * float(np.log10(change)) if change > 0 else None
-    return Precision(method.reducer, str(rough.dtype), change_db, *measure_loss(method, recordings))
+    loss, worst = measure_loss(name, recordings)
+    return {
+        "reducer": name, "output": str(rough.dtype),
+        "difference_db": 10 * math.log10(change) if change > 0 else None,
+        "arithmetic_db": loss, "worst": worst,
+    }  # fmt: skip
 
 
-def _streams(method: Method) -> bool:
-    return method.reducer not in WHY_NOT_STREAMING
+def measure_loss(name: str, recordings: Iterable[Recording]) -> tuple[float | None, str]:
+    """Measure the energy of the error of 32-bit arithmetic relative to the output in 64 bits, where it is largest."""
+    losses = []
+    for scene in recordings:
+        exact = REDUCERS[name](scene.acceleration, scene.rate_hz)
+        error = float(np.sum((reduce_in_32_bit(name, scene) - exact) ** 2))
+        if error > 0 and exact.any():
+            losses.append((10 * float(np.log10(error / np.sum(exact**2))), scene.name))
+    return max(losses, key=lambda one: one[0], default=(None, ""))
 
 
-def _make_whole(sweep: str, method: Method, signal: Samples, *, rate_hz: float) -> Job:
-    n, bits = signal.shape[-1], 8 * signal.itemsize
-    return Job(sweep, method, n, rate_hz, n, bits, partial(method.reduce, signal, rate_hz))
+def reduce_in_32_bit(name: str, scene: Recording) -> Samples:
+    """Reduce a recording, scaled by a power of two, in 32-bit arithmetic."""
+    exponent = int(np.frexp(np.abs(scene.acceleration).max(initial=0.0))[1])
+    samples = np.ldexp(scene.acceleration, -exponent).astype(np.float32)
+    reducer: Any = REDUCERS[name]
+    reduced = getattr(_copy_modules()[reducer.__module__], reducer.__name__)(samples, scene.rate_hz)
+    if reduced.dtype != np.float32:
+        raise TypeError(f"{name}: output must be float32 in 32-bit arithmetic, got {reduced.dtype}")
+    return np.asarray(np.ldexp(reduced.astype(np.float64), exponent))
 
 
-def _make_stream(method: Method, block: int, rng: np.random.Generator) -> Job:
-    signal = rng.standard_normal((3, block))
-    stream = StreamingReducer(method.reducer, RATE_HZ)
-    calls = max(CALLS, FRAMES * window_samples(DEFAULT_WINDOW_S, RATE_HZ) // 2 // block)
+_WIDTHS = {"float64": np.float32, "complex128": np.complex64}
+_NARROW = {np.dtype(name): kind for name, kind in _WIDTHS.items()}
+_IN_32_BIT: dict[str, Any] = {
+    "ROUNDING": 32 * float(np.finfo(np.float32).eps),
+    "_CUT": np.complex64(np.exp(1j)),
+    "SAFE_PEAK": (1e-9, 1e9),
+    "coerce_acceleration": np.asarray,
+}
+"""What else differs in 32 bits: the threshold of rounding, a constant, the safe range, and the door to float64."""
 
-    def run() -> None:
-        for _ in range(calls):
-            stream.process(signal)
 
-    return Job("block", method, calls * block, RATE_HZ, block, 64, run)
+@cache
+def _copy_modules() -> dict[str, ModuleType]:
+    """Make private copies of the reducers' modules that compute in 32 bits."""
+    copies: dict[str, Any] = {}
+    for original in (recording, axes, fourier, matched):
+        spec: Any = find_spec(original.__name__)
+        copies[spec.name] = module_from_spec(spec)
+        spec.loader.exec_module(copies[spec.name])
+    for copy in copies.values():
+        for name, value in list(vars(copy).items()):
+            home = copies.get(getattr(value, "__module__", ""))
+            if home is not None and hasattr(
+                home, name
+            ):  # imported from another of them: from its copy, then
+                setattr(copy, name, getattr(home, name))
+        known = {name: value for name, value in _IN_32_BIT.items() if hasattr(copy, name)}
+        vars(copy).update(known, np=_Numpy32())
+    return copies
 
 
-def _make_cost(job: Job, quartiles: Sequence[float], *, rounds: int) -> Cost:
-    median, low, high = quartiles
-    if not low > 0:
-        raise ValueError(
-            f"clock: got {low:g} s for {job.method.label}, allowed is above 0; take a finer clock"
-        )
-    per_sample = NS / job.n_samples
-    return Cost(
-        job.sweep,
-        job.method.label,
-        job.method.reducer,
-        job.n_samples,
-        job.rate_hz,
-        job.block,
-        job.bits,
-        per_sample * median,
-        per_sample * low,
-        per_sample * high,
-        job.n_samples / job.rate_hz / median,
-        rounds,
-    )
+class _Numpy32:
+    """numpy as the copied modules see it: no result is wider than 32 bits per real number."""
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - whatever numpy has
+        found = _WIDTHS.get(name, getattr(np, name))
+        return _Narrowed(found) if callable(found) and not isinstance(found, type) else found
+
+
+class _Narrowed:
+    """A function of numpy with narrowed results."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
+
+    def __call__(self, *given: object, **named: object) -> object:
+        return _narrow(self._function(*given, **named))
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - whatever a function of numpy has
+        return _Narrowed(getattr(self._function, name))
+
+
+def _narrow(result: Any) -> Any:  # noqa: ANN401 - whatever numpy gives
+    if isinstance(result, (tuple, list)):
+        return type(result)(map(_narrow, result))
+    kind = _NARROW.get(result.dtype) if isinstance(result, (np.ndarray, np.generic)) else None
+    with np.errstate(over="ignore", invalid="ignore"):  # fresh memory holds anything
+        return result if kind is None else result.astype(kind)
+
+
+def time_blocks(name: str, *, rounds: int, clock: Clock, rng: np.random.Generator) -> Row:
+    """Time a stream block by block: a row of the table "realtime"."""
+    stream, out = StreamingReducer(name, CARD_HZ), np.empty(CARD_BLOCK)
+    blocks = rng.standard_normal((32, 3, CARD_BLOCK))
+    seconds = np.empty(WARM_UP + rounds * BLOCKS_PER_ROUND)
+    for number in range(len(seconds)):
+        block = blocks[number % len(blocks)]
+        begun = clock()
+        stream.process(block, out=out)
+        seconds[number] = clock() - begun
+    median, p99, worst = np.quantile(1e6 * seconds[WARM_UP:], (0.5, 0.99, 1.0)).tolist()
+    return {
+        "reducer": name, "rate_hz": CARD_HZ, "block": CARD_BLOCK, "blocks": len(seconds) - WARM_UP,
+        "median_us": median, "p99_us": p99, "worst_us": worst, "deadline_us": 1e6 * CARD_BLOCK / CARD_HZ,
+    }  # fmt: skip
+
+
+def list_resources() -> Iterator[Row]:
+    """List what every reducer holds and does, by its definition."""
+    for name, reducer in REDUCERS.items():
+        cost = find_complexity(name, reducer, n_samples=REFERENCE_N, rate_hz=RATE_HZ)
+        yield {
+            "reducer": name, "state_bytes": NUMBER_BYTES * cost.state, "operations": cost.operations,
+            "parameters": cost.parameters,
+        }  # fmt: skip
+
+
+def measure_stability(recordings: Iterable[Recording], *, seed: int) -> Iterator[Row]:
+    """Measure how much every reducer amplifies weak sensor noise, on the strongest second of every scene."""
+    for scene in recordings:
+        excerpt = take_excerpt(scene, duration_s=STRONGEST_S)
+        for name, reduce in REDUCERS.items() if excerpt.acceleration.any() else ():
+            rng = np.random.default_rng([seed, *scene.name.encode()])
+            gain = perturbation_gain(reduce, excerpt, rng=rng, draws=NOISES)
+            yield {
+                "reducer": name, "scene": scene.name, "gain": gain.median, "worst": gain.worst,
+                "draws": NOISES,
+            }  # fmt: skip

@@ -1,174 +1,558 @@
-"""The chart's page, with points to explore, and its files."""
+"""The chart's page: answers, notes and tables in words, figures, and what its script lets a reader explore."""
 
 from __future__ import annotations
 
-import tempfile
-from dataclasses import asdict
-from itertools import chain
-from pathlib import Path
-from typing import TYPE_CHECKING
+import json
+import math
+from typing import TYPE_CHECKING, Any
 
-from feel321.analysis.figures.style import save_figure
-from feel321.analysis.report.folder import list_files, replace_report
-from feel321.analysis.report.page import TEMPLATES, inline_svg
-from feel321.analysis.report.section import Picture, make_slug, number_pictures
-from feel321.analysis.table.sheet import tell_measure
-from feel321.analysis.tradeoff.chart.axes import CUT, look_up, merge_equal
-from feel321.analysis.tradeoff.chart.drawing import draw_cost, draw_latency, draw_rated
-from feel321.analysis.tradeoff.chart.records import MEASURES
-from feel321.analysis.words import keep_together, tell_name
+from feel321.analysis.report.page import TEMPLATES
+from feel321.analysis.report.section import PageTable, Picture, make_slug, number_pictures
+from feel321.analysis.table.sheet import APART
+from feel321.analysis.tradeoff.chart.accuracy import ReducerVariant, list_variants
+from feel321.analysis.tradeoff.chart.cost import CALLS, NS, RATE_HZ, REFERENCE_N, fit_all
+from feel321.analysis.tradeoff.chart.figures import (
+    CUT,
+    choose_looks,
+    describe_measure,
+    draw_blocks,
+    draw_cost,
+    draw_growth,
+    draw_latency,
+    draw_rated,
+    draw_rates,
+    format_plainly,
+)
+from feel321.analysis.tradeoff.chart.points import (
+    GROUPS,
+    MEASURES,
+    find_reference,
+    list_records,
+    make_table,
+    merge_rows,
+    name_point,
+    place_points,
+    split,
+)
+from feel321.analysis.words import (
+    ABSENT,
+    format_interval,
+    format_measure,
+    format_name,
+    format_number,
+    join_words,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from pathlib import Path
 
-    from feel321.analysis.tradeoff.chart.records import Chart
+    from pandas import DataFrame
 
-MARKS = (
+    from feel321.analysis.tradeoff.chart.points import Record, Tables
+    from feel321.stimuli.recording import Recording
+    from feel321.types import PathLike
+
+PLACES = 5
+"""Significant digits that the page's script gets; results.json has all."""
+
+KHZ = f"{RATE_HZ / 1000:g} kHz"
+_MARKS = (
     "A marker is the median over scenes of the mean over random sensor orientations, a small dot one scene, the "
-    f"vertical line their span; what lies below {CUT:g} stands at the edge."
+    f"vertical line their span. Values below {CUT:g} are drawn at the edge."
 )
-FRONT = (
-    "The horizontal line is the quartiles of the cost. Dashed: the Pareto front; edged in black: what no other "
-    "reducer clearly beats in both. Averaged over sensor orientations the three single axes are equal by "
-    "construction: they are one point, sax/say/saz321, as are their matched and running forms."
+_FRONT = (
+    "The horizontal line spans the quartiles of the cost. Dashed: the Pareto front; edged in black: reducers that no "
+    "other one clearly beats in both. Averaged over orientations, the three single-axis reducers are equivalent: they "
+    "are one point, sax/say/saz321, as are their matched and running forms."
 )
 
 
-def write_chart(chart: Chart, folder: Path | str) -> tuple[str, ...]:
-    """Write a chart.
+def merge_equal(tables: Tables) -> dict[str, DataFrame]:
+    """Merge the rows of reducers that are equal by construction, for figures and sentences; files keep all names."""
+    merged = {
+        name: merge_rows(tables[name]) for name in ("accuracies", "costs", "memory", "stability")
+    }
+    usual = merged["accuracies"][merged["accuracies"]["sweep"] == "reducer"]
+    costs = merge_rows(find_reference(tables["costs"]))
+    latency = {
+        name_point(row["reducer"]): row["latency_s"] for row in list_records(tables["points"])
+    }
+    points = place_points(usual, costs, latency)
+    growth = make_table("growth", fit_all(merged["costs"]))
+    return {**tables, **merged, "points": points, "growth": growth}
 
-    Parameters
-    ----------
-    chart : Chart
-        What was measured.
-    folder : Path or str
-        Where to. The files of a former chart, which its ``results.json`` lists, are replaced; all others stay.
 
-    Returns
-    -------
-    tuple of str
-        The files, relative to the folder: ``results.json``, ``index.html``, figures and tables.
+_TIMES_VARY = (
+    "Times are those of this run on this machine and differ from run to run; all other numbers are reproduced from the "
+    "same recordings and seed."
+)
+_COMPARED = (
+    f"Methods are compared at {format_plainly(REFERENCE_N)} samples; × real time is for {KHZ}. The timed signals are "
+    "white noise.",
+    "Over scenes the median is reported and compared, not the mean: spectral match has no lower bound, so that one "
+    "scene with a band nearly without energy would decide. The means are in tables/points.csv.",
+)
+_EQUAL = (
+    "sax/say/saz321 is any single axis: averaged over sensor orientations the three are equal by construction, and so "
+    "are their matched and their running forms. Each kind is one point, the mean of its three members; tables and "
+    "results.json keep all names. Ratings are those of the axes as mounted.",
+    "Scenes were resampled to every sampling rate and compared with the recording at that rate: above its own "
+    "rate nothing is added, below it what lies above half the new rate is lost to both.",
+)
+_SWEPT = (
+    "The hop of every windowed reducer is half its window. Smaller hops of dft321_windowed are the mean of runs over "
+    "shifted signals, which is the same output; an implementation of its own could be a little cheaper.",
+    f"Block sizes: time of {CALLS} calls or more at {KHZ}, once the stream is running. A block of k samples adds "
+    "(k - 1) / rate of waiting to the algorithmic latency.",
+    "Memory is what numpy requests beside the input, the output included; what a Fourier transform keeps inside is not "
+    "seen.",
+)
 
-    Raises
-    ------
-    OSError
-        If a file cannot be written, or would replace one that is not of a former chart.
-    """
-    from feel321.analysis.tradeoff.chart.tables import tell_answers, write_tables
 
-    target = Path(folder)
-    rated = (
-        _picture_rated(chart, *place)
-        for place in dict.fromkeys((row.scale, row.level) for row in chart.rated)
-    )
-    pictures = tuple(number_pictures(chain(_list_pictures(chart), rated)))
-    tables = write_tables(chart)
-    files = list_files([picture.name for picture in pictures], tables)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    # Everything is written beside its place first: an interrupted run leaves the former chart as it was.
-    with tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}-") as name:
-        place = Path(name)
-        for part in ("tables", "figures"):
-            (place / part).mkdir()
-        for table, text in tables.items():
-            _write(place / "tables" / f"{table}.csv", text)
-        for picture in pictures:
-            save_figure(picture.figure, place / "figures" / picture.name)
-        captions = {picture.name: picture.caption for picture in pictures}
-        _write(
-            place / "results.json",
-            chart.to_json(files=files, answers=tell_answers(chart), figures=captions),
+def collect_notes(
+    recordings: Sequence[Recording],
+    longest_s: float,
+    *,
+    precision: Sequence[Record],
+    machine: Mapping[str, Any],
+) -> Iterator[str]:
+    """Collect what was left out and what was assumed."""
+    yield _TIMES_VARY
+    if machine["load"] is not None and machine["load"] > machine["cores"]:
+        busy = f"{machine['load']:.1f} programs for {machine['cores']} cores"
+        yield (
+            f"The machine was busy at the start ({busy}): times are longer than on an idle one, ratios less so."
         )
-        _write(place / "index.html", render_page(chart, pictures, figures=place / "figures"))
-        replace_report(place, target, files=files)
-    return files
+    yield from _COMPARED
+    if cut := sum(recording.duration_s > longest_s for recording in recordings):
+        longer = f"{cut} of {len(recordings)} recordings are longer than {longest_s:g} s"
+        yield f"{longer}: their middle was used; --full uses all."
+    yield from _EQUAL
+    yield from _note_precision(precision)
+    yield from _SWEPT
 
 
-def render_page(chart: Chart, pictures: Sequence[Picture], *, figures: Path) -> str:
-    """Render the page that a reader explores."""
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
-    from feel321.analysis.tradeoff.chart.explore import dump_data, list_choices
-    from feel321.analysis.tradeoff.chart.tables import list_sheets, tell_answers
-
-    environment = Environment(
-        loader=FileSystemLoader(TEMPLATES),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        finalize=keep_together,
+def _note_precision(precision: Sequence[Record]) -> Iterator[str]:
+    kinds = sorted({row["output"] for row in precision})
+    if kinds != ["float64"]:
+        yield f"Output for 32-bit input: {', '.join(kinds)}."
+        return
+    yield (
+        "32-bit input is not computed in 32 bit: every reducer converts it to float64 first and returns float64. What "
+        "changes is the rounding of the input, and the time that the conversion takes."
     )
-    choices = list_choices(chart)
-    return environment.get_template("chart.html").render(
-        chart=chart,
-        answers=tell_answers(chart),
-        axes=[asdict(choice) for choice in choices],
-        looks=look_up(merge_equal(chart)),
-        pictures=pictures,
-        drawings={
-            picture.name: inline_svg(picture, figures / f"{picture.name}.svg")
-            for picture in pictures
-        },
-        grids=list_sheets(chart),
-        data=dump_data(chart, choices),
-        style="".join(
-            (TEMPLATES / name).read_text(encoding="utf-8") for name in ("report.css", "chart.css")
-        ),
-        script=(TEMPLATES / "chart.js").read_text(encoding="utf-8"),
+    losses = [row for row in precision if row["arithmetic_db"] is not None]
+    if losses:
+        worst = max(losses, key=lambda row: float(row["arithmetic_db"]))
+        yield (
+            "In 32-bit arithmetic throughout (samples, coefficients and transforms) the error is at worst "
+            f"{worst['arithmetic_db']:.0f} dB relative to the output in 64 bits, of {worst['reducer']} on "
+            f"{worst['worst']}."
+        )
+
+
+def describe_answers(tables: Tables) -> tuple[str, ...]:
+    """Describe the main results; every number in the sentences is in the tables."""
+    merged = merge_equal(tables)
+    points = merged["points"]
+    return (
+        _describe_speed(list_records(points[points["measure"] == MEASURES[0]])),
+        *(_describe_front(points[points["measure"] == measure], measure) for measure in MEASURES),
+        *_describe_dominated(tables["dominated"]),
+        _describe_growth(list_records(merged["growth"])),
+        *_describe_rated(tables["rated"]),
     )
 
 
-def _list_pictures(chart: Chart) -> Iterator[Picture]:
-    from feel321.analysis.tradeoff.chart.drawing_cost import draw_blocks, draw_growth, draw_rates
+def _describe_speed(points: Sequence[Record]) -> str:
+    shown = []
+    for extreme in (min, max):
+        point = extreme(points, key=lambda one: one["ns_per_sample"])
+        cost = f"{point['ns_per_sample']:.3g} ns per sample, {_times_real_time(point)} × real time"
+        shown.append(f"{point['reducer']} ({cost})")
+    return f"Fastest: {shown[0]}; slowest: {shown[1]}, at {format_plainly(REFERENCE_N)} samples and {KHZ}."
 
-    paper, bounded = MEASURES[:2], MEASURES[2:]
-    yield Picture(
-        "cost",
-        f"Both of the paper's metrics against cost. {MARKS} {FRONT}",
-        draw_cost(chart, paper),
+
+def _times_real_time(point: Record) -> str:
+    return format_plainly(float(f"{NS / RATE_HZ / point['ns_per_sample']:.2g}"))
+
+
+def _describe_front(points: DataFrame, measure: str) -> str:
+    front = list_records(points[points["on_front"]].sort_values("ns_per_sample"))
+    shown = join_words([f"{point['reducer']} ({point['median']:.2f})" for point in front])
+    name = describe_measure(measure)
+    return f"{name}{',' if ',' in name else ''} against cost: on the front are {shown}."
+
+
+def _describe_dominated(dominated: DataFrame) -> Iterator[str]:
+    winners: dict[bool, dict[str, list[str]]] = {True: {}, False: {}}
+    for row in list_records(dominated):
+        shown = f"{row['by']} ({row['scenes']} of {row['of']})"
+        winners[bool(row["clear"])].setdefault(row["reducer"], []).append(shown)
+    named = "; ".join(f"{name} by {join_words(own)}" for name, own in winners[True].items())
+    yield (
+        f"Dominated in cost, latency and both of the paper's metrics together: {named}. In brackets: scenes on which "
+        "the other one is at least as good by both metrics."
+        if named
+        else "No reducer is clearly dominated in cost, latency and both of the paper's metrics together."
     )
-    yield Picture(
-        "cost_invariant",
-        f"Their bounded counterparts, which no orientation of the sensor changes, against cost. {MARKS} {FRONT}",
-        draw_cost(chart, bounded),
-    )  # fmt: skip
-    yield Picture(
-        "latency",
-        "Both of the paper's metrics against algorithmic latency, windowed reducers with windows of 10 to 200 ms. A "
-        f"vertical line spans the scenes; what lies below {CUT:g} stands at the edge. Markers stand aside of each "
-        "other.",
-        draw_latency(chart, paper),
-    )  # fmt: skip
-    yield Picture(
-        "growth",
-        "Time of one call (median, shaded: quartiles) and the most memory that it holds beside its input, against the "
-        "length of the signal.",
-        draw_growth(chart),
-    )  # fmt: skip
-    yield Picture(
-        "blocks",
-        "Cost of streaming against the samples per call (median, shaded: quartiles); reducers that need the whole "
-        "signal cannot stream.",
-        draw_blocks(chart),
-    )  # fmt: skip
-    yield Picture(
-        "rates",
-        "Both of the paper's metrics and speed against the sampling rate: medians over scenes of the means over "
-        f"orientations; what lies below {CUT:g} stands at the edge.",
-        draw_rates(chart, paper),
-    )  # fmt: skip
+    for name, own in winners[False].items():
+        if name not in winners[True]:
+            yield f"{name} is not clearly worse than {join_words(own)}: the difference is within the noise."
 
 
-def _picture_rated(chart: Chart, scale: str, level: str) -> Picture:
+def _describe_growth(growth: Sequence[Record]) -> str:
+    ordered = sorted(growth, key=lambda row: row["exponent"])
+    ends = [
+        f"{row['exponent']:.2f} ({row['reducer']}, 95 % interval {format_interval(row['low'], row['high'])})"
+        for row in (ordered[0], ordered[-1])
+    ]
+    steep = [row["reducer"] for row in growth if row["low"] > 1]
+    lengths = " to ".join(format_plainly(growth[0][name]) for name in ("smallest", "largest"))
+    which = (
+        f"clearly faster than n for {join_words(steep)}"
+        if steep
+        else "for none clearly faster than n"
+    )
+    return (
+        f"Time grows with length n (from {lengths} samples) as n^{ends[0]} to n^{ends[1]}, {which}."
+    )
+
+
+def _describe_rated(rated: DataFrame) -> Iterator[str]:
+    for (scale, level), own in split(rated, "scale", "level"):
+        best = own.sort_values("mean", ascending=scale in APART, kind="stable").iloc[0]
+        interval = format_interval(best["two_way_low"], best["two_way_high"], kind="rating")
+        yield (
+            f"Best mean {format_measure(scale)} ({format_name(level)}): {best['reducer']}, {best['mean']:.1f} (95 % "
+            f"two-way interval {interval}; participants: {best['participants']}, recordings: {best['recordings']})."
+        )
+
+
+def tabulate(tables: Tables) -> tuple[PageTable, ...]:
+    """Build the tables of the page."""
+    built = (
+        _tabulate_reducers(tables), _tabulate_running(tables), _tabulate_hops(tables),
+        _tabulate_growth(tables), _tabulate_precision(tables), _tabulate_rated(tables),
+    )  # fmt: skip
+    return tuple(table for table in built if table.rows)
+
+
+def _build(caption: str, rows: Iterable[Mapping[str, str]]) -> PageTable:
+    """Build a table of rows whose keys are its head."""
+    listed = list(rows)
+    return PageTable(
+        caption, tuple(listed[0]) if listed else (), tuple(tuple(row.values()) for row in listed)
+    )
+
+
+def _tabulate_reducers(tables: Tables) -> PageTable:
+    rows = []
+    for reducer, own in split(tables["points"], "reducer"):
+        points = list_records(own)
+        first, latency = points[0], f"{1000 * points[0]['latency_s']:.3g} ms"
+        fronts = [
+            name
+            for name, one in zip(("s", "t", "s b", "s e", "t i"), points, strict=True)
+            if one["on_front"]
+        ]
+        rows.append({
+            "Reducer": str(reducer),
+            "ns per sample": f"{first['ns_per_sample']:.3g} [{first['low']:.3g} to {first['high']:.3g}]",
+            "× real time": _times_real_time(first),
+            "Latency": "whole signal" if math.isnan(first["latency_s"]) else latency,
+            **{
+                describe_measure(one["measure"]):
+                    f"{format_number(one['median'])} [{format_interval(one['lowest'], one['highest'])}]"
+                for one in points
+            },
+            "On a front": ", ".join(fronts) or "no",
+        })  # fmt: skip
     caption = (
-        f"Mean {tell_measure(scale)} (level {tell_name(level)}) against cost. Thick: 95 % t "
-        "interval over participants, "
-        "for these recordings; thin: 95 % bootstrap interval over participants and recordings."
+        "Reducers as they are. Cost: median and quartiles. Accuracy: median over scenes of the mean over sensor "
+        "orientations, and the lowest and highest scene. On a front: of cost and the named measures, s(pectral), "
+        "t(emporal), b(ounded), e(nergy-weighted), i(nvariant)."
     )
-    return Picture(make_slug("rated", scale, level), caption, draw_rated(chart, scale, level))
+    return _build(caption, rows)
 
 
-def _write(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8", newline="")
+def _tabulate_running(tables: Tables) -> PageTable:
+    timed = {row["reducer"]: row for row in list_records(tables["realtime"])}
+    gains = tables["stability"].groupby("reducer")["gain"]
+    rows = []
+    for row in list_records(tables["resources"]):
+        name, own = row["reducer"], timed.get(row["reducer"])
+        gain = gains.get_group(name) if name in gains.groups else None
+        times = [own[key] if own else math.nan for key in ("median_us", "p99_us", "worst_us")]
+        shown = [ABSENT if math.isnan(one) else f"{one:.0f}" for one in times]
+        rows.append({
+            "Reducer": name, "Block: median (µs)": shown[0] if own else "whole signal",
+            "99 % (µs)": shown[1], "Worst (µs)": shown[2],
+            "Worst, share of the deadline (%)": f"{100 * times[2] / own['deadline_us']:.0f}" if own else ABSENT,
+            "State (bytes)": format_plainly(row["state_bytes"]) if row["state_bytes"] else "0",
+            "Operations per sample": f"{row['operations']:.0f}",
+            "Perturbation gain, median": ABSENT if gain is None else f"{gain.median():.2g}",
+            "Worst scene": ABSENT if gain is None else f"{gain.max():.3g}",
+        })  # fmt: skip
+    deadline = f"{next(iter(timed.values()))['deadline_us']:.0f} µs" if timed else "none"
+    caption = (
+        f"While a reducer runs. Time per block of 64 samples at 48 kHz (deadline {deadline}): median, 99th percentile "
+        "and worst; the block that completes half a window does the work of all of it. State of reducers "
+        f"that need the whole signal: {format_plainly(REFERENCE_N)} samples. Stability: perturbation gain under sensor "
+        "noise of -60 dB, median and worst scene (1: noise passes as it is)."
+    )
+    return _build(caption, rows)
+
+
+def _tabulate_hops(tables: Tables) -> PageTable:
+    costs, accuracies = (
+        tables[name][tables[name]["sweep"] == "hop"] for name in ("costs", "accuracies")
+    )
+    medians = accuracies.groupby(["method", "measure"])["mean"].median()
+    rows = (
+        {
+            "Method": row["method"], "ns per sample": f"{row['ns_per_sample']:.3g}",
+            **{describe_measure(name): f"{medians[row['method'], name]:.3f}" for name in MEASURES},
+        }
+        for row in list_records(costs)
+    )  # fmt: skip
+    caption = (
+        "Other hops of the same window: medians over scenes of the means over orientations. The first is half the "
+        "window."
+    )
+    return _build(caption, rows)
+
+
+def _tabulate_growth(tables: Tables) -> PageTable:
+    memory = {
+        row["reducer"]: row for row in list_records(tables["memory"])
+    }  # the longest stands last
+    longest = format_plainly(tables["memory"]["n_samples"].max())
+    rows = (
+        {
+            "Reducer": row["reducer"], "Exponent": f"{row['exponent']:.2f}",
+            "95 % interval": format_interval(row["low"], row["high"]),
+            "Overhead (µs)": f"{row['overhead_us']:.0f}", "Misfit (%)": f"{100 * row['misfit']:.0f}",
+            f"Peak memory at {longest} (MB)": f"{memory[row['reducer']]['peak_bytes'] / 1e6:.1f}",
+            "× input": f"{memory[row['reducer']]['relative']:.2f}",
+        }
+        for row in list_records(tables["growth"])
+    )  # fmt: skip
+    caption = (
+        "Time of one call: overhead + b n^exponent, fitted to the medians; misfit: RMS deviation from the fit. Where "
+        "the operations grow with n and the exponent is above 1, memory is the reason: long signals leave the caches."
+    )
+    return _build(caption, rows)
+
+
+def _tabulate_precision(tables: Tables) -> PageTable:
+    bits = tables["costs"][tables["costs"]["sweep"] == "bits"].set_index(["reducer", "bits"])[
+        "ns_per_sample"
+    ]
+
+    def level(value: float | None) -> str:
+        return "none" if value is None or math.isnan(value) else f"{value:.0f}"
+
+    rows = (
+        {
+            "Reducer": row["reducer"],
+            **{f"{width} bit: ns per sample": f"{bits[row['reducer'], width]:.3g}" for width in (32, 64)},
+            "Output": row["output"], "Change (dB)": level(row["difference_db"]),
+            "32-bit arithmetic, error at worst (dB)": level(row["arithmetic_db"]), "Worst recording": row["worst"],
+        }
+        for row in list_records(tables["precision"])
+    )  # fmt: skip
+    caption = (
+        "32-bit input: time beside that of 64-bit input, type of the output, and energy of its change. 32-bit "
+        "arithmetic: energy of the error where samples, coefficients and transforms are all 32 bits wide, relative to "
+        "the output in 64 bits, and the recording where it is largest."
+    )
+    return _build(caption, rows)
+
+
+def _tabulate_rated(tables: Tables) -> PageTable:
+    rows = (
+        {
+            "Ratings": f"{format_measure(row['scale'])}, {format_name(row['level'])}", "Reducer": row["reducer"],
+            "Mean": f"{row['mean']:.1f}", "Over participants": format_interval(row["low"], row["high"], kind="rating"),
+            "Two-way": format_interval(row["two_way_low"], row["two_way_high"], kind="rating"),
+            "Participants": str(row["participants"]), "Recordings": str(row["recordings"]),
+        }
+        for row in list_records(tables["rated"])
+    )  # fmt: skip
+    return _build("Mean ratings with 95 % intervals.", rows)
+
+
+def list_pictures(tables: Tables) -> list[Picture]:
+    """List the figures."""
+    merged = merge_equal(tables)
+    spans = f"A vertical line spans the scenes. Values below {CUT:g} are drawn at the edge."
+    pictures = [
+        Picture("cost", f"Both of the paper's metrics against cost. {_MARKS} {_FRONT}", draw_cost(merged)),
+        Picture("cost_invariant", "Their bounded counterparts, which no orientation of the sensor changes, against "
+                f"cost. {_MARKS} {_FRONT}", draw_cost(merged, MEASURES[2:])),
+        Picture("latency", "Both of the paper's metrics against algorithmic latency, windowed reducers with windows of "
+                f"10 to 200 ms. {spans} Markers are offset to avoid overlap.", draw_latency(merged)),
+        Picture("growth", "Time of one call (median, shaded: quartiles) and the most memory that it holds beside its "
+                "input, against the length of the signal.", draw_growth(merged)),
+        Picture("blocks", "Cost of streaming against the samples per call (median, shaded: quartiles); reducers that "
+                "need the whole signal cannot stream.", draw_blocks(merged)),
+        Picture("rates", "Both of the paper's metrics and speed against the sampling rate: medians over scenes of the "
+                f"means over orientations. Values below {CUT:g} are drawn at the edge.", draw_rates(merged)),
+    ]  # fmt: skip
+    for (scale, level), _ in split(tables["rated"], "scale", "level"):
+        caption = (
+            f"Mean {format_measure(scale)} (level {format_name(level)}) against cost. Thick: 95 % t interval over "
+            "participants, for these recordings; thin: 95 % bootstrap interval over participants and recordings."
+        )
+        drawing = draw_rated(tables, scale, level)
+        pictures.append(Picture(make_slug("rated", scale, level), caption, drawing))
+    return list(number_pictures(pictures))
+
+
+def build_page(tables: Tables) -> dict[str, Any]:
+    """Build what the page shows of the tables."""
+    axes, merged = list_axes(tables), merge_equal(tables)
+    return {
+        "answers": describe_answers(tables),
+        "axes": axes,
+        "looks": choose_looks(merged),
+        "grids": tabulate(tables),
+        "data": dump_data(tables, axes),
+        "script": (TEMPLATES / "chart.js").read_text(encoding="utf-8"),
+        "styles": ("report.css", "chart.css"),
+    }
+
+
+def list_axes(tables: Tables) -> list[dict[str, Any]]:
+    """List the axes that a reader can choose."""
+    rated = {_name_rating(row): row["scale"] in APART for row in list_records(tables["rated"])}
+    rows = [
+        ("cost", "Cost of one sample (ns)", "speed", "low"),
+        ("real_time", f"Speed (× real time, {KHZ} unless named)", "speed", "high"),
+        ("latency", "Algorithmic latency (ms)", "speed", "low"),
+        *((name, describe_measure(name), "accuracy", "high") for name in MEASURES),
+        ("stability", "Perturbation gain (1: sensor noise passes as it is)", "stability", "low"),
+        *((name, name, "rating", "low" if apart else "high") for name, apart in rated.items()),
+    ]
+    keys = ("key", "label", "kind", "better")
+    return [
+        {**dict(zip(keys, row, strict=True)), "log": row[2] in {"speed", "stability"}}
+        for row in rows
+    ]
+
+
+def dump_data(tables: Tables, axes: Sequence[Mapping[str, Any]]) -> str:
+    """Write what the script reads."""
+    scenes = tables["scenes"]["name"].tolist()
+    data = {"axes": axes, "scenes": scenes, "methods": list(_list_markers(tables))}
+    text = json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    return text.replace("<", "\\u003c")
+
+
+def _list_markers(tables: Tables) -> Iterator[dict[str, Any]]:
+    """List the markers that a reader can show: what each is, what it costs, its scores and ratings."""
+    merged = merge_equal(tables)
+    looks, ratings = choose_looks(merged), _list_ratings(tables)
+    gains = merged["stability"].set_index(["reducer", "scene"])["gain"].to_dict()
+    scores: dict[tuple[str, str, float | None], dict[str, dict[str, list[float]]]] = {}
+    for row in list_records(merged["accuracies"]):
+        rate_hz = row["rate_hz"] if row["sweep"] == "rate" else None
+        own = scores.setdefault((row["sweep"], row["method"], rate_hz), {}).setdefault(
+            row["scene"], {}
+        )
+        own[row["measure"]] = [_round(row[name]) for name in ("mean", "sd", "as_mounted")]
+    for kind, label, variant, cost, scored in _list_costs(merged, ratings):
+        name = name_point(variant.reducer)
+        found = {scene: dict(own) for scene, own in scores.get(scored, {}).items()}
+        for scene, own in found.items():
+            # The gain of other windows was not measured.
+            if (name, scene) in gains and kind in {"reducer", "block"}:
+                own["stability"] = [_round(gains[name, scene])]
+        if found:
+            yield {
+                "label": label, "reducer": name, "kind": kind, "member": name_point(label) != label,
+                "colour": looks[name].colour, "marker": looks[name].marker,
+                "speed": _describe_costs(kind, variant, cost), "scores": found,
+                "ratings": ratings.get(label, {}) if kind == "reducer" else {},
+            }  # fmt: skip
+
+
+def _list_costs(
+    tables: Tables, ratings: Mapping[str, object]
+) -> Iterator[tuple[str, str, ReducerVariant, Record, tuple[str, str, float | None]]]:
+    """List kind, label, variant, cost and key of the scores of every marker.
+
+    Streams score as the whole signal does, a block later; members of a group that were rated stand beside its point.
+    """
+    costs = tables["costs"]
+    swept = costs[costs["sweep"].isin(["window", "hop"])]
+    whole = [*list_records(find_reference(costs)), *list_records(swept)]
+    known = {(row["sweep"], row["method"]): row for row in whole}
+    for kind, sweep in (("reducer", "size"), ("window", "window"), ("hop", "hop")):
+        named: dict[str, ReducerVariant] = {}
+        for variant in list_variants(kind):
+            named.setdefault(name_point(variant.label), variant)
+        for label, variant in named.items():
+            yield kind, label, variant, known[sweep, label], (kind, label, None)
+    for member in ratings:
+        label = name_point(member)
+        if label != member and ("size", label) in known:
+            yield (
+                "reducer",
+                member,
+                ReducerVariant(member),
+                known["size", label],
+                ("reducer", label, None),
+            )
+    for row in list_records(costs[costs["sweep"].isin(["rate", "block"])]):
+        name, rate_hz = row["method"], row["rate_hz"]
+        variant = ReducerVariant(GROUPS.get(name, (name,))[0])
+        if row["sweep"] == "rate":
+            yield "rate", f"{name}, {rate_hz / 1000:g} kHz", variant, row, ("rate", name, rate_hz)
+        else:
+            yield (
+                "block",
+                f"{name}, blocks of {row['block']}",
+                variant,
+                row,
+                ("reducer", name, None),
+            )
+
+
+def _describe_costs(
+    kind: str, variant: ReducerVariant, cost: Record
+) -> dict[str, list[float | None]]:
+    latency, rate_hz = variant.find_latency(cost["rate_hz"]), cost["rate_hz"]
+    waiting_s = (cost["block"] - 1) / rate_hz if kind == "block" else 0.0
+    return {
+        "cost": [_round(cost[name]) for name in ("ns_per_sample", "low", "high")],
+        "real_time": [
+            _round(NS / rate_hz / cost[name]) for name in ("ns_per_sample", "high", "low")
+        ],
+        "latency": [None if latency is None else _round(1000 * (latency + waiting_s)), None, None],
+    }
+
+
+def _list_ratings(tables: Tables) -> dict[str, dict[str, list[float | None]]]:
+    found: dict[str, dict[str, list[float | None]]] = {}
+    for row in list_records(tables["rated"]):
+        values = [row[name] for name in ("mean", "low", "high", "two_way_low", "two_way_high")]
+        shown = [None if math.isnan(value) else _round(value) for value in values]
+        found.setdefault(row["reducer"], {})[_name_rating(row)] = shown
+    return found
+
+
+def _name_rating(row: Record) -> str:
+    return f"Mean {format_measure(row['scale'])}, {format_name(row['level'])} (0 to 100)"
+
+
+def _round(value: float) -> float:
+    return float(f"{value:.{PLACES}g}")
+
+
+def write_chart(chart: Any, folder: PathLike) -> tuple[str, ...]:  # noqa: ANN401 - a Chart, which is defined above this module
+    """Write a chart and return the names of its files; kept for callers of the former name."""
+    page: Path = chart.write(folder)
+    return tuple(json.loads(page.with_name("results.json").read_text(encoding="utf-8"))["files"])

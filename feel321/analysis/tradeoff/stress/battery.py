@@ -1,15 +1,15 @@
-"""BATTERY: the scenes in which methods fail, and the signals they are made of.
+"""BATTERY: the scenes on which reducers are known to fail, and the signals they are made of.
 
-Every scene is one second at 4 kHz (but for the very short one), in m/s², seeded. What goes wrong in them was known
-beforehand; `failing` says which reducer must fail by which measure, and the tests hold the battery to it. The first
-scene is the control: an ordinary drag; what fails there fails everywhere.
+Every scene is one second at 4 kHz (except the very short one), in m/s², seeded. `failing` lists which reducer must
+fail by which measure, and tests check it. The first scene is the control, an ordinary drag: a reducer that fails
+there fails everywhere.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -17,13 +17,9 @@ from feel321.stimuli.recording import STANDARD_GRAVITY, Recording
 from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
-    from numpy.typing import NDArray
-
-    Samples = NDArray[np.float64]
-
-# Signals that are stressed: what the battery's scenes are made of, and the strongest part of a recording.
+    from feel321.types import Samples
 
 RATE_HZ = 4000.0
 N_SAMPLES = 4000
@@ -36,15 +32,7 @@ TIME_S = np.arange(N_SAMPLES) / RATE_HZ
 def make_texture(
     rng: np.random.Generator, axes: int = 1, *, low_hz: float = 40.0, high_hz: float = 400.0
 ) -> Samples:
-    """Make independent noise of standard deviation 1, as a rough surface makes it.
-
-    Returns (axes, 4000), one second at 4 kHz.
-
-    Examples
-    --------
-    >>> make_texture(np.random.default_rng(0), 2).std(axis=-1).round(9)
-    array([1., 1.])
-    """
+    """Make independent noise of standard deviation 1, (axes, 4000), as dragging over a rough surface does."""
     frequency = np.fft.rfftfreq(N_SAMPLES, 1 / RATE_HZ)
     shape = frequency**2 / (frequency**2 + low_hz**2) / (1 + (frequency / high_hz) ** 4)
     noise = np.fft.irfft(np.fft.rfft(rng.standard_normal((axes, N_SAMPLES))) * shape, N_SAMPLES)
@@ -52,39 +40,20 @@ def make_texture(
 
 
 def make_tap(start: int, *, frequency_hz: float = 210.0, decay_s: float = 0.004) -> Samples:
-    """Make a tap: nothing, then a decaying sinusoid.
-
-    Returns (4000,), one second at 4 kHz.
-    """
+    """Make a tap, (4000,): silence, then a decaying sinusoid."""
     lag = np.maximum(np.arange(N_SAMPLES) - start, 0) / RATE_HZ
     return np.asarray(np.sin(2 * np.pi * frequency_hz * lag) * np.exp(-lag / decay_s))
 
 
 def whiten(axes: Samples) -> Samples:
-    """Make the axes' covariance exactly the identity.
-
-    axes: (3, n); returns (3, n).
-
-    Examples
-    --------
-    >>> white = whiten(np.random.default_rng(0).standard_normal((3, 100)))
-    >>> bool(np.allclose(white @ white.T / 100, np.eye(3)))
-    True
-    """
+    """Make the covariance of axes, (3, n), exactly the identity."""
     centred = axes - axes.mean(axis=-1, keepdims=True)
     factor = np.linalg.cholesky(centred @ centred.T / axes.shape[-1])
     return np.asarray(np.linalg.solve(factor, centred))
 
 
 def take_excerpt(recording: Recording, *, duration_s: float) -> Recording:
-    """Take the strongest part of a recording.
-
-    Examples
-    --------
-    >>> from feel321.analysis.tradeoff.stress.battery import BATTERY
-    >>> take_excerpt(BATTERY["circular"].make(0), duration_s=0.1).n_samples
-    400
-    """
+    """Take the strongest part of a recording, of a length that is fast to transform."""
     from scipy.fft import prev_fast_len
 
     length = prev_fast_len(max(1, round(duration_s * recording.rate_hz)))
@@ -96,8 +65,6 @@ def take_excerpt(recording: Recording, *, duration_s: float) -> Recording:
         recording.acceleration[:, start : start + length], recording.rate_hz, recording.name
     )
 
-
-# BATTERY: scenes in which methods fail, each with a reason in one line.
 
 ADXL345_STEP = 0.0039 * STANDARD_GRAVITY
 """m/s² per count of the paper's sensor: 3.9 mg in its full-resolution mode."""
@@ -113,20 +80,6 @@ PLANE = ((2 / 3, 1 / 3, 2 / 3), (-2 / 3, 2 / 3, 1 / 3))
 """Two directions at a right angle that every axis of the sensor sees."""
 
 
-class Maker(Protocol):
-    """Makes acceleration in m/s², shape (3, n)."""
-
-    def __call__(self, rng: np.random.Generator, /) -> Samples:
-        """Acceleration of the three axes at 4 kHz."""
-
-
-class Fault(Protocol):
-    """Does to acceleration, shape (3, n), what a bad sensor or a lost connection does."""
-
-    def __call__(self, samples: Samples, rng: np.random.Generator, /) -> Samples:
-        """Acceleration as it was recorded."""
-
-
 class Failing(NamedTuple):
     """A failure that is known beforehand."""
 
@@ -135,31 +88,29 @@ class Failing(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
-    """A recording that some method fails on."""
+class StressScene:
+    """A kind of motion on which some reducer fails.
+
+    maker: makes the motion, (3, n) in m/s²; fault: does to it what a bad sensor or a lost connection does; signs:
+    names of the `SIGNS` by which a recording like it is recognised.
+    """
 
     name: str
     title: str
     reason: str
-    maker: Maker
+    maker: Callable[[np.random.Generator], Samples]
     signs: tuple[str, ...] = ()
     failing: tuple[Failing, ...] = ()
-    fault: Fault | None = None
+    fault: Callable[[Samples, np.random.Generator], Samples] | None = None
 
     def make(self, seed: int) -> Recording:
-        """Make the scene.
-
-        Examples
-        --------
-        >>> BATTERY["anti_phase"].make(0).acceleration.sum(axis=0).any()
-        np.False_
-        """
+        """Make a take of the scene."""
         rng = np.random.default_rng([seed, *self.name.encode()])
         samples = self.maker(rng)
         return Recording(self.fault(samples, rng) if self.fault else samples, RATE_HZ, self.name)
 
     def make_clean(self, seed: int) -> Recording:
-        """Make the scene without its fault."""
+        """Make the same take without its fault."""
         rng = np.random.default_rng([seed, *self.name.encode()])
         return Recording(self.maker(rng), RATE_HZ, self.name)
 
@@ -172,7 +123,7 @@ def _anti_phase(rng: np.random.Generator) -> Samples:
     return np.asarray(np.array([[4.0], [-2.0], [-2.0]]) * make_texture(rng))
 
 
-def _turning(semi_axes: tuple[float, float]) -> Maker:
+def _turning(semi_axes: tuple[float, float]) -> Callable[[np.random.Generator], Samples]:
     def make(rng: np.random.Generator) -> Samples:
         angle = 2 * np.pi * (150 * TIME_S + rng.uniform())
         first, second = semi_axes
@@ -276,44 +227,53 @@ def _near_silence(rng: np.random.Generator) -> Samples:
 
 _EIGENVALUES = ("eigenvalue_ratio", "ambiguous_windows")
 _SCENES = (
-    Scene("ordinary_drag", "Ordinary drag (control)", "One clear direction: what fails here fails everywhere.",
-          _ordinary),
-    Scene("anti_phase", "Anti-phase axes", "x cancels y and z everywhere: the sum has no phase of its own.",
-          _anti_phase, ("undetermined_share",),
-          (Failing("dft321", "gain"), Failing("dft321_windowed", "gain"), Failing("soc321", "energy"))),
-    Scene("circular", "Circular motion", "In the plane of the turn all directions hold the same energy: none leads.",
-          _turning((6.0, 6.0)), _EIGENVALUES, (Failing("pca321", "gain"), Failing("dft321", "rotation"))),
-    Scene("elliptic", "Elliptic motion", "What goes round has another phase on every axis of every mounting.",
-          _turning((6.0, 5.7)), _EIGENVALUES, (Failing("dft321", "rotation"), Failing("dft321", "flip"))),
-    Scene("equal_eigenvalues", "Equal eigenvalues", "Independent axes of equal energy: a principal axis is chance.",
-          _isotropic, _EIGENVALUES, (Failing("pca321", "gain"), Failing("dft321", "rotation"))),
-    Scene("silent_axis", "One silent axis", "z is dead: what keeps only z is silent, metrics divide by nothing.",
-          _silent_axis, ("silent_axes",), (Failing("saz321", "energy"),)),
-    Scene("one_axis", "One axis only", "All motion on y: two of three single axes are silent.",
-          _one_axis, ("silent_axes",), (Failing("sax321", "energy"), Failing("saz321", "energy"))),
-    Scene("offset", "Gravity as offset", "9.8 m/s² of gravity on a vibration of 1 m/s²: offsets are taken for signal.",
-          _offset, ("offset_share",), (Failing("mag321", "energy"),)),
-    Scene("gravity_drift", "Gravity drifting", "The hand tilts: slow gravity outweighs the vibration on two axes.",
-          _drift, ("slow_share",), (Failing("mag321", "edge"),)),
-    Scene("clipping", "Clipping", "Peaks are cut axis by axis: the direction of motion bends at every peak.",
-          _broad, ("clipped_share",), (Failing("sax321", "energy"),), _clip),
-    Scene("quantisation", "ADXL345 steps (3.9 mg)", "The vibration is weaker than the sensor's step: mostly zeros.",
-          _weak, ("step_over_rms",), (Failing("mag321", "energy"),), _quantise),
-    Scene("missing_samples", "Missing samples", "A dozen gaps of 5 ms are filled with zeros: edges in all bands.",
-          _ordinary, ("held_share",), (Failing("mag321", "energy"),), _lose),
-    Scene("impulse_at_edge", "Impulse at a window edge", "A tap at a frame's edge: frames spread it before itself.",
-          _impulse, ("crest_factor",), (Failing("dft321", "rotation"),)),
-    Scene("between_bins", "Tone between bins", "150.5 Hz in 1 s leaks over all bins, each with a phase of its own.",
-          _between_bins, ("tonal_share",), (Failing("dft321", "rotation"),)),
-    Scene("chirp", "Chirp", "20 to 1000 Hz, axes drifting apart in phase: they add, then cancel, then add.",
-          _chirp, ("undetermined_share",), (Failing("dft321", "rotation"),)),
-    Scene("very_short", "12 samples", "Shorter than a window: nothing to average over.",
-          _short, ("n_windows",), (Failing("sax321", "energy"),)),
-    Scene("near_silence", "Near silence", "After one tap only noise, 80 dB below: its direction is chance.",
-          _near_silence, ("silence_share",)),
-    Scene("rate_mismatch", "Sample-rate mismatch", "y's clock runs 0.3 % fast: the axes slide through anti-phase.",
-          _in_phase, (), (Failing("dft321", "rotation"),), _run_fast),
+    StressScene("ordinary_drag", "Ordinary drag (control)",
+                "One clear direction: a reducer that fails here fails everywhere.", _ordinary),
+    StressScene("anti_phase", "Anti-phase axes", "x cancels y and z everywhere: the sum has no phase of its own.",
+                _anti_phase, ("undetermined_share",),
+                (Failing("dft321", "gain"), Failing("dft321_windowed", "gain"), Failing("soc321", "energy"))),
+    StressScene("circular", "Circular motion",
+                "All directions in the plane of the circle hold the same energy: none leads.", _turning((6.0, 6.0)),
+                _EIGENVALUES, (Failing("pca321", "gain"), Failing("dft321", "rotation"))),
+    StressScene("elliptic", "Elliptic motion", "Rotating motion has another phase on every axis of every mounting.",
+                _turning((6.0, 5.7)), _EIGENVALUES, (Failing("dft321", "rotation"), Failing("dft321", "flip"))),
+    StressScene("equal_eigenvalues", "Equal eigenvalues",
+                "Independent axes of equal energy: the principal axis is arbitrary.", _isotropic, _EIGENVALUES,
+                (Failing("pca321", "gain"), Failing("dft321", "rotation"))),
+    StressScene("silent_axis", "One silent axis",
+                "z is dead: a reducer that keeps only z is silent, metrics divide by zero.", _silent_axis,
+                ("silent_axes",), (Failing("saz321", "energy"),)),
+    StressScene("one_axis", "One axis only", "All motion on y: two of three single axes are silent.", _one_axis,
+                ("silent_axes",), (Failing("sax321", "energy"), Failing("saz321", "energy"))),
+    StressScene("offset", "Gravity as offset",
+                "9.8 m/s² of gravity on a vibration of 1 m/s²: the offset passes for signal.", _offset,
+                ("offset_share",), (Failing("mag321", "energy"),)),
+    StressScene("gravity_drift", "Drifting gravity",
+                "The hand tilts: slow gravity outweighs the vibration on two axes.", _drift, ("slow_share",),
+                (Failing("mag321", "edge"),)),
+    StressScene("clipping", "Clipping", "Peaks are cut axis by axis: the direction of motion bends at every peak.",
+                _broad, ("clipped_share",), (Failing("sax321", "energy"),), _clip),
+    StressScene("quantisation", "ADXL345 steps (3.9 mg)",
+                "The vibration is weaker than the sensor's step: mostly zeros.", _weak, ("step_over_rms",),
+                (Failing("mag321", "energy"),), _quantise),
+    StressScene("missing_samples", "Missing samples",
+                "A dozen gaps of 5 ms are filled with zeros: edges in all bands.", _ordinary, ("held_share",),
+                (Failing("mag321", "energy"),), _lose),
+    StressScene("impulse_at_edge", "Impulse at a window edge",
+                "A tap at a frame's edge: frames spread it before itself.", _impulse, ("crest_factor",),
+                (Failing("dft321", "rotation"),)),
+    StressScene("between_bins", "Tone between bins", "150.5 Hz in 1 s leaks into all bins, each with its own phase.",
+                _between_bins, ("tonal_share",), (Failing("dft321", "rotation"),)),
+    StressScene("chirp", "Chirp", "20 to 1000 Hz, axes drifting apart in phase: they add, then cancel, then add.",
+                _chirp, ("undetermined_share",), (Failing("dft321", "rotation"),)),
+    StressScene("very_short", "12 samples", "Shorter than a window: nothing to average over.", _short, ("n_windows",),
+                (Failing("sax321", "energy"),)),
+    StressScene("near_silence", "Near silence", "After one tap only noise, 80 dB below: its direction is arbitrary.",
+                _near_silence, ("silence_share",)),
+    StressScene("rate_mismatch", "Sample-rate mismatch",
+                "y's clock runs 0.3 % fast: the axes slide through anti-phase.", _in_phase, (),
+                (Failing("dft321", "rotation"),), _run_fast),
 )  # fmt: skip
 
-BATTERY: Mapping[str, Scene] = MappingProxyType({scene.name: scene for scene in _SCENES})
+BATTERY: Mapping[str, StressScene] = MappingProxyType({scene.name: scene for scene in _SCENES})
 """Name -> scene, the control first."""

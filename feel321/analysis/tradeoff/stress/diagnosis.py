@@ -1,8 +1,8 @@
-"""Which recordings come near a scene of the battery, and by which signs.
+"""What in a recording makes reducers fail: signs, their limits, and the scenes of the battery that it comes near.
 
-Conventions: functions take a `Recording` and give one number. Shares are of energy unless they say otherwise, 0 to 1.
-Windows are the paper's 35 ms, overlapping by half; where energy is compared between windows, it is about each window's
-own mean.
+Each sign is a function of a `Recording` that returns one number. Shares are of energy unless they say otherwise, 0 to
+1. Windows are the paper's 35 ms, overlapping by half; where energy is compared between windows, it is about each
+window's own mean.
 """
 
 from __future__ import annotations
@@ -20,14 +20,9 @@ from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from numpy.typing import NDArray
-
-    from feel321.analysis.tradeoff.stress.cells import Cell
+    from feel321.analysis.tradeoff.stress.measures import StressCell
     from feel321.stimuli.recording import Recording
-
-    Samples = NDArray[np.float64]
-
-# What in a recording makes methods fail: shares and ratios that need no reducer.
+    from feel321.types import Samples
 
 CANCELLED = 0.1
 """Where |sum of axes| is below this part of the root of the summed energies, noise meets a gain above 10."""
@@ -39,9 +34,12 @@ SILENT_DB = -40.0
 SLOW_HZ = 20.0
 _CLIPPED_RUN = 3
 
+NO_DECIMALS = 100
+"""A gain from here on is written without decimals; two digits would need a power of ten."""
 
-def undetermined_share(recording: Recording, *, cancelled: float = CANCELLED) -> float:
-    r"""Tell which share of the energy sits where the phase of the axes' sum is undetermined.
+
+def undetermined_share(recording: Recording) -> float:
+    r"""Share of the energy at which the phase of the axes' sum is undetermined.
 
     Notes
     -----
@@ -51,121 +49,82 @@ def undetermined_share(recording: Recording, *, cancelled: float = CANCELLED) ->
     Noise of spectrum N on the axes turns the phase of the sum by up to \|N\| / \|sum\|, so that the gain of equation 4
     at that frequency is sqrt(sum of energies) / \|sum\| > 1 / c. Independent isotropic axes have a share of 0.7 % at
     c = 0.1.
-
-    Examples
-    --------
-    >>> from feel321.stimuli.recording import Recording
-    >>> t = np.arange(1000) / 1000
-    >>> low, high = np.sin(2 * np.pi * 50 * t), np.sin(2 * np.pi * 120 * t)
-    >>> round(undetermined_share(Recording([low + high, low - high, 0 * t], 1000, "half")), 9)
-    0.5
     """
     spectra = np.fft.rfft(recording.acceleration)[:, 1:]
     energy = np.square(np.abs(spectra)).sum(axis=0)
     of_sum = np.square(np.abs(spectra.sum(axis=0)))
-    return _share(energy[of_sum < cancelled**2 * energy].sum(), energy.sum())
+    return _share(energy[of_sum < CANCELLED**2 * energy].sum(), energy.sum())
 
 
 def eigenvalue_ratio(recording: Recording) -> float:
-    """Tell how near the second principal axis comes to the first: λ₂ / λ₁ of the covariance.
-
-    Examples
-    --------
-    >>> from feel321.stimuli.recording import Recording
-    >>> round(eigenvalue_ratio(Recording([[2, -2, 0, 0], [0, 0, 1, -1], [0, 0, 0, 0]], 1000, "cross")), 9)
-    0.25
-    """
+    """Ratio of the second to the first eigenvalue of the covariance, λ₂ / λ₁."""
     return float(_ratios(_covariance(recording.acceleration)))
 
 
-def ambiguous_windows(recording: Recording, *, leading: float = LEADING) -> float:
-    """Tell which share of the energy lies in windows in which no direction leads clearly."""
+def ambiguous_windows(recording: Recording) -> float:
+    """Share of the energy that lies in windows in which no direction leads clearly."""
     covariances = _covariance(_windows(recording))
     energy = np.trace(covariances, axis1=-2, axis2=-1)
-    return _share(energy[_ratios(covariances) > leading].sum(), energy.sum())
+    return _share(energy[_ratios(covariances) > LEADING].sum(), energy.sum())
 
 
 def silent_axes(recording: Recording) -> float:
-    """Count the axes that are more than 40 dB weaker than the strongest.
-
-    Examples
-    --------
-    >>> from feel321.stimuli.recording import Recording
-    >>> silent_axes(Recording([[1, -1], [0, 0], [0.001, -0.001]], 1000, "x"))
-    2.0
-    """
+    """Count the axes that are at least 40 dB weaker than the strongest."""
     power = recording.acceleration.var(axis=-1)
     return float(np.count_nonzero(power <= 10 ** (SILENT_DB / 10) * power.max()))
 
 
 def offset_share(recording: Recording) -> float:
-    """Tell which share of the energy is the offset.
-
-    Examples
-    --------
-    >>> from feel321.stimuli.recording import Recording
-    >>> offset_share(Recording([[2, 0, 2, 0], [0, 0, 0, 0], [0, 0, 0, 0]], 1000, "x"))
-    0.5
-    """
+    """Share of the energy that is offset."""
     samples = recording.acceleration
     return _share(np.square(samples.mean(axis=-1)).sum(), np.square(samples).mean(axis=-1).sum())
 
 
-def slow_share(recording: Recording, *, below_hz: float = SLOW_HZ) -> float:
-    """Tell which share of the energy about the mean is slower than vibration is felt."""
+def slow_share(recording: Recording) -> float:
+    """Share of the energy about the mean that is too slow to be felt as vibration."""
     samples = recording.acceleration - recording.acceleration.mean(axis=-1, keepdims=True)
     energy = np.square(np.abs(np.fft.rfft(samples))).sum(axis=0)
     frequency = np.fft.rfftfreq(recording.n_samples, 1 / recording.rate_hz)
-    return _share(energy[frequency < below_hz].sum(), energy.sum())
+    return _share(energy[frequency < SLOW_HZ].sum(), energy.sum())
 
 
 def clipped_share(recording: Recording) -> float:
-    """Tell which share of the samples lies in flat runs at an axis's extreme.
-
-    Examples
-    --------
-    >>> from feel321.stimuli.recording import Recording
-    >>> clipped_share(Recording([[0, 1, 1, 1, 0, -1, 0, 1], [0] * 8, [0] * 8], 1000, "x"))
-    0.375
-    """
-    return max(_clipped_of(axis) for axis in recording.acceleration)
+    """Share of the samples of the worst axis that lie in flat runs at its extremes."""
+    shares = [0.0]
+    for axis in recording.acceleration:
+        extremes = (axis.min(), axis.max()) if np.ptp(axis) > 0 else ()
+        flat = [np.r_[0, axis == extreme, 0] for extreme in extremes]
+        runs = [np.flatnonzero(np.diff(one) < 0) - np.flatnonzero(np.diff(one) > 0) for one in flat]
+        shares.append(sum(float(run[run >= _CLIPPED_RUN].sum()) / len(axis) for run in runs))
+    return max(shares)
 
 
 def step_over_rms(recording: Recording) -> float:
-    """Tell how coarse the samples are: the smallest step between values over the RMS of the vibration.
-
-    Examples
-    --------
-    >>> from feel321.stimuli.recording import Recording
-    >>> step_over_rms(Recording([[1, -1, 1, -1], [0, 0, 0, 0], [0, 0, 0, 0]], 1000, "x"))
-    2.0
-    """
-    steps = [_step_of(axis) / axis.std() for axis in recording.acceleration if np.ptp(axis) > 0]
+    """Smallest step between sample values over the RMS of the vibration, median over axes: how coarse they are."""
+    steps = []
+    for axis in recording.acceleration:
+        if np.ptp(axis) > 0:
+            # Values that differ by rounding only, as after a change of unit, are the same count of the sensor.
+            apart = np.diff(np.unique(axis))
+            steps.append(float(apart[apart > 1e-9 * np.ptp(axis)].min()) / axis.std())
     return float(np.median(steps)) if steps else 0.0
 
 
 def held_share(recording: Recording) -> float:
-    """Tell which share of the samples repeats the one before on all three axes, as gaps that were filled do.
-
-    Examples
-    --------
-    >>> from feel321.stimuli.recording import Recording
-    >>> held_share(Recording([[1, 0, 0, 0, 2], [1, 0, 0, 0, 2], [1, 0, 0, 0, 2]], 1000, "gap"))
-    0.5
-    """
+    """Share of the samples that repeat the one before on all three axes, as filled gaps do."""
     same = np.all(np.diff(recording.acceleration) == 0, axis=0)
     return float(same.mean()) if same.size else 0.0
 
 
 def crest_factor(recording: Recording) -> float:
-    """Tell how spiky the motion is: its largest length over its RMS."""
+    """Largest length of the acceleration over its RMS."""
     lengths = np.linalg.norm(recording.acceleration, axis=0)
     rms = float(np.sqrt(np.square(lengths).mean()))
     return float(lengths.max()) / rms if rms else 0.0
 
 
 def tonal_share(recording: Recording) -> float:
-    """Tell which share of the energy lies within two frequency steps of the strongest frequency."""
+    """Share of the energy within two frequency steps of the strongest frequency."""
     energy = np.square(np.abs(np.fft.rfft(recording.acceleration))).sum(axis=0)[1:]
     if not energy.size:
         return 0.0
@@ -174,12 +133,12 @@ def tonal_share(recording: Recording) -> float:
 
 
 def n_windows(recording: Recording) -> float:
-    """Tell how many windows long a recording is."""
+    """Duration in windows."""
     return recording.duration_s / DEFAULT_WINDOW_S
 
 
 def silence_share(recording: Recording) -> float:
-    """Tell which share of the windows is more than 40 dB weaker than the strongest window."""
+    """Share of the windows that are at least 40 dB weaker than the strongest one."""
     power = np.trace(_covariance(_windows(recording)), axis1=-2, axis2=-1)
     return float(np.mean(power <= 10 ** (SILENT_DB / 10) * power.max()))
 
@@ -202,38 +161,13 @@ def _ratios(covariances: Samples) -> Samples:
     return np.asarray(np.divide(second, first, out=np.zeros_like(first), where=first > 0))
 
 
-def _clipped_of(axis: Samples) -> float:
-    if np.ptp(axis) == 0:
-        return 0.0
-    share = 0.0
-    for extreme in (axis.min(), axis.max()):
-        flat = np.concatenate([[0], (axis == extreme).astype(np.int8), [0]])
-        starts, ends = np.flatnonzero(np.diff(flat) == 1), np.flatnonzero(np.diff(flat) == -1)
-        runs = ends - starts
-        share += float(runs[runs >= _CLIPPED_RUN].sum()) / len(axis)
-    return share
-
-
-def _step_of(axis: Samples) -> float:
-    values = np.unique(axis)
-    # Values that differ by rounding only, as after a change of unit, are the same count of the sensor.
-    steps = np.diff(values)
-    return float(steps[steps > 1e-9 * np.ptp(axis)].min())
-
-
 def _share(part: float, whole: float) -> float:
     return float(part / whole) if whole > 0 else 0.0
 
 
-# SIGNS: by what a real recording is recognised that comes near a scene of the battery.
-
-SAY = MappingProxyType({"share": (100.0, " %", 0.01), "number": (1.0, "", 0.001)})
-"""Kind -> factor, unit, and the smallest figure that is written out."""
-
-
 @dataclass(frozen=True, slots=True)
 class Sign:
-    """A figure of a recording, and from where on it foretells trouble."""
+    """A number that is computed from a recording, and the limit beyond which reducers are at risk."""
 
     name: str
     title: str
@@ -246,25 +180,17 @@ class Sign:
     below: bool = False
 
     def is_near(self, value: float) -> bool:
-        """Tell whether a figure foretells trouble."""
+        """Whether a value is beyond the limit."""
         return value < self.limit if self.below else value > self.limit
 
-    def tell(self, value: float) -> str:
-        """Write a figure.
-
-        Returns such as "32 %".
-
-        Examples
-        --------
-        >>> [SIGNS["offset_share"].tell(value) for value in (0.32, 4e-8, 0.0)]
-        ['32 %', '<0.01 %', '0 %']
-        """
-        factor, unit, smallest = SAY[self.kind]
+    def format(self, value: float) -> str:
+        """Write a value, such as "32 %"; below the smallest that is written out, "<0.01 %"."""
+        factor, unit, smallest = (100.0, " %", 0.01) if self.kind == "share" else (1.0, "", 0.001)
         shown = factor * value
         return f"<{smallest:g}{unit}" if 0 < shown < smallest else f"{shown:.3g}{unit}"
 
 
-_SINGLE = tuple(
+SINGLE_AXES = tuple(
     f"sa{axis}321{form}" for form in ("", "_matched", "_matched_running") for axis in "xyz"
 )
 _FOURIER = ("dft321", "dft321_windowed")
@@ -279,25 +205,25 @@ _SIGNS = (
     Sign("ambiguous_windows", "Energy in windows without a leading axis", ambiguous_windows, "felt", 0.05,
          "share", "{} of the energy lies in windows in which no direction leads by 20 %", _IN_FRAMES),
     Sign("silent_axes", "Silent axes", silent_axes, "felt", 0.5, "number",
-         "axes that are 40 dB below the strongest: {}", _SINGLE),
+         "axes that are 40 dB below the strongest: {}", SINGLE_AXES),
     Sign("offset_share", "Energy in the offset", offset_share, "sensor", 0.5, "share",
-         "{} of what the sensor gave is offset; without conditioning it passes for signal", ("mag321", "pca321")),
+         "{} of the sensor's energy is offset; without conditioning it passes for signal", ("mag321", "pca321")),
     Sign("slow_share", "Energy below 20 Hz", slow_share, "sensor", 0.2, "share",
          "{} of the energy about the mean is slower than 20 Hz; high-pass before reducing", _PRINCIPAL),
     Sign("clipped_share", "Clipped samples", clipped_share, "sensor", 0.001, "share",
-         "{} of an axis's samples are clipped; directions and spectra of the peaks are the sensor's", _SINGLE),
+         "{} of an axis's samples are clipped; directions and spectra of the peaks are artefacts", SINGLE_AXES),
     Sign("step_over_rms", "Sensor step / RMS", step_over_rms, "sensor", 0.25, "number",
          "the sensor's step is {} times the RMS of an axis; its noise counts as signal", ("mag321",)),
     Sign("held_share", "Repeated samples", held_share, "sensor", 0.01, "share",
          "{} of the samples repeat the one before on all axes, as filled gaps do", _FOURIER),
     Sign("crest_factor", "Peak / RMS", crest_factor, "felt", 12.0, "number",
-         "the peak is {} times the RMS; a few moments decide axes and spectra", (*_FOURIER, *_LEADING)),
+         "the peak is {} times the RMS; a few moments determine axes and spectra", (*_FOURIER, *_LEADING)),
     Sign("tonal_share", "Energy in one tone", tonal_share, "felt", 0.8, "share",
-         "{} of the energy is one tone; other bands are nearly empty and spectral match rests on them", ()),
+         "{} of the energy is one tone; other bands are nearly empty and spectral match depends on them", ()),
     Sign("n_windows", "Duration in windows", n_windows, "felt", 10.0, "number",
-         "it is {} windows long; too short for spectra and axes to settle", (), below=True),
+         "it is only {} windows long, too short for spectra and axes to settle", (), below=True),
     Sign("silence_share", "Silent windows", silence_share, "felt", 0.3, "share",
-         "{} of the windows are 40 dB below the loudest; there the axis is chance", _IN_FRAMES),
+         "{} of the windows are 40 dB below the loudest; there the axis is arbitrary", _IN_FRAMES),
 )  # fmt: skip
 
 SIGNS: Mapping[str, Sign] = MappingProxyType({sign.name: sign for sign in _SIGNS})
@@ -306,7 +232,7 @@ SIGNS: Mapping[str, Sign] = MappingProxyType({sign.name: sign for sign in _SIGNS
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """What a recording has that makes methods fail."""
+    """The signs of a recording: name -> value."""
 
     recording: str
     figures: Mapping[str, float]
@@ -318,43 +244,30 @@ class Diagnosis:
 
     @property
     def near_scenes(self) -> tuple[str, ...]:
-        """The scenes of the battery that it comes near."""
+        """The scenes of the battery that the recording comes near."""
         names = {sign.name for sign in self.near_signs}
         return tuple(scene.name for scene in BATTERY.values() if names.intersection(scene.signs))
 
 
 def diagnose(recording: Recording, sensor: Recording | None = None) -> Diagnosis:
-    """Examine a recording.
-
-    Examples
-    --------
-    >>> diagnose(BATTERY["anti_phase"].make(0)).near_scenes
-    ('anti_phase', 'chirp')
-    """
+    """Compute the signs of a recording, conditioned, and of the same as it came from the sensor."""
     sources = {"felt": recording, "sensor": sensor or recording}
-    return Diagnosis(
-        recording.name,
-        {name: float(sign.measure(sources[sign.of])) for name, sign in SIGNS.items()},
-    )
+    values = {name: float(sign.measure(sources[sign.of])) for name, sign in SIGNS.items()}
+    return Diagnosis(recording.name, values)
 
 
-def warn_of(diagnosis: Diagnosis, cells: Sequence[Cell]) -> tuple[str, ...]:
-    """Write a warning per sign that is beyond its limit.
-
-    Returns such as "32 % of the energy sits where the phase is undetermined: dft321 is sensitive
-    here (gain 40)".
-    """
-    gains = {cell.reducer: cell.value for cell in cells if cell.recording == diagnosis.recording}
-    lines, caution = [], MEASURES["gain"].caution
+def list_warnings(diagnosis: Diagnosis, gains: Sequence[StressCell]) -> tuple[str, ...]:
+    """Write a warning per sign that is beyond its limit, with the reducers that suffer from it."""
+    own = {cell.reducer: cell.value for cell in gains if cell.recording == diagnosis.recording}
+    lines = []
     for sign in diagnosis.near_signs:
-        line = sign.words.format(sign.tell(diagnosis.figures[sign.name]))
-        touched = [name for name in sign.sensitive if gains.get(name, 0.0) >= caution]
-        told = ", ".join(
-            f"{name} is sensitive here (gain {_tell_gain(gains[name])})" for name in touched
-        )
-        lines.append(f"{line}: {told}" if told else line)
+        line = sign.words.format(sign.format(diagnosis.figures[sign.name]))
+        touched = [name for name in sign.sensitive if own.get(name, 0) >= MEASURES["gain"].caution]
+        shown = [
+            f"{own[name]:.0f}" if own[name] >= NO_DECIMALS else f"{own[name]:.2g}"
+            for name in touched
+        ]
+        named = zip(touched, shown, strict=True)
+        suffering = ", ".join(f"{name} is sensitive here (gain {gain})" for name, gain in named)
+        lines.append(": ".join(filter(None, (line, suffering))))
     return tuple(lines)
-
-
-def _tell_gain(gain: float) -> str:
-    return f"{gain:.0f}" if gain >= 100 else f"{gain:.2g}"  # noqa: PLR2004 - from here on 2 digits want a power of ten

@@ -1,74 +1,71 @@
-"""Measures of stability: changes of the output, and the limits from which on they fail.
+"""Measures of stability, their limits, and every reducer measured on every scene of the battery.
 
-Conventions: `reduce` is called as in `REDUCERS`, `reduce(acceleration, rate_hz)` with acceleration (..., 3, n), and
-must take batches. a is the recording, r = reduce(a) its output, ‖·‖ the root of the energy, δ the relative change of
-`change.relative_change`, which is sign-free.
-
-The relative change from an output r to another r' is *sign-free*, because the skin does not feel the sign of a
+The *relative change* from an output r to another r' ignores the sign, because the skin does not feel the sign of a
 vibration:
 
     δ(r', r) = min(‖r' - r‖, ‖r' + r‖) / ‖r‖, at most sqrt(2)
 
-sqrt(2) is what lies between two unrelated signals of equal energy: more is not less stable. An output that is silent
-and stays silent has changed by 0, one that is silent and becomes anything by sqrt(2).
+with ‖·‖ the root of the energy. sqrt(2) separates two unrelated signals of equal energy: more is not less stable. An
+output that is silent and stays silent has changed by 0, one that is silent and becomes anything by sqrt(2).
 
-Every limit is argued from one figure, in `why`: the paper's Weber fraction of vibration, 22 %, taken of the amplitude
+Every limit is argued from one number, in `why`: the paper's Weber fraction of vibration, 22 %, taken of the amplitude
 (1.7 dB). A caution is about half way to a failure.
 
-Conventions as in `measures`.
+Each scene is made many times (*takes*), so that every number is a distribution and not the accident of one seed. All
+takes go through a reducer as one batch, each with its own noise, orientations and shift.
 
 References
 ----------
 .. [1] N. Landin et al., EuroHaptics 2010, section 3 (22 % Weber fraction) and Table 1.
    doi:10.1007/978-3-642-14075-4_12
+.. [2] J. R. Rice, "A theory of condition", SIAM Journal on Numerical Analysis 3(2), 1966. doi:10.1137/0703023
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import product
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
+from feel321.analysis.tradeoff.stress.battery import BATTERY
 from feel321.stimuli.match import OriginalSpectrum, axis_correlations, mean_heard
 from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
 from feel321.stimuli.rotation import random_rotations
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from feel321.stimuli.recording import Recording
-    from feel321.stimuli.reducers.registry import Reducer
+    from feel321.types import Reducer, Samples
 
-    Samples = NDArray[np.float64]
-    Free = Literal["sign", "phase"]
     Grade = Literal["good", "caution", "fails", "undefined"]
-
-# How far two outputs lie apart, as far as it can be felt.
 
 UNRELATED = float(np.sqrt(2))
 """Largest relative change: between two unrelated signals of equal energy."""
 
+LARGEST_DB = 60.0
+"""An output that is weaker or stronger by more than this is silent, or out of all proportion."""
 
-class Change(NamedTuple):
-    """A change over many draws.
+FLIPS = np.array([[-1.0, 1.0, 1.0], [1.0, -1.0, 1.0], [1.0, 1.0, -1.0]])
+"""The axis signs that differ by more than the sign of everything."""
 
-    median, worst, p90: nine of ten are not above `p90`, which is NaN where nothing is drawn.
-    """
+TURNS = 4
+"""Orientations of every take."""
 
-    median: float
-    worst: float
-    p90: float = math.nan
+NOISE_DB = -60.0
+"""Level of the sensor noise relative to the recording."""
 
 
-def relative_change(changed: Samples, output: Samples, *, free: Free = "sign") -> Samples:
-    r"""Tell how much outputs differ from another one, but for its sign or for a constant phase.
-
-    changed: (..., n); output: (..., n); returns (...).
+def relative_change(
+    changed: Samples, output: Samples, *, free: Literal["sign", "phase"] = "sign"
+) -> Samples:
+    r"""Compute how much outputs, (..., n), differ from another one, ignoring its sign or a constant phase.
 
     Notes
     -----
@@ -78,18 +75,18 @@ def relative_change(changed: Samples, output: Samples, *, free: Free = "sign") -
         = \|r'\|^2 + \|r\|^2 - 2 \sqrt{(r' \cdot r)^2 + (r' \cdot Hr)^2}
 
     for outputs without offset, whose r and Hr are orthogonal and equally strong.
-
-    Examples
-    --------
-    >>> u = np.sin(2 * np.pi * np.arange(100) / 10)
-    >>> float(relative_change(-u, u)), float(relative_change(1.25 * u, u)), float(relative_change(np.roll(u, 3), u)) > 1
-    (0.0, 0.25, True)
-    >>> float(relative_change(np.roll(u, 3), u, free="phase").round(6))
-    0.0
     """
-    if free not in {"sign", "phase"}:
-        raise ValueError(f"free: got {free!r}, allowed is 'sign' or 'phase'")
-    distance = _phase_free(changed, output) if free == "phase" else _sign_free(changed, output)
+    if free == "phase":
+        from scipy.signal import hilbert
+
+        along = np.abs(np.einsum("...n,...n->...", changed, hilbert(output)))
+        energies = np.square(changed).sum(axis=-1) + np.square(output).sum(axis=-1)
+        distance = np.asarray(np.sqrt(np.maximum(energies - 2 * along, 0.0)))
+    else:
+        apart, beyond = (
+            np.linalg.norm(one, axis=-1) for one in (changed - output, changed + output)
+        )
+        distance = np.asarray(np.minimum(apart, beyond))
     strength = np.linalg.norm(output, axis=-1)
     silent = np.where(distance > 0, UNRELATED, 0.0)
     known = np.broadcast_to(strength > 0, distance.shape)
@@ -97,50 +94,9 @@ def relative_change(changed: Samples, output: Samples, *, free: Free = "sign") -
     return np.asarray(np.minimum(relative, UNRELATED))
 
 
-def admit_moving(recording: Recording, draws: int) -> tuple[Samples, float]:
-    """Check what a change is measured on.
-
-    draws: to be at least 1; returns samples: (3, n).
-    """
-    samples = recording.acceleration
-    strength = float(np.linalg.norm(samples))
-    if strength == 0:
-        raise ValueError(
-            f"recording {recording.name!r}: is silent, so no change can be related to it; leave it out"
-        )
-    if draws < 1:
-        raise ValueError(f"draws: got {draws}, allowed is 1 or more")
-    return samples, strength
-
-
-def summarise(changes: Samples) -> Change:
-    """Summarise changes over draws.
-
-    changes: (draws,).
-    """
-    return Change(float(np.median(changes)), float(changes.max()), float(np.quantile(changes, 0.9)))
-
-
-def _sign_free(changed: Samples, output: Samples) -> Samples:
-    apart = np.linalg.norm(changed - output, axis=-1)
-    return np.asarray(np.minimum(apart, np.linalg.norm(changed + output, axis=-1)))
-
-
-def _phase_free(changed: Samples, output: Samples) -> Samples:
-    from scipy.signal import hilbert
-
-    analytic = hilbert(output)
-    along = np.abs(np.einsum("...n,...n->...", changed, analytic))
-    energies = np.square(changed).sum(axis=-1) + np.square(output).sum(axis=-1)
-    return np.asarray(np.sqrt(np.maximum(energies - 2 * along, 0.0)))
-
-
-# MEASURES: what is measured per reducer and scene, from where on it counts as a failure, and why from there.
-
-
 @dataclass(frozen=True, slots=True)
 class Measure:
-    """A figure per reducer and scene, and its limits."""
+    """One number per reducer and scene, and its limits."""
 
     name: str
     letter: str
@@ -153,24 +109,12 @@ class Measure:
     why: str
 
     def grade(self, value: float) -> Grade:
-        """Judge a figure.
-
-        value: naN where it is not defined.
-
-        Examples
-        --------
-        >>> [MEASURES["gain"].grade(value) for value in (1.0, 3.0, 1230.0)]
-        ['good', 'caution', 'fails']
-        """
+        """Grade a value; NaN is undefined."""
         if math.isnan(value):
             return "undefined"
-        return (
-            "fails"
-            if abs(value) >= self.fails
-            else "caution"
-            if abs(value) >= self.caution
-            else "good"
-        )
+        if abs(value) >= self.fails:
+            return "fails"
+        return "caution" if abs(value) >= self.caution else "good"
 
 
 _WEBER = "a change of 22 % of the waveform is the paper's Weber fraction of vibration"
@@ -180,7 +124,7 @@ _MEASURES = (
             "sensor noise of 10 mg on a drag of 5 m/s² (2 %) then changes 20 % of the output, a Weber fraction; "
             "from 3 on it changes 6 %."),
     Measure("rotation", "R", "Change under rotation", "output changes under rotation", "", 0.1, 0.22,
-            "How much the output itself changes if the sensor is glued on in a random other orientation.",
+            "How much the output itself changes if the sensor is mounted in another, random orientation.",
             f"{_WEBER}; the caution is about half of it."),
     Measure("flip", "F", "Change under a flipped axis", "under a flipped axis", "", 0.1, 0.22,
             "How much the output changes if one axis has the other sign (the worst of the three).",
@@ -193,27 +137,54 @@ _MEASURES = (
             "0.2 is a mean change of the half windows' energy by 40 % (1.5 dB), about a Weber fraction of the "
             "amplitude (1.7 dB)."),
     Measure("energy", "E", "Energy error", "energy error", "dB", 1.5, 3.0,
-            "How much stronger or weaker the output vibrates than the recording.",
+            "How much stronger or weaker the output vibrates than the recording does.",
             "from 1.5 dB on it nears a Weber fraction of the amplitude (1.7 dB); 3 dB is nearly two: half or double "
             "the energy."),
     Measure("spread", "M", "Spread of the metrics", "SD of a metric over rotations", "", 0.05, 0.1,
             "Standard deviation of the match metrics over random orientations of the sensor, the larger of the two.",
-            "in the paper's Table 1 the better methods lie 0.1 apart in temporal match (0.40, 0.46, 0.51): "
-            "the mounting then decides as much as the method."),
+            "in the paper's Table 1 the better reducers lie 0.1 apart in temporal match (0.40, 0.46, 0.51): "
+            "the mounting then decides as much as the reducer."),
     Measure("fault", "D", "Damage by the fault", "fault amplified", "", 1.5, 2.0,
             "How many times more the output changes than the input, by the fault of the scene (clipping, steps, gaps, "
             "clocks).",
-            "at 2 the method does as much harm as the sensor did."),
+            "at 2 the reducer does as much harm as the sensor did."),
 )  # fmt: skip
 
 MEASURES: Mapping[str, Measure] = MappingProxyType({measure.name: measure for measure in _MEASURES})
-"""Name -> measure, the heat map's own first."""
+"""Name -> measure; the first is the number in the cells of the heat map."""
 
 
-# How unstable a reducer is on one recording, number by number.
+@dataclass(frozen=True, slots=True)
+class StressCell:
+    """One measure of one reducer on one recording or scene: the median and upper quantiles over takes or noises.
 
-LARGEST_DB = 60.0
-"""An output that is weaker or stronger by more than this is silent, or out of all proportion."""
+    value: NaN where it is not defined; up_to_phase: a failing gain if a constant phase is ignored too, NaN elsewhere;
+    p90, p95: NaN where too few were drawn.
+    """
+
+    recording: str
+    reducer: str
+    measure: str
+    value: float
+    worst: float
+    up_to_phase: float = math.nan
+    p90: float = math.nan
+    p95: float = math.nan
+
+    @property
+    def grade(self) -> Grade:
+        """The grade of the median; a caution where one take in ten fails."""
+        measure = MEASURES[self.measure]
+        grade = measure.grade(self.value)
+        return "caution" if grade == "good" and measure.grade(self.p90) == "fails" else grade
+
+
+class Change(NamedTuple):
+    """A relative change over many draws; p90: nine of ten are not above it."""
+
+    median: float
+    worst: float
+    p90: float
 
 
 def perturbation_gain(
@@ -222,245 +193,186 @@ def perturbation_gain(
     *,
     rng: np.random.Generator,
     draws: int = 20,
-    level_db: float = -60.0,
-    free: Free = "sign",
+    level_db: float = NOISE_DB,
+    free: Literal["sign", "phase"] = "sign",
 ) -> Change:
-    r"""Tell how much more the output changes than the input, under weak sensor noise.
-
-    draws: noises, at least 1.
+    r"""Compute how many times more the output changes than the input, under weak sensor noise.
 
     Notes
     -----
     .. math:: G = \delta(R(a + n), R(a)) \,\Big/\, \frac{\|n\|}{\|a\|}, \qquad n \sim N(0, 1)^{3 \times n}
         \text{ scaled to } \|n\| = 10^{L/20} \|a\|
 
-    a condition number measured at a distance [1]_; exactly \|R(n)\| \|a\| / (\|R(a)\| \|n\|) for linear reducers.
-
-    References
-    ----------
-    .. [1] J. R. Rice, "A theory of condition", SIAM Journal on Numerical Analysis 3(2), 1966. doi:10.1137/0703023
-
-    Examples
-    --------
-    >>> from feel321.stimuli.reducers.registry import REDUCERS
-    >>> from feel321.stimuli.recording import Recording
-    >>> u = np.sin(np.arange(500.0))
-    >>> anti_phase = Recording([u, -u, 0 * u], 1000, "anti-phase")
-    >>> perturbation_gain(REDUCERS["dft321"], anti_phase, rng=np.random.default_rng(0)).median > 100
-    True
+    a condition number measured at a distance [2]_; exactly \|R(n)\| \|a\| / (\|R(a)\| \|n\|) for linear reducers.
     """
-    if not level_db < 0:
+    samples, share = recording.acceleration, 10 ** (level_db / 20)
+    strength = float(np.linalg.norm(samples))
+    if strength == 0:
         raise ValueError(
-            f"level_db: got {level_db}, allowed is below 0 dB: the noise is weaker than the recording"
+            f"recording {recording.name!r} must have motion, got silence; leave it out"
         )
-    samples, strength = admit_moving(recording, draws)
-    share = 10 ** (level_db / 20)
     noise = rng.standard_normal((draws, *samples.shape))
     noise *= share * strength / np.linalg.norm(noise, axis=(-2, -1), keepdims=True)
     outputs = reduce(samples + noise, recording.rate_hz)
-    return summarise(
-        relative_change(outputs, reduce(samples, recording.rate_hz), free=free) / share
-    )
+    gains = relative_change(outputs, reduce(samples, recording.rate_hz), free=free) / share
+    return Change(float(np.median(gains)), float(gains.max()), float(np.quantile(gains, 0.9)))
 
 
-def shift_change(
-    reduce: Reducer, recording: Recording, *, rng: np.random.Generator, draws: int = 8
-) -> Change:
-    """Tell how much the output changes if the same motion begins a little later.
-
-    draws: shifts, at least 1.
-
-    Examples
-    --------
-    >>> from feel321.stimuli.recording import Recording
-    >>> from feel321.stimuli.reducers.registry import REDUCERS
-    >>> drag = Recording(np.random.default_rng(1).standard_normal((3, 50)), 1000, "drag")
-    >>> shift_change(REDUCERS["mag321"], drag, rng=np.random.default_rng(0))
-    Change(median=0.0, worst=0.0, p90=0.0)
-    """
-    samples, _ = admit_moving(recording, draws)
-    most = window_samples(DEFAULT_WINDOW_S, recording.rate_hz)
-    silence = np.zeros((3, most))
-    embedded = np.concatenate([samples, silence], axis=-1)
-    shifts = rng.integers(1, most, size=draws, endpoint=True)
-    outputs = reduce(
-        np.array([np.roll(embedded, shift, axis=-1) for shift in shifts]), recording.rate_hz
-    )
-    back = np.array([
-        np.roll(output, -shift) for output, shift in zip(outputs, shifts, strict=True)
-    ])
-    return summarise(relative_change(back, reduce(embedded, recording.rate_hz)))
-
-
-def edge_error(
-    reduce: Reducer, recording: Recording, *, window_s: float = DEFAULT_WINDOW_S
-) -> float:
-    r"""Tell which share of the energy the output puts at the wrong time, across the edges of half windows.
-
-    Notes
-    -----
-    With p_k and q_k the shares of the energy about the mean of recording and output that lie in half window k, the
-    total variation distance :math:`\frac{1}{2} \sum_k |p_k - q_k|`. Energy that a method spreads before a tap, wraps
-    around the ends or loses at a frame's edge counts, its overall strength does not.
-
-    Examples
-    --------
-    >>> from feel321.stimuli.recording import Recording
-    >>> from feel321.stimuli.reducers.registry import REDUCERS
-    >>> tap = np.zeros(200)
-    >>> tap[[50, 51]] = 1.0, -1.0
-    >>> edge_error(REDUCERS["pca321"], Recording([tap, 2 * tap, -tap], 1000, "tap")) < 1e-12
-    True
-    """
-    samples, _ = admit_moving(recording, 1)
-    hop = window_samples(window_s, recording.rate_hz) // 2
-    starts = np.arange(0, samples.shape[-1], hop)
-    shares = []
-    for signal in (samples, np.atleast_2d(reduce(samples, recording.rate_hz))):
-        about_mean = signal - signal.mean(axis=-1, keepdims=True)
-        energy = np.add.reduceat(np.square(about_mean).sum(axis=0), starts)
-        shares.append(energy / energy.sum() if energy.sum() > 0 else np.zeros_like(energy))
-    recorded, kept = shares
-    return float(np.abs(recorded - kept).sum() / 2) if kept.any() else 1.0
-
-
-def energy_error(reduce: Reducer, recording: Recording) -> float:
-    """Tell how much stronger or weaker the output vibrates than the recording.
-
-    Returns 10 log10 of the ratio of the energies about the mean, in dB, between -60 and 60: an
-    offset is not felt.
-
-    Examples
-    --------
-    >>> from feel321.stimuli.recording import Recording
-    >>> from feel321.stimuli.reducers.registry import REDUCERS
-    >>> u = np.sin(np.arange(1000.0))
-    >>> round(energy_error(REDUCERS["soc321"], Recording([u, u, u], 1000, "same")), 2)
-    4.77
-    """
-    samples, _ = admit_moving(recording, 1)
-    recorded = float(samples.var(axis=-1).sum())
-    if recorded == 0:
-        raise ValueError(
-            f"recording {recording.name!r}: has an offset and no vibration; choose one that moves"
-        )
-    kept = float(reduce(samples, recording.rate_hz).var())
-    with np.errstate(divide="ignore"):
-        return float(np.clip(10 * np.log10(kept / recorded), -LARGEST_DB, LARGEST_DB))
-
-
-def fault_gain(reduce: Reducer, recording: Recording, *, clean: Recording) -> float:
-    """Tell how much more the output suffers from a fault of the recording than the recording itself.
-
-    Returns naN where both are the same.
-
-    Examples
-    --------
-    >>> from feel321.stimuli.recording import Recording
-    >>> from feel321.stimuli.reducers.registry import REDUCERS
-    >>> u = np.sin(np.arange(100.0))
-    >>> whole, cut = (Recording([v, 0 * u, 0 * u], 1000, "x") for v in (u, np.clip(u, -0.5, 0.5)))
-    >>> round(fault_gain(REDUCERS["soc321"], cut, clean=whole), 9)
-    1.0
-    """
-    samples, strength = admit_moving(clean, 1)
-    if recording.n_samples != clean.n_samples:
-        raise ValueError(
-            f"clean: got {clean.n_samples} samples, allowed is {recording.n_samples}, as with the fault"
-        )
-    share = float(np.linalg.norm(recording.acceleration - samples)) / strength
-    outputs = (reduce(one.acceleration, one.rate_hz) for one in (recording, clean))
-    return float(relative_change(*outputs)) / share if share else float("nan")
-
-
-# How much depends on the way the sensor was glued on: of the output itself, and of the metrics.
-
-FLIPS = np.array([[-1.0, 1.0, 1.0], [1.0, -1.0, 1.0], [1.0, 1.0, -1.0]])
-"""The axis signs that differ by more than the sign of everything."""
-
-
-class Spread(NamedTuple):
-    """Standard deviations of both metrics over orientations of the sensor.
-
-    spectral_sd, temporal_sd: naN for the spectral one where the recording has no frequency from 20
-    to 1000 Hz.
-    """
-
-    spectral_sd: float
-    temporal_sd: float
-
-
-def rotation_change(
-    reduce: Reducer,
-    recording: Recording,
+def measure_gains(
+    recordings: Sequence[Recording],
+    reducers: Mapping[str, Reducer],
     *,
-    rng: np.random.Generator,
-    draws: int = 20,
-    free: Free = "sign",
-) -> Change:
-    """Tell how much the output changes if the sensor is glued on in another way.
+    draws: int,
+    seed: int,
+    progress: Callable[[int, int], None],
+) -> tuple[StressCell, ...]:
+    """Measure the perturbation gain of every reducer on every recording."""
+    cells: list[StressCell] = []
+    for recording, (name, reduce) in product(recordings, reducers.items()):
+        own = [seed, *recording.name.encode()]
+        rng = np.random.default_rng([*own, *b"gain"])
+        gain, phase = perturbation_gain(reduce, recording, rng=rng, draws=draws), math.nan
+        if MEASURES["gain"].grade(gain.median) == "fails":
+            again = np.random.default_rng(own)
+            phase = perturbation_gain(
+                reduce, recording, rng=again, draws=draws, free="phase"
+            ).median
+        cells.append(
+            StressCell(recording.name, name, "gain", gain.median, gain.worst, phase, gain.p90)
+        )
+        progress(len(cells), len(recordings) * len(reducers))
+    return tuple(cells)
 
-    draws: orientations, at least 1.
 
-    Examples
-    --------
-    >>> from feel321.stimuli.recording import Recording
-    >>> from feel321.stimuli.reducers.registry import REDUCERS
-    >>> drag = Recording(np.random.default_rng(1).standard_normal((3, 50)) * [[1], [2], [4]], 1000, "drag")
-    >>> change = {name: rotation_change(REDUCERS[name], drag, rng=np.random.default_rng(0))
-    ...           for name in ("sax321", "pca321")}
-    >>> change["sax321"].median > 0.5, change["pca321"].worst < 1e-12
-    (True, True)
+class Takes(NamedTuple):
+    """Takes of one scene, and what is done to them; the same for all reducers.
+
+    samples, noise: (n_takes, 3, n_samples), as is clean, the takes without their fault, if the scene has one; turns:
+    (n_takes, TURNS, 3, 3); shifts: (n_takes,), delays in samples, up to one window.
     """
-    samples, _ = admit_moving(recording, draws)
-    turned = np.einsum("rij,jn->rin", random_rotations(draws, rng), samples)
-    outputs = reduce(turned, recording.rate_hz)
-    return summarise(relative_change(outputs, reduce(samples, recording.rate_hz), free=free))
+
+    rate_hz: float
+    samples: Samples
+    clean: Samples | None
+    noise: Samples
+    turns: Samples
+    shifts: NDArray[np.int64]
+    spectra: list[OriginalSpectrum]
 
 
-def flip_change(reduce: Reducer, recording: Recording) -> Change:
-    """Tell how much the output changes if one axis of the sensor has the other sign.
-
-    Examples
-    --------
-    >>> from feel321.stimuli.recording import Recording
-    >>> from feel321.stimuli.reducers.registry import REDUCERS
-    >>> u = np.sin(np.arange(50.0))
-    >>> same = Recording([u, u, u], 1000, "same")
-    >>> round(flip_change(REDUCERS["soc321"], same).worst, 6), flip_change(REDUCERS["mag321"], same).worst
-    (0.666667, 0.0)
-    """
-    samples, _ = admit_moving(recording, 1)
-    outputs = reduce(FLIPS[..., None] * samples, recording.rate_hz)
-    return summarise(relative_change(outputs, reduce(samples, recording.rate_hz)))
-
-
-def metric_spread(
-    reduce: Reducer, recording: Recording, *, rng: np.random.Generator, draws: int = 20
-) -> Spread:
-    """Tell how much both metrics depend on the way the sensor was glued on.
-
-    draws: orientations, at least 2.
-
-    References
-    ----------
-    .. [1] Park & Kuchenbecker, World Haptics 2019. doi:10.1109/WHC.2019.8816148
-
-    Examples
-    --------
-    >>> from feel321.stimuli.recording import Recording
-    >>> from feel321.stimuli.reducers.registry import REDUCERS
-    >>> drag = Recording(np.random.default_rng(1).standard_normal((3, 500)) * [[1], [2], [4]], 1000, "drag")
-    >>> metric_spread(REDUCERS["sax321"], drag, rng=np.random.default_rng(0)).spectral_sd > 0.1
-    True
-    """
-    if draws < 2:  # noqa: PLR2004 - a spread needs two
-        raise ValueError(f"draws: got {draws}, allowed is 2 or more")
-    samples, _ = admit_moving(recording, draws)
-    turned = np.einsum("rij,jn->rin", random_rotations(draws, rng), samples)
-    outputs = reduce(turned, recording.rate_hz)
-    original = OriginalSpectrum(samples, recording.rate_hz)
-    spectral = (
-        float(np.std(original.match(outputs), ddof=1)) if len(original.smoothed) else float("nan")
+def vary(
+    recordings: Sequence[Recording], clean: Sequence[Recording] = (), *, rng: np.random.Generator
+) -> Takes:
+    """Give every take its noise, orientations and shift; all takes are of one length and rate."""
+    samples, rate_hz = np.array([one.acceleration for one in recordings]), recordings[0].rate_hz
+    noise = rng.standard_normal(samples.shape)
+    ratios = [np.linalg.norm(one, axis=(1, 2), keepdims=True) for one in (samples, noise)]
+    noise *= 10 ** (NOISE_DB / 20) * ratios[0] / ratios[1]
+    count, window = len(recordings), window_samples(DEFAULT_WINDOW_S, rate_hz)
+    return Takes(
+        rate_hz,
+        samples,
+        np.array([one.acceleration for one in clean]) if clean else None,
+        noise,
+        random_rotations(count * TURNS, rng).reshape(count, TURNS, 3, 3),
+        rng.integers(1, window, size=count, endpoint=True),
+        [OriginalSpectrum(one, rate_hz) for one in samples],
     )
-    return Spread(spectral, float(np.std(mean_heard(axis_correlations(turned, outputs)), ddof=1)))
+
+
+def make_takes(name: str, *, takes: int, seed: int) -> Takes:
+    """Make takes of a scene of the battery."""
+    scene, numbers = BATTERY[name], [1000 * seed + number for number in range(takes)]
+    clean = [scene.make_clean(number) for number in numbers] if scene.fault else []
+    rng = np.random.default_rng([seed, *name.encode()])
+    return vary([scene.make(number) for number in numbers], clean, rng=rng)
+
+
+def measure_takes(reduce: Reducer, takes: Takes) -> dict[str, Samples]:
+    """Measure one reducer on all takes: measure -> (n_takes,); "phase" is the gain up to a constant phase."""
+    samples, rate_hz, share = takes.samples, takes.rate_hz, 10 ** (NOISE_DB / 20)
+    output = reduce(samples, rate_hz)
+    noisy = reduce(samples + takes.noise, rate_hz)
+    turned = np.einsum("trij,tjn->trin", takes.turns, samples)
+    outputs = reduce(turned, rate_hz)
+    flipped = reduce(FLIPS[:, None, :, None] * samples, rate_hz)
+    spreads = [find_spread(*each) for each in zip(takes.spectra, turned, outputs, strict=True)]
+    with np.errstate(divide="ignore"):
+        energy_db = 10 * np.log10(output.var(axis=-1) / samples.var(axis=-1).sum(axis=-1))
+    return {
+        "gain": relative_change(noisy, output) / share,
+        "rotation": np.median(relative_change(outputs, output[:, None]), axis=-1),
+        "flip": relative_change(flipped, output).max(axis=0),
+        "shift": _measure_shift(reduce, takes),
+        "edge": _measure_edges(samples, output, rate_hz),
+        "energy": np.asarray(np.clip(energy_db, -LARGEST_DB, LARGEST_DB)),
+        "spread": np.array(spreads),
+        "fault": _measure_damage(reduce, takes, output),
+        "phase": relative_change(noisy, output, free="phase") / share,
+    }
+
+
+def _measure_shift(reduce: Reducer, takes: Takes) -> Samples:
+    silence = np.zeros((*takes.samples.shape[:2], window_samples(DEFAULT_WINDOW_S, takes.rate_hz)))
+    embedded = np.concatenate([takes.samples, silence], axis=-1)
+    pairs = zip(embedded, takes.shifts, strict=True)
+    later = reduce(np.array([np.roll(one, shift, axis=-1) for one, shift in pairs]), takes.rate_hz)
+    back = [np.roll(output, -shift) for output, shift in zip(later, takes.shifts, strict=True)]
+    return relative_change(np.array(back), reduce(embedded, takes.rate_hz))
+
+
+def _measure_edges(samples: Samples, output: Samples, rate_hz: float) -> Samples:
+    r"""Measure the share of the energy that the output puts into another half window than the recording has it in.
+
+    With p_k and q_k the shares of the energy about the mean of recording and output that lie in half window k, the
+    total variation distance :math:`\frac{1}{2} \sum_k |p_k - q_k|`. Energy that a reducer spreads before a tap, wraps
+    around the ends or loses at a frame's edge counts, its overall strength does not.
+    """
+    starts = np.arange(0, samples.shape[-1], window_samples(DEFAULT_WINDOW_S, rate_hz) // 2)
+    shares = []
+    for signals in (samples, output[:, None]):
+        about_mean = signals - signals.mean(axis=-1, keepdims=True)
+        energy = np.add.reduceat(np.square(about_mean).sum(axis=1), starts, axis=-1)
+        total = energy.sum(axis=-1, keepdims=True)
+        shares.append(np.divide(energy, total, out=np.zeros_like(energy), where=total > 0))
+    recorded, kept = shares
+    return np.where(kept.any(axis=-1), np.abs(recorded - kept).sum(axis=-1) / 2, 1.0)
+
+
+def find_spread(original: OriginalSpectrum, turned: Samples, outputs: Samples) -> float:
+    """Find the standard deviation over orientations of the match metric that varies more."""
+    spectral = float(np.std(original.match(outputs), ddof=1)) if len(original.smoothed) else 0.0
+    return max(spectral, float(np.std(mean_heard(axis_correlations(turned, outputs)), ddof=1)))
+
+
+def _measure_damage(reduce: Reducer, takes: Takes, output: Samples) -> Samples:
+    if takes.clean is None:
+        return np.full(len(output), np.nan)
+    sizes = [np.linalg.norm(one, axis=(1, 2)) for one in (takes.samples - takes.clean, takes.clean)]
+    changed = relative_change(output, reduce(takes.clean, takes.rate_hz))
+    return np.asarray(changed / (sizes[0] / sizes[1]))
+
+
+def measure_battery(
+    reducers: Mapping[str, Reducer], *, takes: int, seed: int, progress: Callable[[int, int], None]
+) -> tuple[StressCell, ...]:
+    """Measure every reducer on every scene of the battery."""
+    cells: list[StressCell] = []
+    for scene in BATTERY:
+        made = make_takes(scene, takes=takes, seed=seed)
+        for name, reduce in reducers.items():
+            cells += _summarise(scene, name, measure_takes(reduce, made))
+            progress(len(cells) // len(MEASURES), len(BATTERY) * len(reducers))
+    return tuple(cells)
+
+
+def _summarise(scene: str, reducer: str, found: Mapping[str, Samples]) -> list[StressCell]:
+    """Find median and upper quantiles over takes; an energy error keeps the sign of its median."""
+    cells = []
+    for key, measure in MEASURES.items():
+        median, p90, p95, worst = np.quantile(np.abs(found[key]), (0.5, 0.9, 0.95, 1.0)).tolist()
+        sign = -1.0 if np.median(found[key]) < 0 else 1.0
+        failing = key == "gain" and measure.grade(median) == "fails"
+        phase = float(np.median(found["phase"])) if failing else math.nan
+        cells.append(StressCell(scene, reducer, key, sign * median, worst, phase, p90, p95))
+    return cells

@@ -1,9 +1,8 @@
-"""The stress test's figures and page."""
+"""The stress test's heat map and page, whose red cells lead to their explanations."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis.figures.style import (
@@ -13,44 +12,44 @@ from feel321.analysis.figures.style import (
     GREY,
     THIN,
     fit_text,
-    new_canvas,
     print_style,
 )
-from feel321.analysis.report.page import TEMPLATES, inline_svg
-from feel321.analysis.report.section import Picture
+from feel321.analysis.report.section import PageTable
+from feel321.analysis.tradeoff.results import GradedText
 from feel321.analysis.tradeoff.stress.battery import BATTERY
 from feel321.analysis.tradeoff.stress.diagnosis import SIGNS
 from feel321.analysis.tradeoff.stress.measures import MEASURES
-from feel321.analysis.tradeoff.stress.result import FIGURES, tell_reason
-from feel321.analysis.words import ABSENT, MINUS, keep_together
+from feel321.analysis.tradeoff.stress.result import MOVED, count_failures, find_reason
+from feel321.analysis.words import ABSENT, MINUS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
 
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from feel321.analysis.tradeoff.stress.cells import Cell, MetricRow
-    from feel321.analysis.tradeoff.stress.diagnosis import Diagnosis
+    from feel321.analysis.tradeoff.stress.measures import StressCell
     from feel321.analysis.tradeoff.stress.result import StressResult
 
-# The heat map: reducers across, scenes down, and in every cell the perturbation gain and what else fails.
-
+FIGURE = "stress"
 WIDTH_CM = 2 * COLUMN_CM + 0.8
 ROW_CM, HEAD_CM, KEY_CM, LABEL_CM, MARGIN_CM = 0.66, 1.2, 1.3, 3.7, 0.1
 FILLS = {"good": "#FFFFFF", "caution": "#F6D68F", "fails": "#D55E00", "undefined": "#E6E6E6"}
-"""White, Okabe and Ito's orange made paler, and their vermilion: three steps of lightness, so that grey prints tell."""
+"""White, Okabe and Ito's orange made paler, and their vermilion: three steps of lightness, which a grey print keeps."""
 
 NARROW_CM, UPRIGHT_CM = 1.2, 3.4
 """Columns narrower than this have upright names, which need so much height."""
 
-LETTERS = {"good": BLACK, "caution": BLACK, "fails": "#FFFFFF", "undefined": BLACK}
 VALUE_SIZE, MARK_SIZE, KEY_SIZE, HEAD_LINES = 6.5, 5.5, 6.0, 3
+
+CAPTION = (
+    "Where reducers fail. Each cell: perturbation gain of a reducer (column) on a scene (row) and the letters of the "
+    "other measures that it fails by. A cell in which something fails leads to its explanation."
+)
 
 
 def draw_stress(result: StressResult) -> Figure:
-    """Draw the heat map, two columns wide."""
+    """Draw the heat map, two columns wide: reducers across, scenes down."""
     from matplotlib.figure import Figure
 
     wide = (WIDTH_CM - LABEL_CM - MARGIN_CM) / max(len(result.reducers), 1)
@@ -59,74 +58,77 @@ def draw_stress(result: StressResult) -> Figure:
         name if upright else fit_text(name, wide, lines=HEAD_LINES, size=VALUE_SIZE)
         for name in result.reducers
     ]
-    head = UPRIGHT_CM if upright else HEAD_CM
-    height = head + ROW_CM * len(BATTERY) + KEY_CM
+    height = (UPRIGHT_CM if upright else HEAD_CM) + ROW_CM * len(BATTERY) + KEY_CM
+    left, right = LABEL_CM / WIDTH_CM, MARGIN_CM / WIDTH_CM
     with print_style():
         figure = Figure(figsize=(WIDTH_CM / CM_PER_INCH, height / CM_PER_INCH))
-        left, bottom = LABEL_CM / WIDTH_CM, KEY_CM / height
-        axes = figure.add_axes((
-            left,
-            bottom,
-            1 - left - MARGIN_CM / WIDTH_CM,
-            ROW_CM * len(BATTERY) / height,
-        ))
-        _prepare(axes, names, rotation=90 if upright else 0)
-        grouped = _group(result.cells)
+        box = (left, KEY_CM / height, 1 - left - right, ROW_CM * len(BATTERY) / height)
+        axes = figure.add_axes(box)
+        _label(axes, names, rotation=90 if upright else 0)
+        cells: dict[tuple[str, str], dict[str, StressCell]] = {}
+        for cell in result.cells:
+            cells.setdefault((cell.recording, cell.reducer), {})[cell.measure] = cell
         for row, scene in enumerate(BATTERY):
             for column, reducer in enumerate(result.reducers):
-                _draw_cell(axes, grouped[scene, reducer], place=(column, row))
-        key = "\n".join(
-            fit_text(line, WIDTH_CM - 4 * MARGIN_CM, lines=3, size=KEY_SIZE) for line in _tell_key()
+                _draw_cell(axes, cells[scene, reducer], place=(column, row))
+        lines = (
+            fit_text(line, WIDTH_CM - 4 * MARGIN_CM, lines=3, size=KEY_SIZE)
+            for line in _describe_key()
         )
-        place = (MARGIN_CM / WIDTH_CM, (KEY_CM - 0.2) / height)
-        figure.text(*place, key, va="top", fontsize=KEY_SIZE, linespacing=1.25)
+        place = (right, (KEY_CM - 0.2) / height)
+        figure.text(*place, "\n".join(lines), va="top", fontsize=KEY_SIZE, linespacing=1.25)
     return figure
 
 
-def _prepare(axes: Axes, names: Sequence[str], *, rotation: int) -> None:
+def _label(axes: Axes, names: Sequence[str], *, rotation: int) -> None:
     axes.set(xlim=(0, len(names)), ylim=(len(BATTERY), 0))
     axes.xaxis.tick_top()
-    axes.set_xticks(
-        [column + 0.5 for column in range(len(names))],
-        names,
-        fontsize=VALUE_SIZE,
-        rotation=rotation,
-    )
-    axes.set_yticks(
-        [row + 0.5 for row in range(len(BATTERY))], [scene.title for scene in BATTERY.values()]
-    )
+    columns, rows = ([place + 0.5 for place in range(len(own))] for own in (names, BATTERY))
+    axes.set_xticks(columns, names, fontsize=VALUE_SIZE, rotation=rotation)
+    axes.set_yticks(rows, [scene.title for scene in BATTERY.values()])
     axes.tick_params(length=0)
-    for spine in axes.spines.values():
-        spine.set_visible(False)
+    axes.spines[:].set_visible(False)
 
 
-def _draw_cell(axes: Axes, cells: Mapping[str, Cell], *, place: tuple[int, int]) -> None:
+def _draw_cell(axes: Axes, cells: Mapping[str, StressCell], *, place: tuple[int, int]) -> None:
     from matplotlib.patches import Rectangle
 
-    column, row = place
-    gain = cells["gain"]
-    others = "".join(
-        MEASURES[key].letter
-        for key, cell in cells.items()
-        if key != "gain" and cell.grade == "fails"
-    )
+    gain, *further = cells.values()
+    letters = "".join(MEASURES[cell.measure].letter for cell in further if cell.grade == "fails")
+    failing = gain.grade == "fails"
     box = Rectangle(place, 1, 1, facecolor=FILLS[gain.grade], edgecolor=GREY, linewidth=THIN)
-    if others or gain.grade == "fails":
+    if letters or failing:
         box.set_url(f"#{gain.recording}-{gain.reducer}")
     axes.add_patch(box)
-    weight = "bold" if gain.grade == "fails" else "normal"
-    look: dict[str, Any] = {"color": LETTERS[gain.grade], "ha": "center", "va": "center"}
-    high = row + (0.32 if others else 0.5)
-    axes.text(column + 0.5, high, tell_gain(gain.value), size=VALUE_SIZE, weight=weight, **look)
-    axes.text(column + 0.5, row + 0.74, others, size=MARK_SIZE, **look)
+    look: dict[str, Any] = {
+        "color": "#FFFFFF" if failing else BLACK, "ha": "center", "va": "center",
+    }  # fmt: skip
+    x, y = place[0] + 0.5, place[1]
+    weight = "bold" if failing else "normal"
+    high = y + (0.32 if letters else 0.5)
+    axes.text(x, high, format_gain(gain.value), size=VALUE_SIZE, weight=weight, **look)
+    axes.text(x, y + 0.74, letters, size=MARK_SIZE, **look)
 
 
-def tell_gain(gain: float) -> str:
+def _describe_key() -> tuple[str, str]:
+    gain, *others = MEASURES.values()
+    marks = (
+        f"{one.letter} {one.brief} ≥ {one.fails:g}{' ' * bool(one.unit)}{one.unit}"
+        for one in others
+    )
+    return (
+        f"Number and colour: median perturbation gain at −60 dB noise; white below {gain.caution:g}, pale from "
+        f"{gain.caution:g}, dark and bold from {gain.fails:g} (1414: the output is all noise).",
+        f"Letters: what else fails. {'; '.join(marks)}.",
+    )
+
+
+def format_gain(gain: float) -> str:
     """Write a gain so that it fits a cell.
 
     Examples
     --------
-    >>> [tell_gain(gain) for gain in (0.578, 3.04, 16.6, 1390.2)]
+    >>> [format_gain(gain) for gain in (0.578, 3.04, 16.6, 1390.2)]
     ['0.58', '3.0', '17', '1390']
     """
     if math.isnan(gain):
@@ -135,103 +137,12 @@ def tell_gain(gain: float) -> str:
     return f"{gain:.{digits}f}"
 
 
-def _group(cells: Sequence[Cell]) -> dict[tuple[str, str], dict[str, Cell]]:
-    grouped: dict[tuple[str, str], dict[str, Cell]] = {}
-    for cell in cells:
-        grouped.setdefault((cell.recording, cell.reducer), {})[cell.measure] = cell
-    return grouped
-
-
-def _tell_key() -> tuple[str, ...]:
-    gain, *others = MEASURES.values()
-    marks = "; ".join(
-        f"{one.letter} {one.brief} ≥ {one.fails:g}{' ' * bool(one.unit)}{one.unit}"
-        for one in others
-    )
-    return (
-        f"Number and colour: median perturbation gain at −60 dB noise; white below {gain.caution:g}, pale from "
-        f"{gain.caution:g}, dark and bold from {gain.fails:g} (1414: the output is all noise).",
-        f"Letters: what else fails. {marks}.",
-    )
-
-
-# The stress test's page: one self-contained HTML file whose red cells lead to their explanations.
-
-CAPTION = (
-    "Where reducers fail. Each cell: perturbation gain of a reducer (column) on a scene (row) and the letters of the "
-    "other measures that it fails by. A cell in which something fails leads to its explanation."
-)
-
-
-@dataclass(frozen=True, slots=True)
-class Shown:
-    """A figure as a table shows it."""
-
-    text: str
-    grade: str = ""
-    link: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Explained:
-    """What a reducer fails by on a scene."""
-
-    anchor: str
-    reducer: str
-    lines: tuple[str, ...]
-
-
-def render_page(result: StressResult, *, figures: Path) -> str:
-    """Render the page."""
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
-    environment = Environment(
-        loader=FileSystemLoader(TEMPLATES),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        finalize=keep_together,
-    )
-    picture = Picture(FIGURES[0], CAPTION, new_canvas(1))
-    return environment.get_template("stress.html").render(
-        result=result,
-        style=(TEMPLATES / "report.css").read_text(encoding="utf-8"),
-        # matplotlib's links open a window of their own; these lead down the page.
-        drawing=inline_svg(picture, figures / f"{FIGURES[0]}.svg").replace(' target="_blank"', ""),
-        caption=CAPTION,
-        battery=BATTERY,
-        measures=MEASURES,
-        signs=SIGNS,
-        grids={measure: list(_list_rows(result, measure)) for measure in MEASURES},
-        explained={scene: list(_explain(result, scene)) for scene in BATTERY},
-        near={scene: result.find_near(scene) for scene in BATTERY},
-        recordings=[_show_recording(diagnosis) for diagnosis in result.diagnoses],
-        gains=list(_list_gains(result)),
-        metrics=[_show_metrics(row) for row in result.metrics],
-    )
-
-
-def name_anchor(scene: str, reducer: str) -> str:
-    """Name the place of an explanation; the heat map's links get their picture's name in front, as all its ids do.
+def format_value(value: float, unit: str = "") -> str:
+    """Write a value for the page, with three digits at most.
 
     Examples
     --------
-    >>> name_anchor("anti_phase", "dft321")
-    'stress-anti_phase-dft321'
-    """
-    return f"{FIGURES[0]}-{scene}-{reducer}"
-
-
-def tell_figure(value: float, unit: str = "") -> str:
-    """Write a figure for the page.
-
-    Returns three digits at most.
-
-    Examples
-    --------
-    >>> tell_figure(1389.6), tell_figure(1e-16), tell_figure(-4.77, "dB"), tell_figure(0.1234)
+    >>> format_value(1389.6), format_value(1e-16), format_value(-4.77, "dB"), format_value(0.1234)
     ('1390', '0', '−4.8 dB', '0.123')
     """
     if math.isnan(value):
@@ -244,84 +155,138 @@ def tell_figure(value: float, unit: str = "") -> str:
     return text.replace("-", MINUS)
 
 
-def _show(cell: Cell, *, linked: bool = True) -> Shown:
-    link = (
-        f"#{name_anchor(cell.recording, cell.reducer)}" if linked and cell.grade == "fails" else ""
-    )
-    return Shown(_tell_spread(cell), cell.grade, link)
+def build_page(result: StressResult) -> dict[str, object]:
+    """Build what the page shows."""
+    return {
+        "result": result,
+        "caption": CAPTION,
+        "battery": BATTERY,
+        "measures": MEASURES,
+        "counts": _tabulate_counts(result),
+        "grids": [_tabulate_measure(result, measure) for measure in MEASURES],
+        "explained": _explain(result),
+        "near": {scene: list(_list_near(result, scene)) for scene in BATTERY},
+        "gains": _tabulate_gains(result),
+        "recordings": _tabulate_recordings(result),
+        "metrics": _tabulate_metrics(result),
+    }
 
 
-def _tell_spread(cell: Cell) -> str:
-    """Median, and the 90th percentile and the worst where they differ from it."""
-    unit = MEASURES[cell.measure].unit
-    told = [tell_figure(cell.value, unit), tell_figure(cell.p90), tell_figure(cell.worst)]
-    return (
-        told[0]
-        if math.isnan(cell.p90) or (told[1] == told[2] and told[1] in told[0])
-        else " / ".join(told)
-    )
+def name_anchor(scene: str, reducer: str) -> str:
+    """Name the place of an explanation; the heat map's links get their picture's name in front, as all its ids do."""
+    return f"{FIGURE}-{scene}-{reducer}"
 
 
-def _list_rows(result: StressResult, measure: str) -> Iterator[tuple[str, list[Shown]]]:
+def _list_near(result: StressResult, scene: str) -> Iterator[str]:
+    """List the recordings that come near a scene, with their signs of it."""
+    for one in result.diagnoses:
+        signs = [sign for sign in one.near_signs if sign.name in BATTERY[scene].signs]
+        shown = ", ".join(f"{sign.title} {sign.format(one.figures[sign.name])}" for sign in signs)
+        if shown:
+            yield f"{one.recording} ({shown})"
+
+
+def _explain(result: StressResult) -> dict[str, dict[str, list[str]]]:
+    """List what each reducer fails by on each scene, and why."""
+    found: dict[str, dict[str, list[str]]] = {scene: {} for scene in BATTERY}
+    for cell in result.failures:
+        measure = MEASURES[cell.measure]
+        upper = {"90 %": cell.p90, "95 %": cell.p95, "worst": cell.worst}
+        notes = [f"limit {measure.fails:g}"]
+        notes += [f"{name} {format_value(value)}" for name, value in upper.items()]
+        if not math.isnan(cell.up_to_phase):
+            notes.append(f"{format_value(cell.up_to_phase)} up to a constant phase")
+        value, why = format_value(cell.value, measure.unit), find_reason(cell.measure, cell.reducer)
+        line = f"{measure.title} {value} ({', '.join(notes)}): {why}"
+        found[cell.recording].setdefault(cell.reducer, []).append(line)
+    return found
+
+
+def _show(cell: StressCell, *, linked: bool = True) -> GradedText:
+    """Show the median, and the 90th percentile and the worst where they differ from it."""
+    median = format_value(cell.value, MEASURES[cell.measure].unit)
+    p90, worst = format_value(cell.p90), format_value(cell.worst)
+    alone = math.isnan(cell.p90) or (p90 == worst and p90 in median)
+    anchor = name_anchor(cell.recording, cell.reducer)
+    link = f"#{anchor}" if linked and cell.grade == "fails" else ""
+    return GradedText(median if alone else f"{median} / {p90} / {worst}", cell.grade, link)
+
+
+def _tabulate_measure(result: StressResult, measure: str) -> PageTable:
+    rows: list[tuple[str, ...]] = []
     for scene, entry in BATTERY.items():
-        row = [
-            _show(cell)
-            for cell in result.cells
-            if (cell.recording, cell.measure) == (scene, measure)
-        ]
-        if any(shown.grade != "undefined" for shown in row):
-            yield entry.title, row
+        own = [cell for cell in result.cells if (cell.recording, cell.measure) == (scene, measure)]
+        if any(cell.grade != "undefined" for cell in own):
+            rows.append((entry.title, *map(_show, own)))
+    title, what = MEASURES[measure].title, MEASURES[measure].what
+    caption = f"{title}: {what[0].lower()}{what[1:]}"
+    return PageTable(caption, ("Scene", *result.reducers), tuple(rows))
 
 
-def _explain(result: StressResult, scene: str) -> Iterator[Explained]:
-    for reducer in result.reducers:
-        lines = tuple(
-            _tell_failure(cell)
-            for cell in result.failures
-            if (cell.recording, cell.reducer) == (scene, reducer)
+def _tabulate_counts(result: StressResult) -> PageTable:
+    counts = {key: count_failures(result, key) for key in MOVED}
+    limit = f"{100 * MEASURES['rotation'].fails:.0f} %"
+    return PageTable(
+        f"Number of scenes, of {len(BATTERY)}, on which the output changes by {limit} or more (median takes).",
+        ("Reducer", *MOVED.values()),
+        tuple(
+            (name, *(GradedText(str(own[name]), "caution" * bool(own[name])) for own in counts.values()))
+            for name in result.reducers
+        ),
+    )  # fmt: skip
+
+
+def _tabulate_gains(result: StressResult) -> PageTable:
+    rows: list[tuple[str, ...]] = []
+    for one in result.diagnoses:
+        own = (cell for cell in result.gains if cell.recording == one.recording)
+        rows.append((one.recording, *(_show(cell, linked=False) for cell in own)))
+    caption = f"Perturbation gain on each recording: median / 90 % / worst of {result.inputs['draws']} noises."
+    return PageTable(caption, ("Recording", *result.reducers), tuple(rows))
+
+
+def _tabulate_recordings(result: StressResult) -> PageTable:
+    rows: list[tuple[str, ...]] = []
+    for one in result.diagnoses:
+        near = one.near_signs
+        shown = (
+            GradedText(sign.format(one.figures[name]), "caution" if sign in near else "")
+            for name, sign in SIGNS.items()
         )
-        if lines:
-            yield Explained(name_anchor(scene, reducer), reducer, lines)
+        rows.append((one.recording, *shown))
+    head = ("Recording", *(sign.title for sign in SIGNS.values()))
+    caption = "Properties of the recordings that make reducers fail. Marked: beyond the limit."
+    return PageTable(caption, head, tuple(rows))
 
 
-def _tell_failure(cell: Cell) -> str:
-    measure = MEASURES[cell.measure]
-    value = tell_figure(cell.value, measure.unit)
-    upper = zip(("90 %", "95 %", "worst"), (cell.p90, cell.p95, cell.worst), strict=True)
-    notes = [f"limit {measure.fails:g}", *(f"{name} {tell_figure(at)}" for name, at in upper)]
-    if not math.isnan(cell.up_to_phase):
-        notes.append(f"{tell_figure(cell.up_to_phase)} up to a constant phase")
-    return (
-        f"{measure.title} {value} ({', '.join(notes)}): {tell_reason(cell.measure, cell.reducer)}"
+def _tabulate_metrics(result: StressResult) -> PageTable:
+    rows: list[tuple[str, ...]] = []
+    for row in result.metrics:
+        title = BATTERY[row.recording].title if row.recording in BATTERY else row.recording
+        low, high, still, moved = map(
+            format_value,
+            (
+                row.temporal_low,
+                row.temporal_high,
+                row.invariant_high,
+                row.invariant_high - row.invariant_low,
+            ),
+        )
+        rows.append((
+            title,
+            GradedText(f"{low}–{high}", "fails" if row.moves else "good"),
+            f"{still} (moves by {moved})",
+            GradedText(format_value(row.spectral), "fails" if row.explodes else "good"),
+            row.worst_reducer or ABSENT,
+            format_value(row.spectral_bounded),
+            format_value(row.spectral_energy_weighted),
+        ))
+    head = (
+        "Scene or recording", "Temporal match (eq. 2), lowest–highest", "Invariant counterpart",
+        "Lowest spectral match (eq. 1)", "of", "Bounded", "Energy-weighted",
+    )  # fmt: skip
+    caption = (
+        "Temporal match fails where it varies by more than 0.1 with the mounting; spectral match where it falls "
+        "below −1."
     )
-
-
-def _show_recording(diagnosis: Diagnosis) -> tuple[str, list[Shown]]:
-    near = set(diagnosis.near_signs)
-    values = [
-        Shown(sign.tell(diagnosis.figures[name]), "caution" if sign in near else "")
-        for name, sign in SIGNS.items()
-    ]
-    return diagnosis.recording, values
-
-
-def _list_gains(result: StressResult) -> Iterator[tuple[str, Sequence[Shown]]]:
-    for diagnosis in result.diagnoses:
-        own = [cell for cell in result.gains if cell.recording == diagnosis.recording]
-        yield diagnosis.recording, [_show(cell, linked=False) for cell in own]
-
-
-def _show_metrics(row: MetricRow) -> tuple[str, list[Shown]]:
-    title = BATTERY[row.recording].title if row.recording in BATTERY else row.recording
-    low, high, still = (
-        tell_figure(value) for value in (row.temporal_low, row.temporal_high, row.invariant_high)
-    )
-    moved = tell_figure(row.invariant_high - row.invariant_low)
-    return title, [
-        Shown(f"{low}–{high}", "fails" if row.moves else "good"),
-        Shown(f"{still} (moves by {moved})"),
-        Shown(tell_figure(row.spectral), "fails" if row.explodes else "good"),
-        Shown(row.worst_reducer or ABSENT),
-        Shown(tell_figure(row.spectral_bounded)),
-        Shown(tell_figure(row.spectral_energy_weighted)),
-    ]
+    return PageTable(caption, head, tuple(rows))

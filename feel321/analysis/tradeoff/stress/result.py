@@ -1,282 +1,331 @@
-"""The record of a stress test, and the reasons of its failures in words."""
+"""A stress test as data: its answers in words, its tables, and the reason of every failure."""
 
 from __future__ import annotations
 
-import json
-import math
 from collections import Counter
 from dataclasses import asdict, dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from feel321.analysis.tradeoff.stress.battery import BATTERY
-from feel321.analysis.tradeoff.stress.cells import say_metrics
-from feel321.analysis.tradeoff.stress.diagnosis import SIGNS, warn_of
+from feel321.analysis.tradeoff.stress.diagnosis import SIGNS, SINGLE_AXES, list_warnings
 from feel321.analysis.tradeoff.stress.measures import MEASURES
+from feel321.records import Result
+from feel321.stimuli.match import METRICS, axis_correlations, mean_heard
+from feel321.stimuli.rotation import INVARIANTS, random_rotations
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from pandas import DataFrame
 
-    from feel321.analysis.tradeoff.stress.cells import Cell, MetricRow
     from feel321.analysis.tradeoff.stress.diagnosis import Diagnosis
+    from feel321.analysis.tradeoff.stress.measures import StressCell
+    from feel321.stimuli.recording import Recording
+    from feel321.types import Reducer
 
-# The stress test as data: what ``results.json`` and the tables hold.
+RANGE_LIMIT = 0.1
+"""A temporal match that varies by more with the mounting alone says less than the choice among the paper's reducers."""
 
-FIGURES = ("stress",)
-TABLES = ("cells", "metrics", "recordings", "gains")
+EXPLODED = -1.0
+"""A spectral match below -1 means that the energy is off by more than three times on average over frequency."""
+
+TURNS = 50
+"""Orientations of the sensor that the metrics are compared over."""
+
+MOVED = MappingProxyType({
+    "rotation": "Rotating the sensor",
+    "flip": "Flipping the sign of an axis",
+    "shift": "Shifting the motion in time",
+})
+"""Measure -> what is done to the recording, which leaves the motion as it is."""
 
 
 @dataclass(frozen=True, slots=True)
-class StressResult:
-    """Everything that was measured."""
+class MetricRow:
+    """The paper's two metrics and their counterparts on one recording; NaN where they are not defined.
+
+    held: the reducer whose output is held fixed while the sensor is turned, so that whatever changes is the metric's
+    own doing; spectral: the lowest of all reducers, that of worst_reducer.
+    """
+
+    recording: str
+    held: str
+    temporal_low: float
+    temporal_high: float
+    invariant_low: float
+    invariant_high: float
+    worst_reducer: str
+    spectral: float
+    spectral_bounded: float
+    spectral_energy_weighted: float
+
+    @property
+    def moves(self) -> bool:
+        """Whether the temporal match changes with the mounting by more than the limit."""
+        return self.temporal_high - self.temporal_low > RANGE_LIMIT
+
+    @property
+    def explodes(self) -> bool:
+        """Whether a spectral match is below the limit."""
+        return self.spectral < EXPLODED
+
+
+def compare_metrics_under_rotation(
+    recording: Recording, reducers: Mapping[str, Reducer], *, rng: np.random.Generator
+) -> MetricRow:
+    """Turn the sensor under a fixed reduced signal, and find the lowest spectral match."""
+    samples, rate_hz = recording.acceleration, recording.rate_hz
+    outputs = {name: reduce(samples, rate_hz) for name, reduce in reducers.items()}
+    held = "dft321" if "dft321" in reducers else next(iter(reducers))
+    turned = np.einsum("rij,jn->rin", random_rotations(TURNS, rng), samples)
+    temporal = mean_heard(axis_correlations(turned, outputs[held]))
+    invariant = [INVARIANTS["temporal_match"](one, outputs[held], rate_hz) for one in turned[:5]]
+
+    def match(metric: Any, name: str) -> float:  # noqa: ANN401 - a metric of any registry
+        try:
+            return float(metric(samples, outputs[name], rate_hz))
+        except ValueError:  # no frequency to compare
+            return float("nan")
+
+    matches = {name: match(METRICS["spectral_match"], name) for name in reducers}
+    defined = {name: value for name, value in matches.items() if np.isfinite(value)}
+    worst = min(defined, key=defined.__getitem__, default="")
+    further = METRICS["spectral_match_bounded"], INVARIANTS["spectral_match"]
+    return MetricRow(
+        recording.name, held,
+        float(temporal.min()), float(temporal.max()), min(invariant), max(invariant),
+        worst, defined.get(worst, float("nan")),
+        *(match(metric, worst) if worst else float("nan") for metric in further),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class StressResult(Result):
+    """Everything that a stress test measures."""
 
     reducers: tuple[str, ...]
-    cells: tuple[Cell, ...]
-    gains: tuple[Cell, ...]
+    cells: tuple[StressCell, ...]
+    gains: tuple[StressCell, ...]
     metrics: tuple[MetricRow, ...]
     diagnoses: tuple[Diagnosis, ...]
     notes: tuple[str, ...]
     inputs: Mapping[str, object]
 
     @property
-    def failures(self) -> tuple[Cell, ...]:
+    def failures(self) -> tuple[StressCell, ...]:
         """The cells of the battery that fail."""
         return tuple(cell for cell in self.cells if cell.grade == "fails")
 
     @property
     def warnings(self) -> dict[str, tuple[str, ...]]:
-        """Warnings of each recording that has any."""
-        told = {diagnosis.recording: warn_of(diagnosis, self.gains) for diagnosis in self.diagnoses}
-        return {name: lines for name, lines in told.items() if lines}
+        """The warnings of each recording that has any."""
+        found = {one.recording: list_warnings(one, self.gains) for one in self.diagnoses}
+        return {name: lines for name, lines in found.items() if lines}
 
     @property
     def answers(self) -> tuple[str, ...]:
         """The main findings, in words."""
-        outputs = (
-            *_say_gains(self),
-            *_say_steady(self),
-            *_say_invariance(self),
-            *_say_faults(self),
-        )
-        return (*outputs, *say_metrics(self.metrics))
-
-    def find_near(self, scene: str) -> tuple[str, ...]:
-        """Find the recordings that come near a scene."""
-        return tuple(
-            _tell_near(diagnosis, scene)
-            for diagnosis in self.diagnoses
-            if scene in diagnosis.near_scenes
-        )
-
-    def to_json(self) -> str:
-        """Write as JSON text, the same text for the same results."""
-        from feel321.analysis.report.folder import list_files
-
-        content = {
-            "answers": self.answers,
-            "warnings": self.warnings,
-            "measures": [asdict(measure) for measure in MEASURES.values()],
-            "scenes": {
-                name: {"title": scene.title, "reason": scene.reason}
-                for name, scene in BATTERY.items()
-            },
-            "cells": [{**asdict(cell), "grade": cell.grade} for cell in self.cells],
-            "gains": [{**asdict(cell), "grade": cell.grade} for cell in self.gains],
-            "metrics": [asdict(row) for row in self.metrics],
-            "recordings": [
-                {"name": one.recording, "figures": dict(one.figures), "near": one.near_scenes}
-                for one in self.diagnoses
-            ],
-            "notes": self.notes,
-            "inputs": dict(self.inputs),
-            "files": list_files(FIGURES, TABLES),
-        }
         return (
-            json.dumps(_without_nan(content), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+            *_describe_gains(self),
+            *_describe_steady(self),
+            *_describe_invariance(self),
+            *_describe_faults(self),
+            *describe_metrics(self.metrics),
         )
 
-    def to_tables(self) -> dict[str, DataFrame]:
-        """Write as tables."""
+    def to_frames(self) -> dict[str, DataFrame]:
+        """Return everything that was measured as tables.
+
+        Returns
+        -------
+        dict of str to DataFrame
+            `cells`: reducer x scene x measure; `metrics`: the metrics on each scene and recording; `recordings`: the
+            signs of each recording; `gains`: perturbation gain on each recording.
+        """
         import pandas as pd
 
-        diagnoses = [{"recording": one.recording, **one.figures} for one in self.diagnoses]
-        frames = (
-            _tabulate_cells(self.cells),
-            pd.DataFrame([asdict(row) for row in self.metrics]),
-            pd.DataFrame(diagnoses, columns=["recording", *SIGNS]),
-            _tabulate_cells(self.gains),
+        names = ("recording", "reducer", "measure", "value", "p90", "p95", "worst", "up_to_phase")
+        cells, gains = (
+            pd.DataFrame(map(_to_row, own), columns=[*names, "grade"])
+            for own in (self.cells, self.gains)
         )
-        return dict(zip(TABLES, frames, strict=True))
+        signs = [{"recording": one.recording, **one.figures} for one in self.diagnoses]
+        return {
+            "cells": cells,
+            "metrics": pd.DataFrame(map(asdict, self.metrics)),
+            "recordings": pd.DataFrame(signs, columns=["recording", *SIGNS]),
+            "gains": gains,
+        }
+
+    def summary(self) -> str:
+        """Write the main findings and the warnings for reading.
+
+        Returns
+        -------
+        str
+            One line for each.
+        """
+        warned = (f"{name}: {line}" for name, lines in self.warnings.items() for line in lines)
+        return "\n".join((*self.answers, *warned))
 
 
-def _tabulate_cells(cells: Sequence[Cell]) -> DataFrame:
-    import pandas as pd
+def build_content(result: StressResult) -> dict[str, object]:
+    """Build what ``results.json`` holds."""
+    return {
+        "answers": result.answers,
+        "warnings": result.warnings,
+        "measures": [asdict(measure) for measure in MEASURES.values()],
+        "scenes": {
+            name: {"title": scene.title, "reason": scene.reason} for name, scene in BATTERY.items()
+        },
+        "cells": [_to_row(cell) for cell in result.cells],
+        "gains": [_to_row(cell) for cell in result.gains],
+        "metrics": [asdict(row) for row in result.metrics],
+        "recordings": [
+            {"name": one.recording, "figures": dict(one.figures), "near": one.near_scenes}
+            for one in result.diagnoses
+        ],
+        "notes": result.notes,
+        "inputs": dict(result.inputs),
+    }
 
-    columns = [
-        "recording",
-        "reducer",
-        "measure",
-        "value",
-        "p90",
-        "p95",
-        "worst",
-        "up_to_phase",
-        "grade",
-    ]
-    return pd.DataFrame([{**asdict(cell), "grade": cell.grade} for cell in cells], columns=columns)
+
+def _to_row(cell: StressCell) -> dict[str, object]:
+    return {**asdict(cell), "grade": cell.grade}
 
 
-def _say_gains(result: StressResult) -> Iterable[str]:
-    """Say where noise is amplified, but for single axes: that these are deaf across themselves is no news."""
+def _describe_gains(result: StressResult) -> Iterator[str]:
+    """Name the scenes on which noise is amplified; single axes are left out, they ignore motion across themselves."""
     failing = [
-        cell for cell in result.failures if cell.measure == "gain" and cell.reducer not in _SINGLE
+        cell
+        for cell in result.failures
+        if cell.measure == "gain" and cell.reducer not in SINGLE_AXES
     ]
     for scene in dict.fromkeys(cell.recording for cell in failing):
-        told = (f"{cell.reducer} ({cell.value:.0f})" for cell in failing if cell.recording == scene)
-        yield f"{BATTERY[scene].title}: perturbation gain above {MEASURES['gain'].fails:g} of {', '.join(told)}."
+        own = (f"{cell.reducer} ({cell.value:.0f})" for cell in failing if cell.recording == scene)
+        limit = f"{MEASURES['gain'].fails:g}"
+        yield f"{BATTERY[scene].title}: perturbation gain above {limit} for {', '.join(own)}."
 
 
-def _say_invariance(result: StressResult) -> Iterable[str]:
-    for key, words in (
-        ("rotation", "a turn of the sensor"),
-        ("flip", "a flipped axis"),
-        ("shift", "a shift in time"),
-    ):
-        counts = Counter(cell.reducer for cell in result.failures if cell.measure == key)
-        unmoved = [name for name in result.reducers if not counts[name]]
-        moved = (f"{name} ({counts[name]})" for name in result.reducers if counts[name])
+def _describe_steady(result: StressResult) -> Iterator[str]:
+    """Name the reducers whose gain fails nowhere, and how far it goes: in the median take, in 90 and 95 %, at worst."""
+    for name in result.reducers:
+        own = [cell for cell in result.cells if (cell.reducer, cell.measure) == (name, "gain")]
+        if name not in SINGLE_AXES and all(cell.grade != "fails" for cell in own):
+            median, p90, p95, worst = (
+                f"{max(getattr(cell, key) for cell in own):.1f}"
+                for key in ("value", "p90", "p95", "worst")
+            )
+            yield (
+                f"{name}: perturbation gain at most {median} in the median take of any scene, {p90} in 90 % of the "
+                f"takes, {p95} in 95 % and {worst} in the worst of {result.inputs['seeds']}."
+            )
+
+
+def count_failures(result: StressResult, measure: str) -> dict[str, int]:
+    """Count the scenes on which each reducer fails by a measure."""
+    counts = Counter(cell.reducer for cell in result.failures if cell.measure == measure)
+    return {name: counts[name] for name in result.reducers}
+
+
+def _describe_invariance(result: StressResult) -> Iterator[str]:
+    for key, what in MOVED.items():
+        steady = [name for name, count in count_failures(result, key).items() if not count]
+        limit = f"{100 * MEASURES[key].fails:.0f} %"
         yield (
-            f"Under {words} the output changes by less than {100 * MEASURES[key].fails:.0f} % in every scene with "
-            f"{', '.join(unmoved) or 'no reducer'}; scenes of {len(BATTERY)} in which it changes more: "
-            f"{', '.join(moved) or 'none'} (median takes)."
+            f"{what} changes the output by less than {limit} in every scene for {', '.join(steady) or 'no reducer'} "
+            "(median takes)."
         )
 
 
-def _say_faults(result: StressResult) -> Iterable[str]:
+def _describe_faults(result: StressResult) -> Iterator[str]:
     damages = [
         cell for cell in result.cells if cell.measure == "fault" and cell.grade != "undefined"
     ]
     worst = max(damages, key=lambda cell: cell.value)
     yield (
-        f"Faults of the sensor (clipping, steps, gaps, clocks) come through at most {worst.value:.2g} times as strong "
-        f"as they went in ({worst.reducer}, {BATTERY[worst.recording].title})."
+        "Sensor faults (clipping, steps, gaps, clocks) come out at most "
+        f"{worst.value:.2g} times as strong as they go in ({worst.reducer}, {BATTERY[worst.recording].title})."
     )
 
 
-_SINGLE = tuple(
-    f"sa{axis}321{form}" for form in ("", "_matched", "_matched_running") for axis in "xyz"
-)
+def describe_metrics(rows: Sequence[MetricRow]) -> Iterator[str]:
+    """Describe where the paper's metrics fail."""
+    moving, exploding = [row for row in rows if row.moves], [row for row in rows if row.explodes]
+    yield (
+        f"Temporal match varies by more than {RANGE_LIMIT:g} with the mounting alone in {len(moving)} of {len(rows)} "
+        "scenes and recordings, although what is felt stays the same; its counterpart does not vary."
+    )
+    if exploding:
+        worst = min(exploding, key=lambda row: row.spectral)
+        yield (
+            f"Spectral match falls below {EXPLODED:g} in {len(exploding)} of {len(rows)}, lowest on {worst.recording} "
+            f"({worst.worst_reducer}: {worst.spectral:.3g}); the bounded one stays between 0 and 1 "
+            f"({worst.spectral_bounded:.2f} there)."
+        )
 
 
-def _say_steady(result: StressResult) -> Iterable[str]:
-    """Say which reducers' gain fails nowhere, and how far it goes: in a median take, in 90 and 95 % and at worst."""
-    gains = {
-        name: [cell for cell in result.cells if (cell.reducer, cell.measure) == (name, "gain")]
-        for name in result.reducers
-    }
-    takes = result.inputs["seeds"]
-    for name, cells in gains.items():
-        if name not in _SINGLE and all(cell.grade != "fails" for cell in cells):
-            levels = (
-                max(getattr(cell, key) for cell in cells)
-                for key in ("value", "p90", "p95", "worst")
-            )
-            median, *upper = (f"{level:.1f}" for level in levels)
-            yield (
-                f"{name}: perturbation gain at most {median} in a median take of any scene, {upper[0]} in 90 % of the "
-                f"takes, {upper[1]} in 95 % and {upper[2]} in the worst of {takes}."
-            )
-
-
-def _tell_near(diagnosis: Diagnosis, scene: str) -> str:
-    signs = [sign for sign in diagnosis.near_signs if sign.name in BATTERY[scene].signs]
-    told = ", ".join(f"{sign.title} {sign.tell(diagnosis.figures[sign.name])}" for sign in signs)
-    return f"{diagnosis.recording} ({told})"
-
-
-def _without_nan(entry: Any) -> Any:  # noqa: ANN401 - whatever JSON holds
-    if isinstance(entry, dict):
-        return {key: _without_nan(value) for key, value in entry.items()}
-    if isinstance(entry, list | tuple):
-        return [_without_nan(value) for value in entry]
-    return None if isinstance(entry, float) and not math.isfinite(entry) else entry
-
-
-# Why a reducer fails by a measure: the explanation that a red cell leads to.
-
-_SILENT = (
-    "it keeps one sensor axis; where that is (nearly) silent, the output is nothing but noise."
-)
-_CHANCE = "no direction leads, so the noise of the moment chooses the axis, and with it a different motion."
-_SUM_PHASE = "the phase is that of x + y + z; where the axes cancel, noise sets it."
-_OWN_AXIS = "what it keeps depends on where the sensor's own axes point."
-_DIAGONAL = (
-    "x + y + z is the projection on the sensor's diagonal, whose direction is the mounting's."
-)
-_SIGN_SUM = "another sign of one axis is another sum: what added up now cancels."
-_LEADING = "the phase is that along the leading axis; where none leads, or little moves along it, noise sets it."
-_SLOW = "frames cut slow motion into steps; these leak into all frames."
-_STEPS = "within a frame slow motion is an offset, whose axes are merged like a vibration's."
-_FRAMES = "frames cut the motion elsewhere, and each frame chooses anew."
-_LOST = "it keeps one direction and drops the energy of the two others."
-
-_MATCHED = ("sax321_matched", "say321_matched", "saz321_matched")
-_ONE_AXIS = (*_MATCHED, *(f"{name}_running" for name in _MATCHED))
-_LEADING_MATCHED = ("pca321_matched", "pca321_matched_windowed")
-
-REASONS: Mapping[tuple[str, str], str] = MappingProxyType({
-    ("gain", "sax321"): _SILENT, ("gain", "say321"): _SILENT, ("gain", "saz321"): _SILENT,
-    ("gain", "soc321"): "the sum cancels; what is left of it is noise.",
-    ("gain", "pca321"): _CHANCE, ("gain", "pca321_adaptive"): _CHANCE,
-    ("gain", "dft321"): _SUM_PHASE, ("gain", "dft321_windowed"): _SUM_PHASE,
-    ("gain", "dft321_principal"): _LEADING, ("gain", "dft321_principal_windowed"): _LEADING,
-    ("rotation", "sax321"): _OWN_AXIS, ("rotation", "say321"): _OWN_AXIS, ("rotation", "saz321"): _OWN_AXIS,
-    ("rotation", "soc321"): _DIAGONAL,
-    ("rotation", "pca321"): "equal eigenvalues: rounding chooses among equally good axes.",
-    ("rotation", "dft321"): "the spectrum stays, but the phase of x + y + z goes with the sensor's diagonal.",
-    ("rotation", "dft321_windowed"): "the spectrum stays, but the phase of x + y + z goes with the sensor's diagonal.",
-    ("flip", "soc321"): _SIGN_SUM, ("flip", "dft321"): _SIGN_SUM, ("flip", "dft321_windowed"): _SIGN_SUM,
-    ("shift", "pca321"): "equal eigenvalues: rounding chooses among equally good axes.",
-    ("shift", "pca321_adaptive"): _FRAMES, ("shift", "dft321_windowed"): _FRAMES,
-    ("shift", "dft321_principal_windowed"): _FRAMES,
-    ("edge", "mag321"): "rectifying turns an offset and a vibration into another envelope.",
-    ("edge", "dft321_windowed"): _SLOW, ("edge", "dft321_principal_windowed"): _SLOW,
-    ("energy", "sax321"): _LOST, ("energy", "say321"): _LOST, ("energy", "saz321"): _LOST,
-    ("energy", "pca321"): _LOST, ("energy", "pca321_adaptive"): _LOST,
-    ("energy", "soc321"): "axes in phase add up to too much, axes in anti-phase cancel.",
-    ("energy", "mag321"): "the length of the vector is mostly offset, which is not felt; its ripple is what remains.",
-    ("fault", "dft321"): "the fault changes the phase of x + y + z at frequencies whose energy it spares.",
-    ("fault", "dft321_windowed"): "the fault changes the phase of x + y + z at frequencies whose energy it spares.",
-    ("energy", "dft321_windowed"): _STEPS, ("energy", "dft321_principal_windowed"): _STEPS,
-    **{("gain", name): _SILENT for name in _ONE_AXIS}, **{("rotation", name): _OWN_AXIS for name in _ONE_AXIS},
-    **{("energy", name): "the gain is at most 10: an axis with less than a hundredth of the energy stays weak."
-       for name in _ONE_AXIS},
-    **{("gain", name): _CHANCE for name in _LEADING_MATCHED},
-    ("rotation", "pca321_matched"): "equal eigenvalues: rounding chooses among equally good axes.",
-    ("shift", "pca321_matched_windowed"): "where none leads the axis depends on what came first, and is held there.",
+_AXES, _GAINED = SINGLE_AXES[:3], SINGLE_AXES[3:]
+_PCA, _DFT = ("pca321", "pca321_adaptive"), ("dft321", "dft321_windowed")
+_PCA_MATCHED = ("pca321_matched", "pca321_matched_windowed")
+_DFT_PRINCIPAL = ("dft321_principal", "dft321_principal_windowed")
+_FRAMES = ("dft321_windowed", "dft321_principal_windowed")
+_REASONS: Mapping[str, Mapping[str, tuple[str, ...]]] = MappingProxyType({
+    "gain": {
+        "it keeps one sensor axis; where that is (nearly) silent, the output is nothing but noise.": SINGLE_AXES,
+        "the sum cancels; what is left of it is noise.": ("soc321",),
+        "no direction leads, so the noise of the moment determines the axis, and with it a different motion.":
+            (*_PCA, *_PCA_MATCHED),
+        "the phase is that of x + y + z; where the axes cancel, noise sets it.": _DFT,
+        "the phase is that along the leading axis; where none leads, or little moves along it, noise sets it.":
+            _DFT_PRINCIPAL,
+        "the output depends on something that noise determines.": (),
+    },
+    "rotation": {
+        "what it keeps depends on where the sensor's own axes point.": SINGLE_AXES,
+        "x + y + z is the projection on the sensor's diagonal, whose direction is the mounting's.": ("soc321",),
+        "equal eigenvalues: rounding chooses among equally good axes.": ("pca321", "pca321_matched"),
+        "the spectrum stays, but the phase of x + y + z follows the sensor's diagonal.": _DFT,
+        "the output depends on the sensor's axes.": (),
+    },
+    "flip": {
+        "another sign of one axis is another sum: what added up now cancels.": ("soc321", *_DFT),
+        "the output depends on the signs of the sensor's axes.": (),
+    },
+    "shift": {
+        "equal eigenvalues: rounding chooses among equally good axes.": ("pca321",),
+        "frames cut the motion elsewhere, and each frame chooses anew.": ("pca321_adaptive", *_FRAMES),
+        "where none leads the axis depends on what came first, and is held there.": ("pca321_matched_windowed",),
+        "the output depends on where frames begin.": (),
+    },
+    "edge": {
+        "rectifying turns an offset and a vibration into another envelope.": ("mag321",),
+        "frames cut slow motion into steps; these leak into all frames.": _FRAMES,
+        "the envelope of what it keeps is not that of the motion.": (),
+    },
+    "energy": {
+        "it keeps one direction and drops the energy of the two others.": (*_AXES, *_PCA),
+        "axes in phase add up to too much, axes in anti-phase cancel.": ("soc321",),
+        "the length of the vector is mostly offset, which is not felt; its ripple is what remains.": ("mag321",),
+        "within a frame slow motion is an offset, whose axes are merged like a vibration's.": _FRAMES,
+        "the gain is at most 10: an axis with less than a hundredth of the energy stays weak.": _GAINED,
+        "it does not keep the energy of all axes.": (),
+    },
+    "fault": {
+        "the fault changes the phase of x + y + z at frequencies whose energy it spares.": _DFT,
+        "it turns a fault of some samples into another output elsewhere too.": (),
+    },
+    "spread": {
+        "the metrics of what it keeps change with the mounting; the paper's temporal match does so by itself.": (),
+    },
 })  # fmt: skip
-"""(measure, reducer) -> why."""
-
-GENERAL: Mapping[str, str] = MappingProxyType({
-    "gain": "the output rests on something that noise decides.",
-    "rotation": "the output depends on the sensor's axes.",
-    "flip": "the output depends on the signs of the sensor's axes.",
-    "shift": "the output depends on where frames begin.",
-    "edge": "the envelope of what it keeps is not that of the motion.",
-    "energy": "it does not keep the energy of all axes.",
-    "fault": "it turns a fault of some samples into another output elsewhere too.",
-    "spread": "the metrics of what it keeps change with the mounting; the paper's temporal match does so by itself.",
-})  # fmt: skip
+"""Measure -> reason -> the reducers that fail for it; the last one is the reason of all others."""
 
 
-def tell_reason(measure: str, reducer: str) -> str:
-    """Explain a failure.
-
-    Examples
-    --------
-    >>> tell_reason("gain", "dft321")
-    'the phase is that of x + y + z; where the axes cancel, noise sets it.'
-    """
-    return REASONS.get((measure, reducer), GENERAL[measure])
+def find_reason(measure: str, reducer: str) -> str:
+    """Find why a reducer fails by a measure."""
+    reasons = _REASONS[measure]
+    return next((why for why, names in reasons.items() if reducer in names), [*reasons][-1])

@@ -2,187 +2,167 @@
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from feel321.analysis.tradeoff.stress.battery import BATTERY, take_excerpt
+from feel321.analysis.tradeoff.stress.diagnosis import diagnose
+from feel321.analysis.tradeoff.stress.measures import measure_battery, measure_gains
+from feel321.analysis.tradeoff.stress.result import (
+    StressResult,
+    build_content,
+    compare_metrics_under_rotation,
+)
+from feel321.stimuli.reducers.registry import REDUCERS
+
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from pathlib import Path
 
-    from feel321.analysis.tradeoff.stress.cells import MetricRow
-    from feel321.analysis.tradeoff.stress.result import StressResult
     from feel321.stimuli.recording import Recording
-    from feel321.stimuli.reducers.registry import Reducer
-
-    Progress = Callable[[int, int], None]
+    from feel321.types import PathLike, Reducer
 
 EXCERPT_S, METRICS_S = 2.0, 1.0
 """Longest part of a recording whose gains are measured, and whose metrics are, in s."""
 
-SEEDS = 40
+TAKES = 40
 """Takes of every scene of the battery."""
 
 DRAWS = 16
 """Noises per recording."""
 
 
-def stress_reducers(  # noqa: PLR0913 - every choice that changes the figures has a name of its own
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Stress(StressResult):
+    """Where reducers fail, how badly, and which recordings come near.
+
+    Parameters
+    ----------
+    reducers : tuple of str
+        Names of the reducers.
+    cells : tuple of StressCell
+        Every measure of every reducer on every scene of the battery.
+    gains : tuple of StressCell
+        Perturbation gain of every reducer on every recording.
+    metrics : tuple of MetricRow
+        The metrics on every scene and recording.
+    diagnoses : tuple of Diagnosis
+        What in each recording makes reducers fail.
+    notes : tuple of str
+        What was left out or assumed.
+    inputs : Mapping of str to object
+        Seed, numbers of takes and draws, digests of the recordings.
+    """
+
+    def write(self, folder: PathLike) -> Path:
+        """Write page, numbers, tables and figure.
+
+        Parameters
+        ----------
+        folder : str or PathLike
+            The folder. The files of a former stress test are replaced; all others stay.
+
+        Returns
+        -------
+        Path
+            The page.
+
+        Raises
+        ------
+        OSError
+            If a file cannot be written, or would replace one that is not of a former stress test.
+        """
+        from feel321.analysis.report.section import Picture
+        from feel321.analysis.tradeoff.results import write_results
+        from feel321.analysis.tradeoff.stress.page import CAPTION, FIGURE, build_page, draw_stress
+
+        return write_results(
+            folder,
+            FIGURE,
+            content=build_content(self),
+            tables=self.to_frames(),
+            pictures=[Picture(FIGURE, CAPTION, draw_stress(self))],
+            values=build_page(self),
+        )
+
+
+def stress_reducers(  # noqa: PLR0913 - every choice that changes the numbers has a name of its own
     recordings: Sequence[Recording] = (),
     reducers: Mapping[str, Reducer] | None = None,
     *,
     sensor: Mapping[str, Recording] | None = None,
-    seeds: int = SEEDS,
+    seeds: int = TAKES,
     draws: int = DRAWS,
     seed: int,
-    progress: Progress | None = None,
-) -> StressResult:
-    """Put reducers through the battery, and find the recordings that come near its scenes.
-
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        Conditioned, as they are felt; each with a name of its own. Silent ones are left out, and noted.
-    reducers : Mapping of str to Reducer, optional
-        Name -> reducer; `REDUCERS` if left out.
-    sensor : Mapping of str to Recording, optional
-        The same recordings as they came from the sensor, by name; needed to see offsets, clipping and steps.
-    seeds : int
-        Takes of every scene, at least 2, each with a noise, orientations and a shift of its own.
-    draws : int
-        Noises per recording, at least 2.
-    seed : int
-        Of all randomness.
-    progress : callable, optional
-        Called with the numbers of steps done and to do.
-
-    Returns
-    -------
-    StressResult
-        Every figure.
-
-    Raises
-    ------
-    ValueError
-        If two recordings bear one name, there is no reducer, or there are fewer than 2 draws.
-
-    Examples
-    --------
-    >>> from feel321.stimuli.reducers.registry import REDUCERS
-    >>> stress_reducers(reducers={"soc321": REDUCERS["soc321"]}, seeds=2, seed=0).failures[0].recording
-    'ordinary_drag'
-    """
+    progress: Callable[[int, int], None] | None = None,
+) -> Stress:
+    """Put reducers through the battery, and find the recordings that come near its scenes; seeds: takes of a scene."""
     from threadpoolctl import threadpool_limits
 
-    from feel321.analysis.tradeoff.stress.battery import BATTERY, take_excerpt
-    from feel321.analysis.tradeoff.stress.cells import measure_cells
-    from feel321.analysis.tradeoff.stress.diagnosis import diagnose
-    from feel321.analysis.tradeoff.stress.result import StressResult
-    from feel321.analysis.tradeoff.stress.takes import measure_battery
-    from feel321.stimuli.reducers.registry import REDUCERS
-
-    reducers = REDUCERS if reducers is None else reducers
-    _require_names(recordings, reducers)
+    chosen = dict(REDUCERS if reducers is None else reducers)
+    _check(recordings, chosen, takes=seeds, draws=draws)
     scenes = [scene.make(seed) for scene in BATTERY.values()]
     moving = [recording for recording in recordings if recording.acceleration.any()]
-    tell, total = progress or _stay_silent, (len(scenes) + len(moving)) * len(reducers)
-    known, excerpts = (
-        sensor or {},
-        [take_excerpt(recording, duration_s=EXCERPT_S) for recording in moving],
-    )
+    excerpts = [take_excerpt(recording, duration_s=EXCERPT_S) for recording in moving]
+    known, before = sensor or {}, len(scenes) * len(chosen)
+    total = before + len(moving) * len(chosen)
+    tick = progress or (lambda _done, _total: None)
     # Signals here are short: threads of the linear algebra wait for each other most of the time.
     with threadpool_limits(limits=1, user_api="blas"):
         cells = measure_battery(
-            reducers, seeds=seeds, seed=seed, progress=lambda done, _: tell(done, total)
+            chosen, takes=seeds, seed=seed, progress=lambda done, _: tick(done, total)
         )
-        gains = measure_cells(
-            excerpts, reducers, measures=("gain",), draws=draws, seed=seed,
-            progress=lambda done, _: tell(len(scenes) * len(reducers) + done, total),
+        gains = measure_gains(
+            excerpts, chosen, draws=draws, seed=seed,
+            progress=lambda done, _: tick(before + done, total),
         )  # fmt: skip
-        metrics = tuple(_compare(recording, reducers, seed) for recording in (*scenes, *excerpts))
-        diagnoses = tuple(diagnose(recording, known.get(recording.name)) for recording in moving)
-    notes = _note(recordings, moving, known)
+        metrics = []
+        for one in (*scenes, *excerpts):
+            part = take_excerpt(one, duration_s=METRICS_S)
+            rng = np.random.default_rng([seed, *one.name.encode()])
+            metrics.append(compare_metrics_under_rotation(part, chosen, rng=rng))
+        diagnoses = [diagnose(one, known.get(one.name)) for one in moving]
     digests = {f"recording {one.name}": one.sha256 for one in recordings}
     inputs = {"seed": seed, "seeds": seeds, "draws": draws, **digests}
-    return StressResult(tuple(reducers), cells, gains, metrics, diagnoses, notes, inputs)
+    notes = tuple(_collect_notes(recordings, known))
+    return Stress(tuple(chosen), cells, gains, tuple(metrics), tuple(diagnoses), notes, inputs)
 
 
-def write_stress(result: StressResult, folder: Path | str) -> Path:
-    """Write the page, its numbers, its tables and its figure.
-
-    Parameters
-    ----------
-    result : StressResult
-        What `stress_reducers` returns.
-    folder : Path or str
-        The folder. The files of a former stress test are replaced; all others stay.
-
-    Returns
-    -------
-    Path
-        The page.
-
-    Raises
-    ------
-    OSError
-        If a file cannot be written, or would replace one that is not of a former stress test.
-    """
-    from feel321.analysis.figures.style import save_figure
-    from feel321.analysis.report.folder import list_files, replace_report
-    from feel321.analysis.tradeoff.stress.page import draw_stress, render_page
-    from feel321.analysis.tradeoff.stress.result import FIGURES, TABLES
-
-    target = Path(folder)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}-") as name:
-        place = Path(name)
-        (place / "figures").mkdir()
-        (place / "tables").mkdir()
-        for table, frame in result.to_tables().items():
-            text = frame.to_csv(index=False, float_format="%.10g", lineterminator="\n")
-            (place / "tables" / f"{table}.csv").write_text(text, encoding="utf-8", newline="")
-        save_figure(draw_stress(result), place / "figures" / FIGURES[0])
-        (place / "results.json").write_text(result.to_json(), encoding="utf-8", newline="")
-        page = render_page(result, figures=place / "figures")
-        (place / "index.html").write_text(page, encoding="utf-8", newline="")
-        replace_report(place, target, files=list_files(FIGURES, TABLES))
-    return target / "index.html"
+def write_stress(result: Stress, folder: PathLike) -> Path:
+    """Write a stress test; kept for callers of the former name."""
+    return result.write(folder)
 
 
-def _require_names(recordings: Sequence[Recording], reducers: Mapping[str, Reducer]) -> None:
+def _check(
+    recordings: Sequence[Recording], reducers: Mapping[str, Reducer], *, takes: int, draws: int
+) -> None:
     names = [recording.name for recording in recordings]
     if len(set(names)) < len(names):
-        raise ValueError(
-            f"recordings: got {len(names)} with {len(set(names))} names, allowed is a name for each"
-        )
+        doubled = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"recordings must have different names, got {doubled!r} twice; rename one")
     if not reducers:
-        raise ValueError("reducers: got none, allowed is one or more")
+        raise ValueError("reducers must be one or more, got none; leave them out to take all")
+    for name, count in (("takes", takes), ("draws", draws)):
+        if count < 2:  # noqa: PLR2004 - a spread needs two
+            raise ValueError(f"{name} must be 2 or more, got {count}; a spread needs two")
 
 
-def _stay_silent(done: int, total: int) -> None:
-    del done, total
-
-
-def _compare(recording: Recording, reducers: Mapping[str, Reducer], seed: int) -> MetricRow:
-    from feel321.analysis.tradeoff.stress.battery import take_excerpt
-    from feel321.analysis.tradeoff.stress.cells import compare_metrics_under_rotation
-
-    rng = np.random.default_rng([seed, *recording.name.encode()])
-    return compare_metrics_under_rotation(
-        take_excerpt(recording, duration_s=METRICS_S), reducers, rng=rng
-    )
-
-
-def _note(
-    recordings: Sequence[Recording], moving: Sequence[Recording], sensor: Mapping[str, Recording]
-) -> tuple[str, ...]:
-    silent = [f"{one.name}: silent, left out." for one in recordings if one not in moving]
-    unseen = [one.name for one in moving if one.name not in sensor]
-    if unseen:
-        silent.append(
-            f"{', '.join(unseen)}: seen after conditioning only, which hides offsets, clipping and the sensor's steps."
+def _collect_notes(
+    recordings: Sequence[Recording], sensor: Mapping[str, Recording]
+) -> Iterator[str]:
+    if recordings:
+        yield (
+            f"Gains are those of the strongest {EXCERPT_S:g} s of a recording, metrics those of its strongest "
+            f"{METRICS_S:g} s."
         )
-    told = [f"{one.name}: {warning}" for one in recordings for warning in one.warnings]
-    excerpt = f"Gains are those of a recording's strongest {EXCERPT_S:g} s, metrics of its strongest {METRICS_S:g} s."
-    return (excerpt, *silent, *told) if recordings else ()
+    moving = {one.name: bool(one.acceleration.any()) for one in recordings}
+    yield from (f"{name}: silent, left out." for name, moves in moving.items() if not moves)
+    unseen = [name for name, moves in moving.items() if moves and name not in sensor]
+    if unseen:
+        yield (
+            f"{', '.join(unseen)}: only the conditioned signal was available, which hides offsets, clipping and the "
+            "sensor's steps."
+        )
+    yield from (f"{one.name}: {warning}" for one in recordings for warning in one.warnings)
