@@ -23,10 +23,11 @@ from feel321.analysis.table.reading import Further
 from feel321.analysis.tradeoff.advise.page import Advice
 from feel321.analysis.tradeoff.chart.compute import Chart
 from feel321.analysis.tradeoff.stress.run import Stress
+from feel321.study.findings import Audit, Problems
 
 __all__ = [  # noqa: RUF022 - in the order of sorted(), which a test checks
-    "Advice", "Alignment", "Alpha", "Association", "BradleyTerry", "Chart", "Dependent", "Difference",
+    "Advice", "Alignment", "Alpha", "Association", "Audit", "BradleyTerry", "Chart", "Dependent", "Difference",
     "Discrimination", "Ellipses", "Equivalence", "Estimate", "Further", "Intraclass", "MixedFit", "Multiverse",
-    "NonInferiority", "P1401", "P1401Difference", "Primaries", "Primary", "ReducerDifference", "Refined",
+    "NonInferiority", "P1401", "P1401Difference", "Primaries", "Primary", "Problems", "ReducerDifference", "Refined",
     "RepeatedMeasures", "Results", "Screening", "Space", "Stress", "Table",
 ]  # fmt: skip

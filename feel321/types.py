@@ -9,6 +9,19 @@ from typing import Literal, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+__all__ = [
+    "Form",
+    "Grid",
+    "Level",
+    "Method",
+    "Metric",
+    "PathLike",
+    "Progress",
+    "Reducer",
+    "Rng",
+    "Samples",
+]
+
 Samples: TypeAlias = NDArray[np.float64]
 """Real numbers; the docstring that names it gives their shape and unit."""
 
@@ -23,6 +36,12 @@ Progress: TypeAlias = bool | Callable[[int, int], None]
 
 Level: TypeAlias = Literal["as_is", "equal_intensity"]
 """How the gain of stimuli is chosen: see `feel321.stimuli.LEVELS`."""
+
+Form: TypeAlias = Literal["whole", "windowed"]
+"""A form of DFT321: over the whole signal, or in overlapping windows."""
+
+Grid: TypeAlias = Literal["linear", "log"]
+"""Frequencies of a spectral match: evenly spaced, or in equal steps of the logarithm."""
 
 Method: TypeAlias = Literal["pearson", "spearman", "kendall"]
 """A kind of correlation."""

@@ -84,7 +84,7 @@ __getattr__ = _forward_old_names(
     {
         "RotationStatistics": f"{_ROTATION}:RotationStatistics|the data frame of rotation_statistics",
         "UNITS": "feel321.stimuli.recording:UNITS|unit=... of Recording and read_recording",
-        "__version__": "feel321.stimuli.version:__version__|feel321.__version__",
+        "__version__": "feel321:__version__|feel321.__version__",
         "fade": "feel321.stimuli.condition:fade",
         "golden_vectors": "feel321.stimuli.conform:golden_vectors|python -m feel321.stimuli",
         "resample": "feel321.stimuli.condition:resample",

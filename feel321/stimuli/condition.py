@@ -33,11 +33,6 @@ class Conditioning:
     low_pass_hz : float, optional
         Corner above which vibration is not felt; left out where it is not below the Nyquist frequency.
 
-    Raises
-    ------
-    ValueError
-        If a corner is not above 0, the corners are in the wrong order, or the crop is not a forward interval.
-
     Examples
     --------
     >>> from feel321 import stimuli

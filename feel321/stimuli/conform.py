@@ -12,7 +12,7 @@ vanishing sum of windows.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    Form = Literal["whole", "windowed"]
-    from feel321.types import Samples
+    from feel321.types import Form, Samples
 
 FORMS = ("whole", "windowed")
 RATE_HZ = 1000

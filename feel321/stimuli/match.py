@@ -31,7 +31,7 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -50,10 +50,8 @@ from feel321.stimuli.recording import (
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from feel321.stimuli.recording import Recording
-    from feel321.types import Samples
-
-    Grid = Literal["linear", "log"]
+    from feel321.stimuli.recording import Signal
+    from feel321.types import Grid, Samples
 
 WEBER_FRACTION = 0.22
 """Smallest relative change of vibration frequency that people notice; full width of the smoothing over its centre."""
@@ -299,11 +297,7 @@ class TemporalMatch(Result):
 
 
 def spectral_match(
-    acceleration: ArrayLike | Recording,
-    reduced: ArrayLike,
-    rate_hz: float | None = None,
-    *,
-    grid: Grid = "linear",
+    acceleration: Signal, reduced: ArrayLike, rate_hz: float | None = None, *, grid: Grid = "linear"
 ) -> float:
     r"""Compute how well a reduced signal keeps the energy of all three axes at every frequency (eq. 1).
 
@@ -350,11 +344,7 @@ def spectral_match(
 
 
 def spectral_match_details(
-    acceleration: ArrayLike | Recording,
-    reduced: ArrayLike,
-    rate_hz: float | None = None,
-    *,
-    grid: Grid = "linear",
+    acceleration: Signal, reduced: ArrayLike, rate_hz: float | None = None, *, grid: Grid = "linear"
 ) -> SpectralMatch:
     """Compute both spectral matches, and show them frequency by frequency.
 
@@ -381,11 +371,7 @@ def spectral_match_details(
 
 
 def spectral_match_bounded(
-    acceleration: ArrayLike | Recording,
-    reduced: ArrayLike,
-    rate_hz: float | None = None,
-    *,
-    grid: Grid = "linear",
+    acceleration: Signal, reduced: ArrayLike, rate_hz: float | None = None, *, grid: Grid = "linear"
 ) -> float:
     r"""Compute the spectral match with deviations relative to the stronger spectrum: eq. 1, bounded by 0 and 1.
 
@@ -429,9 +415,7 @@ def spectral_match_bounded(
     return float(original.match_both(signal)[1])
 
 
-def temporal_match(
-    acceleration: ArrayLike | Recording, reduced: ArrayLike, rate_hz: float | None = None
-) -> float:
+def temporal_match(acceleration: Signal, reduced: ArrayLike, rate_hz: float | None = None) -> float:
     r"""Compute how well peaks and sudden changes of the reduced signal coincide with those of the axes (eq. 2).
 
     Parameters
@@ -467,7 +451,7 @@ def temporal_match(
 
 
 def temporal_match_details(
-    acceleration: ArrayLike | Recording, reduced: ArrayLike, rate_hz: float | None = None
+    acceleration: Signal, reduced: ArrayLike, rate_hz: float | None = None
 ) -> TemporalMatch:
     """Compute `temporal_match`, and show it axis by axis.
 
@@ -536,7 +520,7 @@ PLANNED = ("spectral_match_bounded", "temporal_match")
 
 
 def _compare(
-    acceleration: ArrayLike | Recording, reduced: ArrayLike, rate_hz: float | None, *, grid: Grid
+    acceleration: Signal, reduced: ArrayLike, rate_hz: float | None, *, grid: Grid
 ) -> tuple[OriginalSpectrum, Samples]:
     """Check a pair, and return the recording's spectrum and the reduced signal, both scaled into a safe range."""
     check_name(grid, GRIDS, "grid")

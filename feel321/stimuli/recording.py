@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, NamedTuple, SupportsFloat
+from typing import TYPE_CHECKING, NamedTuple, SupportsFloat, TypeAlias
 
 import numpy as np
 
@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.types import Samples
+
+Signal: TypeAlias = "Recording | Reduced | ArrayLike"
+"""A recording, a reduced one, or plain samples, which come with their rate."""
 
 STANDARD_GRAVITY = 9.80665
 """m/s² per g, CGPM 1901."""
@@ -125,11 +128,6 @@ class Recording(Result):
         -------
         Recording
             The part, with a digest of its own.
-
-        Raises
-        ------
-        ValueError
-            If the part reaches beyond the recording or holds no sample.
         """
         if not 0 <= start_s < end_s <= self.duration_s * (1 + 1e-9):
             raise ValueError(
@@ -247,10 +245,7 @@ class Reduced(Result):
 
 
 def as_signal(
-    signal: ArrayLike | Recording | Reduced,
-    rate_hz: float | None = None,
-    *,
-    otherwise: float | None = None,
+    signal: Signal, rate_hz: float | None = None, *, otherwise: float | None = None
 ) -> tuple[ArrayLike, float]:
     """Take samples and their rate: of a Recording or a Reduced, or as given."""
     if not isinstance(signal, Recording | Reduced):

@@ -38,7 +38,6 @@ from feel321.stimuli.match import (
     mean_over_axes,
 )
 from feel321.stimuli.recording import (
-    Recording,
     Reduced,
     admit,
     as_signal,
@@ -56,6 +55,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321 import types
+    from feel321.stimuli.recording import Signal
     from feel321.types import Rng, Samples
 
 LEAST_ROTATIONS = 200
@@ -67,7 +67,7 @@ _ROUNDING = 32 * np.finfo(np.float64).eps
 
 
 def spectral_match_energy_weighted(
-    acceleration: ArrayLike | Recording, reduced: ArrayLike, rate_hz: float | None = None
+    acceleration: Signal, reduced: ArrayLike, rate_hz: float | None = None
 ) -> float:
     r"""Compute the share of the energy that either signal has which is common to both, frequency by frequency.
 
@@ -124,7 +124,7 @@ def spectral_match_energy_weighted(
 
 
 def temporal_match_invariant(
-    acceleration: ArrayLike | Recording, reduced: ArrayLike, rate_hz: float | None = None
+    acceleration: Signal, reduced: ArrayLike, rate_hz: float | None = None
 ) -> float:
     r"""Compute the share of the recording's motion that goes along with the reduced signal, in amplitude.
 
@@ -179,7 +179,7 @@ INVARIANTS: Registry[types.Metric] = Registry(
 
 
 def match(
-    recording: Recording | ArrayLike,
+    recording: Signal,
     reduced: ArrayLike | None = None,
     *,
     rate_hz: float | None = None,
@@ -205,11 +205,6 @@ def match(
     -------
     DataFrame
         A row per reducer, a column per metric.
-
-    Raises
-    ------
-    ValueError
-        If there is no such reducer or metric, or a signal cannot be matched.
 
     Examples
     --------
@@ -255,7 +250,7 @@ class RotationStatistics:
 
 
 def rotation_statistics(
-    recording: Recording | ArrayLike,
+    recording: Signal,
     reducers: str | float | Iterable[str | types.Reducer] = "all",
     *,
     rotations: int = LEAST_ROTATIONS,
@@ -285,11 +280,6 @@ def rotation_statistics(
     -------
     DataFrame
         A row per reducer: mean and standard deviation (ddof 1) of each metric, and the number of orientations.
-
-    Raises
-    ------
-    ValueError
-        If the input is not one recording, the reducer is unknown, or there are fewer than 200 rotations.
 
     Examples
     --------

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from feel321.records import Result
-from feel321.stimuli.recording import AXES, Recording, Reduced, as_signal, check_finite, coerce_real
+from feel321.stimuli.recording import AXES, as_signal, check_finite, coerce_real
 from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
     from pandas import DataFrame
 
+    from feel321.stimuli.recording import Signal
     from feel321.types import Samples
 
 
@@ -85,9 +85,7 @@ class Spectrogram(Result):
         return pd.DataFrame(self.density, index, pd.Index(self.times_s, name="time_s"))
 
 
-def psd(
-    signal: Recording | Reduced | ArrayLike, *, rate_hz: float | None = None, window_s: float = 0.25
-) -> Spectrum:
+def psd(signal: Signal, *, rate_hz: float | None = None, window_s: float = 0.25) -> Spectrum:
     """Estimate the power spectral density by Welch's method (Hann windows that overlap by half).
 
     Parameters
@@ -104,11 +102,6 @@ def psd(
     Spectrum
         Frequencies and density; the mean is not removed.
 
-    Raises
-    ------
-    ValueError
-        If the signal has another shape, or the window is not above 0 s.
-
     Examples
     --------
     >>> from feel321 import stimuli
@@ -121,10 +114,7 @@ def psd(
 
 
 def spectrogram(
-    signal: Recording | Reduced | ArrayLike,
-    *,
-    rate_hz: float | None = None,
-    window_s: float = DEFAULT_WINDOW_S,
+    signal: Signal, *, rate_hz: float | None = None, window_s: float = DEFAULT_WINDOW_S
 ) -> Spectrogram:
     """Estimate the power spectral density in short Hann windows that overlap by half.
 
@@ -142,11 +132,6 @@ def spectrogram(
     Spectrogram
         Times, frequencies and density; the mean is not removed.
 
-    Raises
-    ------
-    ValueError
-        If the signal has another shape, or the window is not above 0 s.
-
     Examples
     --------
     >>> from feel321 import stimuli
@@ -159,7 +144,7 @@ def spectrogram(
 
 
 def _estimate(
-    signal: Recording | Reduced | ArrayLike, rate_hz: float | None, window_s: float
+    signal: Signal, rate_hz: float | None, window_s: float
 ) -> tuple[Samples, Samples, Samples, float]:
     """Densities, (n_frequencies, n_windows), frequencies, times, and the length of a window in s."""
     from scipy.signal import spectrogram as by_scipy

@@ -69,11 +69,6 @@ def make_scene(
     Recording
         Acceleration in m/s², named after the scene.
 
-    Raises
-    ------
-    ValueError
-        If the scene is unknown, or rate or duration are too small.
-
     Examples
     --------
     >>> from feel321 import stimuli

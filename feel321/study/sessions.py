@@ -28,8 +28,15 @@ from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.actuator.rig import FILE_DEVICE, identify, read_rig, take_device
 from feel321.study.ledger.slots import claim_slots, note_progress, open_study_ledger, read_ledger
 from feel321.study.ledger.standing import check_anchors
-from feel321.study.observer.judging import SPECTRAL, ObserverModel, Touch, expect_rating
-from feel321.study.observer.participant import Participant, SimulatedObserver, identify_observer
+from feel321.study.observer.participant import (
+    SPECTRAL,
+    ObserverModel,
+    Participant,
+    SimulatedObserver,
+    Touch,
+    expect_rating,
+    identify_observer,
+)
 from feel321.study.observer.percepts import read_percepts
 from feel321.study.provenance import find_changes
 from feel321.study.session.engine import Outcome, run_session
@@ -472,7 +479,7 @@ def _open_output(
         from feel321.study.actuator.output import FileOutput
 
         return nullcontext(FileOutput(lab.rig, sounds, rate_hz=rate_hz, folder=folder, clock=clock))
-    from feel321.study.actuator.stream_output import open_stream
+    from feel321.study.actuator.output import open_stream
 
     return open_stream(lab.rig, sounds, rate_hz=rate_hz, folder=folder, clock=clock)
 

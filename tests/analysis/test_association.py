@@ -623,10 +623,7 @@ def spoil(table: pd.DataFrame, what: str) -> pd.DataFrame:
             "metric",
             "ratings: column 'spectral_match' must be the same in all rows of a stimulus, got",
         ),
-        (
-            "columns",
-            "column reducer is missing",
-        ),
+        ("columns", "column reducer is missing"),
     ],
 )
 def test_tables_that_cannot_be_used(

@@ -158,7 +158,11 @@ def test_a_missing_file_is_an_oserror_that_names_it(files: Callable[..., object]
 
 
 def test_reducers_keep_the_one_order() -> None:
-    assert order_reducers(["zebra", *reversed(list(REDUCERS)), "ape"]) == [*REDUCERS, "ape", "zebra"]
+    assert order_reducers(["zebra", *reversed(list(REDUCERS)), "ape"]) == [
+        *REDUCERS,
+        "ape",
+        "zebra",
+    ]
 
 
 def test_gains_and_sensation_levels_are_carried_and_said(files: Callable[..., object]) -> None:

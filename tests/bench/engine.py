@@ -19,8 +19,7 @@ from feel321.protocols.texts import read_scales
 from feel321.protocols.trial import Flow
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
-from feel321.study.observer.judging import ObserverModel
-from feel321.study.observer.participant import SimulatedObserver
+from feel321.study.observer.participant import ObserverModel, SimulatedObserver
 from feel321.study.session.engine import run_session
 from feel321.study.session.opening import Stale, open_session
 from feel321.study.session.plan import Design, make_plan

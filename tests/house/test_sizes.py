@@ -17,6 +17,7 @@ MODULE_LINES = 600
 CLASS_LINES = 200
 FUNCTION_LINES, FUNCTION_P90, FUNCTION_MEDIAN = 40, 20, 10
 NESTING = 3
+IMPORT_SHARE = 0.08
 
 FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 DOCUMENTED = (*FUNCTIONS, ast.ClassDef, ast.Module)
@@ -113,6 +114,16 @@ def test_nesting(sources: Any) -> None:
     assert above(depths, NESTING) == []
 
 
+def import_lines(tree: ast.Module) -> int:
+    imports = (node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom))
+    return sum(len(line_range(node)) for node in imports)
+
+
+def test_share_of_imports(sources: Any) -> None:
+    code = sum(len(code_lines(source.text, source.tree)) for source in sources)
+    assert sum(import_lines(source.tree) for source in sources) <= IMPORT_SHARE * code
+
+
 SNIPPET = '''
 def f(
     x: int,
@@ -151,3 +162,7 @@ def test_depth_counts_blocks_not_branches(body: str, expected: int) -> None:
 def test_a_long_class_is_found() -> None:
     tree = ast.parse("class A:\n" + "    x = 1\n" * CLASS_LINES)
     assert above(list(class_lengths("m.py", tree)), CLASS_LINES) == [("m.py:1 A", CLASS_LINES + 1)]
+
+
+def test_imports_are_counted_wherever_they_stand() -> None:
+    assert import_lines(ast.parse("import a\nfrom b import (\n  c,\n)\ndef f():\n  import d")) == 5

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.analysis.mixed.model import MixedFit, Solved
-    from feel321.analysis.table.reading import Table
+    from feel321.analysis.table.items import Table
     from feel321.types import PathLike
 
 TENTH = 0.1

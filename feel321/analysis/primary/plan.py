@@ -13,12 +13,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from feel321.analysis.arrays import read_numbers
 from feel321.analysis.table.items import (
+    Table,
     find_sources,
     leave_rejected,
     leave_untested,
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from pandas import DataFrame
 
-    from feel321.analysis.table.reading import Table
+    from feel321.types import Samples
 
 WHO, SCENE, ITEM, RATING = "participant", "recording", "item", "rating"
 SOURCE, REDUCER = "source", "reducer"
@@ -104,14 +105,10 @@ def choose_rows(
     level: str | None = None,
 ) -> tuple[DataFrame, Sequence[str]]:
     """Take the rows of one scale and level where these are named, and a Table's own metrics where none are."""
-    from pandas import DataFrame
-
-    given: Any = table  # what is neither is refused where the rows are opened
-    is_frame = isinstance(table, DataFrame)
-    names = getattr(given, "metrics", None) if metrics is None and not is_frame else metrics
+    names = table.metrics if metrics is None and isinstance(table, Table) else metrics
+    rows = open_ratings(table, what="rows")
     if names is None:
         raise ValueError("metrics must be a list of names with a DataFrame, got none; name columns")
-    rows = open_ratings(given if is_frame else getattr(given, "rows", given), what="rows")
     for column, name in (("scale", scale), ("level", level)):
         if name is not None:
             known = rows[column].astype(str) if column in rows else rows.index.astype(str)[:0]
@@ -385,16 +382,16 @@ def _has_residual(cells: Cells, slopes: list[str]) -> bool:
     return any(np.linalg.matrix_rank(columns[place]) < len(place) for place in places)
 
 
-def _mark_levels(table: DataFrame, name: str) -> NDArray[np.float64]:
+def _mark_levels(table: DataFrame, name: str) -> Samples:
     codes, levels = table[name].factorize()
-    marks: NDArray[np.float64] = np.eye(len(levels))[codes]
+    marks: Samples = np.eye(len(levels))[codes]
     return marks
 
 
-def _read_slopes(table: DataFrame, names: list[str]) -> NDArray[np.float64]:
+def _read_slopes(table: DataFrame, names: list[str]) -> Samples:
     """Read metrics within recordings, each in units of its spread so that none counts as rounding."""
     values = table[names].to_numpy(np.float64)
-    scaled: NDArray[np.float64] = values / values.std(axis=0)
+    scaled: Samples = values / values.std(axis=0)
     return scaled
 
 

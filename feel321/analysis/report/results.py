@@ -190,7 +190,7 @@ def _digest(content: bytes) -> str:
 
 def list_versions() -> dict[str, str]:
     """List the software that computed a report."""
-    from feel321.stimuli.version import __version__
+    from feel321 import __version__
 
     libraries = {name: version(name) for name in COMPUTED_WITH}
     return {"feel321": __version__, "python": platform.python_version(), **libraries}

@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
+    from feel321.stimuli.recording import Signal
     from feel321.types import Samples
 
     OnGap = Literal["raise", "hold", "zero"]
@@ -88,7 +89,7 @@ get_reducer: Callable[[str], Callable[..., Samples]] = (
 
 
 def reduce(
-    recording: Recording | ArrayLike,
+    recording: Signal,
     reducer: str | types.Reducer = "dft321",
     *,
     rate_hz: float | None = None,

@@ -57,7 +57,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from feel321.stimuli.recording import Recording, Reduced
+    from feel321.stimuli.recording import Recording, Signal
     from feel321.types import Samples
 
 
@@ -132,10 +132,7 @@ def acceleration_threshold(frequency_hz: ArrayLike, *, threshold: str = CONTACTO
 
 
 def felt_level(
-    signal: Recording | Reduced | ArrayLike,
-    rate_hz: float | None = None,
-    *,
-    threshold: str = CONTACTOR,
+    signal: Signal, rate_hz: float | None = None, *, threshold: str = CONTACTOR
 ) -> float:
     """Compute the root mean square over the felt range, 20 to 1000 Hz, in units of the threshold; axes add by energy.
 
@@ -192,10 +189,7 @@ def loudest_level(acceleration: Samples, rate_hz: float, *, threshold: str = CON
 
 
 def sensation_level_db(
-    signal: Recording | Reduced | ArrayLike,
-    rate_hz: float | None = None,
-    *,
-    threshold: str = CONTACTOR,
+    signal: Signal, rate_hz: float | None = None, *, threshold: str = CONTACTOR
 ) -> float:
     """Compute the sensation level: the level over the detection threshold of the loudest 200 ms.
 

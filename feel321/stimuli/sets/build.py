@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from feel321 import __version__
 from feel321.doors import as_path, follow
 from feel321.files import hold_lock
 from feel321.stimuli.condition import list_steps
@@ -37,7 +38,6 @@ from feel321.stimuli.sets.render import (
     render_recording,
     versions,
 )
-from feel321.stimuli.version import __version__
 from feel321.stimuli.wav import read_wav, write_wav
 
 if TYPE_CHECKING:

@@ -64,11 +64,6 @@ class Recipe:
     threshold : str
         Detection threshold curve for sensation levels, a name of `THRESHOLDS`.
 
-    Raises
-    ------
-    ValueError
-        If a name is unknown or twice, or a number is out of range; the message says what is allowed.
-
     Examples
     --------
     >>> from feel321 import stimuli

@@ -22,13 +22,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from feel321 import __version__
 from feel321.stimuli.condition import condition, fade, resample
 from feel321.stimuli.match import OriginalSpectrum, axis_correlations, mean_over_axes
 from feel321.stimuli.recording import digest_samples, largest
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.anchors import ANCHORS, THRESHOLDS, loudest_level, to_db
 from feel321.stimuli.sets.recipe import GAIN_PER_RECORDING, NO_REFERENCE, ORIGINAL
-from feel321.stimuli.version import __version__
 from feel321.stimuli.wav import write_wav
 
 if TYPE_CHECKING:

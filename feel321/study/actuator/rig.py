@@ -15,7 +15,7 @@ from feel321.study.settings.fields import (
     NotNegative,
     Positive,
     Some,
-    Table,
+    TomlTable,
     Words,
     check_some,
     one_of,
@@ -26,17 +26,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-FILE_DEVICE = "file"
-"""The name of the device that renders to WAV files."""
-
-REDUCED = "reduced"
-"""What an actuator plays of one-axis stimuli."""
-
-AXES = ("x", "y", "z")
-"""What actuators play of three-axis stimuli, in the order of the channels of their files."""
-
-LOUDEST_MASKING = 0.15
-"""Largest RMS of masking as a part of full scale: peaks of minutes of Gaussian noise are below six times that."""
+FILE_DEVICE = "file"  # the name of the device that renders to WAV files
+REDUCED = "reduced"  # what an actuator plays of one-axis stimuli
+AXES = ("x", "y", "z")  # of three-axis stimuli, in the order of the channels of their files
+LOUDEST_MASKING = 0.15  # of full scale: peaks of minutes of Gaussian noise are below 6 RMS
 
 Channel = Annotated[int, Field(ge=1, le=1024)]
 Level = Annotated[float, Field(gt=0, le=1)]
@@ -44,7 +37,7 @@ Acceleration = Annotated[Positive, Field(le=1e6)]
 Fade = Annotated[NotNegative, Field(le=60)]
 
 
-class DeviceTable(Table):
+class DeviceTable(TomlTable):
     """`[device]`: the audio device that drives the actuators."""
 
     name: Words = FILE_DEVICE
@@ -61,7 +54,7 @@ def _check_direction(direction: tuple[float, float, float]) -> tuple[float, floa
 Direction = Annotated[tuple[Finite, Finite, Finite], AfterValidator(_check_direction)]
 
 
-class ActuatorTable(Table):
+class ActuatorTable(TomlTable):
     """`[[actuators]]`: one actuator; `render` explains directions and weights."""
 
     name: Words
@@ -72,7 +65,7 @@ class ActuatorTable(Table):
     weight: Annotated[Positive, Field(le=100)] | None = None
 
 
-class LimitsTable(Table):
+class LimitsTable(TomlTable):
     """`[limits]`: limits of each actuator; the RMS is that of any second."""
 
     peak_m_s2: Acceleration
@@ -80,7 +73,7 @@ class LimitsTable(Table):
     duration_s: Positive
 
 
-class MaskingTable(Table):
+class MaskingTable(TomlTable):
     """`[masking]`: pink noise on headphones while something vibrates."""
 
     channels: tuple[Channel, ...]
@@ -101,14 +94,14 @@ class MaskingTable(Table):
         return self
 
 
-class SensorTable(Table):
+class SensorTable(TomlTable):
     """`[sensor]`: an input channel that measures the vibration."""
 
     channel: Channel
     full_scale_m_s2: Acceleration
 
 
-class SyncTable(Table):
+class SyncTable(TomlTable):
     """`[sync]`: a pulse at the onset of each stimulus."""
 
     channel: Channel
@@ -127,7 +120,7 @@ def _check_actuators(actuators: tuple[ActuatorTable, ...]) -> tuple[ActuatorTabl
     return actuators
 
 
-class Rig(Table):
+class Rig(TomlTable):
     """The whole of `rig.toml`."""
 
     device: DeviceTable = DeviceTable()

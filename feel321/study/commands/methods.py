@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class MethodTask:
     """What reducers are to be compared on, and where the results go."""
 
     study: StudyFolder
@@ -95,7 +95,7 @@ def comparison_options(output: str) -> Callable[[Verb], Verb]:
             check_target(output_folder)
             if seed is None:
                 seed = read_settings(study.settings).study.seed if study.settings.is_file() else 0
-            verb(task=Comparison(study, scenes, extra, output_folder, seed), **own)
+            verb(task=MethodTask(study, scenes, extra, output_folder, seed), **own)
 
         return ask_then_do
 
@@ -108,7 +108,7 @@ def comparison_options(output: str) -> Callable[[Verb], Verb]:
     "--full/--quick",
     help="Whole recordings, 200 orientations, signals up to 10^7 samples; takes many times as long.  [default: quick]",
 )
-def chart(*, task: Comparison, full: bool, as_json: bool) -> None:
+def chart(*, task: MethodTask, full: bool, as_json: bool) -> None:
     """Plot the speed of every reducer against its accuracy.
 
     Writes a page to explore, figures for print, CSV and JSON. Times are measured on this machine: leave it idle.
@@ -132,7 +132,7 @@ def chart(*, task: Comparison, full: bool, as_json: bool) -> None:
 
 @click.command(epilog="Example: feel321 stress my-study --scenes")
 @comparison_options("stress")
-def stress(*, task: Comparison, as_json: bool) -> None:
+def stress(*, task: MethodTask, as_json: bool) -> None:
     """Find where reducers fail, and which recordings come near.
 
     Every reducer meets a battery of scenes: anti-phase axes, circular motion, clipping, gaps and so on. Each figure
@@ -193,7 +193,7 @@ def stress(*, task: Comparison, as_json: bool) -> None:
 )
 def advise(  # noqa: PLR0913 - every option has a name of its own
     *,
-    task: Comparison,
+    task: MethodTask,
     as_json: bool,
     online: bool,
     latency_ms: float | None,

@@ -99,9 +99,9 @@ def reduce(  # noqa: PLR0913 - one per option
     The recording is conditioned as for a study: offset removed, 20 to 1000 Hz. The result is a float32 WAV file in
     m/s^2 with a JSON file that says how it was made.
     """
+    from feel321 import __version__
     from feel321.files import write_text
     from feel321.stimuli.condition import Conditioning
-    from feel321.stimuli.version import __version__
     from feel321.stimuli.wav import write_wav
 
     sidecar = output.with_suffix(".json")

@@ -32,7 +32,7 @@ OFF = "off"
 """Switches a setting off: TOML has no null."""
 
 
-class Table(BaseModel):
+class TomlTable(BaseModel):
     """A table of a TOML file: no unknown keys, no guessing of types, no changes after reading."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -114,7 +114,7 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0, le=1)]
 PositiveOrOff = Annotated[Positive | None, OrOff]
 
-Whole = TypeVar("Whole", bound=Table)
+Whole = TypeVar("Whole", bound=TomlTable)
 
 _WRONG_KEY = "[key]"
 """What pydantic adds to the place of a name that is not allowed; the name stands before it."""
@@ -150,7 +150,7 @@ def _refuse_time(value: object) -> NoReturn:
     )
 
 
-def _translate(detail: ErrorDetails, model: type[Table]) -> str:
+def _translate(detail: ErrorDetails, model: type[TomlTable]) -> str:
     place, table = _locate(detail["loc"], model)
     match detail["type"]:
         case "json_invalid":  # We wrote the JSON: only its depth can be wrong.
@@ -175,7 +175,7 @@ def _translate(detail: ErrorDetails, model: type[Table]) -> str:
     return f"{place} {rule}{', ' if got else ''}{got}{'; ' if remedy else ''}{remedy}"
 
 
-def _locate(location: Sequence[int | str], model: type[Table]) -> tuple[str, type[Table]]:
+def _locate(location: Sequence[int | str], model: type[TomlTable]) -> tuple[str, type[TomlTable]]:
     """Write a place as the file's author counts, `recordings[1].unit`, and find the table that it lies in."""
     place, tables = "", [model]
     for part in location:
@@ -190,8 +190,8 @@ def _locate(location: Sequence[int | str], model: type[Table]) -> tuple[str, typ
     return place, tables[0]
 
 
-def list_tables(kind: Any) -> list[type[Table]]:  # noqa: ANN401 - any annotation
+def list_tables(kind: Any) -> list[type[TomlTable]]:  # noqa: ANN401 - any annotation
     """List the tables that an annotation speaks of."""
-    if isinstance(kind, type) and issubclass(kind, Table):
+    if isinstance(kind, type) and issubclass(kind, TomlTable):
         return [kind]
     return [table for inner in get_args(kind) for table in list_tables(inner)]

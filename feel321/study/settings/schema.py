@@ -36,7 +36,7 @@ from feel321.study.settings.fields import (
     PositiveOrOff,
     Share,
     Some,
-    Table,
+    TomlTable,
     Words,
     check_some,
     number_or,
@@ -108,7 +108,7 @@ def _check_language(language: str) -> str:
     return language
 
 
-class RehearsalTable(Table):
+class RehearsalTable(TomlTable):
     """`[session.rehearsal]`: what comes before the trials that count."""
 
     training: Annotated[Count, Field(le=100)] = 4
@@ -119,7 +119,7 @@ class RehearsalTable(Table):
     )
 
 
-class BreaksTable(Table):
+class BreaksTable(TomlTable):
     """`[session.breaks]`: when the hand rests."""
 
     every_trials: Annotated[
@@ -132,7 +132,7 @@ class BreaksTable(Table):
     rest_s: Annotated[NotNegative, Field(le=3600)] = _FLOW.rest_s
 
 
-class QualityTable(Table):
+class QualityTable(TomlTable):
     """`[session.quality]`: which trials are repeated."""
 
     min_response_s: Annotated[NotNegative, Field(le=5)] = _FLOW.min_response_s
@@ -141,14 +141,14 @@ class QualityTable(Table):
     gap_s: Annotated[NotNegative, Field(le=30)] = _FLOW.gap_s
 
 
-class StaleTable(Table):
+class StaleTable(TomlTable):
     """`[session.stale]`: what becomes of a session that is resumed late."""
 
     after_h: Annotated[Annotated[Positive, Field(le=8760)] | None, OrOff] = 6.0
     policy: Annotated[str, one_of(POLICIES)] = "warm_up"
 
 
-class SessionTable(Table):
+class SessionTable(TomlTable):
     """`[session]`: what participants do."""
 
     protocols: Annotated[tuple[Annotated[str, one_of(PROTOCOLS)], ...], Some] = (
@@ -165,7 +165,7 @@ class SessionTable(Table):
     stale: StaleTable = StaleTable()
 
 
-class TaskTable(Table):
+class TaskTable(TomlTable):
     """`[tasks.NAME]`: how a protocol is used; what is left out is as the protocol has it."""
 
     timing: Words | None = None
@@ -183,14 +183,14 @@ Between = Annotated[
 # What is felt: `[[recordings]]`, `[stimuli]` and `[rig]`; who feels it, and what becomes of the ratings.
 
 
-class StudyTable(Table):
+class StudyTable(TomlTable):
     """`[study]`: name and seed."""
 
     name: Words = "pilot"
     seed: Count = 321
 
 
-class SourceTable(Table):
+class SourceTable(TomlTable):
     """`[[recordings]]`: what every entry may say."""
 
     name: str = ""
@@ -252,7 +252,7 @@ def _check_titles(
     return recordings
 
 
-class ConditioningTable(Table):
+class ConditioningTable(TomlTable):
     """`[stimuli.conditioning]`: what is done to a recording before it is reduced."""
 
     remove_offset: bool = _STEPS.remove_offset
@@ -266,7 +266,7 @@ BELOW_THRESHOLD = ("refuse", ACCEPT)
 """Whether stimuli that are weaker than the detection threshold keep a study from running."""
 
 
-class StimuliTable(Table):
+class StimuliTable(TomlTable):
     """`[stimuli]`: what is made of each recording."""
 
     reducers: Annotated[tuple[Annotated[str, one_of(REDUCERS)], ...], Some] = tuple(
@@ -282,7 +282,7 @@ class StimuliTable(Table):
     conditioning: ConditioningTable = ConditioningTable()
 
 
-class RigTable(Table):
+class RigTable(TomlTable):
     """`[rig]`: what the stimuli are rendered for."""
 
     rate_hz: Positive = _RECIPE.rate_hz
@@ -290,7 +290,7 @@ class RigTable(Table):
     headroom: Annotated[float, Field(gt=0, le=1)] = _RECIPE.headroom
 
 
-class ObserverTable(Table):
+class ObserverTable(TomlTable):
     """`[observer]`: how simulated participants feel and differ."""
 
     intercept: Finite = 10.0
@@ -321,7 +321,7 @@ class ObserverTable(Table):
         return self
 
 
-class AnalysisTable(Table):
+class AnalysisTable(TomlTable):
     """`[analysis]`: how ratings are related to metrics; chosen before they are seen."""
 
     metrics: Annotated[tuple[Words, ...], Some] = PLANNED
@@ -329,7 +329,7 @@ class AnalysisTable(Table):
     margin: Annotated[float, Field(gt=0, le=100)] | None = None
 
 
-class Settings(Table):
+class Settings(TomlTable):
     """The whole of `study.toml`."""
 
     recordings: Annotated[tuple[RecordingTable, ...], AfterValidator(_check_titles)]

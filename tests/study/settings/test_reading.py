@@ -17,10 +17,10 @@ from feel321.stimuli.sets.recipe import Recipe
 from feel321.stimuli.synthesis import SCENES
 from feel321.stimuli.wav import write_wav
 from feel321.study.folder import create_study, read_template, require_study
-from feel321.study.observer.judging import ObserverModel
+from feel321.study.observer.participant import ObserverModel
 from feel321.study.session.opening import Stale
 from feel321.study.session.plan import Design
-from feel321.study.settings.fields import Table, list_tables
+from feel321.study.settings.fields import TomlTable, list_tables
 from feel321.study.settings.read import (
     make_design,
     make_recipe,
@@ -64,7 +64,7 @@ def test_the_template_names_every_key_in_its_table(read: Callable[[str], Setting
     read(text)
 
 
-def list_keys(table: type[Table], place: str = "") -> Iterator[str]:
+def list_keys(table: type[TomlTable], place: str = "") -> Iterator[str]:
     """List every key of a table and of those in it; of scenes only what the template writes."""
     for name, field in table.model_fields.items():
         inner = [one for one in list_tables(field.annotation) if one is not SceneTable]

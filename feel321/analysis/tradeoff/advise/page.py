@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
+from feel321 import __version__
 from feel321.analysis.figures.style import (
     BLUE,
     CM_PER_INCH,
@@ -24,7 +25,6 @@ from feel321.analysis.tradeoff.advise.measures import SEGMENT_S, TURNS
 from feel321.analysis.tradeoff.advise.scene import ANY, split_recording
 from feel321.analysis.tradeoff.results import without_undefined, write_results
 from feel321.records import Result
-from feel321.stimuli.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

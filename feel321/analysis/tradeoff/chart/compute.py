@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from feel321 import __version__
 from feel321.analysis.contrasts.equivalence import profile_reducers
 from feel321.analysis.resampling import draw_counts
 from feel321.analysis.table.judgements import ROLES
@@ -59,7 +60,6 @@ from feel321.analysis.tradeoff.results import write_results
 from feel321.analysis.words import CONFIDENCE
 from feel321.records import Result
 from feel321.stimuli.reducers.registry import REDUCERS, WHY_NOT_STREAMING
-from feel321.stimuli.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

@@ -22,8 +22,7 @@ from feel321.study.audit import audit_study
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger.slots import claim_slots, list_forgotten, open_study_ledger
 from feel321.study.ledger.standing import write_roster
-from feel321.study.observer.judging import ObserverModel
-from feel321.study.observer.participant import SimulatedObserver, identify_observer
+from feel321.study.observer.participant import ObserverModel, SimulatedObserver, identify_observer
 from feel321.study.ratings import write_ratings
 from feel321.study.session.journal import find_elapsed, read_journal
 from feel321.study.session.opening import Stale

@@ -1,0 +1,141 @@
+"""Models as a scientist meets them: short in a notebook, whole in a frame, the same again in R and from a pickle."""
+
+from __future__ import annotations
+
+import pickle
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from feel321 import analysis
+from feel321.analysis.table.items import Table
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from feel321.records import Result
+
+METRICS = ["sm", "tm"]
+
+
+@pytest.fixture(scope="module")
+def rows() -> pd.DataFrame:
+    rng = np.random.default_rng(2)
+    who, item = (part.ravel() for part in np.meshgrid(range(6), range(24), indexing="ij"))
+    sm, tm = rng.uniform(0, 1, (2, 24))
+    rating = 30 + 40 * sm[item] + rng.normal(0, 5, 6)[who] + rng.normal(0, 8, len(who))
+    return pd.DataFrame({
+        "participant": who, "recording": item // 4, "reducer": np.array(list("wxyz"))[item % 4], "item": item,
+        "sm": sm[item], "tm": tm[item], "rating": rating.clip(0, 100), "scale": "realism", "role": "test",
+    })  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def both(rows: pd.DataFrame) -> pd.DataFrame:
+    other = rows.assign(scale="similarity", rating=100 - rows["rating"])
+    return pd.concat([rows, other], ignore_index=True)
+
+
+@pytest.fixture(scope="module")
+def results(rows: pd.DataFrame, both: pd.DataFrame) -> dict[str, Result]:
+    mean = lambda part: part["rating"].mean()  # noqa: E731 - an estimator as a notebook has it
+    fit = analysis.fit_mixed("rating ~ sm + reducer + (1 | participant)", rows)
+    return {
+        "primary": analysis.fit_primary(rows, METRICS),
+        "primaries": analysis.fit_attributes(both, METRICS),
+        "fit": fit,
+        "contrast": analysis.contrast(fit, "reducerx - reducery"),
+        "screening": analysis.screen_raters(rows, rng=1),
+        "multiverse": analysis.run_multiverse(rows, mean, rules=["repeat_sd"]),
+        "refined": analysis.refine_metric(rows, METRICS, draws=10),
+    }
+
+
+NAMES = ["primary", "primaries", "fit", "contrast", "screening", "multiverse", "refined"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_results_are_short_whole_and_keep(results: dict[str, Result], name: str) -> None:
+    result = results[name]
+    assert len(repr(result)) <= 200
+    assert "\n" not in repr(result)
+    assert len(result.to_frame()) >= 1
+    assert result.summary()
+    assert pickle.loads(pickle.dumps(result)) == result  # noqa: S301 - what was written just now
+    assert isinstance(result.to_dict(), dict)
+
+
+def test_one_of_several_scales_is_chosen_by_name(rows: pd.DataFrame, both: pd.DataFrame) -> None:
+    alone = analysis.fit_primary(rows, METRICS)
+    pd.testing.assert_frame_equal(
+        analysis.fit_primary(both, METRICS, scale="realism").slopes, alone.slopes
+    )
+    with pytest.raises(ValueError, match="scale must be one of realism, similarity; got 'realsim'"):
+        analysis.fit_primary(both, METRICS, scale="realsim")
+    with pytest.raises(ValueError, match="realism, similarity"):
+        analysis.fit_primary(both, METRICS)
+    with pytest.raises(ValueError, match="metrics must be a list of names with a DataFrame"):
+        analysis.fit_primary(rows)
+
+
+def test_a_table_brings_its_metrics(rows: pd.DataFrame) -> None:
+    table = Table(rows, tuple(METRICS), ())
+    pd.testing.assert_frame_equal(
+        analysis.fit_primary(table).slopes, analysis.fit_primary(rows, METRICS).slopes
+    )
+
+
+def test_every_scale_at_every_level(both: pd.DataFrame) -> None:
+    found = analysis.fit_attributes(both, METRICS)
+    assert list(found) == ["realism", "similarity"]
+    assert found.to_frame()["p_holm"].notna().all()
+    levels = pd.concat([both.assign(level=name) for name in ("as_is", "equal_intensity")])
+    assert list(analysis.fit_attributes(levels, METRICS)) == [
+        "realism, as_is",
+        "realism, equal_intensity",
+        "similarity, as_is",
+        "similarity, equal_intensity",
+    ]
+
+
+def test_prediction_of_the_rows_fitted_is_the_fixed_part(rows: pd.DataFrame) -> None:
+    fit = analysis.fit_mixed("rating ~ np.log(sm + 1) + reducer + (1 | participant)", rows)
+    own = fit.effects.set_index("level")["value"]
+    random = own[rows["participant"].astype(str)].to_numpy()
+    np.testing.assert_allclose(fit.predict(rows) + random, fit.fitted)
+    one = rows[rows["reducer"] == "y"]
+    np.testing.assert_allclose(fit.predict(one), fit.predict(rows)[one.index])
+    with pytest.raises(ValueError, match="levels that were fitted"):
+        fit.predict(one.assign(reducer="new"))
+    with pytest.raises(ValueError, match="columns of the fixed part"):
+        fit.predict(one.drop(columns="sm"))
+    plain = analysis.fit_mixed("rating ~ sm + (1 | participant)", rows)
+    at = plain.fixed["estimate"]
+    assert plain.predict(rows[:1])[0] == pytest.approx(at.iloc[0] + at.iloc[1] * rows["sm"].iloc[0])
+
+
+def test_contrasts_in_words_are_those_of_the_mapping(rows: pd.DataFrame) -> None:
+    fit = analysis.fit_mixed("rating ~ sm + tm + (1 | participant)", rows)
+    assert analysis.contrast(fit, "sm - 0.5 * tm") == analysis.contrast(fit, {"sm": 1, "tm": -0.5})
+    assert analysis.contrast(fit, "-tm") == analysis.contrast(fit, {"tm": -1})
+    with pytest.raises(ValueError, match="got 'zm'"):
+        analysis.contrast(fit, "sm - zm")
+
+
+def test_papers_and_r_get_the_model_that_was_fitted(rows: pd.DataFrame, tmp_path: Path) -> None:
+    primary = analysis.fit_primary(rows, METRICS)
+    assert primary.to_latex().startswith(r"\begin{tabular}")
+    text = primary.to_r(tmp_path)
+    assert f"lmer({primary.formula}, data = model" in text
+    assert (tmp_path / "model.R").read_text(encoding="utf-8") == text
+    frame = pd.read_csv(tmp_path / "model.csv")
+    again = analysis.fit_mixed(primary.formula, frame, penalty=["reducer"])
+    np.testing.assert_allclose(again.fixed["estimate"], primary.fit.fixed["estimate"], rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["Precision", "tabulate_slopes", "vary_primary", "tukey_fences"])
+def test_old_names_are_found_with_a_warning(name: str) -> None:
+    with pytest.warns(DeprecationWarning, match=name):
+        getattr(analysis, name)
