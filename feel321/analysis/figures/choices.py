@@ -22,7 +22,7 @@ from feel321.analysis.figures.style import (
     print_style,
 )
 from feel321.analysis.screening.rules import RULES
-from feel321.analysis.words import MINUS, tell_name, tell_span
+from feel321.analysis.words import MINUS, format_name, format_span
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -79,7 +79,7 @@ def _draw_rules(axes: Axes, applied: NDArray[np.bool_], *, names: list[str]) -> 
         sets = np.flatnonzero(chosen) + 1
         style: dict[str, Any] = {"marker": "s", "markersize": 2.2, "markeredgewidth": 0}
         axes.plot(sets, np.full(len(sets), -row), color=BLACK, linestyle="none", **style)
-    labels = [fit_text(tell_name(name), LABEL_CM, lines=1) for name in names]
+    labels = [fit_text(format_name(name), LABEL_CM, lines=1) for name in names]
     axes.set_yticks(-np.arange(len(names)), labels)
     axes.set(ylim=(0.6 - len(names), 0.6), xlim=(0.2, applied.shape[1] + 0.8))
     axes.tick_params(axis="y", length=0)
@@ -93,7 +93,7 @@ def _describe_sets(result: Multiverse, curve: DataFrame, interval: str) -> str:
     sets = "set" if len(curve) == 1 else "sets"
     return (
         f"{len(curve)} distinct {sets} of raters from {result.n_combinations} combinations of screening rules; "
-        f"n = {tell_span(curve['n_participants'])} participants. {bars}"
+        f"n = {format_span(curve['n_participants'])} participants. {bars}"
         f"Diamond, dashed line: nobody excluded. Below: the fewest rules that leave a set.{without}"
     )
 

@@ -23,17 +23,16 @@ from feel321.analysis.figures.style import (
     add_title,
     assign_looks,
     fit_text,
+    label_scale,
     make_handles,
     new_canvas,
     new_figure,
     plot_marks,
     print_style,
-    tell_scale,
 )
-from feel321.analysis.table.items import tell_recordings
-from feel321.analysis.table.judgements import ROLES
-from feel321.analysis.table.schema import HIGHEST, LOWEST
-from feel321.analysis.words import tell_name, tell_number, tell_span, wrap_name
+from feel321.analysis.table.items import format_recordings
+from feel321.analysis.table.schema import HIGHEST, LOWEST, ROLES
+from feel321.analysis.words import format_name, format_number, format_span, wrap_name
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
@@ -58,7 +57,7 @@ AXIS_CM = 1.4
 PAD = 0.06
 FARTHEST = 6.0
 """An interval is cut, with an arrow, where it is this many times as wide as the range of the estimates and of half
-of all intervals: one that tells nothing must not squeeze all others."""
+of all intervals: one that is uninformative must not squeeze all others."""
 
 PLAIN = Look(BLACK, "o")
 UNKNOWN = "no estimate"
@@ -196,17 +195,17 @@ def draw_slopes(
         axes.set_xlabel("Points of rating per +0.1 of metric")
         _draw_variants([figure.add_subplot(grid[1, place]) for place in range(len(below))], below)
         add_title(figure, _describe_slopes(models, varied))
-        add_legend(figure, make_handles({tell_name(name): look for name, look in looks.items()}))
+        add_legend(figure, make_handles({format_name(name): look for name, look in looks.items()}))
     return figure
 
 
 def _list_slopes(models: Mapping[str, Primary], looks: Mapping[str, Look]) -> Iterator[ForestRow]:
     for attribute, model in models.items():
-        yield ForestRow(tell_name(attribute))
+        yield ForestRow(format_name(attribute))
         for metric, row in zip(model.slopes.index, model.slopes.to_dict("records"), strict=True):
             ends = row["tenth"], row["tenth_low"], row["tenth_high"]
             yield ForestRow(
-                tell_name(metric), (Mark(*ends, looks[metric], filled=not model.fit.singular),)
+                format_name(metric), (Mark(*ends, looks[metric], filled=not model.fit.singular),)
             )
 
 
@@ -234,7 +233,7 @@ def _draw_variants(panels: list[Axes], below: Mapping[str, list[ForestRow]]) -> 
     for place, (axes, (attribute, rows)) in enumerate(zip(panels, below.items(), strict=True)):
         draw_rows(axes, rows, limits=limits, zero=True)
         axes.locator_params(axis="x", nbins=5 - len(below))
-        axes.set_title(fit_text(tell_name(attribute), PANEL_CM / len(below)))
+        axes.set_title(fit_text(format_name(attribute), PANEL_CM / len(below)))
         axes.set_xlabel(fit_text(STANDARDISED, PANEL_CM / len(below), lines=4))
         if place:
             axes.tick_params(axis="y", labelleft=False)
@@ -242,11 +241,11 @@ def _draw_variants(panels: list[Axes], below: Mapping[str, list[ForestRow]]) -> 
 
 def _describe_slopes(models: Mapping[str, Primary], varied: Mapping[str, DataFrame]) -> str:
     def span(what: str) -> str:
-        return f"{tell_span(getattr(model, f'n_{what}') for model in models.values())} {what}"
+        return f"{format_span(getattr(model, f'n_{what}') for model in models.values())} {what}"
 
     shared = any(model.n_sources < model.n_recordings for model in models.values())
     scenes = f"{span('recordings')} of {span('sources')}" if shared else span("recordings")
-    items = tell_span(model.n_items for model in models.values())
+    items = format_span(model.n_items for model in models.values())
     singular = any(model.fit.singular for model in models.values()) or any(
         table["singular"].any() for table in varied.values()
     )
@@ -285,12 +284,12 @@ def draw_equivalence(
         draw_rows(axes, rows, limits=find_limits(rows, 0, low, high), zero=True)
         axes.set_xlabel(f"Difference ({unit})")
         shown = sum(test.equivalent for test in contrasts.values())
-        margin = f"{tell_number(low, kind='rating')} to {tell_number(high, kind='rating')}"
+        margin = f"{format_number(low, kind='rating')} to {format_number(high, kind='rating')}"
         add_title(
             figure,
             f"Bars: 90 % intervals, of two one-sided tests at 5 %. Shaded: margin, {margin} {unit}. "
             f"Filled: equivalent, {shown} of {len(contrasts)}; hollow: not shown. n = {n_participants} participants, "
-            f"{tell_recordings(n_recordings, n_sources or n_recordings)}.",
+            f"{format_recordings(n_recordings, n_sources or n_recordings)}.",
         )
     return figure
 
@@ -338,7 +337,7 @@ def draw_profile(
             line = max(apart) + (TWO_LINES + APART) / 2
             axes.axhline(line, color=GREY, linewidth=THIN, linestyle=":")
         # A label of the figure, not the axes: long names may leave the axes less room than the words need.
-        figure.supxlabel(tell_scale(profile["scale"].iloc[0]))
+        figure.supxlabel(label_scale(profile["scale"].iloc[0]))
         figure.suptitle(_describe_people(profile["n_participants"]), x=0.02, ha="left")
     return figure
 
@@ -347,7 +346,7 @@ def _describe_people(n_participants: Series) -> str:
     people = "\ngrey: each participant's mean; clouds: their distribution"
     if n_participants.max() < SMALLEST:
         return f"Mean of 1 participant, no interval;{people}"
-    return f"Mean and 95 % t interval over {tell_span(n_participants)} participants;{people}"
+    return f"Mean and 95 % t interval over {format_span(n_participants)} participants;{people}"
 
 
 def _label_rows(profile: DataFrame, order: list[str]) -> dict[tuple[str, str], str]:

@@ -27,7 +27,7 @@ from feel321.analysis.figures.style import (
     plot_marks,
     print_style,
 )
-from feel321.analysis.words import tell_span
+from feel321.analysis.words import format_span
 from feel321.doors import check_name
 
 if TYPE_CHECKING:
@@ -130,7 +130,7 @@ def draw_discrimination(
         )
         label = f"{name} ({found.n_correct}/{found.n_trials})"
         rows.append(ForestRow(label, (Mark(value, low, high, Look(BLUE, "o")),)))
-    trials = tell_span(found.n_trials for found in results.values())
+    trials = format_span(found.n_trials for found in results.values())
     text = (
         f"ABX, observer's model: {OBSERVERS[observer]}. Bars: 95 % Wilson intervals of the share correct, as d′. "
         f"n = {trials} trials per pair (correct/trials in brackets). Line: guessing."

@@ -20,15 +20,15 @@ from feel321.analysis.figures.style import (
     add_legend,
     add_title,
     fit_text,
+    label_scale,
     new_canvas,
     new_figure,
     plot_marks,
     print_style,
-    tell_scale,
 )
-from feel321.analysis.table.items import tell_recordings
+from feel321.analysis.table.items import format_recordings
 from feel321.analysis.table.schema import HIGHEST, LOWEST
-from feel321.analysis.words import tell_axis, tell_number, tell_range, tell_span
+from feel321.analysis.words import format_axis, format_interval, format_number, format_span
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -61,13 +61,10 @@ def draw_scatter(panel: Panel, association: Association, *, looks: Mapping[str, 
             for name, look in looks.items()
             if name in parts
         }
-        _mark_clipped(
-            axes,
-            panel.stimuli[association.metric].to_numpy(np.float64),
-            falling=association.value < 0,
-        )
-        limits = LOWEST - 3, HIGHEST + 3
-        axes.set(xlabel=tell_axis(association.metric), ylabel=tell_scale(panel.scale), ylim=limits)
+        values = panel.stimuli[association.metric].to_numpy(np.float64)
+        _mark_clipped(axes, values, falling=association.value < 0)
+        axes.set(xlabel=format_axis(association.metric), ylabel=label_scale(panel.scale))
+        axes.set_ylim(LOWEST - 3, HIGHEST + 3)
         axes.locator_params(axis="x", nbins=5)
         axes.set_title(_describe_association(association))
         add_legend(figure, shown)
@@ -97,18 +94,18 @@ def _mark_clipped(axes: Axes, metric: NDArray[np.float64], *, falling: bool) -> 
     height, side = (0.01, "bottom") if falling else (0.99, "top")
     number = count_clipped(metric)
     if number:
-        edge, lowest = tell_number(CUT, kind="count"), tell_number(float(metric.min()))
+        edge, lowest = format_number(CUT, kind="count"), format_number(float(metric.min()))
         count = f"{number} of {len(metric)} stimuli"
         text = f"← hollow: {count} below {edge}\n    (lowest {lowest}), drawn at {edge}"
         axes.text(0.02, height, text, transform=axes.transAxes, va=side)
 
 
 def _describe_association(result: Association) -> str:
-    size = f"{result.n_items} stimuli, {tell_recordings(result.n_recordings, result.n_sources)}"
-    narrow = tell_range(result.participants_low, result.participants_high)
+    size = f"{result.n_items} stimuli, {format_recordings(result.n_recordings, result.n_sources)}"
+    narrow = format_interval(result.participants_low, result.participants_high)
     return (
-        f"{result.method.capitalize()} r = {tell_number(result.value)}, {size}\n"
-        f"95 % two-way interval {tell_range(result.low, result.high)}\n"
+        f"{result.method.capitalize()} r = {format_number(result.value)}, {size}\n"
+        f"95 % two-way interval {format_interval(result.low, result.high)}\n"
         f"over {result.n_participants} participants only {narrow}"
     )
 
@@ -136,10 +133,7 @@ def draw_mapping(
     scale: str,
     looks: Mapping[str, Look],
 ) -> Figure:
-    """Draw mean ratings against a metric in one panel per recording.
-
-    Returns bars are 95 % t intervals over participants.
-    """
+    """Draw mean ratings against a metric in one panel per recording; bars: 95 % t intervals over participants."""
     recordings = list(dict.fromkeys(stimuli["recording"]))
     rows = -(-len(recordings) // COLUMNS)
     with print_style():
@@ -147,8 +141,8 @@ def draw_mapping(
         figure = new_canvas(sum(heights))
         upper, lower = figure.subfigures(2, 1, height_ratios=heights, squeeze=False)[:, 0]
         shown = _draw_panels(upper, stimuli, judged, metric=association.metric, looks=looks)
-        upper.supxlabel(tell_axis(association.metric))
-        upper.supylabel(fit_text(tell_scale(scale).replace("\n", " "), ROW_CM * rows + 1, lines=3))
+        upper.supxlabel(format_axis(association.metric))
+        upper.supylabel(fit_text(label_scale(scale).replace("\n", " "), ROW_CM * rows + 1, lines=3))
         _draw_strip(lower.add_subplot(), association)
         add_title(figure, _describe_mapping(stimuli, judged, association))
         add_legend(figure, {name: shown[name] for name in looks if name in shown})
@@ -209,17 +203,17 @@ def _draw_strip(axes: Axes, association: Association) -> None:
 
 
 def _describe_mapping(stimuli: DataFrame, judged: P1401, association: Association) -> str:
-    ceiling = tell_number(association.ceiling)
+    ceiling = format_number(association.ceiling)
     clipped = count_clipped(stimuli[association.metric].to_numpy(np.float64))
-    edge = tell_number(CUT, kind="count")
+    edge = format_number(CUT, kind="count")
     there = f" Hollow: below {edge}, drawn there ({clipped} of {len(stimuli)}), the curve fitted where they are."
     hollow = there if clipped else ""
     return (
-        f"r = {tell_number(association.value)}, 95 % two-way interval "
-        f"{tell_range(association.low, association.high)}, noise ceiling {ceiling}. Curve: P.1401 mapping "
+        f"r = {format_number(association.value)}, 95 % two-way interval "
+        f"{format_interval(association.low, association.high)}, noise ceiling {ceiling}. Curve: P.1401 mapping "
         f"({MAPPINGS[judged.order]}), fitted to all n = {len(stimuli)} stimuli of "
-        f"{tell_recordings(association.n_recordings, association.n_sources)}; bars: 95 % t "
-        f"intervals over {tell_span(stimuli['n_participants'])} participants.{hollow}"
+        f"{format_recordings(association.n_recordings, association.n_sources)}; bars: 95 % t "
+        f"intervals over {format_span(stimuli['n_participants'])} participants.{hollow}"
     )
 
 
@@ -238,10 +232,6 @@ POINTS: dict[str, Any] = {"marker": "o", "linestyle": "none", "markersize": 2, "
 def draw_residuals(fit: MixedFit, *, unit: str = "points") -> Figure:
     """Draw a normal quantile plot of the residuals, and the residuals against the fitted values.
 
-    Returns %.
-
-    Notes
-    -----
     The k-th of n normal values in order lies between the quantiles of Beta(k, n - k + 1), turned into normal ones;
     the band is pointwise: one point in twenty lies outside by chance, and neighbours leave it together.
     """

@@ -15,8 +15,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis.table.schema import HIGHEST, LOWEST
-from feel321.analysis.table.sheet import tell_measure
-from feel321.analysis.words import tell_name, wrap_name
+from feel321.analysis.words import format_measure, format_name, wrap_name
 from feel321.doors import check_name
 
 if TYPE_CHECKING:
@@ -35,7 +34,7 @@ COLUMN_CM = 8.5
 CM_PER_INCH = 2.54
 THIN, GREY, BLACK = 0.5, "#8A8A8A", "#000000"
 BLUE, RED, PALE = "#0072B2", "#D55E00", "#D6E6F2"
-"""For figures that tell two kinds apart: Okabe and Ito's blue and vermilion, and a background."""
+"""For figures of two kinds: Okabe and Ito's blue and vermilion, and a background."""
 
 OKABE_ITO = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Colour-blind safe; its yellow is left out because it fades on white paper."""
@@ -82,7 +81,7 @@ def print_style() -> Iterator[None]:
         if not name.startswith(("backend", "_"))
     }
     with rc_context({**plain, **PRINT}), warnings.catch_warnings():
-        # `list_undrawable` tells of them once.
+        # `list_undrawable` lists them once.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
         yield
 
@@ -142,11 +141,11 @@ LONGEST = 200
 TITLE_LINES = 10
 
 
-def tell_scale(scale: str) -> str:
+def label_scale(scale: str) -> str:
     """Label an axis by the scale that was rated."""
-    name = wrap_name(tell_name(scale), SCALE_LETTERS, lines=1)
+    name = wrap_name(format_name(scale), SCALE_LETTERS, lines=1)
     return wrap_name(
-        f"Mean {tell_measure(name)} ({LOWEST:.0f}–{HIGHEST:.0f})", AXIS_LETTERS, lines=3
+        f"Mean {format_measure(name)} ({LOWEST:.0f}–{HIGHEST:.0f})", AXIS_LETTERS, lines=3
     )
 
 

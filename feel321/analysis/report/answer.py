@@ -12,17 +12,17 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis.primary.influence import NOT_ESTIMABLE, OPEN, PREDICTS, conclude
-from feel321.analysis.report.parts import tell_p
-from feel321.analysis.table.items import tell_recordings
+from feel321.analysis.report.parts import format_p
+from feel321.analysis.table.items import format_recordings
 from feel321.analysis.words import (
     Claim,
     Line,
-    list_words,
+    capitalise,
+    format_estimate,
+    format_name,
+    format_number,
+    join_words,
     name_path,
-    start,
-    tell_ends,
-    tell_name,
-    tell_number,
 )
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def describe_loss(
     part: RatingsPart, metrics: Sequence[str], reason: str
 ) -> tuple[Line, list[Claim]]:
     """Say that no model can be fitted to a part, and why."""
-    named = list_words([tell_name(name) for name in metrics], "or")
+    named = join_words([format_name(name) for name in metrics], "or")
     alike = part.rows["rating"].min() == part.rows["rating"].max()
     why = "all ratings are the same" if alike else reason.removesuffix(".")
     text = f"Whether {named} predicts {part.ratings} cannot be estimated: {why}."
@@ -63,7 +63,7 @@ def describe_loss(
         Claim(*part.place, name, NOT_ESTIMABLE, "", name_path("slope", *part.place, name))
         for name in metrics
     ]
-    return Line(text, start(part.subject)), claims
+    return Line(text, capitalise(part.subject)), claims
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,7 +114,7 @@ class Finding:
 def describe_findings(found: Sequence[Finding], needs: Sequence[str]) -> Iterator[Line]:
     """Say what the model of a part shows, the finding of each metric first."""
     part, model, influence = found[0].part, found[0].model, found[0].influence
-    subject = start(part.subject)
+    subject = capitalise(part.subject)
     if all(one.verdict == NOT_ESTIMABLE for one in found):
         yield Line(_describe_blank(found), subject)
         return
@@ -134,7 +134,7 @@ def describe_findings(found: Sequence[Finding], needs: Sequence[str]) -> Iterato
 
 def _describe_finding(found: Finding) -> str:
     """Say whether a metric predicts ratings, how strongly, and on what that hinges."""
-    metric, ratings = tell_name(found.metric), found.part.ratings
+    metric, ratings = format_name(found.metric), found.part.ratings
     if found.verdict == NOT_ESTIMABLE:
         return _describe_blank([found])
     hinge = _describe_hinge(found)
@@ -142,12 +142,12 @@ def _describe_finding(found: Finding) -> str:
         return f"Whether {metric} predicts {ratings} is open{hinge}. {_describe_effect(found)}"
     opposite = f" in the opposite direction (higher match, {LOWER} ratings)"
     way = "" if found.direction == HIGHER else opposite
-    return f"{start(metric)} predicts {ratings}{way}{hinge}. {_describe_effect(found)}"
+    return f"{capitalise(metric)} predicts {ratings}{way}{hinge}. {_describe_effect(found)}"
 
 
 def _describe_blank(found: Sequence[Finding]) -> str:
     """Say that nothing can be estimated, and what there is too little of."""
-    names = list_words([tell_name(one.metric) for one in found], "or")
+    names = join_words([format_name(one.metric) for one in found], "or")
     units = _count_units(found[0].model).items()
     few = [f"{size} {name}{'s' * (size != 1)}" for name, size in units if size < FEWEST]
     lack = f" with {' and '.join(few)}: at least {FEWEST} are needed{' of each' * (len(few) > 1)}"
@@ -161,14 +161,16 @@ def _describe_effect(found: Finding) -> str:
     changes = []
     for key, ends in (("quartile_effect", "quartile"), ("tenth", "tenth")):
         row = found.row
-        told, interval = tell_ends(row[key], row[f"{ends}_low"], row[f"{ends}_high"], kind="rating")
+        told, interval = format_estimate(
+            row[key], row[f"{ends}_low"], row[f"{ends}_high"], kind="rating"
+        )
         higher = found.direction == HIGHER
         change = f"ratings {told} points higher" if higher else f"a change of {told} points"
         changes.append((change, interval))
     (span, reach), (tenth, narrow) = changes
     return (
         "Among stimuli from the same recording, going from its lower to its upper quartile is associated with "
-        f"{span} (95 % CI {reach}; {tell_p(found.row['p_holm'])}), each +0.1 with {tenth} ({narrow})."
+        f"{span} (95 % CI {reach}; {format_p(found.row['p_holm'])}), each +0.1 with {tenth} ({narrow})."
     )
 
 
@@ -184,7 +186,7 @@ def _describe_hinge(found: Finding) -> str:
     if not rows:
         return ""
     value, interval = _tell_tenth(rows[0])
-    instead = tell_number(found.row["tenth"], kind="rating")
+    instead = format_number(found.row["tenth"], kind="rating")
     others = _list_others(rows, "; also without")
     told = f"{value}, {interval}, instead of {instead} points per +0.1{others}"
     unit = _name_unit(rows[0])
@@ -196,7 +198,7 @@ def _list_others(rows: Sequence[Row], lead: str) -> str:
     names, more = [f"the {_name_unit(row)}" for row in rows[1:NAMED]], len(rows) - NAMED
     if not names:
         return ""
-    listed = f"{', '.join(names)} and {more} more" if more > 0 else list_words(names)
+    listed = f"{', '.join(names)} and {more} more" if more > 0 else join_words(names)
     return f"{lead} {listed}"
 
 
@@ -205,13 +207,13 @@ def _describe_without(row: Row, found: Finding) -> str:
     if row["verdict"] == OPEN and found.verdict == PREDICTS:
         return f"the association is open ({evidence})"
     if row["verdict"] == PREDICTS:
-        way, metric = HIGHER if row["tenth"] > 0 else LOWER, tell_name(found.metric)
+        way, metric = HIGHER if row["tenth"] > 0 else LOWER, format_name(found.metric)
         return f"a higher {metric} is associated with {way} ratings ({evidence})"
     return f"the estimate changes its sign ({evidence})"
 
 
 def _tell_tenth(row: Row) -> tuple[str, str]:
-    return tell_ends(row["tenth"], row["tenth_low"], row["tenth_high"], kind="rating")
+    return format_estimate(row["tenth"], row["tenth_low"], row["tenth_high"], kind="rating")
 
 
 def _name_unit(row: Row) -> str:
@@ -225,18 +227,18 @@ def _compare(row: Row, found: Sequence[Finding]) -> str:
     ends = tuple(row[f"standardised_{end}"] for end in ("estimate", "low", "high"))
     if math.isnan(ends[1]) or NOT_ESTIMABLE in {first.verdict, second.verdict}:
         return ""
-    if unsteady := [tell_name(one.metric) for one in (first, second) if not one.turns.empty]:
-        names = list_words(unsteady)
+    if unsteady := [format_name(one.metric) for one in (first, second) if not one.turns.empty]:
+        names = join_words(unsteady)
         return f"which metric predicts better is left open: the verdict on {names} is not stable."
     evidence = "standardised slopes differ by {}, 95 % CI {}".format(
-        *tell_ends(*ends, kind="slope")
+        *format_estimate(*ends, kind="slope")
     )
     better, ratings = _find_better(row, first.model.slopes), first.part.ratings
     if not better or by_metric[better].verdict != PREDICTS:
-        names = f"{tell_name(first.metric)} or {tell_name(second.metric)}"
+        names = f"{format_name(first.metric)} or {format_name(second.metric)}"
         return f"the data do not show whether {names} predicts {ratings} better ({evidence})."
-    worse = tell_name((second if better == first.metric else first).metric)
-    return f"{tell_name(better)} predicts {ratings} better than {worse} does ({evidence})."
+    worse = format_name((second if better == first.metric else first).metric)
+    return f"{format_name(better)} predicts {ratings} better than {worse} does ({evidence})."
 
 
 def _find_better(row: Row, slopes: DataFrame) -> str:
@@ -250,7 +252,7 @@ def _find_better(row: Row, slopes: DataFrame) -> str:
 
 def _describe_exceptions(influence: Influence, part: RatingsPart) -> str:
     told = [
-        f"{row['reducer']} was rated {tell_number(abs(row['excess']), kind='rating')} points "
+        f"{row['reducer']} was rated {format_number(abs(row['excess']), kind='rating')} points "
         f"{HIGHER if row['excess'] > 0 else LOWER} than the metrics predict from the other reducers"
         for row in influence.exceptions.reset_index().to_dict("records")
         if row["exceptional"]
@@ -269,18 +271,18 @@ def _describe_evidence(found: Sequence[Finding]) -> str:
     people, reducers = f"{n} participant{'s' * (n != 1)}", ""
     if model.n_reducers:
         reducers = f", {model.n_reducers} reducer{'s' * (model.n_reducers != 1)}"
-    scenes = tell_recordings(model.n_recordings, model.n_sources)
+    scenes = format_recordings(model.n_recordings, model.n_sources)
     sizes = f"{people}, {scenes}{reducers}, {model.n_items} stimuli"
     together = "one mixed model with all metrics" if len(found) > 1 else "mixed model"
     few = [f"{name}s" for name, size in _count_units(model).items() if FEWEST <= size < FEW]
     claimed = any(one.verdict == PREDICTS for one in found)
     steady = [
-        tell_name(one.metric) for one in found if one.verdict != NOT_ESTIMABLE and one.turns.empty
+        format_name(one.metric) for one in found if one.verdict != NOT_ESTIMABLE and one.turns.empty
     ]
     told = ""
     if few and claimed:
-        told = f" With so few {list_words(few)} this is a hint rather than a result."
+        told = f" With so few {join_words(few)} this is a hint rather than a result."
     if steady and len(found[0].influence.table):
         units = "No single recording or reducer, and none of the most influential stimuli, changes"
-        told += f" {units} the verdict on {list_words(steady, 'or')}."
+        told += f" {units} the verdict on {join_words(steady, 'or')}."
     return f"{sizes}; {together}.{told}"

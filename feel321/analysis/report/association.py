@@ -36,21 +36,21 @@ from feel321.analysis.report.section import (
     stack,
 )
 from feel321.analysis.table.items import make_items
+from feel321.analysis.table.notes import SPACE, note_apart
 from feel321.analysis.table.reading import order_reducers
-from feel321.analysis.table.schema import describe_explored
-from feel321.analysis.table.sheet import APART, PAIRED, SPACE, note_apart
+from feel321.analysis.table.schema import APART, PAIRED, describe_explored
 from feel321.analysis.words import (
     COUNT,
     ONE_WAY,
     TWO_WAY,
     Line,
-    start,
-    tell_ends,
-    tell_method,
-    tell_name,
-    tell_number,
-    tell_range,
-    tell_span,
+    capitalise,
+    format_estimate,
+    format_interval,
+    format_method,
+    format_name,
+    format_number,
+    format_span,
 )
 
 if TYPE_CHECKING:
@@ -176,7 +176,7 @@ def _list_rows(panels: Sequence[Panel], name: str) -> list[Row]:
     return [
         {
             "scale": panel.scale, "level": panel.level, "_ratings": f"{panel.scale}, {panel.level}",
-            "_kind": tell_method(one.method), **asdict(one),
+            "_kind": format_method(one.method), **asdict(one),
         }
         for panel in panels
         for one in getattr(panel, name)
@@ -208,8 +208,8 @@ def _map_panel(
             items = make_items(part.rows, [one.metric])
             judged = p1401(items.ratings.T, items.metrics[0], order=MAPPED)
             caption = (
-                f"Mean {tell_name(panel.scale)} rating of each test stimulus against its {tell_name(one.metric)}, "
-                f"recording by recording (level {tell_name(panel.level)}), with the mapping of ITU-T P.1401 that was "
+                f"Mean {format_name(panel.scale)} rating of each test stimulus against its {format_name(one.metric)}, "
+                f"recording by recording (level {format_name(panel.level)}), with the mapping of ITU-T P.1401 that was "
                 f"fitted to all of them. {_describe_bars(panel)} Below: the correlation with its 95 % two-way "
                 "interval, and the highest correlation that the noise in the ratings allows."
             )
@@ -225,13 +225,13 @@ def _map_panel(
 
 
 def _picture_scatter(panel: Panel, one: Association, looks: Mapping[str, Look]) -> Picture:
-    metric = tell_name(one.metric)
+    metric = format_name(one.metric)
     caption = (
-        f"Mean {tell_name(panel.scale)} rating of each test stimulus against its {metric} "
-        f"(level {tell_name(panel.level)}). {_describe_bars(panel)}"
+        f"Mean {format_name(panel.scale)} rating of each test stimulus against its {metric} "
+        f"(level {format_name(panel.level)}). {_describe_bars(panel)}"
     )
     if clipped := count_clipped(panel.stimuli[one.metric].to_numpy()):
-        below = f"{clipped} with a {metric} below {tell_number(CUT, kind='count')}"
+        below = f"{clipped} with a {metric} below {format_number(CUT, kind='count')}"
         caption += f" Hollow symbols at the left edge: {below}, counted in full in r."
     slug = make_slug("scatter", panel.scale, panel.level, one.metric)
     return Picture(slug, caption, partial(draw_scatter, panel, one, looks=looks))
@@ -241,7 +241,7 @@ def _describe_bars(panel: Panel) -> str:
     counts = panel.stimuli["n_participants"]
     if counts.max() < SMALLEST:
         return "One participant each, so no intervals."
-    who = f"{tell_span(counts)} participants who rated it"
+    who = f"{format_span(counts)} participants who rated it"
     return f"Thin grey bars: 95 % t intervals over the {who}."
 
 
@@ -257,12 +257,12 @@ def _note_panels(panels: Iterable[Panel]) -> Iterator[str]:
     for panel in panels:
         lead = f"{panel.scale}, {panel.level}"
         notes = [
-            (note, f"{tell_method(one.method)} with {one.metric}")
+            (note, f"{format_method(one.method)} with {one.metric}")
             for one in panel.associations
             for note in one.notes
         ]
         notes += [
-            (note, f"{tell_method(two.method)} with {two.first} less {two.second}")
+            (note, f"{format_method(two.method)} with {two.first} less {two.second}")
             for two in panel.differences
             for note in two.notes
         ]
@@ -293,7 +293,7 @@ def _sum_up(panel: Panel, *, several: bool) -> str:
     ranked = {result.metric: result for result in panel.associations if result.method == RANKED}
     found = "; ".join(_describe_correlation(result, ranked[result.metric]) for result in leading)
     known = not math.isnan(leading[0].ceiling)
-    ceiling = f"; the noise ceiling is {tell_number(leading[0].ceiling)}" if known else ""
+    ceiling = f"; the noise ceiling is {format_number(leading[0].ceiling)}" if known else ""
     compared = "".join(
         f" {_describe_difference(two)}" for two in panel.differences if two.method == LEADING
     )
@@ -302,28 +302,28 @@ def _sum_up(panel: Panel, *, several: bool) -> str:
 
 
 def _describe_correlation(result: Association, ranked: Association) -> str:
-    name = tell_name(result.metric)
+    name = format_name(result.metric)
     if math.isnan(result.value):
         why = result.notes[0].removeprefix("No correlation: ").removesuffix(".")
         return f"no correlation with {name} ({why})"
-    r = f"r\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}{tell_number(result.value)} with {name}"
+    r = f"r\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}{format_number(result.value)} with {name}"
     if math.isnan(result.low):
         return f"{r}, without an interval"
     covers = ", which covers zero" if _covers_zero(result) else ""
     # A few outlying values may hide what the ranks of all others show.
     contradicts = _covers_zero(result) != _covers_zero(ranked) or result.value * ranked.value < 0
-    ranks = f"; by ranks {tell_number(ranked.value)}, {tell_range(ranked.low, ranked.high)}"
+    ranks = f"; by ranks {format_number(ranked.value)}, {format_interval(ranked.low, ranked.high)}"
     ranks = ranks if contradicts and not math.isnan(ranked.low) else ""
-    return f"{r} (95 % two-way interval {tell_range(result.low, result.high)}{covers}{ranks})"
+    return f"{r} (95 % two-way interval {format_interval(result.low, result.high)}{covers}{ranks})"
 
 
 def _describe_difference(two: Difference) -> str:
-    names = f"{tell_name(two.first)} and {tell_name(two.second)}"
+    names = f"{format_name(two.first)} and {format_name(two.second)}"
     if math.isnan(two.low):
         return f"The correlations with {names} cannot be compared by an interval."
     zero = "covers zero" if _covers_zero(two) else "excludes zero"
-    interval = f"{tell_range(two.low, two.high)}, which {zero}"
-    return f"The correlations with {names} differ by {tell_number(two.value)} ({interval})."
+    interval = f"{format_interval(two.low, two.high)}, which {zero}"
+    return f"The correlations with {names} differ by {format_number(two.value)} ({interval})."
 
 
 def _covers_zero(result: Association | Difference) -> bool:
@@ -335,7 +335,9 @@ def _covers_zero(result: Association | Difference) -> bool:
 
 def name_subject(panel: Panel, *, several: bool) -> str:
     """Name what a panel's lines are listed under on the page."""
-    return start(tell_name(panel.scale) + (f" (level {tell_name(panel.level)})" if several else ""))
+    return capitalise(
+        format_name(panel.scale) + (f" (level {format_name(panel.level)})" if several else "")
+    )
 
 
 def reconcile(panel: Panel, claims: Sequence[Claim]) -> str:
@@ -354,7 +356,9 @@ def reconcile(panel: Panel, claims: Sequence[Claim]) -> str:
         and _disagrees(one, verdicts[one.metric])
     ]
     told += [
-        f"{tell_name(stronger)} correlates more (difference in r {' ('.join(tell_ends(two.value, two.low, two.high))})"
+        "{} correlates more (difference in r {}, 95 % CI {})".format(
+            format_name(stronger), *format_estimate(two.value, two.low, two.high)
+        )
         for two in panel.differences
         if two.method == LEADING
         and (stronger := _find_stronger(two))
@@ -385,9 +389,9 @@ def _disagrees(one: Association, claim: Claim) -> bool:
 
 
 def _contrast(one: Association) -> str:
-    told, interval = tell_ends(one.value, one.low, one.high)
+    told, interval = format_estimate(one.value, one.low, one.high)
     zero = ", which covers zero" if _covers_zero(one) else ""
-    metric = tell_name(one.metric)
+    metric = format_name(one.metric)
     return f"mean ratings correlate with {metric} at r = {told} (95 % CI {interval}{zero})"
 
 
@@ -419,9 +423,9 @@ def compute_further(table: Table, choices: Choices) -> Section:
             for method in METHODS
             for rng in [choices.make_rng(key, *part.place, metric, method)]
         ]
-        rows += [part.keys | {"_kind": tell_method(one.method)} | asdict(one) for one in own]
+        rows += [part.keys | {"_kind": format_method(one.method)} | asdict(one) for one in own]
         told = _group(
-            (note, f"{tell_method(one.method)} with {tell_name(one.metric)}")
+            (note, f"{format_method(one.method)} with {format_name(one.metric)}")
             for one in own
             for note in one.notes
         )
@@ -429,7 +433,7 @@ def compute_further(table: Table, choices: Choices) -> Section:
             whose = "further metrics" if len(names) == len(own) else "; ".join(names)
             notes.append(f"{part.lead}, {whose}: {note}")
     known = describe_explored(table.metrics)
-    meanings = "; ".join(f"{tell_name(name)}: {known[name].meaning}" for name in table.further)
+    meanings = "; ".join(f"{format_name(name)}: {known[name].meaning}" for name in table.further)
     return Section(
         key=key,
         title="Further metrics, explored",

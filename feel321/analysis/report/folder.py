@@ -129,7 +129,7 @@ class ResultsFolder:
         text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
         (stage / RESULTS).write_text(f"{text}\n", encoding="utf-8", newline="")
         (stage / PAGE).write_text(page(drawings), encoding="utf-8", newline="")
-        replace_report(stage, self.path, files=content["files"])
+        _replace(stage, self.path, files=content["files"])
         return self.path
 
     def _stage(self, part: str = "") -> Path:
@@ -187,7 +187,7 @@ for line in sys.stdin:
 """What the second process runs. It imports neither the caller's script nor anything of a running session."""
 
 
-def replace_report(place: Path, target: Path, *, files: Iterable[str]) -> None:
+def _replace(place: Path, target: Path, *, files: Iterable[str]) -> None:
     """Move finished results to their folder, over the former ones."""
     wanted = tuple(files)
     former = _refuse_foreign(target, wanted)

@@ -7,10 +7,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis.primary.plan import REDUCER, SOURCE, make_cells
-from feel321.analysis.primary.sensitivity import ENOUGH, Precision, find_own, find_variances
+from feel321.analysis.primary.sensitivity import ENOUGH, SlopePrecision, find_own, find_variances
 from feel321.analysis.report.parts import ITEM, SIGNIFICANCE
 from feel321.analysis.report.section import METRIC, RATINGS, Column, TableForm
-from feel321.analysis.words import COUNT, tell_name, tell_number
+from feel321.analysis.words import COUNT, format_name, format_number
 
 if TYPE_CHECKING:
     from feel321.analysis.primary.model import Primary
@@ -59,13 +59,13 @@ def describe_need(row: Row, *, scenes: str = "recordings") -> str:
     """Say what would settle an inconclusive slope."""
     if row["p_holm"] < SIGNIFICANCE or not is_sound(row):
         return ""
-    metric = tell_name(row["metric"])
+    metric = format_name(row["metric"])
     if_so = f"If the true slope on {metric} is the one estimated here,"
     if math.isfinite(row["_participants"]):
-        people = tell_number(row["_participants"], kind=COUNT)
+        people = format_number(row["_participants"], kind=COUNT)
         return f"{if_so} {people} participants with these recordings would give 80 % power."
     if math.isfinite(row["_recordings"]):
-        more, most = tell_number(row["_recordings"], kind=COUNT), tell_number(row["_infinite"])
+        more, most = format_number(row["_recordings"], kind=COUNT), format_number(row["_infinite"])
         alone = f"adding participants alone would not settle it (power at most {most})"
         return f"{if_so} {alone}; {more} {scenes} with as many participants would give 80 % power."
     return f"A slope on {metric} as small as the one estimated here is out of reach of any study of this kind."
@@ -73,7 +73,7 @@ def describe_need(row: Row, *, scenes: str = "recordings") -> str:
 
 def find_precision(
     metric: str, part: RatingsPart, model: Primary, *, n_tests: int = 1
-) -> Precision:
+) -> SlopePrecision:
     """Take the standard error of a slope apart, by the spreads that were estimated."""
     cells = make_cells(part.rows, list(model.slopes.index))
     within = [f"{name}_w" for name in model.slopes.index]
@@ -90,7 +90,7 @@ def find_precision(
     items = cells.table.drop_duplicates(ITEM)
     known = REDUCER in found or f"participant:{REDUCER}" in found
     codes = items[REDUCER].factorize()[0] if known else None
-    study = Precision(
+    study = SlopePrecision(
         slope_sd=spreads.get(("participant", f"{metric}_w"), 0.0), item_sd=found.get(ITEM, 0.0),
         noise_sd=math.hypot(found.get("participant:item", 0.0), model.fit.residual_sd / math.sqrt(repeats)), square=1.0,
         n_participants=model.n_participants, n_recordings=model.n_sources, n_items=len(items), n_slopes=len(within),

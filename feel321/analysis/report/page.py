@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from feel321.analysis.words import keep_together, start, tell_name
+from feel321.analysis.words import capitalise, format_name, keep_together
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -31,7 +31,7 @@ def render_template(name: str, *, styles: Sequence[str] = ("report.css",), **val
         keep_trailing_newline=True,
         finalize=keep_together,
     )
-    environment.filters |= {"words": tell_name, "start": start}
+    environment.filters |= {"words": format_name, "start": capitalise}
     style = "".join((TEMPLATES / sheet).read_text(encoding="utf-8") for sheet in styles)
     return environment.get_template(name).render(style=style, **values)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from feel321.analysis.contrasts.discrimination import discriminate_pairs
 from feel321.analysis.figures.maps import draw_discrimination, draw_space
-from feel321.analysis.primary.influence import adjust
+from feel321.analysis.primary.model import adjust_holm
 from feel321.analysis.report.parts import SIGNIFICANCE
 from feel321.analysis.report.section import (
     NAME,
@@ -29,8 +29,8 @@ from feel321.analysis.space import (
     stress_by_dimension,
 )
 from feel321.analysis.table.reading import order_reducers
-from feel321.analysis.table.sheet import ANSWERED, APART, PAIRED
-from feel321.analysis.words import COUNT, Line, count_number, tell_name, tell_number
+from feel321.analysis.table.schema import ANSWERED, APART, PAIRED
+from feel321.analysis.words import COUNT, Line, count_number, format_name, format_number
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
     Row = dict[str, Any]
 
-# ABX trials: how well what a reducer made is told from its reference.
+# ABX trials: how well what a reducer made is distinguished from its reference.
 
 RIGHT, WRONG = 100.0, 0.0
 WILSON = "95 % interval that follows from Wilson's"
@@ -82,7 +82,7 @@ def compute_discrimination(table: Table, choices: Choices) -> Section:  # noqa: 
     found = {names: discriminate_pairs(part)[None] for names, part in compared}
     if not found:
         return Section(key, title)
-    adjusted = adjust([one.p for one in found.values()])
+    adjusted = adjust_holm([one.p for one in found.values()])
     evaluated: list[Row] = [
         {"level": level, "reducer": name, **asdict(one), "p_holm": p}
         for ((level, name), one), p in zip(found.items(), adjusted, strict=True)
@@ -93,7 +93,7 @@ def compute_discrimination(table: Table, choices: Choices) -> Section:  # noqa: 
         f"ABX: {apart} of {n} reducers and anchors were distinguished from their reference above chance "
         f"(p (Holm) < {SIGNIFICANCE}).{others}"
     )
-    named = {f"{name} ({tell_name(str(level))})": one for (level, name), one in found.items()}
+    named = {f"{name} ({format_name(str(level))})": one for (level, name), one in found.items()}
     return Section(
         key=key,
         title=title,
@@ -110,7 +110,7 @@ def compute_discrimination(table: Table, choices: Choices) -> Section:  # noqa: 
     )  # fmt: skip
 
 
-# Dissimilarities: the map of what people tell apart, and what its axes are associated with.
+# Dissimilarities: the perceptual map, and what its axes are associated with.
 
 KEY = "space"
 DRAWS = 200
@@ -169,7 +169,7 @@ def compute_space(table: Table, choices: Choices) -> Section:
             notes.append(f"{PAIRED}, {level}: no map. {error}")
             continue
         caption = (
-            f"Map of the dissimilarities at level {tell_name(level)}, with 95 % bootstrap ellipses over "
+            f"Map of the dissimilarities at level {format_name(level)}, with 95 % bootstrap ellipses over "
             "participants; only distances have a meaning. Beside it, the stress of maps by their dimensions."
         )
         draw = partial(draw_space, ellipses, arm.names, stress=stress)
@@ -235,7 +235,7 @@ def _build_stress(arm: _Arm, stress: Sequence[float]) -> PageTable:
         {"level": arm.level, "dimensions": number, "stress": value, "n": len(arm.names)}
         for number, value in enumerate(stress, start=1)
     ]
-    return STRESS.build(rows, caption=STRESS.caption.format(tell_name(arm.level)))
+    return STRESS.build(rows, caption=STRESS.caption.format(format_name(arm.level)))
 
 
 def _relate(arm: _Arm, ellipses: Ellipses, choices: Choices) -> tuple[str, list[PageTable]]:
@@ -250,10 +250,10 @@ def _relate(arm: _Arm, ellipses: Ellipses, choices: Choices) -> tuple[str, list[
     aligned = align_spaces(positions, scaled, permutations=choices.draws, rng=rng)
     agreement = {key: getattr(aligned, key) for key in ("correlation", "p", "permutations")}
     found = regress_attributes(positions, {str(name): attributes[name] for name in attributes})
-    adjusted = found.assign(p_holm=adjust(found["p"].tolist()), property=found.index)
-    r, p = tell_number(aligned.correlation), tell_number(aligned.p, kind="p")
+    adjusted = found.assign(p_holm=adjust_holm(found["p"].tolist()), property=found.index)
+    r, p = format_number(aligned.correlation), format_number(aligned.p, kind="p")
     evidence = f"Procrustes r = {r}, permutation p {p if p.startswith('<') else f'= {p}'}"
-    what = f"align with the perceptual map (level {tell_name(arm.level)})"
+    what = f"align with the perceptual map (level {format_name(arm.level)})"
     shown = aligned.p < SIGNIFICANCE
     answer = f"The metrics {what}" if shown else f"It is unclear whether the metrics {what}"
     properties = [more | row for row in adjusted.to_dict("records")]

@@ -10,8 +10,8 @@ import numpy as np
 
 from feel321.analysis.primary.model import FEW, fit_primary
 from feel321.analysis.table.items import find_sources
-from feel321.analysis.table.sheet import APART
-from feel321.analysis.words import name_path, tell_name, tell_number, tell_ratings
+from feel321.analysis.table.schema import APART
+from feel321.analysis.words import format_name, format_number, format_ratings, name_path
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -65,7 +65,7 @@ class RatingsPart:
     @property
     def ratings(self) -> str:
         """How to call it within a sentence."""
-        return tell_ratings(self.subject)
+        return format_ratings(self.subject)
 
     @property
     def place(self) -> tuple[str, str]:
@@ -88,7 +88,9 @@ def split_parts(table: Table, *, matched: bool = True) -> Iterator[RatingsPart]:
     rated = select_tests(table, matched=matched)
     several = len(rated["level"].unique()) > 1
     for (scale, level), part in rated.groupby(["scale", "level"], observed=True):
-        subject = tell_name(str(scale)) + (f" (level {tell_name(str(level))})" if several else "")
+        subject = format_name(str(scale)) + (
+            f" (level {format_name(str(level))})" if several else ""
+        )
         rows = part.assign(**{ITEM: part["stimulus_id"]})
         yield RatingsPart(str(scale), str(level), rows, subject)
 
@@ -125,7 +127,7 @@ def thin_parts(
 
 
 def thin_rows(rows: DataFrame, *, n_slopes: int, rng: np.random.Generator) -> tuple[DataFrame, str]:
-    """Subsample participants or recordings so that the model fits in memory; say so."""
+    """Subsample participants or recordings so that the model fits in memory, and note it."""
     sources, left = find_sources(rows), rows
     while _is_large(left, n_slopes):
         names = {name: sorted(left[name].unique()) for name in (WHO, SCENE)}
@@ -196,12 +198,12 @@ def count_units(rows: DataFrame) -> dict[str, int]:
     return {WHO: rows[WHO].nunique(), scene: sources.nunique()}
 
 
-def tell_reach(sizes: Mapping[str, int], *, claimed: bool = True) -> str:
+def describe_reach(sizes: Mapping[str, int], *, claimed: bool = True) -> str:
     """Say what a claim does not reach, or hardly, by the number of what was drawn.
 
     Examples
     --------
-    >>> tell_reach({"participant": 1, "recording": 9}), tell_reach({"participant": 9, "recording": 4})
+    >>> describe_reach({"participant": 1, "recording": 9}), describe_reach({"participant": 9, "recording": 4})
     (', about this one participant only', ', a hint rather than a result with so few recordings')
     """
     alone = [name for name, count in sizes.items() if count == 1]
@@ -211,13 +213,13 @@ def tell_reach(sizes: Mapping[str, int], *, claimed: bool = True) -> str:
     return told + hint * bool(few and claimed)
 
 
-def tell_p(p: float) -> str:
+def format_p(p: float) -> str:
     """Write a probability that was adjusted by Holm's method.
 
     Examples
     --------
-    >>> tell_p(0.0123)
+    >>> format_p(0.0123)
     'p (Holm) = 0.012'
     """
-    told = tell_number(p, kind="p")
+    told = format_number(p, kind="p")
     return f"p (Holm) {told if told.startswith('<') else f'= {told}'}"

@@ -22,8 +22,8 @@ from feel321.analysis.report.section import (
 )
 from feel321.analysis.screening.rules import RULES
 from feel321.analysis.screening.screen import screen_raters
-from feel321.analysis.table.sheet import APART, PAIR
-from feel321.analysis.words import COUNT, count_number, name_path, tell_name
+from feel321.analysis.table.schema import APART, PAIR
+from feel321.analysis.words import COUNT, count_number, format_name, name_path
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterator
@@ -136,7 +136,7 @@ def _list_rules(screening: Screening) -> Iterator[dict[str, Any]]:
         share = screening.table.loc[screening.table["rule"] == rule, "share"]
         yield {
             "rule": rule, "source": RULES[rule].source,
-            "protocols": ", ".join(map(tell_name, RULES[rule].protocols)) or "all",
+            "protocols": ", ".join(map(format_name, RULES[rule].protocols)) or "all",
             "flagged": ", ".join(map(str, hits)) or "–", "n_judged": int(share.notna().sum()), "n": len(share),
         }  # fmt: skip
 
@@ -184,7 +184,7 @@ def _fit(
 
 def _describe_rules(screening: Screening) -> str:
     says = [
-        f"{tell_name(rule)}: {RULES[rule].says.format(limit=limit)}"
+        f"{format_name(rule)}: {RULES[rule].says.format(limit=limit)}"
         for rule, limit in screening.limits.items()
     ]
     return f"Screening rules: {'; '.join(says)}."

@@ -19,16 +19,16 @@ from feel321.analysis.contrasts.equivalence import (
 from feel321.analysis.figures.estimates import draw_equivalence, draw_profile
 from feel321.analysis.figures.style import assign_looks
 from feel321.analysis.mixed.model import contrast, fit_mixed
-from feel321.analysis.primary.influence import adjust
+from feel321.analysis.primary.model import adjust_holm
 from feel321.analysis.primary.plan import make_cells
 from feel321.analysis.report.parts import (
     ITEM,
     SIGNIFICANCE,
     count_units,
+    describe_reach,
     find_repeat_sd,
+    format_p,
     select_tests,
-    tell_p,
-    tell_reach,
     thin_parts,
     thin_rows,
 )
@@ -49,17 +49,17 @@ from feel321.analysis.report.section import (
     read_methods,
 )
 from feel321.analysis.table.items import find_sources
-from feel321.analysis.table.judgements import ROLES
 from feel321.analysis.table.reading import order_reducers
-from feel321.analysis.table.sheet import ANSWERED, PAIR, tell_measure
+from feel321.analysis.table.schema import ANSWERED, PAIR, ROLES
 from feel321.analysis.words import (
     COUNT,
+    capitalise,
     count_number,
+    format_estimate,
+    format_measure,
+    format_name,
     make_number,
     name_path,
-    start,
-    tell_ends,
-    tell_name,
 )
 
 if TYPE_CHECKING:
@@ -129,7 +129,7 @@ def _picture_profiles(
 
 
 def _caption_profile(scale: str, level: str, profile: DataFrame) -> str:
-    caption = f"Mean {tell_measure(scale)} per reducer (level {tell_name(level)})"
+    caption = f"Mean {format_measure(scale)} per reducer (level {format_name(level)})"
     if profile["n_participants"].max() < SMALLEST:
         caption += "; one participant each, so no intervals."
     else:
@@ -164,7 +164,7 @@ def compute_levels(table: Table, choices: Choices) -> Section:
     found = []
     if len(tests["level"].unique()) > 1:
         found = list(_compare_scales(tests, table.metrics, choices=choices, notes=notes))
-    adjusted = adjust([row["p"] for row in found]) if found else []
+    adjusted = adjust_holm([row["p"] for row in found]) if found else []
     rows = [{**row, "p_holm": holm} for row, holm in zip(found, adjusted, strict=True)]
     return Section(
         key=KEY_LEVELS,
@@ -235,20 +235,20 @@ def _gather_arms(part: DataFrame, metrics: tuple[str, ...]) -> DataFrame:
 
 
 def _describe_levels(row: Row) -> str:
-    what, metric = f"{tell_name(row['scale'])} ratings", tell_name(row["of"])
-    first, second = tell_name(row["first"]), tell_name(row["second"])
-    value, interval = tell_ends(row["estimate"], row["low"], row["high"], kind="slope")
-    found = f"{value} points, 95 % CI {interval}; {tell_p(row['p_holm'])}"
+    what, metric = f"{format_name(row['scale'])} ratings", format_name(row["of"])
+    first, second = format_name(row["first"]), format_name(row["second"])
+    value, interval = format_estimate(row["estimate"], row["low"], row["high"], kind="slope")
+    found = f"{value} points, 95 % CI {interval}; {format_p(row['p_holm'])}"
     decided, more = row["p_holm"] < SIGNIFICANCE, row["estimate"] > 0
     if not decided and row["of"] == "rating":
         return f"It is unclear whether {what} differ between {first} and {second} ({found})."
     if not decided:
         differs = f"the effect of {metric} on {what} differs between {first} and {second}"
         return f"It is unclear whether {differs} (difference of slopes {found})."
-    reach = tell_reach(row["_reach"])
+    reach = describe_reach(row["_reach"])
     if row["of"] == "rating":
         way = "higher" if more else "lower"
-        return f"{start(what)} are {way} at {first} than at {second} ({found}){reach}."
+        return f"{capitalise(what)} are {way} at {first} than at {second} ({found}){reach}."
     size = "larger" if more else "smaller"
     slope = f"the slope on {metric} is {size} at {first} than at {second}"
     return f"For {what} {slope} ({found}){reach}."
@@ -282,7 +282,7 @@ class _Margin(NamedTuple):
 
 
 class _Pair(NamedTuple):
-    """Two reducers and what tells them apart."""
+    """Two reducers, their difference, and the test of their equivalence."""
 
     row: Row
     test: Equivalence | None
@@ -354,7 +354,7 @@ def _compare_reducers(rows: DataFrame, margin: _Margin) -> list[_Pair]:
         weights = {f"which{codes[first]}": 1, f"which{codes[second]}": -1}
         pair = {"first": first, "second": second}
         found.append(pair | asdict(contrast(fit, weights)))
-    adjusted = adjust([row["p"] for row in found])
+    adjusted = adjust_holm([row["p"] for row in found])
     return [
         _test(row | {"p_holm": holm, "n": len(cells)}, margin)
         for row, holm in zip(found, adjusted, strict=True)
@@ -404,7 +404,7 @@ def _word_tests(row: Row) -> Row:
 def _caption_contrasts(part: RatingsPart, margin: _Margin, n_pairs: int) -> str:
     several = [f"other {name}s" for name, count in count_units(part.rows).items() if count > 1]
     others = " and ".join(several).replace("participants", "people")
-    differ = CONTRASTS.caption.format(start(part.subject), others, n_pairs)
+    differ = CONTRASTS.caption.format(capitalise(part.subject), others, n_pairs)
     if not margin.points > 0:
         return f"{differ} {margin.source}"
     return f"{differ} Margin of equivalence and non-inferiority: {margin.points:.1f} points ({margin.source})."
@@ -426,9 +426,9 @@ def _describe_contrasts(pairs: list[_Pair], part: RatingsPart, most: int = 5) ->
         tested = any(pair.test for pair in pairs)
         same = "none is shown to be equivalent" if tested else "equivalence is not tested"
     differ = _count_different(pairs)
-    reach = tell_reach(count_units(part.rows), claimed=bool(alike) or differ > 0)
+    reach = describe_reach(count_units(part.rows), claimed=bool(alike) or differ > 0)
     told = f"{differ} of {len(pairs)} pairs of reducers differ after Holm's adjustment"
-    return f"{start(part.subject)}: {told}; {same}{reach}."
+    return f"{capitalise(part.subject)}: {told}; {same}{reach}."
 
 
 def _picture_equivalence(pairs: list[_Pair], part: RatingsPart) -> Iterator[Picture]:

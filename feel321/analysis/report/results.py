@@ -13,7 +13,7 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from feel321.analysis.table.items import find_sources, tell_recordings
+from feel321.analysis.table.items import find_sources, format_recordings
 from feel321.analysis.table.reading import ROSTER_FILE
 from feel321.analysis.words import Number, count_number
 from feel321.records import Result
@@ -172,7 +172,7 @@ def describe_inputs(
             told |= {role: path.name, f"{role}_sha256": _digest(path.read_bytes())}
     found = find_sources(table.rows)
     if not found.is_unique:
-        told["sources"] = tell_recordings(len(found), found.nunique())
+        told["sources"] = format_recordings(len(found), found.nunique())
         told["sources_sha256"] = _digest(json.dumps(found.to_dict(), sort_keys=True).encode())
     if further is not None and not further.metrics.empty:
         rows = further.metrics.sort_index().to_csv(float_format="%.17g", lineterminator="\n")

@@ -31,7 +31,15 @@ from feel321.analysis.report.section import (
     read_methods,
     stack,
 )
-from feel321.analysis.words import COUNT, TWO_WAY, Line, start, tell_name, tell_number, tell_range
+from feel321.analysis.words import (
+    COUNT,
+    TWO_WAY,
+    Line,
+    capitalise,
+    format_interval,
+    format_name,
+    format_number,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterator, Mapping
@@ -201,7 +209,7 @@ def _picture_variants(part: RatingsPart, metrics: tuple[str, ...], table: DataFr
 
 def _picture_universes(metric: str, part: RatingsPart, result: Multiverse) -> Picture:
     caption = (
-        f"Slope of {part.ratings} on {tell_name(metric)}, points per +0.1, for every distinct set of raters that the "
+        f"Slope of {part.ratings} on {format_name(metric)}, points per +0.1, for every distinct set of raters that the "
         "screening rules leave, from the smallest up; 95 % Satterthwaite intervals. Below: the rules applied."
     )
     draw = partial(draw_multiverse, result, estimate="Points per +0.1")
@@ -209,13 +217,13 @@ def _picture_universes(metric: str, part: RatingsPart, result: Multiverse) -> Pi
 
 
 def _describe_universes(metric: str, part: RatingsPart, result: Multiverse) -> str:
-    what = f"Slope of {part.ratings} on {tell_name(metric)}"
+    what = f"Slope of {part.ratings} on {format_name(metric)}"
     if not len(result.curve):
         return f"{what}: no set of raters is large enough to fit the model."
     if result.n_distinct == 1:
         alone = f"the {result.n_combinations} combinations of screening rules leave 1 distinct set of raters, everyone"
-        return f"{what}: {tell_number(result.median, kind='slope')} points per +0.1; {alone}."
-    reach = tell_range(result.smallest, result.largest, kind="slope")
+        return f"{what}: {format_number(result.median, kind='slope')} points per +0.1; {alone}."
+    reach = format_interval(result.smallest, result.largest, kind="slope")
     sets = f"{result.n_distinct} distinct sets of raters"
     some = f"{len(result.curve)} of " if len(result.curve) < result.n_distinct else ""
     few = "; the others leave too few raters to fit the model" if some else ""
@@ -368,7 +376,7 @@ def _sum_up(found: list[tuple[RatingsPart, Refined]]) -> Iterator[Line]:
     if not gains:
         yield Line(f"{claim}: gains have no interval here.")
         return
-    reach = tell_range(gains[0], gains[-1]) if len(gains) > 1 else tell_number(gains[0])
+    reach = format_interval(gains[0], gains[-1]) if len(gains) > 1 else format_number(gains[0])
     covering = sum(gain["low"] <= 0 <= gain["high"] for gain in rest)
     each = "its interval covers" if len(rest) == 1 else "each 95 % two-way interval covers"
     shown = f"; {each} zero" if covering == len(rest) else ""
@@ -383,13 +391,15 @@ def _find_best(result: Refined) -> Row:
 
 
 def _describe_refined(part: RatingsPart, result: Refined) -> Line:
-    gain, line = _find_best(result), Line("", start(part.subject))
+    gain, line = _find_best(result), Line("", capitalise(part.subject))
     what = "it" if result.recommended else "the metric that the search chose"
-    best = f"the best single metric, {tell_name(gain['metric'])}, at {tell_number(gain['plain'])}"
-    interval = f"95 % two-way interval {tell_range(gain['low'], gain['high'])}"
+    best = (
+        f"the best single metric, {format_name(gain['metric'])}, at {format_number(gain['plain'])}"
+    )
+    interval = f"95 % two-way interval {format_interval(gain['low'], gain['high'])}"
     scored = (
         f"in cross-validation {what} correlates with rating differences within recordings at "
-        f"r = {tell_number(result.value)}, and {best} (gain {tell_number(gain['value'])}, {interval})"
+        f"r = {format_number(result.value)}, and {best} (gain {format_number(gain['value'])}, {interval})"
     )
     if result.recommended:
         text = f"{_name_choice(result)} predicts better than each metric alone: {scored}."
@@ -408,4 +418,4 @@ def _name_choice(result: Refined) -> str:
     if result.chosen == EQUAL:
         return "the sum of the metrics, each in standard deviations, with equal weights,"
     several = " + " in result.chosen
-    return f"{'the weighted sum of ' if several else ''}{tell_name(result.chosen)}"
+    return f"{'the weighted sum of ' if several else ''}{format_name(result.chosen)}"

@@ -19,11 +19,11 @@ from feel321.analysis.words import (
     SATTERTHWAITE,
     STUDENT,
     count_number,
+    format_estimate,
+    format_name,
     make_interval,
     make_number,
     name_path,
-    tell_ends,
-    tell_name,
 )
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ class Column:
     end: what the number's dotted name has after the row's own. method: how it was computed; may hold the row's keys in
     braces. interval: what its interval is; ends: what comes before "low" and "high" in the keys of its ends. show: of
     a number with an interval, both in two columns (the second headed head_interval), or one of them. n: key of how
-    many stimuli, participants or judgements it rests on, if not the table's.
+    many stimuli, participants or judgements it is based on, if not the table's.
     """
 
     head: str
@@ -87,7 +87,7 @@ class Column:
 
     def show_number(self, number: Number) -> tuple[str, ...]:
         """Write a number for the page."""
-        value, interval = tell_ends(number.value, number.low, number.high, kind=self.kind)
+        value, interval = format_estimate(number.value, number.low, number.high, kind=self.kind)
         if not self.head:
             return ()
         if self.show == INTERVAL:
@@ -96,7 +96,7 @@ class Column:
 
 
 def estimate(head: str, key: str, method: str, **more: str) -> Column:
-    """Declare an estimate of a mixed model with its t interval; its kind is "slope" unless told otherwise."""
+    """Declare an estimate of a mixed model with its t interval; its kind is "slope" if no other is given."""
     return Column(head, key, method=method, interval=SATTERTHWAITE, **{"kind": "slope", **more})
 
 
@@ -129,7 +129,7 @@ class PageTable:
 class TableForm:
     """A declared table: its caption, its columns, and the dotted name of a row's numbers, the row's keys in braces.
 
-    n: key of how many stimuli, participants or judgements a row rests on. detail: folded away on the page.
+    n: key of how many stimuli, participants or judgements a row is based on. detail: folded away on the page.
 
     Examples
     --------
@@ -154,7 +154,7 @@ class TableForm:
             for column in self.columns:
                 if column.kind in {TEXT, NAME}:
                     value = str(row[column.key])
-                    cells.append(tell_name(value) if column.kind == TEXT else value)
+                    cells.append(format_name(value) if column.kind == TEXT else value)
                     continue
                 numbers.append(column.make_number(row, path=own, n=self.n))
                 cells += column.show_number(numbers[-1])
@@ -256,7 +256,7 @@ class Section:
 
     @property
     def summary(self) -> str:
-        """What the fold is called; empty without one. What opens the report is told there at length."""
+        """What the fold is called; empty without one. What opens the report is given there at length."""
         kinds = {
             "in words": bool(self.verdict) and self.answers != tuple(map(str, self.verdict)),
             "tables": any(grid.detail for grid in self.grids),
@@ -290,9 +290,3 @@ def stack(frames: Iterable[tuple[Mapping[str, Any], DataFrame]]) -> Any:  # noqa
 
     own = [frame.assign(**more) for more, frame in frames if len(frame)]
     return pd.concat(own, ignore_index=True) if own else []
-
-
-def __getattr__(name: str) -> Any:  # noqa: ANN401 - what has moved; kept until all branches are in
-    from feel321.analysis.report import parts
-
-    return getattr(parts, {"Part": "RatingsPart"}.get(name, name))

@@ -23,7 +23,7 @@ from feel321.analysis.report.results import Results, collect_numbers, describe_i
 from feel321.analysis.report.section import number_pictures
 from feel321.analysis.screening.rules import RULES
 from feel321.analysis.table.reading import read_table
-from feel321.analysis.words import Line, tell_note
+from feel321.analysis.words import Line, format_note
 from feel321.doors import as_path, as_seed, follow
 
 if TYPE_CHECKING:
@@ -190,7 +190,7 @@ def gather_results(
     """Gather what ``results.json`` holds."""
     rows = table.rows
     names = [*rows["scale"].unique(), *rows["level"].unique(), *table.metrics, *table.further]
-    own = [tell_note(note, [*names, *RULES]) for note in _gather(sections, "notes")]
+    own = [format_note(note, [*names, *RULES]) for note in _gather(sections, "notes")]
     pictures = _gather(sections, "pictures")
     return Results(
         verdict=tuple(dict.fromkeys(map(str, _gather(sections, "verdict")))),
