@@ -41,7 +41,7 @@ def as_rng(rng: Rng, what: str = "rng") -> np.random.Generator:
     >>> as_rng(0).integers(10, size=3)
     array([8, 6, 5])
     """
-    import numpy as np  # only here, so that the command line answers at once
+    import numpy as np  # not before it is needed: the command line answers at once
 
     if isinstance(rng, np.random.Generator):
         return rng

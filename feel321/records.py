@@ -51,9 +51,10 @@ class Result:
         Returns
         -------
         str
-            Several lines.
+            Several lines: the numbers, and the notes if there are any.
         """
-        return f"{type(self).__name__}\n{_write_frame(self.to_frame())}"
+        notes = getattr(self, "notes", ())
+        return "\n".join((type(self).__name__, _write_frame(self.to_frame()), *notes))
 
     def __repr__(self) -> str:
         """Write numbers, names and flags in one line of at most 200 characters."""

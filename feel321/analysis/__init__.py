@@ -1,7 +1,8 @@
 """Do the match metrics predict what people feel? Tables in, associations, models, profiles and a report out.
 
 Importing this package loads numpy and nothing heavier; pandas, scipy and matplotlib come with the first call.
-Records that functions return are in `feel321.results`.
+Records that functions return are in `feel321.results`. What cannot be computed is refused by a ValueError (a wrong
+type by a TypeError) that says what must be, what was got and what to do; what is left out or assumed is in the notes.
 """
 
 from feel321.analysis.agreement.alpha import krippendorff_alpha

@@ -137,7 +137,7 @@ def find_p(z: float) -> float:
 
 
 def _find_odd(given: object) -> str:
-    """Quote what is no number."""
+    """Quote the first cell that is not a number."""
     uneven = "rows of different lengths"
     try:
         cells = np.asarray(given, dtype=object).ravel().tolist()

@@ -8,7 +8,7 @@ because stimuli of one recording resemble each other.
 from __future__ import annotations
 
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from feel321.analysis.arrays import FLAT as FLAT  # noqa: PLC0414 - its former p
 from feel321.analysis.arrays import PERFECT as PERFECT  # noqa: PLC0414 - its former place
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from numpy.typing import NDArray
 
@@ -25,13 +25,11 @@ if TYPE_CHECKING:
 
     Values = NDArray[np.float64]
 
-# Kendall's rank correlation of weighted items, all samples at once, in n log n steps.
-
 
 def weighted_kendall(x: Values, y: Values, *, weights: Values) -> Values:
-    """Kendall's tau-b along the last axis, each item counting as often as its weight says.
+    """Kendall's tau-b along the last axis, each item counting as often as its weight says; NaN for constants.
 
-    x, y: (..., n_items); weights: (..., n_items); returns (...), naN where x or y is constant.
+    All arrays: (..., n_items); all samples at once, in n log n steps.
 
     Notes
     -----
@@ -56,17 +54,14 @@ def weighted_kendall(x: Values, y: Values, *, weights: Values) -> Values:
     """
     x, y, weights = np.broadcast_arrays(x, y, weights)
     by_y = np.argsort(y, axis=-1, kind="stable")
-    y_sorted, y_weights = (
-        np.take_along_axis(y, by_y, axis=-1),
-        np.take_along_axis(weights, by_y, axis=-1),
-    )
-    rises = _find_starts(y_sorted)
+    y_weights = np.take_along_axis(weights, by_y, axis=-1)
+    rises = _find_starts(np.take_along_axis(y, by_y, axis=-1))
     places = np.empty_like(by_y)
     np.put_along_axis(places, by_y, np.cumsum(rises, axis=-1) - 1, axis=-1)
 
     order = np.lexsort((places, x), axis=-1)
-    x, places = np.take_along_axis(x, order, axis=-1), np.take_along_axis(places, order, axis=-1)
-    weights = np.take_along_axis(weights, order, axis=-1)
+    x, weights = (np.take_along_axis(one, order, axis=-1) for one in (x, weights))
+    places = np.take_along_axis(places, order, axis=-1)
     starts = _find_starts(x)
     squares = weights.sum(axis=-1) ** 2
     differ_x = squares - _sum_squares(starts, weights)
@@ -95,9 +90,8 @@ def _sum_squares(starts: NDArray[np.bool_], weights: Values) -> Values:
     """Sum the squared weights of groups: the pairs, both ways round, that are tied."""
     upto = np.cumsum(weights, axis=-1)
     # (Σ w)² = Σ w (2 S - w), S the sum up to and with each.
-    squares: Values = (
-        weights * (2 * (upto - _before_group(starts, upto - weights)) - weights)
-    ).sum(axis=-1)
+    doubled = 2 * (upto - _before_group(starts, upto - weights)) - weights
+    squares: Values = (weights * doubled).sum(axis=-1)
     return squares
 
 
@@ -115,22 +109,9 @@ def _count_discordant(places: NDArray[np.intp], weights: Values) -> Values:
         earlier = ones - _before_group(starts, ones - weights * is_one)
         discordant += (weights * (1 - is_one) * earlier).sum(axis=-1)
         order = np.argsort(places >> digit, axis=-1, kind="stable")
-        places, weights = (
-            np.take_along_axis(places, order, axis=-1),
-            np.take_along_axis(weights, order, axis=-1),
-        )
+        places = np.take_along_axis(places, order, axis=-1)
+        weights = np.take_along_axis(weights, order, axis=-1)
     return discordant
-
-
-# Weighted correlations and the cluster bootstrap, all draws at once.
-
-
-class Correlation(Protocol):
-    """A correlation of weighted items."""
-
-    def __call__(self, x: Values, y: Values, *, weights: Values) -> Values:
-        """Correlate along the last axis."""
-        ...
 
 
 STILL = 1e-12
@@ -147,9 +128,9 @@ MOST_UNDEFINED = 0.1
 
 
 def weighted_pearson(x: Values, y: Values, *, weights: Values) -> Values:
-    """Pearson's correlation along the last axis, each item counting as often as its weight says.
+    """Pearson's correlation along the last axis, each item counting as often as its weight says; NaN for constants.
 
-    x, y: (..., n_items); weights: (..., n_items); returns (...), naN where x or y is constant.
+    All arrays: (..., n_items).
 
     Examples
     --------
@@ -177,18 +158,12 @@ def _scale_down(values: Values) -> Values:
 
 
 def weighted_spearman(x: Values, y: Values, *, weights: Values) -> Values:
-    """Spearman's rank correlation along the last axis, each item counting as often as its weight says.
-
-    x, y: (..., n_items); weights: (..., n_items); returns (...), naN where x or y is constant.
-    """
+    """Spearman's rank correlation, as `weighted_pearson`."""
     return weighted_pearson(weighted_ranks(x, weights), weighted_ranks(y, weights), weights=weights)
 
 
 def weighted_ranks(values: Values, weights: Values) -> Values:
-    """Mid-ranks along the last axis of a sample in which each item occurs as often as its weight says.
-
-    values: (..., n_items); weights: (..., n_items); returns (..., n_items), rank of each item, from
-    1.
+    """Mid-ranks, from 1, along the last axis of a sample in which each item occurs as often as its weight says.
 
     Examples
     --------
@@ -202,11 +177,8 @@ def weighted_ranks(values: Values, weights: Values) -> Values:
     before = np.concatenate([np.zeros_like(upto[..., :1]), upto[..., :-1]], axis=-1)
     rises = np.diff(ordered, axis=-1) > 0
     ends = np.ones((*rises.shape[:-1], 1), dtype=bool)
-    # Both counts only grow, so a running maximum carries a tie's start forward and a running minimum its end
-    # back.
-    start = np.maximum.accumulate(
-        np.where(np.concatenate([ends, rises], axis=-1), before, 0), axis=-1
-    )
+    # Both counts only grow, so a running maximum carries a tie's start forward and a running minimum its end back.
+    start = _before_group(np.concatenate([ends, rises], axis=-1), before)
     stop = np.where(np.concatenate([rises, ends], axis=-1), upto, np.inf)
     stop = np.minimum.accumulate(stop[..., ::-1], axis=-1)[..., ::-1]
     ranks = np.empty_like(upto)
@@ -214,41 +186,37 @@ def weighted_ranks(values: Values, weights: Values) -> Values:
     return ranks
 
 
-class Method(NamedTuple):
-    """How items are correlated."""
+class CorrelationMethod(NamedTuple):
+    """How weighted items, x and y, are correlated along the last axis."""
 
-    correlation: Correlation
+    correlation: Callable[..., Values]
     ranked: bool
     within: bool
 
 
-METHODS: Mapping[str, Method] = MappingProxyType({
-    "pearson": Method(weighted_pearson, ranked=False, within=False),
-    "spearman": Method(weighted_spearman, ranked=True, within=False),
-    "kendall": Method(weighted_kendall, ranked=True, within=False),
-    "within": Method(weighted_pearson, ranked=False, within=True),
-    "within_spearman": Method(weighted_spearman, ranked=True, within=True),
-    "within_kendall": Method(weighted_kendall, ranked=True, within=True),
+METHODS: Mapping[str, CorrelationMethod] = MappingProxyType({
+    "pearson": CorrelationMethod(weighted_pearson, ranked=False, within=False),
+    "spearman": CorrelationMethod(weighted_spearman, ranked=True, within=False),
+    "kendall": CorrelationMethod(weighted_kendall, ranked=True, within=False),
+    "within": CorrelationMethod(weighted_pearson, ranked=False, within=True),
+    "within_spearman": CorrelationMethod(weighted_spearman, ranked=True, within=True),
+    "within_kendall": CorrelationMethod(weighted_kendall, ranked=True, within=True),
 })
 """The one list of correlations: name -> how; ``within`` is Pearson's."""
 
 
 def draw_counts(n_units: int, draws: int, *, rng: np.random.Generator) -> Values:
-    """How often each unit occurs in each sample of as many units, drawn with replacement.
-
-    Returns (draws, n_units).
-    """
+    """Count how often each unit occurs in each sample of as many units, drawn with replacement: (draws, n_units)."""
     return rng.multinomial(n_units, np.full(n_units, 1 / n_units), size=draws).astype(np.float64)
 
 
 def correlate_draws(
     items: Items, method: str, *, participants: Values, recordings: Values
 ) -> Values:
-    """Correlation of item means with every metric in every draw.
+    """Correlate item means with every metric in every draw: (n_metrics, draws).
 
-    participants: (draws, n_participants); recordings: (draws, n_recordings); returns (n_metrics,
-    draws), naN where a draw leaves the metric or the means constant, or fewer than three different
-    items.
+    participants: (draws, n_participants); recordings: (draws, n_recordings). NaN where a draw leaves the metric or
+    the means constant, or fewer than three different items.
     """
     how = METHODS[method]
     means, rated = _average(items, participants, how=how)
@@ -264,9 +232,9 @@ def correlate_draws(
 
 
 def _average(
-    items: Items, participants: Values, *, how: Method
+    items: Items, participants: Values, *, how: CorrelationMethod
 ) -> tuple[Values, NDArray[np.bool_]]:
-    """Average each item's ratings over the participants drawn; also tell whether it has any."""
+    """Average each item's ratings over the participants drawn; also mark the items with any."""
     seen = np.isfinite(items.ratings)
     votes = participants @ seen.astype(np.float64)
     sums = participants @ np.where(seen, items.ratings, 0.0)
@@ -282,7 +250,7 @@ def _tie_rounded(means: Values) -> Values:
 
 
 def _correlate_recordings(
-    items: Items, metric: Values, means: Values, *, rated: NDArray[np.bool_], how: Method
+    items: Items, metric: Values, means: Values, *, rated: NDArray[np.bool_], how: CorrelationMethod
 ) -> tuple[Values, Values]:
     """Correlate within each recording; also count the items that did: both of shape (draws, n_recordings)."""
     members = [np.flatnonzero(items.recordings == number) for number in range(items.n_recordings)]
@@ -295,26 +263,20 @@ def _correlate_recordings(
 
 
 def correlate_each(items: Items, method: str) -> Values:
-    """Correlation of item means with every metric within each recording, no draw taken.
+    """Correlate item means with every metric within each recording, no draw taken: (n_metrics, n_recordings).
 
-    Returns (n_metrics, n_recordings), naN where a recording has fewer than three rated items, or
-    the metric or the means are constant in it.
+    NaN where a recording has fewer than three rated items, or the metric or the means are constant in it.
     """
-    everyone = np.ones((1, items.n_participants))
-    means, rated = _average(items, everyone, how=METHODS[method])
-    each = [
-        _correlate_recordings(items, row, means, rated=rated, how=METHODS[method])[0]
-        for row in items.metrics
-    ]
-    return np.concatenate(each)
+    how, everyone = METHODS[method], np.ones((1, items.n_participants))
+    means, rated = _average(items, everyone, how=how)
+    rows = items.metrics
+    return np.concatenate([
+        _correlate_recordings(items, row, means, rated=rated, how=how)[0] for row in rows
+    ])
 
 
 def average_recordings(correlations: Values, sizes: Values, *, counts: Values) -> Values:
-    """Average the correlations of recordings over Fisher's z.
-
-    correlations: (draws, n_recordings), those that are not defined (NaN) do not count; sizes:
-    (draws, n_recordings); counts: (draws, n_recordings); returns (draws,), naN where none is
-    defined.
+    """Average the correlations of recordings, all (draws, n_recordings), over Fisher's z; NaN does not count.
 
     Notes
     -----
@@ -339,20 +301,16 @@ def average_recordings(correlations: Values, sizes: Values, *, counts: Values) -
 
 
 def fisher_z(correlation: Values) -> Values:
-    """Fisher's transform; NaN for a perfect correlation, which has none.
-
-    correlation: between -1 and 1, or NaN.
-    """
+    """Fisher's transform; NaN for a perfect correlation, which has none."""
     z: Values = np.arctanh(np.where(np.abs(correlation) < PERFECT, correlation, np.nan))
     return z
 
 
 def bootstrap_margin(drawn: Values, n_units: int) -> float:
-    """Half width of the 95 % interval of a statistic, from its bootstrap draws.
+    """Half width of the 95 % interval of a statistic, from its bootstrap draws, (draws,).
 
-    drawn: (draws,), naN where it is not defined; returns naN if there is one unit only, more than a
-    tenth of the draws are undefined, or all draws are the same, as ranks may be: that is no sign of
-    certainty.
+    NaN if there is one unit only, more than a tenth of the draws are undefined (NaN), or all draws are the same, as
+    ranks may be: that is no sign of certainty.
 
     Notes
     -----
@@ -363,15 +321,11 @@ def bootstrap_margin(drawn: Values, n_units: int) -> float:
 
     defined = drawn[np.isfinite(drawn)]
     too_many = len(drawn) - len(defined) > MOST_UNDEFINED * len(drawn)
-    if too_many or min(n_units, len(defined)) < 2:  # noqa: PLR2004 - a spread needs two
-        return float("nan")
-    if np.ptp(defined) <= STILL:
+    if too_many or min(n_units, len(defined)) < 2 or np.ptp(defined) <= STILL:  # noqa: PLR2004 - a spread needs two
         return float("nan")
     quantile = float(t.ppf((1 + CONFIDENCE) / 2, n_units - 1))
     return quantile * float(np.sqrt(n_units / (n_units - 1)) * defined.std(ddof=1))
 
-
-# All bootstrap draws of a correlation: of participants and recordings, and of participants only.
 
 BLOCK = 4_000_000
 """Numbers that an array of draws may hold: 32 MB, so that a million rows need no gigabytes."""
@@ -380,14 +334,13 @@ BLOCK = 4_000_000
 class Draws(NamedTuple):
     """The correlation with each metric, and Fisher's z of its draws.
 
-    point: (n_metrics,); two_way, participants: (n_metrics, draws); of_recordings: (n_metrics,
-    n_recordings).
+    point: (n_metrics,); two_way, participants: (n_metrics, draws); of_recordings: (n_metrics, n_recordings).
     """
 
-    point: NDArray[np.float64]
-    two_way: NDArray[np.float64]
-    participants: NDArray[np.float64]
-    of_recordings: NDArray[np.float64]
+    point: Values
+    two_way: Values
+    participants: Values
+    of_recordings: Values
 
 
 def draw_intervals(items: Items, method: str, *, draws: int, rng: np.random.Generator) -> Draws:
@@ -397,36 +350,26 @@ def draw_intervals(items: Items, method: str, *, draws: int, rng: np.random.Gene
     sizes = [min(block, draws - start) for start in range(0, draws, block)]
     blocks = [_draw_block(items, method, draws=size, rng=rng) for size in sizes]
     within = METHODS[method].within
-    return Draws(
-        point=correlate_draws(items, method, participants=everyone, recordings=everything)[:, 0],
-        two_way=fisher_z(np.concatenate([two_way for two_way, _ in blocks], axis=1)),
-        participants=fisher_z(np.concatenate([participants for _, participants in blocks], axis=1)),
-        of_recordings=correlate_each(items, method)
-        if within
-        else np.empty((len(items.metrics), 0)),
-    )
+    two_way, participants = (np.concatenate(part, axis=1) for part in zip(*blocks, strict=True))
+    each = correlate_each(items, method) if within else np.empty((len(items.metrics), 0))
+    point = correlate_draws(items, method, participants=everyone, recordings=everything)[:, 0]
+    return Draws(point, fisher_z(two_way), fisher_z(participants), each)
 
 
-def measure_lean(items: Items, method: str, drawn: Draws) -> NDArray[np.float64]:
-    """How far a mean of Fisher's z over recordings leans away from zero, because each rests on few stimuli.
-
-    Returns (n_metrics,).
-    """
-    how = METHODS[method]
-    if how.ranked or not how.within:
+def measure_lean(items: Items, method: str, drawn: Draws) -> Values:
+    """Measure how far mean Fisher's z over recordings leans from zero, as each has few stimuli: (n_metrics,)."""
+    if METHODS[method].ranked or not METHODS[method].within:
         return np.zeros(len(items.metrics))
     sizes = np.bincount(items.recordings)
     leans = drawn.of_recordings / (2 * np.maximum(sizes - 1, 1))
-    defined = np.isfinite(leans)
-    mean: NDArray[np.float64] = np.where(defined, leans, 0.0).sum(axis=1) / np.maximum(
-        defined.sum(axis=1), 1
-    )
+    counts = np.maximum(np.isfinite(leans).sum(axis=1), 1)
+    mean: Values = np.nan_to_num(leans, nan=0.0, posinf=0.0, neginf=0.0).sum(axis=1) / counts
     return mean
 
 
 def _draw_block(
     items: Items, method: str, *, draws: int, rng: np.random.Generator
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Values, Values]:
     # Participants are drawn first and recordings second, so that both intervals share the same participants.
     people = draw_counts(items.n_participants, draws, rng=rng)
     # A source comes with all its recordings, or not at all.

@@ -162,13 +162,6 @@ def fit_space(
     Space
         The best of the classical and several random starts.
 
-    Raises
-    ------
-    ValueError
-        If a shape is wrong, a value is negative or infinite, the matrix is not symmetric or 0 on its
-        diagonal, a pair was rated by nobody, all are alike, or the dimensions do not fit the stimuli; with draws, if
-        there are fewer than two participants.
-
     Notes
     -----
     SMACOF (scikit-learn) minimises Σ (δ_ij - d_ij)² over pairs. Stress-1 = √(Σ (δ̂ - d)² / Σ d²), where δ̂ is
@@ -353,13 +346,7 @@ def align_spaces(
     Returns
     -------
     Alignment
-        Agreement, its p, and the map laid over the reference.
-
-    Raises
-    ------
-    ValueError
-        If shapes do not fit, a value is not finite, all stimuli are in one place, or no permutation is asked
-        for.
+        Agreement, its p, and the map aligned with the reference.
 
     Notes
     -----
@@ -398,7 +385,7 @@ def align_spaces(
     tried = np.array([_agree(one[rng.permutation(len(one))], other) for _ in range(permutations)])
     p = float((1 + (tried >= agreement - FLAT**0.5).sum()) / (1 + permutations))
     disparity = max(0.0, 1 - agreement**2)
-    aligned = _lay_over(one, other)
+    aligned = _align(one, other)
     return Alignment(disparity, float(np.sqrt(1 - disparity)), p, aligned, permutations)
 
 
@@ -484,7 +471,7 @@ def bootstrap_space(
     votes = np.einsum("dp,pij->dij", weights, seen)
     sums = np.einsum("dp,pij->dij", weights, np.where(seen, stack, 0))
     means = np.divide(sums, votes, out=np.broadcast_to(group, sums.shape).copy(), where=votes > 0)
-    placed = [_lay_over(refit_space(mean, space).positions, space.positions) for mean in means]
+    placed = [_align(refit_space(mean, space).positions, space.positions) for mean in means]
     moved = np.stack(placed) - np.mean(placed, axis=0)
     covariance = np.einsum("dni,dnj->nij", moved, moved) / (draws - 1)
     values, vectors = np.linalg.eigh(covariance)
@@ -514,9 +501,9 @@ def _agree(one: Values, other: Values) -> float:
     return float(np.linalg.svd(_normalise(one).T @ _normalise(other), compute_uv=False).sum())
 
 
-def _lay_over(one: Values, other: Values) -> Values:
+def _align(one: Values, other: Values) -> Values:
     """Shift, turn, mirror and scale one configuration onto another."""
     centre = other.mean(axis=0)
     left, stretch, right = np.linalg.svd(_normalise(one).T @ (other - centre))
-    laid: Values = _normalise(one) @ left @ right * stretch.sum() + centre
-    return laid
+    aligned: Values = _normalise(one) @ left @ right * stretch.sum() + centre
+    return aligned

@@ -43,7 +43,7 @@ METRIC_AXES = {
 """Axis label of each metric; another metric is labelled by its name."""
 
 MEASURES = {"dissimilarity": "dissimilarity from the reference", "abx": "percentage correct"}
-"""Scales whose points are no rating of one stimulus -> what they measure."""
+"""Scales that do not rate a stimulus by itself -> what they measure."""
 
 TWO_WAY = "95 % two-way bootstrap interval, over participants and recordings"
 ONE_WAY = "95 % bootstrap interval over participants only: these stimuli as the only ones"
@@ -233,22 +233,9 @@ def format_estimate(
 
 @dataclass(frozen=True, slots=True)
 class Number:
-    """A number of a report and all that is needed to judge it.
+    """A number of a report, by its dotted path; NaN where it or an end of its interval is not defined.
 
-    Parameters
-    ----------
-    name : str
-        Dotted path, unique in a report.
-    value : float
-        The number; NaN where it is not defined.
-    low, high : float
-        Ends of the interval; NaN where there is none.
-    uncertainty : str
-        The kind of interval; empty where there is none.
-    method : str
-        How the value was computed.
-    n : int
-        How many stimuli, participants or judgements the value rests on.
+    uncertainty: kind of interval; n: how many stimuli, participants or judgements the value rests on.
     """
 
     name: str

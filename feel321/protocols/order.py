@@ -41,23 +41,12 @@ class TaskTrials:
     def draft_trial(self, spot: Spot, *, turn: int, phase: str = "main") -> Trial:
         """Make a trial of a comparison, before it has a number, a block and a repeat."""
         recording, index = spot
-        protocol = PROTOCOLS[self.task.protocol]
+        task, protocol = self.task, PROTOCOLS[self.task.protocol]
         groups = self.lessons if phase == "training" else self.groups
         turn += index + list(self.groups).index(recording)
         chosen = protocol.arrange(groups[recording][index], turn)
-        return Trial(
-            number=0,
-            block=0,
-            repeat=0,
-            protocol=protocol.name,
-            scale=protocol.scale,
-            timing=self.task.timing,
-            recording=recording,
-            parts=chosen.parts,
-            judgements=chosen.judgements,
-            phase=phase,
-            catch=chosen.catch,
-        )
+        names = (protocol.name, protocol.scale, task.timing, recording)
+        return Trial(0, 0, 0, *names, chosen.parts, chosen.judgements, phase, chosen.catch)
 
 
 def _gather_trials(items: Sequence[Item], tasks: Sequence[Task]) -> Iterator[TaskTrials]:
@@ -266,7 +255,7 @@ def _count_crowding(order: Iterable[_Card]) -> int:
 
 
 def _count_unavoidable(cards: Sequence[_Card], *, after: _Card) -> int:
-    """Count what each rule alone cannot avoid: n things hold at most (n + 1) / 2 of a kind apart."""
+    """Count what no order can avoid by each rule alone: n things hold at most (n + 1) / 2 of a kind apart."""
     per_recording = Counter(card.recording for card in cards)
     same = max(2 * count + (name == after.recording) for name, count in per_recording.items())
     spaced = 2 * sum(card.is_spaced for card in cards) + after.is_spaced

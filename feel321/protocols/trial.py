@@ -52,12 +52,6 @@ class Scale:
         Words along the slider, evenly spaced from 0 to 100; may be none.
     choices : tuple of str
         Names of the parts to choose from; none where there is a slider.
-
-    Examples
-    --------
-    >>> from feel321 import protocols
-    >>> protocols.read_scales()["abx"].choices
-    ('a', 'b')
     """
 
     name: str
@@ -165,13 +159,6 @@ class Trial:
         `training`, `practice` or `main`; only trials of the main phase are results.
     catch : str
         `identical`, `hidden_reference` or `anchor` where the right answer is known; else empty.
-
-    Examples
-    --------
-    >>> from feel321 import protocols
-    >>> oak = protocols.Item("oak-dft321", "oak", "dft321", "as_is", "test")
-    >>> protocols.make_order([oak], ["realism"], number=1)[0].parts[0].stimulus_id
-    'oak-dft321'
     """
 
     number: int

@@ -1,4 +1,4 @@
-"""Conditioning: what is done to a recording before it is reduced, and to a stimulus before it is played.
+"""Conditioning: steps applied to a recording before it is reduced, and to a stimulus before it is played.
 
 Each step is named, optional, and recorded in the stimulus set's manifest. Filters are Butterworth, fourth order,
 applied forwards and backwards (no phase shift, magnitude squared): at the corner frequency the gain is -6 dB.
@@ -20,7 +20,7 @@ FILTER_ORDER = 4
 
 @dataclass(frozen=True, slots=True)
 class Conditioning:
-    """Which steps a recording goes through, in this order; frequencies in Hz, times in s.
+    """Conditioning steps, applied in this order; frequencies in Hz, times in s.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ class Conditioning:
 
 
 def condition(recording: Recording, steps: Conditioning | None = None) -> Recording:
-    """Put a recording through the named steps.
+    """Condition a recording: crop, remove the offset, filter.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def list_steps(steps: Conditioning, rate_hz: float) -> list[str]:
 
 
 def _has_low_pass(steps: Conditioning, rate_hz: float) -> bool:
-    """Whether there is anything to remove: a sensor whose Nyquist frequency is below the corner has nothing there."""
+    """Whether the low-pass does anything: a sensor whose Nyquist frequency is below the corner has no signal there."""
     return steps.low_pass_hz is not None and steps.low_pass_hz < rate_hz / 2
 
 

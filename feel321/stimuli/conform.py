@@ -39,10 +39,7 @@ ENERGY_TOLERANCE = 0.005
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GoldenVector:
-    """Three axes and the output that equations 3 and 4 give.
-
-    acceleration: (3, n_samples); expected: (n_samples,).
-    """
+    """Three axes, (3, n_samples), and the output, (n_samples,), that equations 3 and 4 give."""
 
     name: str
     acceleration: Samples
@@ -106,7 +103,7 @@ def write_vectors(folder: Path, *, form: Form = "whole") -> list[Path]:
 
 
 def check_outputs(folder: Path, *, form: Form = "whole") -> None:
-    """Raise unless the files NAME.out.wav hold what the golden vectors ask for."""
+    """Raise unless the files NAME.out.wav hold the expected outputs."""
     faults: list[str] = []
     for vector in golden_vectors(form):
         path = folder / f"{vector.name}.out.wav"
@@ -163,7 +160,7 @@ def _whole_only() -> Iterator[GoldenVector]:
 
 
 def _windowed_only() -> Iterator[GoldenVector]:
-    """Cut a circle into frames: its energy must survive, its shape suffers where it is cut (25 % of the peak)."""
+    """Circular motion in frames: its energy must be kept; its shape changes where it is cut (25 % of the peak)."""
     angle = 2 * np.pi * 0.2 * np.arange(200, dtype=np.float64)
     circle = np.array([np.cos(angle), np.sin(angle), np.zeros(200)], dtype=np.float64)
     yield GoldenVector(

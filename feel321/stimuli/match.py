@@ -1,4 +1,4 @@
-"""Match metrics: how much of a recording's spectrum and waveform a reduced signal keeps.
+"""Match metrics: the share of a recording's spectrum and waveform that a reduced signal keeps.
 
 Conventions: acceleration (3, n_samples) and reduced (n_samples,), both finite, in any common unit; every metric is
 called alike, `METRICS[name](acceleration, reduced, rate_hz)`, and 1 is a perfect match. Each has a `..._details` form
@@ -18,9 +18,8 @@ Spectra are one-sided energy spectral densities on the DFT's grid, shape (..., n
 k * rate_hz / n_samples; frequencies in Hz.
 
 The kernel is a rectangle (Daniell smoothing) of full width 0.22 f around f: the Weber fraction of vibration frequency.
-The paper used MATLAB's `spafdr`, which averages the product of the transforms "over local frequency regions" of a
-chosen, frequency-dependent width (its *resolution*); the width here is that resolution, 0.22 f, edge to edge. MATLAB
-does not document its kernel's shape; the match metrics depend on it little, because both spectra are smoothed alike.
+The paper used MATLAB's `spafdr` with that width as its *resolution*. MATLAB does not document its kernel's shape; the
+match metrics depend on it little, because both spectra are smoothed alike.
 
 References
 ----------
@@ -132,7 +131,7 @@ class WeberSmoothing:
 
 
 class _Edges(NamedTuple):
-    """Where the windows' edges cut the running sum: after so many whole bins, and a share of the next."""
+    """Edges of the windows in the running sum: a number of whole bins, and a share of the next."""
 
     bin: NDArray[np.intp]
     share: Samples

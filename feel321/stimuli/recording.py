@@ -267,7 +267,7 @@ def as_signal(
 
 
 def digest_samples(recording: Recording) -> str:
-    """Digest what a recording holds, however it was stored: two readings of one file in different units differ."""
+    """Digest the samples and the rate: two readings of one file in different units differ."""
     digest = hashlib.sha256(np.float64(recording.rate_hz).tobytes())
     digest.update(recording.acceleration.tobytes())
     return digest.hexdigest()
@@ -363,7 +363,7 @@ def _energy(samples: Samples) -> Samples:
 
 
 def is_safe(peaks: ArrayLike) -> NDArray[np.bool_]:
-    """Which peaks need no scaling."""
+    """Whether peaks need no scaling."""
     peaks = np.asarray(peaks)
     return np.asarray((peaks == 0.0) | ((peaks >= SAFE_PEAK[0]) & (peaks <= SAFE_PEAK[1])))
 

@@ -17,8 +17,6 @@ References
 ----------
 .. [1] G. Park, K. J. Kuchenbecker, "Objective and subjective assessment of algorithms for reducing three-axis
    vibrations to one-axis vibrations", World Haptics 2019. doi:10.1109/WHC.2019.8816148
-.. [2] N. Landin, J. M. Romano, W. McMahan, K. J. Kuchenbecker, "Dimensional reduction of high-frequency accelerations
-   for haptic rendering", EuroHaptics 2010, equations 1 and 2. doi:10.1007/978-3-642-14075-4_12
 """
 
 from __future__ import annotations
@@ -188,7 +186,7 @@ def match(
     reducers: str | Iterable[str | types.Reducer] = "all",
     metrics: str | Iterable[str | types.Metric] = "all",
 ) -> DataFrame:
-    """Match a recording with one reduced signal, or with what each reducer makes of it.
+    """Match a recording with one reduced signal, or with the output of each reducer.
 
     Parameters
     ----------
@@ -265,7 +263,7 @@ def rotation_statistics(
     reducer: str | None = None,
     rate_hz: float | None = None,
 ) -> DataFrame | RotationStatistics:
-    """Reduce a recording as if the sensor had been mounted in many random ways, and describe the metrics.
+    """Compute the metrics over random orientations of the sensor.
 
     Parameters
     ----------
@@ -292,10 +290,6 @@ def rotation_statistics(
     ------
     ValueError
         If the input is not one recording, the reducer is unknown, or there are fewer than 200 rotations.
-
-    References
-    ----------
-    .. [1] Park & Kuchenbecker 2019. doi:10.1109/WHC.2019.8816148
 
     Examples
     --------
@@ -335,7 +329,7 @@ def match_rotations(
     reducers: Sequence[str | types.Reducer],
     turns: Samples,
 ) -> Samples:
-    """Turn a recording, as if the sensor had been mounted otherwise, reduce it, and match it with itself.
+    """Rotate a recording, as if the sensor had been mounted differently, reduce it, and match the result.
 
     turns: (rotations, 3, 3); returns (n_reducers, 3, rotations): spectral, temporal, bounded spectral match.
     """

@@ -1,4 +1,4 @@
-"""SCENES: synthetic recordings that stand for what a hand-held tool meets, for demonstrations and tests.
+"""SCENES: synthetic recordings of typical tool contacts, for demonstrations and tests.
 
 Each scene is a few lines of physics: contacts push the tool, the tool rings in its own modes, and every mode moves the
 sensor along a direction of its own. Amplitudes are those of light tool use (peaks of 5 to 60 m/s²). Seeded: the same
@@ -157,7 +157,7 @@ def isotropic_rumble(time_s: Samples, rng: np.random.Generator) -> Samples:
 
 
 def circular_motion(time_s: Samples, rng: np.random.Generator) -> Samples:
-    """Turn with an unbalanced rotor: x and y a quarter of a turn apart, with a slowly drifting speed."""
+    """Unbalanced rotor: x and y a quarter of a turn apart, with a slowly drifting speed."""
     turns = 150.0 * time_s + 4.0 * np.sin(2 * np.pi * 0.5 * time_s)
     wobble = 0.2 * _coloured(time_s, rng, low_hz=100.0, high_hz=300.0)
     angle = 2 * np.pi * turns
@@ -182,7 +182,7 @@ SCENES: Registry[Callable[[Samples, np.random.Generator], Samples]] = Registry(
 
 
 def _ring(push: Samples, time_s: Samples, *, size: float, shares: Samples | None = None) -> Samples:
-    """Let the tool's modes answer a push: decaying sinusoids, each along its own direction; peak near `size`."""
+    """Response of the tool's modes to a push: decaying sinusoids, each along its own direction; peak near `size`."""
     from scipy.signal import fftconvolve
 
     shares = np.ones(len(_TOOL_MODES)) if shares is None else shares

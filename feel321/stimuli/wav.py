@@ -38,7 +38,7 @@ SAMPLE_BITS = {PCM: range(1, 65), IEEE_FLOAT: (32, 64)}
 
 
 class WavHeader(NamedTuple):
-    """What the chunks of a WAV file promise, and what the file holds."""
+    """Format and length of a WAV file by its chunks, and the bytes that are present."""
 
     channels: int
     rate_hz: int
@@ -132,7 +132,7 @@ def read_wav(path: PathLike) -> tuple[Samples, int]:
 
 
 def read_wav_header(path: Path) -> WavHeader:
-    """Read what a WAV file's chunks promise, without reading samples."""
+    """Read and check a WAV file's header, without reading samples."""
     with path.open("rb") as file, file_named(path):
         try:
             header = _scan_chunks(file, path.stat().st_size)

@@ -17,18 +17,8 @@ if TYPE_CHECKING:
 class Problems(Result):
     """What `Study.check` found.
 
-    Parameters
-    ----------
-    problems : tuple of str
-        What stands in the way of the study; empty if nothing does.
-    warnings : tuple of str
-        What is allowed and may not be meant.
-    notes : tuple of str
-        How strongly the stimuli are played.
-    remarks : tuple of str
-        What was noticed in the recordings.
-    figures : dict
-        The numbers behind them.
+    problems: what stands in the way of the study; warnings: what is allowed and may not be meant; notes: how strongly
+    the stimuli are played; remarks: what was noticed in the recordings; figures: the numbers behind them.
     """
 
     problems: tuple[str, ...]
@@ -38,13 +28,7 @@ class Problems(Result):
     figures: Mapping[str, Any] = field(default_factory=dict)
 
     def to_frame(self) -> DataFrame:
-        """Return one row per finding.
-
-        Returns
-        -------
-        DataFrame
-            With the columns `kind` and `text`.
-        """
+        """Return one row per finding, with the columns `kind` and `text`."""
         return _list_findings(self, "problems", "warnings", "remarks", "notes")
 
     def __repr__(self) -> str:
@@ -56,25 +40,14 @@ class Problems(Result):
 class Audit(Result):
     """What `Study.audit` found.
 
-    Parameters
-    ----------
-    findings : tuple of str
-        Every gap, duplicate and edit; empty if all is as it was written.
-    seal : str
-        Digest of plans, journals and stimuli, to be kept elsewhere.
+    findings: every gap, duplicate and edit; seal: digest of plans, journals and stimuli, to be kept elsewhere.
     """
 
     findings: tuple[str, ...]
     seal: str
 
     def to_frame(self) -> DataFrame:
-        """Return one row per finding.
-
-        Returns
-        -------
-        DataFrame
-            With the columns `kind` and `text`.
-        """
+        """Return one row per finding, with the columns `kind` and `text`."""
         return _list_findings(self, "findings")
 
     def __repr__(self) -> str:

@@ -8,7 +8,8 @@ from shlex import quote
 from typing import TYPE_CHECKING
 
 from feel321.files import create_text
-from feel321.study.session.plan import PARTICIPANT_ID, list_journals
+from feel321.study.session.journal import list_journals
+from feel321.study.session.plan import PARTICIPANT_ID
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -12,25 +12,29 @@ from typing import TYPE_CHECKING, Any
 from feel321.files import write_text
 from feel321.protocols.tasks import score_trial
 from feel321.study.columns import RATING_COLUMNS
-from feel321.study.session.journal import read_journal
-from feel321.study.session.opening import TOMBSTONE_FILE, read_as_written, require_own_plan
-from feel321.study.session.plan import (
+from feel321.study.session.events import PartPlayed, SessionSuperseded, TrialRated, TrialShown
+from feel321.study.session.journal import (
     find_header,
     has_event,
-    list_codes,
     list_journals,
     name_journal,
+    read_journal,
 )
+from feel321.study.session.opening import TOMBSTONE_FILE, read_as_written, require_own_plan
+from feel321.study.session.plan import list_by_code
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from feel321.protocols.trial import Trial
     from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
     from feel321.study.folder import StudyFolder
+    from feel321.study.session.events import SessionBegun
     from feel321.study.session.journal import Record
     from feel321.study.session.plan import Plan
+
+_KINDS = {kind.event for kind in (TrialShown, PartPlayed, TrialRated)}
 
 
 def write_ratings(study: StudyFolder, stimuli: StimulusSet) -> int:
@@ -42,7 +46,7 @@ def write_ratings(study: StudyFolder, stimuli: StimulusSet) -> int:
     Parameters
     ----------
     study : StudyFolder
-        Where the journals are and the table goes; the table is replaced in one step.
+        The study with its journals; the table is replaced in one step.
     stimuli : StimulusSet
         The set that was judged.
 
@@ -66,9 +70,9 @@ def write_ratings(study: StudyFolder, stimuli: StimulusSet) -> int:
 
 
 def read_judgements(folder: Path, stimuli: StimulusSet) -> list[dict[str, Any]]:
-    """Read the completed judgements of one participant."""
+    """Read the completed judgements of one participant, with names in the place of blind codes."""
     journals = list_journals(folder)
-    # Who withdrew has no ratings, even while the removal is not finished or a copy has come back.
+    # A withdrawn participant has no ratings, even while the removal is not finished or a copy has come back.
     if not journals or (folder / TOMBSTONE_FILE).exists():
         return []
     plan = require_own_plan(folder)
@@ -77,90 +81,75 @@ def read_judgements(folder: Path, stimuli: StimulusSet) -> list[dict[str, Any]]:
             f"{folder}: was planned with stimulus set {plan.stimuli_sha256[:12]}, the study holds "
             f"{stimuli.sha256[:12]}; build the set of that session again"
         )
-    codes = list_codes(stimuli, seed=plan.seed)
-    by_code = {codes[row.stimulus_id]: row for row in stimuli.stimuli}
+    by_code = list_by_code(stimuli, seed=plan.seed)
     rows = []
     for path in journals:
         records = read_journal(path).records
-        if header := find_header(records):
-            with read_as_written(path):
-                require_own(path, header, plan)
-                rows += [
-                    _name_row(row, header, by_code) for row in _replay(plan, records, path=path)
-                ]
+        with read_as_written(path):
+            if (header := find_header(records)) is None:
+                continue
+            if fault := next(find_misplaced(path, header, plan), ""):
+                remedy = "move a copy out of sessions/, or restore the plan from one"
+                raise ValueError(f"{path}{fault}; {remedy}")
+            judged = _list_judgements(plan, records, path=path)
+            own = [_decode(row, header, by_code) for row in judged]
+            rows += sorted(own, key=lambda row: row["trial"])
     return rows
 
 
-def require_own(path: Path, header: Mapping[str, Any], plan: Plan) -> None:
-    """Refuse a journal that was written elsewhere, or to another plan than the one beside it."""
-    if (header["participant"], name_journal(header["session"])) != (path.parent.name, path.name):
-        raise ValueError(
-            f"{path}: is session {header['session']} of {header['participant']!r}, it was copied here; "
-            "move the copy out of sessions/"
-        )
-    if header["plan_sha256"] != plan.sha256:
-        raise ValueError(
-            f"{path}: was begun with another plan than the one beside it; restore that from a copy"
-        )
+def find_misplaced(path: Path, header: SessionBegun, plan: Plan) -> Iterator[str]:
+    """Find whether a journal was written elsewhere, or to another plan than the one beside it."""
+    if (header.participant, name_journal(header.session)) != (plan.participant, path.name):
+        yield f": is session {header.session} of {header.participant!r}, it was copied here"
+    if header.plan_sha256 != plan.sha256:
+        yield ": was begun with another plan than the one beside it"
 
 
-def _name_row(
-    row: dict[str, Any], header: Mapping[str, Any], by_code: Mapping[str, Stimulus]
+def _decode(
+    row: dict[str, Any], header: SessionBegun, by_code: Mapping[str, Stimulus]
 ) -> dict[str, Any]:
-    """Put names for codes: what was blind is told here and nowhere before."""
     stimulus, reference = by_code[row["stimulus_id"]], by_code.get(row["reference_id"])
     return row | {
-        "participant": header["participant"],
-        "session": header["session"],
+        "participant": header.participant,
+        "session": header.session,
         "stimulus_id": stimulus.stimulus_id,
         "recording": stimulus.recording,
         "reducer": stimulus.reducer,
         "level": stimulus.level,
         "reference_id": reference.stimulus_id if reference else row["reference_id"],
-        "simulated": _write_flag(header["presenter"]["simulated"]),
+        "simulated": _write_flag(header.identity["presenter"]["simulated"]),
     }
 
 
-def _replay(plan: Plan, records: Sequence[Record], *, path: Path) -> list[dict[str, Any]]:
-    """List what the columns of each judgement owe to its own events."""
+def _list_judgements(
+    plan: Plan, records: Sequence[Record], *, path: Path
+) -> Iterator[dict[str, Any]]:
     trials = {trial.number: trial for trial in plan.trials}
-    superseded = has_event(records, "superseded")
-    rows: list[dict[str, Any]] = []
-    playbacks: list[Mapping[str, Any]] = []
+    superseded = has_event(records, SessionSuperseded)
+    played: list[PartPlayed] = []
     for record in records:
-        match record.event:
-            case "shown":
-                playbacks = []
-            case "played":
-                playbacks.append(record.data)
-            case "rated" if (trial := trials[record.data["trial"]]).phase == "main":
-                _require_played(trial, playbacks, where=f"{path}, line {record.sequence + 1}")
-                rows += _judge(trial, record.data, playbacks, superseded=superseded)
-    return sorted(rows, key=lambda row: row["trial"])
-
-
-def _require_played(trial: Trial, playbacks: Iterable[Mapping[str, Any]], *, where: str) -> None:
-    played = {playback["part"] for playback in playbacks if playback["completed"]}
-    if missing := [
-        judgement.part for judgement in trial.judgements if judgement.part not in played
-    ]:
-        raise ValueError(
-            f"{where}: trial {trial.number} is rated, but {', '.join(missing)} was not played since it was shown; "
-            "restore the file from a copy"
-        )
+        if record.event not in _KINDS:
+            continue
+        match record.content:
+            case TrialShown():
+                played = []
+            case PartPlayed() as part:
+                played.append(part)
+            case TrialRated() as rated if (trial := trials[rated.trial]).phase == "main":
+                felt = {part.part for part in played if part.completed}
+                if missing := [name for name in trial.judged if name not in felt]:
+                    raise ValueError(
+                        f"{path}, line {record.sequence + 1}: trial {trial.number} is rated, but {', '.join(missing)} "
+                        "was not played since it was shown; restore the file from a copy"
+                    )
+                yield from _judge(trial, rated, played, superseded=superseded)
 
 
 def _judge(
-    trial: Trial,
-    rated: Mapping[str, Any],
-    playbacks: Sequence[Mapping[str, Any]],
-    *,
-    superseded: bool,
+    trial: Trial, rated: TrialRated, played: Sequence[PartPlayed], *, superseded: bool
 ) -> Iterator[dict[str, Any]]:
-    points = score_trial(trial, rated["values"])
-    onsets = {
-        playback["part"]: playback["onset_s"] for playback in playbacks if playback["completed"]
-    }
+    points = score_trial(trial, rated.values)
+    onsets = {part.part: part.onset_s for part in played if part.completed}
     for judgement in trial.judgements:
         yield {
             "protocol": trial.protocol,
@@ -171,10 +160,10 @@ def _judge(
             "reference_id": judgement.reference_id,
             "scale": trial.scale,
             "rating": points[judgement.part],
-            "response_time_s": rated["response_time_s"],
+            "response_time_s": rated.response_time_s,
             "onset_s": onsets[judgement.part],
-            "underruns": sum(playback["underruns"] for playback in playbacks),
-            "rejected": _write_flag(rated["rejected"] or superseded),
+            "underruns": sum(part.underruns for part in played),
+            "rejected": _write_flag(rated.rejected or superseded),
         }
 
 

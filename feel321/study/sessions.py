@@ -28,14 +28,22 @@ from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.actuator.rig import FILE_DEVICE, identify, read_rig, take_device
 from feel321.study.ledger.slots import claim_slots, note_progress, open_study_ledger, read_ledger
 from feel321.study.ledger.standing import check_anchors
-from feel321.study.observer.judging import SPECTRAL, ObserverModel, Touch, expect_rating
-from feel321.study.observer.participant import Participant, SimulatedObserver, identify_observer
+from feel321.study.observer.participant import (
+    SPECTRAL,
+    ObserverModel,
+    Participant,
+    SimulatedObserver,
+    Touch,
+    expect_rating,
+    identify_observer,
+)
 from feel321.study.observer.percepts import read_percepts
 from feel321.study.provenance import find_changes
-from feel321.study.session.engine import Outcome, Stage, run_session
-from feel321.study.session.journal import read_journal
+from feel321.study.session.engine import Outcome, run_session
+from feel321.study.session.events import DeviceOpened, SessionFinished, SessionReleased
+from feel321.study.session.journal import find_elapsed, has_event, list_journals, read_journal
 from feel321.study.session.opening import TOMBSTONE_FILE, open_session
-from feel321.study.session.plan import find_elapsed, has_event, list_codes, list_journals, make_plan
+from feel321.study.session.plan import list_by_code, make_plan
 from feel321.study.settings.read import (
     find_language,
     list_surfaces,
@@ -73,15 +81,13 @@ if TYPE_CHECKING:
     ]
     Progress = Callable[[int, int], None]
 
-# Leading one participant through a session, with the ledger kept beside the journal.
-
 TRIALS_BETWEEN_NOTES = 25
-"""How far the ledger may be behind the journals of simulated participants; it follows real ones trial by trial."""
+"""Trials that the ledger may lag behind the journals of simulated participants; it follows real ones trial by trial."""
 
 
 @dataclass(frozen=True, slots=True)
 class Room:
-    """What the sessions of a study share."""
+    """The shared surroundings of a study's sessions."""
 
     study: StudyFolder
     stimuli: StimulusSet
@@ -99,15 +105,15 @@ def lead_session(
     make_presenter: MakePresenter,
     on_step: Callable[[Place], None] | None = None,
 ) -> tuple[Outcome, str]:
-    """Begin or resume the session of one participant and lead it as far as it goes."""
+    """Begin or resume the session of one participant and run it as far as it goes."""
     folder = room.study.sessions / plan.participant
-    _check_whole(room, folder)
+    for entry in read_ledger(room.ledger, folder.name):
+        check_anchors(entry.anchors, folder)  # a journal that was cut is not continued
     with open_session(folder, plan, identity=identity, now=room.now, stale=room.stale) as (
         stored,
         journal,
     ):
-        codes = list_codes(room.stimuli, seed=stored.seed)
-        by_code = {codes[row.stimulus_id]: row for row in room.stimuli.stimuli}
+        by_code = list_by_code(room.stimuli, seed=stored.seed)
         keeper = _Keeper(
             room.ledger, journal, every=TRIALS_BETWEEN_NOTES if stored.simulated else 1
         )
@@ -120,22 +126,22 @@ def lead_session(
         with ExitStack() as stack:
             stack.callback(keeper.write)
             presenter = stack.enter_context(make_presenter(stored, journal, by_code))
-            stage = Stage(presenter, by_code, room.scales, journal, stored.flow)
-            outcome = run_session(stored, stage, on_step=note)
+            outcome = run_session(
+                stored,
+                presenter,
+                stimuli=room.stimuli,
+                journal=journal,
+                scales=room.scales,
+                on_step=note,
+            )
         return outcome, "; ".join(filter(None, (journal.notice, keeper.notice)))
-
-
-def _check_whole(room: Room, folder: Path) -> None:
-    """Refuse to go on with a journal of which less is there than was seen."""
-    for entry in read_ledger(room.ledger, folder.name):
-        check_anchors(entry.anchors, folder)
 
 
 @dataclass(slots=True)
 class _Keeper:
-    """Notes in the ledger how far a session has come: at its opening, now and then, and at its end.
+    """Keeps the ledger beside the journal: at the opening of a session, now and then, and at its end.
 
-    The journal is the truth: a ledger that cannot be written is told, and ends nobody's session.
+    The journal is the truth: a ledger that cannot be written is reported, and ends nobody's session.
     """
 
     ledger: Engine
@@ -154,31 +160,25 @@ class _Keeper:
         if self.place is None:
             return
         self.noted = self.place.done
+        is_finished = has_event(self.journal.records, SessionFinished)
         try:
-            self._note(self.place)
+            note_progress(
+                self.ledger,
+                self.journal.path.parent.name,
+                journal=self.journal.path.name,
+                lines=len(self.journal.records),
+                tip=self.journal.tip,
+                done=self.place.done,
+                total=self.place.total,
+                state="finished" if is_finished else "running",
+            )
+            self.notice = ""
         except (OSError, ValueError) as error:
             self.notice = str(error)
-        else:
-            self.notice = ""
-
-    def _note(self, place: Place) -> None:
-        note_progress(
-            self.ledger,
-            self.journal.path.parent.name,
-            journal=self.journal.path.name,
-            lines=len(self.journal.records),
-            tip=self.journal.tip,
-            done=place.done,
-            total=place.total,
-            state="finished" if has_event(self.journal.records, "finished") else "running",
-        )
-
-
-# What comes before a session, simulated or real: the right stimulus set, the ledger, a number, a plan.
 
 
 def require_current_set(study: StudyFolder, settings: Settings) -> None:
-    """Demand the stimulus set that the settings ask for; no recording is read for it."""
+    """Check that the stimulus set is the one of the settings; no recording is read for it."""
     named = dict.fromkeys(entry.title for entry in settings.recordings)
     if changes := find_changes(study.stimuli, make_recipe(settings), named):
         raise ValueError(
@@ -189,7 +189,7 @@ def require_current_set(study: StudyFolder, settings: Settings) -> None:
 def list_rig_problems(
     study: StudyFolder, rig: Rig, *, settings: Settings, stimuli: StimulusSet
 ) -> list[str]:
-    """List what keeps a rig from playing the stimuli of a study as they are."""
+    """List the problems that keep a rig from playing the stimuli of a study as they are."""
     from feel321.study.actuator.render import find_mix, find_rig_problems
 
     try:
@@ -206,7 +206,7 @@ def list_rig_problems(
 def open_room(
     study: StudyFolder, settings: Settings, stimuli: StimulusSet, *, now: Clock
 ) -> tuple[Room, str]:
-    """Open what the sessions of a study share."""
+    """Open the shared surroundings of a study's sessions."""
     ledger, notice = open_study_ledger(study, now=now)
     scales = read_scales(find_language(settings, study.path))
     return Room(study, stimuli, scales, ledger, make_stale(settings), now), notice
@@ -224,15 +224,13 @@ def plan_sessions(
     ]
 
 
-# Who the simulated participants of a study are: the same person whether a mind alone takes part, or with a hand.
-
 NUMBERED = re.compile(r"sim(\d+)")
-"""Codes that hold the person's number."""
+"""Codes that hold the number of a simulated person."""
 
 
 @dataclass(frozen=True, slots=True)
 class Casting:
-    """What makes the simulated participants of a study."""
+    """The simulated participants of a study: their model, seed and percepts."""
 
     model: ObserverModel
     seed: int
@@ -240,10 +238,9 @@ class Casting:
 
 
 def find_planted(settings: Settings, stimuli: StimulusSet) -> dict[str, float]:
-    """Compute the slopes that simulated participants plant in realism ratings, after the ends of the scale.
+    """Compute the slopes that simulated participants plant in realism ratings, after clipping at the ends of the scale.
 
-    Returns metric -> points per +0.1 within recordings, of the mean ratings of careful
-    participants.
+    Returns metric -> points per +0.1 within recordings, of the mean ratings of careful participants.
     """
     import numpy as np
 
@@ -275,17 +272,17 @@ def _make_model(settings: Settings) -> ObserverModel:
 
 
 def cast_observers(settings: Settings, stimuli: StimulusSet, *, seed: int) -> Casting:
-    """Read off from a study how its simulated participants feel: by the spectral match that it declares."""
+    """Set the observer parameters of a study's simulated participants, by the spectral match that it declares."""
     model = _make_model(settings)
     return Casting(model, seed, read_percepts(stimuli) if model.uses_percepts else {})
 
 
-def tell_person(participant: str) -> int:
-    """Tell which person has a code; one code belongs to one person for ever, its number in the design may not.
+def find_person(participant: str) -> int:
+    """Find the simulated person of a code: always the same one, with or without a hand, whatever the design.
 
     Examples
     --------
-    >>> tell_person("sim007"), tell_person("p07") == tell_person("p07"), tell_person("p07") == tell_person("p08")
+    >>> find_person("sim007"), find_person("p07") == find_person("p07"), find_person("p07") == find_person("p08")
     (7, True, False)
     """
     if numbered := NUMBERED.fullmatch(participant):
@@ -293,15 +290,15 @@ def tell_person(participant: str) -> int:
     return int.from_bytes(hashlib.sha256(participant.encode()).digest()[:8], "big")
 
 
-# Whole studies with simulated participants, through the engine that real sessions use.
+tell_person = find_person  # kept until all branches are in
 
 SIDE_BY_SIDE = 8
-"""Sessions at a time: each waits for the disk after every record, and a disk syncs several files at once."""
+"""Sessions at the same time: each waits for the disk after every record, and a disk syncs several files at once."""
 
 
 @dataclass(frozen=True, slots=True)
 class Simulation:
-    """A study that simulated participants take part in."""
+    """A study with simulated participants."""
 
     study: StudyFolder
     settings: Settings
@@ -313,7 +310,7 @@ class Simulation:
 def run_simulation(
     simulation: Simulation, participants: int, *, progress: Progress | None = None
 ) -> list[str]:
-    """Lead simulated participants through their sessions; finished ones are kept, broken ones resumed."""
+    """Run the sessions of simulated participants; finished ones are kept, broken ones resumed."""
     settings = simulation.settings
     room, notice = open_room(simulation.study, settings, simulation.stimuli, now=simulation.now)
     names = list_participants(simulation.study, participants)
@@ -338,7 +335,7 @@ def run_simulation(
 
 
 def list_participants(study: StudyFolder, number: int) -> list[str]:
-    """Name simulated participants, passing over those who were released or withdrawn."""
+    """List the codes of simulated participants, without those who were released or withdrawn."""
     names = (f"sim{place:03d}" for place in count(1))
     return list(islice((name for name in names if not _is_gone(study.sessions / name)), number))
 
@@ -383,7 +380,7 @@ def _make_observer(
     observer = SimulatedObserver(
         casting.model,
         seed=casting.seed,
-        number=tell_person(plan.participant),
+        number=find_person(plan.participant),
         percepts=casting.percepts,
         elapsed_s=find_elapsed(journal.records),
     )
@@ -395,20 +392,18 @@ def _is_gone(folder: Path) -> bool:
     if (folder / TOMBSTONE_FILE).exists():
         return True
     journals = list_journals(folder)
-    return bool(journals) and has_event(read_journal(journals[-1]).records, "released")
+    return bool(journals) and has_event(read_journal(journals[-1]).records, SessionReleased)
 
-
-# The lab as a participant finds it: who comes, what is demanded before, and how screen and actuators are opened.
 
 DELIVERED = "delivered"
-"""Folder, in the participant's, of what was rendered or measured at each playback."""
+"""Folder, in the participant's, of the samples that were rendered or measured at each playback."""
 
 INSTALL = "install it from feel321's source folder: pip install -c constraints.txt '.[rig]'"
 
 
 @dataclass(frozen=True, slots=True)
 class Lab:
-    """What a participant finds ready."""
+    """The lab of a real session: study, stimuli and rig, and who sits there if nobody does."""
 
     study: StudyFolder
     settings: Settings
@@ -419,27 +414,24 @@ class Lab:
 
 
 def check_lab(rig: Rig) -> None:
-    """Demand what can be known to be there before anything is opened."""
+    """Check everything that can be checked before anything is opened."""
     needed = ["psychopy"] if rig.device.name == FILE_DEVICE else ["psychopy", "sounddevice"]
     if missing := [name for name in needed if find_spec(name) is None]:
         raise OSError(f"run: {' and '.join(missing)} not found, which sessions need; {INSTALL}")
     if sys.platform == "linux" and not os.environ.get("DISPLAY"):
         raise OSError(
-            "run: got no display (DISPLAY is not set); run it on the lab's own screen, or under xvfb-run"
+            "run: no display found (DISPLAY is not set); run it on the lab's own screen, or under xvfb-run"
         )
     if rig.device.name != FILE_DEVICE:
-        _require_device(rig)
+        # Before its name stands in the header of a session that could not go on with another device.
+        from feel321.study.actuator.stream import check_channels, find_device, list_devices
 
-
-def _require_device(rig: Rig) -> None:
-    """Demand the device before its name stands in the header of a session that could not go on with another one."""
-    from feel321.study.actuator.stream import check_channels, find_device, list_devices
-
-    check_channels(find_device(list_devices(), rig.device.name, host_api=rig.device.host_api), rig)
+        device = find_device(list_devices(), rig.device.name, host_api=rig.device.host_api)
+        check_channels(device, rig)
 
 
 def identify_lab(lab: Lab) -> dict[str, Any]:
-    """Say what a session depends on besides its plan, for the header of its journal."""
+    """Describe what a session depends on besides its plan, for the header of its journal."""
     who = (
         {"simulated": False}
         if lab.casting is None
@@ -464,7 +456,7 @@ def open_lab(
         output = stack.enter_context(_open_output(plan, lab=lab, clock=clock))
         window = stack.enter_context(open_screen(clock=clock, windowed=lab.windowed))
         hand = stack.enter_context(_open_hand(plan, journal, stimuli, casting=lab.casting))
-        journal.write("device", dict(output.identity))
+        journal.write(DeviceOpened(dict(output.identity)))
         yield ScreenPresenter(window, output, texts, clock=clock, surfaces=surfaces, hand=hand)
 
 
@@ -487,7 +479,7 @@ def _open_output(
         from feel321.study.actuator.output import FileOutput
 
         return nullcontext(FileOutput(lab.rig, sounds, rate_hz=rate_hz, folder=folder, clock=clock))
-    from feel321.study.actuator.stream_output import open_stream
+    from feel321.study.actuator.output import open_stream
 
     return open_stream(lab.rig, sounds, rate_hz=rate_hz, folder=folder, clock=clock)
 
@@ -496,25 +488,22 @@ def _open_output(
 def _open_hand(
     plan: Plan, journal: Journal, stimuli: Mapping[str, Stimulus], *, casting: Casting | None
 ) -> Iterator[Hand | None]:
-    """Let a simulated participant sit down, who remembers what was answered before."""
+    """Seat a simulated participant, who remembers the last answer before a break."""
     if casting is None:
         yield None
         return
     from feel321.study.screen.robot import PressingHand, XKeyboard
 
-    person = tell_person(plan.participant)
+    person = find_person(plan.participant)
     mind = Participant(casting.model, seed=casting.seed, number=person, percepts=casting.percepts)
     mind.recall(journal.records, plan.trials, stimuli=stimuli)
     with closing(XKeyboard()) as keyboard:
         yield PressingHand(mind, keyboard, stimuli=stimuli, clock=perf_counter)
 
 
-# A real session: one participant before a screen, with the stylus in the hand.
-
-
 @dataclass(frozen=True, slots=True)
 class Visit:
-    """Who comes to the lab, and what is asked for."""
+    """A participant's visit to the lab, as the command line asks for it."""
 
     participant: str
     windowed: bool = False
@@ -529,37 +518,41 @@ def run_participant(
     *,
     now: Clock,
     on_step: Callable[[Place], None] | None = None,
-    warn: Callable[[str], None] | None = None,
+    warn: Callable[[str], None] = lambda _: None,
 ) -> Outcome:
-    """Lead one participant through a session, or go on with it."""
+    """Run the session of one participant, or resume it."""
     settings, stimuli = read_settings(study.settings), read_stimuli(study.stimuli)
     require_current_set(study, settings)
     if unfelt := find_unfelt(settings, stimuli):
         if not (study.is_rehearsal or visit.simulated):
             raise ValueError(f"{study.settings}: {unfelt}")
-        (warn or (lambda _: None))(unfelt)
-    lab = _prepare_lab(study, visit, settings=settings, stimuli=stimuli)
+        warn(unfelt)
+    rig = require_rig(study, settings, stimuli, device=visit.device)
+    check_lab(rig)
+    seed = settings.study.seed if visit.seed is None else visit.seed
+    casting = cast_observers(settings, stimuli, seed=seed) if visit.simulated else None
+    lab = Lab(study, settings, stimuli, rig, windowed=visit.windowed, casting=casting)
     room, notice = open_room(study, settings, stimuli, now=now)
     plan = plan_sessions(room, settings, [visit.participant], simulated=visit.simulated)[0]
-    if (finished := _find_finished(room, plan)) is not None:
-        return finished
-    outcome, mended = lead_session(
+    for entry in read_ledger(room.ledger, plan.participant):
+        if entry.state == "finished":  # No window is opened for it.
+            return Outcome(entry.done, entry.total)
+    outcome, repaired = lead_session(
         room,
         plan,
         identity=make_identity(settings, study.path, identify_lab(lab)),
         make_presenter=partial(open_lab, lab=lab),
         on_step=on_step,
     )
-    if warn is not None:
-        for line in filter(None, (notice, mended)):
-            warn(line)
+    for line in filter(None, (notice, repaired)):
+        warn(line)
     return outcome
 
 
 def require_rig(
     study: StudyFolder, settings: Settings, stimuli: StimulusSet, *, device: str | None
 ) -> Rig:
-    """Read the rig, and demand that it can play the stimuli."""
+    """Read the rig, and check that it can play the stimuli."""
     if not study.rig.is_file():
         raise FileNotFoundError(
             f"{study.rig}: there is none; feel321 new DIR writes one, copy it from there and name your actuators in it"
@@ -570,21 +563,3 @@ def require_rig(
     if problems := list_rig_problems(study, rig, settings=settings, stimuli=stimuli):
         raise ValueError("\n".join(problems))
     return rig
-
-
-def _prepare_lab(
-    study: StudyFolder, visit: Visit, *, settings: Settings, stimuli: StimulusSet
-) -> Lab:
-    rig = require_rig(study, settings, stimuli, device=visit.device)
-    check_lab(rig)
-    seed = settings.study.seed if visit.seed is None else visit.seed
-    casting = cast_observers(settings, stimuli, seed=seed) if visit.simulated else None
-    return Lab(study, settings, stimuli, rig, windowed=visit.windowed, casting=casting)
-
-
-def _find_finished(room: Room, plan: Plan) -> Outcome | None:
-    """Find out whether there is nothing left to do, so that no window is opened for it."""
-    entries = read_ledger(room.ledger, plan.participant)
-    return next(
-        (Outcome(entry.done, entry.total) for entry in entries if entry.state == "finished"), None
-    )

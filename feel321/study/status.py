@@ -1,4 +1,4 @@
-"""How far every participant is, and how balanced the design is as realised. Blind."""
+"""Progress of every participant, and balance of the design as it was run. Blind."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 from feel321.protocols.balance import measure_balance, pool_balances, williams_square
 from feel321.protocols.tasks import is_as_expected
 from feel321.study.ledger.standing import make_standing
+from feel321.study.session.events import PageRead, SessionFinished, SessionReleased, TrialRated
+from feel321.study.session.journal import find_events, has_event
 from feel321.study.session.opening import TOMBSTONE_FILE, read_as_written, read_dossier
-from feel321.study.session.plan import has_event
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
@@ -26,12 +27,10 @@ if TYPE_CHECKING:
 
     Sequences = dict[tuple[str, ...], list[list[str]]]
 
-# Balance of a design as it was actually run, drop-outs and second attempts included. Blind.
-
 
 @dataclass(frozen=True, slots=True)
 class Evenness:
-    """How evenly conditions met places, and each other."""
+    """How evenly conditions of one task met positions, and each other; cycle: participants of a full cycle."""
 
     task: str
     what: str
@@ -44,7 +43,7 @@ class Evenness:
 
 @dataclass(frozen=True, slots=True)
 class Realised:
-    """Balance of all sessions so far."""
+    """Balance of all sessions so far, drop-outs and second attempts included."""
 
     simulated: bool
     participants: int
@@ -52,47 +51,41 @@ class Realised:
     evenness: tuple[Evenness, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class _Session:
-    """What one participant went through."""
-
-    plan: Plan
-    trials: Sequence[Trial]
-    is_finished: bool
-
-
 def measure_realised(dossiers: Iterable[Dossier]) -> Realised | None:
-    """Measure the balance of all that was run."""
-    sessions = [session for session in map(_gather_session, dossiers) if session.trials]
-    simulated = all(session.plan.simulated for session in sessions)
-    sessions = [session for session in sessions if session.plan.simulated == simulated]
-    if not sessions:
+    """Measure the balance of all trials that were run: of real participants if there are any."""
+    run = [(dossier, trials) for dossier in dossiers if (trials := _list_counted(dossier))]
+    simulated = all(dossier.plan.simulated for dossier, _ in run)
+    run = [(dossier, trials) for dossier, trials in run if dossier.plan.simulated == simulated]
+    if not run:
         return None
     groups: dict[tuple[str, str], Sequences] = defaultdict(lambda: defaultdict(list))
-    for session in sessions:
-        for task, what, among, conditions in _split(session):
+    for dossier, trials in run:
+        for task, what, among, conditions in _split(dossier.plan, trials):
             groups[task, what][among].append(conditions)
-    # Successive participants belong to successive groups, and each group has its own circle.
-    circles = max(_count_circles(session.plan) for session in sessions)
+    # Successive participants belong to successive groups, and each group has its own cycle.
+    cycles = max(
+        prod(map(len, plan.between.values())) if plan.order == "williams" else 0
+        for plan in (dossier.plan for dossier, _ in run)
+    )
     return Realised(
         simulated=simulated,
-        participants=len(sessions),
-        finished=sum(session.is_finished for session in sessions),
+        participants=len(run),
+        finished=sum(_is_finished(dossier.records) for dossier, _ in run),
         evenness=tuple(
-            _measure(task, what, sequences, circles=circles)
+            _measure(task, what, sequences, cycles=cycles)
             for (task, what), sequences in groups.items()
         ),
     )
 
 
 def describe_balance(realised: Realised | None) -> list[str]:
-    """Say how balanced a study is so far.
+    """Describe the balance of a study so far.
 
     Examples
     --------
     >>> evenness = Evenness("abx", "stimuli", 6, (0, 1), (0, 2), 0.5, 0.75)
     >>> describe_balance(Realised(False, 4, 4, (evenness,)))[1]
-    '  abx, stimuli: 0 to 1 at each place, 0 to 2 after each other; even over 6, 2 to go'
+    '  abx, stimuli: 0 to 1 at each position, 0 to 2 after each other; even over 6, 2 to go'
     """
     if realised is None:
         return ["balance: no trial was run yet"]
@@ -101,64 +94,52 @@ def describe_balance(realised: Realised | None) -> list[str]:
         places, neighbours = (
             " to ".join(map(str, ends)) for ends in (entry.positions, entry.carry_over)
         )
-        circle = (
-            f"; even over {entry.cycle}, {-realised.finished % entry.cycle} to go"
-            if entry.cycle
-            else ""
-        )
+        left = -realised.finished % entry.cycle if entry.cycle else 0
+        circle = f"; even over {entry.cycle}, {left} to go" if entry.cycle else ""
         lines.append(
-            f"  {entry.task}, {entry.what}: {places} at each place, {neighbours} after each other{circle}"
+            f"  {entry.task}, {entry.what}: {places} at each position, {neighbours} after each other{circle}"
         )
     return lines
 
 
-def _gather_session(dossier: Dossier) -> _Session:
-    """Gather what one participant went through: trials of the main phase, in the order in which they counted."""
-    plan, records = dossier.plan, dossier.records
-    trials = {trial.number: trial for trial in plan.trials if trial.phase == "main"}
-    counted = [
-        trials[record.data["trial"]]
-        for record in records
-        if record.event == "rated"
-        and record.data["trial"] in trials
-        and not record.data["rejected"]
-    ]
-    return _Session(
-        plan, counted, has_event(records, "finished") and not has_event(records, "released")
-    )
+def _is_finished(records: Sequence[Record]) -> bool:
+    return has_event(records, SessionFinished) and not has_event(records, SessionReleased)
 
 
-def _count_circles(plan: Plan) -> int:
-    return prod(map(len, plan.between.values())) if plan.order == "williams" else 0
+def _list_counted(dossier: Dossier) -> list[Trial]:
+    """List the trials of the main phase, in the order in which they counted."""
+    trials = {trial.number: trial for trial in dossier.plan.trials if trial.phase == "main"}
+    return [trials[rated.trial] for rated in _list_accepted(dossier.records, trials)]
 
 
-def _split(session: _Session) -> Iterator[tuple[str, str, tuple[str, ...], list[str]]]:
+def _list_accepted(records: Iterable[Record], numbers: Collection[int]) -> list[TrialRated]:
+    rated = find_events(records, TrialRated)
+    return [event for event in rated if event.trial in numbers and not event.rejected]
+
+
+def _split(
+    plan: Plan, trials: Iterable[Trial]
+) -> Iterator[tuple[str, str, tuple[str, ...], list[str]]]:
     """Yield task, what was put in order, among which, and the order that it was run in."""
-    planned = _gather_blocks(trial for trial in session.plan.trials if trial.phase == "main")
-    run = _gather_blocks(session.trials)
-    for block, trials in run.items():
-        task = trials[0].protocol
-        pages = [trial for trial in trials if len(trial.judgements) > 1]
+    planned = _gather_blocks(trial for trial in plan.trials if trial.phase == "main")
+    run = _gather_blocks(trials)
+    for block, own in run.items():
+        task = own[0].protocol
+        pages = [trial for trial in own if len(trial.judgements) > 1]
         for page in pages:
             slots = [judgement.stimulus_id for judgement in page.judgements]
             yield task, "slots", tuple(sorted(slots)), slots
         if not pages:
             # Only what was planned together can meet.
             among = tuple(sorted(map(_name_condition, planned[block])))
-            yield task, "stimuli", among, [_name_condition(trial) for trial in trials]
-    recordings = {trial.protocol: set[str]() for trial in session.plan.trials}
-    for trial in session.plan.trials:
+            yield task, "stimuli", among, [_name_condition(trial) for trial in own]
+    recordings: dict[str, set[str]] = defaultdict(set)
+    for trial in plan.trials:
         recordings[trial.protocol].add(trial.recording)
-    blocks = [
-        trials[0] for trials in run.values() if len({trial.recording for trial in trials}) == 1
-    ]
-    for (task, _), heads in groupby(blocks, key=lambda trial: (trial.protocol, trial.repeat)):
-        yield (
-            task,
-            "recordings",
-            tuple(sorted(recordings[task])),
-            [head.recording for head in heads],
-        )
+    heads = [own[0] for own in run.values() if len({trial.recording for trial in own}) == 1]
+    for (task, _), turn in groupby(heads, key=lambda trial: (trial.protocol, trial.repeat)):
+        order = [head.recording for head in turn]
+        yield task, "recordings", tuple(sorted(recordings[task])), order
 
 
 def _gather_blocks(trials: Iterable[Trial]) -> dict[int, list[Trial]]:
@@ -169,37 +150,29 @@ def _gather_blocks(trials: Iterable[Trial]) -> dict[int, list[Trial]]:
     return blocks
 
 
-def _measure(task: str, what: str, sequences: Sequences, *, circles: int) -> Evenness:
+def _measure(task: str, what: str, sequences: Sequences, *, cycles: int) -> Evenness:
     balance = pool_balances(measure_balance(group) for group in sequences.values())
+    positions, neighbours = balance.positions.values(), balance.carry_over.values()
     return Evenness(
         task=task,
         what=what,
-        cycle=circles * lcm(*(len(williams_square(len(among))) for among in sequences)),
-        positions=_find_ends(balance.positions.values()),
-        carry_over=_find_ends(balance.carry_over.values()),
+        cycle=cycles * lcm(*(len(williams_square(len(among))) for among in sequences)),
+        positions=(min(positions, default=0), max(positions, default=0)),
+        carry_over=(min(neighbours, default=0), max(neighbours, default=0)),
         position_index=balance.position_index,
         carry_over_index=balance.carry_over_index,
     )
 
 
-def _find_ends(counts: Collection[int]) -> tuple[int, int]:
-    return min(counts, default=0), max(counts, default=0)
-
-
 def _name_condition(trial: Trial) -> str:
-    """Name what is judged against what, whichever of the two comes first."""
-    judgement = trial.judgements[0]
-    return "|".join(
-        sorted({judgement.stimulus_id, judgement.reference_id or judgement.stimulus_id})
-    )
-
-
-# How far every participant of a study has come, and what the study lead should know about it. Blind.
+    """Name the two stimuli that are compared, whichever comes first."""
+    about = trial.judgements[0]
+    return "|".join(sorted({about.stimulus_id, about.reference_id or about.stimulus_id}))
 
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How far one participant has come."""
+    """Progress of one participant."""
 
     participant: str
     state: str = ""
@@ -215,7 +188,7 @@ class Progress:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """How far a study has come."""
+    """Progress of a study."""
 
     participants: tuple[Progress, ...]
     balance: Realised | None
@@ -224,7 +197,7 @@ class Status:
 def read_status(
     study: StudyFolder, *, progress: Callable[[int, int], None] | None = None
 ) -> Status:
-    """Read how far a study has come, also while sessions run."""
+    """Read the progress of a study, also while sessions run."""
     entries, dossiers = [], []
     folders = study.participants
     for count, folder in enumerate(folders, start=1):
@@ -238,20 +211,19 @@ def read_status(
 
 
 def _read_progress(folder: Path) -> tuple[Progress, Dossier | None]:
-    """Read how far a participant has come; the dossier comes too if it counts for the balance."""
+    """Read the progress of a participant; the dossier comes too if it counts for the balance."""
     if (folder / TOMBSTONE_FILE).exists():
         return Progress(folder.name, state="withdrawn"), None
     try:
         dossier = read_dossier(folder)
-        with read_as_written(folder):
-            return _make_progress(dossier), dossier
+        standing = make_standing(dossier)
+        with read_as_written(dossier.newest):
+            chains = dossier.chains[-1:]
+            warnings = [line for chain in chains for line in _find_warnings(dossier.plan, chain)]
+            _list_counted(dossier)  # for the balance, which tells no folder
     except (OSError, ValueError) as error:
         return Progress(folder.name, problem=str(error)), None
-
-
-def _make_progress(dossier: Dossier) -> Progress:
-    standing = make_standing(dossier)
-    return Progress(
+    entry = Progress(
         participant=standing.participant,
         state=standing.state,
         number=standing.number,
@@ -260,27 +232,19 @@ def _make_progress(dossier: Dossier) -> Progress:
         left=standing.total - standing.done,
         simulated=standing.simulated,
         last_activity=standing.last_utc,
-        warnings=tuple(
-            warning
-            for chain in dossier.chains[-1:]
-            for warning in _find_warnings(dossier.plan, chain)
-        ),
+        warnings=tuple(warnings),
     )
+    return entry, dossier
 
 
 def _find_warnings(plan: Plan, chain: Chain) -> Iterator[str]:
     if chain.torn:
-        yield f"{len(chain.torn)} torn bytes, mended on resuming"
+        yield f"{len(chain.torn)} bytes of an unfinished line, moved aside on resuming"
     counts = Counter(flag for record in chain.records for flag in record.data.get("flags", ()))
     yield from (f"{count} x {flag.replace('_', ' ')}" for flag, count in counts.items())
-    if any(
-        record.event == "page" and record.data["key"] == "training_failed"
-        for record in chain.records
-    ):
+    if any(page.key == "training_failed" for page in find_events(chain.records, PageRead)):
         yield "training not passed"
-    if given_up := sum(
-        record.data.get("given_up", 0) for record in chain.records if record.event == "finished"
-    ):
+    if given_up := sum(end.given_up for end in find_events(chain.records, SessionFinished)):
         yield f"{given_up} {'trial' if given_up == 1 else 'trials'} given up"
     caught = find_catches(plan, chain.records)
     if missed := sum(not as_expected for as_expected in caught):
@@ -288,13 +252,10 @@ def _find_warnings(plan: Plan, chain: Chain) -> Iterator[str]:
 
 
 def find_catches(plan: Plan, records: Sequence[Record]) -> list[bool]:
-    """Find out how a participant did in the catch trials whose right answer is known."""
+    """Check the answers to all catch trials against what is expected."""
     caught = {trial.number: trial for trial in plan.trials if trial.phase == "main" and trial.catch}
     answers = [
-        is_as_expected(caught[record.data["trial"]], record.data["values"])
-        for record in records
-        if record.event == "rated"
-        and record.data["trial"] in caught
-        and not record.data["rejected"]
+        is_as_expected(caught[rated.trial], rated.values)
+        for rated in _list_accepted(records, caught)
     ]
     return [answer for answer in answers if answer is not None]

@@ -29,7 +29,7 @@ from feel321.study.settings.read import make_design, make_recipe
 from feel321.study.settings.schema import ACCEPT
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     import numpy as np
     from numpy.typing import NDArray
@@ -41,10 +41,8 @@ if TYPE_CHECKING:
     from feel321.study.actuator.rig import Rig
     from feel321.study.settings.schema import Settings
 
-# How strongly a study's stimuli are felt, before anybody feels them: sensation levels, gains, and what the rig does.
-
 WEAK_DB = 10.0
-"""Stimuli with a lower sensation level are named: they are felt, but hardly as what they are."""
+"""Stimuli with a lower sensation level are listed: they are felt, but hardly as what they are."""
 
 COSTLY_DB = 1.0
 """A recording that takes less headroom from the others is not worth a line."""
@@ -60,33 +58,38 @@ class Findings:
     figures: dict[str, object] = field(default_factory=dict)
 
 
+# How strongly a study's stimuli will be felt: sensation levels and gains.
+
+
 def find_strength(settings: Settings, foreseen: Sequence[Foreseen], recipe: Recipe) -> Findings:
     """Find out how strongly the stimuli of a study will be felt."""
-    unfelt = list(_name_unfelt(foreseen, recipe))
+    unfelt = list(_find_weak(foreseen, recipe, least=-inf, below=0.0))
+    weak = _find_weak(foreseen, recipe, least=0.0, below=WEAK_DB)
     is_accepted = settings.stimuli.below_threshold == ACCEPT
+    levels = {
+        recording: {curve: _find_range(own, curve) for curve in THRESHOLDS}
+        for recording, own in _group(foreseen).items()
+    }
     return Findings(
         problems=[] if is_accepted else unfelt,
         warnings=[
             *(unfelt if is_accepted else []),
-            *_name_weak(foreseen, recipe),
+            *weak,
             *_compare_with_surface(settings, foreseen),
         ],
-        notes=[*describe_gains(foreseen, recipe), *_list_levels(foreseen)],
+        notes=[*describe_gains(foreseen, recipe), *_list_levels(levels)],
         figures={
             "gain": recipe.gain,
             "threshold": recipe.threshold,
             "below_threshold": sum(_own_level(one, recipe) < 0 for one in foreseen),
             "stimuli": len(foreseen),
-            "sensation_levels_db": {
-                recording: {curve: list(_find_range(own, curve)) for curve in THRESHOLDS}
-                for recording, own in _group(foreseen).items()
-            },
+            "sensation_levels_db": levels,
         },
     )
 
 
 def describe_gains(foreseen: Sequence[Foreseen], recipe: Recipe) -> list[str]:
-    """Say by which gains stimuli are played, and what one recording's peak costs the others."""
+    """Describe by which gains stimuli are played, and what one recording's peak costs the others."""
     gains = [one.gain for one in foreseen if one.level == "as_is"]
     scope = {ONE_GAIN: "one for the whole set", GAIN_PER_RECORDING: "one per recording"}
     how = f"gain, {scope.get(str(recipe.gain), 'as given in study.toml')}"
@@ -94,16 +97,14 @@ def describe_gains(foreseen: Sequence[Foreseen], recipe: Recipe) -> list[str]:
     if recipe.gain != ONE_GAIN:
         return lines
     loudest = {name: max(own, key=_unit_peak) for name, own in _group(foreseen).items()}
-    recording, cost_db = find_headroom_cost({
-        name: _unit_peak(one) for name, one in loudest.items()
-    })
-    if cost_db < COSTLY_DB:
-        return lines
-    return [
-        *lines,
-        f"headroom: the peak of recording {recording!r} ({loudest[recording].reducer}) sets the gain; all other "
-        f'recordings are played {cost_db:.1f} dB weaker for it; gain = "{GAIN_PER_RECORDING}" avoids that',
-    ]
+    peaks = {name: _unit_peak(one) for name, one in loudest.items()}
+    recording, cost_db = find_headroom_cost(peaks)
+    if cost_db >= COSTLY_DB:
+        lines.append(
+            f"headroom: the peak of recording {recording!r} ({loudest[recording].reducer}) sets the gain; all other "
+            f'recordings are played {cost_db:.1f} dB weaker for it; gain = "{GAIN_PER_RECORDING}" avoids that'
+        )
+    return lines
 
 
 def find_unfelt(settings: Settings, stimuli: StimulusSet) -> str:
@@ -121,7 +122,7 @@ def find_unfelt(settings: Settings, stimuli: StimulusSet) -> str:
 def describe_built(
     settings: Settings, recordings: Sequence[Recording], stimuli: StimulusSet
 ) -> list[str]:
-    """Say after a build by which gains stimuli are played, and how many of them cannot be felt."""
+    """Describe after a build by which gains stimuli are played, and how many of them cannot be felt."""
     recipe = make_recipe(settings)
     foreseen = foresee_stimuli(recordings, stimuli.folder, recipe=recipe)
     unfelt = filter(None, [find_unfelt(settings, stimuli)])
@@ -132,12 +133,8 @@ def find_clipping(foreseen: Sequence[Foreseen], recipe: Recipe) -> list[str]:
     """Find stimuli that are not built yet and will be limited at full scale: one line per recording."""
     lines = []
     for recording, own in _group(foreseen).items():
-        over = [
-            one.peak_m_s2 / recipe.full_scale_m_s2
-            for one in own
-            if one.peak_m_s2 > recipe.full_scale_m_s2
-        ]
-        if over:
+        peaks = [one.peak_m_s2 / recipe.full_scale_m_s2 for one in own]
+        if over := [peak for peak in peaks if peak > 1]:
             lines.append(
                 f"recording {recording!r}: {len(over)} of {len(own)} stimuli will be clipped at full scale "
                 f"({recipe.full_scale_m_s2:g} m/s²), by up to {to_db(max(over)):.1f} dB; lower the gain or raise "
@@ -161,38 +158,42 @@ def _own_level(one: Foreseen, recipe: Recipe) -> float:
     return one.sensation_levels_db[recipe.threshold]
 
 
-def _name_unfelt(foreseen: Sequence[Foreseen], recipe: Recipe) -> Iterator[str]:
-    for recording, own in _group(foreseen).items():
-        if weak := [one for one in own if _own_level(one, recipe) < 0]:
-            yield (
-                f"recording {recording!r}: {len(weak)} of {len(own)} stimuli below the detection threshold "
-                f"({recipe.threshold}), not to be felt: {_list_weak(weak, recipe)}; {_advise(own, weak, recipe)}, "
-                f'or accept it: below_threshold = "{ACCEPT}" under [stimuli]'
-            )
+def _find_range(own: Sequence[Foreseen], curve: str) -> list[float]:
+    levels = [one.sensation_levels_db[curve] for one in own]
+    return [min(levels), max(levels)]
 
 
-def _name_weak(foreseen: Sequence[Foreseen], recipe: Recipe) -> Iterator[str]:
+def _find_weak(
+    foreseen: Sequence[Foreseen], recipe: Recipe, *, least: float, below: float
+) -> Iterator[str]:
+    """List the recordings whose stimuli have sensation levels in a range, and what helps them."""
+    accept = f', or accept it: below_threshold = "{ACCEPT}" under [stimuli]'
+    where = f"{below:g} dB over the detection threshold ({recipe.threshold})"
     for recording, own in _group(foreseen).items():
-        if weak := [one for one in own if 0 <= _own_level(one, recipe) < WEAK_DB]:
-            yield (
-                f"recording {recording!r}: {len(weak)} of {len(own)} stimuli less than {WEAK_DB:g} dB over the "
-                f"detection threshold ({recipe.threshold}): {_list_weak(weak, recipe)}; {_advise(own, weak, recipe)}"
-            )
+        weak = [one for one in own if least <= _own_level(one, recipe) < below]
+        if not weak:
+            continue
+        how = f"less than {where}"
+        if not below:
+            how = f"below the detection threshold ({recipe.threshold}), not to be felt"
+        yield (
+            f"recording {recording!r}: {len(weak)} of {len(own)} stimuli {how}: {_list_weak(weak, recipe)}; "
+            f"{_advise(own, weak, recipe)}{'' if below else accept}"
+        )
 
 
 def _list_weak(weak: Sequence[Foreseen], recipe: Recipe) -> str:
     several = len({one.level for one in weak}) > 1 or len(recipe.levels) > 1
-
-    def describe(one: Foreseen) -> str:
+    texts = []
+    for one in sorted(weak, key=lambda one: _own_level(one, recipe)):
         level = _own_level(one, recipe)
         name = f"{one.reducer} {one.level}" if several else one.reducer
-        return f"{name} silent" if level == -inf else f"{name} {write_db(level)} dB"
-
-    return ", ".join(describe(one) for one in sorted(weak, key=lambda one: _own_level(one, recipe)))
+        texts.append(f"{name} silent" if level == -inf else f"{name} {write_db(level)} dB")
+    return ", ".join(texts)
 
 
 def _advise(own: Sequence[Foreseen], weak: Sequence[Foreseen], recipe: Recipe) -> str:
-    """Say what helps weak stimuli of a recording: its own gain, a stronger rig, or leaving something out."""
+    """Suggest what helps weak stimuli of a recording: its own gain, a stronger rig, or leaving something out."""
     room_db = (
         energy_db(recipe.headroom * recipe.full_scale_m_s2, max(one.peak_m_s2 for one in own)) * 2
     )
@@ -226,34 +227,21 @@ def _write_range(values: Sequence[float]) -> str:
     return " to ".join(ends)
 
 
-def _find_range(own: Sequence[Foreseen], curve: str) -> tuple[float, float]:
-    levels = [one.sensation_levels_db[curve] for one in own]
-    return min(levels), max(levels)
-
-
-def _list_levels(foreseen: Sequence[Foreseen]) -> Iterator[str]:
+def _list_levels(levels: Mapping[str, Mapping[str, Sequence[float]]]) -> Iterator[str]:
     """List the weakest and strongest stimulus of each recording under every threshold curve."""
-    width = max(len("recording"), *(len(one.recording) for one in foreseen))
+    width = max(map(len, ("recording", *levels)))
     yield "sensation levels, dB over the detection threshold in the loudest 200 ms, weakest to strongest stimulus:"
     yield f"  {'recording':{width}}" + "".join(f"  {curve:>16}" for curve in THRESHOLDS)
-    for recording, own in _group(foreseen).items():
-        ranges = (
-            " to ".join(write_db(level) for level in _find_range(own, curve))
-            for curve in THRESHOLDS
-        )
-        yield f"  {recording:{width}}" + "".join(f"  {text:>16}" for text in ranges)
+    for recording, ranges in levels.items():
+        cells = (" to ".join(map(write_db, ranges[curve])) for curve in THRESHOLDS)
+        yield f"  {recording:{width}}" + "".join(f"  {text:>16}" for text in cells)
 
 
 def energy_db(energy: float, other: float) -> float:
-    """Give a ratio of energies in dB.
-
-    Returns 10 log10 of their ratio, infinite where one is 0.
-    """
-    return (
-        10 * log10(energy / other)
-        if energy > 0 and other > 0
-        else inf * (1 if energy > other else -1)
-    )
+    """Compute 10 log10 of the ratio of energies, infinite where one is 0."""
+    if energy > 0 and other > 0:
+        return 10 * log10(energy / other)
+    return inf if energy > other else -inf
 
 
 def write_db(value: float) -> str:
@@ -272,7 +260,7 @@ def find_reach(rig: Rig, recordings: Sequence[Recording], recipe: Recipe) -> Fin
     if unknown:
         return Findings(
             warnings=[
-                f"actuators {', '.join(map(repr, unknown))}: no direction is known, so nobody can say whether one-axis "
+                f"actuators {', '.join(map(repr, unknown))}: no direction is known, so it is unknown whether one-axis "
                 "stimuli and the three-axis reference reach the hand with equal energy; add direction = [x, y, z] "
                 "to every actuator"
             ]
@@ -291,7 +279,9 @@ def find_reach(rig: Rig, recordings: Sequence[Recording], recipe: Recipe) -> Fin
     if abs(worst) < EQUAL_DB:
         same = "one-axis stimuli and the three-axis reference reach the hand with equal energy"
         return Findings(notes=[f"{same} (difference {write_db(worst)} dB)"], figures=figures)
-    return Findings(warnings=[_tell_apart(rig, worst, name, among=differences)], figures=figures)
+    return Findings(
+        warnings=[_describe_difference(rig, worst, name, among=differences)], figures=figures
+    )
 
 
 def find_rig_limits(rig: Rig, foreseen: Sequence[Foreseen], reference: str) -> list[str]:
@@ -328,8 +318,10 @@ def _covariance(recording: Recording, recipe: Recipe) -> NDArray[np.float64]:
     return np.asarray(np.einsum("in,jn->ij", acceleration, acceleration))
 
 
-def _tell_apart(rig: Rig, difference_db: float, recording: str, *, among: dict[str, float]) -> str:
-    """Put into words that strength tells the reference from reduced stimuli, and which weights would hide it."""
+def _describe_difference(
+    rig: Rig, difference_db: float, recording: str, *, among: dict[str, float]
+) -> str:
+    """Describe that strength gives the reference away, and which weights would avoid that."""
     mix = find_mix(rig)
     factor = 10 ** (-difference_db / 20)
     weights = {
@@ -351,5 +343,5 @@ def _tell_apart(rig: Rig, difference_db: float, recording: str, *, among: dict[s
         remedy += ", or put the coils of x, y and z at right angles"
     return (
         f"one-axis stimuli reach the hand {abs(difference_db):.1f} dB {than} than the three-axis reference{where}, so "
-        f"that strength tells them apart; {remedy}"
+        f"they can be distinguished by strength; {remedy}"
     )

@@ -14,7 +14,7 @@ from feel321.analysis.mixed.optimum import Balanced, find_balance, find_optimum,
 from feel321.analysis.mixed.profile import Profile, find_coefficients, find_sigma
 
 if TYPE_CHECKING:
-    from feel321.analysis.mixed.design import Design
+    from feel321.analysis.mixed.design import MixedDesign
     from feel321.analysis.mixed.model import Estimate
 
 GROUPS = (
@@ -55,7 +55,7 @@ def make_study(
 
 
 def pair_engines(
-    design: Design, *, reml: bool = True, penalty: tuple[str, ...] = ()
+    design: MixedDesign, *, reml: bool = True, penalty: tuple[str, ...] = ()
 ) -> tuple[Profile, Balanced]:
     balance = find_balance(design)
     assert balance is not None

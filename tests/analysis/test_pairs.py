@@ -266,6 +266,7 @@ def read_page(folder: Path) -> str:
     )
 
 
+@pytest.mark.usefixtures("sketched")
 @pytest.mark.parametrize(
     ("scale", "reason", "measure"),
     [
@@ -328,6 +329,7 @@ def test_pairs_of_reducers_alone_are_a_page_too(
 
 
 @pytest.mark.usefixtures("short")
+@pytest.mark.usefixtures("sketched")
 def test_groups_that_felt_different_levels_are_counted_apart(
     files: Callable[..., object], tmp_path: Path
 ) -> None:

@@ -19,11 +19,10 @@ from feel321.protocols.texts import read_scales
 from feel321.protocols.trial import Flow
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
-from feel321.study.observer.judging import ObserverModel
-from feel321.study.observer.participant import SimulatedObserver
-from feel321.study.session.engine import Stage, run_session
+from feel321.study.observer.participant import ObserverModel, SimulatedObserver
+from feel321.study.session.engine import run_session
 from feel321.study.session.opening import Stale, open_session
-from feel321.study.session.plan import Design, list_codes, make_plan
+from feel321.study.session.plan import Design, make_plan
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -73,10 +72,6 @@ def run_all(folder: Path) -> int:
     """Lead everybody through the session; the number of trials."""
     stimuli = StimulusSet(folder, tuple(make_stimuli()), "5" * 64)
     design = Design(321, "williams", REPEATS, (make_task("realism"),), {}, Flow())
-    by_code = {
-        code: row
-        for row, code in zip(stimuli.stimuli, list_codes(stimuli, seed=321).values(), strict=True)
-    }
     model = ObserverModel()
     scales, trials = read_scales(), 0
     for number in range(1, PARTICIPANTS + 1):
@@ -89,7 +84,7 @@ def run_all(folder: Path) -> int:
         with open_session(folder / plan.participant, plan, **options) as (stored, journal):
             observer = SimulatedObserver(model, seed=1, number=number)
             trials += run_session(
-                stored, Stage(observer, by_code, scales, journal, stored.flow)
+                stored, observer, stimuli=stimuli, journal=journal, scales=scales
             ).done
     return trials
 

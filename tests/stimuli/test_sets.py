@@ -37,7 +37,7 @@ from feel321.stimuli.sets.manifest import (
     write_manifest,
 )
 from feel321.stimuli.sets.recipe import GAINS, Recipe
-from feel321.stimuli.sets.render import find_headroom_cost, list_candidates
+from feel321.stimuli.sets.render import find_headroom_cost, list_drafts
 from feel321.stimuli.synthesis import SCENES, make_scene
 from feel321.stimuli.wav import read_wav, write_wav
 
@@ -504,9 +504,9 @@ def test_damaged_parts_are_made_again(
     build_stimuli(scenes[:1], tmp_path / "good", recipe=recipe)
     parts = tmp_path / "set" / PARTS
     parts.mkdir(parents=True)
-    for candidate in list_candidates(scenes[0], recipe):
-        (parts / f"{candidate.key}.json").write_bytes(damage)
-        (parts / f"{candidate.key}.wav").write_bytes(b"")
+    for draft in list_drafts(scenes[0], recipe):
+        (parts / f"{draft.key}.json").write_bytes(damage)
+        (parts / f"{draft.key}.wav").write_bytes(b"")
     build_stimuli(scenes[:1], tmp_path / "set", recipe=recipe)
     assert contents(tmp_path / "set") == contents(tmp_path / "good")
 
@@ -593,6 +593,7 @@ def test_a_damaged_manifest_costs_only_a_new_build(scenes: list[Recording], tmp_
         assert contents(tmp_path) == good
 
 
+SOME = Recipe(reducers=("sax321", "dft321", "mag321"), levels=BOTH)
 KILLED = """
 import sys
 from feel321.stimuli.sets.recipe import Recipe
@@ -600,7 +601,8 @@ from feel321.stimuli.sets.build import build_stimuli
 from feel321.stimuli.synthesis import SCENES, make_scene
 scenes = [make_scene(name, duration_s=0.5) for name in list(SCENES)[:3]]
 print("ready", flush=True)
-build_stimuli(scenes, sys.argv[1], recipe=Recipe(levels=("as_is", "equal_intensity")), workers=int(sys.argv[2]))
+recipe = Recipe(reducers=("sax321", "dft321", "mag321"), levels=("as_is", "equal_intensity"))
+build_stimuli(scenes, sys.argv[1], recipe, workers=int(sys.argv[2]))
 """
 
 
@@ -609,7 +611,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """What the killed builds are to hold in the end."""
     folder = tmp_path_factory.mktemp("undisturbed")
     scenes = [make_scene(name, duration_s=0.5) for name in list(SCENES)[:3]]
-    build_stimuli(scenes, folder, recipe=Recipe(levels=BOTH), workers=2)
+    build_stimuli(scenes, folder, SOME)
     return contents(folder)
 
 
@@ -630,7 +632,7 @@ def test_a_killed_build_leaves_no_half_file_and_is_continued(
     for path in [*tmp_path.glob("*.wav"), *(tmp_path / PARTS).glob("*.wav")]:
         read_wav(path)  # refuses a file that is shorter than its header says
     scenes = [make_scene(name, duration_s=0.5) for name in list(SCENES)[:3]]
-    build_stimuli(scenes, tmp_path, recipe=Recipe(levels=BOTH))
+    build_stimuli(scenes, tmp_path, SOME)
     assert contents(tmp_path) == undisturbed
     assert not (tmp_path / PARTS).exists()
 

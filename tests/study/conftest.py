@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from feel321.protocols.tasks import make_task
-from feel321.protocols.texts import read_scales
 from feel321.protocols.trial import Flow
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.study.folder import StudyFolder
-from feel321.study.session.engine import Stage, run_session
+from feel321.study.session.engine import run_session
+from feel321.study.session.journal import find_elapsed
 from feel321.study.session.opening import Stale, open_session
-from feel321.study.session.plan import Design, Plan, find_elapsed, list_codes, make_plan
+from feel321.study.session.plan import Design, Plan, make_plan
 from feel321.study.session.ports import Abort, Act, Confirm, Feel, Pause, Playback
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def make_stimulus(
     )
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def stimuli() -> StimulusSet:
     """Two recordings of four reducers and a reference each, without files."""
     rows = []
@@ -82,21 +82,25 @@ def stimuli() -> StimulusSet:
     return StimulusSet(Path("nowhere"), tuple(rows), "5" * 64)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def design() -> Design:
     """Realism and similarity without rehearsal: ten trials each, a rest in between."""
     tasks = (make_task("realism"), make_task("similarity"))
     return Design(seed=7, order="williams", repeats=1, tasks=tasks, between={}, flow=Flow())
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def plan(design: Design, stimuli: StimulusSet) -> Plan:
     return make_plan(design, stimuli, "p01", number=1, simulated=True)
 
 
 @pytest.fixture
-def now() -> Callable[[], datetime]:
+def now() -> Clock:
     """A clock that moves one second per look."""
+    return start_ticking()
+
+
+def start_ticking() -> Clock:
     ticks = count()
     return lambda: datetime(2026, 1, 1, tzinfo=UTC) + timedelta(seconds=next(ticks))
 
@@ -178,17 +182,35 @@ class ScriptedPresenter:
         self.log.append(" ".join(["refuse", reason, *parts]))
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def scripted() -> type[ScriptedPresenter]:
     return ScriptedPresenter
 
 
 @pytest.fixture
 def present(
-    tmp_path: Path, plan: Plan, stimuli: StimulusSet, now: Callable[[], datetime]
+    tmp_path: Path, plan: Plan, stimuli: StimulusSet, now: Clock
 ) -> Callable[..., list[Any]]:
     """Run or resume a session, p01's, with a presenter; gives the records of the newest journal."""
+    return make_present(tmp_path, plan, stimuli, now)
 
+
+@pytest.fixture(scope="session")
+def present_once(
+    tmp_path_factory: pytest.TempPathFactory, plan: Plan, stimuli: StimulusSet
+) -> Callable[..., list[Any]]:
+    """The same for records that many tests read, each call in a study of its own."""
+
+    def run(presenter: ScriptedPresenter, **options: Any) -> list[Any]:
+        path = tmp_path_factory.mktemp("present")
+        return make_present(path, plan, stimuli, start_ticking())(presenter, **options)
+
+    return run
+
+
+def make_present(
+    path: Path, plan: Plan, stimuli: StimulusSet, now: Clock
+) -> Callable[..., list[Any]]:
     def run(
         presenter: ScriptedPresenter,
         *,
@@ -197,16 +219,14 @@ def present(
         stale: Stale | None = None,
         now: Clock = now,
     ) -> list[Any]:
-        folder = tmp_path / "sessions" / plan.participant
+        folder = path / "sessions" / plan.participant
         identity = {"presenter": {"simulated": True}}
         with open_session(folder, plan, identity=identity, now=now, stale=stale or Stale()) as (
             stored,
             journal,
         ):
-            codes = list_codes(stimuli, seed=stored.seed)
-            by_code = {codes[stimulus.stimulus_id]: stimulus for stimulus in stimuli.stimuli}
             presenter.time_s = find_elapsed(journal.records)
-            run_session(stored, Stage(presenter, by_code, read_scales(), journal, stored.flow))
+            run_session(stored, presenter, stimuli=stimuli, journal=journal)
             return list(journal.records)
 
     return run

@@ -111,7 +111,7 @@ def test_a_study_as_it_was_written_gives_no_finding(copy: StudyFolder) -> None:
         ),
         (lambda lines: [*lines, lines[-1]], ": does not follow the line before"),
         (lambda lines: lines[1:], ", line 1: does not follow the line before"),
-        (lambda lines: [*lines, b'{"torn'], ": ends in 6 bytes of a line that was never finished"),
+        (lambda lines: [*lines, b'{"torn'], ": ends in 6 bytes of an unfinished line"),
     ],
     ids=[
         "a changed rating",
@@ -173,9 +173,7 @@ def test_a_changed_or_missing_plan_is_found(copy: StudyFolder) -> None:
     missing.unlink()
     findings = audit_study(copy)
     assert len(findings) == 2
-    assert findings[0].startswith(
-        f"{changed}: got no plan, or one that was changed after it was stored"
-    )
+    assert findings[0].startswith(f"{changed}: not a plan, or changed after it was stored")
     assert str(missing) in findings[1]
 
 
@@ -191,11 +189,8 @@ def test_a_plan_forged_with_its_digest_is_betrayed_by_the_journal(copy: StudyFol
 @pytest.mark.parametrize(
     ("body", "problem"),
     [
-        (b'{\n "format": 2', "got a plan of another make ("),
-        (
-            b'{\n "format": 99',
-            "got a plan of format 99, allowed is 2; use the feel321 that wrote it",
-        ),
+        (b'{\n "format": 2', "not a plan as this version writes it ("),
+        (b'{\n "format": 99', "the plan's format must be 2, got 99; use the feel321 that wrote it"),
     ],
 )
 def test_a_sealed_file_that_is_no_plan_is_told(
@@ -284,7 +279,7 @@ def test_an_edited_row_of_the_ledger_is_found(
 def test_a_ledger_that_is_gone_is_missed(copy: StudyFolder) -> None:
     copy.ledger.unlink()
     assert find_only(copy).startswith(
-        f"{copy.ledger}: is missing, so nobody can tell what else is; rebuild it: "
+        f"{copy.ledger}: is missing, so losses cannot be detected; rebuild it: "
     )
 
 
@@ -302,16 +297,19 @@ def test_a_ledger_that_lags_behind_the_journals_is_no_finding(
 @pytest.mark.parametrize(
     ("events", "finding"),
     [
-        ([("page", {"key": "welcome", "time_s": 0.0})], ": has no header"),
+        ([("page", {"key": "welcome", "time_s": 0.0, "stood_s": 0.0})], ": has no header"),
         (
             [("begun", None), ("shown", {"trial": 1, "attempt": 1})],
             ", line 2: shows trial 1, attempt 1, which was not next",
         ),
         (
-            [("begun", None), ("page", {"key": "end", "time_s": 0.0})],
+            [("begun", None), ("page", {"key": "end", "time_s": 0.0, "stood_s": 0.0})],
             ", line 2: got page 'end', expected page 'welcome'",
         ),
-        ([("begun", None), ("finished", {})], ", line 2: finished after 0 of 5 trials"),
+        (
+            [("begun", None), ("finished", {"trials": 0, "given_up": 0})],
+            ", line 2: finished after 0 of 5 trials",
+        ),
     ],
 )
 def test_gaps_in_a_chain_that_holds_are_found(
@@ -404,7 +402,7 @@ def test_a_session_killed_in_its_opening_needs_no_note(
     path = copy.journals[1]
     path.write_bytes(path.read_bytes().splitlines(keepends=True)[0])
     for event in events:
-        require_journal(path, now=tell_time).write(event, {"time_s": 0.0})
+        require_journal(path, now=tell_time).write(event, {"reason": "", "time_s": 0.0})
     edit_entry(copy, "sim002", state="claimed", done=0, total=0, anchors=())
     assert audit_study(copy) == []
 
@@ -427,7 +425,7 @@ def test_strangers_are_named_once_and_the_others_are_audited_still(copy: StudyFo
     assert [line.partition(": ")[0] for line in findings] == [
         str(copy.sessions / name) for name in ("@eaDir", "sim001 backup", "sim002/plan.json")
     ]
-    assert findings[0].endswith(f"is no participant's folder; move it out of {copy.sessions}")
+    assert findings[0].endswith(f"not a participant's folder; move it out of {copy.sessions}")
 
 
 @pytest.mark.parametrize(
@@ -508,7 +506,7 @@ def test_a_study_written_anew_as_a_whole_is_betrayed_by_the_seal(
     assert main(["audit", str(copy.path), "--expect", seal, "--json"]) == 1
     told = json.loads(capsys.readouterr().out)
     assert (
-        f"{copy.path}: got seal {told['seal']}, expected {seal}; something was recorded or changed since"
+        f"{copy.path}: the seal must be {seal}, got {told['seal']}; something was recorded or changed since"
         in (told["findings"])
     )
 

@@ -496,14 +496,16 @@ def test_a_study_from_new_to_report(
     with study.journals[0].open("ab") as file:
         file.write(b"{}")
     assert main(["status", folder]) == 0
-    assert "2 torn bytes, mended on resuming" in (table := capsys.readouterr().out)
+    assert "2 bytes of an unfinished line, moved aside on resuming" in (
+        table := capsys.readouterr().out
+    )
     assert (
         len(re.findall(r"^sim00\d +finished +24 +0 .*\(simulated\)", table, flags=re.MULTILINE))
         == 4
     )
     assert main(["simulate", folder, "--participants", "4"]) == 0
     assert "feel321: warning: " in (err := capsys.readouterr().err)
-    assert "2 bytes of a line that was never finished were moved to" in err
+    assert "2 bytes of an unfinished line were moved to" in err
     assert main(["audit", folder]) == 0
     clean, seal = capsys.readouterr().out.splitlines()
     assert clean == f"{folder}: 4 journals, all as they were written"

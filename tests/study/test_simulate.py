@@ -17,8 +17,7 @@ from feel321.study.audit import audit_study
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger.slots import list_forgotten
 from feel321.study.ratings import write_ratings
-from feel321.study.session.journal import read_journal
-from feel321.study.session.plan import find_header
+from feel321.study.session.journal import find_header, read_journal
 from feel321.study.sessions import SIDE_BY_SIDE, Simulation, run_simulation
 from feel321.study.settings.read import read_settings
 from feel321.study.status import read_status
@@ -156,7 +155,10 @@ def test_resuming_from_any_record_gives_the_same_table(
         copy.ledger.unlink()
         copy.ledger_log.unlink(missing_ok=True)
         journal.write_bytes(b"".join(lines[:kept]) + lines[kept][:9])
-        assert read_status(copy).participants[1].warnings[0] == "9 torn bytes, mended on resuming"
+        assert (
+            read_status(copy).participants[1].warnings[0]
+            == "9 bytes of an unfinished line, moved aside on resuming"
+        )
         simulate(copy)
         assert copy.ratings.read_bytes() == whole.ratings.read_bytes()
         assert audit_study(copy) == list_forgotten(copy)
@@ -188,7 +190,7 @@ def test_other_words_are_refused_for_sessions_that_began(copy: StudyFolder) -> N
         simulate(copy)
     header = find_header(read_journal(copy.journals[0]).records)
     assert header is not None
-    assert header["consent"].startswith("Taking part is voluntary.")
+    assert header.identity["consent"].startswith("Taking part is voluntary.")
 
 
 def test_another_observer_is_refused_and_only_what_differs_is_named(copy: StudyFolder) -> None:

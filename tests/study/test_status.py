@@ -41,11 +41,7 @@ def test_who_finished_has_nothing_left(begun: StudyFolder) -> None:
 @pytest.mark.parametrize(
     ("name", "content", "problem"),
     [
-        (
-            "plan.json",
-            b"null",
-            "plan.json: got no plan, or one that was changed after it was stored",
-        ),
+        ("plan.json", b"null", "plan.json: not a plan, or changed after it was stored"),
         ("session-01.jsonl", b"{}\n", "session-01.jsonl, line 1: was changed after it was written"),
     ],
 )
@@ -109,7 +105,7 @@ def test_what_the_study_lead_should_know_is_counted(
     (entry,) = read_status(StudyFolder(tmp_path)).participants
     # The reference against itself got 50 points, twice, for there are two recordings.
     assert entry.warnings == (
-        "4 torn bytes, mended on resuming",
+        "4 bytes of an unfinished line, moved aside on resuming",
         "2 x underrun",
         "1 x device error",
         "training not passed",
@@ -156,7 +152,7 @@ def test_records_of_another_make_are_the_problem_of_their_participant(
     )
     broken, fine = read_status(StudyFolder(tmp_path)).participants
     assert broken.problem.startswith(
-        f"{tmp_path / 'sessions' / 'p01'}: holds what feel321 does not write (KeyError: "
+        f"{tmp_path / 'sessions' / 'p01' / 'session-01.jsonl'}, line 10: is not a 'rated' record"
     )
     assert (fine.state, fine.done, fine.problem) == ("running", 2, "")
 
@@ -198,7 +194,7 @@ def test_balance_of_one_full_circle_is_perfect_and_a_drop_out_shows(
     shutil.rmtree(tmp_path / "sessions" / "n04")
     lines = describe_balance(read_status(study).balance)
     assert lines[0] == "balance: 9 finished (simulated)"
-    assert lines[1].startswith("  realism, stimuli: 1 to 2 at each place, ")
+    assert lines[1].startswith("  realism, stimuli: 1 to 2 at each position, ")
     assert lines[1].endswith("; even over 10, 1 to go")
 
 

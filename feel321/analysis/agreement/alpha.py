@@ -132,12 +132,6 @@ def krippendorff_alpha(
         ratings are the same: agreement cannot be distinguished from a scale nobody used. With `draws`, a record of
         the value, its interval and what it rests on.
 
-    Raises
-    ------
-    ValueError
-        If the level is unknown, the table has another shape, an infinite value, a negative one on a ratio scale, or
-        no target with two ratings; if there is one draw only, or not one group per target.
-
     Notes
     -----
     α = 1 - D_o / D_e. With m_u ratings of target u and n in all::

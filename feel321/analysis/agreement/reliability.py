@@ -22,7 +22,7 @@ SMALLEST = 2
 """Targets and raters that a variance needs at least."""
 
 COMPLETE = 0.5
-"""Share of the stimuli that everyone must have rated for a ceiling to speak of them all."""
+"""Share of the stimuli that everyone must have rated for a ceiling of all of them."""
 
 UPPER = (1 + CONFIDENCE) / 2
 
@@ -89,11 +89,6 @@ def intraclass(table: Table | ArrayLike) -> Intraclass:
     -------
     Intraclass
         All six forms.
-
-    Raises
-    ------
-    ValueError
-        If the table is too small or has a cell that is not finite.
 
     Notes
     -----
@@ -168,11 +163,6 @@ def noise_ceiling(table: Table | ArrayLike) -> float:
     float
         sqrt(ICC(C,k)), 0 to 1; NaN where targets do not differ beyond noise: there is nothing to predict
         then.
-
-    Raises
-    ------
-    ValueError
-        If the table is too small or has a cell that is not finite.
 
     Notes
     -----

@@ -168,12 +168,6 @@ def correlate(
     Association
         The correlation, its intervals, and its ceiling.
 
-    Raises
-    ------
-    ValueError
-        If the table lacks a column, mixes scales or holds values that are not finite, or an argument is not
-        allowed.
-
     Notes
     -----
     A stimulus's rating is the mean over participants of each participant's mean over repeats. With R
@@ -266,11 +260,6 @@ def compare_metrics(
     Difference
         The first correlation minus the second, with the two-way interval.
 
-    Raises
-    ------
-    ValueError
-        As for `correlate`, or if both metrics are one.
-
     Notes
     -----
     Both correlations are recomputed in every draw, so their dependence is accounted for. With d = atanh r1 -
@@ -336,11 +325,6 @@ def tabulate_correlations(
     -------
     DataFrame
         A row per scale, level, metric and method, with the fields of `Association`.
-
-    Raises
-    ------
-    ValueError
-        As for `correlate`, or if no metric is named.
 
     Examples
     --------
@@ -504,14 +488,3 @@ def make_panel(
         ),
         stimuli=stimulus_means(part).join(of_stimuli, on="stimulus_id"),
     )
-
-
-def stack_records(panels: Sequence[Panel], kind: str) -> DataFrame:
-    """Tabulate the associations or differences of panels, for a file."""
-    import pandas as pd
-
-    return pd.DataFrame([
-        {"scale": panel.scale, "level": panel.level, **asdict(record), "notes": " ".join(record.notes)}
-        for panel in panels
-        for record in getattr(panel, kind)
-    ])  # fmt: skip

@@ -79,12 +79,6 @@ def compare_dependent(r_jk: float, r_jh: float, r_kh: float, n: int) -> Dependen
     Dependent
         Williams' t, Steiger's and Meng's z, and Zou's interval.
 
-    Raises
-    ------
-    ValueError
-        If a correlation is not between -1 and 1, no three variables can correlate like that, the two
-        variables compared are one, or n is below 4 or no whole number.
-
     Notes
     -----
     Model: n independent draws from a trivariate normal distribution. With r1 = r_jk, r2 = r_jh, r12 = r_kh,

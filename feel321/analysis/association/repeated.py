@@ -75,12 +75,6 @@ def repeated_measures_correlation(
     RepeatedMeasures
         The correlation with its test and interval.
 
-    Raises
-    ------
-    ValueError
-        If lengths differ, pandas' labels are in different orders, a value is not finite, a participant is not named,
-        or there are too few rows.
-
     Notes
     -----
     Model: y = a line with one common slope and an intercept per participant, plus independent errors of equal

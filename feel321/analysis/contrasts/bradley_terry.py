@@ -143,13 +143,6 @@ def bradley_terry(  # noqa: PLR0913 - the model's options, and those of its boot
     BradleyTerry
         Abilities, errors and fit; by rater with ``p`` and interval on raters - 1 degrees of freedom.
 
-    Raises
-    ------
-    ValueError
-        If the table is not as it must be, the reference is unknown, items were never compared with each other
-        even through others, or one or more always won or lost (separation), which leaves no finite estimate; by rater
-        if the column is missing or names fewer than two raters.
-
     Notes
     -----
     Model: P(i beats j) = 1 / (1 + exp(-(λ_i - λ_j + o))), comparisons independent; o is the order effect, for

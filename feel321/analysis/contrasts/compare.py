@@ -99,11 +99,6 @@ def compare_reducers(
     ReducerDifference
         The difference with its interval and tests.
 
-    Raises
-    ------
-    ValueError
-        If a reducer was not rated, the margin is not one, or the ratings leave nothing to judge a difference by.
-
     Notes
     -----
     Model: rating = reducer + random effects of participants, recordings, sources, stimuli, and participants'

@@ -1,4 +1,4 @@
-"""Can two stimuli be told apart? ABX trials: share correct, d' and the chance of guessing as well."""
+"""Can two stimuli be discriminated? ABX trials: share correct, d' and the chance of guessing as well."""
 
 from __future__ import annotations
 
@@ -100,12 +100,6 @@ def discriminate(
     -------
     Discrimination or DataFrame
         Share, intervals, test and d' under two models of the observer; of a table, a row per pair (and pooled).
-
-    Raises
-    ------
-    ValueError
-        If the counts are not whole, or not 0 <= n_correct <= n_trials with n_trials of 1 or more; if a table lacks a
-        column or trials, or has an answer that is neither true nor false.
 
     Notes
     -----

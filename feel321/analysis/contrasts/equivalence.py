@@ -1,6 +1,6 @@
 """Differences between reducers: means, equivalence and non-inferiority with a margin fixed beforehand.
 
-Conventions: hidden reference and anchors have their place here (role tells them apart); repeats are averaged
+Conventions: hidden reference and anchors have their place here (their role marks them); repeats are averaged
 first, then a participant's stimuli, then participants, so that nobody counts twice for having judged more.
 """
 
@@ -104,11 +104,6 @@ def equivalence(estimate: float, se: float, df: float, *, low: float, high: floa
     Equivalence
         Both tests, the 90 % interval, and whether it lies within the margin.
 
-    Raises
-    ------
-    ValueError
-        If a number is not finite, `se` or `df` is not above 0, or `low` is not below `high`.
-
     Notes
     -----
     H0: the true value is at `low` or below, or at `high` or above. t_low = (estimate - low)/se and t_high =
@@ -167,11 +162,6 @@ def non_inferiority(estimate: float, se: float, df: float, *, margin: float) -> 
     -------
     NonInferiority
         The test and the one-sided bound.
-
-    Raises
-    ------
-    ValueError
-        If a number is not finite, `se` or `df` is not above 0, or the margin is 0.
 
     Notes
     -----
@@ -236,11 +226,6 @@ def profile_reducers(ratings: Table | DataFrame) -> DataFrame:
     -------
     DataFrame
         scale, level, role, reducer, mean, low, high, n_participants, n_stimuli, n_ratings; one row each.
-
-    Raises
-    ------
-    ValueError
-        If a column is missing, or a row has no name or no finite rating.
 
     Notes
     -----

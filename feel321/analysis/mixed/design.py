@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from pandas import DataFrame
     from scipy.sparse import csr_array
 
+    from feel321.types import Samples
+
 NAME = r"(?:`[^`]+`|[^\W\d][\w.]*)"
 GROUP = re.compile(rf"\s*{NAME}\s*(?:[:/]\s*{NAME}\s*)*")
 FORBIDDEN = re.compile(r"\b(offset|weights)\s*\(")
@@ -142,7 +144,7 @@ class EffectGroup:
     """Effects that vary together over the levels of a grouping factor, correlated; columns: (n_rows, n_effects)."""
 
     names: tuple[str, ...]
-    columns: NDArray[np.float64]
+    columns: Samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,23 +162,23 @@ class Factor:
         return sum(len(term.names) for term in self.terms)
 
     @property
-    def columns(self) -> NDArray[np.float64]:
+    def columns(self) -> Samples:
         """Columns of all its effects, shape (n_rows, width)."""
         return np.hstack([term.columns for term in self.terms])
 
 
 @dataclass(frozen=True, slots=True)
-class Design:
+class MixedDesign:
     """A model's data; response: (n_rows,), fixed: (n_rows, n_fixed)."""
 
-    response: NDArray[np.float64]
+    response: Samples
     names: tuple[str, ...]
-    fixed: NDArray[np.float64]
+    fixed: Samples
     factors: tuple[Factor, ...]
     coding: Any = None
 
 
-def build_design(formula: str, data: DataFrame) -> Design:
+def build_design(formula: str, data: DataFrame) -> MixedDesign:
     """Build a model's matrices."""
     parsed = parse_formula(formula)
     clean = _settle_types(data)
@@ -189,12 +191,12 @@ def build_design(formula: str, data: DataFrame) -> Design:
             f"formula must have a response of numbers, got {values.shape[1]} columns for {parsed.response!r}"
         )
     names, fixed, coding = _expand(parsed.fixed, clean, "the fixed part")
-    design = Design(values[:, 0], names, fixed, _read_factors(parsed, clean), coding)
+    design = MixedDesign(values[:, 0], names, fixed, _read_factors(parsed, clean), coding)
     _check_fixed(design)
     return design
 
 
-def read_new_rows(names: Sequence[str], coding: Any, data: DataFrame) -> NDArray[np.float64]:  # noqa: ANN401 - formulaic has no types
+def read_new_rows(names: Sequence[str], coding: Any, data: DataFrame) -> Samples:  # noqa: ANN401 - formulaic has no types
     """Compute the columns of a fixed part for new rows, coded as those that were fitted."""
     settled = _settle_types(data)
     try:
@@ -243,7 +245,7 @@ class Expanded(NamedTuple):
     """One side of a formula, written out: names as in R, and formulaic's coding, None for columns as they are."""
 
     names: tuple[str, ...]
-    columns: NDArray[np.float64]
+    columns: Samples
     coding: Any = None
 
 
@@ -397,7 +399,7 @@ def _check_factor(factor: Factor) -> None:
             raise ValueError(f"data must vary in an effect over {factor.name}, got only zeros")
 
 
-def _check_fixed(design: Design) -> None:
+def _check_fixed(design: MixedDesign) -> None:
     n_rows, n_fixed = design.fixed.shape
     if not n_fixed:
         raise ValueError(
@@ -428,7 +430,7 @@ class Block:
     """A grouping factor's place in the equations, and the scale of its columns of Z; scale: (width,)."""
 
     factor: Factor
-    scale: NDArray[np.float64]
+    scale: Samples
     theta: slice
     rows: NDArray[np.intp]
     columns: NDArray[np.intp]
@@ -443,7 +445,7 @@ class Block:
         """Effects per level."""
         return len(self.scale)
 
-    def triangle(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
+    def triangle(self, theta: Samples) -> Samples:
         """Write a factor's parameters, of all (n_theta,), as a triangle of shape (width, width)."""
         lower = np.zeros((self.width, self.width))
         lower[self.rows, self.columns] = theta[self.theta]
@@ -493,7 +495,7 @@ def spread_columns(block: Block) -> csr_array:
     )
 
 
-def pick_blocks(first: csr_array, block: Block) -> NDArray[np.float64]:
+def pick_blocks(first: csr_array, block: Block) -> Samples:
     """Pick the blocks on the diagonal of a factor's cross products: (n_levels, width, width)."""
     products = (first.T @ first).tocsr()
     starts = np.arange(block.n_levels) * block.width
@@ -503,8 +505,8 @@ def pick_blocks(first: csr_array, block: Block) -> NDArray[np.float64]:
     return blocks
 
 
-def scale_columns(matrix: NDArray[np.float64], lower: NDArray[np.float64]) -> NDArray[np.float64]:
+def scale_columns(matrix: Samples, lower: Samples) -> Samples:
     """Multiply every level's columns of a matrix, (n, n_levels * width), by a triangle, (width, width)."""
     levels = matrix.reshape(len(matrix), -1, len(lower))
-    scaled: NDArray[np.float64] = levels * lower[0, 0] if len(lower) == 1 else levels @ lower
+    scaled: Samples = levels * lower[0, 0] if len(lower) == 1 else levels @ lower
     return scaled.reshape(matrix.shape)

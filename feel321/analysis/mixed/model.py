@@ -23,11 +23,11 @@ from feel321.records import Result
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from numpy.typing import NDArray
     from pandas import DataFrame
 
-    from feel321.analysis.mixed.design import Block, Design
+    from feel321.analysis.mixed.design import Block, MixedDesign
     from feel321.analysis.mixed.profile import State
+    from feel321.types import Samples
 
 STEP = 1e-4
 """Share of a relative spread, or of 1 if that is more, by which it is moved: beside 10 000, 0.0001 is rounding."""
@@ -49,9 +49,9 @@ class Uncertainty(Result):
     1, n_theta + 1).
     """
 
-    covariance: NDArray[np.float64]
-    slopes: NDArray[np.float64]
-    parameters: NDArray[np.float64]
+    covariance: Samples
+    slopes: Samples
+    parameters: Samples
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -110,16 +110,14 @@ def find_uncertainty(profile: Profile, best: State) -> Uncertainty:
     return Uncertainty(covariance, slopes, 2 * _invert((hessian + hessian.T) / 2))
 
 
-def _invert(hessian: NDArray[np.float64]) -> NDArray[np.float64]:
+def _invert(hessian: Samples) -> Samples:
     values, vectors = np.linalg.eigh(hessian)
     kept = values > FLAT
-    inverse: NDArray[np.float64] = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
+    inverse: Samples = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
     return inverse
 
 
-def estimate_sum(
-    effects: NDArray[np.float64], weights: NDArray[np.float64], uncertainty: Uncertainty
-) -> Estimate:
+def estimate_sum(effects: Samples, weights: Samples, uncertainty: Uncertainty) -> Estimate:
     """Estimate a weighted sum of fixed effects; effects and weights: (n_fixed,).
 
     Notes
@@ -196,8 +194,8 @@ class MixedFit(Result):
     marginal_r2: float
     conditional_r2: float
     effects: DataFrame
-    fitted: NDArray[np.float64]
-    residuals: NDArray[np.float64]
+    fitted: Samples
+    residuals: Samples
     uncertainty: Uncertainty
     n_rows: int
     n_levels: Mapping[str, int]
@@ -231,7 +229,7 @@ class MixedFit(Result):
             self.fixed.to_string(float_format="{:.4g}".format), *self.notes,
         ])  # fmt: skip
 
-    def predict(self, data: DataFrame) -> NDArray[np.float64]:
+    def predict(self, data: DataFrame) -> Samples:
         """Predict new rows for people and stimuli in general, that is without random effects.
 
         Parameters
@@ -245,7 +243,7 @@ class MixedFit(Result):
             Predicted responses.
         """
         columns = read_new_rows(list(self.fixed.index), self.coding, data)
-        predicted: NDArray[np.float64] = columns @ self.fixed["estimate"].to_numpy()
+        predicted: Samples = columns @ self.fixed["estimate"].to_numpy()
         return predicted
 
 
@@ -338,7 +336,7 @@ class Solved(NamedTuple):
 
     profile: Profile
     best: State
-    coefficients: NDArray[np.float64]
+    coefficients: Samples
     uncertainty: Uncertainty
 
     def estimate(self, weights: Mapping[str, float]) -> Estimate:
@@ -347,7 +345,7 @@ class Solved(NamedTuple):
         return estimate_sum(self.coefficients, values, self.uncertainty)
 
 
-def solve_design(design: Design, *, reml: bool = True, penalty: Sequence[str] = ()) -> Solved:
+def solve_design(design: MixedDesign, *, reml: bool = True, penalty: Sequence[str] = ()) -> Solved:
     """Minimise a design's deviance, by the shortcut where it is balanced."""
     balance = find_balance(design)
     if balance:
@@ -481,9 +479,7 @@ def _tabulate_spreads(profile: Profile, best: State) -> tuple[DataFrame, DataFra
     )
 
 
-def list_spreads(
-    profile: Profile, best: State
-) -> Iterator[tuple[str, tuple[str, ...], NDArray[np.float64]]]:
+def list_spreads(profile: Profile, best: State) -> Iterator[tuple[str, tuple[str, ...], Samples]]:
     """List group, effects and covariance of what varies together, in the order of the formula."""
     sigma = find_sigma(profile, best)
     for block, covariance in _in_order(profile, find_spreads(profile, best)):
@@ -493,16 +489,14 @@ def list_spreads(
             yield block.factor.name, term.names, covariance[place, place] * sigma**2
 
 
-def _in_order(
-    profile: Profile, values: list[NDArray[np.float64]]
-) -> Iterator[tuple[Block, NDArray[np.float64]]]:
+def _in_order(profile: Profile, values: list[Samples]) -> Iterator[tuple[Block, Samples]]:
     """Pair blocks with what belongs to them, in the order of the formula."""
     names = [factor.name for factor in profile.design.factors]
     pairs = zip(profile.blocks, values, strict=True)
     return iter(sorted(pairs, key=lambda pair: names.index(pair[0].factor.name)))
 
 
-def _predict(profile: Profile, best: State) -> tuple[NDArray[np.float64], DataFrame]:
+def _predict(profile: Profile, best: State) -> tuple[Samples, DataFrame]:
     import pandas as pd
 
     fitted = profile.design.fixed @ find_coefficients(profile, best)[0]

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from feel321.analysis.mixed.design import Design, Factor
+    from feel321.analysis.mixed.design import Factor, MixedDesign
+    from feel321.types import Samples
 
 ZERO = 1e-4
 """A relative spread below this is none: what lme4 calls singular."""
@@ -36,19 +37,19 @@ PROBE, RESTART, ATTEMPTS = 0.02, 0.3, 4
 class Stand(NamedTuple):
     """Where a factor stands among one participant's rows; columns: (n_each, n_levels * width)."""
 
-    columns: NDArray[np.float64]
+    columns: Samples
     shared: bool
 
 
 @dataclass(frozen=True, slots=True)
-class Balance:
+class BalancedRows:
     """A design's rows participant by participant, (n_people, n_each), and where each factor stands."""
 
     order: NDArray[np.intp]
     stands: dict[str, Stand]
 
 
-def find_balance(design: Design) -> Balance | None:
+def find_balance(design: MixedDesign) -> BalancedRows | None:
     """Order the rows of a design participant by participant, alike for all."""
     if any(len(term.names) > 1 for factor in design.factors for term in factor.terms):
         return None
@@ -56,7 +57,7 @@ def find_balance(design: Design) -> Balance | None:
     return next((balance for balance in found if balance is not None), None)
 
 
-def _order_by(design: Design, who: Factor) -> Balance | None:
+def _order_by(design: MixedDesign, who: Factor) -> BalancedRows | None:
     people, n_rows = len(who.levels), len(who.index)
     if n_rows % people or (np.bincount(who.index) != n_rows // people).any():
         return None
@@ -70,7 +71,7 @@ def _order_by(design: Design, who: Factor) -> Balance | None:
         if stand is None:
             return None
         stands[factor.name] = stand
-    return Balance(order, stands)
+    return BalancedRows(order, stands)
 
 
 def _is_same(values: NDArray[np.generic]) -> bool:
@@ -96,7 +97,7 @@ class Balanced(Profile):
     """The deviance as a function of theta, for a balanced design."""
 
     def __init__(
-        self, design: Design, balance: Balance, *, reml: bool, penalty: Sequence[str] = ()
+        self, design: MixedDesign, balance: BalancedRows, *, reml: bool, penalty: Sequence[str] = ()
     ) -> None:
         self.balance = balance
         self.n_people, self.n_each = balance.order.shape
@@ -139,7 +140,7 @@ class Balanced(Profile):
         self.columns, self.parameters = np.hstack(parts), np.concatenate(places)
         self.n_random = len(self.parameters)
 
-    def evaluate(self, theta: NDArray[np.float64]) -> State:
+    def evaluate(self, theta: Samples) -> State:
         """Factorise both matrices at theta, (n_theta,)."""
         from scipy.linalg.lapack import dpotrf, dpotri
 
@@ -161,13 +162,13 @@ class Balanced(Profile):
         logs = (self.n_people - 1) * log_own + self.n_each * np.log(ratio)
         return self._make_state(theta, logs, factor=factor, inner=inner)
 
-    def _find_spreads(self, theta: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    def _find_spreads(self, theta: Samples) -> tuple[Samples, float]:
         """Spread of every column, 1 for the fixed ones and y, and the variance of a mean's own row beside residual."""
         spreads = np.concatenate([theta[self.parameters], np.ones(self.n_fixed + 1)])
         each = 0.0 if self.each is None else float(theta[self.each.theta][0])
         return spreads, 1 + self.n_people * each**2
 
-    def find_slope(self, state: State, weight: float) -> NDArray[np.float64]:
+    def find_slope(self, state: State, weight: float) -> Samples:
         """Differentiate the deviance with respect to theta, (n_theta,)."""
         from scipy.linalg.lapack import dtrtri
 
@@ -203,7 +204,7 @@ def _is_identity(stand: Stand) -> bool:
     return bool(square and (diagonal == diagonal[0]).all())
 
 
-def find_slope(profile: Profile, state: State, weight: float | None = None) -> NDArray[np.float64]:
+def find_slope(profile: Profile, state: State, weight: float | None = None) -> Samples:
     """Differentiate the deviance with respect to theta, (n_theta,).
 
     Notes
@@ -231,7 +232,7 @@ def find_slope(profile: Profile, state: State, weight: float | None = None) -> N
     return np.concatenate([matrix[block.rows, block.columns] for matrix, block in parts])
 
 
-def _find_adjoint(profile: Profile, state: State, weight: float) -> NDArray[np.float64]:
+def _find_adjoint(profile: Profile, state: State, weight: float) -> Samples:
     """Differentiate the deviance with respect to the dense matrix."""
     from scipy.linalg.lapack import dpotri, dtrtrs
 
@@ -248,9 +249,7 @@ def _find_adjoint(profile: Profile, state: State, weight: float) -> NDArray[np.f
     return adjoint
 
 
-def _find_inner_slope(
-    profile: Profile, state: State, outer: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _find_inner_slope(profile: Profile, state: State, outer: Samples) -> Samples:
     """Differentiate through the eliminated factor: its own determinant, and what it leaves."""
     lower = profile.blocks[0].triangle(state.theta)
     width = len(lower)
@@ -261,17 +260,15 @@ def _find_inner_slope(
         seen[:, row, column] = products.sum(axis=1)
     back = state.inner @ lower.T
     kept = np.eye(width) - lower @ back @ profile.inner_products
-    slope: NDArray[np.float64] = (back @ profile.inner_products - back @ seen @ kept).sum(axis=0)
+    slope: Samples = (back @ profile.inner_products - back @ seen @ kept).sum(axis=0)
     return 2 * slope.T
 
 
-def _trace_blocks(
-    left: NDArray[np.float64], right: NDArray[np.float64], width: int
-) -> NDArray[np.float64]:
+def _trace_blocks(left: Samples, right: Samples, width: int) -> Samples:
     """Sum over levels of the blocks on the diagonal of left @ right."""
     rows = left.reshape(-1, width, left.shape[1])
     columns = right.T.reshape(-1, width, right.shape[0])
-    found: NDArray[np.float64] = np.einsum("aik,ajk->ij", rows, columns)
+    found: Samples = np.einsum("aik,ajk->ij", rows, columns)
     return found
 
 
@@ -295,10 +292,10 @@ def find_optimum(profile: Profile) -> State:
     return best
 
 
-def _descend(profile: Profile, start: NDArray[np.float64]) -> State:
+def _descend(profile: Profile, start: Samples) -> State:
     from scipy.optimize import minimize
 
-    def value(theta: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+    def value(theta: Samples) -> tuple[float, Samples]:
         state = profile.evaluate(theta)
         slope = find_slope(profile, state)
         slope[profile.penalised] -= 2 / theta[profile.penalised]
@@ -332,7 +329,7 @@ _NO_RESIDUAL = (
 )
 
 
-def _settle_signs(profile: Profile, theta: NDArray[np.float64]) -> NDArray[np.float64]:
+def _settle_signs(profile: Profile, theta: Samples) -> Samples:
     """Write spreads as 0 or more, for turning an effect's column around changes nothing, and tiny ones as 0."""
     settled = np.empty_like(theta)
     for block in profile.blocks:

@@ -40,9 +40,8 @@ from feel321.analysis.mixed.design import (
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
-
-    from feel321.analysis.mixed.design import Design
+    from feel321.analysis.mixed.design import MixedDesign
+    from feel321.types import Samples
 
 MOST_LEVELS = 10_000
 """Effects beside the largest factor's: with more, the dense equations alone need gigabytes."""
@@ -58,23 +57,23 @@ HELD = Lock()
 class State:
     """Everything known at one theta; theta: (n_theta,), inner: (n_levels, width, width)."""
 
-    theta: NDArray[np.float64]
+    theta: Samples
     log_random: float
     log_fixed: float
     rss: float
-    factor: NDArray[np.float64]
-    inner: NDArray[np.float64]
+    factor: Samples
+    inner: Samples
 
 
 class Profile:
     """The deviance as a function of theta, for one design."""
 
     n_random: int
-    triangle_x: NDArray[np.float64]
-    offset: NDArray[np.float64]
+    triangle_x: Samples
+    offset: Samples
     unit: float
 
-    def __init__(self, design: Design, *, reml: bool, penalty: Sequence[str] = ()) -> None:
+    def __init__(self, design: MixedDesign, *, reml: bool, penalty: Sequence[str] = ()) -> None:
         self.design, self.reml = design, reml
         self.n_rows, self.n_fixed = design.fixed.shape
         self.freedom = self.n_rows - self.n_fixed if reml else self.n_rows
@@ -111,7 +110,7 @@ class Profile:
         """The determinant of X'X, as a logarithm."""
         return float(2 * np.log(np.abs(np.diag(self.triangle_x))).sum())
 
-    def evaluate(self, theta: NDArray[np.float64]) -> State:
+    def evaluate(self, theta: Samples) -> State:
         """Factorise the equations at theta, (n_theta,)."""
         from scipy.linalg import cholesky
 
@@ -130,12 +129,7 @@ class Profile:
         return self._make_state(theta, log_blocks, factor=factor, inner=inner)
 
     def _make_state(
-        self,
-        theta: NDArray[np.float64],
-        log_others: float,
-        *,
-        factor: NDArray[np.float64],
-        inner: NDArray[np.float64],
+        self, theta: Samples, log_others: float, *, factor: Samples, inner: Samples
     ) -> State:
         logs = 2 * np.log(factor.diagonal())
         return State(
@@ -147,16 +141,16 @@ class Profile:
             inner=inner,
         )
 
-    def eliminate(self, middle: NDArray[np.float64]) -> NDArray[np.float64]:
+    def eliminate(self, middle: Samples) -> Samples:
         """Take the first factor out of the others' cross products; middle: (n_levels, width, width)."""
         from scipy.sparse import bsr_array
 
         count = len(middle)
         spread = bsr_array((middle, np.arange(count), np.arange(count + 1))).tocsr()
-        left: NDArray[np.float64] = self.outer - (self.border.T @ (spread @ self.border)).toarray()
+        left: Samples = self.outer - (self.border.T @ (spread @ self.border)).toarray()
         return left
 
-    def tail(self, theta: NDArray[np.float64]) -> Iterator[tuple[slice, NDArray[np.float64]]]:
+    def tail(self, theta: Samples) -> Iterator[tuple[slice, Samples]]:
         """List where the factors that are not eliminated stand, and their triangles, (width, width)."""
         start = 0
         for block in self.blocks[1:]:
@@ -177,9 +171,7 @@ def find_sigma(profile: Profile, state: State) -> float:
     return float(np.sqrt(state.rss / profile.weight))
 
 
-def find_coefficients(
-    profile: Profile, state: State
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def find_coefficients(profile: Profile, state: State) -> tuple[Samples, Samples]:
     """Solve for the fixed effects, (n_fixed,), and their covariance in units of s²."""
     from scipy.linalg import solve_triangular
 
@@ -192,7 +184,7 @@ def find_coefficients(
     return shift + inverse @ last * profile.unit, inverse @ inverse.T
 
 
-def find_modes(profile: Profile, state: State) -> list[NDArray[np.float64]]:
+def find_modes(profile: Profile, state: State) -> list[Samples]:
     """Predict the random effects of every factor, (n_levels, width), in the order of the blocks."""
     from scipy.linalg import solve_triangular
 
@@ -213,7 +205,7 @@ def find_modes(profile: Profile, state: State) -> list[NDArray[np.float64]]:
     ]
 
 
-def find_spreads(profile: Profile, state: State) -> list[NDArray[np.float64]]:
+def find_spreads(profile: Profile, state: State) -> list[Samples]:
     """Covariances of the random effects, (width, width), in units of s², in the order of the blocks."""
     lowers = [block.triangle(state.theta) / block.scale[:, None] for block in profile.blocks]
     return [lower @ lower.T for lower in lowers]

@@ -62,11 +62,6 @@ def compare_p1401(first: P1401, second: P1401) -> P1401Difference:
     P1401Difference
         The four tests.
 
-    Raises
-    ------
-    ValueError
-        If the two results do not rest on the same votes and order.
-
     Notes
     -----
     With N items: Z = (z1 - z2) / √(2 / (N - 3)); for the outlier ratios Z = (p1 - p2) / √(2 p (1 - p) / N)

@@ -216,13 +216,6 @@ def p1401(
     P1401
         Accuracy, monotonicity, error and consistency, with the mapping.
 
-    Raises
-    ------
-    ValueError
-        If shapes do not fit, pandas' labels are in different orders, an item has fewer than two votes, a value is
-        not finite, the order is not one of the three, or there are too few items, groups or different metric values
-        for it.
-
     Notes
     -----
     Per item with n votes and standard deviation s (n - 1): MOS, and ci = q s / √n with q = t(.975, n - 1)

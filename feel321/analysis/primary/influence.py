@@ -26,10 +26,10 @@ from feel321.analysis.table.schema import HIGHEST
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
     from pandas import DataFrame, Series
 
     from feel321.analysis.primary.model import Primary
+    from feel321.types import Samples
 
 adjust = adjust_holm  # kept until all branches are in
 
@@ -62,10 +62,9 @@ ESTIMATES = ("estimate", "se", "df", "p", "tenth", "tenth_low", "tenth_high")
 class Influence:
     """What single stimuli, recordings and reducers do to the primary slopes of one attribute.
 
-    exceptions: indexed by reducer: excess (points by which its ratings exceed what the slopes
-    without it predict, relative to the other reducers), t, df, p (Bonferroni over reducers),
-    exceptional (p < .05, and 5 to 100 points: beyond the scale it is the metric that is out of
-    range).
+    exceptions, by reducer: excess (points by which its ratings exceed what the slopes without it predict, relative to
+    the other reducers), t, df, p (Bonferroni over reducers), exceptional (p < .05, and 5 to 100 points: beyond the
+    scale it is the metric that is out of range).
     """
 
     table: DataFrame
@@ -88,9 +87,7 @@ class Influence:
 
 
 def conclude(p_holm: float) -> str:
-    """Give the verdict on a slope: ``predicts``, ``open``, or ``not_estimable`` where there is no test.
-
-    p_holm: naN where there is none.
+    """Give the verdict on a slope: ``predicts``, ``open``, or ``not_estimable`` where there is no test (NaN).
 
     Examples
     --------
@@ -152,9 +149,7 @@ def find_candidates(
     return list(chosen)
 
 
-def _gather_items(
-    rows: DataFrame, metrics: Sequence[str]
-) -> tuple[DataFrame, NDArray[np.float64], NDArray[np.float64]]:
+def _gather_items(rows: DataFrame, metrics: Sequence[str]) -> tuple[DataFrame, Samples, Samples]:
     """Gather stimuli, their metrics within recordings, and their mean ratings, people's levels taken out."""
     cells = make_cells(rows, metrics).table
     level = cells.groupby(WHO, observed=True)[RATING].transform("mean")
@@ -164,27 +159,23 @@ def _gather_items(
     return items, within, items[ITEM].map(means).to_numpy(np.float64)
 
 
-def _list_dummies(items: DataFrame, groups: Sequence[str]) -> NDArray[np.float64]:
+def _list_dummies(items: DataFrame, groups: Sequence[str]) -> Samples:
     from pandas import get_dummies
 
     return get_dummies(items[list(groups)].astype(str)).to_numpy(np.float64)
 
 
-def _centre(dummies: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
-    centred: NDArray[np.float64] = (
-        values - dummies @ np.linalg.lstsq(dummies, values, rcond=None)[0]
-    )
+def _centre(dummies: Samples, values: Samples) -> Samples:
+    centred: Samples = values - dummies @ np.linalg.lstsq(dummies, values, rcond=None)[0]
     return centred
 
 
-def _measure_changes(
-    x: NDArray[np.float64], y: NDArray[np.float64], *, share: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _measure_changes(x: Samples, y: Samples, *, share: Samples) -> Samples:
     """Compute how every slope changes without each stimulus; share is the leverage of what was taken out before."""
     inverse = np.linalg.pinv(x)
     residual = y - x @ (inverse @ y)
     leverage = share + np.einsum("ij,ji->i", x, inverse)
-    changes: NDArray[np.float64] = (inverse * (residual / np.maximum(1 - leverage, 1e-9))).T
+    changes: Samples = (inverse * (residual / np.maximum(1 - leverage, 1e-9))).T
     return changes
 
 

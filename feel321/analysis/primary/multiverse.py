@@ -9,12 +9,13 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from feel321.analysis.screening.screen import screen_raters
 from feel321.analysis.table.items import leave_rejected, open_ratings
+from feel321.records import Result
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
@@ -22,28 +23,32 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.analysis.screening.screen import Screening
+    from feel321.analysis.table.reading import Table
+    from feel321.types import Rng
+
+NONE = float("nan")
 
 EVERYONE = "none"
 """Name of the universe without a rule."""
 
 BETWEEN = "; "
-"""What parts combinations that leave the same raters."""
+"""Separates combinations that leave the same raters."""
 
 
-class Estimate(NamedTuple):
-    """What an estimator found.
-
-    value, low, high: naN where there is none.
-    """
+class UniverseEstimate(NamedTuple):
+    """What an estimator found; NaN where there is none."""
 
     value: float
-    low: float = float("nan")
-    high: float = float("nan")
+    low: float = NONE
+    high: float = NONE
     note: str = ""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Multiverse:
+Estimate = UniverseEstimate  # kept until all branches are in
+
+
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Multiverse(Result):
     """An estimate in every universe.
 
     Parameters
@@ -54,7 +59,7 @@ class Multiverse:
         ``;``), n_excluded, excluded (tuple of participants), n_participants, value, low, high, note (why there is no
         value).
     screening : Screening
-        Whom each rule flagged, and why.
+        Raters that each rule flagged, and why.
     n_combinations : int
         Combinations of rules, none at all among them.
     n_distinct : int
@@ -64,7 +69,7 @@ class Multiverse:
     same_sign : float
         Share of the defined values with the sign of that of the first universe; NaN if that has none.
     beyond_zero : float
-        Share of the defined intervals that leave zero out; NaN without intervals.
+        Share of the defined intervals that exclude zero; NaN without intervals.
     notes : tuple of str
         Which universes have no value and which rules change nothing.
     """
@@ -86,29 +91,39 @@ class Multiverse:
         defined = self.table[self.table["value"].notna()]
         return defined.sort_values("value", kind="stable").reset_index(drop=True)
 
+    def to_frame(self) -> DataFrame:
+        """Return the universes.
+
+        Returns
+        -------
+        DataFrame
+            As `table`.
+        """
+        return self.table
+
 
 def run_multiverse(
-    ratings: DataFrame,
+    table: Table | DataFrame,
     estimator: Callable[[DataFrame], object],
     *,
     rules: Iterable[str] | Mapping[str, float] | None = None,
     together: int = 2,
-    rng: np.random.Generator | None = None,
+    rng: Rng | None = None,
 ) -> Multiverse:
     """Run an estimator without exclusion, after each rule, and after combinations of rules.
 
     Parameters
     ----------
-    ratings : DataFrame
+    table : Table or DataFrame
         Tidy table, as for `screen_raters` and for the estimator.
     estimator : callable
-        Table of ratings -> a number, (value, low, high), or a result with ``value``, ``low`` and ``high``. It should
-        make its own generator from a fixed seed, so that universes differ by their raters only.
+        DataFrame of ratings -> a number, (value, low, high), or a result with ``value``, ``low`` and ``high``. It
+        should make its own generator from a fixed seed, so that universes differ by their raters only.
     rules : iterable of str, mapping of str to float, or None
         As for `screen_raters`.
     together : int
         Largest number of rules combined, 1 or more; all rules at once are always among the universes.
-    rng : Generator or None
+    rng : int, Generator or None
         For the rule ``expertise``.
 
     Returns
@@ -139,9 +154,10 @@ def run_multiverse(
     Examples
     --------
     >>> import pandas as pd
+    >>> from feel321 import analysis
     >>> table = pd.DataFrame({"participant": ["ann"] * 10 + ["bob"] * 10, "recording": list("abcdefghij") * 2,
     ...     "reducer": "original", "role": "reference", "rating": [95] * 10 + [85] * 10})
-    >>> result = run_multiverse(table, lambda part: part["rating"].mean(), rules=["hidden_reference"])
+    >>> result = analysis.run_multiverse(table, lambda part: part["rating"].mean(), rules=["hidden_reference"])
     >>> result.table[["universe", "n_excluded", "value"]]
                universe  n_excluded  value
     0              none           0   90.0
@@ -150,31 +166,33 @@ def run_multiverse(
     import pandas as pd
 
     if together < 1:
-        raise ValueError(f"together: got {together}, allowed is 1 or more rules in a combination")
-    ratings = open_ratings(ratings)
-    screening = screen_raters(ratings, rules=rules, rng=rng)
-    ratings, _ = leave_rejected(ratings)
+        raise ValueError(f"together must be 1 or more rules in a combination, got {together}")
+    given: Any = table
+    screening = screen_raters(table, rules, rng=rng)
+    ratings, _ = leave_rejected(open_ratings(given))
     hits, sets = screening.hits, defaultdict(list)
     for chosen in _list_combinations(screening.rules, together):
         sets[frozenset(who for rule in chosen for who in hits[rule])].append(chosen)
     everyone = ratings["participant"].nunique()
-    rows = [
-        {
-            **_describe(chosen, screening.rules),
-            **_count(who, everyone),
-            **_estimate(ratings, estimator, who)._asdict(),
-        }
-        for who, chosen in sets.items()
-    ]
-    table = pd.DataFrame(rows)
+    rows = []
+    for excluded, leaving in sets.items():
+        # Named by the first, which is the smallest, of the combinations that leave these raters.
+        names = [" + ".join(chosen) or EVERYONE for chosen in leaving]
+        rows.append({
+            "universe": names[0],
+            **{rule: rule in leaving[0] for rule in screening.rules},
+            "n_combinations": len(names),
+            "combinations": BETWEEN.join(names),
+            "n_excluded": len(excluded),
+            "excluded": tuple(sorted(excluded, key=str)),
+            "n_participants": everyone - len(excluded),
+            **_estimate(ratings, estimator, excluded)._asdict(),
+        })
+    universes = pd.DataFrame(rows)
     return Multiverse(
-        table=table,
-        screening=screening,
-        n_combinations=int(table["n_combinations"].sum()),
-        n_distinct=len(table),
-        **_summarise(table),
-        notes=_explain(table, screening),
-    )
+        table=universes, screening=screening, n_combinations=int(universes["n_combinations"].sum()),
+        n_distinct=len(universes), **_summarise(universes), notes=_explain(universes, screening),
+    )  # fmt: skip
 
 
 def _list_combinations(rules: tuple[str, ...], together: int) -> Iterator[tuple[str, ...]]:
@@ -186,72 +204,49 @@ def _list_combinations(rules: tuple[str, ...], together: int) -> Iterator[tuple[
 
 
 def _estimate(
-    ratings: DataFrame, estimator: Callable[[DataFrame], object], who: frozenset[Hashable]
-) -> Estimate:
-    left = ratings[~ratings["participant"].isin(list(who))]
+    ratings: DataFrame, estimator: Callable[[DataFrame], object], excluded: frozenset[Hashable]
+) -> UniverseEstimate:
+    left = ratings[~ratings["participant"].isin(list(excluded))]
     if left.empty:
-        return Estimate(float("nan"), note="every participant is excluded")
+        return UniverseEstimate(NONE, note="every participant is excluded")
     try:
         result = estimator(left)
     except ValueError as error:
-        return Estimate(float("nan"), note=str(error))
+        return UniverseEstimate(NONE, note=str(error))
     return _read_estimate(result)
 
 
-def _read_estimate(result: object) -> Estimate:
+def _read_estimate(result: object) -> UniverseEstimate:
     """Take a number, three of them, or a result with value, low and high."""
-    told = [getattr(result, name, np.nan) for name in ("value", "low", "high")]
-    given = told if hasattr(result, "value") else result
+    fields = [getattr(result, name, np.nan) for name in ("value", "low", "high")]
+    given = fields if hasattr(result, "value") else result
     try:
         numbers = np.asarray(given, dtype=np.float64).ravel().tolist()
     except (TypeError, ValueError):
         numbers = []
     if len(numbers) not in {1, 3} or given is None:
         raise TypeError(
-            f"estimator: got {result!r}, allowed is a number, (value, low, high), or a result with these"
+            f"estimator must give a number, (value, low, high), or a result with these; got {result!r}"
         )
     if np.isnan(numbers[0]):
-        return Estimate(
-            numbers[0], note=" ".join(getattr(result, "notes", ())) or "the estimator gave NaN"
-        )
-    low, high = numbers[1:] or (float("nan"), float("nan"))
-    return Estimate(numbers[0], low, high)
-
-
-def _describe(leaving: list[tuple[str, ...]], rules: tuple[str, ...]) -> dict[str, object]:
-    """Name a universe by the first, which is the smallest, of the combinations that leave its raters."""
-    names = [" + ".join(chosen) or EVERYONE for chosen in leaving]
-    flags = {rule: rule in leaving[0] for rule in rules}
-    return {
-        "universe": names[0],
-        **flags,
-        "n_combinations": len(names),
-        "combinations": BETWEEN.join(names),
-    }
-
-
-def _count(who: frozenset[Hashable], everyone: int) -> dict[str, object]:
-    return {
-        "n_excluded": len(who),
-        "excluded": tuple(sorted(who, key=str)),
-        "n_participants": everyone - len(who),
-    }
+        note = " ".join(getattr(result, "notes", ())) or "the estimator gave NaN"
+        return UniverseEstimate(numbers[0], note=note)
+    low, high = numbers[1:] or (NONE, NONE)
+    return UniverseEstimate(numbers[0], low, high)
 
 
 def _summarise(table: DataFrame) -> dict[str, float]:
-    missing = float("nan")
     values = table["value"].to_numpy(np.float64)
     first, defined = values[0], values[np.isfinite(values)]
     bounded = table[table["low"].notna() & table["high"].notna()]
     beyond = (bounded["low"] > 0) | (bounded["high"] < 0)
+    same = (np.sign(defined) == np.sign(first)).mean() if np.isfinite(first) else NONE
     return {
-        "median": float(np.median(defined)) if len(defined) else missing,
-        "smallest": float(defined.min()) if len(defined) else missing,
-        "largest": float(defined.max()) if len(defined) else missing,
-        "same_sign": float((np.sign(defined) == np.sign(first)).mean())
-        if np.isfinite(first)
-        else missing,
-        "beyond_zero": float(beyond.mean()) if len(bounded) else missing,
+        "median": float(np.median(defined)) if len(defined) else NONE,
+        "smallest": float(defined.min()) if len(defined) else NONE,
+        "largest": float(defined.max()) if len(defined) else NONE,
+        "same_sign": float(same),
+        "beyond_zero": float(beyond.mean()) if len(bounded) else NONE,
     }
 
 

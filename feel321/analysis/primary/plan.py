@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.analysis.table.reading import Table
+    from feel321.types import Samples
 
 WHO, SCENE, ITEM, RATING = "participant", "recording", "item", "rating"
 SOURCE, REDUCER = "source", "reducer"
@@ -385,16 +386,16 @@ def _has_residual(cells: Cells, slopes: list[str]) -> bool:
     return any(np.linalg.matrix_rank(columns[place]) < len(place) for place in places)
 
 
-def _mark_levels(table: DataFrame, name: str) -> NDArray[np.float64]:
+def _mark_levels(table: DataFrame, name: str) -> Samples:
     codes, levels = table[name].factorize()
-    marks: NDArray[np.float64] = np.eye(len(levels))[codes]
+    marks: Samples = np.eye(len(levels))[codes]
     return marks
 
 
-def _read_slopes(table: DataFrame, names: list[str]) -> NDArray[np.float64]:
+def _read_slopes(table: DataFrame, names: list[str]) -> Samples:
     """Read metrics within recordings, each in units of its spread so that none counts as rounding."""
     values = table[names].to_numpy(np.float64)
-    scaled: NDArray[np.float64] = values / values.std(axis=0)
+    scaled: Samples = values / values.std(axis=0)
     return scaled
 
 

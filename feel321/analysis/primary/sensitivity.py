@@ -108,45 +108,20 @@ def leave_out_items(rows: DataFrame, names: Sequence[str]) -> Iterator[Variant]:
 def vary_primary(
     rows: DataFrame, metrics: Sequence[str], *, top: float = 100.0, leave_out: bool = True
 ) -> DataFrame:
-    """Repeat the primary analysis under other choices.
+    """Repeat the primary analysis under other choices: one row per variant and metric.
 
-    Parameters
-    ----------
-    rows : DataFrame
-        As for `fit_primary`; with a column ``reducer``, each reducer is left out in turn.
-    metrics : sequence of str
-        One or more.
-    top : float
-        Upper end of the rating scale, which starts at 0.
-    leave_out : bool
-        Whether to leave each recording and each reducer out in turn.
+    rows: as for `fit_primary`; ratings from 0 to top. Columns: variant, unit (of estimate, low and high: points, rater
+    SDs or logits, per unit of the metric), metric, estimate se df t p low high, standardised slope with its interval,
+    singular, and reason (why a variant has no numbers, or what its model lacks or leaves out).
 
-    Returns
-    -------
-    DataFrame
-        One row per variant and metric: variant, unit (of estimate, low and high: points, rater SDs or logits,
-        per unit of the metric), metric, estimate se df t p low high, standardised slope with its interval,
-        singular, and reason (why a variant has no numbers, or what its model lacks or leaves out).
-
-    Raises
-    ------
-    ValueError
-        If the primary model itself cannot be fitted, or ratings are outside of 0..top.
-
-    Notes
-    -----
     Variants: people's slopes correlated; the model without its terms for reducers, which takes what a reducer feels
     like for other reasons for evidence of its metric; without each recording (without each source, where several
     recordings come from one: the others of it would stand in for what is left out); without each reducer (metrics
     are split anew over what is left, so that nothing of it leaks in); each rater's ratings standardised, which takes
     out how much of the scale they use (raters whose ratings are all the same cannot be, and are left out, as the
-    reason says); ratings as logits
-    of (y (n - 1) + 1/2) / n, y = rating / top and n their number (Smithson & Verkuilen 2006), which takes out the
-    crowding at the scale's ends. Only standardised slopes compare across units.
-
-    References
-    ----------
-    Smithson & Verkuilen (2006), doi 10.1037/1082-989X.11.1.54.
+    reason says); ratings as logits of (y (n - 1) + 1/2) / n, y = rating / top and n their number (Smithson & Verkuilen
+    2006, doi 10.1037/1082-989X.11.1.54), which takes out the crowding at the scale's ends. Only standardised slopes
+    compare across units.
     """
     import pandas as pd
 
@@ -204,26 +179,13 @@ FEWEST_PEOPLE, FEWEST_RECORDINGS = 6, 4
 class SlopePrecision(Result):
     """What the standard error of a slope within recordings is made of.
 
-    Parameters
-    ----------
-    slope_sd : float
-        Between participants, of the slope; points per unit of the metric.
-    item_sd : float
-        Between stimuli of a recording, of what the metrics leave unexplained; points.
-    noise_sd : float
-        Of one participant's mean rating of a stimulus, √(σ_PI² + σ_e²/K) for K repeats; points.
-    square : float
-        Σ over stimuli of the metric squared, less its recording's mean and less what the other metrics share.
-    n_participants, n_recordings, n_items, n_slopes : int
-        Size of the study, and metrics in the model.
-    reducer_sd, rater_reducer_sd : float
-        Between reducers, of what the metrics leave unexplained, for everyone and for one participant; points.
-    reducer_square : float
-        The part of `square` that is the same for a reducer in every recording.
-    n_reducers, n_alike : float
-        Reducers, 0 where the model has no spread between them, and stimuli of each.
-    level : float
-        Of the test: 0.05 over the number of slopes tested, which is Holm's first step.
+    In points, the slope's per unit of the metric: slope_sd between participants; item_sd between stimuli of a
+    recording, of what the metrics leave unexplained; noise_sd of one participant's mean rating of a stimulus,
+    √(σ_PI² + σ_e²/K) for K repeats; reducer_sd, rater_reducer_sd between reducers, of what the metrics leave
+    unexplained, for everyone and for one participant. square: Σ over stimuli of the metric squared, less its
+    recording's mean and less what the other metrics share; reducer_square: the part of it that is the same for a
+    reducer in every recording. n_reducers is 0 where the model has no spread between them, n_alike the stimuli of
+    each. level: of the test, 0.05 over the number of slopes tested, which is Holm's first step.
     """
 
     slope_sd: float

@@ -2,6 +2,9 @@
 
 Every least-squares fit and every squared error is made of sums over items. These are taken once per fold of
 recordings; leaving a fold out is then a subtraction, and all draws are worked on at once.
+
+Candidates are few, of few parameters, in order of simplicity. Every stimulus is predicted by what other people said of
+other recordings, and a candidate is chosen by recordings that none was fitted to.
 """
 
 from __future__ import annotations
@@ -23,8 +26,6 @@ if TYPE_CHECKING:
 
     Values = NDArray[np.float64]
 
-# Which refinements are tried: few, of few parameters, in order of simplicity.
-
 EXPONENTS = (0.5, 2.0)
 """Of metrics from 0 to 1, values below 0 counting as 0: differences near 0, or near 1, are made to count for more."""
 
@@ -34,37 +35,87 @@ MOST_COLUMNS = 4
 EQUAL = "equal weights"
 CONSTANT = 1e-10
 
+GROUPS = 4
+"""Groups that people are split into, each left out in turn."""
+
+FOLDS = 10
+"""Sources of recordings are left out one by one; more than this, in as many groups: the time grows with its square."""
+
+RIDGE = 1e-9
+"""Share of the mean square that keeps fits defined where metrics are the same: they then share the weight."""
+
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
+class Refinement:
     """A way to make one metric of several."""
 
     name: str
     columns: tuple[int, ...]
     parameters: int
 
+    @property
+    def used(self) -> list[int]:
+        """Places of its terms among the moments: the intercept's 1 first, the rating last."""
+        return [0, *(column + 1 for column in self.columns), -1]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Basis:
     """What candidates are sums of.
 
-    columns: (n_items, n_columns); scales: (n_columns,), naN of the sum of equal weights, which has
-    no unit.
+    columns: (n_items, n_columns); scales: (n_columns,), NaN of the sum of equal weights, which has no unit.
     """
 
     names: tuple[str, ...]
     columns: Values
     scales: Values
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[Refinement, ...]
     notes: tuple[str, ...]
+
+
+class Split(NamedTuple):
+    """Groups that are left out together; people: (n_participants,), items: (n_items,)."""
+
+    people: NDArray[np.intp]
+    items: NDArray[np.intp]
+
+
+class Means(NamedTuple):
+    """Mean ratings of each item per draw and group of people; all of shape (draws, groups, n_items)."""
+
+    others: Values
+    own: Values
+    known: NDArray[np.bool_]
+    share: Values
+
+
+class SearchData(NamedTuple):
+    """What stays the same in every draw."""
+
+    items: Items
+    basis: Basis
+    split: Split
+    within: bool
+
+
+class Searched(NamedTuple):
+    """What came out, per draw.
+
+    chosen: (draws, groups, folds); fits: (n_candidates, draws, groups, folds, m); correlations,
+    errors: (1 + n_candidates, draws); as_it_is: (n_candidates, draws), NaN for the others.
+    """
+
+    chosen: NDArray[np.intp]
+    fits: Values
+    correlations: Values
+    errors: Values
+    as_it_is: Values
 
 
 def make_basis(
     names: Sequence[str], values: Values, *, n_plain: int, groups: NDArray[np.intp] | None
 ) -> Basis:
-    """List the candidates that metrics of these values allow.
-
-    values: (n_features, n_items); groups: (n_items,).
+    """List the candidates that metrics of these values, (n_features, n_items), allow; groups: (n_items,).
 
     Examples
     --------
@@ -72,8 +123,16 @@ def make_basis(
     >>> [one.name for one in make_basis(["a", "b"], values, n_plain=2, groups=None).candidates]
     ['a', 'b', 'equal weights', 'a ^ 0.5', 'a ^ 2', 'b ^ 0.5', 'b ^ 2', 'a + b']
     """
-    columns = _list_columns(names, values, n_plain)
-    centred = {name: _center_candidates(column, groups) for name, column in columns.items()}
+    columns = dict(zip(names, values, strict=True))
+    for name in names[:n_plain]:
+        for exponent in EXPONENTS:
+            columns[f"{name} ^ {exponent:g}"] = np.clip(columns[name], 0, None) ** exponent
+    groups = np.zeros(values.shape[1], dtype=np.intp) if groups is None else groups
+    counts = np.bincount(groups)
+    centred = {
+        name: column - (np.bincount(groups, column) / counts)[groups]
+        for name, column in columns.items()
+    }
     kept = {
         name: column
         for name, column in centred.items()
@@ -91,69 +150,22 @@ def make_basis(
     return Basis(tuple(standard), stacked, scales, candidates, notes)
 
 
-def _list_columns(names: Sequence[str], values: Values, n_plain: int) -> dict[str, Values]:
-    columns = dict(zip(names, values, strict=True))
-    for name in names[:n_plain]:
-        for exponent in EXPONENTS:
-            columns[f"{name} ^ {exponent:g}"] = np.clip(columns[name], 0, None) ** exponent
-    return columns
-
-
-def _center_candidates(column: Values, groups: NDArray[np.intp] | None) -> Values:
-    groups = np.zeros(len(column), dtype=np.intp) if groups is None else groups
-    means = np.bincount(groups, column) / np.bincount(groups)
-    centred: Values = column - means[groups]
-    return centred
-
-
 def _list_candidates(
     columns: tuple[str, ...], plain: list[str], features: list[str]
-) -> Iterator[Candidate]:
+) -> Iterator[Refinement]:
     place = {name: number for number, name in enumerate(columns)}
     for name in plain:
-        yield Candidate(name, (place[name],), 1)
+        yield Refinement(name, (place[name],), 1)
     if EQUAL in place:
-        yield Candidate(EQUAL, (place[EQUAL],), 1)
+        yield Refinement(EQUAL, (place[EQUAL],), 1)
     for name in plain:
         powers = [f"{name} ^ {exponent:g}" for exponent in EXPONENTS]
-        yield from (Candidate(power, (place[power],), 2) for power in powers if power in place)
+        yield from (Refinement(power, (place[power],), 2) for power in powers if power in place)
     # Of sums of three and more, the one of everything is tried only: all of them would be a search.
     whole = [tuple(features)] if 2 < len(features) <= MOST_COLUMNS else []  # noqa: PLR2004 - pairs come before
     for terms in (*combinations(features, 2), *whole):
         if set(terms) & set(plain):
-            yield Candidate(" + ".join(terms), tuple(place[name] for name in terms), len(terms))
-
-
-# Who is left out with whom, and what everyone else says: mean ratings by group of people, per draw.
-
-GROUPS = 4
-"""Groups that people are split into, each left out in turn."""
-
-FOLDS = 10
-"""Sources of recordings are left out one by one; more than this, in as many groups: the time grows with its square."""
-
-
-class Split(NamedTuple):
-    """Groups that are left out together.
-
-    people: (n_participants,); items: (n_items,).
-    """
-
-    people: NDArray[np.intp]
-    items: NDArray[np.intp]
-
-
-class Means(NamedTuple):
-    """Mean ratings of each item, per draw and group of people.
-
-    others, own: (draws, groups, n_items); known: (draws, groups, n_items); share: (draws, groups,
-    n_items).
-    """
-
-    others: Values
-    own: Values
-    known: NDArray[np.bool_]
-    share: Values
+            yield Refinement(" + ".join(terms), tuple(place[name] for name in terms), len(terms))
 
 
 def make_split(items: Items, rng: np.random.Generator) -> Split:
@@ -164,10 +176,7 @@ def make_split(items: Items, rng: np.random.Generator) -> Split:
 
 
 def average_groups(items: Items, split: Split, counts: Values, *, within: bool) -> Means:
-    """Average the ratings of each group, and of everyone outside it.
-
-    counts: (draws, n_participants).
-    """
+    """Average the ratings of each group, and of everyone outside it; counts: (draws, n_participants)."""
     seen = np.isfinite(items.ratings)
     ratings = np.where(seen, items.ratings - items.ratings[seen].mean(), 0.0)
     member = split.people == np.arange(split.people.max() + 1)[:, None]
@@ -177,10 +186,8 @@ def average_groups(items: Items, split: Split, counts: Values, *, within: bool) 
     own, others = _divide(sums, votes), _divide(all_sums - sums, all_votes - votes)
     known = all_votes > votes
     if within:
-        own, others = (
-            _center_folds(own, votes > 0, items.recordings),
-            _center_folds(others, known, items.recordings),
-        )
+        own = _center(own, votes > 0, items.recordings)
+        others = _center(others, known, items.recordings)
     return Means(others, own, known, _divide(votes, np.broadcast_to(all_votes, votes.shape)))
 
 
@@ -188,16 +195,10 @@ def _divide(sums: Values, votes: Values) -> Values:
     return np.divide(sums, votes, out=np.zeros_like(sums), where=votes > 0)
 
 
-def _center_folds(means: Values, known: NDArray[np.bool_], recordings: NDArray[np.intp]) -> Values:
+def _center(means: Values, known: NDArray[np.bool_], recordings: NDArray[np.intp]) -> Values:
     belongs = (recordings[:, None] == np.arange(recordings.max() + 1)).astype(np.float64)
     centre = _divide((means * known) @ belongs, known @ belongs)
     return np.where(known, means - centre[..., recordings], 0.0)
-
-
-# The inner cross-validation: which candidate, judged by recordings that none of them was fitted to.
-
-RIDGE = 1e-9
-"""Share of the mean square that keeps fits defined where metrics are the same: they then share the weight."""
 
 
 def sum_moments(
@@ -205,8 +206,7 @@ def sum_moments(
 ) -> Values:
     """Sum the products of 1, the columns and the rating over the items of each fold.
 
-    basis: (n_items, n_columns); ratings, weights: (..., n_items); folds: (n_items,); returns (...,
-    n_folds, n_columns + 2, n_columns + 2).
+    basis: (n_items, n_columns); ratings, weights: (..., n_items); returns (..., n_folds, m, m), m = n_columns + 2.
     """
     known = np.column_stack([np.ones(len(basis)), basis])
     size, n_folds = known.shape[1], int(folds.max()) + 1
@@ -221,23 +221,15 @@ def sum_moments(
     return moments
 
 
-def fit_candidate(moments: Values, candidate: Candidate) -> Values:
-    """Fit intercept and weights by least squares.
-
-    moments: (..., m, m); returns (..., m).
-    """
+def fit_candidate(moments: Values, candidate: Refinement) -> Values:
+    """Fit intercept and weights, (..., m), by least squares to moments, (..., m, m)."""
     coefficients = np.zeros(moments.shape[:-1])
-    coefficients[..., _list_used(candidate)] = _fit(_take(moments, candidate))
+    coefficients[..., candidate.used] = _fit(_take(moments, candidate))
     return coefficients
 
 
-def _list_used(candidate: Candidate) -> list[int]:
-    return [0, *(column + 1 for column in candidate.columns), -1]
-
-
-def _take(moments: Values, candidate: Candidate) -> Values:
-    used = _list_used(candidate)
-    return np.ascontiguousarray(moments[..., used, :][..., used])
+def _take(moments: Values, candidate: Refinement) -> Values:
+    return np.ascontiguousarray(moments[..., candidate.used, :][..., candidate.used])
 
 
 def _fit(moments: Values) -> Values:
@@ -256,20 +248,17 @@ def _fit(moments: Values) -> Values:
 
 
 def leave_out(moments: Values) -> Values:
-    """Sum the moments of all folds but one, for each.
-
-    moments: (..., n_folds, m, m); returns (..., n_folds, m, m).
-    """
+    """Sum the moments, (..., n_folds, m, m), of all folds but one, for each."""
     others: Values = moments.sum(axis=-3, keepdims=True) - moments
     return others
 
 
 def choose(
-    moments: Values, candidates: Sequence[Candidate], *, nested: bool = False
+    moments: Values, candidates: Sequence[Refinement], *, nested: bool = False
 ) -> NDArray[np.intp]:
     """Choose the simplest candidate whose error is within one standard error of the least.
 
-    moments: (..., n_folds, m, m); returns (...).
+    moments: (..., n_folds, m, m).
 
     Notes
     -----
@@ -312,37 +301,8 @@ def _standard_error(excess: Values, sizes: Values) -> Values:
     return error
 
 
-# The outer cross-validation: every stimulus is predicted by what other people said of other recordings.
-
-
-class Data(NamedTuple):
-    """What stays the same in every draw."""
-
-    items: Items
-    basis: Basis
-    split: Split
-    within: bool
-
-
-class Outcome(NamedTuple):
-    """What came out, per draw.
-
-    chosen: (draws, groups, folds); fits: (n_candidates, draws, groups, folds, m); correlations,
-    errors: (1 + n_candidates, draws); as_it_is: (n_candidates, draws), naN for the others.
-    """
-
-    chosen: NDArray[np.intp]
-    fits: Values
-    correlations: Values
-    errors: Values
-    as_it_is: Values
-
-
-def score_draws(data: Data, *, people: Values, recordings: Values) -> Outcome:
-    """Choose, fit and predict anew in every draw.
-
-    people: (draws, n_participants); recordings: (draws, n_recordings).
-    """
+def score_draws(data: SearchData, *, people: Values, recordings: Values) -> Searched:
+    """Choose, fit and predict anew in every draw; people, recordings: (draws, n_participants or n_recordings)."""
     items, basis, folds = data.items, data.basis, data.split.items
     means = average_groups(items, data.split, people, within=data.within)
     counts = recordings[:, items.recordings]
@@ -352,71 +312,55 @@ def score_draws(data: Data, *, people: Values, recordings: Values) -> Outcome:
     picked = np.take_along_axis(fits, chosen[None, ..., None], axis=0)
     scores = [_score(data, fit, means=means, counts=counts) for fit in (*picked, *fits)]
     correlations, errors = np.array(scores).transpose(1, 0, 2)
-    plain = [
-        _correlate(
-            means, np.broadcast_to(basis.columns[:, one.columns[0]], means.own.shape), counts
-        )
-        if len(one.columns) == 1
-        else np.full(len(people), np.nan)
-        for one in basis.candidates
-    ]
-    return Outcome(chosen, fits, correlations, errors, np.array(plain))
+    plain = np.full((len(basis.candidates), len(people)), np.nan)
+    for place, one in enumerate(basis.candidates):
+        if len(one.columns) == 1:
+            column = np.broadcast_to(basis.columns[:, one.columns[0]], means.own.shape)
+            plain[place] = _correlate(means, column, counts)
+    return Searched(chosen, fits, correlations, errors, plain)
 
 
-def join_draws(parts: Sequence[Outcome]) -> Outcome:
+def join_draws(parts: Sequence[Searched]) -> Searched:
     """Join what came out of several blocks of draws."""
-    return Outcome(
-        chosen=np.concatenate([part.chosen for part in parts]),
-        fits=np.concatenate([part.fits for part in parts], axis=1),
-        correlations=np.concatenate([part.correlations for part in parts], axis=1),
-        errors=np.concatenate([part.errors for part in parts], axis=1),
-        as_it_is=np.concatenate([part.as_it_is for part in parts], axis=1),
-    )
+    first, *others = zip(*parts, strict=True)
+    return Searched(np.concatenate(first), *(np.concatenate(one, axis=1) for one in others))
 
 
-def _score(data: Data, fits: Values, *, means: Means, counts: Values) -> tuple[Values, Values]:
+def _score(
+    data: SearchData, fits: Values, *, means: Means, counts: Values
+) -> tuple[Values, Values]:
     """Correlate and compare what is predicted of each item without its fold and the group."""
     values = data.basis.columns
-    combined = _combine(values, fits[..., 1:-1], data.split.items)
-    spread = np.sqrt(
-        ((fits[..., 1:-1] @ (values.T @ values / len(values))) * fits[..., 1:-1]).sum(axis=-1)
-    )
-    spread, level = spread[..., data.split.items], fits[..., 0][..., data.split.items]
-    # A metric's unit is its own affair: without this, folds would be mixed in different units.
-    metric = np.divide(combined, spread, out=np.zeros_like(combined), where=spread > 0)
-    error = (means.share * (means.own - combined - level)).sum(axis=1)
-    weights = counts * (means.share.sum(axis=1) > 0)
-    mean_square = (weights * error**2).sum(axis=-1) / weights.sum(axis=-1)
-    return _correlate(means, metric, counts), np.sqrt(mean_square)
-
-
-def _combine(values: Values, weights: Values, folds: NDArray[np.intp]) -> Values:
-    """Sum the columns of each item with the weights fitted without its fold."""
+    weights, folds = fits[..., 1:-1], data.split.items
     combined = np.empty((*weights.shape[:-2], len(values)))
     for fold in range(weights.shape[-2]):
         combined[..., folds == fold] = weights[..., fold, :] @ values[folds == fold].T
-    return combined
+    spread = np.sqrt(((weights @ (values.T @ values / len(values))) * weights).sum(axis=-1))
+    spread, level = spread[..., folds], fits[..., 0][..., folds]
+    # A metric's unit is its own affair: without this, folds would be mixed in different units.
+    metric = np.divide(combined, spread, out=np.zeros_like(combined), where=spread > 0)
+    error = (means.share * (means.own - combined - level)).sum(axis=1)
+    count = counts * (means.share.sum(axis=1) > 0)
+    mean_square = (count * error**2).sum(axis=-1) / count.sum(axis=-1)
+    return _correlate(means, metric, counts), np.sqrt(mean_square)
 
 
 def _correlate(means: Means, metric: Values, counts: Values) -> Values:
     """Correlate each group's ratings with the metric that was made without them."""
-    weights = counts * (means.share.sum(axis=1) > 0)
+    weights, share = counts * (means.share.sum(axis=1) > 0), means.share
     total = weights.sum(axis=-1, keepdims=True)
-    rated, valued = ((means.share * part).sum(axis=1) for part in (means.own, metric))
-    middle_rated, middle_valued = (
-        (weights * part).sum(axis=-1, keepdims=True) / total for part in (rated, valued)
-    )
-    products = means.share * (means.own - middle_rated[:, None]) * (metric - middle_valued[:, None])
+    rated, valued = ((share * part).sum(axis=1) for part in (means.own, metric))
+    middle_rated = (weights * rated).sum(axis=-1, keepdims=True) / total
+    middle_valued = (weights * valued).sum(axis=-1, keepdims=True) / total
+    centred = metric - middle_valued[:, None]
+    products = share * (means.own - middle_rated[:, None]) * centred
     covariance = (weights * products.sum(axis=1)).sum(axis=-1)
     squares_rated = (weights * (rated - middle_rated) ** 2).sum(axis=-1)
     # Of each group's own metric: where groups contradict each other, their mean would be next to nothing.
-    squares_valued = (
-        weights * (means.share * (metric - middle_valued[:, None]) ** 2).sum(axis=1)
-    ).sum(axis=-1)
-    size = [
-        (weights * part).sum(axis=-1) for part in (rated**2, (means.share * metric**2).sum(axis=1))
-    ]
-    flat = (squares_rated <= FLAT * size[0]) | (squares_valued <= FLAT * size[1])
+    squares_valued = (weights * (share * centred**2).sum(axis=1)).sum(axis=-1)
+    size_rated = (weights * rated**2).sum(axis=-1)
+    size_valued = (weights * (share * metric**2).sum(axis=1)).sum(axis=-1)
+    flat = (squares_rated <= FLAT * size_rated) | (squares_valued <= FLAT * size_valued)
     below = np.sqrt(np.where(flat, 1.0, squares_rated * squares_valued))
     correlation: Values = np.where(flat, np.nan, np.clip(covariance / below, -1, 1))
     return correlation

@@ -1,17 +1,18 @@
-"""Refine a metric: chosen, weighted and judged on different recordings and people."""
+"""Refined metrics: whether a weighted sum of metrics, or another shape of one, predicts better than each alone."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from feel321.analysis.agreement.reliability import find_ceiling
 from feel321.analysis.refined.candidates import (
+    EQUAL,
     GROUPS,
-    Data,
-    Outcome,
+    SearchData,
+    Searched,
     average_groups,
     choose,
     fit_candidate,
@@ -21,8 +22,10 @@ from feel321.analysis.refined.candidates import (
     score_draws,
     sum_moments,
 )
-from feel321.analysis.resampling import bootstrap_margin, draw_counts, fisher_z
+from feel321.analysis.resampling import BLOCK, bootstrap_margin, draw_counts, fisher_z
 from feel321.analysis.table.items import make_items
+from feel321.doors import as_rng
+from feel321.records import Result
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -32,87 +35,17 @@ if TYPE_CHECKING:
 
     from feel321.analysis.refined.candidates import Basis
     from feel321.analysis.table.items import Items
+    from feel321.analysis.table.reading import Table
+    from feel321.types import Rng
 
     Values = NDArray[np.float64]
-
-# What a search for a refined metric found, as tables.
-
-
-def list_candidates(basis: Basis, whole: Outcome) -> DataFrame:
-    """List what might have been chosen."""
-    import pandas as pd
-
-    counts = np.bincount(whole.chosen.ravel(), minlength=len(basis.candidates))
-    return pd.DataFrame({
-        "name": [one.name for one in basis.candidates],
-        "parameters": [one.parameters for one in basis.candidates],
-        "value": whole.correlations[1:, 0],
-        "rmse": whole.errors[1:, 0],
-        "chosen": counts / counts.sum(),
-    })
-
-
-def list_gains(basis: Basis, whole: Outcome, drawn: Outcome, *, n_units: int) -> DataFrame:
-    """Compare the refined metric with each plain one."""
-    import pandas as pd
-
-    rows = []
-    z, drawn_z = fisher_z(whole.correlations[0])[0], fisher_z(drawn.correlations[0])
-    for place, name in _list_plain(basis):
-        plain, drawn_plain = fisher_z(whole.as_it_is[place])[0], fisher_z(drawn.as_it_is[place])
-        margin = bootstrap_margin(drawn_z - drawn_plain, n_units)
-        gain = z - plain + np.array([0.0, -margin, margin])
-        # As differences of correlations about the same mean z, as for `compare_metrics`.
-        value, low, high = np.tanh((z + plain + gain) / 2) - np.tanh((z + plain - gain) / 2)
-        rows.append({
-            "metric": name,
-            "plain": float(np.tanh(plain)),
-            "value": value,
-            "low": low,
-            "high": high,
-            **dict(zip(("z_value", "z_low", "z_high"), gain, strict=True)),
-            "rmse": whole.errors[1 + place, 0],
-        })
-    return pd.DataFrame(rows)
-
-
-def list_weights(
-    basis: Basis, whole: Outcome, chosen: int, *, fit: NDArray[np.float64]
-) -> DataFrame:
-    """Tell the weights of what was chosen, and how they change from fold to fold.
-
-    fit: (n_columns + 2,).
-    """
-    import pandas as pd
-
-    columns = list(basis.candidates[chosen].columns)
-    weights = fit[1:-1][columns]
-    over_folds = whole.fits[chosen, 0][..., 1:-1][..., columns].reshape(-1, len(columns))
-    return pd.DataFrame({
-        "term": [basis.names[column] for column in columns],
-        "weight": weights, "lowest": over_folds.min(axis=0), "highest": over_folds.max(axis=0),
-        "per_unit": weights / basis.scales[columns],
-    })  # fmt: skip
-
-
-def _list_plain(basis: Basis) -> list[tuple[int, str]]:
-    from feel321.analysis.refined.candidates import EQUAL
-
-    single = [(place, one) for place, one in enumerate(basis.candidates) if one.parameters == 1]
-    return [(place, one.name) for place, one in single if one.name != EQUAL]
-
-
-# Is there a better metric in these metrics? Chosen, weighted and judged on different recordings and people.
 
 FEWEST_RECORDINGS, FEWEST_PEOPLE = 5, 3
 """One recording is judged, one chooses, and a weight needs more than two; people are split besides."""
 
-BLOCK = 4_000_000
-"""Numbers that an array of draws may hold."""
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Refined:
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Refined(Result):
     """What a refined metric is worth on recordings and people that had no part in making it.
 
     Parameters
@@ -170,32 +103,42 @@ class Refined:
     draws: int
     notes: tuple[str, ...]
 
+    def to_frame(self) -> DataFrame:
+        """Return the gains over the plain metrics.
+
+        Returns
+        -------
+        DataFrame
+            As `gains`.
+        """
+        return self.gains
+
 
 def refine_metric(
-    ratings: DataFrame,
-    metrics: Sequence[str],
+    table: Table | DataFrame,
+    metrics: Sequence[str] | None = None,
     *,
     others: Sequence[str] = (),
     within: bool = True,
     draws: int = 400,
-    rng: np.random.Generator,
+    rng: Rng = 0,
 ) -> Refined:
     """Search a better metric among simple functions of metrics, by nested cross-validation.
 
     Parameters
     ----------
-    ratings : DataFrame
+    table : Table or DataFrame
         Tidy table of one scale, one row per judgement: participant, recording, rating, the columns named, and
         stimulus_id or reducer (and level). Rows whose role is not ``test`` are left out.
-    metrics : sequence of str
-        Metrics, of which higher is better: what is to be improved upon.
+    metrics : sequence of str, optional
+        Metrics, of which higher is better: what is to be improved upon; those of the Table if left out.
     others : sequence of str
         More columns that may enter a sum, such as the level in dB.
     within : bool
         Count differences between stimuli of the same recording only.
     draws : int
         Bootstrap draws, at least 2; every one repeats the whole search.
-    rng : Generator
+    rng : int or Generator
         Source of randomness: folds and draws.
 
     Returns
@@ -250,40 +193,41 @@ def refine_metric(
     --------
     People feel the sum of two metrics; neither alone tells half of it:
 
-    >>> import pandas as pd
+    >>> import numpy as np, pandas as pd
+    >>> from feel321 import analysis
     >>> rng = np.random.default_rng(1)
     >>> sm, tm = rng.uniform(0, 1, (2, 48))
     >>> rows = pd.DataFrame({"participant": np.repeat(np.arange(8), 48), "recording": np.tile(np.arange(48) // 6, 8),
     ...     "reducer": np.tile(np.arange(48) % 6, 8), "sm": np.tile(sm, 8), "tm": np.tile(tm, 8)})
     >>> rows["rating"] = 20 + 30 * rows["sm"] + 30 * rows["tm"] + rng.normal(0, 8, len(rows))
-    >>> result = refine_metric(rows, ["sm", "tm"], draws=50, rng=rng)
+    >>> result = analysis.refine_metric(rows, ["sm", "tm"], draws=50, rng=rng)
     >>> result.chosen, round(result.value, 2), result.recommended
     ('equal weights', 0.98, True)
     """
-    _check_arguments(metrics, draws=draws)
-    items = make_items(ratings, list(dict.fromkeys([*metrics, *others])))
-    data = _prepare(items, metrics, others, within=within, rng=rng)
+    names, rng = _check_choices(table, metrics, draws=draws), as_rng(rng)
+    given: Any = table
+    items = make_items(given, list(dict.fromkeys([*names, *others])))
+    data = _prepare(items, names, others, within=within, rng=rng)
     whole = score_draws(
         data, people=np.ones((1, items.n_participants)), recordings=np.ones((1, items.n_recordings))
     )
     drawn = _draw(data, draws=draws, rng=rng)
     n_units = min(items.n_participants, items.n_sources)
-    low, high = _interval(
-        fisher_z(whole.correlations[0])[0], fisher_z(drawn.correlations[0]), n_units
-    )
+    z, drawn_z = fisher_z(whole.correlations[0])[0], fisher_z(drawn.correlations[0])
+    low, high = _interval(z, drawn_z, n_units)
     rmse = float(whole.errors[0, 0])
     with np.errstate(divide="ignore"):  # no error at all has no logarithm, and no interval
         log_low, log_high = _interval(np.log(rmse), np.log(drawn.errors[0]), n_units)
     chosen, fit = _choose_finally(data)
     ceiling, notes = find_ceiling(items, within=within)
-    gains = list_gains(data.basis, whole, drawn, n_units=n_units)
+    gains = _tabulate_gains(data.basis, whole, drawn, n_units=n_units)
     value = float(whole.correlations[0, 0])
     return Refined(
         value=value, low=float(np.tanh(low)), high=float(np.tanh(high)),
         rmse=rmse, rmse_low=float(np.exp(log_low)), rmse_high=float(np.exp(log_high)),
-        chosen=data.basis.candidates[chosen].name, weights=list_weights(data.basis, whole, chosen, fit=fit),
-        candidates=list_candidates(data.basis, whole), gains=gains,
-        recommended=data.basis.candidates[chosen].name not in metrics and bool((gains["z_low"] > 0).all()),
+        chosen=data.basis.candidates[chosen].name, weights=_tabulate_weights(data.basis, whole, chosen, fit=fit),
+        candidates=_tabulate_candidates(data.basis, whole), gains=gains,
+        recommended=data.basis.candidates[chosen].name not in names and bool((gains["z_low"] > 0).all()),
         ceiling=ceiling, share=value / ceiling if not items.n_missing else float("nan"), within=within,
         n_participants=items.n_participants, n_recordings=items.n_recordings, n_sources=items.n_sources,
         n_items=items.n_items, n_folds=whole.chosen[0].size, draws=int(np.isfinite(drawn.correlations[0]).sum()),
@@ -291,13 +235,18 @@ def refine_metric(
     )  # fmt: skip
 
 
-def _check_arguments(metrics: Sequence[str], *, draws: int) -> None:
+def _check_choices(
+    table: Table | DataFrame, metrics: Sequence[str] | None, *, draws: int
+) -> Sequence[str]:
+    """Refuse what cannot be, and take a Table's own metrics where none are named."""
     if draws < 2:  # noqa: PLR2004 - a spread needs two
         raise ValueError(
-            f"draws: got {draws}, allowed is 2 or more; use 400 for results to be published"
+            f"draws must be 2 or more, got {draws}; use 400 for results to be published"
         )
-    if not metrics or isinstance(metrics, str):
-        raise ValueError(f"metrics: got {metrics!r}, allowed is one name or more, in a list")
+    names: Sequence[str] = getattr(table, "metrics", ()) if metrics is None else metrics
+    if not names or isinstance(names, str):
+        raise ValueError(f"metrics must be a list of one name or more, got {metrics!r}")
+    return names
 
 
 def _prepare(
@@ -307,33 +256,29 @@ def _prepare(
     *,
     within: bool,
     rng: np.random.Generator,
-) -> Data:
-    _check_size(items)
-    names = list(dict.fromkeys([*metrics, *others]))
-    groups = items.recordings if within else None
-    basis = make_basis(names, items.metrics, n_plain=len(set(metrics)), groups=groups)
-    if not basis.candidates:
-        raise ValueError(
-            f"metrics: got {', '.join(metrics)}, none of which varies; allowed is one or more that do between stimuli"
-        )
-    return Data(items, basis, make_split(items, rng), within)
-
-
-def _check_size(items: Items) -> None:
+) -> SearchData:
     for count, least, what in (
         (items.n_sources, FEWEST_RECORDINGS, "recordings of their own"),
         (items.n_participants, FEWEST_PEOPLE, "participants"),
     ):
         if count < least:
             raise ValueError(
-                f"ratings: got {count} {what}, allowed is {least} or more; with fewer, a refined metric cannot be "
-                "chosen and judged on different ones"
+                f"ratings must come from more, got {count} {what}, of {least} that it takes; with fewer, a refined "
+                "metric cannot be chosen and judged on different ones"
             )
     if np.nanstd(items.ratings) == 0:
-        raise ValueError("ratings: got the same rating everywhere; allowed are ratings that differ")
+        raise ValueError("ratings must differ, got the same rating everywhere")
+    names = list(dict.fromkeys([*metrics, *others]))
+    groups = items.recordings if within else None
+    basis = make_basis(names, items.metrics, n_plain=len(set(metrics)), groups=groups)
+    if not basis.candidates:
+        raise ValueError(
+            f"metrics must vary between stimuli, got {', '.join(metrics)}, none of which varies"
+        )
+    return SearchData(items, basis, make_split(items, rng), within)
 
 
-def _draw(data: Data, *, draws: int, rng: np.random.Generator) -> Outcome:
+def _draw(data: SearchData, *, draws: int, rng: np.random.Generator) -> Searched:
     items, size = data.items, data.basis.columns.shape[1] + 2
     folds = int(data.split.items.max()) + 1
     cost = GROUPS * max(items.n_items, folds**2 * size**2)
@@ -347,7 +292,7 @@ def _draw(data: Data, *, draws: int, rng: np.random.Generator) -> Outcome:
     return join_draws(found)
 
 
-def _choose_finally(data: Data) -> tuple[int, Values]:
+def _choose_finally(data: SearchData) -> tuple[int, Values]:
     """Choose on all data, everyone's ratings."""
     items, basis = data.items, data.basis
     everyone = data.split._replace(people=np.zeros(items.n_participants, dtype=np.intp))
@@ -357,18 +302,73 @@ def _choose_finally(data: Data) -> tuple[int, Values]:
     return chosen, fit_candidate(moments.sum(axis=0), basis.candidates[chosen])
 
 
-def _explain(value: float, low: float) -> list[str]:
-    if np.isnan(value):
-        return [
-            "No correlation: mean ratings of stimuli do not differ, or the refined metric is the same for all."
-        ]
-    if np.isnan(low):
-        return [
-            "No interval: the correlation is perfect, or undefined in more than a tenth of the draws."
-        ]
-    return []
-
-
 def _interval(middle: float, drawn: Values, n_units: int) -> tuple[float, float]:
     margin = bootstrap_margin(drawn, n_units)
     return middle - margin, middle + margin
+
+
+def _explain(value: float, low: float) -> list[str]:
+    none = "No correlation: mean ratings of stimuli do not differ, or the refined metric is the same for all."
+    wide = (
+        "No interval: the correlation is perfect, or undefined in more than a tenth of the draws."
+    )
+    return [none] if np.isnan(value) else [wide] if np.isnan(low) else []
+
+
+def _tabulate_candidates(basis: Basis, whole: Searched) -> DataFrame:
+    """List what might have been chosen."""
+    import pandas as pd
+
+    counts = np.bincount(whole.chosen.ravel(), minlength=len(basis.candidates))
+    return pd.DataFrame({
+        "name": [one.name for one in basis.candidates],
+        "parameters": [one.parameters for one in basis.candidates],
+        "value": whole.correlations[1:, 0],
+        "rmse": whole.errors[1:, 0],
+        "chosen": counts / counts.sum(),
+    })
+
+
+def _tabulate_gains(basis: Basis, whole: Searched, drawn: Searched, *, n_units: int) -> DataFrame:
+    """Compare the refined metric with each plain one."""
+    import pandas as pd
+
+    rows = []
+    z, drawn_z = fisher_z(whole.correlations[0])[0], fisher_z(drawn.correlations[0])
+    for place, name in _list_plain(basis):
+        plain, drawn_plain = fisher_z(whole.as_it_is[place])[0], fisher_z(drawn.as_it_is[place])
+        margin = bootstrap_margin(drawn_z - drawn_plain, n_units)
+        gain = z - plain + np.array([0.0, -margin, margin])
+        # As differences of correlations about the same mean z, as for `compare_metrics`.
+        value, low, high = np.tanh((z + plain + gain) / 2) - np.tanh((z + plain - gain) / 2)
+        rows.append({
+            "metric": name,
+            "plain": float(np.tanh(plain)),
+            "value": value,
+            "low": low,
+            "high": high,
+            **dict(zip(("z_value", "z_low", "z_high"), gain, strict=True)),
+            "rmse": whole.errors[1 + place, 0],
+        })
+    return pd.DataFrame(rows)
+
+
+def _tabulate_weights(
+    basis: Basis, whole: Searched, chosen: int, *, fit: NDArray[np.float64]
+) -> DataFrame:
+    """List the weights of what was chosen, and how they change from fold to fold; fit: (n_columns + 2,)."""
+    import pandas as pd
+
+    columns = list(basis.candidates[chosen].columns)
+    weights = fit[1:-1][columns]
+    over_folds = whole.fits[chosen, 0][..., 1:-1][..., columns].reshape(-1, len(columns))
+    return pd.DataFrame({
+        "term": [basis.names[column] for column in columns],
+        "weight": weights, "lowest": over_folds.min(axis=0), "highest": over_folds.max(axis=0),
+        "per_unit": weights / basis.scales[columns],
+    })  # fmt: skip
+
+
+def _list_plain(basis: Basis) -> list[tuple[int, str]]:
+    single = [(place, one) for place, one in enumerate(basis.candidates) if one.parameters == 1]
+    return [(place, one.name) for place, one in single if one.name != EQUAL]

@@ -1,5 +1,4 @@
-"""Screening of raters: rules with limits, and lists of whom they flag.
+"""Screening of raters: rules with limits, and lists of the raters that they flag.
 
-judgements (the tidy table, prepared), rules (the one list), screen (`screen_raters`). Nothing here removes anybody: a
-flag is a reason to look, and a deletion needs a documented error.
+Nothing here removes anybody: a flag is a reason to look, and a deletion needs a documented error.
 """

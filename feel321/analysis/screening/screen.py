@@ -3,111 +3,66 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from feel321.analysis.agreement.alpha import krippendorff_alpha
 from feel321.analysis.agreement.reliability import SMALLEST, intraclass
 from feel321.analysis.arrays import read_numbers
-from feel321.analysis.screening.judgements import (
-    gauge_raters,
-    judge_expertise,
-    key_stimulus,
-    make_judgements,
-)
+from feel321.analysis.screening.expertise import gauge_raters
+from feel321.analysis.screening.judgements import key_stimulus, make_judgements
 from feel321.analysis.screening.rules import (
     EXPERTISE,
     MOST_RATERS,
     RULES,
     SIGHTED,
     UNIMODAL,
+    check_expertise,
     choose_limits,
     multimodality,
     share_undegraded,
     tukey_fences,
 )
 from feel321.analysis.table.items import leave_rejected, name_stimuli, open_ratings
+from feel321.doors import as_rng
+from feel321.records import Result
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Iterable, Mapping
+    from collections.abc import Hashable, Iterable, Iterator, Mapping
 
     from pandas import DataFrame
 
     from feel321.analysis.screening.judgements import Judgements
-
-# How far a panel of raters agrees, with and without those whom a rule hit.
+    from feel321.analysis.table.reading import Table
+    from feel321.types import Rng
 
 FIGURES = ("icc_a_1", "icc_a_k", "icc_c_1", "icc_c_k", "alpha")
 
 
-def describe_panel(ratings: DataFrame, hit: Iterable[object]) -> DataFrame:
-    """Reliability of the ratings of test stimuli, per scale.
-
-    Returns naN where fewer than two raters or two items are left.
-    """
-    import pandas as pd
-
-    tests = (
-        ratings[~ratings["role"].isin(["reference", "anchor"])] if "role" in ratings else ratings
-    )
-    tests = tests if "scale" in tests else tests.assign(scale="")
-    hit = list(hit)
-    panels = {"everyone": tests, "without hits": tests[~tests["participant"].isin(hit)]}
-    rows = [
-        {"scale": scale, "panel": name, **_describe(part[part["scale"] == scale])}
-        for scale in sorted(tests["scale"].unique())
-        for name, part in panels.items()
-    ]
-    return pd.DataFrame(
-        rows, columns=["scale", "panel", "n_participants", "n_items", "n_complete", *FIGURES]
-    )
-
-
-def _describe(tests: DataFrame) -> dict[str, object]:
-    table = tests.pivot_table("rating", key_stimulus(tests), "participant", observed=True).to_numpy(
-        np.float64
-    )
-    complete = table[np.isfinite(table).all(axis=1)]
-    figures = dict.fromkeys(FIGURES, float("nan"))
-    if min(complete.shape) >= SMALLEST:
-        icc = intraclass(complete)
-        figures |= {name: getattr(icc, name) for name in FIGURES[:-1]}
-    if (np.isfinite(table).sum(axis=1) >= SMALLEST).sum() >= SMALLEST:
-        figures["alpha"] = krippendorff_alpha(table)
-    return {
-        "n_participants": table.shape[1],
-        "n_items": len(table),
-        "n_complete": len(complete),
-        **figures,
-    }
-
-
-# Screen raters from end to end.
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Screening:
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Screening(Result):
     """What every rule found of every rater.
 
     Parameters
     ----------
     table : DataFrame
         participant, rule, count, n, share, limit, hit; one row each. ``share`` is count / n, or the value that the
-        rule compares with its limit (a correlation, a standard deviation); NaN where the rule can say nothing.
+        rule compares with its limit (a correlation, a standard deviation); NaN where the rule does not apply.
     excerpts : DataFrame
         Per scale, recording and level with a mid anchor: share of raters who put it above 90, and whether the
         excerpt counts (BS.1534-3: it does not above 25 %).
     items : DataFrame
         Per test stimulus: n raters, Tukey fences, outliers, multimodality coefficient, multimodal (above 5/9).
     gauge : DataFrame
-        As `gauge_raters`; empty without the rule ``expertise``.
+        participant, measure (discrimination, reliability, agreement), value, floor and p of its permutation null; empty
+        without the rule ``expertise``.
     panel : DataFrame
-        As `describe_panel`: reliability of everyone, and of those whom no rule hit.
+        Reliability of everyone, and of those whom no rule flagged, per scale: intraclass correlations and alpha.
     limits : Mapping of str to float
-        Where hits of the rules that were asked begin; that of ``test_retest`` is lower for whom many pairs tell more.
+        Limit of each rule that was asked for; that of ``test_retest`` is lower for raters with many pairs.
     notes : tuple of str
-        Which rules could say nothing, and why; one sentence each.
+        Which rules were not applied, and why; one sentence each.
     """
 
     table: DataFrame
@@ -120,12 +75,12 @@ class Screening:
 
     @property
     def rules(self) -> tuple[str, ...]:
-        """Those that were asked."""
+        """Names of the rules that were asked for."""
         return tuple(self.limits)
 
     @property
     def hits(self) -> dict[str, tuple[Hashable, ...]]:
-        """Whom each rule hit."""
+        """Raters that each rule flagged."""
         hit = self.table[self.table["hit"]]
         return {rule: tuple(hit.loc[hit["rule"] == rule, "participant"]) for rule in self.rules}
 
@@ -146,8 +101,33 @@ class Screening:
 
     @property
     def hit(self) -> DataFrame:
-        """Hits, participants x rules."""
+        """Flags, participants x rules."""
         return self._spread("hit")
+
+    def to_frame(self) -> DataFrame:
+        """Return what was found.
+
+        Returns
+        -------
+        DataFrame
+            participant, rule, count, n, share, limit, hit; one row each.
+        """
+        return self.table
+
+    def summary(self) -> str:
+        """Write the flags for reading.
+
+        Returns
+        -------
+        str
+            A line per rule with the raters that it flagged, and the notes.
+        """
+        said = {rule: RULES[rule].says.format(limit=limit) for rule, limit in self.limits.items()}
+        lines = [
+            f"{rule} ({said[rule]}): {', '.join(map(str, who)) or 'nobody'}"
+            for rule, who in self.hits.items()
+        ]
+        return "\n".join([*lines, *self.notes])
 
     def _spread(self, what: str) -> DataFrame:
         return self.table.pivot_table(what, "participant", "rule", aggfunc="first", dropna=False)[
@@ -156,28 +136,28 @@ class Screening:
 
 
 def screen_raters(
-    ratings: DataFrame,
-    *,
+    table: Table | DataFrame,
     rules: Iterable[str] | Mapping[str, float] | None = None,
-    rng: np.random.Generator | None = None,
+    *,
+    rng: Rng | None = None,
 ) -> Screening:
     """Apply every screening rule to every rater. Nobody is removed.
 
     Parameters
     ----------
-    ratings : DataFrame
+    table : Table or DataFrame
         One row per judgement: participant, rating (0 to 100), and stimulus_id or recording and reducer (and level);
         role, scale, protocol, repeat and response_time_s where there are any; rejected ones are left out. Anchors are
         known by ``mid`` or ``low`` in their reducer's name.
     rules : iterable of str, mapping of str to float, or None
         Names of `RULES`, or names with limits of one's own; None for all (``expertise`` with an rng only).
-    rng : Generator or None
+    rng : int, Generator or None
         Source of randomness for the permutations of ``expertise``.
 
     Returns
     -------
     Screening
-        Per rater and rule count, share, limit and hit; hit lists; items; reliability with and without those hit.
+        Per rater and rule count, share, limit and hit; flagged raters; items; reliability with and without those.
 
     Raises
     ------
@@ -205,9 +185,10 @@ def screen_raters(
     Examples
     --------
     >>> import pandas as pd
+    >>> from feel321 import analysis
     >>> table = pd.DataFrame({"participant": ["ann"] * 10 + ["bob"] * 10, "recording": list("abcdefghij") * 2,
     ...     "reducer": "original", "role": "reference", "rating": [95] * 9 + [80] + [95] * 8 + [80] * 2})
-    >>> result = screen_raters(table, rules=["hidden_reference"])
+    >>> result = analysis.screen_raters(table, ["hidden_reference"])
     >>> result.table[["participant", "count", "n", "share", "limit", "hit"]]
       participant  count   n  share  limit    hit
     0         ann      1  10    0.1   0.15  False
@@ -216,20 +197,23 @@ def screen_raters(
     import pandas as pd
 
     limits = choose_limits(rules, random=rng is not None)
-    ratings, left_out = leave_rejected(name_stimuli(open_ratings(ratings)))
+    given: Any = table
+    ratings, left_out = leave_rejected(name_stimuli(open_ratings(given)))
     if "rating" in ratings:
         ratings = ratings.assign(rating=read_numbers(ratings["rating"], what="ratings, 'rating'"))
     judgements = make_judgements(ratings, assumed="" if rules is None else SIGHTED[0])
     gauge = pd.DataFrame(columns=["participant", "measure", "value", "floor", "p"])
     if rng is not None and EXPERTISE in limits:
-        gauge = gauge_raters(judgements, rng=rng)
-    found = {name: _judge(name, judgements, gauge, limit=limit) for name, limit in limits.items()}
-    table = pd.concat(
-        [part.reset_index().assign(rule=name) for name, part in found.items()], ignore_index=True
-    )
-    hit = table.loc[table["hit"], "participant"].unique()
+        gauge = gauge_raters(judgements, rng=as_rng(rng))
+    found = {}
+    for name, limit in limits.items():
+        find, meant = RULES[name].find, judgements.of_protocols(RULES[name].protocols)
+        found[name] = find(meant, limit) if find else check_expertise(gauge, judgements, limit)
+    parts = [part.reset_index().assign(rule=name) for name, part in found.items()]
+    screened = pd.concat(parts, ignore_index=True)
+    hit = screened.loc[screened["hit"], "participant"].unique()
     return Screening(
-        table=table[["participant", "rule", "count", "n", "share", "limit", "hit"]],
+        table=screened[["participant", "rule", "count", "n", "share", "limit", "hit"]],
         excerpts=_describe_excerpts(judgements.of_protocols(SIGHTED)),
         items=_describe_items(judgements),
         gauge=gauge,
@@ -243,42 +227,63 @@ def screen_raters(
     )
 
 
-def _judge(name: str, judgements: Judgements, gauge: DataFrame, *, limit: float) -> DataFrame:
-    judge, meant = RULES[name].judge, judgements.of_protocols(RULES[name].protocols)
-    return judge(meant, limit) if judge else judge_expertise(gauge, judgements, limit)
+def describe_panel(ratings: DataFrame, hit: Iterable[object]) -> DataFrame:
+    """Measure the reliability of ratings of test stimuli per scale, with and without the raters that a rule flagged."""
+    import pandas as pd
+
+    tests = ratings
+    if "role" in ratings:
+        tests = ratings[~ratings["role"].isin(["reference", "anchor"])]
+    tests = tests if "scale" in tests else tests.assign(scale="")
+    left = tests[~tests["participant"].isin(list(hit))]
+    rows = [
+        {"scale": scale, "panel": name, **_measure_reliability(part[part["scale"] == scale])}
+        for scale in sorted(tests["scale"].unique())
+        for name, part in (("everyone", tests), ("without hits", left))
+    ]
+    columns = ["scale", "panel", "n_participants", "n_items", "n_complete", *FIGURES]
+    return pd.DataFrame(rows, columns=columns)
 
 
-def _explain_protocols(judgements: Judgements, limits: Mapping[str, float]) -> Iterable[str]:
-    """Say which protocol was assumed, and which rules are not meant for what was rated."""
+def _measure_reliability(tests: DataFrame) -> dict[str, object]:
+    pivot = tests.pivot_table("rating", key_stimulus(tests), "participant", observed=True)
+    votes = pivot.to_numpy(np.float64)
+    complete = votes[np.isfinite(votes).all(axis=1)]
+    figures = dict.fromkeys(FIGURES, float("nan"))
+    if min(complete.shape) >= SMALLEST:
+        icc = intraclass(complete)
+        figures |= {name: getattr(icc, name) for name in FIGURES[:-1]}
+    if (np.isfinite(votes).sum(axis=1) >= SMALLEST).sum() >= SMALLEST:
+        figures["alpha"] = krippendorff_alpha(votes)
+    sizes = {"n_participants": votes.shape[1], "n_items": len(votes), "n_complete": len(complete)}
+    return {**sizes, **figures}
+
+
+def _explain_protocols(judgements: Judgements, limits: Mapping[str, float]) -> Iterator[str]:
+    """Name the protocol that was assumed, and the rules that are not meant for what was rated."""
     bound = [name for name in limits if RULES[name].protocols]
     if not bound:
         return
     yield from judgements.notes
     if judgements.of_protocols(SIGHTED).rows.empty:
-        known = sorted(set(judgements.rows["protocol"]) - {""})
-        of = (
-            f"these are of {' and '.join(known)}"
-            if known
-            else "a column protocol that says so is missing"
-        )
+        known = " and ".join(sorted(set(judgements.rows["protocol"]) - {""}))
+        of = f"these are of {known}" if known else "a column protocol that says so is missing"
         names = f"Rule{'' if len(bound) == 1 else 's'} {', '.join(map(repr, bound))}"
         yield f"{names} not applied: for MUSHRA ratings, where the reference is in sight; {of}."
 
 
-def _explain_rules(found: Mapping[str, DataFrame], judgements: Judgements) -> Iterable[str]:
+def _explain_rules(found: Mapping[str, DataFrame], judgements: Judgements) -> Iterator[str]:
     for name, part in found.items():
         silent = int(part["share"].isna().sum())
-        meant = not judgements.of_protocols(RULES[name].protocols).rows.empty
-        if silent and meant:
+        if silent and not judgements.of_protocols(RULES[name].protocols).rows.empty:
             whom = "" if silent == len(part) else f" to {silent} of {len(part)} participants"
             yield f"Rule '{name}' not applied{whom}: it needs {RULES[name].needs}."
 
 
 def _describe_excerpts(judgements: Judgements) -> DataFrame:
     shares = share_undegraded(judgements)
-    return judgements.excerpts.loc[shares.index].assign(
-        mid_above_90=shares, counts=shares <= MOST_RATERS
-    )
+    excerpts = judgements.excerpts.loc[shares.index]
+    return excerpts.assign(mid_above_90=shares, counts=shares <= MOST_RATERS)
 
 
 def _describe_items(judgements: Judgements) -> DataFrame:
@@ -287,9 +292,10 @@ def _describe_items(judgements: Judgements) -> DataFrame:
     tests = judgements.of_kind("test")
     rows = []
     steps = tests.groupby("item")["step"].max()
-    means = tests.groupby(["item", "participant"], observed=True)["rating"].mean()
-    for item, own in means.groupby("item"):
-        low, high = tukey_fences(own, step=steps[item])
+    means = judgements.means()
+    for item, step in steps.items():
+        own = means[item].dropna().to_numpy(np.float64)
+        low, high = tukey_fences(own, step=step)
         rows.append({
             "item": item,
             "n": len(own),
@@ -299,6 +305,6 @@ def _describe_items(judgements: Judgements) -> DataFrame:
             "multimodality": multimodality(own),
         })
     columns = ["item", "n", "low_fence", "high_fence", "outliers", "multimodality"]
-    table = pd.DataFrame(rows, columns=columns)
-    table["item"] = judgements.items.reindex(table["item"]).to_numpy()
-    return table.assign(multimodal=table["multimodality"] > UNIMODAL)
+    described = pd.DataFrame(rows, columns=columns)
+    described["item"] = judgements.items.reindex(described["item"]).to_numpy()
+    return described.assign(multimodal=described["multimodality"] > UNIMODAL)

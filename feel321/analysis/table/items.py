@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeGuard
 import numpy as np
 
 from feel321.analysis.arrays import Values, check_columns, read_numbers
-from feel321.analysis.table.schema import APART, NAMING, NO, YES
+from feel321.analysis.table.schema import APART, NAMING, NO, REDUCERS, YES
 from feel321.doors import as_names, check_name
 from feel321.records import Result
 
@@ -412,8 +412,6 @@ def order_reducers(names: Iterable[str]) -> list[str]:
     >>> order_reducers(["mine", "dft321", "soc321", "dft321"])
     ['soc321', 'dft321', 'mine']
     """
-    from feel321.stimuli.reducers.registry import REDUCERS
-
     found = set(names)
     return [name for name in REDUCERS if name in found] + sorted(found - set(REDUCERS))
 

@@ -6,17 +6,8 @@ import unicodedata
 from collections import Counter
 from typing import TYPE_CHECKING
 
+from feel321.analysis.table import schema
 from feel321.analysis.table.items import ROLE, STIMULUS, TEST
-from feel321.analysis.table.schema import (
-    ANSWERED,
-    APART,
-    GAIN,
-    MATCHES,
-    PAIR,
-    PAIRED,
-    SENSATION,
-    describe_explored,
-)
 from feel321.analysis.table.sheet import shorten
 
 if TYPE_CHECKING:
@@ -31,7 +22,7 @@ SHORT = 10
 """Points below which a scale's highest rating makes one doubt that it went to 100."""
 
 SPACE = (
-    "Where a map of the dissimilarities can be made, it stands under The space of what was felt."
+    "Where a map of the dissimilarities can be made, it is shown under The space of what was felt."
 )
 
 
@@ -71,24 +62,22 @@ def note_scales(sheet: DataFrame) -> Iterator[str]:
 def note_stimuli(sheet: DataFrame) -> Iterator[str]:
     """Say by which gains stimuli were played, and what about them is odd."""
     as_is = sheet[sheet["level"] == "as_is"]
-    if GAIN in sheet and as_is[GAIN].notna().any():
-        low, high = as_is[GAIN].min(), as_is[GAIN].max()
-        one_each = as_is.groupby("recording")[GAIN].nunique().max() == 1
+    if schema.GAIN in sheet and as_is[schema.GAIN].notna().any():
+        low, high = as_is[schema.GAIN].min(), as_is[schema.GAIN].max()
+        one_each = as_is.groupby("recording")[schema.GAIN].nunique().max() == 1
         scope = "one gain per recording" if one_each else "gains"
         if low == high:
             scope = "one gain for the whole set"
         values = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
         yield f"Stimuli as is were played with {scope}: {values} m/s² per m/s² recorded."
-    if SENSATION in sheet and (weak := int((sheet[SENSATION] < 0).sum())):
+    if schema.SENSATION in sheet and (weak := int((sheet[schema.SENSATION] < 0).sum())):
         yield f"{weak} of {len(sheet)} stimuli were played below the detection threshold."
-    for name in (name for name in MATCHES if name in sheet):
+    for name in (name for name in schema.MATCHES if name in sheet):
         if len(above := sheet.loc[sheet[name] > 1, STIMULUS]):
             first = list_names([above.iloc[0]])
             yield f"'{name}' is above 1, which no match can be, for {len(above)} stimuli, first {first}."
-    from feel321.stimuli.reducers.registry import REDUCERS
-
     tests = sheet.loc[sheet[ROLE] == TEST, "reducer"]
-    if strangers := sorted(set(tests) - set(REDUCERS)):
+    if strangers := sorted(set(tests) - set(schema.REDUCERS)):
         yield f"Reducers unknown to feel321, analysed as named: {list_names(strangers)}."
 
 
@@ -98,7 +87,7 @@ def note_sources(rows: DataFrame) -> Iterator[str]:
     recordings, sources = (rows.loc[tests, name].nunique() for name in ("recording", "source"))
     start = f"The {recordings} recordings come from {sources} source{'s' if sources > 1 else ''}, turned, cut or edited"
     if sources == 1 < recordings:
-        yield f"{start}: they are not independent, and nothing here speaks of other sources."
+        yield f"{start}: they are not independent, and the results do not extend to other sources."
     elif sources < recordings:
         yield (
             f"{start}: they are not independent, and what is said of others rests on sources. Two-way intervals draw "
@@ -108,12 +97,12 @@ def note_sources(rows: DataFrame) -> Iterator[str]:
 
 def note_gaps(rows: DataFrame, manifest: DataFrame) -> Iterator[str]:
     """Say which stimuli nobody rated, and which scales have no test stimulus."""
-    apart = rows["scale"].isin(APART)
+    apart = rows["scale"].isin(schema.APART)
     rated = {*rows[STIMULUS].unique(), *rows.loc[apart, "reference_id"].unique()}
     if unrated := [str(name) for name in manifest.index if name not in rated]:
         yield f"{len(unrated)} of {len(manifest)} stimuli of the manifest were rated by nobody: {list_names(unrated)}."
     tested = set(rows.loc[rows[ROLE] == TEST, "scale"].unique())
-    for scale in sorted(set(rows["scale"].unique()) - tested - set(APART)):
+    for scale in sorted(set(rows["scale"].unique()) - tested - set(schema.APART)):
         yield f"Scale {list_names([scale])} was rated on references and anchors only: it has no association."
 
 
@@ -138,7 +127,7 @@ def note_lookalikes(rows: DataFrame) -> Iterator[str]:
 def note_lacking(rows: DataFrame, metrics: Sequence[str]) -> Iterator[str]:
     """Say which further metrics some rated test stimuli lack."""
     tests = rows[rows[ROLE] == TEST]
-    for name in (name for name in describe_explored(metrics) if name in rows):
+    for name in (name for name in schema.describe_explored(metrics) if name in rows):
         lacking = tests.loc[tests[name].isna(), STIMULUS].unique()
         if len(lacking):
             first = list_names([str(lacking[0])])
@@ -149,14 +138,14 @@ def note_apart(rows: DataFrame) -> Iterator[str]:
     """Say which scales enter no association, and why."""
     counts = rows["scale"].value_counts()
     lead = "Scale '{}': none of its {} judgements enters an association, because"
-    if PAIRED in counts:
-        pairs = int((rows[ROLE] == PAIR).sum())
+    if n := counts.get(schema.PAIRED, 0):
+        pairs = int((rows[ROLE] == schema.PAIR).sum())
         yield (
-            f"{lead.format(PAIRED, counts[PAIRED])} a metric describes one stimulus and they compare two. The profile "
-            f"holds the {counts[PAIRED] - pairs} that compare with the reference, and leaves out {pairs}. {SPACE}"
+            f"{lead.format(schema.PAIRED, n)} a metric describes one stimulus and they compare two. The profile "
+            f"holds the {n - pairs} that compare with the reference, and leaves out {pairs}. {SPACE}"
         )
-    if ANSWERED in counts:
+    if n := counts.get(schema.ANSWERED, 0):
         yield (
-            f"{lead.format(ANSWERED, counts[ANSWERED])} they are right (100) or wrong (0). The profile holds the "
+            f"{lead.format(schema.ANSWERED, n)} they are right (100) or wrong (0). The profile holds the "
             "percentage correct; guessing gives 50."
         )

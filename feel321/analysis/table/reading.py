@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from feel321.analysis.table import schema
 from feel321.analysis.table.items import ROLE, STIMULUS, TEST, Table, order_reducers
 from feel321.analysis.table.notes import (
     list_names,
@@ -32,29 +33,6 @@ from feel321.analysis.table.notes import (
     note_scales,
     note_sources,
     note_stimuli,
-)
-from feel321.analysis.table.schema import (
-    AMPLITUDE,
-    ANSWERED,
-    GAIN,
-    HIGHEST,
-    IDENTITY,
-    LARGEST,
-    LOWEST,
-    MATCHES,
-    NOT_METRICS,
-    PAIR,
-    PAIRED,
-    PLANNED,
-    ROLES,
-    SENSATION,
-    STAND_INS,
-    SURFACE,
-    Column,
-    describe_explored,
-    describe_further,
-    describe_manifest,
-    describe_ratings,
 )
 from feel321.analysis.table.sheet import (
     read_cells,
@@ -145,13 +123,6 @@ def read_table(
     Table
         The rows, and notes on them.
 
-    Raises
-    ------
-    ValueError
-        If a column, cell, stimulus, role or trial is not as it must be; names the file and the lines.
-    OSError
-        If a file cannot be opened.
-
     Examples
     --------
     >>> import pandas as pd
@@ -185,9 +156,9 @@ def read_table(
         *note_lookalikes(rows),
         *note_lacking(rows, planned),
     ]
-    tests, known = rows[rows[ROLE] == TEST], describe_explored(planned)
+    tests, known = rows[rows[ROLE] == TEST], schema.describe_explored(planned)
     explored = [name for name in known if name in rows and tests[name].notna().all()]
-    optional = ("protocol", "response_time_s", AMPLITUDE, SENSATION)
+    optional = ("protocol", "response_time_s", schema.AMPLITUDE, schema.SENSATION)
     rows = rows[[
         "participant", STIMULUS, "reference_id", "reference_reducer", "source", *ECHOED, ROLE, "matched", "scale",
         "repeat", "rating", "simulated", *(name for name in optional if name in rows and name not in planned),
@@ -218,18 +189,20 @@ def _open(given: PathLike | DataFrame, what: str) -> _Source:
 
 def _read_ratings(source: Path | DataFrame, what: str) -> tuple[DataFrame, list[str]]:
     """Read every judgement that counts."""
-    schema = describe_ratings()
-    sheet, notes = read_sheet(source, what, schema)
+    columns = schema.describe_ratings()
+    sheet, notes = read_sheet(source, what, columns)
     sheet, more_notes = _leave_rejected(sheet, what)  # which needs no rating
     notes += more_notes
     for name in [str(name) for name in sheet if name != "rejected"]:
-        read_column(sheet, name, what, kind=schema[name].kind)
+        read_column(sheet, name, what, kind=columns[name].kind)
     sheet, more_notes = _leave_simulated(sheet, what)
     notes += more_notes
     unclear = sheet.loc[
-        (sheet["scale"] == ANSWERED) & ~sheet["rating"].isin([LOWEST, HIGHEST]), "rating"
+        (sheet["scale"] == schema.ANSWERED)
+        & ~sheet["rating"].isin([schema.LOWEST, schema.HIGHEST]),
+        "rating",
     ]
-    refuse_lines(unclear, what, must=f"be 100 (right) or 0 (wrong) on scale '{ANSWERED}'")
+    refuse_lines(unclear, what, must=f"be 100 (right) or 0 (wrong) on scale '{schema.ANSWERED}'")
     if "reference_id" not in sheet:
         sheet["reference_id"] = ""
     notes += [*_check_doubles(sheet, what), *note_scales(sheet)]
@@ -303,8 +276,8 @@ def _read_manifest(
 ) -> tuple[DataFrame, tuple[str, ...], list[str]]:
     """Read the manifest's columns that an analysis needs, indexed by stimulus; also the planned metrics, and notes."""
     metrics, what = None if metrics is None else as_names(metrics, "metrics"), source.what
-    schema = describe_manifest(metrics or PLANNED)
-    sheet, notes = read_sheet(*source, schema)
+    columns = schema.describe_manifest(metrics or schema.PLANNED)
+    sheet, notes = read_sheet(*source, columns)
     planned, more_notes = _choose_metrics(sheet, metrics, source)
     notes += more_notes
     for name, value in (("level", "as_is"), (ROLE, TEST)):
@@ -313,25 +286,27 @@ def _read_manifest(
             notes.append(
                 f"{what} has nothing in a column '{name}': every stimulus is taken as '{value}'."
             )
-    for name in (*IDENTITY, "level"):
+    for name in (*schema.IDENTITY, "level"):
         read_column(sheet, name, what, kind="name")
     refuse_lines(
-        sheet.loc[~sheet[ROLE].isin(ROLES), ROLE], what, must=f"be one of {', '.join(ROLES)}"
+        sheet.loc[~sheet[ROLE].isin(schema.ROLES), ROLE],
+        what,
+        must=f"be one of {', '.join(schema.ROLES)}",
     )
     _refuse_doubled(sheet, STIMULUS, what)
     _read_metrics(sheet, planned, what)
-    for name in (AMPLITUDE, GAIN, SENSATION):
+    for name in (schema.AMPLITUDE, schema.GAIN, schema.SENSATION):
         if name not in planned:
-            read_column(sheet, name, what, kind=schema[name].kind)
+            read_column(sheet, name, what, kind=columns[name].kind)
     sheet["source"] = _read_sources(sheet, sources, what)
     notes += note_stimuli(sheet)
     return sheet.set_index(STIMULUS), planned, notes
 
 
 def _read_metrics(sheet: DataFrame, planned: Sequence[str], what: str) -> None:
-    for name in (*planned, *(name for name in describe_explored(planned) if name in sheet)):
+    for name in (*planned, *(name for name in schema.describe_explored(planned) if name in sheet)):
         # The reference need not have a metric: it is what the others are matched against.
-        if name in planned or name not in MATCHES:
+        if name in planned or name not in schema.MATCHES:
             lacking = sheet.loc[(sheet[name] == "") & (sheet[ROLE] == TEST), name]
             do = "correct it or leave the row out"
             refuse_lines(lacking, what, must="be a finite number", do=do)
@@ -342,14 +317,14 @@ def _choose_metrics(
     sheet: DataFrame, metrics: Sequence[str] | None, source: _Source
 ) -> tuple[tuple[str, ...], list[str]]:
     """Find the columns that the primary analysis is about; only the default pair may be incomplete."""
-    if metrics is not None and tuple(metrics) != PLANNED:
+    if metrics is not None and tuple(metrics) != schema.PLANNED:
         _refuse_missing(sheet, metrics, source)
         return tuple(metrics), []
-    found = [name if name in sheet else STAND_INS.get(name, name) for name in PLANNED]
+    found = [name if name in sheet else schema.STAND_INS.get(name, name) for name in schema.PLANNED]
     if not any(name in sheet for name in found):
         raise ValueError(
-            f"{source.what}: got no metric; at least one of the columns {', '.join(PLANNED)} is needed, or a metric of "
-            f"your own by its name (--metric); {_list_numeric(source.given)}"
+            f"{source.what}: got no metric; at least one of the columns {', '.join(schema.PLANNED)} is needed, or a "
+            f"metric of your own by its name (--metric); {_list_numeric(source.given)}"
         )
     notes = [
         f"{source.what} has nothing in a column '{name}', so that metric is not reported."
@@ -365,9 +340,9 @@ def _refuse_missing(sheet: DataFrame, metrics: Sequence[str], source: _Source) -
             f"metrics must be one name or more, each once, got {', '.join(metrics) or 'none'}"
         )
     for name in metrics:
-        if name in sheet and name not in NOT_METRICS and _is_numeric(sheet[name]):
+        if name in sheet and name not in schema.NOT_METRICS and _is_numeric(sheet[name]):
             continue
-        instead, why = STAND_INS.get(name), ""
+        instead, why = schema.STAND_INS.get(name), ""
         if instead in sheet:
             why = f" (built before it existed: build the set again, or use {instead})"
         lacks = "no numbers in column" if name in sheet else "no column"
@@ -379,7 +354,9 @@ def _refuse_missing(sheet: DataFrame, metrics: Sequence[str], source: _Source) -
 def _list_numeric(source: Path | DataFrame) -> str:
     """List what may be used as a metric, of all columns of the table."""
     cells = read_cells(source)
-    names = [str(name) for name in cells if name not in NOT_METRICS and _is_numeric(cells[name])]
+    names = [
+        str(name) for name in cells if name not in schema.NOT_METRICS and _is_numeric(cells[name])
+    ]
     return f"its numeric columns are {', '.join(names)}" if names else "it has no numeric column"
 
 
@@ -407,12 +384,6 @@ def _read_sources(sheet: DataFrame, sources: Mapping[str, str], what: str) -> Se
     return found
 
 
-def _known_reducers() -> Mapping[str, object]:
-    from feel321.stimuli.reducers.registry import REDUCERS
-
-    return REDUCERS
-
-
 # Judgements and stimuli together: what was judged against what, and what of it the metrics describe.
 
 
@@ -433,9 +404,9 @@ def _check_stimuli(ratings: DataFrame, manifest: DataFrame, *, names: tuple[str,
 
 def _turn_pairs(ratings: DataFrame, manifest: DataFrame, what: str) -> DataFrame:
     """Let every dissimilarity be about the stimulus that was compared with the reference."""
-    is_paired = (ratings["scale"] == PAIRED) & (ratings["reference_id"] != "")
+    is_paired = (ratings["scale"] == schema.PAIRED) & (ratings["reference_id"] != "")
     others = ratings.loc[is_paired, "reference_id"]
-    must = f"be a stimulus of the manifest, or empty, in a {PAIRED}"
+    must = f"be a stimulus of the manifest, or empty, in a {schema.PAIRED}"
     refuse_lines(others[~others.isin(manifest.index)], what, must=must)
     backward = is_paired & (ratings[STIMULUS].map(manifest[ROLE]) == "reference")
     ids = [STIMULUS, "reference_id"]
@@ -448,8 +419,10 @@ def _find_roles(rows: DataFrame, manifest: DataFrame) -> Series:
     """Find the role that each stimulus had in its judgement."""
     is_same = rows[STIMULUS] == rows["reference_id"]
     roles = rows[ROLE].mask(is_same & (rows[ROLE] == TEST), "reference")
-    is_pair = (rows["scale"] == PAIRED) & (rows["reference_id"] != "") & ~is_same
-    return roles.mask(is_pair & (rows["reference_id"].map(manifest[ROLE]) != "reference"), PAIR)
+    is_pair = (rows["scale"] == schema.PAIRED) & (rows["reference_id"] != "") & ~is_same
+    return roles.mask(
+        is_pair & (rows["reference_id"].map(manifest[ROLE]) != "reference"), schema.PAIR
+    )
 
 
 def _find_references(rows: DataFrame, manifest: DataFrame) -> Series:
@@ -457,12 +430,12 @@ def _find_references(rows: DataFrame, manifest: DataFrame) -> Series:
 
     Metrics say how well a stimulus matches its own recording: they describe judgements against that only.
     """
-    known = {"": "", SURFACE: SURFACED}
+    known = {"": "", schema.SURFACE: SURFACED}
     for name in set(rows["reference_id"].unique()) - set(known):
         known[name] = UNLISTED
         if name in manifest.index:
             reducer, role = manifest.loc[name, ["reducer", ROLE]]
-            whole = role == "reference" and reducer not in _known_reducers()
+            whole = role == "reference" and reducer not in schema.REDUCERS
             known[name] = "" if whole else f"what '{reducer}' made of the recording"
     of_reference = rows["reference_id"].map(manifest["recording"])
     is_foreign = of_reference.notna() & (of_reference != rows["recording"])
@@ -471,12 +444,13 @@ def _find_references(rows: DataFrame, manifest: DataFrame) -> Series:
 
 def _note_references(rows: DataFrame, manifest: DataFrame) -> Iterator[str]:
     """Say which judgements had another reference than the metrics have, or none that is known."""
-    nameless = int(((rows["scale"] == PAIRED) & (rows["reference_id"] == "")).sum())
+    nameless = int(((rows["scale"] == schema.PAIRED) & (rows["reference_id"] == "")).sum())
     if nameless:
-        yield f"{nameless} judgements of scale '{PAIRED}' name no reference_id: they are taken as from the reference."
-    told = rows.assign(reference=_find_references(rows, manifest))
-    told = told[(told[ROLE] != PAIR) & (told["reference"] != "")]
-    for (scale, reference), part in told.groupby(["scale", "reference"]):
+        which = f"{nameless} judgements of scale '{schema.PAIRED}'"
+        yield f"{which} name no reference_id: they are taken as from the reference."
+    known = rows.assign(reference=_find_references(rows, manifest))
+    known = known[(known[ROLE] != schema.PAIR) & (known["reference"] != "")]
+    for (scale, reference), part in known.groupby(["scale", "reference"]):
         against = f"{len(part)} judgements were made against {reference}"
         fate = ": none enters an association or a slope"
         fate = "" if reference in {SURFACED, UNLISTED} else fate
@@ -495,8 +469,10 @@ def _join_labels(rows: DataFrame, ratings: Path | DataFrame) -> tuple[DataFrame,
     names = [name for name in read_header(path) if name and name not in known]
     if not names:
         return rows, []
-    schema = {"participant": Column("who", needed=True)} | dict.fromkeys(names, Column("a label"))
-    sheet, _ = read_sheet(path, path.name, schema)
+    columns = {"participant": schema.ColumnInfo("who", needed=True)} | dict.fromkeys(
+        names, schema.ColumnInfo("a label")
+    )
+    sheet, _ = read_sheet(path, path.name, columns)
     _refuse_doubled(sheet, "participant", path.name)
     labels = sheet.set_index("participant")
     joined = rows.join(labels, on="participant").fillna(dict.fromkeys(labels, ""))
@@ -518,7 +494,7 @@ def _join_further(
     manifest: DataFrame, ratings: DataFrame, given: Further | None, *, names: tuple[str, str]
 ) -> tuple[DataFrame, list[str]]:
     """Give every stimulus the further metrics that there are."""
-    judged = [name for name in describe_further() if name in ratings]
+    judged = [name for name in schema.describe_further() if name in ratings]
     parts = (
         [(ratings.groupby(STIMULUS)[judged].mean(), " and ".join(names[::-1]))] if judged else []
     )
@@ -536,14 +512,14 @@ def _join_further(
 
 
 def _check_given(metrics: DataFrame) -> None:
-    allowed = describe_further()
+    allowed = schema.describe_further()
     for name in metrics:
         if name not in allowed:
             raise ValueError(
                 f"further metrics must be of the columns {', '.join(allowed)}, got column {name!r}"
             )
         values = metrics[name].to_numpy(np.float64)
-        if not (np.isnan(values) | (np.abs(values) <= LARGEST)).all():
+        if not (np.isnan(values) | (np.abs(values) <= schema.LARGEST)).all():
             raise ValueError(
                 f"further metrics must be finite, got infinite or huge values of '{name}'"
             )

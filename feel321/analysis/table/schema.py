@@ -54,9 +54,17 @@ MATCHES = {
 }
 """Match metrics of feel321, and what they are in words."""
 
+REDUCERS = (
+    "sax321", "say321", "saz321", "soc321", "mag321", "pca321", "pca321_adaptive", "dft321", "dft321_windowed",
+    "dft321_principal", "dft321_principal_windowed", "sax321_matched", "say321_matched", "saz321_matched",
+    "pca321_matched", "sax321_matched_running", "say321_matched_running", "saz321_matched_running",
+    "pca321_matched_windowed",
+)  # fmt: skip
+"""Reducers of feel321, in the order of `feel321.stimuli.REDUCERS`."""
+
 
 @dataclass(frozen=True, slots=True)
-class Column:
+class ColumnInfo:
     """A column of a table; its kind is one of `feel321.analysis.table.sheet.KINDS`, or empty for plain text."""
 
     meaning: str
@@ -66,43 +74,45 @@ class Column:
     used: bool = True
 
 
-RATINGS: Mapping[str, Column] = {
-    "participant": Column("who judged", kind="name", needed=True),
-    "session": Column("which visit of the participant"),
-    "protocol": Column("which task"),
-    "block": Column("which block of the session"),
-    "trial": Column("which trial of the block; with the stimulus, it occurs once", kind="name"),
-    "repeat": Column("how many times the participant has judged it, counted from 1", kind="name"),
-    "stimulus_id": Column("what was judged", kind="name", needed=True),
-    "recording": Column("as in the manifest"),
-    "reducer": Column("as in the manifest"),
-    "level": Column("as in the manifest"),
-    "reference_id": Column("what it was judged against: a stimulus, 'surface', or nothing"),
-    "scale": Column("what was asked, such as realism", kind="name", needed=True),
-    "rating": Column("the answer", "points from 0 to 100", kind="rating", needed=True),
-    "response_time_s": Column("from the end of playback to the answer", "s", kind="time"),
-    "onset_s": Column("start of playback, from the start of the session", "s", used=False),
-    "underruns": Column("interruptions of playback", "count", kind="count"),
-    "rejected": Column("whether the judgement does not count", "true or false", kind="flag"),
-    "simulated": Column("whether the participant is a program", "true or false", kind="flag"),
+RATINGS: Mapping[str, ColumnInfo] = {
+    "participant": ColumnInfo("who judged", kind="name", needed=True),
+    "session": ColumnInfo("which visit of the participant"),
+    "protocol": ColumnInfo("which task"),
+    "block": ColumnInfo("which block of the session"),
+    "trial": ColumnInfo("which trial of the block; with the stimulus, it occurs once", kind="name"),
+    "repeat": ColumnInfo(
+        "how many times the participant has judged it, counted from 1", kind="name"
+    ),
+    "stimulus_id": ColumnInfo("what was judged", kind="name", needed=True),
+    "recording": ColumnInfo("as in the manifest"),
+    "reducer": ColumnInfo("as in the manifest"),
+    "level": ColumnInfo("as in the manifest"),
+    "reference_id": ColumnInfo("what it was judged against: a stimulus, 'surface', or nothing"),
+    "scale": ColumnInfo("what was asked, such as realism", kind="name", needed=True),
+    "rating": ColumnInfo("the answer", "points from 0 to 100", kind="rating", needed=True),
+    "response_time_s": ColumnInfo("from the end of playback to the answer", "s", kind="time"),
+    "onset_s": ColumnInfo("start of playback, from the start of the session", "s", used=False),
+    "underruns": ColumnInfo("interruptions of playback", "count", kind="count"),
+    "rejected": ColumnInfo("whether the judgement does not count", "true or false", kind="flag"),
+    "simulated": ColumnInfo("whether the participant is a program", "true or false", kind="flag"),
 }
 """One row per judgement."""
 
-MANIFEST: Mapping[str, Column] = {
-    **{name: Column("what it is", kind="name", needed=True) for name in IDENTITY},
-    "level": Column("how its gain was chosen", kind="name"),
-    "role": Column("test, reference or anchor"),
-    AMPLITUDE: Column("root mean square as played", "m/s^2", kind="amplitude"),
-    GAIN: Column("m/s^2 played per m/s^2 recorded", kind="known"),
-    SENSATION: Column("over the detection threshold, as played", "dB", kind="known"),
-    **{name: Column(meaning, "1 = perfect match") for name, meaning in MATCHES.items()},
+MANIFEST: Mapping[str, ColumnInfo] = {
+    **{name: ColumnInfo("what it is", kind="name", needed=True) for name in IDENTITY},
+    "level": ColumnInfo("how its gain was chosen", kind="name"),
+    "role": ColumnInfo("test, reference or anchor"),
+    AMPLITUDE: ColumnInfo("root mean square as played", "m/s^2", kind="amplitude"),
+    GAIN: ColumnInfo("m/s^2 played per m/s^2 recorded", kind="known"),
+    SENSATION: ColumnInfo("over the detection threshold, as played", "dB", kind="known"),
+    **{name: ColumnInfo(meaning, "1 = perfect match") for name, meaning in MATCHES.items()},
     **{
-        name: Column("not used", used=False)
+        name: ColumnInfo("not used", used=False)
         for name in (
             "file", "rate_hz", "n_samples", "duration_s", "peak", "clipped", "sha256", "recording_sha256",
         )
     },
-    "source": Column(
+    "source": ColumnInfo(
         "what the recording was made from, where several are one and the same, turned, cut or edited"
     ),
 }  # fmt: skip
@@ -126,7 +136,7 @@ judgement in the ratings, where a stimulus has the mean over its judgements. `sp
 name of `spectral_match_energy_weighted`; tables that use it are read as before."""
 
 
-def describe_further() -> dict[str, Column]:
+def describe_further() -> dict[str, ColumnInfo]:
     """List the columns of metrics that an analysis explores, beside those that it was planned for.
 
     Examples
@@ -135,14 +145,16 @@ def describe_further() -> dict[str, Column]:
     ['spectral_match_rotation_mean', 'spectral_match_rotation_sd', 'spectral_match_delivered']
     """
     return {
-        f"{metric}_{kind}": Column(meaning.format(metric.replace("_", " ")), unit, kind="metric")
+        f"{metric}_{kind}": ColumnInfo(
+            meaning.format(metric.replace("_", " ")), unit, kind="metric"
+        )
         for metric in MATCHES
         for kind, (meaning, unit, metrics) in FURTHER.items()
         if metric in metrics
     }
 
 
-def describe_explored(metrics: Sequence[str]) -> dict[str, Column]:
+def describe_explored(metrics: Sequence[str]) -> dict[str, ColumnInfo]:
     """List the columns of metrics that an analysis of other metrics explores.
 
     Examples
@@ -154,13 +166,13 @@ def describe_explored(metrics: Sequence[str]) -> dict[str, Column]:
     return {name: column for name, column in others.items() if name not in metrics}
 
 
-def describe_ratings() -> dict[str, Column]:
+def describe_ratings() -> dict[str, ColumnInfo]:
     """List the columns that a table of ratings may have."""
     return {**RATINGS, **describe_further()}
 
 
-def describe_manifest(metrics: Sequence[str] = ()) -> dict[str, Column]:
+def describe_manifest(metrics: Sequence[str] = ()) -> dict[str, ColumnInfo]:
     """List the columns that a manifest may have, with the metrics that a study declares."""
-    declared = {name: Column("a metric that the study declares") for name in metrics}
+    declared = {name: ColumnInfo("a metric that the study declares") for name in metrics}
     needed = {name: column for name, column in MANIFEST.items() if column.needed}
     return {**MANIFEST, **describe_further(), **declared, **needed}

@@ -15,12 +15,14 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from feel321.analysis.table.schema import HIGHEST, LARGEST, LOWEST, NO, YES, Column
+from feel321.analysis.table.schema import HIGHEST, LARGEST, LOWEST, NO, YES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from pandas import DataFrame, Series
+
+    from feel321.analysis.table.schema import ColumnInfo
 
 FOREIGN = {
     b"\x1f\x8b": "a gzip file; unpack it first",
@@ -74,7 +76,7 @@ KINDS: Mapping[str, Kind] = {
 
 
 def read_sheet(
-    source: Path | DataFrame, what: str, schema: Mapping[str, Column]
+    source: Path | DataFrame, what: str, schema: Mapping[str, ColumnInfo]
 ) -> tuple[DataFrame, list[str]]:
     """Read the columns that an analysis uses, as text, from a CSV file or a table in memory; `what` names it."""
     sheet, header = (
@@ -172,7 +174,7 @@ def _read_numbers(cells: Series, what: str, kind: Kind, *, empty: bool) -> Serie
     return numbers.reindex(cells.index, fill_value=kind.empty)
 
 
-def _read_file(path: Path, schema: Mapping[str, Column]) -> tuple[DataFrame, list[str]]:
+def _read_file(path: Path, schema: Mapping[str, ColumnInfo]) -> tuple[DataFrame, list[str]]:
     import pandas as pd
 
     what = path.name
@@ -207,7 +209,7 @@ def _read_file(path: Path, schema: Mapping[str, Column]) -> tuple[DataFrame, lis
 
 
 def _read_frame(
-    frame: DataFrame, what: str, schema: Mapping[str, Column]
+    frame: DataFrame, what: str, schema: Mapping[str, ColumnInfo]
 ) -> tuple[DataFrame, list[str]]:
     header = list(map(str, frame))
     _check_header(header, what, schema)
@@ -215,7 +217,7 @@ def _read_frame(
     return read_cells(frame)[wanted], header
 
 
-def _check_header(header: Sequence[str], where: str, schema: Mapping[str, Column]) -> None:
+def _check_header(header: Sequence[str], where: str, schema: Mapping[str, ColumnInfo]) -> None:
     # A misspelt column would be passed over in silence, and with it what it says: that judgements are rejected, say.
     plain = {_simplify(name): name for name in schema}
     for name in header:
@@ -249,7 +251,7 @@ def _simplify(name: str) -> str:
 
 
 def _refuse_foreign(path: Path) -> None:
-    """Refuse a file that is no text."""
+    """Refuse a file that is not text."""
     with path.open("rb") as file:
         start, passed = file.read(512), 0
         for mark, kind in FOREIGN.items():

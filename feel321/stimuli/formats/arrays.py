@@ -300,7 +300,7 @@ ALLOWED = ", ".join(dict.fromkeys(KEYS))
 
 @dataclass(frozen=True, slots=True)
 class Sidecar:
-    """What a WAV header cannot say: ``NAME.json`` or ``NAME.toml`` beside ``NAME.wav``."""
+    """Facts that a WAV header cannot hold, in ``NAME.json`` or ``NAME.toml`` beside ``NAME.wav``."""
 
     path: Path | None = None
     unit: str | None = None
@@ -347,7 +347,7 @@ def _parse_sidecar(path: Path) -> Sidecar:
 
 
 def _find_entry(entries: Mapping[str, Any], keys: Sequence[str]) -> Any:  # noqa: ANN401 - whatever stands there
-    """Return what stands under one of several spellings."""
+    """Return the entry under one of several spellings."""
     present = [key for key in keys if entries.get(key) is not None]
     if len(present) > 1:
         raise ValueError(f"{' and '.join(present)} mean the same; remove all but one")

@@ -1,4 +1,4 @@
-"""What all readers of recordings share: decoded samples, units, keywords, errors.
+"""Shared by all readers of recordings: decoded samples, units, keywords, errors.
 
 A reader raises ValueError with a bare sentence; `read_recording` adds the file's name.
 """
@@ -47,7 +47,7 @@ TIME_SPELLINGS = {
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What the caller says about the file; columns are (x, y, z) or (time, x, y, z), by name or number from 0."""
+    """Options of the caller; columns are (x, y, z) or (time, x, y, z), by name or number from 0."""
 
     rate_hz: float | None = None
     unit: str | None = None
@@ -58,7 +58,7 @@ class Request:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Decoded:
-    """What a file says of itself; first_line is the line of a text file that holds the first sample, from 1."""
+    """The content of a file; first_line is the line of a text file that holds the first sample, from 1."""
 
     acceleration: Samples
     unit: str | None = None
@@ -168,7 +168,7 @@ def parse_unit(text: str) -> str:
 
 
 def settle_unit(own: str | None, requested: str | None) -> tuple[str, tuple[str, ...]]:
-    """Decide the unit from what the file and the caller say."""
+    """Decide the unit from the file and the caller."""
     wanted = None if requested is None else parse_unit(requested)
     if own and wanted and own != wanted:
         raise ValueError(f"the file gives the unit {own!r}, but unit={requested!r}; leave unit out")
@@ -179,7 +179,7 @@ def settle_unit(own: str | None, requested: str | None) -> tuple[str, tuple[str,
 def one_value(
     found: Mapping[str, Value], *, argument: str, requested: Value | None
 ) -> Value | None:
-    """Return what all names say; where they differ, what the caller chooses among it.
+    """Return the value that all names agree on; where they differ, the one that the caller chooses.
 
     Examples
     --------

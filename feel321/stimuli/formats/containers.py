@@ -290,7 +290,7 @@ def _axes(channel: Any) -> dict[str, int]:  # noqa: ANN401 - idelib is not typed
 
 
 def _unit(subchannel: Any) -> str | None:  # noqa: ANN401 - idelib is not typed
-    """Return the unit of acceleration, or None for what is no acceleration."""
+    """Return the unit of acceleration, or None for other quantities."""
     label_and_unit = subchannel.units or ("", "")
     return ACCELERATION_SPELLINGS.get(normalise(str(label_and_unit[1])))
 

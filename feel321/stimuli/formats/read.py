@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import os
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -359,12 +359,7 @@ def read_recording(
 
 def read_recordings(
     paths: PathLike | Iterable[PathLike],
-    *,
-    rate_hz: float | None = None,
-    unit: str | None = None,
-    columns: Sequence[str | int] | None = None,
-    full_scale: float | None = None,
-    resample: bool = False,
+    **options: Any,  # noqa: ANN401 - those of read_recording, checked there
 ) -> list[Recording]:
     """Read several recordings, or report what is wrong with each at once.
 
@@ -372,8 +367,8 @@ def read_recordings(
     ----------
     paths : str or path, or sequence of them
         A folder, of which every file with a known suffix is read, or files.
-    rate_hz, unit, columns, full_scale, resample : as for `read_recording`
-        What holds for every file.
+    **options
+        Options of `read_recording`, for every file.
 
     Returns
     -------
@@ -405,14 +400,7 @@ def read_recordings(
     problems = []
     for file in files:
         try:
-            found = read_recording(
-                file,
-                rate_hz=rate_hz,
-                unit=unit,
-                columns=columns,
-                full_scale=full_scale,
-                resample=resample,
-            )
+            found = read_recording(file, **options)
         except (OSError, ValueError) as error:
             problems.append(str(error))
         else:

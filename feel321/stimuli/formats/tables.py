@@ -202,7 +202,7 @@ WITH_TIME = AXES + 1
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """Where the samples of x, y, z and the time stamps stand, from 0, and their units."""
+    """Column numbers, from 0, of x, y, z and the time stamps, and their units."""
 
     axes: tuple[int, ...]
     time: int | None = None
@@ -364,7 +364,7 @@ def read_table(path: Path, request: Request) -> Decoded:
 
 
 def _find_printed_step(table: TextTable, column: int) -> float:
-    """Return the last printed place of the time stamps: where they are longest, at the end, many at once."""
+    """Return the last printed decimal place of the time stamps, from the longest ones, at the end of the file."""
     rows = table.text.rsplit("\n", 100)[-100:]
     cells = [split_row(row, table.delimiter)[column].replace(table.decimal, ".") for row in rows]
     places = [Decimal(cell).as_tuple().exponent for cell in cells]

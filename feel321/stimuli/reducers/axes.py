@@ -231,7 +231,7 @@ def with_sign(axes: Samples) -> Samples:
 
 
 def turn_alike(axes: Samples) -> Samples:
-    """Let each of the axes, (..., m, 3), but the first point along the one before it; the first is left out."""
+    """Flip axes, (..., m, 3), so that each points along the one before it; the first is left out of the result."""
     along = np.einsum("...mi,...mi->...m", axes[..., 1:, :], axes[..., :-1, :])
     # An axis across the one before it keeps the sign that it has by itself: rounding must not choose.
     signs = np.cumprod(np.where(along < -NO_SIGN, -1.0, 1.0), axis=-1)
@@ -250,7 +250,7 @@ class PrincipalFrames:
         self._axis = np.full((*batch, 1, 3), 1 / np.sqrt(3))
 
     def push(self, blocks: Samples, valid: NDArray[np.bool_]) -> Samples:
-        """Take blocks (..., 3, m, hop), give as many finished ones (..., m, hop), one hop late."""
+        """Take blocks (..., 3, m, hop), return as many finished ones (..., m, hop), one hop late."""
         blocks = np.concatenate([self._previous, blocks], axis=-2)
         valid = np.concatenate([self._valid, valid])
         frames = np.concatenate([blocks[..., :-1, :], blocks[..., 1:, :]], axis=-1)
@@ -266,7 +266,7 @@ class PrincipalFrames:
         return np.asarray(np.einsum("...mih,...imh->...mh", mixed, blocks[..., :-1, :]))
 
     def _turned(self, axes: Samples, constant: NDArray[np.bool_]) -> Samples:
-        """Let constant segments keep the axis before them, and turn each axis to point along the one before."""
+        """Constant segments keep the axis before them; each axis is flipped to point along the one before."""
         axes = np.concatenate([self._axis, with_sign(axes)], axis=-2)
         own = np.where(constant, 0, np.arange(1, axes.shape[-2]))
         own = np.concatenate(

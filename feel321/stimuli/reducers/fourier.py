@@ -138,7 +138,7 @@ class FourierFrames:
         self._tail = np.zeros((*batch, hop))
 
     def push(self, blocks: Samples, valid: NDArray[np.bool_]) -> Samples:
-        """Take blocks (..., 3, m, hop), give as many finished ones (..., m, hop), one hop late."""
+        """Take blocks (..., 3, m, hop), return as many finished ones (..., m, hop), one hop late."""
         from scipy import fft
 
         del valid
@@ -202,7 +202,7 @@ def _merge(spectra: Spectra, floor: Samples) -> Bins:
 def _take_strongest(
     merged: Bins, of_sum: Samples, *, spectra: Spectra, vanishing: NDArray[np.bool_]
 ) -> None:
-    """Put the strongest axis where the sum vanishes; silence stays silence."""
+    """Use the strongest axis where the sum vanishes; silence stays silence."""
     there = np.array([spectrum[vanishing] for spectrum in spectra])
     strength = np.abs(there)
     first = np.argmax(strength >= (1 - _TIE) * strength.max(axis=0), axis=0)
@@ -325,7 +325,7 @@ def _measure_excursion(samples: Samples, mean: Samples) -> Samples:
 
 
 def _share_beginning(shares: Samples) -> Samples:
-    """Tell how much each sample is the beginning, from its share of the largest energy; they add up to 1."""
+    """Compute each sample's weight as the beginning, from its share of the largest energy; weights add up to 1."""
     chance = np.clip((shares - _MAYBE**2) / (_SURELY**2 - _MAYBE**2), 0.0, 1.0)
     not_yet = np.cumprod(1 - chance, axis=-1)
     chance[..., 1:] *= not_yet[..., :-1]
@@ -333,7 +333,7 @@ def _share_beginning(shares: Samples) -> Samples:
 
 
 def measure(spectra: Spectra) -> tuple[Samples, Samples]:
-    """Sum the energies of the axes bin by bin, and tell their covariance by Parseval's theorem."""
+    """Sum the energies of the axes bin by bin, and compute their covariance by Parseval's theorem."""
     energy = np.empty(spectra[0].shape)
     covariance = np.zeros((*energy.shape[:-1], 3, 3))
     for place in _places(spectra):
@@ -358,7 +358,7 @@ def start_axis(covariance: Samples, anchor: Samples, *, pull: float) -> Samples:
 
 
 def tilt(axis: Samples, covariance: Samples, anchor: Samples) -> Samples:
-    """Tilt axes so that they see weak directions too, by point 4 of the module's notes."""
+    """Tilt axes towards weak directions, by point 4 of the module's notes."""
     onset = np.einsum("...ij,...j->...i", anchor, axis)
     aside = np.linalg.solve(_shares(covariance) + _WEAK * np.eye(3), onset[..., None])[..., 0]
     deviations = np.sqrt(np.einsum("...i,...i->...", aside, onset))[..., None]
@@ -398,7 +398,7 @@ def _places(spectra: Spectra) -> Iterator[slice]:
 
 
 def unit(vectors: Samples, otherwise: Samples) -> Samples:
-    """Bring vectors to length 1, and take others where there is no direction."""
+    """Scale vectors to length 1; where one is zero, use the other."""
     length = np.sqrt(np.einsum("...i,...i->...", vectors, vectors))[..., None]
     return np.asarray(np.where(length > 0, vectors / np.where(length > 0, length, 1.0), otherwise))
 
@@ -482,7 +482,7 @@ class TrackingFrames(FourierFrames):
         return sums / np.where(loudest > 0, loudest, 1.0)[..., 1:, None, None], onsets * waking
 
     def _keep_sign(self, axes: Samples, anchors: Samples, waking: Samples) -> Samples:
-        """Turn each axis to point along the one before it, the first along the first onset; silence has none."""
+        """Flip each axis to point along the one before it, the first along the first onset; silence has no axis."""
         axes = np.where(np.asarray(anchors.any(axis=(-2, -1)))[..., None], axes, 0.0)
         before = np.concatenate([self._axis, axes[..., :-1, :]], axis=-2) + waking
         turns = np.einsum("...mi,...mi->...m", axes, before)
@@ -492,7 +492,7 @@ class TrackingFrames(FourierFrames):
 
 
 def _remember(values: Samples, state: Samples, *, axis: int) -> tuple[Samples, Samples]:
-    """Sum up what frame after frame brings, forgetting slowly; give the sums, and the state for the next frames."""
+    """Leaky sum over frames; returns the sums, and the state for the next frames."""
     from scipy.signal import lfilter
 
     sums, state = lfilter(np.ones(1), np.array([1.0, -MEMORY]), values, axis=axis, zi=state)

@@ -52,7 +52,7 @@ hold noticeably more before the axis turns. Without it the axis of isotropic mot
 
 
 def match_energy(total: Samples, kept: Samples) -> Samples:
-    """Find the gain that gives what is kept the energy of all; at most `MOST_GAIN`, and 0 for silence."""
+    """Compute the gain that gives the kept signal the energy of all axes; at most `MOST_GAIN`, and 0 for silence."""
     limited = np.maximum(kept, total / MOST_GAIN**2)
     return np.asarray(
         np.sqrt(np.divide(total, limited, out=np.zeros_like(total), where=limited > 0))
@@ -165,7 +165,7 @@ class MatchedFrames:
         self._gain = np.zeros((*batch, 1))
 
     def push(self, blocks: Samples, valid: NDArray[np.bool_]) -> Samples:
-        """Take blocks (..., 3, m, hop), give as many finished ones (..., m, hop), one hop late."""
+        """Take blocks (..., 3, m, hop), return as many finished ones (..., m, hop), one hop late."""
         from scipy.signal import lfilter
 
         del valid

@@ -168,7 +168,7 @@ WHY_NOT_STREAMING = {
 
 
 class _Gaps:
-    """What stands for missing samples, and how many there were."""
+    """Fills gaps of missing samples, and counts them."""
 
     def __init__(self, on_gap: OnGap) -> None:
         self._on_gap = on_gap
@@ -177,7 +177,7 @@ class _Gaps:
         self.gaps = self.samples = 0
 
     def fill(self, samples: Samples, there: NDArray[np.bool_]) -> Samples:
-        """Put something in the place of missing samples, or raise ValueError; nothing is remembered yet."""
+        """Replace missing samples, or raise ValueError; the state is not changed yet."""
         if self._on_gap == "raise":
             check_finite(samples, "block")
         if there.all():
@@ -230,7 +230,7 @@ class _InFrames:
         out[:], self._ready = self._ready[: out.size], self._ready[out.size :]
 
     def end(self) -> Samples:
-        """Return what the delay still holds back."""
+        """Return the samples that the delay still holds back."""
         self._push(-(-self._waiting.shape[1] // self._processor.hop) + 1)
         return self._ready[: 2 * self._processor.hop - 1]
 
@@ -305,7 +305,7 @@ class StreamingReducer:
 
     @property
     def missing_samples(self) -> int:
-        """Samples so far that did not arrive."""
+        """Number of missing samples so far."""
         return self._gaps.samples
 
     @property
@@ -381,7 +381,7 @@ class StreamingReducer:
         return self.process(np.full((3, n_samples), np.nan), out=out)
 
     def flush(self) -> Samples:
-        """End the signal and return what the delay still holds back.
+        """End the signal and return the samples that the delay still holds back.
 
         Returns
         -------

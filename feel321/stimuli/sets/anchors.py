@@ -197,7 +197,7 @@ def sensation_level_db(
     *,
     threshold: str = CONTACTOR,
 ) -> float:
-    """Compute the level over the detection threshold, as it is felt where it is loudest.
+    """Compute the sensation level: the level over the detection threshold of the loudest 200 ms.
 
     Parameters
     ----------
@@ -333,7 +333,7 @@ def _envelope(recording: Recording) -> Samples:
 
 
 def _with_energy_of(recording: Recording, hum: Samples) -> Samples:
-    """Take out what correlates with an axis, and give the hum the recording's energy."""
+    """Remove what correlates with an axis, and scale the hum to the recording's energy."""
     axes = recording.acceleration
     # The normal equations of three unknowns; lstsq leaves silent axes alone, and the second pass removes the rounding.
     products = np.einsum("in,jn->ij", axes, axes)

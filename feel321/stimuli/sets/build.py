@@ -28,10 +28,10 @@ from feel321.stimuli.sets.anchors import sensation_level_db, to_db
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, write_manifest
 from feel321.stimuli.sets.recipe import Recipe, check_names
 from feel321.stimuli.sets.render import (
-    Candidate,
+    Draft,
     Measured,
     choose_gains,
-    list_candidates,
+    list_drafts,
     measure_recording,
     part_path,
     render_recording,
@@ -53,7 +53,7 @@ FINISHED = "finished"
 
 @dataclass(frozen=True, slots=True)
 class History:
-    """What an earlier build left in `manifest.json`: read to save work, never trusted further than that.
+    """Results of an earlier build, from `manifest.json`: they save work and are never trusted further.
 
     rows: by stimulus id; keys: stimulus id -> the key it was rendered under; measured: by key.
     """
@@ -64,7 +64,7 @@ class History:
 
 
 def read_history(folder: Path) -> History:
-    """Read what an earlier build left; a manifest that is missing or damaged only costs building anew."""
+    """Read the results of an earlier build; if the manifest is missing or damaged, all is built anew."""
     from pydantic import TypeAdapter
 
     try:
@@ -88,17 +88,17 @@ def read_history(folder: Path) -> History:
 
 @dataclass(frozen=True, slots=True)
 class _Order:
-    """One file to be: a candidate, what was measured on it, its level arm, and the gain that brings it there."""
+    """A file to be written: a draft, its measurements, its level arm, and its gain."""
 
-    candidate: Candidate
+    draft: Draft
     measured: Measured
     level: str
     gain: float
 
     @property
     def stimulus_id(self) -> str:
-        made = "reference" if self.candidate.role == "reference" else self.candidate.reducer
-        return f"{self.candidate.recording}__{made}__{self.level}"
+        made = "reference" if self.draft.role == "reference" else self.draft.reducer
+        return f"{self.draft.recording}__{made}__{self.level}"
 
     @property
     def sensation_levels_db(self) -> dict[str, float]:
@@ -177,7 +177,7 @@ def _build(
 ) -> StimulusSet:
     parts = _make_parts_folder(folder)
     history = read_history(folder)
-    wanted = {recording.name: list_candidates(recording, recipe) for recording in recordings}
+    wanted = {recording.name: list_drafts(recording, recipe) for recording in recordings}
     new = [r for r in recordings if any(c.key not in history.measured for c in wanted[r.name])]
     total, done = len(new) + len(recordings), count(1)
     measured = dict(history.measured)
@@ -222,17 +222,17 @@ def foresee_stimuli(
 ) -> list[Foreseen]:
     """Compute how strong the stimuli of a set will be; nothing is written."""
     measured = dict(read_history(folder).measured)
-    wanted = {recording.name: list_candidates(recording, recipe) for recording in recordings}
+    wanted = {recording.name: list_drafts(recording, recipe) for recording in recordings}
     for done, recording in enumerate(recordings, start=1):
-        new = [candidate for candidate in wanted[recording.name] if candidate.key not in measured]
+        new = [draft for draft in wanted[recording.name] if draft.key not in measured]
         measured.update(measure_recording(recording, new, recipe=recipe))
         if progress:
             progress(done, len(recordings))
     return [
         Foreseen(
-            order.candidate.recording,
-            order.candidate.reducer,
-            order.candidate.role,
+            order.draft.recording,
+            order.draft.reducer,
+            order.draft.role,
             order.level,
             order.gain,
             order.measured.peak * order.gain,
@@ -261,7 +261,7 @@ def _publish(
 
 
 def _make_parts_folder(folder: Path) -> Path:
-    """Make the folder of unfinished work; what a killed build had rendered is kept, what it was writing is not."""
+    """Make the folder of unfinished work; what a killed build had rendered is kept, half-written files are not."""
     parts = folder / PARTS
     shutil.rmtree(parts / FINISHED, ignore_errors=True)
     (parts / FINISHED).mkdir(parents=True)
@@ -271,17 +271,17 @@ def _make_parts_folder(folder: Path) -> Path:
 
 
 def _place_orders(
-    wanted: Mapping[str, Sequence[Candidate]], measured: Mapping[str, Measured], recipe: Recipe
+    wanted: Mapping[str, Sequence[Draft]], measured: Mapping[str, Measured], recipe: Recipe
 ) -> dict[str, list[_Order]]:
-    keys = {name: [one.key for one in candidates] for name, candidates in wanted.items()}
+    keys = {name: [one.key for one in drafts] for name, drafts in wanted.items()}
     gains = choose_gains(measured, recipe, recordings=keys)
     return {
         name: [
-            _Order(candidate, measured[candidate.key], level, gains[level, candidate.key])
+            _Order(draft, measured[draft.key], level, gains[level, draft.key])
             for level in recipe.levels
-            for candidate in candidates
+            for draft in drafts
         ]
-        for name, candidates in wanted.items()
+        for name, drafts in wanted.items()
     }
 
 
@@ -301,7 +301,7 @@ def _write_recording(
     }
     changed = [order for order in orders if order.stimulus_id not in kept]
     render_recording(
-        recording, [order.candidate for order in changed], recipe=recipe, parts=folder / PARTS
+        recording, [order.draft for order in changed], recipe=recipe, parts=folder / PARTS
     )
     written = [_write(one, recording, recipe=recipe, parts=folder / PARTS) for one in changed]
     return [*kept.values(), *written]
@@ -310,18 +310,15 @@ def _write_recording(
 def _is_there(order: _Order, folder: Path, history: History) -> bool:
     """Whether the earlier build made just this, and its file still holds it."""
     row = history.rows.get(order.stimulus_id)
-    if (
-        row is None
-        or history.keys.get(order.stimulus_id) != order.candidate.key
-        or row.gain != order.gain
-    ):
+    key = history.keys.get(order.stimulus_id)
+    if row is None or key != order.draft.key or row.gain != order.gain:
         return False
     path = folder / row.file
     return path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() == row.sha256
 
 
 def _write(order: _Order, recording: Recording, *, recipe: Recipe, parts: Path) -> Stimulus:
-    samples, _ = read_wav(part_path(parts, order.candidate.key))
+    samples, _ = read_wav(part_path(parts, order.draft.key))
     samples *= order.gain / recipe.full_scale_m_s2
     clipped = int(np.count_nonzero(np.abs(samples) > 1.0))
     np.clip(samples, -1.0, 1.0, out=samples)
@@ -335,9 +332,9 @@ def _write(order: _Order, recording: Recording, *, recipe: Recipe, parts: Path) 
     return Stimulus(
         stimulus_id=order.stimulus_id,
         recording=recording.name,
-        reducer=order.candidate.reducer,
+        reducer=order.draft.reducer,
         level=order.level,
-        role=order.candidate.role,
+        role=order.draft.role,
         file=path.name,
         rate_hz=recipe.rate_hz,
         n_samples=int(samples.shape[-1]),
@@ -358,7 +355,7 @@ def _write(order: _Order, recording: Recording, *, recipe: Recipe, parts: Path) 
 def _list_details(
     orders: Sequence[_Order], recipe: Recipe, recordings: Sequence[Recording]
 ) -> dict[str, Any]:
-    """List what `manifest.json` holds beside the rows: enough to rebuild the set and to find what has changed."""
+    """List the other entries of `manifest.json`: enough to rebuild the set and to find what has changed."""
     return {
         "recipe": asdict(recipe),
         "conditioning": {r.name: list_steps(recipe.conditioning, r.rate_hz) for r in recordings},
@@ -370,8 +367,8 @@ def _list_details(
             }
             for order in orders
         },
-        "keys": {order.stimulus_id: order.candidate.key for order in orders},
-        "measured": {order.candidate.key: asdict(order.measured) for order in orders},
+        "keys": {order.stimulus_id: order.draft.key for order in orders},
+        "measured": {order.draft.key: asdict(order.measured) for order in orders},
     }
 
 

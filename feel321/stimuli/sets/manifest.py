@@ -53,7 +53,7 @@ COLUMN_UNITS = {
 
 @dataclass(frozen=True, slots=True)
 class Stimulus:
-    """One row of the manifest; what each field means, and its unit, stands in `COLUMN_UNITS`.
+    """One row of the manifest; `COLUMN_UNITS` gives the meaning and unit of each field.
 
     Parameters
     ----------
@@ -338,7 +338,7 @@ def _check_file(stimulus: Stimulus, folder: Path) -> Iterator[str]:
 
 
 def _check_anchors(stimuli: Sequence[Stimulus]) -> Iterator[str]:
-    """Demand that anchors score below every test stimulus of their recording, on both metrics."""
+    """Anchors must score below every test stimulus of their recording, on both metrics."""
     tests = [stimulus for stimulus in stimuli if stimulus.role == "test"]
     for anchor in (stimulus for stimulus in stimuli if stimulus.role == "anchor"):
         for test in tests:

@@ -1,4 +1,4 @@
-"""The recipe of a stimulus set: everything that decides what the files will hold."""
+"""The recipe of a stimulus set: all settings that determine the files."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """How a stimulus set is made from recordings.
+    """Settings by which a stimulus set is made from recordings.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ class Recipe:
             raise ValueError(f"fade_s must be 0 s or more, got {self.fade_s}")
 
     def rendering(self) -> dict[str, Any]:
-        """Return what decides a file besides its gain, for the key under which it is remembered.
+        """Return the settings that determine a file besides its gain, for the key under which it is cached.
 
         Returns
         -------
@@ -135,7 +135,7 @@ class Recipe:
 
 
 def check_names(names: Sequence[str]) -> None:
-    """Demand that every recording has a name of its own that can stand in a file name on any system."""
+    """Refuse names of recordings that are there twice, or cannot be part of a file name on every system."""
     if not names:
         raise ValueError("recordings must be one or more, got none; name them in study.toml")
     seen: set[str] = set()

@@ -44,8 +44,8 @@ ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
-    """One stimulus to be, before its level."""
+class Draft:
+    """A stimulus before its level: what is made of which recording, and the key it is remembered by."""
 
     recording: str
     reducer: str
@@ -55,7 +55,7 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """What was measured on a rendered stimulus at unit gain.
+    """Measurements of a rendered stimulus at unit gain.
 
     peak: largest magnitude in m/s²; levels: name of a threshold curve -> largest root mean square
     in any 200 ms, in multiples of the threshold.
@@ -70,7 +70,7 @@ class Measured:
 
 @dataclass(frozen=True, slots=True)
 class _Scale:
-    """What the stimuli of one recording are measured against."""
+    """The conditioned recording that its stimuli are measured against."""
 
     recording: Recording
     spectrum: OriginalSpectrum
@@ -78,8 +78,8 @@ class _Scale:
     levels: dict[str, float]
 
 
-def list_candidates(recording: Recording, recipe: Recipe) -> tuple[Candidate, ...]:
-    """List what a recipe makes of one recording: tests, the hidden reference, anchors."""
+def list_drafts(recording: Recording, recipe: Recipe) -> tuple[Draft, ...]:
+    """List the stimuli that a recipe makes of one recording: tests, the hidden reference, anchors."""
     wanted = [(name, "test") for name in recipe.reducers]
     if recipe.reference != NO_REFERENCE:
         wanted.append((recipe.reference, "reference"))
@@ -90,7 +90,7 @@ def list_candidates(recording: Recording, recipe: Recipe) -> tuple[Candidate, ..
     basis |= versions() | recipe.rendering()
     keys = [json.dumps({**basis, "reducer": reducer}, sort_keys=True) for reducer, _ in wanted]
     return tuple(
-        Candidate(recording.name, reducer, role, hashlib.sha256(key.encode()).hexdigest())
+        Draft(recording.name, reducer, role, hashlib.sha256(key.encode()).hexdigest())
         for (reducer, role), key in zip(wanted, keys, strict=True)
     )
 
@@ -103,30 +103,30 @@ def versions() -> dict[str, str]:
 
 
 def render_recording(
-    recording: Recording, candidates: Sequence[Candidate], *, recipe: Recipe, parts: Path
+    recording: Recording, drafts: Sequence[Draft], *, recipe: Recipe, parts: Path
 ) -> dict[str, Measured]:
-    """Render those candidates of one recording that are not in the parts folder yet; key -> what was measured."""
-    measured = {c.key: found for c in candidates if (found := _read_part(parts, c.key)) is not None}
-    new = [c for c in candidates if c.key not in measured]
-    for candidate, samples, note in _render(recording, new, recipe):
-        path = part_path(parts, candidate.key)
+    """Render those drafts of one recording that are not in the parts folder yet; key -> measurements."""
+    measured = {c.key: found for c in drafts if (found := _read_part(parts, c.key)) is not None}
+    new = [c for c in drafts if c.key not in measured]
+    for draft, samples, note in _render(recording, new, recipe):
+        path = part_path(parts, draft.key)
         write_wav(path, samples, recipe.rate_hz)
         # A note that a killed build left unfinished does not count, so it may be written as it comes.
         whole = json.dumps({"bytes": path.stat().st_size, **asdict(note)})
         path.with_suffix(".json").write_text(whole, encoding="utf-8")
-        measured[candidate.key] = note
+        measured[draft.key] = note
     return measured
 
 
 def measure_recording(
-    recording: Recording, candidates: Sequence[Candidate], *, recipe: Recipe
+    recording: Recording, drafts: Sequence[Draft], *, recipe: Recipe
 ) -> dict[str, Measured]:
-    """Measure candidates of one recording as `render_recording` does, without writing anything."""
-    return {candidate.key: note for candidate, _, note in _render(recording, candidates, recipe)}
+    """Measure drafts of one recording as `render_recording` does, without writing anything."""
+    return {draft.key: note for draft, _, note in _render(recording, drafts, recipe)}
 
 
 def part_path(parts: Path, key: str) -> Path:
-    """Where a rendered stimulus, in m/s², is kept until the set is complete."""
+    """Path of a rendered stimulus, in m/s², until the set is complete."""
     return parts / f"{key}.wav"
 
 
@@ -141,16 +141,16 @@ def _read_part(parts: Path, key: str) -> Measured | None:
 
 
 def _render(
-    recording: Recording, wanted: Sequence[Candidate], recipe: Recipe
-) -> Iterator[tuple[Candidate, Samples, Measured]]:
-    """Make candidates one after the other: each with its samples for the rig in m/s², and what was measured."""
+    recording: Recording, wanted: Sequence[Draft], recipe: Recipe
+) -> Iterator[tuple[Draft, Samples, Measured]]:
+    """Make drafts one after the other: each with its samples for the rig in m/s², and what was measured."""
     if not wanted:
         return
     try:
         scale = _make_scale(condition(recording, recipe.conditioning), recipe)
-        for candidate in wanted:
-            samples, played = _play(candidate.reducer, scale, recipe)
-            yield candidate, played, _measure(samples, played, scale=scale, rate_hz=recipe.rate_hz)
+        for draft in wanted:
+            samples, played = _play(draft.reducer, scale, recipe)
+            yield draft, played, _measure(samples, played, scale=scale, rate_hz=recipe.rate_hz)
     except ValueError as error:
         raise ValueError(f"recording {recording.name!r}: {error}") from None
 

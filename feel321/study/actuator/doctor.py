@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from feel321.stimuli.wav import read_wav
+from feel321.study.actuator.output import open_stream
 from feel321.study.actuator.stream import list_devices, list_rates
-from feel321.study.actuator.stream_output import open_stream
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
+    from feel321.study.actuator.output import StreamOutput
     from feel321.study.actuator.rig import Rig
-    from feel321.study.actuator.stream_output import StreamOutput
     from feel321.study.session.ports import Playback
 
 RATES_HZ = (8000.0, 16000.0, 44100.0, 48000.0, 96000.0, 192000.0)
@@ -28,20 +28,11 @@ RATES_HZ = (8000.0, 16000.0, 44100.0, 48000.0, 96000.0, 192000.0)
 PULSE, TONE = "pulse", "tone"
 PULSE_S = 0.02
 PULSE_HZ = 250.0  # where skin is most sensitive
-PULSE_LEVEL = 0.1
-"""Level of a pulse, as a part of full scale or of the peak that the rig allows, whichever is less."""
-
-TONE_S = 0.5
-"""Length, besides what the device holds, of a tone that is stopped after its begin."""
-
-STOPS_S = (0.1, 0.117, 0.131)
-"""Times at which tones are stopped; uneven as well."""
-
-N_TRIES = 5
-"""Attempts at each stop, where a busy machine lets the tone end before it, or run dry."""
-
-GAPS_S = (0.1, 0.113, 0.127, 0.139, 0.151)
-"""Uneven, so that onsets do not keep step with the device's blocks."""
+PULSE_LEVEL = 0.1  # of full scale or of the peak that the rig allows, whichever is less
+TONE_S = 0.5  # length, besides what the device holds, of a tone that is stopped after its begin
+STOPS_S = (0.1, 0.117, 0.131)  # times at which tones are stopped; uneven as well
+N_TRIES = 5  # attempts at each stop, where a busy machine lets the tone end before it, or run dry
+GAPS_S = (0.1, 0.113, 0.127, 0.139, 0.151)  # uneven, out of step with the device's blocks
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,14 +25,9 @@ if TYPE_CHECKING:
 
 # The last line of defence for skin and coil: peak, RMS of any second, and duration, across successive stimuli.
 
-WINDOW_S = 1.0
-"""Over how long the RMS is taken."""
-
-PAUSE_S = 0.1
-"""Rest of an actuator after which its duration is counted from 0 again."""
-
-ROUNDING = 1e-9
-"""Share by which a window may exceed its energy: the rounding of sums of squares adds up to this."""
+WINDOW_S = 1.0  # over how long the RMS is taken
+PAUSE_S = 0.1  # rest of an actuator after which its duration is counted from 0 again
+ROUNDING = 1e-9  # by which a window may exceed its energy: the rounding of sums of squares
 
 
 class Limiter:
@@ -140,14 +135,9 @@ class Limiter:
 
 # Pink noise on headphones, so that a vibration is felt and not heard: it begins before and ends after it.
 
-LOOP_S = 20.0
-"""How long the noise is before it repeats: too long for a repetition to be heard."""
-
-LOWEST_HZ = 20.0
-"""Below this nothing is heard."""
-
-NEVER = 2**62
-"""A frame that no stream reaches."""
+LOOP_S = 20.0  # how long the noise is before it repeats: too long for a repetition to be heard
+LOWEST_HZ = 20.0  # below this nothing is heard
+NEVER = 2**62  # a frame that no stream reaches
 
 
 def make_pink(rng: np.random.Generator, *, n_samples: int, rate_hz: float) -> Samples:
@@ -186,6 +176,10 @@ class Masker:
         steps = np.arange(self._top + 1) / self._top
         self._ramp = (0.5 - 0.5 * np.cos(np.pi * steps)).astype(np.float32)
         self._block, self._gain = np.zeros((2, max_frames), dtype=np.float32)
+        self._counts, self._steps = (
+            np.arange(1, max_frames + 1),
+            np.zeros(max_frames, dtype=np.intp),
+        )
         self.silence()
 
     def silence(self) -> None:
@@ -225,7 +219,11 @@ class Masker:
             if now >= self._down_at:
                 self._is_up, self._down_at = False, NEVER
             piece = gain[place : place + min(self._up_at, self._down_at) - now]
-            self._climb(piece)
+            steps = self._steps[: len(piece)]
+            np.multiply(self._counts[: len(piece)], 1 if self._is_up else -1, out=steps)
+            np.add(steps, self._step, out=steps)
+            np.take(self._ramp, steps, out=piece, mode="clip")
+            self._step = min(max(int(steps[-1]), 0), self._top)
             place += len(piece)
         whole = min(n, len(self._noise) - start)
         noise[:whole] = self._noise[start : start + whole]
@@ -234,29 +232,12 @@ class Masker:
         for column in self._columns:
             block[:, column] = noise
 
-    def _climb(self, gain: NDArray[np.float32]) -> None:
-        if self._is_up:
-            n_steps = min(self._top - self._step, len(gain))
-            gain[:n_steps] = self._ramp[self._step + 1 : self._step + 1 + n_steps]
-            gain[n_steps:] = 1
-            self._step += n_steps
-        else:
-            n_steps = min(self._step, len(gain))
-            gain[:n_steps] = self._ramp[self._step - n_steps : self._step][::-1]
-            gain[n_steps:] = 0
-            self._step -= n_steps
-
 
 # The mixer: everything that a stream's callback does, without a stream, in buffers that exist before it runs.
 
-BLOCK_FRAMES = 1024
-"""Longer blocks are filled in pieces of this many frames."""
-
-PREROLL_S = 0.25
-"""Silence at the begin of a stream before anything is scheduled: devices swallow what comes first."""
-
-STOP_S = 0.005
-"""Fade of a vibration that is stopped, at most a block long: cut off at once it would knock."""
+BLOCK_FRAMES = 1024  # longer blocks are filled in pieces of this many frames
+PREROLL_S = 0.25  # silence before anything is scheduled: devices swallow what comes first
+STOP_S = 0.005  # fade of a stopped vibration, at most a block: cut off at once it would knock
 
 NOT_SCHEDULED = -1
 

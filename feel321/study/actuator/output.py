@@ -1,21 +1,39 @@
-"""Outputs: play a stimulus, stop it, report what was delivered; and the output into numbered WAV files.
+"""Outputs: play a stimulus, stop it, report what was delivered; into numbered WAV files, or through a device.
 
-A stream to a device and a rendering to files are both outputs. All times are in s on the session's clock.
+All times are in s on the session's clock.
+
+A device is played on through one stream that runs for the whole session, and is opened again after a failure. A stream
+that was just opened loses its first samples on some devices, so nothing is scheduled before it has run for a while; and
+a device that runs dry, stands still or disappears is reported in the playback, not raised.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from contextlib import contextmanager
+from math import isnan
+from threading import Thread
+from time import perf_counter, sleep
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from feel321.stimuli.wav import write_wav
-from feel321.study.actuator.mixer import Mixer
+from feel321.study.actuator.mixer import PREROLL_S, Mixer
 from feel321.study.actuator.rig import FILE_DEVICE, identify
+from feel321.study.actuator.stream import (
+    DeviceStream,
+    Patience,
+    Take,
+    check_channels,
+    find_device,
+    join,
+    list_devices,
+    refresh_devices,
+)
 from feel321.study.session.ports import Playback
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
     from numpy.typing import ArrayLike, NDArray
@@ -23,11 +41,9 @@ if TYPE_CHECKING:
     from feel321.stimuli.sets.manifest import Stimulus
     from feel321.study.actuator.mixer import Cue
     from feel321.study.actuator.rig import Rig
+    from feel321.study.actuator.stream import BlockTimes, Device, Fill, SessionClock
 
     Sounds = Mapping[str, NDArray[np.float32]]
-
-Clock = Callable[[], float]
-"""Gives the time in s since the session began; time between its openings does not count."""
 
 
 class Output(Protocol):
@@ -60,8 +76,7 @@ def write_delivered(folder: Path, samples: ArrayLike, *, rate_hz: float) -> int:
     return number
 
 
-BLOCK_FRAMES = 512
-"""Longest delay of a stop, as with a device."""
+BLOCK_FRAMES = 512  # longest delay of a stop, as with a device
 
 
 class FileOutput:
@@ -71,7 +86,7 @@ class FileOutput:
     """
 
     def __init__(
-        self, rig: Rig, sounds: Sounds, *, rate_hz: float, folder: Path, clock: Clock
+        self, rig: Rig, sounds: Sounds, *, rate_hz: float, folder: Path, clock: SessionClock
     ) -> None:
         self._rig, self._rate_hz, self._folder, self._clock = rig, rate_hz, folder, clock
         self._mixer = Mixer(rig, sounds, rate_hz=rate_hz, preroll_s=0.0)
@@ -139,3 +154,248 @@ class FileOutput:
     def _fill(self) -> None:
         self._mixer.fill(self._block)
         self._blocks.append(self._block.copy())
+
+
+# Through a device.
+
+OPENING_S = 5.0  # beyond its pre-roll; sound servers usually take two seconds to run a stream
+N_OPENINGS = 3  # attempts: a busy sound server may let a first stream stand; a later one runs
+WAKING_S = 1.0  # until a stream asks for a block that nobody looked at and that was silent for long
+REVIVING_S = 8.0  # longest wait of a start for a dead device; it may well come back later
+BEYOND_S = 5.0  # longest recording of the sensor beyond the stimulus; two latencies of 2 s fit in
+
+
+class Connection:
+    """The connection to a rig's device: opened until it runs steadily, and opened again if the device dies."""
+
+    def __init__(
+        self, rig: Rig, *, rate_hz: float, fill: Fill, reset: Callable[[], None], preroll_s: float
+    ) -> None:
+        self.stream: DeviceStream | None = None
+        self._rig, self._rate_hz, self._fill, self._reset = rig, rate_hz, fill, reset
+        self._preroll_s = preroll_s
+        self._n_frames = 0
+        self._opening: Thread | None = None
+        self._error = ""
+
+    def open(self) -> None:
+        """Find the device, open it, and wait until it runs steadily."""
+        wanted = self._rig.device
+        device = find_device(list_devices(), wanted.name, host_api=wanted.host_api)
+        check_channels(device, self._rig)
+        if not any(self._begin(device) for _ in range(N_OPENINGS)):
+            raise OSError(f"device {device.name!r} does not run; is it in use elsewhere?")
+
+    def revive(self) -> str:
+        """Open the device again if it does not run; returns what went wrong."""
+        if self._opening is None and self.stream is not None and self._runs(self.stream):
+            return ""
+        if self._opening is None:
+            # Looking for devices can hang as long as a sound server does; the session must not.
+            self._opening = Thread(target=self._reopen, daemon=True)
+            self._opening.start()
+        if not join(self._opening, patience_s=REVIVING_S):
+            return f"device {self._rig.device.name!r} does not answer; check it, then resume"
+        self._opening = None
+        return self._error
+
+    def close(self) -> None:
+        """Silence the device and let it go."""
+        if self.stream is not None:
+            self.stream.close()
+        self.stream = None
+
+    def _begin(self, device: Device) -> bool:
+        self._n_frames = 0
+        self._reset()
+        self.stream = DeviceStream(device, self._rig, rate_hz=self._rate_hz, fill=self._count)
+        patience = Patience()
+        while self._n_frames < self._preroll_s * self._rate_hz:
+            if not self.stream.is_active or patience.look() > OPENING_S + self._preroll_s:
+                self.close()
+                return False
+            sleep(0.005)
+        return True
+
+    @staticmethod
+    def _runs(stream: DeviceStream) -> bool:
+        patience = Patience()
+        while not stream.find_fault():
+            if not stream.is_silent:
+                return True
+            if patience.look() > WAKING_S:
+                return False
+            sleep(0.005)
+        return False
+
+    def _reopen(self) -> None:
+        self._error = ""
+        self.close()
+        try:
+            refresh_devices()
+            self.open()
+        except OSError as problem:
+            self._error = str(problem)
+
+    def _count(
+        self, out: NDArray[np.float32], block: BlockTimes, sensed: NDArray[np.float32] | None
+    ) -> None:
+        self._fill(out, block, sensed)
+        self._n_frames += len(out)
+
+
+@contextmanager
+def open_stream(
+    rig: Rig, sounds: Sounds, *, rate_hz: float, folder: Path, clock: SessionClock
+) -> Iterator[StreamOutput]:
+    """Open the device of a rig, and silence and close it whatever happens."""
+    output = StreamOutput(rig, sounds, rate_hz=rate_hz, folder=folder, clock=clock)
+    try:
+        output.open()
+        yield output
+    finally:
+        output.close()
+
+
+class StreamOutput:
+    """Plays stimuli, shape (n_samples, channels), through one running stream; `open_stream` opens and closes it."""
+
+    def __init__(
+        self, rig: Rig, sounds: Sounds, *, rate_hz: float, folder: Path, clock: SessionClock
+    ) -> None:
+        self._rig, self._rate_hz, self._folder, self._clock = rig, rate_hz, folder, clock
+        preroll_s = PREROLL_S + 2 * rig.device.latency_s
+        self._mixer = Mixer(rig, sounds, rate_hz=rate_hz, preroll_s=preroll_s)
+        self._connection = Connection(
+            rig, rate_hz=rate_hz, fill=self._fill, reset=self._mixer.reset, preroll_s=preroll_s
+        )
+        longest = max((len(sound) for sound in sounds.values()), default=0)
+        self._room: NDArray[np.float32] | None = None
+        if rig.sensor is not None:
+            self._room = np.zeros(longest + round(BEYOND_S * rate_hz), dtype=np.float32)
+        self._take: Take | None = None
+        self._requested_s = 0.0
+        self._clock_ahead_s = 0.0
+        self._stopped_s: float | None = None
+        self._latency_s = rig.device.latency_s
+        self._error = ""
+
+    @property
+    def identity(self) -> Mapping[str, Any]:
+        """Rig, device, host API, rate and channels."""
+        stream = self._connection.stream
+        return {
+            "rig": identify(self._rig),
+            "device": stream.device.name if stream else self._rig.device.name,
+            "host_api": stream.device.host_api if stream else self._rig.device.host_api,
+            "is_program": stream.device.is_program if stream else None,
+            "rate_hz": self._rate_hz,
+            "channels": self._rig.n_channels,
+        }
+
+    def open(self) -> None:
+        """Open the device, and wait until it runs steadily."""
+        self._connection.open()
+
+    def close(self) -> None:
+        """Silence the device and let it go."""
+        self._connection.close()
+
+    def start(self, stimulus: Stimulus | str, *, gap_s: float) -> None:
+        """Schedule silence, then a stimulus; a dead device is opened again first, if it can be."""
+        name = stimulus if isinstance(stimulus, str) else stimulus.stimulus_id
+        self._error = self._connection.revive()
+        stream = self._connection.stream
+        self._requested_s = self._clock() + gap_s
+        self._take = self._stopped_s = None
+        if self._error or stream is None:
+            return
+        self._latency_s = stream.latency_s
+        take = Take(self._rate_hz, stream.there_and_back_s, sensor=self._room)
+        self._take = take  # before the mixer knows, so that no block is missed
+        take.cue = self._mixer.start(name, gap_s=gap_s)
+        ahead_s = stream.compare_clocks(self._clock)
+        self._clock_ahead_s = self._clock_ahead_s if isnan(ahead_s) else ahead_s
+
+    @property
+    def is_playing(self) -> bool:
+        """Whether part of the stimulus, or of its gap, has not yet left the converter of a device that is alive."""
+        stream = self._connection.stream
+        if self._take is None or self._take.is_out or stream is None:
+            return False
+        if reason := stream.find_fault():
+            self._error = f"device {stream.device.name!r} {reason}"
+            self._mixer.stop()
+        return not self._error
+
+    def stop(self) -> None:
+        """Fall silent with the next block that the device asks for.
+
+        What it holds, it still plays: `latency_s` of rig.toml and a block. To throw that away would be a knock on the
+        skin, a click in the ears, and a device that begins anew. `stop_s` in the playback is how long it took.
+        """
+        self._stopped_s = self._stopped_s or self._clock()
+        self._mixer.stop()
+
+    def collect(self) -> Playback:
+        """Report what became of the playback."""
+        if self.is_playing and self._stopped_s is None:
+            raise ValueError("the playback still plays; stop it, or wait until is_playing is False")
+        take, ahead_s = self._take, self._clock_ahead_s
+        if take is None or take.cue is None:
+            return Playback(
+                self._requested_s, None, completed=False, error=self._error or "nothing was started"
+            )
+        cue = take.cue
+        measured = {
+            "n_samples": float(cue.n_played),
+            "blocks": float(take.n_blocks),
+            "callback_ms_max": take.longest_s * 1e3,
+        }
+        if take.onset_s is not None:
+            measured["dac_time_s"] = take.onset_s
+        was_cut = 0 < cue.n_played < len(cue.sound)
+        if self._stopped_s is not None and take.end_s is not None and was_cut:
+            measured["stop_s"] = take.end_s + ahead_s - self._stopped_s
+        try:
+            measured |= self._write_sensed(take)
+        except OSError as problem:
+            self._error = self._error or str(problem)
+        return Playback(
+            requested_s=self._requested_s,
+            onset_s=None if take.onset_s is None else take.onset_s + ahead_s,
+            underruns=take.n_underruns,
+            clipped=cue.clipped,
+            completed=cue.is_complete and take.is_out,
+            error=self._error,
+            measured=measured | {"latency_s": self._latency_s},
+        )
+
+    def _write_sensed(self, take: Take) -> dict[str, float]:
+        """Write what the sensor measured, in m/s², from the frame on in which the onset was sent.
+
+        So recordings of one session are aligned to the sample: the onset stands at the same sample in all of them,
+        which is the way there and back and is measured by doctor. They are not cut there by the times that the device
+        gives of its input, which can be wrong by much more (10 ms and, at a stream's begin, 0.4 s were seen).
+        """
+        if self._rig.sensor is None or not len(take.sensed):
+            return {}
+        samples = take.sensed * np.float32(self._rig.sensor.full_scale_m_s2)
+        return {
+            "file_number": float(write_delivered(self._folder, samples, rate_hz=self._rate_hz)),
+            "sensor_onset_sample": float(round(take.sensor_latency_s * self._rate_hz)),
+            "sensor_gaps": float(take.n_sensor_gaps),
+        }
+
+    def _fill(
+        self, out: NDArray[np.float32], block: BlockTimes, sensed: NDArray[np.float32] | None
+    ) -> None:
+        """Fill a block that the device asks for, in the device's own thread."""
+        begin_s, take, frame = perf_counter(), self._take, self._mixer.frame
+        self._mixer.fill(out)
+        if take is None or take.is_out:
+            return
+        take.add_block(block, frame=frame)
+        if sensed is not None:
+            take.record(sensed, frame=frame)
+        take.longest_s = max(take.longest_s, perf_counter() - begin_s)

@@ -31,11 +31,8 @@ if TYPE_CHECKING:
 
     Mix = Mapping[str, Mapping[str, float]]
 
-EQUAL_DB = 0.5
-"""Energies that differ by less count as equal."""
-
-CANCELLED = 0.05
-"""Coils whose motions sum to less than this share of one coil's work against each other."""
+EQUAL_DB = 0.5  # energies that differ by less count as equal
+CANCELLED = 0.05  # motions that sum to less than this share of one coil's cancel each other
 
 
 def find_mix(rig: Rig) -> dict[str, dict[str, float]]:
@@ -98,8 +95,7 @@ def _sum_motion(mix: Mix, directions: Mapping[str, Vector], source: str) -> Vect
     return np.asarray(sum(motions, np.zeros(3)))
 
 
-SOURCES = {1: (REDUCED,), len(AXES): AXES}
-"""Number of channels of a stimulus's file -> what they are."""
+SOURCES = {1: (REDUCED,), len(AXES): AXES}  # what the channels of a file are, by their number
 
 
 def render_stimulus(

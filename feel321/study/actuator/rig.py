@@ -26,17 +26,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-FILE_DEVICE = "file"
-"""The name of the device that renders to WAV files."""
-
-REDUCED = "reduced"
-"""What an actuator plays of one-axis stimuli."""
-
-AXES = ("x", "y", "z")
-"""What actuators play of three-axis stimuli, in the order of the channels of their files."""
-
-LOUDEST_MASKING = 0.15
-"""Largest RMS of masking as a part of full scale: peaks of minutes of Gaussian noise are below six times that."""
+FILE_DEVICE = "file"  # the name of the device that renders to WAV files
+REDUCED = "reduced"  # what an actuator plays of one-axis stimuli
+AXES = ("x", "y", "z")  # of three-axis stimuli, in the order of the channels of their files
+LOUDEST_MASKING = 0.15  # of full scale: peaks of minutes of Gaussian noise are below 6 RMS
 
 Channel = Annotated[int, Field(ge=1, le=1024)]
 Level = Annotated[float, Field(gt=0, le=1)]

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from threading import Thread
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
@@ -21,18 +22,18 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from feel321.study.actuator.mixer import Cue
-    from feel321.study.actuator.output import Clock
     from feel321.study.actuator.rig import Rig
 
     Foreign = Any  # sounddevice has no types
+    SessionClock = Callable[
+        [], float
+    ]  # s since the session began, without the time between its openings
     Fill = Callable[[NDArray[np.float32], "BlockTimes", NDArray[np.float32] | None], None]
 
-FALLBACKS = ("default", "sysdefault")
-"""Names of whatever the system prefers today: not always the same device, so no study can rely on them."""
+FALLBACKS = ("default", "sysdefault")  # not always the same device, so no study can use them
 
 ALSA = "ALSA"
-HARDWARE = "(hw:"
-"""Part of ALSA's names of devices that are a card, not a program."""
+HARDWARE = "(hw:"  # part of ALSA's names of devices that are a card, not a program
 
 PROGRAMS = ("JACK Audio Connection Kit", "PulseAudio", "MME", "Windows DirectSound")
 """Interfaces that are programs themselves."""
@@ -47,7 +48,6 @@ class Device:
     host_api: str
     n_outputs: int
     n_inputs: int
-    default_rate_hz: float
 
     @property
     def is_program(self) -> bool:
@@ -64,7 +64,7 @@ def find_device(devices: Sequence[Device], name: str, *, host_api: str | None = 
 
     Examples
     --------
-    >>> coils = Device(3, "USB Audio: coils (hw:1,0)", "ALSA", 4, 2, 48000.0)
+    >>> coils = Device(3, "USB Audio: coils (hw:1,0)", "ALSA", 4, 2)
     >>> find_device([coils], "coils").index
     3
     """
@@ -117,7 +117,6 @@ def list_devices() -> list[Device]:
             host_api=apis[row["hostapi"]],
             n_outputs=row["max_output_channels"],
             n_inputs=row["max_input_channels"],
-            default_rate_hz=row["default_samplerate"],
         )
         for row in sounddevice.query_devices()
     ]
@@ -190,8 +189,7 @@ def _silence_stderr() -> Iterator[None]:
 
 # Timeouts that ignore the time during which this process was suspended.
 
-GLANCE_S = 0.25
-"""Time between two looks that counts at most: a process that was away for longer was suspended."""
+GLANCE_S = 0.25  # longest time between two looks that counts: beyond, this process was suspended
 
 
 class Patience:
@@ -223,8 +221,7 @@ def join(thread: Thread, *, patience_s: float) -> bool:
 
 # One playback as the stream sees it, block by block: when it really began and ended, and what went wrong.
 
-SENSOR_TAIL_S = 0.05
-"""Time after the vibration for which the sensor is still recorded: an actuator rings on."""
+SENSOR_TAIL_S = 0.05  # the sensor is recorded longer than the vibration: an actuator rings on
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,9 +267,8 @@ class Take:
         if self.end_s is not None:
             n_since = frame - self.end_frame
             # Some host interfaces give no times: then the device's own latency counts, twice to be safe.
-            is_heard = block.now_s >= self.end_s or n_since >= round(
-                2 * self.latency_s * self.rate_hz
-            )
+            n_late = round(2 * self.latency_s * self.rate_hz)
+            is_heard = block.now_s >= self.end_s or n_since >= n_late
             # Times of inputs are less true than those of outputs, so the sensor is recorded by frames.
             n_sensed = round((self.latency_s + SENSOR_TAIL_S) * self.rate_hz)
             self.is_out = is_heard and (self.sensor is None or n_since >= n_sensed)
@@ -301,20 +297,11 @@ class Take:
         return room[: self.n_sensed]
 
 
-STALL_S = 2.5
-"""A device that asks for nothing for so long, while it is looked at, counts as dead."""
-
-OPENED_S = 60.0
-"""Time until the second block that is no underrun; nothing is played by then."""
-
-DRIFT = 1.001
-"""Factor by which a device's own clock may be slow without counting as one that runs dry in the end."""
-
-CLOSING_S = 2.0
-"""Longest wait for a dead device to close; then it is abandoned."""
-
-CLOCK_READS = 5
-"""How often the device's clock is read beside the session's; the fastest reading is the truest."""
+STALL_S = 2.5  # a device that asks for nothing for so long, while it is looked at, counts as dead
+OPENED_S = 60.0  # time until the second block that is no underrun; nothing is played by then
+DRIFT = 1.001  # factor by which a device's clock may be slow without running dry in the end
+CLOSING_S = 2.0  # longest wait for a dead device to close; then it is abandoned
+CLOCK_READS = 5  # of the device's clock beside the session's; the fastest reading is the truest
 
 
 class DeviceStream:
@@ -325,9 +312,8 @@ class DeviceStream:
         self._fill = fill
         self._column = rig.sensor.channel - 1 if rig.sensor else None
         self._rate_hz = rate_hz
-        self._held_s = (
-            OPENED_S  # what the device has to play; sound servers do not always say that it ran out
-        )
+        # What the device has to play: sound servers do not always say that it ran out.
+        self._held_s = OPENED_S
         self._is_closed = False
         self._seen_s, self._patience = 0.0, Patience()
         try:
@@ -336,7 +322,12 @@ class DeviceStream:
                 latency = self._stream.latency
                 self.latency_s = float(latency if self._column is None else latency[1])
                 self.there_and_back_s = float(latency if self._column is None else sum(latency))
-                self._check_rate()
+                if self._stream.samplerate != rate_hz:
+                    self._close()
+                    raise OSError(
+                        f"device {device.name!r} runs at {self._stream.samplerate:g} Hz, the stimuli are at "
+                        f"{rate_hz:g} Hz; set the device, or rate_hz under [rig] in study.toml"
+                    )
                 # Opening may have taken long; only from here on it can stand still.
                 self._last_s = perf_counter()
                 self._stream.start()
@@ -368,7 +359,7 @@ class DeviceStream:
         """Whether it has asked for nothing for long; if nobody looked meanwhile, it may just go on."""
         return perf_counter() - self._last_s > STALL_S
 
-    def compare_clocks(self, clock: Clock) -> float:
+    def compare_clocks(self, clock: SessionClock) -> float:
         """Find by how much the session's clock is ahead of the device's, in s; NaN if the device is dead."""
         readings = []
         try:
@@ -391,29 +382,14 @@ class DeviceStream:
         with suppress(_load().PortAudioError), _silence_stderr():
             self._stream.close(ignore_errors=True)
 
-    def _check_rate(self) -> None:
-        if self._stream.samplerate != self._rate_hz:
-            self._close()
-            raise OSError(
-                f"device {self.device.name!r} runs at {self._stream.samplerate:g} Hz, the stimuli are at "
-                f"{self._rate_hz:g} Hz; set the device, or rate_hz under [rig] in study.toml"
-            )
-
     def _open(self, rig: Rig, *, rate_hz: float) -> Foreign:
         settings = {"device": self.device.index, "samplerate": rate_hz, "dtype": "float32"}
         settings["latency"] = rig.device.latency_s
         if rig.sensor is None:
-
-            def answer(*given: Foreign) -> None:
-                self._serve(None, *given)
-
+            answer = partial(self._serve, None)
             return _load().OutputStream(channels=rig.n_channels, callback=answer, **settings)
-
-        def answer_duplex(sensed: Foreign, *given: Foreign) -> None:
-            self._serve(sensed[:, self._column], *given)
-
         channels = (rig.sensor.channel, rig.n_channels)
-        return _load().Stream(channels=channels, callback=answer_duplex, **settings)
+        return _load().Stream(channels=channels, callback=self._serve, **settings)
 
     def _serve(self, sensed: Foreign, out: Foreign, *given: Foreign) -> None:
         """Fill a block, in the device's own thread."""
@@ -432,7 +408,7 @@ class DeviceStream:
             has_run_dry=bool(status.output_underflow) or is_empty,
             has_lost_input=bool(status.input_overflow or status.input_underflow),
         )
-        self._fill(out, block, sensed)
+        self._fill(out, block, None if sensed is None else sensed[:, self._column])
 
     def _refill(self, waited_s: float, *, block_s: float) -> bool:
         """Count a block, and return whether the device had waited for it longer than it had samples for."""

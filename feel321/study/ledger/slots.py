@@ -14,8 +14,7 @@ This module imports SQLAlchemy; import it where it is used, so that the command 
 from __future__ import annotations
 
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
-from datetime import UTC, datetime
+from dataclasses import asdict, dataclass, field, fields, replace
 from itertools import count
 from shlex import quote
 from typing import TYPE_CHECKING
@@ -39,17 +38,16 @@ from sqlalchemy import (
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.pool import NullPool
 
-from feel321.study.ledger.standing import (  # noqa: F401 - kept until all branches are in
+from feel321.study.contents import utc_now
+from feel321.study.ledger.standing import (
     REMOVED,
     Anchor,
     Standing,
     Tombstone,
     find_cut,
-    make_standing,
     read_standing,
     read_standings,
     read_tombstone,
-    write_roster,
 )
 from feel321.study.session.journal import create_journal, read_journal, require_journal
 from feel321.study.session.opening import TOMBSTONE_FILE
@@ -57,6 +55,7 @@ from feel321.study.session.plan import PARTICIPANT_ID
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
+    from dataclasses import Field
     from pathlib import Path
     from sqlite3 import Connection as SqliteConnection
 
@@ -76,37 +75,6 @@ LIVE = ("claimed", "running", "finished")
 
 STATES = (*LIVE, "released", "withdrawn")
 
-_TABLES = MetaData()
-_PARTICIPANTS = Table(
-    "participants",
-    _TABLES,
-    Column("participant", String, primary_key=True),
-    Column("simulated", Boolean, nullable=False),
-    Column("number", Integer, nullable=False),
-    Column("state", String, nullable=False),
-    Column("done", Integer, nullable=False),
-    Column("total", Integer, nullable=False),
-    Column("claimed_utc", String, nullable=False),
-)
-_ANCHORS = Table(
-    "anchors",
-    _TABLES,
-    Column("participant", String, primary_key=True),
-    Column("journal", String, primary_key=True),
-    Column("lines", Integer, nullable=False),
-    Column("tip", String, nullable=False),
-)
-_HOLDS_SLOT = _PARTICIPANTS.c.state.in_(LIVE)
-# Claims see to it by themselves; this keeps any other program from doing otherwise.
-Index(
-    "one_participant_per_slot",
-    _PARTICIPANTS.c.simulated,
-    _PARTICIPANTS.c.number,
-    unique=True,
-    sqlite_where=_HOLDS_SLOT,
-    postgresql_where=_HOLDS_SLOT,
-)
-
 
 @dataclass(frozen=True, slots=True)
 class Entry:
@@ -120,6 +88,32 @@ class Entry:
     total: int = 0
     anchors: tuple[Anchor, ...] = ()
     claimed_utc: str = field(default="", compare=False)
+
+
+_TABLES, _TYPES = MetaData(), {"str": String, "bool": Boolean, "int": Integer}
+
+
+def _declare(name: str, *columns: Field[object], keys: Sequence[str]) -> Table:
+    made: list[Column[object]] = [
+        Column(one.name, _TYPES[str(one.type)], primary_key=one.name in keys, nullable=False)
+        for one in columns
+    ]
+    return Table(name, _TABLES, *made)
+
+
+_NAME, *_REST = (one for one in fields(Entry) if one.name != "anchors")
+_PARTICIPANTS = _declare("participants", _NAME, *_REST, keys=["participant"])
+_ANCHORS = _declare("anchors", _NAME, *fields(Anchor), keys=["participant", "journal"])
+_HOLDS_SLOT = _PARTICIPANTS.c.state.in_(LIVE)
+# Claims see to it by themselves; this keeps any other program from doing otherwise.
+Index(
+    "one_participant_per_slot",
+    _PARTICIPANTS.c.simulated,
+    _PARTICIPANTS.c.number,
+    unique=True,
+    sqlite_where=_HOLDS_SLOT,
+    postgresql_where=_HOLDS_SLOT,
+)
 
 
 # Transactions.
@@ -319,11 +313,6 @@ def rewrite_ledger(ledger: Engine, change: Callable[[list[Entry]], list[Entry]])
 WAS_MISSING = "all that it had seen, for it was missing"
 
 
-def utc_now() -> datetime:
-    """Return the time of day."""
-    return datetime.now(UTC)
-
-
 def open_study_ledger(study: StudyFolder, *, now: Clock = utc_now) -> tuple[Engine, str]:
     """Open the ledger of a study to write in it; one that is missing is rebuilt, and the log beside it says so."""
     ledger = _open(study)
@@ -349,7 +338,7 @@ def read_study_ledger(study: StudyFolder) -> list[Entry]:
         return read_ledger(open_ledger(study.ledger))
     if any(map(_is_begun, study.participants)):
         raise FileNotFoundError(
-            f"{study.ledger}: is missing, so nobody can tell what else is; rebuild it: {_write_rebuild(study)}"
+            f"{study.ledger}: is missing, so losses cannot be detected; rebuild it: {_write_rebuild(study)}"
         )
     return []
 

@@ -14,7 +14,15 @@ from typing import TYPE_CHECKING, Any
 
 from feel321.files import write_text
 from feel321.study.columns import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS
-from feel321.study.session.journal import START, digest
+from feel321.study.session.events import PageRead, SessionFinished, SessionReleased
+from feel321.study.session.journal import (
+    START,
+    digest,
+    find_events,
+    find_header,
+    has_event,
+    list_journals,
+)
 from feel321.study.session.opening import (
     PLAN_FILE,
     TOMBSTONE_FILE,
@@ -23,7 +31,7 @@ from feel321.study.session.opening import (
     read_dossier,
     require_own_plan,
 )
-from feel321.study.session.plan import find_header, has_event, list_journals, replay
+from feel321.study.session.plan import replay
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -187,7 +195,7 @@ def make_standing(dossier: Dossier) -> Standing:
     """Derive where one participant stands from plan and journals."""
     plan, newest = dossier.plan, dossier.records
     times = [record.utc for chain in dossier.chains for record in chain.records]
-    with read_as_written(dossier.folder):
+    with read_as_written(dossier.newest):
         return Standing(
             participant=plan.participant,
             simulated=plan.simulated,
@@ -204,14 +212,14 @@ def make_standing(dossier: Dossier) -> Standing:
 
 
 def _find_state(records: Sequence[Record]) -> str:
-    for event in ("released", "finished"):
-        if has_event(records, event):
-            return event
+    for kind in (SessionReleased, SessionFinished):
+        if has_event(records, kind):
+            return kind.event
     return "running" if find_header(records) else "claimed"
 
 
 def _find_training(records: Sequence[Record]) -> bool | None:
-    pages = {record.data["key"] for record in records if record.event == "page"}
+    pages = {page.key for page in find_events(records, PageRead)}
     if "training_failed" in pages:
         return False
     return True if "training_passed" in pages else None

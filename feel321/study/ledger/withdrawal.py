@@ -33,9 +33,9 @@ from feel321.study.ledger.standing import (
     write_tombstone,
 )
 from feel321.study.ratings import write_ratings
-from feel321.study.session.journal import require_journal
+from feel321.study.session.events import SessionFinished, SessionReleased
+from feel321.study.session.journal import find_header, has_event, list_journals, require_journal
 from feel321.study.session.opening import TOMBSTONE_FILE
-from feel321.study.session.plan import find_header, has_event, list_journals
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -185,10 +185,10 @@ def _open_newest(folder: Path, *, now: Clock) -> Journal | None:
 
 
 def _write_release(journal: Journal, participant: str) -> None:
-    if has_event(journal.records, "finished"):
+    if has_event(journal.records, SessionFinished):
         raise ValueError(
             f"participant {participant}: has finished, so the slot stays taken; to remove the data: feel321 withdraw"
         )
     # After a crash, the journal may know already what the ledger does not.
-    if not has_event(journal.records, "released"):
-        journal.write("released", {})
+    if not has_event(journal.records, SessionReleased):
+        journal.write(SessionReleased())

@@ -1,46 +1,331 @@
-"""Simulated participants: answers, memory, and the presenter that gives them.
+"""Simulated participants: what stimuli feel like to them, how they answer, and the presenter that answers for them.
+
+A stimulus is a point with five coordinates: its spectral match (the one that the model names, cut to 0..1), its
+temporal match, and the three of its `Percept`. The original and the real surface are the point where nothing is lost.
+
+- *Realism* is the weighted sum of the coordinates.
+- *Distance* is the weighted sum of five differences (city block). Those of a percept are between the two vibrations
+  themselves, as they differ from each other. Level counts in both directions: what is stronger than the reference is as
+  different as what is weaker by the same number of dB. A match is known to the original only: by its weight, stimuli
+  lie on a line, not in a space, and two that match equally well feel the same.
+- *Similarity* is the top of the scale less the distance from the reference: what is identical is worth full marks.
+
+Answer of a careful one: sure + gain * (percept - sure) + bias + shift + noise, cut to 0..100. Sure is the end of the
+slider that means the same to everybody: the bottom, or the top (identical) where similarity is asked for. The shift is
+what order and fatigue do; bias, gain and size of the noise are the participant's own. In a lapse any answer is as
+likely as another.
+
+Of the bad raters,
+
+- a *straight-liner* leaves the marker about where they like it, or always makes the same choice;
+- a *random clicker* answers anything, and fast;
+- a *scale-reverser* takes the slider's ends for each other. A choice has no ends: there they are like anyone else.
 
 Every draw depends on seed, participant, trial and attempt alone, and the trial before can be recalled, so that an
-interrupted session that is resumed gives the answers of an uninterrupted one.
-
-Their clock adds up what stimuli, pages and answers take, so that a session of an hour is over in a second.
+interrupted session that is resumed gives the answers of an uninterrupted one. The participants' clock adds up what
+stimuli, pages and answers take, so that a session of an hour is over in a second.
 """
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from feel321.protocols.trial import RATING_RANGE
-from feel321.study.observer.judging import (
-    REAL,
-    Experience,
-    Location,
-    ObserverModel,
-    Touch,
-    draw_rater,
-    find_percept,
-    find_sure_end,
-    measure_distances,
-)
+from feel321.protocols.trial import RATING_RANGE, SURFACE
+from feel321.study.observer.percepts import Percept, compare_percepts
+from feel321.study.session.events import TrialRated
 from feel321.study.session.ports import Confirm, Feel, Playback
+from feel321.study.settings.fields import one_of
+from feel321.study.settings.schema import ObserverTable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     import numpy as np
 
-    from feel321.protocols.trial import Page, Part, Scale, Trial
+    from feel321.protocols.trial import Judgement, Page, Part, Scale, Trial
     from feel321.stimuli.sets.manifest import Stimulus
-    from feel321.study.observer.percepts import Percept
     from feel321.study.session.journal import Record
     from feel321.study.session.ports import Act, Place
 
-MIDDLE = sum(RATING_RANGE) / 2
-"""Percept of a trial that does not shift the answer to the next one, in points."""
+# Simulated raters: careful ones, each with their own way of using a slider, and bad ones.
 
-FATIGUE_TRIALS = 100
-"""Trials for which the size of fatigue is given."""
+NORMAL, STRAIGHT_LINER = "normal", "straight_liner"
+RANDOM_CLICKER, SCALE_REVERSER = "random_clicker", "scale_reverser"
+KINDS = (NORMAL, STRAIGHT_LINER, RANDOM_CLICKER, SCALE_REVERSER)  # kinds of raters
+STRAIGHT_SD = 1.0  # standard deviation, in points, of the place to which a straight-liner returns
+
+UNHURRIED, HASTY = (0.7, 0.4), (-0.7, 0.3)
+"""Mean and standard deviation of the logarithm of a response time in s: medians of 2.0 s and 0.5 s."""
+
+SPECTRAL = ("spectral_match_bounded", "spectral_match")  # that participants may feel by
+NODES = 15  # of the quadrature over gains and over sizes of the noise
+
+
+class ObserverModel(ObserverTable):
+    """How simulated participants feel, and how they differ. A weight of 0 plants no effect.
+
+    intercept: percept of a stimulus that matches in nothing, in points; spectral, temporal: what a perfect match adds,
+    in points; bias_sd: standard deviation of the participants' biases, in points; noise_sd: median size of their noise,
+    in points; threshold_spectral: points lost per dB of threshold-weighted spectral distance from the original, or
+    whatever the reference is; level: points per dB of felt level above that of the original; lapse_rate: share of
+    answers that have nothing to do with what was felt; straight_liners, random_clickers, scale_reversers: shares of the
+    participants who are such bad raters; spectral_metric: 1 counts as 0 where it is negative: a slope on it is planted
+    from 0 to 1 only.
+    """
+
+    spectral_metric: Annotated[str, one_of(SPECTRAL)] = SPECTRAL[0]
+
+    @property
+    def uses_percepts(self) -> bool:
+        """Whether stimuli must be read and measured before this observer can feel them."""
+        return any((self.threshold_spectral, self.envelope, self.level))
+
+
+@dataclass(frozen=True, slots=True)
+class Rater:
+    """One simulated participant; bias, gain, noise_sd: in points, as a factor, in points."""
+
+    kind: str
+    bias: float
+    gain: float
+    noise_sd: float
+    lapse_rate: float
+    favourite: float
+
+    def rate(
+        self,
+        percept: float,
+        *,
+        sure: float = RATING_RANGE[0],
+        shift: float,
+        growth: float,
+        rng: np.random.Generator,
+    ) -> float:
+        """Set a slider; percept: what was felt, shift: what order and fatigue add, both in points."""
+        low, high = RATING_RANGE
+        guess, lapsed = rng.uniform(low, high), rng.random() < self.lapse_rate
+        noise = rng.normal(0, self.noise_sd * growth)
+        points = sure + self.gain * (percept - sure) + self.bias + shift + noise
+        if self.kind == STRAIGHT_LINER:
+            points = low + (high - low) * self.favourite + rng.normal(0, STRAIGHT_SD)
+        elif self.kind == RANDOM_CLICKER or lapsed:
+            points = guess
+        elif self.kind == SCALE_REVERSER:
+            points = low + high - points
+        return round(min(max(points, low), high), 1)
+
+    def choose(
+        self, distances: Mapping[str, float], *, growth: float, rng: np.random.Generator
+    ) -> str:
+        """Choose the candidate that feels most like the part asked about, from their distances in points.
+
+        Notes
+        -----
+        All are felt once and remembered with noise, and the nearest is chosen: the differencing model of ABX, with
+        proportion correct Φ(d'/√2) Φ(d'/√6) + Φ(-d'/√2) Φ(-d'/√6) for d' = distance / noise [1]_. A comparison's
+        noise is that of a rating; bias and gain are habits with a slider, and make nobody feel more.
+
+        References
+        ----------
+        .. [1] N. A. Macmillan, C. D. Creelman, "Detection theory: a user's guide", 2nd ed., Lawrence Erlbaum, 2005,
+           chapter 9. ISBN 0-8058-4230-6
+        """
+        names = list(distances)
+        guess, lapsed = names[rng.integers(len(names))], rng.random() < self.lapse_rate
+        if self.kind == STRAIGHT_LINER:
+            return names[int(self.favourite * len(names))]
+        if self.kind == RANDOM_CLICKER or lapsed:
+            return guess
+        asked, *felt = rng.normal(0, self.noise_sd * growth, len(names) + 1)
+        away = {
+            name: abs(max(distances[name], 0.0) + noise - asked)
+            for name, noise in zip(names, felt, strict=True)
+        }
+        nearest = min(names, key=away.__getitem__)
+        # Where two are exactly as near, no difference was felt.
+        return guess if away[guess] == away[nearest] else nearest
+
+    def draw_time(self, rng: np.random.Generator) -> float:
+        """Draw a response time, in s."""
+        return float(rng.lognormal(*(HASTY if self.kind == RANDOM_CLICKER else UNHURRIED)))
+
+
+def expect_rating(
+    model: ObserverModel, percepts: Sequence[float], *, sure: float = RATING_RANGE[0]
+) -> list[float]:
+    """Compute the mean rating that careful participants give to percepts in points, without order and fatigue.
+
+    Notes
+    -----
+    Given gain and size of the noise, a rating is a normal variable cut to the scale, whose mean is known; over their
+    lognormal distributions it is averaged by Gauss-Hermite quadrature.
+    """
+    import numpy as np
+    from scipy.stats import norm
+
+    low, high = RATING_RANGE
+    nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
+    weights /= weights.sum()
+    gain = np.exp(model.gain_sd * nodes)[:, None, None]
+    noise = model.noise_sd * np.exp(model.noise_spread * nodes)
+    spread = np.hypot(model.bias_sd, noise)[None, :, None] + 1e-12
+    mean = sure + gain * (np.asarray(percepts, dtype=np.float64) - sure)
+    below, above = (low - mean) / spread, (high - mean) / spread
+    cut = (
+        low * norm.cdf(below)
+        + high * norm.sf(above)
+        + mean * (norm.cdf(above) - norm.cdf(below))
+        + spread * (norm.pdf(below) - norm.pdf(above))
+    )
+    careful = np.einsum("i,j,ijk->k", weights, weights, cut)
+    found: list[float] = (careful + model.lapse_rate * ((low + high) / 2 - careful)).tolist()
+    return found
+
+
+def draw_rater(model: ObserverModel, rng: np.random.Generator) -> Rater:
+    """Draw a participant."""
+    bias, gain = rng.normal(0, model.bias_sd), rng.lognormal(0, model.gain_sd)
+    noise_sd = model.noise_sd * rng.lognormal(0, model.noise_spread)
+    place, kind = rng.random(), NORMAL
+    for bad, share in (
+        (STRAIGHT_LINER, model.straight_liners),
+        (RANDOM_CLICKER, model.random_clickers),
+        (SCALE_REVERSER, model.scale_reversers),
+    ):
+        if place < share:
+            kind = bad
+            break
+        place -= share
+    return Rater(kind, bias, gain, noise_sd, model.lapse_rate, favourite=rng.uniform(0.2, 0.8))
+
+
+# What stimuli feel like to a simulated participant, and how different two of them feel.
+
+
+@dataclass(frozen=True, slots=True)
+class Location:
+    """The coordinates of a stimulus for the sense of touch; spectral, temporal: matches, 0 to 1."""
+
+    spectral: float
+    temporal: float
+    percept: Percept
+
+
+UNCHANGED = Percept(0.0, 0.0, 0.0)  # the percept of the original
+REAL = Location(1.0, 1.0, UNCHANGED)  # the original and the real surface
+
+
+@dataclass(frozen=True, slots=True)
+class Experience:
+    """A trial and what was felt in it."""
+
+    trial: Trial
+    points: Mapping[str, Location]
+
+    def find(self, part: str) -> Location:
+        """Find where a part lies."""
+        if part not in self.points:
+            raise ValueError(
+                f"simulated observer: part {part!r} of trial {self.trial.number} was to be rated before it was felt; "
+                "play it first"
+            )
+        return self.points[part]
+
+    def find_reference(self, judgement: Judgement) -> Location:
+        """Find where the reference of a judgement lies."""
+        if judgement.reference_id == SURFACE:
+            return REAL
+        for part in self.trial.parts:
+            if part.stimulus_id == judgement.reference_id:
+                return self.find(part.name)
+        raise ValueError(
+            f"simulated observer: trial {self.trial.number}: the reference must be the stimulus of one of its parts, "
+            f"got {judgement.reference_id!r}; add a part that plays it"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Touch:
+    """The sense of touch that all simulated participants share."""
+
+    model: ObserverModel
+    percepts: Mapping[str, Percept]
+
+    def locate(self, stimulus: Stimulus | None) -> Location:
+        """Find where a stimulus lies; None is the real surface."""
+        if stimulus is None:
+            return REAL
+        percept = self.percepts.get(stimulus.stimulus_id) if self.model.uses_percepts else UNCHANGED
+        if percept is None:
+            raise ValueError(
+                f"stimulus {stimulus.stimulus_id}: its percept is missing, and the observer's weights need it; "
+                "read the percepts of the whole set first"
+            )
+        match: float = getattr(stimulus, self.model.spectral_metric)
+        if math.isnan(
+            match
+        ):  # a set that was built before the bounded match existed has eq. 1 only
+            match = stimulus.spectral_match
+        return Location(min(max(match, 0.0), 1.0), stimulus.temporal_match, percept)
+
+    def feel(self, point: Location) -> float:
+        """Compute how real something feels, in points, not cut to the scale."""
+        model, lost = self.model, point.percept
+        gained = model.intercept + model.spectral * point.spectral + model.temporal * point.temporal
+        missed = model.threshold_spectral * lost.spectral_db + model.envelope * lost.envelope
+        return gained - missed + model.level * lost.level_db
+
+    def measure_distance(self, first: Location, second: Location) -> float:
+        """Compute how different two feel, in points."""
+        model, apart = self.model, compare_percepts(first.percept, second.percept)
+        return (
+            model.spectral * abs(first.spectral - second.spectral)
+            + model.temporal * abs(first.temporal - second.temporal)
+            + model.threshold_spectral * apart.spectral_db
+            + model.envelope * apart.envelope
+            + abs(model.level * apart.level_db)
+        )
+
+
+_LOW, _HIGH = RATING_RANGE
+SURE_ENDS = {"realism": _LOW, "similarity": _HIGH, "dissimilarity": _LOW, "mushra": _HIGH}
+"""Protocol -> the end of its slider that means the same to everybody."""
+
+
+def find_sure_end(trial: Trial) -> float:
+    """Find the end of a trial's slider that means the same to everybody."""
+    if trial.protocol not in SURE_ENDS:
+        raise ValueError(
+            f"simulated observer: the protocol of a slider must be one of {', '.join(SURE_ENDS)}; "
+            f"got {trial.protocol!r}"
+        )
+    return SURE_ENDS[trial.protocol]
+
+
+def find_percept(experience: Experience, judgement: Judgement, *, touch: Touch) -> float:
+    """Compute the slider answer, uncut, of a participant without bias, noise or habit, in points."""
+    sure, point = find_sure_end(experience.trial), experience.find(judgement.part)
+    if experience.trial.protocol == "realism":
+        return touch.feel(point)
+    distance = touch.measure_distance(point, experience.find_reference(judgement))
+    return distance if sure == RATING_RANGE[0] else sure - distance
+
+
+def measure_distances(
+    experience: Experience, judgement: Judgement, choices: Sequence[str], *, touch: Touch
+) -> dict[str, float]:
+    """Compute how far each candidate is from the part asked about, in points."""
+    asked = experience.find(judgement.part)
+    return {name: touch.measure_distance(experience.find(name), asked) for name in choices}
+
+
+# What they answer and remember, alone or as a presenter.
+
+MIDDLE = sum(RATING_RANGE) / 2  # percept of a trial that does not shift the next answer
+FATIGUE_TRIALS = 100  # trials for which the size of fatigue is given
 
 
 class Participant:
@@ -64,7 +349,7 @@ class Participant:
     ) -> None:
         """Recall the trial that was answered last before a session was interrupted."""
         main = {trial.number: trial for trial in trials if trial.phase == "main"}
-        rated = [record.data["trial"] for record in records if record.event == "rated"]
+        rated = [record.data["trial"] for record in records if record.event == TrialRated.event]
         if answered := [main[number] for number in rated if number in main]:
             self.before = self.imagine(answered[-1], stimuli)
 
@@ -122,8 +407,7 @@ class Participant:
         return np.random.default_rng([self._seed, self._number, trial, attempt])
 
 
-STROKE_S = 3.0
-"""Duration of a stroke over the real surface."""
+STROKE_S = 3.0  # duration of a stroke over the real surface
 
 
 class SimulatedObserver(Participant):

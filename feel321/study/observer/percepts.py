@@ -41,8 +41,7 @@ if TYPE_CHECKING:
 ENVELOPE_HZ = 50.0
 """Where smoothing has halved an envelope's power: slower changes are felt as such, faster ones as roughness."""
 
-ENVELOPE_STEP_S = 1e-3
-"""Distance of an envelope's samples."""
+ENVELOPE_STEP_S = 1e-3  # distance of an envelope's samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,13 +112,18 @@ def compare_sensations(stimulus: Sensation, original: Sensation) -> Percept:
             f"{stimulus.envelope.size} ms and {original.envelope.size} ms; build the stimulus set again"
         )
     ratio = stimulus.level / original.level
+    strengths = np.linalg.norm(stimulus.envelope), np.linalg.norm(original.envelope)
+    residue = float(any(strengths))
+    if all(strengths):
+        shape, wanted = stimulus.envelope / strengths[0], original.envelope / strengths[1]
+        residue = float(np.linalg.norm(wanted - (wanted @ shape) * shape))
     felt, meant = (
         10 * np.log10(np.maximum(bands, 1.0))
         for bands in (stimulus.bands / ratio**2, original.bands)
     )
     return Percept(
         spectral_db=float(np.sqrt(np.mean((felt - meant) ** 2))),
-        envelope=_measure_residue(stimulus.envelope, original.envelope),
+        envelope=residue,
         level_db=float(20 * np.log10(ratio)),
         sensation=stimulus,
     )
@@ -147,14 +151,6 @@ def _smooth_envelope(energy: NDArray[np.float64], rate_hz: float) -> NDArray[np.
     # A Gaussian, because it does not ring: the mean of squares stays positive.
     deviation_s = np.sqrt(np.log(2)) / (2 * np.pi * ENVELOPE_HZ)
     return np.sqrt(gaussian_filter1d(coarse, deviation_s * rate_hz / step, mode="constant"))
-
-
-def _measure_residue(stimulus: NDArray[np.float64], original: NDArray[np.float64]) -> float:
-    strengths = np.linalg.norm(stimulus), np.linalg.norm(original)
-    if not all(strengths):
-        return float(any(strengths))
-    shape, meant = stimulus / strengths[0], original / strengths[1]
-    return float(np.linalg.norm(meant - (meant @ shape) * shape))
 
 
 def _find_original(stimulus: Stimulus, stimuli: Iterable[Stimulus]) -> Stimulus:

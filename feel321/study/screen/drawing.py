@@ -99,14 +99,6 @@ class Target:
     track: Box | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Composition:
-    """A whole screen."""
-
-    items: tuple[Text | Area | Photo, ...]
-    targets: tuple[Target, ...] = ()
-
-
 Item = Text | Area | Photo
 
 
@@ -148,11 +140,8 @@ def find_points(track: Box, x: float) -> float:
 
 FONT = "DejaVu Sans"
 FONT_FILES = ("DejaVuSans.ttf", "DejaVuSans-Bold.ttf")
-LEADING = 1.3
-"""Height of a line of text, in heights of its letters (em)."""
-
-SLACK = 1.04
-"""How much wider the window's own text engine sets a line at most: it rounds letters to whole pixels."""
+LEADING = 1.3  # height of a line of text, in heights of its letters (em)
+SLACK = 1.04  # factor by which the window's text engine may set a line wider: whole pixels
 
 
 def find_font_files() -> tuple[Path, Path]:
@@ -190,26 +179,6 @@ def _open_font(*, bold: bool) -> FT2Font:
     return font
 
 
-def wrap(words: str, width: float, *, size: float, bold: bool = False) -> list[str]:
-    """Break a text into lines of at most a width in pixels; line breaks of its author stay.
-
-    Examples
-    --------
-    >>> wrap("one two three", 70.0, size=10.0)
-    ['one two', 'three']
-    """
-    lines: list[str] = []
-    for paragraph in words.strip().splitlines():
-        lines.append("")
-        for word in paragraph.split():
-            longer = f"{lines[-1]} {word}".strip()
-            if lines[-1] and measure(longer, size, bold=bold) > width:
-                lines.append(word)
-            else:
-                lines[-1] = longer
-    return lines
-
-
 def find_height(lines: Sequence[str], size: float) -> float:
     """Compute the height of lines of text, in pixels."""
     return len(lines) * size * LEADING
@@ -217,8 +186,7 @@ def find_height(lines: Sequence[str], size: float) -> float:
 
 # What every page and trial is put on, and the unit that all its sizes are counted in.
 
-WIDE = 1.58
-"""Screens at least this wide for their height are measured by their height."""
+WIDE = 1.58  # screens at least this wide for their height are measured by their height
 
 BODY, SMALL, QUESTION, TITLE = 3.0, 2.8, 4.0, 5.6
 """Sizes of letters (em) in units; at 1 m nothing may be smaller than 2.2 % of the screen's height."""
@@ -284,5 +252,20 @@ class Sheet:
         return measure(words, size * self.unit, bold=bold)
 
     def wrap(self, words: str, width: float, size: float, *, bold: bool = False) -> list[str]:
-        """Break a text into lines of at most a width in pixels; size: in units."""
-        return wrap(words, width, size=size * self.unit, bold=bold)
+        """Break a text into lines of at most a width in pixels; line breaks of its author stay. size: in units.
+
+        Examples
+        --------
+        >>> Sheet(1580.0, 1000.0).wrap("one two three", 70.0, 1.0)
+        ['one two', 'three']
+        """
+        lines: list[str] = []
+        for paragraph in words.strip().splitlines():
+            lines.append("")
+            for word in paragraph.split():
+                longer = f"{lines[-1]} {word}".strip()
+                if lines[-1] and self.measure(longer, size, bold=bold) > width:
+                    lines.append(word)
+                else:
+                    lines[-1] = longer
+        return lines

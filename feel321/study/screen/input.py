@@ -26,33 +26,24 @@ if TYPE_CHECKING:
 
 # The keys. Every other module takes them from here.
 
-CONFIRM = {"participant": "enter", "experimenter": "f12"}
-"""By whom a page is left; trials are the participant's."""
+CONFIRM = {"participant": "enter", "experimenter": "f12"}  # by whom a page is for
 
 STOP, PAUSE, AGAIN, REFERENCE = "space", "escape", "r", "0"
 """Stop what plays; pause, pressed twice; feel again; feel the reference where every vibration has its digit."""
 
 FINE, COARSE = 1.0, 10.0
 
+SIDEWAYS = {"left": -FINE, "right": FINE}
+PAGES = {"pageup": COARSE, "pagedown": -COARSE}
 STEPS: dict[str, dict[str, float]] = {
-    "slider": {
-        "left": -FINE,
-        "right": FINE,
-        "up": COARSE,
-        "down": -COARSE,
-        "pageup": COARSE,
-        "pagedown": -COARSE,
-    },
-    "rows": {"left": -FINE, "right": FINE, "pageup": COARSE, "pagedown": -COARSE},
+    "slider": {**SIDEWAYS, "up": COARSE, "down": -COARSE, **PAGES},
+    "rows": {**SIDEWAYS, **PAGES},
     "choice": {},
 }
 """How far keys move the marker, in points, by kind of screen."""
 
-ROW_STEPS = {"up": -1, "down": 1}
-"""How far keys move the selection, in rows."""
-
-FAR = frozenset({"up", "down", "pageup", "pagedown"})
-"""Keys that move far, or from row to row; they repeat slowly."""
+ROW_STEPS = {"up": -1, "down": 1}  # how far keys move the selection, in rows
+FAR = frozenset({"up", "down", "pageup", "pagedown"})  # keys that move far; they repeat slowly
 
 ALIASES = {"return": "enter", "page_up": "pageup", "page_down": "pagedown"}
 
@@ -77,8 +68,7 @@ def find_choice_keys(choices: tuple[str, ...]) -> dict[str, str]:
 
 # What reaches a window.
 
-REPEAT_S = 0.003
-"""A key that goes down so soon after it went up never went up: X repeats held keys in this way."""
+REPEAT_S = 0.003  # shortest time between two presses: X repeats held keys faster
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,20 +108,11 @@ def drop_repeats(events: list[Event]) -> list[Event]:
 
 # Keys over time: held ones that repeat, digits that become a number, and one that must be pressed twice.
 
-DELAY_S = 0.4
-"""How long a key is held before it repeats."""
-
-SPEEDS = ((0.0, 25.0), (1.0, 60.0))
-"""Repeats per s, from so many s of repeating on: 100 points take two and a quarter seconds."""
-
-COARSE_SPEEDS = ((0.0, 6.0),)
-"""Repeats per s of keys that move far."""
-
-DIGITS_S = 0.8
-"""How long a number that could go on waits for its next digit."""
-
-TWICE_S = 1.0
-"""Time within which a key counts as pressed twice."""
+DELAY_S = 0.4  # how long a key is held before it repeats
+SPEEDS = ((0.0, 25.0), (1.0, 60.0))  # repeats per s, from when on: 100 points take 2.25 s
+COARSE_SPEEDS = ((0.0, 6.0),)  # repeats per s of keys that move far
+DIGITS_S = 0.8  # how long a number that could go on waits for its next digit
+TWICE_S = 1.0  # time within which a key counts as pressed twice
 
 
 def count_repeats(held_s: float, speeds: tuple[tuple[float, float], ...] = SPEEDS) -> int:
@@ -257,8 +238,7 @@ def hold_signals() -> Iterator[Callable[[], None]]:
 
 # The answer to a trial while the participant works on it.
 
-REST_S = 0.25
-"""How long a marker stands still before it has come to rest."""
+REST_S = 0.25  # how long a marker stands still before it has come to rest
 
 FIRST = 50.0
 """Where the first arrow makes a marker appear. There is none before, so nobody can leave it where it happens to be. An

@@ -20,7 +20,6 @@ from feel321.study.screen.drawing import (
     SMALL,
     TITLE,
     Box,
-    Composition,
     Photo,
     Sheet,
     Target,
@@ -44,11 +43,8 @@ HINTS = {
 }
 """The keys that have no button, by kind of screen."""
 
-COLUMN = 108.0
-"""Width of a page's text, in units: some 65 letters."""
-
-BELOW = 1.5
-"""Free space under a picture, in units."""
+COLUMN = 108.0  # width of a page's text, in units: some 65 letters
+BELOW = 1.5  # free space under a picture, in units
 
 TEXT_SIZES = (1.1 * BODY, BODY, SMALL)
 """Sizes of a page's text in units, the first that fits; below the last nobody could read it at 1 m."""
@@ -56,25 +52,19 @@ TEXT_SIZES = (1.1 * BODY, BODY, SMALL)
 TIGHTEST = (1920, 1080)
 """The screen that has the least room for its letters: as wide as it needs to be, and no higher."""
 
-LINES = 3
-"""Most lines of a question."""
+LINES = 3  # most lines of a question
 
 ABOVE, TRACK, UNDER = 8.0, 4.5, 1.0
 """Heights of what stands over a slider's track, of the track, and of what is free under it, in units."""
 
-ROW = 6.6
-"""Largest height of a row, in units."""
-
-LABEL = 0.45
-"""Largest width of a slider's label, as a share of the track."""
-
-LABEL_LINES = 2
-"""Most lines of a slider's label."""
+ROW = 6.6  # largest height of a row, in units
+LABEL = 0.45  # largest width of a slider's label, as a share of the track
+LABEL_LINES = 2  # most lines of a slider's label
 
 FELT = "✓"
 
 
-def compose(view: View, texts: ScreenTexts, *, size: tuple[int, int]) -> Composition:
+def compose(view: View, texts: ScreenTexts, *, size: tuple[int, int]) -> Sheet:
     """Lay out a screen of a size in pixels."""
     sheet, place = Sheet(*size), view.place
     # Trials that do not count, and the pages before those that do, are no progress.
@@ -90,7 +80,7 @@ def compose(view: View, texts: ScreenTexts, *, size: tuple[int, int]) -> Composi
         _add_page(sheet, view, view.page, texts=texts)
     elif view.trial is not None and view.scale is not None:
         _TrialLayout(sheet, view, texts, view.trial, view.scale).add()
-    return Composition(tuple(sheet.items), tuple(sheet.targets))
+    return sheet
 
 
 def find_overflows(texts: ScreenTexts, scales: Iterable[Scale]) -> list[str]:
@@ -308,7 +298,6 @@ class _TrialLayout:
     scale: Scale
 
     def add(self) -> None:
-        """Add everything, from top to bottom."""
         sheet, view, unit = self.sheet, self.view, self.sheet.unit
         body = sheet.find_strip("body")
         is_rows, top = view.kind == "rows", body.top
@@ -332,14 +321,12 @@ class _TrialLayout:
             _add_hints(sheet, [self.texts.keys[key] for key in HINTS[view.kind]])
 
     def find_question(self) -> str:
-        """Find what the participant is asked, or asked to do."""
         if self.view.state != "stroking":
             return self.scale.question
         prompt = self.texts.prompts["surface" if self.view.sample else "surface_unnamed"]
         return prompt.format(sample=self.view.sample)
 
     def list_buttons(self) -> list[_Button]:
-        """List the buttons on the right."""
         keys, state = self.texts.keys, self.view.state
         is_ready = state in {"answering", "stroking"}
         confirm = _Button(keys["confirm"], "confirm", is_main=True, is_ready=is_ready)
@@ -350,7 +337,6 @@ class _TrialLayout:
         return [_Button(keys["again"], "again", is_ready=state == "answering"), confirm]
 
     def add_parts(self, top: float) -> None:
-        """Set the parts of a trial beside each other."""
         sheet, unit = self.sheet, self.sheet.unit
         # A reference that is stroked is called by what it is.
         names = {
@@ -382,15 +368,12 @@ class _TrialLayout:
             right = Box(box.right - 1.5 * tick, box.top, tick, box.height)
             sheet.write(right, FELT, size, color=ink, bold=True)
 
-    # One slider.
-
     def find_slider_height(self) -> float:
         """Compute the height of a slider with the number over it and the words under it, in pixels."""
         lines = 1 + bool(self.scale.anchors) + _count_label_lines(self.scale, self.sheet)
         return (ABOVE + TRACK + UNDER + lines * BODY * LEADING) * self.sheet.unit
 
     def add_slider(self, box: Box) -> None:
-        """Draw one slider in the middle of a box."""
         sheet, view, unit = self.sheet, self.view, self.sheet.unit
         part, width = self.trial.judgements[0].part, _find_slider_width(sheet)
         # Number, track and labels together stand in the middle of what is left.
@@ -427,8 +410,6 @@ class _TrialLayout:
             lines = sheet.wrap(label, width, BODY)
             sheet.write(Box(left, top + step, width, step), lines, BODY, align=align)
 
-    # Rows of sliders.
-
     def add_rows(self, box: Box) -> None:
         """Set the reference beside the words of the scale, and under them a row for each vibration."""
         sheet, unit, small = self.sheet, self.sheet.unit, SMALL * self.sheet.unit
@@ -460,7 +441,6 @@ class _TrialLayout:
             sheet.targets.append(Target(spot, "feel", name))
 
     def add_row(self, name: str, line: Box, track: Box) -> None:
-        """Draw one row with its slider."""
         sheet, unit = self.sheet, self.sheet.unit
         is_selected, value = name == self.view.selected, self.view.markers.get(name)
         if is_selected:
@@ -472,8 +452,6 @@ class _TrialLayout:
             width = line.right - track.right - 4 * unit
             box = Box(track.right + 3 * unit, line.top, width, line.height)
             sheet.write(box, f"{value:.0f}", BODY, bold=True, align="right")
-
-    # A choice.
 
     def add_choice(self, box: Box) -> None:
         """Set what can be chosen side by side; what was chosen is framed and marked."""

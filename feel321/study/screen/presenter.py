@@ -10,7 +10,7 @@ from dataclasses import replace
 from math import ceil
 from typing import TYPE_CHECKING
 
-from feel321.study.screen.drawing import Composition
+from feel321.study.screen.drawing import Sheet
 from feel321.study.screen.input import CONFIRM, PAUSE, STOP, Answer, Request, Twice
 from feel321.study.screen.layout import compose
 from feel321.study.screen.view import Hand, View
@@ -22,15 +22,13 @@ if TYPE_CHECKING:
     from feel321.protocols.trial import Page, Part, Scale, Trial
     from feel321.stimuli.sets.manifest import Stimulus
     from feel321.study.actuator.output import Output
-    from feel321.study.screen.drawing import Target
     from feel321.study.screen.input import Event
     from feel321.study.screen.view import ScreenTexts
     from feel321.study.screen.window import Window
     from feel321.study.session.ports import Act
     from feel321.study.settings.read import Surface
 
-DOUBLE_S = 0.4
-"""A second click within this time is the other half of a double one: it leaves one page, not two."""
+DOUBLE_S = 0.4  # a second click within this time is half of a double one: it leaves no page
 
 
 class Screen:
@@ -46,7 +44,7 @@ class Screen:
         self._twice = Twice()
         self._confirmed_s = -DOUBLE_S
         self._events: deque[Event] = deque()
-        self._composed: tuple[View, Composition] = (self.view, Composition(()))
+        self._composed: tuple[View, Sheet] = (self.view, Sheet(0, 0))
 
     def bring_up(self, view: View, answer: Answer | None = None) -> None:
         """Begin a screen: nothing of the last one is left, no key that was pressed on it counts for this one."""
@@ -96,7 +94,8 @@ class Screen:
 
     def _interpret(self, event: Event) -> Request | None:
         trial, page = self.view.trial, self.view.page
-        target = self._find_target(event)
+        targets = self._composed[1].targets if event.kind == "click" else []
+        target = next((t for t in targets if t.box.contains(event.x, event.y)), None)
         name = target.name if target else ""
         if event.kind == "closed":
             return Request("close", event.time_s)
@@ -125,18 +124,11 @@ class Screen:
         self._confirmed_s = event.time_s
         return False
 
-    def _find_target(self, event: Event) -> Target | None:
-        if event.kind != "click":
-            return None
-        targets = self._composed[1].targets
-        return next((t for t in targets if t.box.contains(event.x, event.y)), None)
-
 
 CLOSED = "the window was closed"
 LEFT = "the participant ended it for today"
 
-SILENCE_S = 1.0
-"""Longest wait for an output to fall silent before it is asked what happened."""
+SILENCE_S = 1.0  # longest wait for an output to fall silent before it is asked what happened
 
 
 class ScreenPresenter:

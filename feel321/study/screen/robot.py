@@ -8,7 +8,7 @@ lost is pressed again, and one too many is taken back.
 from __future__ import annotations
 
 from math import copysign
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from feel321.study.screen.input import AGAIN, CONFIRM, REFERENCE, ROW_STEPS, STEPS, find_choice_keys
 from feel321.study.screen.view import Hand
@@ -18,19 +18,8 @@ if TYPE_CHECKING:
 
     from feel321.protocols.trial import Trial
     from feel321.stimuli.sets.manifest import Stimulus
-    from feel321.study.observer.judging import Experience
-    from feel321.study.observer.participant import Participant
+    from feel321.study.observer.participant import Experience, Participant
     from feel321.study.screen.view import View
-
-
-class Keyboard(Protocol):
-    """Something whose keys can be pressed."""
-
-    def press(self, key: str) -> None:
-        """Press a key down."""
-
-    def release(self, key: str) -> None:
-        """Release a key."""
 
 
 KEYSYMS = {"enter": "Return", "pageup": "Prior", "pagedown": "Next"}
@@ -77,13 +66,8 @@ class XKeyboard:
         self._display.sync()
 
 
-XFingers = XKeyboard  # kept until all branches are in
-
-THINKING_S = 0.3
-"""How long a screen is looked at before the first key; answers in less than 0.2 s would count as too fast."""
-
-SETTLING_FRAMES = 2
-"""Frames after a key was released until the screen shows what it did."""
+THINKING_S = 0.3  # before the first key; answers in less than 0.2 s would count as too fast
+SETTLING_FRAMES = 2  # frames after a key was released until the screen shows what it did
 
 
 class PressingHand(Hand):
@@ -92,7 +76,7 @@ class PressingHand(Hand):
     def __init__(
         self,
         mind: Participant,
-        keyboard: Keyboard,
+        keyboard: XKeyboard,
         *,
         stimuli: Mapping[str, Stimulus],
         clock: Callable[[], float],

@@ -14,19 +14,16 @@ if TYPE_CHECKING:
     from feel321.protocols.trial import Page, Scale, Trial
     from feel321.study.session.ports import Place
 
-KINDS = ("page", "slider", "rows", "choice")
-"""Kinds of screens: a page to read; one slider; a row with a slider for each vibration; a choice between parts."""
-
-STATES = ("reading", "feeling", "stroking", "answering")
-"""What the participant is to do: read a page, feel a vibration (or await it), stroke the real surface, answer."""
-
-LAST_PAGE = "end"
-"""The page after which there is nothing."""
+LAST_PAGE = "end"  # the page after which there is nothing
 
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """Everything that is on the screen in one frame."""
+    """Everything that is on the screen in one frame.
+
+    kind: "page" to read, one "slider", "rows" with a slider for each vibration, or a "choice" between parts; state:
+    "reading" a page, "feeling" a vibration or awaiting it, "stroking" the real surface, "answering".
+    """
 
     kind: str
     state: str

@@ -17,31 +17,29 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from feel321.study.screen.drawing import FONT, GROUND, Area, Text, find_font_files, round_corners
+from feel321.study.screen.drawing import (
+    FONT,
+    GROUND,
+    Area,
+    Photo,
+    Text,
+    find_font_files,
+    round_corners,
+)
 from feel321.study.screen.input import Event, drop_repeats, hold_signals, name_key
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
-    from pathlib import Path
 
-    from feel321.study.screen.drawing import Item, Photo
+    from feel321.study.screen.drawing import Item
 
     Foreign = Any  # PsychoPy has no types
 
-FRAME_S = 1 / 60
-"""Shortest time for a frame; a slower screen decides for itself."""
-
-POLL_S = 0.0015
-"""How often events are collected between frames."""
-
-WINDOW_SIZE = (1280, 800)
-"""Default size of a window, in pixels."""
-
-DESTROY_NOTIFY = 17
-"""X11's number of the event that a window was destroyed."""
-
-REDRAW_S = 0.5
-"""A screen that has not changed is drawn again after this time, in case something covered it."""
+FRAME_S = 1 / 60  # shortest time for a frame; a slower screen decides for itself
+POLL_S = 0.0015  # how often events are collected between frames
+WINDOW_SIZE = (1280, 800)  # default size of a window, in pixels
+DESTROY_NOTIFY = 17  # X11's number of the event that a window was destroyed
+REDRAW_S = 0.5  # what has not changed is drawn again, in case something covered it
 
 
 @dataclass(slots=True)
@@ -68,18 +66,11 @@ class Easel:
 
     def draw(self, items: tuple[Item, ...]) -> None:
         """Draw items; the objects of those that are not shown any longer are let go."""
-        self.drawn = {item: self.drawn.get(item) or self._make_stimulus(item) for item in items}
+        makers: dict[type, Callable[..., Foreign]] = {Text: self._make_text, Area: self._make_area}
+        makers[Photo] = self._make_picture
+        self.drawn = {item: self.drawn.get(item) or makers[type(item)](item) for item in items}
         for stimulus in self.drawn.values():
             stimulus.draw()
-
-    def _make_stimulus(self, item: Item) -> Foreign:
-        match item:
-            case Text():
-                return self._make_text(item)
-            case Area():
-                return self._make_area(item)
-            case _:
-                return self._make_picture(item)
 
     def _make_text(self, text: Text) -> Foreign:
         from psychopy.visual.text import TextStim
@@ -129,24 +120,18 @@ class Easel:
         return x - width / 2, height / 2 - y
 
 
-@dataclass(slots=True)
 class Window:
     """A window that shows items and collects events; clock: gives the time in s since the session began."""
 
-    handle: Foreign
-    clock: Callable[[], float]
-    deliver_signals: Callable[[], None]
-    frames: FrameCounts = field(default_factory=FrameCounts, init=False)
-    easel: Easel = field(init=False)
-    _events: list[Event] = field(default_factory=list, init=False)
-    _shown: tuple[Item, ...] = field(default=(), init=False)
-    _due_s: float = field(default=0.0, init=False)
-    _redraw_s: float = field(default=0.0, init=False)
-    _is_closed: bool = field(default=False, init=False)
-
-    def __post_init__(self) -> None:
-        """Take an easel of its own."""
-        self.easel = Easel(self.handle)
+    def __init__(
+        self, handle: Foreign, clock: Callable[[], float], deliver_signals: Callable[[], None]
+    ) -> None:
+        self.handle, self.clock, self.deliver_signals = handle, clock, deliver_signals
+        self.frames, self.easel = FrameCounts(), Easel(handle)
+        self._events: list[Event] = []
+        self._shown: tuple[Item, ...] = ()
+        self._due_s = self._redraw_s = 0.0
+        self._is_closed = False
 
     @property
     def size(self) -> tuple[int, int]:
@@ -170,14 +155,6 @@ class Window:
             self._events.append(Event("closed", self.clock()))
         events, self._events = drop_repeats(self._events), []
         return events
-
-    def capture(self, path: Path) -> None:
-        """Save what is on the screen as a picture."""
-        self.easel.draw(self._shown)
-        self.handle.getMovieFrame(buffer="back")  # the front buffer reads black under Xvfb
-        self.handle.flip()
-        self.handle.saveMovieFrames(str(path))
-        self.handle.movieFrames = []
 
     def close(self) -> None:
         """Close the window; it may be gone already."""

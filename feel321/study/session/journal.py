@@ -1,12 +1,12 @@
 """The journal of a session: an append-only chain of records, one fsync per record, nothing ever overwritten.
 
 `create_journal` refuses a file that is there, `require_journal` refuses one that is not. A record is on the
-disk when `write` returns. The line that a crash or power cut tore is moved into a file beside the journal and
-reported.
+disk when `write` returns. A line that a crash or power cut left unfinished is moved into a file beside the journal
+and reported.
 
 A line is one JSON object: `sequence` (from 0), `previous` (SHA-256 of the line before, without its line end;
 64 zeros in the first line), `utc`, `event`, `data`, and last `sha256`, the digest of the line without that
-field. `previous` betrays lines that were taken out, put in or moved; `sha256` betrays a change in any line,
+field. `previous` shows lines that were taken out, put in or moved; `sha256` shows a change in any line,
 the last one too.
 """
 
@@ -15,47 +15,87 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 from feel321.files import sync_folder
+from feel321.study.session.events import (
+    ClockStepped,
+    E,
+    Event,
+    LineRecovered,
+    SessionBegun,
+    read_event,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping
     from pathlib import Path
 
     Clock = Callable[[], datetime]
 
-# The text of a journal: JSON lines in a chain of SHA-256 digests.
-
 START = "0" * 64
-"""What the first line has instead of the digest of the line before."""
+"""Stands in the first line for the digest of the line before."""
+
+SESSION_FILE = re.compile(r"session-(\d{2,})\.jsonl")
+"""Names of the journals in a participant's folder; copies under other names are none."""
 
 _FIELDS = {"sequence": int, "previous": str, "utc": str, "event": str, "data": dict}
 
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """One event of a session.
-
-    sequence: place in the journal, from 0.
-    """
+    """One line of a journal; sequence: its place, from 0."""
 
     sequence: int
     utc: str
     event: str
     data: Mapping[str, Any]
 
+    @property
+    def content(self) -> Event:
+        """The event, checked."""
+        try:
+            return read_event(self.event, self.data)
+        except ValueError as error:
+            raise ValueError(f"line {self.sequence + 1}: {error}") from None
+
 
 @dataclass(frozen=True, slots=True)
 class Chain:
-    """What a journal file holds."""
+    """The content of a journal file: its records, the digest of the last line, and an unfinished line."""
 
     records: tuple[Record, ...]
     tip: str
     torn: bytes
+
+
+def find_events(records: Iterable[Record], *kinds: type[E]) -> Iterator[E]:
+    """Find all events of some kinds."""
+    names = {kind.event for kind in kinds}
+    for record in records:
+        if record.event in names and isinstance(event := record.content, kinds):
+            yield event
+
+
+def has_event(records: Iterable[Record], kind: type[Event] | str) -> bool:
+    """Check whether something ever happened in a session."""
+    name = kind if isinstance(kind, str) else kind.event  # a name: kept until all branches are in
+    return any(record.event == name for record in records)
+
+
+def find_header(records: Iterable[Record]) -> SessionBegun | None:
+    """Find the header of a session."""
+    return next(find_events(records, SessionBegun), None)
+
+
+def find_elapsed(records: Iterable[Record]) -> float:
+    """Find the last time on the presenter's clock, in s."""
+    # Onsets do not count: an attempt that was broken off never was, and comes again in its own time.
+    return max((r.data["time_s"] for r in records if "time_s" in r.data), default=0.0)
 
 
 def write_line(record: Record, previous: str) -> bytes:
@@ -102,28 +142,20 @@ def _read_line(line: bytes, previous: str, *, sequence: int) -> Record:
     body, mark, rest = line.rpartition(b', "sha256": "')
     if not mark or rest != f'{digest(body + b"}")}"}}'.encode():
         raise ValueError("was changed after it was written (its SHA-256 does not match)")
-    entry = _read_entry(body + b"}")
-    if entry["previous"] != previous:
-        raise ValueError("does not follow the line before (a line was taken out, put in or moved)")
-    if entry["sequence"] != sequence:
-        raise ValueError(f"got sequence number {entry['sequence']}, expected {sequence}")
-    return Record(entry["sequence"], entry["utc"], entry["event"], entry["data"])
-
-
-def _read_entry(body: bytes) -> dict[str, Any]:
-    """Read a line's fields; a digest that is right does not tell that feel321 wrote them."""
-    try:
-        entry = json.loads(body)
+    try:  # A digest that is right does not prove that feel321 wrote the line.
+        entry = json.loads(body + b"}")
         is_record = {name: type(value) for name, value in entry.items()} == _FIELDS
         is_record = is_record and datetime.fromisoformat(entry["utc"]).tzinfo is not None
     except (AttributeError, ValueError, RecursionError):
         is_record = False
     if not is_record:
-        raise ValueError("is no record as feel321 writes them")
-    return dict(entry)
+        raise ValueError("is not a record as feel321 writes them")
+    if entry["previous"] != previous:
+        raise ValueError("does not follow the line before (a line was taken out, put in or moved)")
+    if entry["sequence"] != sequence:
+        raise ValueError(f"has sequence number {entry['sequence']}, expected {sequence}")
+    return Record(entry["sequence"], entry["utc"], entry["event"], entry["data"])
 
-
-# The journal of a session: append-only, one fsync per record, nothing ever overwritten.
 
 _APPEND = os.O_WRONLY | os.O_APPEND | getattr(os, "O_BINARY", 0)
 
@@ -137,11 +169,11 @@ class Journal:
     path : Path
         The file.
     now : callable
-        Gives the time of day, with its zone.
+        Returns the time of day, with its zone.
     records : list of Record
-        All events so far, in order.
+        All records so far, in order.
     notice : str
-        What had to be mended when it was opened, for whoever leads the session; mostly empty.
+        Repairs that were made when it was opened, for the experimenter; mostly empty.
     """
 
     path: Path
@@ -161,154 +193,108 @@ class Journal:
         """Whether it takes records: after a write that was broken off it does not."""
         return self._is_open
 
-    def write(self, event: str, data: Mapping[str, Any]) -> None:
+    def write(self, event: Event | str, data: Mapping[str, Any] | None = None) -> None:
         """Append one record; it is on the disk when this returns.
 
-        If the time of day was set back since the last record, a record `clock_stepped` before it says by how much.
+        If the time of day was set back since the last record, a record before it says by how much.
 
         Parameters
         ----------
-        event : str
-            What happened.
-        data : mapping
-            What is known about it; everything JSON can hold.
+        event : Event or str
+            The event, or the name of any record.
+        data : mapping, optional
+            The fields that go with a name; everything JSON can hold.
 
         Raises
         ------
         OSError
             If the disk takes no more. Whatever breaks off a write closes the journal, for the file may hold
-            all of the line, some or none: only reading it again tells where the chain goes on.
+            all of the line, some or none: only reading it again shows where the chain goes on.
         """
         utc = self.now().isoformat(timespec="milliseconds")
-        if (back_s := self._measure_step_back(utc)) > 0:
-            self._append(utc, "clock_stepped", {"back_s": back_s})
+        if self.records:
+            last, this = (datetime.fromisoformat(text) for text in (self.records[-1].utc, utc))
+            if (back_s := (last - this).total_seconds()) > 0:
+                self._append(utc, ClockStepped(back_s))
         self._append(utc, event, data)
 
-    def _append(self, utc: str, event: str, data: Mapping[str, Any]) -> None:
+    def _append(self, utc: str, event: Event | str, data: Mapping[str, Any] | None = None) -> None:
         if not self._is_open:
             raise OSError(
                 f"{self.path}: an earlier write was broken off, the journal is closed; reopen it to resume"
             )
-        record = Record(len(self.records), utc, event, data)
+        name = event if isinstance(event, str) else event.event
+        data = data or {} if isinstance(event, str) else event.to_data()
+        record = Record(len(self.records), utc, name, data)
         line = write_line(record, self._tip)
         self._is_open = False
-        _append(self.path, line)
+        with _naming(self.path):
+            written = _write_through(self.path, line)
+        if written != len(line):
+            raise OSError(
+                f"{self.path}: the disk took {written} of {len(line)} bytes; make room, then resume"
+            )
         self.records.append(record)
         self._tip = digest(line.rstrip(b"\n"))
         self._is_open = True
 
-    def _measure_step_back(self, utc: str) -> float:
-        """Tell by how many seconds the time of day lies before that of the last record."""
-        if not self.records:
-            return 0.0
-        last, this = (datetime.fromisoformat(text) for text in (self.records[-1].utc, utc))
-        return (last - this).total_seconds()
-
 
 def create_journal(path: Path, *, now: Clock) -> Journal:
-    """Begin a journal where no file is yet.
-
-    Parameters
-    ----------
-    path : Path
-        The file to begin; its folder must exist.
-    now : callable
-        Gives the time of day, with its zone.
-
-    Returns
-    -------
-    Journal
-        Without records.
-
-    Raises
-    ------
-    FileExistsError
-        If there is a file already; it is left alone.
-    """
+    """Begin a journal, of which the folder must exist; a file that is there is refused and left alone."""
     try:
         os.close(os.open(path, os.O_CREAT | os.O_EXCL | _APPEND, 0o644))
     except FileExistsError:
-        raise FileExistsError(
-            f"{path}: is there already, nothing is overwritten; resume it"
-        ) from None
+        raise FileExistsError(f"{path}: already exists; not overwritten, resume it") from None
     sync_folder(path.parent)
     return Journal(path, now)
 
 
 def require_journal(path: Path, *, now: Clock) -> Journal:
-    """Go on with a journal that is there.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    now : callable
-        Gives the time of day, with its zone.
-
-    Returns
-    -------
-    Journal
-        With all its records. If the last line was torn, a record `recovered` and the notice say so.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is none.
-    ValueError
-        If the chain is broken, naming the line.
-    """
+    """Go on with a journal that is there; a record and the notice say so if its last line was unfinished."""
     chain = read_journal(path)
     journal = Journal(path, now, list(chain.records), _tip=chain.tip)
     if chain.torn:
         with _naming(path):
             torn = _cut_torn_line(path, chain.torn)
-        journal.write("recovered", {"torn_bytes": len(chain.torn), "moved_to": torn.name})
-        journal.notice = f"{path}: {len(chain.torn)} bytes of a line that was never finished were moved to {torn.name}"
+        journal.write(LineRecovered(len(chain.torn), torn.name))
+        journal.notice = (
+            f"{path}: {len(chain.torn)} bytes of an unfinished line were moved to {torn.name}"
+        )
     return journal
 
 
 def read_journal(path: Path) -> Chain:
-    """Read a journal without writing to it, also while its session runs.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    Chain
-        The records, and what is left of a torn last line.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is none.
-    ValueError
-        If the chain is broken, naming the line.
-    """
+    """Read a journal without writing to it, also while its session runs; a broken chain is refused with its line."""
     if not path.is_file():
         raise FileNotFoundError(f"{path}: there is no such journal; begin the session first")
     return read_chain(path.read_bytes(), str(path))
 
 
-def _append(path: Path, line: bytes) -> None:
-    with _naming(path):
-        written = _write_through(path, line)
-    if written != len(line):
-        raise OSError(
-            f"{path}: the disk took {written} of {len(line)} bytes; make room, then resume"
-        )
+def name_journal(session: int) -> str:
+    """Make the name of a session's journal; sessions are numbered from 1.
+
+    Examples
+    --------
+    >>> name_journal(1)
+    'session-01.jsonl'
+    """
+    return f"session-{session:02d}.jsonl"
+
+
+def list_journals(folder: Path) -> list[Path]:
+    """List the journals of a participant."""
+    found = {path: SESSION_FILE.fullmatch(path.name) for path in folder.glob("session-*.jsonl")}
+    return sorted((path for path in found if found[path]), key=lambda path: int(path.stem[8:]))
 
 
 @contextmanager
 def _naming(path: Path) -> Iterator[None]:
-    """Say which file it was: a full or broken disk does not."""
+    """Name the file: a full or broken disk does not."""
     try:
         yield
     except OSError as error:
         raise OSError(
-            f"{path}: the disk took no record ({error.strerror or error}); make room or mend the disk, then resume"
+            f"{path}: the disk took no record ({error.strerror or error}); make room or repair the disk, then resume"
         ) from error
 
 
@@ -332,13 +318,9 @@ def _cut_torn_line(path: Path, torn: bytes) -> Path:
         number += 1
     # The piece is safe beside the journal before the journal loses it.
     target.write_bytes(torn)
-    _sync(target, size=len(torn))
-    _sync(path, size=path.stat().st_size - len(torn))
+    for file, size in {target: len(torn), path: path.stat().st_size - len(torn)}.items():
+        with file.open("r+b") as open_file:
+            open_file.truncate(size)
+            os.fsync(open_file.fileno())
     sync_folder(path.parent)
     return target
-
-
-def _sync(path: Path, *, size: int) -> None:
-    with path.open("r+b") as file:
-        file.truncate(size)
-        os.fsync(file.fileno())

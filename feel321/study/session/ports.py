@@ -1,8 +1,8 @@
-"""What a session needs of the world: someone who shows, plays and passes on what the participant does.
+"""The port between a session and its participant: a presenter shows, plays and passes on the participant's acts.
 
-The simulated observer implements this port today; a screen with actuators will. The rules (what must be felt, what
-is refused, what is tried again) are the engine's: a presenter only shows, plays and reports. All times are in s
-since the session began, on the presenter's own clock, which goes on where it stopped when a session is resumed.
+Implemented by `SimulatedObserver` and `ScreenPresenter`. The rules (what must be felt, what is refused, what is tried
+again) are the engine's. All times are in s since the session began, on the presenter's own clock, which goes on where
+it stopped when a session is resumed.
 """
 
 from __future__ import annotations
@@ -16,29 +16,32 @@ if TYPE_CHECKING:
     from feel321.protocols.trial import Page, Part, Scale, Trial
     from feel321.stimuli.sets.manifest import Stimulus
 
+REFUSALS = ("not_felt", "not_answered", "no_replay", "unknown_part", "too_early")
+"""Reasons why an act can be refused; the texts are in the catalogue."""
+
 
 @dataclass(frozen=True, slots=True)
 class Playback:
-    """What became of a stimulus on its way to the hand, or of a stroke over the real surface.
+    """The playback of a stimulus, or a stroke over the real surface.
 
     Parameters
     ----------
     requested_s : float
-        When it was to begin.
+        Time at which it was to begin.
     onset_s : float or None
-        When it did; None if it never did.
+        Time at which it did; None if it never did.
     underruns : int
-        How often the device ran dry.
+        Number of times that the device ran dry.
     clipped : int
-        How many samples were limited.
+        Number of samples that were limited.
     completed : bool
         Whether it was felt to its end: the participant may have stopped it.
     error : str
-        What the device reported; empty if all went well.
+        Message of the device; empty if all went well.
     act : Pause, Abort or None
-        What the participant did that ended it before its time, beyond stopping it.
+        Act of the participant that ended it before its time, beyond stopping it.
     measured : mapping of str to float
-        What the device measured, such as its own time of the onset; empty where it measures nothing.
+        Measurements of the device, such as its own time of the onset; empty where it measures nothing.
     """
 
     requested_s: float
@@ -58,7 +61,7 @@ class Feel:
     Parameters
     ----------
     time_s : float
-        When.
+        Time of the act.
     part : str
         Name of the part; empty for all parts in order.
     """
@@ -74,7 +77,7 @@ class Move:
     Parameters
     ----------
     time_s : float
-        When.
+        Time of the act.
     part : str
         The part whose slider it is.
     value : float
@@ -93,11 +96,11 @@ class Confirm:
     Parameters
     ----------
     time_s : float
-        When.
+        Time of the act.
     values : mapping of str to float or str
         Points, or the part that was chosen, by the part that is judged; empty for a page.
     response_time_s : float
-        Since the answer became possible, or since the page appeared.
+        Time since the answer became possible, or since the page appeared.
     """
 
     time_s: float
@@ -112,7 +115,7 @@ class Pause:
     Parameters
     ----------
     time_s : float
-        When.
+        Time of the act.
     """
 
     time_s: float
@@ -125,9 +128,9 @@ class Abort:
     Parameters
     ----------
     time_s : float
-        When.
+        Time of the act.
     reason : str
-        Why, in a few words.
+        The reason in a few words.
     """
 
     time_s: float
@@ -139,15 +142,7 @@ Act = Feel | Move | Confirm | Pause | Abort
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """How far a session has come, for whoever shows it.
-
-    Parameters
-    ----------
-    done, total : int
-        Trials of the main phase that are done, and all of them.
-    attempt : int
-        Which attempt at the trial this is, from 1.
-    """
+    """Progress of a session: trials of the main phase that are done, all of them, and the attempt (from 1)."""
 
     done: int
     total: int
@@ -155,35 +150,35 @@ class Place:
 
 
 class Presenter(Protocol):
-    """Whoever presents a session to a participant."""
+    """The interface of a presenter: it shows and plays, and returns the participant's acts."""
 
     def show_page(self, page: Page, place: Place) -> Confirm | Pause | Abort:
-        """Show a page until whoever it is for is done with it, at least as long as it is to stand.
+        """Show a page until it is left, at least for its shortest time.
 
         Parameters
         ----------
         page : Page
-            What to show.
+            The page.
         place : Place
-            How far the session has come.
+            Progress of the session.
 
         Returns
         -------
         Confirm, Pause or Abort
-            What the participant did; a pause on a page is none, for nothing is felt there.
+            The participant's act; a pause on a page changes nothing, for nothing is felt there.
         """
 
     def show_trial(self, trial: Trial, scale: Scale, place: Place) -> None:
-        """Bring a trial before the participant, all markers unset.
+        """Show a trial, all markers unset.
 
         Parameters
         ----------
         trial : Trial
             The trial that begins.
         scale : Scale
-            The scale that it will be answered on.
+            The scale of its answer.
         place : Place
-            How far the session has come.
+            Progress of the session.
         """
 
     def play(self, part: Part, stimulus: Stimulus, *, gap_s: float) -> Playback:
@@ -192,16 +187,16 @@ class Presenter(Protocol):
         Parameters
         ----------
         part : Part
-            The part that it is.
+            The part of the trial.
         stimulus : Stimulus
-            What to play.
+            The stimulus.
         gap_s : float
             Silence before it, in s; none where the participant switches freely.
 
         Returns
         -------
         Playback
-            What became of it.
+            How it went.
         """
 
     def prompt(self, part: Part) -> Playback:
@@ -210,12 +205,12 @@ class Presenter(Protocol):
         Parameters
         ----------
         part : Part
-            The part that it is.
+            The part of the trial.
 
         Returns
         -------
         Playback
-            When it began, and whether it was done.
+            Its beginning, and whether it was done.
         """
 
     def wait(self) -> Act:
@@ -224,11 +219,11 @@ class Presenter(Protocol):
         Returns
         -------
         Feel, Move, Confirm, Pause or Abort
-            What the participant did.
+            The participant's act.
         """
 
     def refuse(self, reason: str, parts: tuple[str, ...]) -> None:
-        """Tell the participant why an act was not accepted.
+        """Show the participant why an act was not accepted.
 
         Parameters
         ----------
@@ -237,7 +232,3 @@ class Presenter(Protocol):
         parts : tuple of str
             The parts that it is about.
         """
-
-
-REFUSALS = ("not_felt", "not_answered", "no_replay", "unknown_part", "too_early")
-"""Why an act can be refused; the texts are in the catalogue."""

@@ -120,7 +120,7 @@ _WRONG_KEY = "[key]"
 """What pydantic adds to the place of a name that is not allowed; the name stands before it."""
 
 
-def parse_toml(path: Path, model: type[Whole], *, tables: object = None) -> Whole:  # noqa: ARG001 - tables: kept until all branches are in
+def parse_toml(path: Path, model: type[Whole]) -> Whole:
     """Read a TOML file into the table that it is to be."""
     try:
         # By way of JSON, where strict reading takes an array for a tuple, but no "5" or true for a number.

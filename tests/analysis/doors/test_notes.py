@@ -20,8 +20,7 @@ from feel321.analysis.table.schema import (
     describe_ratings,
 )
 from feel321.stimuli.sets.manifest import COLUMN_UNITS
-from feel321.study.columns import RATING_COLUMNS
-from feel321.study.ledger import slots
+from feel321.study.columns import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS, RATING_COLUMNS
 from feel321.study.settings.read import list_origins, read_settings
 
 if TYPE_CHECKING:
@@ -130,7 +129,7 @@ def test_the_schema_knows_every_column_that_feel321_writes() -> None:
     assert list(RATINGS) == list(RATING_COLUMNS)
     assert set(describe_manifest()) == {*COLUMN_UNITS, "source", *describe_further()}
     assert set(describe_ratings()) == {*RATING_COLUMNS, *describe_further()}
-    assert {*slots.PARTICIPANT_COLUMNS, *slots.LAST_PARTICIPANT_COLUMNS} == ROSTER | {"participant"}
+    assert {*PARTICIPANT_COLUMNS, *LAST_PARTICIPANT_COLUMNS} == ROSTER | {"participant"}
 
 
 def test_intervals_draw_sources_with_all_their_recordings(files: Callable[..., object]) -> None:

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from feel321.study.actuator.output import StreamOutput, open_stream
 from feel321.study.actuator.rig import read_rig
-from feel321.study.actuator.stream_output import StreamOutput, open_stream
 
 if TYPE_CHECKING:
     from feel321.study.session.ports import Playback

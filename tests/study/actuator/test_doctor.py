@@ -111,7 +111,7 @@ def test_a_report_for_people_says_the_same(pulse: Any, insist: Any, tmp_path: Pa
     played, pulses, onset, stop = done.stdout.splitlines()[-4:]
     assert played == "stylus twin (ALSA) played at 48000 Hz; latency 50.0 ms"
     assert re.fullmatch(
-        r"a stop is silence after \d+ ms at most; latency_s in rig.toml shortens it", stop
+        r"a stop is silent after \d+ ms at most; latency_s in rig.toml shortens it", stop
     )
     assert re.fullmatch(r"pulses [1-4], failed 0, underruns \d+", pulses)
     assert onset.startswith("requested to onset ")
@@ -177,10 +177,7 @@ def test_the_file_device_plays_nothing(pulse: Any, make_rig: Any, tmp_path: Path
         ),
         (["--device", " "], "feel321: device ' ' not found; name one of 'stylus' (ALSA), "),
         (["--device", "DEF"], "feel321: device 'DEF' not found; name one of 'stylus' (ALSA), "),
-        (
-            ["nowhere"],
-            "feel321: nowhere: there is no such folder; begin a study with: feel321 new nowhere",
-        ),
+        (["nowhere"], "feel321: nowhere: no such folder; begin a study with: feel321 new nowhere"),
     ],
 )
 def test_what_is_not_there_is_one_line(

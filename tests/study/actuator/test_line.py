@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from feel321.stimuli.wav import read_wav
+from feel321.study.actuator.output import StreamOutput
 from feel321.study.actuator.rig import DeviceTable, LimitsTable, Rig, SensorTable
 from feel321.study.actuator.stream import (
     STALL_S,
@@ -21,7 +22,6 @@ from feel321.study.actuator.stream import (
     list_devices,
     refresh_devices,
 )
-from feel321.study.actuator.stream_output import StreamOutput
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 RATE_HZ = 1000
 N = 100
-DEVICE = Device(0, "coils", "ALSA", 2, 1, 48000.0)
+DEVICE = Device(0, "coils", "ALSA", 2, 1)
 LIMITS = LimitsTable(peak_m_s2=100, rms_m_s2=50, duration_s=60)
 RIG = Rig(device=DeviceTable(name="coils", latency_s=0.1), limits=LIMITS)
 SENSING = RIG.model_copy(update={"sensor": SensorTable(channel=1, full_scale_m_s2=10)})
@@ -267,7 +267,7 @@ def open_output(
     monkeypatch.setattr(StandIn, "start", lambda stream: (start(stream), streams.append(stream)))
     waited = clock or Clock()
     monkeypatch.setattr(
-        "feel321.study.actuator.stream_output.sleep",
+        "feel321.study.actuator.output.sleep",
         lambda wait_s: (waited.wait(wait_s), streams[-1].ask()),
     )
     sound = np.full((150, 2), 0.25, dtype=np.float32)
@@ -316,13 +316,13 @@ def test_a_device_that_hangs_does_not_hang_the_session(
     output, stream = open_output(monkeypatch, tmp_path)
     stream.active = False
     answers = Event()
-    monkeypatch.setattr("feel321.study.actuator.stream_output.REVIVING_S", 0.05)
-    monkeypatch.setattr("feel321.study.actuator.stream_output.refresh_devices", answers.wait)
+    monkeypatch.setattr("feel321.study.actuator.output.REVIVING_S", 0.05)
+    monkeypatch.setattr("feel321.study.actuator.output.refresh_devices", answers.wait)
     output.start("a", gap_s=0.0)
     assert not output.is_playing
     assert "does not answer" in output.collect().error
     answers.set()
-    monkeypatch.setattr("feel321.study.actuator.stream_output.REVIVING_S", 60.0)
+    monkeypatch.setattr("feel321.study.actuator.output.REVIVING_S", 60.0)
     output.start("a", gap_s=0.0)
     assert output.is_playing
 
@@ -394,7 +394,7 @@ def test_nothing_started_is_an_error(monkeypatch: pytest.MonkeyPatch, tmp_path: 
 def test_a_stream_that_never_runs_is_refused(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, clock: Clock
 ) -> None:
-    monkeypatch.setattr("feel321.study.actuator.stream_output.sleep", clock.wait)
+    monkeypatch.setattr("feel321.study.actuator.output.sleep", clock.wait)
     output = StreamOutput(RIG, {}, rate_hz=RATE_HZ, folder=tmp_path, clock=clock)
     begin_s = clock.now_s
     with pytest.raises(OSError, match="'coils' does not run; is it in use elsewhere"):
@@ -452,7 +452,7 @@ def test_a_device_may_be_slow_to_ask_for_its_first_block(
         if clock.now_s > first_s:
             streams[-1].ask()
 
-    monkeypatch.setattr("feel321.study.actuator.stream_output.sleep", wait)
+    monkeypatch.setattr("feel321.study.actuator.output.sleep", wait)
     StreamOutput(RIG, {}, rate_hz=RATE_HZ, folder=tmp_path, clock=clock).open()
     assert len(streams) == 1
 

@@ -155,9 +155,9 @@ def test_a_rig_of_an_earlier_version_plays_as_it_did_and_is_warned_of(tmp_path: 
     }
     (warning,) = compare(rig).warnings
     assert warning == (
-        "one-axis stimuli reach the hand 3.0 dB stronger than the three-axis reference, so that strength tells them "
-        "apart; set weight: 'left coil' 0.7071, 'right coil' 0.7071; or add direction = [x, y, z] to every actuator, "
-        "then these weights are the default"
+        "one-axis stimuli reach the hand 3.0 dB stronger than the three-axis reference, so they can be "
+        "distinguished by strength; set weight: 'left coil' 0.7071, 'right coil' 0.7071; or add direction = [x, y, z] "
+        "to every actuator, then these weights are the default"
     )
     mended = OLD.replace('"x"]', '"x"]\nweight = 0.7071').replace('"y"]', '"y"]\nweight = 0.7071')
     assert compare(read(tmp_path, mended)).warnings == []
@@ -181,7 +181,7 @@ def test_two_coils_in_one_direction_add_in_amplitude() -> None:
 def test_a_coil_of_unknown_direction_is_named() -> None:
     axes = [coil(axis, place, axis) for place, axis in enumerate(AXES, start=1)]
     (warning,) = compare(Rig(actuators=(*axes, coil("tip", 4)), limits=LIMITS)).warnings
-    assert warning.startswith("actuators 'tip': no direction is known, so nobody can say whether")
+    assert warning.startswith("actuators 'tip': no direction is known, so it is unknown whether")
 
 
 def test_coils_for_axes_that_are_not_at_right_angles_are_warned_of_where_it_counts() -> None:

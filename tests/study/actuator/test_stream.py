@@ -186,7 +186,7 @@ def sum_up(deliveries: Sequence[Any], places: Sequence[int]) -> Trials:
     )
 
 
-@pytest.mark.parametrize("n_trials", [50, pytest.param(500, marks=pytest.mark.soak)])
+@pytest.mark.parametrize("n_trials", [25, pytest.param(500, marks=pytest.mark.soak)])
 def test_every_trial_arrives_whole_or_its_underrun_is_flagged_and_onsets_are_true(
     pulse: Any,
     open_player: Any,

@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     Edit = Callable[[list[Record]], list[Record]]
 
 
-@pytest.fixture
-def finished(present: Callable[..., list[Record]], scripted: type) -> list[Record]:
-    """The records of a finished session of realism and similarity."""
-    return present(scripted())
+@pytest.fixture(scope="session")
+def finished(present_once: Callable[..., list[Record]], scripted: type) -> list[Record]:
+    """The records of a finished session of realism and similarity; edits make copies."""
+    return present_once(scripted())
 
 
 @pytest.fixture

@@ -62,7 +62,7 @@ def test_a_second_session_that_took_no_ones_place_is_found(
     leave(present, scripted, now, policy="restart")
     first = folder / "session-01.jsonl"
     forge(first, [record for record in read_journal(first).records if record.event != "superseded"])
-    assert audit(folder) == [f"{first}: says nothing of session-02.jsonl, which stands beside it"]
+    assert audit(folder) == [f"{first}: does not mention session-02.jsonl, which stands beside it"]
     first.unlink()
     assert audit(folder) == [
         f"{folder / 'session-02.jsonl'}: is there without session-01.jsonl before it"
@@ -93,10 +93,10 @@ def test_a_header_with_other_types_is_a_finding(
     first, *others = present(scripted())
     path = folder / "session-01.jsonl"
     forge(path, [replace(first, data={**first.data, **change}), *others])
-    assert audit(folder)[0].startswith(f"{path}: ")
+    assert audit(folder)[0].startswith(str(path))
     forge(path, [replace(first, data={}), *others])
     assert audit(folder) == [
-        f"{path}: has a header or a time of day that is none as feel321 writes them"
+        f"{path}, line 1: is not a 'begun' record as feel321 writes it (format: Field required)"
     ]
 
 

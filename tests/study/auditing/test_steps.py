@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from feel321.protocols.tasks import PROTOCOLS
+from feel321.study.session.events import ClockStepped, DeviceOpened, LineRecovered, SessionAborted
 from feel321.study.session.journal import Record
 from feel321.study.session.ports import Abort, Confirm, Feel, Move, Pause, Playback
 
@@ -161,15 +162,15 @@ def test_a_session_in_which_much_goes_wrong_gives_no_finding(
         (lambda r: edit(r, "played", part="a"), "played part 'a', which trial 1 has not"),
         (
             lambda r: edit(r, "rated", values={"test": 100.5}),
-            "has 100.5 for test, allowed: 0 to 100 points",
+            "has 100.5 for test, which must be 0 to 100 points",
         ),
         (
             lambda r: edit(r, "rated", values={"test": -0.5}),
-            "has -0.5 for test, allowed: 0 to 100 points",
+            "has -0.5 for test, which must be 0 to 100 points",
         ),
         (
             lambda r: edit(r, "rated", values={"test": "a"}),
-            "has 'a' for test, allowed: 0 to 100 points",
+            "has 'a' for test, which must be 0 to 100 points",
         ),
         (lambda r: edit(r, "rated", values={}), "rates nothing, trial 1 asks for test"),
         (
@@ -217,7 +218,7 @@ def test_a_page_that_stood_too_short_is_found(finished: list[Record], find: Find
     place = next(place for place, record in enumerate(finished) if record.data.get("key") == "rest")
     rest = replace(finished[place], data={**finished[place].data, "stood_s": 2.0})
     assert find([*finished[:place], rest, *finished[place + 1 :]]) == [
-        f", line {place + 1}: page 'rest' stood for 2 s, 60 s are due"
+        f", line {place + 1}: page 'rest' was shown for 2 s, 60 s are due"
     ]
 
 
@@ -248,12 +249,17 @@ def test_a_choice_that_is_none_is_found(
 ) -> None:
     plan = plan_task("abx")
     (found,) = find(edit(present(scripted(), plan=plan), "rated", values={"x": 50.0}), plan)
-    assert "has 50.0 for x, allowed: a, b" in found
+    assert "has 50.0 for x, which must be one of a, b" in found
 
 
 def test_mending_and_ctrl_c_may_follow_the_end(finished: list[Record], find: Find) -> None:
-    for event in ("recovered", "clock_stepped", "device", "aborted"):
-        assert find(put(finished, len(finished), event, time_s=1.0)) == []
+    for event in (
+        LineRecovered(3, "x"),
+        ClockStepped(0.5),
+        DeviceOpened({}),
+        SessionAborted("", 1.0),
+    ):
+        assert find(put(finished, len(finished), event.event, **event.to_data())) == []
 
 
 @pytest.mark.parametrize("event", ["begun", "page", "shown", "played", "rated", "finished"])
@@ -277,7 +283,7 @@ def test_a_record_with_other_fields_is_named(finished: list[Record], find: Find)
     place = find_place(finished, "rated")
     odd = replace(finished[place], data={"trial": 1, "attempt": 1})
     assert find([*finished[:place], odd]) == [
-        f", line {place + 1}: is no 'rated' record as feel321 writes them"
+        f", line {place + 1}: is not a 'rated' record as feel321 writes it (values: Field required)"
     ]
 
 
@@ -286,4 +292,4 @@ def test_a_plan_that_cannot_be_worked_through_is_named(
 ) -> None:
     forged = replace(plan, trials=(None,))  # type: ignore[arg-type] - that it is none is the point
     (found,) = find(finished, forged)
-    assert found.startswith(": its plan is none to work through")
+    assert found.startswith(": its plan cannot be worked through")

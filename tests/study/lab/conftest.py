@@ -37,7 +37,7 @@ duration_s = 0.15
 scene = "hard_taps"
 duration_s = 0.15
 [stimuli]
-reducers = ["sax321", "mag321", "say321"]
+reducers = {reducers}
 reference = "{reference}"
 anchors = {anchors}
 [session]
@@ -46,7 +46,7 @@ protocols = {protocols}
 training = {training}
 practice = 0
 [session.breaks]
-every_trials = 4
+every_trials = 3
 break_s = 0.2
 rest_s = 0.2
 [session.quality]
@@ -202,17 +202,8 @@ class Lab:
 
 def start_screen() -> tuple[subprocess.Popen[bytes], str]:
     reading, writing = os.pipe()
-    command = [
-        "Xvfb",
-        "-displayfd",
-        str(writing),
-        "-screen",
-        "0",
-        "1024x768x24",
-        "-nolisten",
-        "tcp",
-        "-noreset",
-    ]
+    command = ["Xvfb", "-displayfd", str(writing), "-nolisten", "tcp", "-noreset"]
+    command += ["-screen", "0", "1024x768x24"]
     server = subprocess.Popen(command, pass_fds=[writing], stderr=subprocess.DEVNULL)
     os.close(writing)
     with os.fdopen(reading) as numbers:
@@ -279,11 +270,9 @@ class Sound:
             self.server = None
 
 
-@pytest.fixture
-def sound(tmp_path: Path) -> Iterator[Sound]:
-    folder = tmp_path / "sound"
-    folder.mkdir(mode=0o700)
-    sound = Sound(folder)
+@pytest.fixture(scope="session")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sound]:
+    sound = Sound(tmp_path_factory.mktemp("sound"))
     sound.start()
     yield sound
     sound.kill()
@@ -291,7 +280,9 @@ def sound(tmp_path: Path) -> Iterator[Sound]:
 
 @pytest.fixture
 def rig(lab: Lab, sound: Sound) -> Lab:
-    """The private screen with actuators on the private PulseAudio."""
+    """The private screen with actuators on the private PulseAudio, should a test have ended it or not."""
+    if sound.server is None:
+        sound.start()
     lab.env |= sound.env
     return lab
 
@@ -322,10 +313,12 @@ def make_study(built: Callable[..., StudyFolder], tmp_path: Path) -> Callable[..
         *protocols: str,
         device: str = "file",
         training: int = 0,
+        reducers: tuple[str, ...] = ("sax321",),
         anchors: bool = False,
         reference: str = "dft321",
     ) -> StudyFolder:
         own = {"training": training, "anchors": str(anchors).lower(), "reference": reference}
+        own["reducers"] = json.dumps(reducers)
         source = built(protocols=json.dumps(protocols), **own)
         study = StudyFolder(tmp_path / "-".join(protocols))
         shutil.copytree(source.path, study.path)

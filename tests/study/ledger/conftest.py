@@ -10,17 +10,17 @@ import pytest
 from feel321.protocols.trial import Flow, Judgement, Page, Part, Task, Trial
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger.slots import claim_slots, note_progress, open_study_ledger
-from feel321.study.session.journal import Journal, create_journal, require_journal
-from feel321.study.session.opening import PLAN_FILE
-from feel321.study.session.plan import (
-    Plan,
-    create_plan,
+from feel321.study.session.events import PageRead, SessionBegun, SessionFinished, TrialRated
+from feel321.study.session.journal import (
+    Journal,
+    create_journal,
     has_event,
     list_journals,
     name_journal,
-    replay,
-    require_plan,
+    require_journal,
 )
+from feel321.study.session.opening import PLAN_FILE
+from feel321.study.session.plan import Plan, create_plan, replay, require_plan
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -84,8 +84,9 @@ class Lab:
             )
         journal = create_journal(folder / name_journal(session), now=tell_time)
         sha256 = require_plan(folder / PLAN_FILE).sha256
-        header = {"participant": participant, "session": session, "plan_sha256": sha256}
-        journal.write("begun", header | {"presenter": {"simulated": simulated}})
+        identity = {"presenter": {"simulated": simulated}}
+        header = (1, participant, sha256, "5" * 64, 7, identity, session, {}, "", {})
+        journal.write(SessionBegun(*header))
         self.note(journal)
         return folder
 
@@ -100,20 +101,16 @@ class Lab:
         agenda = replay(plan, journal.records)
         for _ in range(trials):
             while isinstance(step := agenda.ask(), Page):
-                journal.write("page", {"key": step.key, "time_s": 1.0})
+                journal.write(PageRead(step.key, 1.0, step.least_s))
                 agenda.tell_page(step.key, time_s=1.0)
             if step is None:
                 break
-            rated = {
-                "trial": step.number,
-                "values": {"test": 50.0},
-                "time_s": 1.0,
-                "rejected": rejected,
-            }
-            journal.write("rated", rated)
+            attempt = agenda.attempt(step.number)
+            rated = (step.number, attempt, {"test": 50.0}, 1.5, 1.0, [], rejected)
+            journal.write(TrialRated(*rated))
             agenda.tell_trial(step.number, accepted=not rejected, as_expected=None, time_s=1.0)
-        if agenda.done == TRIALS and not has_event(journal.records, "finished"):
-            journal.write("finished", {"trials": TRIALS})
+        if agenda.done == TRIALS and not has_event(journal.records, SessionFinished):
+            journal.write(SessionFinished(TRIALS, 0))
         self.note(journal)
         return journal.path
 
@@ -128,7 +125,7 @@ class Lab:
             tip=journal.tip,
             done=replay(plan, journal.records).done,
             total=TRIALS,
-            state="finished" if has_event(journal.records, "finished") else "running",
+            state="finished" if has_event(journal.records, SessionFinished) else "running",
         )
 
 

@@ -73,7 +73,7 @@ def test_a_missing_ledger_is_told_and_nothing_is_written(begun: Any, say: Say) -
     code, out, err = say("ledger", begun.study.path)
     assert (code, out) == (1, "")
     assert err == (
-        f"feel321: {begun.study.ledger}: is missing, so nobody can tell what else is; rebuild it: "
+        f"feel321: {begun.study.ledger}: is missing, so losses cannot be detected; rebuild it: "
         f"feel321 ledger {begun.study.path} --rebuild\n"
     )
     assert say("status", begun.study.path)[0] == 0

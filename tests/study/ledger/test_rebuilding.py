@@ -212,7 +212,7 @@ def bring_stranger(journal: Path) -> None:
         ),
         (
             remove_ledger,
-            "sessions/ledger.sqlite: is missing, so nobody can tell what else is; rebuild it: feel321",
+            "sessions/ledger.sqlite: is missing, so losses cannot be detected; rebuild it: feel321",
         ),
         (
             damage_ledger,

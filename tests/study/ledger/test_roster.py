@@ -8,6 +8,7 @@ import pytest
 from feel321.protocols.agenda import Agenda
 from feel321.study.ledger.standing import write_roster
 from feel321.study.ledger.withdrawal import release_participant, withdraw_participant
+from feel321.study.session.events import PageRead
 from feel321.study.session.journal import require_journal
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ def test_training_is_passed_if_no_part_of_it_failed(
 ) -> None:
     journal = require_journal(lab.begin("p01") / "session-01.jsonl", now=now)
     for key in pages:
-        journal.write("page", {"key": key, "time_s": 1.0})
+        journal.write(PageRead(key, 1.0, 1.0))
     # These pages would not come one after another; what matters here is which were read.
     monkeypatch.setattr(
         "feel321.study.ledger.standing.replay",

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.texts import read_scales
 from feel321.protocols.trial import SURFACE, Judgement, Part, Trial
-from feel321.study.observer.judging import (
+from feel321.study.observer.participant import (
     REAL,
     SURE_ENDS,
     Experience,

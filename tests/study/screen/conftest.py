@@ -9,6 +9,7 @@ import threading
 import time
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from runpy import run_path
 from typing import TYPE_CHECKING, Any
@@ -19,21 +20,21 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 HERE = Path(__file__).parent
+SIZE = (1024, 768)
 PATIENCE_S = 120.0
 """How long anything is waited for: nothing takes so long, only a machine under load."""
 
 GLANCE_S = 0.3
 """How long a window that was put away gets to hear a key before it is pressed again."""
 
-Display = "Callable[[int, int], dict[str, str]]"
 
-
-@pytest.fixture
+@pytest.fixture(scope="session")
 def display() -> Iterator[Callable[[int, int], dict[str, str]]]:
-    """Opens private X servers of a given size, each on a number that is free; gives the environment that uses it."""
+    """Opens a private X server of a given size, once, on a number that is free; gives the environment that uses it."""
     servers: list[subprocess.Popen[bytes]] = []
 
-    def open_display(width: int = 1024, height: int = 768) -> dict[str, str]:
+    @cache
+    def open_display(width: int, height: int) -> dict[str, str]:
         reading, writing = os.pipe()
         screen = ["-screen", "0", f"{width}x{height}x24"]
         command = ["Xvfb", "-displayfd", str(writing), *screen, "-nolisten", "tcp", "-noreset"]
@@ -197,32 +198,58 @@ class Seat:
         self.view = words.get("view", self.view)
 
 
+@pytest.fixture(scope="session")
+def hire(
+    display: Callable[[int, int], dict[str, str]],
+) -> Iterator[Callable[[], subprocess.Popen[str]]]:
+    """Gives a process that waits for what to show; the next one starts meanwhile, which takes seconds."""
+    env = display(*SIZE)
+    pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+    waiting: list[subprocess.Popen[str]] = []
+
+    def start() -> None:
+        command = [sys.executable, str(HERE / "lead.py")]
+        waiting.append(subprocess.Popen(command, env=env, **pipes, text=True))
+
+    def give() -> subprocess.Popen[str]:
+        start()
+        return waiting.pop(0)
+
+    start()
+    yield give
+    for process in waiting:
+        end(process)
+
+
 @pytest.fixture
-def seat(display: Callable[[int, int], dict[str, str]]) -> Iterator[Callable[..., Seat]]:
+def seat(
+    display: Callable[[int, int], dict[str, str]], hire: Callable[[], subprocess.Popen[str]]
+) -> Iterator[Callable[..., Seat]]:
     """Seats participants before screens that lead through given steps."""
     seats: list[Seat] = []
 
-    def take_seat(*steps: dict[str, Any], size: tuple[int, int] = (1024, 768), **spec: Any) -> Seat:
-        env = display(*size)
-        command = [
-            sys.executable,
-            str(HERE / "lead.py"),
-            json.dumps({"steps": steps, "size": size, **spec}),
-        ]
-        pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
-        process = subprocess.Popen(command, env=env, **pipes, text=True)
-        seats.append(Seat(process, env, spec.get("held", False)))
+    def take_seat(*steps: dict[str, Any], **spec: Any) -> Seat:
+        process = hire()
+        assert process.stdin is not None
+        process.stdin.write(json.dumps({"steps": steps, "size": SIZE, **spec}) + "\n")
+        process.stdin.flush()
+        seats.append(Seat(process, display(*SIZE), spec.get("held", False)))
         seats[-1].start_reading()
         return seats[-1]
 
     yield take_seat
     for taken in seats:
-        taken.process.kill()
-        taken.process.wait()
-        taken.reader.join()
-        for stream in (taken.process.stdin, taken.process.stdout, taken.process.stderr):
-            if stream is not None:
-                stream.close()
+        end(taken.process, taken.reader)
+
+
+def end(process: subprocess.Popen[str], reader: threading.Thread | None = None) -> None:
+    process.kill()
+    process.wait()
+    if reader is not None:
+        reader.join()
+    for stream in (process.stdin, process.stdout, process.stderr):
+        if stream is not None:
+            stream.close()
 
 
 @pytest.fixture(scope="session")

@@ -1,6 +1,6 @@
 """Every kind of screen: as views for the tests of the layout, and as pictures for people to look at.
 
-Run it by itself, on a display: gallery.py FOLDER LANGUAGE WIDTH HEIGHT
+Run it by itself, on a display: gallery.py FOLDER WIDTH HEIGHT LANGUAGE...
 """
 
 from __future__ import annotations
@@ -178,20 +178,32 @@ def check_widths(window: Window) -> None:
             assert height <= item.size * LEADING, item
 
 
-def save_gallery(folder: Path, language: str, size: tuple[int, int]) -> None:
+def capture(window: Window, path: Path) -> None:
+    """Save what is on the screen as a picture."""
+    for stimulus in window.easel.drawn.values():
+        stimulus.draw()
+    window.handle.getMovieFrame(buffer="back")  # the front buffer reads black under Xvfb
+    window.handle.flip()
+    window.handle.saveMovieFrames(str(path))
+    window.handle.movieFrames = []
+
+
+def save_gallery(folder: Path, size: tuple[int, int], languages: list[str]) -> None:
     """Save a picture of every screen."""
     from feel321.protocols.texts import read_scales
 
-    tables = read_texts(language)
-    views = make_views(read_scales(language), tables, picture=write_picture(folder / "surface.png"))
-    texts = make_screen_texts(tables)
+    picture = write_picture(folder / "surface.png")
     with open_screen(clock=time.perf_counter) as window:
         assert window.size == size
-        for name, view in views.items():
-            window.show(compose(view, texts, size=window.size).items)
-            check_widths(window)
-            window.capture(folder / f"{name} {language} {size[0]}x{size[1]}.png".replace(" ", "_"))
+        for language in languages:
+            tables = read_texts(language)
+            texts = make_screen_texts(tables)
+            views = make_views(read_scales(language), tables, picture=picture)
+            for name, view in views.items():
+                window.show(compose(view, texts, size=window.size).items)
+                check_widths(window)
+                capture(window, folder / f"{name} {language}.png".replace(" ", "_"))
 
 
 if __name__ == "__main__":
-    save_gallery(Path(sys.argv[1]), sys.argv[2], (int(sys.argv[3]), int(sys.argv[4])))
+    save_gallery(Path(sys.argv[1]), (int(sys.argv[2]), int(sys.argv[3])), sys.argv[4:])

@@ -1,16 +1,16 @@
 """Leads a participant through steps with a real window and a silent output, and tells on stdout what happens.
 
-Run on a display: lead.py JSON, where JSON holds `steps`, `size`, `language` and more; see `main`.
+Run on a display: lead.py. The first line that it reads is JSON with `steps`, `size`, `language` and more; see `main`.
 """
 
 from __future__ import annotations
 
 import json
 import queue
-import sys
 import threading
 import time
 from dataclasses import asdict
+from importlib import import_module
 from pathlib import Path
 from runpy import run_path
 from typing import Any
@@ -181,4 +181,8 @@ def main(spec: dict[str, Any]) -> None:
 
 
 if __name__ == "__main__":
-    main(json.loads(sys.argv[1]))
+    import_module("psychopy.visual.text")  # beforehand: it takes seconds
+    with open(0, "rb", buffering=0, closefd=False) as given:
+        line = given.readline()
+    if line:
+        main(json.loads(line))

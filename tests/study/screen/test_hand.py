@@ -9,8 +9,7 @@ import pytest
 from feel321.protocols.texts import read_scales
 from feel321.protocols.trial import Judgement, Page, Part, Trial
 from feel321.stimuli.sets.manifest import Stimulus
-from feel321.study.observer.judging import ObserverModel
-from feel321.study.observer.participant import Participant, SimulatedObserver
+from feel321.study.observer.participant import ObserverModel, Participant, SimulatedObserver
 from feel321.study.screen.input import STEPS
 from feel321.study.screen.robot import THINKING_S, PressingHand
 from feel321.study.screen.view import View

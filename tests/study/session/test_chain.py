@@ -42,7 +42,7 @@ def test_a_line_with_other_fields_is_refused_though_its_digest_is_right(
 ) -> None:
     assert read_chain(seal(json.dumps(ENTRY)), "j").records[0].event == "begun"
     with pytest.raises(
-        ValueError, match="j, line 1: is no record as feel321 writes them; restore the file"
+        ValueError, match="j, line 1: is not a record as feel321 writes them; restore the file"
     ):
         read_chain(seal(json.dumps(ENTRY | change)), "j")
 
@@ -50,11 +50,11 @@ def test_a_line_with_other_fields_is_refused_though_its_digest_is_right(
 @pytest.mark.parametrize("name", list(ENTRY))
 def test_a_line_without_a_field_is_refused(name: str) -> None:
     entry = {key: value for key, value in ENTRY.items() if key != name}
-    with pytest.raises(ValueError, match="j, line 1: is no record as feel321 writes them"):
+    with pytest.raises(ValueError, match="j, line 1: is not a record as feel321 writes them"):
         read_chain(seal(json.dumps(entry)), "j")
 
 
 @pytest.mark.parametrize("body", ["{" + '"a": [' * 99999 + "}", '{"sequence": NaN}'])
 def test_what_is_no_object_is_refused(body: str) -> None:
-    with pytest.raises(ValueError, match="j, line 1: is no record as feel321 writes them"):
+    with pytest.raises(ValueError, match="j, line 1: is not a record as feel321 writes them"):
         read_chain(seal(body), "j")

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.study.session.plan import find_elapsed, replay
+from feel321.study.session.journal import find_elapsed
+from feel321.study.session.plan import replay
 from feel321.study.session.ports import Abort, Playback
 
 if TYPE_CHECKING:
@@ -135,7 +136,7 @@ def test_a_device_that_fails_twice_in_a_row_ends_the_session(
     present: Present, scripted: type
 ) -> None:
     records = present(scripted(playbacks={(3, 1): fail(), (4, 1): fail()}))
-    assert records[-1].data["reason"] == "the device failed twice in a row; see to it, then resume"
+    assert records[-1].data["reason"] == "the device failed twice in a row; check it, then resume"
     assert len(list_events(records, "rated")) == 2
     records = present(scripted())
     assert sorted(r["trial"] for r in list_events(records, "rated")) == list(range(1, 21))

@@ -88,9 +88,7 @@ def test_any_events_make_the_round_trip(events: list[tuple[str, dict[str, Any]]]
 
 def test_a_journal_is_never_begun_twice(journal: Journal, now: Now) -> None:
     before = journal.path.read_bytes()
-    with pytest.raises(
-        FileExistsError, match="is there already, nothing is overwritten; resume it"
-    ):
+    with pytest.raises(FileExistsError, match="already exists; not overwritten, resume it"):
         create_journal(journal.path, now=now)
     assert journal.path.read_bytes() == before
 
@@ -145,7 +143,7 @@ def test_lines_taken_out_put_in_or_moved_are_named(journal: Journal) -> None:
 
 def test_a_wrong_sequence_number_is_named() -> None:
     line = write_line(Record(1, "2026-01-01T12:00:00+00:00", "rated", {}), START)
-    with pytest.raises(ValueError, match="line 1: got sequence number 1, expected 0"):
+    with pytest.raises(ValueError, match="line 1: has sequence number 1, expected 0"):
         read_chain(line, "j")
 
 
@@ -167,7 +165,7 @@ def test_a_file_cut_at_any_byte_is_recovered_without_losing_a_whole_line(
             assert aside.read_bytes() == whole[cut - torn : cut]
             assert again.records[-1].data["torn_bytes"] == torn
             assert again.notice == (
-                f"{journal.path}: {torn} bytes of a line that was never finished were moved to {aside.name}"
+                f"{journal.path}: {torn} bytes of an unfinished line were moved to {aside.name}"
             )
             aside.unlink()
 

@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.study.session.journal import create_journal, read_journal, require_journal
-from feel321.study.session.opening import Stale, open_session
-from feel321.study.session.plan import (
-    create_plan,
+from feel321.study.session.journal import (
+    create_journal,
     find_header,
     list_journals,
-    make_plan,
-    require_plan,
+    read_journal,
+    require_journal,
 )
+from feel321.study.session.opening import Stale, open_session
+from feel321.study.session.plan import create_plan, make_plan, require_plan
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -49,21 +49,15 @@ def test_the_header_says_what_the_session_stands_on(
 ) -> None:
     header = find_header(present(scripted()))
     assert header is not None
-    assert header["plan_sha256"] == require_plan(folder / "plan.json").sha256 != ""
-    assert {
-        name: header[name]
-        for name in ("participant", "session", "seed", "stimuli_sha256", "presenter")
-    } == {
-        "participant": "p01",
-        "session": 1,
-        "seed": 7,
-        "stimuli_sha256": "5" * 64,
-        "presenter": {"simulated": True},
-    }
-    assert set(header["versions"]) == {"python", "feel321", "numpy", "scipy"}
-    assert header["format"] == 1
-    assert header["system"]
-    assert header["clock"] == {"presenter_s": 0.0}
+    assert header.plan_sha256 == require_plan(folder / "plan.json").sha256 != ""
+    assert (header.participant, header.session, header.seed) == ("p01", 1, 7)
+    assert (header.stimuli_sha256, header.identity) == (
+        "5" * 64,
+        {"presenter": {"simulated": True}},
+    )
+    assert set(header.versions) == {"python", "feel321", "numpy", "scipy"}
+    assert (header.format, header.clock) == (1, {"presenter_s": 0.0})
+    assert header.system
 
 
 def test_a_session_whose_header_was_torn_begins_again(

@@ -22,12 +22,11 @@ from feel321.study.audit import audit_study
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger.slots import claim_slots, list_forgotten, open_study_ledger
 from feel321.study.ledger.standing import write_roster
-from feel321.study.observer.judging import ObserverModel
-from feel321.study.observer.participant import SimulatedObserver, identify_observer
+from feel321.study.observer.participant import ObserverModel, SimulatedObserver, identify_observer
 from feel321.study.ratings import write_ratings
-from feel321.study.session.journal import read_journal
+from feel321.study.session.journal import find_elapsed, read_journal
 from feel321.study.session.opening import Stale
-from feel321.study.session.plan import Design, find_elapsed, make_plan, require_plan
+from feel321.study.session.plan import Design, make_plan, require_plan
 from feel321.study.session.ports import Abort, Confirm, Feel, Move, Pause, Playback
 from feel321.study.sessions import Room, lead_session
 from feel321.study.settings.schema import ObserverTable

@@ -92,7 +92,7 @@ def test_a_full_disk_under_a_journal(
     assert said.err.startswith(f"feel321: {study.sessions}/sim00")
     assert said.err.endswith((
         "bytes; make room, then resume\n",
-        "make room or mend the disk, then resume\n",
+        "make room or repair the disk, then resume\n",
     ))
     # What was rated before is whole and in its place; the session beside the one that failed was told to stop.
     found = {

@@ -1,0 +1,321 @@
+"""The vocabulary of a journal: one type per kind of record, its fields in their order on the disk.
+
+The name of an event stands here and nowhere else. A new event is a class here, and a line where it happens.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from functools import cache
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, dataclass_transform
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from pydantic import TypeAdapter
+
+    from feel321.protocols.trial import Flow, Trial
+
+E = TypeVar("E", bound="Event")
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened in a session."""
+
+    event: ClassVar[str] = ""
+
+    def to_data(self) -> dict[str, Any]:
+        """Return the fields as a record holds them; those of `identity` stand among the others."""
+        data: dict[str, Any] = {}
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            data |= value if entry.name == "identity" else {entry.name: value}
+        return data
+
+
+EVENTS: dict[str, type[Event]] = {}
+"""Name -> type of every event."""
+
+
+@dataclass_transform(frozen_default=True)
+def _named(name: str) -> Callable[[type[E]], type[E]]:
+    def register(kind: type[E]) -> type[E]:
+        kind.event = name
+        EVENTS[name] = dataclass(frozen=True)(kind)
+        return kind
+
+    return register
+
+
+@_named("begun")
+class SessionBegun(Event):
+    """The header; identity: what must not change within the session besides the plan."""
+
+    format: int
+    participant: str
+    plan_sha256: str
+    stimuli_sha256: str
+    seed: int
+    identity: dict[str, Any]
+    session: int
+    versions: dict[str, str]
+    system: str
+    clock: dict[str, float]
+
+
+@_named("resumed")
+class SessionResumed(Event):
+    """The session is opened again."""
+
+    versions: dict[str, str]
+    system: str
+    clock: dict[str, float]
+
+
+@_named("device")
+class DeviceOpened(Event):
+    """The actuators are ready; identity: the device as it describes itself."""
+
+    identity: dict[str, Any]
+
+
+@_named("clock_stepped")
+class ClockStepped(Event):
+    """The time of day was set back since the record before."""
+
+    back_s: float
+
+
+@_named("recovered")
+class LineRecovered(Event):
+    """The end of a line that was never finished was moved into another file."""
+
+    torn_bytes: int
+    moved_to: str
+
+
+@_named("warm_up")
+class WarmUpBegun(Event):
+    """The participant was away for long; the practice of the current task comes again."""
+
+
+@_named("page")
+class PageRead(Event):
+    """A page was shown and left again."""
+
+    key: str
+    time_s: float
+    stood_s: float
+
+
+@_named("finished")
+class SessionFinished(Event):
+    """All trials are done."""
+
+    trials: int
+    given_up: int
+
+
+@_named("aborted")
+class SessionAborted(Event):
+    """The session ended before its end; it can be resumed."""
+
+    reason: str
+    time_s: float
+
+
+@_named("superseded")
+class SessionSuperseded(Event):
+    """Another session takes the place of this one."""
+
+    by: int
+
+
+@_named("released")
+class SessionReleased(Event):
+    """The participant will not come back."""
+
+
+@dataclass(frozen=True)
+class AttemptEvent(Event):
+    """Something that happened in an attempt at a trial; attempts are numbered from 1."""
+
+    trial: int
+    attempt: int
+
+
+@_named("shown")
+class TrialShown(AttemptEvent):
+    """The trial is before the participant, all markers unset."""
+
+
+@_named("played")
+class PartPlayed(AttemptEvent):
+    """A stimulus was played; see `Playback`."""
+
+    part: str
+    requested_s: float
+    onset_s: float | None
+    underruns: int
+    clipped: int
+    completed: bool
+    error: str
+    measured: dict[str, float] = field(default_factory=dict)
+
+    def to_data(self) -> dict[str, Any]:
+        """Return the fields; `measured` is left out where the device measures nothing."""
+        data = super().to_data()
+        return data if self.measured else {k: v for k, v in data.items() if k != "measured"}
+
+
+@_named("prompted")
+class SurfaceStroked(PartPlayed):
+    """The participant was asked to stroke the real surface."""
+
+
+@_named("replayed")
+class PartReplayed(AttemptEvent):
+    """The participant wants to feel a part again; all parts where it is empty."""
+
+    part: str
+    time_s: float
+
+
+@_named("moved")
+class MarkerMoved(AttemptEvent):
+    """A marker came to rest."""
+
+    part: str
+    value: float
+    time_s: float
+
+
+@_named("refused")
+class ActRefused(AttemptEvent):
+    """An act was not accepted."""
+
+    reason: str
+    parts: list[str]
+    time_s: float
+
+
+@_named("paused")
+class TrialPaused(AttemptEvent):
+    """The participant pauses; the attempt begins anew afterwards."""
+
+    time_s: float
+
+
+@_named("continued")
+class TrialContinued(AttemptEvent):
+    """The pause is over."""
+
+    time_s: float
+
+
+@_named("rated")
+class TrialRated(AttemptEvent):
+    """The answer was given: points, or the part that was chosen, by the part that is judged."""
+
+    values: dict[str, float | str]
+    response_time_s: float
+    time_s: float
+    flags: list[str]
+    rejected: bool
+
+
+@_named("spoiled")
+class TrialSpoiled(AttemptEvent):
+    """The attempt ended without an answer."""
+
+    flags: list[str]
+    time_s: float
+
+
+MENDING = (ClockStepped, LineRecovered)
+"""May come anywhere in a journal."""
+
+OPENING = (*MENDING, DeviceOpened, SessionResumed)
+"""May come before anybody has come back to work."""
+
+UNTOUCHED = (*OPENING, SessionBegun, SessionAborted, SessionSuperseded)
+"""May come in a journal in which nobody has done anything yet."""
+
+
+def find_kind(name: str) -> type[Event]:
+    """Find the type of an event."""
+    if not isinstance(name, str) or name not in EVENTS:
+        raise ValueError(f"holds {name!r}, which no session writes")
+    return EVENTS[name]
+
+
+def read_event(name: str, data: Mapping[str, Any]) -> Event:
+    """Read the data of a record; fields of later versions are left out."""
+    from pydantic import ValidationError
+    from pydantic_core import to_json
+
+    kind = find_kind(name)
+    known = [entry.name for entry in fields(kind)]
+    try:
+        if "identity" in known:
+            data = {**data, "identity": {k: v for k, v in data.items() if k not in known}}
+        # JSON's own strictness: a list may fill a tuple and 1 a float, "1" or true may not.
+        event: Event = _make_adapter(name).validate_json(to_json(data), strict=True)
+    except (ValidationError, TypeError, ValueError) as error:
+        reason = str(error)
+        if isinstance(error, ValidationError):
+            fault = error.errors()[0]
+            reason = ": ".join(filter(None, (".".join(map(str, fault["loc"])), fault["msg"])))
+        raise ValueError(f"is not a {name!r} record as feel321 writes it ({reason})") from None
+    return event
+
+
+@cache
+def _make_adapter(name: str) -> TypeAdapter[Any]:
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(EVENTS[name])
+
+
+@dataclass(slots=True)
+class Attempt:
+    """One attempt at a trial: the parts as they were felt last, and what was wrong with them."""
+
+    trial: Trial
+    number: int
+    parts: dict[str, PartPlayed] = field(default_factory=dict)
+
+    @property
+    def key(self) -> tuple[int, int]:
+        """Numbers of trial and attempt."""
+        return self.trial.number, self.number
+
+    def take(self, played: PartPlayed) -> None:
+        """Take a part as felt; what was felt to its end stays felt, though it be cut short when it is felt again."""
+        before = self.parts.get(played.part)
+        if before is None or not before.completed or played.completed or played.error:
+            self.parts[played.part] = played
+
+    def list_unfelt(self) -> list[str]:
+        """List the parts that were not felt to their end."""
+        felt = {part.part for part in self.parts.values() if part.completed and not part.error}
+        return [part.name for part in self.trial.parts if part.name not in felt]
+
+    def list_flags(self, *, response_time_s: float | None = None, flow: Flow) -> list[str]:
+        """List what was wrong with the attempt, with its answer or without."""
+        parts = self.parts.values()
+        faults = {
+            "underrun": any(part.underruns for part in parts),
+            "clipped": any(part.clipped for part in parts),
+            "device_error": any(part.error for part in parts),
+            "too_fast": response_time_s is not None and response_time_s < flow.min_response_s,
+            "not_felt": self.trial.timing == "strict"
+            and response_time_s is None
+            and bool(self.list_unfelt()),
+        }
+        return [flag for flag, is_fault in faults.items() if is_fault]
+
+
+ENDS_UNANSWERED = frozenset({"device_error", "not_felt"})
+"""Flags with which an attempt can no longer be answered: the device failed, or what is felt only once was cut short."""

@@ -1,0 +1,228 @@
+"""What a scientist does in a notebook: tables, statistics in one call each, plots on own axes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.figure import Figure
+
+from feel321 import analysis, results, stimuli
+from feel321.analysis.association.correlate import correlate
+from feel321.analysis.report.reducers import compute_contrasts
+from feel321.analysis.report.section import Choices
+from feel321.analysis.table import schema
+from feel321.protocols import PROTOCOLS
+from feel321.protocols.trial import SURFACE
+from feel321.stimuli.match import METRICS, PLANNED
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+
+@pytest.fixture(scope="module")
+def table(study: object) -> results.Table:
+    return analysis.read_table(str(study.ratings), str(study.manifest))
+
+
+@pytest.fixture(scope="module")
+def realism(table: results.Table) -> results.Table:
+    return table.select(scale="realism", level="as_is")
+
+
+def test_files_frames_and_a_folder_are_one_table(
+    study: object, table: results.Table, tmp_path: Path
+) -> None:
+    frames = [pd.read_csv(path) for path in (study.ratings, study.manifest)]
+    assert analysis.read_table(*frames) == table
+    (tmp_path / "stimuli").mkdir()
+    (tmp_path / "ratings.csv").write_bytes(study.ratings.read_bytes())
+    (tmp_path / "stimuli" / "manifest.csv").write_bytes(study.manifest.read_bytes())
+    assert analysis.read_table(tmp_path) == table
+    with pytest.raises(ValueError, match="ratings, row 3: rating must be 0 to 100, got '120"):
+        analysis.read_table(
+            frames[0].assign(rating=frames[0]["rating"].where(frames[0].index != 3, 120)), frames[1]
+        )
+    with pytest.raises(TypeError, match="ratings must be a path"):
+        analysis.read_table(frames[0])
+    with pytest.raises(TypeError, match="metrics must be a list of names, got the text"):
+        analysis.read_table(*frames, metrics="spectral_match")
+
+
+def test_a_table_has_the_shapes_that_others_take(realism: results.Table) -> None:
+    assert realism.votes().shape == (36, 6)
+    assert len(realism.items()) == 48
+    assert realism.wide().shape == (6, 48)
+    assert realism.to_frame().equals(realism.rows)
+    assert realism.summary().startswith("576 judgements: 6 participants, 48 stimulus")
+    assert len(repr(realism)) <= 200
+    frame = realism.model_frame()
+    assert len(frame) == 6 * 36 * 2
+    fitted = analysis.fit_primary(realism.rows, realism.metrics).fit
+    terms = fitted.fixed.index.drop("(Intercept)")
+    keys = ["participant", "recording", "item", "reducer"]
+    cells = frame.groupby(keys)[["rating", *terms]].mean().reset_index()
+    again = analysis.fit_mixed(fitted.formula, cells)
+    pd.testing.assert_frame_equal(again.fixed, fitted.fixed)
+    assert {name.replace("`", "") for name in terms} <= set(frame)
+    of_recording = frame.groupby("recording")[["spectral_match_w"]].mean()
+    assert np.allclose(of_recording, 0, atol=1e-12)
+
+
+def test_a_wrong_selection_lists_the_right_ones(table: results.Table) -> None:
+    with pytest.raises(ValueError, match="scale must be one of realism, similarity; got 'realsim'"):
+        table.select(scale="realsim")
+
+
+def test_correlations_of_everything_are_those_of_each_part(table: results.Table) -> None:
+    found = analysis.tabulate_correlations(table, draws=20, rng=3)
+    assert list(found["scale"].unique()) == ["realism", "similarity"]
+    assert list(found["metric"].unique()) == list(table.metrics)
+    seed = int(np.random.default_rng(3).integers(2**63))
+    for row in found.to_dict("records"):
+        alone = correlate(table.select(scale=row["scale"]), row["metric"], draws=20, rng=seed)
+        assert (row["value"], row["low"], row["high"]) == (alone.value, alone.low, alone.high)
+    assert (
+        len(analysis.tabulate_correlations(table, ["temporal_match"], method="all", draws=5)) == 12
+    )
+    with pytest.raises(ValueError, match="metrics must name one column or more"):
+        analysis.tabulate_correlations(table.rows)
+
+
+def test_two_reducers_are_compared_as_the_report_compares_them(realism: results.Table) -> None:
+    section = compute_contrasts(realism, Choices(draws=2, margin=6.0))
+    (contrasts,) = section.tables.values()
+    row = contrasts.set_index(["first", "second"]).loc[("mag321", "dft321")]
+    found = analysis.compare_reducers(realism, "mag321", "dft321", margin=6)
+    for name in ("estimate", "se", "df", "p", "low", "high", "p_equivalence", "p_non_inferiority"):
+        assert getattr(found, name) == pytest.approx(row[name], rel=1e-6)
+    assert found == analysis.compare_reducers(realism, "mag321", "dft321", low=-6, high=6)
+    turned = analysis.compare_reducers(realism, "dft321", "mag321")
+    assert turned.estimate == pytest.approx(-found.estimate)
+    assert turned.margin_high > 0
+    assert "half the standard deviation" in turned.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"second": "dft"}, "second must be one of .*did you mean 'dft321'"),
+        ({"second": "mag321"}, "second must be another reducer than the first"),
+        ({"margin": -5}, "margin must be above 0 points, got -5"),
+        ({"low": -5}, "margin must be one number, or low and high both"),
+    ],
+)
+def test_comparisons_that_cannot_be(
+    realism: results.Table, options: dict[str, object], message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        analysis.compare_reducers(realism, **{"first": "mag321", "second": "dft321"} | options)
+
+
+def test_without_repeats_or_others_a_comparison_needs_more(realism: results.Table) -> None:
+    once = realism.rows[realism.rows["repeat"] == "1"]
+    with pytest.raises(ValueError, match="margin must be given, because nobody rated a stimulus"):
+        analysis.compare_reducers(once, "mag321", "dft321")
+    alone = once[(once["participant"] == "p00") & (once["recording"] == "rec0")]
+    with pytest.raises(ValueError, match="nothing is left to judge a difference by"):
+        analysis.compare_reducers(alone, "mag321", "dft321", margin=5)
+    assert (
+        "participant"
+        not in analysis.compare_reducers(
+            once[once["participant"] == "p00"], "mag321", "dft321", margin=5
+        ).formula
+    )
+
+
+def test_statistics_of_votes_take_a_table(realism: results.Table) -> None:
+    votes, metric = realism.votes(), realism.items().set_index("stimulus_id")["temporal_match"]
+    icc = analysis.intraclass(realism).to_dict()
+    assert icc == pytest.approx(analysis.intraclass(votes).to_dict())
+    assert analysis.noise_ceiling(realism) == pytest.approx(analysis.noise_ceiling(votes))
+    alpha = analysis.krippendorff_alpha(votes)
+    assert analysis.krippendorff_alpha(realism) == pytest.approx(alpha)
+    judged = analysis.p1401(realism, "temporal_match", order=1, groups="recording")
+    recordings = realism.items().set_index("stimulus_id")["recording"][votes.index]
+    alone = analysis.p1401(votes, metric[votes.index], order=1, groups=recordings)
+    assert (judged.plcc, judged.rmse) == pytest.approx((alone.plcc, alone.rmse))
+    rows = realism.rows[realism.rows["role"] == "test"]
+    within = analysis.repeated_measures_correlation(realism, "temporal_match")
+    assert within == analysis.repeated_measures_correlation(
+        rows["temporal_match"], rows["rating"], rows["participant"]
+    )
+
+
+def test_judgements_against_other_references_are_left_out_and_counted(
+    realism: results.Table,
+) -> None:
+    rows = realism.rows.assign(matched=realism.rows["participant"] != "p00")
+    other = results.Table(rows, realism.metrics, ())
+    found = analysis.correlate(other, "temporal_match", draws=5)
+    assert found.n_participants == 5
+    assert "72 judgements against other references are left out." in found.notes
+
+
+def test_abx_and_dissimilarities_take_a_table(tidy: Callable[..., pd.DataFrame]) -> None:
+    rows = tidy(scales=("abx",))
+    answers = rows.assign(rating=np.where(np.arange(len(rows)) % 4, 100.0, 0.0))
+    found = analysis.discriminate(answers)
+    one = answers[answers["reducer"] == "dft321"]["rating"]
+    alone = analysis.discriminate(int((one == 100).sum()), len(one))
+    row = found.set_index(["level", "reducer"]).loc[("as_is", "dft321")]
+    assert (row["share"], row["n_trials"]) == (alone.share, alone.n_trials)
+    assert "original" not in set(found["reducer"])
+    names = ["sax321", "mag321", "dft321", "pca321"]
+    apart = pd.DataFrame([
+        (who, one, two, 10.0 * abs(names.index(one) - names.index(two)))
+        for who in "pq" for one in names for two in names if one != two
+    ], columns=["participant", "reducer", "reference_reducer", "rating"]).assign(scale="dissimilarity")  # fmt: skip
+    space = analysis.fit_space(apart, draws=5)
+    assert space.names == ("sax321", "mag321", "pca321", "dft321")
+    assert list(space.to_frame()) == ["stimulus", "axis_1", "axis_2"]
+    assert space.ellipses.n_participants == 2
+    with pytest.raises(ValueError, match="dimensions must be 2 for ellipses, got 1"):
+        analysis.fit_space(apart, dimensions=1, draws=5)
+    with pytest.raises(ValueError, match="No judgement names two stimuli"):
+        analysis.fit_space(apart.assign(reference_reducer=""))
+
+
+def test_plots_go_onto_the_axes_given(table: results.Table, realism: results.Table) -> None:
+    axes = Figure().subplots(2, 3).ravel()
+    analysis.plot_scatter(realism, "temporal_match", ax=axes[0])
+    assert len(axes[0].get_legend().get_texts()) == 9
+    analysis.plot_profile(table, ax=axes[1])
+    assert len(axes[1].get_yticklabels()) == 12
+    models = analysis.fit_attributes(table.rows, table.metrics)
+    analysis.plot_slopes(models, ax=axes[2])
+    assert len(axes[2].get_legend().get_texts()) == 2
+    analysis.plot_slopes(models["realism"], ax=axes[2])
+    scene = stimuli.make_scene("hard_taps", duration_s=0.5)
+    for axis, name in zip(axes[3:], ("recording", "spectrum", "spectrogram"), strict=True):
+        assert getattr(analysis, f"plot_{name}")(scene, ax=axis) is axis
+    with pytest.raises(TypeError, match="signal must be a recording or a reduced signal, got list"):
+        analysis.plot_recording([1.0])
+
+
+@pytest.mark.parametrize("name", analysis._OLD)
+def test_old_names_are_found_with_a_warning(name: str) -> None:
+    with pytest.warns(DeprecationWarning, match=name):
+        assert getattr(analysis, name)
+
+
+def test_records_are_found_in_results_and_with_a_warning_here() -> None:
+    assert results.__all__ == sorted(results.__all__)
+    for name in analysis._RECORDS:
+        with pytest.warns(DeprecationWarning, match="feel321.results"):
+            assert getattr(analysis, name) is getattr(results, name)
+
+
+def test_names_of_other_packages_are_repeated_rightly() -> None:
+    assert list(schema.MATCHES) == list(METRICS)
+    assert schema.PLANNED == PLANNED
+    assert list(schema.REDUCERS) == list(stimuli.REDUCERS)
+    assert schema.SURFACE == SURFACE
+    scales = {protocol.scale for protocol in PROTOCOLS.values()}
+    assert set(schema.APART) <= scales
