@@ -56,8 +56,12 @@ def without_undefined(entry: Any) -> Any:  # noqa: ANN401 - whatever JSON holds
     return None if isinstance(entry, float) and not math.isfinite(entry) else entry
 
 
-def check_names(recordings: Sequence[Recording]) -> None:
-    """Refuse two recordings of the same name."""
+def check_names(recordings: Sequence[Recording], *, fewest: int = 0) -> None:
+    """Refuse two recordings of the same name, or too few."""
+    if len(recordings) < fewest:
+        raise ValueError(
+            "recordings must be one or more, got none; name some, or add the bundled scenes"
+        )
     names = [recording.name for recording in recordings]
     if doubled := [name for name in names if names.count(name) > 1]:
         raise ValueError(

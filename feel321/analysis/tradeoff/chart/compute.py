@@ -177,11 +177,7 @@ def compute_chart(
     """Measure speed and accuracy of every method; the same seed gives the same accuracies, never the same times."""
     from threadpoolctl import threadpool_limits
 
-    if not recordings:
-        raise ValueError(
-            "recordings must be one or more, got none; name some, or add the bundled scenes"
-        )
-    check_names(recordings)
+    check_names(recordings, fewest=1)
     name, clock = cost.choose_clock() if clock is None else ("given", clock)
     steps, total = (
         count(1),

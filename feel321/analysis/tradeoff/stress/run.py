@@ -102,8 +102,6 @@ def stress_reducers(  # noqa: PLR0913 - every choice that changes the numbers ha
 
     chosen = dict(REDUCERS if reducers is None else reducers)
     check_names(recordings)
-    if not chosen:
-        raise ValueError("reducers must be one or more, got none; leave them out to take all")
     for name, number in (("takes", seeds), ("draws", draws)):
         if number < 2:  # noqa: PLR2004 - a spread needs two
             raise ValueError(f"{name} must be 2 or more, got {number}; a spread needs two")
