@@ -15,7 +15,7 @@ from feel321.analysis.p1401.mapping import P1401
 from feel321.analysis.primary.model import Primaries, Primary
 from feel321.analysis.primary.multiverse import Multiverse
 from feel321.analysis.refined.refine import Refined
-from feel321.analysis.report.folder import Results
+from feel321.analysis.report.results import Results
 from feel321.analysis.screening.screen import Screening
 from feel321.analysis.space import Alignment, Ellipses, Space
 from feel321.analysis.table.items import Table

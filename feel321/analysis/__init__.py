@@ -54,7 +54,7 @@ _RECORDS = (
 )  # fmt: skip
 
 _OLD = {
-    "Choices": "report.section:Choices",
+    "Choices": "report.parts:Choices",
     "Context": "tradeoff.advise.scene:Context|the arguments of advise",
     "Number": "words:Number",
     "Precision": "primary.sensitivity:SlopePrecision",

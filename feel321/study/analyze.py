@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
     from pathlib import Path
 
-    from feel321.analysis.report.folder import Results
+    from feel321.analysis.report.results import Results
     from feel321.analysis.table.reading import Table
     from feel321.stimuli.recording import Recording
     from feel321.stimuli.sets.manifest import StimulusSet

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from pandas import DataFrame
 
-    from feel321.analysis.report.folder import Results
+    from feel321.analysis.report.results import Results
     from feel321.stimuli.sets.manifest import StimulusSet
     from feel321.study.findings import Audit, Problems
     from feel321.study.status import Status

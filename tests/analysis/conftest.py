@@ -150,7 +150,8 @@ def sketched(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch, sketched: None) -> None:  # noqa: ARG001 - figures are empty too
-    """Shorten reports to two sections: enough for what files, names and captions are about."""
+    """Shorten reports to two sections, not drawn: enough for what files, names and captions are about."""
+    monkeypatch.setattr("feel321.analysis.report.section.Picture.figure", None)
     monkeypatch.setattr(
         "feel321.analysis.report.write.SECTIONS",
         (association.compute_association, reducers.compute_profile),

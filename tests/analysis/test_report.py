@@ -5,6 +5,7 @@ import json
 import math
 import re
 import shutil
+from functools import partial
 from html.parser import HTMLParser
 from itertools import product
 from pathlib import Path
@@ -14,11 +15,18 @@ import pandas as pd
 import pytest
 from scipy import stats
 
+from feel321.analysis.contrasts.discrimination import discriminate
+from feel321.analysis.figures.maps import draw_discrimination
+from feel321.analysis.report import folder
+from feel321.analysis.report.folder import ResultsFolder, list_files
+from feel321.analysis.report.section import Picture
 from feel321.analysis.report.write import write_report
 from feel321.analysis.words import PLACES, tell_number
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from matplotlib.figure import Figure
 
 NUMBER = re.compile(r"(?<![\w.])[−-]?\d+(?:\.\d+)?(?![\w])")
 """A number that stands alone: neither the 321 of dft321 nor a version's parts."""
@@ -127,7 +135,10 @@ def test_numbers_are_those_of_the_files(report: Path, study: object) -> None:
     assert found["size.judgements"]["value"] == 1152
 
 
-def test_the_same_seed_gives_the_same_bytes(report: Path, study: object, tmp_path: Path) -> None:
+def test_the_same_seed_gives_the_same_bytes_whoever_draws(
+    report: Path, study: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("feel321.analysis.report.folder.BACKGROUND", True)
     write_report(study.ratings, study.manifest, tmp_path / "again", draws=50, seed=3)
     paths = [path.relative_to(report) for path in sorted(report.rglob("*")) if path.is_file()]
     assert {path.as_posix() for path in paths} == set(load(report)["files"])
@@ -427,3 +438,30 @@ def test_tables_hold_the_same_numbers(report: Path) -> None:
         assert (float(row["participants_low"]), float(row["participants_high"])) == pytest.approx(
             (narrow["low"], narrow["high"]), rel=1e-9
         )
+
+
+def draw_nothing() -> Figure:
+    raise ValueError("cannot be drawn")
+
+
+def test_what_the_second_process_cannot_draw_is_drawn_here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("feel321.analysis.report.folder.BACKGROUND", True)
+    drawing = partial(draw_discrimination, {"x": discriminate(18, 24)})
+    pictures = [
+        Picture("a", "A.", drawing),
+        Picture("b", "B.", lambda: drawing(observer="differencing")),
+    ]
+    content = {"files": list_files(["a", "b"], [])}
+    for name, artist in (("healthy", folder._ARTIST), ("ill", "raise SystemExit(1)")):
+        monkeypatch.setattr(folder, "_ARTIST", artist)
+        with ResultsFolder(tmp_path / name, background=True) as target:
+            target.draw(pictures)
+            target.write(content, page="".join, tables={})
+        assert sorted(file.name for file in (tmp_path / name).rglob("*.png")) == ["a.png", "b.png"]
+    with ResultsFolder(tmp_path / "c", background=True) as target:
+        target.draw([Picture("c", "C.", draw_nothing)])
+        with pytest.raises(ValueError, match="cannot be drawn"):
+            target.write({"files": []}, page="".join, tables={})
+    assert not (tmp_path / "c").exists()

@@ -274,7 +274,7 @@ def save_figure(figure: Figure, stem: Path, *, formats: Sequence[str] = ("svg", 
         if engine := figure.get_layout_engine():
             # Everything gets its place once, for every format, and nothing is drawn for that.
             engine.execute(figure)
-            figure.set_layout_engine("none")
+            figure.set_layout_engine(None)
         for name in formats:
             # A name may end in what looks like a suffix: dft_v1.5.
             path = stem.with_name(f"{stem.name}.{name}")

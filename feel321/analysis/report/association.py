@@ -20,9 +20,9 @@ from feel321.analysis.figures.style import assign_looks
 from feel321.analysis.p1401.mapping import p1401
 from feel321.analysis.primary.influence import NOT_ESTIMABLE, OPEN, PREDICTS
 from feel321.analysis.report.parts import split_parts
-from feel321.analysis.report.reducers import MEAN
 from feel321.analysis.report.section import (
     INTERVAL,
+    MEAN,
     METRIC,
     NAME,
     RATINGS,
@@ -31,7 +31,6 @@ from feel321.analysis.report.section import (
     Picture,
     Section,
     TableForm,
-    build_numbers,
     make_slug,
     read_methods,
     stack,
@@ -115,6 +114,15 @@ DIFFERENCES = TableForm(
     ),
     path="difference.{scale}.{level}.{first}.{second}.{method}", n="n_items",
 )  # fmt: skip
+EDGES = TableForm(
+    "What a scatter cannot show in its place.",
+    (
+        Column("", "n_below_edge", COUNT, "n_below_edge"),
+        Column("", "lowest", end="lowest", method="smallest {metric} of the test stimuli"),
+    ),
+    path="scatter.{scale}.{level}.{metric}",
+)
+MEANS = TableForm("Every stimulus.", (MEAN,), path="stimulus.{scale}.{level}.{stimulus_id}")
 MAPPINGS = TableForm(
     "Coefficients of the mappings that are drawn.",
     (Column("", "value", method="P.1401 mapping of order {order}: points per {metric} to the power {power}"),),
@@ -187,12 +195,8 @@ def _number_stimuli(panels: Sequence[Panel]) -> Iterator[Any]:
                 clipped, lowest = count_clipped(values), float(values.min())
                 row = {"metric": one.metric, "n_below_edge": clipped, "lowest": lowest}
                 edges.append(place | row | {"n": len(values)})
-    columns = (
-        Column("", "n_below_edge", COUNT, "n_below_edge"),
-        Column("", "lowest", end="lowest", method="smallest {metric} of the test stimuli"),
-    )
-    yield from build_numbers(columns, edges, path="scatter.{scale}.{level}.{metric}")
-    yield from build_numbers((MEAN,), means, path="stimulus.{scale}.{level}.{stimulus_id}")
+    yield from EDGES.build(edges).numbers
+    yield from MEANS.build(means).numbers
 
 
 def _map_panel(

@@ -212,11 +212,3 @@ def _refuse_foreign(target: Path, wanted: Iterable[str]) -> set[str]:
                 f"{target / name}: exists and is not of a former report; move it away or choose another folder"
             )
     return former
-
-
-def __getattr__(name: str) -> Any:  # noqa: ANN401 - what has moved; kept until all branches are in
-    from feel321.analysis.report import results
-
-    if name in {"Results", "collect_numbers"}:
-        return getattr(results, name)
-    raise AttributeError(name)

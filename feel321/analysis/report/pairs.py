@@ -19,7 +19,6 @@ from feel321.analysis.report.section import (
     Picture,
     Section,
     TableForm,
-    build_table,
     make_slug,
     read_methods,
 )
@@ -118,17 +117,29 @@ DRAWS = 200
 """Maps drawn anew; each takes a fit."""
 
 LEVEL = Column("Level", "level", TEXT)
-STRESS_COLUMNS = (
-    LEVEL, Column("Dimensions", "dimensions", COUNT, "dimensions"),
-    Column("Stress", "stress", method="Kruskal's stress-1"),
+STRESS = TableForm(
+    "Stress of maps of one dimension and more ({}): how badly they fit; 0.05 is good.",
+    (
+        LEVEL, Column("Dimensions", "dimensions", COUNT, "dimensions"),
+        Column("Stress", "stress", method="Kruskal's stress-1"),
+    ),
+    path="stress.{level}.{dimensions}",
 )  # fmt: skip
-PROCRUSTES_COLUMNS = (
-    LEVEL, Column("Correlation", "correlation", method="Procrustes correlation of map and metrics"),
-    Column("p", "p", "p", "p", "permutation test, {permutations} pairings"),
+PROCRUSTES = TableForm(
+    "Agreement of the map with the stimuli's metrics, standardised, after shifting, turning and scaling.",
+    (
+        LEVEL, Column("Correlation", "correlation", method="Procrustes correlation of map and metrics"),
+        Column("p", "p", "p", "p", "permutation test, {permutations} pairings"),
+    ),
+    path="procrustes.{level}",
 )  # fmt: skip
-PROPERTY_COLUMNS = (
-    LEVEL, Column("Of", "property", TEXT), Column("R²", "r2", method="R² of a regression on the map's axes"),
-    Column("p (Holm)", "p_holm", "p", "p_holm", "F test, Holm's adjustment"),
+PROPERTIES = TableForm(
+    "What increases along a direction of the map: share of its variance between reducers that the map explains.",
+    (
+        LEVEL, Column("Of", "property", TEXT), Column("R²", "r2", method="R² of a regression on the map's axes"),
+        Column("p (Holm)", "p_holm", "p", "p_holm", "F test, Holm's adjustment"),
+    ),
+    path="property.{level}.{property}",
 )  # fmt: skip
 
 
@@ -224,8 +235,7 @@ def _build_stress(arm: _Arm, stress: Sequence[float]) -> PageTable:
         {"level": arm.level, "dimensions": number, "stress": value, "n": len(arm.names)}
         for number, value in enumerate(stress, start=1)
     ]
-    caption = f"Stress of maps of one dimension and more ({tell_name(arm.level)}): how badly they fit; 0.05 is good."
-    return build_table(caption, STRESS_COLUMNS, rows, path="stress.{level}.{dimensions}")
+    return STRESS.build(rows, caption=STRESS.caption.format(tell_name(arm.level)))
 
 
 def _relate(arm: _Arm, ellipses: Ellipses, choices: Choices) -> tuple[str, list[PageTable]]:
@@ -246,17 +256,9 @@ def _relate(arm: _Arm, ellipses: Ellipses, choices: Choices) -> tuple[str, list[
     what = f"align with the perceptual map (level {tell_name(arm.level)})"
     shown = aligned.p < SIGNIFICANCE
     answer = f"The metrics {what}" if shown else f"It is unclear whether the metrics {what}"
-    return f"{answer} ({evidence}).", [
-        build_table(
-            "Agreement of the map with the stimuli's metrics, standardised, after shifting, turning and scaling.",
-            PROCRUSTES_COLUMNS, [more | agreement], path="procrustes.{level}",
-        ),
-        build_table(
-            "What increases along a direction of the map: share of its variance between reducers that the map "
-            "explains.",
-            PROPERTY_COLUMNS, [more | row for row in adjusted.to_dict("records")], path="property.{level}.{property}",
-        ),
-    ]  # fmt: skip
+    properties = [more | row for row in adjusted.to_dict("records")]
+    grids = [PROCRUSTES.build([more | agreement]), PROPERTIES.build(properties)]
+    return f"{answer} ({evidence}).", grids
 
 
 def _list_places(arm: _Arm, ellipses: Ellipses) -> Iterator[Row]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -25,7 +26,6 @@ from feel321.analysis.report.section import (
     Picture,
     Section,
     TableForm,
-    build_table,
     estimate,
     make_slug,
     read_methods,
@@ -48,20 +48,27 @@ if TYPE_CHECKING:
 
 TENTH = "points of rating per +0.1 of the metric"
 SLOPE = "slope.{scale}.{level}.{metric}"
-SLOPE_COLUMNS = (
-    RATINGS, METRIC,
-    estimate(
-        "Quartile to quartile", "quartile_effect",
-        "mixed model, points of rating from the metric's lower to its upper quartile within recordings",
-        end="quartile_effect", ends="quartile_",
+SLOPES = TableForm(
+    "Slope of ratings on each metric within recordings, from a mixed model that holds all metrics, so at the same "
+    "values of the others: points from the lower to the upper quartile of the metric within recordings, and per "
+    "+0.1 of it; then per +0.1 with reducers as fixed effects, the metric centred on recordings and on reducers. "
+    "95 % t intervals with Satterthwaite's df; p adjusted by Holm over this table's {} slopes. A dash: not estimable.",
+    (
+        RATINGS, METRIC,
+        estimate(
+            "Quartile to quartile", "quartile_effect",
+            "mixed model, points of rating from the metric's lower to its upper quartile within recordings",
+            end="quartile_effect", ends="quartile_",
+        ),
+        estimate("Points per +0.1", "tenth", f"mixed model, {TENTH}", ends="tenth_"),
+        estimate(
+            "Reducers fixed", "_centred",
+            f"mixed model with reducers fixed, {TENTH} centred on recordings and reducers",
+            end="centred", ends="_centred_",
+        ),
+        DF, P_HOLM,
     ),
-    estimate("Points per +0.1", "tenth", f"mixed model, {TENTH}", ends="tenth_"),
-    estimate(
-        "Reducers fixed", "_centred",
-        f"mixed model with reducers fixed, {TENTH} centred on recordings and reducers",
-        end="centred", ends="_centred_",
-    ),
-    DF, P_HOLM,
+    path=SLOPE, detail=False,
 )  # fmt: skip
 IN_SD = "in this study's standard deviations"
 STANDARDISED = TableForm(
@@ -101,17 +108,18 @@ MODELS = TableForm(
     ),
     path="model.{scale}.{level}", n="n_rows",
 )  # fmt: skip
-INFLUENCE_COLUMNS = (
-    RATINGS, METRIC, Column("Left out", "_unit", NAME),
-    estimate("Points per +0.1", "tenth", f"mixed model without {{_unit}}, {TENTH}", ends="tenth_"),
-    Column("Change in SE", "shift", "slope", "shift", "change of the slope in standard errors of the whole"),
-    Column("p (Holm)", "p_holm", "p", "p_holm", "two-sided t test, Holm's adjustment"),
-    Column("Verdict", "verdict", TEXT),
-)  # fmt: skip
-CAPTION_INFLUENCE = (
+INFLUENCE = TableForm(
     "Without a single recording, reducer or stimulus: slopes within recordings, points per +0.1, with 95 % t "
-    "intervals; by how many standard errors the slope changes; the verdict on what is left. "
-)
+    "intervals; by how many standard errors the slope changes; the verdict on what is left. ",
+    (
+        RATINGS, METRIC, Column("Left out", "_unit", NAME),
+        estimate("Points per +0.1", "tenth", f"mixed model without {{_unit}}, {TENTH}", ends="tenth_"),
+        Column("Change in SE", "shift", "slope", "shift", "change of the slope in standard errors of the whole"),
+        Column("p (Holm)", "p_holm", "p", "p_holm", "two-sided t test, Holm's adjustment"),
+        Column("Verdict", "verdict", TEXT),
+    ),
+    path="influence.{scale}.{level}.{metric}.{kind}.{unit}",
+)  # fmt: skip
 EXCEPTIONS = TableForm(
     "Reducers that the metrics do not account for: points by which a reducer's stimuli were rated above what the "
     "slopes without it predict, relative to the other reducers; p adjusted by Bonferroni over reducers.",
@@ -219,15 +227,8 @@ def _build_tables(
         for part, model in fits.values()
         for row in model.differences.to_dict("records")
     ]
-    caption = (
-        "Slope of ratings on each metric within recordings, from a mixed model that holds all metrics, so at the same "
-        "values of the others: points from the lower to the upper quartile of the metric within recordings, and per "
-        "+0.1 of it; then per +0.1 with reducers as fixed effects, the metric centred on recordings and on reducers. "
-        f"95 % t intervals with Satterthwaite's df; p adjusted by Holm over this table's {len(rows)} slopes. A dash: "
-        "not estimable."
-    )
     return (
-        build_table(caption, SLOPE_COLUMNS, rows, path=SLOPE, detail=False),
+        SLOPES.build(rows, caption=SLOPES.caption.format(len(rows))),
         DIFFERENCES.build(differences),
         *_build_influence({one.part.lead: one for one in findings}),
         *_build_paper(table, fits, choices),
@@ -256,15 +257,14 @@ def _build_influence(found: Mapping[str, Finding]) -> Iterator[PageTable]:
             more | row | {"_odd": "yes" if row["exceptional"] else "no"}
             for row in one.influence.exceptions.reset_index().to_dict("records")
         ]
-    path = "influence.{scale}.{level}.{metric}.{kind}.{unit}"
     which = {
         True: "Here: where the verdict or the sign turns, or the slope moves by more than its standard error.",
         False: "Here: all others; the file tables/influence.csv has every one.",
     }
     for moves, told in which.items():
         shown = [row for row in rows if bool(row["moves"]) == moves]
-        caption = f"{CAPTION_INFLUENCE}{told}"
-        yield build_table(caption, INFLUENCE_COLUMNS, shown, path=path, detail=not moves)
+        caption = f"{INFLUENCE.caption}{told}"
+        yield replace(INFLUENCE, detail=not moves).build(shown, caption=caption)
     yield EXCEPTIONS.build(odd)
 
 

@@ -34,6 +34,7 @@ from feel321.analysis.report.parts import (
 )
 from feel321.analysis.report.section import (
     DF,
+    MEAN,
     NAME,
     P_HOLM,
     RATINGS,
@@ -43,7 +44,6 @@ from feel321.analysis.report.section import (
     Picture,
     Section,
     TableForm,
-    build_table,
     estimate,
     make_slug,
     read_methods,
@@ -54,7 +54,6 @@ from feel321.analysis.table.reading import order_reducers
 from feel321.analysis.table.sheet import ANSWERED, PAIR, tell_measure
 from feel321.analysis.words import (
     COUNT,
-    STUDENT,
     count_number,
     make_number,
     name_path,
@@ -76,14 +75,15 @@ if TYPE_CHECKING:
 
 # Ratings per reducer: means, their intervals over participants, hidden reference and anchors beside them.
 
-MEAN = Column(
-    "Mean", "mean", "rating", method="rating, mean over participants of each participant's mean", interval=STUDENT,
-    n="n_participants",
-)  # fmt: skip
-PROFILE_COLUMNS = (
-    RATINGS, Column("Role", "role", NAME), Column("Reducer", "reducer", NAME), MEAN,
-    Column("Participants", "n_participants", COUNT, "n_participants"),
-    Column("Stimuli", "n_stimuli", COUNT, "n_stimuli"), Column("Judgements", "n_ratings", COUNT, "n_ratings"),
+PROFILE = TableForm(
+    "Mean rating per reducer in points, with its 95 % t interval over participants: other people, these recordings. "
+    "Roles: what was tested, hidden references and anchors.",
+    (
+        RATINGS, Column("Role", "role", NAME), Column("Reducer", "reducer", NAME), MEAN,
+        Column("Participants", "n_participants", COUNT, "n_participants"),
+        Column("Stimuli", "n_stimuli", COUNT, "n_stimuli"), Column("Judgements", "n_ratings", COUNT, "n_ratings"),
+    ),
+    path="profile.{scale}.{level}.{role}.{reducer}", n="n_ratings",
 )  # fmt: skip
 
 
@@ -102,15 +102,10 @@ def compute_profile(table: Table, choices: Choices) -> Section:  # noqa: ARG001 
             row["scale"], row["level"], ROLES.index(row["role"]), order.index(row["reducer"])
         ),
     )  # fmt: skip
-    caption = (
-        "Mean rating per reducer in points, with its 95 % t interval over participants: other people, these "
-        "recordings. Roles: what was tested, hidden references and anchors."
-    )
-    path = "profile.{scale}.{level}.{role}.{reducer}"
     return Section(
         key=key,
         title=title,
-        grids=(build_table(caption, PROFILE_COLUMNS, rows, path=path, n="n_ratings"),),
+        grids=(PROFILE.build(rows),),
         tables={"profiles": profile, "participants": people},
         pictures=tuple(_picture_profiles(profile, people, order_reducers(table.rows["reducer"]))),
         how=read_methods(key),
@@ -262,14 +257,19 @@ def _describe_levels(row: Row) -> str:
 # Reducers against each other: differences, equivalence, non-inferiority of the simpler one.
 
 REDUCER = "reducer"
-CONTRAST_COLUMNS = (
-    Column("First", "first", NAME), Column("Second", "second", NAME),
-    estimate("Difference", "estimate", "mixed model, points of rating, first minus second", kind="rating"),
-    DF, P, P_HOLM,
-    Column("Equivalence p", "p_equivalence", "p", "p_equivalence", "equivalence"),
-    Column("Equivalent", "_equivalent", NAME),
-    Column("Non-inferiority p", "p_non_inferiority", "p", "p_non_inferiority", "non-inferiority"),
-    Column("First not worse", "_not_worse", NAME),
+CONTRASTS = TableForm(
+    "{}: difference of the first reducer from the second in points, from the mixed model, with 95 % intervals for "
+    "{}; p adjusted over {} pairs.",
+    (
+        Column("First", "first", NAME), Column("Second", "second", NAME),
+        estimate("Difference", "estimate", "mixed model, points of rating, first minus second", kind="rating"),
+        DF, P, P_HOLM,
+        Column("Equivalence p", "p_equivalence", "p", "p_equivalence", "equivalence"),
+        Column("Equivalent", "_equivalent", NAME),
+        Column("Non-inferiority p", "p_non_inferiority", "p", "p_non_inferiority", "non-inferiority"),
+        Column("First not worse", "_not_worse", NAME),
+    ),
+    path="contrast.{scale}.{level}.{first}.{second}",
 )  # fmt: skip
 
 
@@ -303,9 +303,8 @@ def compute_contrasts(table: Table, choices: Choices) -> Section:
             continue
         notes += [] if margin.points > 0 else [f"{part.lead}: no equivalence. {margin.source}"]
         own = [_word_tests(part.keys | pair.row) for pair in pairs]
-        path = "contrast.{scale}.{level}.{first}.{second}"
         caption = _caption_contrasts(part, margin, len(pairs))
-        grids.append(build_table(caption, CONTRAST_COLUMNS, own, path=path))
+        grids.append(CONTRASTS.build(own, caption=caption))
         counts = {"n_differ": _count_different(pairs), "n_pairs": len(pairs)}
         numbers += [
             make_number(name_path("margin", *part.place), margin.points, margin.source, n=margin.n),
@@ -405,10 +404,7 @@ def _word_tests(row: Row) -> Row:
 def _caption_contrasts(part: RatingsPart, margin: _Margin, n_pairs: int) -> str:
     several = [f"other {name}s" for name, count in count_units(part.rows).items() if count > 1]
     others = " and ".join(several).replace("participants", "people")
-    differ = (
-        f"{start(part.subject)}: difference of the first reducer from the second in points, from the mixed model, with "
-        f"95 % intervals for {others}; p adjusted over {n_pairs} pairs."
-    )
+    differ = CONTRASTS.caption.format(start(part.subject), others, n_pairs)
     if not margin.points > 0:
         return f"{differ} {margin.source}"
     return f"{differ} Margin of equivalence and non-inferiority: {margin.points:.1f} points ({margin.source})."

@@ -105,7 +105,7 @@ def compute_robustness(table: Table, choices: Choices) -> Section:
     ]
     return Section(
         key=KEY_ROBUSTNESS,
-        title="Under other choices",
+        title="Robustness to other choices",
         answers=[_describe_universes(metric, *found) for (_, metric), found in universes.items()],
         grids=(
             VARIANTS.build(_list_variants(parts, varied)),
@@ -384,17 +384,16 @@ def _find_best(result: Refined) -> Row:
 
 def _describe_refined(part: RatingsPart, result: Refined) -> Line:
     gain, line = _find_best(result), Line("", start(part.subject))
-    best = f"{tell_name(gain['metric'])}, the best single metric, at {tell_number(gain['plain'])}"
-    interval = f"95 % two-way interval {tell_range(gain['low'], gain['high'])}"
     what = "it" if result.recommended else "the metric that the search chose"
+    best = f"the best single metric, {tell_name(gain['metric'])}, at {tell_number(gain['plain'])}"
+    interval = f"95 % two-way interval {tell_range(gain['low'], gain['high'])}"
     scored = (
-        f"on recordings and participants that were left out, {what} correlates with rating differences within "
-        f"recordings at r = {tell_number(result.value)}, {best} (gain {tell_number(gain['value'])}, {interval})"
+        f"in cross-validation {what} correlates with rating differences within recordings at "
+        f"r = {tell_number(result.value)}, and {best} (gain {tell_number(gain['value'])}, {interval})"
     )
     if result.recommended:
-        return replace(
-            line, text=f"{_name_choice(result)} predicts better than each metric alone: {scored}."
-        )
+        text = f"{_name_choice(result)} predicts better than each metric alone: {scored}."
+        return replace(line, text=text)
     none = "no refined metric is recommended: "
     if np.isnan(gain["low"]):
         return replace(line, text=f"{none}its gain has no interval here.")

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from feel321.analysis.words import (
     COUNT,
     SATTERTHWAITE,
+    STUDENT,
     count_number,
     make_interval,
     make_number,
@@ -105,6 +106,10 @@ P_HOLM = Column(
     "p (Holm)", "p_holm", "p", "p_holm", "two-sided t test, Holm's adjustment over its table"
 )
 RATINGS = Column("Ratings", "_ratings", TEXT)
+MEAN = Column(
+    "Mean", "mean", "rating", method="rating, mean over participants of each participant's mean", interval=STUDENT,
+    n="n_participants",
+)  # fmt: skip
 METRIC = Column("Metric", "metric", TEXT)
 
 
@@ -120,52 +125,19 @@ class PageTable:
     detail: bool = True
 
 
-def build_table(
-    caption: str,
-    columns: Sequence[Column],
-    rows: Iterable[Record],
-    *,
-    path: str = "",
-    n: str = "n",
-    detail: bool = True,
-) -> PageTable:
-    """Build a table of declared columns.
+@dataclass(frozen=True, slots=True)
+class TableForm:
+    """A declared table: its caption, its columns, and the dotted name of a row's numbers, the row's keys in braces.
 
-    path: dotted name of a row's numbers, with the row's keys in braces; detail: folded away on the page.
+    n: key of how many stimuli, participants or judgements a row rests on. detail: folded away on the page.
 
     Examples
     --------
-    >>> columns = [Column("Scale", "scale", TEXT), Column("r", "r", method="Pearson's r")]
-    >>> table = build_table("How well.", columns, [{"scale": "v1.0", "r": 0.5, "n": 9}], path="r.{scale}")
+    >>> columns = (Column("Scale", "scale", TEXT), Column("r", "r", method="Pearson's r"))
+    >>> table = TableForm("How well.", columns, path="r.{scale}").build([{"scale": "v1.0", "r": 0.5, "n": 9}])
     >>> table.rows, table.numbers[0].name
     ((('v1.0', '0.50'),), 'r.v1%2E0')
     """
-    shown: list[tuple[str, ...]] = []
-    numbers: list[Number] = []
-    for row in rows:
-        own, cells = _fill(path, row), []
-        for column in columns:
-            if column.kind in {TEXT, NAME}:
-                value = str(row[column.key])
-                cells.append(tell_name(value) if column.kind == TEXT else value)
-                continue
-            numbers.append(column.make_number(row, path=own, n=n))
-            cells += column.show_number(numbers[-1])
-        shown.append(tuple(cells))
-    kinds = [column.kind for column in columns for _ in column.heads]
-    return PageTable(
-        caption=caption,
-        head=tuple(head for column in columns for head in column.heads),
-        rows=tuple(shown),
-        numbers=tuple(numbers),
-        text_columns=frozenset(i for i, kind in enumerate(kinds) if kind in {TEXT, NAME}),
-        detail=detail,
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class TableForm:
-    """A table before it has rows; the arguments are those of `build_table`."""
 
     caption: str
     columns: Sequence[Column]
@@ -174,22 +146,24 @@ class TableForm:
     detail: bool = True
 
     def build(self, rows: Iterable[Record], *, caption: str = "") -> PageTable:
-        """Build the table, with a caption of its own if that is given."""
-        return build_table(
-            caption or self.caption,
-            self.columns,
-            rows,
-            path=self.path,
-            n=self.n,
-            detail=self.detail,
-        )
-
-
-def build_numbers(
-    columns: Sequence[Column], rows: Iterable[Record], *, path: str, n: str = "n"
-) -> tuple[Number, ...]:
-    """Build the numbers of declared columns that no table of the page shows."""
-    return build_table("", columns, rows, path=path, n=n).numbers
+        """Build the table of rows, with a caption of its own if that is given."""
+        shown: list[tuple[str, ...]] = []
+        numbers: list[Number] = []
+        for row in rows:
+            own, cells = _fill(self.path, row), []
+            for column in self.columns:
+                if column.kind in {TEXT, NAME}:
+                    value = str(row[column.key])
+                    cells.append(tell_name(value) if column.kind == TEXT else value)
+                    continue
+                numbers.append(column.make_number(row, path=own, n=self.n))
+                cells += column.show_number(numbers[-1])
+            shown.append(tuple(cells))
+        kinds = [column.kind for column in self.columns for _ in column.heads]
+        head = tuple(name for column in self.columns for name in column.heads)
+        words = frozenset(i for i, kind in enumerate(kinds) if kind in {TEXT, NAME})
+        caption = caption or self.caption
+        return PageTable(caption, head, tuple(shown), tuple(numbers), words, self.detail)
 
 
 def _fill(path: str, row: Record) -> str:

@@ -20,7 +20,7 @@ from feel321.analysis.report.section import (
     TEXT,
     Column,
     Section,
-    build_table,
+    TableForm,
     read_methods,
 )
 from feel321.analysis.table.items import make_items
@@ -81,29 +81,29 @@ REPEATED_COLUMNS = (
     Column("Rows", "n", COUNT, "n"),
 )  # fmt: skip
 ANTICONSERVATIVE = "They treat stimuli as independent and are anticonservative."
-TABLES: dict[str, tuple[str, tuple[Column, ...], str, str]] = {
-    "p1401": (
+TABLES = {
+    "p1401": TableForm(
         "ITU-T P.1401. Errors in points, after mapping of the given order; fitted: by a mapping of the same stimuli, "
         "which is optimistic; held out: by one of recordings of other sources. 95 % intervals as the standard has "
         "them, stimuli treated as independent. Metrics other than the match metrics are exploratory.",
-        P1401_COLUMNS, "p1401.{scale}.{level}.{metric}.order_{order}.{_which}", "n_items",
+        P1401_COLUMNS, "p1401.{scale}.{level}.{metric}.order_{order}.{_which}", n="n_items",
     ),
-    "p1401_differences": (
+    "p1401_differences": TableForm(
         "The tests of ITU-T P.1401 for a difference between two metrics: Z is positive where the first has the larger "
         "value, F is the larger squared error over the smaller; p are two-sided and not adjusted. They treat both "
         f"metrics' errors as unrelated. {ANTICONSERVATIVE} A dash: not defined.",
-        DIFFERENCE_COLUMNS, "p1401_difference.{scale}.{level}.{first}.{second}.order_{order}.{_which}", "n_items",
+        DIFFERENCE_COLUMNS, "p1401_difference.{scale}.{level}.{first}.{second}.order_{order}.{_which}", n="n_items",
     ),
-    "dependent": (
+    "dependent": TableForm(
         f"Classic tests of the difference between two dependent correlations (first minus second). {ANTICONSERVATIVE}",
-        DEPENDENT_COLUMNS, "dependent.{scale}.{level}.{first}.{second}", "n_items",
+        DEPENDENT_COLUMNS, "dependent.{scale}.{level}.{first}.{second}", n="n_items",
     ),
-    "repeated": (
+    "repeated": TableForm(
         "Repeated-measures correlation of single ratings, within participants; its 95 % interval is far too narrow.",
-        REPEATED_COLUMNS, "repeated.{scale}.{level}.{metric}", "n",
+        REPEATED_COLUMNS, "repeated.{scale}.{level}.{metric}", n="n",
     ),
 }  # fmt: skip
-"""File -> caption, columns, path and n of the table."""
+"""File -> its table on the page."""
 
 
 def compute(table: Table, choices: Choices) -> Section:  # noqa: ARG001 - every section has this form
@@ -118,10 +118,7 @@ def compute(table: Table, choices: Choices) -> Section:  # noqa: ARG001 - every 
     return Section(
         key="standard",
         title="For comparison with the literature",
-        grids=tuple(
-            build_table(caption, columns, found[name], path=path, n=n)
-            for name, (caption, columns, path, n) in TABLES.items()
-        ),
+        grids=[form.build(found[name]) for name, form in TABLES.items()],
         tables=found,
         notes=notes,
         how=read_methods("standard"),

@@ -24,7 +24,7 @@ from feel321.analysis.report.section import number_pictures
 from feel321.analysis.screening.rules import RULES
 from feel321.analysis.table.reading import read_table
 from feel321.analysis.words import Line, tell_note
-from feel321.doors import as_path
+from feel321.doors import as_path, as_seed, follow
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from feel321.analysis.report.section import Section
     from feel321.analysis.table.reading import Further, Table
-    from feel321.types import PathLike
+    from feel321.types import PathLike, Progress, Rng
 
 SECTIONS: tuple[Callable[[Table, Choices], Section], ...] = (
     primary.compute,
@@ -63,8 +63,9 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     metrics: Sequence[str] | None = None,
     sources: Mapping[str, str] | None = None,
     further: Further | None = None,
-    seed: int = 0,
-    progress: Callable[[int, int], None] | None = None,
+    rng: Rng = 0,
+    seed: int | None = None,
+    progress: Progress | None = False,
 ) -> Results:
     """Analyse ratings against the match metrics and write the report.
 
@@ -90,10 +91,12 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
         ``source``: intervals then draw sources.
     further : Further, optional
         Metrics to explore that neither file holds, such as rotation statistics.
-    seed : int
-        Random seed; the same files and choices give the same bytes.
-    progress : callable, optional
-        Called with the numbers of sections done and to do.
+    rng : int or Generator
+        Seed of all randomness; the same files, choices and seed give the same bytes.
+    seed : int, optional
+        Older name of `rng`.
+    progress : bool or callable
+        Whether to show a progress bar; or called with the numbers of sections done and to do.
 
     Returns
     -------
@@ -114,11 +117,15 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     >>> print(results.summary())  # doctest: +SKIP
     """
     ratings, manifest = as_path(ratings_path, "ratings"), as_path(manifest_path, "manifest")
-    with ResultsFolder(folder, background=True) as target:
-        choices = Choices(draws=draws, margin=margin, seed=seed)
+    seed = as_seed(rng) if seed is None else seed
+    choices = Choices(draws=draws, margin=margin, seed=seed)
+    with (
+        ResultsFolder(folder, background=True) as target,
+        follow(progress or False, "report") as move,
+    ):
         table = read_table(ratings, manifest, metrics=metrics, sources=sources, further=further)
         sections = []
-        for section in _compute(table, choices, progress):
+        for section in _compute(table, choices, move):
             sections.append(section)
             target.draw(section.pictures)
         sections = _reconcile(sections)
@@ -133,14 +140,15 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
 
 
 def compute_sections(
-    table: Table, choices: Choices, *, progress: Callable[[int, int], None] | None = None
+    table: Table, choices: Choices, *, progress: Progress | None = False
 ) -> tuple[Section, ...]:
     """Run the whole analysis; returns its sections in the report's order, figures numbered through."""
-    return tuple(_reconcile(list(_compute(table, choices, progress))))
+    with follow(progress or False, "report") as move:
+        return tuple(_reconcile(list(_compute(table, choices, move))))
 
 
 def _compute(
-    table: Table, choices: Choices, progress: Callable[[int, int], None] | None
+    table: Table, choices: Choices, progress: Callable[[int, int], None]
 ) -> Iterator[Section]:
     """Compute section after section, figures numbered through."""
     import scipy.linalg  # noqa: F401 - brings a second library of linear algebra, whose threads are held too
@@ -156,8 +164,7 @@ def _compute(
             pictures = tuple(number_pictures(section.pictures, start=drawn + 1))
             drawn += len(pictures)
             yield replace(section, pictures=pictures)
-            if progress is not None:
-                progress(number, len(SECTIONS))
+            progress(number, len(SECTIONS))
 
 
 def _reconcile(sections: Sequence[Section]) -> list[Section]:

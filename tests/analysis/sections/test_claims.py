@@ -12,7 +12,7 @@ import pytest
 from feel321.analysis.primary.influence import Influence
 from feel321.analysis.report import primary
 from feel321.analysis.report.parts import Choices
-from feel321.analysis.report.section import build_table, estimate
+from feel321.analysis.report.section import TableForm, estimate
 from feel321.analysis.table.reading import Table
 from feel321.analysis.words import tell_ends
 
@@ -138,6 +138,6 @@ def test_tables_and_sentences_tell_a_slope_in_the_same_digits(
     ends: tuple[float, float, float], value: str, interval: str
 ) -> None:
     row = dict(zip(("estimate", "low", "high"), ends, strict=True), n=9)
-    table = build_table("", [estimate("Slope", "estimate", "slope")], [row], path="slope")
+    table = TableForm("", [estimate("Slope", "estimate", "slope")], path="slope").build([row])
     assert table.rows == ((value, interval),)
     assert tell_ends(*ends, kind="slope") == (value, interval)
