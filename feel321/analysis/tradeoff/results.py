@@ -16,21 +16,8 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.analysis.report.section import Picture
+    from feel321.stimuli.recording import Recording
     from feel321.types import PathLike
-
-
-class GradedText(str):
-    """An entry of a table of a page; grade: the style class that colours it; link: where it leads."""
-
-    __slots__ = ("grade", "link")
-    grade: str
-    link: str
-
-    def __new__(cls, text: str, grade: str = "", link: str = "") -> GradedText:
-        """Make the text and remember how it is shown."""
-        made = super().__new__(cls, text)
-        made.grade, made.link = grade, link
-        return made
 
 
 def write_results(
@@ -67,3 +54,16 @@ def without_undefined(entry: Any) -> Any:  # noqa: ANN401 - whatever JSON holds
     if isinstance(entry, list | tuple):
         return [without_undefined(value) for value in entry]
     return None if isinstance(entry, float) and not math.isfinite(entry) else entry
+
+
+def check_names(recordings: Sequence[Recording], *, fewest: int = 0) -> None:
+    """Refuse two recordings of the same name, or too few."""
+    if len(recordings) < fewest:
+        raise ValueError(
+            "recordings must be one or more, got none; name some, or add the bundled scenes"
+        )
+    names = [recording.name for recording in recordings]
+    if doubled := [name for name in names if names.count(name) > 1]:
+        raise ValueError(
+            f"recordings must have different names, got {doubled[0]!r} twice; rename one"
+        )

@@ -33,6 +33,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any
 
+from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.trial import RATING_RANGE, SURFACE
 from feel321.study.observer.percepts import Percept, compare_percepts
 from feel321.study.session.events import TrialRated
@@ -290,8 +291,7 @@ class Touch:
         )
 
 
-_LOW, _HIGH = RATING_RANGE
-SURE_ENDS = {"realism": _LOW, "similarity": _HIGH, "dissimilarity": _LOW, "mushra": _HIGH}
+SURE_ENDS = {name: task.sure_end for name, task in PROTOCOLS.items() if not task.choices}
 """Protocol -> the end of its slider that means the same to everybody."""
 
 
@@ -308,7 +308,7 @@ def find_sure_end(trial: Trial) -> float:
 def find_percept(experience: Experience, judgement: Judgement, *, touch: Touch) -> float:
     """Compute the slider answer, uncut, of a participant without bias, noise or habit, in points."""
     sure, point = find_sure_end(experience.trial), experience.find(judgement.part)
-    if experience.trial.protocol == "realism":
+    if judgement.reference_id is None:
         return touch.feel(point)
     distance = touch.measure_distance(point, experience.find_reference(judgement))
     return distance if sure == RATING_RANGE[0] else sure - distance

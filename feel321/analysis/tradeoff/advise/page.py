@@ -7,18 +7,7 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from feel321 import __version__
-from feel321.analysis.figures.style import (
-    BLUE,
-    CM_PER_INCH,
-    COLUMN_CM,
-    GREY,
-    PALE,
-    RED,
-    add_title,
-    fit_text,
-    new_figure,
-    print_style,
-)
+from feel321.analysis.figures import style
 from feel321.analysis.report.section import Picture
 from feel321.analysis.tradeoff.advise.choice import advise_scene, find_common
 from feel321.analysis.tradeoff.advise.measures import SEGMENT_S, TURNS
@@ -56,14 +45,14 @@ CAPTION = (
 
 BEST, SUFFICIENT, FAILS = "simplest sufficient", "sufficient", "not sufficient"
 CLOSEST, LATE = "closest, not sufficient", "beyond the latency budget"
-_PALE = {"color": PALE, "markeredgecolor": BLUE, "markeredgewidth": 0.6}
-_OPEN = {"color": "white", "markeredgecolor": RED, "markeredgewidth": 0.9}
+_PALE = {"color": style.PALE, "markeredgecolor": style.BLUE, "markeredgewidth": 0.6}
+_OPEN = {"color": "white", "markeredgecolor": style.RED, "markeredgewidth": 0.9}
 MARKS: dict[str, dict[str, Any]] = {
-    BEST: {"marker": "o", "markersize": 7, "color": BLUE},
+    BEST: {"marker": "o", "markersize": 7, "color": style.BLUE},
     SUFFICIENT: {"marker": "o", "markersize": 7, **_PALE},
-    FAILS: {"marker": "x", "markersize": 4, "color": GREY},
+    FAILS: {"marker": "x", "markersize": 4, "color": style.GREY},
     CLOSEST: {"marker": "D", "markersize": 4.5, **_OPEN},
-    LATE: {"marker": "_", "markersize": 5, "color": GREY},
+    LATE: {"marker": "_", "markersize": 5, "color": style.GREY},
 }
 """What a reducer is to a scene -> how it is drawn."""
 
@@ -72,10 +61,10 @@ def draw_advice(advices: Sequence[SceneAdvice]) -> Figure:
     """Draw which reducers suffice for which scenes."""
     first = next((each.verdicts for each in advices if each.verdicts), ())
     names = [verdict.name for verdict in first]
-    with print_style():
+    with style.print_style():
         head = LETTER_CM * max(map(len, names), default=0)
-        figure, axes = new_figure(head + ROW_CM * len(advices) + REST_CM)
-        wide = (COLUMN_WIDE_CM * len(names) + NAME_CM + 0.5) / CM_PER_INCH
+        figure, axes = style.new_figure(head + ROW_CM * len(advices) + REST_CM)
+        wide = (COLUMN_WIDE_CM * len(names) + NAME_CM + 0.5) / style.CM_PER_INCH
         figure.set_figwidth(max(figure.get_figwidth(), wide))
         states = set()
         for row, advice in enumerate(advices):
@@ -84,13 +73,13 @@ def draw_advice(advices: Sequence[SceneAdvice]) -> Figure:
                 axes.plot(names.index(verdict.name), row, linestyle="none", **MARKS[state])
         axes.set(xlim=(-0.6, max(len(names), 1) - 0.4), ylim=(len(advices) - 0.4, -0.6))
         axes.set_xticks(range(len(names)), names, rotation=90)
-        labels = [fit_text(advice.scene.name, NAME_CM, lines=1) for advice in advices]
+        labels = [style.fit_text(advice.scene.name, NAME_CM, lines=1) for advice in advices]
         axes.set_yticks(range(len(advices)), labels)
         axes.xaxis.tick_top()
         axes.tick_params(length=0)
         axes.spines[:].set_visible(False)
-        _add_key(axes, states, wide=figure.get_figwidth() * CM_PER_INCH / COLUMN_CM)
-        add_title(figure, TITLE)
+        _add_key(axes, states, wide=figure.get_figwidth() * style.CM_PER_INCH / style.COLUMN_CM)
+        style.add_title(figure, TITLE)
     return figure
 
 

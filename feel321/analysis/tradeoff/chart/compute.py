@@ -18,34 +18,7 @@ from feel321.analysis.contrasts.equivalence import profile_reducers
 from feel321.analysis.resampling import draw_counts
 from feel321.analysis.table.judgements import ROLES
 from feel321.analysis.table.reading import order_reducers
-from feel321.analysis.tradeoff.chart.accuracy import (
-    change_rate,
-    cut_piece,
-    draw_turns,
-    list_variants,
-    measure_accuracy,
-)
-from feel321.analysis.tradeoff.chart.cost import (
-    RATE_HZ,
-    RATES_HZ,
-    choose_clock,
-    compare_precision,
-    fit_all,
-    list_jobs,
-    list_lengths,
-    list_resources,
-    measure_memory,
-    measure_stability,
-    time_blocks,
-    time_jobs,
-)
-from feel321.analysis.tradeoff.chart.page import (
-    build_page,
-    collect_notes,
-    describe_answers,
-    list_pictures,
-    merge_equal,
-)
+from feel321.analysis.tradeoff.chart import accuracy, cost, page
 from feel321.analysis.tradeoff.chart.points import (
     TABLES,
     find_reference,
@@ -56,7 +29,7 @@ from feel321.analysis.tradeoff.chart.points import (
     name_point,
     place_points,
 )
-from feel321.analysis.tradeoff.results import write_results
+from feel321.analysis.tradeoff.results import check_names, write_results
 from feel321.analysis.words import CONFIDENCE
 from feel321.records import Result
 from feel321.stimuli.reducers.registry import REDUCERS, WHY_NOT_STREAMING
@@ -106,30 +79,12 @@ class Chart(Result):
     ----------
     machine : dict
         What the times were measured on: processor, clock, versions.
-    scenes : DataFrame
-        Recordings.
-    points : DataFrame
-        Reducers as they are, in the plane of speed and accuracy.
-    dominated : DataFrame
-        Reducers that another one beats in every respect.
-    accuracies : DataFrame
-        All methods, scenes and measures.
-    costs : DataFrame
-        All times.
-    growth : DataFrame
-        Of time with length.
-    memory : DataFrame
-        Memory of one call, by length.
-    precision : DataFrame
-        What 32-bit input and arithmetic change.
-    rated : DataFrame
-        Mean ratings; empty where nobody has rated.
-    realtime : DataFrame
-        Of the reducers that stream.
-    resources : DataFrame
-        State, operations and parameters of every reducer.
-    stability : DataFrame
-        Perturbation gain of all reducers and scenes.
+    scenes, points, dominated, accuracies, costs, growth : DataFrame
+        The recordings; reducers in the plane of speed and accuracy; reducers that another one beats in every respect;
+        accuracies of all methods; times; their growth with length.
+    memory, precision, rated, realtime, resources, stability : DataFrame
+        Of a call; of 32-bit input and arithmetic; mean ratings; times of streams by block; state and operations of
+        every reducer; perturbation gains.
     seed : int
         Of the orientations, signals and bootstrap.
     effort : str
@@ -176,7 +131,7 @@ class Chart(Result):
         str
             One line for each.
         """
-        return "\n".join(describe_answers(self.to_frames()))
+        return "\n".join(page.describe_answers(self.to_frames()))
 
     def write(self, folder: PathLike) -> Path:
         """Write a page to explore, figures for print, tables and numbers.
@@ -197,7 +152,7 @@ class Chart(Result):
             If a file cannot be written, or would replace one that is not of a former chart.
         """
         tables = self.to_frames()
-        pictures, values = list_pictures(tables), build_page(tables)
+        pictures, values = page.list_pictures(tables), page.build_page(tables)
         rows = {name: list_records(frame) for name, frame in tables.items()}
         content = {
             field.name: rows.get(field.name, getattr(self, field.name)) for field in fields(self)
@@ -222,9 +177,12 @@ def compute_chart(
     """Measure speed and accuracy of every method; the same seed gives the same accuracies, never the same times."""
     from threadpoolctl import threadpool_limits
 
-    _require_names(recordings)
-    name, clock = choose_clock() if clock is None else ("given", clock)
-    steps, total = count(1), 2 * len(recordings) + effort.rounds + 2 + 2 * len(list_variants())
+    check_names(recordings, fewest=1)
+    name, clock = cost.choose_clock() if clock is None else ("given", clock)
+    steps, total = (
+        count(1),
+        2 * len(recordings) + effort.rounds + 2 + 2 * len(accuracy.list_variants()),
+    )
 
     def tick() -> None:
         if progress is not None:
@@ -234,10 +192,10 @@ def compute_chart(
     with threadpool_limits(limits=THREADS):
         rows = _measure(recordings, effort, seed=seed, clock=clock, tick=tick)
     tables = {name: make_table(name, own) for name, own in rows.items()}
-    tables["growth"] = make_table("growth", fit_all(tables["costs"]))
+    tables["growth"] = make_table("growth", cost.fit_all(tables["costs"]))
     rated = () if ratings is None else rate_reducers(ratings.rows, seed=seed)
     machine = describe_machine(name)
-    notes = collect_notes(
+    notes = page.collect_notes(
         recordings, effort.longest_s, precision=rows["precision"], machine=machine
     )
     return Chart(
@@ -262,26 +220,30 @@ def _measure(
     """Measure the rows of most tables, each with the same seed."""
     accuracies = list(_measure_scenes(recordings, effort, seed=seed, tick=tick))
     rng = np.random.default_rng(seed)
-    jobs = list_jobs(largest=effort.largest_n, rng=rng)
-    costs = time_jobs(jobs, rounds=effort.rounds, clock=clock, rng=rng, done=tick)
-    pieces = [cut_piece(recording, effort.longest_s) for recording in recordings]
-    lengths = [n for n in list_lengths(effort.largest_n) if str(n).startswith("1")]
+    jobs = cost.list_jobs(largest=effort.largest_n, rng=rng)
+    costs = cost.time_jobs(jobs, rounds=effort.rounds, clock=clock, rng=rng, done=tick)
+    pieces = [accuracy.cut_piece(recording, effort.longest_s) for recording in recordings]
+    lengths = [n for n in cost.list_lengths(effort.largest_n) if str(n).startswith("1")]
     memory, precision, realtime = [], [], []
-    for variant in list_variants():
-        memory += [measure_memory(variant, n, np.random.default_rng(seed)) for n in lengths]
+    for variant in accuracy.list_variants():
+        memory += [cost.measure_memory(variant, n, np.random.default_rng(seed)) for n in lengths]
         rng = np.random.default_rng(seed)
-        precision.append(compare_precision(variant.reducer, rng, pieces))
+        precision.append(cost.compare_precision(variant.reducer, rng, pieces))
         tick()
     for name in REDUCERS:
         if name not in WHY_NOT_STREAMING:
             rng = np.random.default_rng(seed)
-            realtime.append(time_blocks(name, rounds=effort.rounds, clock=clock, rng=rng))
+            realtime.append(cost.time_blocks(name, rounds=effort.rounds, clock=clock, rng=rng))
         tick()
-    stability = list(measure_stability(recordings, seed=seed))
+    stability = list(cost.measure_stability(recordings, seed=seed))
     tick()
     return {
-        "scenes": list(_list_scenes(recordings, effort)), "accuracies": accuracies, "costs": costs, "memory": memory,
-        "precision": precision, "realtime": realtime, "resources": list(list_resources()), "stability": stability,
+        "scenes": [
+            {"name": one.name, "rate_hz": one.rate_hz, "duration_s": one.duration_s,
+             "used_s": min(one.duration_s, effort.longest_s), "sha256": one.sha256} for one in recordings
+        ],
+        "accuracies": accuracies, "costs": costs, "memory": memory,
+        "precision": precision, "realtime": realtime, "resources": list(cost.list_resources()), "stability": stability,
     }  # fmt: skip
 
 
@@ -289,9 +251,9 @@ def _place(tables: dict[str, DataFrame]) -> dict[str, DataFrame]:
     """Add the points, and who is dominated, of what was measured."""
     accuracies = tables["accuracies"]
     usual = accuracies[accuracies["sweep"] == "reducer"]
-    latencies = {one.reducer: one.find_latency(RATE_HZ) for one in list_variants()}
+    latencies = {one.reducer: one.find_latency(cost.RATE_HZ) for one in accuracy.list_variants()}
     points = place_points(usual, find_reference(tables["costs"]), latencies)
-    merged = merge_equal({**tables, "points": points})["points"]
+    merged = page.merge_equal({**tables, "points": points})["points"]
     # Equal methods stand or fall together.
     front = merged.set_index(["reducer", "measure"])["on_front"]
     places = zip(points["reducer"].map(name_point), points["measure"], strict=True)
@@ -299,40 +261,24 @@ def _place(tables: dict[str, DataFrame]) -> dict[str, DataFrame]:
     return {**tables, "points": points, "dominated": list_dominated(merged, merge_rows(usual))}
 
 
-def _require_names(recordings: Sequence[Recording]) -> None:
-    names = [recording.name for recording in recordings]
-    if not names:
-        raise ValueError(
-            "recordings must be one or more, got none; name some, or add the bundled scenes"
-        )
-    if len(set(names)) < len(names):
-        doubled = next(name for name in names if names.count(name) > 1)
-        raise ValueError(f"recordings must have different names, got {doubled!r} twice; rename one")
-
-
-def _list_scenes(recordings: Sequence[Recording], effort: Effort) -> Iterator[dict[str, Any]]:
-    for one in recordings:
-        used_s = min(one.duration_s, effort.longest_s)
-        yield {
-            "name": one.name, "rate_hz": one.rate_hz, "duration_s": one.duration_s, "used_s": used_s,
-            "sha256": one.sha256,
-        }  # fmt: skip
-
-
 def _measure_scenes(
     recordings: Sequence[Recording], effort: Effort, *, seed: int, tick: Callable[[], None]
 ) -> Iterator[dict[str, Any]]:
-    turns = draw_turns(effort.rotations, seed)
+    turns = accuracy.draw_turns(effort.rotations, seed)
     few = turns[: effort.sweep_rotations]
     for recording in recordings:
-        piece = cut_piece(recording, effort.longest_s)
-        yield from measure_accuracy(piece, list_variants(), turns=turns)
+        piece = accuracy.cut_piece(recording, effort.longest_s)
+        yield from accuracy.measure_accuracy(piece, accuracy.list_variants(), turns=turns)
         tick()
         for sweep in ("window", "hop"):
-            yield from measure_accuracy(piece, list_variants(sweep), turns=few, sweep=sweep)
-        for rate_hz in RATES_HZ:
-            changed = change_rate(piece, rate_hz)
-            yield from measure_accuracy(changed, list_variants(), turns=few, sweep="rate")
+            yield from accuracy.measure_accuracy(
+                piece, accuracy.list_variants(sweep), turns=few, sweep=sweep
+            )
+        for rate_hz in cost.RATES_HZ:
+            changed = accuracy.change_rate(piece, rate_hz)
+            yield from accuracy.measure_accuracy(
+                changed, accuracy.list_variants(), turns=few, sweep="rate"
+            )
         tick()
 
 

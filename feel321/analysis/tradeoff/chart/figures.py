@@ -11,17 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from feel321.analysis.figures.style import (
-    BLACK,
-    GREY,
-    THIN,
-    Look,
-    add_legend,
-    assign_looks,
-    make_handles,
-    new_canvas,
-    print_style,
-)
+from feel321.analysis.figures import style
 from feel321.analysis.tradeoff.chart.cost import NS, RATE_HZ
 from feel321.analysis.tradeoff.chart.points import (
     GROUPS,
@@ -53,10 +43,10 @@ AT_ONCE_MS, OFFLINE_MS = 2.5, 800.0
 COST_AXIS, DASHED = "Cost of one sample (ns)", (0, (3, 2))
 
 
-def choose_looks(tables: Tables) -> dict[str, Look]:
+def choose_looks(tables: Tables) -> dict[str, style.Look]:
     """Give every reducer of a chart, as it is named there, its look."""
     members = {name: GROUPS.get(name, (name,)) for name in tables["points"]["reducer"].unique()}
-    looks = assign_looks([member for own in members.values() for member in own])
+    looks = style.assign_looks([member for own in members.values() for member in own])
     return {name: looks[own[0]] for name, own in members.items()}
 
 
@@ -100,13 +90,13 @@ def limit_accuracy(values: Iterable[float]) -> tuple[float, float]:
 def draw_cost(tables: Tables, measures: Sequence[str] = PAPER) -> Figure:
     """Draw accuracy against cost, the front marked."""
 
-    def draw(axes: Axes, measure: str, looks: dict[str, Look]) -> DataFrame:
+    def draw(axes: Axes, measure: str, looks: dict[str, style.Look]) -> DataFrame:
         points = _select(tables["points"], measure=measure)
         scenes = _select(tables["accuracies"], sweep="reducer", measure=measure)
         front = points[find_front(np.c_[points["ns_per_sample"], -points["median"]])]
         front = front.sort_values("ns_per_sample")
         axes.plot(
-            front["ns_per_sample"], front["median"].clip(CUT), drawstyle="steps-post", color=BLACK,
+            front["ns_per_sample"], front["median"].clip(CUT), drawstyle="steps-post", color=style.BLACK,
             linestyle=DASHED, linewidth=0.7, zorder=1,
         )  # fmt: skip
         for point in list_records(points):
@@ -116,7 +106,7 @@ def draw_cost(tables: Tables, measures: Sequence[str] = PAPER) -> Figure:
             for mean in own:
                 _mark(axes, (x, mean), look, size=2.2, marker=".", alpha=0.6, markeredgewidth=0)
             axes.hlines(y, point["low"], point["high"], colors=look.colour, linewidths=1, zorder=3)
-            edge = {"markeredgecolor": BLACK, "markeredgewidth": 1.5 * THIN}
+            edge = {"markeredgecolor": style.BLACK, "markeredgewidth": 1.5 * style.THIN}
             _mark(axes, (x, y), look, size=5, zorder=4, **(edge if point["on_front"] else {}))
         return scenes
 
@@ -128,11 +118,13 @@ def draw_cost(tables: Tables, measures: Sequence[str] = PAPER) -> Figure:
 def draw_latency(tables: Tables, measures: Sequence[str] = PAPER) -> Figure:
     """Draw accuracy against algorithmic latency, windowed reducers with every window."""
 
-    def draw(axes: Axes, measure: str, looks: dict[str, Look]) -> DataFrame:
+    def draw(axes: Axes, measure: str, looks: dict[str, style.Look]) -> DataFrame:
         rows = tables["accuracies"]
         rows = rows[(rows["measure"] == measure) & rows["sweep"].isin(["reducer", "window"])]
         for border in (5.0, 400.0):
-            axes.axvline(border, color=GREY, linewidth=THIN, linestyle=(0, (1, 2)), zorder=0)
+            axes.axvline(
+                border, color=style.GREY, linewidth=style.THIN, linestyle=(0, (1, 2)), zorder=0
+            )
         swept = _select(rows, sweep="window")
         points = list_records(_select(tables["points"], measure=measure))
         alone = [point for point in points if point["reducer"] not in set(swept["reducer"])]
@@ -169,17 +161,17 @@ def draw_latency(tables: Tables, measures: Sequence[str] = PAPER) -> Figure:
 def draw_growth(tables: Tables) -> Figure:
     """Draw time and memory of one call against the signal's length."""
     looks, sizes = choose_looks(tables), _select(tables["costs"], sweep="size")
-    with print_style():
-        figure = new_canvas(9.5)
+    with style.print_style():
+        figure = style.new_canvas(9.5)
         above, below = figure.subplots(2, sharex=True, height_ratios=(2, 1))
         for reducer, look in looks.items():
             own, memory = (_select(one, reducer=reducer) for one in (sizes, tables["memory"]))
             _draw_line(above, own["n_samples"], own, look=look, factor=own["n_samples"] / 1e6)
             below.plot(memory["n_samples"], memory["relative"], **_line(look))
         lengths = np.unique(sizes["n_samples"])
-        above.plot(lengths, 1000 * lengths / RATE_HZ, color=GREY, linestyle=DASHED, zorder=1)
+        above.plot(lengths, 1000 * lengths / RATE_HZ, color=style.GREY, linestyle=DASHED, zorder=1)
         label = f"  real time at {RATE_HZ / 1000:g} kHz"
-        above.text(lengths[2], 1000 * lengths[2] / RATE_HZ, label, color=GREY, va="top")
+        above.text(lengths[2], 1000 * lengths[2] / RATE_HZ, label, color=style.GREY, va="top")
         above.set(yscale="log", ylabel="Time of one call (ms)")
         below.set(xscale="log", yscale="log", xlabel="Length (samples per axis)")
         below.set(ylabel="Peak memory\n(× input)")
@@ -190,15 +182,15 @@ def draw_blocks(tables: Tables) -> Figure:
     """Draw the cost of streaming against the size of a block."""
     blocks, looks = _select(tables["costs"], sweep="block"), choose_looks(tables)
     looks = {name: look for name, look in looks.items() if name in set(blocks["reducer"])}
-    with print_style():
-        figure = new_canvas(6.0)
+    with style.print_style():
+        figure = style.new_canvas(6.0)
         axes = figure.subplots()
         for reducer, look in looks.items():
             own = _select(blocks, reducer=reducer)
             _draw_line(axes, own["block"], own, look=look)
         label, sizes = f"real time at {RATE_HZ / 1000:g} kHz", np.unique(blocks["block"])
-        axes.axhline(NS / RATE_HZ, color=GREY, linestyle=DASHED, zorder=1)
-        axes.text(sizes[-1], NS / RATE_HZ, label, color=GREY, ha="right", va="bottom")
+        axes.axhline(NS / RATE_HZ, color=style.GREY, linestyle=DASHED, zorder=1)
+        axes.text(sizes[-1], NS / RATE_HZ, label, color=style.GREY, ha="right", va="bottom")
         axes.set(xscale="log", yscale="log", xlabel="Block (samples per call)", ylabel=COST_AXIS)
         axes.minorticks_off()
         axes.set_xticks(sizes, [str(size) for size in sizes])
@@ -209,8 +201,8 @@ def draw_rates(tables: Tables, measures: Sequence[str] = PAPER) -> Figure:
     """Draw accuracy and speed against the sampling rate."""
     looks = choose_looks(tables)
     rates, costs = (_select(tables[name], sweep="rate") for name in ("accuracies", "costs"))
-    with print_style():
-        figure = new_canvas(4.2 * (len(measures) + 1))
+    with style.print_style():
+        figure = style.new_canvas(4.2 * (len(measures) + 1))
         *panels, last = figure.subplots(len(measures) + 1, sharex=True)
         for axes, measure in zip(panels, measures, strict=True):
             rows = _select(rates, measure=measure)
@@ -237,13 +229,13 @@ def draw_rated(tables: Tables, scale: str, level: str) -> Figure:
     )
     rows = list_records(_select(tables["rated"], scale=scale, level=level))
     rated = [row for row in rows if row["reducer"] in costs.index]
-    with print_style():
-        figure = new_canvas(6.0)
+    with style.print_style():
+        figure = style.new_canvas(6.0)
         axes = figure.subplots()
         for row in rated:
             x, look = costs[row["reducer"]], looks[row["reducer"]]
             ends = row["two_way_low"], row["two_way_high"]
-            axes.vlines(x, *ends, colors=GREY, linewidths=0.5, zorder=1)
+            axes.vlines(x, *ends, colors=style.GREY, linewidths=0.5, zorder=1)
             if not math.isnan(row["low"]):
                 thick: dict[str, Any] = {"linewidths": 1.5, "alpha": 0.5, "zorder": 2}
                 axes.vlines(x, row["low"], row["high"], colors=look.colour, **thick)
@@ -259,12 +251,14 @@ def _select(frame: DataFrame, **wanted: str) -> DataFrame:
 
 
 def _draw_panels(
-    tables: Tables, measures: Sequence[str], draw: Callable[[Axes, str, dict[str, Look]], DataFrame]
+    tables: Tables,
+    measures: Sequence[str],
+    draw: Callable[[Axes, str, dict[str, style.Look]], DataFrame],
 ) -> Figure:
     """Draw one panel of accuracy per measure; `draw` returns the rows that it shows."""
     looks = choose_looks(tables)
-    with print_style():
-        figure = new_canvas(5.2 * len(measures))
+    with style.print_style():
+        figure = style.new_canvas(5.2 * len(measures))
         panels = figure.subplots(len(measures), sharex=True, squeeze=False)[:, 0]
         for axes, measure in zip(panels, measures, strict=True):
             shown = draw(axes, measure, looks)
@@ -272,11 +266,11 @@ def _draw_panels(
     return figure
 
 
-def _finish(figure: Figure, looks: dict[str, Look], *logarithmic: Axis) -> Figure:
+def _finish(figure: Figure, looks: dict[str, style.Look], *logarithmic: Axis) -> Figure:
     """Write the ticks of logarithmic axes as plain numbers, and the legend."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-    with print_style():
+    with style.print_style():
         for axis in logarithmic:
             low, high = axis.get_view_interval()
             # Whole decades; where there are too few, the halves between too.
@@ -284,26 +278,26 @@ def _finish(figure: Figure, looks: dict[str, Look], *logarithmic: Axis) -> Figur
             axis.set_major_locator(LogLocator(subs=parts))
             axis.set_major_formatter(FuncFormatter(lambda value, _: format_plainly(value)))
             axis.set_minor_formatter(NullFormatter())
-        add_legend(figure, make_handles(looks))
+        style.add_legend(figure, style.make_handles(looks))
     return figure
 
 
-def _find_size(look: Look, points: float) -> float:
+def _find_size(look: style.Look, points: float) -> float:
     """Find the size at which a marker looks as large as others."""
     return 1.6 * points if look.marker == "*" else points
 
 
 def _mark(
-    axes: Axes, place: tuple[float, float], look: Look, *, size: float, **more: object
+    axes: Axes, place: tuple[float, float], look: style.Look, *, size: float, **more: object
 ) -> None:
     usual: dict[str, Any] = {
         "marker": look.marker, "color": look.colour, "linestyle": "none", "zorder": 3,
-        "markersize": _find_size(look, size), "markeredgecolor": "white", "markeredgewidth": THIN,
+        "markersize": _find_size(look, size), "markeredgecolor": "white", "markeredgewidth": style.THIN,
     }  # fmt: skip
     axes.plot(*place, **{**usual, **more})
 
 
-def _draw_span(axes: Axes, x: float, values: Series, *, look: Look, zorder: int = 2) -> None:
+def _draw_span(axes: Axes, x: float, values: Series, *, look: style.Look, zorder: int = 2) -> None:
     thin: dict[str, Any] = {
         "colors": look.colour,
         "linewidths": 0.5,
@@ -313,15 +307,15 @@ def _draw_span(axes: Axes, x: float, values: Series, *, look: Look, zorder: int 
     axes.vlines(x, values.min(), values.max(), **thin)
 
 
-def _line(look: Look) -> dict[str, Any]:
+def _line(look: style.Look) -> dict[str, Any]:
     return {
         "color": look.colour, "marker": look.marker, "markersize": _find_size(look, 3.2),
-        "markeredgecolor": "white", "markeredgewidth": THIN, "linewidth": 0.7,
+        "markeredgecolor": "white", "markeredgewidth": style.THIN, "linewidth": 0.7,
     }  # fmt: skip
 
 
 def _draw_line(
-    axes: Axes, x: Series, costs: DataFrame, *, look: Look, factor: Series | float = 1.0
+    axes: Axes, x: Series, costs: DataFrame, *, look: style.Look, factor: Series | float = 1.0
 ) -> None:
     """Draw median costs and shade their quartiles."""
     low, high = costs["low"] * factor, costs["high"] * factor

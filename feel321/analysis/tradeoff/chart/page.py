@@ -9,20 +9,9 @@ from typing import TYPE_CHECKING, Any
 from feel321.analysis.report.page import TEMPLATES
 from feel321.analysis.report.section import PageTable, Picture, make_slug, number_pictures
 from feel321.analysis.table.sheet import APART
+from feel321.analysis.tradeoff.chart import figures
 from feel321.analysis.tradeoff.chart.accuracy import ReducerVariant, list_variants
 from feel321.analysis.tradeoff.chart.cost import CALLS, NS, RATE_HZ, REFERENCE_N, fit_all
-from feel321.analysis.tradeoff.chart.figures import (
-    CUT,
-    choose_looks,
-    describe_measure,
-    draw_blocks,
-    draw_cost,
-    draw_growth,
-    draw_latency,
-    draw_rated,
-    draw_rates,
-    format_plainly,
-)
 from feel321.analysis.tradeoff.chart.points import (
     GROUPS,
     MEASURES,
@@ -59,7 +48,7 @@ PLACES = 5
 KHZ = f"{RATE_HZ / 1000:g} kHz"
 _MARKS = (
     "A marker is the median over scenes of the mean over random sensor orientations, a small dot one scene, the "
-    f"vertical line their span. Values below {CUT:g} are drawn at the edge."
+    f"vertical line their span. Values below {figures.CUT:g} are drawn at the edge."
 )
 _FRONT = (
     "The horizontal line spans the quartiles of the cost. Dashed: the Pareto front; edged in black: reducers that no "
@@ -88,8 +77,8 @@ _TIMES_VARY = (
     "same recordings and seed."
 )
 _COMPARED = (
-    f"Methods are compared at {format_plainly(REFERENCE_N)} samples; × real time is for {KHZ}. The timed signals are "
-    "white noise.",
+    f"Methods are compared at {figures.format_plainly(REFERENCE_N)} samples; × real time is for {KHZ}. The timed "
+    "signals are white noise.",
     "Over scenes the median is reported and compared, not the mean: spectral match has no lower bound, so that one "
     "scene with a band nearly without energy would decide. The means are in tables/points.csv.",
 )
@@ -171,17 +160,17 @@ def _describe_speed(points: Sequence[Record]) -> str:
         point = extreme(points, key=lambda one: one["ns_per_sample"])
         cost = f"{point['ns_per_sample']:.3g} ns per sample, {_times_real_time(point)} × real time"
         shown.append(f"{point['reducer']} ({cost})")
-    return f"Fastest: {shown[0]}; slowest: {shown[1]}, at {format_plainly(REFERENCE_N)} samples and {KHZ}."
+    return f"Fastest: {shown[0]}; slowest: {shown[1]}, at {figures.format_plainly(REFERENCE_N)} samples and {KHZ}."
 
 
 def _times_real_time(point: Record) -> str:
-    return format_plainly(float(f"{NS / RATE_HZ / point['ns_per_sample']:.2g}"))
+    return figures.format_plainly(float(f"{NS / RATE_HZ / point['ns_per_sample']:.2g}"))
 
 
 def _describe_front(points: DataFrame, measure: str) -> str:
     front = list_records(points[points["on_front"]].sort_values("ns_per_sample"))
     shown = join_words([f"{point['reducer']} ({point['median']:.2f})" for point in front])
-    name = describe_measure(measure)
+    name = figures.describe_measure(measure)
     return f"{name}{',' if ',' in name else ''} against cost: on the front are {shown}."
 
 
@@ -209,7 +198,9 @@ def _describe_growth(growth: Sequence[Record]) -> str:
         for row in (ordered[0], ordered[-1])
     ]
     steep = [row["reducer"] for row in growth if row["low"] > 1]
-    lengths = " to ".join(format_plainly(growth[0][name]) for name in ("smallest", "largest"))
+    lengths = " to ".join(
+        figures.format_plainly(growth[0][name]) for name in ("smallest", "largest")
+    )
     which = (
         f"clearly faster than n for {join_words(steep)}"
         if steep
@@ -263,7 +254,7 @@ def _tabulate_reducers(tables: Tables) -> PageTable:
             "× real time": _times_real_time(first),
             "Latency": "whole signal" if math.isnan(first["latency_s"]) else latency,
             **{
-                describe_measure(one["measure"]):
+                figures.describe_measure(one["measure"]):
                     f"{format_number(one['median'])} [{format_interval(one['lowest'], one['highest'])}]"
                 for one in points
             },
@@ -290,7 +281,7 @@ def _tabulate_running(tables: Tables) -> PageTable:
             "Reducer": name, "Block: median (µs)": shown[0] if own else "whole signal",
             "99 % (µs)": shown[1], "Worst (µs)": shown[2],
             "Worst, share of the deadline (%)": f"{100 * times[2] / own['deadline_us']:.0f}" if own else ABSENT,
-            "State (bytes)": format_plainly(row["state_bytes"]) if row["state_bytes"] else "0",
+            "State (bytes)": figures.format_plainly(row["state_bytes"]) if row["state_bytes"] else "0",
             "Operations per sample": f"{row['operations']:.0f}",
             "Perturbation gain, median": ABSENT if gain is None else f"{gain.median():.2g}",
             "Worst scene": ABSENT if gain is None else f"{gain.max():.3g}",
@@ -298,9 +289,9 @@ def _tabulate_running(tables: Tables) -> PageTable:
     deadline = f"{next(iter(timed.values()))['deadline_us']:.0f} µs" if timed else "none"
     caption = (
         f"While a reducer runs. Time per block of 64 samples at 48 kHz (deadline {deadline}): median, 99th percentile "
-        "and worst; the block that completes half a window does the work of all of it. State of reducers "
-        f"that need the whole signal: {format_plainly(REFERENCE_N)} samples. Stability: perturbation gain under sensor "
-        "noise of -60 dB, median and worst scene (1: noise passes as it is)."
+        "and worst; the block that completes half a window does the work of all of it. State of reducers that need the "
+        f"whole signal: {figures.format_plainly(REFERENCE_N)} samples. Stability: perturbation gain under sensor noise "
+        "of -60 dB, median and worst scene (1: noise passes as it is)."
     )
     return _build(caption, rows)
 
@@ -313,7 +304,7 @@ def _tabulate_hops(tables: Tables) -> PageTable:
     rows = (
         {
             "Method": row["method"], "ns per sample": f"{row['ns_per_sample']:.3g}",
-            **{describe_measure(name): f"{medians[row['method'], name]:.3f}" for name in MEASURES},
+            **{figures.describe_measure(name): f"{medians[row['method'], name]:.3f}" for name in MEASURES},
         }
         for row in list_records(costs)
     )  # fmt: skip
@@ -328,7 +319,7 @@ def _tabulate_growth(tables: Tables) -> PageTable:
     memory = {
         row["reducer"]: row for row in list_records(tables["memory"])
     }  # the longest stands last
-    longest = format_plainly(tables["memory"]["n_samples"].max())
+    longest = figures.format_plainly(tables["memory"]["n_samples"].max())
     rows = (
         {
             "Reducer": row["reducer"], "Exponent": f"{row['exponent']:.2f}",
@@ -387,26 +378,27 @@ def _tabulate_rated(tables: Tables) -> PageTable:
 def list_pictures(tables: Tables) -> list[Picture]:
     """List the figures."""
     merged = merge_equal(tables)
-    spans = f"A vertical line spans the scenes. Values below {CUT:g} are drawn at the edge."
+    spans = f"A vertical line spans the scenes. Values below {figures.CUT:g} are drawn at the edge."
     pictures = [
-        Picture("cost", f"Both of the paper's metrics against cost. {_MARKS} {_FRONT}", draw_cost(merged)),
+        Picture("cost", f"Both of the paper's metrics against cost. {_MARKS} {_FRONT}", figures.draw_cost(merged)),
         Picture("cost_invariant", "Their bounded counterparts, which no orientation of the sensor changes, against "
-                f"cost. {_MARKS} {_FRONT}", draw_cost(merged, MEASURES[2:])),
+                f"cost. {_MARKS} {_FRONT}", figures.draw_cost(merged, MEASURES[2:])),
         Picture("latency", "Both of the paper's metrics against algorithmic latency, windowed reducers with windows of "
-                f"10 to 200 ms. {spans} Markers are offset to avoid overlap.", draw_latency(merged)),
+                f"10 to 200 ms. {spans} Markers are offset to avoid overlap.", figures.draw_latency(merged)),
         Picture("growth", "Time of one call (median, shaded: quartiles) and the most memory that it holds beside its "
-                "input, against the length of the signal.", draw_growth(merged)),
+                "input, against the length of the signal.", figures.draw_growth(merged)),
         Picture("blocks", "Cost of streaming against the samples per call (median, shaded: quartiles); reducers that "
-                "need the whole signal cannot stream.", draw_blocks(merged)),
+                "need the whole signal cannot stream.", figures.draw_blocks(merged)),
         Picture("rates", "Both of the paper's metrics and speed against the sampling rate: medians over scenes of the "
-                f"means over orientations. Values below {CUT:g} are drawn at the edge.", draw_rates(merged)),
+                f"means over orientations. Values below {figures.CUT:g} are drawn at the edge.",
+                figures.draw_rates(merged)),
     ]  # fmt: skip
     for (scale, level), _ in split(tables["rated"], "scale", "level"):
         caption = (
             f"Mean {format_measure(scale)} (level {format_name(level)}) against cost. Thick: 95 % t interval over "
             "participants, for these recordings; thin: 95 % bootstrap interval over participants and recordings."
         )
-        drawing = draw_rated(tables, scale, level)
+        drawing = figures.draw_rated(tables, scale, level)
         pictures.append(Picture(make_slug("rated", scale, level), caption, drawing))
     return list(number_pictures(pictures))
 
@@ -417,7 +409,7 @@ def build_page(tables: Tables) -> dict[str, Any]:
     return {
         "answers": describe_answers(tables),
         "axes": axes,
-        "looks": choose_looks(merged),
+        "looks": figures.choose_looks(merged),
         "grids": tabulate(tables),
         "data": dump_data(tables, axes),
         "script": (TEMPLATES / "chart.js").read_text(encoding="utf-8"),
@@ -432,7 +424,7 @@ def list_axes(tables: Tables) -> list[dict[str, Any]]:
         ("cost", "Cost of one sample (ns)", "speed", "low"),
         ("real_time", f"Speed (× real time, {KHZ} unless named)", "speed", "high"),
         ("latency", "Algorithmic latency (ms)", "speed", "low"),
-        *((name, describe_measure(name), "accuracy", "high") for name in MEASURES),
+        *((name, figures.describe_measure(name), "accuracy", "high") for name in MEASURES),
         ("stability", "Perturbation gain (1: sensor noise passes as it is)", "stability", "low"),
         *((name, name, "rating", "low" if apart else "high") for name, apart in rated.items()),
     ]
@@ -454,7 +446,7 @@ def dump_data(tables: Tables, axes: Sequence[Mapping[str, Any]]) -> str:
 def _list_markers(tables: Tables) -> Iterator[dict[str, Any]]:
     """List the markers that a reader can show: what each is, what it costs, its scores and ratings."""
     merged = merge_equal(tables)
-    looks, ratings = choose_looks(merged), _list_ratings(tables)
+    looks, ratings = figures.choose_looks(merged), _list_ratings(tables)
     gains = merged["stability"].set_index(["reducer", "scene"])["gain"].to_dict()
     scores: dict[tuple[str, str, float | None], dict[str, dict[str, list[float]]]] = {}
     for row in list_records(merged["accuracies"]):

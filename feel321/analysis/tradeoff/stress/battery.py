@@ -119,10 +119,6 @@ def _ordinary(rng: np.random.Generator) -> Samples:
     return 4 * (LINE * make_texture(rng) + 0.15 * make_texture(rng, 3))
 
 
-def _anti_phase(rng: np.random.Generator) -> Samples:
-    return np.asarray(np.array([[4.0], [-2.0], [-2.0]]) * make_texture(rng))
-
-
 def _turning(semi_axes: tuple[float, float]) -> Callable[[np.random.Generator], Samples]:
     def make(rng: np.random.Generator) -> Samples:
         angle = 2 * np.pi * (150 * TIME_S + rng.uniform())
@@ -132,10 +128,6 @@ def _turning(semi_axes: tuple[float, float]) -> Callable[[np.random.Generator], 
         )
 
     return make
-
-
-def _isotropic(rng: np.random.Generator) -> Samples:
-    return 4 * whiten(make_texture(rng, 3))
 
 
 def _silent_axis(rng: np.random.Generator) -> Samples:
@@ -148,37 +140,10 @@ def _one_axis(rng: np.random.Generator) -> Samples:
     return np.array([np.zeros(N_SAMPLES), axis, np.zeros(N_SAMPLES)])
 
 
-def _offset(rng: np.random.Generator) -> Samples:
-    return _ordinary(rng) / 4 + STANDARD_GRAVITY * np.array([[0.0], [-0.6], [0.8]])
-
-
 def _drift(rng: np.random.Generator) -> Samples:
     tilt = 0.6 * np.sin(2 * np.pi * (0.8 * TIME_S + rng.uniform()))
     gravity = STANDARD_GRAVITY * np.array([np.sin(tilt), np.zeros(N_SAMPLES), np.cos(tilt)])
     return _ordinary(rng) / 4 + gravity
-
-
-def _broad(rng: np.random.Generator) -> Samples:
-    return _ordinary(rng) + 2 * make_texture(rng, 3)
-
-
-def _weak(rng: np.random.Generator) -> Samples:
-    return 0.6 * ADXL345_STEP * (LINE * make_texture(rng) + 0.5 * make_texture(rng, 3))
-
-
-def _in_phase(rng: np.random.Generator) -> Samples:
-    return np.asarray(np.array([[4.0], [4.0], [0.4]]) * make_texture(rng))
-
-
-def _clip(samples: Samples, rng: np.random.Generator) -> Samples:
-    del rng
-    limit = 0.35 * np.abs(samples).max()
-    return np.clip(samples, -limit, limit)
-
-
-def _quantise(samples: Samples, rng: np.random.Generator) -> Samples:
-    del rng
-    return np.asarray(ADXL345_STEP * np.round(samples / ADXL345_STEP))
 
 
 def _lose(samples: Samples, rng: np.random.Generator) -> Samples:
@@ -215,10 +180,6 @@ def _chirp(rng: np.random.Generator) -> Samples:
     return 4 * np.array([np.cos(sweep), np.cos(1.004 * sweep), 0.1 * np.cos(0.997 * sweep)])
 
 
-def _short(rng: np.random.Generator) -> Samples:
-    return _isotropic(rng)[:, :12]
-
-
 def _near_silence(rng: np.random.Generator) -> Samples:
     start = int(rng.integers(500, 1000))
     taps = 40 * LINE * make_tap(start)
@@ -230,7 +191,7 @@ _SCENES = (
     StressScene("ordinary_drag", "Ordinary drag (control)",
                 "One clear direction: a reducer that fails here fails everywhere.", _ordinary),
     StressScene("anti_phase", "Anti-phase axes", "x cancels y and z everywhere: the sum has no phase of its own.",
-                _anti_phase, ("undetermined_share",),
+                lambda rng: np.array([[4.0], [-2.0], [-2.0]]) * make_texture(rng), ("undetermined_share",),
                 (Failing("dft321", "gain"), Failing("dft321_windowed", "gain"), Failing("soc321", "energy"))),
     StressScene("circular", "Circular motion",
                 "All directions in the plane of the circle hold the same energy: none leads.", _turning((6.0, 6.0)),
@@ -238,7 +199,8 @@ _SCENES = (
     StressScene("elliptic", "Elliptic motion", "Rotating motion has another phase on every axis of every mounting.",
                 _turning((6.0, 5.7)), _EIGENVALUES, (Failing("dft321", "rotation"), Failing("dft321", "flip"))),
     StressScene("equal_eigenvalues", "Equal eigenvalues",
-                "Independent axes of equal energy: the principal axis is arbitrary.", _isotropic, _EIGENVALUES,
+                "Independent axes of equal energy: the principal axis is arbitrary.",
+                lambda rng: 4 * whiten(make_texture(rng, 3)), _EIGENVALUES,
                 (Failing("pca321", "gain"), Failing("dft321", "rotation"))),
     StressScene("silent_axis", "One silent axis",
                 "z is dead: a reducer that keeps only z is silent, metrics divide by zero.", _silent_axis,
@@ -246,16 +208,21 @@ _SCENES = (
     StressScene("one_axis", "One axis only", "All motion on y: two of three single axes are silent.", _one_axis,
                 ("silent_axes",), (Failing("sax321", "energy"), Failing("saz321", "energy"))),
     StressScene("offset", "Gravity as offset",
-                "9.8 m/s² of gravity on a vibration of 1 m/s²: the offset passes for signal.", _offset,
+                "9.8 m/s² of gravity on a vibration of 1 m/s²: the offset passes for signal.",
+                lambda rng: _ordinary(rng) / 4 + STANDARD_GRAVITY * np.array([[0.0], [-0.6], [0.8]]),
                 ("offset_share",), (Failing("mag321", "energy"),)),
     StressScene("gravity_drift", "Drifting gravity",
                 "The hand tilts: slow gravity outweighs the vibration on two axes.", _drift, ("slow_share",),
                 (Failing("mag321", "edge"),)),
     StressScene("clipping", "Clipping", "Peaks are cut axis by axis: the direction of motion bends at every peak.",
-                _broad, ("clipped_share",), (Failing("sax321", "energy"),), _clip),
+                lambda rng: _ordinary(rng) + 2 * make_texture(rng, 3), ("clipped_share",),
+                (Failing("sax321", "energy"),),
+                lambda samples, _: np.clip(samples, *(sign * 0.35 * np.abs(samples).max() for sign in (-1, 1)))),
     StressScene("quantisation", "ADXL345 steps (3.9 mg)",
-                "The vibration is weaker than the sensor's step: mostly zeros.", _weak, ("step_over_rms",),
-                (Failing("mag321", "energy"),), _quantise),
+                "The vibration is weaker than the sensor's step: mostly zeros.",
+                lambda rng: 0.6 * ADXL345_STEP * (LINE * make_texture(rng) + 0.5 * make_texture(rng, 3)),
+                ("step_over_rms",),
+                (Failing("mag321", "energy"),), lambda samples, _: ADXL345_STEP * np.round(samples / ADXL345_STEP)),
     StressScene("missing_samples", "Missing samples",
                 "A dozen gaps of 5 ms are filled with zeros: edges in all bands.", _ordinary, ("held_share",),
                 (Failing("mag321", "energy"),), _lose),
@@ -266,12 +233,14 @@ _SCENES = (
                 _between_bins, ("tonal_share",), (Failing("dft321", "rotation"),)),
     StressScene("chirp", "Chirp", "20 to 1000 Hz, axes drifting apart in phase: they add, then cancel, then add.",
                 _chirp, ("undetermined_share",), (Failing("dft321", "rotation"),)),
-    StressScene("very_short", "12 samples", "Shorter than a window: nothing to average over.", _short, ("n_windows",),
+    StressScene("very_short", "12 samples", "Shorter than a window: nothing to average over.",
+                lambda rng: 4 * whiten(make_texture(rng, 3))[:, :12], ("n_windows",),
                 (Failing("sax321", "energy"),)),
     StressScene("near_silence", "Near silence", "After one tap only noise, 80 dB below: its direction is arbitrary.",
                 _near_silence, ("silence_share",)),
     StressScene("rate_mismatch", "Sample-rate mismatch",
-                "y's clock runs 0.3 % fast: the axes slide through anti-phase.", _in_phase, (),
+                "y's clock runs 0.3 % fast: the axes slide through anti-phase.",
+                lambda rng: np.array([[4.0], [4.0], [0.4]]) * make_texture(rng), (),
                 (Failing("dft321", "rotation"),), _run_fast),
 )  # fmt: skip
 

@@ -5,17 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from feel321.analysis.figures.style import (
-    BLACK,
-    CM_PER_INCH,
-    COLUMN_CM,
-    GREY,
-    THIN,
-    fit_text,
-    print_style,
-)
+from feel321.analysis.figures import style
 from feel321.analysis.report.section import PageTable
-from feel321.analysis.tradeoff.results import GradedText
 from feel321.analysis.tradeoff.stress.battery import BATTERY
 from feel321.analysis.tradeoff.stress.diagnosis import SIGNS
 from feel321.analysis.tradeoff.stress.measures import MEASURES
@@ -32,7 +23,7 @@ if TYPE_CHECKING:
     from feel321.analysis.tradeoff.stress.result import StressResult
 
 FIGURE = "stress"
-WIDTH_CM = 2 * COLUMN_CM + 0.8
+WIDTH_CM = 2 * style.COLUMN_CM + 0.8
 ROW_CM, HEAD_CM, KEY_CM, LABEL_CM, MARGIN_CM = 0.66, 1.2, 1.3, 3.7, 0.1
 FILLS = {"good": "#FFFFFF", "caution": "#F6D68F", "fails": "#D55E00", "undefined": "#E6E6E6"}
 """White, Okabe and Ito's orange made paler, and their vermilion: three steps of lightness, which a grey print keeps."""
@@ -48,6 +39,20 @@ CAPTION = (
 )
 
 
+class GradedText(str):
+    """An entry of a table of a page; grade: the style class that colours it; link: where it leads."""
+
+    __slots__ = ("grade", "link")
+    grade: str
+    link: str
+
+    def __new__(cls, text: str, grade: str = "", link: str = "") -> GradedText:
+        """Make the text and remember how it is shown."""
+        made = super().__new__(cls, text)
+        made.grade, made.link = grade, link
+        return made
+
+
 def draw_stress(result: StressResult) -> Figure:
     """Draw the heat map, two columns wide: reducers across, scenes down."""
     from matplotlib.figure import Figure
@@ -55,13 +60,13 @@ def draw_stress(result: StressResult) -> Figure:
     wide = (WIDTH_CM - LABEL_CM - MARGIN_CM) / max(len(result.reducers), 1)
     upright = wide < NARROW_CM
     names = [
-        name if upright else fit_text(name, wide, lines=HEAD_LINES, size=VALUE_SIZE)
+        name if upright else style.fit_text(name, wide, lines=HEAD_LINES, size=VALUE_SIZE)
         for name in result.reducers
     ]
     height = (UPRIGHT_CM if upright else HEAD_CM) + ROW_CM * len(BATTERY) + KEY_CM
     left, right = LABEL_CM / WIDTH_CM, MARGIN_CM / WIDTH_CM
-    with print_style():
-        figure = Figure(figsize=(WIDTH_CM / CM_PER_INCH, height / CM_PER_INCH))
+    with style.print_style():
+        figure = Figure(figsize=(WIDTH_CM / style.CM_PER_INCH, height / style.CM_PER_INCH))
         box = (left, KEY_CM / height, 1 - left - right, ROW_CM * len(BATTERY) / height)
         axes = figure.add_axes(box)
         _label(axes, names, rotation=90 if upright else 0)
@@ -72,7 +77,7 @@ def draw_stress(result: StressResult) -> Figure:
             for column, reducer in enumerate(result.reducers):
                 _draw_cell(axes, cells[scene, reducer], place=(column, row))
         lines = (
-            fit_text(line, WIDTH_CM - 4 * MARGIN_CM, lines=3, size=KEY_SIZE)
+            style.fit_text(line, WIDTH_CM - 4 * MARGIN_CM, lines=3, size=KEY_SIZE)
             for line in _describe_key()
         )
         place = (right, (KEY_CM - 0.2) / height)
@@ -96,12 +101,14 @@ def _draw_cell(axes: Axes, cells: Mapping[str, StressCell], *, place: tuple[int,
     gain, *further = cells.values()
     letters = "".join(MEASURES[cell.measure].letter for cell in further if cell.grade == "fails")
     failing = gain.grade == "fails"
-    box = Rectangle(place, 1, 1, facecolor=FILLS[gain.grade], edgecolor=GREY, linewidth=THIN)
+    box = Rectangle(
+        place, 1, 1, facecolor=FILLS[gain.grade], edgecolor=style.GREY, linewidth=style.THIN
+    )
     if letters or failing:
         box.set_url(f"#{gain.recording}-{gain.reducer}")
     axes.add_patch(box)
     look: dict[str, Any] = {
-        "color": "#FFFFFF" if failing else BLACK, "ha": "center", "va": "center",
+        "color": "#FFFFFF" if failing else style.BLACK, "ha": "center", "va": "center",
     }  # fmt: skip
     x, y = place[0] + 0.5, place[1]
     weight = "bold" if failing else "normal"

@@ -7,9 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from feel321.analysis.report.section import Picture
+from feel321.analysis.tradeoff.results import check_names, write_results
 from feel321.analysis.tradeoff.stress.battery import BATTERY, take_excerpt
 from feel321.analysis.tradeoff.stress.diagnosis import diagnose
 from feel321.analysis.tradeoff.stress.measures import measure_battery, measure_gains
+from feel321.analysis.tradeoff.stress.page import CAPTION, FIGURE, build_page, draw_stress
 from feel321.analysis.tradeoff.stress.result import (
     StressResult,
     build_content,
@@ -74,10 +77,6 @@ class Stress(StressResult):
         OSError
             If a file cannot be written, or would replace one that is not of a former stress test.
         """
-        from feel321.analysis.report.section import Picture
-        from feel321.analysis.tradeoff.results import write_results
-        from feel321.analysis.tradeoff.stress.page import CAPTION, FIGURE, build_page, draw_stress
-
         return write_results(
             folder,
             FIGURE,
@@ -102,7 +101,10 @@ def stress_reducers(  # noqa: PLR0913 - every choice that changes the numbers ha
     from threadpoolctl import threadpool_limits
 
     chosen = dict(REDUCERS if reducers is None else reducers)
-    _check(recordings, chosen, takes=seeds, draws=draws)
+    check_names(recordings)
+    for name, number in (("takes", seeds), ("draws", draws)):
+        if number < 2:  # noqa: PLR2004 - a spread needs two
+            raise ValueError(f"{name} must be 2 or more, got {number}; a spread needs two")
     scenes = [scene.make(seed) for scene in BATTERY.values()]
     moving = [recording for recording in recordings if recording.acceleration.any()]
     excerpts = [take_excerpt(recording, duration_s=EXCERPT_S) for recording in moving]
@@ -133,20 +135,6 @@ def stress_reducers(  # noqa: PLR0913 - every choice that changes the numbers ha
 def write_stress(result: Stress, folder: PathLike) -> Path:
     """Write a stress test; kept for callers of the former name."""
     return result.write(folder)
-
-
-def _check(
-    recordings: Sequence[Recording], reducers: Mapping[str, Reducer], *, takes: int, draws: int
-) -> None:
-    names = [recording.name for recording in recordings]
-    if len(set(names)) < len(names):
-        doubled = next(name for name in names if names.count(name) > 1)
-        raise ValueError(f"recordings must have different names, got {doubled!r} twice; rename one")
-    if not reducers:
-        raise ValueError("reducers must be one or more, got none; leave them out to take all")
-    for name, count in (("takes", takes), ("draws", draws)):
-        if count < 2:  # noqa: PLR2004 - a spread needs two
-            raise ValueError(f"{name} must be 2 or more, got {count}; a spread needs two")
 
 
 def _collect_notes(
