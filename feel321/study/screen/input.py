@@ -66,7 +66,7 @@ REPEAT_S = 0.003  # shortest time between two presses: X repeats held keys faste
 
 
 @dataclass(frozen=True, slots=True)
-class Event:
+class InputEvent:
     """Something that was done to the window; x, y: pixels from its upper left corner.
 
     closed: it was closed, or is gone. hidden: it is still there, but nobody sees what is asked. unfocused: keys go to
@@ -80,9 +80,9 @@ class Event:
     y: float = 0.0
 
 
-def drop_repeats(events: list[Event]) -> list[Event]:
+def drop_repeats(events: list[InputEvent]) -> list[InputEvent]:
     """Leave out the releases and presses that a held key makes up."""
-    kept: list[Event] = []
+    kept: list[InputEvent] = []
     for event in events:
         last = kept[-1] if kept else event
         is_pair = (last.kind, event.kind) == ("release", "press") and last.key == event.key
@@ -286,7 +286,7 @@ class Answer:
             return dict.fromkeys(self.rated, self.chosen) if self.chosen else {}
         return dict(self.markers.values)
 
-    def take(self, event: Event, target: Target | None, *, can_answer: bool) -> Request | None:
+    def take(self, event: InputEvent, target: Target | None, *, can_answer: bool) -> Request | None:
         """Do what an event asks for, as far as it is about the answer."""
         match event.kind:
             case "release":
@@ -317,7 +317,7 @@ class Answer:
         self._set(self.selected, value, time_s)
         return value is not None
 
-    def _press(self, event: Event, *, can_answer: bool) -> Request | None:
+    def _press(self, event: InputEvent, *, can_answer: bool) -> Request | None:
         key, time_s = event.key, event.time_s
         if self.kind == "rows" and key.isdigit():
             others = [part for part in self._parts if part not in self.rated]
@@ -331,7 +331,7 @@ class Answer:
                 self._set(self.selected, self._digits.type(key, time_s), time_s)
         return None
 
-    def _click(self, event: Event, target: Target | None) -> Request | None:
+    def _click(self, event: InputEvent, target: Target | None) -> Request | None:
         self._dragged = target if target and target.name == "mark" else None
         match target.name if target else "":
             case "feel" if target:

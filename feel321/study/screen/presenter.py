@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from feel321.protocols.trial import Page, Part, Scale, Trial
     from feel321.stimuli.sets.manifest import Stimulus
     from feel321.study.actuator.output import Output
-    from feel321.study.screen.input import Event
+    from feel321.study.screen.input import InputEvent
     from feel321.study.screen.view import ScreenTexts
     from feel321.study.screen.window import Window
     from feel321.study.session.ports import Act
@@ -43,7 +43,7 @@ class Screen:
         self._answer: Answer | None = None
         self._twice = Twice()
         self._confirmed_s = -DOUBLE_S
-        self._events: deque[Event] = deque()
+        self._events: deque[InputEvent] = deque()
         self._composed: tuple[View, Sheet] = (self.view, Sheet(0, 0))
 
     def bring_up(self, view: View, answer: Answer | None = None) -> None:
@@ -92,7 +92,7 @@ class Screen:
             self._composed = view, compose(view, self._texts, size=self.window.size)
         self._events.extend(self.window.show(self._composed[1].items))
 
-    def _interpret(self, event: Event) -> Request | None:
+    def _interpret(self, event: InputEvent) -> Request | None:
         trial, page = self.view.trial, self.view.page
         targets = self._composed[1].targets if event.kind == "click" else []
         target = next((t for t in targets if t.box.contains(event.x, event.y)), None)
@@ -115,7 +115,7 @@ class Screen:
             return None
         return self.find_answer().take(event, target, can_answer=self.view.can_answer)
 
-    def _is_double(self, event: Event, request: Request) -> bool:
+    def _is_double(self, event: InputEvent, request: Request) -> bool:
         """Whether a click that confirms is the other half of a double one."""
         if request.name != "confirm" or event.kind != "click":
             return False

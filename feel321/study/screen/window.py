@@ -26,7 +26,7 @@ from feel321.study.screen.drawing import (
     find_font_files,
     round_corners,
 )
-from feel321.study.screen.input import Event, drop_repeats, hold_signals, name_key
+from feel321.study.screen.input import InputEvent, drop_repeats, hold_signals, name_key
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -128,7 +128,7 @@ class Window:
     ) -> None:
         self.handle, self.clock, self.deliver_signals = handle, clock, deliver_signals
         self.frames, self.easel = FrameCounts(), Easel(handle)
-        self._events: list[Event] = []
+        self._events: list[InputEvent] = []
         self._shown: tuple[Item, ...] = ()
         self._due_s = self._redraw_s = 0.0
         self._is_closed = False
@@ -139,7 +139,7 @@ class Window:
         width, height = self.handle.size
         return int(width), int(height)
 
-    def show(self, items: Sequence[Item]) -> list[Event]:
+    def show(self, items: Sequence[Item]) -> list[InputEvent]:
         """Show items for a frame, and collect what is done in it."""
         items = tuple(items)
         began = time.perf_counter()
@@ -152,7 +152,7 @@ class Window:
         self.deliver_signals()
         if self._is_closed:
             # With every frame: who shows another screen meanwhile must not miss it.
-            self._events.append(Event("closed", self.clock()))
+            self._events.append(InputEvent("closed", self.clock()))
         events, self._events = drop_repeats(self._events), []
         return events
 
@@ -191,9 +191,9 @@ class Window:
             return x * self.size[0] / width, (height - y) * self.size[1] / height
 
         # Handlers that return True are the last to receive an event.
-        def take(kind: Any, *, key: int = 0, at: tuple[float, float] = (0.0, 0.0)) -> bool:  # noqa: ANN401 - a kind of Event
+        def take(kind: Any, *, key: int = 0, at: tuple[float, float] = (0.0, 0.0)) -> bool:  # noqa: ANN401 - a kind of InputEvent
             name = name_key(keys.symbol_string(key)) if key else ""
-            self._events.append(Event(kind, self.clock(), name, *at))
+            self._events.append(InputEvent(kind, self.clock(), name, *at))
             return True
 
         def end(*_: object) -> bool:

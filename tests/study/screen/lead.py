@@ -141,8 +141,11 @@ class Watcher(Hand):
 class Journal:
     """Tells what would be written."""
 
-    def write(self, event: str, data: dict[str, Any]) -> None:
-        tell(event=event, **data)
+    def write(self, event: Any, data: dict[str, Any] | None = None) -> None:
+        if isinstance(event, str):
+            tell(event=event, **(data or {}))
+        else:
+            tell(event=event.event, **event.to_data())
 
 
 def conduct(step: dict[str, Any], stage: Stage) -> None:

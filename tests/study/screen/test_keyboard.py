@@ -5,8 +5,8 @@ import pytest
 from feel321.study.screen.input import (
     COARSE_SPEEDS,
     Digits,
-    Event,
     Held,
+    InputEvent,
     Markers,
     Twice,
     count_repeats,
@@ -67,14 +67,14 @@ def test_keys_have_one_name_on_the_main_block_and_on_the_number_block() -> None:
 
 
 def test_what_a_held_key_makes_up_is_dropped() -> None:
-    made_up = [Event("release", 1.0, "left"), Event("press", 1.001, "left")]
-    real = Event("press", 1.002, "r")
+    made_up = [InputEvent("release", 1.0, "left"), InputEvent("press", 1.001, "left")]
+    real = InputEvent("press", 1.002, "r")
     assert drop_repeats([*made_up, real]) == [real]
 
 
 def test_a_real_second_press_is_no_repeat() -> None:
     kinds = ("press", "release", "press")
-    events = [Event(kind, n / 100, "escape") for n, kind in enumerate(kinds)]
+    events = [InputEvent(kind, n / 100, "escape") for n, kind in enumerate(kinds)]
     assert drop_repeats(events) == events
 
 
