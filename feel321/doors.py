@@ -66,7 +66,8 @@ def as_seed(rng: int | np.random.Generator, what: str = "rng") -> int:
 
 @contextmanager
 def follow(
-    progress: bool | Callable[[int, int], None], what: str
+    progress: bool | Callable[[int, int], None],  # noqa: FBT001 - a bar, or a function of one's own
+    what: str,
 ) -> Iterator[Callable[[int, int], None]]:
     """Give the function to be called with the numbers of steps done and to do: the caller's, a bar's, or nobody's."""
     if callable(progress):
