@@ -17,10 +17,8 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-    from feel321.types import PathLike, Progress, Rng
 
-
-def as_path(path: PathLike, what: str = "path") -> Path:
+def as_path(path: str | os.PathLike[str], what: str = "path") -> Path:
     """Make a path of a str or any other path.
 
     Examples
@@ -33,7 +31,7 @@ def as_path(path: PathLike, what: str = "path") -> Path:
     return Path(path)
 
 
-def as_rng(rng: Rng, what: str = "rng") -> np.random.Generator:
+def as_rng(rng: int | np.random.Generator, what: str = "rng") -> np.random.Generator:
     """Make a generator of a seed, or take the generator that is given.
 
     Examples
@@ -52,7 +50,7 @@ def as_rng(rng: Rng, what: str = "rng") -> np.random.Generator:
     return np.random.default_rng(int(rng))
 
 
-def as_seed(rng: Rng, what: str = "rng") -> int:
+def as_seed(rng: int | np.random.Generator, what: str = "rng") -> int:
     """Take the seed that is given, or draw one from a generator: for results that have many sources of randomness.
 
     Examples
@@ -67,7 +65,10 @@ def as_seed(rng: Rng, what: str = "rng") -> int:
 
 
 @contextmanager
-def follow(progress: Progress, what: str) -> Iterator[Callable[[int, int], None]]:
+def follow(
+    progress: bool | Callable[[int, int], None],  # noqa: FBT001 - a bar, or a function of one's own
+    what: str,
+) -> Iterator[Callable[[int, int], None]]:
     """Give the function to be called with the numbers of steps done and to do: the caller's, a bar's, or nobody's."""
     if callable(progress):
         yield progress

@@ -1,4 +1,7 @@
-"""Records that functions of feel321 return: for annotations in a lab's own code; all have `to_frame` and `summary`."""
+"""Records that functions of feel321 take and return: for annotations in a lab's own code.
+
+Results have `to_frame` and `summary`; the other records are those that signals, pages and sessions are made of.
+"""
 
 from feel321.analysis.agreement.alpha import Alpha
 from feel321.analysis.agreement.reliability import Intraclass
@@ -23,11 +26,52 @@ from feel321.analysis.table.reading import Further
 from feel321.analysis.tradeoff.advise.page import Advice
 from feel321.analysis.tradeoff.chart.compute import Chart
 from feel321.analysis.tradeoff.stress.run import Stress
+from feel321.protocols.trial import Page, Part
+from feel321.stimuli.recording import Signal
+from feel321.stimuli.rotation import RotationStatistics
 from feel321.study.findings import Audit, Problems
+from feel321.study.session.events import SessionEvent
+from feel321.study.session.ports import Act, Place
+from feel321.study.status import Status
 
-__all__ = [  # noqa: RUF022 - in the order of sorted(), which a test checks
-    "Advice", "Alignment", "Alpha", "Association", "Audit", "BradleyTerry", "Chart", "Dependent", "Difference",
-    "Discrimination", "Ellipses", "Equivalence", "Estimate", "Further", "Intraclass", "MixedFit", "Multiverse",
-    "NonInferiority", "P1401", "P1401Difference", "Primaries", "Primary", "Problems", "ReducerDifference", "Refined",
-    "RepeatedMeasures", "Results", "Screening", "Space", "Stress", "Table",
-]  # fmt: skip
+__all__ = [
+    "P1401",
+    "Act",
+    "Advice",
+    "Alignment",
+    "Alpha",
+    "Association",
+    "Audit",
+    "BradleyTerry",
+    "Chart",
+    "Dependent",
+    "Difference",
+    "Discrimination",
+    "Ellipses",
+    "Equivalence",
+    "Estimate",
+    "Further",
+    "Intraclass",
+    "MixedFit",
+    "Multiverse",
+    "NonInferiority",
+    "P1401Difference",
+    "Page",
+    "Part",
+    "Place",
+    "Primaries",
+    "Primary",
+    "Problems",
+    "ReducerDifference",
+    "Refined",
+    "RepeatedMeasures",
+    "Results",
+    "RotationStatistics",
+    "Screening",
+    "SessionEvent",
+    "Signal",
+    "Space",
+    "Status",
+    "Stress",
+    "Table",
+]

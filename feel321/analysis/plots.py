@@ -241,7 +241,7 @@ def plot_spectrogram(
 def _find_axes(ax: Axes | None) -> Axes:
     import matplotlib.pyplot as plt
 
-    return plt.gca() if ax is None else ax
+    return plt.subplots()[1] if ax is None else ax
 
 
 def _label_ratings(rows: DataFrame) -> str:

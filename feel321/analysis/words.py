@@ -11,8 +11,6 @@ import textwrap
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from feel321.analysis.arrays import CONFIDENCE as CONFIDENCE  # noqa: PLC0414 - its former place
-
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
@@ -302,20 +300,3 @@ class Claim:
     number: str
     hinges_on: tuple[str, ...] = ()
     better_than: tuple[str, ...] = ()
-
-
-# Former names, kept until all branches are in.
-tell_name, tell_note, tell_ratings, tell_method = (
-    format_name,
-    format_note,
-    format_ratings,
-    format_method,
-)
-tell_axis, tell_span, tell_number, tell_range = (
-    format_axis,
-    format_span,
-    format_number,
-    format_interval,
-)
-tell_ends, start, list_words = format_estimate, capitalise, join_words
-tell_measure = format_measure

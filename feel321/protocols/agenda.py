@@ -17,7 +17,6 @@ from feel321.protocols.trial import Flow, Page, Trial
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    Step = Page | Trial
 
 SECONDS = 60.0
 RELAXING = frozenset({"main", "break", "rest", "warm_up"})
@@ -40,7 +39,9 @@ class Training:
         self._understood: list[bool] = []
         self._guessed = 0.0
 
-    def tell(self, trial: Trial, *, understood: bool | None, is_last: bool) -> Iterator[Step]:
+    def tell(
+        self, trial: Trial, *, understood: bool | None, is_last: bool
+    ) -> Iterator[Page | Trial]:
         """Take an answer, and give the steps that follow from it at once."""
         if understood is not None:
             self._understood.append(understood)
@@ -50,7 +51,7 @@ class Training:
             yield from self._end_round(trial.protocol)
             self._understood, self._guessed = [], 0.0
 
-    def _end_round(self, protocol: str) -> Iterator[Step]:
+    def _end_round(self, protocol: str) -> Iterator[Page | Trial]:
         self._rounds[protocol] += 1
         needed = self._flow.training_pass * (len(self._understood) - self._guessed)
         if max(sum(self._understood) - self._guessed, 0.0) >= needed:
@@ -86,7 +87,7 @@ class Agenda:
     def __init__(self, trials: Sequence[Trial], flow: Flow) -> None:
         self._flow = flow
         self._trials = {trial.number: trial for trial in trials}
-        self._steps: deque[Step] = deque(_list_steps(trials, flow))
+        self._steps: deque[Page | Trial] = deque(_list_steps(trials, flow))
         self._attempts: Counter[int] = Counter()
         self._spent: Counter[int] = Counter()
         self._training = Training(trials, flow)
@@ -98,7 +99,7 @@ class Agenda:
         self.given_up = 0
         """Those of them that were tried too often without success."""
 
-    def ask(self) -> Step | None:
+    def ask(self) -> Page | Trial | None:
         """Return the next step.
 
         Returns
@@ -213,7 +214,7 @@ class Agenda:
             raise ValueError(f"got {got}, expected {wanted}")
         self._steps.popleft()
 
-    def _put_first(self, steps: Sequence[Step]) -> None:
+    def _put_first(self, steps: Sequence[Page | Trial]) -> None:
         """Put steps before all others; a trial that comes again has all its attempts again."""
         for step in steps:
             if isinstance(step, Trial):
@@ -229,7 +230,7 @@ class Agenda:
         return by_count or (minutes is not None and time_s - self._break_s >= minutes * SECONDS)
 
 
-def _find_place(steps: Iterable[Step], trial: Trial) -> int:
+def _find_place(steps: Iterable[Page | Trial], trial: Trial) -> int:
     """Find where a trial comes again: behind what is left of its block, else of its section, else at once."""
     in_block, in_section = 0, 0
     for place, step in enumerate(steps, start=1):
@@ -239,7 +240,7 @@ def _find_place(steps: Iterable[Step], trial: Trial) -> int:
     return in_block or in_section
 
 
-def _list_steps(trials: Sequence[Trial], flow: Flow) -> Iterator[Step]:
+def _list_steps(trials: Sequence[Trial], flow: Flow) -> Iterator[Page | Trial]:
     """List the steps of a session in which nothing goes wrong and no break is due."""
     yield from (Page("welcome"), Page("consent"))
     main = [trial for trial in trials if trial.phase == "main"]

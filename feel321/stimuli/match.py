@@ -35,7 +35,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from feel321 import types
 from feel321.doors import Registry, check_name
 from feel321.records import Result
 from feel321.stimuli.recording import (
@@ -51,7 +50,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from feel321.stimuli.recording import Signal
-    from feel321.types import Grid, Samples
+    from feel321.types import Grid, Metric, Samples
 
 WEBER_FRACTION = 0.22
 """Smallest relative change of vibration frequency that people notice; full width of the smoothing over its centre."""
@@ -490,9 +489,6 @@ def mean_over_axes(correlations: Samples) -> Samples:
     return np.where(count > 0, mean, np.nan)
 
 
-mean_heard = mean_over_axes  # kept until all branches are in
-
-
 def axis_correlations(samples: Samples, reduced: Samples) -> Samples:
     """Absolute correlation at zero lag of reduced signals, (..., n), with each axis: (..., 3), NaN for silent axes."""
     together = np.abs(np.einsum("...in,...n->...i", samples, reduced))
@@ -503,9 +499,7 @@ def axis_correlations(samples: Samples, reduced: Samples) -> Samples:
     return np.where(silent, np.nan, np.minimum(together / np.where(silent, 1.0, scale), 1.0))
 
 
-Metric = types.Metric  # kept until all branches are in
-
-METRICS: Registry[types.Metric] = Registry(
+METRICS: Registry[Metric] = Registry(
     "metric",
     {
         "spectral_match": spectral_match,

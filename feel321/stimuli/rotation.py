@@ -54,9 +54,8 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
     from pandas import DataFrame
 
-    from feel321 import types
     from feel321.stimuli.recording import Signal
-    from feel321.types import Rng, Samples
+    from feel321.types import Metric, Reducer, Rng, Samples
 
 LEAST_ROTATIONS = 200
 # Rotated copies made at a time: enough to amortise a call, few enough to stay in the processor's cache.
@@ -171,7 +170,7 @@ def temporal_match_invariant(
 spectral_match_invariant = spectral_match_energy_weighted
 """The former name of `spectral_match_energy_weighted`."""
 
-INVARIANTS: Registry[types.Metric] = Registry(
+INVARIANTS: Registry[Metric] = Registry(
     "invariant",
     {"spectral_match": spectral_match_energy_weighted, "temporal_match": temporal_match_invariant},
 )
@@ -183,8 +182,8 @@ def match(
     reduced: ArrayLike | None = None,
     *,
     rate_hz: float | None = None,
-    reducers: str | Iterable[str | types.Reducer] = "all",
-    metrics: str | Iterable[str | types.Metric] = "all",
+    reducers: str | Iterable[str | Reducer] = "all",
+    metrics: str | Iterable[str | Metric] = "all",
 ) -> DataFrame:
     """Match a recording with one reduced signal, or with the output of each reducer.
 
@@ -251,7 +250,7 @@ class RotationStatistics:
 
 def rotation_statistics(
     recording: Signal,
-    reducers: str | float | Iterable[str | types.Reducer] = "all",
+    reducers: str | float | Iterable[str | Reducer] = "all",
     *,
     rotations: int = LEAST_ROTATIONS,
     rng: Rng = 0,
@@ -313,11 +312,7 @@ def rotation_statistics(
 
 
 def match_rotations(
-    acceleration: ArrayLike,
-    rate_hz: float,
-    *,
-    reducers: Sequence[str | types.Reducer],
-    turns: Samples,
+    acceleration: ArrayLike, rate_hz: float, *, reducers: Sequence[str | Reducer], turns: Samples
 ) -> Samples:
     """Rotate a recording, as if the sensor had been mounted differently, reduce it, and match the result.
 

@@ -142,8 +142,7 @@ class Contents:
         """
         import pandas as pd
 
-        from feel321.study.session.journal import read_journal
-        from feel321.study.session.plan import list_journals
+        from feel321.study.session.journal import list_journals, read_journal
 
         rows = [
             (number, record.sequence, record.utc, record.event, dict(record.data))

@@ -289,8 +289,6 @@ def find_person(participant: str) -> int:
     return int.from_bytes(hashlib.sha256(participant.encode()).digest()[:8], "big")
 
 
-tell_person = find_person  # kept until all branches are in
-
 SIDE_BY_SIDE = 8
 """Sessions at the same time: each waits for the disk after every record, and a disk syncs several files at once."""
 

@@ -1,4 +1,4 @@
-"""ParticipantStatus of every participant, and balance of the design as it was run. Blind."""
+"""Progress of every participant, and balance of the design as it was run. Blind."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Evenness:
 
 
 @dataclass(frozen=True, slots=True)
-class Realised:
+class BalanceAsRun:
     """Balance of all sessions so far, drop-outs and second attempts included."""
 
     simulated: bool
@@ -51,7 +51,7 @@ class Realised:
     evenness: tuple[Evenness, ...]
 
 
-def measure_realised(dossiers: Iterable[Dossier]) -> Realised | None:
+def measure_realised(dossiers: Iterable[Dossier]) -> BalanceAsRun | None:
     """Measure the balance of all trials that were run: of real participants if there are any."""
     run = [(dossier, trials) for dossier in dossiers if (trials := _list_counted(dossier))]
     simulated = all(dossier.plan.simulated for dossier, _ in run)
@@ -67,7 +67,7 @@ def measure_realised(dossiers: Iterable[Dossier]) -> Realised | None:
         prod(map(len, plan.between.values())) if plan.order == "williams" else 0
         for plan in (dossier.plan for dossier, _ in run)
     )
-    return Realised(
+    return BalanceAsRun(
         simulated=simulated,
         participants=len(run),
         finished=sum(_is_finished(dossier.records) for dossier, _ in run),
@@ -78,13 +78,13 @@ def measure_realised(dossiers: Iterable[Dossier]) -> Realised | None:
     )
 
 
-def describe_balance(realised: Realised | None) -> list[str]:
+def describe_balance(realised: BalanceAsRun | None) -> list[str]:
     """Describe the balance of a study so far.
 
     Examples
     --------
     >>> evenness = Evenness("abx", "stimuli", 6, (0, 1), (0, 2), 0.5, 0.75)
-    >>> describe_balance(Realised(False, 4, 4, (evenness,)))[1]
+    >>> describe_balance(BalanceAsRun(False, 4, 4, (evenness,)))[1]
     '  abx, stimuli: 0 to 1 at each position, 0 to 2 after each other; even over 6, 2 to go'
     """
     if realised is None:
@@ -172,7 +172,7 @@ def _name_condition(trial: Trial) -> str:
 
 @dataclass(frozen=True, slots=True)
 class ParticipantStatus:
-    """ParticipantStatus of one participant."""
+    """Progress of one participant."""
 
     participant: str
     state: str = ""
@@ -188,10 +188,10 @@ class ParticipantStatus:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """ParticipantStatus of a study."""
+    """Progress of a study."""
 
     participants: tuple[ParticipantStatus, ...]
-    balance: Realised | None
+    balance: BalanceAsRun | None
 
 
 def read_status(

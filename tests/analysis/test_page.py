@@ -15,13 +15,19 @@ from feel321.analysis.report.section import Section
 from feel321.analysis.report.write import group_lines
 from feel321.analysis.resampling import METHODS
 from feel321.analysis.screening.rules import RULES
-from feel321.analysis.words import Line, keep_together, tell_method, tell_number, tell_range
+from feel321.analysis.words import (
+    Line,
+    format_interval,
+    format_method,
+    format_number,
+    keep_together,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 
-KINDS = {tell_method(method): method for method in METHODS}
+KINDS = {format_method(method): method for method in METHODS}
 
 
 def load(report: Path) -> dict[str, object]:
@@ -50,13 +56,13 @@ def gather_rows(report: Path) -> list[list[dict[str, str]]]:
 
 
 def pair(entry: dict[str, object], kind: str = "correlation") -> str:
-    return tell_range(
+    return format_interval(
         *(math.nan if entry[key] is None else entry[key] for key in ("low", "high")), kind=kind
     )
 
 
 def single(entry: dict[str, object], kind: str = "correlation") -> str:
-    return tell_number(math.nan if entry["value"] is None else entry["value"], kind=kind)
+    return format_number(math.nan if entry["value"] is None else entry["value"], kind=kind)
 
 
 def test_every_cell_stands_under_its_header(report: Path) -> None:

@@ -21,7 +21,7 @@ from feel321.analysis.report import folder
 from feel321.analysis.report.folder import ResultsFolder, list_files
 from feel321.analysis.report.section import Picture
 from feel321.analysis.report.write import write_report
-from feel321.analysis.words import PLACES, tell_number
+from feel321.analysis.words import PLACES, format_number
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -91,7 +91,7 @@ def gather_numbers(results: dict[str, object]) -> set[str]:
         word
         for value in values
         for kind in PLACES
-        for word in NUMBER.findall(tell_number(value, kind=kind))
+        for word in NUMBER.findall(format_number(value, kind=kind))
     }
 
 

@@ -14,7 +14,7 @@ from feel321.analysis.primary.sensitivity import vary_primary
 from feel321.analysis.report import reducers as contrasts
 from feel321.analysis.report import reducers as levels
 from feel321.analysis.report.parts import Choices
-from feel321.analysis.table.items import find_sources, make_items, tell_recordings
+from feel321.analysis.table.items import find_sources, format_recordings, make_items
 from feel321.analysis.table.reading import read_table
 
 if TYPE_CHECKING:
@@ -134,7 +134,7 @@ def test_a_recording_of_which_nothing_is_said_is_its_own_source() -> None:
     assert find_sources(table).to_dict() == {"a": "a", "b": "b", "c": "b"}
     judged = table.assign(participant="p", stimulus_id=["1", "2", "3", "3"], rating=1.0)
     assert make_items(judged, []).of_source.tolist() == [0, 1, 1]
-    assert tell_recordings(2, 1) == "2 recordings of 1 source"
+    assert format_recordings(2, 1) == "2 recordings of 1 source"
 
 
 def copy_files(files: Callable[..., object], **design: object) -> tuple[object, dict[str, str]]:

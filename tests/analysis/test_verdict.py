@@ -8,7 +8,7 @@ import pytest
 
 from feel321.analysis.association.correlate import Association, Difference, Panel
 from feel321.analysis.report.association import sum_up_panels
-from feel321.analysis.words import tell_method
+from feel321.analysis.words import format_method
 
 CLEAR = Association(
     value=0.7,
@@ -121,4 +121,4 @@ def test_a_difference_names_no_better_metric(changes: dict[str, float], told: st
     [("pearson", "Pearson"), ("within", "Pearson within recordings"), ("kendall", "Kendall")],
 )
 def test_methods_have_names(name: str, told: str) -> None:
-    assert tell_method(name) == told
+    assert format_method(name) == told

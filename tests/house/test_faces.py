@@ -80,7 +80,7 @@ def private_types(thing: object) -> Iterator[str]:
     """Names in the signatures of a function, or of a class's public methods, that no face shows."""
     module = sys.modules[thing.__module__]
     tree = ast.parse(Path(str(module.__file__)).read_text(encoding="utf-8"))
-    node = next(one for one in ast.walk(tree) if getattr(one, "name", "") == thing.__name__)  # type: ignore[attr-defined]
+    node = next(one for one in ast.walk(tree) if getattr(one, "name", "") == thing.__name__)
     origins = {
         alias.asname or alias.name: one.module or ""
         for one in ast.walk(tree)

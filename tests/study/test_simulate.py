@@ -240,7 +240,7 @@ def test_check_finds_every_problem_at_once(copy: StudyFolder) -> None:
     copy.settings.write_text(text, encoding="utf-8")
     next(copy.stimuli.glob("*.wav")).unlink()
     problems = check_study(copy)[1]
-    for words in ("recording 'a'", "recording 'b'", "study.toml: rate_hz: got 44100.5", ".wav"):
+    for words in ("recording 'a'", "recording 'b'", "study.toml: rate_hz must be", ".wav"):
         assert any(words in problem for problem in problems)
 
 

@@ -25,12 +25,13 @@ from feel321.analysis.screening.rules import RULES
 from feel321.analysis.words import MINUS, format_name, format_span
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
     from pandas import DataFrame
 
-    from feel321.analysis.primary.multiverse import Multiverse
     from feel321.analysis.screening.screen import Screening
 
 # Specification curve: one estimate under every choice of screening rules.
@@ -40,13 +41,20 @@ LABEL_CM = 2.9
 
 
 def draw_multiverse(
-    result: Multiverse, *, estimate: str, interval: str = "95 % intervals"
+    curve: DataFrame,
+    *,
+    rules: Sequence[str],
+    counts: tuple[int, int],
+    estimate: str,
+    interval: str = "95 % intervals",
 ) -> Figure:
-    """Draw the estimate for every distinct set of raters, from the smallest up, and the rules that leave it."""
-    curve = result.curve
+    """Draw the estimate for every distinct set of raters, from the smallest up, and the rules that leave it.
+
+    curve, rules: of a `Multiverse`. counts: combinations of rules, and distinct sets without an estimate.
+    """
     if not len(curve):
         raise ValueError("result must have a universe with an estimate, got none; see its notes")
-    rules = list(result.screening.rules)
+    rules = list(rules)
     heights = [CURVE_CM, ROW_CM * len(rules)]
     with print_style():
         figure = new_canvas(sum(heights) + UNIVERSES_AXIS_CM)
@@ -55,7 +63,7 @@ def draw_multiverse(
         _draw_rules(lower, curve[rules].to_numpy(bool).T, names=rules)
         upper.set_ylabel(fit_text(estimate, CURVE_CM, lines=3))
         lower.set_xlabel("Sets of raters, from the smallest estimate up")
-        add_title(figure, _describe_sets(result, curve, interval))
+        add_title(figure, _describe_sets(counts, curve, interval))
     return figure
 
 
@@ -86,13 +94,13 @@ def _draw_rules(axes: Axes, applied: NDArray[np.bool_], *, names: list[str]) -> 
     axes.locator_params(axis="x", integer=True)
 
 
-def _describe_sets(result: Multiverse, curve: DataFrame, interval: str) -> str:
-    lost = len(result.table) - len(curve)
+def _describe_sets(counts: tuple[int, int], curve: DataFrame, interval: str) -> str:
+    combinations, lost = counts
     without = f" {lost} without an estimate are left out." if lost else ""
     bars = f"Bars: {interval}. " if curve["low"].notna().any() else "No intervals. "
     sets = "set" if len(curve) == 1 else "sets"
     return (
-        f"{len(curve)} distinct {sets} of raters from {result.n_combinations} combinations of screening rules; "
+        f"{len(curve)} distinct {sets} of raters from {combinations} combinations of screening rules; "
         f"n = {format_span(curve['n_participants'])} participants. {bars}"
         f"Diamond, dashed line: nobody excluded. Below: the fewest rules that leave a set.{without}"
     )

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
     from scipy.sparse import csr_array
 
-    from feel321.types import Samples
+    Matrix = NDArray[np.float64]
 
 NAME = r"(?:`[^`]+`|[^\W\d][\w.]*)"
 GROUP = re.compile(rf"\s*{NAME}\s*(?:[:/]\s*{NAME}\s*)*")
@@ -143,7 +143,7 @@ class EffectGroup:
     """Effects that vary together over the levels of a grouping factor, correlated; columns: (n_rows, n_effects)."""
 
     names: tuple[str, ...]
-    columns: Samples
+    columns: Matrix
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +161,7 @@ class Factor:
         return sum(len(term.names) for term in self.terms)
 
     @property
-    def columns(self) -> Samples:
+    def columns(self) -> Matrix:
         """Columns of all its effects, shape (n_rows, width)."""
         return np.hstack([term.columns for term in self.terms])
 
@@ -170,9 +170,9 @@ class Factor:
 class MixedDesign:
     """A model's data; response: (n_rows,), fixed: (n_rows, n_fixed)."""
 
-    response: Samples
+    response: Matrix
     names: tuple[str, ...]
-    fixed: Samples
+    fixed: Matrix
     factors: tuple[Factor, ...]
     coding: Any = None
 
@@ -195,7 +195,7 @@ def build_design(formula: str, data: DataFrame) -> MixedDesign:
     return design
 
 
-def read_new_rows(names: Sequence[str], coding: Any, data: DataFrame) -> Samples:  # noqa: ANN401 - formulaic has no types
+def read_new_rows(names: Sequence[str], coding: Any, data: DataFrame) -> Matrix:  # noqa: ANN401 - formulaic has no types
     """Compute the columns of a fixed part for new rows, coded as those that were fitted."""
     settled = _settle_types(data)
     try:
@@ -244,7 +244,7 @@ class Expanded(NamedTuple):
     """One side of a formula, written out: names as in R, and formulaic's coding, None for columns as they are."""
 
     names: tuple[str, ...]
-    columns: Samples
+    columns: Matrix
     coding: Any = None
 
 
@@ -429,7 +429,7 @@ class Block:
     """A grouping factor's place in the equations, and the scale of its columns of Z; scale: (width,)."""
 
     factor: Factor
-    scale: Samples
+    scale: Matrix
     theta: slice
     rows: NDArray[np.intp]
     columns: NDArray[np.intp]
@@ -444,7 +444,7 @@ class Block:
         """Effects per level."""
         return len(self.scale)
 
-    def triangle(self, theta: Samples) -> Samples:
+    def triangle(self, theta: Matrix) -> Matrix:
         """Write a factor's parameters, of all (n_theta,), as a triangle of shape (width, width)."""
         lower = np.zeros((self.width, self.width))
         lower[self.rows, self.columns] = theta[self.theta]
@@ -494,7 +494,7 @@ def spread_columns(block: Block) -> csr_array:
     )
 
 
-def pick_blocks(first: csr_array, block: Block) -> Samples:
+def pick_blocks(first: csr_array, block: Block) -> Matrix:
     """Pick the blocks on the diagonal of a factor's cross products: (n_levels, width, width)."""
     products = (first.T @ first).tocsr()
     starts = np.arange(block.n_levels) * block.width
@@ -504,8 +504,8 @@ def pick_blocks(first: csr_array, block: Block) -> Samples:
     return blocks
 
 
-def scale_columns(matrix: Samples, lower: Samples) -> Samples:
+def scale_columns(matrix: Matrix, lower: Matrix) -> Matrix:
     """Multiply every level's columns of a matrix, (n, n_levels * width), by a triangle, (width, width)."""
     levels = matrix.reshape(len(matrix), -1, len(lower))
-    scaled: Samples = levels * lower[0, 0] if len(lower) == 1 else levels @ lower
+    scaled: Matrix = levels * lower[0, 0] if len(lower) == 1 else levels @ lower
     return scaled.reshape(matrix.shape)

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from feel321.analysis.primary.model import Primary
     from feel321.types import Samples
 
-adjust = adjust_holm  # kept until all branches are in
 
 PREDICTS, OPEN, NOT_ESTIMABLE = "predicts", "open", "not_estimable"
 """What may be concluded about a slope."""

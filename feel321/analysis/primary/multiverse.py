@@ -44,9 +44,6 @@ class UniverseEstimate(NamedTuple):
     note: str = ""
 
 
-Estimate = UniverseEstimate  # kept until all branches are in
-
-
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
 class Multiverse(Result):
     """An estimate in every universe.

@@ -275,9 +275,6 @@ class SlopePrecision(Result):
         return float(brentq(lambda slope: self.find_power(slope) - ENOUGH, 0, 20 * se))
 
 
-Precision = SlopePrecision  # kept until all branches are in
-
-
 def find_variances(study: SlopePrecision) -> tuple[float, float]:
     """Compute the variance of a stimulus's mean rating, and n times that of the mean over n stimuli of a reducer."""
     alike = study.reducer_sd**2 + study.rater_reducer_sd**2 / study.n_participants

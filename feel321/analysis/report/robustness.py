@@ -11,7 +11,7 @@ import numpy as np
 from feel321.analysis.figures.choices import draw_multiverse
 from feel321.analysis.figures.estimates import draw_slopes
 from feel321.analysis.primary.model import fit_primary
-from feel321.analysis.primary.multiverse import Estimate, run_multiverse
+from feel321.analysis.primary.multiverse import UniverseEstimate, run_multiverse
 from feel321.analysis.primary.sensitivity import vary_primary
 from feel321.analysis.refined.candidates import EQUAL
 from feel321.analysis.refined.refine import refine_metric
@@ -171,24 +171,24 @@ def _run_universes(table: Table, part: RatingsPart, choices: Choices) -> Univers
     return found
 
 
-def _remember_slopes(metrics: tuple[str, ...], *, people: int) -> Callable[..., Estimate]:
+def _remember_slopes(metrics: tuple[str, ...], *, people: int) -> Callable[..., UniverseEstimate]:
     """Fit each set of raters once, whichever metric is asked for."""
-    known: dict[frozenset[Hashable], dict[str, Estimate]] = {}
+    known: dict[frozenset[Hashable], dict[str, UniverseEstimate]] = {}
 
-    def fit(rows: DataFrame) -> dict[str, Estimate]:
+    def fit(rows: DataFrame) -> dict[str, UniverseEstimate]:
         tests = rows[rows["role"] == "test"]
         try:
             model = fit_rest(tests.assign(**{ITEM: tests["stimulus_id"]}), metrics, people=people)
         except ValueError as error:
-            return dict.fromkeys(metrics, Estimate(float("nan"), note=str(error)))
+            return dict.fromkeys(metrics, UniverseEstimate(float("nan"), note=str(error)))
         ends = model.slopes[["tenth", "tenth_low", "tenth_high"]]
-        return {str(name): Estimate(*row) for name, row in ends.T.to_dict("list").items()}
+        return {str(name): UniverseEstimate(*row) for name, row in ends.T.to_dict("list").items()}
 
-    def estimate_slope(rows: DataFrame, *, metric: str) -> Estimate:
+    def estimate_slope(rows: DataFrame, *, metric: str) -> UniverseEstimate:
         who = frozenset(rows["participant"])
         if who not in known:
             known[who] = fit(rows)
-        none = Estimate(float("nan"), note=f"{metric} does not differ within recordings")
+        none = UniverseEstimate(float("nan"), note=f"{metric} does not differ within recordings")
         found = known[who].get(metric, none)
         if found.note:
             raise ValueError(found.note)
@@ -212,7 +212,11 @@ def _picture_universes(metric: str, part: RatingsPart, result: Multiverse) -> Pi
         f"Slope of {part.ratings} on {format_name(metric)}, points per +0.1, for every distinct set of raters that the "
         "screening rules leave, from the smallest up; 95 % Satterthwaite intervals. Below: the rules applied."
     )
-    draw = partial(draw_multiverse, result, estimate="Points per +0.1")
+    counts = (result.n_combinations, len(result.table) - len(result.curve))
+    rules = tuple(result.screening.rules)
+    draw = partial(
+        draw_multiverse, result.curve, rules=rules, counts=counts, estimate="Points per +0.1"
+    )
     return Picture(make_slug("multiverse", *part.place, metric), caption, draw, detail=True)
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from feel321.analysis.resampling import FEWEST_ITEMS
-from feel321.analysis.screening.rules import FLOOR
+from feel321.analysis.screening.judgements import FLOOR
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -24,6 +24,9 @@ FULL = 5
 SAME_POINTS = 2.0
 """Ratings of a slider that lie no farther apart than this are at the same place."""
 
+FLOOR = 0.95
+"""Share of permutations that an expert's measure exceeds."""
+
 ANCHORS = ("mid", "low")
 """Kinds of anchor, known by the name of their reducer or stimulus containing the word."""
 

@@ -22,10 +22,9 @@ import numpy as np
 
 from feel321.analysis.arrays import FLAT, read_numbers
 from feel321.analysis.resampling import FEWEST_ITEMS
-from feel321.analysis.screening.judgements import SAME_POINTS
+from feel321.analysis.screening.judgements import FLOOR, SAME_POINTS
 from feel321.analysis.table.schema import HIGHEST
 from feel321.doors import check_name
-from feel321.protocols.mushra import MUSHRA
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -64,9 +63,6 @@ MOST_RATERS = 0.25
 
 MIDDLE = 50.0
 """What the low anchor may be rated at most, in the extension."""
-
-FLOOR = 0.95
-"""Share of permutations that an expert's measure exceeds."""
 
 
 def tukey_hinges(values: ArrayLike) -> tuple[float, float]:
@@ -304,7 +300,7 @@ class Rule:
     protocols: tuple[str, ...] = ()
 
 
-SIGHTED = (MUSHRA.name,)
+SIGHTED = ("mushra",)
 """Protocols that show the reference beside the stimuli. Limits near the end of the scale presuppose that: somebody who
 rates realism by itself, or a similarity from memory, has no reason to put the original at 90 or above."""
 

@@ -527,6 +527,3 @@ def make_items(ratings: Table | DataFrame, metrics: Sequence[str]) -> Items:
         else None,
         notes=notes,
     )
-
-
-tell_recordings = format_recordings  # former name, kept until all branches are in

@@ -9,11 +9,10 @@ knows what to do; nothing is guessed or converted.
 from __future__ import annotations
 
 import csv
-import importlib
 import re
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from feel321.analysis.table.schema import HIGHEST, LARGEST, LOWEST, NO, YES
 
@@ -287,11 +286,3 @@ def _number_lines(path: Path, *, width: int) -> Sequence[int]:
                     f"{path.name}, line {ends[-1]}: must have {width} cells like the header, got {len(row)}; {advice}"
                 )
     return [end + 1 for end in ends[1:-1]]
-
-
-def __getattr__(name: str) -> Any:  # noqa: ANN401 - former places of names, kept until all branches are in
-    for module in ("table.schema", "table.notes", "words"):
-        found = vars(importlib.import_module(f"feel321.analysis.{module}"))
-        if name in found:
-            return found[name]
-    raise AttributeError(name)

@@ -116,12 +116,12 @@ def stress(  # noqa: PLR0913 - every choice that changes the numbers has a name 
     'ordinary_drag'
     """
     from feel321.analysis.tradeoff.stress.run import stress_reducers
-    from feel321.stimuli.reducers.registry import get_reducer
+    from feel321.stimuli.reducers.registry import REDUCERS
 
     if reducers is not None and not reducers:
         raise ValueError("reducers must be one or more, got none; leave them out to take all")
     if reducers is not None and not isinstance(reducers, Mapping):
-        reducers = {name: get_reducer(name) for name in as_names(reducers, "reducers")}
+        reducers = {name: REDUCERS.find(name) for name in as_names(reducers, "reducers")}
     with follow(progress, "stress") as tick:
         return stress_reducers(
             recordings, reducers, sensor=sensor, seeds=takes, draws=draws, seed=as_seed(rng),

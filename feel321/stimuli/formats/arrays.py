@@ -47,14 +47,14 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from feel321.stimuli.formats.common import Request
+    from feel321.stimuli.formats.common import ReadingOptions
     from feel321.types import Samples
 
 ACCELERATION_KEYS = ("acceleration", "accel", "acc", "data", "tmp")
 """Names of an array of all three axes; `tmp` is that of the LMT-69 tapping recordings."""
 
 
-def read_npz(path: Path, request: Request) -> Decoded:
+def read_npz(path: Path, request: ReadingOptions) -> Decoded:
     """Read an NPZ archive by the names of its arrays."""
     # Opened here, because numpy leaves it open when the archive is damaged.
     with (
@@ -66,7 +66,7 @@ def read_npz(path: Path, request: Request) -> Decoded:
     return decode_arrays(arrays, request)
 
 
-def read_npy(path: Path, _: Request) -> Decoded:
+def read_npy(path: Path, _: ReadingOptions) -> Decoded:
     """Read a single array."""
     # Mapped first: a header that promises more than the file holds is refused before anything is allocated.
     with foreign_errors("an NPY array"):
@@ -74,7 +74,7 @@ def read_npy(path: Path, _: Request) -> Decoded:
     return Decoded(as_three_axes(as_numbers(array, "the array")))
 
 
-def decode_arrays(arrays: Mapping[str, NDArray[Any]], request: Request) -> Decoded:
+def decode_arrays(arrays: Mapping[str, NDArray[Any]], request: ReadingOptions) -> Decoded:
     """Find samples, rate, time and unit among named arrays."""
     columns = {name: array for name, array in arrays.items() if array.size != 1}
     place = choose_arrays(columns, request, found=tuple(arrays))
@@ -105,7 +105,7 @@ def decode_arrays(arrays: Mapping[str, NDArray[Any]], request: Request) -> Decod
 
 
 def choose_arrays(
-    columns: Mapping[str, NDArray[Any]], request: Request, *, found: Sequence[str]
+    columns: Mapping[str, NDArray[Any]], request: ReadingOptions, *, found: Sequence[str]
 ) -> Columns:
     """Choose the arrays of samples and time: as asked for, else by their names."""
     labels = tuple(columns)
@@ -189,7 +189,7 @@ LARGEST_BYTES = 2**30
 """So much an array may inflate to: more than an hour of three axes at 10 kHz."""
 
 
-def read_mat(path: Path, request: Request) -> Decoded:
+def read_mat(path: Path, request: ReadingOptions) -> Decoded:
     """Read a MATLAB file of version 4 to 7 by the names of its variables."""
     from scipy.io import loadmat
 

@@ -46,7 +46,7 @@ TIME_SPELLINGS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class ReadingOptions:
     """Options of the caller; columns are (x, y, z) or (time, x, y, z), by name or number from 0."""
 
     rate_hz: float | None = None

@@ -36,14 +36,14 @@ if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
     from feel321.stimuli.formats.arrays import Sidecar
-    from feel321.stimuli.formats.common import Request
+    from feel321.stimuli.formats.common import ReadingOptions
     from feel321.stimuli.wav import WavHeader
     from feel321.types import Samples
 
 FULL_SCALE_NOTE = "integer WAV without full_scale: full scale taken as 1.0 in the unit"
 
 
-def read_wav_recording(path: Path, request: Request) -> Decoded:
+def read_wav_recording(path: Path, request: ReadingOptions) -> Decoded:
     """Read three channels of a WAV file."""
     header = read_wav_header(path)
     sidecar = read_sidecar(path)
@@ -110,7 +110,7 @@ DEEPEST = 64
 """So deep may tags be nested: texts are collected at each depth, so that deeper ones cost the square."""
 
 
-def read_hatt(path: Path, _: Request) -> Decoded:
+def read_hatt(path: Path, _: ReadingOptions) -> Decoded:
     """Read the three axes, the rate and the unit that an XML recording names."""
     content = path.read_bytes()
     # Entities can expand without end or name other files; a recording needs neither.
@@ -211,7 +211,7 @@ def is_lmt(path: Path) -> bool:
     return path.suffix.lower() == ".txt" and bool(NAME.fullmatch(path.stem) or _is_reduced(path))
 
 
-def read_lmt(path: Path, request: Request) -> Decoded:
+def read_lmt(path: Path, request: ReadingOptions) -> Decoded:
     """Read one axis of a triple and its two sisters beside it.
 
     request: the rate, where it is not the documented 10 kHz.
@@ -253,7 +253,7 @@ LOST_SAMPLE = 1.5
 """An interval of so many periods means that samples were lost; less is the coarse clock of the blocks."""
 
 
-def read_ide(path: Path, _: Request) -> Decoded:
+def read_ide(path: Path, _: ReadingOptions) -> Decoded:
     """Read the triaxial accelerometer with the highest rate."""
     try:
         from idelib import importer

@@ -15,7 +15,7 @@ import numpy as np
 from feel321.doors import as_path
 from feel321.files import file_named
 from feel321.stimuli.formats.arrays import read_mat, read_npy, read_npz
-from feel321.stimuli.formats.common import Decoded, Request, settle_unit
+from feel321.stimuli.formats.common import Decoded, ReadingOptions, settle_unit
 from feel321.stimuli.formats.containers import (
     is_lmt,
     read_hatt,
@@ -181,7 +181,9 @@ SPLINE_POINTS = 4
 """A cubic spline needs as many samples."""
 
 
-def settle_sampling(decoded: Decoded, request: Request) -> tuple[Samples, float, tuple[str, ...]]:
+def settle_sampling(
+    decoded: Decoded, request: ReadingOptions
+) -> tuple[Samples, float, tuple[str, ...]]:
     """Settle the rate, and check that the samples are regular, or make them so; samples, rate and notes."""
     requested = None if request.rate_hz is None else check_rate(request.rate_hz)
     stated = _agree(requested, decoded.rate_hz, who="the file")
@@ -273,7 +275,7 @@ def _resample(acceleration: Samples, time_s: Samples) -> tuple[Samples, float]:
     return np.asarray(even, dtype=np.float64), 1 / period
 
 
-READERS: Mapping[str, Callable[[Path, Request], Decoded]] = {
+READERS: Mapping[str, Callable[[Path, ReadingOptions], Decoded]] = {
     "wav": read_wav_recording,
     "table": read_table,
     "npz": read_npz,
@@ -338,7 +340,7 @@ def read_recording(
     Recording('tap', 3 samples at 1000 Hz, 0.003 s)
     """
     source = as_path(path)
-    request = Request(rate_hz, unit, columns, full_scale, resample)
+    request = ReadingOptions(rate_hz, unit, columns, full_scale, resample)
     with file_named(source):
         decoded = _decode(source, request)
         unit_found, unit_notes = settle_unit(decoded.unit, unit)
@@ -421,7 +423,7 @@ def _list_files(folder: Path) -> list[Path]:
     return found
 
 
-def _decode(path: Path, request: Request) -> Decoded:
+def _decode(path: Path, request: ReadingOptions) -> Decoded:
     if path.is_dir():
         raise IsADirectoryError("is a folder; name a recording file in it")
     if not path.exists():

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from feel321.stimuli.formats.common import Request
+    from feel321.stimuli.formats.common import ReadingOptions
     from feel321.types import Samples
 
 BLANKS = r"\s+"
@@ -330,7 +330,7 @@ CLUSTER_NOTE = (
 )
 
 
-def read_table(path: Path, request: Request) -> Decoded:
+def read_table(path: Path, request: ReadingOptions) -> Decoded:
     """Read three columns of acceleration, and time if there is a column for it."""
     table = split_table(read_text(path))
     if request.columns is not None:

@@ -25,7 +25,6 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from feel321 import types
 from feel321.doors import Registry, check_name, name_of
 from feel321.stimuli.recording import (
     SAFE_PEAK,
@@ -45,13 +44,12 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from feel321.stimuli.recording import Signal
-    from feel321.types import Samples
+    from feel321.types import Reducer, Samples
 
     OnGap = Literal["raise", "hold", "zero"]
 
-Reducer = types.Reducer  # kept until all branches are in
 
-REDUCERS: Registry[types.Reducer] = Registry(
+REDUCERS: Registry[Reducer] = Registry(
     "reducer",
     {
         reducer.__name__: reducer
@@ -83,14 +81,10 @@ REDUCERS: Registry[types.Reducer] = Registry(
 DEFAULT_REDUCERS = tuple(REDUCERS)[:9]
 """What a study compares unless it says otherwise: as many as a MUSHRA page holds beside the reference and anchors."""
 
-get_reducer: Callable[[str], Callable[..., Samples]] = (
-    REDUCERS.find
-)  # kept until all branches are in
-
 
 def reduce(
     recording: Signal,
-    reducer: str | types.Reducer = "dft321",
+    reducer: str | Reducer = "dft321",
     *,
     rate_hz: float | None = None,
     window_s: float | None = None,

@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from feel321.study.screen.input import InputEvent
     from feel321.study.screen.view import ScreenTexts
     from feel321.study.screen.window import Window
-    from feel321.study.session.ports import Act
-    from feel321.study.settings.read import Surface
+    from feel321.study.session.ports import Act, Surface
 
 DOUBLE_S = 0.4  # a second click within this time is half of a double one: it leaves no page
 

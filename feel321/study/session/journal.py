@@ -81,10 +81,9 @@ def find_events(records: Iterable[Record], *kinds: type[E]) -> Iterator[E]:
             yield event
 
 
-def has_event(records: Iterable[Record], kind: type[SessionEvent] | str) -> bool:
+def has_event(records: Iterable[Record], kind: type[SessionEvent]) -> bool:
     """Check whether something ever happened in a session."""
-    name = kind if isinstance(kind, str) else kind.event  # a name: kept until all branches are in
-    return any(record.event == name for record in records)
+    return any(record.event == kind.event for record in records)
 
 
 def find_header(records: Iterable[Record]) -> SessionBegun | None:

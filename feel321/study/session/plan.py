@@ -30,7 +30,6 @@ from feel321.protocols.trial import (
     select_items,
     select_tasks,
 )
-from feel321.study.session import journal
 from feel321.study.session.events import (
     PageRead,
     SessionEvent,
@@ -331,12 +330,3 @@ def advance(agenda: Agenda, event: SessionEvent, trials: Mapping[int, Trial]) ->
             )
         case WarmUpBegun():
             agenda.warm_up()
-
-
-# Moved to `journal`; kept until all branches are in.
-find_elapsed, find_header, has_event = (
-    journal.find_elapsed,
-    journal.find_header,
-    journal.has_event,
-)
-list_journals, name_journal = journal.list_journals, journal.name_journal

@@ -12,12 +12,21 @@ from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from pathlib import Path
 
     from feel321.protocols.trial import Page, Part, Scale, Trial
     from feel321.stimuli.sets.manifest import Stimulus
 
 REFUSALS = ("not_felt", "not_answered", "no_replay", "unknown_part", "too_early")
 """Reasons why an act can be refused; the texts are in the catalogue."""
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """The real surface that a recording was taken from."""
+
+    sample: str | None
+    picture: Path | None
 
 
 @dataclass(frozen=True, slots=True)

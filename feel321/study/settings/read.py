@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +18,7 @@ from feel321.stimuli.synthesis import make_scene
 from feel321.study.session.journal import digest
 from feel321.study.session.opening import Stale
 from feel321.study.session.plan import Design
+from feel321.study.session.ports import Surface
 from feel321.study.settings.fields import parse_toml
 from feel321.study.settings.schema import LANGUAGE_FILE, SceneTable, Settings
 
@@ -42,14 +43,6 @@ def read_settings(path: Path) -> Settings:
 
 
 # From settings to signals: recordings and the recipe for the stimuli.
-
-
-@dataclass(frozen=True, slots=True)
-class Surface:
-    """The real surface that a recording was taken from."""
-
-    sample: str | None
-    picture: Path | None
 
 
 def list_surfaces(settings: Settings, folder: Path) -> dict[str, Surface]:

@@ -16,6 +16,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+def draw(result: Multiverse, *, estimate: str) -> Figure:
+    counts = (result.n_combinations, len(result.table) - len(result.curve))
+    rules = result.screening.rules
+    return draw_multiverse(result.curve, rules=rules, counts=counts, estimate=estimate)
+
+
 def estimate(rows: pd.DataFrame) -> tuple[float, float, float]:
     means = rows.groupby("participant")["rating"].mean()
     if len(means) < 6:
@@ -37,7 +43,7 @@ def result(tidy: Callable[..., pd.DataFrame]) -> Multiverse:
 def test_universes_stand_in_order_over_their_rules(
     result: Multiverse, said: Callable[[Figure], str]
 ) -> None:
-    figure = draw_multiverse(result, estimate="Mean above 50 (points)")
+    figure = draw(result, estimate="Mean above 50 (points)")
     upper, lower = figure.axes
     curve = result.curve
     drawn = np.concatenate([
@@ -63,7 +69,7 @@ def test_universes_stand_in_order_over_their_rules(
 
 
 def test_nobody_excluded_is_the_diamond(result: Multiverse, said: Callable[[Figure], str]) -> None:
-    figure = draw_multiverse(result, estimate="Mean")
+    figure = draw(result, estimate="Mean")
     assert " Diamond, dashed line: nobody excluded." in said(figure)
     upper = figure.axes[0]
     (diamond,) = (line for line in upper.lines if line.get_marker() == "D")
@@ -75,17 +81,15 @@ def test_universes_without_an_estimate_are_counted(
 ) -> None:
     table = result.table.copy()
     table.loc[1, ["value", "low", "high"]] = np.nan
-    assert "1 without an estimate" in said(
-        draw_multiverse(replace(result, table=table), estimate="Mean")
-    )
+    assert "1 without an estimate" in said(draw(replace(result, table=table), estimate="Mean"))
     table[["value", "low", "high"]] = np.nan
     with pytest.raises(ValueError, match="result must have a universe with an estimate"):
-        draw_multiverse(replace(result, table=table), estimate="Mean")
+        draw(replace(result, table=table), estimate="Mean")
 
 
 def test_no_intervals_are_said(result: Multiverse, said: Callable[[Figure], str]) -> None:
     table = result.table.assign(low=np.nan, high=np.nan)
-    assert "No intervals." in said(draw_multiverse(replace(result, table=table), estimate="Mean"))
+    assert "No intervals." in said(draw(replace(result, table=table), estimate="Mean"))
 
 
 def test_words_stay_inside_and_apart(
@@ -93,4 +97,4 @@ def test_words_stay_inside_and_apart(
 ) -> None:
     table = pd.concat([result.table] * 40, ignore_index=True)
     label = "Slope of realism on spectral match (points of rating per +0.1 of metric)"
-    assert faults(draw_multiverse(replace(result, table=table), estimate=label)) == []
+    assert faults(draw(replace(result, table=table), estimate=label)) == []

@@ -13,7 +13,7 @@ from feel321.analysis.refined.refine import Refined, refine_metric
 from feel321.analysis.report.parts import Choices
 from feel321.analysis.report.robustness import LEVEL, compute_refined
 from feel321.analysis.table.reading import Table
-from feel321.analysis.words import tell_range
+from feel321.analysis.words import format_interval
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -79,8 +79,8 @@ def test_what_is_not_recommended_opens_the_report_in_one_line(
         if number.name.endswith("over.spectral_match.gain")
     )
     assert line == (
-        f"No refined metric is recommended (gains in correlation over the best single metric {tell_range(*gains)}, out "
-        "of fold; each 95 % two-way interval covers zero)."
+        f"No refined metric is recommended (gains in correlation over the best single metric "
+        f"{format_interval(*gains)}, out of fold; each 95 % two-way interval covers zero)."
     )
 
 

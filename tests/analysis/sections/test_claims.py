@@ -14,7 +14,7 @@ from feel321.analysis.report import primary
 from feel321.analysis.report.parts import Choices
 from feel321.analysis.report.section import TableForm, estimate
 from feel321.analysis.table.reading import Table
-from feel321.analysis.words import tell_ends
+from feel321.analysis.words import format_estimate
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -140,4 +140,4 @@ def test_tables_and_sentences_tell_a_slope_in_the_same_digits(
     row = dict(zip(("estimate", "low", "high"), ends, strict=True), n=9)
     table = TableForm("", [estimate("Slope", "estimate", "slope")], path="slope").build([row])
     assert table.rows == ((value, interval),)
-    assert tell_ends(*ends, kind="slope") == (value, interval)
+    assert format_estimate(*ends, kind="slope") == (value, interval)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from feel321.analysis.contrasts.equivalence import equivalence, non_inferiority
-from feel321.analysis.primary.influence import adjust
+from feel321.analysis.primary.influence import adjust_holm
 from feel321.analysis.report import reducers
 from feel321.analysis.report.parts import Choices
 from feel321.analysis.table.reading import Table
@@ -35,7 +35,7 @@ def test_contrasts_by_hand(tidy: Callable[..., pd.DataFrame]) -> None:
     assert table["estimate"].tolist() == pytest.approx(
         means[table["first"]].array - means[table["second"]].array
     )
-    assert table["p_holm"].tolist() == pytest.approx(adjust(table["p"].tolist()))
+    assert table["p_holm"].tolist() == pytest.approx(adjust_holm(table["p"].tolist()))
     cells = tests.set_index(["participant", "stimulus_id"])
     first, second = (cells.loc[cells["repeat"] == turn, "rating"] for turn in (1, 2))
     margin = np.sqrt(((first - second) ** 2).sum() / (2 * len(first))) / 2

@@ -9,7 +9,7 @@ import pytest
 from feel321.analysis.report import pairs, robustness
 from feel321.analysis.report.parts import Choices
 from feel321.analysis.table.reading import Table
-from feel321.analysis.table.sheet import ANSWERED
+from feel321.analysis.table.schema import ANSWERED
 
 if TYPE_CHECKING:
     from collections.abc import Callable

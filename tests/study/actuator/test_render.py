@@ -213,10 +213,10 @@ def test_what_is_no_number_is_refused(tmp_path: Path, wrong: float) -> None:
     content = bytearray(path.read_bytes())
     content[-8:-4] = np.float32(wrong).tobytes()  # write_wav itself would refuse
     path.write_bytes(content)
-    with pytest.raises(ValueError, match="got 1 values that are not finite"):
+    with pytest.raises(ValueError, match="must be finite, got 1 values that are not"):
         render_stimulus(stimulus, tmp_path, make_rig(), full_scale_m_s2=100.0)
     problems = find_rig_problems(
         make_rig(), StimulusSet(tmp_path, (stimulus,), ""), rate_hz=RATE, full_scale_m_s2=100.0
     )
     assert len(problems) == 1
-    assert "not finite" in problems[0]
+    assert "must be finite" in problems[0]

@@ -13,7 +13,7 @@ from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
 from runpy import run_path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from feel321.protocols.texts import read_scales, read_texts
 from feel321.protocols.trial import Flow, Page
@@ -22,8 +22,10 @@ from feel321.study.screen.presenter import ScreenPresenter
 from feel321.study.screen.view import Hand, View, make_screen_texts
 from feel321.study.screen.window import Window, open_screen
 from feel321.study.session.engine import Stage, Stopped, conduct_page, conduct_trial
-from feel321.study.session.ports import Place, Playback
-from feel321.study.settings.read import Surface
+from feel321.study.session.ports import Place, Playback, Surface
+
+if TYPE_CHECKING:
+    from feel321.study.session.events import SessionEvent
 
 gallery = run_path(str(Path(__file__).with_name("gallery.py")))
 
@@ -141,11 +143,8 @@ class Watcher(Hand):
 class Journal:
     """Tells what would be written."""
 
-    def write(self, event: Any, data: dict[str, Any] | None = None) -> None:
-        if isinstance(event, str):
-            tell(event=event, **(data or {}))
-        else:
-            tell(event=event.event, **event.to_data())
+    def write(self, event: SessionEvent) -> None:
+        tell(event=event.event, **event.to_data())
 
 
 def conduct(step: dict[str, Any], stage: Stage) -> None:

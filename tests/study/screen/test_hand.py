@@ -14,7 +14,7 @@ from feel321.study.screen.input import STEPS
 from feel321.study.screen.robot import THINKING_S, PressingHand
 from feel321.study.screen.view import View
 from feel321.study.session.ports import Place
-from feel321.study.sessions import tell_person
+from feel321.study.sessions import find_person
 
 SCALES = read_scales()
 KINDS = {"realism": "slider", "similarity": "slider", "mushra": "rows", "abx": "choice"}
@@ -255,5 +255,5 @@ def test_a_trial_on_the_real_surface_is_answered_too() -> None:
 
 @pytest.mark.parametrize(("code", "number"), [("sim007", 7), ("sim120", 120)])
 def test_numbered_participants_are_the_persons_of_simulate(code: str, number: int) -> None:
-    assert tell_person(code) == number
-    assert tell_person("p07") != tell_person("p08")
+    assert find_person(code) == number
+    assert find_person("p07") != find_person("p08")

@@ -31,15 +31,10 @@ from feel321.stimuli.match import (
     axis_correlations,
     energy_spectrum,
     linear_grid,
-    mean_heard,
+    mean_over_axes,
 )
 from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
-from feel321.stimuli.reducers.registry import (
-    REDUCERS,
-    WHY_NOT_STREAMING,
-    StreamingReducer,
-    get_reducer,
-)
+from feel321.stimuli.reducers.registry import REDUCERS, WHY_NOT_STREAMING, StreamingReducer
 from feel321.stimuli.rotation import random_rotations, temporal_match_invariant
 
 if TYPE_CHECKING:
@@ -86,10 +81,10 @@ class ReducerVariant:
     def reduce(self, acceleration: ArrayLike, rate_hz: float) -> Samples:
         """Reduce a signal, (..., 3, n_samples)."""
         own: dict[str, Any] = {} if self.window_s is None else {"window_s": self.window_s}
-        reducer = get_reducer(self.reducer)
-        if self.families == 1:
-            return reducer(acceleration, rate_hz, **own)
+        reducer = REDUCERS.find(self.reducer)
         samples = np.asarray(acceleration, dtype=np.float64)
+        if self.families == 1:
+            return reducer(samples, rate_hz, **own)
         hop = window_samples(self.window_s or DEFAULT_WINDOW_S, rate_hz) // 2
         before = [(0, 0)] * (samples.ndim - 1)
         runs = []
@@ -188,6 +183,6 @@ class _Scorer:
         total = self._smooth(self._energy + energy).sum()
         apart = np.abs(self._smooth(self._energy - energy)).sum()
         spectral, bounded = map(float, self._original.match_both(reduced))
-        temporal = float(mean_heard(axis_correlations(turned, reduced)))
+        temporal = float(mean_over_axes(axis_correlations(turned, reduced)))
         shared = float((total - apart) / (total + apart))
         return [spectral, temporal, bounded, shared, temporal_match_invariant(turned, reduced)]

@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from feel321 import __version__
+from feel321.analysis.arrays import CONFIDENCE
 from feel321.analysis.contrasts.equivalence import profile_reducers
 from feel321.analysis.resampling import draw_counts
-from feel321.analysis.table.judgements import ROLES
 from feel321.analysis.table.reading import order_reducers
+from feel321.analysis.table.schema import ROLES
 from feel321.analysis.tradeoff.chart import accuracy, cost, page
 from feel321.analysis.tradeoff.chart.points import (
     TABLES,
@@ -30,7 +31,6 @@ from feel321.analysis.tradeoff.chart.points import (
     place_points,
 )
 from feel321.analysis.tradeoff.results import check_names, write_results
-from feel321.analysis.words import CONFIDENCE
 from feel321.records import Result
 from feel321.stimuli.reducers.registry import REDUCERS, WHY_NOT_STREAMING
 

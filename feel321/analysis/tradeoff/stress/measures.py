@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 
 from feel321.analysis.tradeoff.stress.battery import BATTERY
-from feel321.stimuli.match import OriginalSpectrum, axis_correlations, mean_heard
+from feel321.stimuli.match import OriginalSpectrum, axis_correlations, mean_over_axes
 from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
 from feel321.stimuli.rotation import random_rotations
 
@@ -342,7 +342,7 @@ def _measure_edges(samples: Samples, output: Samples, rate_hz: float) -> Samples
 def find_spread(original: OriginalSpectrum, turned: Samples, outputs: Samples) -> float:
     """Find the standard deviation over orientations of the match metric that varies more."""
     spectral = float(np.std(original.match(outputs), ddof=1)) if len(original.smoothed) else 0.0
-    return max(spectral, float(np.std(mean_heard(axis_correlations(turned, outputs)), ddof=1)))
+    return max(spectral, float(np.std(mean_over_axes(axis_correlations(turned, outputs)), ddof=1)))
 
 
 def _measure_damage(reduce: Reducer, takes: Takes, output: Samples) -> Samples:

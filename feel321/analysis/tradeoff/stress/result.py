@@ -13,7 +13,7 @@ from feel321.analysis.tradeoff.stress.battery import BATTERY
 from feel321.analysis.tradeoff.stress.diagnosis import SIGNS, SINGLE_AXES, list_warnings
 from feel321.analysis.tradeoff.stress.measures import MEASURES
 from feel321.records import Result
-from feel321.stimuli.match import METRICS, axis_correlations, mean_heard
+from feel321.stimuli.match import METRICS, axis_correlations, mean_over_axes
 from feel321.stimuli.rotation import INVARIANTS, random_rotations
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ def compare_metrics_under_rotation(
     outputs = {name: reduce(samples, rate_hz) for name, reduce in reducers.items()}
     held = "dft321" if "dft321" in reducers else next(iter(reducers))
     turned = np.einsum("rij,jn->rin", random_rotations(TURNS, rng), samples)
-    temporal = mean_heard(axis_correlations(turned, outputs[held]))
+    temporal = mean_over_axes(axis_correlations(turned, outputs[held]))
     invariant = [INVARIANTS["temporal_match"](one, outputs[held], rate_hz) for one in turned[:5]]
 
     def match(metric: Any, name: str) -> float:  # noqa: ANN401 - a metric of any registry
