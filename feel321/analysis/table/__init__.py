@@ -1,1 +1,1 @@
-"""Tables in: read strictly, checked, married to their stimuli; or one clear line about what is wrong."""
+"""Tables in: read strictly, checked, joined to their stimuli; or one clear line about what is wrong."""
