@@ -6,13 +6,13 @@ import difflib
 import importlib
 import os
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator
+    from collections.abc import Callable, Collection, Iterator
     from typing import Any
 
     import numpy as np
@@ -234,13 +234,14 @@ class Registry(Mapping[str, Entry]):
             raise ValueError(f"{self._what} {given!r} cannot be imported: {error}") from None
         return entry
 
-    def choose(self, wanted: str | Iterable[str | Entry] = "all") -> dict[str, Entry]:
+    def choose(self, wanted: str | Entry | Iterable[str | Entry] = "all") -> dict[str, Entry]:
         """Return several entries by their names: all of them, or what `find` finds of each.
 
         Parameters
         ----------
         wanted : "all", or a list of str or any other
-            Names of this registry, dotted names, or a lab's own entries.
+            Names of this registry, dotted names, or a lab's own entries; or one such entry, or a mapping of its names
+            to entries.
 
         Returns
         -------
@@ -251,7 +252,10 @@ class Registry(Mapping[str, Entry]):
             if wanted == "all":
                 return dict(self._entries)
             as_names(wanted, f"{self._what}s")
-        return {name_of(one): self.find(one) for one in wanted}
+        if isinstance(wanted, Mapping):
+            return {name: self.find(one) for name, one in wanted.items()}
+        several = wanted if isinstance(wanted, Iterable) else [wanted]
+        return {name_of(one): self.find(one) for one in several}
 
 
 def name_of(method: object) -> str:

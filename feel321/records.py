@@ -58,7 +58,8 @@ class Result:
 
     def __repr__(self) -> str:
         """Write numbers, names and flags in one line of at most 200 characters."""
-        told = ", ".join(f"{name}={_shorten(value)}" for name, value in _list_scalars(self))
+        known = [(name, _shorten(value)) for name, value in _list_scalars(self)]
+        told = ", ".join(f"{name}={value}" for name, value in known or _list_sizes(self))
         text = f"{type(self).__name__}({told})"
         return text if len(text) <= REPR_WIDTH else f"{text[: REPR_WIDTH - 4]}...)"
 
@@ -108,6 +109,12 @@ def _list_scalars(value: object) -> list[tuple[str, Any]]:
         for name, entry in _list_fields(value)
         if isinstance(entry, bool | int | float | str | np.generic)
     ]
+
+
+def _list_sizes(value: object) -> list[tuple[str, str]]:
+    """How much each field of a result without numbers holds, if it holds anything."""
+    sized = [(name, entry) for name, entry in _list_fields(value) if hasattr(entry, "__len__")]
+    return [(name, f"<{len(entry)}>") for name, entry in sized if len(entry)]
 
 
 def _shorten(value: object) -> str:

@@ -138,3 +138,12 @@ def test_progress_is_a_bar_a_function_or_nothing(capsys: pytest.CaptureFixture[s
             move(1, 2)
     assert steps == [(1, 2)]
     assert "chart" in capsys.readouterr().err
+
+
+def test_a_result_without_numbers_tells_how_much_it_holds() -> None:
+    @dataclass(frozen=True, slots=True, repr=False, eq=False)
+    class Rows(Result):
+        rows: pd.DataFrame
+        notes: tuple[str, ...] = ()
+
+    assert repr(Rows(pd.DataFrame({"a": [1, 2]}))) == "Rows(rows=<2>)"

@@ -7,7 +7,7 @@ applied forwards and backwards (no phase shift, magnitude squared): at the corne
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -64,7 +64,11 @@ class Conditioning:
             )
 
 
-def condition(recording: Recording, steps: Conditioning | None = None) -> Recording:
+def condition(
+    recording: Recording,
+    steps: Conditioning | None = None,
+    **changes: Any,  # noqa: ANN401 - Conditioning's fields
+) -> Recording:
     """Condition a recording: crop, remove the offset, filter.
 
     Parameters
@@ -73,6 +77,8 @@ def condition(recording: Recording, steps: Conditioning | None = None) -> Record
         Acceleration in m/s².
     steps : Conditioning, optional
         Which steps; `Conditioning()` if left out.
+    **changes
+        Fields of the steps to change, as in ``crop_s=(0.2, 1.2)``.
 
     Returns
     -------
@@ -88,10 +94,10 @@ def condition(recording: Recording, steps: Conditioning | None = None) -> Record
     Examples
     --------
     >>> from feel321 import stimuli
-    >>> stimuli.condition(stimuli.make_scene("bumps"), stimuli.Conditioning(crop_s=(0, 1)))
+    >>> stimuli.condition(stimuli.make_scene("bumps"), crop_s=(0, 1))
     Recording('bumps', 10000 samples at 10000 Hz, 1 s)
     """
-    steps = steps or Conditioning()
+    steps = replace(steps or Conditioning(), **changes)
     samples = (recording.crop(*steps.crop_s) if steps.crop_s else recording).acceleration
     if steps.remove_offset:
         samples = samples - samples.mean(axis=-1, keepdims=True)

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from feel321.doors import Registry, as_rng
+from feel321.doors import Registry, as_rng, name_of
 from feel321.stimuli.match import (
     METRICS,
     OriginalSpectrum,
@@ -182,8 +182,8 @@ def match(
     reduced: ArrayLike | None = None,
     *,
     rate_hz: float | None = None,
-    reducers: str | Iterable[str | Reducer] = "all",
-    metrics: str | Iterable[str | Metric] = "all",
+    reducers: str | Reducer | Iterable[str | Reducer] = "all",
+    metrics: str | Metric | Iterable[str | Metric] = "all",
 ) -> DataFrame:
     """Match a recording with one reduced signal, or with the output of each reducer.
 
@@ -196,7 +196,8 @@ def match(
     rate_hz : float, optional
         Sampling rate of plain samples in Hz.
     reducers : "all", or a list of str or callables
-        Names of `REDUCERS`, dotted names ("mylab.haptics:my321"), or functions f(acceleration, rate_hz).
+        Names of `REDUCERS`, dotted names ("mylab.haptics:my321"), or functions f(acceleration, rate_hz);
+        or one function, or a mapping of names to functions.
     metrics : "all", or a list of str or callables
         Names of `METRICS`, dotted names, or functions f(acceleration, reduced, rate_hz).
 
@@ -222,6 +223,10 @@ def match(
     given, rate = as_signal(recording, rate_hz)
     samples = check_acceleration(given)
     measures = METRICS.choose(metrics)
+    if isinstance(reduced, str) or callable(reduced):
+        raise TypeError(
+            f"reduced must be a signal; for a reducer, write reducers=[{name_of(reduced)}]"
+        )
     if reduced is None:
         functions = REDUCERS.choose(reducers)
         outputs = {name: function(samples, rate) for name, function in functions.items()}

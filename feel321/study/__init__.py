@@ -49,6 +49,11 @@ _old_names = {
     "write_ratings": "feel321.study.ratings:write_ratings|Study.ratings()",
 }
 
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
+
+
 __getattr__ = _forward_old_names(
     __name__, _old_names, lazy={"Settings": "feel321.study.settings.schema:Settings"}
 )

@@ -127,10 +127,10 @@ def test_contrasts_in_words_are_those_of_the_mapping(rows: pd.DataFrame) -> None
 def test_papers_and_r_get_the_model_that_was_fitted(rows: pd.DataFrame, tmp_path: Path) -> None:
     primary = analysis.fit_primary(rows, METRICS)
     assert primary.to_latex().startswith(r"\begin{tabular}")
-    text = primary.to_r(tmp_path)
+    text = primary.to_r(tmp_path / "new")
     assert f"lmer({primary.formula}, data = model" in text
-    assert (tmp_path / "model.R").read_text(encoding="utf-8") == text
-    frame = pd.read_csv(tmp_path / "model.csv")
+    assert (tmp_path / "new" / "model.R").read_text(encoding="utf-8") == text
+    frame = pd.read_csv(tmp_path / "new" / "model.csv")
     again = analysis.fit_mixed(primary.formula, frame, penalty=["reducer"])
     np.testing.assert_allclose(again.fixed["estimate"], primary.fit.fixed["estimate"], rtol=1e-6)
 

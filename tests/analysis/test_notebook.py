@@ -75,6 +75,12 @@ def test_a_table_has_the_shapes_that_others_take(realism: results.Table) -> None
 def test_a_wrong_selection_lists_the_right_ones(table: results.Table) -> None:
     with pytest.raises(ValueError, match="scale must be one of realism, similarity; got 'realsim'"):
         table.select(scale="realsim")
+    assert table.select("realism") == table.select(scale="realism")
+
+
+def test_ratings_in_memory_need_a_manifest(table: results.Table) -> None:
+    with pytest.raises(TypeError, match=r"got DataFrame.*give the manifest too"):
+        analysis.read_table(table.to_frame())
 
 
 def test_correlations_of_everything_are_those_of_each_part(table: results.Table) -> None:

@@ -10,6 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 import click
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
@@ -105,12 +106,12 @@ def code_in(text: str) -> list[str]:
 
 
 def verbs_in(text: str) -> set[str]:
-    return set(re.findall(r"\bfeel321 ([a-z]+)\b", "\n".join(code_in(text))))
+    return set(re.findall(r"(?<!from )\bfeel321 ([a-z]+)\b", "\n".join(code_in(text))))
 
 
 def calls_in(text: str) -> Iterator[tuple[str, list[str]]]:
     """Every call of the command line: its verb and its options."""
-    for line in re.findall(r"\bfeel321 ([a-z]+ [^#\n]*)", "\n".join(code_in(text))):
+    for line in re.findall(r"(?<!from )\bfeel321 ([a-z]+ [^#\n]*)", "\n".join(code_in(text))):
         verb, _, rest = line.partition(" ")
         yield verb, re.findall(r"(?<!\S)--?[a-z][a-z-]*", rest)
 
@@ -227,6 +228,7 @@ def test_every_python_block_runs(
     for block in blocks:
         if block.language == "python":
             exec(compile(block.text, block.page, "exec"), {})  # noqa: S102 - that a reader may paste it is the point
+    plt.close("all")
 
 
 def test_every_setting_is_accepted(blocks: tuple[Block, ...], tmp_path: Path) -> None:
@@ -254,7 +256,8 @@ def test_the_readme_counts_the_reducers(readme: str) -> None:
 
 
 def test_code_is_separated_from_prose() -> None:
-    text = "To make sense:\n```sh\nmake demo\nfeel321 build\n```\nthen `make test`, feel321 run\n"
+    block = "```sh\nmake demo\nfeel321 build\nfrom feel321 import study\n```"
+    text = f"To make sense:\n{block}\nthen `make test`, feel321 run\n"
     assert make_commands(text) == ["demo", "test"]
     assert verbs_in(text) == {"build"}
 

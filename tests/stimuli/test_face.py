@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pickle
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -184,3 +184,29 @@ def test_registries_list_their_names_and_survive_pickling() -> None:
         with pytest.raises(KeyError, match=next(iter(registry))):
             registry["no such name"]
     assert stimuli.REDUCERS.dft321 is stimuli.REDUCERS["dft321"]
+
+
+def mean321(acceleration: np.ndarray, rate_hz: float) -> np.ndarray:  # noqa: ARG001 - a reducer's form
+    return np.asarray(acceleration.mean(axis=-2))
+
+
+def test_one_function_and_named_functions_are_reducers(scene: Recording) -> None:
+    listed = stimuli.match(scene, reducers=[mean321])
+    pd.testing.assert_frame_equal(stimuli.match(scene, reducers=mean321), listed)
+    assert stimuli.match(scene, reducers={"mine": mean321}).index.tolist() == ["mine"]
+
+
+@pytest.mark.parametrize("wrong", ["dft321", stimuli.REDUCERS["dft321"]])
+def test_a_reducer_is_no_reduced_signal(scene: Recording, wrong: Any) -> None:
+    with pytest.raises(TypeError, match="reducers="):
+        stimuli.match(scene, wrong)
+
+
+def test_conditioning_is_changed_by_its_fields(scene: Recording) -> None:
+    steps = stimuli.Conditioning(crop_s=(0, 0.2))
+    assert stimuli.condition(scene, crop_s=(0, 0.2)) == stimuli.condition(scene, steps)
+
+
+def test_a_stimulus_is_found_by_its_place(scene: Recording, tmp_path: Path) -> None:
+    built = stimuli.build_stimuli(scene, tmp_path / "set", reducers=["dft321"], anchors=False)
+    assert built[0] is built.stimuli[0]

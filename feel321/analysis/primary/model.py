@@ -191,6 +191,7 @@ class Primary(Result):
         ])
         if folder is not None:
             place = as_path(folder, "folder")
+            place.mkdir(parents=True, exist_ok=True)
             write_text(place / "model.csv", self.model_frame.to_csv(index=False, na_rep="NA"))
             write_text(place / "model.R", text)
         return text

@@ -82,7 +82,7 @@ class Table(Result):
     notes: tuple[str, ...]
     further: tuple[str, ...] = ()
 
-    def select(self, *, scale: str | None = None, level: str | None = None) -> Table:
+    def select(self, scale: str | None = None, *, level: str | None = None) -> Table:
         """Select the ratings of one scale or level.
 
         Parameters

@@ -16,6 +16,7 @@ analysis and no correction for several tests holds them.
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -42,7 +43,7 @@ from feel321.analysis.table.sheet import (
     refuse_lines,
     shorten,
 )
-from feel321.doors import as_names, as_path
+from feel321.doors import as_names, as_path, describe
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -135,8 +136,7 @@ def read_table(
     ('temporal_match',)
     """
     if manifest is None:
-        folder = as_path(ratings, "ratings")  # type: ignore[arg-type]  # a DataFrame is refused in words
-        ratings, manifest = folder / RATINGS_FILE, folder / MANIFEST_FILE
+        ratings, manifest = _find_tables(ratings)
     judged, listed = _open(ratings, "ratings"), _open(manifest, "manifest")
     stimuli, planned, notes = _read_manifest(listed, sources or {}, metrics)
     rows, more_notes = _read_ratings(*judged)
@@ -166,6 +166,17 @@ def read_table(
     ]].reset_index(drop=True)  # fmt: skip
     rows, more_notes = _join_labels(rows, judged.given)
     return Table(rows, planned, (*notes, *more_notes), tuple(explored))
+
+
+def _find_tables(ratings: PathLike | DataFrame) -> tuple[Path, Path]:
+    """Find the tables in a study's folder."""
+    if not isinstance(ratings, str | os.PathLike):
+        raise TypeError(
+            f"ratings must be a path, of a study, where no manifest is given, got {describe(ratings)}; give the "
+            "manifest too, a path or a DataFrame"
+        )
+    folder = as_path(ratings, "ratings")
+    return folder / RATINGS_FILE, folder / MANIFEST_FILE
 
 
 class _Source(NamedTuple):

@@ -137,8 +137,10 @@ class StimulusSet(Result):
         """Iterate over the stimuli."""
         return iter(self.stimuli)
 
-    def __getitem__(self, stimulus_id: str) -> Stimulus:
-        """Return the stimulus of an id."""
+    def __getitem__(self, stimulus_id: str | int) -> Stimulus:
+        """Return the stimulus of an id, or of a place in the manifest's order."""
+        if isinstance(stimulus_id, int):
+            return self.stimuli[stimulus_id]
         return Registry("stimulus_id", {row.stimulus_id: row for row in self})[stimulus_id]
 
     def __repr__(self) -> str:
