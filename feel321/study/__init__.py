@@ -57,7 +57,3 @@ def __dir__() -> list[str]:
 __getattr__ = _forward_old_names(
     __name__, _old_names, lazy={"Settings": "feel321.study.settings.schema:Settings"}
 )
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
