@@ -3,22 +3,18 @@
 Results have `to_frame` and `summary`; the other records are those that signals, pages and sessions are made of.
 """
 
-from feel321.analysis.agreement.alpha import Alpha
-from feel321.analysis.agreement.reliability import Intraclass
+from feel321.analysis.agreement import Alpha, Intraclass
+from feel321.analysis.association.classic import Dependent, RepeatedMeasures
 from feel321.analysis.association.correlate import Association, Difference
-from feel321.analysis.association.dependent import Dependent
-from feel321.analysis.association.repeated import RepeatedMeasures
 from feel321.analysis.contrasts.bradley_terry import BradleyTerry
-from feel321.analysis.contrasts.compare import ReducerDifference
+from feel321.analysis.contrasts.compare import Equivalence, NonInferiority, ReducerDifference
 from feel321.analysis.contrasts.discrimination import Discrimination
-from feel321.analysis.contrasts.equivalence import Equivalence, NonInferiority
 from feel321.analysis.mixed.model import Estimate, MixedFit
-from feel321.analysis.p1401.difference import P1401Difference
-from feel321.analysis.p1401.mapping import P1401
+from feel321.analysis.p1401 import P1401, P1401Difference
 from feel321.analysis.primary.model import Primaries, Primary
 from feel321.analysis.primary.multiverse import Multiverse
 from feel321.analysis.refined.refine import Refined
-from feel321.analysis.report.results import Results
+from feel321.analysis.report.write import Results
 from feel321.analysis.screening.screen import Screening
 from feel321.analysis.space import Alignment, Ellipses, Space
 from feel321.analysis.table.items import Table

@@ -5,18 +5,19 @@ Records that functions return are in `feel321.results`. What cannot be computed 
 type by a TypeError) that says what must be, what was got and what to do; what is left out or assumed is in the notes.
 """
 
-from feel321.analysis.agreement.alpha import krippendorff_alpha
-from feel321.analysis.agreement.reliability import intraclass, noise_ceiling
+from feel321.analysis.agreement import intraclass, krippendorff_alpha, noise_ceiling
+from feel321.analysis.association.classic import compare_dependent, repeated_measures_correlation
 from feel321.analysis.association.correlate import compare_metrics, correlate, tabulate_correlations
-from feel321.analysis.association.dependent import compare_dependent
-from feel321.analysis.association.repeated import repeated_measures_correlation
 from feel321.analysis.contrasts.bradley_terry import bradley_terry
-from feel321.analysis.contrasts.compare import compare_reducers
+from feel321.analysis.contrasts.compare import (
+    compare_reducers,
+    equivalence,
+    non_inferiority,
+    profile_reducers,
+)
 from feel321.analysis.contrasts.discrimination import discriminate
-from feel321.analysis.contrasts.equivalence import equivalence, non_inferiority, profile_reducers
 from feel321.analysis.mixed.model import contrast, fit_mixed
-from feel321.analysis.p1401.difference import compare_p1401
-from feel321.analysis.p1401.mapping import p1401
+from feel321.analysis.p1401 import compare_p1401, p1401
 from feel321.analysis.plots import (
     plot_profile,
     plot_recording,

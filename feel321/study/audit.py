@@ -21,9 +21,9 @@ from feel321.protocols.agenda import Agenda
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.trial import RATING_RANGE, Page, Trial
 from feel321.stimuli.sets.manifest import FURTHER, check_stimuli, describe_row, read_stimuli
+from feel321.study.folder import MANIFEST_JSON, read_origin
 from feel321.study.ledger.slots import find_lost, read_study_ledger
 from feel321.study.ledger.standing import find_cut, find_leftovers, read_anchor
-from feel321.study.provenance import MANIFEST_JSON, read_origin
 from feel321.study.ratings import find_misplaced
 from feel321.study.session import events
 from feel321.study.session.journal import (
@@ -34,8 +34,14 @@ from feel321.study.session.journal import (
     name_journal,
     read_journal,
 )
-from feel321.study.session.opening import PLAN_FILE, TOMBSTONE_FILE, read_dossier
-from feel321.study.session.plan import advance, replay, require_plan
+from feel321.study.session.plan import (
+    PLAN_FILE,
+    TOMBSTONE_FILE,
+    advance,
+    read_dossier,
+    replay,
+    require_plan,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence

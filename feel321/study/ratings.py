@@ -20,8 +20,12 @@ from feel321.study.session.journal import (
     name_journal,
     read_journal,
 )
-from feel321.study.session.opening import TOMBSTONE_FILE, read_as_written, require_own_plan
-from feel321.study.session.plan import list_by_code
+from feel321.study.session.plan import (
+    TOMBSTONE_FILE,
+    list_by_code,
+    read_as_written,
+    require_own_plan,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

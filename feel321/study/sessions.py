@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Any
 from feel321.protocols.texts import read_scales
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.actuator.rig import FILE_DEVICE, identify, read_rig, take_device
+from feel321.study.folder import find_changes
 from feel321.study.ledger.slots import claim_slots, note_progress, open_study_ledger, read_ledger
 from feel321.study.ledger.standing import check_anchors
 from feel321.study.observer.participant import (
@@ -38,12 +39,10 @@ from feel321.study.observer.participant import (
     identify_observer,
 )
 from feel321.study.observer.percepts import read_percepts
-from feel321.study.provenance import find_changes
 from feel321.study.session.engine import Outcome, run_session
 from feel321.study.session.events import DeviceOpened, SessionFinished, SessionReleased
 from feel321.study.session.journal import find_elapsed, has_event, list_journals, read_journal
-from feel321.study.session.opening import TOMBSTONE_FILE, open_session
-from feel321.study.session.plan import list_by_code, make_plan
+from feel321.study.session.plan import TOMBSTONE_FILE, list_by_code, make_plan, open_session
 from feel321.study.settings.read import (
     find_language,
     list_surfaces,
@@ -69,10 +68,9 @@ if TYPE_CHECKING:
     from feel321.study.actuator.rig import Rig
     from feel321.study.folder import StudyFolder
     from feel321.study.observer.percepts import Percept
-    from feel321.study.screen.view import Hand
+    from feel321.study.screen.layout import Hand
     from feel321.study.session.journal import Clock, Journal
-    from feel321.study.session.opening import Stale
-    from feel321.study.session.plan import Plan
+    from feel321.study.session.plan import Plan, Stale
     from feel321.study.session.ports import Place, Presenter
     from feel321.study.settings.schema import Settings
 
@@ -442,8 +440,8 @@ def open_lab(
     plan: Plan, journal: Journal, stimuli: Mapping[str, Stimulus], *, lab: Lab
 ) -> Iterator[Presenter]:
     """Open the actuators and the screen, and close both whatever happens."""
+    from feel321.study.screen.layout import make_screen_texts
     from feel321.study.screen.presenter import ScreenPresenter
-    from feel321.study.screen.view import make_screen_texts
     from feel321.study.screen.window import open_screen
 
     clock = start_clock(find_elapsed(journal.records))

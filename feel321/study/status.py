@@ -13,7 +13,7 @@ from feel321.protocols.tasks import is_as_expected
 from feel321.study.ledger.standing import make_standing
 from feel321.study.session.events import PageRead, SessionFinished, SessionReleased, TrialRated
 from feel321.study.session.journal import find_events, has_event
-from feel321.study.session.opening import TOMBSTONE_FILE, read_as_written, read_dossier
+from feel321.study.session.plan import TOMBSTONE_FILE, read_as_written, read_dossier
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from feel321.protocols.trial import Trial
     from feel321.study.folder import StudyFolder
     from feel321.study.session.journal import Chain, Record
-    from feel321.study.session.opening import Dossier
-    from feel321.study.session.plan import Plan
+    from feel321.study.session.plan import Dossier, Plan
 
     Sequences = dict[tuple[str, ...], list[list[str]]]
 

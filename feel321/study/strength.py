@@ -14,8 +14,7 @@ from feel321.protocols.trial import SURFACE
 from feel321.stimuli.condition import condition
 from feel321.stimuli.sets.anchors import THRESHOLDS, to_db
 from feel321.stimuli.sets.build import foresee_stimuli
-from feel321.stimuli.sets.recipe import GAIN_PER_RECORDING, ONE_GAIN, ORIGINAL
-from feel321.stimuli.sets.render import find_headroom_cost
+from feel321.stimuli.sets.recipe import GAIN_PER_RECORDING, ONE_GAIN, ORIGINAL, find_headroom_cost
 from feel321.study.actuator.mixer import ROUNDING
 from feel321.study.actuator.render import (
     EQUAL_DB,

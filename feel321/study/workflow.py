@@ -15,11 +15,10 @@ from feel321.stimuli.sets.build import build_stimuli, foresee_stimuli
 from feel321.stimuli.sets.manifest import check_stimuli, read_stimuli
 from feel321.study.actuator.render import find_mix
 from feel321.study.actuator.rig import read_rig
+from feel321.study.folder import find_changes, is_in_use
 from feel321.study.ledger.standing import write_roster
-from feel321.study.provenance import find_changes, is_in_use
 from feel321.study.ratings import write_ratings
-from feel321.study.session.opening import PLAN_FILE
-from feel321.study.session.plan import make_plan
+from feel321.study.session.plan import PLAN_FILE, make_plan
 from feel321.study.sessions import (
     Simulation,
     list_rig_problems,
@@ -273,8 +272,7 @@ def _check_pictures(study: StudyFolder, settings: Settings) -> list[str]:
 
 
 def _check_texts(study: StudyFolder, settings: Settings) -> list[str]:
-    from feel321.study.screen.layout import find_overflows
-    from feel321.study.screen.view import make_screen_texts
+    from feel321.study.screen.layout import find_overflows, make_screen_texts
 
     language = find_language(settings, study.path)
     try:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import t
 
-from feel321.analysis.agreement.alpha import LEVELS, bootstrap_alpha, krippendorff_alpha
+from feel321.analysis.agreement import LEVELS, bootstrap_alpha, krippendorff_alpha
 
 
 def make_table(

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from feel321.analysis.agreement.reliability import noise_ceiling, noise_ceiling_within
+from feel321.analysis.agreement import noise_ceiling, noise_ceiling_within
 from feel321.analysis.association.correlate import compare_metrics, correlate, make_panel
 from feel321.analysis.resampling import (
     METHODS,

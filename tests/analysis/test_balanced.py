@@ -10,8 +10,15 @@ import pytest
 
 from feel321.analysis.mixed.design import build_design
 from feel321.analysis.mixed.model import estimate_sum, find_uncertainty
-from feel321.analysis.mixed.optimum import Balanced, find_balance, find_optimum, find_slope
-from feel321.analysis.mixed.profile import Profile, find_coefficients, find_sigma
+from feel321.analysis.mixed.optimum import (
+    Balanced,
+    Profile,
+    find_balance,
+    find_coefficients,
+    find_optimum,
+    find_sigma,
+    find_slope,
+)
 
 if TYPE_CHECKING:
     from feel321.analysis.mixed.design import MixedDesign

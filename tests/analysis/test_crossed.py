@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.analysis.mixed import profile
+from feel321.analysis.mixed import optimum
 from feel321.analysis.mixed.model import fit_mixed
 
 HERE = Path(__file__).parent
@@ -158,7 +158,7 @@ def test_double_bar_slash_and_backticks_are_short_for_what_they_say() -> None:
 
 
 def test_equations_beyond_memory_are_refused_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(profile, "MOST_LEVELS", 10)
+    monkeypatch.setattr(optimum, "MOST_LEVELS", 10)
     message = "at most 10 effects beside those of scene:kind, for memory, got 16; average"
     with pytest.raises(ValueError, match=message):
         fit_mixed("y ~ a + (1 + a || who) + (1 | scene:kind) + (1 | kind)", make_study(1))

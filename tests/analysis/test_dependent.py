@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import norm, t
 
-from feel321.analysis.association.dependent import compare_dependent
+from feel321.analysis.association.classic import compare_dependent
 
 
 def test_zou_2007_overlapping_example() -> None:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from feel321.analysis.contrasts.equivalence import equivalence, non_inferiority
+from feel321.analysis.contrasts.compare import equivalence, non_inferiority
 
 
 def test_lakens_2017_example() -> None:

@@ -11,7 +11,7 @@ from matplotlib import rc_context, rcParams
 from matplotlib.image import imread
 
 from feel321.analysis.association.correlate import make_panel
-from feel321.analysis.contrasts.equivalence import participant_means, profile_reducers
+from feel321.analysis.contrasts.compare import participant_means, profile_reducers
 from feel321.analysis.figures.estimates import draw_profile
 from feel321.analysis.figures.scatter import draw_scatter
 from feel321.analysis.figures.style import (

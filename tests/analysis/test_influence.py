@@ -13,9 +13,9 @@ import pytest
 
 import feel321.analysis.report.folder
 from feel321.analysis.association.correlate import make_panel
-from feel321.analysis.primary import influence
-from feel321.analysis.primary.influence import conclude, find_candidates, measure_influence
+from feel321.analysis.primary import sensitivity
 from feel321.analysis.primary.model import fit_primary
+from feel321.analysis.primary.sensitivity import conclude, find_candidates, measure_influence
 from feel321.analysis.report import primary
 from feel321.analysis.report.association import reconcile
 from feel321.analysis.report.parts import Choices
@@ -177,13 +177,14 @@ def test_candidates_are_those_that_move_a_regression_most(outlying: float | None
     moved = pd.DataFrame(
         [regress(items.drop(name)) - whole for name in items.index], index=items.index
     ).abs()
-    groups = influence._list_dummies(items, ["recording"])
+    groups = sensitivity._list_dummies(items, ["recording"])
     x, y = (
-        influence._centre(groups, items[names].to_numpy()) for names in (list(METRICS), ["rating"])
+        sensitivity._centre(groups, items[names].to_numpy())
+        for names in (list(METRICS), ["rating"])
     )
     share = np.einsum("ij,ji->i", groups, np.linalg.pinv(groups))
     np.testing.assert_allclose(
-        np.abs(influence._measure_changes(x, y[:, 0], share=share)), moved, rtol=1e-6
+        np.abs(sensitivity._measure_changes(x, y[:, 0], share=share)), moved, rtol=1e-6
     )
     for count in (1, 3):
         found = find_candidates(rows.drop(columns="reducer"), METRICS, count=count)
@@ -191,7 +192,7 @@ def test_candidates_are_those_that_move_a_regression_most(outlying: float | None
 
 
 def test_too_much_to_leave_out_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(influence, "MOST_CELLS", 10)
+    monkeypatch.setattr(sensitivity, "MOST_CELLS", 10)
     rows = plant(people=3, recordings=3)
     found = measure_influence(rows, METRICS, fit_primary(rows, METRICS, explain=False))
     assert found.table.empty

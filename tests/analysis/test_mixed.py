@@ -13,8 +13,7 @@ import pytest
 from feel321.analysis.mixed import optimum
 from feel321.analysis.mixed.design import build_design, parse_formula
 from feel321.analysis.mixed.model import _invert, contrast, fit_mixed
-from feel321.analysis.mixed.optimum import find_optimum, find_slope
-from feel321.analysis.mixed.profile import Profile
+from feel321.analysis.mixed.optimum import Profile, find_optimum, find_slope
 
 if TYPE_CHECKING:
     from feel321.analysis.mixed.model import MixedFit

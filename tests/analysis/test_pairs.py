@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from feel321.analysis.association.correlate import tabulate_correlations
-from feel321.analysis.contrasts.equivalence import profile_reducers
+from feel321.analysis.contrasts.compare import profile_reducers
 from feel321.analysis.report.parts import split_parts
 from feel321.analysis.report.write import write_report
 from feel321.analysis.table.reading import Table, read_table

@@ -7,11 +7,7 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from feel321.analysis.contrasts.equivalence import (
-    participant_means,
-    profile_reducers,
-    stimulus_means,
-)
+from feel321.analysis.contrasts.compare import participant_means, profile_reducers, stimulus_means
 
 if TYPE_CHECKING:
     from collections.abc import Callable

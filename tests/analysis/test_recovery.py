@@ -20,16 +20,13 @@ import pandas as pd
 import pytest
 from scipy.stats import binom
 
-from feel321.analysis.agreement.alpha import bootstrap_alpha, krippendorff_alpha
-from feel321.analysis.agreement.reliability import intraclass
+from feel321.analysis.agreement import bootstrap_alpha, intraclass, krippendorff_alpha
+from feel321.analysis.association.classic import compare_dependent, repeated_measures_correlation
 from feel321.analysis.association.correlate import compare_metrics, correlate
-from feel321.analysis.association.dependent import compare_dependent
-from feel321.analysis.association.repeated import repeated_measures_correlation
 from feel321.analysis.contrasts.bradley_terry import bradley_terry, bradley_terry_by_rater
-from feel321.analysis.contrasts.equivalence import equivalence, non_inferiority, profile_reducers
+from feel321.analysis.contrasts.compare import equivalence, non_inferiority, profile_reducers
 from feel321.analysis.mixed.model import contrast, fit_mixed
-from feel321.analysis.p1401.difference import compare_p1401
-from feel321.analysis.p1401.mapping import p1401
+from feel321.analysis.p1401 import compare_p1401, p1401
 from feel321.analysis.primary.model import fit_primary, tabulate_slopes
 from feel321.analysis.resampling import METHODS, Draws, correlate_draws, fisher_z, measure_lean
 from feel321.analysis.table.items import Items

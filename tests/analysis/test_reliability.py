@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from feel321.analysis.agreement.alpha import krippendorff_alpha
-from feel321.analysis.agreement.reliability import intraclass, noise_ceiling
+from feel321.analysis.agreement import intraclass, krippendorff_alpha, noise_ceiling
 
 
 @settings(deadline=None)  # the first call imports scipy.stats

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from feel321.analysis.association.repeated import repeated_measures_correlation
+from feel321.analysis.association.classic import repeated_measures_correlation
 
 
 def make_rows(

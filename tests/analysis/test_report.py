@@ -16,7 +16,7 @@ import pytest
 from scipy import stats
 
 from feel321.analysis.contrasts.discrimination import discriminate
-from feel321.analysis.figures.maps import draw_discrimination
+from feel321.analysis.figures.scatter import draw_discrimination
 from feel321.analysis.report import folder
 from feel321.analysis.report.folder import ResultsFolder, list_files
 from feel321.analysis.report.section import Picture

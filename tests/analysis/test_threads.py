@@ -9,7 +9,7 @@ import sys
 import pytest
 from threadpoolctl import threadpool_info
 
-from feel321.analysis.mixed.profile import LARGE, hold_threads
+from feel321.analysis.mixed.optimum import LARGE, hold_threads
 
 COUNT = """
 import scipy.linalg
@@ -17,7 +17,7 @@ from threading import Event, Thread
 from concurrent.futures import ThreadPoolExecutor
 from threadpoolctl import threadpool_info
 from feel321.analysis.mixed.model import fit_mixed
-from feel321.analysis.mixed.profile import hold_threads
+from feel321.analysis.mixed.optimum import hold_threads
 
 def count():
     return [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]

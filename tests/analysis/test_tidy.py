@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from feel321.analysis.association.correlate import compare_metrics, correlate
-from feel321.analysis.contrasts.equivalence import profile_reducers, stimulus_means
+from feel321.analysis.contrasts.compare import profile_reducers, stimulus_means
 from feel321.analysis.primary.model import fit_primary
 from feel321.analysis.primary.multiverse import run_multiverse
 from feel321.analysis.primary.sensitivity import vary_primary

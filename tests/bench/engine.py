@@ -21,8 +21,7 @@ from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.study.observer.participant import ObserverModel, SimulatedObserver
 from feel321.study.session.engine import run_session
-from feel321.study.session.opening import Stale, open_session
-from feel321.study.session.plan import Design, make_plan
+from feel321.study.session.plan import Design, Stale, make_plan, open_session
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

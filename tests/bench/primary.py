@@ -24,8 +24,14 @@ from scipy.stats import t as student
 
 from feel321.analysis.mixed.design import build_design
 from feel321.analysis.mixed.model import Estimate, estimate_sum, find_uncertainty
-from feel321.analysis.mixed.optimum import Balanced, find_balance, find_optimum
-from feel321.analysis.mixed.profile import find_coefficients, find_sigma, find_spreads
+from feel321.analysis.mixed.optimum import (
+    Balanced,
+    find_balance,
+    find_coefficients,
+    find_optimum,
+    find_sigma,
+    find_spreads,
+)
 from feel321.analysis.primary.model import fit_primary
 from feel321.analysis.primary.plan import Terms, centre_twice, make_cells, plan_terms
 from feel321.analysis.primary.sensitivity import SlopePrecision, find_own, find_variances
@@ -35,7 +41,7 @@ from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
 from feel321.stimuli.synthesis import SCENES, make_scene
 
 if TYPE_CHECKING:
-    from feel321.analysis.mixed.profile import State
+    from feel321.analysis.mixed.optimum import State
 
 USED = ["spectral_match_bounded", "temporal_match"]
 SIX = ("sax321", "soc321", "mag321", "pca321", "pca321_adaptive", "dft321")

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from feel321.analysis.agreement.alpha import LEVELS, krippendorff_alpha
+from feel321.analysis.agreement import LEVELS, krippendorff_alpha
 
 ORACLE = Path(__file__).parents[3] / "shared" / "oracles" / "krippendorff_alpha"
 

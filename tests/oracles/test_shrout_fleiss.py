@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from feel321.analysis.agreement.reliability import intraclass
+from feel321.analysis.agreement import intraclass
 
 ORACLES = Path(__file__).parents[3] / "shared" / "oracles" / "icc_shrout_fleiss"
 NAMES = {

@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from feel321.stimuli.reducers.axes import pca321
-from feel321.stimuli.reducers.matched import (
+from feel321.stimuli.reducers.axes import (
     FORGETTING_S,
     MOST_GAIN,
     match_energy,
+    pca321,
     pca321_matched,
     pca321_matched_windowed,
 )

@@ -36,8 +36,7 @@ from feel321.stimuli.sets.manifest import (
     read_stimuli,
     write_manifest,
 )
-from feel321.stimuli.sets.recipe import GAINS, Recipe
-from feel321.stimuli.sets.render import find_headroom_cost, list_drafts
+from feel321.stimuli.sets.recipe import GAINS, Recipe, find_headroom_cost, list_drafts
 from feel321.stimuli.synthesis import SCENES, make_scene
 from feel321.stimuli.wav import read_wav, write_wav
 

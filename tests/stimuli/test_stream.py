@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from feel321.stimuli.reducers.axes import pca321_adaptive
+from feel321.stimuli.reducers.axes import pca321_adaptive, pca321_matched_windowed
 from feel321.stimuli.reducers.fourier import dft321_windowed
-from feel321.stimuli.reducers.matched import pca321_matched_windowed
 from feel321.stimuli.reducers.registry import REDUCERS, WHY_NOT_STREAMING, StreamingReducer
 
 if TYPE_CHECKING:

@@ -15,8 +15,7 @@ from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.study.folder import StudyFolder
 from feel321.study.session.engine import run_session
 from feel321.study.session.journal import find_elapsed
-from feel321.study.session.opening import Stale, open_session
-from feel321.study.session.plan import Design, Plan, make_plan
+from feel321.study.session.plan import Design, Plan, Stale, make_plan, open_session
 from feel321.study.session.ports import Abort, Act, Confirm, Feel, Pause, Playback
 
 if TYPE_CHECKING:

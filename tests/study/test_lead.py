@@ -11,7 +11,7 @@ import pytest
 from feel321.protocols.texts import read_scales
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger.slots import claim_slots, open_study_ledger, read_ledger
-from feel321.study.session.opening import Stale
+from feel321.study.session.plan import Stale
 from feel321.study.sessions import TRIALS_BETWEEN_NOTES, Room, lead_session
 
 if TYPE_CHECKING:

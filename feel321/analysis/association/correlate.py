@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from feel321.analysis.agreement.reliability import SMALLEST, find_ceiling
+from feel321.analysis.agreement import SMALLEST, find_ceiling
 from feel321.analysis.arrays import PERFECT, Values, check_draws
-from feel321.analysis.contrasts.equivalence import stimulus_means
+from feel321.analysis.contrasts.compare import stimulus_means
 from feel321.analysis.resampling import (
     FEWEST_ITEMS,
     METHODS,

@@ -1,20 +1,300 @@
-"""Two reducers compared by their ratings: model, contrast and tests in one call."""
+"""Reducers compared by their ratings: means, contrasts, equivalence and non-inferiority with a margin fixed beforehand.
+
+Conventions: hidden reference and anchors have their place here (their role marks them); repeats are averaged
+first, then a participant's stimuli, then participants, so that nobody counts twice for having judged more.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from feel321.analysis.contrasts.equivalence import equivalence, non_inferiority
+from feel321.analysis.arrays import CONFIDENCE, check_columns, read_numbers
 from feel321.analysis.mixed.model import contrast, fit_mixed
-from feel321.analysis.table.items import Table, find_sources, name_items, open_ratings, open_tests
+from feel321.analysis.table.items import (
+    Table,
+    find_sources,
+    leave_rejected,
+    name_items,
+    open_ratings,
+    open_tests,
+)
+from feel321.analysis.table.schema import HIGHEST, LOWEST
 from feel321.doors import check_name
 from feel321.records import Result
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+
+
+SIGNIFICANCE = 0.05
+
+
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Equivalence(Result):
+    """Two one-sided tests of an estimate against a margin.
+
+    Parameters
+    ----------
+    estimate : float
+        What was tested, usually a difference.
+    t_low, p_low : float
+        Test of "not below the margin": estimate against `low`, one-sided.
+    t_high, p_high : float
+        Test of "not above the margin": estimate against `high`, one-sided.
+    p : float
+        The larger of the two: of equivalence.
+    low90, high90 : float
+        90 % interval of the estimate; within the margin exactly if p < .05.
+    low, high : float
+        The margin.
+    equivalent : bool
+        Whether p < .05.
+    """
+
+    estimate: float
+    t_low: float
+    p_low: float
+    t_high: float
+    p_high: float
+    p: float
+    low90: float
+    high90: float
+    low: float
+    high: float
+    equivalent: bool
+
+
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class NonInferiority(Result):
+    """A one-sided test that an estimate is not worse than a margin.
+
+    Parameters
+    ----------
+    estimate : float
+        What was tested, usually cheaper minus dearer.
+    t, p : float
+        Of the estimate against the margin, one-sided.
+    bound : float
+        95 % one-sided bound of the estimate, on the side of harm.
+    margin : float
+        The harm that is still accepted.
+    non_inferior : bool
+        Whether p < .05.
+    """
+
+    estimate: float
+    t: float
+    p: float
+    bound: float
+    margin: float
+    non_inferior: bool
+
+
+def equivalence(estimate: float, se: float, df: float, *, low: float, high: float) -> Equivalence:
+    """Test whether an estimate lies within a margin: two one-sided tests.
+
+    Parameters
+    ----------
+    estimate : float
+        A difference, or a contrast of a mixed model.
+    se : float
+        Its standard error, above 0.
+    df : float
+        Its degrees of freedom (Satterthwaite's, for a mixed model); infinity for a normal estimate.
+    low, high : float
+        Ends of the margin, in the estimate's unit, fixed before seeing data: the largest difference that
+        would not matter. Half the spread with which people repeat their own ratings is a defensible default.
+
+    Returns
+    -------
+    Equivalence
+        Both tests, the 90 % interval, and whether it lies within the margin.
+
+    Notes
+    -----
+    H0: the true value is at `low` or below, or at `high` or above. t_low = (estimate - low)/se and t_high =
+    (estimate - high)/se, each against t(df), one-sided; p is the larger, and no correction is due because
+    both must be rejected. A difference that is not significant is *not* evidence of equivalence, and an
+    estimate may be both different from 0 and equivalent. An estimate without a standard error (a singular
+    fit) proves nothing and is refused.
+
+    References
+    ----------
+    Schuirmann (1987), J. Pharmacokinet. Biopharm. 15, 657-680, doi 10.1007/BF01068419.
+    Lakens (2017), Soc. Psychol. Personal. Sci. 8, 355-362, doi 10.1177/1948550617697177.
+
+    Examples
+    --------
+    Two reducers differ by 1.5 points, standard error 1.2, on 11 degrees of freedom; up to 5 do not matter:
+
+    >>> from feel321 import analysis
+    >>> result = analysis.equivalence(1.5, 1.2, 11, low=-5, high=5)
+    >>> round(result.t_high, 3), round(result.p, 4), result.equivalent
+    (-2.917, 0.007, True)
+    >>> round(result.low90, 2), round(result.high90, 2)
+    (-0.66, 3.66)
+    """
+    from scipy.stats import t
+
+    _check_numbers(estimate, se, df, low=low, high=high)
+    if low >= high:
+        raise ValueError(f"low must be below high, got {low} with high {high}; swap them")
+    t_low, t_high = (estimate - low) / se, (estimate - high) / se
+    p_low, p_high = float(t.sf(t_low, df)), float(t.cdf(t_high, df))
+    half = float(t.ppf(1 - SIGNIFICANCE, df)) * se
+    p = max(p_low, p_high)
+    return Equivalence(
+        estimate, t_low, p_low, t_high, p_high, p,
+        low90=estimate - half, high90=estimate + half, low=low, high=high, equivalent=p < SIGNIFICANCE,
+    )  # fmt: skip
+
+
+def non_inferiority(estimate: float, se: float, df: float, *, margin: float) -> NonInferiority:
+    """Test whether an estimate is not worse than a margin.
+
+    Parameters
+    ----------
+    estimate : float
+        A difference: the cheaper reducer's rating minus the dearer one's.
+    se : float
+        Its standard error, above 0.
+    df : float
+        Its degrees of freedom; infinity for a normal estimate.
+    margin : float
+        The worst difference that is still accepted, fixed before seeing data. Negative where higher is
+        better (-5: up to five points lower); positive where lower is better (a dissimilarity, a cost).
+
+    Returns
+    -------
+    NonInferiority
+        The test and the one-sided bound.
+
+    Notes
+    -----
+    H0: the true value is at the margin or beyond. t = (estimate - margin)/se, one-sided, away from the harm.
+    It is one half of `equivalence`: a cheaper reducer may be better without limit.
+
+    References
+    ----------
+    Piaggio et al. (2012), JAMA 308, 2594-2604, doi 10.1001/jama.2012.87802.
+
+    Examples
+    --------
+    >>> from feel321 import analysis
+    >>> result = analysis.non_inferiority(-1.5, 1.2, 11, margin=-5)
+    >>> round(result.t, 3), round(result.p, 4), round(result.bound, 2), result.non_inferior
+    (2.917, 0.007, -3.66, True)
+    """
+    from scipy.stats import t
+
+    _check_numbers(estimate, se, df, margin=margin)
+    if not margin:
+        raise ValueError(
+            "margin must be below 0 where higher is better, above 0 where lower is better, got 0"
+        )
+    away = -math.copysign(1.0, margin)
+    statistic = (estimate - margin) / se
+    p = float(t.sf(away * statistic, df))
+    bound = estimate - away * float(t.ppf(1 - SIGNIFICANCE, df)) * se
+    return NonInferiority(estimate, statistic, p, bound, margin, p < SIGNIFICANCE)
+
+
+def _check_numbers(estimate: float, se: float, df: float, **limits: float) -> None:
+    for name, value in {"estimate": estimate, **limits}.items():
+        if not math.isfinite(value):
+            raise ValueError(f"{name} must be a finite number, got {value}")
+    if not 0 < se < math.inf:
+        raise ValueError(f"se must be finite and above 0, got {se}; a singular fit tests nothing")
+    if not df > 0:
+        raise ValueError(f"df must be above 0, infinity for a normal estimate, got {df}")
+
+
+GROUP = ["scale", "level", "role", "reducer"]
+"""What a profile is split by."""
+
+
+def participant_means(ratings: Table | DataFrame) -> DataFrame:
+    """Mean rating that each participant gave each reducer."""
+    ratings = _read_rows(ratings, [*GROUP, "participant", "stimulus_id"])
+    cells = ratings.groupby([*GROUP, "participant", "stimulus_id"], observed=True)["rating"].mean()
+    return cells.groupby([*GROUP, "participant"], observed=True).mean().reset_index()
+
+
+def profile_reducers(ratings: Table | DataFrame) -> DataFrame:
+    """Mean rating of each reducer with its interval over participants.
+
+    Parameters
+    ----------
+    ratings : Table or DataFrame
+        Ratings: participant, stimulus_id, reducer, level, role, scale, rating; rejected rows are left out.
+
+    Returns
+    -------
+    DataFrame
+        scale, level, role, reducer, mean, low, high, n_participants, n_stimuli, n_ratings; one row each.
+
+    Notes
+    -----
+    The interval is mean ± t(.975, P - 1) SD / sqrt(P) over the P participants' means: it holds for other
+    participants judging these recordings, not for other recordings. It ends where the scale ends. NaN for a single
+    participant, and where all means are alike, as at an end of the scale: that does not show how people differ.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> from feel321 import analysis
+    >>> rows = pd.DataFrame({"participant": list("aabb"), "stimulus_id": list("xyxy"), "reducer": list("uvuv"),
+    ...     "level": "as_is", "role": "test", "scale": "realism", "rating": [20, 70, 30, 90]})
+    >>> analysis.profile_reducers(rows)[["reducer", "mean", "n_participants"]]
+      reducer  mean  n_participants
+    0       u  25.0               2
+    1       v  80.0               2
+    """
+    profile = _summarise(participant_means(ratings), GROUP)
+    rows = _read_rows(ratings, GROUP).groupby(GROUP, observed=True)
+    counts = rows.agg(n_stimuli=("stimulus_id", "nunique"), n_ratings=("rating", "size"))
+    return profile.join(counts).reset_index()
+
+
+def stimulus_means(ratings: Table | DataFrame) -> DataFrame:
+    """Mean rating of each stimulus with its interval over participants."""
+    key = ["scale", "level", "role", "recording", "reducer", "stimulus_id"]
+    ratings = _read_rows(ratings, [*key, "participant"])
+    cells = ratings.groupby([*key, "participant"], observed=True)["rating"].mean().reset_index()
+    return _summarise(cells, key).reset_index()
+
+
+def _read_rows(ratings: Table | DataFrame, names: list[str]) -> DataFrame:
+    """Leave out rejected rows; refuse what would drop out of a mean unseen."""
+    table = open_ratings(ratings)
+    check_columns(table, [*names, "rating"], "ratings")
+    rows, _ = leave_rejected(table)
+    values = read_numbers(rows["rating"], what="ratings, 'rating'")
+    if n := int((rows[names].isna().any(axis=1) | ~np.isfinite(values)).sum()):
+        raise ValueError(
+            f"ratings must have {', '.join(names)} and a finite rating in each row, got {n} without; leave them out"
+        )
+    return rows.assign(rating=values)
+
+
+def _summarise(means: DataFrame, key: list[str]) -> DataFrame:
+    """Average participants' means; t interval over participants."""
+    from scipy.stats import t
+
+    table = means.groupby(key, observed=True)["rating"].agg(["mean", "std", "size", "nunique"])
+    n = table["size"].to_numpy(np.float64)
+    spread = table["std"].where(table["nunique"] > 1).to_numpy(np.float64)
+    with np.errstate(invalid="ignore"):
+        margin = t.ppf((1 + CONFIDENCE) / 2, n - 1) * spread / np.sqrt(n)
+    table = table.rename(columns={"size": "n_participants"})
+    table["low"] = (table["mean"] - margin).clip(lower=LOWEST)
+    table["high"] = (table["mean"] + margin).clip(upper=HIGHEST)
+    return table[["mean", "low", "high", "n_participants"]]
+
 
 CELL = ["participant", "recording", "reducer", "item"]
 

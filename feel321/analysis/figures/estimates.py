@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from feel321.analysis.agreement.reliability import SMALLEST
+from feel321.analysis.agreement import SMALLEST
 from feel321.analysis.figures.style import (
     BLACK,
     BLUE,
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from pandas import DataFrame, Series
 
-    from feel321.analysis.contrasts.equivalence import Equivalence
+    from feel321.analysis.contrasts.compare import Equivalence
     from feel321.analysis.primary.model import Primary
 
 # Estimates with intervals, one row each: what forest plots, abilities and equivalence tests have in common.

@@ -9,12 +9,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from feel321.analysis.mixed.design import build_design, read_new_rows
-from feel321.analysis.mixed.optimum import Balanced, find_balance, find_optimum, find_slope
-from feel321.analysis.mixed.profile import (
+from feel321.analysis.mixed.optimum import (
+    Balanced,
     Profile,
+    find_balance,
     find_coefficients,
     find_modes,
+    find_optimum,
     find_sigma,
+    find_slope,
     find_spreads,
     hold_threads,
 )
@@ -26,7 +29,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.analysis.mixed.design import Block, MixedDesign
-    from feel321.analysis.mixed.profile import State
+    from feel321.analysis.mixed.optimum import State
     from feel321.types import Samples
 
 STEP = 1e-4

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from feel321.analysis.agreement.reliability import find_ceiling
+from feel321.analysis.agreement import find_ceiling
 from feel321.analysis.refined.candidates import (
     EQUAL,
     GROUPS,

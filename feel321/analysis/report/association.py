@@ -13,12 +13,12 @@ from dataclasses import asdict
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from feel321.analysis.agreement.reliability import SMALLEST
+from feel321.analysis.agreement import SMALLEST
 from feel321.analysis.association.correlate import correlate, make_panel
 from feel321.analysis.figures.scatter import CUT, count_clipped, draw_mapping, draw_scatter
 from feel321.analysis.figures.style import assign_looks
-from feel321.analysis.p1401.mapping import p1401
-from feel321.analysis.primary.influence import NOT_ESTIMABLE, OPEN, PREDICTS
+from feel321.analysis.p1401 import p1401
+from feel321.analysis.primary.sensitivity import NOT_ESTIMABLE, OPEN, PREDICTS
 from feel321.analysis.report.parts import split_parts
 from feel321.analysis.report.section import (
     INTERVAL,

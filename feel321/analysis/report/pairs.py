@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from feel321.analysis.contrasts.discrimination import discriminate_pairs
-from feel321.analysis.figures.maps import draw_discrimination, draw_space
+from feel321.analysis.figures.scatter import draw_discrimination, draw_space
 from feel321.analysis.primary.model import adjust_holm
 from feel321.analysis.report.parts import SIGNIFICANCE
 from feel321.analysis.report.section import (

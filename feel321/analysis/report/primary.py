@@ -9,10 +9,16 @@ from typing import TYPE_CHECKING, Any
 from feel321.analysis.association.correlate import correlate
 from feel321.analysis.figures.estimates import draw_slopes
 from feel321.analysis.figures.scatter import draw_residuals
-from feel321.analysis.primary.influence import find_candidates, measure_influence
 from feel321.analysis.primary.model import fit_primary, tabulate_slopes
-from feel321.analysis.report.answer import Finding, describe_findings, describe_loss
-from feel321.analysis.report.needs import NEEDED, describe_need, find_needs
+from feel321.analysis.primary.sensitivity import find_candidates, measure_influence
+from feel321.analysis.report.answer import (
+    NEEDED,
+    Finding,
+    describe_findings,
+    describe_loss,
+    describe_need,
+    find_needs,
+)
 from feel321.analysis.report.parts import ITEM, thin_parts
 from feel321.analysis.report.section import (
     DF,

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from feel321.analysis.agreement.reliability import SMALLEST
-from feel321.analysis.contrasts.equivalence import (
+from feel321.analysis.agreement import SMALLEST
+from feel321.analysis.contrasts.compare import (
     equivalence,
     non_inferiority,
     participant_means,
@@ -67,7 +67,7 @@ if TYPE_CHECKING:
 
     from pandas import DataFrame
 
-    from feel321.analysis.contrasts.equivalence import Equivalence
+    from feel321.analysis.contrasts.compare import Equivalence
     from feel321.analysis.report.parts import Choices, RatingsPart
     from feel321.analysis.table.reading import Table
 

@@ -1,8 +1,9 @@
-"""What a report is made of: sections, each a record of declared tables, figures, sentences and claims.
+"""What a report is made of: sections, each a record of declared tables, figures, sentences and claims; and its page.
 
 A table is declared once, as columns: `build_table` makes of them and of the rows what the page shows and the numbers
 of ``results.json``; the rows themselves are the CSV file. A section is one function `compute_NAME(table, choices)`
-that returns a `Section`; one that the ratings do not allow has nothing but notes, which say why.
+that returns a `Section`; one that the ratings do not allow has nothing but notes, which say why. A page is one
+HTML file from a template, with its drawings inside.
 """
 
 from __future__ import annotations
@@ -18,9 +19,11 @@ from feel321.analysis.words import (
     COUNT,
     SATTERTHWAITE,
     STUDENT,
+    capitalise,
     count_number,
     format_estimate,
     format_name,
+    keep_together,
     make_interval,
     make_number,
     name_path,
@@ -36,6 +39,8 @@ if TYPE_CHECKING:
     from feel321.analysis.words import Claim, Line, Number
 
     Record = Mapping[Any, Any]
+    from markupsafe import Markup
+
 
 TEXT, NAME = "text", "name"
 """Kinds of columns that hold no number: words made of a name, and names as they are."""
@@ -290,3 +295,38 @@ def stack(frames: Iterable[tuple[Mapping[str, Any], DataFrame]]) -> Any:  # noqa
 
     own = [frame.assign(**more) for more, frame in frames if len(frame)]
     return pd.concat(own, ignore_index=True) if own else []
+
+
+TEMPLATES = Path(__file__).parent / "templates"
+
+
+def render_template(name: str, *, styles: Sequence[str] = ("report.css",), **values: object) -> str:
+    """Render a template; it finds its style sheets as `style`, and the filters `words` and `start`."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    environment = Environment(
+        loader=FileSystemLoader(TEMPLATES),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        finalize=keep_together,
+    )
+    environment.filters |= {"words": format_name, "start": capitalise}
+    style = "".join((TEMPLATES / sheet).read_text(encoding="utf-8") for sheet in styles)
+    return environment.get_template(name).render(style=style, **values)
+
+
+def inline_svg(picture: Picture, path: Path) -> Markup:
+    """Make a figure's SVG file part of a page; its ids begin with the figure's name."""
+    from markupsafe import Markup, escape
+
+    text = path.read_text(encoding="utf-8")
+    body = re.sub(r"<!--.*?-->", "", text[text.index("<svg") :], flags=re.DOTALL)
+    body = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{picture.name}-", body)
+    for size in ("width", "height"):
+        body = re.sub(rf'(<svg[^>]*?) {size}="[^"]*"', r"\1", body, count=1)
+    body = body.replace(' target="_blank"', "")  # links lead down the page, not to another one
+    label = f'<svg role="img" aria-label="{escape(picture.caption)}"'
+    return Markup(body.strip().replace("<svg", label, 1))  # noqa: S704 - our own drawing, its caption escaped

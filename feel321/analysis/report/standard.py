@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from feel321.analysis.association.dependent import compare_dependent
-from feel321.analysis.association.repeated import repeated_measures_correlation
-from feel321.analysis.p1401.difference import compare_p1401
-from feel321.analysis.p1401.mapping import p1401
+from feel321.analysis.association.classic import compare_dependent, repeated_measures_correlation
+from feel321.analysis.p1401 import compare_p1401, p1401
 from feel321.analysis.report.parts import split_parts
 from feel321.analysis.report.section import (
     METRIC,
@@ -29,7 +27,7 @@ from feel321.analysis.words import COUNT
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from feel321.analysis.p1401.mapping import P1401
+    from feel321.analysis.p1401 import P1401
     from feel321.analysis.report.parts import Choices, RatingsPart
     from feel321.analysis.table.items import Items
     from feel321.analysis.table.reading import Table

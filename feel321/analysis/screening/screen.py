@@ -7,11 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from feel321.analysis.agreement.alpha import krippendorff_alpha
-from feel321.analysis.agreement.reliability import SMALLEST, intraclass
+from feel321.analysis.agreement import SMALLEST, intraclass, krippendorff_alpha
 from feel321.analysis.arrays import read_numbers
-from feel321.analysis.screening.expertise import gauge_raters
-from feel321.analysis.screening.judgements import key_stimulus, make_judgements
+from feel321.analysis.screening.judgements import gauge_raters, key_stimulus, make_judgements
 from feel321.analysis.screening.rules import (
     EXPERTISE,
     MOST_RATERS,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from feel321.analysis.table import schema
 from feel321.analysis.table.items import ROLE, STIMULUS, TEST
-from feel321.analysis.table.sheet import shorten
+from feel321.analysis.table.schema import shorten
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

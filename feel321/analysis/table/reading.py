@@ -35,7 +35,7 @@ from feel321.analysis.table.notes import (
     note_sources,
     note_stimuli,
 )
-from feel321.analysis.table.sheet import (
+from feel321.analysis.table.schema import (
     read_cells,
     read_column,
     read_header,

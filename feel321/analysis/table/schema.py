@@ -1,19 +1,31 @@
-"""Columns that the tables may have: their meaning, unit and kind, and which of them must be there.
+"""Columns that tables may have, and tables read strictly against them: lines kept, every oddity refused by name.
 
 Conventions: names are matched exactly. A column that is spelt almost like one of these is refused, because it would
 otherwise be passed over; any other column is not used, and is named in the report's notes.
 
 Names of metrics, tasks and columns that other packages define are repeated here as data, so that a table is read
 without them; tests compare both.
+
+Cells are read as text, so that a participant called ``NA`` or ``007`` keeps that name; `read_column` then reads each as
+the kind that its column is declared as, and names the lines that it cannot read. `refuse_lines` is the one form of such
+a refusal. Spreadsheets, compressed files and other encodings are named as what they are, so that whoever brings them
+knows what to do; nothing is guessed or converted.
 """
 
 from __future__ import annotations
 
+import csv
+import re
+import warnings
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
+
+    from pandas import DataFrame, Series
+
 
 LOWEST, HIGHEST = 0.0, 100.0
 """The ends of every rating scale."""
@@ -65,7 +77,7 @@ REDUCERS = (
 
 @dataclass(frozen=True, slots=True)
 class ColumnInfo:
-    """A column of a table; its kind is one of `feel321.analysis.table.sheet.KINDS`, or empty for plain text."""
+    """A column of a table; its kind is one of `feel321.analysis.table.schema.KINDS`, or empty for plain text."""
 
     meaning: str
     unit: str = ""
@@ -176,3 +188,268 @@ def describe_manifest(metrics: Sequence[str] = ()) -> dict[str, ColumnInfo]:
     declared = {name: ColumnInfo("a metric that the study declares") for name in metrics}
     needed = {name: column for name, column in MANIFEST.items() if column.needed}
     return {**MANIFEST, **describe_further(), **declared, **needed}
+
+
+FOREIGN = {
+    b"\x1f\x8b": "a gzip file; unpack it first",
+    b"PK\x03\x04": "an Excel or other zipped file; save the sheet as CSV (UTF-8)",
+    b"\xd0\xcf\x11\xe0": "an old Excel file; save the sheet as CSV (UTF-8)",
+    b"\xff\xfe": "UTF-16 text; save it as CSV (UTF-8)",
+    b"\xfe\xff": "UTF-16 text; save it as CSV (UTF-8)",
+}
+"""First bytes of files that are often taken for CSV -> what they are."""
+
+BLOCK = 2**22
+"""Bytes that are looked through at once."""
+
+SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars"}
+
+CONTROL = r"[\x00-\x1f\x7f-\x9f\u2028\u2029]"
+
+LONGEST = 60
+"""Characters of a cell that a message shows."""
+
+BLAMED_LINES = 3
+"""How many line numbers a message names before it only counts."""
+
+
+class Kind(NamedTuple):
+    """A rule for the numbers of a column: its words, its test, and what an empty cell counts as, if it may be empty."""
+
+    must: str
+    do: str
+    allows: Callable[[Series], Series]
+    empty: float | None = float("nan")
+
+
+KINDS: Mapping[str, Kind] = {
+    "rating": Kind(
+        "be 0 to 100", "rescale what was asked on another scale",
+        lambda values: values.between(LOWEST, HIGHEST), None,
+    ),
+    "time": Kind("be 0 or more, in seconds, or empty", "", lambda values: ~(values < 0)),
+    "count": Kind(
+        "be a count (0, 1, 2, ...) or empty", "", lambda values: (values >= 0) & (values % 1 == 0), 0
+    ),
+    "amplitude": Kind("be 0 or more, in m/s², or empty", "", lambda values: ~(values < 0)),
+    "metric": Kind(
+        f"be 1 or less, and no more than {LARGEST:g} in size", "",
+        lambda values: ~(values.abs() > LARGEST),
+    ),
+    "known": Kind("be a number or empty", "", lambda values: values.notna()),
+}  # fmt: skip
+"""Kinds of columns that hold numbers; others are ``name``, ``flag``, and plain text."""
+
+
+def read_sheet(
+    source: Path | DataFrame, what: str, schema: Mapping[str, ColumnInfo]
+) -> tuple[DataFrame, list[str]]:
+    """Read the columns that an analysis uses, as text, from a CSV file or a table in memory; `what` names it."""
+    sheet, header = (
+        _read_file(source, schema)
+        if isinstance(source, Path)
+        else _read_frame(source, what, schema)
+    )
+    filled = sheet != ""
+    sheet = sheet[filled.any(axis=1)]
+    if sheet.empty:
+        raise ValueError(f"{what}: got no rows below the header; at least one is needed")
+    bare = [name for name in map(str, sheet) if not schema[name].needed and not filled[name].any()]
+    strangers = [shorten(name) for name in dict.fromkeys(header) if name not in schema and name]
+    notes = [f"{what}: columns that are not used: {', '.join(strangers)}."] if strangers else []
+    return sheet.drop(columns=bare), notes
+
+
+def read_cells(source: Path | DataFrame) -> DataFrame:
+    """Read all columns as text, unchecked."""
+    import pandas as pd
+
+    if isinstance(source, Path):
+        return pd.read_csv(source, dtype=str, na_filter=False, encoding="utf-8-sig")
+    cells = source.astype(object).where(source.notna(), "").astype(str)
+    return cells.set_axis(pd.RangeIndex(len(cells), name="row")).set_axis(
+        list(map(str, source)), axis=1
+    )
+
+
+def read_header(path: Path) -> list[str]:
+    """Read the column names."""
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        return next(csv.reader(file), [])
+
+
+def read_column(sheet: DataFrame, name: str, what: str, *, kind: str, empty: bool = True) -> None:
+    """Read a column of text, if there is one, as the kind that it is declared as; `empty` cells may be refused."""
+    if name not in sheet or not kind:
+        return
+    if kind == "name":
+        _check_names(sheet[name], what)
+    elif kind == "flag":
+        words = sheet[name].str.strip().str.lower()
+        bad = sheet.loc[~words.isin(YES | NO), name]
+        refuse_lines(bad, what, must="be true, false, 1, 0, yes, no or empty")
+        sheet[name] = words.isin(YES)
+    else:
+        sheet[name] = _read_numbers(sheet[name], what, KINDS[kind], empty=empty)
+
+
+def refuse_lines(bad: Series, what: str, *, must: str, do: str = "") -> None:
+    """Raise ValueError naming the lines of the bad cells, if there are any."""
+    if bad.empty:
+        return
+    place = str(bad.index.name or "row") + ("" if len(bad) == 1 else "s")
+    named = ", ".join(str(line) for line in bad.index[:BLAMED_LINES])
+    more = f" and {len(bad) - BLAMED_LINES} more" if len(bad) > BLAMED_LINES else ""
+    first = bad.iloc[0]
+    got = shorten(first) if isinstance(first, str) else f"{first:g}"
+    advice = f"; {do}" if do else ""
+    raise ValueError(f"{what}, {place} {named}{more}: {bad.name} must {must}, got {got}{advice}")
+
+
+def shorten(text: str) -> str:
+    r"""Quote a cell for a message that is to stay one line.
+
+    Examples
+    --------
+    >>> shorten("a\nb"), shorten("x" * 100)
+    ("'a\\nb'", "'xxxxxxxxxxxxxxxxxxxxxxxxxxxx...xxxxxxxxxxxxxxxxxxxxxxxxxxxx'")
+    """
+    half = LONGEST // 2 - 2
+    return repr(text if len(text) <= LONGEST else f"{text[:half]}...{text[-half:]}")
+
+
+def _check_names(names: Series, what: str) -> None:
+    """Refuse names that are empty, or that do not show what they are."""
+    refuse_lines(names[names == ""], what, must="not be empty", do="name it")
+    padded = names[names != names.str.strip()]
+    refuse_lines(padded, what, must="not begin or end with a blank", do="remove it")
+    broken = names[names.str.contains(CONTROL)]
+    must = "not hold line breaks or other control characters"
+    refuse_lines(broken, what, must=must, do="remove them")
+
+
+def _read_numbers(cells: Series, what: str, kind: Kind, *, empty: bool) -> Series:
+    import numpy as np
+    import pandas as pd
+
+    filled = cells if kind.empty is None or not empty else cells[cells != ""]
+    numbers = pd.to_numeric(filled, errors="coerce").astype(np.float64)
+    do = "correct it or leave the row out"
+    refuse_lines(filled[~np.isfinite(numbers)], what, must="be a finite number", do=do)
+    refuse_lines(filled[~kind.allows(numbers)], what, must=kind.must, do=kind.do)
+    return numbers.reindex(cells.index, fill_value=kind.empty)
+
+
+def _read_file(path: Path, schema: Mapping[str, ColumnInfo]) -> tuple[DataFrame, list[str]]:
+    import pandas as pd
+
+    what = path.name
+    try:
+        _refuse_foreign(path)
+        header = read_header(path)
+        if not header:
+            state = "line 1 is blank" if path.stat().st_size else "the file is empty"
+            needed = ", ".join(name for name, column in schema.items() if column.needed)
+            raise ValueError(f"{what}: {state}; its first line must name the columns {needed}")
+        _check_header(header, f"{what}, line 1", schema)
+        starts = _number_lines(path, width=len(header))
+        wanted = [name for name, column in schema.items() if column.used and name in header]
+        places = sorted(header.index(name) for name in wanted)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pd.errors.ParserWarning)
+            # By place, because columns that are not used may share a name.
+            sheet = pd.read_csv(
+                path, header=0, names=range(len(header)), usecols=places, dtype=str, na_filter=False,
+                skip_blank_lines=False, index_col=False, encoding="utf-8-sig",
+            )  # fmt: skip
+    except UnicodeDecodeError as error:
+        place = f"{error.reason} at byte {error.start}"
+        raise ValueError(f"{what}: not UTF-8 text ({place}); save it as CSV (UTF-8)") from None
+    except (pd.errors.ParserError, pd.errors.ParserWarning, csv.Error) as error:
+        reason = " ".join(str(error).split())
+        raise ValueError(
+            f"{what}: not a regular CSV file, correct lines or quotes ({reason})"
+        ) from None
+    sheet.index = pd.Index(starts, name="line")
+    return sheet.set_axis([header[place] for place in places], axis=1)[wanted], header
+
+
+def _read_frame(
+    frame: DataFrame, what: str, schema: Mapping[str, ColumnInfo]
+) -> tuple[DataFrame, list[str]]:
+    header = list(map(str, frame))
+    _check_header(header, what, schema)
+    wanted = [name for name, column in schema.items() if column.used and name in header]
+    return read_cells(frame)[wanted], header
+
+
+def _check_header(header: Sequence[str], where: str, schema: Mapping[str, ColumnInfo]) -> None:
+    # A misspelt column would be passed over in silence, and with it what it says: that judgements are rejected, say.
+    plain = {_simplify(name): name for name in schema}
+    for name in header:
+        meant = plain.get(_simplify(name))
+        if meant and name != meant:
+            raise ValueError(
+                f"{where}: column {shorten(name)} must be spelt '{meant}'; rename or remove it"
+            )
+    doubled = sorted({name for name in header if name in schema and header.count(name) > 1})
+    if doubled:
+        raise ValueError(f"{where}: column {', '.join(doubled)} appears more than once; keep one")
+    missing = [name for name, column in schema.items() if column.needed and name not in header]
+    if missing:
+        hint = _explain_separator(header) or "add it, or rename the one that holds it"
+        got = shorten(", ".join(header))
+        raise ValueError(f"{where}: column {', '.join(missing)} is missing; got {got}; {hint}")
+
+
+def _explain_separator(header: Sequence[str]) -> str:
+    """Say what separates the columns of a line that holds no comma."""
+    if len(header) > 1:
+        return ""
+    found = max(SEPARATORS, key=header[0].count)
+    if found not in header[0]:
+        return "its first line must name the columns, separated by commas"
+    return f"its columns are separated by {SEPARATORS[found]}: save it with commas, and with points as decimal signs"
+
+
+def _simplify(name: str) -> str:
+    return re.sub(r"[\s_.-]+", "", name).casefold()
+
+
+def _refuse_foreign(path: Path) -> None:
+    """Refuse a file that is not text."""
+    with path.open("rb") as file:
+        start, passed = file.read(512), 0
+        for mark, kind in FOREIGN.items():
+            if start.startswith(mark):
+                raise ValueError(f"{path.name}: must be plain UTF-8 text, got {kind}")
+        if b"\0" in start:
+            raise ValueError(
+                f"{path.name}: must be UTF-8 text, got other bytes (zeros); is it the right file? Save it as CSV"
+            )
+        file.seek(0)
+        while block := file.read(BLOCK):
+            if (place := block.find(b"\0")) >= 0:
+                line = passed + block.count(b"\n", 0, place) + 1
+                raise ValueError(
+                    f"{path.name}, line {line}: must be text, got a zero byte; is the file damaged?"
+                )
+            passed += block.count(b"\n")
+
+
+def _number_lines(path: Path, *, width: int) -> Sequence[int]:
+    """Walk through a file and find the line that every row begins in."""
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        reader, ends = csv.reader(file, strict=True), [0]
+        for row in reader:
+            ends.append(reader.line_num)
+            if len(row) != width and row:
+                advice = (
+                    "put a cell that holds a comma in quotes"
+                    if len(row) > width
+                    else "is the file cut off?"
+                )
+                raise ValueError(
+                    f"{path.name}, line {ends[-1]}: must have {width} cells like the header, got {len(row)}; {advice}"
+                )
+    return [end + 1 for end in ends[1:-1]]

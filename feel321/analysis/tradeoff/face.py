@@ -193,8 +193,13 @@ def advise(  # noqa: PLR0913 - every choice that changes the advice has a name o
     'pca321_matched'
     """
     from feel321.analysis.tradeoff.advise.page import advise_recordings
-    from feel321.analysis.tradeoff.advise.ratings import judge_ratings
-    from feel321.analysis.tradeoff.advise.scene import BLOCK_MS, DEVICE_MS, Context, Tolerance
+    from feel321.analysis.tradeoff.advise.scene import (
+        BLOCK_MS,
+        DEVICE_MS,
+        Context,
+        Tolerance,
+        judge_ratings,
+    )
 
     context = Context(
         online=online, latency_ms=latency_ms, axes=axes, tolerance=Tolerance(weber), mounting=mounting,

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis.report.folder import PAGE, ResultsFolder, list_files
-from feel321.analysis.report.page import render_template
+from feel321.analysis.report.section import render_template
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -36,7 +36,7 @@ from feel321.stimuli.recording import (
     coerce_acceleration,
     largest,
 )
-from feel321.stimuli.reducers import axes, fourier, matched
+from feel321.stimuli.reducers import axes, fourier
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -65,14 +65,14 @@ REDUCERS: Registry[Reducer] = Registry(
             fourier.dft321_windowed,
             fourier.dft321_principal,
             fourier.dft321_principal_windowed,
-            matched.sax321_matched,
-            matched.say321_matched,
-            matched.saz321_matched,
-            matched.pca321_matched,
-            matched.sax321_matched_running,
-            matched.say321_matched_running,
-            matched.saz321_matched_running,
-            matched.pca321_matched_windowed,
+            axes.sax321_matched,
+            axes.say321_matched,
+            axes.saz321_matched,
+            axes.pca321_matched,
+            axes.sax321_matched_running,
+            axes.say321_matched_running,
+            axes.saz321_matched_running,
+            axes.pca321_matched_windowed,
         )
     },
 )
@@ -145,7 +145,7 @@ _IN_FRAMES: dict[str, Callable[[float], Callable[[tuple[int, ...], int], axes.Bl
     "pca321_adaptive": lambda _: axes.PrincipalFrames,
     "dft321_windowed": lambda _: fourier.FourierFrames,
     "dft321_principal_windowed": lambda _: fourier.TrackingFrames,
-    "pca321_matched_windowed": lambda rate_hz: partial(matched.MatchedFrames, rate_hz=rate_hz),
+    "pca321_matched_windowed": lambda rate_hz: partial(axes.MatchedFrames, rate_hz=rate_hz),
 }
 WHY_NOT_STREAMING = {
     name: f"its {needs} the whole recording; stream {instead} instead"
@@ -392,5 +392,5 @@ class StreamingReducer:
             return _InFrames(_IN_FRAMES[self._name](self._rate_hz)((), self._hop))
         if self._name in _RUNNING:
             axis = _RUNNING.index(self._name)
-            return _Samplewise(matched.RunningAxis((), axis, self._rate_hz).push)
+            return _Samplewise(axes.RunningAxis((), axis, self._rate_hz).push)
         return _Samplewise(lambda samples: REDUCERS[self._name](samples, self._rate_hz))

@@ -1,19 +1,44 @@
-"""The recipe of a stimulus set: all settings that determine the files."""
+"""The recipe of a stimulus set, and a recording rendered by it: condition, reduce, match, resample, fade, gain.
+
+What is rendered is kept in a *parts* folder, one WAV in m/s² and one note of what was measured per stimulus, under a
+key made from everything that went into it. A build that was killed finds its parts again; a finished build throws them
+away.
+
+- `as_is`: one physical gain, so that energy which a reducer lost is felt as loss.
+- `equal_intensity`: every stimulus at the same sensation level, that of its loudest 200 ms, so that a high rating
+  cannot be one of strength. Silence around an event changes nothing.
+
+A gain is m/s² played per m/s² recorded. Automatic gains let the loudest stimulus reach the headroom: of the whole set,
+or, with a gain per recording, of each recording with its reductions, reference and anchors. One gain for the set keeps
+the differences between recordings, but then the highest peak of any recording decides how strong all others are.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import re
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from feel321 import __version__
 from feel321.doors import as_names, check_name
-from feel321.stimuli.condition import Conditioning
-from feel321.stimuli.recording import check_rate
+from feel321.stimuli.condition import Conditioning, condition, fade, resample
+from feel321.stimuli.match import OriginalSpectrum, axis_correlations, mean_over_axes
+from feel321.stimuli.recording import check_rate, digest_samples, largest
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
-from feel321.stimuli.sets.anchors import CONTACTOR, THRESHOLDS
+from feel321.stimuli.sets.anchors import ANCHORS, CONTACTOR, THRESHOLDS, loudest_level, to_db
+from feel321.stimuli.wav import write_wav
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from feel321.stimuli.recording import Recording
+    from feel321.types import Samples
+
 
 LEVELS = ("as_is", "equal_intensity")
 """Level arms: one physical gain, so that lost energy is felt as loss; or every stimulus brought to the same sensation
@@ -146,3 +171,209 @@ def check_names(names: Sequence[str]) -> None:
                 f"recording name {name!r} is there twice; give one of them another name"
             )
         seen.add(name.casefold())
+
+
+ROUNDING = 1e-9
+"""A stimulus below this share of its recording's level is what rounding left of axes that cancelled: silence."""
+
+
+@dataclass(frozen=True, slots=True)
+class Draft:
+    """A stimulus before its level: what is made of which recording, and the key it is remembered by."""
+
+    recording: str
+    reducer: str
+    role: str
+    key: str
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """Measurements of a rendered stimulus at unit gain.
+
+    peak: largest magnitude in m/s²; levels: name of a threshold curve -> largest root mean square
+    in any 200 ms, in multiples of the threshold.
+    """
+
+    peak: float
+    levels: dict[str, float]
+    spectral_match: float
+    temporal_match: float
+    spectral_match_bounded: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Scale:
+    """The conditioned recording that its stimuli are measured against."""
+
+    recording: Recording
+    spectrum: OriginalSpectrum
+    played: Samples
+    levels: dict[str, float]
+
+
+def list_drafts(recording: Recording, recipe: Recipe) -> tuple[Draft, ...]:
+    """List the stimuli that a recipe makes of one recording: tests, the hidden reference, anchors."""
+    wanted = [(name, "test") for name in recipe.reducers]
+    if recipe.reference != NO_REFERENCE:
+        wanted.append((recipe.reference, "reference"))
+    if recipe.anchors:
+        wanted += [(name, "anchor") for name in ANCHORS]
+    # The samples, not the file: the same file read in another unit or at another rate is another recording.
+    basis = {"version": __version__, "recording": digest_samples(recording)}
+    basis |= versions() | recipe.rendering()
+    keys = [json.dumps({**basis, "reducer": reducer}, sort_keys=True) for reducer, _ in wanted]
+    return tuple(
+        Draft(recording.name, reducer, role, hashlib.sha256(key.encode()).hexdigest())
+        for (reducer, role), key in zip(wanted, keys, strict=True)
+    )
+
+
+def versions() -> dict[str, str]:
+    """Versions of the software whose arithmetic decides the samples."""
+    from importlib.metadata import version
+
+    return {name: version(name) for name in ("numpy", "scipy", "soxr")}
+
+
+def render_recording(
+    recording: Recording, drafts: Sequence[Draft], *, recipe: Recipe, parts: Path
+) -> dict[str, Measured]:
+    """Render those drafts of one recording that are not in the parts folder yet; key -> measurements."""
+    measured = {c.key: found for c in drafts if (found := _read_part(parts, c.key)) is not None}
+    new = [c for c in drafts if c.key not in measured]
+    for draft, samples, note in _render(recording, new, recipe):
+        path = part_path(parts, draft.key)
+        write_wav(path, samples, recipe.rate_hz)
+        # A note that a killed build left unfinished does not count, so it may be written as it comes.
+        whole = json.dumps({"bytes": path.stat().st_size, **asdict(note)})
+        path.with_suffix(".json").write_text(whole, encoding="utf-8")
+        measured[draft.key] = note
+    return measured
+
+
+def measure_recording(
+    recording: Recording, drafts: Sequence[Draft], *, recipe: Recipe
+) -> dict[str, Measured]:
+    """Measure drafts of one recording as `render_recording` does, without writing anything."""
+    return {draft.key: note for draft, _, note in _render(recording, drafts, recipe)}
+
+
+def part_path(parts: Path, key: str) -> Path:
+    """Path of a rendered stimulus, in m/s², until the set is complete."""
+    return parts / f"{key}.wav"
+
+
+def _read_part(parts: Path, key: str) -> Measured | None:
+    """Read a part's note, which is written after its samples; a part that is damaged or has none does not count."""
+    path = part_path(parts, key)
+    try:
+        note = json.loads(path.with_suffix(".json").read_bytes())
+        return Measured(**note) if path.stat().st_size == note.pop("bytes") else None
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+        return None
+
+
+def _render(
+    recording: Recording, wanted: Sequence[Draft], recipe: Recipe
+) -> Iterator[tuple[Draft, Samples, Measured]]:
+    """Make drafts one after the other: each with its samples for the rig in m/s², and what was measured."""
+    if not wanted:
+        return
+    try:
+        scale = _make_scale(condition(recording, recipe.conditioning), recipe)
+        for draft in wanted:
+            samples, played = _play(draft.reducer, scale, recipe)
+            yield draft, played, _measure(samples, played, scale=scale, rate_hz=recipe.rate_hz)
+    except ValueError as error:
+        raise ValueError(f"recording {recording.name!r}: {error}") from None
+
+
+def _make_scale(conditioned: Recording, recipe: Recipe) -> _Scale:
+    spectrum = OriginalSpectrum(conditioned.acceleration, conditioned.rate_hz)
+    if spectrum.reason:
+        raise ValueError(f"{spectrum.reason}; nothing can be felt or matched, leave it out")
+    played = _for_the_rig(conditioned.acceleration, conditioned.rate_hz, recipe)
+    return _Scale(conditioned, spectrum, played, _measure_levels(played, recipe.rate_hz))
+
+
+def _play(reducer: str, scale: _Scale, recipe: Recipe) -> tuple[Samples, Samples]:
+    """Make a stimulus, at its recording's rate and for the rig; there, anchors are as strong as the recording."""
+    recording = scale.recording
+    if reducer == ORIGINAL:
+        return recording.acceleration, scale.played
+    if reducer not in ANCHORS:
+        samples = REDUCERS[reducer](recording.acceleration, recording.rate_hz)
+        return samples, _for_the_rig(samples, recording.rate_hz, recipe)
+    seed = [int(recording.sha256[:16], 16), *reducer.encode()]
+    samples = ANCHORS[reducer](recording, np.random.default_rng(seed))
+    played = _for_the_rig(samples, recording.rate_hz, recipe)
+    own = loudest_level(played, recipe.rate_hz, threshold=recipe.threshold)
+    return samples, scale.levels[recipe.threshold] / own * played
+
+
+def _for_the_rig(samples: Samples, rate_hz: float, recipe: Recipe) -> Samples:
+    # An offset (mag321 makes one) cannot be felt and only heats the coil; the metrics are taken before it is removed.
+    vibration = samples - samples.mean(axis=-1, keepdims=True)
+    played = resample(vibration, rate_hz, to_hz=recipe.rate_hz)
+    return fade(played, recipe.rate_hz, fade_s=recipe.fade_s)
+
+
+def _measure(samples: Samples, rendered: Samples, *, scale: _Scale, rate_hz: float) -> Measured:
+    # The level is that of what is played: fades and a removed offset change it. The metrics are those of the reduction.
+    levels = {
+        name: level if level > ROUNDING * scale.levels[name] else 0.0
+        for name, level in _measure_levels(rendered, rate_hz).items()
+    }
+    if samples.ndim > 1:  # the original itself, matched channel by channel
+        return Measured(largest(rendered), levels, 1.0, 1.0, 1.0)
+    spectral, bounded = scale.spectrum.match_both(samples)
+    temporal = mean_over_axes(axis_correlations(scale.recording.acceleration, samples))
+    return Measured(largest(rendered), levels, float(spectral), float(temporal), float(bounded))
+
+
+def _measure_levels(played: Samples, rate_hz: float) -> dict[str, float]:
+    return {name: loudest_level(played, rate_hz, threshold=name) for name in THRESHOLDS}
+
+
+def choose_gains(
+    measured: Mapping[str, Measured], recipe: Recipe, *, recordings: Mapping[str, Collection[str]]
+) -> dict[tuple[str, str], float]:
+    """Choose the gain of every stimulus, (level, key) -> gain, from what was measured on the keys of each recording."""
+    per_recording = recipe.gain == GAIN_PER_RECORDING
+    together = recordings.values() if per_recording else [set().union(*recordings.values())]
+    choose = {"as_is": _keep_levels, "equal_intensity": _equalise_levels}
+    return {
+        (level, key): gain
+        for keys in together
+        for level in recipe.levels
+        for key, gain in choose[level]({key: measured[key] for key in keys}, recipe).items()
+    }
+
+
+def find_headroom_cost(peaks: Mapping[str, float]) -> tuple[str, float]:
+    """Find the recording with the highest peak, and by how many dB a common gain is lower for it."""
+    first, *others = sorted(peaks, key=lambda name: -peaks[name])
+    return first, to_db(peaks[first] / peaks[others[0]]) if others and peaks[others[0]] else 0.0
+
+
+def _keep_levels(notes: Mapping[str, Measured], recipe: Recipe) -> dict[str, float]:
+    loudest = max(note.peak for note in notes.values())
+    room = recipe.headroom * recipe.full_scale_m_s2
+    automatic = room / loudest if loudest else 1.0
+    return dict.fromkeys(notes, automatic if isinstance(recipe.gain, str) else recipe.gain)
+
+
+def _equalise_levels(notes: Mapping[str, Measured], recipe: Recipe) -> dict[str, float]:
+    levels = {key: note.levels[recipe.threshold] for key, note in notes.items()}
+    if silent := sum(level == 0.0 for level in levels.values()):
+        raise ValueError(
+            f"equal_intensity: {silent} stimuli are silent between 20 and 1000 Hz and cannot be made as strong as "
+            "the others; leave out this level, or the reducer or recording that is silent"
+        )
+    common = (
+        recipe.headroom
+        * recipe.full_scale_m_s2
+        / max(note.peak / levels[key] for key, note in notes.items())
+    )
+    return {key: common / level for key, level in levels.items()}

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    from feel321.analysis.tradeoff.advise.ratings import Rated
+    from feel321.analysis.tradeoff.advise.scene import Rated
     from feel321.stimuli.recording import Recording
 
     Verb = Callable[..., None]
@@ -247,7 +247,7 @@ def _as_options() -> Iterator[None]:
 
 def _read_ratings(study: StudyFolder) -> Ratings | None:
     """Read what the ratings say of each reducer, if there are any."""
-    from feel321.analysis.tradeoff.advise.ratings import judge_ratings
+    from feel321.analysis.tradeoff.advise.scene import judge_ratings
     from feel321.study.analyze import find_ratings
     from feel321.study.settings.read import read_settings
 

@@ -49,8 +49,7 @@ from feel321.study.ledger.standing import (
     read_tombstone,
 )
 from feel321.study.session.journal import create_journal, read_journal, require_journal, utc_now
-from feel321.study.session.opening import TOMBSTONE_FILE
-from feel321.study.session.plan import PARTICIPANT_ID
+from feel321.study.session.plan import PARTICIPANT_ID, TOMBSTONE_FILE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence

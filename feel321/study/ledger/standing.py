@@ -23,15 +23,15 @@ from feel321.study.session.journal import (
     has_event,
     list_journals,
 )
-from feel321.study.session.opening import (
+from feel321.study.session.plan import (
     PLAN_FILE,
     TOMBSTONE_FILE,
     Dossier,
     read_as_written,
     read_dossier,
+    replay,
     require_own_plan,
 )
-from feel321.study.session.plan import replay
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence

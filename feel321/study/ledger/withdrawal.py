@@ -35,7 +35,7 @@ from feel321.study.ledger.standing import (
 from feel321.study.ratings import write_ratings
 from feel321.study.session.events import SessionFinished, SessionReleased
 from feel321.study.session.journal import find_header, has_event, list_journals, require_journal
-from feel321.study.session.opening import TOMBSTONE_FILE
+from feel321.study.session.plan import TOMBSTONE_FILE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

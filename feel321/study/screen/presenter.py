@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 
 from feel321.study.screen.drawing import Sheet
 from feel321.study.screen.input import CONFIRM, PAUSE, STOP, Answer, Request, Twice
-from feel321.study.screen.layout import compose
-from feel321.study.screen.view import Hand, View
+from feel321.study.screen.layout import Hand, View, compose
 from feel321.study.session.ports import Abort, Confirm, Feel, Pause, Place, Playback
 
 if TYPE_CHECKING:
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
     from feel321.stimuli.sets.manifest import Stimulus
     from feel321.study.actuator.output import Output
     from feel321.study.screen.input import InputEvent
-    from feel321.study.screen.view import ScreenTexts
+    from feel321.study.screen.layout import ScreenTexts
     from feel321.study.screen.window import Window
     from feel321.study.session.ports import Act, Surface
 

@@ -1,13 +1,18 @@
-"""Read `study.toml` and make of it recordings, recipe, texts and design; find settings that do not go together."""
+"""Read `study.toml` into recordings, recipe, texts and design; check it as a whole; change it and keep its comments."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import re
+import tomllib
 from dataclasses import replace
 from itertools import product
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
+from feel321.files import write_text
 from feel321.protocols.tasks import PROTOCOLS, make_task
 from feel321.protocols.texts import read_texts
 from feel321.protocols.trial import CHOOSING, SURFACE, Flow, Item, select_items, select_tasks
@@ -16,19 +21,18 @@ from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.sets.recipe import NO_REFERENCE, Recipe
 from feel321.stimuli.synthesis import make_scene
 from feel321.study.session.journal import digest
-from feel321.study.session.opening import Stale
-from feel321.study.session.plan import Design
+from feel321.study.session.plan import Design, Stale
 from feel321.study.session.ports import Surface
 from feel321.study.settings.fields import parse_toml
 from feel321.study.settings.schema import LANGUAGE_FILE, SceneTable, Settings
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
+    from collections.abc import Iterator, Mapping
 
     from feel321.protocols.trial import Task
     from feel321.stimuli.recording import Recording
     from feel321.study.settings.schema import FileTable
+
 
 MOST_TRIALS = 10_000
 """Trials in a session; people do a few hundred, simulated participants somewhat more."""
@@ -298,3 +302,84 @@ def list_remarks(settings: Settings) -> list[str]:
     if not session.breaks.rest_s:
         remarks.append("session.breaks.rest_s: 0 leaves fingertips no rest; 60 s are usual")
     return remarks
+
+
+def change_settings(text: str, changes: Mapping[str, object]) -> str:
+    r"""Change settings by their dotted names; None takes a setting out, so that its default holds.
+
+    Examples
+    --------
+    >>> print(change_settings("[rig]\nheadroom = 0.9  # of full scale", {"rig.headroom": 0.5}))
+    [rig]
+    headroom = 0.5  # of full scale
+    """
+    for name, value in changes.items():
+        wanted = tomllib.loads(text)
+        *tables, key = name.split(".")
+        inner: Any = wanted
+        for table in tables:
+            inner = inner.setdefault(table, {}) if isinstance(inner, dict) else None
+        if not re.fullmatch(r"[\w-]+(\.[\w-]+)+", name) or not isinstance(inner, dict):
+            raise ValueError(f"settings must have names such as 'session.repeats', got {name!r}")
+        inner.pop(key, None)
+        if value is not None:
+            inner[key] = json.loads(json.dumps(value))
+        line = None if value is None else f"{key} = {_write(value)}"
+        text = _change(text, ".".join(tables), key, line=line)
+        if tomllib.loads(text) != wanted:
+            raise ValueError(
+                f"{name}: not written in a way that can be changed here; edit study.toml"
+            )
+    return text
+
+
+def _change(text: str, table: str, key: str, *, line: str | None) -> str:
+    lines = text.split("\n")
+    heads = [number for number, one in enumerate(lines) if re.match(r"\s*\[", one)]
+    begin = next((n for n in heads if re.match(rf"\[{table}\]", lines[n])), None)
+    if begin is None:
+        return text if line is None else f"{text.rstrip()}\n\n[{table}]\n{line}\n"
+    end = min((number for number in heads if number > begin), default=len(lines))
+    for number in range(begin + 1, end):
+        if re.match(rf"\s*{key}\s*=", lines[number]):
+            last, comment = _find_end(lines, number, end)
+            kept = [] if line is None else [f"{line}{comment}"]
+            return "\n".join([*lines[:number], *kept, *lines[last + 1 :]])
+    if line is None:
+        return text
+    while not lines[end - 1].strip() or lines[end - 1].startswith("#"):
+        end -= 1
+    return "\n".join([*lines[:end], line, *lines[end:]])
+
+
+def _find_end(lines: list[str], begin: int, end: int) -> tuple[int, str]:
+    """Find the last line of a value that may take several, and the comment behind it."""
+    for last in range(begin, end):
+        value = "\n".join(lines[begin : last + 1])
+        for mark in [*re.finditer(r"\s*#", lines[last]), None]:
+            start = len(value) if mark is None else len(value) - len(lines[last]) + mark.start()
+            try:
+                tomllib.loads(value[:start])
+            except tomllib.TOMLDecodeError:
+                continue
+            return last, value[start:]
+    return begin, ""
+
+
+def _write(value: object) -> str:
+    if isinstance(value, dict):
+        inner = ", ".join(f"{json.dumps(key)} = {_write(one)}" for key, one in value.items())
+        return f"{{ {inner} }}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_write, value))}]"
+    return json.dumps(value, ensure_ascii=False)
+
+
+def edit_settings(path: Path, changes: Mapping[str, object]) -> None:
+    """Change settings in a `study.toml`, which is left as it is if a setting is refused."""
+    text = change_settings(path.read_text(encoding="utf-8-sig"), changes)
+    with TemporaryDirectory() as folder:
+        trial = Path(folder) / path.name
+        trial.write_text(text, encoding="utf-8")
+        read_settings(trial)
+    write_text(path, text)

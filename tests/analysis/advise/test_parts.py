@@ -28,9 +28,9 @@ from feel321.analysis.tradeoff.advise.measures import (
     score_scene,
     spread_turns,
 )
-from feel321.analysis.tradeoff.advise.ratings import Rated
 from feel321.analysis.tradeoff.advise.scene import (
     Context,
+    Rated,
     Shortfall,
     Tolerance,
     Verdict,

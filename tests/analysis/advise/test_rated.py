@@ -7,8 +7,7 @@ import pandas as pd
 import pytest
 
 from feel321.analysis.table.reading import Table
-from feel321.analysis.tradeoff.advise.ratings import judge_ratings
-from feel321.analysis.tradeoff.advise.scene import Context
+from feel321.analysis.tradeoff.advise.scene import Context, judge_ratings
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -16,8 +16,7 @@ from feel321.analysis.tradeoff.advise.page import (
     find_state,
     write_advice,
 )
-from feel321.analysis.tradeoff.advise.ratings import Rated
-from feel321.analysis.tradeoff.advise.scene import Context
+from feel321.analysis.tradeoff.advise.scene import Context, Rated
 from feel321.analysis.tradeoff.face import advise
 from feel321.analysis.words import keep_together
 from feel321.stimuli.recording import Recording

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from feel321.analysis.contrasts.equivalence import profile_reducers
+from feel321.analysis.contrasts.compare import profile_reducers
 from feel321.analysis.tradeoff.chart.compute import draw_interval, rate_reducers
 from feel321.analysis.tradeoff.chart.points import (
     MEASURES,

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from feel321.analysis.contrasts.equivalence import equivalence
+from feel321.analysis.contrasts.compare import equivalence
 from feel321.analysis.figures.estimates import draw_equivalence
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from feel321.analysis.figures.maps import draw_space
+from feel321.analysis.figures.scatter import draw_space
 from feel321.analysis.figures.style import assign_looks
 from feel321.analysis.space import Ellipses, Space
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from feel321.analysis.contrasts.discrimination import discriminate
-from feel321.analysis.figures.maps import draw_discrimination
+from feel321.analysis.figures.scatter import draw_discrimination
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -6,8 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.analysis.agreement.alpha import krippendorff_alpha
-from feel321.analysis.agreement.reliability import intraclass
+from feel321.analysis.agreement import intraclass, krippendorff_alpha
 from feel321.analysis.screening.rules import EXPERTISE, RULES
 from feel321.analysis.screening.screen import screen_raters
 

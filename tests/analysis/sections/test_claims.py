@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pandas as pd
 import pytest
 
-from feel321.analysis.primary.influence import Influence
+from feel321.analysis.primary.sensitivity import Influence
 from feel321.analysis.report import primary
 from feel321.analysis.report.parts import Choices
 from feel321.analysis.report.section import TableForm, estimate

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from feel321.analysis.contrasts.equivalence import equivalence, non_inferiority
-from feel321.analysis.primary.influence import adjust_holm
+from feel321.analysis.contrasts.compare import equivalence, non_inferiority
+from feel321.analysis.primary.sensitivity import adjust_holm
 from feel321.analysis.report import reducers
 from feel321.analysis.report.parts import Choices
 from feel321.analysis.table.reading import Table

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from feel321.analysis.report.results import Results
+    from feel321.analysis.report.write import Results
 
 STUDY = """
 [study]

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from feel321.analysis.p1401.difference import compare_p1401
-from feel321.analysis.p1401.mapping import p1401
+from feel321.analysis.p1401 import compare_p1401, p1401
 from feel321.analysis.report.parts import Choices, split_parts
 from feel321.analysis.report.standard import compute
 from feel321.analysis.table.items import make_items

@@ -10,8 +10,7 @@ import pytest
 
 from feel321.study.audit import audit_journals
 from feel321.study.session.journal import START, create_journal, digest, read_journal, write_line
-from feel321.study.session.opening import Stale
-from feel321.study.session.plan import POLICIES, require_plan
+from feel321.study.session.plan import POLICIES, Stale, require_plan
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -19,8 +19,7 @@ from feel321.study.session.journal import (
     name_journal,
     require_journal,
 )
-from feel321.study.session.opening import PLAN_FILE
-from feel321.study.session.plan import Plan, create_plan, replay, require_plan
+from feel321.study.session.plan import PLAN_FILE, Plan, create_plan, replay, require_plan
 
 if TYPE_CHECKING:
     from collections.abc import Callable

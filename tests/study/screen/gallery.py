@@ -16,8 +16,7 @@ from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.texts import read_texts
 from feel321.protocols.trial import PAGES, Judgement, Page, Part, Trial
 from feel321.study.screen.drawing import LEADING, Text, measure
-from feel321.study.screen.layout import compose
-from feel321.study.screen.view import View, make_screen_texts
+from feel321.study.screen.layout import View, compose, make_screen_texts
 from feel321.study.screen.window import open_screen
 from feel321.study.session.ports import Place
 

@@ -11,8 +11,8 @@ from feel321.protocols.trial import Judgement, Page, Part, Trial
 from feel321.stimuli.sets.manifest import Stimulus
 from feel321.study.observer.participant import ObserverModel, Participant, SimulatedObserver
 from feel321.study.screen.input import STEPS
+from feel321.study.screen.layout import View
 from feel321.study.screen.robot import THINKING_S, PressingHand
-from feel321.study.screen.view import View
 from feel321.study.session.ports import Place
 from feel321.study.sessions import find_person
 

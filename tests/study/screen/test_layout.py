@@ -25,8 +25,7 @@ from feel321.study.screen.drawing import (
     measure,
     round_corners,
 )
-from feel321.study.screen.layout import compose
-from feel321.study.screen.view import View, make_screen_texts
+from feel321.study.screen.layout import View, compose, make_screen_texts
 from feel321.study.session.ports import Place
 
 if TYPE_CHECKING:

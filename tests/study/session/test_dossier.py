@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from feel321.study.session.journal import digest
-from feel321.study.session.opening import read_dossier, require_own_plan
-from feel321.study.session.plan import create_plan
+from feel321.study.session.plan import create_plan, read_dossier, require_own_plan
 
 if TYPE_CHECKING:
     from pathlib import Path

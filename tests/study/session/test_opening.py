@@ -17,8 +17,7 @@ from feel321.study.session.journal import (
     read_journal,
     require_journal,
 )
-from feel321.study.session.opening import Stale, open_session
-from feel321.study.session.plan import create_plan, make_plan, require_plan
+from feel321.study.session.plan import Stale, create_plan, make_plan, open_session, require_plan
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -18,8 +18,7 @@ from feel321.stimuli.synthesis import SCENES
 from feel321.stimuli.wav import write_wav
 from feel321.study.folder import create_study, read_template, require_study
 from feel321.study.observer.participant import ObserverModel
-from feel321.study.session.opening import Stale
-from feel321.study.session.plan import Design
+from feel321.study.session.plan import Design, Stale
 from feel321.study.settings.fields import TomlTable, list_tables
 from feel321.study.settings.read import (
     make_design,

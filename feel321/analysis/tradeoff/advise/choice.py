@@ -45,8 +45,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from feel321.analysis.tradeoff.advise.measures import MountedSegment
-    from feel321.analysis.tradeoff.advise.ratings import Rated
-    from feel321.analysis.tradeoff.advise.scene import AdviceScene, Context
+    from feel321.analysis.tradeoff.advise.scene import AdviceScene, Context, Rated
     from feel321.stimuli.recording import Recording
     from feel321.types import Reducer, Samples
 

@@ -24,8 +24,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.analysis.tradeoff.advise.choice import SceneAdvice
-    from feel321.analysis.tradeoff.advise.ratings import Rated
-    from feel321.analysis.tradeoff.advise.scene import Context, Verdict
+    from feel321.analysis.tradeoff.advise.scene import Context, Rated, Verdict
     from feel321.stimuli.recording import Recording
     from feel321.types import PathLike
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from feel321 import __version__
 from feel321.analysis.arrays import CONFIDENCE
-from feel321.analysis.contrasts.equivalence import profile_reducers
+from feel321.analysis.contrasts.compare import profile_reducers
 from feel321.analysis.resampling import draw_counts
 from feel321.analysis.table.reading import order_reducers
 from feel321.analysis.table.schema import ROLES

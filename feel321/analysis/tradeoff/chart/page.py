@@ -6,8 +6,13 @@ import json
 import math
 from typing import TYPE_CHECKING, Any
 
-from feel321.analysis.report.page import TEMPLATES
-from feel321.analysis.report.section import PageTable, Picture, make_slug, number_pictures
+from feel321.analysis.report.section import (
+    TEMPLATES,
+    PageTable,
+    Picture,
+    make_slug,
+    number_pictures,
+)
 from feel321.analysis.table.schema import APART
 from feel321.analysis.tradeoff.chart import figures
 from feel321.analysis.tradeoff.chart.accuracy import ReducerVariant, list_variants

@@ -25,8 +25,7 @@ from feel321.study.ledger.standing import write_roster
 from feel321.study.observer.participant import ObserverModel, SimulatedObserver, identify_observer
 from feel321.study.ratings import write_ratings
 from feel321.study.session.journal import find_elapsed, read_journal
-from feel321.study.session.opening import Stale
-from feel321.study.session.plan import Design, make_plan, require_plan
+from feel321.study.session.plan import Design, Stale, make_plan, require_plan
 from feel321.study.session.ports import Abort, Confirm, Feel, Move, Pause, Playback
 from feel321.study.sessions import Room, lead_session
 from feel321.study.settings.schema import ObserverTable

@@ -1,1 +1,0 @@
-"""How far people agree: with one another, and with themselves."""

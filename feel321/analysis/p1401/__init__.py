@@ -1,1 +1,0 @@
-"""ITU-T P.1401, the standard for judging objective metrics."""
