@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from feel321.stimuli.wav import read_wav
-from feel321.study.actuator.output import open_stream
+from feel321.study.actuator.output import StreamOutput, open_stream
 from feel321.study.actuator.stream import list_devices, list_rates
 
 if TYPE_CHECKING:
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from feel321.study.actuator.output import StreamOutput
     from feel321.study.actuator.rig import Rig
     from feel321.study.session.ports import Playback
 

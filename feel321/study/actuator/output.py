@@ -18,11 +18,15 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from feel321.stimuli.wav import write_wav
-from feel321.study.actuator.mixer import PREROLL_S, Mixer
-from feel321.study.actuator.rig import FILE_DEVICE, identify
+from feel321.study.actuator.mixer import PREROLL_S, Cue, Mixer
+from feel321.study.actuator.rig import FILE_DEVICE, Rig, identify
 from feel321.study.actuator.stream import (
+    BlockTimes,
+    Device,
     DeviceStream,
+    Fill,
     Patience,
+    SessionClock,
     Take,
     check_channels,
     find_device,
@@ -39,9 +43,6 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from feel321.stimuli.sets.manifest import Stimulus
-    from feel321.study.actuator.mixer import Cue
-    from feel321.study.actuator.rig import Rig
-    from feel321.study.actuator.stream import BlockTimes, Device, Fill, SessionClock
 
     Sounds = Mapping[str, NDArray[np.float32]]
 

@@ -17,7 +17,7 @@ import numpy as np
 from feel321.stimuli.recording import check_finite
 from feel321.stimuli.wav import read_wav
 from feel321.study.actuator.mixer import ROUNDING, WINDOW_S
-from feel321.study.actuator.rig import AXES, REDUCED
+from feel321.study.actuator.rig import AXES, REDUCED, ActuatorTable, Rig
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
-    from feel321.study.actuator.rig import ActuatorTable, Rig
     from feel321.types import Samples as Vector
 
     Mix = Mapping[str, Mapping[str, float]]

@@ -3,9 +3,9 @@
 Samples of stimuli are fractions of the study's full scale; samples for an actuator are fractions of the actuator's.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
@@ -21,10 +21,6 @@ from feel321.study.settings.fields import (
     one_of,
     parse_toml,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
 
 FILE_DEVICE = "file"  # the name of the device that renders to WAV files
 REDUCED = "reduced"  # what an actuator plays of one-axis stimuli

@@ -6,29 +6,28 @@ All times are the device's own, in s.
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from threading import Thread
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-    from types import ModuleType
-
-    from numpy.typing import NDArray
-
     from feel321.study.actuator.mixer import Cue
     from feel321.study.actuator.rig import Rig
 
-    Foreign = Any  # sounddevice has no types
-    SessionClock = Callable[
-        [], float
-    ]  # s since the session began, without the time between its openings
-    Fill = Callable[[NDArray[np.float32], "BlockTimes", NDArray[np.float32] | None], None]
+Foreign = Any  # sounddevice has no types
+
+SessionClock = Callable[[], float]
+"""Seconds since the session began, without the time between its openings."""
+
+Fill: TypeAlias = "Callable[[NDArray[np.float32], BlockTimes, NDArray[np.float32] | None], None]"
 
 FALLBACKS = ("default", "sysdefault")  # not always the same device, so no study can use them
 

@@ -11,9 +11,9 @@ from math import ceil
 from typing import TYPE_CHECKING
 
 from feel321.study.screen.drawing import Sheet
-from feel321.study.screen.input import CONFIRM, PAUSE, STOP, Answer, Request, Twice
-from feel321.study.screen.layout import Hand, View, compose
-from feel321.study.session.ports import Abort, Confirm, Feel, Pause, Place, Playback
+from feel321.study.screen.input import CONFIRM, PAUSE, STOP, Answer, InputEvent, Request, Twice
+from feel321.study.screen.layout import Hand, ScreenTexts, View, compose
+from feel321.study.session.ports import Abort, Act, Confirm, Feel, Pause, Place, Playback, Surface
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -21,10 +21,7 @@ if TYPE_CHECKING:
     from feel321.protocols.trial import Page, Part, Scale, Trial
     from feel321.stimuli.sets.manifest import Stimulus
     from feel321.study.actuator.output import Output
-    from feel321.study.screen.input import InputEvent
-    from feel321.study.screen.layout import ScreenTexts
     from feel321.study.screen.window import Window
-    from feel321.study.session.ports import Act, Surface
 
 DOUBLE_S = 0.4  # a second click within this time is half of a double one: it leaves no page
 

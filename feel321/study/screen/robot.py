@@ -11,7 +11,7 @@ from math import copysign
 from typing import TYPE_CHECKING
 
 from feel321.study.screen.input import AGAIN, CONFIRM, REFERENCE, ROW_STEPS, STEPS
-from feel321.study.screen.layout import Hand
+from feel321.study.screen.layout import Hand, View
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from feel321.protocols.trial import Trial
     from feel321.stimuli.sets.manifest import Stimulus
     from feel321.study.observer.participant import Experience, Participant
-    from feel321.study.screen.layout import View
 
 
 KEYSYMS = {"enter": "Return", "pageup": "Prior", "pagedown": "Next"}

@@ -21,6 +21,7 @@ from feel321.study.screen.drawing import (
     FONT,
     GROUND,
     Area,
+    Item,
     Photo,
     Text,
     find_font_files,
@@ -30,8 +31,6 @@ from feel321.study.screen.input import InputEvent, drop_repeats, hold_signals, n
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
-
-    from feel321.study.screen.drawing import Item
 
     Foreign = Any  # PsychoPy has no types
 
