@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 
 from feel321.study.session.plan import make_codes
 
+
 @given(st.sets(st.text(min_size=1), max_size=300), st.text())
 def test_every_stimulus_has_a_code_of_its_own(names: set[str], key: str) -> None:
     codes = make_codes(sorted(names), key)
