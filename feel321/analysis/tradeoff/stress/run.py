@@ -45,10 +45,8 @@ def stress_reducers(  # noqa: PLR0913 - every choice that changes the numbers ha
     """Put reducers through the battery, and find the recordings that come near its scenes; seeds: takes of a scene."""
     from threadpoolctl import threadpool_limits
 
-    chosen = {
-        name: take_batches(one)
-        for name, one in (REDUCERS if reducers is None else reducers).items()
-    }
+    given = REDUCERS if reducers is None else reducers
+    chosen = {name: take_batches(one) for name, one in given.items()}
     recordings = as_recordings(recordings)
     known = sensor or {}
     _check_inputs(recordings, known, {"takes": seeds, "draws": draws})
