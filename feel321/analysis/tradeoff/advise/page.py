@@ -12,12 +12,11 @@ from feel321.analysis.report.section import Picture
 from feel321.analysis.tradeoff.advise.choice import SceneAdvice, advise_scene, find_common
 from feel321.analysis.tradeoff.advise.measures import SEGMENT_S, TURNS
 from feel321.analysis.tradeoff.advise.scene import ANY, Context, Rated, Verdict, split_recording
-from feel321.analysis.tradeoff.results import as_recordings, write_results
-from feel321.records import Result, to_json_value
+from feel321.analysis.tradeoff.results import PageParts, PageResult, as_recordings
+from feel321.records import to_json_value
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
-    from pathlib import Path
 
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -104,7 +103,7 @@ def _add_key(axes: Axes, states: set[str], *, wide: float) -> None:
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
-class Advice(Result):
+class Advice(PageResult):
     """The simplest sufficient reducer for every scene.
 
     Parameters
@@ -175,35 +174,13 @@ class Advice(Result):
         lines = (*(advice.line for advice in self.advices), self.headline, self.note)
         return "\n".join(filter(None, lines))
 
-    def write(self, folder: PathLike) -> Path:
-        """Write page, numbers, tables and figure.
-
-        Parameters
-        ----------
-        folder : str or PathLike
-            The folder. The files of a former advice are replaced; all others stay.
-
-        Returns
-        -------
-        Path
-            The page.
-
-        Raises
-        ------
-        OSError
-            If a file cannot be written, or would replace one that is not of a former advice.
-        """
+    def _make_page(self, tables: Mapping[str, DataFrame]) -> PageParts:
+        del tables
         content = build_content(self)
         first = content["measures"][0]["scene"] if content["measures"] else None
         records = [row for row in content["measures"] if row["scene"] == first]
-        return write_results(
-            folder,
-            "advise",
-            content=content,
-            tables=self.to_frames(),
-            pictures=[Picture("advice", CAPTION, draw_advice(self.advices))],
-            values={"content": content, "records": records},
-        )
+        pictures = [Picture("advice", CAPTION, draw_advice(self.advices))]
+        return PageParts("advise.html", content, pictures, {"content": content, "records": records})
 
 
 def advise_recordings(
