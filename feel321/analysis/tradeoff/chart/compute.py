@@ -167,10 +167,8 @@ def compute_chart(
     recordings = as_recordings(recordings, fewest=1)
     rows = None if ratings is None else as_table(ratings).rows
     name, clock = cost.choose_clock() if clock is None else ("given", clock)
-    steps, total = (
-        count(1),
-        2 * len(recordings) + effort.rounds + 2 + 2 * len(accuracy.list_variants()),
-    )
+    steps = count(1)
+    total = 2 * len(recordings) + effort.rounds + 2 + 2 * len(accuracy.list_variants())
 
     def tick() -> None:
         if progress is not None:
@@ -329,9 +327,7 @@ def rate_reducers(ratings: DataFrame, *, seed: int, draws: int = DRAWS) -> list[
         table = table.reindex(index=people, columns=scenes)
         low, high = draw_interval(table.to_numpy(np.float64), *drawn)
         # One participant, or participants who all agree, give no t interval.
-        ends = {
-            name: row[name] if math.isfinite(row[name]) else math.nan for name in ("low", "high")
-        }
+        ends = {end: row[end] if math.isfinite(row[end]) else math.nan for end in ("low", "high")}
         rows.append({
             **key, "mean": float(row["mean"]), **ends, "two_way_low": low, "two_way_high": high,
             "participants": int(row["n_participants"]), "recordings": int(table.notna().any().sum()),
