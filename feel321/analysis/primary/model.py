@@ -29,10 +29,10 @@ from feel321.analysis.primary.plan import (
     Cells,
     Terms,
     centre_twice,
-    choose_rows,
     make_cells,
     plan_terms,
 )
+from feel321.analysis.table.items import Table, choose_arms, choose_metrics, open_ratings
 from feel321.doors import as_path
 from feel321.files import write_text
 from feel321.records import Result
@@ -40,7 +40,6 @@ from feel321.records import Result
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from feel321.analysis.table.items import Table
     from feel321.types import PathLike
 
 TENTH = 0.1
@@ -355,8 +354,8 @@ def fit_primary(  # noqa: PLR0913 - which rows, and three choices that each have
     metric
     match     4.2        3.7         4.7
     """
-    rows, names = choose_rows(table, metrics, scale=scale, level=level)
-    found = fit_slopes(rows, names, correlated=correlated, reducers=reducers)
+    rows, names = choose_arms(table, scale, level), choose_metrics(table, metrics)
+    found = fit_slopes(open_ratings(rows), names, correlated=correlated, reducers=reducers)
     cells, terms, lack = found.cells, found.terms, _find_lack(found.cells)
     fit = report_fit(terms.formula, found.solved)
     explained, why = _explain_items(found) if explain else (NONE, [])
@@ -409,7 +408,7 @@ def fit_attributes(
       attribute metric  tenth
     0   realism  match    4.2
     """
-    rows, names = choose_rows(table, metrics)
+    rows, names = open_ratings(table), choose_metrics(table, metrics)
     several = attribute is None and "level" in rows and len(rows["level"].unique()) > 1
     columns = [attribute or "scale", *(["level"] if several else [])]
     if columns[0] not in rows:

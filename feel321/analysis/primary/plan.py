@@ -19,7 +19,7 @@ import numpy as np
 
 from feel321.analysis.arrays import read_numbers
 from feel321.analysis.table.items import (
-    Table,
+    choose_metrics,
     find_sources,
     leave_rejected,
     leave_untested,
@@ -27,7 +27,6 @@ from feel321.analysis.table.items import (
     open_ratings,
     refuse_pooled,
 )
-from feel321.doors import check_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -97,25 +96,6 @@ class Cells:
         return float(np.ptp(self.table[column].to_numpy())) > FLAT * size
 
 
-def choose_rows(
-    table: Table | DataFrame,
-    metrics: Sequence[str] | None,
-    *,
-    scale: str | None = None,
-    level: str | None = None,
-) -> tuple[DataFrame, Sequence[str]]:
-    """Take the rows of one scale and level where these are named, and a Table's own metrics where none are."""
-    names = table.metrics if metrics is None and isinstance(table, Table) else metrics
-    rows = open_ratings(table, what="rows")
-    if names is None:
-        raise ValueError("metrics must be a list of names with a DataFrame, got none; name columns")
-    for column, name in (("scale", scale), ("level", level)):
-        if name is not None:
-            known = rows[column].astype(str) if column in rows else rows.index.astype(str)[:0]
-            rows = rows[known == check_name(name, sorted(known.unique()), column)]
-    return rows, names
-
-
 def make_cells(rows: DataFrame, metrics: Sequence[str]) -> Cells:
     """Average repeats where that loses nothing, and split the metrics.
 
@@ -126,9 +106,7 @@ def make_cells(rows: DataFrame, metrics: Sequence[str]) -> Cells:
     takes minutes, and means are taken all the same (40 people, 20 recordings, 10 reducers, 10^5 ratings: 3 s instead
     of 132, slopes and standard errors within 0.1 % and 0.02 standard errors).
     """
-    if not metrics or isinstance(metrics, str):
-        raise ValueError(f"metrics must be a list of one name or more, got {metrics!r}")
-    names = list(dict.fromkeys(metrics))
+    names = list(choose_metrics(rows, metrics))
     rows, notes = select_rows(rows)
     rows = _read_rows(rows, names)
     items = rows[[SCENE, ITEM, *names]].drop_duplicates()
