@@ -52,6 +52,9 @@ FEWEST, FEWEST_DF = 3, 2.0
 TESTED = ("se", "df", "t", "p", "low", "high")
 """Columns of an estimate that mean nothing where it is not estimable."""
 
+CENTRED = {"estimate": "centred", **{name: f"centred_{name}" for name in TESTED if name != "t"}}
+"""Column of an estimate -> that of the slope which is centred on recordings and on reducers."""
+
 NONE = float("nan")
 
 
@@ -242,7 +245,11 @@ def fit_slopes(
     rows: DataFrame, metrics: Sequence[str], *, correlated: bool = False, reducers: bool = True
 ) -> Slopes:
     """Fit the primary model for its slopes alone, in a fifth of the time."""
-    cells = make_cells(rows, metrics)
+    return fit_cells(make_cells(rows, metrics), correlated=correlated, reducers=reducers)
+
+
+def fit_cells(cells: Cells, *, correlated: bool = False, reducers: bool = True) -> Slopes:
+    """Fit the primary model to what is made already."""
     terms = plan_terms(cells, correlated=correlated, reducers=reducers)
     solved = solve_design(build_design(terms.formula, cells.table), penalty=terms.penalty)
     return Slopes(_tabulate_slopes(cells, terms, solved), cells, terms, solved)
@@ -526,8 +533,7 @@ def _centre_slopes(found: Slopes, *, wanted: bool) -> tuple[DataFrame, list[str]
     import pandas as pd
 
     within, cells, terms = _list_within(found.terms), found.cells, found.terms
-    columns = {"estimate": "centred", **{name: f"centred_{name}" for name in TESTED if name != "t"}}
-    table = pd.DataFrame(np.nan, index=within, columns=list(columns.values()))
+    table = pd.DataFrame(np.nan, index=within, columns=list(CENTRED.values()))
     term = f"(1 | {REDUCER})"
     if not wanted or term not in terms.random:
         return table, []
@@ -539,7 +545,7 @@ def _centre_slopes(found: Slopes, *, wanted: bool) -> tuple[DataFrame, list[str]
     except ValueError as error:
         return table, [f"No slopes centred on reducers: {error}"]
     rows = [_blank(asdict(solved.estimate({name: 1.0})), lack=lack) for name in names]
-    return pd.DataFrame(rows, index=within)[list(columns)].rename(columns=columns), []
+    return pd.DataFrame(rows, index=within)[list(CENTRED)].rename(columns=CENTRED), []
 
 
 def _explain_items(found: Slopes) -> tuple[float, list[str]]:

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
     from feel321.types import Rng
 
+    Estimator = Callable[[DataFrame], object]
+
 NONE = float("nan")
 
 EVERYONE = "none"
@@ -99,7 +101,7 @@ class Multiverse(Result):
 
 def run_multiverse(
     table: Table | DataFrame,
-    estimator: Callable[[DataFrame], object],
+    estimator: Estimator,
     *,
     rules: Iterable[str] | Mapping[str, float] | None = None,
     together: int = 2,
@@ -158,11 +160,18 @@ def run_multiverse(
     0              none           0   90.0
     1  hidden_reference           1   95.0
     """
-    import pandas as pd
-
     if together < 1:
         raise ValueError(f"together must be 1 or more rules in a combination, got {together}")
     screening = screen_raters(table, rules, rng=rng)
+    return run_universes(table, estimator, screening, together=together)
+
+
+def run_universes(
+    table: Table | DataFrame, estimator: Estimator, screening: Screening, *, together: int = 2
+) -> Multiverse:
+    """Run an estimator on every set of raters that a screening leaves."""
+    import pandas as pd
+
     ratings, _ = leave_rejected(open_ratings(table))
     hits, sets = screening.hits, defaultdict(list)
     for chosen in _list_combinations(screening.rules, together):
@@ -198,7 +207,7 @@ def _list_combinations(rules: tuple[str, ...], together: int) -> Iterator[tuple[
 
 
 def _estimate(
-    ratings: DataFrame, estimator: Callable[[DataFrame], object], excluded: frozenset[Hashable]
+    ratings: DataFrame, estimator: Estimator, excluded: frozenset[Hashable]
 ) -> UniverseEstimate:
     left = ratings[~ratings["participant"].isin(list(excluded))]
     if left.empty:
