@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
     from feel321.types import Rng
 
-    Estimator = Callable[[DataFrame], object]
-
 NONE = float("nan")
 
 EVERYONE = "none"
@@ -101,7 +99,7 @@ class Multiverse(Result):
 
 def run_multiverse(
     table: Table | DataFrame,
-    estimator: Estimator,
+    estimator: Callable[[DataFrame], object],
     *,
     rules: Iterable[str] | Mapping[str, float] | None = None,
     together: int = 2,
@@ -167,7 +165,11 @@ def run_multiverse(
 
 
 def run_universes(
-    table: Table | DataFrame, estimator: Estimator, screening: Screening, *, together: int = 2
+    table: Table | DataFrame,
+    estimator: Callable[[DataFrame], object],
+    screening: Screening,
+    *,
+    together: int = 2,
 ) -> Multiverse:
     """Run an estimator on every set of raters that a screening leaves."""
     import pandas as pd
@@ -207,7 +209,7 @@ def _list_combinations(rules: tuple[str, ...], together: int) -> Iterator[tuple[
 
 
 def _estimate(
-    ratings: DataFrame, estimator: Estimator, excluded: frozenset[Hashable]
+    ratings: DataFrame, estimator: Callable[[DataFrame], object], excluded: frozenset[Hashable]
 ) -> UniverseEstimate:
     left = ratings[~ratings["participant"].isin(list(excluded))]
     if left.empty:
