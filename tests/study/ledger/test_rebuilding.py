@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import feel321.study.ledger.slots
+from feel321.study.ledger.progress import REMOVING, check_anchors, read_tombstone, write_tombstone
 from feel321.study.ledger.slots import (
     find_lost,
     open_study_ledger,
@@ -18,7 +19,6 @@ from feel321.study.ledger.slots import (
     rebuild_ledger,
     rewrite_ledger,
 )
-from feel321.study.ledger.standing import REMOVING, check_anchors, read_tombstone, write_tombstone
 from feel321.study.ledger.withdrawal import release_participant, withdraw_participant
 from feel321.study.session.journal import digest
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from feel321.files import hold_lock
+from feel321.study.ledger.progress import read_tombstone, write_roster
 from feel321.study.ledger.slots import find_lost, open_study_ledger, read_ledger
-from feel321.study.ledger.standing import read_tombstone, write_roster
 from feel321.study.ledger.withdrawal import release_participant, withdraw_participant
 from feel321.study.session.journal import create_journal, digest, read_journal
 from feel321.study.session.plan import PLAN_FILE
