@@ -233,7 +233,7 @@ def test_who_comes_back_in_time_or_may_go_on_goes_on(
 
 
 def test_a_restart_is_a_new_session_and_the_old_one_stays(
-    leave: Callable[..., list[Any]], practised: Plan, folder: Path
+    leave: Callable[..., Any], practised: Plan, folder: Path
 ) -> None:
     records = leave("restart", hours=7, plan=practised)
     assert records.find_header() is not None
