@@ -38,13 +38,11 @@ References
    doi:10.4324/9781410611147
 """
 
-from __future__ import annotations
-
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from math import prod
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 from feel321.doors import Registry, check_name
 from feel321.protocols.balance import williams_square
@@ -61,11 +59,8 @@ from feel321.protocols.trial import (
     select_items,
 )
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
-    Items = Sequence[Item]
-    Comparisons = tuple[Comparison, ...]
+Items = Sequence[Item]
+Comparisons = tuple[Comparison, ...]
 
 
 @dataclass(frozen=True, slots=True)

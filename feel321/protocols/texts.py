@@ -4,23 +4,18 @@ Every language has the keys, lists and {placeholders} of the English one; a lab'
 it is read, so that no gap turns up in the middle of a session.
 """
 
-from __future__ import annotations
-
 import os
 import tomllib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from string import Formatter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from feel321.doors import check_name
 from feel321.protocols.trial import Scale
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from feel321.types import PathLike
+from feel321.types import PathLike
 
 CATALOG = files("feel321.protocols") / "catalog"
 

@@ -15,18 +15,8 @@ from typing import TYPE_CHECKING, Any
 from feel321.protocols.texts import read_scales
 from feel321.protocols.trial import RATING_RANGE, Flow, Page, Part, Scale, Trial
 from feel321.records import Result
-from feel321.study.session import events
+from feel321.study.session import events, ports
 from feel321.study.session.plan import Plan, advance, list_by_code, replay
-from feel321.study.session.ports import (
-    Abort,
-    Confirm,
-    Feel,
-    Move,
-    Pause,
-    Place,
-    Playback,
-    Presenter,
-)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -43,7 +33,7 @@ DEVICE_ERRORS = 2
 class Setup:
     """The setup of a session: the presenter, the stimuli by blind code, the scales, the journal and the rules."""
 
-    presenter: Presenter
+    presenter: ports.Presenter
     stimuli: Mapping[str, Stimulus]
     scales: Mapping[str, Scale]
     journal: Journal
@@ -83,12 +73,12 @@ class _Paused(Exception):  # noqa: N818 - nothing went wrong
 
 def run_session(
     plan: Plan,
-    presenter: Presenter,
+    presenter: ports.Presenter,
     *,
     stimuli: StimulusSet,
     journal: Journal,
     scales: Mapping[str, Scale] | None = None,
-    on_step: Callable[[Place], None] | None = None,
+    on_step: Callable[[ports.Place], None] | None = None,
 ) -> Outcome:
     """Present all trials that are not done yet.
 
@@ -96,7 +86,7 @@ def run_session(
     ----------
     plan : Plan
         The plan.
-    presenter : Presenter
+    presenter : ports.Presenter
         Shows, plays and passes on the acts of the participant.
     stimuli : StimulusSet
         The stimuli that the plan names by codes.
@@ -133,12 +123,12 @@ def run_session(
 
 
 def _work_through(
-    plan: Plan, agenda: Agenda, setup: Setup, *, on_step: Callable[[Place], None] | None
+    plan: Plan, agenda: Agenda, setup: Setup, *, on_step: Callable[[ports.Place], None] | None
 ) -> None:
     trials = {trial.number: trial for trial in plan.trials}
     failures = 0
     while True:
-        place = Place(agenda.done, agenda.total)
+        place = ports.Place(agenda.done, agenda.total)
         if on_step is not None:
             on_step(place)
         if (step := agenda.ask()) is None:
@@ -146,7 +136,7 @@ def _work_through(
         if isinstance(step, Page):
             conduct_page(step, place, setup)
         else:
-            place = Place(agenda.done, agenda.total, agenda.attempt(step.number))
+            place = ports.Place(agenda.done, agenda.total, agenda.attempt(step.number))
             conduct_trial(step, place, setup)
         # The agenda is told what is on the disk, by the same words as when a session is resumed.
         event = setup.journal.records[-1].content
@@ -157,25 +147,25 @@ def _work_through(
             raise Stopped("the device failed twice in a row; check it, then resume", time_s)
 
 
-def conduct_page(page: Page, place: Place, setup: Setup) -> None:
+def conduct_page(page: Page, place: ports.Place, setup: Setup) -> None:
     """Show a page until it is left, and at least as long as it must be shown."""
     act = _read_page(page, place, setup)
     setup.journal.write(events.PageRead(page.key, act.time_s, act.response_time_s))
 
 
-def _read_page(page: Page, place: Place, setup: Setup) -> Confirm:
+def _read_page(page: Page, place: ports.Place, setup: Setup) -> ports.Confirm:
     while True:
         act = setup.presenter.show_page(page, place)
-        if isinstance(act, Abort):
+        if isinstance(act, ports.Abort):
             raise Stopped(act.reason, act.time_s)
-        if isinstance(act, Pause):
+        if isinstance(act, ports.Pause):
             continue  # Nothing is felt on a page, so there is nothing to pause.
         if act.response_time_s >= page.least_s:
             return act
         setup.presenter.refuse("too_early", ())
 
 
-def conduct_trial(trial: Trial, place: Place, setup: Setup) -> None:
+def conduct_trial(trial: Trial, place: ports.Place, setup: Setup) -> None:
     """Run one attempt at a trial, and again after each pause."""
     while True:
         attempt = _Attempt(setup, trial, place.attempt)
@@ -234,19 +224,19 @@ class _Attempt(events.Attempt):
         while True:
             act = self._setup.presenter.wait()
             match act:
-                case Feel():
+                case ports.Feel():
                     self._replay(act)
                     if self.is_spoiled():
                         return
-                case Move():
+                case ports.Move():
                     self._move(act)
-                case Confirm():
+                case ports.Confirm():
                     if self._accept(act):
                         return
                 case _:
                     _stop_or_pause(act)
 
-    def _replay(self, act: Feel) -> None:
+    def _replay(self, act: ports.Feel) -> None:
         parts = [part for part in self.trial.parts if act.part in {"", part.name}]
         if self.trial.timing == "strict":
             self._refuse(act, "no_replay")
@@ -257,14 +247,14 @@ class _Attempt(events.Attempt):
                 self._setup.journal.write(events.PartReplayed(*self.key, act.part, act.time_s))
             self.play(parts)
 
-    def _move(self, act: Move) -> None:
+    def _move(self, act: ports.Move) -> None:
         if act.part in self.trial.judged and self._find_valid({act.part: act.value}):
             moved = events.MarkerMoved(*self.key, act.part, float(act.value), act.time_s)
             self._setup.journal.write(moved)
         else:
             self._refuse(act, "unknown_part", [act.part])
 
-    def _accept(self, act: Confirm) -> bool:
+    def _accept(self, act: ports.Confirm) -> bool:
         """Record the answer, unless something was not felt or not answered."""
         flow, valid = self._setup.flow, self._find_valid(act.values)
         if unfelt := self.list_unfelt():
@@ -292,14 +282,16 @@ class _Attempt(events.Attempt):
             if (value in choices if choices else isinstance(value, Real) and low <= value <= high)
         }
 
-    def _refuse(self, act: Feel | Move | Confirm, reason: str, parts: Iterable[str] = ()) -> bool:
+    def _refuse(
+        self, act: ports.Feel | ports.Move | ports.Confirm, reason: str, parts: Iterable[str] = ()
+    ) -> bool:
         names = list(parts)
         self._setup.journal.write(events.ActRefused(*self.key, reason, names, act.time_s))
         self._setup.presenter.refuse(reason, tuple(names))
         return False
 
 
-def _describe_playback(playback: Playback) -> dict[str, Any]:
+def _describe_playback(playback: ports.Playback) -> dict[str, Any]:
     """Describe a playback as JSON can hold it: devices report numbers of many kinds, and some that are none."""
     onset_s, measured = playback.onset_s, playback.measured.items()
     return {
@@ -315,7 +307,7 @@ def _describe_playback(playback: Playback) -> dict[str, Any]:
 
 def _stop_or_pause(act: object) -> None:
     """End the attempt after a pause or an abort."""
-    if isinstance(act, Abort):
+    if isinstance(act, ports.Abort):
         raise Stopped(act.reason, act.time_s)
-    if isinstance(act, Pause):
+    if isinstance(act, ports.Pause):
         raise _Paused(act.time_s)

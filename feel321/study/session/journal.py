@@ -22,14 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from feel321.files import sync_folder
-from feel321.study.session.events import (
-    ClockStepped,
-    E,
-    LineRecovered,
-    SessionBegun,
-    SessionEvent,
-    read_event,
-)
+from feel321.study.session import events
 
 Clock = Callable[[], datetime]
 
@@ -52,10 +45,10 @@ class Record:
     data: Mapping[str, Any]
 
     @property
-    def content(self) -> SessionEvent:
+    def content(self) -> events.SessionEvent:
         """The event, checked."""
         try:
-            return read_event(self.event, self.data)
+            return events.read_event(self.event, self.data)
         except ValueError as error:
             raise ValueError(f"line {self.sequence + 1}: {error}") from None
 
@@ -63,20 +56,20 @@ class Record:
 class Records(list[Record]):
     """The records of a journal, in order."""
 
-    def find(self, *kinds: type[E]) -> Iterator[E]:
+    def find(self, *kinds: type[events.E]) -> Iterator[events.E]:
         """Find all events of some kinds."""
         names = {kind.event for kind in kinds}
         for record in self:
             if record.event in names and isinstance(event := record.content, kinds):
                 yield event
 
-    def has(self, kind: type[SessionEvent]) -> bool:
+    def has(self, kind: type[events.SessionEvent]) -> bool:
         """Check whether something ever happened in the session."""
         return any(record.event == kind.event for record in self)
 
-    def find_header(self) -> SessionBegun | None:
+    def find_header(self) -> events.SessionBegun | None:
         """Find the header of the session."""
-        return next(self.find(SessionBegun), None)
+        return next(self.find(events.SessionBegun), None)
 
     def find_elapsed(self) -> float:
         """Find the last time on the presenter's clock, in s."""
@@ -188,14 +181,16 @@ class Journal:
         """Whether it takes records: after a write that was broken off it does not."""
         return self._is_open
 
-    def write(self, event: SessionEvent | str, data: Mapping[str, Any] | None = None) -> None:
+    def write(
+        self, event: events.SessionEvent | str, data: Mapping[str, Any] | None = None
+    ) -> None:
         """Append one record; it is on the disk when this returns.
 
         If the time of day was set back since the last record, a record before it says by how much.
 
         Parameters
         ----------
-        event : SessionEvent or str
+        event : events.SessionEvent or str
             The event, or the name of any record.
         data : mapping, optional
             The fields that go with a name; everything JSON can hold.
@@ -210,11 +205,11 @@ class Journal:
         if self.records:
             last, this = (datetime.fromisoformat(text) for text in (self.records[-1].utc, utc))
             if (back_s := (last - this).total_seconds()) > 0:
-                self._append(utc, ClockStepped(back_s))
+                self._append(utc, events.ClockStepped(back_s))
         self._append(utc, event, data)
 
     def _append(
-        self, utc: str, event: SessionEvent | str, data: Mapping[str, Any] | None = None
+        self, utc: str, event: events.SessionEvent | str, data: Mapping[str, Any] | None = None
     ) -> None:
         if not self._is_open:
             raise OSError(
@@ -258,7 +253,7 @@ def require_journal(path: Path, *, now: Clock) -> Journal:
     if chain.torn:
         with _naming(path):
             torn = _cut_torn_line(path, chain.torn)
-        journal.write(LineRecovered(len(chain.torn), torn.name))
+        journal.write(events.LineRecovered(len(chain.torn), torn.name))
         journal.notice = (
             f"{path}: {len(chain.torn)} bytes of an unfinished line were moved to {torn.name}"
         )
