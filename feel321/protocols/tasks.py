@@ -290,49 +290,45 @@ def _score_abx(judgement: Judgement, answer: float | str, parts: Mapping[str, st
     return RIGHT if parts[chosen] == parts[judgement.part] else WRONG
 
 
-PROTOCOLS = Registry(
-    "protocol",
-    {
-        protocol.name: protocol
-        for protocol in (
-            Protocol("realism", ("recording", "reducer", "level"), _compare_realism),
-            Protocol(
-                "similarity",
-                ("recording", "reducer", "level"),
-                _compare_similarity,
-                references=(ORIGINAL, SURFACE, "reducer"),
-                sure_end=RATING_RANGE[1],
-            ),
-            Protocol(
-                "dissimilarity",
-                ("recording", "pair", "level"),
-                _compare_dissimilarity,
-                references=(ORIGINAL,),
-                teach=_teach_dissimilarity,
-                arrange=_arrange_dissimilarity,
-            ),
-            Protocol(
-                "mushra",
-                ("recording", "level"),
-                _compare_mushra,
-                timings=("free",),
-                references=(ORIGINAL, "reducer"),
-                arrange=_arrange_mushra,
-                sure_end=RATING_RANGE[1],
-            ),
-            Protocol(
-                "abx",
-                ("recording", "reducer", "level"),
-                _compare_abx,
-                references=(ORIGINAL, "reducer"),
-                teach=_teach_abx,
-                arrange=_arrange_abx,
-                score=_score_abx,
-                choices=ABX_CHOICES,
-            ),
-        )
-    },
+_STIMULUS = ("recording", "reducer", "level")
+_ALL = (
+    Protocol("realism", _STIMULUS, _compare_realism),
+    Protocol(
+        "similarity",
+        _STIMULUS,
+        _compare_similarity,
+        references=(ORIGINAL, SURFACE, "reducer"),
+        sure_end=RATING_RANGE[1],
+    ),
+    Protocol(
+        "dissimilarity",
+        ("recording", "pair", "level"),
+        _compare_dissimilarity,
+        references=(ORIGINAL,),
+        teach=_teach_dissimilarity,
+        arrange=_arrange_dissimilarity,
+    ),
+    Protocol(
+        "mushra",
+        ("recording", "level"),
+        _compare_mushra,
+        timings=("free",),
+        references=(ORIGINAL, "reducer"),
+        arrange=_arrange_mushra,
+        sure_end=RATING_RANGE[1],
+    ),
+    Protocol(
+        "abx",
+        _STIMULUS,
+        _compare_abx,
+        references=(ORIGINAL, "reducer"),
+        teach=_teach_abx,
+        arrange=_arrange_abx,
+        score=_score_abx,
+        choices=ABX_CHOICES,
+    ),
 )
+PROTOCOLS = Registry("protocol", {protocol.name: protocol for protocol in _ALL})
 """Name -> protocol, the only list of names. Later ones are added, none renamed."""
 
 

@@ -33,13 +33,7 @@ class PageText:
 
 
 def list_languages() -> tuple[str, ...]:
-    """List the language codes of the catalogue.
-
-    Examples
-    --------
-    >>> list_languages()
-    ('de', 'en')
-    """
+    """List the language codes of the catalogue."""
     return tuple(sorted(entry.name.removesuffix(".toml") for entry in CATALOG.iterdir()))
 
 
@@ -87,13 +81,7 @@ def read_refusals(language: str | PathLike = MODEL) -> dict[str, str]:
 
 
 def read_texts(language: str | PathLike = MODEL) -> dict[str, Any]:
-    """Read all texts of a language.
-
-    Examples
-    --------
-    >>> list(read_texts())
-    ['scales', 'pages', 'refusals', 'prompts', 'parts', 'keys']
-    """
+    """Read all texts of a language, by kind: scales, pages, refusals, prompts, parts, keys."""
     if isinstance(language, os.PathLike) or str(language).endswith(".toml"):
         return _read_own(Path(language))
     check_name(language, list_languages(), "language")

@@ -116,13 +116,7 @@ def read_chain(content: bytes, name: str) -> Chain:
 
 
 def digest(text: str | bytes) -> str:
-    """SHA-256 of a text, in hexadecimal digits.
-
-    Examples
-    --------
-    >>> digest("tap")[:12]
-    '729cd87c6329'
-    """
+    """SHA-256 of a text, in hexadecimal digits."""
     return hashlib.sha256(text.encode() if isinstance(text, str) else text).hexdigest()
 
 
@@ -268,13 +262,7 @@ def read_journal(path: Path) -> Chain:
 
 
 def name_journal(session: int) -> str:
-    """Make the name of a session's journal; sessions are numbered from 1.
-
-    Examples
-    --------
-    >>> name_journal(1)
-    'session-01.jsonl'
-    """
+    """Make the name of a session's journal; sessions are numbered from 1."""
     return f"session-{session:02d}.jsonl"
 
 

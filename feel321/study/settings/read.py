@@ -14,7 +14,7 @@ from typing import Any
 from feel321.files import write_text
 from feel321.protocols.tasks import PROTOCOLS, make_task
 from feel321.protocols.texts import read_texts
-from feel321.protocols.trial import CHOOSING, SURFACE, Flow, Item, Task, select_items, select_tasks
+from feel321.protocols.trial import CHOOSING, SURFACE, Flow, Item, Task, select_group
 from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.recording import Recording
@@ -255,7 +255,7 @@ def _list_groups(
     factors = {name: settings.between[name] for name in CHOOSING if name in settings.between}
     for levels in product(*factors.values()):
         groups = dict(zip(factors, levels, strict=True))
-        yield select_items(_list_items(settings), groups), select_tasks(tasks, groups)
+        yield select_group(_list_items(settings), tasks, groups)
 
 
 def _list_items(settings: Settings) -> list[Item]:
