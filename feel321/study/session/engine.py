@@ -17,6 +17,7 @@ from feel321.protocols.trial import RATING_RANGE, Flow, Page, Part, Scale, Trial
 from feel321.records import Result
 from feel321.study.session import events, ports
 from feel321.study.session.plan import Plan, advance, list_by_code, replay
+from feel321.study.session.ports import Place, Presenter
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -33,7 +34,7 @@ DEVICE_ERRORS = 2
 class Setup:
     """The setup of a session: the presenter, the stimuli by blind code, the scales, the journal and the rules."""
 
-    presenter: ports.Presenter
+    presenter: Presenter
     stimuli: Mapping[str, Stimulus]
     scales: Mapping[str, Scale]
     journal: Journal
@@ -73,12 +74,12 @@ class _Paused(Exception):  # noqa: N818 - nothing went wrong
 
 def run_session(
     plan: Plan,
-    presenter: ports.Presenter,
+    presenter: Presenter,
     *,
     stimuli: StimulusSet,
     journal: Journal,
     scales: Mapping[str, Scale] | None = None,
-    on_step: Callable[[ports.Place], None] | None = None,
+    on_step: Callable[[Place], None] | None = None,
 ) -> Outcome:
     """Present all trials that are not done yet.
 
@@ -86,7 +87,7 @@ def run_session(
     ----------
     plan : Plan
         The plan.
-    presenter : ports.Presenter
+    presenter : Presenter
         Shows, plays and passes on the acts of the participant.
     stimuli : StimulusSet
         The stimuli that the plan names by codes.
@@ -123,12 +124,12 @@ def run_session(
 
 
 def _work_through(
-    plan: Plan, agenda: Agenda, setup: Setup, *, on_step: Callable[[ports.Place], None] | None
+    plan: Plan, agenda: Agenda, setup: Setup, *, on_step: Callable[[Place], None] | None
 ) -> None:
     trials = {trial.number: trial for trial in plan.trials}
     failures = 0
     while True:
-        place = ports.Place(agenda.done, agenda.total)
+        place = Place(agenda.done, agenda.total)
         if on_step is not None:
             on_step(place)
         if (step := agenda.ask()) is None:
@@ -136,7 +137,7 @@ def _work_through(
         if isinstance(step, Page):
             conduct_page(step, place, setup)
         else:
-            place = ports.Place(agenda.done, agenda.total, agenda.attempt(step.number))
+            place = Place(agenda.done, agenda.total, agenda.attempt(step.number))
             conduct_trial(step, place, setup)
         # The agenda is told what is on the disk, by the same words as when a session is resumed.
         event = setup.journal.records[-1].content
@@ -147,13 +148,13 @@ def _work_through(
             raise Stopped("the device failed twice in a row; check it, then resume", time_s)
 
 
-def conduct_page(page: Page, place: ports.Place, setup: Setup) -> None:
+def conduct_page(page: Page, place: Place, setup: Setup) -> None:
     """Show a page until it is left, and at least as long as it must be shown."""
     act = _read_page(page, place, setup)
     setup.journal.write(events.PageRead(page.key, act.time_s, act.response_time_s))
 
 
-def _read_page(page: Page, place: ports.Place, setup: Setup) -> ports.Confirm:
+def _read_page(page: Page, place: Place, setup: Setup) -> ports.Confirm:
     while True:
         act = setup.presenter.show_page(page, place)
         if isinstance(act, ports.Abort):
@@ -165,7 +166,7 @@ def _read_page(page: Page, place: ports.Place, setup: Setup) -> ports.Confirm:
         setup.presenter.refuse("too_early", ())
 
 
-def conduct_trial(trial: Trial, place: ports.Place, setup: Setup) -> None:
+def conduct_trial(trial: Trial, place: Place, setup: Setup) -> None:
     """Run one attempt at a trial, and again after each pause."""
     while True:
         attempt = _Attempt(setup, trial, place.attempt)

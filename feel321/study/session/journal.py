@@ -23,6 +23,7 @@ from typing import Any
 
 from feel321.files import sync_folder
 from feel321.study.session import events
+from feel321.study.session.events import SessionEvent
 
 Clock = Callable[[], datetime]
 
@@ -45,7 +46,7 @@ class Record:
     data: Mapping[str, Any]
 
     @property
-    def content(self) -> events.SessionEvent:
+    def content(self) -> SessionEvent:
         """The event, checked."""
         try:
             return events.read_event(self.event, self.data)
@@ -63,7 +64,7 @@ class Records(list[Record]):
             if record.event in names and isinstance(event := record.content, kinds):
                 yield event
 
-    def has(self, kind: type[events.SessionEvent]) -> bool:
+    def has(self, kind: type[SessionEvent]) -> bool:
         """Check whether something ever happened in the session."""
         return any(record.event == kind.event for record in self)
 
@@ -175,16 +176,14 @@ class Journal:
         """Whether it takes records: after a write that was broken off it does not."""
         return self._is_open
 
-    def write(
-        self, event: events.SessionEvent | str, data: Mapping[str, Any] | None = None
-    ) -> None:
+    def write(self, event: SessionEvent | str, data: Mapping[str, Any] | None = None) -> None:
         """Append one record; it is on the disk when this returns.
 
         If the time of day was set back since the last record, a record before it says by how much.
 
         Parameters
         ----------
-        event : events.SessionEvent or str
+        event : SessionEvent or str
             The event, or the name of any record.
         data : mapping, optional
             The fields that go with a name; everything JSON can hold.
@@ -203,7 +202,7 @@ class Journal:
         self._append(utc, event, data)
 
     def _append(
-        self, utc: str, event: events.SessionEvent | str, data: Mapping[str, Any] | None = None
+        self, utc: str, event: SessionEvent | str, data: Mapping[str, Any] | None = None
     ) -> None:
         if not self._is_open:
             raise OSError(
