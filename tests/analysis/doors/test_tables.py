@@ -131,7 +131,7 @@ def test_every_public_function_of_a_table_is_tried() -> None:
         for name, function in functions.items()
         if inspect.isfunction(function)
         and any(
-            re.search(r"\bDataFrame\b", text) and "plot" not in name and name != "read_table"
+            re.search(r"\bDataFrame\b", str(text)) and "plot" not in name and name != "read_table"
             for place, text in function.__annotations__.items()
             if place != "return"
         )
