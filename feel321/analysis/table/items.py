@@ -376,11 +376,7 @@ def open_tests(
     if rows.empty:
         raise ValueError("ratings must be of test stimuli, got no row with role 'test'")
     refuse_pooled(rows, metrics=metrics)
-    for name in ("participant", *named):
-        if missing := int(rows[name].isna().sum()):
-            raise ValueError(
-                f"ratings must name a {name} in each row, got {missing} without; name it or leave them out"
-            )
+    _refuse_unnamed(rows, ["participant", *named, *keys])
     values = {
         name: read_numbers(rows[name], what=f"ratings, {name!r}") for name in ("rating", *metrics)
     }
@@ -392,11 +388,21 @@ def open_tests(
     return rows.assign(**values), notes
 
 
+def _refuse_unnamed(rows: DataFrame, names: Iterable[str]) -> None:
+    """Refuse rows without a name: grouped by it they would be dropped in silence."""
+    for name in names:
+        if missing := int(rows[name].isna().sum()):
+            raise ValueError(
+                f"ratings must name a {name} in each row, got {missing} without; name it or leave them out"
+            )
+
+
 def split_tests(ratings: Table | DataFrame) -> Iterator[Tests]:
     """Split the ratings of test stimuli that the metrics describe by scale and level."""
     rows = open_ratings(ratings).assign()
     for column in ARMS:
         rows[column] = rows.get(column, "")
+    _refuse_unnamed(rows, ARMS)
     rated = (rows[ROLE] == TEST if ROLE in rows else True) & ~rows["scale"].isin(APART)
     if "matched" in rows:
         rated &= rows["matched"]
@@ -540,8 +546,8 @@ def _number_items(rows: DataFrame) -> tuple[NDArray[np.intp], tuple[str, ...]]:
 
     keys = find_keys(rows)
     if len(keys) == 1:
-        number, names = factorize(rows[keys[0]], sort=True)
-        return number, tuple(map(str, names))
-    number = rows.groupby(keys, observed=True).ngroup().to_numpy()
+        found, names = factorize(rows[keys[0]], sort=True)
+        return found, tuple(map(str, names))
+    number = rows.groupby(keys, observed=True).ngroup().to_numpy(np.intp)
     named = rows[keys].iloc[np.unique(number, return_index=True)[1]]
     return number, tuple("/".join(map(str, key)) for key in named.itertuples(index=False))
