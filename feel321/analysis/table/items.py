@@ -546,8 +546,8 @@ def _number_items(rows: DataFrame) -> tuple[NDArray[np.intp], tuple[str, ...]]:
 
     keys = find_keys(rows)
     if len(keys) == 1:
-        found, names = factorize(rows[keys[0]], sort=True)
-        return found, tuple(map(str, names))
-    number = rows.groupby(keys, observed=True).ngroup().to_numpy(np.intp)
+        of_row, names = factorize(rows[keys[0]], sort=True)
+        return np.asarray(of_row, dtype=np.intp), tuple(map(str, names))
+    number = np.asarray(rows.groupby(keys, observed=True).ngroup(), dtype=np.intp)
     named = rows[keys].iloc[np.unique(number, return_index=True)[1]]
     return number, tuple("/".join(map(str, key)) for key in named.itertuples(index=False))
