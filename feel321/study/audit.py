@@ -22,16 +22,14 @@ from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.trial import RATING_RANGE, Page, Trial
 from feel321.stimuli.sets.manifest import FURTHER, check_stimuli, describe_row, read_stimuli
 from feel321.study.folder import MANIFEST_JSON, StudyFolder, read_origin
+from feel321.study.ledger.progress import find_cut, find_leftovers, read_anchor
 from feel321.study.ledger.slots import Entry, find_lost, read_study_ledger
-from feel321.study.ledger.standing import find_cut, find_leftovers, read_anchor
 from feel321.study.ratings import find_misplaced
 from feel321.study.session import events
 from feel321.study.session.journal import (
     Chain,
     Record,
     digest,
-    find_events,
-    find_header,
     list_journals,
     name_journal,
     read_journal,
@@ -118,10 +116,10 @@ class _Course:
 
     def follow(self, record: Record) -> None:
         kind = events.find_kind(record.event)
-        if not issubclass(kind, events.MENDING):
+        if not issubclass(kind, events.REPAIRS):
             self._check_place(kind)
         event = events.read_event(record.event, record.data)
-        if isinstance(event, events.MENDING):
+        if isinstance(event, events.REPAIRS):
             return
         if isinstance(event, events.AttemptEvent) and not isinstance(event, events.TrialShown):
             self._follow_attempt(event, record)
@@ -251,13 +249,13 @@ def _audit_journal(chain: Chain, plan: Plan, path: Path) -> Iterator[str]:
     if chain.torn:
         yield f": ends in {len(chain.torn)} bytes of an unfinished line; resuming moves them aside"
     try:
-        header = find_header(chain.records)
+        header = chain.records.find_header()
     except ValueError as error:
         yield f", {error}"
         return
     if header is None:
         # A crash may have come before it, and nobody come back.
-        allowed = {kind.event for kind in (*events.MENDING, events.SessionReleased)}
+        allowed = {kind.event for kind in (*events.REPAIRS, events.SessionReleased)}
         if not {record.event for record in chain.records} <= allowed:
             yield ": has no header"
         return
@@ -279,7 +277,7 @@ def _audit_succession(journals: Sequence[Path], chains: Mapping[Path, Chain]) ->
         if path not in chains:
             continue
         try:
-            by = [e.by for e in find_events(chains[path].records, events.SessionSuperseded)]
+            by = [e.by for e in chains[path].records.find(events.SessionSuperseded)]
         except ValueError:
             by = []
         if session not in by:

@@ -9,7 +9,7 @@ from feel321.stimuli.sets.anchors import (
     acceleration_threshold,
     displacement_threshold,
     felt_level,
-    loudest_level,
+    loudest_levels,
     sensation_level_db,
 )
 
@@ -40,6 +40,21 @@ def test_a_tone_at_its_threshold_has_level_one(frequency: float) -> None:
     time = np.arange(8000) / 8000
     tone = acceleration_threshold(frequency) * np.sin(2 * np.pi * frequency * time)
     assert felt_level(tone, 8000.0) == pytest.approx(1.0, rel=1e-9)
+
+
+@pytest.mark.parametrize("threshold", THRESHOLDS)
+def test_felt_levels_by_hand(threshold: str) -> None:
+    # Two tones of 3 and 4 times their thresholds add to 5; a fade takes 3/8 of a Hann window's energy, and a length
+    # that is a prime number is padded.
+    time = np.arange(7919) / 8000
+    tones = [
+        times * acceleration_threshold(f, threshold=threshold) * np.sin(2 * np.pi * f * time)
+        for times, f in ((3, 100.0), (4, 400.0))
+    ]
+    wave = np.sum(tones, axis=0) * (0.5 - 0.5 * np.cos(2 * np.pi * np.arange(7919) / 7919))
+    level = felt_level(wave, 8000.0, threshold=threshold)
+    assert level == pytest.approx(5 * np.sqrt(3 / 8), rel=1e-3)
+    assert 20 * np.log10(level) == pytest.approx(9.72, abs=0.01)
 
 
 def test_levels_scale_and_add_by_energy() -> None:
@@ -86,9 +101,11 @@ def test_a_tone_at_its_threshold_has_0_db_and_20_db_more_has_20_db(
 def test_silence_around_a_vibration_changes_no_level(n: int) -> None:
     burst = np.random.default_rng(n).standard_normal((3, 900)) * np.hanning(900)
     quiet = np.zeros((3, n))
-    alone = loudest_level(burst, 8000.0)
+    alone = loudest_levels(burst, 8000.0)["contactor"]
     for longer in ([burst, quiet], [quiet, burst], [quiet, burst, quiet, quiet]):
-        assert loudest_level(np.hstack(longer), 8000.0) == pytest.approx(alone, rel=2e-3)
+        assert loudest_levels(np.hstack(longer), 8000.0)["contactor"] == pytest.approx(
+            alone, rel=2e-3
+        )
 
 
 def test_the_loudest_window_is_found_by_brute_force() -> None:
@@ -106,11 +123,15 @@ def test_the_loudest_window_is_found_by_brute_force() -> None:
     assert inside.sum() > 1000
     weighted = np.fft.irfft(np.fft.rfft(signal, 16_000) * weights)
     sums = [np.sum(weighted[:, start : start + 1600] ** 2) for start in range(7600)]
-    assert loudest_level(signal, 8000.0) == pytest.approx(np.sqrt(max(sums) / 1600), rel=1e-4)
+    assert loudest_levels(signal, 8000.0)["contactor"] == pytest.approx(
+        np.sqrt(max(sums) / 1600), rel=1e-4
+    )
 
 
 def test_energy_is_summed_over_200_ms() -> None:
-    short, long = (loudest_level(tone(250.0, seconds=seconds), 8000.0) for seconds in (0.05, 0.1))
+    short, long = (
+        loudest_levels(tone(250.0, seconds=seconds), 8000.0)["contactor"] for seconds in (0.05, 0.1)
+    )
     assert long / short == pytest.approx(np.sqrt(2), rel=0.01)
 
 

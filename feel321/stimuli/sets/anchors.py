@@ -42,14 +42,14 @@ References
 .. [6] R. T. Verrillo, "Temporal summation in vibrotactile sensitivity", JASA 37(5), 1965. doi:10.1121/1.1909458
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from feel321.doors import Registry
 from feel321.stimuli.match import HIGHEST_HZ, LOWEST_HZ, WEBER_FRACTION, OriginalSpectrum
-from feel321.stimuli.recording import Recording, Signal, as_signal
+from feel321.stimuli.recording import Recording, Signal, as_samples
 from feel321.types import Samples
 
 MOST_SENSITIVE_HZ = 250.0
@@ -94,7 +94,10 @@ def displacement_threshold(frequency_hz: ArrayLike, *, threshold: str = CONTACTO
     >>> float(displacement_threshold(250.0))
     1e-07
     """
-    return THRESHOLDS.find(threshold)(np.asarray(frequency_hz, dtype=np.float64))
+    frequency = np.asarray(frequency_hz, dtype=np.float64)
+    if not (frequency > 0).all():
+        raise ValueError(f"frequency_hz must be above 0 Hz, got {frequency.min()}")
+    return THRESHOLDS.find(threshold)(frequency)
 
 
 def acceleration_threshold(frequency_hz: ArrayLike, *, threshold: str = CONTACTOR) -> Samples:
@@ -139,7 +142,8 @@ def felt_level(
     Returns
     -------
     float
-        Level of the whole signal as a multiple of the threshold's root mean square; 0 for silence.
+        Level of the whole signal as a multiple of the threshold's root mean square; 0 for silence. It is no dB:
+        20 log10 of it is, and `sensation_level_db` gives that of the loudest 200 ms.
 
     Examples
     --------
@@ -147,10 +151,9 @@ def felt_level(
     >>> round(stimuli.felt_level(stimuli.make_scene("circular_motion")), 1)
     61.6
     """
-    given, rate_hz = as_signal(signal, rate_hz)
-    acceleration = np.asarray(given)
     from scipy import fft
 
+    acceleration, rate_hz = as_samples(signal, rate_hz)
     n = acceleration.shape[-1]
     # Silence at the end adds no energy, and lengths with large prime factors cost ten times as much.
     padded = fft.next_fast_len(n, real=True)
@@ -161,8 +164,10 @@ def felt_level(
     return float(np.sqrt(np.sum(shares * weighted**2) / n / padded))
 
 
-def loudest_level(acceleration: Samples, rate_hz: float, *, threshold: str = CONTACTOR) -> float:
-    """Largest root mean square in any 200 ms, 20 to 1000 Hz, as a multiple of the threshold's; axes add by energy.
+def loudest_levels(
+    acceleration: Samples, rate_hz: float, thresholds: Iterable[str] = (CONTACTOR,)
+) -> dict[str, float]:
+    """Largest root mean square in any 200 ms, 20 to 1000 Hz, as a multiple of each threshold; axes add by energy.
 
     Before and after the signal is silence, so that appending some changes nothing, and a signal shorter than 200 ms
     has the level that its energy gives over 200 ms.
@@ -172,11 +177,17 @@ def loudest_level(acceleration: Samples, rate_hz: float, *, threshold: str = CON
     window = max(round(WINDOW_S * rate_hz), 1)
     padded = fft.next_fast_len(acceleration.shape[-1] + window, real=True)
     frequency = fft.rfftfreq(padded, 1 / rate_hz)
-    weighted = fft.rfft(acceleration, padded)
-    weighted *= _weigh(frequency, threshold=threshold, edge_octaves=EDGE_OCTAVES)
-    energy = np.square(np.atleast_2d(fft.irfft(weighted, padded))).sum(axis=0)
-    summed = np.concatenate([[0.0], np.cumsum(energy)])
-    return float(np.sqrt(max((summed[window:] - summed[:-window]).max(), 0.0) / window))
+    # Far above the edge there is nothing to weigh; most bins of a rig's rate are there.
+    felt = slice(np.searchsorted(frequency, 2 * HIGHEST_HZ))
+    spectrum = fft.rfft(acceleration, padded)[..., felt]
+    levels = {}
+    for name in thresholds:
+        weights = _weigh(frequency[felt], threshold=name, edge_octaves=EDGE_OCTAVES)
+        energy = np.square(np.atleast_2d(fft.irfft(spectrum * weights, padded))).sum(axis=0)
+        summed = np.concatenate([[0.0], np.cumsum(energy)])
+        most = max((summed[window:] - summed[:-window]).max(), 0.0)
+        levels[name] = float(np.sqrt(most / window))
+    return levels
 
 
 def sensation_level_db(
@@ -216,8 +227,8 @@ def sensation_level_db(
     >>> round(stimuli.sensation_level_db(tone, 8000.0))
     20
     """
-    given, rate = as_signal(signal, rate_hz)
-    return to_db(loudest_level(np.asarray(given), rate, threshold=threshold))
+    samples, rate = as_samples(signal, rate_hz)
+    return to_db(loudest_levels(samples, rate, [threshold])[threshold])
 
 
 def to_db(level: float) -> float:

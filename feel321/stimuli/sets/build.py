@@ -13,6 +13,7 @@ import hashlib
 import json
 import math
 import shutil
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
 from itertools import count
 from pathlib import Path, PurePath
@@ -21,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from feel321 import __version__
-from feel321.doors import as_path, follow
+from feel321.doors import as_path, describe, follow
 from feel321.files import hold_lock
 from feel321.stimuli.condition import list_steps
 from feel321.stimuli.recording import Recording, largest
@@ -159,6 +160,9 @@ def build_stimuli(
     if workers < 1:
         raise ValueError(f"workers must be 1 or more, got {workers}")
     recordings = [recordings] if isinstance(recordings, Recording) else recordings
+    for one in recordings:
+        if not isinstance(one, Recording):
+            raise TypeError(f"recordings must each be a Recording, got {describe(one)}")
     recipe = replace(recipe or Recipe(), **changes)
     check_names([recording.name for recording in recordings])
     folder = as_path(folder, "folder")
@@ -376,8 +380,9 @@ def _list_details(
 def _run_jobs(jobs: Sequence[Job], *, workers: int) -> Iterator[Any]:
     """Yield results as they are done; in this process where one worker is enough."""
     if workers == 1 or len(jobs) <= 1:
-        for function, arguments, named in jobs:
-            yield function(*arguments, **named)
+        # Two at a time: transforms release the interpreter, and each file waits for the disk.
+        with ThreadPoolExecutor(2) as pool:
+            yield from pool.map(lambda job: job[0](*job[1], **job[2]), jobs)
         return
     from joblib import Parallel
 

@@ -14,7 +14,7 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -22,14 +22,8 @@ from pathlib import Path
 from typing import Any
 
 from feel321.files import sync_folder
-from feel321.study.session.events import (
-    ClockStepped,
-    E,
-    LineRecovered,
-    SessionBegun,
-    SessionEvent,
-    read_event,
-)
+from feel321.study.session import events
+from feel321.study.session.events import SessionEvent
 
 Clock = Callable[[], datetime]
 
@@ -55,42 +49,42 @@ class Record:
     def content(self) -> SessionEvent:
         """The event, checked."""
         try:
-            return read_event(self.event, self.data)
+            return events.read_event(self.event, self.data)
         except ValueError as error:
             raise ValueError(f"line {self.sequence + 1}: {error}") from None
+
+
+class Records(list[Record]):
+    """The records of a journal, in order."""
+
+    def find(self, *kinds: type[events.E]) -> Iterator[events.E]:
+        """Find all events of some kinds."""
+        names = {kind.event for kind in kinds}
+        for record in self:
+            if record.event in names and isinstance(event := record.content, kinds):
+                yield event
+
+    def has(self, kind: type[SessionEvent]) -> bool:
+        """Check whether something ever happened in the session."""
+        return any(record.event == kind.event for record in self)
+
+    def find_header(self) -> events.SessionBegun | None:
+        """Find the header of the session."""
+        return next(self.find(events.SessionBegun), None)
+
+    def find_elapsed(self) -> float:
+        """Find the last time on the presenter's clock, in s."""
+        # Onsets do not count: an attempt that was broken off never was, and comes again in its own time.
+        return max((r.data["time_s"] for r in self if "time_s" in r.data), default=0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Chain:
     """The content of a journal file: its records, the digest of the last line, and an unfinished line."""
 
-    records: tuple[Record, ...]
+    records: Records
     tip: str
     torn: bytes
-
-
-def find_events(records: Iterable[Record], *kinds: type[E]) -> Iterator[E]:
-    """Find all events of some kinds."""
-    names = {kind.event for kind in kinds}
-    for record in records:
-        if record.event in names and isinstance(event := record.content, kinds):
-            yield event
-
-
-def has_event(records: Iterable[Record], kind: type[SessionEvent]) -> bool:
-    """Check whether something ever happened in a session."""
-    return any(record.event == kind.event for record in records)
-
-
-def find_header(records: Iterable[Record]) -> SessionBegun | None:
-    """Find the header of a session."""
-    return next(find_events(records, SessionBegun), None)
-
-
-def find_elapsed(records: Iterable[Record]) -> float:
-    """Find the last time on the presenter's clock, in s."""
-    # Onsets do not count: an attempt that was broken off never was, and comes again in its own time.
-    return max((r.data["time_s"] for r in records if "time_s" in r.data), default=0.0)
 
 
 def write_line(record: Record, previous: str) -> bytes:
@@ -109,7 +103,7 @@ def write_line(record: Record, previous: str) -> bytes:
 def read_chain(content: bytes, name: str) -> Chain:
     """Read all whole lines of a journal and check that they form one chain."""
     *lines, torn = content.split(b"\n")
-    records: list[Record] = []
+    records = Records()
     previous = START
     for number, line in enumerate(lines, start=1):
         try:
@@ -119,17 +113,11 @@ def read_chain(content: bytes, name: str) -> Chain:
                 f"{name}, line {number}: {error}; restore the file from a copy"
             ) from None
         previous = digest(line)
-    return Chain(tuple(records), previous, torn)
+    return Chain(records, previous, torn)
 
 
 def digest(text: str | bytes) -> str:
-    """SHA-256 of a text, in hexadecimal digits.
-
-    Examples
-    --------
-    >>> digest("tap")[:12]
-    '729cd87c6329'
-    """
+    """SHA-256 of a text, in hexadecimal digits."""
     return hashlib.sha256(text.encode() if isinstance(text, str) else text).hexdigest()
 
 
@@ -173,7 +161,7 @@ class Journal:
 
     path: Path
     now: Clock
-    records: list[Record] = field(default_factory=list)
+    records: Records = field(default_factory=Records)
     notice: str = ""
     _tip: str = START
     _is_open: bool = True
@@ -210,7 +198,7 @@ class Journal:
         if self.records:
             last, this = (datetime.fromisoformat(text) for text in (self.records[-1].utc, utc))
             if (back_s := (last - this).total_seconds()) > 0:
-                self._append(utc, ClockStepped(back_s))
+                self._append(utc, events.ClockStepped(back_s))
         self._append(utc, event, data)
 
     def _append(
@@ -254,11 +242,11 @@ def create_journal(path: Path, *, now: Clock) -> Journal:
 def require_journal(path: Path, *, now: Clock) -> Journal:
     """Go on with a journal that is there; a record and the notice say so if its last line was unfinished."""
     chain = read_journal(path)
-    journal = Journal(path, now, list(chain.records), _tip=chain.tip)
+    journal = Journal(path, now, chain.records, _tip=chain.tip)
     if chain.torn:
         with _naming(path):
             torn = _cut_torn_line(path, chain.torn)
-        journal.write(LineRecovered(len(chain.torn), torn.name))
+        journal.write(events.LineRecovered(len(chain.torn), torn.name))
         journal.notice = (
             f"{path}: {len(chain.torn)} bytes of an unfinished line were moved to {torn.name}"
         )
@@ -273,13 +261,7 @@ def read_journal(path: Path) -> Chain:
 
 
 def name_journal(session: int) -> str:
-    """Make the name of a session's journal; sessions are numbered from 1.
-
-    Examples
-    --------
-    >>> name_journal(1)
-    'session-01.jsonl'
-    """
+    """Make the name of a session's journal; sessions are numbered from 1."""
     return f"session-{session:02d}.jsonl"
 
 
