@@ -1,27 +1,20 @@
 """A check of the rig: its devices and their rates, and a quiet train of pulses through the stream that sessions use."""
 
-from __future__ import annotations
-
 import tempfile
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter, sleep
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from feel321.stimuli.wav import read_wav
-from feel321.study.actuator.output import open_stream
+from feel321.study.actuator.mixer import Frames
+from feel321.study.actuator.output import StreamOutput, open_stream
+from feel321.study.actuator.rig import Rig
 from feel321.study.actuator.stream import list_devices, list_rates
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from feel321.study.actuator.output import StreamOutput
-    from feel321.study.actuator.rig import Rig
-    from feel321.study.session.ports import Playback
+from feel321.study.session.ports import Playback
 
 RATES_HZ = (8000.0, 16000.0, 44100.0, 48000.0, 96000.0, 192000.0)
 
@@ -104,7 +97,7 @@ def examine_rig(
     return _sum_up(played, lags_ms, stops_ms, identity=identity)
 
 
-def make_pulse(rig: Rig, *, rate_hz: float, seconds: float = PULSE_S) -> NDArray[np.float32]:
+def make_pulse(rig: Rig, *, rate_hz: float, seconds: float = PULSE_S) -> Frames:
     """Make a quiet pulse for all actuators of a rig, shape (n, channels)."""
     n = max(round(seconds * rate_hz), 1)
     shape = np.hanning(n) * np.sin(2 * np.pi * PULSE_HZ * np.arange(n) / rate_hz)
@@ -149,7 +142,7 @@ def _await_end(output: StreamOutput) -> Playback:
     return output.collect()
 
 
-def _find_lag(folder: Path, number: int, pulse: NDArray[np.float32], *, rate_hz: float) -> float:
+def _find_lag(folder: Path, number: int, pulse: Frames, *, rate_hz: float) -> float:
     """Find how late a pulse is in what the sensor measured, in ms."""
     samples, _ = read_wav(folder / f"{number:04}.wav")
     shape = pulse[:, int(np.argmax(np.abs(pulse).max(axis=0)))].astype(np.float64)

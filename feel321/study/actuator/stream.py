@@ -3,32 +3,25 @@
 All times are the device's own, in s.
 """
 
-from __future__ import annotations
-
 import os
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from threading import Thread
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-    from types import ModuleType
+from feel321.study.actuator.mixer import Cue, Frames
+from feel321.study.actuator.rig import Rig
 
-    from numpy.typing import NDArray
-
-    from feel321.study.actuator.mixer import Cue
-    from feel321.study.actuator.rig import Rig
-
-    Foreign = Any  # sounddevice has no types
-    SessionClock = Callable[
-        [], float
-    ]  # s since the session began, without the time between its openings
-    Fill = Callable[[NDArray[np.float32], "BlockTimes", NDArray[np.float32] | None], None]
+Foreign = Any  # sounddevice has no types
+# In s since the session began, without the time between its openings.
+SessionClock = Callable[[], float]
+Fill = Callable[[Frames, "BlockTimes", Frames | None], None]
 
 FALLBACKS = ("default", "sysdefault")  # not always the same device, so no study can use them
 
@@ -237,7 +230,7 @@ class Take:
 
     rate_hz: float
     latency_s: float
-    sensor: NDArray[np.float32] | None = None
+    sensor: Frames | None = None
     cue: Cue | None = None
     onset_s: float | None = None
     end_s: float | None = None
@@ -274,7 +267,7 @@ class Take:
             self.end_frame = self.cue.onset_frame + n_played if n_played else frame
             self.end_s = block.dac_s + (self.end_frame - frame) / self.rate_hz
 
-    def record(self, samples: NDArray[np.float32], *, frame: int) -> None:
+    def record(self, samples: Frames, *, frame: int) -> None:
         """Keep what the sensor measured, shape (n,), since the frame of the onset went out; it comes back later."""
         if self.sensor is None or self.cue is None or self.onset_s is None:
             return
@@ -284,7 +277,7 @@ class Take:
         self.n_sensed += len(piece)
 
     @property
-    def sensed(self) -> NDArray[np.float32]:
+    def sensed(self) -> Frames:
         """What the sensor measured, in fractions of its full scale."""
         room = np.zeros(0, dtype=np.float32) if self.sensor is None else self.sensor
         return room[: self.n_sensed]

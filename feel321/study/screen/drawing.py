@@ -3,21 +3,16 @@
 matplotlib brings the font's file, so participants of every lab see the same letters whatever fonts are installed.
 """
 
-from __future__ import annotations
-
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
 from math import cos, pi, sin
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+from matplotlib.ft2font import FT2Font
 
 from feel321.protocols.trial import RATING_RANGE
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from matplotlib.ft2font import FT2Font
 
 # Light on dark tires less in a dim room. The three hues are Okabe and Ito's, which every kind of colour vision can
 # distinguish; none of them is the only sign of anything.
@@ -53,7 +48,7 @@ class Box:
         """Whether a point lies in it."""
         return self.left <= x < self.right and self.top <= y < self.bottom
 
-    def grow(self, by: float) -> Box:
+    def grow(self, by: float) -> "Box":
         """Move every edge out by so many pixels."""
         return Box(self.left - by, self.top - by, self.width + 2 * by, self.height + 2 * by)
 

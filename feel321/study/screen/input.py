@@ -5,24 +5,17 @@ of the window system, where the exception is printed and lost. While a screen is
 frame is over; the second one does what it does elsewhere, at once.
 """
 
-from __future__ import annotations
-
 import signal
 import threading
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import count
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
-from feel321.protocols.trial import RATING_RANGE
-from feel321.study.screen.drawing import find_points
+from feel321.protocols.trial import RATING_RANGE, Scale, Trial
+from feel321.study.screen.drawing import Target, find_points
 from feel321.study.session.ports import Move
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from feel321.protocols.trial import Scale, Trial
-    from feel321.study.screen.drawing import Target
 
 # The keys. Every other module takes them from here.
 

@@ -1,12 +1,12 @@
 """What is on the screen, as a view, and where it stands: pure geometry, a view in and boxes of pixels out."""
 
-from __future__ import annotations
-
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from feel321.protocols.texts import PageText
-from feel321.protocols.trial import RATING_RANGE, Page
+from feel321.protocols.trial import RATING_RANGE, Page, Scale, Trial
 from feel321.study.screen.drawing import (
     BLUE,
     BODY,
@@ -29,13 +29,6 @@ from feel321.study.screen.drawing import (
     measure,
 )
 from feel321.study.session.ports import Place
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
-
-    from feel321.protocols.trial import Scale, Trial
-
 
 LAST_PAGE = "end"  # the page after which there is nothing
 

@@ -9,18 +9,18 @@ would answer for the participant. (Under Xvfb it received none of 20 keys, the w
 every millisecond or two between frames, and stamped by the session's own clock.
 """
 
-from __future__ import annotations
-
 import os
 import time
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from feel321.study.screen.drawing import (
     FONT,
     GROUND,
     Area,
+    Item,
     Photo,
     Text,
     find_font_files,
@@ -28,12 +28,7 @@ from feel321.study.screen.drawing import (
 )
 from feel321.study.screen.input import InputEvent, drop_repeats, hold_signals, name_key
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from feel321.study.screen.drawing import Item
-
-    Foreign = Any  # PsychoPy has no types
+Foreign = Any  # PsychoPy has no types
 
 FRAME_S = 1 / 60  # shortest time for a frame; a slower screen decides for itself
 POLL_S = 0.0015  # how often events are collected between frames
