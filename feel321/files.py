@@ -1,14 +1,9 @@
 """Files that are whole or absent: nobody ever meets half a table, plan or report. And one writer at a time."""
 
-from __future__ import annotations
-
 import os
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
+from pathlib import Path
 
 
 def write_text(path: Path, text: str) -> None:

@@ -1,7 +1,5 @@
 """Types that signatures name: for annotations in a lab's own code."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from typing import Literal, Protocol, TypeAlias

@@ -7,27 +7,20 @@ The package `krippendorff` makes a table of targets x values x values: gigabytes
 value is another one. The sums below are linear in the number of ratings.
 """
 
-from __future__ import annotations
-
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple, overload
+from typing import NamedTuple, overload
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from feel321.analysis.arrays import CONFIDENCE, FLAT, Values, check_draws, read_array, read_groups
 from feel321.analysis.resampling import bootstrap_margin, draw_counts
 from feel321.analysis.table.items import Items, Table, as_votes
 from feel321.doors import as_rng, check_name
 from feel321.records import Result
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from feel321.types import Rng
-
+from feel321.types import Rng
 
 UPPER = (1 + CONFIDENCE) / 2
 PAIR = 2

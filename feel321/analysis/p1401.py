@@ -9,13 +9,13 @@ Monotone means on the whole interval, not on a grid of it: a 0..1 metric tested 
 between two steps.
 """
 
-from __future__ import annotations
-
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import Polynomial
+from numpy.typing import ArrayLike
 
 from feel321.analysis.arrays import (
     FLAT,
@@ -29,12 +29,6 @@ from feel321.analysis.arrays import (
 )
 from feel321.analysis.table.items import Table, is_tidy, make_items
 from feel321.records import Result
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import ArrayLike
-
 
 UNIT = (0.0, 1.0)
 

@@ -3,16 +3,11 @@
 One place formats names and numbers for a reader, so that text, tables and figures agree.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import textwrap
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
 
 MINUS = "\N{MINUS SIGN}"
 ABSENT = "\N{EN DASH}"

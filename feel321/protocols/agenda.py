@@ -5,18 +5,12 @@ told so far, and from nothing else. A session that is resumed therefore tells an
 goes on as if it had never been interrupted.
 """
 
-from __future__ import annotations
-
 from collections import Counter, deque
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import groupby
-from typing import TYPE_CHECKING
 
 from feel321.protocols.tasks import measure_chance
 from feel321.protocols.trial import Flow, Page, Trial
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
 
 SECONDS = 60.0
 RELAXING = frozenset({"main", "break", "rest", "warm_up"})

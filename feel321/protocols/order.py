@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby, pairwise
 from math import gcd
@@ -12,15 +12,12 @@ from typing import TYPE_CHECKING, Any
 from feel321.doors import Registry, as_rng, check_name, describe
 from feel321.protocols.balance import MIXABLE, shuffle_rows, williams_square
 from feel321.protocols.tasks import PROTOCOLS, make_task
-from feel321.protocols.trial import RATING_RANGE, Item, Task, Trial, Trials
+from feel321.protocols.trial import RATING_RANGE, Comparison, Item, Task, Trial, Trials
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
-
     from numpy.random import Generator
     from pandas import DataFrame
 
-    from feel321.protocols.trial import Comparison
     from feel321.types import Rng
 
     Groups = Mapping[str, Sequence[Comparison]]

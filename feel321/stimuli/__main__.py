@@ -1,16 +1,11 @@
 """`python -m feel321.stimuli`: golden vectors for a DFT321 in another language, out as WAV files and back."""
 
-from __future__ import annotations
-
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from feel321.stimuli.conform import FORMS, check_outputs, golden_vectors, write_vectors
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

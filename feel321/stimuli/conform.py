@@ -9,21 +9,15 @@ spectrum mirrored wrongly for even lengths, squares without conjugates, and a di
 vanishing sum of windows.
 """
 
-from __future__ import annotations
-
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
 from feel321.doors import check_name
 from feel321.stimuli.wav import read_wav, write_wav
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-
-    from feel321.types import Form, Samples
+from feel321.types import Form, Samples
 
 FORMS = ("whole", "windowed")
 RATE_HZ = 1000

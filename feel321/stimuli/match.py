@@ -31,26 +31,23 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from feel321.doors import Registry, check_name
 from feel321.records import Result
 from feel321.stimuli.recording import (
     SAFE_PEAK,
+    Signal,
     admit,
     as_signal,
     check_reduced,
     largest,
     scale_down,
 )
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    from feel321.stimuli.recording import Signal
-    from feel321.types import Grid, Metric, Samples
+from feel321.types import Grid, Metric, Samples
 
 WEBER_FRACTION = 0.22
 """Smallest relative change of vibration frequency that people notice; full width of the smoothing over its centre."""

@@ -39,6 +39,7 @@ from feel321.stimuli.match import (
 )
 from feel321.stimuli.recording import (
     Reduced,
+    Signal,
     admit,
     as_signal,
     check_acceleration,
@@ -54,7 +55,6 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
     from pandas import DataFrame
 
-    from feel321.stimuli.recording import Signal
     from feel321.types import Metric, Reducer, Rng, Samples
 
 LEAST_ROTATIONS = 200

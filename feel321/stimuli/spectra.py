@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from feel321.records import Result
-from feel321.stimuli.recording import AXES, as_signal, check_finite, coerce_real
+from feel321.stimuli.recording import AXES, Signal, as_signal, check_finite, coerce_real
 from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from feel321.stimuli.recording import Signal
     from feel321.types import Samples
 
 

@@ -17,20 +17,13 @@ References
    doi:10.1109/3516.951362
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 
 from feel321.doors import Registry, as_rng, check_name
 from feel321.stimuli.recording import Recording, check_rate
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from feel321.types import Rng, Samples
-
+from feel321.types import Rng, Samples
 
 # Modes of a stylus held in the hand: frequency in Hz, decay time in s, direction of the motion at the sensor.
 _TOOL_MODES = (

@@ -3,25 +3,19 @@
 Samples are in the file's own scale; which unit that is stands in a manifest or sidecar, never in the WAV.
 """
 
-from __future__ import annotations
-
 import io
 import struct
 import warnings
-from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from feel321.doors import as_path
 from feel321.files import file_named, write_bytes
 from feel321.stimuli.recording import check_finite, check_rate
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from feel321.types import PathLike, Samples
+from feel321.types import PathLike, Samples
 
 BYTE_ORDERS = {b"RIFF": "<", b"RIFX": ">"}
 """The container names that are read, each with its byte order in `struct` notation."""

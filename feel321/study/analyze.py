@@ -12,29 +12,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from feel321.analysis.report.write import write_report
-from feel321.analysis.table.reading import Further, read_table
+from feel321.analysis.report.write import Results, write_report
+from feel321.analysis.table.reading import Further, Table, read_table
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.match import METRICS
 from feel321.stimuli.rotation import match_rotations, random_rotations
-from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
 from feel321.stimuli.synthesis import SCENES, make_scene
 from feel321.study.folder import StudyFolder, find_changes, require_study
 from feel321.study.ledger.standing import write_roster
 from feel321.study.ratings import write_ratings
 from feel321.study.settings.read import list_origins, make_recipe, read_settings, try_recordings
-from feel321.study.settings.schema import AnalysisTable
+from feel321.study.settings.schema import AnalysisTable, Settings
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
     from pathlib import Path
 
-    from feel321.analysis.report.write import Results
-    from feel321.analysis.table.reading import Table
     from feel321.stimuli.recording import Recording
-    from feel321.stimuli.sets.manifest import StimulusSet
-    from feel321.study.settings.schema import Settings
 
     Progress = Callable[[int, int], None]
 

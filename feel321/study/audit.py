@@ -9,24 +9,26 @@ The ledger may lag behind a journal: a kill may come between a record and the no
 has noted every session that came beyond its opening.
 """
 
-from __future__ import annotations
-
 import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime
 from itertools import pairwise
+from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from feel321.protocols.agenda import Agenda
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.trial import RATING_RANGE, Page, Trial
 from feel321.stimuli.sets.manifest import FURTHER, check_stimuli, describe_row, read_stimuli
-from feel321.study.folder import MANIFEST_JSON, read_origin
-from feel321.study.ledger.slots import find_lost, read_study_ledger
+from feel321.study.folder import MANIFEST_JSON, StudyFolder, read_origin
+from feel321.study.ledger.slots import Entry, find_lost, read_study_ledger
 from feel321.study.ledger.standing import find_cut, find_leftovers, read_anchor
 from feel321.study.ratings import find_misplaced
 from feel321.study.session import events
 from feel321.study.session.journal import (
+    Chain,
+    Record,
     digest,
     find_events,
     find_header,
@@ -37,20 +39,12 @@ from feel321.study.session.journal import (
 from feel321.study.session.plan import (
     PLAN_FILE,
     TOMBSTONE_FILE,
+    Plan,
     advance,
     read_dossier,
     replay,
     require_plan,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from feel321.study.folder import StudyFolder
-    from feel321.study.ledger.slots import Entry
-    from feel321.study.session.journal import Chain, Record
-    from feel321.study.session.plan import Plan
 
 MALFORMED = (AttributeError, LookupError, TypeError)
 """Errors of reading a plan or record that holds other fields, or other types, than feel321 writes."""

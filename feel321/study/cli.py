@@ -3,17 +3,12 @@
 0 done, 1 could not, 2 wrong use, 130 interrupted. An error is one line on stderr.
 """
 
-from __future__ import annotations
-
 import errno
 import sys
+from collections.abc import Sequence
 from importlib import import_module
-from typing import TYPE_CHECKING
 
 import click
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 DONE, COULD_NOT, WRONG_USE, INTERRUPTED = 0, 1, 2, 130
 

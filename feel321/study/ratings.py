@@ -12,8 +12,15 @@ from typing import TYPE_CHECKING, Any
 from feel321.files import write_text
 from feel321.protocols.tasks import score_trial
 from feel321.study.columns import RATING_COLUMNS
-from feel321.study.session.events import PartPlayed, SessionSuperseded, TrialRated, TrialShown
+from feel321.study.session.events import (
+    PartPlayed,
+    SessionBegun,
+    SessionSuperseded,
+    TrialRated,
+    TrialShown,
+)
 from feel321.study.session.journal import (
+    Record,
     find_header,
     has_event,
     list_journals,
@@ -22,6 +29,7 @@ from feel321.study.session.journal import (
 )
 from feel321.study.session.plan import (
     TOMBSTONE_FILE,
+    Plan,
     list_by_code,
     read_as_written,
     require_own_plan,
@@ -34,9 +42,6 @@ if TYPE_CHECKING:
     from feel321.protocols.trial import Trial
     from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
     from feel321.study.folder import StudyFolder
-    from feel321.study.session.events import SessionBegun
-    from feel321.study.session.journal import Record
-    from feel321.study.session.plan import Plan
 
 _KINDS = {kind.event for kind in (TrialShown, PartPlayed, TrialRated)}
 

@@ -13,7 +13,7 @@ import os
 import re
 import sys
 from concurrent.futures import CancelledError, ThreadPoolExecutor, as_completed
-from contextlib import ExitStack, closing, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
@@ -24,9 +24,9 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from feel321.protocols.texts import read_scales
-from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study.actuator.rig import FILE_DEVICE, identify, read_rig, take_device
-from feel321.study.folder import find_changes
+from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, read_stimuli
+from feel321.study.actuator.rig import FILE_DEVICE, Rig, identify, read_rig, take_device
+from feel321.study.folder import StudyFolder, find_changes
 from feel321.study.ledger.slots import claim_slots, note_progress, open_study_ledger, read_ledger
 from feel321.study.ledger.standing import check_anchors
 from feel321.study.observer.participant import (
@@ -38,11 +38,25 @@ from feel321.study.observer.participant import (
     expect_rating,
     identify_observer,
 )
-from feel321.study.observer.percepts import read_percepts
+from feel321.study.observer.percepts import Percept, read_percepts
 from feel321.study.session.engine import Outcome, run_session
 from feel321.study.session.events import DeviceOpened, SessionFinished, SessionReleased
-from feel321.study.session.journal import find_elapsed, has_event, list_journals, read_journal
-from feel321.study.session.plan import TOMBSTONE_FILE, list_by_code, make_plan, open_session
+from feel321.study.session.journal import (
+    Clock,
+    Journal,
+    find_elapsed,
+    has_event,
+    list_journals,
+    read_journal,
+)
+from feel321.study.session.plan import (
+    TOMBSTONE_FILE,
+    Plan,
+    Stale,
+    list_by_code,
+    make_plan,
+    open_session,
+)
 from feel321.study.settings.read import (
     find_language,
     list_surfaces,
@@ -57,20 +71,13 @@ from feel321.study.strength import find_unfelt
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
-    from contextlib import AbstractContextManager
     from pathlib import Path
 
     from sqlalchemy import Engine
 
     from feel321.protocols.trial import Scale
-    from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
     from feel321.study.actuator.output import Output
-    from feel321.study.actuator.rig import Rig
-    from feel321.study.folder import StudyFolder
-    from feel321.study.observer.percepts import Percept
     from feel321.study.screen.layout import Hand
-    from feel321.study.session.journal import Clock, Journal
-    from feel321.study.session.plan import Plan, Stale
     from feel321.study.session.ports import Place, Presenter
     from feel321.study.settings.schema import Settings
 

@@ -12,8 +12,8 @@ from feel321.protocols.balance import measure_balance, pool_balances, williams_s
 from feel321.protocols.tasks import is_as_expected
 from feel321.study.ledger.standing import make_standing
 from feel321.study.session.events import PageRead, SessionFinished, SessionReleased, TrialRated
-from feel321.study.session.journal import find_events, has_event
-from feel321.study.session.plan import TOMBSTONE_FILE, read_as_written, read_dossier
+from feel321.study.session.journal import Chain, Record, find_events, has_event
+from feel321.study.session.plan import TOMBSTONE_FILE, Dossier, Plan, read_as_written, read_dossier
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
     from feel321.protocols.trial import Trial
     from feel321.study.folder import StudyFolder
-    from feel321.study.session.journal import Chain, Record
-    from feel321.study.session.plan import Dossier, Plan
 
     Sequences = dict[tuple[str, ...], list[list[str]]]
 

@@ -13,8 +13,14 @@ from typing import TYPE_CHECKING
 from feel321.protocols.trial import SURFACE
 from feel321.stimuli.condition import condition
 from feel321.stimuli.sets.anchors import THRESHOLDS, to_db
-from feel321.stimuli.sets.build import foresee_stimuli
-from feel321.stimuli.sets.recipe import GAIN_PER_RECORDING, ONE_GAIN, ORIGINAL, find_headroom_cost
+from feel321.stimuli.sets.build import Foreseen, foresee_stimuli
+from feel321.stimuli.sets.recipe import (
+    GAIN_PER_RECORDING,
+    ONE_GAIN,
+    ORIGINAL,
+    Recipe,
+    find_headroom_cost,
+)
 from feel321.study.actuator.mixer import ROUNDING
 from feel321.study.actuator.render import (
     EQUAL_DB,
@@ -23,9 +29,9 @@ from feel321.study.actuator.render import (
     original_energy,
     reduced_energy,
 )
-from feel321.study.actuator.rig import AXES, REDUCED
+from feel321.study.actuator.rig import AXES, REDUCED, Rig
 from feel321.study.settings.read import make_design, make_recipe
-from feel321.study.settings.schema import ACCEPT
+from feel321.study.settings.schema import ACCEPT, Settings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -34,11 +40,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from feel321.stimuli.recording import Recording
-    from feel321.stimuli.sets.build import Foreseen
     from feel321.stimuli.sets.manifest import StimulusSet
-    from feel321.stimuli.sets.recipe import Recipe
-    from feel321.study.actuator.rig import Rig
-    from feel321.study.settings.schema import Settings
 
 WEAK_DB = 10.0
 """Stimuli with a lower sensation level are listed: they are felt, but hardly as what they are."""

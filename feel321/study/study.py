@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
-from feel321.study.folder import create_study, require_study
-from feel321.study.session.journal import utc_now
+from feel321.study.folder import StudyFolder, create_study, require_study
+from feel321.study.session.journal import Clock, utc_now
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from pathlib import Path
-    from typing import Self
 
     from pandas import DataFrame
 
@@ -21,8 +20,6 @@ if TYPE_CHECKING:
     from feel321.stimuli.recording import Recording
     from feel321.stimuli.sets.manifest import StimulusSet
     from feel321.study.findings import Audit, Problems
-    from feel321.study.folder import StudyFolder
-    from feel321.study.session.journal import Clock
     from feel321.study.settings.schema import Settings
     from feel321.study.status import Status
     from feel321.types import PathLike, Progress, Rng

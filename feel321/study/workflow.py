@@ -11,11 +11,11 @@ from feel321.protocols.texts import read_scales
 from feel321.protocols.trial import CHOOSING
 from feel321.stimuli.condition import condition, fade
 from feel321.stimuli.sets.anchors import quietest_hz
-from feel321.stimuli.sets.build import build_stimuli, foresee_stimuli
-from feel321.stimuli.sets.manifest import check_stimuli, read_stimuli
+from feel321.stimuli.sets.build import Foreseen, build_stimuli, foresee_stimuli
+from feel321.stimuli.sets.manifest import StimulusSet, check_stimuli, read_stimuli
 from feel321.study.actuator.render import find_mix
-from feel321.study.actuator.rig import read_rig
-from feel321.study.folder import find_changes, is_in_use
+from feel321.study.actuator.rig import Rig, read_rig
+from feel321.study.folder import StudyFolder, find_changes, is_in_use
 from feel321.study.ledger.standing import write_roster
 from feel321.study.ratings import write_ratings
 from feel321.study.session.plan import PLAN_FILE, make_plan
@@ -35,7 +35,7 @@ from feel321.study.settings.read import (
     read_study_texts,
     try_recordings,
 )
-from feel321.study.settings.schema import count_groups
+from feel321.study.settings.schema import Settings, count_groups
 from feel321.study.strength import (
     Findings,
     find_clipping,
@@ -49,13 +49,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from feel321.stimuli.recording import Recording
-    from feel321.stimuli.sets.build import Foreseen
-    from feel321.stimuli.sets.manifest import StimulusSet
     from feel321.stimuli.sets.recipe import Recipe
-    from feel321.study.actuator.rig import Rig
-    from feel321.study.folder import StudyFolder
     from feel321.study.session.journal import Clock
-    from feel321.study.settings.schema import Settings
 
     Progress = Callable[[int, int], None]
 

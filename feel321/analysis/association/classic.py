@@ -1,11 +1,10 @@
 """Classic tests, for comparison with the literature: two correlations that share a variable, and repeated measures."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from feel321.analysis.arrays import (
     FLAT,
@@ -17,14 +16,8 @@ from feel321.analysis.arrays import (
     read_array,
     read_groups,
 )
-from feel321.analysis.table.items import is_tidy, open_tests
+from feel321.analysis.table.items import Table, is_tidy, open_tests
 from feel321.records import Result
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    from feel321.analysis.table.items import Table
-
 
 FEWEST = 4
 """Cases that Fisher's z and Williams' t need at least: both divide by n - 3."""

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from feel321.analysis.mixed.design import build_design, read_new_rows
+from feel321.analysis.mixed.design import Block, MixedDesign, build_design, read_new_rows
 from feel321.analysis.mixed.optimum import (
     Balanced,
     Profile,
+    State,
     find_balance,
     find_coefficients,
     find_modes,
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
 
     from pandas import DataFrame
 
-    from feel321.analysis.mixed.design import Block, MixedDesign
-    from feel321.analysis.mixed.optimum import State
     from feel321.types import Samples
 
 STEP = 1e-4

@@ -25,32 +25,26 @@ are the same for everybody and stand in the mean alone. The restricted likelihoo
 whatever P is; it is the same function of theta as `Profile`'s, to rounding.
 """
 
-from __future__ import annotations
-
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from threading import Lock
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from feel321.analysis.mixed.design import (
+    Factor,
+    MixedDesign,
     find_penalised,
     pick_blocks,
     place_factors,
     scale_columns,
     spread_columns,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from feel321.analysis.mixed.design import Factor, MixedDesign
-    from feel321.types import Samples
-
+from feel321.types import Samples
 
 MOST_LEVELS = 10_000
 """Effects beside the largest factor's: with more, the dense equations alone need gigabytes."""

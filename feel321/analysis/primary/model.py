@@ -9,7 +9,7 @@ each time in words; never because a test says that a spread may be zero.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from feel321.analysis.mixed.design import build_design
-from feel321.analysis.mixed.model import list_spreads, report_fit, solve_design
+from feel321.analysis.mixed.model import MixedFit, Solved, list_spreads, report_fit, solve_design
 from feel321.analysis.primary.plan import (
     ALIKE,
     ITEM,
@@ -38,11 +38,8 @@ from feel321.files import write_text
 from feel321.records import Result
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from pandas import DataFrame
 
-    from feel321.analysis.mixed.model import MixedFit, Solved
     from feel321.analysis.table.items import Table
     from feel321.types import PathLike
 

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from feel321.analysis.screening.screen import screen_raters
-from feel321.analysis.table.items import leave_rejected, open_ratings
+from feel321.analysis.screening.screen import Screening, screen_raters
+from feel321.analysis.table.items import Table, leave_rejected, open_ratings
 from feel321.records import Result
 
 if TYPE_CHECKING:
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     from pandas import DataFrame
 
-    from feel321.analysis.screening.screen import Screening
-    from feel321.analysis.table.items import Table
     from feel321.types import Rng
 
 NONE = float("nan")

@@ -21,7 +21,7 @@ import numpy as np
 
 from feel321.analysis.arrays import read_numbers
 from feel321.analysis.mixed.model import note_zeros
-from feel321.analysis.primary.model import adjust_holm, fit_slopes
+from feel321.analysis.primary.model import Primary, adjust_holm, fit_slopes
 from feel321.analysis.primary.plan import (
     ITEM,
     KEYS,
@@ -42,7 +42,6 @@ if TYPE_CHECKING:
 
     from pandas import DataFrame, Series
 
-    from feel321.analysis.primary.model import Primary
     from feel321.types import Samples
 
 

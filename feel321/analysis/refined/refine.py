@@ -11,6 +11,7 @@ from feel321.analysis.agreement import find_ceiling
 from feel321.analysis.refined.candidates import (
     EQUAL,
     GROUPS,
+    Basis,
     SearchData,
     Searched,
     average_groups,
@@ -23,7 +24,7 @@ from feel321.analysis.refined.candidates import (
     sum_moments,
 )
 from feel321.analysis.resampling import BLOCK, bootstrap_margin, draw_counts, fisher_z
-from feel321.analysis.table.items import Table, make_items
+from feel321.analysis.table.items import Items, Table, make_items
 from feel321.doors import as_rng
 from feel321.records import Result
 
@@ -33,8 +34,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from pandas import DataFrame
 
-    from feel321.analysis.refined.candidates import Basis
-    from feel321.analysis.table.items import Items
     from feel321.types import Rng
 
     Values = NDArray[np.float64]

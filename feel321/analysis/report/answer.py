@@ -17,12 +17,13 @@ from feel321.analysis.primary.sensitivity import (
     NOT_ESTIMABLE,
     OPEN,
     PREDICTS,
+    Influence,
     SlopePrecision,
     conclude,
     find_own,
     find_variances,
 )
-from feel321.analysis.report.parts import ITEM, SIGNIFICANCE, format_p
+from feel321.analysis.report.parts import ITEM, SIGNIFICANCE, RatingsPart, format_p
 from feel321.analysis.report.section import METRIC, RATINGS, Column, TableForm
 from feel321.analysis.table.items import format_recordings
 from feel321.analysis.words import (
@@ -39,14 +40,11 @@ from feel321.analysis.words import (
 
 if TYPE_CHECKING:
     from feel321.analysis.primary.model import Primary
-    from feel321.analysis.report.parts import RatingsPart
 
     Row = dict[Any, Any]
     from collections.abc import Iterator, Sequence
 
     from pandas import DataFrame
-
-    from feel321.analysis.primary.sensitivity import Influence
 
 
 NEEDS = {

@@ -14,12 +14,18 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis.agreement import SMALLEST
-from feel321.analysis.association.correlate import correlate, make_panel
+from feel321.analysis.association.correlate import (
+    Association,
+    Difference,
+    Panel,
+    correlate,
+    make_panel,
+)
 from feel321.analysis.figures.scatter import CUT, count_clipped, draw_mapping, draw_scatter
-from feel321.analysis.figures.style import assign_looks
+from feel321.analysis.figures.style import Look, assign_looks
 from feel321.analysis.p1401 import p1401
 from feel321.analysis.primary.sensitivity import NOT_ESTIMABLE, OPEN, PREDICTS
-from feel321.analysis.report.parts import split_parts
+from feel321.analysis.report.parts import Choices, RatingsPart, split_parts
 from feel321.analysis.report.section import (
     INTERVAL,
     MEAN,
@@ -37,12 +43,13 @@ from feel321.analysis.report.section import (
 )
 from feel321.analysis.table.items import make_items
 from feel321.analysis.table.notes import SPACE, note_apart
-from feel321.analysis.table.reading import order_reducers
+from feel321.analysis.table.reading import Table, order_reducers
 from feel321.analysis.table.schema import APART, PAIRED, describe_explored
 from feel321.analysis.words import (
     COUNT,
     ONE_WAY,
     TWO_WAY,
+    Claim,
     Line,
     capitalise,
     format_estimate,
@@ -55,12 +62,6 @@ from feel321.analysis.words import (
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
-
-    from feel321.analysis.association.correlate import Association, Difference, Panel
-    from feel321.analysis.figures.style import Look
-    from feel321.analysis.report.parts import Choices, RatingsPart
-    from feel321.analysis.table.reading import Table
-    from feel321.analysis.words import Claim
 
     Row = dict[str, Any]
 

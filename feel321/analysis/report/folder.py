@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis.figures.style import save_figure
-from feel321.analysis.report.section import inline_svg
+from feel321.analysis.report.section import Picture, inline_svg
 from feel321.doors import as_path
 
 if TYPE_CHECKING:
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from markupsafe import Markup
     from pandas import DataFrame
 
-    from feel321.analysis.report.section import Picture
     from feel321.types import PathLike
 
 PAGE, RESULTS = "index.html", "results.json"

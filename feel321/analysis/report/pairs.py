@@ -11,11 +11,12 @@ import numpy as np
 from feel321.analysis.contrasts.discrimination import discriminate_pairs
 from feel321.analysis.figures.scatter import draw_discrimination, draw_space
 from feel321.analysis.primary.model import adjust_holm
-from feel321.analysis.report.parts import SIGNIFICANCE
+from feel321.analysis.report.parts import SIGNIFICANCE, Choices
 from feel321.analysis.report.section import (
     NAME,
     TEXT,
     Column,
+    PageTable,
     Picture,
     Section,
     TableForm,
@@ -23,12 +24,13 @@ from feel321.analysis.report.section import (
     read_methods,
 )
 from feel321.analysis.space import (
+    Ellipses,
     align_spaces,
     bootstrap_space,
     regress_attributes,
     stress_by_dimension,
 )
-from feel321.analysis.table.reading import order_reducers
+from feel321.analysis.table.reading import Table, order_reducers
 from feel321.analysis.table.schema import ANSWERED, APART, PAIRED
 from feel321.analysis.words import COUNT, Line, count_number, format_name, format_number
 
@@ -37,11 +39,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
     from pandas import DataFrame
-
-    from feel321.analysis.report.parts import Choices
-    from feel321.analysis.report.section import PageTable
-    from feel321.analysis.space import Ellipses
-    from feel321.analysis.table.reading import Table
 
     Row = dict[str, Any]
 

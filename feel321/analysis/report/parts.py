@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from feel321.analysis.primary.model import FEW, fit_primary
+from feel321.analysis.primary.model import FEW, Primary, fit_primary
 from feel321.analysis.table.items import find_sources
 from feel321.analysis.table.schema import APART
 from feel321.analysis.words import format_name, format_number, format_ratings, name_path
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
     from pandas import DataFrame, Series
 
-    from feel321.analysis.primary.model import Primary
     from feel321.analysis.table.reading import Table
 
 ITEM, SIGNIFICANCE = "item", 0.05

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from feel321.analysis.association.correlate import correlate
 from feel321.analysis.figures.estimates import draw_slopes
 from feel321.analysis.figures.scatter import draw_residuals
-from feel321.analysis.primary.model import fit_primary, tabulate_slopes
+from feel321.analysis.primary.model import Primary, fit_primary, tabulate_slopes
 from feel321.analysis.primary.sensitivity import find_candidates, measure_influence
 from feel321.analysis.report.answer import (
     NEEDED,
@@ -19,7 +19,7 @@ from feel321.analysis.report.answer import (
     describe_need,
     find_needs,
 )
-from feel321.analysis.report.parts import ITEM, thin_parts
+from feel321.analysis.report.parts import ITEM, Choices, RatingsPart, thin_parts
 from feel321.analysis.report.section import (
     DF,
     METRIC,
@@ -29,6 +29,7 @@ from feel321.analysis.report.section import (
     TEXT,
     Column,
     P,
+    PageTable,
     Picture,
     Section,
     TableForm,
@@ -38,16 +39,12 @@ from feel321.analysis.report.section import (
     stack,
 )
 from feel321.analysis.table.schema import STAND_INS
-from feel321.analysis.words import COUNT, TWO_WAY, Line
+from feel321.analysis.words import COUNT, TWO_WAY, Claim, Line
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from feel321.analysis.primary.model import Primary
-    from feel321.analysis.report.parts import Choices, RatingsPart
-    from feel321.analysis.report.section import PageTable
     from feel321.analysis.table.reading import Table
-    from feel321.analysis.words import Claim
 
     Row = dict[Any, Any]
     Fits = Mapping[str, tuple[RatingsPart, Primary]]

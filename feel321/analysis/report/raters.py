@@ -6,7 +6,14 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis.figures.choices import draw_raters
-from feel321.analysis.report.parts import find_repeat_sd, fit_rest, split_parts, thin_parts
+from feel321.analysis.report.parts import (
+    Choices,
+    RatingsPart,
+    find_repeat_sd,
+    fit_rest,
+    split_parts,
+    thin_parts,
+)
 from feel321.analysis.report.section import (
     METRIC,
     NAME,
@@ -21,15 +28,13 @@ from feel321.analysis.report.section import (
     read_methods,
 )
 from feel321.analysis.screening.rules import RULES
-from feel321.analysis.screening.screen import screen_raters
+from feel321.analysis.screening.screen import Screening, screen_raters
 from feel321.analysis.table.schema import APART, PAIR
 from feel321.analysis.words import COUNT, count_number, format_name, name_path
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterator
 
-    from feel321.analysis.report.parts import Choices, RatingsPart
-    from feel321.analysis.screening.screen import Screening
     from feel321.analysis.table.reading import Table
 
 KEY, TITLE = "raters", "Raters"

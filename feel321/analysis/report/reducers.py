@@ -11,6 +11,7 @@ import numpy as np
 
 from feel321.analysis.agreement import SMALLEST
 from feel321.analysis.contrasts.compare import (
+    Equivalence,
     equivalence,
     non_inferiority,
     participant_means,
@@ -24,6 +25,8 @@ from feel321.analysis.primary.plan import make_cells
 from feel321.analysis.report.parts import (
     ITEM,
     SIGNIFICANCE,
+    Choices,
+    RatingsPart,
     count_units,
     describe_reach,
     find_repeat_sd,
@@ -49,7 +52,7 @@ from feel321.analysis.report.section import (
     read_methods,
 )
 from feel321.analysis.table.items import find_sources
-from feel321.analysis.table.reading import order_reducers
+from feel321.analysis.table.reading import Table, order_reducers
 from feel321.analysis.table.schema import ANSWERED, PAIR, ROLES
 from feel321.analysis.words import (
     COUNT,
@@ -66,10 +69,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from pandas import DataFrame
-
-    from feel321.analysis.contrasts.compare import Equivalence
-    from feel321.analysis.report.parts import Choices, RatingsPart
-    from feel321.analysis.table.reading import Table
 
     Row = dict[Any, Any]
 

@@ -11,11 +11,11 @@ import numpy as np
 from feel321.analysis.figures.choices import draw_multiverse
 from feel321.analysis.figures.estimates import draw_slopes
 from feel321.analysis.primary.model import fit_primary
-from feel321.analysis.primary.multiverse import UniverseEstimate, run_multiverse
+from feel321.analysis.primary.multiverse import Multiverse, UniverseEstimate, run_multiverse
 from feel321.analysis.primary.sensitivity import vary_primary
 from feel321.analysis.refined.candidates import EQUAL
-from feel321.analysis.refined.refine import refine_metric
-from feel321.analysis.report.parts import ITEM, fit_rest, split_parts
+from feel321.analysis.refined.refine import Refined, refine_metric
+from feel321.analysis.report.parts import ITEM, Choices, RatingsPart, fit_rest, split_parts
 from feel321.analysis.report.section import (
     METRIC,
     NAME,
@@ -46,9 +46,6 @@ if TYPE_CHECKING:
 
     from pandas import DataFrame
 
-    from feel321.analysis.primary.multiverse import Multiverse
-    from feel321.analysis.refined.refine import Refined
-    from feel321.analysis.report.parts import Choices, RatingsPart
     from feel321.analysis.table.reading import Table
 
     Row = dict[Any, Any]

@@ -19,6 +19,9 @@ from feel321.analysis.words import (
     COUNT,
     SATTERTHWAITE,
     STUDENT,
+    Claim,
+    Line,
+    Number,
     capitalise,
     count_number,
     format_estimate,
@@ -36,7 +39,6 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.analysis.association.correlate import Panel
-    from feel321.analysis.words import Claim, Line, Number
 
     Record = Mapping[Any, Any]
     from markupsafe import Markup

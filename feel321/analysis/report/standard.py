@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from feel321.analysis.association.classic import compare_dependent, repeated_measures_correlation
-from feel321.analysis.p1401 import compare_p1401, p1401
-from feel321.analysis.report.parts import split_parts
+from feel321.analysis.p1401 import P1401, compare_p1401, p1401
+from feel321.analysis.report.parts import Choices, RatingsPart, split_parts
 from feel321.analysis.report.section import (
     METRIC,
     RATINGS,
@@ -21,15 +21,12 @@ from feel321.analysis.report.section import (
     TableForm,
     read_methods,
 )
-from feel321.analysis.table.items import make_items
+from feel321.analysis.table.items import Items, make_items
 from feel321.analysis.words import COUNT
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from feel321.analysis.p1401 import P1401
-    from feel321.analysis.report.parts import Choices, RatingsPart
-    from feel321.analysis.table.items import Items
     from feel321.analysis.table.reading import Table
 
 ORDERS = (1, 3)

@@ -26,11 +26,11 @@ from feel321.analysis.report import (
 )
 from feel321.analysis.report.folder import ResultsFolder, list_files
 from feel321.analysis.report.parts import Choices
-from feel321.analysis.report.section import number_pictures, render_template
+from feel321.analysis.report.section import Section, number_pictures, render_template
 from feel321.analysis.screening.rules import RULES
 from feel321.analysis.table.items import find_sources, format_recordings
-from feel321.analysis.table.reading import ROSTER_FILE, read_table
-from feel321.analysis.words import Line, Number, count_number, format_note
+from feel321.analysis.table.reading import ROSTER_FILE, Further, Table, read_table
+from feel321.analysis.words import Claim, Line, Number, count_number, format_note
 from feel321.doors import as_path, as_seed, follow
 from feel321.records import Result
 
@@ -40,9 +40,6 @@ if TYPE_CHECKING:
     from markupsafe import Markup
     from pandas import DataFrame
 
-    from feel321.analysis.report.section import Section
-    from feel321.analysis.table.reading import Further, Table
-    from feel321.analysis.words import Claim
     from feel321.types import PathLike, Progress, Rng
 
 

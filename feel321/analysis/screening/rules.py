@@ -13,7 +13,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -22,17 +22,13 @@ import numpy as np
 
 from feel321.analysis.arrays import FLAT, read_numbers
 from feel321.analysis.resampling import FEWEST_ITEMS
-from feel321.analysis.screening.judgements import FLOOR, SAME_POINTS
+from feel321.analysis.screening.judgements import FLOOR, SAME_POINTS, Judgements
 from feel321.analysis.table.schema import HIGHEST
 from feel321.doors import check_name
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
     from numpy.typing import ArrayLike
     from pandas import DataFrame, Series
-
-    from feel321.analysis.screening.judgements import Judgements
 
 FEWEST_JUDGEMENTS = 8
 """With fewer judgements, or pairs of them, a habit cannot be told from chance."""

@@ -9,7 +9,12 @@ import numpy as np
 
 from feel321.analysis.agreement import SMALLEST, intraclass, krippendorff_alpha
 from feel321.analysis.arrays import read_numbers
-from feel321.analysis.screening.judgements import gauge_raters, key_stimulus, make_judgements
+from feel321.analysis.screening.judgements import (
+    Judgements,
+    gauge_raters,
+    key_stimulus,
+    make_judgements,
+)
 from feel321.analysis.screening.rules import (
     EXPERTISE,
     MOST_RATERS,
@@ -22,7 +27,7 @@ from feel321.analysis.screening.rules import (
     share_undegraded,
     tukey_fences,
 )
-from feel321.analysis.table.items import leave_rejected, name_stimuli, open_ratings
+from feel321.analysis.table.items import Table, leave_rejected, name_stimuli, open_ratings
 from feel321.doors import as_rng
 from feel321.records import Result
 
@@ -31,8 +36,6 @@ if TYPE_CHECKING:
 
     from pandas import DataFrame
 
-    from feel321.analysis.screening.judgements import Judgements
-    from feel321.analysis.table.items import Table
     from feel321.types import Rng
 
 FIGURES = ("icc_a_1", "icc_a_k", "icc_c_1", "icc_c_k", "alpha")

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from feel321.doors import as_names, as_seed, follow
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from feel321.analysis.table.reading import Table
     from feel321.analysis.tradeoff.advise.page import Advice
     from feel321.analysis.tradeoff.chart.compute import Chart

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis.report.folder import PAGE, ResultsFolder, list_files
-from feel321.analysis.report.section import render_template
+from feel321.analysis.report.section import Picture, render_template
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
 
     from pandas import DataFrame
 
-    from feel321.analysis.report.section import Picture
     from feel321.stimuli.recording import Recording
     from feel321.types import PathLike
 

@@ -6,24 +6,26 @@ but those plain arrays whose types and sizes hold. A child process that may die 
 start of Python per file.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import math
 import struct
 import tomllib
 import zlib
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from feel321.stimuli.formats.common import (
     ACCELERATION_SPELLINGS,
     RATE_KEYS,
     UNIT_KEYS,
     Decoded,
+    ReadingOptions,
     as_three_axes,
     foreign_errors,
     one_value,
@@ -40,15 +42,7 @@ from feel321.stimuli.formats.tables import (
     pick_columns,
 )
 from feel321.stimuli.recording import AXES, check_rate
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from feel321.stimuli.formats.common import ReadingOptions
-    from feel321.types import Samples
+from feel321.types import Samples
 
 ACCELERATION_KEYS = ("acceleration", "accel", "acc", "data", "tmp")
 """Names of an array of all three axes; `tmp` is that of the LMT-69 tapping recordings."""

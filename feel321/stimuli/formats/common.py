@@ -3,22 +3,17 @@
 A reader raises ValueError with a bare sentence; `read_recording` adds the file's name.
 """
 
-from __future__ import annotations
-
 import re
+from collections.abc import Container, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeVar
+from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from feel321.stimuli.recording import AXES, UNITS
-
-if TYPE_CHECKING:
-    from collections.abc import Container, Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from feel321.types import Samples
+from feel321.types import Samples
 
 Value = TypeVar("Value", float, str)
 

@@ -7,19 +7,21 @@
 - IDE (enDAQ), read by the optional package idelib.
 """
 
-from __future__ import annotations
-
 import io
 import re
 from collections import defaultdict
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from feel321.stimuli.formats.arrays import read_sidecar
+from feel321.stimuli.formats.arrays import Sidecar, read_sidecar
 from feel321.stimuli.formats.common import (
     ACCELERATION_SPELLINGS,
     Decoded,
+    ReadingOptions,
     foreign_errors,
     normalise,
     parse_unit,
@@ -28,17 +30,8 @@ from feel321.stimuli.formats.common import (
 )
 from feel321.stimuli.formats.tables import read_numbers, read_text, split_table
 from feel321.stimuli.recording import AXES, check_rate
-from feel321.stimuli.wav import read_wav, read_wav_header
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
-    from xml.etree.ElementTree import Element
-
-    from feel321.stimuli.formats.arrays import Sidecar
-    from feel321.stimuli.formats.common import ReadingOptions
-    from feel321.stimuli.wav import WavHeader
-    from feel321.types import Samples
+from feel321.stimuli.wav import WavHeader, read_wav, read_wav_header
+from feel321.types import Samples
 
 FULL_SCALE_NOTE = "integer WAV without full_scale: full scale taken as 1.0 in the unit"
 

@@ -3,14 +3,15 @@
 The first bytes decide which format a file is, and only then its suffix. What is noticed is never repaired.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from feel321.doors import as_path
 from feel321.files import file_named
@@ -25,14 +26,7 @@ from feel321.stimuli.formats.containers import (
 )
 from feel321.stimuli.formats.tables import read_table
 from feel321.stimuli.recording import UNITS, Recording, check_finite, check_rate
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from feel321.types import PathLike, Samples
+from feel321.types import PathLike, Samples
 
 MAGIC = {
     b"RIFF": "wav", b"RIFX": "wav", b"RF64": "wav",

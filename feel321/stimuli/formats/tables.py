@@ -4,16 +4,14 @@ Strict UTF-8, a sniffed delimiter, numbers by pandas, and the line of whatever i
 time is settled by name or by number, never by guess.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
@@ -21,18 +19,13 @@ from feel321.stimuli.formats.common import (
     ACCELERATION_SPELLINGS,
     TIME_SPELLINGS,
     Decoded,
+    ReadingOptions,
     parse_unit,
     refuse_reduced,
     split_unit,
 )
 from feel321.stimuli.recording import AXES
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from feel321.stimuli.formats.common import ReadingOptions
-    from feel321.types import Samples
+from feel321.types import Samples
 
 BLANKS = r"\s+"
 """Stands for any run of blanks as the delimiter, as pandas spells it."""

@@ -35,23 +35,16 @@ References
    for haptic rendering", EuroHaptics 2010, section 4. doi:10.1007/978-3-642-14075-4_12
 """
 
-from __future__ import annotations
-
 import math
+from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from feel321.stimuli.recording import admit, check_rate
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from feel321.types import Samples
-
+from feel321.types import Samples
 
 DEFAULT_WINDOW_S = 0.035
 """Window of 35 ms: the paper's value, 10 ms below the shortest delay noticed between sight and touch."""

@@ -30,6 +30,7 @@ from feel321.stimuli.recording import (
     SAFE_PEAK,
     Recording,
     Reduced,
+    Signal,
     as_signal,
     check_finite,
     check_rate,
@@ -43,7 +44,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from feel321.stimuli.recording import Signal
     from feel321.types import Reducer, Samples
 
     OnGap = Literal["raise", "hold", "zero"]

@@ -42,24 +42,15 @@ References
 .. [6] R. T. Verrillo, "Temporal summation in vibrotactile sensitivity", JASA 37(5), 1965. doi:10.1121/1.1909458
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from feel321.doors import Registry
 from feel321.stimuli.match import HIGHEST_HZ, LOWEST_HZ, WEBER_FRACTION, OriginalSpectrum
-from feel321.stimuli.recording import as_signal
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from feel321.stimuli.recording import Recording, Signal
-    from feel321.types import Samples
-
+from feel321.stimuli.recording import Recording, Signal, as_signal
+from feel321.types import Samples
 
 MOST_SENSITIVE_HZ = 250.0
 LEAST_DISPLACEMENT_M = 1e-7

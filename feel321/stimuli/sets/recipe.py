@@ -13,13 +13,13 @@ or, with a gain per recording, of each recording with its reductions, reference 
 the differences between recordings, but then the highest peak of any recording decides how strong all others are.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -27,18 +27,11 @@ from feel321 import __version__
 from feel321.doors import as_names, check_name
 from feel321.stimuli.condition import Conditioning, condition, fade, resample
 from feel321.stimuli.match import OriginalSpectrum, axis_correlations, mean_over_axes
-from feel321.stimuli.recording import check_rate, digest_samples, largest
+from feel321.stimuli.recording import Recording, check_rate, digest_samples, largest
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
 from feel321.stimuli.sets.anchors import ANCHORS, CONTACTOR, THRESHOLDS, loudest_level, to_db
 from feel321.stimuli.wav import write_wav
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from feel321.stimuli.recording import Recording
-    from feel321.types import Samples
-
+from feel321.types import Samples
 
 LEVELS = ("as_is", "equal_intensity")
 """Level arms: one physical gain, so that lost energy is felt as loss; or every stimulus brought to the same sensation

@@ -14,7 +14,7 @@ This module imports SQLAlchemy; import it where it is used, so that the command 
 from __future__ import annotations
 
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import Field, asdict, dataclass, field, fields, replace
 from itertools import count
 from shlex import quote
 from typing import TYPE_CHECKING
@@ -23,6 +23,8 @@ from sqlalchemy import (
     URL,
     Boolean,
     Column,
+    Connection,
+    Engine,
     Index,
     Integer,
     MetaData,
@@ -48,19 +50,21 @@ from feel321.study.ledger.standing import (
     read_standings,
     read_tombstone,
 )
-from feel321.study.session.journal import create_journal, read_journal, require_journal, utc_now
+from feel321.study.session.journal import (
+    Clock,
+    create_journal,
+    read_journal,
+    require_journal,
+    utc_now,
+)
 from feel321.study.session.plan import PARTICIPANT_ID, TOMBSTONE_FILE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
-    from dataclasses import Field
     from pathlib import Path
     from sqlite3 import Connection as SqliteConnection
 
-    from sqlalchemy import Connection, Engine
-
     from feel321.study.folder import StudyFolder
-    from feel321.study.session.journal import Clock
 
 PATIENCE_S = 60.0
 """How long a transaction waits for others to end."""

@@ -17,6 +17,7 @@ from feel321.study.columns import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS
 from feel321.study.session.events import PageRead, SessionFinished, SessionReleased
 from feel321.study.session.journal import (
     START,
+    Record,
     digest,
     find_events,
     find_header,
@@ -38,7 +39,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from feel321.study.folder import StudyFolder
-    from feel321.study.session.journal import Record
 
 ROSTER_FILE = "participants.csv"
 

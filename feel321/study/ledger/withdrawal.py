@@ -34,7 +34,14 @@ from feel321.study.ledger.standing import (
 )
 from feel321.study.ratings import write_ratings
 from feel321.study.session.events import SessionFinished, SessionReleased
-from feel321.study.session.journal import find_header, has_event, list_journals, require_journal
+from feel321.study.session.journal import (
+    Clock,
+    Journal,
+    find_header,
+    has_event,
+    list_journals,
+    require_journal,
+)
 from feel321.study.session.plan import TOMBSTONE_FILE
 
 if TYPE_CHECKING:
@@ -44,7 +51,6 @@ if TYPE_CHECKING:
     from sqlalchemy import Engine
 
     from feel321.study.folder import StudyFolder
-    from feel321.study.session.journal import Clock, Journal
 
 
 def withdraw_participant(

@@ -34,10 +34,10 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any
 
 from feel321.protocols.tasks import PROTOCOLS
-from feel321.protocols.trial import RATING_RANGE, SURFACE
+from feel321.protocols.trial import RATING_RANGE, SURFACE, Judgement, Page, Part, Scale, Trial
 from feel321.study.observer.percepts import Percept, compare_percepts
 from feel321.study.session.events import TrialRated
-from feel321.study.session.ports import Confirm, Feel, Playback
+from feel321.study.session.ports import Act, Confirm, Feel, Place, Playback
 from feel321.study.settings.fields import one_of
 from feel321.study.settings.schema import ObserverTable
 
@@ -46,10 +46,8 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-    from feel321.protocols.trial import Judgement, Page, Part, Scale, Trial
     from feel321.stimuli.sets.manifest import Stimulus
     from feel321.study.session.journal import Record
-    from feel321.study.session.ports import Act, Place
 
 # Simulated raters: careful ones, each with their own way of using a slider, and bad ones.
 

@@ -13,22 +13,27 @@ from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 from feel321.protocols.texts import read_scales
-from feel321.protocols.trial import RATING_RANGE, Page
+from feel321.protocols.trial import RATING_RANGE, Flow, Page, Part, Scale, Trial
 from feel321.records import Result
 from feel321.study.session import events
-from feel321.study.session.journal import find_elapsed, has_event
-from feel321.study.session.plan import advance, list_by_code, replay
-from feel321.study.session.ports import Abort, Confirm, Feel, Move, Pause, Place
+from feel321.study.session.journal import Journal, find_elapsed, has_event
+from feel321.study.session.plan import Plan, advance, list_by_code, replay
+from feel321.study.session.ports import (
+    Abort,
+    Confirm,
+    Feel,
+    Move,
+    Pause,
+    Place,
+    Playback,
+    Presenter,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
     from feel321.protocols.agenda import Agenda
-    from feel321.protocols.trial import Flow, Part, Scale, Trial
     from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
-    from feel321.study.session.journal import Journal
-    from feel321.study.session.plan import Plan
-    from feel321.study.session.ports import Playback, Presenter
 
 DEVICE_ERRORS = 2
 """Failures of the device in a row that end the session: trials must not be used up on a dead device."""

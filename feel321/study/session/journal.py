@@ -10,16 +10,16 @@ field. `previous` shows lines that were taken out, put in or moved; `sha256` sho
 the last one too.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
 import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from feel321.files import sync_folder
 from feel321.study.session.events import (
@@ -31,11 +31,7 @@ from feel321.study.session.events import (
     read_event,
 )
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
-    from pathlib import Path
-
-    Clock = Callable[[], datetime]
+Clock = Callable[[], datetime]
 
 START = "0" * 64
 """Stands in the first line for the digest of the line before."""

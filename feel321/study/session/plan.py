@@ -11,7 +11,12 @@ import base64
 import hashlib
 import json
 import re
-from collections.abc import Mapping  # noqa: TC003 - pydantic reads the annotations of a plan
+from collections.abc import (
+    Collection,
+    Iterable,
+    Iterator,
+    Mapping,  # pydantic reads the annotations of a plan
+)
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from datetime import datetime, timedelta
@@ -43,6 +48,10 @@ from feel321.study.session.events import (
     WarmUpBegun,
 )
 from feel321.study.session.journal import (
+    Chain,
+    Clock,
+    Journal,
+    Record,
     create_journal,
     digest,
     find_elapsed,
@@ -55,14 +64,12 @@ from feel321.study.session.journal import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator
     from pathlib import Path
 
     from pandas import DataFrame
     from pydantic import TypeAdapter
 
     from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
-    from feel321.study.session.journal import Chain, Clock, Journal, Record
 
 
 LEAST_LETTERS = 6

@@ -3,12 +3,12 @@
 A rule refuses with "must be ...; what to do"; `parse_toml` adds the place and the value that was found there.
 """
 
-from __future__ import annotations
-
 import json
 import tomllib
+from collections.abc import Collection, Sequence
 from difflib import get_close_matches
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeVar, get_args
+from pathlib import Path
+from typing import Annotated, Any, NoReturn, TypeVar, get_args
 
 from pydantic import (
     AfterValidator,
@@ -17,16 +17,10 @@ from pydantic import (
     Field,
     TypeAdapter,
     ValidationError,
+    ValidatorFunctionWrapHandler,
     WrapValidator,
 )
-from pydantic_core import PydanticCustomError
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
-    from pathlib import Path
-
-    from pydantic import ValidatorFunctionWrapHandler
-    from pydantic_core import ErrorDetails
+from pydantic_core import ErrorDetails, PydanticCustomError
 
 OFF = "off"
 """Switches a setting off: TOML has no null."""

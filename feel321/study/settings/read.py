@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from feel321.files import write_text
 from feel321.protocols.tasks import PROTOCOLS, make_task
 from feel321.protocols.texts import read_texts
-from feel321.protocols.trial import CHOOSING, SURFACE, Flow, Item, select_items, select_tasks
+from feel321.protocols.trial import CHOOSING, SURFACE, Flow, Item, Task, select_items, select_tasks
 from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.sets.recipe import NO_REFERENCE, Recipe
@@ -24,14 +24,12 @@ from feel321.study.session.journal import digest
 from feel321.study.session.plan import Design, Stale
 from feel321.study.session.ports import Surface
 from feel321.study.settings.fields import parse_toml
-from feel321.study.settings.schema import LANGUAGE_FILE, SceneTable, Settings
+from feel321.study.settings.schema import LANGUAGE_FILE, FileTable, SceneTable, Settings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from feel321.protocols.trial import Task
     from feel321.stimuli.recording import Recording
-    from feel321.study.settings.schema import FileTable
 
 
 MOST_TRIALS = 10_000

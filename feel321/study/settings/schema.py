@@ -4,12 +4,11 @@ Names of reducers, scenes, protocols, levels, units and languages are those of t
 stimuli or the protocols know under another name has that name as its `serialization_alias`.
 """
 
-from __future__ import annotations
-
 import re
+from collections.abc import Mapping
 from math import prod
 from pathlib import PurePath
-from typing import TYPE_CHECKING, Annotated, Self
+from typing import Annotated, Self
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
@@ -42,9 +41,6 @@ from feel321.study.settings.fields import (
     number_or,
     one_of,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 _FLOW, _RECIPE, _STEPS = Flow(), Recipe(), Conditioning()
 """What the floors below do where nothing is asked for: their defaults are the study's."""

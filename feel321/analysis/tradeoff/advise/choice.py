@@ -24,6 +24,7 @@ from feel321.analysis.tradeoff.advise.measures import (
     PROJECTION,
     Complexity,
     Contender,
+    MountedSegment,
     complete_scores,
     find_complexity,
     list_windows,
@@ -33,6 +34,9 @@ from feel321.analysis.tradeoff.advise.scene import (
     ALL_AXES,
     ANY,
     SHORTEST_S,
+    AdviceScene,
+    Context,
+    Rated,
     Shortfall,
     Verdict,
     compare,
@@ -44,8 +48,6 @@ from feel321.stimuli.sets.anchors import felt_level
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from feel321.analysis.tradeoff.advise.measures import MountedSegment
-    from feel321.analysis.tradeoff.advise.scene import AdviceScene, Context, Rated
     from feel321.stimuli.recording import Recording
     from feel321.types import Reducer, Samples
 

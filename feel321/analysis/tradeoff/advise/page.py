@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 from feel321 import __version__
 from feel321.analysis.figures import style
 from feel321.analysis.report.section import Picture
-from feel321.analysis.tradeoff.advise.choice import advise_scene, find_common
+from feel321.analysis.tradeoff.advise.choice import SceneAdvice, advise_scene, find_common
 from feel321.analysis.tradeoff.advise.measures import SEGMENT_S, TURNS
-from feel321.analysis.tradeoff.advise.scene import ANY, split_recording
+from feel321.analysis.tradeoff.advise.scene import ANY, Context, Rated, Verdict, split_recording
 from feel321.analysis.tradeoff.results import without_undefined, write_results
 from feel321.records import Result
 
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
-    from feel321.analysis.tradeoff.advise.choice import SceneAdvice
-    from feel321.analysis.tradeoff.advise.scene import Context, Rated, Verdict
     from feel321.stimuli.recording import Recording
     from feel321.types import PathLike
 

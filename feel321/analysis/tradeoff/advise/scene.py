@@ -49,7 +49,7 @@ import numpy as np
 from feel321.analysis.contrasts.compare import equivalence
 from feel321.analysis.mixed.model import contrast, fit_mixed
 from feel321.analysis.report.parts import find_repeat_sd, split_parts
-from feel321.analysis.tradeoff.advise.measures import TURNS_ALONG
+from feel321.analysis.tradeoff.advise.measures import TURNS_ALONG, Complexity, Scores
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -58,7 +58,6 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.analysis.table.reading import Table
-    from feel321.analysis.tradeoff.advise.measures import Complexity, Scores
     from feel321.stimuli.recording import Recording
 
 

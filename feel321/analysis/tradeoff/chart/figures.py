@@ -16,6 +16,7 @@ from feel321.analysis.tradeoff.chart.cost import NS, RATE_HZ
 from feel321.analysis.tradeoff.chart.points import (
     GROUPS,
     PAPER,
+    Tables,
     find_front,
     find_latency,
     list_records,
@@ -30,8 +31,6 @@ if TYPE_CHECKING:
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
     from pandas import DataFrame, Series
-
-    from feel321.analysis.tradeoff.chart.points import Tables
 
 CUT = -1.0
 """Accuracies below this are drawn at the edge: spectral match has no lower bound."""

@@ -20,6 +20,8 @@ from feel321.analysis.tradeoff.chart.cost import CALLS, NS, RATE_HZ, REFERENCE_N
 from feel321.analysis.tradeoff.chart.points import (
     GROUPS,
     MEASURES,
+    Record,
+    Tables,
     find_reference,
     list_records,
     make_table,
@@ -43,7 +45,6 @@ if TYPE_CHECKING:
 
     from pandas import DataFrame
 
-    from feel321.analysis.tradeoff.chart.points import Record, Tables
     from feel321.stimuli.recording import Recording
     from feel321.types import PathLike
 

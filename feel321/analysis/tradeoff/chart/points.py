@@ -10,19 +10,19 @@ each kind is one point. Ratings are not merged: people rated each axis as the se
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
     from numpy.typing import ArrayLike, NDArray
     from pandas import DataFrame
 
-    Tables = Mapping[str, DataFrame]
-    Record = Mapping[str, Any]
+
+Tables: TypeAlias = "Mapping[str, DataFrame]"
+Record = Mapping[str, Any]
 
 MEASURES = (
     "spectral_match", "temporal_match",

@@ -5,21 +5,16 @@ fail by which measure, and tests check it. The first scene is the control, an or
 there fails everywhere.
 """
 
-from __future__ import annotations
-
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from feel321.stimuli.recording import STANDARD_GRAVITY, Recording
 from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from feel321.types import Samples
+from feel321.types import Samples
 
 RATE_HZ = 4000.0
 N_SAMPLES = 4000

@@ -14,13 +14,12 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from feel321.analysis.tradeoff.stress.battery import BATTERY
-from feel321.analysis.tradeoff.stress.measures import MEASURES
+from feel321.analysis.tradeoff.stress.measures import MEASURES, StressCell
 from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from feel321.analysis.tradeoff.stress.measures import StressCell
     from feel321.stimuli.recording import Recording
     from feel321.types import Samples
 

@@ -9,8 +9,8 @@ from feel321.analysis.figures import style
 from feel321.analysis.report.section import PageTable
 from feel321.analysis.tradeoff.stress.battery import BATTERY
 from feel321.analysis.tradeoff.stress.diagnosis import SIGNS
-from feel321.analysis.tradeoff.stress.measures import MEASURES
-from feel321.analysis.tradeoff.stress.result import MOVED, count_failures, find_reason
+from feel321.analysis.tradeoff.stress.measures import MEASURES, StressCell
+from feel321.analysis.tradeoff.stress.result import MOVED, StressResult, count_failures, find_reason
 from feel321.analysis.words import ABSENT, MINUS
 
 if TYPE_CHECKING:
@@ -18,9 +18,6 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from feel321.analysis.tradeoff.stress.measures import StressCell
-    from feel321.analysis.tradeoff.stress.result import StressResult
 
 FIGURE = "stress"
 WIDTH_CM = 2 * style.COLUMN_CM + 0.8

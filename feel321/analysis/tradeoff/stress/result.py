@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from feel321.analysis.tradeoff.stress.battery import BATTERY
-from feel321.analysis.tradeoff.stress.diagnosis import SIGNS, SINGLE_AXES, list_warnings
-from feel321.analysis.tradeoff.stress.measures import MEASURES
+from feel321.analysis.tradeoff.stress.diagnosis import SIGNS, SINGLE_AXES, Diagnosis, list_warnings
+from feel321.analysis.tradeoff.stress.measures import MEASURES, StressCell
 from feel321.records import Result
 from feel321.stimuli.match import METRICS, axis_correlations, mean_over_axes
 from feel321.stimuli.rotation import INVARIANTS, random_rotations
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
     from pandas import DataFrame
 
-    from feel321.analysis.tradeoff.stress.diagnosis import Diagnosis
-    from feel321.analysis.tradeoff.stress.measures import StressCell
     from feel321.stimuli.recording import Recording
     from feel321.types import Reducer
 
