@@ -108,14 +108,14 @@ def list_devices() -> list[Device]:
     ]
 
 
-def list_rates(device: Device, *, n_channels: int, rates_hz: Sequence[float]) -> list[float]:
-    """List the rates at which a device would play, of those that are tried."""
-    sounddevice, settings = _load(), {"device": device.index, "channels": n_channels}
+def list_rates(device: Device, rates_hz: Sequence[float]) -> list[float]:
+    """List the rates at which a device would play on one channel, of those that are tried."""
+    sounddevice, settings = _load(), {"device": device.index, "channels": 1, "dtype": "float32"}
     taken = []
     with _silence_stderr():
         for rate_hz in rates_hz:
             with suppress(sounddevice.PortAudioError):
-                sounddevice.check_output_settings(**settings, samplerate=rate_hz, dtype="float32")
+                sounddevice.check_output_settings(**settings, samplerate=rate_hz)
                 taken.append(rate_hz)
     return taken
 
@@ -399,9 +399,6 @@ class DeviceStream:
     def _refill(self, waited_s: float, *, block_s: float) -> bool:
         """Count a block, and return whether the device had waited for it longer than it had samples for."""
         left_s = self._held_s - waited_s
-        self._held_s = (
-            self.latency_s + block_s
-            if left_s < 0
-            else min(self.latency_s, left_s) + block_s * DRIFT
-        )
+        held_s = min(self.latency_s, left_s) + block_s * DRIFT
+        self._held_s = self.latency_s + block_s if left_s < 0 else held_s
         return left_s < 0
