@@ -26,7 +26,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 RECORDINGS = Path(__file__).resolve().parents[2] / "shared" / "recordings"
 
 
-DEVICES = {"seat", "screen", "sound", "pulse"}
+DEVICES = {"seat", "screen", "sound", "pulse", "pulses"}
 """Fixtures that start a participant's screen or a sound server."""
 
 TOGETHER = ("tests/analysis/stress", "tests/analysis/chart")

@@ -369,6 +369,37 @@ def test_a_stop_is_measured_and_told_though_the_device_is_slow(
 
 
 @pytest.mark.usefixtures("sounddevice")
+def test_a_stop_is_measured_from_the_first_of_several(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    session = Clock()
+    output, stream = open_output(monkeypatch, tmp_path, clock=session)
+    output.start("a", gap_s=0.0)
+    stream.ask()
+    output.stop()
+    session.wait(0.05)
+    output.stop()
+    while output.is_playing:
+        stream.ask()
+    assert output.collect().measured["stop_s"] == pytest.approx(0.104 + 0.1)
+
+
+@pytest.mark.usefixtures("sounddevice")
+def test_what_a_device_still_held_when_it_died_was_not_felt(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    output, stream = open_output(monkeypatch, tmp_path)
+    output.start("a", gap_s=0.0)
+    stream.ask()
+    stream.ask()
+    stream.active = False
+    assert not output.is_playing
+    delivery = output.collect()
+    assert (delivery.completed, delivery.measured["n_samples"]) == (False, 150)
+    assert delivery.error.startswith("device 'coils' stopped")
+
+
+@pytest.mark.usefixtures("sounddevice")
 def test_a_device_that_dies_while_clocks_are_compared_leaves_no_nan(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
