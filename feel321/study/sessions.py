@@ -27,7 +27,7 @@ from feel321.protocols.texts import read_scales
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, read_stimuli
 from feel321.study.actuator.rig import FILE_DEVICE, Rig, identify, read_rig, take_device
 from feel321.study.folder import StudyFolder, find_changes
-from feel321.study.ledger.progress import check_anchors
+from feel321.study.ledger.progress import Anchor, check_anchors
 from feel321.study.ledger.slots import claim_slots, note_progress, open_study_ledger, read_ledger
 from feel321.study.observer.participant import (
     SPECTRAL,
@@ -162,9 +162,7 @@ class _Keeper:
             note_progress(
                 self.ledger,
                 self.journal.path.parent.name,
-                journal=self.journal.path.name,
-                lines=len(self.journal.records),
-                tip=self.journal.tip,
+                anchor=Anchor(self.journal.path.name, len(self.journal.records), self.journal.tip),
                 done=self.place.done,
                 total=self.place.total,
                 state="finished" if is_finished else "running",

@@ -64,15 +64,9 @@ NODES = 15  # of the quadrature over gains and over sizes of the noise
 
 
 class ObserverModel(ObserverTable):
-    """How simulated participants feel, and how they differ. A weight of 0 plants no effect.
+    """How simulated participants feel, and how they differ; the template of `study.toml` explains every number.
 
-    intercept: percept of a stimulus that matches in nothing, in points; spectral, temporal: what a perfect match adds,
-    in points; bias_sd: standard deviation of the participants' biases, in points; noise_sd: median size of their noise,
-    in points; threshold_spectral: points lost per dB of threshold-weighted spectral distance from the original, or
-    whatever the reference is; level: points per dB of felt level above that of the original; lapse_rate: share of
-    answers that have nothing to do with what was felt; straight_liners, random_clickers, scale_reversers: shares of the
-    participants who are such bad raters; spectral_metric: 1 counts as 0 where it is negative: a slope on it is planted
-    from 0 to 1 only.
+    spectral_metric: counts as 0 where it is negative, so that a slope on it is planted from 0 to 1 only.
     """
 
     spectral_metric: Annotated[str, one_of(SPECTRAL)] = SPECTRAL[0]

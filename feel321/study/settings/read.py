@@ -362,8 +362,6 @@ def _write(value: object) -> str:
     if isinstance(value, dict):
         inner = ", ".join(f"{json.dumps(key)} = {_write(one)}" for key, one in value.items())
         return f"{{ {inner} }}"
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_write, value))}]"
     return json.dumps(value, ensure_ascii=False)
 
 

@@ -24,10 +24,10 @@ from feel321.stimuli.sets.anchors import THRESHOLDS
 from feel321.stimuli.sets.recipe import GAINS, LEVELS, NO_REFERENCE, ORIGINAL, Recipe, check_names
 from feel321.stimuli.synthesis import SCENES
 from feel321.study import columns
-from feel321.study.session.plan import POLICIES
+from feel321.study.session.plan import POLICIES, Stale
 from feel321.study.settings import fields as kinds
 
-_FLOW, _RECIPE, _STEPS = Flow(), Recipe(), Conditioning()
+_FLOW, _STALE, _RECIPE, _STEPS = Flow(), Stale(), Recipe(), Conditioning()
 """What the floors below do where nothing is asked for: their defaults are the study's."""
 
 # Factors in which participants differ.
@@ -131,8 +131,10 @@ class QualityTable(kinds.TomlTable):
 class StaleTable(kinds.TomlTable):
     """`[session.stale]`: what becomes of a session that is resumed late."""
 
-    after_h: Annotated[Annotated[kinds.Positive, Field(le=8760)] | None, kinds.OrOff] = 6.0
-    policy: Annotated[str, kinds.one_of(POLICIES)] = "warm_up"
+    after_h: Annotated[Annotated[kinds.Positive, Field(le=8760)] | None, kinds.OrOff] = (
+        _STALE.after_h
+    )
+    policy: Annotated[str, kinds.one_of(POLICIES)] = _STALE.policy
 
 
 class SessionTable(kinds.TomlTable):
