@@ -56,7 +56,6 @@ from feel321.study.settings.read import (
     make_design,
     make_identity,
     make_recipe,
-    make_stale,
     read_settings,
     read_study_texts,
 )
@@ -204,7 +203,9 @@ def open_room(
     """Open the shared surroundings of a study's sessions."""
     ledger, notice = open_study_ledger(study, now=now)
     scales = read_scales(find_language(settings, study.path))
-    return Room(study, stimuli, scales, ledger, make_stale(settings), now), notice
+    return Room(
+        study, stimuli, scales, ledger, Stale(**settings.session.stale.model_dump()), now
+    ), notice
 
 
 def plan_sessions(

@@ -346,17 +346,11 @@ def find_lost(study: StudyFolder) -> list[str]:
 
 def make_entry(own: progress.Progress) -> Entry:
     """Make the entry of a participant from plan and journals."""
-    return Entry(
-        participant=own.participant,
-        simulated=own.simulated,
-        number=own.number,
-        state=own.state,
-        done=own.done,
-        # The ledger learns the total with the first line that it sees.
-        total=own.total if own.anchors else 0,
-        anchors=own.anchors,
-        claimed_utc=own.first_utc,
-    )
+    total = (
+        own.total if own.anchors else 0
+    )  # The ledger learns it with the first line that it sees.
+    known = (own.participant, own.simulated, own.number, own.state, own.done, total, own.anchors)
+    return Entry(*known, claimed_utc=own.first_utc)
 
 
 def _log_forgotten(study: StudyFolder, lines: Sequence[str], *, now: Clock) -> None:

@@ -29,7 +29,9 @@ stimuli, pages and answers take, so that a session of an hour is over in a secon
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from dataclasses import dataclass
+from itertools import accumulate
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -182,16 +184,9 @@ def draw_rater(model: ObserverModel, rng: np.random.Generator) -> Rater:
     """Draw a participant."""
     bias, gain = rng.normal(0, model.bias_sd), rng.lognormal(0, model.gain_sd)
     noise_sd = model.noise_sd * rng.lognormal(0, model.noise_spread)
-    place, kind = rng.random(), NORMAL
-    for bad, share in (
-        (STRAIGHT_LINER, model.straight_liners),
-        (RANDOM_CLICKER, model.random_clickers),
-        (SCALE_REVERSER, model.scale_reversers),
-    ):
-        if place < share:
-            kind = bad
-            break
-        place -= share
+    shares = (model.straight_liners, model.random_clickers, model.scale_reversers)
+    place = bisect_right(list(accumulate(shares)), rng.random())
+    kind = (STRAIGHT_LINER, RANDOM_CLICKER, SCALE_REVERSER, NORMAL)[place]
     return Rater(kind, bias, gain, noise_sd, model.lapse_rate, favourite=rng.uniform(0.2, 0.8))
 
 
