@@ -88,7 +88,10 @@ def make_judgements(ratings: DataFrame, *, assumed: str = "") -> Judgements:
 
     named = _check_ratings(ratings)
     if "repeat" in ratings:
-        ratings = ratings.sort_values("repeat", kind="stable")
+        # As text 10 comes before 2; what is no number keeps its place in the table, behind all numbers.
+        ratings = ratings.sort_values(
+            "repeat", kind="stable", key=lambda turns: pd.to_numeric(turns, errors="coerce")
+        )
     excerpt = [name for name in ("scale", "recording", "level") if name in ratings] or named
     item = ["scale", *key_stimulus(ratings)] if "scale" in ratings else key_stimulus(ratings)
     excerpts, items = (

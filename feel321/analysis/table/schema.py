@@ -178,11 +178,6 @@ def describe_explored(metrics: Sequence[str]) -> dict[str, ColumnInfo]:
     return {name: column for name, column in others.items() if name not in metrics}
 
 
-def describe_ratings() -> dict[str, ColumnInfo]:
-    """List the columns that a table of ratings may have."""
-    return {**RATINGS, **describe_further()}
-
-
 def describe_manifest(metrics: Sequence[str] = ()) -> dict[str, ColumnInfo]:
     """List the columns that a manifest may have, with the metrics that a study declares."""
     declared = {name: ColumnInfo("a metric that the study declares") for name in metrics}

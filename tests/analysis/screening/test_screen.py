@@ -371,3 +371,12 @@ def test_without_repeats_only_agreement_is_gauged() -> None:
     gauge = screen_raters(panel(repeats=1), rules=[EXPERTISE], rng=np.random.default_rng(0)).gauge
     assert gauge.loc[gauge["value"].notna(), "measure"].unique().tolist() == ["agreement"]
     assert gauge.loc[gauge["value"].isna(), ["floor", "p"]].isna().all(axis=None)
+
+
+def test_repeats_are_counted_not_spelt() -> None:
+    """As `read_table` gives them they are text, in which 10 comes before 2."""
+    table = panel(people=5, repeats=10).sample(frac=1, random_state=1)
+    spelt = table.assign(repeat=table["repeat"].astype(str))
+    rules = ["test_retest", "repeat_sd"]
+    one, other = (screen_raters(rows, rules).table for rows in (table, spelt))
+    pd.testing.assert_frame_equal(one, other)
