@@ -6,23 +6,21 @@ screening); the measures are defined here, because the data need not be balanced
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from feel321.analysis.resampling import FEWEST_ITEMS
 from feel321.analysis.table.schema import HIGHEST, LOWEST, NAMING
 from feel321.protocols.tasks import PROTOCOLS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
     from pandas import DataFrame, Index, Series
 
-    Values = NDArray[np.float64]
-
+    from feel321.analysis.arrays import Values
 
 MOST_STEPS = 11
 """Different ratings up to which a scale may be one of few steps."""

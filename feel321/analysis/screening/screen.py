@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -20,13 +21,10 @@ from feel321.analysis.screening.rules import EXPERTISE, RULES, SIGHTED, choose_l
 from feel321.analysis.table.items import Table, leave_rejected, name_stimuli, open_ratings
 from feel321.doors import as_rng
 from feel321.records import Result
+from feel321.types import Rng
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Iterable, Iterator, Mapping
-
     from pandas import DataFrame
-
-    from feel321.types import Rng
 
 FIGURES = ("icc_a_1", "icc_a_k", "icc_c_1", "icc_c_k", "alpha")
 

@@ -16,10 +16,12 @@ share, and the count of sources is reported.
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple, TypeGuard
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from feel321.analysis.arrays import Values, check_columns, read_numbers
 from feel321.analysis.table.schema import APART, NAMING, NO, REDUCERS, YES
@@ -27,9 +29,6 @@ from feel321.doors import as_names, check_name
 from feel321.records import Result
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Sequence
-
-    from numpy.typing import ArrayLike, NDArray
     from pandas import DataFrame, Series
 
 STIMULUS, REJECTED = "stimulus_id", "rejected"

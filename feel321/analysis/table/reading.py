@@ -17,31 +17,21 @@ analysis and no correction for several tests holds them.
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from feel321.analysis.table import notes as remarks
 from feel321.analysis.table import schema
 from feel321.analysis.table.items import ROLE, STIMULUS, TEST, Table, leave_rejected, order_reducers
-from feel321.analysis.table.notes import (
-    list_names,
-    note_gaps,
-    note_lacking,
-    note_lookalikes,
-    note_scales,
-    note_sources,
-    note_stimuli,
-)
 from feel321.doors import as_names, as_path, describe
+from feel321.types import PathLike
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from pandas import DataFrame, Series
-
-    from feel321.types import PathLike
 
 __all__ = ["Further", "Table", "order_reducers", "read_table"]
 
@@ -133,11 +123,11 @@ def read_table(
     notes += [
         *joined,
         *more_notes,
-        *note_gaps(rows, stimuli),
+        *remarks.note_gaps(rows, stimuli),
         *_note_references(rows, stimuli),
-        *note_sources(rows),
-        *note_lookalikes(rows),
-        *note_lacking(rows, planned),
+        *remarks.note_sources(rows),
+        *remarks.note_lookalikes(rows),
+        *remarks.note_lacking(rows, planned),
     ]
     tests, known = rows[rows[ROLE] == TEST], schema.describe_explored(planned)
     explored = [name for name in known if name in rows and tests[name].notna().all()]
@@ -201,7 +191,7 @@ def _read_ratings(source: Path | DataFrame, what: str) -> tuple[DataFrame, list[
     )
     if "reference_id" not in sheet:
         sheet["reference_id"] = ""
-    notes += [*_check_doubles(sheet, what), *note_scales(sheet)]
+    notes += [*_check_doubles(sheet, what), *remarks.note_scales(sheet)]
     if "underruns" in sheet and len(broken := sheet.loc[sheet["underruns"] > 0, "participant"]):
         notes.append(
             f"{len(broken)} judgements of {broken.nunique()} participants were made on an interrupted playback "
@@ -217,7 +207,7 @@ def _leave_rejected(sheet: DataFrame, what: str) -> tuple[DataFrame, list[str]]:
     schema.read_column(sheet, "rejected", what, kind="flag")
     left, notes = leave_rejected(sheet, what=what)
     lost = sorted(set(sheet["participant"]) - set(left["participant"]))
-    gone = f"Participants without a valid judgement, who do not count: {list_names(lost)}."
+    gone = f"Participants without a valid judgement, who do not count: {remarks.list_names(lost)}."
     return left.copy(), [*notes, gone] if lost else list(notes)
 
 
@@ -286,7 +276,7 @@ def _read_manifest(
         if name not in planned:
             schema.read_column(sheet, name, what, kind=columns[name].kind)
     sheet["source"] = _read_sources(sheet, sources, what)
-    notes += note_stimuli(sheet)
+    notes += remarks.note_stimuli(sheet)
     return sheet.set_index(STIMULUS), planned, notes
 
 
@@ -467,12 +457,12 @@ def _join_labels(rows: DataFrame, ratings: Path | DataFrame) -> tuple[DataFrame,
     for name in names:
         groups = joined.groupby(name)["participant"].nunique()
         sizes = ", ".join(
-            f"{list_names([str(group)]) if group else 'unknown'} {count}"
+            f"{remarks.list_names([str(group)]) if group else 'unknown'} {count}"
             for group, count in groups.items()
         )
         notes.append(
-            f"Participants differ in {list_names([name])} ({ROSTER_FILE}; participants: {sizes}): no test compares "
-            "them."
+            f"Participants differ in {remarks.list_names([name])} ({ROSTER_FILE}; participants: {sizes}): "
+            "no test compares them."
         )
     return joined, notes
 

@@ -17,13 +17,12 @@ from __future__ import annotations
 import csv
 import re
 import warnings
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
     from pandas import DataFrame, Series
 
 
@@ -149,13 +148,7 @@ name of `spectral_match_energy_weighted`; tables that use it are read as before.
 
 
 def describe_further() -> dict[str, ColumnInfo]:
-    """List the columns of metrics that an analysis explores, beside those that it was planned for.
-
-    Examples
-    --------
-    >>> list(describe_further())[:3]
-    ['spectral_match_rotation_mean', 'spectral_match_rotation_sd', 'spectral_match_delivered']
-    """
+    """List the columns of metrics that an analysis explores, beside those that it was planned for."""
     return {
         f"{metric}_{kind}": ColumnInfo(
             meaning.format(metric.replace("_", " ")), unit, kind="metric"
