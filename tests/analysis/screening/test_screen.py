@@ -380,3 +380,16 @@ def test_repeats_are_counted_not_spelt() -> None:
     rules = ["test_retest", "repeat_sd"]
     one, other = (screen_raters(rows, rules).table for rows in (table, spelt))
     pd.testing.assert_frame_equal(one, other)
+
+
+@pytest.mark.parametrize(
+    ("rule", "repeats"),
+    [("straight_lining", 1), ("test_retest", 2), ("repeat_sd", 2), ("reversed_scale", 2)],
+)
+def test_eight_are_enough_and_seven_are_not(rule: str, repeats: int) -> None:
+    table = panel(people=5)
+    tests = table[(table["role"] == "test") & (table["repeat"] <= repeats)]
+    items = tests[["recording", "reducer"]].drop_duplicates()
+    for number, known in ((8, True), (7, False)):
+        found = screen_raters(tests.merge(items.head(number)), [rule])
+        assert found.share[rule].notna().tolist() == [known] * 5
