@@ -393,3 +393,21 @@ def test_eight_are_enough_and_seven_are_not(rule: str, repeats: int) -> None:
     for number, known in ((8, True), (7, False)):
         found = screen_raters(tests.merge(items.head(number)), [rule])
         assert found.share[rule].notna().tolist() == [known] * 5
+
+
+@pytest.mark.parametrize(
+    ("rule", "which", "allowed", "beyond"),
+    [
+        ("hidden_reference", "original", 90.0, 89.9),
+        ("mid_anchor", "anchor_mid", 90.0, 90.1),
+        ("low_anchor", "anchor_low", 50.0, 50.1),
+        ("too_fast", "", 0.5, 0.49),
+    ],
+)
+def test_the_limit_itself_is_allowed(rule: str, which: str, allowed: float, beyond: float) -> None:
+    table = panel(people=5)
+    column = "rating" if which else "response_time_s"
+    at = (table["participant"] == "p03") & (table["reducer"].eq(which) if which else True)
+    for value, hits in ((allowed, ()), (beyond, ("p03",))):
+        screening = screen_raters(table.assign(**{column: table[column].mask(at, value)}), [rule])
+        assert screening.hits[rule] == hits
