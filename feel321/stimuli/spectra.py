@@ -10,11 +10,10 @@ import numpy as np
 from feel321.records import Result
 from feel321.stimuli.recording import AXES, Signal, as_samples
 from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
+from feel321.types import Samples
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-
-    from feel321.types import Samples
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
