@@ -1,4 +1,4 @@
-"""What every door does with its arguments: paths, randomness and names, and how it refuses them."""
+"""Arguments of public functions: paths, randomness, names, progress, and how wrong ones are refused."""
 
 from __future__ import annotations
 

@@ -93,7 +93,8 @@ def psd(signal: Signal, *, rate_hz: float | None = None, window_s: float = 0.25)
     rate_hz : float, optional
         Sampling rate of plain samples in Hz.
     window_s : float
-        Length of a window in s; frequencies are 1 / window_s apart.
+        Length of a window in s, rounded to an even number of samples and at most that of the signal (the result holds
+        what it came to); frequencies are one over it apart.
 
     Returns
     -------

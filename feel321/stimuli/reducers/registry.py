@@ -298,7 +298,7 @@ class StreamingReducer:
 
     @property
     def gaps(self) -> int:
-        """Runs of such samples, however they were cut into blocks."""
+        """Number of gaps so far: runs of missing samples, however they were cut into blocks."""
         return self._gaps.gaps
 
     def process(self, block: ArrayLike, *, out: Samples | None = None) -> Samples:

@@ -69,9 +69,9 @@ def read_history(folder: Path) -> History:
             {name: cell for name, cell in row.items() if cell is not None}
             for row in details["stimuli"]
         ]
-        stimuli = TypeAdapter(list[Stimulus]).validate_python(known)
-        keys = TypeAdapter(dict[str, str]).validate_python(details["keys"])
-        measured = TypeAdapter(dict[str, Measured]).validate_python(details["measured"])
+        whole = TypeAdapter(tuple[list[Stimulus], dict[str, str], dict[str, Measured]])
+        given = (known, details["keys"], details["measured"])
+        stimuli, keys, measured = whole.validate_python(given)
     except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return History()
     own = {
