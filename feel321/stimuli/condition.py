@@ -146,7 +146,7 @@ def filter_zero_phase(
             f"{kind} must be below the Nyquist frequency of {rate_hz / 2:g} Hz, got {corner_hz} Hz"
         )
     sections = signal.butter(FILTER_ORDER, corner_hz, btype=kind, fs=rate_hz, output="sos")
-    # The filter's start-up dies out in about a period of its corner; padding by that much keeps it out of the signal.
+    # Padded by a period of the corner: the filter's start-up takes about that long to die out.
     padding = min(max(int(rate_hz / corner_hz), 3 * (2 * len(sections) + 1)), samples.shape[-1] - 1)
     if padding < 1:
         raise ValueError(
