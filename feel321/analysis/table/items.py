@@ -240,6 +240,29 @@ def open_ratings(ratings: Table | DataFrame, *, what: str = "ratings") -> DataFr
     return table
 
 
+def choose_arms(
+    ratings: Table | DataFrame, scale: str | None = None, level: str | None = None
+) -> Table | DataFrame:
+    """Take the ratings of one scale and level where these are named; of a DataFrame, with a plain index."""
+    if isinstance(ratings, Table):
+        return ratings.select(scale, level=level)
+    rows = open_ratings(ratings)
+    for column, name in (("scale", scale), ("level", level)):
+        if name is not None:
+            known = rows[column].astype(str) if column in rows else rows.index.astype(str)[:0]
+            rows = rows[known == check_name(name, sorted(known.unique()), column)]
+    return rows
+
+
+def choose_metrics(ratings: Table | DataFrame, metrics: Iterable[str] | None) -> tuple[str, ...]:
+    """Take the metrics that are named, each once, or a Table's own where none are."""
+    own = ratings.metrics if isinstance(ratings, Table) else ()
+    names = tuple(dict.fromkeys(as_names(own if metrics is None else metrics, "metrics")))
+    if not names:
+        raise ValueError("metrics must be a list of one name or more, got none; name columns")
+    return names
+
+
 def refuse_pooled(rows: DataFrame, *, metrics: Collection[str] = (), what: str = "ratings") -> None:
     """Refuse rows of several scales or several levels: their ratings are not about one thing."""
     for column in (name for name in ARMS if name in rows and name not in metrics):
