@@ -72,7 +72,7 @@ def test_a_silent_axis_stays_silent_and_a_weak_one_is_not_blown_up(name: str) ->
     np.testing.assert_array_equal(REDUCERS[name](acceleration, RATE), 0.0)
     acceleration[axis, ::50] = 1e-4
     reduced = REDUCERS[name](acceleration, RATE)
-    np.testing.assert_allclose(reduced, MOST_GAIN * acceleration[axis])
+    np.testing.assert_allclose(reduced, 10 * acceleration[axis])  # 20 dB
 
 
 @given(seed=st.integers(0, 99), place=st.integers(0, 299))
