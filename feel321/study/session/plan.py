@@ -13,7 +13,7 @@ import json
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime, timedelta
 from functools import cache
 from importlib.metadata import version
@@ -240,8 +240,9 @@ def _make_adapter() -> TypeAdapter[Plan]:
 def compare_plans(plan: Plan, other: Plan) -> list[str]:
     """List the inputs in which two plans differ."""
     # By way of JSON, which knows lists only, so that what was stored and what was made anew look alike.
-    old, new = (json.loads(json.dumps(asdict(entry))) for entry in (plan, other))
-    return find_differences(old, new, ignore={"trials", "sha256"})
+    inputs = (replace(entry, trials=()) for entry in (plan, other))
+    old, new = (json.loads(json.dumps(asdict(entry))) for entry in inputs)
+    return find_differences(old, new, ignore={"sha256"})
 
 
 def find_differences(
