@@ -197,6 +197,21 @@ def test_texts_break_where_they_are_too_wide() -> None:
     assert measure("Continue", 100.0) == pytest.approx(468, abs=1)
 
 
+@pytest.mark.parametrize(
+    ("name", "is_named"),
+    [("similarity feeling", False), ("similarity fresh", True), ("mushra feeling", True)],
+)
+def test_keys_are_named_as_long_as_they_do_something(
+    gallery: dict[str, Any], name: str, is_named: bool
+) -> None:
+    tables = read_texts()
+    view = gallery["make_views"](read_scales(), tables)[name]
+    items = compose(view, make_screen_texts(tables), size=(1920, 1080)).items
+    words = {item.words for item in items if isinstance(item, Text)}
+    assert view.can_answer is is_named
+    assert ("move the marker" in words) is is_named
+
+
 def test_a_page_is_too_long_as_soon_as_it_leaves_its_strip() -> None:
     texts = make_screen_texts(read_texts())
     bottom = Sheet(1920, 1080).find_strip("body").bottom
