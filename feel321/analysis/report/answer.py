@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from feel321.analysis.primary.plan import REDUCER, SOURCE, make_cells
 from feel321.analysis.primary.sensitivity import (
     ENOUGH,
+    MOVED,
     NOT_ESTIMABLE,
     OPEN,
     PREDICTS,
@@ -205,6 +206,16 @@ class Finding:
         """Units without which verdict or sign change."""
         return self.influence.find_turns(self.metric)
 
+    @property
+    def hinges(self) -> DataFrame:
+        """Units without which the verdict changes, or the direction of a slope that predicts.
+
+        That an estimate near zero changes its sign is no news where nothing is claimed.
+        """
+        turns = self.turns
+        plain = turns.empty or self.verdict == PREDICTS
+        return turns if plain else turns[turns["verdict"] == PREDICTS]
+
     def make_claim(self) -> Claim:
         """State the conclusion for a program."""
         turns = tuple(_name_unit(row) for row in self.turns.to_dict("records"))
@@ -284,13 +295,15 @@ def _describe_effect(found: Finding) -> str:
 
 def _describe_hinge(found: Finding) -> str:
     """Say which units a verdict hinges on, and what would be concluded without the most influential one."""
-    rows = found.influence.find_moves(found.metric).to_dict("records")
-    turns = [row for row in rows if row["turns"]]
-    if turns:
+    if turns := found.hinges.to_dict("records"):
         join = ", but" if found.verdict == PREDICTS else ", and"
-        without = f"the {_name_unit(turns[0])}: without it {_describe_without(turns[0], found)}"
+        without = (
+            f"the {_name_unit(turns[0])}: without it {_describe_without(turns[0], found.metric)}"
+        )
         others = _list_others(turns, "; it also turns without")
         return f"{join} this hinges on {without}{others}"
+    moves = found.influence.find_moves(found.metric).to_dict("records")
+    rows = [row for row in moves if abs(row["shift"]) > MOVED]
     if not rows:
         return ""
     value, interval = _tell_tenth(rows[0])
@@ -310,14 +323,12 @@ def _list_others(rows: Sequence[Row], lead: str) -> str:
     return f"{lead} {listed}"
 
 
-def _describe_without(row: Row, found: Finding) -> str:
+def _describe_without(row: Row, metric: str) -> str:
     evidence = "{} points per +0.1, {}".format(*_tell_tenth(row))
-    if row["verdict"] == OPEN and found.verdict == PREDICTS:
+    if row["verdict"] == OPEN:
         return f"the association is open ({evidence})"
-    if row["verdict"] == PREDICTS:
-        way, metric = HIGHER if row["tenth"] > 0 else LOWER, format_name(found.metric)
-        return f"a higher {metric} is associated with {way} ratings ({evidence})"
-    return f"the estimate changes its sign ({evidence})"
+    way = HIGHER if row["tenth"] > 0 else LOWER
+    return f"a higher {format_name(metric)} is associated with {way} ratings ({evidence})"
 
 
 def _tell_tenth(row: Row) -> tuple[str, str]:
@@ -335,7 +346,7 @@ def _compare(row: Row, found: Sequence[Finding]) -> str:
     ends = tuple(row[f"standardised_{end}"] for end in ("estimate", "low", "high"))
     if math.isnan(ends[1]) or NOT_ESTIMABLE in {first.verdict, second.verdict}:
         return ""
-    if unsteady := [format_name(one.metric) for one in (first, second) if not one.turns.empty]:
+    if unsteady := [format_name(one.metric) for one in (first, second) if not one.hinges.empty]:
         names = join_words(unsteady)
         return f"which metric predicts better is left open: the verdict on {names} is not stable."
     evidence = "standardised slopes differ by {}, 95 % CI {}".format(
@@ -385,7 +396,9 @@ def _describe_evidence(found: Sequence[Finding]) -> str:
     few = [f"{name}s" for name, size in _count_units(model).items() if FEWEST <= size < FEW]
     claimed = any(one.verdict == PREDICTS for one in found)
     steady = [
-        format_name(one.metric) for one in found if one.verdict != NOT_ESTIMABLE and one.turns.empty
+        format_name(one.metric)
+        for one in found
+        if one.verdict != NOT_ESTIMABLE and one.hinges.empty
     ]
     told = ""
     if few and claimed:

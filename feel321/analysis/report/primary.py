@@ -187,18 +187,29 @@ def _stack(fits: Fits, choose: Any) -> Any:  # noqa: ANN401 - a table of a model
 
 
 def _fit_parts(table: Table, choices: Choices) -> tuple[Fits, list[str], list[Line], list[Claim]]:
-    """Fit every part that can be fitted; say why another cannot."""
+    """Fit every part that can be fitted; say why another part, or a metric of one, cannot."""
     fits, notes, lines, claims = {}, [], [], []
     for part in thin_parts(table, choices):
         notes += [part.thinned] if part.thinned else []
         try:
-            fits[part.lead] = part, fit_primary(part.rows, table.metrics)
+            fits[part.lead] = part, (model := fit_primary(part.rows, table.metrics))
+            lost = [name for name in table.metrics if name not in model.slopes.index]
+            told = [describe_loss(part, [name], _explain_loss(part, name)) for name in lost]
         except ValueError as error:
             notes.append(f"{part.lead}: no primary model. {error}")
-            line, lost = describe_loss(part, table.metrics, str(error))
-            lines.append(line)
-            claims += lost
+            told = [describe_loss(part, table.metrics, str(error))]
+        lines += [line for line, _ in told]
+        claims += [claim for _, own in told for claim in own]
     return fits, notes, lines, claims
+
+
+def _explain_loss(part: RatingsPart, metric: str) -> str:
+    varies = part.rows.groupby("recording", observed=True)[metric].nunique().max() > 1
+    return (
+        "within recordings it follows from the other metrics"
+        if varies
+        else "the stimuli of a recording do not differ in it"
+    )
 
 
 def _list_findings(table: Table, fits: Fits, slopes: Any) -> list[Finding]:  # noqa: ANN401 - a table, or none

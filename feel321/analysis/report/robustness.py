@@ -57,6 +57,7 @@ KEY_ROBUSTNESS = "robustness"
 MOST_CELLS = 20_000
 """Participants x stimuli beyond which some sixty models would take many minutes."""
 
+FLAT = "the metric does not differ within recordings"
 VARIANTS = TableForm(
     "Standardised slope under other choices, with 95 % t intervals (Satterthwaite's df); p not adjusted. Only "
     "standardised slopes can be compared across units. A dash: no model; the notes say why.",
@@ -185,7 +186,7 @@ def _remember_slopes(metrics: tuple[str, ...], *, people: int) -> Callable[..., 
         who = frozenset(rows["participant"])
         if who not in known:
             known[who] = fit(rows)
-        none = UniverseEstimate(float("nan"), note=f"{metric} does not differ within recordings")
+        none = UniverseEstimate(float("nan"), note=FLAT)
         found = known[who].get(metric, none)
         if found.note:
             raise ValueError(found.note)
@@ -220,7 +221,8 @@ def _picture_universes(metric: str, part: RatingsPart, result: Multiverse) -> Pi
 def _describe_universes(metric: str, part: RatingsPart, result: Multiverse) -> str:
     what = f"Slope of {part.ratings} on {format_name(metric)}"
     if not len(result.curve):
-        return f"{what}: no set of raters is large enough to fit the model."
+        large = "no set of raters is large enough to fit the model"
+        return f"{what}: {FLAT if set(result.table['note']) == {FLAT} else large}."
     if result.n_distinct == 1:
         alone = f"the {result.n_combinations} combinations of screening rules leave 1 distinct set of raters, everyone"
         return f"{what}: {format_number(result.median, kind='slope')} points per +0.1; {alone}."
@@ -373,21 +375,26 @@ def _sum_up(found: list[tuple[RatingsPart, Refined]]) -> Iterator[Line]:
         return
     others = "further " if len(rest) < len(found) else ""
     claim = f"No {others}refined metric is recommended"
-    gains = sorted(gain["value"] for gain in rest if np.isfinite(gain["low"]))
-    if not gains:
-        yield Line(f"{claim}: gains have no interval here.")
+    known = [gain for gain in rest if np.isfinite(gain["low"]) and gain["plain"] > 0]
+    if not known:
+        opposed = any(gain["plain"] < 0 for gain in rest)
+        yield Line(f"{claim}: {OPPOSED if opposed else 'gains have no interval here'}.")
         return
+    gains = sorted(gain["value"] for gain in known)
     reach = format_interval(gains[0], gains[-1]) if len(gains) > 1 else format_number(gains[0])
-    covering = sum(gain["low"] <= 0 <= gain["high"] for gain in rest)
-    each = "its interval covers" if len(rest) == 1 else "each 95 % two-way interval covers"
-    shown = f"; {each} zero" if covering == len(rest) else ""
+    covering = all(gain["low"] <= 0 <= gain["high"] for gain in known)
+    each = "its interval covers" if len(known) == 1 else "each 95 % two-way interval covers"
+    shown = f"; {each} zero" if covering else ""
     gained = f"gain{'s' if len(gains) > 1 else ''} in correlation over the best single metric {reach}, out of fold"
     yield Line(f"{claim} ({gained}{shown}).")
 
 
+OPPOSED = "the strongest single metric correlates negatively, so a gain in correlation over it shows nothing"
+
+
 def _find_best(result: Refined) -> Row:
-    """Find the gain over the metric that correlates most by itself."""
-    best: Row = result.gains.sort_values("plain", ascending=False).to_dict("records")[0]
+    """Find the gain over the metric that correlates most by itself, in either direction."""
+    best: Row = result.gains.sort_values("plain", key=abs, ascending=False).to_dict("records")[0]
     return best
 
 
@@ -408,6 +415,8 @@ def _describe_refined(part: RatingsPart, result: Refined) -> Line:
     none = "no refined metric is recommended: "
     if np.isnan(gain["low"]):
         return replace(line, text=f"{none}its gain has no interval here.")
+    if gain["plain"] < 0:
+        return replace(line, text=f"{none}{OPPOSED} ({best}).")
     if gain["low"] > 0:
         simple = "but one is not chosen on all ratings, or does not gain over every single metric"
         return replace(line, text=f"{none}{scored}, {simple}.")
