@@ -4,22 +4,17 @@ Either way the slot is free for the next. A withdrawal that is interrupted at an
 was, or a tombstone that says so; the same call finishes it.
 """
 
-from __future__ import annotations
-
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
+
+from sqlalchemy import Engine
 
 from feel321.files import hold_lock, sync_folder
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study.ledger.slots import (
-    Entry,
-    make_entry,
-    open_study_ledger,
-    read_ledger,
-    rewrite_ledger,
-)
-from feel321.study.ledger.standing import (
+from feel321.study.folder import StudyFolder
+from feel321.study.ledger.progress import (
     LOCK_FILE,
     REMOVED,
     REMOVING,
@@ -27,30 +22,22 @@ from feel321.study.ledger.standing import (
     Tombstone,
     check_anchors,
     read_anchor,
-    read_standing,
+    read_progress,
     read_tombstone,
     write_roster,
     write_tombstone,
 )
+from feel321.study.ledger.slots import (
+    Entry,
+    make_entry,
+    open_study_ledger,
+    read_ledger,
+    rewrite_ledger,
+)
 from feel321.study.ratings import write_ratings
 from feel321.study.session.events import SessionFinished, SessionReleased
-from feel321.study.session.journal import (
-    Clock,
-    Journal,
-    find_header,
-    has_event,
-    list_journals,
-    require_journal,
-)
+from feel321.study.session.journal import Clock, Journal, list_journals, require_journal
 from feel321.study.session.plan import TOMBSTONE_FILE
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-
-    from sqlalchemy import Engine
-
-    from feel321.study.folder import StudyFolder
 
 
 def withdraw_participant(
@@ -72,6 +59,11 @@ def withdraw_participant(
         tombstone = found or _make_tombstone(folder, entry, reason=reason, now=now)
         removed = _remove_data(folder)
         warnings = [notice, *_renew_tables(study)]
+        if tombstone.journals:
+            warnings += _remove_report(study)
+        rehearsal = study.path / "rehearsals" / participant
+        if rehearsal.exists() and rehearsal != folder:
+            warnings.append(f"{rehearsal}: was rehearsed under the same code; remove the folder")
         _enter(ledger, participant, Entry(participant, entry.simulated, entry.number, "withdrawn"))
         write_tombstone(folder, replace(tombstone, state=REMOVED))
     (folder / LOCK_FILE).unlink(missing_ok=True)
@@ -100,7 +92,7 @@ def release_participant(study: StudyFolder, participant: str, *, now: Clock) -> 
         journal = _open_newest(folder, now=now)
         if journal is not None:
             _write_release(journal, participant)
-            _enter(ledger, participant, make_entry(read_standing(folder)))
+            _enter(ledger, participant, make_entry(read_progress(folder)))
             return entry.number
         _remove_data(folder)
         _enter(ledger, participant, None)
@@ -169,8 +161,16 @@ def _renew_tables(study: StudyFolder) -> Iterator[str]:
                 # A derived table can be made again; the data of someone who withdrew may not stay.
                 path.unlink()
                 yield f"{path}: was removed, because it could not be rewritten ({error})"
+
+
+def _remove_report(study: StudyFolder) -> Iterator[str]:
+    if study.report.is_dir():
+        from feel321.analysis.report.folder import remove_results
+
+        remove_results(study.report)
+        yield f"{study.report}: was removed, for it held the participant's data; write it anew: feel321 analyze"
     if study.report.exists():
-        yield f"{study.report}: still holds the participant's data; write it anew: feel321 analyze"
+        yield f"{study.report}: holds other files; remove those with the participant's data"
 
 
 def _enter(ledger: Engine, participant: str, entry: Entry | None) -> None:
@@ -185,16 +185,16 @@ def _open_newest(folder: Path, *, now: Clock) -> Journal | None:
     """Open the newest journal; None if no session was ever begun."""
     journals = list_journals(folder)
     journal = require_journal(journals[-1], now=now) if journals else None
-    if journal is None or (len(journals) == 1 and not find_header(journal.records)):
+    if journal is None or (len(journals) == 1 and not journal.records.find_header()):
         return None
     return journal
 
 
 def _write_release(journal: Journal, participant: str) -> None:
-    if has_event(journal.records, SessionFinished):
+    if journal.records.has(SessionFinished):
         raise ValueError(
             f"participant {participant}: has finished, so the slot stays taken; to remove the data: feel321 withdraw"
         )
     # After a crash, the journal may know already what the ledger does not.
-    if not has_event(journal.records, SessionReleased):
+    if not journal.records.has(SessionReleased):
         journal.write(SessionReleased())

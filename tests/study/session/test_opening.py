@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from feel321.study.session.events import PageRead
 from feel321.study.session.journal import (
     create_journal,
-    find_header,
     list_journals,
     read_journal,
     require_journal,
@@ -46,7 +46,7 @@ def folder(tmp_path: Path) -> Path:
 def test_the_header_says_what_the_session_stands_on(
     present: Present, scripted: type, folder: Path
 ) -> None:
-    header = find_header(present(scripted()))
+    header = present(scripted()).find_header()
     assert header is not None
     assert header.plan_sha256 == require_plan(folder / "plan.json").sha256 != ""
     assert (header.participant, header.session, header.seed) == ("p01", 1, 7)
@@ -145,6 +145,7 @@ def test_resuming_leaves_a_record_with_the_versions(present: Present, scripted: 
     [
         ({"seed": 8}, "seed 8 -> 7"),
         ({"stimuli_sha256": "6"}, f"stimuli_sha256 '6' -> '{'5' * 64}'"),
+        ({"texts_sha256": "7", "versions": {"feel321": "0.0.1"}}, "other texts for participants"),
     ],
 )
 def test_a_header_that_does_not_fit_the_plan_is_refused_and_the_difference_named(
@@ -158,10 +159,12 @@ def test_a_header_that_does_not_fit_the_plan_is_refused_and_the_difference_named
     header = {**present(scripted())[0].data, **change}
     path = folder / "session-01.jsonl"
     path.unlink()
-    create_journal(path, now=now).write("begun", header)
-    with pytest.raises(
-        ValueError, match=rf"begun otherwise \({difference}\); .* or move sessions/ away"
-    ):
+    journal = create_journal(path, now=now)
+    journal.write("begun", header)
+    journal.write(PageRead("welcome", 1.0, 1.0))
+    use = " or use feel321 0.0.1, which began it" if "versions" in change else ""
+    remedy = f"change that back{use}, begin with another participant, or move sessions/ away"
+    with pytest.raises(ValueError, match=rf"begun otherwise \({difference}\); {remedy}"):
         present(scripted())
 
 
@@ -230,10 +233,10 @@ def test_who_comes_back_in_time_or_may_go_on_goes_on(
 
 
 def test_a_restart_is_a_new_session_and_the_old_one_stays(
-    leave: Callable[..., list[Any]], practised: Plan, folder: Path
+    leave: Callable[..., Any], practised: Plan, folder: Path
 ) -> None:
     records = leave("restart", hours=7, plan=practised)
-    assert find_header(records) is not None
+    assert records.find_header() is not None
     assert records[0].data["session"] == 2
     assert len(rated_trials(records)) == 20 + 4
     old = read_journal(folder / "session-01.jsonl").records
