@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -14,8 +15,6 @@ from feel321.analysis.table.schema import APART
 from feel321.analysis.words import format_name, format_number, format_ratings, name_path
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from pandas import DataFrame, Series
 
     from feel321.analysis.table.reading import Table
@@ -178,16 +177,6 @@ def fit_rest(rows: DataFrame, metrics: Sequence[str], *, people: int) -> Primary
             f"One rater of {people} is left: an interval would not know how people differ."
         )
     return fit_primary(rows, metrics, explain=False)
-
-
-def find_repeat_sd(rows: DataFrame) -> tuple[float, int]:
-    """Find the standard deviation of a rater's repeated ratings (NaN without repeats), and how many are repeated."""
-    cells = rows.groupby([WHO, ITEM], observed=True)["rating"]
-    repeated = cells.transform("size") > 1
-    n = int(repeated.sum())
-    freedom = n - len(rows[repeated].groupby([WHO, ITEM], observed=True))
-    left = (rows["rating"] - cells.transform("mean"))[repeated]
-    return (float(np.sqrt((left**2).sum() / freedom)) if freedom else float("nan")), n
 
 
 def count_units(rows: DataFrame) -> dict[str, int]:

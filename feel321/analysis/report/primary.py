@@ -1,10 +1,9 @@
 """Section: the primary model's slopes, what single stimuli, recordings and reducers do to them, and what they need."""
 
-from __future__ import annotations
-
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from feel321.analysis.association.correlate import correlate
 from feel321.analysis.figures.estimates import draw_slopes
@@ -38,16 +37,12 @@ from feel321.analysis.report.section import (
     read_methods,
     stack,
 )
+from feel321.analysis.table.reading import Table
 from feel321.analysis.table.schema import STAND_INS
 from feel321.analysis.words import COUNT, TWO_WAY, Claim, Line
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
-    from feel321.analysis.table.reading import Table
-
-    Row = dict[Any, Any]
-    Fits = Mapping[str, tuple[RatingsPart, Primary]]
+Row = dict[Any, Any]
+Fits = Mapping[str, tuple[RatingsPart, Primary]]
 
 TENTH = "points of rating per +0.1 of the metric"
 SLOPE = "slope.{scale}.{level}.{metric}"

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from feel321.analysis import words
 from feel321.analysis.figures.choices import draw_multiverse
 from feel321.analysis.figures.estimates import draw_slopes
 from feel321.analysis.primary.model import fit_primary
@@ -31,25 +33,15 @@ from feel321.analysis.report.section import (
     read_methods,
     stack,
 )
-from feel321.analysis.words import (
-    COUNT,
-    TWO_WAY,
-    Line,
-    capitalise,
-    format_interval,
-    format_name,
-    format_number,
-)
+from feel321.analysis.words import COUNT, TWO_WAY, Line
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Iterator, Mapping
-
     from pandas import DataFrame
 
     from feel321.analysis.table.reading import Table
 
-    Row = dict[Any, Any]
-    Universes = dict[tuple[str, str], tuple[RatingsPart, Multiverse]]
+Row = dict[Any, Any]
+Universes = dict[tuple[str, str], tuple[RatingsPart, Multiverse]]
 
 # The primary slopes under other choices: of data, of scale, of raters.
 
@@ -201,32 +193,32 @@ def _picture_variants(part: RatingsPart, metrics: tuple[str, ...], table: DataFr
         "standardised, under other choices; 95 % Satterthwaite intervals."
     )
     models = {part.lead: fit_primary(part.rows, metrics, explain=False)}
-    draw = partial(draw_slopes, models, variants={part.lead: table})
+    draw = partial(draw_slopes, models, variants=table)
     return Picture(make_slug("variants", *part.place), caption, draw)
 
 
 def _picture_universes(metric: str, part: RatingsPart, result: Multiverse) -> Picture:
     caption = (
-        f"Slope of {part.ratings} on {format_name(metric)}, points per +0.1, for every distinct set of raters that the "
-        "screening rules leave, from the smallest up; 95 % Satterthwaite intervals. Below: the rules applied."
+        f"Slope of {part.ratings} on {words.format_name(metric)}, points per +0.1, for every distinct set of raters "
+        "that the screening rules leave, from the smallest up; 95 % Satterthwaite intervals. Below: the rules applied."
     )
     counts = (result.n_combinations, len(result.table) - len(result.curve))
     rules = tuple(result.screening.rules)
-    draw = partial(
-        draw_multiverse, result.curve, rules=rules, counts=counts, estimate="Points per +0.1"
-    )
+    draw = partial(draw_multiverse, result.curve, rules=rules, counts=counts)
     return Picture(make_slug("multiverse", *part.place, metric), caption, draw, detail=True)
 
 
 def _describe_universes(metric: str, part: RatingsPart, result: Multiverse) -> str:
-    what = f"Slope of {part.ratings} on {format_name(metric)}"
+    what = f"Slope of {part.ratings} on {words.format_name(metric)}"
     if not len(result.curve):
         large = "no set of raters is large enough to fit the model"
         return f"{what}: {FLAT if set(result.table['note']) == {FLAT} else large}."
     if result.n_distinct == 1:
         alone = f"the {result.n_combinations} combinations of screening rules leave 1 distinct set of raters, everyone"
-        return f"{what}: {format_number(result.median, kind='slope')} points per +0.1; {alone}."
-    reach = format_interval(result.smallest, result.largest, kind="slope")
+        return (
+            f"{what}: {words.format_number(result.median, kind='slope')} points per +0.1; {alone}."
+        )
+    reach = words.format_interval(result.smallest, result.largest, kind="slope")
     sets = f"{result.n_distinct} distinct sets of raters"
     some = f"{len(result.curve)} of " if len(result.curve) < result.n_distinct else ""
     few = "; the others leave too few raters to fit the model" if some else ""
@@ -381,7 +373,11 @@ def _sum_up(found: list[tuple[RatingsPart, Refined]]) -> Iterator[Line]:
         yield Line(f"{claim}: {OPPOSED if opposed else 'gains have no interval here'}.")
         return
     gains = sorted(gain["value"] for gain in known)
-    reach = format_interval(gains[0], gains[-1]) if len(gains) > 1 else format_number(gains[0])
+    reach = (
+        words.format_interval(gains[0], gains[-1])
+        if len(gains) > 1
+        else words.format_number(gains[0])
+    )
     covering = all(gain["low"] <= 0 <= gain["high"] for gain in known)
     each = "its interval covers" if len(known) == 1 else "each 95 % two-way interval covers"
     shown = f"; {each} zero" if covering else ""
@@ -399,15 +395,13 @@ def _find_best(result: Refined) -> Row:
 
 
 def _describe_refined(part: RatingsPart, result: Refined) -> Line:
-    gain, line = _find_best(result), Line("", capitalise(part.subject))
+    gain, line = _find_best(result), Line("", words.capitalise(part.subject))
     what = "it" if result.recommended else "the metric that the search chose"
-    best = (
-        f"the best single metric, {format_name(gain['metric'])}, at {format_number(gain['plain'])}"
-    )
-    interval = f"95 % two-way interval {format_interval(gain['low'], gain['high'])}"
+    best = f"the best single metric, {words.format_name(gain['metric'])}, at {words.format_number(gain['plain'])}"
+    interval = f"95 % two-way interval {words.format_interval(gain['low'], gain['high'])}"
     scored = (
         f"in cross-validation {what} correlates with rating differences within recordings at "
-        f"r = {format_number(result.value)}, and {best} (gain {format_number(gain['value'])}, {interval})"
+        f"r = {words.format_number(result.value)}, and {best} (gain {words.format_number(gain['value'])}, {interval})"
     )
     if result.recommended:
         text = f"{_name_choice(result)} predicts better than each metric alone: {scored}."
@@ -428,4 +422,4 @@ def _name_choice(result: Refined) -> str:
     if result.chosen == EQUAL:
         return "the sum of the metrics, each in standard deviations, with equal weights,"
     several = " + " in result.chosen
-    return f"{'the weighted sum of ' if several else ''}{format_name(result.chosen)}"
+    return f"{'the weighted sum of ' if several else ''}{words.format_name(result.chosen)}"

@@ -8,6 +8,7 @@ import math
 import os
 import platform
 from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from itertools import chain
@@ -34,15 +35,11 @@ from feel321.analysis.table.reading import ROSTER_FILE, Further, Table, find_tab
 from feel321.analysis.words import Claim, Line, Number, count_number, format_note
 from feel321.doors import as_seed, follow
 from feel321.records import Result
+from feel321.types import PathLike, Progress, Rng
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-
     from markupsafe import Markup
     from pandas import DataFrame
-
-    from feel321.types import PathLike, Progress, Rng
-
 
 SCHEMA_VERSION = 1
 """Version of ``results.schema.json``, which describes ``results.json``: raised when a field changes or goes."""
