@@ -281,7 +281,8 @@ class _Pair(NamedTuple):
 
 def compute_contrasts(table: Table, choices: Choices) -> Section:
     """Compare every two reducers on every scale and level."""
-    answers, notes, grids, numbers, rows = [], [], [], [], []
+    answers, notes, grids, rows = [], [], [], []
+    numbers: list[Number] = []
     pictures: list[Picture] = []
     # A person's reducers are so many effects.
     for part in thin_parts(table, choices, n_slopes=table.rows[REDUCER].nunique(), matched=False):
