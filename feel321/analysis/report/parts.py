@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -14,8 +15,6 @@ from feel321.analysis.table.schema import APART
 from feel321.analysis.words import format_name, format_number, format_ratings, name_path
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Iterable, Iterator, Mapping
-
     from pandas import DataFrame, Series
 
     from feel321.analysis.primary.plan import Cells
@@ -181,16 +180,6 @@ def fit_rest(cells: Cells, out: Iterable[Hashable], *, people: int) -> DataFrame
         )
     slopes = fit_cells(rest).table
     return slopes.assign(**dict.fromkeys(CENTRED.values(), np.nan))
-
-
-def find_repeat_sd(rows: DataFrame) -> tuple[float, int]:
-    """Find the standard deviation of a rater's repeated ratings (NaN without repeats), and how many are repeated."""
-    cells = rows.groupby([WHO, ITEM], observed=True)["rating"]
-    repeated = cells.transform("size") > 1
-    n = int(repeated.sum())
-    freedom = n - len(rows[repeated].groupby([WHO, ITEM], observed=True))
-    left = (rows["rating"] - cells.transform("mean"))[repeated]
-    return (float(np.sqrt((left**2).sum() / freedom)) if freedom else float("nan")), n
 
 
 def count_units(rows: DataFrame) -> dict[str, int]:

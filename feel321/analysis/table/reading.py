@@ -109,7 +109,7 @@ def read_table(
     ('temporal_match',)
     """
     if manifest is None:
-        ratings, manifest = _find_tables(ratings)
+        ratings, manifest = find_tables(ratings)
     judged, listed = _open(ratings, "ratings"), _open(manifest, "manifest")
     stimuli, planned, notes = _read_manifest(listed, sources or {}, metrics)
     rows, more_notes = _read_ratings(*judged)
@@ -141,7 +141,7 @@ def read_table(
     return Table(rows, planned, (*notes, *more_notes), tuple(explored))
 
 
-def _find_tables(ratings: PathLike | DataFrame) -> tuple[Path, Path]:
+def find_tables(ratings: PathLike | DataFrame) -> tuple[Path, Path]:
     """Find the tables in a study's folder."""
     if not isinstance(ratings, str | os.PathLike):
         raise TypeError(

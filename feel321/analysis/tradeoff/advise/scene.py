@@ -48,9 +48,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from feel321.analysis.contrasts.compare import equivalence
+from feel321.analysis.contrasts.compare import equivalence, find_repeat_sd
 from feel321.analysis.mixed.model import contrast, fit_mixed
-from feel321.analysis.report.parts import find_repeat_sd, split_parts
+from feel321.analysis.report.parts import split_parts
 from feel321.analysis.tradeoff.advise.measures import TURNS_ALONG, Complexity, Scores
 from feel321.analysis.tradeoff.results import as_table
 
