@@ -167,6 +167,7 @@ def test_holm_is_that_of_statsmodels() -> None:
     rng = np.random.default_rng(1)
     for p in ([0.5, 0.5, 0.01], [0.0, 1.0, 0.03], *(rng.uniform(0, 1, n) ** 3 for n in (1, 2, 9))):
         np.testing.assert_allclose(adjust_holm(p), multipletests(p, method="holm")[1])
+    np.testing.assert_allclose(adjust_holm([0.01, np.nan, 0.04, 0.03]), [0.03, np.nan, 0.06, 0.06])
 
 
 def test_one_of_several_scales_is_chosen_in_single_comparisons(
