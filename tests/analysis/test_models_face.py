@@ -184,6 +184,14 @@ def test_one_of_several_scales_is_chosen_in_single_comparisons(
             call(both, scale="realsim")
 
 
+def test_the_usual_margin_is_half_the_spread_of_repeats(rows: pd.DataFrame) -> None:
+    differences = np.random.default_rng(4).normal(0, 6, len(rows))
+    again = rows.assign(rating=rows["rating"] + differences)
+    found = analysis.compare_reducers(pd.concat([rows, again], ignore_index=True), "x", "y")
+    half = np.sqrt(np.mean(differences**2) / 2) / 2
+    assert (found.margin_low, found.margin_high) == pytest.approx((-half, half))
+
+
 def test_papers_and_r_get_the_model_that_was_fitted(rows: pd.DataFrame, tmp_path: Path) -> None:
     primary = analysis.fit_primary(rows, METRICS)
     assert primary.to_latex().startswith(r"\begin{tabular}")

@@ -252,8 +252,9 @@ def _read_plain(text: str, data: DataFrame) -> Expanded | None:
     if len(set(numbers)) < len(pieces) or text == "0":
         return None
     ones = () if first == "0" else ("(Intercept)",)
-    columns = [data[name].to_numpy(np.float64) for name in numbers]
-    values = np.column_stack([np.ones((len(data), len(ones))), *columns])
+    values = np.ones((len(data), len(ones)))
+    if numbers:
+        values = np.column_stack([values, data[numbers].to_numpy(np.float64)])
     return Expanded((*ones, *numbers), values) if np.isfinite(values).all() else None
 
 
