@@ -411,3 +411,12 @@ def test_the_limit_itself_is_allowed(rule: str, which: str, allowed: float, beyo
     for value, hits in ((allowed, ()), (beyond, ("p03",))):
         screening = screen_raters(table.assign(**{column: table[column].mask(at, value)}), [rule])
         assert screening.hits[rule] == hits
+
+
+def test_shuffled_ratings_that_do_as_well_count_against_a_rater() -> None:
+    """Both stimuli get the same two ratings: nothing can discriminate less, so p is 1."""
+    rows = [(who, item, score) for who in "ab" for item in "xyz" for score in (0.0, 100.0)]
+    table = pd.DataFrame(rows, columns=["participant", "stimulus_id", "rating"])
+    gauge = screen_raters(table, [EXPERTISE], rng=0).gauge
+    found = gauge[gauge["measure"] == "discrimination"]
+    assert found[["value", "p"]].to_numpy().tolist() == [[0.0, 1.0]] * 2
