@@ -346,9 +346,8 @@ def find_lost(study: StudyFolder) -> list[str]:
 
 def make_entry(own: progress.Progress) -> Entry:
     """Make the entry of a participant from plan and journals."""
-    total = (
-        own.total if own.anchors else 0
-    )  # The ledger learns it with the first line that it sees.
+    # The ledger learns the total with the first line that it sees.
+    total = own.total if own.anchors else 0
     known = (own.participant, own.simulated, own.number, own.state, own.done, total, own.anchors)
     return Entry(*known, claimed_utc=own.first_utc)
 

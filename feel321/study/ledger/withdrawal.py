@@ -46,7 +46,7 @@ def withdraw_participant(
         warnings = [notice, *_renew_tables(study)]
         if tombstone.journals:
             warnings += _remove_report(study)
-        rehearsal = study.path / "rehearsals" / participant
+        rehearsal = replace(study, is_rehearsal=True).sessions / participant
         if rehearsal.exists() and rehearsal != folder:
             warnings.append(f"{rehearsal}: was rehearsed under the same code; remove the folder")
         _enter(

@@ -31,7 +31,7 @@ from pathlib import Path
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger.slots import find_lost
 from feel321.study.ledger.withdrawal import withdraw_participant
-import feel321.files, feel321.stimuli.sets.manifest, feel321.study.ratings, filelock
+import feel321.analysis.report.folder, feel321.files, feel321.stimuli.sets.manifest, feel321.study.ratings, filelock
 root, steps = Path(sys.argv[1]), {"open", "os.remove", "os.rename", "os.rmdir", "os.truncate", "sqlite3.connect"}
 def now():
     return datetime(2026, 1, 1, 12, tzinfo=UTC)
