@@ -643,6 +643,21 @@ def test_demo_leaves_other_peoples_folders_alone(tmp_path: Path, capsys: Capture
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
 
 
+def test_demo_leaves_a_study_of_another_version_or_an_edited_one_alone(
+    tmp_path: Path, capsys: Capture
+) -> None:
+    assert main(["new", str(tmp_path)]) == 0
+    with (tmp_path / "study.toml").open("a", encoding="utf-8") as file:
+        file.write("# mine\n")
+    capsys.readouterr()
+    assert main(["demo", "--dir", str(tmp_path)]) == 1
+    assert capsys.readouterr().err == (
+        f"feel321: {tmp_path}/study.toml: edited, or written by another version of feel321, so this is not the study "
+        "that demo runs; name another folder with --dir, or delete this one\n"
+    )
+    assert not (tmp_path / "stimuli").exists()
+
+
 def test_demo_adds_nobody_to_a_study_in_which_people_took_part(
     tmp_path: Path, capsys: Capture
 ) -> None:

@@ -64,7 +64,12 @@ def test_steps_find_what_the_verbs_find(pilot: Study, capsys: pytest.CaptureFixt
     assert main(["audit", folder]) == 0
     assert f"seal: {audit.seal};" in capsys.readouterr().out
     assert audit.findings == ()
-    assert [entry.state for entry in pilot.status().participants] == ["finished"] * 2
+    status = pilot.status()
+    assert repr(status) == "Status(2 finished)"
+    assert status.to_frame()["state"].tolist() == ["finished"] * 2
+    assert status.to_dict()["participants"][0]["participant"] == "sim001"
+    assert main(["status", folder]) == 0
+    assert capsys.readouterr().out == status.summary() + "\n"
     assert len(pilot.table().rows) == (~pilot.ratings()["rejected"]).sum()
 
 
@@ -96,7 +101,10 @@ def test_settings_are_changed_in_their_place(tmp_path: Path) -> None:
     for change, message in (
         ({"session.order": "latin"}, "study.toml: session.order must be one of williams"),
         ({"sesion.order": "random"}, "sesion: unknown setting; did you mean session"),
-        ({"recordings.name": "x"}, "recordings.name: recordings are a list; edit study.toml"),
+        (
+            {"recordings.name": "x"},
+            "recordings.name: recordings is not a table of settings; edit study.toml",
+        ),
         ({"seed": 1}, "settings must have names such as"),
         ({"rig.headroom": float("nan")}, "rig.headroom must be text, a number, true or false"),
         ({"study.name": tmp_path}, "study.name must be text, a number"),

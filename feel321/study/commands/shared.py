@@ -36,13 +36,15 @@ class _GivenPath(click.Path):
 
 FILE = _GivenPath(path_type=Path)
 
-json_option = click.option("--json", "as_json", is_flag=True, help="Print figures as JSON.")
+json_option = click.option("--json", "as_json", is_flag=True, help="Print the numbers as JSON.")
 folder_argument = click.argument("folder", metavar="[STUDY]", default=Path(), type=FILE)
 participant_option = click.option(
     "--participant", metavar="ID", required=True, help="The participant's code."
 )
 rehearsals_option = click.option(
-    "--rehearsals", is_flag=True, help="Those of run --rehearse instead."
+    "--rehearsals",
+    is_flag=True,
+    help="Take the rehearsals (run --rehearse) instead of the sessions.",
 )
 
 
@@ -130,12 +132,12 @@ def report_warnings(recordings: Iterable[Recording]) -> None:
 
 
 def print_json(entry: object) -> None:
-    """Print figures as JSON."""
+    """Print numbers as JSON."""
     click.echo(dump_json(entry))
 
 
 def dump_json(entry: object) -> str:
-    """Write figures as JSON, which knows no NaN and no infinity: both become null.
+    """Write numbers as JSON, which knows no NaN and no infinity: both become null.
 
     Examples
     --------

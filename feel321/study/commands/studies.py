@@ -6,7 +6,6 @@ import sys
 from dataclasses import asdict, replace
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING
 
 import click
 
@@ -27,9 +26,6 @@ from feel321.study.commands.shared import (
 )
 from feel321.study.folder import StudyFolder, create_study, list_bundled, read_template
 from feel321.study.study import Study
-
-if TYPE_CHECKING:
-    from feel321.study.status import ParticipantStatus
 
 DEMO_PARTICIPANTS = 16
 
@@ -142,12 +138,14 @@ def _open_demo(folder: Path) -> StudyFolder:
     study = StudyFolder(folder)
     if not folder.exists() or not any(folder.iterdir()):
         return create_study(folder)
-    if (
-        not study.settings.is_file()
-        or study.settings.read_text(encoding="utf-8") != read_template()
-    ):
+    if not study.settings.is_file():
         raise FileExistsError(
             f"{folder}: holds files that demo did not write; name another folder with --dir"
+        )
+    if study.settings.read_text(encoding="utf-8") != read_template():
+        raise FileExistsError(
+            f"{study.settings}: edited, or written by another version of feel321, so this is not the study that demo "
+            "runs; name another folder with --dir, or delete this one"
         )
     if people := [entry.name for entry in study.participants if not NUMBERED.fullmatch(entry.name)]:
         raise FileExistsError(
@@ -197,30 +195,15 @@ def simulate(*, study: Study, participants: int, seed: int | None, as_json: bool
 @json_option
 def status(*, study: Study, rehearsals: bool, as_json: bool) -> None:
     """Show the progress of every participant."""
-    from feel321.study.status import describe_balance
-
     state = _choose(study, rehearsals=rehearsals).status()
     if as_json:
         print_json(asdict(state))
         return
-    click.echo(f"{'participant':<14}{'state':<11}{'done':>5}{'left':>6}  last activity")
-    for entry in state.participants:
-        click.echo(_describe(entry))
-        for warning in entry.warnings:
-            click.echo(f"{'':<14}{warning}")
-    click.echo("\n".join(describe_balance(state.balance)))
+    click.echo(state.summary())
 
 
 def _choose(study: Study, *, rehearsals: bool) -> Study:
     return replace(study, folder=replace(study.folder, is_rehearsal=rehearsals))
-
-
-def _describe(entry: ParticipantStatus) -> str:
-    if entry.problem:
-        return f"{entry.participant:<14}{'?':<11}{'?':>5}{'?':>6}  {entry.problem}"
-    notes = "; ".join(filter(None, ("simulated" if entry.simulated else "", entry.groups)))
-    tail = f"  {entry.last_activity}{f' ({notes})' if notes else ''}".rstrip()
-    return f"{entry.participant:<14}{entry.state:<11}{entry.done:>5}{entry.left:>6}{tail}"
 
 
 @click.command(epilog="Example: feel321 audit my-study --expect 5fe2c1...")
@@ -297,7 +280,9 @@ def release(*, study: Study, participant: str) -> None:
 
 @click.command(epilog="Example: feel321 ledger my-study")
 @study_argument
-@click.option("--rebuild", is_flag=True, help="Make it anew from plans, journals and tombstones.")
+@click.option(
+    "--rebuild", is_flag=True, help="Make the ledger anew from plans, journals and tombstones."
+)
 @json_option
 def ledger(*, study: Study, rebuild: bool, as_json: bool) -> None:
     """List participants and their design slots."""

@@ -318,11 +318,14 @@ def change_settings(text: str, changes: Mapping[str, object]) -> str:
         wanted = tomllib.loads(text)
         *tables, key = name.split(".")
         inner: Any = wanted
-        for table in tables:
-            inner = inner.setdefault(table, {}) if isinstance(inner, dict) else None
-        if not isinstance(inner, dict):
-            raise ValueError(f"{name}: recordings are a list; edit study.toml")
-        inner.pop(key, None)
+        try:
+            for table in tables:
+                inner = inner.setdefault(table, {})
+            inner.pop(key, None)
+        except (AttributeError, TypeError):
+            raise ValueError(
+                f"{name}: {'.'.join(tables)} is not a table of settings; edit study.toml"
+            ) from None
         line = None
         if value is not None:
             inner[key] = _as_toml(name, value)
