@@ -97,6 +97,31 @@ def test_tasks_are_introduced_rehearsed_and_kept_apart_by_a_rest() -> None:
     assert (agenda.done, agenda.total) == (2, 2)
 
 
+def test_the_rest_between_two_tasks_is_the_only_one() -> None:
+    trials = [make_trial(n, protocol="similarity" if n > 2 else "realism") for n in (1, 2, 3, 4)]
+    steps = walk(Agenda(trials, CALM))
+    assert steps.count("rest") == 1
+    assert steps[steps.index("rest") - 1] == 2
+
+
+def test_a_trial_of_another_round_has_all_its_attempts_again() -> None:
+    agenda = Agenda(
+        [make_trial(1), make_trial(2, phase="training"), make_trial(3, phase="training")],
+        replace(CALM, max_attempts=3, training_rounds=2),
+    )
+    attempts: list[tuple[int, int]] = []
+
+    def answer(trial: Trial, attempt: int) -> Answer:
+        if trial.phase == "main":
+            return True, None
+        attempts.append((trial.number, attempt))
+        return trial.number == 3 or attempt == 3, False
+
+    walk(agenda, answer)
+    one_round = [(2, 1), (3, 1), (2, 2), (2, 3)]
+    assert attempts == one_round * 2
+
+
 def test_every_page_has_a_text_to_be_found() -> None:
     known = {*PAGES} - {"instructions"}
     trials = [

@@ -38,6 +38,16 @@ def order(
     )
 
 
+@given(st.integers(1, 12), st.integers(0, 30), st.integers(0, 999))
+def test_places_of_references_do_not_touch_where_there_is_room(
+    count: int, more: int, seed: int
+) -> None:
+    n = 3 * count + more
+    places = spaced._draw_places(count, n, rng=np.random.default_rng(seed))
+    assert len(places) == count
+    assert count == 1 or not places & {(place + 1) % n for place in places}
+
+
 @given(
     st.integers(2, 6),
     st.integers(2, 6),

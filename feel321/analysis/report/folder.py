@@ -186,6 +186,16 @@ for line in sys.stdin:
 """What the second process runs. It imports neither the caller's script nor anything of a running session."""
 
 
+def remove_results(target: Path) -> None:
+    """Remove the files of a former run; what else lies in the folder stays."""
+    # The list goes last: a removal that is interrupted leaves files that the next one knows.
+    for name in sorted(_refuse_foreign(target, ()), key=RESULTS.__eq__):
+        (target / name).unlink(missing_ok=True)
+    for folder in (target / "figures", target / "tables", target):
+        if folder.is_dir() and not any(folder.iterdir()):
+            folder.rmdir()
+
+
 def _replace(place: Path, target: Path, *, files: Iterable[str]) -> None:
     """Move finished results to their folder, over the former ones."""
     wanted = tuple(files)

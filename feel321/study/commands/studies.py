@@ -260,7 +260,8 @@ def withdraw(
         context.exit(1)
     removed = withdraw_participant(folder, participant, now=study.now, reason=reason, warn=warn)
     click.echo(
-        f"{folder.sessions / participant}: removed {len(removed)} files; a tombstone keeps the code"
+        f"{folder.sessions / participant}: removed {len(removed)} files; a tombstone keeps the code. "
+        "Exports and other copies are yours to remove"
     )
 
 

@@ -72,6 +72,11 @@ def withdraw_participant(
         tombstone = found or _make_tombstone(folder, entry, reason=reason, now=now)
         removed = _remove_data(folder)
         warnings = [notice, *_renew_tables(study)]
+        if tombstone.journals:
+            warnings += _remove_report(study)
+        rehearsal = study.path / "rehearsals" / participant
+        if rehearsal.exists() and rehearsal != folder:
+            warnings.append(f"{rehearsal}: was rehearsed under the same code; remove the folder")
         _enter(ledger, participant, Entry(participant, entry.simulated, entry.number, "withdrawn"))
         write_tombstone(folder, replace(tombstone, state=REMOVED))
     (folder / LOCK_FILE).unlink(missing_ok=True)
@@ -169,8 +174,16 @@ def _renew_tables(study: StudyFolder) -> Iterator[str]:
                 # A derived table can be made again; the data of someone who withdrew may not stay.
                 path.unlink()
                 yield f"{path}: was removed, because it could not be rewritten ({error})"
+
+
+def _remove_report(study: StudyFolder) -> Iterator[str]:
+    if study.report.is_dir():
+        from feel321.analysis.report.folder import remove_results
+
+        remove_results(study.report)
+        yield f"{study.report}: was removed, for it held the participant's data; write it anew: feel321 analyze"
     if study.report.exists():
-        yield f"{study.report}: still holds the participant's data; write it anew: feel321 analyze"
+        yield f"{study.report}: holds other files; remove those with the participant's data"
 
 
 def _enter(ledger: Engine, participant: str, entry: Entry | None) -> None:

@@ -433,9 +433,15 @@ def _open_newest(
     if differences := find_differences(begun.to_data(), header, ignore=UNCOMPARED):
         if _is_untouched(journal, begun, plan):
             return _supersede(journal, plan, identity)
+        named = [
+            "other texts for participants" if line.startswith("texts_sha256 ") else line
+            for line in differences
+        ]
+        former, own = begun.versions.get("feel321"), version("feel321")
+        use = "" if former == own else f" or use feel321 {former}, which began it"
         raise ValueError(
-            f"{journal.path}: the session was begun otherwise ({'; '.join(differences)}); "
-            f"change that back, begin with another participant, or move {folder.parent.name}/ away"
+            f"{journal.path}: the session was begun otherwise ({'; '.join(named)}); change that back{use}, "
+            f"begin with another participant, or move {folder.parent.name}/ away"
         )
     return _resume(journal, plan, identity, now=now, stale=stale)
 

@@ -127,10 +127,11 @@ def test_withdraw_says_what_was_removed_and_what_is_left_to_do(begun: Any, say: 
         "withdraw", begun.study.path, "--participant", "p01", "--yes", "--reason", "moved away"
     )
     assert code == 0
-    assert out == f"{begun.study.sessions / 'p01'}: removed 2 files; a tombstone keeps the code\n"
-    assert err.startswith(
-        f"feel321: warning: {begun.study.report}: still holds the participant's data"
+    assert out == (
+        f"{begun.study.sessions / 'p01'}: removed 2 files; a tombstone keeps the code. "
+        "Exports and other copies are yours to remove\n"
     )
+    assert err.startswith(f"feel321: warning: {begun.study.report}: was removed, for it held")
     assert (
         json.loads((begun.study.sessions / "p01" / "withdrawn.json").read_text())["reason"]
         == "moved away"

@@ -70,6 +70,16 @@ def read_files(folder: Path) -> dict[str, bytes]:
     }
 
 
+def write_report_files(folder: Path) -> None:
+    """Write a report's files, and one that is not its own though the list names it."""
+    files = ["results.json", "index.html", "figures/a.svg", "tables/raters.csv"]
+    (folder / "figures").mkdir(parents=True)
+    (folder / "tables").mkdir()
+    for name in [*files, "mine.csv"]:
+        (folder / name).write_text("p01")
+    (folder / "results.json").write_text(json.dumps({"files": [*files, "mine.csv"]}))
+
+
 @pytest.fixture
 def two(lab: Any) -> Any:
     """A study in which p01 and p02 have finished."""
@@ -175,12 +185,13 @@ def test_nobody_withdraws_twice(two: Any, now: Any) -> None:
     assert read_files(two.study.sessions) == before
 
 
-def test_derived_tables_are_written_anew_and_a_stale_report_is_named(
+def test_derived_tables_are_written_anew_and_the_report_goes(
     two: Any, now: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write_roster(two.study)
     two.study.ratings.write_text("participant\np01\np02\n")
-    two.study.report.mkdir()
+    write_report_files(two.study.report)
+    (two.study.path / "rehearsals" / "p01").mkdir(parents=True)
     monkeypatch.setattr("feel321.study.ledger.withdrawal.read_stimuli", lambda folder: folder)
     monkeypatch.setattr(
         "feel321.study.ledger.withdrawal.write_ratings",
@@ -194,8 +205,22 @@ def test_derived_tables_are_written_anew_and_a_stale_report_is_named(
     with (two.study.path / "participants.csv").open() as file:
         assert [row["participant"] for row in csv.DictReader(file)] == ["p02"]
     assert warnings == [
-        f"{two.study.report}: still holds the participant's data; write it anew: feel321 analyze"
+        f"{two.study.report}: was removed, for it held the participant's data; write it anew: feel321 analyze",
+        f"{two.study.report}: holds other files; remove those with the participant's data",
+        f"{two.study.path / 'rehearsals' / 'p01'}: was rehearsed under the same code; remove the folder",
     ]
+    assert read_files(two.study.report) == {"mine.csv": b"p01"}
+
+
+def test_a_report_without_the_participant_stays(two: Any, now: Any) -> None:
+    write_report_files(two.study.report)
+    before = read_files(two.study.report)
+    two.claim("p03")
+    withdraw_participant(two.study, "p03", now=now)
+    assert read_files(two.study.report) == before
+    (two.study.report / "mine.csv").unlink()
+    withdraw_participant(two.study, "p02", now=now)
+    assert not two.study.report.exists()
 
 
 def test_what_a_kill_left_of_a_table_goes_too(two: Any, now: Any) -> None:
@@ -228,7 +253,8 @@ def test_a_kill_at_any_step_leaves_everything_or_a_tombstone_and_the_same_call_f
         lab.begin(name)
         lab.work(name, 2)
     write_roster(lab.study)
-    for step in range(40):
+    write_report_files(lab.study.report)
+    for step in range(50):
         shutil.copytree(lab.study.path, root / str(step))
     folder = type(lab.study)
     before = read_files(root / "0")
@@ -236,9 +262,9 @@ def test_a_kill_at_any_step_leaves_everything_or_a_tombstone_and_the_same_call_f
         [sys.executable, "-c", DYING, root], capture_output=True, text=True, check=True
     )
     ends = [line.split()[1] for line in done.stdout.splitlines()]
-    assert len(ends) == 40
+    assert len(ends) == 50
     assert ends[-1] == "whole"
-    assert ends.count("killed") > 12
+    assert ends.count("killed") > 20
     for step, end in enumerate(ends):
         study = folder(root / str(step))
         check_after_kill(study, before, is_whole=end == "whole")
@@ -253,6 +279,7 @@ def test_a_kill_at_any_step_leaves_everything_or_a_tombstone_and_the_same_call_f
             "p02": "running",
         }
         assert "p01" not in (study.path / "participants.csv").read_text()
+        assert list(read_files(study.report)) == ["mine.csv"]
         assert find_lost(study) == []
 
 

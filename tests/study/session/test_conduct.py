@@ -328,7 +328,13 @@ def test_one_bad_part_flags_the_trial(
 def test_numbers_of_devices_and_screens_are_taken_as_what_they_are(
     present: Present, scripted: type
 ) -> None:
-    odd = Playback(np.float32(1.0), float("nan"), underruns=np.int64(0), clipped=np.int64(2))
+    odd = Playback(
+        np.float32(1.0),
+        float("nan"),
+        underruns=np.int64(0),
+        clipped=np.int64(2),
+        measured={"onset_s": np.float32(0.5), "delay_s": float("nan"), "level_db": -float("inf")},
+    )
     records = present(
         scripted(
             playbacks={(1, 1): [odd]},
@@ -345,6 +351,7 @@ def test_numbers_of_devices_and_screens_are_taken_as_what_they_are(
         "clipped": 2,
         "completed": True,
         "error": "",
+        "measured": {"onset_s": 0.5},
     }
     assert list_events(records, "rated")[0]["values"] == {"test": 12.5}
 

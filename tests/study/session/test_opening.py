@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from feel321.study.session.events import PageRead
 from feel321.study.session.journal import (
     create_journal,
     find_header,
@@ -145,6 +146,7 @@ def test_resuming_leaves_a_record_with_the_versions(present: Present, scripted: 
     [
         ({"seed": 8}, "seed 8 -> 7"),
         ({"stimuli_sha256": "6"}, f"stimuli_sha256 '6' -> '{'5' * 64}'"),
+        ({"texts_sha256": "7", "versions": {"feel321": "0.0.1"}}, "other texts for participants"),
     ],
 )
 def test_a_header_that_does_not_fit_the_plan_is_refused_and_the_difference_named(
@@ -158,10 +160,12 @@ def test_a_header_that_does_not_fit_the_plan_is_refused_and_the_difference_named
     header = {**present(scripted())[0].data, **change}
     path = folder / "session-01.jsonl"
     path.unlink()
-    create_journal(path, now=now).write("begun", header)
-    with pytest.raises(
-        ValueError, match=rf"begun otherwise \({difference}\); .* or move sessions/ away"
-    ):
+    journal = create_journal(path, now=now)
+    journal.write("begun", header)
+    journal.write(PageRead("welcome", 1.0, 1.0))
+    use = " or use feel321 0.0.1, which began it" if "versions" in change else ""
+    remedy = f"change that back{use}, begin with another participant, or move sessions/ away"
+    with pytest.raises(ValueError, match=rf"begun otherwise \({difference}\); {remedy}"):
         present(scripted())
 
 
