@@ -47,27 +47,10 @@ _KINDS = {kind.event for kind in (TrialShown, PartPlayed, TrialRated)}
 
 
 def write_ratings(study: StudyFolder, stimuli: StimulusSet) -> int:
-    """Write all completed judgements of a study, of unfinished sessions too.
+    """Write all completed judgements of a study, of unfinished sessions too, and count them.
 
     Training and practice are left out; they stand in the journals. An attempt that was bad, or a session that
     was begun anew, is there and marked as rejected.
-
-    Parameters
-    ----------
-    study : StudyFolder
-        The study with its journals; the table is replaced in one step.
-    stimuli : StimulusSet
-        The set that was judged.
-
-    Returns
-    -------
-    int
-        Number of rows.
-
-    Raises
-    ------
-    ValueError
-        If a plan or journal is broken or was written with another stimulus set.
     """
     rows = [row for folder in study.participants for row in read_judgements(folder, stimuli)]
     text = io.StringIO(newline="")

@@ -6,7 +6,6 @@ whether it was made yet or not.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from math import inf, log10
 from typing import TYPE_CHECKING
 
@@ -30,6 +29,7 @@ from feel321.study.actuator.render import (
     reduced_energy,
 )
 from feel321.study.actuator.rig import AXES, REDUCED, Rig
+from feel321.study.findings import Problems
 from feel321.study.settings.read import make_design, make_recipe
 from feel321.study.settings.schema import ACCEPT, Settings
 
@@ -49,36 +49,29 @@ COSTLY_DB = 1.0
 """A recording that takes less headroom from the others is not worth a line."""
 
 
-@dataclass(frozen=True, slots=True)
-class Findings:
-    """What was found, one line each."""
-
-    problems: list[str] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-    figures: dict[str, object] = field(default_factory=dict)
-
-
 # How strongly a study's stimuli will be felt: sensation levels and gains.
 
 
-def find_strength(settings: Settings, foreseen: Sequence[Foreseen], recipe: Recipe) -> Findings:
+def find_strength(settings: Settings, foreseen: Sequence[Foreseen], recipe: Recipe) -> Problems:
     """Find out how strongly the stimuli of a study will be felt."""
-    unfelt = list(_find_weak(foreseen, recipe, least=-inf, below=0.0))
+    unfelt = tuple(_find_weak(foreseen, recipe, least=-inf, below=0.0))
     weak = _find_weak(foreseen, recipe, least=0.0, below=WEAK_DB)
     is_accepted = settings.stimuli.below_threshold == ACCEPT
     levels = {
-        recording: {curve: _find_range(own, curve) for curve in THRESHOLDS}
+        recording: {
+            curve: [end(one.sensation_levels_db[curve] for one in own) for end in (min, max)]
+            for curve in THRESHOLDS
+        }
         for recording, own in _group(foreseen).items()
     }
-    return Findings(
-        problems=[] if is_accepted else unfelt,
-        warnings=[
-            *(unfelt if is_accepted else []),
+    return Problems(
+        problems=() if is_accepted else unfelt,
+        warnings=(
+            *(unfelt if is_accepted else ()),
             *weak,
             *_compare_with_surface(settings, foreseen),
-        ],
-        notes=[*describe_gains(foreseen, recipe), *_list_levels(levels)],
+        ),
+        notes=(*describe_gains(foreseen, recipe), *_list_levels(levels)),
         figures={
             "gain": recipe.gain,
             "threshold": recipe.threshold,
@@ -157,11 +150,6 @@ def _unit_peak(one: Foreseen) -> float:
 
 def _own_level(one: Foreseen, recipe: Recipe) -> float:
     return one.sensation_levels_db[recipe.threshold]
-
-
-def _find_range(own: Sequence[Foreseen], curve: str) -> list[float]:
-    levels = [one.sensation_levels_db[curve] for one in own]
-    return [min(levels), max(levels)]
 
 
 def _find_weak(
@@ -253,19 +241,18 @@ def write_db(value: float) -> str:
 # What a rig makes of the strength of stimuli: equal energy for one axis and for three, and peaks that it can play.
 
 
-def find_reach(rig: Rig, recordings: Sequence[Recording], recipe: Recipe) -> Findings:
+def find_reach(rig: Rig, recordings: Sequence[Recording], recipe: Recipe) -> Problems:
     """Compare the energy with which one-axis stimuli and the three-axis reference reach the hand."""
     if recipe.reference != ORIGINAL:
-        return Findings()
+        return Problems()
     directions, unknown = find_directions(rig)
     if unknown:
-        return Findings(
-            warnings=[
-                f"actuators {', '.join(map(repr, unknown))}: no direction is known, so it is unknown whether one-axis "
-                "stimuli and the three-axis reference reach the hand with equal energy; add direction = [x, y, z] "
-                "to every actuator"
-            ]
+        line = (
+            f"actuators {', '.join(map(repr, unknown))}: no direction is known, so it is unknown whether one-axis "
+            "stimuli and the three-axis reference reach the hand with equal energy; add direction = [x, y, z] "
+            "to every actuator"
         )
+        return Problems(warnings=(line,))
     mix = find_mix(rig)
     reduced = reduced_energy(mix, directions)
     differences = {
@@ -275,14 +262,13 @@ def find_reach(rig: Rig, recordings: Sequence[Recording], recipe: Recipe) -> Fin
         for recording in recordings
     }
     name = max(differences, key=lambda name: abs(differences[name]))
-    figures: dict[str, object] = {"reduced_over_reference_db": differences}
+    figures = {"reduced_over_reference_db": differences}
     worst = differences[name]
     if abs(worst) < EQUAL_DB:
         same = "one-axis stimuli and the three-axis reference reach the hand with equal energy"
-        return Findings(notes=[f"{same} (difference {write_db(worst)} dB)"], figures=figures)
-    return Findings(
-        warnings=[_describe_difference(rig, worst, name, among=differences)], figures=figures
-    )
+        return Problems(notes=(f"{same} (difference {write_db(worst)} dB)",), figures=figures)
+    warning = _describe_difference(rig, worst, name, among=differences)
+    return Problems(warnings=(warning,), figures=figures)
 
 
 def find_rig_limits(rig: Rig, foreseen: Sequence[Foreseen], reference: str) -> list[str]:

@@ -6,6 +6,7 @@ import warnings
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Self
 
+from feel321.doors import as_path, as_seed, follow
 from feel321.study.folder import StudyFolder, create_study, require_study
 from feel321.study.session.journal import Clock, utc_now
 
@@ -26,13 +27,73 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class Contents:
-    """A study as far as it is read."""
+class Study:
+    """A study in its folder; begin with `Study.create` or `Study.open`.
+
+    Parameters
+    ----------
+    folder : StudyFolder
+        Its places.
+    progress : bool or callable
+        Whether long steps show a progress bar.
+    now : callable
+        The clock.
+    warn : callable, optional
+        Called with each warning; Python's own warnings by default.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from feel321 import study
+    >>> pilot = study.Study.create(tempfile.mkdtemp() + "/pilot")
+    >>> pilot.with_settings({"session.repeats": 2}).settings.session.repeats
+    2
+    >>> len(pilot.recordings())
+    6
+    """
 
     folder: StudyFolder
     progress: Progress = False
     now: Clock = utc_now
     warn: Callable[[str], None] | None = None
+
+    @classmethod
+    def create(cls, path: PathLike, *, like: str | None = None, progress: Progress = False) -> Self:
+        """Begin a study in a new folder: a commented `study.toml` that works as it is, and a `rig.toml`.
+
+        Parameters
+        ----------
+        path : str or path
+            The folder; refused if it holds a study.
+        like : str, optional
+            A published study to run again: `landin2010`, `lee2022` or `park2019`.
+        progress : bool or callable
+            Whether long steps show a progress bar.
+
+        Returns
+        -------
+        Study
+            The study.
+        """
+        return cls(create_study(as_path(path), bundled=like), progress)
+
+    @classmethod
+    def open(cls, path: PathLike = ".", *, progress: Progress = False) -> Self:
+        """Open a study that is there.
+
+        Parameters
+        ----------
+        path : str or path
+            The folder that holds `study.toml`.
+        progress : bool or callable
+            Whether long steps show a progress bar.
+
+        Returns
+        -------
+        Study
+            The study.
+        """
+        return cls(require_study(as_path(path)), progress)
 
     def __repr__(self) -> str:
         """Write what a user would write to open it."""
@@ -194,75 +255,6 @@ class Contents:
             )
         return known[participant]
 
-
-@dataclass(frozen=True, slots=True, repr=False)
-class Study(Contents):
-    """A study in its folder; begin with `Study.create` or `Study.open`.
-
-    Parameters
-    ----------
-    folder : StudyFolder
-        Its places.
-    progress : bool or callable
-        Whether long steps show a progress bar.
-    now : callable
-        The clock.
-    warn : callable, optional
-        Called with each warning; Python's own warnings by default.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from feel321 import study
-    >>> pilot = study.Study.create(tempfile.mkdtemp() + "/pilot")
-    >>> pilot.with_settings({"session.repeats": 2}).settings.session.repeats
-    2
-    >>> len(pilot.recordings())
-    6
-    """
-
-    @classmethod
-    def create(cls, path: PathLike, *, like: str | None = None, progress: Progress = False) -> Self:
-        """Begin a study in a new folder: a commented `study.toml` that works as it is, and a `rig.toml`.
-
-        Parameters
-        ----------
-        path : str or path
-            The folder; refused if it holds a study.
-        like : str, optional
-            A published study to run again: `landin2010`, `lee2022` or `park2019`.
-        progress : bool or callable
-            Whether long steps show a progress bar.
-
-        Returns
-        -------
-        Study
-            The study.
-        """
-        from feel321.doors import as_path
-
-        return cls(create_study(as_path(path), bundled=like), progress)
-
-    @classmethod
-    def open(cls, path: PathLike = ".", *, progress: Progress = False) -> Self:
-        """Open a study that is there.
-
-        Parameters
-        ----------
-        path : str or path
-            The folder that holds `study.toml`.
-        progress : bool or callable
-            Whether long steps show a progress bar.
-
-        Returns
-        -------
-        Study
-            The study.
-        """
-        from feel321.doors import as_path
-
-        return cls(require_study(as_path(path)), progress)
-
     def check(self) -> Problems:
         """Check settings, recordings, texts, strength of the stimuli, rig and, once built, the stimulus set.
 
@@ -271,18 +263,10 @@ class Study(Contents):
         Problems
             All that was found, at once.
         """
-        from feel321.doors import follow
-        from feel321.study.findings import Problems
-        from feel321.study.workflow import check_study, find_warnings
+        from feel321.study.workflow import check_study
 
         with follow(self.progress, "check") as step:
-            recordings, problems, strength = check_study(self.folder, progress=step)
-        warnings = [] if problems else find_warnings(self.folder)
-        remarks = tuple(f"{one.name}: {text}" for one in recordings for text in one.warnings)
-        warnings = [*strength.warnings, *warnings]
-        return Problems(
-            tuple(problems), tuple(warnings), tuple(strength.notes), remarks, strength.figures
-        )
+            return check_study(self.folder, progress=step)
 
     def build(self, workers: int = 1) -> StimulusSet:
         """Build the stimulus set; only what changed is made again.
@@ -297,7 +281,6 @@ class Study(Contents):
         StimulusSet
             The set.
         """
-        from feel321.doors import follow
         from feel321.study.workflow import build_study
 
         with follow(self.progress, "build") as step:
@@ -324,7 +307,6 @@ class Study(Contents):
         """
         import pandas as pd
 
-        from feel321.doors import as_seed, follow
         from feel321.study.workflow import simulate_study
 
         with follow(self.progress, "simulate") as step:
@@ -346,7 +328,6 @@ class Study(Contents):
         Status
             Participants and balance.
         """
-        from feel321.doors import follow
         from feel321.study.status import read_status
 
         with follow(self.progress, "status") as step:
@@ -360,7 +341,6 @@ class Study(Contents):
         Audit
             Every change, and the seal.
         """
-        from feel321.doors import follow
         from feel321.study.audit import audit_study, make_seal
         from feel321.study.findings import Audit
 
@@ -380,7 +360,6 @@ class Study(Contents):
         Results
             Every number of the report, and its answer.
         """
-        from feel321.doors import follow
         from feel321.study.analyze import analyze_study
 
         with follow(self.progress, "analyze") as step:
