@@ -3,15 +3,18 @@
 It may be deleted at any time: it is written anew, byte for byte the same, from what the journals hold.
 """
 
-from __future__ import annotations
-
 import csv
 import io
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 from feel321.files import write_text
 from feel321.protocols.tasks import score_trial
+from feel321.protocols.trial import Trial
+from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.study.columns import RATING_COLUMNS
+from feel321.study.folder import StudyFolder
 from feel321.study.session.events import (
     PartPlayed,
     SessionBegun,
@@ -34,14 +37,6 @@ from feel321.study.session.plan import (
     read_as_written,
     require_own_plan,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from feel321.protocols.trial import Trial
-    from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
-    from feel321.study.folder import StudyFolder
 
 _KINDS = {kind.event for kind in (TrialShown, PartPlayed, TrialRated)}
 

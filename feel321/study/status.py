@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields
 from itertools import groupby
 from math import lcm, prod
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from feel321.protocols.balance import measure_balance, pool_balances, williams_square
@@ -17,9 +19,6 @@ from feel321.study.session.journal import Chain, Record, find_events, has_event
 from feel321.study.session.plan import TOMBSTONE_FILE, Dossier, Plan, read_as_written, read_dossier
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-    from pathlib import Path
-
     from pandas import DataFrame
 
     from feel321.protocols.trial import Trial

@@ -4,15 +4,18 @@ Everything here works on what a build would make (`feel321.stimuli.sets.build.fo
 whether it was made yet or not.
 """
 
-from __future__ import annotations
-
+from collections.abc import Iterator, Mapping, Sequence
 from math import inf, log10
-from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
 
 from feel321.protocols.trial import SURFACE
 from feel321.stimuli.condition import condition
+from feel321.stimuli.recording import Recording
 from feel321.stimuli.sets.anchors import THRESHOLDS, to_db
 from feel321.stimuli.sets.build import Foreseen, foresee_stimuli
+from feel321.stimuli.sets.manifest import StimulusSet
 from feel321.stimuli.sets.recipe import (
     GAIN_PER_RECORDING,
     ONE_GAIN,
@@ -32,15 +35,6 @@ from feel321.study.actuator.rig import AXES, REDUCED, Rig
 from feel321.study.findings import Problems
 from feel321.study.settings.read import make_design, make_recipe
 from feel321.study.settings.schema import ACCEPT, Settings
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from feel321.stimuli.recording import Recording
-    from feel321.stimuli.sets.manifest import StimulusSet
 
 WEAK_DB = 10.0
 """Stimuli with a lower sensation level are listed: they are felt, but hardly as what they are."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 from feel321.doors import as_path, as_seed, follow
@@ -11,9 +13,6 @@ from feel321.study.folder import StudyFolder, create_study, require_study
 from feel321.study.session.journal import Clock, utc_now
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-    from pathlib import Path
-
     from pandas import DataFrame
 
     from feel321.analysis.report.write import Results

@@ -1,24 +1,25 @@
 """Steps of a study before the analysis: check, build, simulate."""
 
-from __future__ import annotations
-
 import csv
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from feel321.protocols.order import find_crowding
 from feel321.protocols.texts import read_scales
 from feel321.protocols.trial import CHOOSING
 from feel321.stimuli.condition import condition, fade
+from feel321.stimuli.recording import Recording
 from feel321.stimuli.sets.anchors import quietest_hz
 from feel321.stimuli.sets.build import Foreseen, build_stimuli, foresee_stimuli
 from feel321.stimuli.sets.manifest import StimulusSet, check_stimuli, read_stimuli
+from feel321.stimuli.sets.recipe import Recipe
 from feel321.study.actuator.render import find_mix
 from feel321.study.actuator.rig import Rig, read_rig
 from feel321.study.findings import Problems
 from feel321.study.folder import StudyFolder, find_changes, is_in_use
 from feel321.study.ledger.standing import write_roster
 from feel321.study.ratings import write_ratings
+from feel321.study.session.journal import Clock
 from feel321.study.session.plan import PLAN_FILE, make_plan
 from feel321.study.sessions import list_rig_problems, open_room, require_current_set, run_simulation
 from feel321.study.settings.read import (
@@ -40,14 +41,7 @@ from feel321.study.strength import (
     find_unfelt,
 )
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from feel321.stimuli.recording import Recording
-    from feel321.stimuli.sets.recipe import Recipe
-    from feel321.study.session.journal import Clock
-
-    Progress = Callable[[int, int], None]
+Progress = Callable[[int, int], None]
 
 
 def build_study(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -15,8 +16,6 @@ from feel321.study.commands import shared
 from feel321.study.folder import StudyFolder, require_study
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
     from feel321.study.actuator.doctor import Examination
     from feel321.study.actuator.rig import Rig
     from feel321.study.session.ports import Place
