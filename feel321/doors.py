@@ -251,8 +251,14 @@ class Registry(Mapping[str, Entry]):
             as_names(wanted, f"{self._what}s")
         if isinstance(wanted, Mapping):
             return {name: self.find(one) for name, one in wanted.items()}
-        several = wanted if isinstance(wanted, Iterable) else [wanted]
-        return {name_of(one): self.find(one) for one in several}
+        several = [*wanted] if isinstance(wanted, Iterable) else [wanted]
+        chosen = {name_of(one): self.find(one) for one in several}
+        if len(chosen) < len(several):
+            names = ", ".join(map(name_of, several))
+            raise ValueError(
+                f"{self._what}s must have names that differ, got {names}; name them: {{'mine': f}}"
+            )
+        return chosen
 
 
 def name_of(method: object) -> str:

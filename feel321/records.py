@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 REPR_WIDTH = 200
 """Characters of a result's repr, at most."""
 
+MOST_ROWS = 60
+"""Rows of a table that a summary shows, at most; half of them from its end."""
+
 
 class Result:
     """A result: its fields as a data frame, a dictionary, text and HTML."""
@@ -127,7 +130,7 @@ def _write_frame(frame: DataFrame) -> str:
     if len(frame) == 1:
         frame = frame.T
         return frame.to_string(header=False, float_format="{:.4g}".format)
-    return frame.to_string(index=False, float_format="{:.4g}".format)
+    return frame.to_string(index=False, float_format="{:.4g}".format, max_rows=MOST_ROWS)
 
 
 def _is_equal(one: Any, other: Any) -> bool:  # noqa: ANN401 - fields hold anything

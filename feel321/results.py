@@ -21,7 +21,7 @@ from feel321.analysis.table.items import Table
 from feel321.analysis.table.reading import Further
 from feel321.analysis.tradeoff.advise.page import Advice
 from feel321.analysis.tradeoff.chart.compute import Chart
-from feel321.analysis.tradeoff.stress.run import Stress
+from feel321.analysis.tradeoff.stress.page import Stress
 from feel321.protocols.trial import Page, Part
 from feel321.stimuli.recording import Signal
 from feel321.stimuli.rotation import RotationStatistics

@@ -6,7 +6,7 @@ applied forwards and backwards (no phase shift, magnitude squared): at the corne
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -47,6 +47,7 @@ class Conditioning:
 
     def __post_init__(self) -> None:
         """Refuse corners and crops that make no sense."""
+        make_plain(self)
         for name in ("high_pass_hz", "low_pass_hz"):
             corner = getattr(self, name)
             if corner is not None and not 0 < corner < np.inf:
@@ -58,10 +59,18 @@ class Conditioning:
                 f"high_pass_hz must be below low_pass_hz, {self.low_pass_hz}; got {self.high_pass_hz}"
             )
         crop = (0.0, 1.0) if self.crop_s is None else self.crop_s
-        if len(crop) != len(("start", "end")) or not 0 <= crop[0] < crop[1] < np.inf:
+        if np.shape(crop) != (2,) or not 0 <= crop[0] < crop[1] < np.inf:
             raise ValueError(
                 f"crop_s must be (start, end) in s with 0 <= start < end, got {self.crop_s}"
             )
+
+
+def make_plain(settings: object) -> None:
+    """Make Python's numbers of NumPy's in a frozen record of settings: JSON knows no others."""
+    for entry in fields(settings):  # type: ignore[arg-type]  # any dataclass
+        value = getattr(settings, entry.name)
+        if isinstance(value, np.generic):
+            object.__setattr__(settings, entry.name, value.item())
 
 
 def condition(

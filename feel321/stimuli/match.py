@@ -42,7 +42,7 @@ from feel321.stimuli.recording import (
     SAFE_PEAK,
     Signal,
     admit,
-    as_signal,
+    as_pair,
     check_reduced,
     largest,
     scale_down,
@@ -467,7 +467,7 @@ def temporal_match_details(
     >>> stimuli.temporal_match_details([[3, 4], [4, 3], [0, 0]], [3, 4]).silent_axes
     (2,)
     """
-    samples = admit(*as_signal(acceleration, rate_hz, otherwise=1.0)).samples
+    samples = admit(*as_pair(acceleration, reduced, rate_hz, otherwise=1.0)).samples
     # The reduced signal's strength does not matter, so it gets a scale of its own.
     (signal,) = scale_down(check_reduced(reduced, samples.shape))
     correlations = axis_correlations(samples, signal)
@@ -515,7 +515,7 @@ def _compare(
 ) -> tuple[OriginalSpectrum, Samples]:
     """Check a pair, and return the recording's spectrum and the reduced signal, both scaled into a safe range."""
     check_name(grid, GRIDS, "grid")
-    given, rate = as_signal(acceleration, rate_hz)
+    given, rate = as_pair(acceleration, reduced, rate_hz)
     admitted = admit(given, rate)
     signal = check_reduced(reduced, admitted.samples.shape)
     if admitted.exponents is not None:

@@ -85,12 +85,15 @@ class Recording(Result):
 
     def __post_init__(self) -> None:
         """Check and convert once, when the recording is made."""
-        samples = check_acceleration(self.acceleration).copy()
-        if samples.ndim != 2 or samples.shape[1] == 0:  # noqa: PLR2004 - axes x samples
+        given = coerce_acceleration(self.acceleration)
+        if given.ndim != 2 or given.shape[1] == 0:  # noqa: PLR2004 - axes x samples
             raise ValueError(
-                f"recording {self.name!r} must have the shape (3, n) with n >= 1, got {samples.shape}"
+                f"recording {self.name!r} must have the shape (3, n) with n >= 1, got {given.shape}"
             )
-        samples *= UNITS[check_name(self.unit, UNITS, "unit")]
+        size = UNITS[check_name(self.unit, UNITS, "unit")]
+        with np.errstate(over="ignore", invalid="ignore"):
+            samples = np.multiply(given, size, order="C")
+        check_finite(samples, "acceleration")
         samples.flags.writeable = False
         object.__setattr__(self, "unit", "m/s^2")
         object.__setattr__(self, "acceleration", samples)
@@ -195,8 +198,7 @@ class Recording(Result):
 
     def __repr__(self) -> str:
         """Name, length and rate."""
-        length = f"{self.n_samples} samples at {self.rate_hz:g} Hz, {self.duration_s:g} s"
-        return f"Recording({self.name!r}, {length})"
+        return f"Recording({self.name!r}, {_describe_length(self.n_samples, self.rate_hz)})"
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -243,22 +245,59 @@ class Reduced(Result):
         index = pd.Index(np.arange(len(self)) / self.rate_hz, name="time_s")
         return pd.DataFrame({self.reducer: self.samples}, index)
 
+    def __repr__(self) -> str:
+        """Reducer and recording, length and rate."""
+        of = f" of {self.recording!r}" if self.recording else ""
+        return f"Reduced({self.reducer!r}{of}, {_describe_length(len(self), self.rate_hz)})"
+
+
+def _describe_length(n_samples: int, rate_hz: float) -> str:
+    return f"{n_samples} samples at {rate_hz:g} Hz, {n_samples / rate_hz:g} s"
+
 
 def as_signal(
     signal: Signal, rate_hz: float | None = None, *, otherwise: float | None = None
 ) -> tuple[ArrayLike, float]:
-    """Take samples and their rate: of a Recording or a Reduced, or as given."""
+    """Take samples and their rate, which is checked: of a Recording or a Reduced, or as given."""
+    given_hz = None if rate_hz is None else check_rate(rate_hz)
     if not isinstance(signal, Recording | Reduced):
-        rate_hz = otherwise if rate_hz is None else rate_hz
-        if rate_hz is None:
+        rate = given_hz or otherwise
+        if rate is None:
             raise TypeError("rate_hz must be given with plain samples; or pass a Recording")
-        return signal, rate_hz
-    if rate_hz is not None and rate_hz != signal.rate_hz:
+        return signal, rate
+    if given_hz not in {None, signal.rate_hz}:
         raise ValueError(
-            f"rate_hz must be left out or {signal.rate_hz:g}, that of the signal; got {rate_hz:g}"
+            f"rate_hz must be left out or {signal.rate_hz:g}, that of the signal; got {given_hz:g}"
         )
     samples = signal.acceleration if isinstance(signal, Recording) else signal.samples
     return samples, signal.rate_hz
+
+
+def as_samples(signal: Signal, rate_hz: float | None) -> tuple[Samples, float]:
+    """Take finite samples, (n,) or (axes, n), and their rate."""
+    given, rate = as_signal(signal, rate_hz)
+    samples = coerce_real(given, "signal")
+    if samples.ndim not in {1, 2} or not samples.size:
+        raise ValueError(
+            f"signal must have the shape (n,) or (axes, n) with n >= 1, got {samples.shape}"
+        )
+    check_finite(samples, "signal")
+    return samples, rate
+
+
+def as_pair(
+    acceleration: Signal,
+    reduced: ArrayLike | None,
+    rate_hz: float | None,
+    *,
+    otherwise: float | None = None,
+) -> tuple[ArrayLike, float]:
+    """Take a recording's samples and rate, which must be that of the reduced signal if this brings one."""
+    own = reduced.rate_hz if isinstance(reduced, Reduced) else None
+    given, rate = as_signal(acceleration, rate_hz, otherwise=own or otherwise)
+    if own not in {None, rate}:
+        raise ValueError(f"reduced must have the recording's rate, {rate:g} Hz; got {own:g} Hz")
+    return given, rate
 
 
 def digest_samples(recording: Recording) -> str:

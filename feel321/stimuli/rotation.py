@@ -41,10 +41,11 @@ from feel321.stimuli.recording import (
     Reduced,
     Signal,
     admit,
+    as_pair,
     as_signal,
     check_acceleration,
-    check_rate,
     check_reduced,
+    coerce_real,
     scale_down,
 )
 from feel321.stimuli.reducers.registry import REDUCERS
@@ -102,10 +103,9 @@ def spectral_match_energy_weighted(
     >>> round(spectral_match_energy_weighted([u, u, u], u + u + u, 1000), 9)
     0.333333333
     """
-    given, rate = as_signal(acceleration, rate_hz)
+    given, rate = as_pair(acceleration, reduced, rate_hz)
     samples = check_acceleration(given)
     samples, signal = scale_down(samples, check_reduced(reduced, samples.shape))
-    check_rate(rate)
     n = samples.shape[-1]
     frequencies = linear_grid(n, rate)
     smooth = WeberSmoothing(frequencies, rate / n, n // 2 + 1)
@@ -154,8 +154,7 @@ def temporal_match_invariant(
     >>> round(temporal_match_invariant([[3, 0], [0, 4], [0, 0]], [1, 0]), 12)
     0.6
     """
-    given, rate = as_signal(acceleration, rate_hz, otherwise=1.0)
-    check_rate(rate)
+    given, _ = as_pair(acceleration, reduced, rate_hz, otherwise=1.0)
     samples = check_acceleration(given)
     # Each in its own unit.
     (signal,) = scale_down(check_reduced(reduced, samples.shape))
@@ -220,7 +219,7 @@ def match(
     """
     import pandas as pd
 
-    given, rate = as_signal(recording, rate_hz)
+    given, rate = as_pair(recording, reduced, rate_hz)
     samples = check_acceleration(given)
     measures = METRICS.choose(metrics)
     if isinstance(reduced, str) or callable(reduced):
@@ -232,7 +231,7 @@ def match(
         outputs = {name: function(samples, rate) for name, function in functions.items()}
     else:
         name = reduced.reducer if isinstance(reduced, Reduced) else "reduced"
-        outputs = {name: np.asarray(reduced, dtype=np.float64)}
+        outputs = {name: coerce_real(reduced, "reduced")}
     rows = [
         [measure(samples, output, rate) for measure in measures.values()]
         for output in outputs.values()
@@ -293,7 +292,7 @@ def rotation_statistics(
     >>> found["spectral_sd"].round(2).tolist()
     [0.05, 0.0]
     """
-    if rotations != int(rotations) or rotations < LEAST_ROTATIONS:
+    if not rotations >= LEAST_ROTATIONS or rotations % 1:  # neither NaN nor infinity passes
         raise ValueError(
             f"rotations must be a whole number of {LEAST_ROTATIONS} or more, got {rotations}"
         )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from feel321.records import Result
-from feel321.stimuli.recording import AXES, Signal, as_signal, check_finite, coerce_real
+from feel321.stimuli.recording import AXES, Signal, as_samples
 from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
 
 if TYPE_CHECKING:
@@ -148,13 +148,9 @@ def _estimate(
     """Densities, (n_frequencies, n_windows), frequencies, times, and the length of a window in s."""
     from scipy.signal import spectrogram as by_scipy
 
-    given, rate = as_signal(signal, rate_hz)
-    samples = coerce_real(given, "signal")
-    if samples.shape[:-1] not in {(), (AXES,)} or not samples.size:
-        raise ValueError(
-            f"signal must have the shape (n,) or (3, n) with n >= 1, got {samples.shape}"
-        )
-    check_finite(samples, "signal")
+    samples, rate = as_samples(signal, rate_hz)
+    if samples.shape[:-1] not in {(), (AXES,)}:
+        raise ValueError(f"signal must have one axis or three, got the shape {samples.shape}")
     length = min(window_samples(window_s, rate), samples.shape[-1])
     frequencies, times, density = by_scipy(
         np.atleast_2d(samples),

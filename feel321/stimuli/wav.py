@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from feel321.doors import as_path
 from feel321.files import file_named, write_bytes
-from feel321.stimuli.recording import check_finite, check_rate
+from feel321.stimuli.recording import check_finite, check_rate, coerce_real
 from feel321.types import PathLike, Samples
 
 BYTE_ORDERS = {b"RIFF": "<", b"RIFX": ">"}
@@ -187,7 +187,7 @@ def _parse_format(body: bytes, order: str) -> tuple[int, int, int, bool]:
 
 
 def _as_frames(samples: ArrayLike) -> NDArray[np.float32]:
-    values = np.asarray(samples, dtype=np.float64)
+    values = coerce_real(samples, "samples")
     if values.ndim not in {1, 2} or values.size == 0:
         raise ValueError(
             f"samples must have the shape (n,) or (channels, n), not empty; got {values.shape}"

@@ -34,7 +34,7 @@ __all__ = [
 _old_names = {
     "Design": "feel321.study.session.plan:Design",
     "Place": "feel321.study.session.ports:Place",
-    "Stage": "feel321.study.session.engine:Stage",
+    "Stage": "feel321.study.session.engine:Setup",
     "Stale": "feel321.study.session.plan:Stale",
     "StudyFolder": "feel321.study.folder:StudyFolder|Study.open(path).folder",
     "create_journal": "feel321.study.session.journal:create_journal",

@@ -22,16 +22,14 @@ from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.trial import RATING_RANGE, Page, Trial
 from feel321.stimuli.sets.manifest import FURTHER, check_stimuli, describe_row, read_stimuli
 from feel321.study.folder import MANIFEST_JSON, StudyFolder, read_origin
+from feel321.study.ledger.progress import find_cut, find_leftovers, read_anchor
 from feel321.study.ledger.slots import Entry, find_lost, read_study_ledger
-from feel321.study.ledger.standing import find_cut, find_leftovers, read_anchor
 from feel321.study.ratings import find_misplaced
 from feel321.study.session import events
 from feel321.study.session.journal import (
     Chain,
     Record,
     digest,
-    find_events,
-    find_header,
     list_journals,
     name_journal,
     read_journal,
@@ -251,7 +249,7 @@ def _audit_journal(chain: Chain, plan: Plan, path: Path) -> Iterator[str]:
     if chain.torn:
         yield f": ends in {len(chain.torn)} bytes of an unfinished line; resuming moves them aside"
     try:
-        header = find_header(chain.records)
+        header = chain.records.find_header()
     except ValueError as error:
         yield f", {error}"
         return
@@ -279,7 +277,7 @@ def _audit_succession(journals: Sequence[Path], chains: Mapping[Path, Chain]) ->
         if path not in chains:
             continue
         try:
-            by = [e.by for e in find_events(chains[path].records, events.SessionSuperseded)]
+            by = [e.by for e in chains[path].records.find(events.SessionSuperseded)]
         except ValueError:
             by = []
         if session not in by:

@@ -22,14 +22,7 @@ from feel321.study.session.events import (
     TrialRated,
     TrialShown,
 )
-from feel321.study.session.journal import (
-    Record,
-    find_header,
-    has_event,
-    list_journals,
-    name_journal,
-    read_journal,
-)
+from feel321.study.session.journal import Records, list_journals, name_journal, read_journal
 from feel321.study.session.plan import (
     TOMBSTONE_FILE,
     Plan,
@@ -73,7 +66,7 @@ def read_judgements(folder: Path, stimuli: StimulusSet) -> list[dict[str, Any]]:
     for path in journals:
         records = read_journal(path).records
         with read_as_written(path):
-            if (header := find_header(records)) is None:
+            if (header := records.find_header()) is None:
                 continue
             if fault := next(find_misplaced(path, header, plan), ""):
                 remedy = "move a copy out of sessions/, or restore the plan from one"
@@ -108,11 +101,9 @@ def _decode(
     }
 
 
-def _list_judgements(
-    plan: Plan, records: Sequence[Record], *, path: Path
-) -> Iterator[dict[str, Any]]:
+def _list_judgements(plan: Plan, records: Records, *, path: Path) -> Iterator[dict[str, Any]]:
     trials = {trial.number: trial for trial in plan.trials}
-    superseded = has_event(records, SessionSuperseded)
+    superseded = records.has(SessionSuperseded)
     played: list[PartPlayed] = []
     for record in records:
         if record.event not in _KINDS:

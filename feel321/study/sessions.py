@@ -29,8 +29,8 @@ from feel321.protocols.texts import read_scales
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, read_stimuli
 from feel321.study.actuator.rig import FILE_DEVICE, Rig, identify, read_rig, take_device
 from feel321.study.folder import StudyFolder, find_changes
+from feel321.study.ledger.progress import check_anchors
 from feel321.study.ledger.slots import claim_slots, note_progress, open_study_ledger, read_ledger
-from feel321.study.ledger.standing import check_anchors
 from feel321.study.observer.participant import (
     SPECTRAL,
     ObserverModel,
@@ -43,14 +43,7 @@ from feel321.study.observer.participant import (
 from feel321.study.observer.percepts import Percept, read_percepts
 from feel321.study.session.engine import Outcome, run_session
 from feel321.study.session.events import DeviceOpened, SessionFinished, SessionReleased
-from feel321.study.session.journal import (
-    Clock,
-    Journal,
-    find_elapsed,
-    has_event,
-    list_journals,
-    read_journal,
-)
+from feel321.study.session.journal import Clock, Journal, list_journals, read_journal
 from feel321.study.session.plan import (
     TOMBSTONE_FILE,
     Plan,
@@ -161,7 +154,7 @@ class _Keeper:
         if self.place is None:
             return
         self.noted = self.place.done
-        is_finished = has_event(self.journal.records, SessionFinished)
+        is_finished = self.journal.records.has(SessionFinished)
         try:
             note_progress(
                 self.ledger,
@@ -371,7 +364,7 @@ def _make_observer(
         seed=casting.seed,
         number=find_person(plan.participant),
         percepts=casting.percepts,
-        elapsed_s=find_elapsed(journal.records),
+        elapsed_s=journal.records.find_elapsed(),
     )
     observer.recall(journal.records, plan.trials, stimuli=stimuli)
     yield observer
@@ -381,7 +374,7 @@ def _is_gone(folder: Path) -> bool:
     if (folder / TOMBSTONE_FILE).exists():
         return True
     journals = list_journals(folder)
-    return bool(journals) and has_event(read_journal(journals[-1]).records, SessionReleased)
+    return bool(journals) and read_journal(journals[-1]).records.has(SessionReleased)
 
 
 DELIVERED = "delivered"
@@ -438,7 +431,7 @@ def open_lab(
     from feel321.study.screen.presenter import ScreenPresenter
     from feel321.study.screen.window import open_screen
 
-    clock = start_clock(find_elapsed(journal.records))
+    clock = start_clock(journal.records.find_elapsed())
     texts = make_screen_texts(read_study_texts(lab.settings, lab.study.path))
     surfaces = list_surfaces(lab.settings, lab.study.path)
     with ExitStack() as stack:

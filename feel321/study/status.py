@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import asdict, dataclass, fields
 from itertools import groupby
 from math import lcm, prod
@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING
 from feel321.protocols.balance import measure_balance, pool_balances, williams_square
 from feel321.protocols.tasks import is_as_expected
 from feel321.records import Result
-from feel321.study.ledger.standing import make_standing
+from feel321.study.ledger.progress import make_progress
 from feel321.study.session.events import PageRead, SessionFinished, SessionReleased, TrialRated
-from feel321.study.session.journal import Chain, Record, find_events, has_event
 from feel321.study.session.plan import TOMBSTONE_FILE, Dossier, Plan, read_as_written, read_dossier
 
 if TYPE_CHECKING:
@@ -23,6 +22,7 @@ if TYPE_CHECKING:
 
     from feel321.protocols.trial import Trial
     from feel321.study.folder import StudyFolder
+    from feel321.study.session.journal import Chain, Records
 
     Sequences = dict[tuple[str, ...], list[list[str]]]
 
@@ -101,8 +101,8 @@ def describe_balance(realised: BalanceAsRun | None) -> list[str]:
     return lines
 
 
-def _is_finished(records: Sequence[Record]) -> bool:
-    return has_event(records, SessionFinished) and not has_event(records, SessionReleased)
+def _is_finished(records: Records) -> bool:
+    return records.has(SessionFinished) and not records.has(SessionReleased)
 
 
 def _list_counted(dossier: Dossier) -> list[Trial]:
@@ -111,8 +111,8 @@ def _list_counted(dossier: Dossier) -> list[Trial]:
     return [trials[rated.trial] for rated in _list_accepted(dossier.records, trials)]
 
 
-def _list_accepted(records: Iterable[Record], numbers: Collection[int]) -> list[TrialRated]:
-    rated = find_events(records, TrialRated)
+def _list_accepted(records: Records, numbers: Collection[int]) -> list[TrialRated]:
+    rated = records.find(TrialRated)
     return [event for event in rated if event.trial in numbers and not event.rejected]
 
 
@@ -243,7 +243,7 @@ def _read_progress(folder: Path) -> tuple[ParticipantStatus, Dossier | None]:
         return ParticipantStatus(folder.name, state="withdrawn"), None
     try:
         dossier = read_dossier(folder)
-        standing = make_standing(dossier)
+        progress = make_progress(dossier)
         with read_as_written(dossier.newest):
             chains = dossier.chains[-1:]
             warnings = [line for chain in chains for line in _find_warnings(dossier.plan, chain)]
@@ -251,14 +251,14 @@ def _read_progress(folder: Path) -> tuple[ParticipantStatus, Dossier | None]:
     except (OSError, ValueError) as error:
         return ParticipantStatus(folder.name, problem=str(error)), None
     entry = ParticipantStatus(
-        participant=standing.participant,
-        state=standing.state,
-        number=standing.number,
-        groups=", ".join(f"{factor}={level}" for factor, level in standing.groups.items()),
-        done=standing.done,
-        left=standing.total - standing.done,
-        simulated=standing.simulated,
-        last_activity=standing.last_utc,
+        participant=progress.participant,
+        state=progress.state,
+        number=progress.number,
+        groups=", ".join(f"{factor}={level}" for factor, level in progress.groups.items()),
+        done=progress.done,
+        left=progress.total - progress.done,
+        simulated=progress.simulated,
+        last_activity=progress.last_utc,
         warnings=tuple(warnings),
     )
     return entry, dossier
@@ -269,16 +269,16 @@ def _find_warnings(plan: Plan, chain: Chain) -> Iterator[str]:
         yield f"{len(chain.torn)} bytes of an unfinished line, moved aside on resuming"
     counts = Counter(flag for record in chain.records for flag in record.data.get("flags", ()))
     yield from (f"{count} x {flag.replace('_', ' ')}" for flag, count in counts.items())
-    if any(page.key == "training_failed" for page in find_events(chain.records, PageRead)):
+    if any(page.key == "training_failed" for page in chain.records.find(PageRead)):
         yield "training not passed"
-    if given_up := sum(end.given_up for end in find_events(chain.records, SessionFinished)):
+    if given_up := sum(end.given_up for end in chain.records.find(SessionFinished)):
         yield f"{given_up} {'trial' if given_up == 1 else 'trials'} given up"
     caught = find_catches(plan, chain.records)
     if missed := sum(not as_expected for as_expected in caught):
         yield f"{missed} of {len(caught)} catch trials not as expected"
 
 
-def find_catches(plan: Plan, records: Sequence[Record]) -> list[bool]:
+def find_catches(plan: Plan, records: Records) -> list[bool]:
     """Check the answers to all catch trials against what is expected."""
     caught = {trial.number: trial for trial in plan.trials if trial.phase == "main" and trial.catch}
     answers = [

@@ -17,7 +17,7 @@ from feel321.study.actuator.render import find_mix
 from feel321.study.actuator.rig import Rig, read_rig
 from feel321.study.findings import Problems
 from feel321.study.folder import StudyFolder, find_changes, is_in_use
-from feel321.study.ledger.standing import write_roster
+from feel321.study.ledger.progress import write_roster
 from feel321.study.ratings import write_ratings
 from feel321.study.session.journal import Clock
 from feel321.study.session.plan import PLAN_FILE, make_plan

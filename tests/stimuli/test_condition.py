@@ -76,6 +76,7 @@ def test_the_low_pass_works_up_to_the_nyquist_frequency() -> None:
         ({"crop_s": (1.0, 0.5)}, "0 <= start < end"),
         ({"crop_s": (-1.0, 0.5)}, "0 <= start < end"),
         ({"crop_s": (1.0,)}, "0 <= start < end"),
+        ({"crop_s": 1.0}, "0 <= start < end"),
     ],
 )
 def test_steps_that_make_no_sense_are_refused(changes: dict[str, object], message: str) -> None:

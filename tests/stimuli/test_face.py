@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.signal import welch
+from scipy.signal.windows import hann
 
 from feel321 import stimuli
 
@@ -115,6 +117,24 @@ def test_a_density_holds_the_power(window_s: float) -> None:
     assert float((single.density * single.frequencies_hz[1]).sum()) == pytest.approx(1, rel=0.05)
 
 
+@pytest.mark.parametrize(("n", "window_s"), [(4000, 0.1), (4001, 0.035), (1234, 0.5), (7, 1.0)])
+def test_a_density_is_welchs_and_holds_the_energy_of_its_windows(n: int, window_s: float) -> None:
+    samples = np.random.default_rng(n).standard_normal((3, n)) + 5.0
+    found = stimuli.psd(samples, rate_hz=1000.0, window_s=window_s)
+    length = min(2 * int(window_s * 500 + 0.5), n)  # even, to the nearest
+    frequencies, density = welch(
+        samples, 1000.0, nperseg=length, noverlap=length // 2, detrend=False
+    )
+    np.testing.assert_allclose(found.density, density.sum(axis=0), rtol=1e-12)
+    np.testing.assert_array_equal(found.frequencies_hz, frequencies)
+    assert found.window_s == length / 1000
+    # Parseval's theorem, on one window that holds the whole signal.
+    whole = stimuli.psd(samples, rate_hz=1000.0, window_s=n / 1000 + 1)
+    window = hann(n, sym=False)
+    energy = np.sum((samples * window) ** 2) / np.sum(window**2)
+    assert whole.density.sum() * whole.frequencies_hz[1] == pytest.approx(energy, rel=1e-12)
+
+
 @pytest.mark.parametrize("signal", [np.ones((2, 9)), np.ones((2, 3, 9)), np.full(9, np.nan), []])
 def test_a_density_is_refused_where_there_is_none(signal: object) -> None:
     for estimate in (stimuli.psd, stimuli.spectrogram):
@@ -210,3 +230,99 @@ def test_conditioning_is_changed_by_its_fields(scene: Recording) -> None:
 def test_a_stimulus_is_found_by_its_place(scene: Recording, tmp_path: Path) -> None:
     built = stimuli.build_stimuli(scene, tmp_path / "set", reducers=["dft321"], anchors=False)
     assert built[0] is built.stimuli[0]
+
+
+def test_reduced_signals_say_how_long_they_are(scene: Recording) -> None:
+    assert (
+        repr(stimuli.reduce(scene))
+        == "Reduced('dft321' of 'bumps', 6000 samples at 10000 Hz, 0.6 s)"
+    )
+    plain = stimuli.reduce(np.ones((3, 4)), my321, rate_hz=8)
+    assert repr(plain) == "Reduced('my321', 4 samples at 8 Hz, 0.5 s)"
+    assert len(plain.summary().splitlines()) == 6
+    assert len(stimuli.reduce(scene).summary().splitlines()) < 70
+
+
+@pytest.mark.parametrize("level", [stimuli.felt_level, stimuli.sensation_level_db, stimuli.psd])
+@pytest.mark.parametrize(
+    ("signal", "rate_hz", "message"),
+    [
+        ([], 1000.0, "n >= 1, got"),
+        (3.0, 1000.0, r"n >= 1, got \(\)"),
+        (np.ones((2, 3, 9)), 1000.0, "n >= 1, got"),
+        ([1.0, np.nan], 1000.0, "finite, got 1 values"),
+        ([1.0, -np.inf], 1000.0, "finite, got 1 values"),
+        ([1j, 2j], 1000.0, "real numbers, got values of type complex128"),
+        (["a", "b"], 1000.0, "real numbers"),
+        (np.ma.masked_less([1.0, -1.0], 0), 1000.0, "masked"),
+        ([1.0, 2.0], 0.0, "rate_hz must be a finite number of Hz above 0, got 0.0"),
+        ([1.0, 2.0], -5.0, "above 0, got -5.0"),
+    ],
+)
+def test_a_damaged_signal_has_no_level_and_is_not_taken_for_silence(
+    level: Any, signal: object, rate_hz: float, message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        level(signal, rate_hz=rate_hz)
+
+
+@pytest.mark.parametrize("frequency", [0.0, -5.0, np.nan, [100.0, 0.0]])
+@pytest.mark.parametrize("threshold", stimuli.THRESHOLDS)
+def test_a_threshold_is_that_of_a_frequency_above_zero(frequency: object, threshold: str) -> None:
+    with pytest.raises(ValueError, match="frequency_hz must be above 0 Hz, got"):
+        stimuli.acceleration_threshold(frequency, threshold=threshold)
+
+
+@pytest.mark.parametrize("metric", [*stimuli.METRICS.values(), *stimuli.INVARIANTS.values()])
+def test_a_reduced_signal_of_another_rate_is_refused_and_its_own_rate_counts(
+    scene: Recording, metric: Any
+) -> None:
+    reduced = stimuli.reduce(scene, "say321")
+    slower = stimuli.reduce(scene.with_(rate_hz=5000.0), "say321")
+    assert metric(scene.acceleration, reduced) == metric(scene, reduced)
+    for compare in (metric, stimuli.match):
+        with pytest.raises(ValueError, match="the recording's rate, 10000 Hz; got 5000 Hz"):
+            compare(scene, slower)
+
+
+def test_what_a_labs_function_gives_is_checked(scene: Recording) -> None:
+    for factor, message in ((1j, "real numbers"), (np.nan, "finite, got 6000"), ("x", "real numb")):
+        with pytest.raises(ValueError, match=f"the output of mine must be {message}"):
+            stimuli.reduce(scene, _Mine(factor))
+    for twice in ([lambda a, _: a[0], lambda a, _: a[1]], ["dft321", "dft321"]):
+        with pytest.raises(ValueError, match="reducers must have names that differ, got"):
+            stimuli.match(scene, reducers=twice)
+
+
+class _Mine:
+    __name__ = "mine"
+
+    def __init__(self, factor: object) -> None:
+        self.factor = factor
+
+    def __call__(self, acceleration: np.ndarray, _: float) -> np.ndarray:
+        return np.full(acceleration.shape[-1], self.factor)
+
+
+def test_a_recording_that_its_unit_makes_infinite_is_refused() -> None:
+    with pytest.raises(ValueError, match="acceleration must be finite"):
+        stimuli.Recording([[1e308], [0], [0]], 1.0, unit="g")
+
+
+def test_settings_may_be_numpys_numbers(scene: Recording, tmp_path: Path) -> None:
+    recipe = stimuli.Recipe(reducers=["sax321"], anchors=False, rate_hz=np.int64(8000))
+    built = stimuli.build_stimuli(scene, tmp_path / "a", recipe, gain=np.float32(2))
+    plain = stimuli.build_stimuli(scene, tmp_path / "b", recipe, gain=2.0, rate_hz=8000)
+    assert (built.sha256, list(built)) == (plain.sha256, list(plain))
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: stimuli.build_stimuli([np.ones((3, 9))], "x"), "each be a Recording, got ndarray"),
+        (lambda: stimuli.Recipe(conditioning={"crop_s": (0, 1)}), "must be a Conditioning, got"),
+    ],
+)
+def test_what_is_of_another_kind_is_named(call: Any, message: str) -> None:
+    with pytest.raises(TypeError, match=message):
+        call()

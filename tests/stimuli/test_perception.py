@@ -42,6 +42,21 @@ def test_a_tone_at_its_threshold_has_level_one(frequency: float) -> None:
     assert felt_level(tone, 8000.0) == pytest.approx(1.0, rel=1e-9)
 
 
+@pytest.mark.parametrize("threshold", THRESHOLDS)
+def test_felt_levels_by_hand(threshold: str) -> None:
+    # Two tones of 3 and 4 times their thresholds add to 5; a fade takes 3/8 of a Hann window's energy, and a length
+    # that is a prime number is padded.
+    time = np.arange(7919) / 8000
+    tones = [
+        times * acceleration_threshold(f, threshold=threshold) * np.sin(2 * np.pi * f * time)
+        for times, f in ((3, 100.0), (4, 400.0))
+    ]
+    wave = np.sum(tones, axis=0) * (0.5 - 0.5 * np.cos(2 * np.pi * np.arange(7919) / 7919))
+    level = felt_level(wave, 8000.0, threshold=threshold)
+    assert level == pytest.approx(5 * np.sqrt(3 / 8), rel=1e-3)
+    assert 20 * np.log10(level) == pytest.approx(9.72, abs=0.01)
+
+
 def test_levels_scale_and_add_by_energy() -> None:
     wave = np.random.default_rng(0).standard_normal((2, 5000))
     one, two, both = (felt_level(w, 5000.0) for w in (wave[0], wave[1], wave))

@@ -14,7 +14,7 @@ from feel321.protocols.trial import Flow
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.study.folder import StudyFolder
 from feel321.study.session.engine import run_session
-from feel321.study.session.journal import find_elapsed
+from feel321.study.session.journal import Records
 from feel321.study.session.plan import Design, Plan, Stale, make_plan, open_session
 from feel321.study.session.ports import Abort, Act, Confirm, Feel, Pause, Playback
 
@@ -224,8 +224,8 @@ def make_present(
             stored,
             journal,
         ):
-            presenter.time_s = find_elapsed(journal.records)
+            presenter.time_s = journal.records.find_elapsed()
             run_session(stored, presenter, stimuli=stimuli, journal=journal)
-            return list(journal.records)
+            return Records(journal.records)
 
     return run

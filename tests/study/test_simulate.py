@@ -17,7 +17,7 @@ from feel321.study.audit import audit_study
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger.slots import list_forgotten
 from feel321.study.ratings import write_ratings
-from feel321.study.session.journal import find_header, read_journal
+from feel321.study.session.journal import read_journal
 from feel321.study.sessions import SIDE_BY_SIDE
 from feel321.study.settings.read import read_settings
 from feel321.study.status import read_status
@@ -191,7 +191,7 @@ def test_other_words_are_refused_for_sessions_that_began(copy: StudyFolder) -> N
     )
     with pytest.raises(ValueError, match=message):
         simulate(copy)
-    header = find_header(read_journal(copy.journals[0]).records)
+    header = read_journal(copy.journals[0]).records.find_header()
     assert header is not None
     assert header.identity["consent"].startswith("Taking part is voluntary.")
 

@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
-from feel321.doors import as_names, as_seed, follow
+from feel321.doors import as_seed, follow
 
 if TYPE_CHECKING:
-    from feel321.analysis.table.reading import Table
+    from pandas import DataFrame
+
+    from feel321.analysis.table.items import Table
     from feel321.analysis.tradeoff.advise.page import Advice
     from feel321.analysis.tradeoff.chart.compute import Chart
-    from feel321.analysis.tradeoff.stress.run import Stress
+    from feel321.analysis.tradeoff.stress.page import Stress
     from feel321.stimuli.recording import Recording
     from feel321.types import Progress, Reducer, Rng
 
 
 def chart(
-    recordings: Sequence[Recording],
+    recordings: Recording | Iterable[Recording],
     *,
-    ratings: Table | None = None,
+    ratings: Table | DataFrame | None = None,
     full: bool = False,
     rng: Rng = 0,
     progress: Progress = False,
@@ -28,10 +30,11 @@ def chart(
 
     Parameters
     ----------
-    recordings : sequence of Recording
+    recordings : Recording, or iterable of Recording
         The scenes, conditioned, each with a name of its own.
-    ratings : Table, optional
-        Ratings of the scenes, to be compared with speed.
+    ratings : Table or DataFrame, optional
+        Ratings of the scenes, to be compared with speed; a data frame has the columns participant, recording, reducer,
+        scale, level and rating, and may have role, simulated and rejected.
     full : bool
         Whole recordings, 200 orientations and signals up to 10^7 samples, instead of the middle 2 s, 64 and 10^6;
         takes many times as long.
@@ -49,13 +52,14 @@ def chart(
     Raises
     ------
     ValueError
-        If there is no recording, two have the same name, or one cannot be compared.
+        If there is no recording, two have the same name, or one cannot be compared, as where it is silent from 20 to
+        1000 Hz.
 
     Examples
     --------
     >>> from feel321 import analysis, stimuli
     >>> taps = stimuli.make_scene("hard_taps")
-    >>> found = analysis.chart([taps])  # doctest: +SKIP
+    >>> found = analysis.chart(taps)  # doctest: +SKIP
     >>> page = found.write("chart")  # doctest: +SKIP
     """
     from feel321.analysis.tradeoff.chart.compute import FULL, QUICK, compute_chart
@@ -68,9 +72,9 @@ def chart(
 
 
 def stress(  # noqa: PLR0913 - every choice that changes the numbers has a name of its own
-    recordings: Sequence[Recording] = (),
+    recordings: Recording | Iterable[Recording] = (),
     *,
-    reducers: Mapping[str, Reducer] | Sequence[str] | None = None,
+    reducers: Mapping[str, Reducer] | Iterable[str | Reducer] | None = None,
     sensor: Mapping[str, Recording] | None = None,
     takes: int = 40,
     draws: int = 16,
@@ -81,10 +85,11 @@ def stress(  # noqa: PLR0913 - every choice that changes the numbers has a name 
 
     Parameters
     ----------
-    recordings : sequence of Recording
+    recordings : Recording, or iterable of Recording
         Conditioned, as they are felt; each with a name of its own. Silent ones are left out, and noted.
-    reducers : sequence of str, or Mapping of str to callable, optional
-        Names of reducers, or name -> reducer; all of `REDUCERS` if left out.
+    reducers : iterable of str or callable, or Mapping of str to callable, optional
+        Names of `REDUCERS`, dotted names ("mylab.haptics:my321"), or functions f(acceleration, rate_hz); or a mapping
+        of names to functions; all of `REDUCERS` if left out.
     sensor : Mapping of str to Recording, optional
         The same recordings as they came from the sensor, by name; needed to see offsets, clipping and steps.
     takes : int
@@ -104,7 +109,8 @@ def stress(  # noqa: PLR0913 - every choice that changes the numbers has a name 
     Raises
     ------
     ValueError
-        If two recordings have the same name, there is no reducer, or there are fewer than 2 takes or draws.
+        If two recordings have the same name, there is no reducer or one returns another number of samples, or there
+        are fewer than 2 takes or draws.
 
     Examples
     --------
@@ -116,19 +122,18 @@ def stress(  # noqa: PLR0913 - every choice that changes the numbers has a name 
     from feel321.analysis.tradeoff.stress.run import stress_reducers
     from feel321.stimuli.reducers.registry import REDUCERS
 
-    if reducers is not None and not reducers:
+    chosen = REDUCERS.choose("all" if reducers is None else reducers)
+    if not chosen:
         raise ValueError("reducers must be one or more, got none; leave them out to take all")
-    if reducers is not None and not isinstance(reducers, Mapping):
-        reducers = {name: REDUCERS.find(name) for name in as_names(reducers, "reducers")}
     with follow(progress, "stress") as tick:
         return stress_reducers(
-            recordings, reducers, sensor=sensor, seeds=takes, draws=draws, seed=as_seed(rng),
+            recordings, chosen, sensor=sensor, seeds=takes, draws=draws, seed=as_seed(rng),
             progress=tick,
         )  # fmt: skip
 
 
 def advise(  # noqa: PLR0913 - every choice that changes the advice has a name of its own
-    recordings: Sequence[Recording],
+    recordings: Recording | Iterable[Recording],
     *,
     online: bool = False,
     latency_ms: float | None = None,
@@ -138,7 +143,7 @@ def advise(  # noqa: PLR0913 - every choice that changes the advice has a name o
     axes: int = 1,
     weber: float = 0.22,
     segment_s: float | None = None,
-    ratings: Table | None = None,
+    ratings: Table | DataFrame | None = None,
     margin: float | None = None,
     rng: Rng = 0,
     progress: Progress = False,
@@ -147,7 +152,7 @@ def advise(  # noqa: PLR0913 - every choice that changes the advice has a name o
 
     Parameters
     ----------
-    recordings : sequence of Recording
+    recordings : Recording, or iterable of Recording
         Conditioned, each with a name of its own.
     online : bool
         Whether the reducer runs while the vibration is being made.
@@ -163,9 +168,9 @@ def advise(  # noqa: PLR0913 - every choice that changes the advice has a name o
         Largest energy change taken as imperceptible, as a Weber fraction.
     segment_s : float, optional
         Length of segments that are advised for one by one; every recording is one scene if left out.
-    ratings : Table, optional
-        Ratings of the recordings: a reducer must then also be shown to feel like the one rated highest. Not used for
-        segments, nor for actuators of several axes: people rated whole recordings, on one axis.
+    ratings : Table or DataFrame, optional
+        Ratings of the recordings, as for `chart`: a reducer must then also be shown to feel like the one rated
+        highest. Not used for segments, nor for actuators of several axes: people rated whole recordings, on one axis.
     margin : float, optional
         Points of rating that do not matter, fixed beforehand; half the spread of repeated ratings if left out.
     rng : int or Generator
@@ -181,7 +186,8 @@ def advise(  # noqa: PLR0913 - every choice that changes the advice has a name o
     Raises
     ------
     ValueError
-        If there is no recording, none has motion, segments are too short, or the settings contradict each other.
+        If there is no recording, two have the same name, none has motion, segments are too short, or the settings
+        contradict each other.
 
     Examples
     --------

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis.report.folder import PAGE, ResultsFolder, list_files
 from feel321.analysis.report.section import Picture, render_template
+from feel321.doors import describe
+from feel321.records import to_json_value
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from pandas import DataFrame
 
+    from feel321.analysis.table.items import Table
     from feel321.stimuli.recording import Recording
     from feel321.types import PathLike
+
+NEEDED = ("participant", "recording", "reducer", "scale", "level", "rating")
+"""Columns of ratings that are compared with reducers."""
 
 
 def write_results(
@@ -36,7 +41,7 @@ def write_results(
     with ResultsFolder(folder) as results:
         results.draw(pictures)
         results.write(
-            without_undefined({**content, "files": files}),
+            to_json_value({**content, "files": files}),
             page=lambda drawings: render_template(
                 f"{name}.html", pictures=pictures, drawings=drawings, **values
             ),
@@ -45,23 +50,44 @@ def write_results(
     return results.path / PAGE
 
 
-def without_undefined(entry: Any) -> Any:  # noqa: ANN401 - whatever JSON holds
-    """Turn numbers that are infinite or not defined into None."""
-    if isinstance(entry, Mapping):
-        return {key: without_undefined(value) for key, value in entry.items()}
-    if isinstance(entry, list | tuple):
-        return [without_undefined(value) for value in entry]
-    return None if isinstance(entry, float) and not math.isfinite(entry) else entry
+def as_recordings(
+    given: Recording | Iterable[Recording], *, fewest: int = 0
+) -> tuple[Recording, ...]:
+    """Take several recordings, or one; refuse too few, two of the same name, and whatever is none."""
+    from feel321.stimuli.recording import Recording
 
-
-def check_names(recordings: Sequence[Recording], *, fewest: int = 0) -> None:
-    """Refuse two recordings of the same name, or too few."""
+    recordings = (given,) if isinstance(given, Recording | str) else given
+    recordings = tuple(recordings) if isinstance(recordings, Iterable) else (recordings,)
     if len(recordings) < fewest:
         raise ValueError(
             "recordings must be one or more, got none; name some, or add the bundled scenes"
         )
+    for one in recordings:
+        if not isinstance(one, Recording):
+            raise TypeError(
+                f"recordings must be Recordings, got {describe(one)}; "
+                "make one with stimuli.read_recording or stimuli.Recording"
+            )
     names = [recording.name for recording in recordings]
     if doubled := [name for name in names if names.count(name) > 1]:
         raise ValueError(
             f"recordings must have different names, got {doubled[0]!r} twice; rename one"
         )
+    return recordings
+
+
+def as_table(ratings: Table | DataFrame) -> Table:
+    """Take ratings as a table; of a data frame, every row is of a test stimulus, and nobody simulated, if not said."""
+    from feel321.analysis.arrays import check_columns
+    from feel321.analysis.table.items import Table, leave_rejected, name_items, open_ratings
+
+    if isinstance(ratings, Table):
+        return ratings
+    rows, _ = leave_rejected(name_items(open_ratings(ratings)))
+    check_columns(rows, NEEDED, "ratings")
+    return Table(
+        rows.assign(
+            role=rows.get("role", "test"), simulated=rows.get("simulated", False),
+            stimulus_id=rows["item"],
+        ).reset_index(drop=True), (), (),
+    )  # fmt: skip

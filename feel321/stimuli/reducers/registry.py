@@ -35,6 +35,7 @@ from feel321.stimuli.recording import (
     check_finite,
     check_rate,
     coerce_acceleration,
+    coerce_real,
     largest,
 )
 from feel321.stimuli.reducers import axes, fourier
@@ -110,13 +111,13 @@ def reduce(
     Raises
     ------
     ValueError
-        If there is no such reducer, it has no window, or it returns another number of samples.
+        If there is no such reducer, it has no window, or it does not return as many finite real numbers.
 
     Examples
     --------
     >>> from feel321 import stimuli
     >>> stimuli.reduce(stimuli.make_scene("bumps"), "dft321")
-    Reduced(rate_hz=1e+04, reducer='dft321', recording='bumps')
+    Reduced('dft321' of 'bumps', 40000 samples at 10000 Hz, 4 s)
     >>> stimuli.reduce([[1, 2], [3, 4], [5, 6]], lambda samples, rate_hz: samples[2], rate_hz=1000).samples
     array([5., 6.])
     """
@@ -127,13 +128,14 @@ def reduce(
         if "window_s" not in signature(function).parameters:
             raise ValueError(f"window_s must be left out: {name_of(reducer)} has no window")
         function = partial(function, window_s=window_s)
-    samples = np.asarray(function(acceleration, rate), dtype=np.float64)
+    samples = coerce_real(function(acceleration, rate), f"the output of {name_of(reducer)}")
+    check_finite(samples, f"the output of {name_of(reducer)}")
     if samples.shape != acceleration.shape[-1:]:
         raise ValueError(
             f"reducer {name_of(reducer)} must return the shape {acceleration.shape[-1:]}, got {samples.shape}"
         )
     name = recording.name if isinstance(recording, Recording) else ""
-    return Reduced(samples, float(rate), name_of(reducer), name)
+    return Reduced(samples, rate, name_of(reducer), name)
 
 
 ON_GAP = ("raise", "hold", "zero")

@@ -49,7 +49,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from feel321.doors import Registry
 from feel321.stimuli.match import HIGHEST_HZ, LOWEST_HZ, WEBER_FRACTION, OriginalSpectrum
-from feel321.stimuli.recording import Recording, Signal, as_signal
+from feel321.stimuli.recording import Recording, Signal, as_samples
 from feel321.types import Samples
 
 MOST_SENSITIVE_HZ = 250.0
@@ -94,7 +94,10 @@ def displacement_threshold(frequency_hz: ArrayLike, *, threshold: str = CONTACTO
     >>> float(displacement_threshold(250.0))
     1e-07
     """
-    return THRESHOLDS.find(threshold)(np.asarray(frequency_hz, dtype=np.float64))
+    frequency = np.asarray(frequency_hz, dtype=np.float64)
+    if not (frequency > 0).all():
+        raise ValueError(f"frequency_hz must be above 0 Hz, got {frequency.min()}")
+    return THRESHOLDS.find(threshold)(frequency)
 
 
 def acceleration_threshold(frequency_hz: ArrayLike, *, threshold: str = CONTACTOR) -> Samples:
@@ -139,7 +142,8 @@ def felt_level(
     Returns
     -------
     float
-        Level of the whole signal as a multiple of the threshold's root mean square; 0 for silence.
+        Level of the whole signal as a multiple of the threshold's root mean square; 0 for silence. It is no dB:
+        20 log10 of it is, and `sensation_level_db` gives that of the loudest 200 ms.
 
     Examples
     --------
@@ -147,10 +151,9 @@ def felt_level(
     >>> round(stimuli.felt_level(stimuli.make_scene("circular_motion")), 1)
     61.6
     """
-    given, rate_hz = as_signal(signal, rate_hz)
-    acceleration = np.asarray(given)
     from scipy import fft
 
+    acceleration, rate_hz = as_samples(signal, rate_hz)
     n = acceleration.shape[-1]
     # Silence at the end adds no energy, and lengths with large prime factors cost ten times as much.
     padded = fft.next_fast_len(n, real=True)
@@ -216,8 +219,8 @@ def sensation_level_db(
     >>> round(stimuli.sensation_level_db(tone, 8000.0))
     20
     """
-    given, rate = as_signal(signal, rate_hz)
-    return to_db(loudest_level(np.asarray(given), rate, threshold=threshold))
+    samples, rate = as_samples(signal, rate_hz)
+    return to_db(loudest_level(samples, rate, threshold=threshold))
 
 
 def to_db(level: float) -> float:

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from feel321 import __version__
-from feel321.doors import as_path, follow
+from feel321.doors import as_path, describe, follow
 from feel321.files import hold_lock
 from feel321.stimuli.condition import list_steps
 from feel321.stimuli.recording import Recording, largest
@@ -159,6 +159,9 @@ def build_stimuli(
     if workers < 1:
         raise ValueError(f"workers must be 1 or more, got {workers}")
     recordings = [recordings] if isinstance(recordings, Recording) else recordings
+    for one in recordings:
+        if not isinstance(one, Recording):
+            raise TypeError(f"recordings must each be a Recording, got {describe(one)}")
     recipe = replace(recipe or Recipe(), **changes)
     check_names([recording.name for recording in recordings])
     folder = as_path(folder, "folder")

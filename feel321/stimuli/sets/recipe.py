@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 
 from feel321 import __version__
-from feel321.doors import as_names, check_name
-from feel321.stimuli.condition import Conditioning, condition, fade, resample
+from feel321.doors import as_names, check_name, describe
+from feel321.stimuli.condition import Conditioning, condition, fade, make_plain, resample
 from feel321.stimuli.match import OriginalSpectrum, axis_correlations, mean_over_axes
 from feel321.stimuli.recording import Recording, check_rate, digest_samples, largest
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
@@ -103,6 +103,7 @@ class Recipe:
 
     def __post_init__(self) -> None:
         """Refuse unknown names and numbers out of range."""
+        make_plain(self)
         for what, known in (("reducers", REDUCERS), ("levels", LEVELS)):
             names = as_names(getattr(self, what), what)
             object.__setattr__(self, what, names)
@@ -110,6 +111,10 @@ class Recipe:
                 check_name(name, known, what.removesuffix("s"))
             if not names or len(set(names)) < len(names):
                 raise ValueError(f"{what} must be one or more names, each once; got {names}")
+        if not isinstance(self.conditioning, Conditioning):
+            raise TypeError(
+                f"conditioning must be a Conditioning, got {describe(self.conditioning)}"
+            )
         self._check_numbers()
         check_name(self.reference, (ORIGINAL, NO_REFERENCE, *REDUCERS), "reference")
         check_name(self.threshold, THRESHOLDS, "threshold")
@@ -126,7 +131,7 @@ class Recipe:
             )
         check_rate(self.full_scale_m_s2, "full_scale_m_s2", " of m/s^2")
         if self.gain not in GAINS and (
-            isinstance(self.gain, str) or not 0 < self.gain < float("inf")
+            isinstance(self.gain, str | bool) or not 0 < self.gain < float("inf")
         ):
             raise ValueError(
                 f"gain must be a finite number above 0, 'set' or 'per_recording'; got {self.gain!r}"

@@ -211,13 +211,22 @@ def advise(  # noqa: PLR0913 - every option has a name of its own
     click.echo(task.output / "index.html")
 
 
+_OPTIONS = {
+    "--weber": "--tolerance", "--segment_s": "--segment", "_ms must": "-ms must", "set online=True": "add --online",
+}  # fmt: skip
+"""What messages call an argument -> the option."""
+
+
 @contextmanager
 def _as_options() -> Iterator[None]:
-    """Turn what is wrong with a value into what is wrong with the option of that name."""
+    """Turn what is wrong with an argument into what is wrong with the option of that name."""
     try:
         yield
     except ValueError as error:
-        raise click.UsageError(f"--{error}") from None
+        text = f"--{error}"
+        for argument, option in _OPTIONS.items():
+            text = text.replace(argument, option)
+        raise click.UsageError(text) from None
 
 
 def _read_ratings(study: StudyFolder) -> Ratings | None:

@@ -11,43 +11,27 @@ write-ahead log it works on a network drive.
 This module imports SQLAlchemy; import it where it is used, so that the command line answers at once.
 """
 
-from __future__ import annotations
-
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import Field, asdict, dataclass, field, fields, replace
 from itertools import count
+from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING
+from sqlite3 import Connection as SqliteConnection
 
-from sqlalchemy import (
-    URL,
-    Boolean,
-    Column,
-    Connection,
-    Engine,
-    Index,
-    Integer,
-    MetaData,
-    String,
-    Table,
-    create_engine,
-    delete,
-    event,
-    insert,
-    inspect,
-    select,
-)
+import sqlalchemy as sa
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.pool import NullPool
 
-from feel321.study.ledger.standing import (
+from feel321.study.folder import StudyFolder
+from feel321.study.ledger.progress import (
     REMOVED,
     Anchor,
-    Standing,
+    Progress,
     Tombstone,
     find_cut,
-    read_standing,
-    read_standings,
+    list_progress,
+    read_progress,
     read_tombstone,
 )
 from feel321.study.session.journal import (
@@ -58,13 +42,6 @@ from feel321.study.session.journal import (
     utc_now,
 )
 from feel321.study.session.plan import PARTICIPANT_ID, TOMBSTONE_FILE
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-    from pathlib import Path
-    from sqlite3 import Connection as SqliteConnection
-
-    from feel321.study.folder import StudyFolder
 
 PATIENCE_S = 60.0
 """How long a transaction waits for others to end."""
@@ -92,15 +69,16 @@ class Entry:
     claimed_utc: str = field(default="", compare=False)
 
 
-_TABLES, _TYPES = MetaData(), {"str": String, "bool": Boolean, "int": Integer}
+_TABLES = sa.MetaData()
+_TYPES: dict[object, type] = {str: sa.String, bool: sa.Boolean, int: sa.Integer}
 
 
-def _declare(name: str, *columns: Field[object], keys: Sequence[str]) -> Table:
-    made: list[Column[object]] = [
-        Column(one.name, _TYPES[str(one.type)], primary_key=one.name in keys, nullable=False)
+def _declare(name: str, *columns: Field[object], keys: Sequence[str]) -> sa.Table:
+    made: list[sa.Column[object]] = [
+        sa.Column(one.name, _TYPES[one.type], primary_key=one.name in keys, nullable=False)
         for one in columns
     ]
-    return Table(name, _TABLES, *made)
+    return sa.Table(name, _TABLES, *made)
 
 
 _NAME, *_REST = (one for one in fields(Entry) if one.name != "anchors")
@@ -108,7 +86,7 @@ _PARTICIPANTS = _declare("participants", _NAME, *_REST, keys=["participant"])
 _ANCHORS = _declare("anchors", _NAME, *fields(Anchor), keys=["participant", "journal"])
 _HOLDS_SLOT = _PARTICIPANTS.c.state.in_(LIVE)
 # Claims see to it by themselves; this keeps any other program from doing otherwise.
-Index(
+sa.Index(
     "one_participant_per_slot",
     _PARTICIPANTS.c.simulated,
     _PARTICIPANTS.c.number,
@@ -121,18 +99,18 @@ Index(
 # Transactions.
 
 
-def open_ledger(path: Path) -> Engine:
+def open_ledger(path: Path) -> sa.Engine:
     """Open a ledger, or begin an empty one; one that may only be read is not written to."""
     # No pool: connections cost little here, and none is left open in a thread or a forked process.
-    ledger = create_engine(
-        URL.create("sqlite", database=str(path)),
+    ledger = sa.create_engine(
+        sa.URL.create("sqlite", database=str(path)),
         poolclass=NullPool,
         connect_args={"timeout": PATIENCE_S},
     )
-    event.listen(ledger, "connect", _leave_transactions_alone)
-    event.listen(ledger, "begin", _begin)
+    sa.event.listen(ledger, "connect", _leave_transactions_alone)
+    sa.event.listen(ledger, "begin", _begin)
     with _transact(ledger, writes=False) as connection:
-        missing = not all(inspect(connection).has_table(name) for name in _TABLES.tables)
+        missing = not all(sa.inspect(connection).has_table(name) for name in _TABLES.tables)
     if missing:
         with _transact(ledger) as connection:
             _TABLES.create_all(connection)
@@ -140,7 +118,7 @@ def open_ledger(path: Path) -> Engine:
 
 
 @contextmanager
-def _transact(ledger: Engine, *, writes: bool = True) -> Iterator[Connection]:
+def _transact(ledger: sa.Engine, *, writes: bool = True) -> Iterator[sa.Connection]:
     """Do all of what is inside, or nothing; no other transaction comes in between."""
     try:
         with ledger.execution_options(writes=writes).begin() as connection:
@@ -163,13 +141,13 @@ def _leave_transactions_alone(connection: SqliteConnection, _record: object) -> 
     connection.isolation_level = None
 
 
-def _begin(connection: Connection) -> None:
+def _begin(connection: sa.Connection) -> None:
     writes = connection.get_execution_options()["writes"]
     connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
 
 
-def _read(connection: Connection, participant: str | None = None) -> list[Entry]:
-    people, seen = select(_PARTICIPANTS), select(_ANCHORS).order_by(_ANCHORS.c.journal)
+def _read(connection: sa.Connection, participant: str | None = None) -> list[Entry]:
+    people, seen = sa.select(_PARTICIPANTS), sa.select(_ANCHORS).order_by(_ANCHORS.c.journal)
     if participant is not None:
         people = people.where(_PARTICIPANTS.c.participant == participant)
         seen = seen.where(_ANCHORS.c.participant == participant)
@@ -187,7 +165,7 @@ def _read(connection: Connection, participant: str | None = None) -> list[Entry]
 
 
 def _write(
-    connection: Connection, entries: Sequence[Entry], *, instead_of: Iterable[str] = ()
+    connection: sa.Connection, entries: Sequence[Entry], *, instead_of: Iterable[str] = ()
 ) -> None:
     names = list(instead_of)
     rows = [asdict(entry) for entry in entries]
@@ -197,16 +175,16 @@ def _write(
         for anchor in row.pop("anchors")
     ]
     for table, values in ((_PARTICIPANTS, rows), (_ANCHORS, anchors)):
-        connection.execute(delete(table).where(table.c.participant.in_(names)))
+        connection.execute(sa.delete(table).where(table.c.participant.in_(names)))
         if values:  # Without any, one row of defaults would be written.
-            connection.execute(insert(table), values)
+            connection.execute(sa.insert(table), values)
 
 
 # Claims and progress.
 
 
 def claim_slots(
-    ledger: Engine, participants: Sequence[str], *, simulated: bool, now: Clock
+    ledger: sa.Engine, participants: Sequence[str], *, simulated: bool, now: Clock
 ) -> dict[str, int]:
     """Give each participant a number, from 1, all in one transaction."""
     for participant in participants:
@@ -265,7 +243,7 @@ def _check_live(entry: Entry) -> None:
 
 
 def note_progress(  # noqa: PLR0913 - a row of the ledger, each of its cells by name
-    ledger: Engine,
+    ledger: sa.Engine,
     participant: str,
     *,
     journal: str,
@@ -296,13 +274,13 @@ def note_progress(  # noqa: PLR0913 - a row of the ledger, each of its cells by 
         _write(connection, [noted], instead_of=[participant])
 
 
-def read_ledger(ledger: Engine, participant: str | None = None) -> list[Entry]:
+def read_ledger(ledger: sa.Engine, participant: str | None = None) -> list[Entry]:
     """Read all that the ledger knows, or what it knows of one participant."""
     with _transact(ledger, writes=False) as connection:
         return _read(connection, participant)
 
 
-def rewrite_ledger(ledger: Engine, change: Callable[[list[Entry]], list[Entry]]) -> list[Entry]:
+def rewrite_ledger(ledger: sa.Engine, change: Callable[[list[Entry]], list[Entry]]) -> list[Entry]:
     """Replace all entries by others, in one transaction; returns those before."""
     with _transact(ledger) as connection:
         before = _read(connection)
@@ -315,7 +293,7 @@ def rewrite_ledger(ledger: Engine, change: Callable[[list[Entry]], list[Entry]])
 WAS_MISSING = "all that it had seen, for it was missing"
 
 
-def open_study_ledger(study: StudyFolder, *, now: Clock = utc_now) -> tuple[Engine, str]:
+def open_study_ledger(study: StudyFolder, *, now: Clock = utc_now) -> tuple[sa.Engine, str]:
     """Open the ledger of a study to write in it; one that is missing is rebuilt, and the log beside it says so."""
     ledger = _open(study)
     if read_ledger(ledger):
@@ -348,7 +326,7 @@ def read_study_ledger(study: StudyFolder) -> list[Entry]:
 def rebuild_ledger(study: StudyFolder, *, now: Clock = utc_now) -> list[str]:
     """Make the ledger of a study anew from plans, journals and tombstones.
 
-    Slots claimed by participants without a plan so far are kept: they stand nowhere else. What is forgotten is
+    Slots claimed by participants without a plan so far are kept: they are recorded nowhere else. What is forgotten is
     recorded for good in a log beside the ledger.
     """
     was_missing = not study.ledger.exists()
@@ -378,18 +356,18 @@ def find_lost(study: StudyFolder) -> list[str]:
     return lost + wrong + list_forgotten(study)
 
 
-def make_entry(standing: Standing) -> Entry:
-    """Make the entry of a participant from where they stand."""
+def make_entry(progress: Progress) -> Entry:
+    """Make the entry of a participant from plan and journals."""
     return Entry(
-        participant=standing.participant,
-        simulated=standing.simulated,
-        number=standing.number,
-        state=standing.state,
-        done=standing.done,
+        participant=progress.participant,
+        simulated=progress.simulated,
+        number=progress.number,
+        state=progress.state,
+        done=progress.done,
         # The ledger learns the total with the first line that it sees.
-        total=standing.total if standing.anchors else 0,
-        anchors=standing.anchors,
-        claimed_utc=standing.first_utc,
+        total=progress.total if progress.anchors else 0,
+        anchors=progress.anchors,
+        claimed_utc=progress.first_utc,
     )
 
 
@@ -421,21 +399,21 @@ def _write_rebuild(study: StudyFolder) -> str:
     return f"feel321 ledger {quote(str(study.path))} --rebuild"
 
 
-def _open(study: StudyFolder) -> Engine:
+def _open(study: StudyFolder) -> sa.Engine:
     study.sessions.mkdir(exist_ok=True)
     return open_ledger(study.ledger)
 
 
 def _read_disk(study: StudyFolder) -> tuple[list[Entry], list[str]]:
     """Read the entries of all participants, and what is wrong with their journals."""
-    standings = read_standings(study)
+    everybody = list_progress(study)
     stones = filter(None, (read_tombstone(folder) for folder in study.participants))
     entries = [
-        *map(make_entry, standings),
+        *map(make_entry, everybody),
         *(Entry(one.participant, one.simulated, one.number, "withdrawn") for one in stones),
     ]
     _check_slots(entries)
-    return entries, [standing.problem for standing in standings if standing.problem]
+    return entries, [progress.problem for progress in everybody if progress.problem]
 
 
 def _check_slots(entries: Iterable[Entry]) -> None:
@@ -507,14 +485,14 @@ def _find_edited(entry: Entry, study: StudyFolder) -> Iterator[str]:
     if (folder / TOMBSTONE_FILE).exists() or not _is_begun(folder):
         return
     try:
-        standing = read_standing(folder)
+        progress = read_progress(folder)
     except (OSError, ValueError):
         return  # What is wrong with plan or journals is reported by whoever reads them.
     names = ["number", "simulated"]
     # The ledger may lag behind a journal, but what ends a session it only knows from there.
-    ended = entry.anchors == standing.anchors or entry.state in {"finished", "released"}
-    for name in [*names, "state"] if ended and not standing.problem else names:
-        got, expected = getattr(entry, name), getattr(standing, name)
+    ended = entry.anchors == progress.anchors or entry.state in {"finished", "released"}
+    for name in [*names, "state"] if ended and not progress.problem else names:
+        got, expected = getattr(entry, name), getattr(progress, name)
         if got != expected:
             yield (
                 f"{study.ledger}: {entry.participant} has {name} {got}, plan and journals say {expected}; "

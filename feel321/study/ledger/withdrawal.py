@@ -4,22 +4,17 @@ Either way the slot is free for the next. A withdrawal that is interrupted at an
 was, or a tombstone that says so; the same call finishes it.
 """
 
-from __future__ import annotations
-
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
+
+from sqlalchemy import Engine
 
 from feel321.files import hold_lock, sync_folder
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study.ledger.slots import (
-    Entry,
-    make_entry,
-    open_study_ledger,
-    read_ledger,
-    rewrite_ledger,
-)
-from feel321.study.ledger.standing import (
+from feel321.study.folder import StudyFolder
+from feel321.study.ledger.progress import (
     LOCK_FILE,
     REMOVED,
     REMOVING,
@@ -27,30 +22,22 @@ from feel321.study.ledger.standing import (
     Tombstone,
     check_anchors,
     read_anchor,
-    read_standing,
+    read_progress,
     read_tombstone,
     write_roster,
     write_tombstone,
 )
+from feel321.study.ledger.slots import (
+    Entry,
+    make_entry,
+    open_study_ledger,
+    read_ledger,
+    rewrite_ledger,
+)
 from feel321.study.ratings import write_ratings
 from feel321.study.session.events import SessionFinished, SessionReleased
-from feel321.study.session.journal import (
-    Clock,
-    Journal,
-    find_header,
-    has_event,
-    list_journals,
-    require_journal,
-)
+from feel321.study.session.journal import Clock, Journal, list_journals, require_journal
 from feel321.study.session.plan import TOMBSTONE_FILE
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-
-    from sqlalchemy import Engine
-
-    from feel321.study.folder import StudyFolder
 
 
 def withdraw_participant(
@@ -105,7 +92,7 @@ def release_participant(study: StudyFolder, participant: str, *, now: Clock) -> 
         journal = _open_newest(folder, now=now)
         if journal is not None:
             _write_release(journal, participant)
-            _enter(ledger, participant, make_entry(read_standing(folder)))
+            _enter(ledger, participant, make_entry(read_progress(folder)))
             return entry.number
         _remove_data(folder)
         _enter(ledger, participant, None)
@@ -198,16 +185,16 @@ def _open_newest(folder: Path, *, now: Clock) -> Journal | None:
     """Open the newest journal; None if no session was ever begun."""
     journals = list_journals(folder)
     journal = require_journal(journals[-1], now=now) if journals else None
-    if journal is None or (len(journals) == 1 and not find_header(journal.records)):
+    if journal is None or (len(journals) == 1 and not journal.records.find_header()):
         return None
     return journal
 
 
 def _write_release(journal: Journal, participant: str) -> None:
-    if has_event(journal.records, SessionFinished):
+    if journal.records.has(SessionFinished):
         raise ValueError(
             f"participant {participant}: has finished, so the slot stays taken; to remove the data: feel321 withdraw"
         )
     # After a crash, the journal may know already what the ledger does not.
-    if not has_event(journal.records, SessionReleased):
+    if not journal.records.has(SessionReleased):
         journal.write(SessionReleased())

@@ -16,7 +16,6 @@ from feel321.protocols.texts import read_scales
 from feel321.protocols.trial import RATING_RANGE, Flow, Page, Part, Scale, Trial
 from feel321.records import Result
 from feel321.study.session import events
-from feel321.study.session.journal import Journal, find_elapsed, has_event
 from feel321.study.session.plan import Plan, advance, list_by_code, replay
 from feel321.study.session.ports import (
     Abort,
@@ -34,14 +33,15 @@ if TYPE_CHECKING:
 
     from feel321.protocols.agenda import Agenda
     from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
+    from feel321.study.session.journal import Journal
 
 DEVICE_ERRORS = 2
 """Failures of the device in a row that end the session: trials must not be used up on a dead device."""
 
 
 @dataclass(frozen=True, slots=True)
-class Stage:
-    """A session's surroundings: the presenter, the stimuli by blind code, the scales, the journal and the rules."""
+class Setup:
+    """The setup of a session: the presenter, the stimuli by blind code, the scales, the journal and the rules."""
 
     presenter: Presenter
     stimuli: Mapping[str, Stimulus]
@@ -114,10 +114,10 @@ def run_session(
     """
     by_code = list_by_code(stimuli, seed=plan.seed)
     scales = read_scales() if scales is None else scales
-    stage = Stage(presenter, by_code, scales, journal, plan.flow)
+    setup = Setup(presenter, by_code, scales, journal, plan.flow)
     agenda = replay(plan, journal.records)
     try:
-        _work_through(plan, agenda, stage, on_step=on_step)
+        _work_through(plan, agenda, setup, on_step=on_step)
     except Stopped as stop:
         reason, time_s = stop.args
         journal.write(events.SessionAborted(reason, time_s))
@@ -125,15 +125,15 @@ def run_session(
     except BaseException as error:
         if journal.is_open:
             words = f"{type(error).__name__}: {error}".removesuffix(": ")
-            journal.write(events.SessionAborted(words, find_elapsed(journal.records)))
+            journal.write(events.SessionAborted(words, journal.records.find_elapsed()))
         raise
-    if not has_event(journal.records, events.SessionFinished):
+    if not journal.records.has(events.SessionFinished):
         journal.write(events.SessionFinished(agenda.done, agenda.given_up))
     return Outcome(agenda.done, agenda.total)
 
 
 def _work_through(
-    plan: Plan, agenda: Agenda, stage: Stage, *, on_step: Callable[[Place], None] | None
+    plan: Plan, agenda: Agenda, setup: Setup, *, on_step: Callable[[Place], None] | None
 ) -> None:
     trials = {trial.number: trial for trial in plan.trials}
     failures = 0
@@ -144,52 +144,52 @@ def _work_through(
         if (step := agenda.ask()) is None:
             return
         if isinstance(step, Page):
-            conduct_page(step, place, stage)
+            conduct_page(step, place, setup)
         else:
             place = Place(agenda.done, agenda.total, agenda.attempt(step.number))
-            conduct_trial(step, place, stage)
+            conduct_trial(step, place, setup)
         # The agenda is told what is on the disk, by the same words as when a session is resumed.
-        event = stage.journal.records[-1].content
+        event = setup.journal.records[-1].content
         advance(agenda, event, trials)
         failures = failures + 1 if "device_error" in getattr(event, "flags", ()) else 0
         if failures == DEVICE_ERRORS:
-            time_s = find_elapsed(stage.journal.records[-1:])
+            time_s = setup.journal.records.find_elapsed()
             raise Stopped("the device failed twice in a row; check it, then resume", time_s)
 
 
-def conduct_page(page: Page, place: Place, stage: Stage) -> None:
+def conduct_page(page: Page, place: Place, setup: Setup) -> None:
     """Show a page until it is left, and at least as long as it must be shown."""
-    act = _read_page(page, place, stage)
-    stage.journal.write(events.PageRead(page.key, act.time_s, act.response_time_s))
+    act = _read_page(page, place, setup)
+    setup.journal.write(events.PageRead(page.key, act.time_s, act.response_time_s))
 
 
-def _read_page(page: Page, place: Place, stage: Stage) -> Confirm:
+def _read_page(page: Page, place: Place, setup: Setup) -> Confirm:
     while True:
-        act = stage.presenter.show_page(page, place)
+        act = setup.presenter.show_page(page, place)
         if isinstance(act, Abort):
             raise Stopped(act.reason, act.time_s)
         if isinstance(act, Pause):
             continue  # Nothing is felt on a page, so there is nothing to pause.
         if act.response_time_s >= page.least_s:
             return act
-        stage.presenter.refuse("too_early", ())
+        setup.presenter.refuse("too_early", ())
 
 
-def conduct_trial(trial: Trial, place: Place, stage: Stage) -> None:
+def conduct_trial(trial: Trial, place: Place, setup: Setup) -> None:
     """Run one attempt at a trial, and again after each pause."""
     while True:
-        attempt = _Attempt(stage, trial, place.attempt)
-        stage.presenter.show_trial(trial, stage.scales[trial.scale], place)
-        stage.journal.write(events.TrialShown(*attempt.key))
+        attempt = _Attempt(setup, trial, place.attempt)
+        setup.presenter.show_trial(trial, setup.scales[trial.scale], place)
+        setup.journal.write(events.TrialShown(*attempt.key))
         try:
             if trial.timing != "free":
                 attempt.play(trial.parts)
             if not attempt.is_spoiled():
                 attempt.answer()
         except _Paused as pause:
-            stage.journal.write(events.TrialPaused(*attempt.key, pause.args[0]))
-            time_s = _read_page(Page("pause"), place, stage).time_s
-            stage.journal.write(events.TrialContinued(*attempt.key, time_s))
+            setup.journal.write(events.TrialPaused(*attempt.key, pause.args[0]))
+            time_s = _read_page(Page("pause"), place, setup).time_s
+            setup.journal.write(events.TrialContinued(*attempt.key, time_s))
         else:
             return
 
@@ -197,24 +197,24 @@ def conduct_trial(trial: Trial, place: Place, stage: Stage) -> None:
 class _Attempt(events.Attempt):
     """One attempt at a trial, with the participant in front of it."""
 
-    def __init__(self, stage: Stage, trial: Trial, number: int) -> None:
+    def __init__(self, setup: Setup, trial: Trial, number: int) -> None:
         super().__init__(trial, number)
-        self._stage = stage
+        self._setup = setup
         self._time_s = 0.0
 
     def play(self, parts: Iterable[Part]) -> None:
         """Play the parts in order, until one is cut short."""
-        presenter = self._stage.presenter
-        gap_s = 0.0 if self.trial.timing == "free" else self._stage.flow.gap_s
+        presenter = self._setup.presenter
+        gap_s = 0.0 if self.trial.timing == "free" else self._setup.flow.gap_s
         for part in parts:
             kind = events.PartPlayed
             if part.stimulus_id is None:
                 playback, kind = presenter.prompt(part), events.SurfaceStroked
             else:
-                stimulus = self._stage.stimuli[part.stimulus_id]
+                stimulus = self._setup.stimuli[part.stimulus_id]
                 playback = presenter.play(part, stimulus, gap_s=gap_s)
             played = kind(*self.key, part.name, **_describe_playback(playback))
-            self._stage.journal.write(played)
+            self._setup.journal.write(played)
             self.take(played)
             self._time_s = playback.requested_s if playback.onset_s is None else playback.onset_s
             _stop_or_pause(playback.act)
@@ -223,16 +223,16 @@ class _Attempt(events.Attempt):
 
     def is_spoiled(self) -> bool:
         """Check whether the attempt can no longer be answered, and record its end if so."""
-        flags = self.list_flags(flow=self._stage.flow)
+        flags = self.list_flags(flow=self._setup.flow)
         if events.ENDS_UNANSWERED.isdisjoint(flags):
             return False
-        self._stage.journal.write(events.TrialSpoiled(*self.key, flags, self._time_s))
+        self._setup.journal.write(events.TrialSpoiled(*self.key, flags, self._time_s))
         return True
 
     def answer(self) -> None:
         """Wait for the answer, or for another end of the attempt."""
         while True:
-            act = self._stage.presenter.wait()
+            act = self._setup.presenter.wait()
             match act:
                 case Feel():
                     self._replay(act)
@@ -254,19 +254,19 @@ class _Attempt(events.Attempt):
             self._refuse(act, "unknown_part", [act.part])
         else:
             if not {part.name for part in parts} & set(self.list_unfelt()):
-                self._stage.journal.write(events.PartReplayed(*self.key, act.part, act.time_s))
+                self._setup.journal.write(events.PartReplayed(*self.key, act.part, act.time_s))
             self.play(parts)
 
     def _move(self, act: Move) -> None:
         if act.part in self.trial.judged and self._find_valid({act.part: act.value}):
             moved = events.MarkerMoved(*self.key, act.part, float(act.value), act.time_s)
-            self._stage.journal.write(moved)
+            self._setup.journal.write(moved)
         else:
             self._refuse(act, "unknown_part", [act.part])
 
     def _accept(self, act: Confirm) -> bool:
         """Record the answer, unless something was not felt or not answered."""
-        flow, valid = self._stage.flow, self._find_valid(act.values)
+        flow, valid = self._setup.flow, self._find_valid(act.values)
         if unfelt := self.list_unfelt():
             return self._refuse(act, "not_felt", unfelt)
         if missing := [part for part in self.trial.judged if part not in valid]:
@@ -281,11 +281,11 @@ class _Attempt(events.Attempt):
             flags=flags,
             rejected=not set(flow.reject).isdisjoint(flags),
         )
-        self._stage.journal.write(rated)
+        self._setup.journal.write(rated)
         return True
 
     def _find_valid(self, values: Mapping[str, float | str]) -> set[str]:
-        choices, (low, high) = self._stage.scales[self.trial.scale].choices, RATING_RANGE
+        choices, (low, high) = self._setup.scales[self.trial.scale].choices, RATING_RANGE
         return {
             part
             for part, value in values.items()
@@ -294,8 +294,8 @@ class _Attempt(events.Attempt):
 
     def _refuse(self, act: Feel | Move | Confirm, reason: str, parts: Iterable[str] = ()) -> bool:
         names = list(parts)
-        self._stage.journal.write(events.ActRefused(*self.key, reason, names, act.time_s))
-        self._stage.presenter.refuse(reason, tuple(names))
+        self._setup.journal.write(events.ActRefused(*self.key, reason, names, act.time_s))
+        self._setup.presenter.refuse(reason, tuple(names))
         return False
 
 

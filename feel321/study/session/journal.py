@@ -14,7 +14,7 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -60,37 +60,37 @@ class Record:
             raise ValueError(f"line {self.sequence + 1}: {error}") from None
 
 
+class Records(list[Record]):
+    """The records of a journal, in order."""
+
+    def find(self, *kinds: type[E]) -> Iterator[E]:
+        """Find all events of some kinds."""
+        names = {kind.event for kind in kinds}
+        for record in self:
+            if record.event in names and isinstance(event := record.content, kinds):
+                yield event
+
+    def has(self, kind: type[SessionEvent]) -> bool:
+        """Check whether something ever happened in the session."""
+        return any(record.event == kind.event for record in self)
+
+    def find_header(self) -> SessionBegun | None:
+        """Find the header of the session."""
+        return next(self.find(SessionBegun), None)
+
+    def find_elapsed(self) -> float:
+        """Find the last time on the presenter's clock, in s."""
+        # Onsets do not count: an attempt that was broken off never was, and comes again in its own time.
+        return max((r.data["time_s"] for r in self if "time_s" in r.data), default=0.0)
+
+
 @dataclass(frozen=True, slots=True)
 class Chain:
     """The content of a journal file: its records, the digest of the last line, and an unfinished line."""
 
-    records: tuple[Record, ...]
+    records: Records
     tip: str
     torn: bytes
-
-
-def find_events(records: Iterable[Record], *kinds: type[E]) -> Iterator[E]:
-    """Find all events of some kinds."""
-    names = {kind.event for kind in kinds}
-    for record in records:
-        if record.event in names and isinstance(event := record.content, kinds):
-            yield event
-
-
-def has_event(records: Iterable[Record], kind: type[SessionEvent]) -> bool:
-    """Check whether something ever happened in a session."""
-    return any(record.event == kind.event for record in records)
-
-
-def find_header(records: Iterable[Record]) -> SessionBegun | None:
-    """Find the header of a session."""
-    return next(find_events(records, SessionBegun), None)
-
-
-def find_elapsed(records: Iterable[Record]) -> float:
-    """Find the last time on the presenter's clock, in s."""
-    # Onsets do not count: an attempt that was broken off never was, and comes again in its own time.
-    return max((r.data["time_s"] for r in records if "time_s" in r.data), default=0.0)
 
 
 def write_line(record: Record, previous: str) -> bytes:
@@ -109,7 +109,7 @@ def write_line(record: Record, previous: str) -> bytes:
 def read_chain(content: bytes, name: str) -> Chain:
     """Read all whole lines of a journal and check that they form one chain."""
     *lines, torn = content.split(b"\n")
-    records: list[Record] = []
+    records = Records()
     previous = START
     for number, line in enumerate(lines, start=1):
         try:
@@ -119,7 +119,7 @@ def read_chain(content: bytes, name: str) -> Chain:
                 f"{name}, line {number}: {error}; restore the file from a copy"
             ) from None
         previous = digest(line)
-    return Chain(tuple(records), previous, torn)
+    return Chain(records, previous, torn)
 
 
 def digest(text: str | bytes) -> str:
@@ -173,7 +173,7 @@ class Journal:
 
     path: Path
     now: Clock
-    records: list[Record] = field(default_factory=list)
+    records: Records = field(default_factory=Records)
     notice: str = ""
     _tip: str = START
     _is_open: bool = True
@@ -254,7 +254,7 @@ def create_journal(path: Path, *, now: Clock) -> Journal:
 def require_journal(path: Path, *, now: Clock) -> Journal:
     """Go on with a journal that is there; a record and the notice say so if its last line was unfinished."""
     chain = read_journal(path)
-    journal = Journal(path, now, list(chain.records), _tip=chain.tip)
+    journal = Journal(path, now, chain.records, _tip=chain.tip)
     if chain.torn:
         with _naming(path):
             torn = _cut_torn_line(path, chain.torn)

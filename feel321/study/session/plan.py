@@ -40,23 +40,14 @@ from feel321.protocols.trial import (
     select_tasks,
 )
 from feel321.study.session import events
-from feel321.study.session.events import (
-    PageRead,
-    SessionEvent,
-    TrialRated,
-    TrialSpoiled,
-    WarmUpBegun,
-)
 from feel321.study.session.journal import (
     Chain,
     Clock,
     Journal,
     Record,
+    Records,
     create_journal,
     digest,
-    find_elapsed,
-    find_header,
-    has_event,
     list_journals,
     name_journal,
     read_journal,
@@ -311,7 +302,7 @@ def _seal(body: bytes) -> bytes:
     return body.removesuffix(b"\n}") + _SEAL + digest(body).encode() + b'"\n}\n'
 
 
-STEPS = (PageRead, TrialRated, TrialSpoiled, WarmUpBegun)
+STEPS = (events.PageRead, events.TrialRated, events.TrialSpoiled, events.WarmUpBegun)
 """Events that change what comes next."""
 
 
@@ -330,12 +321,12 @@ def replay(plan: Plan, records: Iterable[Record]) -> Agenda:
     return agenda
 
 
-def advance(agenda: Agenda, event: SessionEvent, trials: Mapping[int, Trial]) -> None:
+def advance(agenda: Agenda, event: events.SessionEvent, trials: Mapping[int, Trial]) -> None:
     """Tell an agenda one event; most change nothing about what comes next."""
     match event:
-        case PageRead():
+        case events.PageRead():
             agenda.tell_page(event.key, time_s=event.time_s)
-        case TrialRated():
+        case events.TrialRated():
             trial = trials.get(event.trial)
             agenda.tell_trial(
                 event.trial,
@@ -343,7 +334,7 @@ def advance(agenda: Agenda, event: SessionEvent, trials: Mapping[int, Trial]) ->
                 as_expected=is_as_expected(trial, event.values) if trial else None,
                 time_s=event.time_s,
             )
-        case TrialSpoiled():
+        case events.TrialSpoiled():
             agenda.tell_trial(
                 event.trial,
                 accepted=False,
@@ -351,7 +342,7 @@ def advance(agenda: Agenda, event: SessionEvent, trials: Mapping[int, Trial]) ->
                 time_s=event.time_s,
                 spent="device_error" not in event.flags,
             )
-        case WarmUpBegun():
+        case events.WarmUpBegun():
             agenda.warm_up()
 
 
@@ -391,7 +382,7 @@ def open_session(
     with hold_lock(folder / ".lock", busy=busy):
         if (folder / TOMBSTONE_FILE).exists():
             raise ValueError(f"{folder}: {folder.name} was withdrawn; take another code")
-        is_begun = any(find_header(read_journal(path).records) for path in list_journals(folder))
+        is_begun = any(read_journal(path).records.find_header() for path in list_journals(folder))
         stored = _settle_plan(folder / PLAN_FILE, plan, is_begun=is_begun)
         yield stored, _open_newest(folder, stored, dict(identity), now=now, stale=stale)
 
@@ -422,11 +413,11 @@ def _open_newest(
     if not journals:
         return _begin(create_journal(folder / name_journal(1), now=now), plan, identity)
     journal = require_journal(journals[-1], now=now)
-    if has_event(journal.records, events.SessionReleased):
+    if journal.records.has(events.SessionReleased):
         raise ValueError(
             f"{journal.path}: {folder.name} was released, the place in the design is free; take another code"
         )
-    begun = find_header(journal.records)
+    begun = journal.records.find_header()
     if begun is None:
         return _begin(journal, plan, identity)
     header = _make_header(journal, plan, identity).to_data()
@@ -449,10 +440,10 @@ def _open_newest(
 def _resume(
     journal: Journal, plan: Plan, identity: dict[str, Any], *, now: Clock, stale: Stale
 ) -> Journal:
-    if has_event(journal.records, events.SessionFinished):
+    if journal.records.has(events.SessionFinished):
         return journal
     is_stale = _is_stale(journal, now=now, stale=stale)
-    is_superseded = has_event(journal.records, events.SessionSuperseded)
+    is_superseded = journal.records.has(events.SessionSuperseded)
     if is_superseded or (is_stale and stale.policy == "restart"):
         return _supersede(journal, plan, identity)
     journal.write(events.SessionResumed(*_describe_opening(journal)))
@@ -477,7 +468,7 @@ def _make_header(journal: Journal, plan: Plan, identity: dict[str, Any]) -> even
 def _describe_opening(journal: Journal) -> tuple[dict[str, str], str, dict[str, float]]:
     """Describe versions, system and clock: the presenter's beside the time of day, for the offset between both."""
     versions = {name: version(name) for name in ("feel321", "numpy", "scipy")}
-    clock = {"presenter_s": find_elapsed(journal.records)}
+    clock = {"presenter_s": journal.records.find_elapsed()}
     return {"python": python_version(), **versions}, platform(), clock
 
 
@@ -490,7 +481,7 @@ def _supersede(journal: Journal, plan: Plan, identity: dict[str, Any]) -> Journa
     """Leave a session as it is and begin the next one; after a crash in between, the second step alone is due."""
     folder = journal.path.parent
     session = len(list_journals(folder)) + 1
-    if not has_event(journal.records, events.SessionSuperseded):
+    if not journal.records.has(events.SessionSuperseded):
         journal.write(events.SessionSuperseded(session))
     return _begin(create_journal(folder / name_journal(session), now=journal.now), plan, identity)
 
@@ -525,9 +516,9 @@ class Dossier:
     chains: tuple[Chain, ...]
 
     @property
-    def records(self) -> tuple[Record, ...]:
+    def records(self) -> Records:
         """The records of the newest journal."""
-        return self.chains[-1].records if self.chains else ()
+        return self.chains[-1].records if self.chains else Records()
 
     @property
     def newest(self) -> Path:

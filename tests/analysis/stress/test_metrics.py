@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from feel321.analysis.tradeoff.stress.battery import BATTERY
-from feel321.analysis.tradeoff.stress.result import compare_metrics_under_rotation, describe_metrics
+from feel321.analysis.tradeoff.stress.measures import compare_metrics_under_rotation
+from feel321.analysis.tradeoff.stress.page import describe_metrics
 from feel321.stimuli.reducers.registry import REDUCERS
 
 

@@ -14,9 +14,9 @@ import pytest
 
 from feel321.analysis.tradeoff.face import stress
 from feel321.analysis.tradeoff.stress.battery import BATTERY, take_excerpt
+from feel321.analysis.tradeoff.stress.diagnosis import find_reason
 from feel321.analysis.tradeoff.stress.measures import MEASURES
 from feel321.analysis.tradeoff.stress.page import build_page, format_gain, format_value, name_anchor
-from feel321.analysis.tradeoff.stress.result import find_reason
 from feel321.analysis.tradeoff.stress.run import stress_reducers, write_stress
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
@@ -209,8 +209,8 @@ def test_the_strongest_part_is_taken(made: Any) -> None:
         ({"reducers": []}, "reducers must be one or more, got none"),
         ({"reducers": "dft321"}, "reducers must be a list of names, got the text 'dft321'"),
         ({"reducers": ["dft320"]}, "dft320"),
-        ({"draws": 1}, "draws must be 2 or more, got 1"),
-        ({"takes": 1}, "takes must be 2 or more, got 1"),
+        ({"draws": 1}, "draws must be a whole number of 2 or more, got 1"),
+        ({"takes": 1}, "takes must be a whole number of 2 or more, got 1"),
         ({"rng": -1}, "rng must be a whole number from 0"),
     ],
 )

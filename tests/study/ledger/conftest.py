@@ -14,7 +14,6 @@ from feel321.study.session.events import PageRead, SessionBegun, SessionFinished
 from feel321.study.session.journal import (
     Journal,
     create_journal,
-    has_event,
     list_journals,
     name_journal,
     require_journal,
@@ -108,7 +107,7 @@ class Lab:
             rated = (step.number, attempt, {"test": 50.0}, 1.5, 1.0, [], rejected)
             journal.write(TrialRated(*rated))
             agenda.tell_trial(step.number, accepted=not rejected, as_expected=None, time_s=1.0)
-        if agenda.done == TRIALS and not has_event(journal.records, SessionFinished):
+        if agenda.done == TRIALS and not journal.records.has(SessionFinished):
             journal.write(SessionFinished(TRIALS, 0))
         self.note(journal)
         return journal.path
@@ -124,7 +123,7 @@ class Lab:
             tip=journal.tip,
             done=replay(plan, journal.records).done,
             total=TRIALS,
-            state="finished" if has_event(journal.records, SessionFinished) else "running",
+            state="finished" if journal.records.has(SessionFinished) else "running",
         )
 
 

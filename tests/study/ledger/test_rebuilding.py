@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import feel321.study.ledger.slots
+from feel321.study.ledger.progress import REMOVING, check_anchors, read_tombstone, write_tombstone
 from feel321.study.ledger.slots import (
     find_lost,
     open_study_ledger,
@@ -18,7 +19,6 @@ from feel321.study.ledger.slots import (
     rebuild_ledger,
     rewrite_ledger,
 )
-from feel321.study.ledger.standing import REMOVING, check_anchors, read_tombstone, write_tombstone
 from feel321.study.ledger.withdrawal import release_participant, withdraw_participant
 from feel321.study.session.journal import digest
 
@@ -126,6 +126,20 @@ def test_one_number_held_twice_is_refused_and_the_ledger_stays(make_lab: Any) ->
     ):
         rebuild_ledger(lab.study)
     assert entries(lab) == kept
+    shutil.rmtree(lab.study.sessions / "p01")  # Now p01 holds the number by a claim alone.
+    lab.study.ledger.unlink()
+    shutil.rmtree(lab.study.sessions / "p02")
+    lab.claim("p01")
+    shutil.copytree(other.study.sessions / "p02", lab.study.sessions / "p02")
+    with pytest.raises(ValueError, match="number 1 must be held by one participant, got p02 and"):
+        rebuild_ledger(lab.study)
+
+
+def test_a_plan_without_a_journal_is_entered_as_it_was_claimed(lab: Any) -> None:
+    (lab.begin("p01") / "session-01.jsonl").unlink()
+    lab.study.ledger.unlink()
+    (entry,) = entries(lab)
+    assert (entry.number, entry.state, entry.done, entry.total) == (1, "claimed", 0, 0)
 
 
 def test_a_plan_that_was_copied_or_is_gone_is_refused(lab: Any) -> None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from feel321.protocols.agenda import Agenda
-from feel321.study.ledger.standing import write_roster
+from feel321.study.ledger.progress import write_roster
 from feel321.study.ledger.withdrawal import release_participant, withdraw_participant
 from feel321.study.session.events import PageRead
 from feel321.study.session.journal import require_journal
@@ -69,7 +69,7 @@ def test_training_is_passed_if_no_part_of_it_failed(
         journal.write(PageRead(key, 1.0, 1.0))
     # These pages would not come one after another; what matters here is which were read.
     monkeypatch.setattr(
-        "feel321.study.ledger.standing.replay",
+        "feel321.study.ledger.progress.replay",
         lambda plan, _records: Agenda(plan.trials, plan.flow),
     )
     (row,) = read(write_roster(lab.study))

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.study.ledger.standing import (
+from feel321.study.ledger.progress import (
     REMOVED,
     Anchor,
     Tombstone,

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from feel321.files import hold_lock
+from feel321.study.ledger.progress import find_leftovers, read_tombstone, write_roster
 from feel321.study.ledger.slots import find_lost, open_study_ledger, read_ledger
-from feel321.study.ledger.standing import read_tombstone, write_roster
 from feel321.study.ledger.withdrawal import release_participant, withdraw_participant
 from feel321.study.session.journal import create_journal, digest, read_journal
 from feel321.study.session.plan import PLAN_FILE
@@ -95,6 +95,10 @@ def test_all_data_go_and_a_tombstone_stays(two: Any, now: Any) -> None:
     (folder / "session-01.jsonl.torn1").write_bytes(b"{")
     (folder / "notes").mkdir()
     (folder / "notes" / "age.txt").write_text("44")
+    elsewhere = two.study.path / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "kept.txt").write_text("not ours")
+    (folder / "shortcut").symlink_to(elsewhere)
     others = read_files(two.study.sessions / "p02")
     removed = withdraw_participant(two.study, "p01", now=now, reason="moved away")
     assert removed == [
@@ -103,7 +107,16 @@ def test_all_data_go_and_a_tombstone_stays(two: Any, now: Any) -> None:
         "plan.json",
         "session-01.jsonl",
         "session-01.jsonl.torn1",
+        "shortcut",
     ]
+    assert read_files(elsewhere) == {"kept.txt": b"not ours"}
+    (folder / "shortcut").symlink_to(
+        elsewhere
+    )  # A copy that came back is found, links to folders too.
+    assert find_leftovers(folder) == [
+        f"{folder / 'shortcut'}: lies beside a tombstone, the participant withdrew; remove it"
+    ]
+    (folder / "shortcut").unlink()
     assert [path.name for path in folder.iterdir()] == ["withdrawn.json"]
     stored = json.loads((folder / "withdrawn.json").read_bytes())
     assert len(stored.pop("sha256")) == 64

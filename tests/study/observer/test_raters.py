@@ -57,7 +57,7 @@ def test_bad_raters_come_in_the_shares_that_were_asked_for() -> None:
     shares = [kinds[kind] / 2000 for kind in KINDS]
     assert shares == pytest.approx([0.4, 0.1, 0.2, 0.3], abs=0.03)
     assert {rater.kind for rater in draw_many(MODEL)} == {"normal"}
-    everyone = vary(MODEL, straight_liners=0.7, random_clickers=0.2, scale_reversers=0.1)
+    everyone = vary(MODEL, straight_liners=0.33, random_clickers=0.56, scale_reversers=0.11)
     assert "normal" not in {rater.kind for rater in draw_many(everyone)}
 
 

@@ -20,7 +20,7 @@ from feel321.protocols.trial import Flow, Page
 from feel321.study.screen.layout import Hand, View, compose, make_screen_texts
 from feel321.study.screen.presenter import ScreenPresenter
 from feel321.study.screen.window import Window, open_screen
-from feel321.study.session.engine import Stage, Stopped, conduct_page, conduct_trial
+from feel321.study.session.engine import Setup, Stopped, conduct_page, conduct_trial
 from feel321.study.session.ports import Place, Playback, Surface
 
 if TYPE_CHECKING:
@@ -146,11 +146,11 @@ class Journal:
         tell(event=event.event, **event.to_data())
 
 
-def conduct(step: dict[str, Any], stage: Stage) -> None:
+def conduct(step: dict[str, Any], setup: Setup) -> None:
     if "page" in step:
-        conduct_page(Page(**{"key": step.pop("page"), **step}), Place(12, 80), stage)
+        conduct_page(Page(**{"key": step.pop("page"), **step}), Place(12, 80), setup)
     else:
-        conduct_trial(gallery["make_trial"](step.pop("trial"), **step), Place(12, 80), stage)
+        conduct_trial(gallery["make_trial"](step.pop("trial"), **step), Place(12, 80), setup)
 
 
 def main(spec: dict[str, Any]) -> None:
@@ -168,12 +168,12 @@ def main(spec: dict[str, Any]) -> None:
         presenter = ScreenPresenter(
             window, output, texts, clock=clock, surfaces=surfaces, hand=watcher
         )
-        stage = Stage(
+        setup = Setup(
             presenter, dict.fromkeys(f"s{n}" for n in range(13)), scales, Journal(), Flow(gap_s=0.1)
         )
         try:
             for step in spec["steps"]:
-                conduct(step, stage)
+                conduct(step, setup)
         except Stopped as stop:
             tell(event="ended", reason=stop.args[0])
         finally:

@@ -17,7 +17,7 @@ def seal(body: str) -> bytes:
 
 def test_what_was_written_is_read() -> None:
     chain = read_chain(write_line(RECORD, START) + b"{", "j")
-    assert (chain.records, chain.torn) == ((RECORD,), b"{")
+    assert (chain.records, chain.torn) == ([RECORD], b"{")
     assert chain.tip == digest(write_line(RECORD, START)[:-1])
 
 

@@ -18,7 +18,7 @@ def test_a_plan_is_read_with_all_journals(plan: Plan, tmp_path: Path) -> None:
     (folder := tmp_path / "p01").mkdir()
     create_plan(folder / "plan.json", plan)
     dossier = read_dossier(folder)
-    assert (dossier.plan, dossier.chains, dossier.records) == (plan, (), ())
+    assert (dossier.plan, dossier.chains, dossier.records) == (plan, (), [])
 
 
 @pytest.mark.parametrize("entry", [{}, {"format": 2}, {"format": 2, "flow": None}])

@@ -13,7 +13,6 @@ import pytest
 from feel321.study.session.events import PageRead
 from feel321.study.session.journal import (
     create_journal,
-    find_header,
     list_journals,
     read_journal,
     require_journal,
@@ -47,7 +46,7 @@ def folder(tmp_path: Path) -> Path:
 def test_the_header_says_what_the_session_stands_on(
     present: Present, scripted: type, folder: Path
 ) -> None:
-    header = find_header(present(scripted()))
+    header = present(scripted()).find_header()
     assert header is not None
     assert header.plan_sha256 == require_plan(folder / "plan.json").sha256 != ""
     assert (header.participant, header.session, header.seed) == ("p01", 1, 7)
@@ -234,10 +233,10 @@ def test_who_comes_back_in_time_or_may_go_on_goes_on(
 
 
 def test_a_restart_is_a_new_session_and_the_old_one_stays(
-    leave: Callable[..., list[Any]], practised: Plan, folder: Path
+    leave: Callable[..., Any], practised: Plan, folder: Path
 ) -> None:
     records = leave("restart", hours=7, plan=practised)
-    assert find_header(records) is not None
+    assert records.find_header() is not None
     assert records[0].data["session"] == 2
     assert len(rated_trials(records)) == 20 + 4
     old = read_journal(folder / "session-01.jsonl").records

@@ -65,6 +65,9 @@ def test_rehearsal_does_not_move_the_order_and_is_numbered_behind_it(
     assert [t for t in plan.trials if t.phase == "main"] == list(plain.trials)
     assert [t.number for t in plan.trials] == list(range(1, len(plan.trials) + 1))
     assert [t.phase for t in plan.trials[20:]].count("training") == 4
+    # Everybody rehearses with stimuli of their own.
+    lessons = {remake(rehearsed, stimuli, number=number).trials[20:] for number in range(1, 6)}
+    assert len({tuple(trial.parts for trial in own) for own in lessons}) > 1
 
 
 def test_groups_take_turns_and_feel_what_is_theirs(design: Design, stimuli: StimulusSet) -> None:

@@ -12,11 +12,11 @@ from feel321.analysis.report.section import Picture
 from feel321.analysis.tradeoff.advise.choice import SceneAdvice, advise_scene, find_common
 from feel321.analysis.tradeoff.advise.measures import SEGMENT_S, TURNS
 from feel321.analysis.tradeoff.advise.scene import ANY, Context, Rated, Verdict, split_recording
-from feel321.analysis.tradeoff.results import without_undefined, write_results
-from feel321.records import Result
+from feel321.analysis.tradeoff.results import as_recordings, write_results
+from feel321.records import Result, to_json_value
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
     from pathlib import Path
 
     from matplotlib.axes import Axes
@@ -139,10 +139,11 @@ class Advice(Result):
     def headline(self) -> str:
         """Which one reducer would suffice for all scenes, in one line."""
         count = len([advice for advice in self.advices if advice.verdicts])
+        scenes = f"all {count} scenes" if count > 1 else "the one scene with vibration"
         if not self.common:
-            return f"No one reducer suffices for all {count} scenes."
+            return f"No one reducer suffices for {scenes}."
         others = ", ".join(self.common[1:])
-        return f"One for all {count} scenes: {self.common[0]}{f' (or {others})' if others else ''}."
+        return f"One for {scenes}: {self.common[0]}{f' (or {others})' if others else ''}."
 
     @property
     def simulated(self) -> bool:
@@ -206,7 +207,7 @@ class Advice(Result):
 
 
 def advise_recordings(
-    recordings: Sequence[Recording],
+    recordings: Recording | Iterable[Recording],
     context: Context,
     *,
     seed: int = 0,
@@ -221,10 +222,7 @@ def advise_recordings(
     """
     from threadpoolctl import threadpool_limits
 
-    if not recordings:
-        raise ValueError(
-            "recordings must be one or more, got none; name a study, --scenes or --recordings"
-        )
+    recordings = as_recordings(recordings, fewest=1)
     scenes = [scene for recording in recordings for scene in split_recording(recording, segment_s)]
     note = "" if ratings is None else _refuse_ratings(ratings, context, segment_s)
     used = {} if ratings is None or note else ratings
@@ -262,7 +260,9 @@ def _refuse_ratings(
     if context.axes > 1:
         return "Ratings were not used: people rated the output of one axis of an actuator."
     if not ratings:
-        margin = "a margin, from stimuli rated twice or set under [analysis] in study.toml"
+        margin = (
+            "a margin, from stimuli rated twice or set beforehand (in study.toml, under [analysis])"
+        )
         return f"Ratings were not used: equivalence needs two rated reducers and {margin}."
     return ""
 
@@ -332,5 +332,5 @@ def _tabulate_verdict(scene: str, order: int, verdict: Verdict) -> dict[str, Any
         "in_budget": verdict.in_budget, "fits": verdict.fits, "sufficient": verdict.is_sufficient,
         "rated_best": rated.best if rated else None, "p_equivalence": rated.p if rated else None,
     }  # fmt: skip
-    complete: dict[str, Any] = without_undefined(row)
+    complete: dict[str, Any] = to_json_value(row)
     return complete

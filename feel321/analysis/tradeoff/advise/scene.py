@@ -50,6 +50,7 @@ from feel321.analysis.contrasts.compare import equivalence
 from feel321.analysis.mixed.model import contrast, fit_mixed
 from feel321.analysis.report.parts import find_repeat_sd, split_parts
 from feel321.analysis.tradeoff.advise.measures import TURNS_ALONG, Complexity, Scores
+from feel321.analysis.tradeoff.results import as_table
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -57,7 +58,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from pandas import DataFrame
 
-    from feel321.analysis.table.reading import Table
+    from feel321.analysis.table.items import Table
     from feel321.stimuli.recording import Recording
 
 
@@ -84,14 +85,18 @@ class Rated:
         return self.is_best or self.p < SIGNIFICANCE
 
 
-def judge_ratings(table: Table, *, margin: float | None = None) -> dict[str, dict[str, Rated]]:
+def judge_ratings(
+    table: Table | DataFrame, *, margin: float | None = None
+) -> dict[str, dict[str, Rated]]:
     """Judge the reducers of every recording by its ratings: recording -> reducer -> what they show.
 
     margin: points that do not matter, fixed beforehand; half the spread of repeated ratings if left out. Recordings of
     fewer than two rated reducers are left out; empty if there is no margin.
     """
+    if margin is not None and not (isfinite(margin) and margin > 0):
+        raise ValueError(f"margin must be a number of points above 0, got {margin:g}")
     judged: dict[str, list[dict[str, Rated]]] = {}
-    for part in split_parts(table):
+    for part in split_parts(as_table(table)):
         sd, _ = (2 * margin, 0) if margin else find_repeat_sd(part.rows)
         if not sd > 0:
             continue
@@ -182,7 +187,7 @@ class Tolerance:
         """Refuse a number that is not a fraction."""
         if not 0 < self.weber < 1:
             raise ValueError(
-                f"tolerance must be above 0 and below 1, got {self.weber:g}; people's own is {WEBER_FRACTION}"
+                f"weber must be above 0 and below 1, got {self.weber:g}; people's own is {WEBER_FRACTION}"
             )
 
     @property
@@ -229,17 +234,17 @@ class Context:
             raise ValueError(
                 f"axes must be 1, 2 or 3, got {self.axes}: the number that the actuator can move"
             )
-        times = {"latency": self.latency_ms, "block": self.block_ms, "device": self.device_ms}
+        times = {name: getattr(self, name) for name in ("latency_ms", "block_ms", "device_ms")}
         for name, value in times.items():
             if value is not None and not (isfinite(value) and value >= 0):
-                raise ValueError(f"{name}-ms must be a finite time of 0 ms or more, got {value:g}")
+                raise ValueError(f"{name} must be a finite time of 0 ms or more, got {value:g}")
         if self.latency_ms is not None and not self.online:
             raise ValueError(
-                f"latency-ms must be left out offline, where nobody waits, got {self.latency_ms:g}; add --online"
+                f"latency_ms must be left out offline, where nobody waits, got {self.latency_ms:g}; set online=True"
             )
         if self.online and self.room_ms < 0:
             raise ValueError(
-                f"latency-ms must be at least {self.overhead_ms:.3g}, which block ({self.block_ms:.3g} ms) and device "
+                f"latency_ms must be at least {self.overhead_ms:.3g}, which block ({self.block_ms:.3g} ms) and device "
                 f"({self.device_ms:.3g} ms) alone take, got {self.budget_ms:g}; allow more, or lower block or device"
             )
 
@@ -281,7 +286,7 @@ class AdviceScene:
 def check_segment(segment_s: float) -> float:
     """Refuse segments that are too short for the lowest frequency."""
     if not (isfinite(segment_s) and segment_s >= SHORTEST_S):
-        raise ValueError(f"segment must be {SHORTEST_S} s or more, got {segment_s:g}")
+        raise ValueError(f"segment_s must be {SHORTEST_S} s or more, got {segment_s:g}")
     return segment_s
 
 

@@ -17,7 +17,7 @@ from feel321 import __version__
 from feel321.analysis.arrays import CONFIDENCE
 from feel321.analysis.contrasts.compare import profile_reducers
 from feel321.analysis.resampling import draw_counts
-from feel321.analysis.table.reading import Table, order_reducers
+from feel321.analysis.table.items import Table, order_reducers
 from feel321.analysis.table.schema import ROLES
 from feel321.analysis.tradeoff.chart import accuracy, cost, page
 from feel321.analysis.tradeoff.chart.points import (
@@ -30,12 +30,12 @@ from feel321.analysis.tradeoff.chart.points import (
     name_point,
     place_points,
 )
-from feel321.analysis.tradeoff.results import check_names, write_results
+from feel321.analysis.tradeoff.results import as_recordings, as_table, write_results
 from feel321.records import Result
 from feel321.stimuli.reducers.registry import REDUCERS, WHY_NOT_STREAMING
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
     from pandas import DataFrame
@@ -165,9 +165,9 @@ class Chart(Result):
 
 
 def compute_chart(
-    recordings: Sequence[Recording],
+    recordings: Recording | Iterable[Recording],
     *,
-    ratings: Table | None = None,
+    ratings: Table | DataFrame | None = None,
     effort: Effort = QUICK,
     seed: int = 0,
     clock: Clock | None = None,
@@ -176,7 +176,8 @@ def compute_chart(
     """Measure speed and accuracy of every method; the same seed gives the same accuracies, never the same times."""
     from threadpoolctl import threadpool_limits
 
-    check_names(recordings, fewest=1)
+    recordings = as_recordings(recordings, fewest=1)
+    rows = None if ratings is None else as_table(ratings).rows
     name, clock = cost.choose_clock() if clock is None else ("given", clock)
     steps, total = (
         count(1),
@@ -189,13 +190,13 @@ def compute_chart(
 
     # Threads of the linear algebra would be timed with the methods.
     with threadpool_limits(limits=THREADS):
-        rows = _measure(recordings, effort, seed=seed, clock=clock, tick=tick)
-    tables = {name: make_table(name, own) for name, own in rows.items()}
+        measured = _measure(recordings, effort, seed=seed, clock=clock, tick=tick)
+    tables = {name: make_table(name, own) for name, own in measured.items()}
     tables["growth"] = make_table("growth", cost.fit_all(tables["costs"]))
-    rated = () if ratings is None else rate_reducers(ratings.rows, seed=seed)
+    rated = () if rows is None else rate_reducers(rows, seed=seed)
     machine = describe_machine(name)
     notes = page.collect_notes(
-        recordings, effort.longest_s, precision=rows["precision"], machine=machine
+        recordings, effort.longest_s, precision=measured["precision"], machine=machine
     )
     return Chart(
         machine=machine,
@@ -203,7 +204,7 @@ def compute_chart(
         rated=make_table("rated", rated),
         seed=seed,
         effort=effort.name,
-        simulated=ratings is not None and bool(ratings.rows["simulated"].any()),
+        simulated=rows is not None and bool(rows["simulated"].any()),
         notes=tuple(notes),
     )
 

@@ -1,4 +1,4 @@
-"""What in a recording makes reducers fail: signs, their limits, and the scenes of the battery that it comes near.
+"""Why reducers fail: the reason of every failure; signs of it in a recording, and the scenes that it comes near.
 
 Each sign is a function of a `Recording` that returns one number. Shares are of energy unless they say otherwise, 0 to
 1. Windows are the paper's 35 ms, overlapping by half; where energy is compared between windows, it is about each
@@ -270,3 +270,66 @@ def list_warnings(diagnosis: Diagnosis, gains: Sequence[StressCell]) -> tuple[st
         suffering = ", ".join(f"{name} is sensitive here (gain {gain})" for name, gain in named)
         lines.append(": ".join(filter(None, (line, suffering))))
     return tuple(lines)
+
+
+_AXES, _GAINED = SINGLE_AXES[:3], SINGLE_AXES[3:]
+_PCA = ("pca321", "pca321_adaptive")
+_PCA_MATCHED = ("pca321_matched", "pca321_matched_windowed")
+_DFT_ALONG = ("dft321_principal", "dft321_principal_windowed")
+_FRAMES = ("dft321_windowed", "dft321_principal_windowed")
+_REASONS: Mapping[str, Mapping[str, tuple[str, ...]]] = MappingProxyType({
+    "gain": {
+        "it keeps one sensor axis; where that is (nearly) silent, the output is nothing but noise.": SINGLE_AXES,
+        "the sum cancels; what is left of it is noise.": ("soc321",),
+        "no direction leads, so the noise of the moment determines the axis, and with it a different motion.":
+            (*_PCA, *_PCA_MATCHED),
+        "the phase is that of x + y + z; where the axes cancel, noise sets it.": _FOURIER,
+        "the phase is that along the leading axis; where none leads, or little moves along it, noise sets it.":
+            _DFT_ALONG,
+        "the output depends on something that noise determines.": (),
+    },
+    "rotation": {
+        "what it keeps depends on where the sensor's own axes point.": SINGLE_AXES,
+        "x + y + z is the projection on the sensor's diagonal, whose direction is the mounting's.": ("soc321",),
+        "equal eigenvalues: rounding chooses among equally good axes.": ("pca321", "pca321_matched"),
+        "the spectrum stays, but the phase of x + y + z follows the sensor's diagonal.": _FOURIER,
+        "the output depends on the sensor's axes.": (),
+    },
+    "flip": {
+        "another sign of one axis is another sum: what added up now cancels.": ("soc321", *_FOURIER),
+        "the output depends on the signs of the sensor's axes.": (),
+    },
+    "shift": {
+        "equal eigenvalues: rounding chooses among equally good axes.": ("pca321",),
+        "frames cut the motion elsewhere, and each frame chooses anew.": ("pca321_adaptive", *_FRAMES),
+        "where none leads the axis depends on what came first, and is held there.": ("pca321_matched_windowed",),
+        "the output depends on where frames begin.": (),
+    },
+    "edge": {
+        "rectifying turns an offset and a vibration into another envelope.": ("mag321",),
+        "frames cut slow motion into steps; these leak into all frames.": _FRAMES,
+        "the envelope of what it keeps is not that of the motion.": (),
+    },
+    "energy": {
+        "it keeps one direction and drops the energy of the two others.": (*_AXES, *_PCA),
+        "axes in phase add up to too much, axes in anti-phase cancel.": ("soc321",),
+        "the length of the vector is mostly offset, which is not felt; its ripple is what remains.": ("mag321",),
+        "within a frame slow motion is an offset, whose axes are merged like a vibration's.": _FRAMES,
+        "the gain is at most 10: an axis with less than a hundredth of the energy stays weak.": _GAINED,
+        "it does not keep the energy of all axes.": (),
+    },
+    "fault": {
+        "the fault changes the phase of x + y + z at frequencies whose energy it spares.": _FOURIER,
+        "it turns a fault of some samples into another output elsewhere too.": (),
+    },
+    "spread": {
+        "the metrics of what it keeps change with the mounting; the paper's temporal match does so by itself.": (),
+    },
+})  # fmt: skip
+"""Measure -> reason -> the reducers that fail for it; the last one is the reason of all others."""
+
+
+def find_reason(measure: str, reducer: str) -> str:
+    """Find why a reducer fails by a measure."""
+    reasons = _REASONS[measure]
+    return next((why for why, names in reasons.items() if reducer in names), [*reasons][-1])

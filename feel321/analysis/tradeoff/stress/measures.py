@@ -32,9 +32,9 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 
 from feel321.analysis.tradeoff.stress.battery import BATTERY
-from feel321.stimuli.match import OriginalSpectrum, axis_correlations, mean_over_axes
+from feel321.stimuli.match import METRICS, OriginalSpectrum, axis_correlations, mean_over_axes
 from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
-from feel321.stimuli.rotation import random_rotations
+from feel321.stimuli.rotation import INVARIANTS, random_rotations
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -376,3 +376,66 @@ def _summarise(scene: str, reducer: str, found: Mapping[str, Samples]) -> list[S
         phase = float(np.median(found["phase"])) if failing else math.nan
         cells.append(StressCell(scene, reducer, key, sign * median, worst, phase, p90, p95))
     return cells
+
+
+RANGE_LIMIT = 0.1
+"""A temporal match that varies by more with the mounting alone says less than the choice among the paper's reducers."""
+
+EXPLODED = -1.0
+"""A spectral match below -1 means that the energy is off by more than three times on average over frequency."""
+
+METRIC_TURNS = 50
+"""Orientations of the sensor that the metrics are compared over."""
+
+
+@dataclass(frozen=True, slots=True)
+class MetricRow:
+    """The paper's two metrics and their counterparts on one recording; NaN where they are not defined.
+
+    held: the reducer whose output is held fixed while the sensor is turned, so that whatever changes is the metric's
+    own doing; spectral: the lowest of all reducers, that of worst_reducer.
+    """
+
+    recording: str
+    held: str
+    temporal_low: float
+    temporal_high: float
+    invariant_low: float
+    invariant_high: float
+    worst_reducer: str
+    spectral: float
+    spectral_bounded: float
+    spectral_energy_weighted: float
+
+    @property
+    def moves(self) -> bool:
+        """Whether the temporal match changes with the mounting by more than the limit."""
+        return self.temporal_high - self.temporal_low > RANGE_LIMIT
+
+    @property
+    def explodes(self) -> bool:
+        """Whether a spectral match is below the limit."""
+        return self.spectral < EXPLODED
+
+
+def compare_metrics_under_rotation(
+    recording: Recording, reducers: Mapping[str, Reducer], *, rng: np.random.Generator
+) -> MetricRow:
+    """Turn the sensor under a fixed reduced signal, and find the lowest spectral match."""
+    samples, rate_hz = recording.acceleration, recording.rate_hz
+    outputs = {name: reduce(samples, rate_hz) for name, reduce in reducers.items()}
+    held = "dft321" if "dft321" in reducers else next(iter(reducers))
+    turned = np.einsum("rij,jn->rin", random_rotations(METRIC_TURNS, rng), samples)
+    temporal = mean_over_axes(axis_correlations(turned, outputs[held]))
+    invariant = [INVARIANTS["temporal_match"](one, outputs[held], rate_hz) for one in turned[:5]]
+
+    original = OriginalSpectrum(samples, rate_hz)
+    matches = {name: float(original.match(output)) for name, output in outputs.items()}
+    worst = min(matches, key=matches.__getitem__)
+    further = METRICS["spectral_match_bounded"], INVARIANTS["spectral_match"]
+    return MetricRow(
+        recording.name, held,
+        float(temporal.min()), float(temporal.max()), min(invariant), max(invariant),
+        "" if math.isnan(matches[worst]) else worst, matches[worst],
+        *(metric(samples, outputs[worst], rate_hz) for metric in further),
+    )  # fmt: skip

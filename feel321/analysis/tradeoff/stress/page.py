@@ -1,23 +1,39 @@
-"""The stress test's heat map and page, whose red cells lead to their explanations."""
+"""A stress test as data, and its page: answers in words, a heat map whose red cells lead to explanations, tables."""
 
 from __future__ import annotations
 
 import math
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from itertools import product
+from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis.figures import style
-from feel321.analysis.report.section import PageTable
+from feel321.analysis.report.section import PageTable, Picture
+from feel321.analysis.tradeoff.results import write_results
 from feel321.analysis.tradeoff.stress.battery import BATTERY
-from feel321.analysis.tradeoff.stress.diagnosis import SIGNS
-from feel321.analysis.tradeoff.stress.measures import MEASURES, StressCell
-from feel321.analysis.tradeoff.stress.result import MOVED, StressResult, count_failures, find_reason
+from feel321.analysis.tradeoff.stress.diagnosis import (
+    SIGNS,
+    SINGLE_AXES,
+    find_reason,
+    list_warnings,
+)
+from feel321.analysis.tradeoff.stress.measures import EXPLODED, MEASURES, RANGE_LIMIT, StressCell
 from feel321.analysis.words import ABSENT, MINUS
+from feel321.records import Result
+from feel321.types import PathLike
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from pandas import DataFrame
+
+    from feel321.analysis.tradeoff.stress.diagnosis import Diagnosis
+    from feel321.analysis.tradeoff.stress.measures import MetricRow
+
 
 FIGURE = "stress"
 WIDTH_CM = 2 * style.COLUMN_CM + 0.8
@@ -36,6 +52,216 @@ CAPTION = (
 )
 
 
+MOVED = MappingProxyType({
+    "rotation": "Rotating the sensor",
+    "flip": "Flipping the sign of an axis",
+    "shift": "Shifting the motion in time",
+})
+"""Measure -> what is done to the recording, which leaves the motion as it is."""
+
+
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Stress(Result):
+    """Where reducers fail, how badly, and which recordings come near.
+
+    Parameters
+    ----------
+    reducers : tuple of str
+        Names of the reducers.
+    cells : tuple of StressCell
+        Every measure of every reducer on every scene of the battery.
+    gains : tuple of StressCell
+        Perturbation gain of every reducer on every recording.
+    metrics : tuple of MetricRow
+        The metrics on every scene and recording.
+    diagnoses : tuple of Diagnosis
+        What in each recording makes reducers fail.
+    notes : tuple of str
+        What was left out or assumed.
+    inputs : Mapping of str to object
+        Seed, numbers of takes and draws, digests of the recordings.
+    """
+
+    reducers: tuple[str, ...]
+    cells: tuple[StressCell, ...]
+    gains: tuple[StressCell, ...]
+    metrics: tuple[MetricRow, ...]
+    diagnoses: tuple[Diagnosis, ...]
+    notes: tuple[str, ...]
+    inputs: Mapping[str, object]
+
+    @property
+    def failures(self) -> tuple[StressCell, ...]:
+        """The cells of the battery that fail."""
+        return tuple(cell for cell in self.cells if cell.grade == "fails")
+
+    @property
+    def warnings(self) -> dict[str, tuple[str, ...]]:
+        """The warnings of each recording that has any."""
+        found = {one.recording: list_warnings(one, self.gains) for one in self.diagnoses}
+        return {name: lines for name, lines in found.items() if lines}
+
+    @property
+    def answers(self) -> tuple[str, ...]:
+        """The main findings, in words."""
+        return (
+            *_describe_gains(self),
+            *_describe_steady(self),
+            *_describe_invariance(self),
+            _describe_faults(self),
+            *describe_metrics(self.metrics),
+        )
+
+    def to_frames(self) -> dict[str, DataFrame]:
+        """Return everything that was measured as tables.
+
+        Returns
+        -------
+        dict of str to DataFrame
+            `cells`: every measure of every reducer on every scene; `metrics`: the metrics on scenes and recordings;
+            `recordings`: their signs; `gains`: perturbation gains on them.
+        """
+        import pandas as pd
+
+        names = (
+            "recording",
+            "reducer",
+            "measure",
+            "value",
+            "p90",
+            "p95",
+            "worst",
+            "up_to_phase",
+            "grade",
+        )
+        signs = [{"recording": one.recording, **one.figures} for one in self.diagnoses]
+        return {
+            "cells": pd.DataFrame(map(_to_row, self.cells), columns=names),
+            "metrics": pd.DataFrame(map(asdict, self.metrics)),
+            "recordings": pd.DataFrame(signs, columns=["recording", *SIGNS]),
+            "gains": pd.DataFrame(map(_to_row, self.gains), columns=names),
+        }
+
+    def summary(self) -> str:
+        """Write the main findings and the warnings for reading.
+
+        Returns
+        -------
+        str
+            One line for each.
+        """
+        warned = (f"{name}: {line}" for name, lines in self.warnings.items() for line in lines)
+        return "\n".join((*self.answers, *warned))
+
+    def write(self, folder: PathLike) -> Path:
+        """Write page, numbers, tables and figure.
+
+        Parameters
+        ----------
+        folder : str or PathLike
+            The folder. The files of a former stress test are replaced; all others stay.
+
+        Returns
+        -------
+        Path
+            The page.
+
+        Raises
+        ------
+        OSError
+            If a file cannot be written, or would replace one that is not of a former stress test.
+        """
+        content = {
+            "answers": self.answers,
+            "warnings": self.warnings,
+            "measures": list(map(asdict, MEASURES.values())),
+            "scenes": {
+                name: {"title": one.title, "reason": one.reason} for name, one in BATTERY.items()
+            },
+            "cells": list(map(_to_row, self.cells)),
+            "gains": list(map(_to_row, self.gains)),
+            "metrics": list(map(asdict, self.metrics)),
+            "recordings": [
+                {"name": one.recording, "figures": dict(one.figures), "near": one.near_scenes}
+                for one in self.diagnoses
+            ],
+            "notes": self.notes,
+            "inputs": dict(self.inputs),
+        }
+        return write_results(
+            folder, FIGURE, content=content, tables=self.to_frames(),
+            pictures=[Picture(FIGURE, CAPTION, draw_stress(self))], values=build_page(self),
+        )  # fmt: skip
+
+
+def _to_row(cell: StressCell) -> dict[str, object]:
+    return {**asdict(cell), "grade": cell.grade}
+
+
+def _describe_gains(result: Stress) -> Iterator[str]:
+    """Name the scenes on which noise is amplified; single axes are left out, they ignore motion across themselves."""
+    named: dict[str, list[str]] = {}
+    for cell in result.failures:
+        if cell.measure == "gain" and cell.reducer not in SINGLE_AXES:
+            named.setdefault(cell.recording, []).append(f"{cell.reducer} ({cell.value:.0f})")
+    limit = f"{MEASURES['gain'].fails:g}"
+    for scene, shown in named.items():
+        yield f"{BATTERY[scene].title}: perturbation gain above {limit} for {', '.join(shown)}."
+
+
+def _describe_steady(result: Stress) -> Iterator[str]:
+    """Name the reducers whose gain fails nowhere, and how far it goes: in the median take, in 90 and 95 %, at worst."""
+    for name in result.reducers:
+        own = [cell for cell in result.cells if (cell.reducer, cell.measure) == (name, "gain")]
+        if name not in SINGLE_AXES and all(cell.grade != "fails" for cell in own):
+            keys = ("value", "p90", "p95", "worst")
+            median, p90, p95, worst = (max(getattr(cell, key) for cell in own) for key in keys)
+            yield (
+                f"{name}: perturbation gain at most {median:.1f} in the median take of any scene, {p90:.1f} in 90 % of "
+                f"the takes, {p95:.1f} in 95 % and {worst:.1f} in the worst of {result.inputs['seeds']}."
+            )
+
+
+def count_failures(result: Stress, measure: str) -> dict[str, int]:
+    """Count the scenes on which each reducer fails by a measure."""
+    counts = Counter(cell.reducer for cell in result.failures if cell.measure == measure)
+    return {name: counts[name] for name in result.reducers}
+
+
+def _describe_invariance(result: Stress) -> Iterator[str]:
+    for key, what in MOVED.items():
+        steady = [name for name, count in count_failures(result, key).items() if not count]
+        yield (
+            f"{what} changes the output by less than {100 * MEASURES[key].fails:.0f} % in every scene for "
+            f"{', '.join(steady) or 'no reducer'} (median takes)."
+        )
+
+
+def _describe_faults(result: Stress) -> str:
+    damages = (cell for cell in result.cells if cell.measure == "fault")
+    worst = max(damages, key=lambda cell: -math.inf if math.isnan(cell.value) else cell.value)
+    return (
+        "Sensor faults (clipping, steps, gaps, clocks) come out at most "
+        f"{worst.value:.2g} times as strong as they go in ({worst.reducer}, {BATTERY[worst.recording].title})."
+    )
+
+
+def describe_metrics(rows: Sequence[MetricRow]) -> Iterator[str]:
+    """Describe where the paper's metrics fail."""
+    moving, exploding = [row for row in rows if row.moves], [row for row in rows if row.explodes]
+    yield (
+        f"Temporal match varies by more than {RANGE_LIMIT:g} with the mounting alone in {len(moving)} of {len(rows)} "
+        "scenes and recordings, although what is felt stays the same; its counterpart does not vary."
+    )
+    if exploding:
+        worst = min(exploding, key=lambda row: row.spectral)
+        yield (
+            f"Spectral match falls below {EXPLODED:g} in {len(exploding)} of {len(rows)}, lowest on {worst.recording} "
+            f"({worst.worst_reducer}: {worst.spectral:.3g}); the bounded one stays between 0 and 1 "
+            f"({worst.spectral_bounded:.2f} there)."
+        )
+
+
 class GradedText(str):
     """An entry of a table of a page; grade: the style class that colours it; link: where it leads."""
 
@@ -50,76 +276,63 @@ class GradedText(str):
         return made
 
 
-def draw_stress(result: StressResult) -> Figure:
+def draw_stress(result: Stress) -> Figure:
     """Draw the heat map, two columns wide: reducers across, scenes down."""
     from matplotlib.figure import Figure
 
-    wide = (WIDTH_CM - LABEL_CM - MARGIN_CM) / max(len(result.reducers), 1)
-    upright = wide < NARROW_CM
-    names = [
-        name if upright else style.fit_text(name, wide, lines=HEAD_LINES, size=VALUE_SIZE)
-        for name in result.reducers
-    ]
-    height = (UPRIGHT_CM if upright else HEAD_CM) + ROW_CM * len(BATTERY) + KEY_CM
+    wide = (WIDTH_CM - LABEL_CM - MARGIN_CM) / len(result.reducers)
+    upright, names = wide < NARROW_CM, list(result.reducers)
+    if not upright:
+        names = [style.fit_text(one, wide, lines=HEAD_LINES, size=VALUE_SIZE) for one in names]
+    rows = ROW_CM * len(BATTERY)
+    height = (UPRIGHT_CM if upright else HEAD_CM) + rows + KEY_CM
     left, right = LABEL_CM / WIDTH_CM, MARGIN_CM / WIDTH_CM
+    cells: dict[tuple[str, str], list[StressCell]] = {}
+    for cell in result.cells:
+        cells.setdefault((cell.recording, cell.reducer), []).append(cell)
     with style.print_style():
         figure = Figure(figsize=(WIDTH_CM / style.CM_PER_INCH, height / style.CM_PER_INCH))
-        box = (left, KEY_CM / height, 1 - left - right, ROW_CM * len(BATTERY) / height)
-        axes = figure.add_axes(box)
-        _label(axes, names, rotation=90 if upright else 0)
-        cells: dict[tuple[str, str], dict[str, StressCell]] = {}
-        for cell in result.cells:
-            cells.setdefault((cell.recording, cell.reducer), {})[cell.measure] = cell
-        for row, scene in enumerate(BATTERY):
-            for column, reducer in enumerate(result.reducers):
-                _draw_cell(axes, cells[scene, reducer], place=(column, row))
-        lines = (
+        axes = figure.add_axes((left, KEY_CM / height, 1 - left - right, rows / height))
+        axes.set(xlim=(0, len(names)), ylim=(len(BATTERY), 0))
+        axes.xaxis.tick_top()
+        columns, lines = ([place + 0.5 for place in range(len(own))] for own in (names, BATTERY))
+        axes.set_xticks(columns, names, fontsize=VALUE_SIZE, rotation=90 if upright else 0)
+        axes.set_yticks(lines, [scene.title for scene in BATTERY.values()])
+        axes.tick_params(length=0)
+        axes.spines[:].set_visible(False)
+        for (row, scene), (column, name) in product(enumerate(BATTERY), enumerate(result.reducers)):
+            _draw_cell(axes, cells[scene, name], place=(column, row))
+        key = (
             style.fit_text(line, WIDTH_CM - 4 * MARGIN_CM, lines=3, size=KEY_SIZE)
             for line in _describe_key()
         )
         place = (right, (KEY_CM - 0.2) / height)
-        figure.text(*place, "\n".join(lines), va="top", fontsize=KEY_SIZE, linespacing=1.25)
+        figure.text(*place, "\n".join(key), va="top", fontsize=KEY_SIZE, linespacing=1.25)
     return figure
 
 
-def _label(axes: Axes, names: Sequence[str], *, rotation: int) -> None:
-    axes.set(xlim=(0, len(names)), ylim=(len(BATTERY), 0))
-    axes.xaxis.tick_top()
-    columns, rows = ([place + 0.5 for place in range(len(own))] for own in (names, BATTERY))
-    axes.set_xticks(columns, names, fontsize=VALUE_SIZE, rotation=rotation)
-    axes.set_yticks(rows, [scene.title for scene in BATTERY.values()])
-    axes.tick_params(length=0)
-    axes.spines[:].set_visible(False)
-
-
-def _draw_cell(axes: Axes, cells: Mapping[str, StressCell], *, place: tuple[int, int]) -> None:
+def _draw_cell(axes: Axes, cells: Sequence[StressCell], *, place: tuple[int, int]) -> None:
+    """Draw the gain, the first of the cells, and the letters of what else fails."""
     from matplotlib.patches import Rectangle
 
-    gain, *further = cells.values()
+    gain, *further = cells
     letters = "".join(MEASURES[cell.measure].letter for cell in further if cell.grade == "fails")
     failing = gain.grade == "fails"
-    box = Rectangle(
-        place, 1, 1, facecolor=FILLS[gain.grade], edgecolor=style.GREY, linewidth=style.THIN
-    )
+    look: dict[str, Any] = {"facecolor": FILLS[gain.grade], "edgecolor": style.GREY}
+    box = Rectangle(place, 1, 1, linewidth=style.THIN, **look)
     if letters or failing:
         box.set_url(f"#{gain.recording}-{gain.reducer}")
     axes.add_patch(box)
-    look: dict[str, Any] = {
-        "color": "#FFFFFF" if failing else style.BLACK, "ha": "center", "va": "center",
-    }  # fmt: skip
+    look = {"color": "#FFFFFF" if failing else style.BLACK, "ha": "center", "va": "center"}
     x, y = place[0] + 0.5, place[1]
-    weight = "bold" if failing else "normal"
-    high = y + (0.32 if letters else 0.5)
+    weight, high = "bold" if failing else "normal", y + (0.32 if letters else 0.5)
     axes.text(x, high, format_gain(gain.value), size=VALUE_SIZE, weight=weight, **look)
     axes.text(x, y + 0.74, letters, size=MARK_SIZE, **look)
 
 
 def _describe_key() -> tuple[str, str]:
     gain, *others = MEASURES.values()
-    marks = (
-        f"{one.letter} {one.brief} ≥ {one.fails:g}{' ' * bool(one.unit)}{one.unit}"
-        for one in others
-    )
+    marks = (f"{one.letter} {one.brief} ≥ {one.fails:g} {one.unit}".strip() for one in others)
     return (
         f"Number and colour: median perturbation gain at −60 dB noise; white below {gain.caution:g}, pale from "
         f"{gain.caution:g}, dark and bold from {gain.fails:g} (1414: the output is all noise).",
@@ -159,7 +372,7 @@ def format_value(value: float, unit: str = "") -> str:
     return text.replace("-", MINUS)
 
 
-def build_page(result: StressResult) -> dict[str, object]:
+def build_page(result: Stress) -> dict[str, object]:
     """Build what the page shows."""
     return {
         "result": result,
@@ -181,7 +394,7 @@ def name_anchor(scene: str, reducer: str) -> str:
     return f"{FIGURE}-{scene}-{reducer}"
 
 
-def _list_near(result: StressResult, scene: str) -> Iterator[str]:
+def _list_near(result: Stress, scene: str) -> Iterator[str]:
     """List the recordings that come near a scene, with their signs of it."""
     for one in result.diagnoses:
         signs = [sign for sign in one.near_signs if sign.name in BATTERY[scene].signs]
@@ -190,7 +403,7 @@ def _list_near(result: StressResult, scene: str) -> Iterator[str]:
             yield f"{one.recording} ({shown})"
 
 
-def _explain(result: StressResult) -> dict[str, dict[str, list[str]]]:
+def _explain(result: Stress) -> dict[str, dict[str, list[str]]]:
     """List what each reducer fails by on each scene, and why."""
     found: dict[str, dict[str, list[str]]] = {scene: {} for scene in BATTERY}
     for cell in result.failures:
@@ -216,7 +429,7 @@ def _show(cell: StressCell, *, linked: bool = True) -> GradedText:
     return GradedText(median if alone else f"{median} / {p90} / {worst}", cell.grade, link)
 
 
-def _tabulate_measure(result: StressResult, measure: str) -> PageTable:
+def _tabulate_measure(result: Stress, measure: str) -> PageTable:
     rows: list[tuple[str, ...]] = []
     for scene, entry in BATTERY.items():
         own = [cell for cell in result.cells if (cell.recording, cell.measure) == (scene, measure)]
@@ -227,7 +440,7 @@ def _tabulate_measure(result: StressResult, measure: str) -> PageTable:
     return PageTable(caption, ("Scene", *result.reducers), tuple(rows))
 
 
-def _tabulate_counts(result: StressResult) -> PageTable:
+def _tabulate_counts(result: Stress) -> PageTable:
     counts = {key: count_failures(result, key) for key in MOVED}
     limit = f"{100 * MEASURES['rotation'].fails:.0f} %"
     return PageTable(
@@ -240,7 +453,7 @@ def _tabulate_counts(result: StressResult) -> PageTable:
     )  # fmt: skip
 
 
-def _tabulate_gains(result: StressResult) -> PageTable:
+def _tabulate_gains(result: Stress) -> PageTable:
     rows: list[tuple[str, ...]] = []
     for one in result.diagnoses:
         own = (cell for cell in result.gains if cell.recording == one.recording)
@@ -249,48 +462,36 @@ def _tabulate_gains(result: StressResult) -> PageTable:
     return PageTable(caption, ("Recording", *result.reducers), tuple(rows))
 
 
-def _tabulate_recordings(result: StressResult) -> PageTable:
+def _tabulate_recordings(result: Stress) -> PageTable:
     rows: list[tuple[str, ...]] = []
     for one in result.diagnoses:
-        near = one.near_signs
-        shown = (
-            GradedText(sign.format(one.figures[name]), "caution" if sign in near else "")
-            for name, sign in SIGNS.items()
-        )
+        values = ((sign, one.figures[name]) for name, sign in SIGNS.items())
+        shown = (GradedText(sign.format(v), "caution" * sign.is_near(v)) for sign, v in values)
         rows.append((one.recording, *shown))
     head = ("Recording", *(sign.title for sign in SIGNS.values()))
     caption = "Properties of the recordings that make reducers fail. Marked: beyond the limit."
     return PageTable(caption, head, tuple(rows))
 
 
-def _tabulate_metrics(result: StressResult) -> PageTable:
+def _tabulate_metrics(result: Stress) -> PageTable:
     rows: list[tuple[str, ...]] = []
     for row in result.metrics:
         title = BATTERY[row.recording].title if row.recording in BATTERY else row.recording
-        low, high, still, moved = map(
-            format_value,
-            (
-                row.temporal_low,
-                row.temporal_high,
-                row.invariant_high,
-                row.invariant_high - row.invariant_low,
-            ),
-        )
+        span = f"{format_value(row.temporal_low)}–{format_value(row.temporal_high)}"
+        moved = format_value(row.invariant_high - row.invariant_low)
         rows.append((
-            title,
-            GradedText(f"{low}–{high}", "fails" if row.moves else "good"),
-            f"{still} (moves by {moved})",
+            title, GradedText(span, "fails" if row.moves else "good"),
+            f"{format_value(row.invariant_high)} (moves by {moved})",
             GradedText(format_value(row.spectral), "fails" if row.explodes else "good"),
-            row.worst_reducer or ABSENT,
-            format_value(row.spectral_bounded),
+            row.worst_reducer or ABSENT, format_value(row.spectral_bounded),
             format_value(row.spectral_energy_weighted),
-        ))
+        ))  # fmt: skip
     head = (
         "Scene or recording", "Temporal match (eq. 2), lowest–highest", "Invariant counterpart",
         "Lowest spectral match (eq. 1)", "of", "Bounded", "Energy-weighted",
     )  # fmt: skip
     caption = (
-        "Temporal match fails where it varies by more than 0.1 with the mounting; spectral match where it falls "
-        "below −1."
-    )
+        f"Temporal match fails where it varies by more than {RANGE_LIMIT:g} with the mounting; spectral match where it "
+        f"falls below {EXPLODED:g}."
+    ).replace("-", MINUS)
     return PageTable(caption, head, tuple(rows))

@@ -1,94 +1,39 @@
-"""The stress test: the battery through every reducer, the recordings diagnosed, everything written."""
+"""The stress test: the battery through every reducer, and the recordings diagnosed."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from feel321.analysis.report.section import Picture
-from feel321.analysis.tradeoff.results import check_names, write_results
+from feel321.analysis.tradeoff.results import as_recordings
 from feel321.analysis.tradeoff.stress.battery import BATTERY, take_excerpt
 from feel321.analysis.tradeoff.stress.diagnosis import diagnose
-from feel321.analysis.tradeoff.stress.measures import measure_battery, measure_gains
-from feel321.analysis.tradeoff.stress.page import CAPTION, FIGURE, build_page, draw_stress
-from feel321.analysis.tradeoff.stress.result import (
-    StressResult,
-    build_content,
+from feel321.analysis.tradeoff.stress.measures import (
     compare_metrics_under_rotation,
+    measure_battery,
+    measure_gains,
 )
-from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.analysis.tradeoff.stress.page import Stress
+from feel321.doors import describe
+from feel321.stimuli.reducers.registry import REDUCERS, reduce
+from feel321.types import PathLike, Reducer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-    from pathlib import Path
-
     from feel321.stimuli.recording import Recording
-    from feel321.types import PathLike, Reducer
+    from feel321.types import Samples
 
 EXCERPT_S, METRICS_S = 2.0, 1.0
 """Longest part of a recording whose gains are measured, and whose metrics are, in s."""
 
-TAKES = 40
-"""Takes of every scene of the battery."""
-
-DRAWS = 16
-"""Noises per recording."""
-
-
-@dataclass(frozen=True, slots=True, repr=False, eq=False)
-class Stress(StressResult):
-    """Where reducers fail, how badly, and which recordings come near.
-
-    Parameters
-    ----------
-    reducers : tuple of str
-        Names of the reducers.
-    cells : tuple of StressCell
-        Every measure of every reducer on every scene of the battery.
-    gains : tuple of StressCell
-        Perturbation gain of every reducer on every recording.
-    metrics : tuple of MetricRow
-        The metrics on every scene and recording.
-    diagnoses : tuple of Diagnosis
-        What in each recording makes reducers fail.
-    notes : tuple of str
-        What was left out or assumed.
-    inputs : Mapping of str to object
-        Seed, numbers of takes and draws, digests of the recordings.
-    """
-
-    def write(self, folder: PathLike) -> Path:
-        """Write page, numbers, tables and figure.
-
-        Parameters
-        ----------
-        folder : str or PathLike
-            The folder. The files of a former stress test are replaced; all others stay.
-
-        Returns
-        -------
-        Path
-            The page.
-
-        Raises
-        ------
-        OSError
-            If a file cannot be written, or would replace one that is not of a former stress test.
-        """
-        return write_results(
-            folder,
-            FIGURE,
-            content=build_content(self),
-            tables=self.to_frames(),
-            pictures=[Picture(FIGURE, CAPTION, draw_stress(self))],
-            values=build_page(self),
-        )
+TAKES, DRAWS = 40, 16
+"""Takes of every scene of the battery, and noises per recording."""
 
 
 def stress_reducers(  # noqa: PLR0913 - every choice that changes the numbers has a name of its own
-    recordings: Sequence[Recording] = (),
+    recordings: Recording | Iterable[Recording] = (),
     reducers: Mapping[str, Reducer] | None = None,
     *,
     sensor: Mapping[str, Recording] | None = None,
@@ -100,17 +45,16 @@ def stress_reducers(  # noqa: PLR0913 - every choice that changes the numbers ha
     """Put reducers through the battery, and find the recordings that come near its scenes; seeds: takes of a scene."""
     from threadpoolctl import threadpool_limits
 
-    chosen = dict(REDUCERS if reducers is None else reducers)
-    check_names(recordings)
-    for name, number in (("takes", seeds), ("draws", draws)):
-        if number < 2:  # noqa: PLR2004 - a spread needs two
-            raise ValueError(f"{name} must be 2 or more, got {number}; a spread needs two")
+    given = REDUCERS if reducers is None else reducers
+    chosen = {name: take_batches(one) for name, one in given.items()}
+    recordings = as_recordings(recordings)
+    known = sensor or {}
+    _check_inputs(recordings, known, {"takes": seeds, "draws": draws})
     scenes = [scene.make(seed) for scene in BATTERY.values()]
     moving = [recording for recording in recordings if recording.acceleration.any()]
     excerpts = [take_excerpt(recording, duration_s=EXCERPT_S) for recording in moving]
-    known, before = sensor or {}, len(scenes) * len(chosen)
+    before, tick = len(scenes) * len(chosen), progress or (lambda _done, _total: None)
     total = before + len(moving) * len(chosen)
-    tick = progress or (lambda _done, _total: None)
     # Signals here are short: threads of the linear algebra wait for each other most of the time.
     with threadpool_limits(limits=1, user_api="blas"):
         cells = measure_battery(
@@ -130,6 +74,37 @@ def stress_reducers(  # noqa: PLR0913 - every choice that changes the numbers ha
     inputs = {"seed": seed, "seeds": seeds, "draws": draws, **digests}
     notes = tuple(_collect_notes(recordings, known))
     return Stress(tuple(chosen), cells, gains, tuple(metrics), tuple(diagnoses), notes, inputs)
+
+
+def take_batches(reducer: Reducer) -> Reducer:
+    """Let a lab's own reducer, which need not take many signals at once, take (..., 3, n) like ours."""
+    if reducer in REDUCERS.values():
+        return reducer
+
+    def apply(acceleration: Samples, rate_hz: float) -> Samples:
+        *many, axes, n = acceleration.shape
+        signals = acceleration.reshape(-1, axes, n)
+        outputs = [reduce(one, reducer, rate_hz=rate_hz).samples for one in signals]
+        return np.reshape(outputs, (*many, n))
+
+    return apply
+
+
+def _check_inputs(
+    recordings: Sequence[Recording], sensor: Mapping[str, Recording], numbers: Mapping[str, int]
+) -> None:
+    """Refuse numbers of draws without a spread, and originals that belong to no recording."""
+    for name, number in numbers.items():
+        if number != int(number) or number < 2:  # noqa: PLR2004 - a spread needs two
+            raise ValueError(
+                f"{name} must be a whole number of 2 or more, got {number}; a spread needs two"
+            )
+    if not isinstance(sensor, Mapping):
+        raise TypeError(f"sensor must be a mapping of names to Recordings, got {describe(sensor)}")
+    names = [one.name for one in recordings]
+    if unknown := [name for name in sensor if name not in names]:
+        known = ", ".join(names) or "none"
+        raise ValueError(f"sensor must name recordings ({known}), got {unknown[0]!r}")
 
 
 def write_stress(result: Stress, folder: PathLike) -> Path:

@@ -20,11 +20,11 @@ from feel321.protocols.trial import Flow
 from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
 from feel321.study.audit import audit_study
 from feel321.study.folder import StudyFolder
+from feel321.study.ledger.progress import write_roster
 from feel321.study.ledger.slots import claim_slots, list_forgotten, open_study_ledger
-from feel321.study.ledger.standing import write_roster
 from feel321.study.observer.participant import ObserverModel, SimulatedObserver, identify_observer
 from feel321.study.ratings import write_ratings
-from feel321.study.session.journal import find_elapsed, read_journal
+from feel321.study.session.journal import read_journal
 from feel321.study.session.plan import Design, Stale, make_plan, require_plan
 from feel321.study.session.ports import Abort, Confirm, Feel, Move, Pause, Playback
 from feel321.study.sessions import Room, lead_session
@@ -197,7 +197,7 @@ class Session:
     def _make_presenter(
         self, plan: Plan, journal: Journal, stimuli: Mapping[str, Stimulus], *, memory: set[str]
     ) -> Iterator[Presenter]:
-        elapsed_s = find_elapsed(journal.records)
+        elapsed_s = journal.records.find_elapsed()
         if self.presenter == "scripted":
             yield Scripted(elapsed_s, memory)
             return

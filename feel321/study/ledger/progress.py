@@ -1,29 +1,22 @@
-"""Where participants stand by the files of a study: plans, journals, tombstones, and `participants.csv` made of them.
+"""The progress of participants, read from plans, journals and tombstones; `participants.csv` is made of it.
 
 The chain inside a journal cannot show that whole lines are missing at its end; whoever kept an anchor can.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import json
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from feel321.files import write_text
 from feel321.study.columns import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS
+from feel321.study.folder import StudyFolder
 from feel321.study.session.events import PageRead, SessionFinished, SessionReleased
-from feel321.study.session.journal import (
-    START,
-    Record,
-    digest,
-    find_events,
-    find_header,
-    has_event,
-    list_journals,
-)
+from feel321.study.session.journal import START, Records, digest, list_journals
 from feel321.study.session.plan import (
     PLAN_FILE,
     TOMBSTONE_FILE,
@@ -33,12 +26,6 @@ from feel321.study.session.plan import (
     replay,
     require_own_plan,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
-
-    from feel321.study.folder import StudyFolder
 
 ROSTER_FILE = "participants.csv"
 
@@ -150,12 +137,12 @@ def _digest(entry: Mapping[str, Any]) -> str:
     return digest(json.dumps(entry, sort_keys=True))
 
 
-# Where each participant stands.
+# Progress and `participants.csv`.
 
 
 @dataclass(frozen=True, slots=True)
-class Standing:
-    """Where a participant stands."""
+class Progress:
+    """How far a participant is, by plan and journals."""
 
     participant: str
     simulated: bool
@@ -171,32 +158,32 @@ class Standing:
     problem: str = ""
 
 
-def read_standings(study: StudyFolder) -> list[Standing]:
-    """Read where all participants stand who have a plan or a journal and did not withdraw."""
+def list_progress(study: StudyFolder) -> list[Progress]:
+    """Read the progress of all participants who have a plan or a journal and did not withdraw."""
     return [
-        read_standing(folder)
+        read_progress(folder)
         for folder in study.participants
         if not (folder / TOMBSTONE_FILE).exists()
         and ((folder / PLAN_FILE).exists() or list_journals(folder))
     ]
 
 
-def read_standing(folder: Path) -> Standing:
-    """Read where one participant stands, also while a session runs."""
+def read_progress(folder: Path) -> Progress:
+    """Read the progress of one participant, also while a session runs."""
     try:
-        return make_standing(read_dossier(folder))
+        return make_progress(read_dossier(folder))
     except ValueError as error:
         # A broken plan raises again; of a broken journal the plan still says who it is.
-        planned = make_standing(Dossier(folder, require_own_plan(folder), ()))
+        planned = make_progress(Dossier(folder, require_own_plan(folder), ()))
         return replace(planned, state="running", problem=str(error))
 
 
-def make_standing(dossier: Dossier) -> Standing:
-    """Derive where one participant stands from plan and journals."""
+def make_progress(dossier: Dossier) -> Progress:
+    """Derive the progress of one participant from plan and journals."""
     plan, newest = dossier.plan, dossier.records
     times = [record.utc for chain in dossier.chains for record in chain.records]
     with read_as_written(dossier.newest):
-        return Standing(
+        return Progress(
             participant=plan.participant,
             simulated=plan.simulated,
             number=plan.number,
@@ -211,15 +198,15 @@ def make_standing(dossier: Dossier) -> Standing:
         )
 
 
-def _find_state(records: Sequence[Record]) -> str:
+def _find_state(records: Records) -> str:
     for kind in (SessionReleased, SessionFinished):
-        if has_event(records, kind):
+        if records.has(kind):
             return kind.event
-    return "running" if find_header(records) else "claimed"
+    return "running" if records.find_header() else "claimed"
 
 
-def _find_training(records: Sequence[Record]) -> bool | None:
-    pages = {page.key for page in find_events(records, PageRead)}
+def _find_training(records: Records) -> bool | None:
+    pages = {page.key for page in records.find(PageRead)}
     if "training_failed" in pages:
         return False
     return True if "training_passed" in pages else None
@@ -227,20 +214,20 @@ def _find_training(records: Sequence[Record]) -> bool | None:
 
 def write_roster(study: StudyFolder) -> Path:
     """Write `participants.csv`: one row per participant, without those who withdrew."""
-    standings = read_standings(study)
-    for standing in standings:
-        if standing.problem:
-            raise ValueError(standing.problem)
-    factors = dict.fromkeys(factor for standing in standings for factor in standing.groups)
+    everybody = list_progress(study)
+    for progress in everybody:
+        if progress.problem:
+            raise ValueError(progress.problem)
+    factors = dict.fromkeys(factor for progress in everybody for factor in progress.groups)
     text = io.StringIO(newline="")
     columns = [*PARTICIPANT_COLUMNS, *factors, *LAST_PARTICIPANT_COLUMNS]
     table = csv.DictWriter(text, columns, extrasaction="ignore")
     table.writeheader()
     flags = {True: "true", False: "false", None: ""}
-    for standing in standings:
-        row = {name: getattr(standing, name) for name in Standing.__slots__}
-        row |= standing.groups
-        row["sessions"] = len(standing.anchors)
+    for progress in everybody:
+        row = {name: getattr(progress, name) for name in Progress.__slots__}
+        row |= progress.groups
+        row["sessions"] = len(progress.anchors)
         row |= {name: flags[row[name]] for name in ("simulated", "training_passed")}
         table.writerow(row)
     write_text(study.path / ROSTER_FILE, text.getvalue())
