@@ -6,9 +6,9 @@ whether it was made yet or not.
 
 from collections.abc import Iterator, Mapping, Sequence
 from math import inf, log10
+from operator import itemgetter
 
 import numpy as np
-from numpy.typing import NDArray
 
 from feel321.protocols.trial import SURFACE
 from feel321.stimuli.condition import condition
@@ -23,14 +23,8 @@ from feel321.stimuli.sets.recipe import (
     Recipe,
     find_headroom_cost,
 )
+from feel321.study.actuator import render
 from feel321.study.actuator.mixer import ROUNDING
-from feel321.study.actuator.render import (
-    EQUAL_DB,
-    find_directions,
-    find_mix,
-    original_energy,
-    reduced_energy,
-)
 from feel321.study.actuator.rig import AXES, REDUCED, Rig
 from feel321.study.findings import Problems
 from feel321.study.settings.read import make_design, make_recipe
@@ -151,16 +145,15 @@ def _find_weak(
 ) -> Iterator[str]:
     """List the recordings whose stimuli have sensation levels in a range, and what helps them."""
     accept = f', or accept it: below_threshold = "{ACCEPT}" under [stimuli]'
-    where = f"{below:g} dB over the detection threshold ({recipe.threshold})"
+    where = f"below the detection threshold ({recipe.threshold}), not to be felt"
+    if below:
+        where = f"less than {below:g} dB over the detection threshold ({recipe.threshold})"
     for recording, own in _group(foreseen).items():
         weak = [one for one in own if least <= _own_level(one, recipe) < below]
         if not weak:
             continue
-        how = f"less than {where}"
-        if not below:
-            how = f"below the detection threshold ({recipe.threshold}), not to be felt"
         yield (
-            f"recording {recording!r}: {len(weak)} of {len(own)} stimuli {how}: {_list_weak(weak, recipe)}; "
+            f"recording {recording!r}: {len(weak)} of {len(own)} stimuli {where}: {_list_weak(weak, recipe)}; "
             f"{_advise(own, weak, recipe)}{'' if below else accept}"
         )
 
@@ -168,8 +161,7 @@ def _find_weak(
 def _list_weak(weak: Sequence[Foreseen], recipe: Recipe) -> str:
     several = len({one.level for one in weak}) > 1 or len(recipe.levels) > 1
     texts = []
-    for one in sorted(weak, key=lambda one: _own_level(one, recipe)):
-        level = _own_level(one, recipe)
+    for level, one in sorted(((_own_level(one, recipe), one) for one in weak), key=itemgetter(0)):
         name = f"{one.reducer} {one.level}" if several else one.reducer
         texts.append(f"{name} silent" if level == -inf else f"{name} {write_db(level)} dB")
     return ", ".join(texts)
@@ -239,7 +231,7 @@ def find_reach(rig: Rig, recordings: Sequence[Recording], recipe: Recipe) -> Pro
     """Compare the energy with which one-axis stimuli and the three-axis reference reach the hand."""
     if recipe.reference != ORIGINAL:
         return Problems()
-    directions, unknown = find_directions(rig)
+    directions, unknown = render.find_directions(rig)
     if unknown:
         line = (
             f"actuators {', '.join(map(repr, unknown))}: no direction is known, so it is unknown whether one-axis "
@@ -247,18 +239,18 @@ def find_reach(rig: Rig, recordings: Sequence[Recording], recipe: Recipe) -> Pro
             "to every actuator"
         )
         return Problems(warnings=(line,))
-    mix = find_mix(rig)
-    reduced = reduced_energy(mix, directions)
-    differences = {
-        recording.name: energy_db(
-            reduced, original_energy(mix, directions, _covariance(recording, recipe))
-        )
-        for recording in recordings
-    }
+    mix = render.find_mix(rig)
+    reduced = render.reduced_energy(mix, directions)
+    differences: dict[str, float] = {}
+    for recording in recordings:
+        acceleration = condition(recording, recipe.conditioning).acceleration
+        covariance = np.einsum("in,jn->ij", acceleration, acceleration)
+        original = render.original_energy(mix, directions, covariance)
+        differences[recording.name] = energy_db(reduced, original)
     name = max(differences, key=lambda name: abs(differences[name]))
     figures = {"reduced_over_reference_db": differences}
     worst = differences[name]
-    if abs(worst) < EQUAL_DB:
+    if abs(worst) < render.EQUAL_DB:
         same = "one-axis stimuli and the three-axis reference reach the hand with equal energy"
         return Problems(notes=(f"{same} (difference {write_db(worst)} dB)",), figures=figures)
     warning = _describe_difference(rig, worst, name, among=differences)
@@ -268,14 +260,11 @@ def find_reach(rig: Rig, recordings: Sequence[Recording], recipe: Recipe) -> Pro
 def find_rig_limits(rig: Rig, foreseen: Sequence[Foreseen], reference: str) -> list[str]:
     """Find what a rig cannot play, by the peaks of stimuli that are not built yet."""
     needed = (REDUCED, *AXES) if reference == ORIGINAL else (REDUCED,)
-    missing = [
-        source
-        for source in needed
-        if not any(source in actuator.plays for actuator in rig.actuators)
-    ]
+    played = {source for actuator in rig.actuators for source in actuator.plays}
+    missing = [source for source in needed if source not in played]
     remedy = "add it to `plays`, or name a reference in study.toml that the rig can play"
     lines = [f"no actuator plays {', '.join(missing)}; {remedy}"] if missing else []
-    mix = find_mix(rig)
+    mix = render.find_mix(rig)
     worst = max((one for one in foreseen if one.reducer != ORIGINAL), key=lambda one: one.peak_m_s2)
     for actuator in rig.actuators:
         asked = worst.peak_m_s2 * mix[actuator.name].get(REDUCED, 0.0)
@@ -292,28 +281,18 @@ def find_rig_limits(rig: Rig, foreseen: Sequence[Foreseen], reference: str) -> l
     return lines
 
 
-def _covariance(recording: Recording, recipe: Recipe) -> NDArray[np.float64]:
-    import numpy as np
-
-    acceleration = condition(recording, recipe.conditioning).acceleration
-    return np.asarray(np.einsum("in,jn->ij", acceleration, acceleration))
-
-
 def _describe_difference(
     rig: Rig, difference_db: float, recording: str, *, among: dict[str, float]
 ) -> str:
     """Describe that strength gives the reference away, and which weights would avoid that."""
-    mix = find_mix(rig)
+    mix = render.find_mix(rig)
     factor = 10 ** (-difference_db / 20)
     weights = {
         name: factors[REDUCED] * factor for name, factors in mix.items() if REDUCED in factors
     }
     how = ", ".join(f"{name!r} {weight:.4g}" for name, weight in weights.items())
-    where = (
-        ""
-        if max(among.values()) - min(among.values()) < EQUAL_DB
-        else f" in recording {recording!r}"
-    )
+    is_alike = max(among.values()) - min(among.values()) < render.EQUAL_DB
+    where = "" if is_alike else f" in recording {recording!r}"
     than = "stronger" if difference_db > 0 else "weaker"
     remedy = f"set weight: {how}"
     if not all(actuator.direction for actuator in rig.actuators):

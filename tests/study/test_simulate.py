@@ -17,8 +17,9 @@ from feel321.study.audit import audit_study
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger.slots import list_forgotten
 from feel321.study.ratings import write_ratings
-from feel321.study.session.journal import read_journal
-from feel321.study.sessions import SIDE_BY_SIDE
+from feel321.study.session.events import SessionReleased
+from feel321.study.session.journal import create_journal, read_journal
+from feel321.study.sessions import SIDE_BY_SIDE, list_participants
 from feel321.study.settings.read import read_settings
 from feel321.study.status import read_status
 from feel321.study.workflow import build_study, check_study, find_warnings, simulate_study
@@ -101,6 +102,13 @@ def test_progress_counts_what_earlier_runs_did(copy: StudyFolder) -> None:
     assert steps[-1] == (80, 80)
     # Two were finished and one was rated to its fifth trial: 15 and 20 trials are left, three sessions are found.
     assert len(steps) == 15 + 20 + 3
+
+
+def test_who_was_released_or_withdrew_is_not_simulated_again(copy: StudyFolder) -> None:
+    path = copy.sessions / "sim001" / "session-02.jsonl"  # the newest journal counts
+    create_journal(path, now=lambda: datetime.now(UTC)).write(SessionReleased())
+    (copy.sessions / "sim003" / "withdrawn.json").touch()
+    assert list_participants(copy, 3) == ["sim002", "sim004", "sim005"]
 
 
 def test_what_was_mended_on_resuming_is_reported(copy: StudyFolder) -> None:

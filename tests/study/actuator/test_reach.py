@@ -139,7 +139,7 @@ def compare(rig: Rig, **changes: Any) -> Problems:
 
 def test_the_template_reaches_the_hand_with_equal_energy(tmp_path: Path) -> None:
     found = compare(read(tmp_path, TEMPLATE))
-    assert (found.problems, found.warnings) == ([], [])
+    assert (found.problems, found.warnings) == ((), ())
     assert list(found.notes) == [
         "one-axis stimuli and the three-axis reference reach the hand with equal energy (difference 0.0 dB)"
     ]
