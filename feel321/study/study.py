@@ -26,73 +26,13 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class Study:
-    """A study in its folder; begin with `Study.create` or `Study.open`.
-
-    Parameters
-    ----------
-    folder : StudyFolder
-        Its places.
-    progress : bool or callable
-        Whether long steps show a progress bar.
-    now : callable
-        The clock.
-    warn : callable, optional
-        Called with each warning; Python's own warnings by default.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from feel321 import study
-    >>> pilot = study.Study.create(tempfile.mkdtemp() + "/pilot")
-    >>> pilot.with_settings({"session.repeats": 2}).settings.session.repeats
-    2
-    >>> len(pilot.recordings())
-    6
-    """
+class Contents:
+    """A study as far as it is read."""
 
     folder: StudyFolder
     progress: Progress = False
     now: Clock = utc_now
     warn: Callable[[str], None] | None = None
-
-    @classmethod
-    def create(cls, path: PathLike, *, like: str | None = None, progress: Progress = False) -> Self:
-        """Begin a study in a new folder: a commented `study.toml` that works as it is, and a `rig.toml`.
-
-        Parameters
-        ----------
-        path : str or path
-            The folder; refused if it holds a study.
-        like : str, optional
-            A published study to run again: `landin2010`, `lee2022` or `park2019`.
-        progress : bool or callable
-            Whether long steps show a progress bar.
-
-        Returns
-        -------
-        Study
-            The study.
-        """
-        return cls(create_study(as_path(path), bundled=like), progress)
-
-    @classmethod
-    def open(cls, path: PathLike = ".", *, progress: Progress = False) -> Self:
-        """Open a study that is there.
-
-        Parameters
-        ----------
-        path : str or path
-            The folder that holds `study.toml`.
-        progress : bool or callable
-            Whether long steps show a progress bar.
-
-        Returns
-        -------
-        Study
-            The study.
-        """
-        return cls(require_study(as_path(path)), progress)
 
     def __repr__(self) -> str:
         """Write what a user would write to open it."""
@@ -253,6 +193,71 @@ class Study:
                 f"participant must be one of {', '.join(known) or 'nobody yet'}; got {participant!r}"
             )
         return known[participant]
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Study(Contents):
+    """A study in its folder; begin with `Study.create` or `Study.open`.
+
+    Parameters
+    ----------
+    folder : StudyFolder
+        Its places.
+    progress : bool or callable
+        Whether long steps show a progress bar.
+    now : callable
+        The clock.
+    warn : callable, optional
+        Called with each warning; Python's own warnings by default.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from feel321 import study
+    >>> pilot = study.Study.create(tempfile.mkdtemp() + "/pilot")
+    >>> pilot.with_settings({"session.repeats": 2}).settings.session.repeats
+    2
+    >>> len(pilot.recordings())
+    6
+    """
+
+    @classmethod
+    def create(cls, path: PathLike, *, like: str | None = None, progress: Progress = False) -> Self:
+        """Begin a study in a new folder: a commented `study.toml` that works as it is, and a `rig.toml`.
+
+        Parameters
+        ----------
+        path : str or path
+            The folder; refused if it holds a study.
+        like : str, optional
+            A published study to run again: `landin2010`, `lee2022` or `park2019`.
+        progress : bool or callable
+            Whether long steps show a progress bar.
+
+        Returns
+        -------
+        Study
+            The study.
+        """
+        return cls(create_study(as_path(path), bundled=like), progress)
+
+    @classmethod
+    def open(cls, path: PathLike = ".", *, progress: Progress = False) -> Self:
+        """Open a study that is there.
+
+        Parameters
+        ----------
+        path : str or path
+            The folder that holds `study.toml`.
+        progress : bool or callable
+            Whether long steps show a progress bar.
+
+        Returns
+        -------
+        Study
+            The study.
+        """
+        return cls(require_study(as_path(path)), progress)
 
     def check(self) -> Problems:
         """Check settings, recordings, texts, strength of the stimuli, rig and, once built, the stimulus set.
