@@ -38,13 +38,11 @@ References
    doi:10.4324/9781410611147
 """
 
-from __future__ import annotations
-
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from math import prod
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 from feel321.doors import Registry, check_name
 from feel321.protocols.balance import williams_square
@@ -61,11 +59,8 @@ from feel321.protocols.trial import (
     select_items,
 )
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
-    Items = Sequence[Item]
-    Comparisons = tuple[Comparison, ...]
+Items = Sequence[Item]
+Comparisons = tuple[Comparison, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -295,49 +290,45 @@ def _score_abx(judgement: Judgement, answer: float | str, parts: Mapping[str, st
     return RIGHT if parts[chosen] == parts[judgement.part] else WRONG
 
 
-PROTOCOLS = Registry(
-    "protocol",
-    {
-        protocol.name: protocol
-        for protocol in (
-            Protocol("realism", ("recording", "reducer", "level"), _compare_realism),
-            Protocol(
-                "similarity",
-                ("recording", "reducer", "level"),
-                _compare_similarity,
-                references=(ORIGINAL, SURFACE, "reducer"),
-                sure_end=RATING_RANGE[1],
-            ),
-            Protocol(
-                "dissimilarity",
-                ("recording", "pair", "level"),
-                _compare_dissimilarity,
-                references=(ORIGINAL,),
-                teach=_teach_dissimilarity,
-                arrange=_arrange_dissimilarity,
-            ),
-            Protocol(
-                "mushra",
-                ("recording", "level"),
-                _compare_mushra,
-                timings=("free",),
-                references=(ORIGINAL, "reducer"),
-                arrange=_arrange_mushra,
-                sure_end=RATING_RANGE[1],
-            ),
-            Protocol(
-                "abx",
-                ("recording", "reducer", "level"),
-                _compare_abx,
-                references=(ORIGINAL, "reducer"),
-                teach=_teach_abx,
-                arrange=_arrange_abx,
-                score=_score_abx,
-                choices=ABX_CHOICES,
-            ),
-        )
-    },
+_STIMULUS = ("recording", "reducer", "level")
+_ALL = (
+    Protocol("realism", _STIMULUS, _compare_realism),
+    Protocol(
+        "similarity",
+        _STIMULUS,
+        _compare_similarity,
+        references=(ORIGINAL, SURFACE, "reducer"),
+        sure_end=RATING_RANGE[1],
+    ),
+    Protocol(
+        "dissimilarity",
+        ("recording", "pair", "level"),
+        _compare_dissimilarity,
+        references=(ORIGINAL,),
+        teach=_teach_dissimilarity,
+        arrange=_arrange_dissimilarity,
+    ),
+    Protocol(
+        "mushra",
+        ("recording", "level"),
+        _compare_mushra,
+        timings=("free",),
+        references=(ORIGINAL, "reducer"),
+        arrange=_arrange_mushra,
+        sure_end=RATING_RANGE[1],
+    ),
+    Protocol(
+        "abx",
+        _STIMULUS,
+        _compare_abx,
+        references=(ORIGINAL, "reducer"),
+        teach=_teach_abx,
+        arrange=_arrange_abx,
+        score=_score_abx,
+        choices=ABX_CHOICES,
+    ),
 )
+PROTOCOLS = Registry("protocol", {protocol.name: protocol for protocol in _ALL})
 """Name -> protocol, the only list of names. Later ones are added, none renamed."""
 
 

@@ -4,23 +4,18 @@ Every language has the keys, lists and {placeholders} of the English one; a lab'
 it is read, so that no gap turns up in the middle of a session.
 """
 
-from __future__ import annotations
-
 import os
 import tomllib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from string import Formatter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from feel321.doors import check_name
 from feel321.protocols.trial import Scale
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from feel321.types import PathLike
+from feel321.types import PathLike
 
 CATALOG = files("feel321.protocols") / "catalog"
 
@@ -38,13 +33,7 @@ class PageText:
 
 
 def list_languages() -> tuple[str, ...]:
-    """List the language codes of the catalogue.
-
-    Examples
-    --------
-    >>> list_languages()
-    ('de', 'en')
-    """
+    """List the language codes of the catalogue."""
     return tuple(sorted(entry.name.removesuffix(".toml") for entry in CATALOG.iterdir()))
 
 
@@ -92,13 +81,7 @@ def read_refusals(language: str | PathLike = MODEL) -> dict[str, str]:
 
 
 def read_texts(language: str | PathLike = MODEL) -> dict[str, Any]:
-    """Read all texts of a language.
-
-    Examples
-    --------
-    >>> list(read_texts())
-    ['scales', 'pages', 'refusals', 'prompts', 'parts', 'keys']
-    """
+    """Read all texts of a language, by kind: scales, pages, refusals, prompts, parts, keys."""
     if isinstance(language, os.PathLike) or str(language).endswith(".toml"):
         return _read_own(Path(language))
     check_name(language, list_languages(), "language")

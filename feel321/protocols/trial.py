@@ -363,7 +363,9 @@ def select_items(items: Sequence[Item], groups: Mapping[str, str]) -> tuple[Item
     return tuple(own + shared)
 
 
-def select_tasks(tasks: Sequence[Task], groups: Mapping[str, str]) -> tuple[Task, ...]:
-    """Select the tasks of a group."""
+def select_group(
+    items: Sequence[Item], tasks: Sequence[Task], groups: Mapping[str, str]
+) -> tuple[tuple[Item, ...], tuple[Task, ...]]:
+    """Select the stimuli and the tasks of a group."""
     own = groups.get("protocol")
-    return tuple(task for task in tasks if own in {None, task.protocol})
+    return select_items(items, groups), tuple(t for t in tasks if own in {None, t.protocol})

@@ -116,10 +116,10 @@ class _Course:
 
     def follow(self, record: Record) -> None:
         kind = events.find_kind(record.event)
-        if not issubclass(kind, events.MENDING):
+        if not issubclass(kind, events.REPAIRS):
             self._check_place(kind)
         event = events.read_event(record.event, record.data)
-        if isinstance(event, events.MENDING):
+        if isinstance(event, events.REPAIRS):
             return
         if isinstance(event, events.AttemptEvent) and not isinstance(event, events.TrialShown):
             self._follow_attempt(event, record)
@@ -255,7 +255,7 @@ def _audit_journal(chain: Chain, plan: Plan, path: Path) -> Iterator[str]:
         return
     if header is None:
         # A crash may have come before it, and nobody come back.
-        allowed = {kind.event for kind in (*events.MENDING, events.SessionReleased)}
+        allowed = {kind.event for kind in (*events.REPAIRS, events.SessionReleased)}
         if not {record.event for record in chain.records} <= allowed:
             yield ": has no header"
         return

@@ -284,7 +284,7 @@ def find_person(participant: str) -> int:
     return int.from_bytes(hashlib.sha256(participant.encode()).digest()[:8], "big")
 
 
-SIDE_BY_SIDE = 8
+SIDE_BY_SIDE = 16
 """Sessions at the same time: each waits for the disk after every record, and a disk syncs several files at once."""
 
 

@@ -15,6 +15,7 @@ import feel321.analysis.report.folder
 from feel321.analysis.association.correlate import make_panel
 from feel321.analysis.primary import sensitivity
 from feel321.analysis.primary.model import fit_primary
+from feel321.analysis.primary.plan import make_cells
 from feel321.analysis.primary.sensitivity import conclude, find_candidates, measure_influence
 from feel321.analysis.report import primary
 from feel321.analysis.report.association import reconcile
@@ -187,7 +188,7 @@ def test_candidates_are_those_that_move_a_regression_most(outlying: float | None
         np.abs(sensitivity._measure_changes(x, y[:, 0], share=share)), moved, rtol=1e-6
     )
     for count in (1, 3):
-        found = find_candidates(rows.drop(columns="reducer"), METRICS, count=count)
+        found = find_candidates(make_cells(rows.drop(columns="reducer"), METRICS), count=count)
         assert set(found) == {*moved[0].nlargest(count).index, *moved[1].nlargest(count).index}
 
 

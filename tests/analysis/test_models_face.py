@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import pickle
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 import pytest
+from statsmodels.stats.multitest import multipletests
 
 from feel321 import analysis
+from feel321.analysis.primary.model import adjust_holm
 from feel321.analysis.table.items import Table
 
 if TYPE_CHECKING:
@@ -42,6 +45,8 @@ def both(rows: pd.DataFrame) -> pd.DataFrame:
 def results(rows: pd.DataFrame, both: pd.DataFrame) -> dict[str, Result]:
     mean = lambda part: part["rating"].mean()  # noqa: E731 - an estimator as a notebook has it
     fit = analysis.fit_mixed("rating ~ sm + reducer + (1 | participant)", rows)
+    uneven = np.random.default_rng(3).uniform(1, 9, (3, 5, 5))
+    maps = (uneven + uneven.transpose(0, 2, 1)) * (1 - np.eye(5))
     return {
         "primary": analysis.fit_primary(rows, METRICS),
         "primaries": analysis.fit_attributes(both, METRICS),
@@ -50,10 +55,31 @@ def results(rows: pd.DataFrame, both: pd.DataFrame) -> dict[str, Result]:
         "screening": analysis.screen_raters(rows, rng=1),
         "multiverse": analysis.run_multiverse(rows, mean, rules=["repeat_sd"]),
         "refined": analysis.refine_metric(rows, METRICS, draws=10),
+        "association": analysis.correlate(rows, "sm", draws=20),
+        "difference": analysis.compare_metrics(rows, *METRICS, draws=20),
+        "reducers": analysis.compare_reducers(rows, "x", "y", margin=5),
+        "repeated": analysis.repeated_measures_correlation(rows, "sm"),
+        "dependent": analysis.compare_dependent(1.0, 0.2, 0.2, 20),
+        "intraclass": analysis.intraclass(rows),
+        "alpha": analysis.krippendorff_alpha(rows, draws=20),
+        "p1401": analysis.p1401(rows, "sm"),
+        "p1401_difference": analysis.compare_p1401(*(analysis.p1401(rows, one) for one in METRICS)),
+        "equivalence": analysis.equivalence(1, 1, 9, low=-3, high=3),
+        "non_inferiority": analysis.non_inferiority(1, 1, 9, margin=-3),
+        "discrimination": analysis.discriminate(24, 24),
+        "bradley_terry": analysis.bradley_terry(
+            pd.DataFrame({"winner": list("aabbcc"), "loser": list("bcacab")})
+        ),
+        "space": analysis.fit_space(maps, draws=3),
+        "alignment": analysis.align_spaces(maps[0], maps[1], permutations=9),
     }
 
 
-NAMES = ["primary", "primaries", "fit", "contrast", "screening", "multiverse", "refined"]
+NAMES = [
+    "primary", "primaries", "fit", "contrast", "screening", "multiverse", "refined", "association", "difference",
+    "reducers", "repeated", "dependent", "intraclass", "alpha", "p1401", "p1401_difference", "equivalence",
+    "non_inferiority", "discrimination", "bradley_terry", "space", "alignment",
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -63,8 +89,10 @@ def test_results_are_short_whole_and_keep(results: dict[str, Result], name: str)
     assert "\n" not in repr(result)
     assert len(result.to_frame()) >= 1
     assert result.summary()
-    assert pickle.loads(pickle.dumps(result)) == result  # noqa: S301 - what was written just now
-    assert isinstance(result.to_dict(), dict)
+    again = pickle.loads(pickle.dumps(result))  # noqa: S301 - what was written just now
+    assert again == result
+    assert hash(again) == hash(result)
+    assert json.loads(json.dumps(result.to_dict(), allow_nan=False)) == result.to_dict()
 
 
 def test_one_of_several_scales_is_chosen_by_name(rows: pd.DataFrame, both: pd.DataFrame) -> None:
@@ -76,7 +104,9 @@ def test_one_of_several_scales_is_chosen_by_name(rows: pd.DataFrame, both: pd.Da
         analysis.fit_primary(both, METRICS, scale="realsim")
     with pytest.raises(ValueError, match="realism, similarity"):
         analysis.fit_primary(both, METRICS)
-    with pytest.raises(ValueError, match="metrics must be a list of names with a DataFrame"):
+    with pytest.raises(
+        ValueError, match="metrics must be a list of one name or more, got none; name col"
+    ):
         analysis.fit_primary(rows)
 
 
@@ -122,6 +152,35 @@ def test_contrasts_in_words_are_those_of_the_mapping(rows: pd.DataFrame) -> None
     assert analysis.contrast(fit, "-tm") == analysis.contrast(fit, {"tm": -1})
     with pytest.raises(ValueError, match="got 'zm'"):
         analysis.contrast(fit, "sm - zm")
+
+
+@pytest.mark.parametrize(
+    "text", ["sm -- tm", "sm - + tm", "- - tm", "0.5*sm*tm", "sm * 2", "sm -", ""]
+)
+def test_contrasts_that_are_no_sum_are_refused(rows: pd.DataFrame, text: str) -> None:
+    fit = analysis.fit_mixed("rating ~ sm + tm + (1 | participant)", rows)
+    with pytest.raises(ValueError, match=r"weights must be a sum such as 'a - 0\.5 \* b', got"):
+        analysis.contrast(fit, text)
+
+
+def test_holm_is_that_of_statsmodels() -> None:
+    rng = np.random.default_rng(1)
+    for p in ([0.5, 0.5, 0.01], [0.0, 1.0, 0.03], *(rng.uniform(0, 1, n) ** 3 for n in (1, 2, 9))):
+        np.testing.assert_allclose(adjust_holm(p), multipletests(p, method="holm")[1])
+
+
+def test_one_of_several_scales_is_chosen_in_single_comparisons(
+    rows: pd.DataFrame, both: pd.DataFrame
+) -> None:
+    for call in (
+        lambda part, **which: analysis.correlate(part, "sm", draws=20, **which),
+        lambda part, **which: analysis.compare_metrics(part, "sm", "tm", draws=20, **which),
+        lambda part, **which: analysis.compare_reducers(part, "x", "y", margin=5, **which),
+    ):
+        assert call(both, scale="realism") == call(rows)
+        assert call(Table(both.assign(matched=True), (), ()), scale="realism") == call(rows)
+        with pytest.raises(ValueError, match="scale must be one of realism, similarity"):
+            call(both, scale="realsim")
 
 
 def test_papers_and_r_get_the_model_that_was_fitted(rows: pd.DataFrame, tmp_path: Path) -> None:

@@ -94,7 +94,7 @@ def test_correlations_of_everything_are_those_of_each_part(table: results.Table)
     assert (
         len(analysis.tabulate_correlations(table, ["temporal_match"], method="all", draws=5)) == 12
     )
-    with pytest.raises(ValueError, match="metrics must name one column or more"):
+    with pytest.raises(ValueError, match="metrics must be a list of one name or more"):
         analysis.tabulate_correlations(table.rows)
 
 

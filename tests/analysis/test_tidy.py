@@ -8,13 +8,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.analysis.association.correlate import compare_metrics, correlate
+from feel321.analysis.association.correlate import compare_metrics, correlate, tabulate_correlations
 from feel321.analysis.contrasts.compare import profile_reducers, stimulus_means
 from feel321.analysis.primary.model import fit_primary
 from feel321.analysis.primary.multiverse import run_multiverse
 from feel321.analysis.primary.sensitivity import vary_primary
 from feel321.analysis.screening.screen import screen_raters
-from feel321.analysis.table.items import leave_rejected, name_items, name_stimuli
+from feel321.analysis.table.items import leave_rejected, make_items, name_items, name_stimuli
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -159,3 +159,24 @@ def test_names_that_contradict_each_other_are_refused(
 def test_no_name_is_made_up() -> None:
     bare = pd.DataFrame({"participant": ["a"], "recording": ["r"], "rating": [1.0]})
     assert name_items(bare).columns.tolist() == bare.columns.tolist()
+
+
+@pytest.mark.parametrize("column", ["stimulus_id", "recording", "participant", "level"])
+def test_rows_without_a_name_are_refused_not_dropped(rated: pd.DataFrame, column: str) -> None:
+    lost = rated.assign(**{column: rated[column].where(rated.index > 1)})
+    message = f"ratings must name a {column} in each row, got 2 without"
+    use = tabulate_correlations if column == "level" else make_items
+    with pytest.raises(ValueError, match=message):
+        use(lost, METRICS)
+
+
+def test_repeats_are_averaged_whatever_the_order_of_rows(tidy: Callable[..., pd.DataFrame]) -> None:
+    table = tidy(participants=3, recordings=3, repeats=3)
+    rows = table[table["role"] == "test"].iloc[5:]
+    means = rows.pivot_table("rating", "participant", "stimulus_id")
+    for changed in (rows, rows.sample(frac=1, random_state=1), rows.drop(columns="stimulus_id")):
+        items = make_items(changed, METRICS)
+        assert items.ratings.shape == means.shape
+        order = [name.replace("/", "_") for name in items.names]
+        np.testing.assert_allclose(items.ratings, means[order], rtol=1e-14)
+        assert items.n_recordings == 3

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from feel321.protocols.tasks import make_task
-from feel321.protocols.trial import Item, place_in_groups, select_items, select_tasks
+from feel321.protocols.trial import Item, place_in_groups, select_group, select_items
 
 
 @given(st.lists(st.integers(1, 4), max_size=4), st.integers(1, 600))
@@ -33,5 +33,6 @@ def test_a_group_has_its_own_levels_and_tasks_and_shared_references() -> None:
     tasks = [make_task("realism"), make_task("abx")]
     assert select_items([*items, shared], {"level": "y"}) == (items[1], shared)
     assert select_items([*items, shared], {"grip": "pen"}) == (*items, shared)
-    assert select_tasks(tasks, {"protocol": "abx"}) == (tasks[1],)
-    assert select_tasks(tasks, {}) == tuple(tasks)
+    own = select_group([*items, shared], tasks, {"protocol": "abx", "level": "y"})
+    assert own == ((items[1], shared), (tasks[1],))
+    assert select_group(items, tasks, {}) == (tuple(items), tuple(tasks))

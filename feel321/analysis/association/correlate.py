@@ -8,9 +8,9 @@ both drawn anew; the narrower one is reported beside it, by name, for comparison
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import combinations
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -29,9 +29,16 @@ from feel321.analysis.resampling import (
     fisher_z,
     measure_lean,
 )
-from feel321.analysis.table.items import Items, Table, make_items, split_tests
+from feel321.analysis.table.items import (
+    Items,
+    Table,
+    choose_arms,
+    choose_metrics,
+    make_items,
+    split_tests,
+)
 from feel321.analysis.table.schema import PAIR
-from feel321.doors import as_names, as_rng, check_name
+from feel321.doors import as_rng, check_name
 from feel321.records import Result
 
 if TYPE_CHECKING:
@@ -138,10 +145,12 @@ class Difference(Result):
     notes: tuple[str, ...] = ()
 
 
-def correlate(
+def correlate(  # noqa: PLR0913 - which rows, and how
     ratings: Table | DataFrame,
     metric: str,
     *,
+    scale: str | None = None,
+    level: str | None = None,
     method: str = "pearson",
     draws: int = 2000,
     rng: Rng = 0,
@@ -151,10 +160,12 @@ def correlate(
     Parameters
     ----------
     ratings : Table or DataFrame
-        Ratings of one scale and level (`Table.select`), one row per judgement: participant, recording, rating, the
-        metric's column, and stimulus_id or reducer (and level). Rows whose role is not ``test`` are left out.
+        Ratings, one row per judgement: participant, recording, rating, the metric's column, and stimulus_id or reducer
+        (and level). Rows whose role is not ``test`` are left out.
     metric : str
         Column to correlate with.
+    scale, level : str, optional
+        Which ratings; needed where there are several scales or levels.
     method : str
         ``pearson``, ``spearman`` or ``kendall`` (tau-b) over all stimuli; ``within``, ``within_spearman`` or
         ``within_kendall`` within each recording, averaged over Fisher's z.
@@ -208,34 +219,19 @@ def correlate(
     >>> round(result.value, 2), result.n_items
     (0.99, 4)
     """
-    found = _draw(ratings, (metric,), method, draws=draws, rng=rng)
-    items, drawn, how = found.items, found.drawn, METHODS[method]
-    value = float(drawn.point[0])
-    middle = float(fisher_z(drawn.point)[0] - measure_lean(items, method, drawn)[0])
-    units = count_scarcest(items, drawn), items.n_participants
-    (low, high), (narrow_low, narrow_high) = (
-        np.tanh(middle + bootstrap_margin(part[0], n) * np.array([-1, 1])).tolist()
-        for part, n in zip((drawn.two_way, drawn.participants), units, strict=True)
-    )
-    ceiling, more_notes = find_ceiling(items, within=how.within)
-    undrawn: list[str] = []
-    if not np.isnan(value):
-        undrawn += _explain_undrawn(drawn.two_way[0], "two-way")
-        undrawn += _explain_undrawn(drawn.participants[0], "participants-only")
-    divisible = not how.ranked and not items.n_missing
-    return Association(
-        value=value, low=low, high=high, ceiling=ceiling,
-        disattenuated=value / ceiling if divisible else float("nan"), draws=int(np.isfinite(drawn.two_way[0]).sum()),
-        participants_low=narrow_low, participants_high=narrow_high,
-        metric=metric, method=method, notes=(*found.notes, *undrawn, *more_notes), **found.sizes,
-    )  # fmt: skip
+    return correlate_items(
+        make_items(choose_arms(ratings, scale, level), (metric,)),
+        (metric,), method, draws=draws, rng=rng,
+    ).associate(metric)  # fmt: skip
 
 
-def compare_metrics(
+def compare_metrics(  # noqa: PLR0913 - as `correlate`
     ratings: Table | DataFrame,
     first: str,
     second: str,
     *,
+    scale: str | None = None,
+    level: str | None = None,
     method: str = "pearson",
     draws: int = 2000,
     rng: Rng = 0,
@@ -245,10 +241,10 @@ def compare_metrics(
     Parameters
     ----------
     ratings : Table or DataFrame
-        Ratings of one scale and level, as for `correlate`.
+        As for `correlate`.
     first, second : str
         Columns to compare.
-    method : str
+    scale, level, method : str, optional
         As for `correlate`.
     draws : int
         Number of bootstrap draws, at least 2.
@@ -279,23 +275,10 @@ def compare_metrics(
     """
     if first == second:
         raise ValueError(f"second must be another metric than the first, got {second!r} twice")
-    found = _draw(ratings, (first, second), method, draws=draws, rng=rng)
-    items, drawn, notes = found.items, found.drawn, found.notes
-    z_first, z_second = fisher_z(drawn.point)
-    differences = np.subtract(*drawn.two_way)
-    if np.isfinite(drawn.point).all():
-        notes += _explain_undrawn(differences, "two-way")
-    z, margin = z_first - z_second, bootstrap_margin(differences, count_scarcest(items, drawn))
-    z_range = z - np.subtract(*measure_lean(items, method, drawn)) + np.array([-margin, margin])
-    middle = (z_first + z_second) / 2
-    low, high = np.tanh(middle + z_range / 2) - np.tanh(middle - z_range / 2)
-    return Difference(
-        value=float(drawn.point[0] - drawn.point[1]), low=float(low), high=float(high),
-        z_value=float(z), z_low=float(z_range[0]), z_high=float(z_range[1]),
-        first_value=float(drawn.point[0]), second_value=float(drawn.point[1]),
-        draws=int(np.isfinite(differences).sum()), first=first, second=second, method=method, notes=tuple(notes),
-        **found.sizes,
-    )  # fmt: skip
+    return correlate_items(
+        make_items(choose_arms(ratings, scale, level), (first, second)),
+        (first, second), method, draws=draws, rng=rng,
+    ).compare(first, second)  # fmt: skip
 
 
 def tabulate_correlations(
@@ -341,46 +324,92 @@ def tabulate_correlations(
     """
     import pandas as pd
 
-    names = as_names(metrics or (table.metrics if isinstance(table, Table) else ()), "metrics")
-    if not names:
-        raise ValueError("metrics must name one column or more, got none")
-    methods, seed = list(METHODS) if method == "all" else [method], as_rng(rng).integers(2**63)
-    rows = [
-        {
-            "scale": part.scale,
-            "level": part.level,
-            **asdict(correlate(part.rows, name, method=how, draws=draws, rng=int(seed))),
-        }
-        for part in split_tests(table)
-        for name in names
-        for how in methods
-    ]
+    names = choose_metrics(table, metrics)
+    methods, seed = METHODS if method == "all" else [method], as_rng(rng).integers(2**63)
+    rows = []
+    for part in split_tests(table):
+        items = make_items(part.rows, names)
+        of = [correlate_items(items, names, how, draws=draws, rng=int(seed)) for how in methods]
+        found = (one.associate(name) for name in names for one in of)
+        rows += [{"scale": part.scale, "level": part.level, **asdict(one)} for one in found]
     return pd.DataFrame(rows).assign(notes=lambda found: found["notes"].map(" ".join))
 
 
-class _Drawn(NamedTuple):
-    """Items and their bootstrap draws, with the notes and counts that go into a result."""
-
-    items: Items
-    drawn: Draws
-    notes: list[str]
-    sizes: dict[str, Any]
-
-
-def _draw(
-    ratings: Table | DataFrame, metrics: tuple[str, ...], method: str, *, draws: int, rng: Rng
-) -> _Drawn:
+def correlate_items(
+    items: Items, metrics: tuple[str, ...], method: str, *, draws: int, rng: Rng
+) -> Correlated:
+    """Correlate with all metrics of the items, and with all of them in the same draws."""
     check_name(method, METHODS, "method")
     check_draws(draws)
-    items = make_items(ratings, metrics)
     drawn = draw_intervals(items, method, draws=draws, rng=as_rng(rng))
-    sizes = ("n_items", "n_participants", "n_recordings", "n_sources", "n_missing")
-    return _Drawn(
-        items,
-        drawn,
-        [*_explain_size(items), *_explain_value(items, drawn, metrics)],
-        {name: getattr(items, name) for name in sizes},
-    )
+    return Correlated(items, metrics, method, drawn)
+
+
+class Correlated(NamedTuple):
+    """Items, the names of their metrics, and the correlations with these in every draw."""
+
+    items: Items
+    metrics: tuple[str, ...]
+    method: str
+    drawn: Draws
+
+    def associate(self, metric: str) -> Association:
+        """Correlate with one metric."""
+        items, drawn, how, notes = *self._pick(metric), METHODS[self.method], self._explain(metric)
+        value = float(drawn.point[0])
+        middle = float(fisher_z(drawn.point)[0] - measure_lean(items, self.method, drawn)[0])
+        units = count_scarcest(items, drawn), items.n_participants
+        (low, high), (narrow_low, narrow_high) = (
+            np.tanh(middle + bootstrap_margin(part[0], n) * np.array([-1, 1])).tolist()
+            for part, n in zip((drawn.two_way, drawn.participants), units, strict=True)
+        )
+        ceiling, more_notes = find_ceiling(items, within=how.within)
+        if not np.isnan(value):
+            notes += _explain_undrawn(drawn.two_way[0], "two-way")
+            notes += _explain_undrawn(drawn.participants[0], "participants-only")
+        divisible = not how.ranked and not items.n_missing
+        return Association(
+            value=value, low=low, high=high, ceiling=ceiling,
+            disattenuated=value / ceiling if divisible else float("nan"),
+            draws=int(np.isfinite(drawn.two_way[0]).sum()),
+            participants_low=narrow_low, participants_high=narrow_high,
+            metric=metric, method=self.method, notes=(*notes, *more_notes), **_count(items),
+        )  # fmt: skip
+
+    def compare(self, first: str, second: str) -> Difference:
+        """Compare the correlations with two metrics."""
+        items, drawn = self._pick(first, second)
+        notes = self._explain(first, second)
+        z_first, z_second = fisher_z(drawn.point)
+        differences = np.subtract(*drawn.two_way)
+        if np.isfinite(drawn.point).all():
+            notes += _explain_undrawn(differences, "two-way")
+        z, margin = z_first - z_second, bootstrap_margin(differences, count_scarcest(items, drawn))
+        lean = np.subtract(*measure_lean(items, self.method, drawn))
+        z_range = z - lean + np.array([-margin, margin])
+        middle = (z_first + z_second) / 2
+        low, high = np.tanh(middle + z_range / 2) - np.tanh(middle - z_range / 2)
+        return Difference(
+            value=float(drawn.point[0] - drawn.point[1]), low=float(low), high=float(high),
+            z_value=float(z), z_low=float(z_range[0]), z_high=float(z_range[1]),
+            first_value=float(drawn.point[0]), second_value=float(drawn.point[1]),
+            draws=int(np.isfinite(differences).sum()), first=first, second=second,
+            method=self.method, notes=tuple(notes), **_count(items),
+        )  # fmt: skip
+
+    def _pick(self, *metrics: str) -> tuple[Items, Draws]:
+        places = [self.metrics.index(name) for name in metrics]
+        items = replace(self.items, metrics=self.items.metrics[places])
+        return items, Draws(*(part[places] for part in self.drawn))
+
+    def _explain(self, *metrics: str) -> list[str]:
+        items, drawn = self._pick(*metrics)
+        return [*_explain_size(items), *_explain_value(items, drawn, metrics)]
+
+
+def _count(items: Items) -> dict[str, int]:
+    names = ("n_items", "n_participants", "n_recordings", "n_sources", "n_missing")
+    return {name: getattr(items, name) for name in names}
 
 
 def _explain_size(items: Items) -> Iterator[str]:
@@ -471,20 +500,13 @@ def make_panel(
     """Correlate the ratings of one scale and one level with every metric, by every method."""
     # The same draws for every metric and method: a further metric changes nothing, and metrics that say the same get
     # the same intervals.
-    seed = int(rng.integers(2**63))
+    seed, items = int(rng.integers(2**63)), make_items(part, metrics)
+    of = [correlate_items(items, metrics, method, draws=draws, rng=seed) for method in METHODS]
     of_stimuli = part.drop_duplicates("stimulus_id").set_index("stimulus_id")[list(metrics)]
     return Panel(
         scale=str(part["scale"].iloc[0]),
         level=str(part["level"].iloc[0]),
-        associations=tuple(
-            correlate(part, metric, method=method, draws=draws, rng=seed)
-            for metric in metrics
-            for method in METHODS
-        ),
-        differences=tuple(
-            compare_metrics(part, first, second, method=method, draws=draws, rng=seed)
-            for first, second in combinations(metrics, 2)
-            for method in METHODS
-        ),
+        associations=tuple(one.associate(metric) for metric in metrics for one in of),
+        differences=tuple(one.compare(*pair) for pair in combinations(metrics, 2) for one in of),
         stimuli=stimulus_means(part).join(of_stimuli, on="stimulus_id"),
     )

@@ -16,6 +16,7 @@ from feel321.analysis.arrays import CONFIDENCE, check_columns, read_numbers
 from feel321.analysis.mixed.model import contrast, fit_mixed
 from feel321.analysis.table.items import (
     Table,
+    choose_arms,
     find_sources,
     leave_rejected,
     name_items,
@@ -351,11 +352,13 @@ class ReducerDifference(Result):
     notes: tuple[str, ...] = ()
 
 
-def compare_reducers(
+def compare_reducers(  # noqa: PLR0913 - which rows, and the margin in either form
     ratings: Table | DataFrame,
     first: str,
     second: str,
     *,
+    scale: str | None = None,
+    level: str | None = None,
     margin: float | None = None,
     low: float | None = None,
     high: float | None = None,
@@ -365,9 +368,11 @@ def compare_reducers(
     Parameters
     ----------
     ratings : Table or DataFrame
-        Ratings of one scale and level: participant, recording, reducer, stimulus_id, rating.
+        Ratings: participant, recording, reducer, stimulus_id, rating.
     first, second : str
         The reducers.
+    scale, level : str, optional
+        Which ratings; needed where there are several scales or levels.
     margin : float, optional
         Largest difference in points that would not matter, fixed before seeing data. Left out, half the standard
         deviation with which people repeat their ratings.
@@ -400,7 +405,8 @@ def compare_reducers(
     >>> round(found.estimate), found.equivalent, found.non_inferior
     (20, False, True)
     """
-    rows, notes = open_tests(name_items(open_ratings(ratings)), named=["recording", "reducer"])
+    rows = open_ratings(choose_arms(ratings, scale, level))
+    rows, notes = open_tests(name_items(rows), named=["recording", "reducer"])
     rated = sorted(rows["reducer"].unique())
     for name, what in ((first, "first"), (second, "second")):
         check_name(name, rated, what)

@@ -440,12 +440,18 @@ def contrast(fit: MixedFit, weights: Mapping[str, float] | str) -> Estimate:
 
 def _read_weights(text: str) -> dict[str, float]:
     """Read a sum of terms such as ``a - 0.5 * b``."""
+    first, *others = re.split("([+-])", text)
+    signs, terms = ["+", *others[::2]], [first, *others[1::2]]
+    if others and not first.strip():  # the sum begins with a sign
+        signs, terms = signs[1:], terms[1:]
     weights: dict[str, float] = {}
-    for sign, number, term in re.findall(
-        r"([+-]?)\s*(?:(\d+\.?\d*|\.\d+)\s*\*\s*)?([^\s+*-][^+*-]*)", text
-    ):
-        name = term.strip()
-        weights[name] = weights.get(name, 0.0) + float(f"{sign}{number or 1}")
+    for sign, term in zip(signs, terms, strict=True):
+        found = re.fullmatch(r"(?:(\d+\.?\d*|\.\d+)\s*\*)?\s*([^*]+)", term.strip())
+        if not found:
+            raise ValueError(
+                f"weights must be a sum such as 'a - 0.5 * b', got {text!r}; write it so"
+            )
+        weights[found[2]] = weights.get(found[2], 0.0) + float(f"{sign}{found[1] or 1}")
     return weights
 
 

@@ -29,10 +29,10 @@ from feel321.analysis.primary.plan import (
     Cells,
     Terms,
     centre_twice,
-    choose_rows,
     make_cells,
     plan_terms,
 )
+from feel321.analysis.table.items import Table, choose_arms, choose_metrics, open_ratings
 from feel321.doors import as_path
 from feel321.files import write_text
 from feel321.records import Result
@@ -40,7 +40,6 @@ from feel321.records import Result
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from feel321.analysis.table.items import Table
     from feel321.types import PathLike
 
 TENTH = 0.1
@@ -52,6 +51,9 @@ FEWEST, FEWEST_DF = 3, 2.0
 
 TESTED = ("se", "df", "t", "p", "low", "high")
 """Columns of an estimate that mean nothing where it is not estimable."""
+
+CENTRED = {"estimate": "centred", **{name: f"centred_{name}" for name in TESTED if name != "t"}}
+"""Column of an estimate -> that of the slope which is centred on recordings and on reducers."""
 
 NONE = float("nan")
 
@@ -243,7 +245,11 @@ def fit_slopes(
     rows: DataFrame, metrics: Sequence[str], *, correlated: bool = False, reducers: bool = True
 ) -> Slopes:
     """Fit the primary model for its slopes alone, in a fifth of the time."""
-    cells = make_cells(rows, metrics)
+    return fit_cells(make_cells(rows, metrics), correlated=correlated, reducers=reducers)
+
+
+def fit_cells(cells: Cells, *, correlated: bool = False, reducers: bool = True) -> Slopes:
+    """Fit the primary model to what is made already."""
     terms = plan_terms(cells, correlated=correlated, reducers=reducers)
     solved = solve_design(build_design(terms.formula, cells.table), penalty=terms.penalty)
     return Slopes(_tabulate_slopes(cells, terms, solved), cells, terms, solved)
@@ -355,8 +361,8 @@ def fit_primary(  # noqa: PLR0913 - which rows, and three choices that each have
     metric
     match     4.2        3.7         4.7
     """
-    rows, names = choose_rows(table, metrics, scale=scale, level=level)
-    found = fit_slopes(rows, names, correlated=correlated, reducers=reducers)
+    rows, names = choose_arms(table, scale, level), choose_metrics(table, metrics)
+    found = fit_slopes(open_ratings(rows), names, correlated=correlated, reducers=reducers)
     cells, terms, lack = found.cells, found.terms, _find_lack(found.cells)
     fit = report_fit(terms.formula, found.solved)
     explained, why = _explain_items(found) if explain else (NONE, [])
@@ -409,7 +415,7 @@ def fit_attributes(
       attribute metric  tenth
     0   realism  match    4.2
     """
-    rows, names = choose_rows(table, metrics)
+    rows, names = open_ratings(table), choose_metrics(table, metrics)
     several = attribute is None and "level" in rows and len(rows["level"].unique()) > 1
     columns = [attribute or "scale", *(["level"] if several else [])]
     if columns[0] not in rows:
@@ -527,8 +533,7 @@ def _centre_slopes(found: Slopes, *, wanted: bool) -> tuple[DataFrame, list[str]
     import pandas as pd
 
     within, cells, terms = _list_within(found.terms), found.cells, found.terms
-    columns = {"estimate": "centred", **{name: f"centred_{name}" for name in TESTED if name != "t"}}
-    table = pd.DataFrame(np.nan, index=within, columns=list(columns.values()))
+    table = pd.DataFrame(np.nan, index=within, columns=list(CENTRED.values()))
     term = f"(1 | {REDUCER})"
     if not wanted or term not in terms.random:
         return table, []
@@ -540,7 +545,7 @@ def _centre_slopes(found: Slopes, *, wanted: bool) -> tuple[DataFrame, list[str]
     except ValueError as error:
         return table, [f"No slopes centred on reducers: {error}"]
     rows = [_blank(asdict(solved.estimate({name: 1.0})), lack=lack) for name in names]
-    return pd.DataFrame(rows, index=within)[list(columns)].rename(columns=columns), []
+    return pd.DataFrame(rows, index=within)[list(CENTRED)].rename(columns=CENTRED), []
 
 
 def _explain_items(found: Slopes) -> tuple[float, list[str]]:

@@ -158,11 +158,22 @@ def run_multiverse(
     0              none           0   90.0
     1  hidden_reference           1   95.0
     """
-    import pandas as pd
-
     if together < 1:
         raise ValueError(f"together must be 1 or more rules in a combination, got {together}")
     screening = screen_raters(table, rules, rng=rng)
+    return run_universes(table, estimator, screening, together=together)
+
+
+def run_universes(
+    table: Table | DataFrame,
+    estimator: Callable[[DataFrame], object],
+    screening: Screening,
+    *,
+    together: int = 2,
+) -> Multiverse:
+    """Run an estimator on every set of raters that a screening leaves."""
+    import pandas as pd
+
     ratings, _ = leave_rejected(open_ratings(table))
     hits, sets = screening.hits, defaultdict(list)
     for chosen in _list_combinations(screening.rules, together):

@@ -19,7 +19,7 @@ import numpy as np
 
 from feel321.analysis.arrays import read_numbers
 from feel321.analysis.table.items import (
-    Table,
+    choose_metrics,
     find_sources,
     leave_rejected,
     leave_untested,
@@ -27,7 +27,6 @@ from feel321.analysis.table.items import (
     open_ratings,
     refuse_pooled,
 )
-from feel321.doors import check_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -59,14 +58,27 @@ FEW_REDUCERS = 8
 
 @dataclass(frozen=True)
 class Cells:
-    """What the primary model is fitted to."""
+    """What the primary model is fitted to.
+
+    table: a row per cell, or per rating where repeats are unequal; ratings: the same without metrics, but never means
+    of unequal repeats; items: a row per stimulus, with its metrics as they are.
+    """
 
     table: DataFrame
+    ratings: DataFrame
+    items: DataFrame
     metrics: tuple[str, ...]
     averaged: bool
     repeated: bool
     rough: bool = False
     notes: tuple[str, ...] = ()
+
+    def leave_out(self, column: str, *names: object) -> Cells:
+        """Leave out participants, or stimuli by a column, and split the metrics anew over what is left."""
+        units = self.ratings if column == WHO else self.items
+        gone = units[column].isin(names)
+        left = ~(gone if column == WHO else self.ratings[ITEM].isin(units.loc[gone, ITEM]))
+        return arrange_cells(self.ratings[left], self.items, self.metrics)
 
     @property
     def shared(self) -> bool:
@@ -97,25 +109,6 @@ class Cells:
         return float(np.ptp(self.table[column].to_numpy())) > FLAT * size
 
 
-def choose_rows(
-    table: Table | DataFrame,
-    metrics: Sequence[str] | None,
-    *,
-    scale: str | None = None,
-    level: str | None = None,
-) -> tuple[DataFrame, Sequence[str]]:
-    """Take the rows of one scale and level where these are named, and a Table's own metrics where none are."""
-    names = table.metrics if metrics is None and isinstance(table, Table) else metrics
-    rows = open_ratings(table, what="rows")
-    if names is None:
-        raise ValueError("metrics must be a list of names with a DataFrame, got none; name columns")
-    for column, name in (("scale", scale), ("level", level)):
-        if name is not None:
-            known = rows[column].astype(str) if column in rows else rows.index.astype(str)[:0]
-            rows = rows[known == check_name(name, sorted(known.unique()), column)]
-    return rows, names
-
-
 def make_cells(rows: DataFrame, metrics: Sequence[str]) -> Cells:
     """Average repeats where that loses nothing, and split the metrics.
 
@@ -126,37 +119,38 @@ def make_cells(rows: DataFrame, metrics: Sequence[str]) -> Cells:
     takes minutes, and means are taken all the same (40 people, 20 recordings, 10 reducers, 10^5 ratings: 3 s instead
     of 132, slopes and standard errors within 0.1 % and 0.02 standard errors).
     """
-    if not metrics or isinstance(metrics, str):
-        raise ValueError(f"metrics must be a list of one name or more, got {metrics!r}")
-    names = list(dict.fromkeys(metrics))
+    names = choose_metrics(rows, metrics)
     rows, notes = select_rows(rows)
     rows = _read_rows(rows, names)
-    items = rows[[SCENE, ITEM, *names]].drop_duplicates()
-    if twice := items.loc[items[ITEM].duplicated(), ITEM].tolist():
-        raise ValueError(
-            f"rows must have one stimulus per item, got item {twice[0]!r} with two recordings or two values of a metric"
-        )
-    sizes = rows.groupby([WHO, ITEM], observed=True).size()
-    unequal = bool(sizes.min() < sizes.max())
-    levels = sum(
-        len(rows[keys].drop_duplicates()) for keys in ([WHO, SCENE], [ITEM], [WHO], [SCENE])
-    )
-    rough = unequal and levels > MOST_LEVELS
-    averaged = rough or bool(sizes.min() == sizes.max() > 1)
-    table = rows[[*KEYS, RATING]]
+    return arrange_cells(rows[[*KEYS, RATING]], _gather_items(rows, names), names, notes=notes)
+
+
+def arrange_cells(
+    ratings: DataFrame, items: DataFrame, metrics: tuple[str, ...], *, notes: tuple[str, ...] = ()
+) -> Cells:
+    """Put ratings beside the metrics of their stimuli; those that nobody rated do not count."""
+    if ratings.empty:
+        raise ValueError("rows must hold a row per rating, got none")
+    sizes = ratings.groupby([WHO, ITEM], observed=True).size()
+    unequal, rough = bool(sizes.min() < sizes.max()), False
+    if unequal:
+        groups = ([WHO, SCENE], [ITEM], [WHO], [SCENE])
+        rough = sum(len(ratings[keys].drop_duplicates()) for keys in groups) > MOST_LEVELS
+    means, averaged = ratings, rough or bool(sizes.min() == sizes.max() > 1)
     if averaged:
-        table = table.groupby(list(KEYS), observed=True)[RATING].mean().reset_index()
-    means = items.groupby(SCENE, observed=True)[names].transform("mean")
-    split = items[[SCENE, ITEM]].join((items[names] - means).add_suffix("_w"))
-    table = table.merge(split.join(means.add_suffix("_b")), on=[SCENE, ITEM])
+        means = ratings.groupby(list(KEYS), observed=True)[RATING].mean().reset_index()
+    items = items[items[ITEM].isin(ratings[ITEM].unique())]
+    values, shared = items[list(metrics)], [name for name in (REDUCER, SOURCE) if name in items]
+    centre = values.groupby(items[SCENE], observed=True).transform("mean")
+    split = items[[SCENE, ITEM]].join([
+        (values - centre).add_suffix("_w"), centre.add_suffix("_b"), items[shared]
+    ])  # fmt: skip
+    if SOURCE in split and split.drop_duplicates(SCENE)[SOURCE].is_unique:
+        split = split.drop(columns=SOURCE)
     return Cells(
-        _add_sources(table, rows),
-        tuple(names),
-        averaged,
-        repeated=unequal and not rough,
-        rough=rough,
-        notes=notes,
-    )
+        table=means.merge(split, on=[SCENE, ITEM]), ratings=ratings if unequal else means, items=items,
+        metrics=metrics, averaged=averaged, repeated=unequal and not rough, rough=rough, notes=notes,
+    )  # fmt: skip
 
 
 def select_rows(rows: DataFrame) -> tuple[DataFrame, tuple[str, ...]]:
@@ -166,25 +160,30 @@ def select_rows(rows: DataFrame) -> tuple[DataFrame, tuple[str, ...]]:
     return rows, (*rejected, *untested)
 
 
-def _add_sources(table: DataFrame, rows: DataFrame) -> DataFrame:
-    """Add to every cell what its stimulus shares with those of other recordings: its reducer, and a source, if any."""
-    sources = find_sources(rows)
+def _gather_items(rows: DataFrame, metrics: tuple[str, ...]) -> DataFrame:
+    """Gather every stimulus: its metrics, its reducer, and the source of its recording where several have one."""
+    items = rows[[SCENE, ITEM, *metrics]].drop_duplicates()
+    if twice := items.loc[items[ITEM].duplicated(), ITEM].tolist():
+        raise ValueError(
+            f"rows must have one stimulus per item, got item {twice[0]!r} with two recordings or two values of a metric"
+        )
     if REDUCER in rows:
         reducers = rows[[ITEM, REDUCER]].drop_duplicates().set_index(ITEM)[REDUCER]
         if not reducers.index.is_unique:
-            twice = reducers.index[reducers.index.duplicated()].tolist()[0]
+            twice = reducers.index[reducers.index.duplicated()].tolist()
             raise ValueError(
-                f"rows must have one stimulus per item, got item {twice!r} with two reducers"
+                f"rows must have one stimulus per item, got item {twice[0]!r} with two reducers"
             )
-        table = table.assign(**{REDUCER: table[ITEM].map(reducers)})
+        items = items.assign(**{REDUCER: items[ITEM].map(reducers)})
+    sources = find_sources(rows)
     if sources.is_unique:
-        return table
+        return items
     if REDUCER not in rows:
         raise ValueError(
             "rows must say which stimuli of a source were reduced alike, got "
             f"{len(sources)} recordings of {sources.nunique()} sources and no column 'reducer'; add it"
         )
-    return table.assign(**{SOURCE: table[SCENE].map(sources)})
+    return items.assign(**{SOURCE: items[SCENE].map(sources)})
 
 
 def _read_rows(rows: DataFrame, metrics: Sequence[str]) -> DataFrame:
@@ -193,8 +192,6 @@ def _read_rows(rows: DataFrame, metrics: Sequence[str]) -> DataFrame:
         raise ValueError(
             f"rows must have the columns {', '.join(wanted)}; got no column {missing[0]!r}"
         )
-    if rows.empty:
-        raise ValueError("rows must hold a row per rating, got none")
     refuse_pooled(rows, metrics=metrics, what="rows")
     numbers = {
         name: read_numbers(rows[name], what=f"rows, {name!r}") for name in wanted[len(KEYS) :]

@@ -14,32 +14,32 @@ and then left out in the same exact way.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from feel321.analysis.arrays import read_numbers
 from feel321.analysis.mixed.model import note_zeros
-from feel321.analysis.primary.model import Primary, adjust_holm, fit_slopes
+from feel321.analysis.primary.model import Primary, adjust_holm, fit_cells
 from feel321.analysis.primary.plan import (
     ITEM,
-    KEYS,
     RATING,
     REDUCER,
     SCENE,
     SOURCE,
     WHO,
+    Cells,
     make_cells,
     select_rows,
 )
-from feel321.analysis.table.items import ARMS, find_sources, order_reducers
+from feel321.analysis.table.items import order_reducers
 from feel321.analysis.table.schema import HIGHEST
 from feel321.records import Result
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
     from pandas import DataFrame, Series
 
     from feel321.types import Samples
@@ -52,11 +52,12 @@ STANDARDISED = ("standardised", "standardised_low", "standardised_high")
 class Variant(NamedTuple):
     """The primary analysis under another choice: other rows, another scale of the ratings, other terms.
 
-    kind and left: column and name of what is left out, if anything is.
+    make: the cells, or a ValueError that says why there are none; kind and left: column and name of what is left out,
+    if anything is.
     """
 
     name: str
-    rows: DataFrame
+    make: Callable[[], Cells]
     unit: str = "points"
     correlated: bool = False
     reducers: bool = True
@@ -64,53 +65,42 @@ class Variant(NamedTuple):
     left: str = ""
     note: str = ""
 
-    def fit(self, metrics: Sequence[str]) -> tuple[DataFrame, bool, str]:
-        """Fit the slopes, and tell whether the fit is singular and what its model lacks."""
-        found = fit_slopes(self.rows, metrics, correlated=self.correlated, reducers=self.reducers)
-        singular = bool(note_zeros(found.solved))
-        return found.table.reindex(list(metrics)), singular, " ".join(found.terms.reductions)
+    def fit(self) -> tuple[DataFrame, bool, str]:
+        """Fit the slopes; also whether the fit is singular, and what its model lacks."""
+        cells = self.make()
+        found = fit_cells(cells, correlated=self.correlated, reducers=self.reducers)
+        table = found.table.reindex(list(cells.metrics))
+        return table, bool(note_zeros(found.solved)), " ".join(found.terms.reductions)
 
     def try_to_fit(self, metrics: Sequence[str]) -> tuple[DataFrame, bool, str]:
         """Fit the slopes; NaN and the reason where the rows carry no model."""
         import pandas as pd
 
         try:
-            return self.fit(metrics)
+            return self.fit()
         except ValueError as error:
             columns = [*ESTIMATED, *STANDARDISED, "tenth", "tenth_low", "tenth_high"]
             index = pd.Index(metrics, name="metric")
             return pd.DataFrame(np.nan, index=index, columns=columns), False, str(error)
 
 
-def keep_columns(rows: DataFrame, metrics: Sequence[str]) -> DataFrame:
-    """Keep what the model takes, names as categories: a refit then takes a fifth of the time."""
-    names = [*KEYS, REDUCER, SOURCE, *ARMS]
-    wanted = [name for name in dict.fromkeys([*names, RATING, *metrics]) if name in rows]
-    words = [name for name in names if name in rows and name not in metrics]
-    return rows[wanted].astype(dict.fromkeys(words, "category"))
+def leave_out_each(cells: Cells, column: str, names: Iterable[object]) -> Iterator[Variant]:
+    """Leave out the stimuli of each name."""
+    for name in names:
+        kind = "stimulus" if column == ITEM else column
+        make = partial(cells.leave_out, column, name)
+        yield Variant(f"without {kind} {name}", make, kind=kind, left=str(name))
 
 
-def leave_out_units(rows: DataFrame) -> Iterator[Variant]:
+def leave_out_units(cells: Cells) -> Iterator[Variant]:
     """Leave out each recording, or source of recordings where several come from one, and each reducer.
 
     Names stand in the same order whatever was rated, so that scales can be compared.
     """
-    sources = find_sources(rows)
-    if not sources.is_unique:
-        rows = rows.assign(**{SOURCE: rows[SCENE].map(sources)})
-    for column in (SCENE if sources.is_unique else SOURCE, REDUCER):
-        names = list(rows[column].unique()) if column in rows else []
+    for column in (SOURCE if cells.shared else SCENE, REDUCER):
+        names = list(cells.items[column].unique() if column in cells.items else ())
         ordered = order_reducers(names) if column == REDUCER else sorted(names, key=str)
-        for name in ordered if len(names) > 1 else []:
-            left = rows[rows[column] != name]
-            yield Variant(f"without {column} {name}", left, kind=column, left=str(name))
-
-
-def leave_out_items(rows: DataFrame, names: Sequence[str]) -> Iterator[Variant]:
-    """Leave out single stimuli."""
-    for name in names:
-        left = rows[rows[ITEM] != name]
-        yield Variant(f"without stimulus {name}", left, kind="stimulus", left=str(name))
+        yield from leave_out_each(cells, column, ordered if len(names) > 1 else [])
 
 
 def vary_primary(
@@ -139,11 +129,11 @@ def vary_primary(
         raise ValueError(
             f"rows must have ratings from 0 to {top:g}, got {ratings.min():g} to {ratings.max():g}; give top"
         )
-    rows = keep_columns(rows.assign(**{RATING: ratings}), metrics)
+    rows = rows.assign(**{RATING: ratings})
     tables = []
-    for variant in _list_variants(rows, top=top, leave_out=leave_out):
-        fit = variant.fit if variant.name == "primary" else variant.try_to_fit
-        table, singular, reason = fit(metrics)
+    for variant in _list_variants(rows, metrics, top=top, leave_out=leave_out):
+        whole = variant.name == "primary"
+        table, singular, reason = variant.fit() if whole else variant.try_to_fit(metrics)
         table = table[[*ESTIMATED, *STANDARDISED]].rename_axis("metric").reset_index()
         reason = " ".join(filter(None, (*notes, variant.note, reason)))
         table.insert(0, "unit", variant.unit)
@@ -152,22 +142,26 @@ def vary_primary(
     return pd.concat(tables, ignore_index=True)
 
 
-def _list_variants(rows: DataFrame, *, top: float, leave_out: bool) -> Iterator[Variant]:
-    yield Variant("primary", rows)
-    yield Variant("correlated slopes", rows, correlated=True)
-    yield Variant("without reducers", rows, reducers=False)
+def _list_variants(
+    rows: DataFrame, metrics: Sequence[str], *, top: float, leave_out: bool
+) -> Iterator[Variant]:
+    cells = make_cells(rows, metrics)
+    yield Variant("primary", lambda: cells)
+    yield Variant("correlated slopes", lambda: cells, correlated=True)
+    yield Variant("without reducers", lambda: cells, reducers=False)
     if leave_out:
-        yield from leave_out_units(rows)
+        yield from leave_out_units(cells)
     own = rows.groupby(WHO, observed=True)[RATING]
     spread = own.transform("std").fillna(0)
     steady = spread == 0
     names = ", ".join(map(str, rows.loc[steady, WHO].unique()))
     note = f"Without {names}, whose ratings are all the same." if names else ""
     scaled = rows.assign(**{RATING: (rows[RATING] - own.transform("mean")) / spread.mask(steady)})
-    yield Variant("rater-standardised", scaled[~steady], unit="rater SDs", note=note)
+    make = partial(make_cells, scaled[~steady], metrics)
+    yield Variant("rater-standardised", make, unit="rater SDs", note=note)
     share = (rows[RATING] / top * (len(rows) - 1) + 0.5) / len(rows)
     logits = rows.assign(**{RATING: np.log(share / (1 - share))})
-    yield Variant("logits", logits, unit="logits")
+    yield Variant("logits", partial(make_cells, logits, metrics), unit="logits")
 
 
 # How well would more participants or more recordings know a slope? The standard error, taken apart.
@@ -407,28 +401,24 @@ def measure_influence(
     """Leave out each recording and reducer, and the stimuli that matter most, one at a time."""
     import pandas as pd
 
-    rows, _ = select_rows(rows)
-    found, slopes, notes = [], {}, []
-    if len(rows[[WHO, ITEM]].drop_duplicates()) > MOST_CELLS:
+    cells, found, slopes, notes = make_cells(rows, metrics), [], {}, []
+    if cells.count(WHO, ITEM) > MOST_CELLS:
         notes.append(
             f"Influence was not measured: more than {MOST_CELLS} participant x stimulus cells."
         )
     elif whole.slopes["estimable"].any():
-        lean = keep_columns(rows, metrics)
-        candidates = find_candidates(rows, metrics)
+        candidates = leave_out_each(cells, ITEM, find_candidates(cells))
         before = _conclude(whole.slopes, others)
-        for variant in (*leave_out_units(lean), *leave_out_items(lean, candidates)):
+        for variant in (*leave_out_units(cells), *candidates):
             table = _compare(variant, metrics, whole, before=before, others=others)
             found.append(table.assign(kind=variant.kind, unit=variant.left))
             if variant.kind == REDUCER:
                 slopes[variant.left] = table.set_index("metric")["estimate"]
     table = pd.concat(found, ignore_index=True) if found else pd.DataFrame()
-    return Influence(table, _find_exceptions(rows, metrics, slopes), tuple(notes))
+    return Influence(table, _find_exceptions(cells, slopes), tuple(notes))
 
 
-def find_candidates(
-    rows: DataFrame, metrics: Sequence[str], *, count: int = CANDIDATES
-) -> list[str]:
+def find_candidates(cells: Cells, *, count: int = CANDIDATES) -> list[str]:
     """Find the stimuli that move slopes most, in regressions of the stimuli's mean ratings.
 
     Notes
@@ -436,7 +426,7 @@ def find_candidates(
     Without stimulus i the slopes of ordinary least squares change by (X'X)^-1 x_i e_i / (1 - h_i), with e_i its
     residual and h_i its leverage (Belsley, Kuh & Welsch 1980, ISBN 0-471-05856-4).
     """
-    items, values, ratings = _gather_items(rows, metrics)
+    items, values, ratings = _average_items(cells)
     chosen: dict[str, None] = {}
     for groups in ([SCENE], [SCENE, REDUCER]):
         if not set(groups) <= set(items):
@@ -451,13 +441,13 @@ def find_candidates(
     return list(chosen)
 
 
-def _gather_items(rows: DataFrame, metrics: Sequence[str]) -> tuple[DataFrame, Samples, Samples]:
-    """Gather stimuli, their metrics within recordings, and their mean ratings, people's levels taken out."""
-    cells = make_cells(rows, metrics).table
-    level = cells.groupby(WHO, observed=True)[RATING].transform("mean")
-    means = (cells[RATING] - level).groupby(cells[ITEM], observed=True).mean()
-    items = cells.drop_duplicates(ITEM).reset_index(drop=True)
-    within = items[[f"{name}_w" for name in metrics]].to_numpy(np.float64)
+def _average_items(cells: Cells) -> tuple[DataFrame, Samples, Samples]:
+    """List stimuli, their metrics within recordings, and their mean ratings, people's levels taken out."""
+    table = cells.table
+    level = table.groupby(WHO, observed=True)[RATING].transform("mean")
+    means = (table[RATING] - level).groupby(table[ITEM], observed=True).mean()
+    items = table.drop_duplicates(ITEM).reset_index(drop=True)
+    within = items[[f"{name}_w" for name in cells.metrics]].to_numpy(np.float64)
     return items, within, items[ITEM].map(means).to_numpy(np.float64)
 
 
@@ -513,9 +503,7 @@ def _compare(
     return table.rename_axis("metric").reset_index()
 
 
-def _find_exceptions(
-    rows: DataFrame, metrics: Sequence[str], slopes: dict[str, Series[float]]
-) -> DataFrame:
+def _find_exceptions(cells: Cells, slopes: dict[str, Series[float]]) -> DataFrame:
     """Find reducers that are rated otherwise than the slopes of all others predict."""
     import pandas as pd
     from scipy.stats import t as student
@@ -523,11 +511,11 @@ def _find_exceptions(
     columns = ["excess", "t", "df", "p", "exceptional"]
     if len(slopes) < FEWEST_REDUCERS:
         return pd.DataFrame(columns=columns, index=pd.Index([], name=REDUCER))
-    items, within, ratings = _gather_items(rows, metrics)
+    items, within, ratings = _average_items(cells)
     own = _centre(_list_dummies(items, [SCENE]), ratings[:, None])[:, 0]
     found = {}
     for name, slope in slopes.items():
-        weights = slope.reindex(list(metrics)).fillna(0).to_numpy()
+        weights = slope.reindex(list(cells.metrics)).fillna(0).to_numpy()
         means = pd.Series(own - within @ weights).groupby(items[REDUCER].to_numpy()).mean()
         rest, df = means.drop(name), len(means) - 2
         excess = float(means[name] - rest.mean())

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from feel321.analysis.agreement import find_ceiling
+from feel321.analysis.arrays import check_draws
 from feel321.analysis.refined.candidates import (
     EQUAL,
     GROUPS,
@@ -24,7 +25,7 @@ from feel321.analysis.refined.candidates import (
     sum_moments,
 )
 from feel321.analysis.resampling import BLOCK, bootstrap_margin, draw_counts, fisher_z
-from feel321.analysis.table.items import Items, Table, make_items
+from feel321.analysis.table.items import Items, Table, choose_metrics, make_items
 from feel321.doors import as_rng
 from feel321.records import Result
 
@@ -202,8 +203,9 @@ def refine_metric(
     >>> result.chosen, round(result.value, 2), result.recommended
     ('equal weights', 0.98, True)
     """
-    names, rng = _check_choices(table, metrics, draws=draws), as_rng(rng)
-    items = make_items(table, list(dict.fromkeys([*names, *others])))
+    check_draws(draws, usual=400)
+    names, rng = choose_metrics(table, metrics), as_rng(rng)
+    items = make_items(table, tuple(dict.fromkeys([*names, *others])))
     data = _prepare(items, names, others, within=within, rng=rng)
     whole = score_draws(
         data, people=np.ones((1, items.n_participants)), recordings=np.ones((1, items.n_recordings))
@@ -232,20 +234,6 @@ def refine_metric(
     )  # fmt: skip
 
 
-def _check_choices(
-    table: Table | DataFrame, metrics: Sequence[str] | None, *, draws: int
-) -> Sequence[str]:
-    """Refuse what cannot be, and take a Table's own metrics where none are named."""
-    if draws < 2:  # noqa: PLR2004 - a spread needs two
-        raise ValueError(
-            f"draws must be 2 or more, got {draws}; use 400 for results to be published"
-        )
-    names = table.metrics if metrics is None and isinstance(table, Table) else metrics
-    if not names or isinstance(names, str):
-        raise ValueError(f"metrics must be a list of one name or more, got {metrics!r}")
-    return names
-
-
 def _prepare(
     items: Items,
     metrics: Sequence[str],
@@ -267,7 +255,7 @@ def _prepare(
         raise ValueError("ratings must differ, got the same rating everywhere")
     names = list(dict.fromkeys([*metrics, *others]))
     groups = items.recordings if within else None
-    basis = make_basis(names, items.metrics, n_plain=len(set(metrics)), groups=groups)
+    basis = make_basis(names, items.metrics, n_plain=len(metrics), groups=groups)
     if not basis.candidates:
         raise ValueError(
             f"metrics must vary between stimuli, got {', '.join(metrics)}, none of which varies"

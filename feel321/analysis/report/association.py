@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +18,7 @@ from feel321.analysis.association.correlate import (
     Association,
     Difference,
     Panel,
-    correlate,
+    correlate_items,
     make_panel,
 )
 from feel321.analysis.figures.scatter import CUT, count_clipped, draw_mapping, draw_scatter
@@ -418,12 +418,14 @@ def compute_further(table: Table, choices: Choices) -> Section:
     """Correlate mean ratings of stimuli with every metric that the analysis was not planned for."""
     key, rows, notes = "further", [], []
     for part in split_parts(table):
-        own = [
-            correlate(part.rows, metric, method=method, draws=choices.draws, rng=rng)
-            for metric in table.further
-            for method in METHODS
-            for rng in [choices.make_rng(key, *part.place, metric, method)]
-        ]
+        items = make_items(part.rows, table.further)
+        own = []
+        for row, metric in enumerate(table.further):
+            alone = replace(items, metrics=items.metrics[[row]])
+            for method in METHODS:
+                rng = choices.make_rng(key, *part.place, metric, method)
+                drawn = correlate_items(alone, (metric,), method, draws=choices.draws, rng=rng)
+                own.append(drawn.associate(metric))
         rows += [part.keys | {"_kind": format_method(one.method)} | asdict(one) for one in own]
         told = _group(
             (note, f"{format_method(one.method)} with {format_name(one.metric)}")

@@ -13,6 +13,7 @@ import re
 import subprocess
 import sys
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -76,7 +77,16 @@ class ResultsFolder:
         check_target(self.path)
 
     def __enter__(self) -> ResultsFolder:
-        """Begin."""
+        """Begin; the second process loads what it draws with while the first figure is computed."""
+        if self._background:
+            with suppress(OSError):  # then all is drawn here
+                self._artist = subprocess.Popen(  # noqa: S603 - our own words
+                    [sys.executable, "-c", _ARTIST, json.dumps(sys.path)],
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.DEVNULL,
+                    stderr=subprocess.DEVNULL,
+                    text=True,
+                )
         return self
 
     def __exit__(
@@ -96,7 +106,7 @@ class ResultsFolder:
         """Draw and save figures, each as SVG and PNG under its name."""
         for picture in pictures:
             self.pictures.append(picture)
-            if not (self._background and self._hand_over(picture)):
+            if not self._hand_over(picture):
                 save_figure(picture.figure, self._stage("figures") / picture.name)
 
     def write(
@@ -144,32 +154,36 @@ class ResultsFolder:
 
     def _hand_over(self, picture: Picture) -> bool:
         """Let the second process draw a figure; False if it cannot."""
-        stem = self._stage("figures") / picture.name
-        order = self._stage("orders") / f"{len(self.pictures)}.pickle"
+        if self._artist is None:
+            return False
+        order, stem = self._find_order(picture), self._stage("figures") / picture.name
         try:
             order.write_bytes(pickle.dumps((picture.drawing, stem)))
-            if self._artist is None:
-                self._artist = subprocess.Popen(  # noqa: S603 - our own words
-                    [sys.executable, "-c", _ARTIST, json.dumps(sys.path)],
-                    stdin=subprocess.PIPE,
-                    stdout=subprocess.DEVNULL,
-                    stderr=subprocess.DEVNULL,
-                    text=True,
-                )
             print(order, file=self._artist.stdin, flush=True)
         except (OSError, pickle.PicklingError, AttributeError, TypeError):
-            self._background = False
+            order.unlink(missing_ok=True)
             return False
         return True
 
+    def _find_order(self, picture: Picture) -> Path:
+        return self._stage("orders") / f"{picture.name}.pickle"
+
     def _finish_drawing(self) -> None:
-        """Wait for the second process; what it could not draw is drawn here, where its fault shows."""
-        failed = self._artist is not None and bool(
-            self._artist.communicate() and self._artist.returncode
-        )
-        for picture in self.pictures:
+        """Draw from the last figure towards where the second process is, and what it could not draw."""
+        if self._artist is None:
+            return
+        left = []
+        for picture in reversed(self.pictures):
+            try:
+                self._find_order(picture).unlink()  # whoever removes an order draws it
+            except OSError:
+                left.append(picture)
+            else:
+                save_figure(picture.figure, self._stage("figures") / picture.name)
+        self._artist.communicate()
+        for picture in left:
             stem = self._stage("figures") / picture.name
-            if failed or not stem.with_name(f"{stem.name}.png").exists():
+            if self._artist.returncode or not stem.with_name(f"{stem.name}.png").exists():
                 save_figure(picture.figure, stem)
 
 
@@ -178,9 +192,16 @@ import json, sys
 sys.path[:] = json.loads(sys.argv[1])
 import pickle
 from pathlib import Path
+import matplotlib.figure
 from feel321.analysis.figures.style import save_figure
 for line in sys.stdin:
-    drawing, stem = pickle.loads(Path(line.rstrip("\\n")).read_bytes())
+    order = Path(line.rstrip("\\n"))
+    try:
+        content = order.read_bytes()
+        order.unlink()
+    except OSError:
+        continue  # drawn by the other process
+    drawing, stem = pickle.loads(content)
     save_figure(drawing() if callable(drawing) else drawing, stem)
 """
 """What the second process runs. It imports neither the caller's script nor anything of a running session."""

@@ -8,16 +8,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from feel321.analysis.primary.model import FEW, Primary, fit_primary
+from feel321.analysis.primary.model import CENTRED, FEW, fit_cells
 from feel321.analysis.table.items import find_sources
 from feel321.analysis.table.schema import APART
 from feel321.analysis.words import format_name, format_number, format_ratings, name_path
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Hashable, Iterable, Iterator, Mapping
 
     from pandas import DataFrame, Series
 
+    from feel321.analysis.primary.plan import Cells
     from feel321.analysis.table.reading import Table
 
 ITEM, SIGNIFICANCE = "item", 0.05
@@ -171,13 +172,15 @@ def _is_large(rows: DataFrame, n_slopes: int) -> bool:
 # What several sections compute and say of a part.
 
 
-def fit_rest(rows: DataFrame, metrics: Sequence[str], *, people: int) -> Primary:
-    """Fit the primary model to the raters that a rule leaves, of so many people."""
-    if rows[WHO].nunique() == 1 < people:
+def fit_rest(cells: Cells, out: Iterable[Hashable], *, people: int) -> DataFrame:
+    """Fit the slopes without the raters that a rule flags, of so many people."""
+    rest = cells.leave_out(WHO, *out)
+    if rest.count(WHO) == 1 < people:
         raise ValueError(
             f"One rater of {people} is left: an interval would not know how people differ."
         )
-    return fit_primary(rows, metrics, explain=False)
+    slopes = fit_cells(rest).table
+    return slopes.assign(**dict.fromkeys(CENTRED.values(), np.nan))
 
 
 def find_repeat_sd(rows: DataFrame) -> tuple[float, int]:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 from feel321.analysis.association.correlate import correlate
 from feel321.analysis.figures.estimates import draw_slopes
 from feel321.analysis.figures.scatter import draw_residuals
-from feel321.analysis.primary.model import Primary, fit_primary, tabulate_slopes
+from feel321.analysis.primary.model import Primary, fit_cells, fit_primary, tabulate_slopes
+from feel321.analysis.primary.plan import make_cells
 from feel321.analysis.primary.sensitivity import find_candidates, measure_influence
 from feel321.analysis.report.answer import (
     NEEDED,
@@ -327,15 +328,14 @@ def _build_paper(table: Table, fits: Fits, choices: Choices) -> Iterator[PageTab
 def _compare_paper(part: RatingsPart, metrics: list[str], choices: Choices) -> Row:
     rng = choices.make_rng("paper", *part.place)
     ranks = correlate(part.rows, RAW, method="within_spearman", draws=choices.draws, rng=rng)
-    item = find_candidates(part.rows, metrics, count=1)[0]
+    cells = make_cells(part.rows, metrics)
+    item = find_candidates(cells, count=1)[0]
     row: Row = {
         **part.keys, "item": item, "ranks": ranks.value, "ranks_low": ranks.low, "ranks_high": ranks.high,
         "n_items": ranks.n_items,
     }  # fmt: skip
-    rest = part.rows[part.rows[ITEM] != item]
-    for name, rows in (("raw", part.rows), ("rest", rest)):
-        model = fit_primary(rows, metrics, explain=False)
-        slope = model.slopes.loc[RAW]
+    for name, some in (("raw", cells), ("rest", cells.leave_out(ITEM, item))):
+        slope = fit_cells(some).table.loc[RAW]
         row |= {f"{name}{end}": slope[f"tenth{end}"] for end in ("", "_low", "_high")}
-        row[f"{name}_n"] = model.n_rows
+        row[f"{name}_n"] = len(some.table)
     return row

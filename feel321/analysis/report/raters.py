@@ -6,6 +6,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis.figures.choices import draw_raters
+from feel321.analysis.primary.plan import make_cells
 from feel321.analysis.report.parts import (
     Choices,
     RatingsPart,
@@ -177,13 +178,14 @@ def _fit(
     left = part.rows[~part.rows["participant"].isin(out)]
     n_people = len(left["participant"].unique())
     try:
-        model = fit_rest(left, metrics, people=part.rows["participant"].nunique())
+        people = part.rows["participant"].nunique()
+        slopes = fit_rest(make_cells(part.rows, metrics), out, people=people)
     except ValueError as error:
         empty = dict.fromkeys(("tenth", "tenth_low", "tenth_high", "p"), float("nan"))
         for name in metrics:
             yield {**empty, "metric": name, "n_people": n_people, "reason": str(error)}
         return
-    for row in model.slopes.reset_index().to_dict("records"):
+    for row in slopes.reset_index().to_dict("records"):
         yield row | {"n_people": n_people, "reason": ""}
 
 

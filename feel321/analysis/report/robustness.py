@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,7 +11,8 @@ import numpy as np
 from feel321.analysis.figures.choices import draw_multiverse
 from feel321.analysis.figures.estimates import draw_slopes
 from feel321.analysis.primary.model import fit_primary
-from feel321.analysis.primary.multiverse import Multiverse, UniverseEstimate, run_multiverse
+from feel321.analysis.primary.multiverse import Multiverse, UniverseEstimate, run_universes
+from feel321.analysis.primary.plan import make_cells
 from feel321.analysis.primary.sensitivity import vary_primary
 from feel321.analysis.refined.candidates import EQUAL
 from feel321.analysis.refined.refine import Refined, refine_metric
@@ -31,6 +32,7 @@ from feel321.analysis.report.section import (
     read_methods,
     stack,
 )
+from feel321.analysis.screening.screen import screen_raters
 from feel321.analysis.words import (
     COUNT,
     TWO_WAY,
@@ -159,32 +161,35 @@ def _read_universe(metric: str, part: RatingsPart, result: Multiverse) -> Row:
 def _run_universes(table: Table, part: RatingsPart, choices: Choices) -> Universes:
     rows = table.rows
     own = rows[(rows["scale"] == part.scale) & (rows["level"] == part.level)]
-    estimate_slope = _remember_slopes(table.metrics, people=own["participant"].nunique())
-    found: Universes = {}
-    for metric in table.metrics:
-        rng = choices.make_rng(KEY_ROBUSTNESS, *part.place)
-        result = run_multiverse(own, partial(estimate_slope, metric=metric), rng=rng)
-        found[part.lead, metric] = part, result
-    return found
+    estimate_slope = _remember_slopes(own, table.metrics)
+    screening = screen_raters(own, rng=choices.make_rng(KEY_ROBUSTNESS, *part.place))
+    return {
+        (part.lead, metric): (
+            part,
+            run_universes(own, partial(estimate_slope, metric=metric), screening),
+        )
+        for metric in table.metrics
+    }
 
 
-def _remember_slopes(metrics: tuple[str, ...], *, people: int) -> Callable[..., UniverseEstimate]:
+def _remember_slopes(rows: DataFrame, metrics: tuple[str, ...]) -> Callable[..., UniverseEstimate]:
     """Fit each set of raters once, whichever metric is asked for."""
     known: dict[frozenset[Hashable], dict[str, UniverseEstimate]] = {}
+    tests, people = rows[rows["role"] == "test"], frozenset(rows["participant"])
+    make = cache(lambda: make_cells(tests.assign(**{ITEM: tests["stimulus_id"]}), metrics))
 
-    def fit(rows: DataFrame) -> dict[str, UniverseEstimate]:
-        tests = rows[rows["role"] == "test"]
+    def fit(who: frozenset[Hashable]) -> dict[str, UniverseEstimate]:
         try:
-            model = fit_rest(tests.assign(**{ITEM: tests["stimulus_id"]}), metrics, people=people)
+            slopes = fit_rest(make(), people - who, people=len(people))
         except ValueError as error:
             return dict.fromkeys(metrics, UniverseEstimate(float("nan"), note=str(error)))
-        ends = model.slopes[["tenth", "tenth_low", "tenth_high"]]
+        ends = slopes[["tenth", "tenth_low", "tenth_high"]]
         return {str(name): UniverseEstimate(*row) for name, row in ends.T.to_dict("list").items()}
 
     def estimate_slope(rows: DataFrame, *, metric: str) -> UniverseEstimate:
         who = frozenset(rows["participant"])
         if who not in known:
-            known[who] = fit(rows)
+            known[who] = fit(who)
         none = UniverseEstimate(float("nan"), note=f"{metric} does not differ within recordings")
         found = known[who].get(metric, none)
         if found.note:

@@ -240,6 +240,29 @@ def open_ratings(ratings: Table | DataFrame, *, what: str = "ratings") -> DataFr
     return table
 
 
+def choose_arms(
+    ratings: Table | DataFrame, scale: str | None = None, level: str | None = None
+) -> Table | DataFrame:
+    """Take the ratings of one scale and level where these are named; of a DataFrame, with a plain index."""
+    if isinstance(ratings, Table):
+        return ratings.select(scale, level=level)
+    rows = open_ratings(ratings)
+    for column, name in (("scale", scale), ("level", level)):
+        if name is not None:
+            known = rows[column].astype(str) if column in rows else rows.index.astype(str)[:0]
+            rows = rows[known == check_name(name, sorted(known.unique()), column)]
+    return rows
+
+
+def choose_metrics(ratings: Table | DataFrame, metrics: Iterable[str] | None) -> tuple[str, ...]:
+    """Take the metrics that are named, each once, or a Table's own where none are."""
+    own = ratings.metrics if isinstance(ratings, Table) else ()
+    names = tuple(dict.fromkeys(as_names(own if metrics is None else metrics, "metrics")))
+    if not names:
+        raise ValueError("metrics must be a list of one name or more, got none; name columns")
+    return names
+
+
 def refuse_pooled(rows: DataFrame, *, metrics: Collection[str] = (), what: str = "ratings") -> None:
     """Refuse rows of several scales or several levels: their ratings are not about one thing."""
     for column in (name for name in ARMS if name in rows and name not in metrics):
@@ -376,11 +399,7 @@ def open_tests(
     if rows.empty:
         raise ValueError("ratings must be of test stimuli, got no row with role 'test'")
     refuse_pooled(rows, metrics=metrics)
-    for name in ("participant", *named):
-        if missing := int(rows[name].isna().sum()):
-            raise ValueError(
-                f"ratings must name a {name} in each row, got {missing} without; name it or leave them out"
-            )
+    _refuse_unnamed(rows, ["participant", *named, *keys])
     values = {
         name: read_numbers(rows[name], what=f"ratings, {name!r}") for name in ("rating", *metrics)
     }
@@ -392,11 +411,21 @@ def open_tests(
     return rows.assign(**values), notes
 
 
+def _refuse_unnamed(rows: DataFrame, names: Iterable[str]) -> None:
+    """Refuse rows without a name: grouped by it they would be dropped in silence."""
+    for name in names:
+        if missing := int(rows[name].isna().sum()):
+            raise ValueError(
+                f"ratings must name a {name} in each row, got {missing} without; name it or leave them out"
+            )
+
+
 def split_tests(ratings: Table | DataFrame) -> Iterator[Tests]:
     """Split the ratings of test stimuli that the metrics describe by scale and level."""
     rows = open_ratings(ratings).assign()
     for column in ARMS:
         rows[column] = rows.get(column, "")
+    _refuse_unnamed(rows, ARMS)
     rated = (rows[ROLE] == TEST if ROLE in rows else True) & ~rows["scale"].isin(APART)
     if "matched" in rows:
         rated &= rows["matched"]
@@ -427,16 +456,14 @@ def find_sources(rows: Table | DataFrame) -> Series:
     """
     table = open_ratings(rows, what="rows")
     check_columns(table, ["recording"], "rows")
-    source = table["source"] if "source" in table else table["recording"]
-    pairs = table[["recording"]].assign(source=source).drop_duplicates().astype(object)
-    unsaid = pairs["source"].isna() | (pairs["source"] == "")
-    pairs["source"] = pairs["source"].mask(unsaid, pairs["recording"])
-    pairs = pairs.sort_values("recording")
-    if len(twice := pairs.loc[pairs["recording"].duplicated(), "recording"]):
+    named = [name for name in ("recording", "source") if name in table]
+    pairs = table[named].drop_duplicates().astype(object).sort_values("recording")
+    found = pairs.set_index("recording", drop=False)[named[-1]].rename("source")
+    if len(twice := found.index[found.index.duplicated()]):
         raise ValueError(
-            f"ratings must have one source per recording, got two sources of recording {twice.iloc[0]}"
+            f"ratings must have one source per recording, got two sources of recording {twice[0]}"
         )
-    return pairs.set_index("recording")["source"]
+    return found.where(found.notna() & (found != ""), found.index)
 
 
 def format_recordings(recordings: int, sources: int) -> str:
@@ -501,29 +528,49 @@ class Items:
 
 def make_items(ratings: Table | DataFrame, metrics: Sequence[str]) -> Items:
     """Gather a tidy table of one scale into arrays."""
-    from pandas import factorize
+    from pandas import Series, factorize
 
     rows, notes = open_tests(ratings, metrics, named=["recording"])
-    keys = find_keys(rows)
+    item, names = _number_items(rows)
+    person = factorize(rows["participant"], sort=True)[0]
+    rating = rows["rating"].to_numpy()
     # Sorting by rating too makes the sums below, and so the last digit of every result, independent of row
     # order.
-    rows = rows.sort_values([*keys, "participant", "rating"])
-    cells = rows.pivot_table("rating", index=keys, columns="participant", observed=True)
-    items = rows.groupby(keys, observed=True)[["recording", *metrics]].agg(["first", "nunique"])
+    order = np.lexsort((rating, person, item))
+    item, person = item[order], person[order]
+    first = np.searchsorted(item, np.arange(len(names)))
+    facts = {}
     for name in ("recording", *metrics):
-        if len(varying := items.index[items[name, "nunique"] > 1]):
+        values = rows[name].to_numpy()[order]
+        facts[name] = values[first]
+        if len(varying := item[values != facts[name][item]]):
             raise ValueError(
-                f"ratings: column '{name}' must be the same in all rows of a stimulus, got several for {varying[0]}"
+                f"ratings: column '{name}' must be the same in all rows of a stimulus, got several for "
+                f"{names[varying[0]]}"
             )
+    cells = np.full((person.max() + 1, len(names)), np.nan)
+    means = Series(rating[order]).groupby(item * len(cells) + person).mean()
+    cells[means.index % len(cells), means.index // len(cells)] = means
     return Items(
-        names=tuple(
-            "/".join(map(str, key)) if isinstance(key, tuple) else str(key) for key in cells.index
-        ),
-        ratings=cells.to_numpy(np.float64).T.copy(),
-        metrics=np.array([items[name, "first"].to_numpy(np.float64) for name in metrics]),
-        recordings=np.unique(items["recording", "first"].to_numpy(), return_inverse=True)[1],
+        names=names,
+        ratings=cells,
+        metrics=np.array([facts[name] for name in metrics]),
+        recordings=np.unique(facts["recording"], return_inverse=True)[1],
         sources=factorize(find_sources(rows).to_numpy(), sort=True)[0]
         if "source" in rows
         else None,
         notes=notes,
     )
+
+
+def _number_items(rows: DataFrame) -> tuple[NDArray[np.intp], tuple[str, ...]]:
+    """Find the number of every row's stimulus, counted from 0 in the order of their names; and the names."""
+    from pandas import factorize
+
+    keys = find_keys(rows)
+    if len(keys) == 1:
+        of_row, names = factorize(rows[keys[0]], sort=True)
+        return np.asarray(of_row, dtype=np.intp), tuple(map(str, names))
+    number = np.asarray(rows.groupby(keys, observed=True).ngroup(), dtype=np.intp)
+    named = rows[keys].iloc[np.unique(number, return_index=True)[1]]
+    return number, tuple("/".join(map(str, key)) for key in named.itertuples(index=False))

@@ -42,7 +42,7 @@ References
 .. [6] R. T. Verrillo, "Temporal summation in vibrotactile sensitivity", JASA 37(5), 1965. doi:10.1121/1.1909458
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -164,8 +164,10 @@ def felt_level(
     return float(np.sqrt(np.sum(shares * weighted**2) / n / padded))
 
 
-def loudest_level(acceleration: Samples, rate_hz: float, *, threshold: str = CONTACTOR) -> float:
-    """Largest root mean square in any 200 ms, 20 to 1000 Hz, as a multiple of the threshold's; axes add by energy.
+def loudest_levels(
+    acceleration: Samples, rate_hz: float, thresholds: Iterable[str] = (CONTACTOR,)
+) -> dict[str, float]:
+    """Largest root mean square in any 200 ms, 20 to 1000 Hz, as a multiple of each threshold; axes add by energy.
 
     Before and after the signal is silence, so that appending some changes nothing, and a signal shorter than 200 ms
     has the level that its energy gives over 200 ms.
@@ -175,11 +177,17 @@ def loudest_level(acceleration: Samples, rate_hz: float, *, threshold: str = CON
     window = max(round(WINDOW_S * rate_hz), 1)
     padded = fft.next_fast_len(acceleration.shape[-1] + window, real=True)
     frequency = fft.rfftfreq(padded, 1 / rate_hz)
-    weighted = fft.rfft(acceleration, padded)
-    weighted *= _weigh(frequency, threshold=threshold, edge_octaves=EDGE_OCTAVES)
-    energy = np.square(np.atleast_2d(fft.irfft(weighted, padded))).sum(axis=0)
-    summed = np.concatenate([[0.0], np.cumsum(energy)])
-    return float(np.sqrt(max((summed[window:] - summed[:-window]).max(), 0.0) / window))
+    # Far above the edge there is nothing to weigh; most bins of a rig's rate are there.
+    felt = slice(np.searchsorted(frequency, 2 * HIGHEST_HZ))
+    spectrum = fft.rfft(acceleration, padded)[..., felt]
+    levels = {}
+    for name in thresholds:
+        weights = _weigh(frequency[felt], threshold=name, edge_octaves=EDGE_OCTAVES)
+        energy = np.square(np.atleast_2d(fft.irfft(spectrum * weights, padded))).sum(axis=0)
+        summed = np.concatenate([[0.0], np.cumsum(energy)])
+        most = max((summed[window:] - summed[:-window]).max(), 0.0)
+        levels[name] = float(np.sqrt(most / window))
+    return levels
 
 
 def sensation_level_db(
@@ -220,7 +228,7 @@ def sensation_level_db(
     20
     """
     samples, rate = as_samples(signal, rate_hz)
-    return to_db(loudest_level(samples, rate, threshold=threshold))
+    return to_db(loudest_levels(samples, rate, [threshold])[threshold])
 
 
 def to_db(level: float) -> float:

@@ -13,6 +13,7 @@ import hashlib
 import json
 import math
 import shutil
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
 from itertools import count
 from pathlib import Path, PurePath
@@ -379,8 +380,9 @@ def _list_details(
 def _run_jobs(jobs: Sequence[Job], *, workers: int) -> Iterator[Any]:
     """Yield results as they are done; in this process where one worker is enough."""
     if workers == 1 or len(jobs) <= 1:
-        for function, arguments, named in jobs:
-            yield function(*arguments, **named)
+        # Two at a time: transforms release the interpreter, and each file waits for the disk.
+        with ThreadPoolExecutor(2) as pool:
+            yield from pool.map(lambda job: job[0](*job[1], **job[2]), jobs)
         return
     from joblib import Parallel
 

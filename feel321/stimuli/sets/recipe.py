@@ -29,7 +29,7 @@ from feel321.stimuli.condition import Conditioning, condition, fade, make_plain,
 from feel321.stimuli.match import OriginalSpectrum, axis_correlations, mean_over_axes
 from feel321.stimuli.recording import Recording, check_rate, digest_samples, largest
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
-from feel321.stimuli.sets.anchors import ANCHORS, CONTACTOR, THRESHOLDS, loudest_level, to_db
+from feel321.stimuli.sets.anchors import ANCHORS, CONTACTOR, THRESHOLDS, loudest_levels, to_db
 from feel321.stimuli.wav import write_wav
 from feel321.types import Samples
 
@@ -292,7 +292,7 @@ def _make_scale(conditioned: Recording, recipe: Recipe) -> _Scale:
     if spectrum.reason:
         raise ValueError(f"{spectrum.reason}; nothing can be felt or matched, leave it out")
     played = _for_the_rig(conditioned.acceleration, conditioned.rate_hz, recipe)
-    return _Scale(conditioned, spectrum, played, _measure_levels(played, recipe.rate_hz))
+    return _Scale(conditioned, spectrum, played, loudest_levels(played, recipe.rate_hz, THRESHOLDS))
 
 
 def _play(reducer: str, scale: _Scale, recipe: Recipe) -> tuple[Samples, Samples]:
@@ -306,7 +306,7 @@ def _play(reducer: str, scale: _Scale, recipe: Recipe) -> tuple[Samples, Samples
     seed = [int(recording.sha256[:16], 16), *reducer.encode()]
     samples = ANCHORS[reducer](recording, np.random.default_rng(seed))
     played = _for_the_rig(samples, recording.rate_hz, recipe)
-    own = loudest_level(played, recipe.rate_hz, threshold=recipe.threshold)
+    own = loudest_levels(played, recipe.rate_hz, [recipe.threshold])[recipe.threshold]
     return samples, scale.levels[recipe.threshold] / own * played
 
 
@@ -321,17 +321,13 @@ def _measure(samples: Samples, rendered: Samples, *, scale: _Scale, rate_hz: flo
     # The level is that of what is played: fades and a removed offset change it. The metrics are those of the reduction.
     levels = {
         name: level if level > ROUNDING * scale.levels[name] else 0.0
-        for name, level in _measure_levels(rendered, rate_hz).items()
+        for name, level in loudest_levels(rendered, rate_hz, THRESHOLDS).items()
     }
     if samples.ndim > 1:  # the original itself, matched channel by channel
         return Measured(largest(rendered), levels, 1.0, 1.0, 1.0)
     spectral, bounded = scale.spectrum.match_both(samples)
     temporal = mean_over_axes(axis_correlations(scale.recording.acceleration, samples))
     return Measured(largest(rendered), levels, float(spectral), float(temporal), float(bounded))
-
-
-def _measure_levels(played: Samples, rate_hz: float) -> dict[str, float]:
-    return {name: loudest_level(played, rate_hz, threshold=name) for name in THRESHOLDS}
 
 
 def choose_gains(

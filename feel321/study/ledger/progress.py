@@ -15,17 +15,9 @@ from typing import Any
 from feel321.files import write_text
 from feel321.study.columns import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS
 from feel321.study.folder import StudyFolder
+from feel321.study.session import plan as plans
 from feel321.study.session.events import PageRead, SessionFinished, SessionReleased
 from feel321.study.session.journal import START, Records, digest, list_journals
-from feel321.study.session.plan import (
-    PLAN_FILE,
-    TOMBSTONE_FILE,
-    Dossier,
-    read_as_written,
-    read_dossier,
-    replay,
-    require_own_plan,
-)
 
 ROSTER_FILE = "participants.csv"
 
@@ -99,12 +91,14 @@ def write_tombstone(folder: Path, tombstone: Tombstone) -> None:
     """Write a tombstone and seal it with its digest, replacing the one that is there."""
     entry = asdict(tombstone)
     sealed = entry | {"sha256": _digest(entry)}
-    write_text(folder / TOMBSTONE_FILE, json.dumps(sealed, indent=1, ensure_ascii=False) + "\n")
+    write_text(
+        folder / plans.TOMBSTONE_FILE, json.dumps(sealed, indent=1, ensure_ascii=False) + "\n"
+    )
 
 
 def read_tombstone(folder: Path) -> Tombstone | None:
     """Read a tombstone, if there is one."""
-    path = folder / TOMBSTONE_FILE
+    path = folder / plans.TOMBSTONE_FILE
     if not path.exists():
         return None
     try:
@@ -123,9 +117,9 @@ def read_tombstone(folder: Path) -> Tombstone | None:
 
 def find_leftovers(folder: Path) -> list[str]:
     """Find what lies beside a tombstone: no data of someone who withdrew may stay, or come back with a copy."""
-    if not (folder / TOMBSTONE_FILE).exists():
+    if not (folder / plans.TOMBSTONE_FILE).exists():
         return []
-    kept = {folder / TOMBSTONE_FILE, folder / LOCK_FILE}
+    kept = {folder / plans.TOMBSTONE_FILE, folder / LOCK_FILE}
     files = {path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir()}
     return [
         f"{path}: lies beside a tombstone, the participant withdrew; remove it"
@@ -163,33 +157,33 @@ def list_progress(study: StudyFolder) -> list[Progress]:
     return [
         read_progress(folder)
         for folder in study.participants
-        if not (folder / TOMBSTONE_FILE).exists()
-        and ((folder / PLAN_FILE).exists() or list_journals(folder))
+        if not (folder / plans.TOMBSTONE_FILE).exists()
+        and ((folder / plans.PLAN_FILE).exists() or list_journals(folder))
     ]
 
 
 def read_progress(folder: Path) -> Progress:
     """Read the progress of one participant, also while a session runs."""
     try:
-        return make_progress(read_dossier(folder))
+        return make_progress(plans.read_dossier(folder))
     except ValueError as error:
         # A broken plan raises again; of a broken journal the plan still says who it is.
-        planned = make_progress(Dossier(folder, require_own_plan(folder), ()))
+        planned = make_progress(plans.Dossier(folder, plans.require_own_plan(folder), ()))
         return replace(planned, state="running", problem=str(error))
 
 
-def make_progress(dossier: Dossier) -> Progress:
+def make_progress(dossier: plans.Dossier) -> Progress:
     """Derive the progress of one participant from plan and journals."""
     plan, newest = dossier.plan, dossier.records
     times = [record.utc for chain in dossier.chains for record in chain.records]
-    with read_as_written(dossier.newest):
+    with plans.read_as_written(dossier.newest):
         return Progress(
             participant=plan.participant,
             simulated=plan.simulated,
             number=plan.number,
             groups=plan.groups,
             total=sum(trial.phase == "main" for trial in plan.trials),
-            done=replay(plan, newest).done,
+            done=plans.replay(plan, newest).done,
             state=_find_state(newest),
             anchors=tuple(read_anchor(path) for path in list_journals(dossier.folder)),
             first_utc=times[0] if times else "",

@@ -24,16 +24,7 @@ from sqlalchemy.exc import DBAPIError
 from sqlalchemy.pool import NullPool
 
 from feel321.study.folder import StudyFolder
-from feel321.study.ledger.progress import (
-    REMOVED,
-    Anchor,
-    Progress,
-    Tombstone,
-    find_cut,
-    list_progress,
-    read_progress,
-    read_tombstone,
-)
+from feel321.study.ledger import progress
 from feel321.study.session.journal import (
     Clock,
     create_journal,
@@ -65,7 +56,7 @@ class Entry:
     state: str
     done: int = 0
     total: int = 0
-    anchors: tuple[Anchor, ...] = ()
+    anchors: tuple[progress.Anchor, ...] = ()
     claimed_utc: str = field(default="", compare=False)
 
 
@@ -83,7 +74,7 @@ def _declare(name: str, *columns: Field[object], keys: Sequence[str]) -> sa.Tabl
 
 _NAME, *_REST = (one for one in fields(Entry) if one.name != "anchors")
 _PARTICIPANTS = _declare("participants", _NAME, *_REST, keys=["participant"])
-_ANCHORS = _declare("anchors", _NAME, *fields(Anchor), keys=["participant", "journal"])
+_ANCHORS = _declare("anchors", _NAME, *fields(progress.Anchor), keys=["participant", "journal"])
 _HOLDS_SLOT = _PARTICIPANTS.c.state.in_(LIVE)
 # Claims see to it by themselves; this keeps any other program from doing otherwise.
 sa.Index(
@@ -151,9 +142,9 @@ def _read(connection: sa.Connection, participant: str | None = None) -> list[Ent
     if participant is not None:
         people = people.where(_PARTICIPANTS.c.participant == participant)
         seen = seen.where(_ANCHORS.c.participant == participant)
-    anchors: dict[str, tuple[Anchor, ...]] = {}
+    anchors: dict[str, tuple[progress.Anchor, ...]] = {}
     for name, *anchor in connection.execute(seen):
-        anchors[name] = (*anchors.get(name, ()), Anchor(*anchor))
+        anchors[name] = (*anchors.get(name, ()), progress.Anchor(*anchor))
     entries = [
         Entry(**row, anchors=anchors.get(row["participant"], ()))
         for row in connection.execute(people).mappings()
@@ -256,7 +247,7 @@ def note_progress(  # noqa: PLR0913 - a row of the ledger, each of its cells by 
     """Record how far a participant's journal reaches."""
     if state not in STATES:
         raise ValueError(f"state must be one of {', '.join(STATES)}, got {state!r}")
-    anchor = Anchor(journal, lines, tip)
+    anchor = progress.Anchor(journal, lines, tip)
     with _transact(ledger) as connection:
         entry = next(iter(_read(connection, participant)), None)
         if entry is None:
@@ -356,18 +347,18 @@ def find_lost(study: StudyFolder) -> list[str]:
     return lost + wrong + list_forgotten(study)
 
 
-def make_entry(progress: Progress) -> Entry:
+def make_entry(own: progress.Progress) -> Entry:
     """Make the entry of a participant from plan and journals."""
     return Entry(
-        participant=progress.participant,
-        simulated=progress.simulated,
-        number=progress.number,
-        state=progress.state,
-        done=progress.done,
+        participant=own.participant,
+        simulated=own.simulated,
+        number=own.number,
+        state=own.state,
+        done=own.done,
         # The ledger learns the total with the first line that it sees.
-        total=progress.total if progress.anchors else 0,
-        anchors=progress.anchors,
-        claimed_utc=progress.first_utc,
+        total=own.total if own.anchors else 0,
+        anchors=own.anchors,
+        claimed_utc=own.first_utc,
     )
 
 
@@ -406,14 +397,14 @@ def _open(study: StudyFolder) -> sa.Engine:
 
 def _read_disk(study: StudyFolder) -> tuple[list[Entry], list[str]]:
     """Read the entries of all participants, and what is wrong with their journals."""
-    everybody = list_progress(study)
-    stones = filter(None, (read_tombstone(folder) for folder in study.participants))
+    everybody = progress.list_progress(study)
+    stones = filter(None, (progress.read_tombstone(folder) for folder in study.participants))
     entries = [
         *map(make_entry, everybody),
         *(Entry(one.participant, one.simulated, one.number, "withdrawn") for one in stones),
     ]
     _check_slots(entries)
-    return entries, [progress.problem for progress in everybody if progress.problem]
+    return entries, [own.problem for own in everybody if own.problem]
 
 
 def _check_slots(entries: Iterable[Entry]) -> None:
@@ -455,7 +446,7 @@ def _compare(study: StudyFolder) -> tuple[list[str], list[str]]:
 def _find_lost_of(entry: Entry, study: StudyFolder) -> Iterator[str]:
     folder = study.sessions / entry.participant
     try:
-        tombstone = read_tombstone(folder)
+        tombstone = progress.read_tombstone(folder)
     except ValueError as error:
         yield str(error)
         return
@@ -467,12 +458,12 @@ def _find_lost_of(entry: Entry, study: StudyFolder) -> Iterator[str]:
         lines = sum(anchor.lines for anchor in entry.anchors)
         yield f"{folder}: is gone without a tombstone, {lines} lines of its journals were seen; restore it from a copy"
     else:
-        yield from filter(None, (find_cut(anchor, folder) for anchor in entry.anchors))
+        yield from filter(None, (progress.find_cut(anchor, folder) for anchor in entry.anchors))
 
 
-def _find_unlike(tombstone: Tombstone, entry: Entry, study: StudyFolder) -> Iterator[str]:
+def _find_unlike(tombstone: progress.Tombstone, entry: Entry, study: StudyFolder) -> Iterator[str]:
     folder = study.sessions / entry.participant
-    if (tombstone.state, entry.state) != (REMOVED, "withdrawn"):
+    if (tombstone.state, entry.state) != (progress.REMOVED, "withdrawn"):
         again = f"feel321 withdraw {quote(str(study.path))} --participant {entry.participant}"
         yield f"{folder}: the withdrawal was interrupted; finish it: {again}"
     elif (tombstone.number, tombstone.simulated) != (entry.number, entry.simulated):
@@ -485,14 +476,14 @@ def _find_edited(entry: Entry, study: StudyFolder) -> Iterator[str]:
     if (folder / TOMBSTONE_FILE).exists() or not _is_begun(folder):
         return
     try:
-        progress = read_progress(folder)
+        own = progress.read_progress(folder)
     except (OSError, ValueError):
         return  # What is wrong with plan or journals is reported by whoever reads them.
     names = ["number", "simulated"]
     # The ledger may lag behind a journal, but what ends a session it only knows from there.
-    ended = entry.anchors == progress.anchors or entry.state in {"finished", "released"}
-    for name in [*names, "state"] if ended and not progress.problem else names:
-        got, expected = getattr(entry, name), getattr(progress, name)
+    ended = entry.anchors == own.anchors or entry.state in {"finished", "released"}
+    for name in [*names, "state"] if ended and not own.problem else names:
+        got, expected = getattr(entry, name), getattr(own, name)
         if got != expected:
             yield (
                 f"{study.ledger}: {entry.participant} has {name} {got}, plan and journals say {expected}; "

@@ -14,26 +14,7 @@ from sqlalchemy import Engine
 from feel321.files import hold_lock, sync_folder
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.folder import StudyFolder
-from feel321.study.ledger.progress import (
-    LOCK_FILE,
-    REMOVED,
-    REMOVING,
-    ROSTER_FILE,
-    Tombstone,
-    check_anchors,
-    read_anchor,
-    read_progress,
-    read_tombstone,
-    write_roster,
-    write_tombstone,
-)
-from feel321.study.ledger.slots import (
-    Entry,
-    make_entry,
-    open_study_ledger,
-    read_ledger,
-    rewrite_ledger,
-)
+from feel321.study.ledger import progress, slots
 from feel321.study.ratings import write_ratings
 from feel321.study.session.events import SessionFinished, SessionReleased
 from feel321.study.session.journal import Clock, Journal, list_journals, require_journal
@@ -49,10 +30,14 @@ def withdraw_participant(
     warn: Callable[[str], None] | None = None,
 ) -> list[str]:
     """Remove the data of a participant for good; a tombstone keeps the code from being used again."""
-    ledger, notice = open_study_ledger(study, now=now)
+    ledger, notice = slots.open_study_ledger(study, now=now)
     entry = _require_entry(ledger, participant)
     folder = study.sessions / participant
-    if (found := read_tombstone(folder)) and found.state == REMOVED and entry.state == "withdrawn":
+    if (
+        (found := progress.read_tombstone(folder))
+        and found.state == progress.REMOVED
+        and entry.state == "withdrawn"
+    ):
         raise ValueError(f"participant {participant}: withdrew at {found.utc}, all data are gone")
     with _hold(folder):
         # Or the one of a withdrawal that was interrupted.
@@ -64,9 +49,13 @@ def withdraw_participant(
         rehearsal = study.path / "rehearsals" / participant
         if rehearsal.exists() and rehearsal != folder:
             warnings.append(f"{rehearsal}: was rehearsed under the same code; remove the folder")
-        _enter(ledger, participant, Entry(participant, entry.simulated, entry.number, "withdrawn"))
-        write_tombstone(folder, replace(tombstone, state=REMOVED))
-    (folder / LOCK_FILE).unlink(missing_ok=True)
+        _enter(
+            ledger,
+            participant,
+            slots.Entry(participant, entry.simulated, entry.number, "withdrawn"),
+        )
+        progress.write_tombstone(folder, replace(tombstone, state=progress.REMOVED))
+    (folder / progress.LOCK_FILE).unlink(missing_ok=True)
     if warn is not None:
         for warning in filter(None, warnings):
             warn(warning)
@@ -78,31 +67,31 @@ def release_participant(study: StudyFolder, participant: str, *, now: Clock) -> 
 
     Of one who never began there is nothing to keep: the plan goes, and the code may be used again.
     """
-    ledger, _ = open_study_ledger(study, now=now)
+    ledger, _ = slots.open_study_ledger(study, now=now)
     entry = _require_entry(ledger, participant)
     folder = study.sessions / participant
-    if read_tombstone(folder) is not None:
+    if progress.read_tombstone(folder) is not None:
         raise ValueError(f"participant {participant}: withdrew, there is nothing to release")
     if entry.state == "released":
         raise ValueError(
             f"participant {participant}: was released before; number {entry.number} is free"
         )
     with _hold(folder):
-        check_anchors(entry.anchors, folder)
+        progress.check_anchors(entry.anchors, folder)
         journal = _open_newest(folder, now=now)
         if journal is not None:
             _write_release(journal, participant)
-            _enter(ledger, participant, make_entry(read_progress(folder)))
+            _enter(ledger, participant, slots.make_entry(progress.read_progress(folder)))
             return entry.number
         _remove_data(folder)
         _enter(ledger, participant, None)
-    (folder / LOCK_FILE).unlink(missing_ok=True)
+    (folder / progress.LOCK_FILE).unlink(missing_ok=True)
     folder.rmdir()
     return entry.number
 
 
-def _require_entry(ledger: Engine, participant: str) -> Entry:
-    entries = {entry.participant: entry for entry in read_ledger(ledger)}
+def _require_entry(ledger: Engine, participant: str) -> slots.Entry:
+    entries = {entry.participant: entry for entry in slots.read_ledger(ledger)}
     if participant not in entries:
         known = ", ".join(entries) or "nobody yet"
         raise ValueError(f"participant must be in the ledger, got {participant!r}; known: {known}")
@@ -113,27 +102,29 @@ def _require_entry(ledger: Engine, participant: str) -> Entry:
 def _hold(folder: Path) -> Iterator[None]:
     folder.mkdir(parents=True, exist_ok=True)
     busy = "a session is running here; let it finish or stop it first"
-    with hold_lock(folder / LOCK_FILE, busy=busy):
+    with hold_lock(folder / progress.LOCK_FILE, busy=busy):
         yield
 
 
-def _make_tombstone(folder: Path, entry: Entry, *, reason: str, now: Clock) -> Tombstone:
-    tombstone = Tombstone(
+def _make_tombstone(
+    folder: Path, entry: slots.Entry, *, reason: str, now: Clock
+) -> progress.Tombstone:
+    tombstone = progress.Tombstone(
         participant=entry.participant,
         number=entry.number,
         simulated=entry.simulated,
         utc=now().isoformat(timespec="seconds"),
         reason=reason,
-        journals=tuple(read_anchor(path) for path in list_journals(folder)),
-        state=REMOVING,
+        journals=tuple(progress.read_anchor(path) for path in list_journals(folder)),
+        state=progress.REMOVING,
     )
-    write_tombstone(folder, tombstone)
+    progress.write_tombstone(folder, tombstone)
     return tombstone
 
 
 def _remove_data(folder: Path) -> list[str]:
     """Remove everything in a folder but its tombstone and the lock that is held."""
-    kept = {folder / TOMBSTONE_FILE, folder / LOCK_FILE}
+    kept = {folder / TOMBSTONE_FILE, folder / progress.LOCK_FILE}
     found = [path for path in sorted(folder.rglob("*"), reverse=True) if path not in kept]
     for path in found:
         if path.is_dir() and not path.is_symlink():
@@ -148,7 +139,7 @@ def _renew_tables(study: StudyFolder) -> Iterator[str]:
     """Rewrite, without the participant, the tables that are there; yield what is left to do by hand."""
     tables: dict[Path, Callable[[], object]] = {
         study.ratings: lambda: write_ratings(study, read_stimuli(study.stimuli)),
-        study.path / ROSTER_FILE: lambda: write_roster(study),
+        study.path / progress.ROSTER_FILE: lambda: progress.write_roster(study),
     }
     for path, write in tables.items():
         # What a kill may have left of an earlier writing.
@@ -173,12 +164,12 @@ def _remove_report(study: StudyFolder) -> Iterator[str]:
         yield f"{study.report}: holds other files; remove those with the participant's data"
 
 
-def _enter(ledger: Engine, participant: str, entry: Entry | None) -> None:
-    def change(known: list[Entry]) -> list[Entry]:
+def _enter(ledger: Engine, participant: str, entry: slots.Entry | None) -> None:
+    def change(known: list[slots.Entry]) -> list[slots.Entry]:
         others = [other for other in known if other.participant != participant]
         return [*others, entry] if entry else others
 
-    rewrite_ledger(ledger, change)
+    slots.rewrite_ledger(ledger, change)
 
 
 def _open_newest(folder: Path, *, now: Clock) -> Journal | None:

@@ -327,7 +327,10 @@ FATIGUE_TRIALS = 100  # trials for which the size of fatigue is given
 
 
 class Participant:
-    """A simulated participant: what they answer to what they felt, and what they remember of it."""
+    """A simulated participant: what they answer to what they felt, and what they remember of it.
+
+    elapsed_s: time in s since their session began.
+    """
 
     def __init__(
         self,
@@ -336,8 +339,9 @@ class Participant:
         seed: int,
         number: int,
         percepts: Mapping[str, Percept] = MappingProxyType({}),
+        elapsed_s: float = 0.0,
     ) -> None:
-        self._seed, self._number = seed, number
+        self._seed, self._number, self._time_s = seed, number, elapsed_s
         self.touch = Touch(model, percepts)
         self.rater = draw_rater(model, self._draw_from(0, 0))
         self.before: Experience | None = None
@@ -411,19 +415,8 @@ STROKE_S = 3.0  # duration of a stroke over the real surface
 class SimulatedObserver(Participant):
     """A presenter that needs no screen and no actuator: it answers by itself."""
 
-    def __init__(
-        self,
-        model: ObserverModel,
-        *,
-        seed: int,
-        number: int,
-        percepts: Mapping[str, Percept] = MappingProxyType({}),
-        elapsed_s: float = 0.0,
-    ) -> None:
-        super().__init__(model, seed=seed, number=number, percepts=percepts)
-        self._time_s = elapsed_s
-        self._confirmed: Experience | None = None
-        self._missed: tuple[str, ...] = ()
+    _confirmed: Experience | None = None
+    _missed: tuple[str, ...] = ()
 
     def show_page(self, page: Page, place: Place) -> Confirm:  # noqa: ARG002 - the port's form
         """Read a page for as long as it must be shown."""

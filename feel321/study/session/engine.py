@@ -15,18 +15,9 @@ from typing import TYPE_CHECKING, Any
 from feel321.protocols.texts import read_scales
 from feel321.protocols.trial import RATING_RANGE, Flow, Page, Part, Scale, Trial
 from feel321.records import Result
-from feel321.study.session import events
+from feel321.study.session import events, ports
 from feel321.study.session.plan import Plan, advance, list_by_code, replay
-from feel321.study.session.ports import (
-    Abort,
-    Confirm,
-    Feel,
-    Move,
-    Pause,
-    Place,
-    Playback,
-    Presenter,
-)
+from feel321.study.session.ports import Place, Presenter
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -163,12 +154,12 @@ def conduct_page(page: Page, place: Place, setup: Setup) -> None:
     setup.journal.write(events.PageRead(page.key, act.time_s, act.response_time_s))
 
 
-def _read_page(page: Page, place: Place, setup: Setup) -> Confirm:
+def _read_page(page: Page, place: Place, setup: Setup) -> ports.Confirm:
     while True:
         act = setup.presenter.show_page(page, place)
-        if isinstance(act, Abort):
+        if isinstance(act, ports.Abort):
             raise Stopped(act.reason, act.time_s)
-        if isinstance(act, Pause):
+        if isinstance(act, ports.Pause):
             continue  # Nothing is felt on a page, so there is nothing to pause.
         if act.response_time_s >= page.least_s:
             return act
@@ -234,19 +225,19 @@ class _Attempt(events.Attempt):
         while True:
             act = self._setup.presenter.wait()
             match act:
-                case Feel():
+                case ports.Feel():
                     self._replay(act)
                     if self.is_spoiled():
                         return
-                case Move():
+                case ports.Move():
                     self._move(act)
-                case Confirm():
+                case ports.Confirm():
                     if self._accept(act):
                         return
                 case _:
                     _stop_or_pause(act)
 
-    def _replay(self, act: Feel) -> None:
+    def _replay(self, act: ports.Feel) -> None:
         parts = [part for part in self.trial.parts if act.part in {"", part.name}]
         if self.trial.timing == "strict":
             self._refuse(act, "no_replay")
@@ -257,14 +248,14 @@ class _Attempt(events.Attempt):
                 self._setup.journal.write(events.PartReplayed(*self.key, act.part, act.time_s))
             self.play(parts)
 
-    def _move(self, act: Move) -> None:
+    def _move(self, act: ports.Move) -> None:
         if act.part in self.trial.judged and self._find_valid({act.part: act.value}):
             moved = events.MarkerMoved(*self.key, act.part, float(act.value), act.time_s)
             self._setup.journal.write(moved)
         else:
             self._refuse(act, "unknown_part", [act.part])
 
-    def _accept(self, act: Confirm) -> bool:
+    def _accept(self, act: ports.Confirm) -> bool:
         """Record the answer, unless something was not felt or not answered."""
         flow, valid = self._setup.flow, self._find_valid(act.values)
         if unfelt := self.list_unfelt():
@@ -292,14 +283,16 @@ class _Attempt(events.Attempt):
             if (value in choices if choices else isinstance(value, Real) and low <= value <= high)
         }
 
-    def _refuse(self, act: Feel | Move | Confirm, reason: str, parts: Iterable[str] = ()) -> bool:
+    def _refuse(
+        self, act: ports.Feel | ports.Move | ports.Confirm, reason: str, parts: Iterable[str] = ()
+    ) -> bool:
         names = list(parts)
         self._setup.journal.write(events.ActRefused(*self.key, reason, names, act.time_s))
         self._setup.presenter.refuse(reason, tuple(names))
         return False
 
 
-def _describe_playback(playback: Playback) -> dict[str, Any]:
+def _describe_playback(playback: ports.Playback) -> dict[str, Any]:
     """Describe a playback as JSON can hold it: devices report numbers of many kinds, and some that are none."""
     onset_s, measured = playback.onset_s, playback.measured.items()
     return {
@@ -315,7 +308,7 @@ def _describe_playback(playback: Playback) -> dict[str, Any]:
 
 def _stop_or_pause(act: object) -> None:
     """End the attempt after a pause or an abort."""
-    if isinstance(act, Abort):
+    if isinstance(act, ports.Abort):
         raise Stopped(act.reason, act.time_s)
-    if isinstance(act, Pause):
+    if isinstance(act, ports.Pause):
         raise _Paused(act.time_s)

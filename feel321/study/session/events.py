@@ -233,10 +233,10 @@ class TrialSpoiled(AttemptEvent):
     time_s: float
 
 
-MENDING = (ClockStepped, LineRecovered)
+REPAIRS = (ClockStepped, LineRecovered)
 """May come anywhere in a journal."""
 
-OPENING = (*MENDING, DeviceOpened, SessionResumed)
+OPENING = (*REPAIRS, DeviceOpened, SessionResumed)
 """May come before anybody has come back to work."""
 
 UNTOUCHED = (*OPENING, SessionBegun, SessionAborted, SessionSuperseded)

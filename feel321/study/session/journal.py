@@ -22,14 +22,8 @@ from pathlib import Path
 from typing import Any
 
 from feel321.files import sync_folder
-from feel321.study.session.events import (
-    ClockStepped,
-    E,
-    LineRecovered,
-    SessionBegun,
-    SessionEvent,
-    read_event,
-)
+from feel321.study.session import events
+from feel321.study.session.events import SessionEvent
 
 Clock = Callable[[], datetime]
 
@@ -55,7 +49,7 @@ class Record:
     def content(self) -> SessionEvent:
         """The event, checked."""
         try:
-            return read_event(self.event, self.data)
+            return events.read_event(self.event, self.data)
         except ValueError as error:
             raise ValueError(f"line {self.sequence + 1}: {error}") from None
 
@@ -63,7 +57,7 @@ class Record:
 class Records(list[Record]):
     """The records of a journal, in order."""
 
-    def find(self, *kinds: type[E]) -> Iterator[E]:
+    def find(self, *kinds: type[events.E]) -> Iterator[events.E]:
         """Find all events of some kinds."""
         names = {kind.event for kind in kinds}
         for record in self:
@@ -74,9 +68,9 @@ class Records(list[Record]):
         """Check whether something ever happened in the session."""
         return any(record.event == kind.event for record in self)
 
-    def find_header(self) -> SessionBegun | None:
+    def find_header(self) -> events.SessionBegun | None:
         """Find the header of the session."""
-        return next(self.find(SessionBegun), None)
+        return next(self.find(events.SessionBegun), None)
 
     def find_elapsed(self) -> float:
         """Find the last time on the presenter's clock, in s."""
@@ -123,13 +117,7 @@ def read_chain(content: bytes, name: str) -> Chain:
 
 
 def digest(text: str | bytes) -> str:
-    """SHA-256 of a text, in hexadecimal digits.
-
-    Examples
-    --------
-    >>> digest("tap")[:12]
-    '729cd87c6329'
-    """
+    """SHA-256 of a text, in hexadecimal digits."""
     return hashlib.sha256(text.encode() if isinstance(text, str) else text).hexdigest()
 
 
@@ -210,7 +198,7 @@ class Journal:
         if self.records:
             last, this = (datetime.fromisoformat(text) for text in (self.records[-1].utc, utc))
             if (back_s := (last - this).total_seconds()) > 0:
-                self._append(utc, ClockStepped(back_s))
+                self._append(utc, events.ClockStepped(back_s))
         self._append(utc, event, data)
 
     def _append(
@@ -258,7 +246,7 @@ def require_journal(path: Path, *, now: Clock) -> Journal:
     if chain.torn:
         with _naming(path):
             torn = _cut_torn_line(path, chain.torn)
-        journal.write(LineRecovered(len(chain.torn), torn.name))
+        journal.write(events.LineRecovered(len(chain.torn), torn.name))
         journal.notice = (
             f"{path}: {len(chain.torn)} bytes of an unfinished line were moved to {torn.name}"
         )
@@ -273,13 +261,7 @@ def read_journal(path: Path) -> Chain:
 
 
 def name_journal(session: int) -> str:
-    """Make the name of a session's journal; sessions are numbered from 1.
-
-    Examples
-    --------
-    >>> name_journal(1)
-    'session-01.jsonl'
-    """
+    """Make the name of a session's journal; sessions are numbered from 1."""
     return f"session-{session:02d}.jsonl"
 
 

@@ -11,14 +11,9 @@ import base64
 import hashlib
 import json
 import re
-from collections.abc import (
-    Collection,
-    Iterable,
-    Iterator,
-    Mapping,  # pydantic reads the annotations of a plan
-)
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime, timedelta
 from functools import cache
 from importlib.metadata import version
@@ -29,30 +24,10 @@ from feel321.files import create_text, hold_lock
 from feel321.protocols.agenda import Agenda
 from feel321.protocols.order import make_order, make_rehearsal
 from feel321.protocols.tasks import is_as_expected
-from feel321.protocols.trial import (
-    Flow,
-    Item,
-    Task,
-    Trial,
-    Trials,
-    place_in_groups,
-    select_items,
-    select_tasks,
-)
+from feel321.protocols.trial import Flow, Item, Task, Trial, Trials, place_in_groups, select_group
 from feel321.study.session import events
-from feel321.study.session.journal import (
-    Chain,
-    Clock,
-    Journal,
-    Record,
-    Records,
-    create_journal,
-    digest,
-    list_journals,
-    name_journal,
-    read_journal,
-    require_journal,
-)
+from feel321.study.session import journal as journals
+from feel321.study.session.journal import Chain, Clock, Journal, Record, Records
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -162,12 +137,9 @@ def make_plan(
     if not PARTICIPANT_ID.fullmatch(participant):
         raise ValueError(f"participant must be letters, digits, - and _, got {participant!r}")
     groups, place = place_in_groups(design.between, number)
-    tasks = select_tasks(design.tasks, groups)
     by_code = list_by_code(stimuli, seed=design.seed).items()
-    items = select_items(
-        [Item(code, row.recording, row.reducer, row.level, row.role) for code, row in by_code],
-        groups,
-    )
+    named = [Item(code, row.recording, row.reducer, row.level, row.role) for code, row in by_code]
+    items, tasks = select_group(named, design.tasks, groups)
     main = make_order(
         items,
         tasks,
@@ -220,9 +192,9 @@ def make_codes(stimulus_ids: Iterable[str], key: str) -> dict[str, str]:
         for name in stimulus_ids
     }
     letters = LEAST_LETTERS
-    while len({digest[:letters] for digest in digests.values()}) < len(digests):
+    while len({text[:letters] for text in digests.values()}) < len(digests):
         letters += 1
-    return {name: digest[:letters] for name, digest in digests.items()}
+    return {name: text[:letters] for name, text in digests.items()}
 
 
 def create_plan(path: Path, plan: Plan) -> None:
@@ -245,7 +217,7 @@ def require_plan(path: Path) -> Plan:
         entry = json.loads(body)
         stored = entry.pop("format", None)
         if stored == FORMAT:
-            text = json.dumps({**entry, "sha256": digest(body)})
+            text = json.dumps({**entry, "sha256": journals.digest(body)})
             return _make_adapter().validate_json(text, strict=True, extra="forbid")
     except (ValueError, AttributeError, RecursionError) as error:
         listed: Any = getattr(error, "errors", list)()  # pydantic's own, or JSON's single one
@@ -268,8 +240,9 @@ def _make_adapter() -> TypeAdapter[Plan]:
 def compare_plans(plan: Plan, other: Plan) -> list[str]:
     """List the inputs in which two plans differ."""
     # By way of JSON, which knows lists only, so that what was stored and what was made anew look alike.
-    old, new = (json.loads(json.dumps(asdict(entry))) for entry in (plan, other))
-    return find_differences(old, new, ignore={"trials", "sha256"})
+    inputs = (replace(entry, trials=()) for entry in (plan, other))
+    old, new = (json.loads(json.dumps(asdict(entry))) for entry in inputs)
+    return find_differences(old, new, ignore={"sha256"})
 
 
 def find_differences(
@@ -299,7 +272,7 @@ def _flatten(entry: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 def _seal(body: bytes) -> bytes:
     """Put the digest of a JSON object into it as its last entry."""
-    return body.removesuffix(b"\n}") + _SEAL + digest(body).encode() + b'"\n}\n'
+    return body.removesuffix(b"\n}") + _SEAL + journals.digest(body).encode() + b'"\n}\n'
 
 
 STEPS = (events.PageRead, events.TrialRated, events.TrialSpoiled, events.WarmUpBegun)
@@ -355,6 +328,9 @@ JOURNAL_FORMAT = 1
 UNCOMPARED = ("format", "session", "versions", "system", "clock")
 """May differ between a header and a later opening: other versions may go on with a session."""
 
+PLANNED = ("participant", "plan_sha256", "stimuli_sha256", "seed")
+"""May not even differ where nobody has done anything yet."""
+
 
 @dataclass(frozen=True, slots=True)
 class Stale:
@@ -382,7 +358,10 @@ def open_session(
     with hold_lock(folder / ".lock", busy=busy):
         if (folder / TOMBSTONE_FILE).exists():
             raise ValueError(f"{folder}: {folder.name} was withdrawn; take another code")
-        is_begun = any(read_journal(path).records.find_header() for path in list_journals(folder))
+        is_begun = any(
+            journals.read_journal(path).records.find_header()
+            for path in journals.list_journals(folder)
+        )
         stored = _settle_plan(folder / PLAN_FILE, plan, is_begun=is_begun)
         yield stored, _open_newest(folder, stored, dict(identity), now=now, stale=stale)
 
@@ -409,20 +388,24 @@ def _settle_plan(path: Path, plan: Plan, *, is_begun: bool) -> Plan:
 def _open_newest(
     folder: Path, plan: Plan, identity: dict[str, Any], *, now: Clock, stale: Stale
 ) -> Journal:
-    journals = list_journals(folder)
-    if not journals:
-        return _begin(create_journal(folder / name_journal(1), now=now), plan, identity)
-    journal = require_journal(journals[-1], now=now)
+    files = journals.list_journals(folder)
+    if not files:
+        return _begin_next(folder, plan, identity, now=now)
+    journal = journals.require_journal(files[-1], now=now)
     if journal.records.has(events.SessionReleased):
         raise ValueError(
             f"{journal.path}: {folder.name} was released, the place in the design is free; take another code"
         )
     begun = journal.records.find_header()
     if begun is None:
-        return _begin(journal, plan, identity)
+        journal.write(_make_header(journal, plan, identity))
+        return journal
     header = _make_header(journal, plan, identity).to_data()
     if differences := find_differences(begun.to_data(), header, ignore=UNCOMPARED):
-        if _is_untouched(journal, begun, plan):
+        untouched = {kind.event for kind in events.UNTOUCHED}
+        names = {line.partition(" ")[0] for line in differences}
+        if names.isdisjoint(PLANNED) and {one.event for one in journal.records} <= untouched:
+            # Another rig, say, does no harm: nobody has done anything yet.
             return _supersede(journal, plan, identity)
         named = [
             "other texts for participants" if line.startswith("texts_sha256 ") else line
@@ -460,7 +443,7 @@ def _make_header(journal: Journal, plan: Plan, identity: dict[str, Any]) -> even
         plan.stimuli_sha256,
         plan.seed,
         identity,
-        len(list_journals(journal.path.parent)),
+        len(journals.list_journals(journal.path.parent)),
         *_describe_opening(journal),
     )
 
@@ -472,7 +455,9 @@ def _describe_opening(journal: Journal) -> tuple[dict[str, str], str, dict[str, 
     return {"python": python_version(), **versions}, platform(), clock
 
 
-def _begin(journal: Journal, plan: Plan, identity: dict[str, Any]) -> Journal:
+def _begin_next(folder: Path, plan: Plan, identity: dict[str, Any], *, now: Clock) -> Journal:
+    path = folder / journals.name_journal(len(journals.list_journals(folder)) + 1)
+    journal = journals.create_journal(path, now=now)
     journal.write(_make_header(journal, plan, identity))
     return journal
 
@@ -480,22 +465,9 @@ def _begin(journal: Journal, plan: Plan, identity: dict[str, Any]) -> Journal:
 def _supersede(journal: Journal, plan: Plan, identity: dict[str, Any]) -> Journal:
     """Leave a session as it is and begin the next one; after a crash in between, the second step alone is due."""
     folder = journal.path.parent
-    session = len(list_journals(folder)) + 1
     if not journal.records.has(events.SessionSuperseded):
-        journal.write(events.SessionSuperseded(session))
-    return _begin(create_journal(folder / name_journal(session), now=journal.now), plan, identity)
-
-
-def _is_untouched(journal: Journal, begun: events.SessionBegun, plan: Plan) -> bool:
-    """Check that another rig, say, does no harm: nobody has done anything yet, and the plan is the same."""
-    untouched = {kind.event for kind in events.UNTOUCHED}
-    same = (begun.participant, begun.plan_sha256, begun.stimuli_sha256, begun.seed) == (
-        plan.participant,
-        plan.sha256,
-        plan.stimuli_sha256,
-        plan.seed,
-    )
-    return same and all(record.event in untouched for record in journal.records)
+        journal.write(events.SessionSuperseded(len(journals.list_journals(folder)) + 1))
+    return _begin_next(folder, plan, identity, now=journal.now)
 
 
 def _is_stale(journal: Journal, *, now: Clock, stale: Stale) -> bool:
@@ -523,13 +495,15 @@ class Dossier:
     @property
     def newest(self) -> Path:
         """The file of the newest journal; that of the plan before the first."""
-        return [self.folder / PLAN_FILE, *list_journals(self.folder)][-1]
+        return [self.folder / PLAN_FILE, *journals.list_journals(self.folder)][-1]
 
 
 def read_dossier(folder: Path) -> Dossier:
     """Read a participant's folder, also while a session runs."""
     plan = require_own_plan(folder)
-    return Dossier(folder, plan, tuple(read_journal(path) for path in list_journals(folder)))
+    return Dossier(
+        folder, plan, tuple(journals.read_journal(path) for path in journals.list_journals(folder))
+    )
 
 
 def require_own_plan(folder: Path) -> Plan:

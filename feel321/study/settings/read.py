@@ -1,24 +1,24 @@
 """Read `study.toml` into recordings, recipe, texts and design; check it as a whole; change it and keep its comments."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re
 import tomllib
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from feel321.doors import describe
 from feel321.files import write_text
 from feel321.protocols.tasks import PROTOCOLS, make_task
 from feel321.protocols.texts import read_texts
-from feel321.protocols.trial import CHOOSING, SURFACE, Flow, Item, Task, select_items, select_tasks
+from feel321.protocols.trial import CHOOSING, SURFACE, Flow, Item, Task, select_group
 from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.formats.read import read_recording
+from feel321.stimuli.recording import Recording
 from feel321.stimuli.sets.recipe import NO_REFERENCE, Recipe
 from feel321.stimuli.synthesis import make_scene
 from feel321.study.session.journal import digest
@@ -26,12 +26,6 @@ from feel321.study.session.plan import Design, Stale
 from feel321.study.session.ports import Surface
 from feel321.study.settings.fields import parse_toml
 from feel321.study.settings.schema import LANGUAGE_FILE, FileTable, SceneTable, Settings
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
-    from feel321.stimuli.recording import Recording
-
 
 MOST_TRIALS = 10_000
 """Trials in a session; people do a few hundred, simulated participants somewhat more."""
@@ -262,7 +256,7 @@ def _list_groups(
     factors = {name: settings.between[name] for name in CHOOSING if name in settings.between}
     for levels in product(*factors.values()):
         groups = dict(zip(factors, levels, strict=True))
-        yield select_items(_list_items(settings), groups), select_tasks(tasks, groups)
+        yield select_group(_list_items(settings), tasks, groups)
 
 
 def _list_items(settings: Settings) -> list[Item]:

@@ -25,22 +25,7 @@ from feel321.stimuli.sets.recipe import GAINS, LEVELS, NO_REFERENCE, ORIGINAL, R
 from feel321.stimuli.synthesis import SCENES
 from feel321.study import columns
 from feel321.study.session.plan import POLICIES
-from feel321.study.settings.fields import (
-    Count,
-    Distinct,
-    Finite,
-    NotNegative,
-    OrOff,
-    Positive,
-    PositiveOrOff,
-    Share,
-    Some,
-    TomlTable,
-    Words,
-    check_some,
-    number_or,
-    one_of,
-)
+from feel321.study.settings import fields as kinds
 
 _FLOW, _RECIPE, _STEPS = Flow(), Recipe(), Conditioning()
 """What the floors below do where nothing is asked for: their defaults are the study's."""
@@ -104,74 +89,82 @@ def _check_language(language: str) -> str:
     return language
 
 
-class RehearsalTable(TomlTable):
+class RehearsalTable(kinds.TomlTable):
     """`[session.rehearsal]`: what comes before the trials that count."""
 
-    training: Annotated[Count, Field(le=100)] = 4
-    practice: Annotated[Count, Field(le=100)] = 2
-    pass_share: Annotated[Share, Field(serialization_alias="training_pass")] = _FLOW.training_pass
+    training: Annotated[kinds.Count, Field(le=100)] = 4
+    practice: Annotated[kinds.Count, Field(le=100)] = 2
+    pass_share: Annotated[kinds.Share, Field(serialization_alias="training_pass")] = (
+        _FLOW.training_pass
+    )
     rounds: Annotated[int, Field(ge=1, le=100, serialization_alias="training_rounds")] = (
         _FLOW.training_rounds
     )
 
 
-class BreaksTable(TomlTable):
+class BreaksTable(kinds.TomlTable):
     """`[session.breaks]`: when the hand rests."""
 
     every_trials: Annotated[
-        Annotated[int, Field(ge=1)] | None, OrOff, Field(serialization_alias="break_trials")
+        Annotated[int, Field(ge=1)] | None, kinds.OrOff, Field(serialization_alias="break_trials")
     ] = _FLOW.break_trials
     every_min: Annotated[
-        Annotated[Positive, Field(le=1440)] | None, OrOff, Field(serialization_alias="break_min")
+        Annotated[kinds.Positive, Field(le=1440)] | None,
+        kinds.OrOff,
+        Field(serialization_alias="break_min"),
     ] = _FLOW.break_min
-    break_s: Annotated[NotNegative, Field(le=3600)] = _FLOW.break_s
-    rest_s: Annotated[NotNegative, Field(le=3600)] = _FLOW.rest_s
+    break_s: Annotated[kinds.NotNegative, Field(le=3600)] = _FLOW.break_s
+    rest_s: Annotated[kinds.NotNegative, Field(le=3600)] = _FLOW.rest_s
 
 
-class QualityTable(TomlTable):
+class QualityTable(kinds.TomlTable):
     """`[session.quality]`: which trials are repeated."""
 
-    min_response_s: Annotated[NotNegative, Field(le=5)] = _FLOW.min_response_s
+    min_response_s: Annotated[kinds.NotNegative, Field(le=5)] = _FLOW.min_response_s
     max_attempts: Annotated[int, Field(ge=1, le=100)] = _FLOW.max_attempts
-    reject: Annotated[tuple[Annotated[str, one_of(FLAGS)], ...], Distinct] = _FLOW.reject
-    gap_s: Annotated[NotNegative, Field(le=30)] = _FLOW.gap_s
+    reject: Annotated[tuple[Annotated[str, kinds.one_of(FLAGS)], ...], kinds.Distinct] = (
+        _FLOW.reject
+    )
+    gap_s: Annotated[kinds.NotNegative, Field(le=30)] = _FLOW.gap_s
 
 
-class StaleTable(TomlTable):
+class StaleTable(kinds.TomlTable):
     """`[session.stale]`: what becomes of a session that is resumed late."""
 
-    after_h: Annotated[Annotated[Positive, Field(le=8760)] | None, OrOff] = 6.0
-    policy: Annotated[str, one_of(POLICIES)] = "warm_up"
+    after_h: Annotated[Annotated[kinds.Positive, Field(le=8760)] | None, kinds.OrOff] = 6.0
+    policy: Annotated[str, kinds.one_of(POLICIES)] = "warm_up"
 
 
-class SessionTable(TomlTable):
+class SessionTable(kinds.TomlTable):
     """`[session]`: what participants do."""
 
-    protocols: Annotated[tuple[Annotated[str, one_of(PROTOCOLS)], ...], Some] = (
+    protocols: Annotated[tuple[Annotated[str, kinds.one_of(PROTOCOLS)], ...], kinds.Some] = (
         "realism",
         "similarity",
     )
     repeats: Annotated[int, Field(ge=1, le=1000)] = 1
-    order: Annotated[str, one_of(ORDERS)] = "williams"
+    order: Annotated[str, kinds.one_of(ORDERS)] = "williams"
     language: Annotated[str, AfterValidator(_check_language)] = "en"
-    consent: Words | None = None
+    consent: kinds.Words | None = None
     rehearsal: RehearsalTable = RehearsalTable()
     breaks: BreaksTable = BreaksTable()
     quality: QualityTable = QualityTable()
     stale: StaleTable = StaleTable()
 
 
-class TaskTable(TomlTable):
+class TaskTable(kinds.TomlTable):
     """`[tasks.NAME]`: how a protocol is used; what is left out is as the protocol has it."""
 
-    timing: Words | None = None
-    reference: Words | None = None
+    timing: kinds.Words | None = None
+    reference: kinds.Words | None = None
     surface: bool = False
 
 
-Tasks = dict[Annotated[str, one_of(PROTOCOLS)], TaskTable]
+Tasks = dict[Annotated[str, kinds.one_of(PROTOCOLS)], TaskTable]
 Between = Annotated[
-    dict[Annotated[str, AfterValidator(check_factor)], Annotated[tuple[Words, ...], Some]],
+    dict[
+        Annotated[str, AfterValidator(check_factor)], Annotated[tuple[kinds.Words, ...], kinds.Some]
+    ],
     AfterValidator(_check_groups),
 ]
 
@@ -179,20 +172,20 @@ Between = Annotated[
 # What is felt: `[[recordings]]`, `[stimuli]` and `[rig]`; who feels it, and what becomes of the ratings.
 
 
-class StudyTable(TomlTable):
+class StudyTable(kinds.TomlTable):
     """`[study]`: name and seed."""
 
-    name: Words = "pilot"
-    seed: Count = 321
+    name: kinds.Words = "pilot"
+    seed: kinds.Count = 321
 
 
-class SourceTable(TomlTable):
+class SourceTable(kinds.TomlTable):
     """`[[recordings]]`: what every entry may say."""
 
     name: str = ""
-    sample: Words | None = None
-    picture: Words | None = None
-    rotation: Count | None = None
+    sample: kinds.Words | None = None
+    picture: kinds.Words | None = None
+    rotation: kinds.Count | None = None
 
     @property
     def title(self) -> str:
@@ -207,10 +200,10 @@ class SourceTable(TomlTable):
 class SceneTable(SourceTable):
     """`[[recordings]]` with `scene`: a bundled synthetic scene."""
 
-    scene: Annotated[str, one_of(SCENES)]
-    seed: Count = 0
-    rate_hz: Positive = 10000.0
-    duration_s: Positive = 4.0
+    scene: Annotated[str, kinds.one_of(SCENES)]
+    seed: kinds.Count = 0
+    rate_hz: kinds.Positive = 10000.0
+    duration_s: kinds.Positive = 4.0
 
     def _find_source(self) -> str:
         return self.scene
@@ -219,11 +212,11 @@ class SceneTable(SourceTable):
 class FileTable(SourceTable):
     """`[[recordings]]` with `file`: a recording of the lab's own."""
 
-    file: Words
-    unit: Annotated[str, one_of(UNITS)] | None = None
-    rate_hz: Positive | None = None
+    file: kinds.Words
+    unit: Annotated[str, kinds.one_of(UNITS)] | None = None
+    rate_hz: kinds.Positive | None = None
     columns: tuple[str | int, ...] | None = None
-    full_scale: Positive | None = None
+    full_scale: kinds.Positive | None = None
     resample: bool = False
 
     def _find_source(self) -> str:
@@ -244,17 +237,17 @@ RecordingTable = Annotated[
 def _check_titles(
     recordings: tuple[SceneTable | FileTable, ...],
 ) -> tuple[SceneTable | FileTable, ...]:
-    check_names(check_some(tuple(recording.title for recording in recordings)))
+    check_names(kinds.check_some(tuple(recording.title for recording in recordings)))
     return recordings
 
 
-class ConditioningTable(TomlTable):
+class ConditioningTable(kinds.TomlTable):
     """`[stimuli.conditioning]`: what is done to a recording before it is reduced."""
 
     remove_offset: bool = _STEPS.remove_offset
-    high_pass_hz: PositiveOrOff = _STEPS.high_pass_hz
-    low_pass_hz: PositiveOrOff = _STEPS.low_pass_hz
-    crop_s: tuple[NotNegative, Positive] | None = _STEPS.crop_s
+    high_pass_hz: kinds.PositiveOrOff = _STEPS.high_pass_hz
+    low_pass_hz: kinds.PositiveOrOff = _STEPS.low_pass_hz
+    crop_s: tuple[kinds.NotNegative, kinds.Positive] | None = _STEPS.crop_s
 
 
 ACCEPT = "accept"
@@ -262,50 +255,52 @@ BELOW_THRESHOLD = ("refuse", ACCEPT)
 """Whether stimuli that are weaker than the detection threshold keep a study from running."""
 
 
-class StimuliTable(TomlTable):
+class StimuliTable(kinds.TomlTable):
     """`[stimuli]`: what is made of each recording."""
 
-    reducers: Annotated[tuple[Annotated[str, one_of(REDUCERS)], ...], Some] = tuple(
+    reducers: Annotated[tuple[Annotated[str, kinds.one_of(REDUCERS)], ...], kinds.Some] = tuple(
         _RECIPE.reducers
     )
-    levels: Annotated[tuple[Annotated[str, one_of(LEVELS)], ...], Some] = tuple(_RECIPE.levels)
+    levels: Annotated[tuple[Annotated[str, kinds.one_of(LEVELS)], ...], kinds.Some] = tuple(
+        _RECIPE.levels
+    )
     anchors: bool = _RECIPE.anchors
-    reference: Annotated[str, one_of((ORIGINAL, NO_REFERENCE, *REDUCERS))] = _RECIPE.reference
-    gain: Annotated[float | str, number_or(GAINS, least=1e-6, most=1e6)] = _RECIPE.gain
-    fade_s: NotNegative = _RECIPE.fade_s
-    threshold: Annotated[str, one_of(THRESHOLDS)] = _RECIPE.threshold
-    below_threshold: Annotated[str, one_of(BELOW_THRESHOLD)] = "refuse"
+    reference: Annotated[str, kinds.one_of((ORIGINAL, NO_REFERENCE, *REDUCERS))] = _RECIPE.reference
+    gain: Annotated[float | str, kinds.number_or(GAINS, least=1e-6, most=1e6)] = _RECIPE.gain
+    fade_s: kinds.NotNegative = _RECIPE.fade_s
+    threshold: Annotated[str, kinds.one_of(THRESHOLDS)] = _RECIPE.threshold
+    below_threshold: Annotated[str, kinds.one_of(BELOW_THRESHOLD)] = "refuse"
     conditioning: ConditioningTable = ConditioningTable()
 
 
-class RigTable(TomlTable):
+class RigTable(kinds.TomlTable):
     """`[rig]`: what the stimuli are rendered for."""
 
-    rate_hz: Positive = _RECIPE.rate_hz
-    full_scale_m_s2: Annotated[Positive, Field(le=1e6)] = _RECIPE.full_scale_m_s2
+    rate_hz: kinds.Positive = _RECIPE.rate_hz
+    full_scale_m_s2: Annotated[kinds.Positive, Field(le=1e6)] = _RECIPE.full_scale_m_s2
     headroom: Annotated[float, Field(gt=0, le=1)] = _RECIPE.headroom
 
 
-class ObserverTable(TomlTable):
+class ObserverTable(kinds.TomlTable):
     """`[observer]`: how simulated participants feel and differ."""
 
-    intercept: Finite = 10.0
-    spectral: Finite = 45.0
-    temporal: Finite = 35.0
-    threshold_spectral: Finite = 0.0
-    envelope: Finite = 0.0
-    level: Finite = 0.0
-    bias_sd: NotNegative = 6.0
-    gain_sd: NotNegative = 0.15
-    noise_sd: NotNegative = 8.0
-    noise_spread: NotNegative = 0.25
-    lapse_rate: Share = 0.0
-    order: Finite = 0.0
-    fatigue: Finite = 0.0
-    fatigue_noise: NotNegative = 0.0
-    straight_liners: Share = 0.0
-    random_clickers: Share = 0.0
-    scale_reversers: Share = 0.0
+    intercept: kinds.Finite = 10.0
+    spectral: kinds.Finite = 45.0
+    temporal: kinds.Finite = 35.0
+    threshold_spectral: kinds.Finite = 0.0
+    envelope: kinds.Finite = 0.0
+    level: kinds.Finite = 0.0
+    bias_sd: kinds.NotNegative = 6.0
+    gain_sd: kinds.NotNegative = 0.15
+    noise_sd: kinds.NotNegative = 8.0
+    noise_spread: kinds.NotNegative = 0.25
+    lapse_rate: kinds.Share = 0.0
+    order: kinds.Finite = 0.0
+    fatigue: kinds.Finite = 0.0
+    fatigue_noise: kinds.NotNegative = 0.0
+    straight_liners: kinds.Share = 0.0
+    random_clickers: kinds.Share = 0.0
+    scale_reversers: kinds.Share = 0.0
 
     @model_validator(mode="after")
     def _check_shares(self) -> Self:
@@ -317,15 +312,15 @@ class ObserverTable(TomlTable):
         return self
 
 
-class AnalysisTable(TomlTable):
+class AnalysisTable(kinds.TomlTable):
     """`[analysis]`: how ratings are related to metrics; chosen before they are seen."""
 
-    metrics: Annotated[tuple[Words, ...], Some] = PLANNED
+    metrics: Annotated[tuple[kinds.Words, ...], kinds.Some] = PLANNED
     draws: Annotated[int, Field(ge=100)] = 2000
     margin: Annotated[float, Field(gt=0, le=100)] | None = None
 
 
-class Settings(TomlTable):
+class Settings(kinds.TomlTable):
     """The whole of `study.toml`."""
 
     recordings: Annotated[tuple[RecordingTable, ...], AfterValidator(_check_titles)]

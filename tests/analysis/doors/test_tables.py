@@ -80,6 +80,9 @@ INDICES: dict[str, Callable[[pd.DataFrame], pd.DataFrame]] = {
 OTHERS = {"bradley_terry by rater", "find_sources"}
 """Further forms, and functions that are not on the face."""
 
+ELSEWHERE = {"advise", "chart", "read_table"}
+"""What is tried with ratings in `test_tradeoff_doors` and `test_table`."""
+
 PAIRS = {"bradley_terry by rater", "bradley_terry", "discriminate"}
 """What takes pairs, here made of neighbouring rows."""
 
@@ -131,7 +134,7 @@ def test_every_public_function_of_a_table_is_tried() -> None:
         for name, function in functions.items()
         if inspect.isfunction(function)
         and any(
-            re.search(r"\bDataFrame\b", text) and "plot" not in name and name != "read_table"
+            re.search(r"\bDataFrame\b", str(text)) and "plot" not in name and name not in ELSEWHERE
             for place, text in function.__annotations__.items()
             if place != "return"
         )
@@ -210,6 +213,6 @@ def test_no_table_and_doubled_columns_are_refused(rated: pd.DataFrame) -> None:
     ):
         open_ratings(no_table)
     with pytest.raises(
-        ValueError, match="rows must have one column of each name, got two columns 'rating'"
+        ValueError, match="ratings must have one column of each name, got two columns 'rating'"
     ):
         analysis.fit_primary(pd.concat([rated, rated[["rating"]]], axis=1), METRICS)

@@ -305,7 +305,10 @@ def test_gains_are_not_optimistic_and_intervals_cover(name: str, within: bool) -
         assert recommended <= 0.05
 
 
-@pytest.mark.parametrize("metrics", [[], "sm"])
-def test_metrics_are_a_list_of_names(metrics: object) -> None:
-    with pytest.raises(ValueError, match=r"metrics must be a list of one name or more"):
+@pytest.mark.parametrize(
+    ("metrics", "error", "message"),
+    [([], ValueError, "one name or more"), ("sm", TypeError, r"write \['sm'\]")],
+)
+def test_metrics_are_a_list_of_names(metrics: object, error: type[Exception], message: str) -> None:
+    with pytest.raises(error, match=message):
         refine_metric(make_study(1), metrics, draws=2, rng=np.random.default_rng(0))

@@ -69,8 +69,7 @@ def test_training_is_passed_if_no_part_of_it_failed(
         journal.write(PageRead(key, 1.0, 1.0))
     # These pages would not come one after another; what matters here is which were read.
     monkeypatch.setattr(
-        "feel321.study.ledger.progress.replay",
-        lambda plan, _records: Agenda(plan.trials, plan.flow),
+        "feel321.study.session.plan.replay", lambda plan, _records: Agenda(plan.trials, plan.flow)
     )
     (row,) = read(write_roster(lab.study))
     assert row["training_passed"] == passed

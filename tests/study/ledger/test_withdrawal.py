@@ -348,7 +348,7 @@ def test_a_release_that_was_killed_before_the_ledger_knew_is_finished_by_the_nex
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("feel321.study.ledger.withdrawal.rewrite_ledger", die)
+        patch.setattr("feel321.study.ledger.slots.rewrite_ledger", die)
         with pytest.raises(KeyboardInterrupt):
             release_participant(lab.study, "p01", now=now)
     assert entries(lab.study)["p01"].state == "running"
