@@ -4,20 +4,27 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from math import nan
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
 from feel321.stimuli.formats.read import read_recording
-from feel321.stimuli.sets.build import foresee_stimuli
+from feel321.stimuli.sets.anchors import THRESHOLDS
+from feel321.stimuli.sets.build import Foreseen, foresee_stimuli
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.stimuli.sets.recipe import Recipe
 from feel321.stimuli.synthesis import make_scene
 from feel321.stimuli.wav import write_wav
+from feel321.study.actuator.render import find_mix
+from feel321.study.actuator.rig import read_rig
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder, create_study
 from feel321.study.sessions import Visit, run_participant
+from feel321.study.settings.read import read_settings
+from feel321.study.strength import describe_gains, find_rig_limits, find_strength, find_unfelt
 from feel321.study.workflow import build_study, check_study
 
 if TYPE_CHECKING:
@@ -201,3 +208,49 @@ def test_real_recordings_below_threshold_are_found_and_a_gain_of_their_own_helps
         for gain, foreseen in found.items()
     }
     assert unfelt == {"set": {"decay_5k", "handheld_7k"}, "per_recording": set()}
+
+
+def foresee(recording: str = "oak", reducer: str = "dft321", **own: float) -> Foreseen:
+    """A stimulus without samples."""
+    levels = dict.fromkeys(THRESHOLDS, own.get("level_db", 20.0))
+    return Foreseen(recording, reducer, "test", "as_is", 1.0, own.get("peak_m_s2", 1.0), levels)
+
+
+@pytest.mark.parametrize(("louder_db", "count"), [(1.2, 1), (0.8, 0)])
+def test_a_recording_that_costs_the_others_a_decibel_is_named(louder_db: float, count: int) -> None:
+    foreseen = [foresee("oak", peak_m_s2=10 ** (louder_db / 20)), foresee("ash")]
+    lines = [line for line in describe_gains(foreseen, Recipe()) if line.startswith("headroom")]
+    assert len(lines) == count
+    assert all("the peak of recording 'oak' (dft321) sets the gain" in line for line in lines)
+
+
+def test_a_gain_of_its_own_is_limited_by_the_loudest_stimulus_of_the_recording(
+    study: StudyFolder,
+) -> None:
+    # Headroom is 90 m/s^2: 6.0 dB above the loudest, 39.1 dB above the weak one.
+    foreseen = [foresee(peak_m_s2=45.0), foresee(reducer="mag321", level_db=5.0)]
+    (line,) = find_strength(read_settings(study.settings), foreseen, Recipe()).warnings
+    assert line.endswith(
+        'mag321 5.0 dB; gain = "per_recording" plays this recording 6.0 dB stronger'
+    )
+
+
+def test_silence_cannot_be_felt(study: StudyFolder) -> None:
+    rows = [SimpleNamespace(stimulus_id=name, sensation_level_db=nan) for name in ("a", "b")]
+    rows.append(SimpleNamespace(stimulus_id="c", sensation_level_db=0.0))
+    unfelt: Any = SimpleNamespace(stimuli=rows)
+    line = find_unfelt(read_settings(study.settings), unfelt)
+    assert line.startswith("2 of 3 stimuli, such as a, are below the detection threshold")
+
+
+def test_peaks_of_reduced_stimuli_are_held_against_the_coils_up_to_rounding(tmp_path: Path) -> None:
+    rig = read_rig(create_study(tmp_path).rig)
+    most = 100 / find_mix(rig)["left coil"]["reduced"]
+    louder = foresee(reducer="original", peak_m_s2=500.0)  # checked once it is built
+    allowed = [louder, foresee(peak_m_s2=most * (1 + 1e-12))]
+    assert find_rig_limits(rig, allowed, "original") == []
+    lines = find_rig_limits(rig, [louder, foresee(peak_m_s2=1.01 * most)], "original")
+    assert [line.split(";")[0] for line in lines] == [
+        f"actuator '{name} coil': oak dft321 will ask for 101 m/s², above limits.peak_m_s2 of 100"
+        for name in ("left", "right")
+    ]
