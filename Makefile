@@ -27,11 +27,13 @@ coverage: .venv/.tests ## the same with branch coverage, which takes longer
 	.venv/bin/coverage combine -q
 	.venv/bin/coverage report
 
-# One process per processor and one thread per process.
+# One process per processor and one thread per process. Bytecode is kept: without it each of them would rewrite every
+# assertion anew, which takes as long as hundreds of tests.
 test realtime computing: export OPENBLAS_NUM_THREADS = 1
+unexport PYTHONDONTWRITEBYTECODE
 
-realtime: # one after the other; what computes beside them is nice, so that keys and sounds come in time
-	COVERAGE_FILE=.coverage.realtime $(PYTHON) -m pytest -m realtime $(COVER)
+realtime: # one after the other; what computes beside them is nice, so that keys and sounds come in time; only these folders see the devices' fixtures
+	COVERAGE_FILE=.coverage.realtime $(PYTHON) -m pytest -m realtime tests/study/actuator tests/study/lab tests/study/screen $(COVER)
 
 computing:
 	COVERAGE_FILE=.coverage.computing nice $(PYTHON) -m pytest -m "not realtime" -n logical --dist loadgroup $(COVER)

@@ -19,7 +19,7 @@ from feel321.study.session.plan import Design, Plan, Stale, make_plan, open_sess
 from feel321.study.session.ports import Abort, Act, Confirm, Feel, Pause, Playback
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from feel321.protocols.trial import Page, Part, Scale, Trial
     from feel321.study.session.journal import Clock
@@ -66,6 +66,14 @@ def make_stimulus(
         sha256="",
         recording_sha256="",
     )
+
+
+@pytest.fixture(autouse=True, scope="session")
+def foreground() -> Iterator[None]:
+    """Draw in this process: tests run side by side as it is."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("feel321.analysis.report.folder.BACKGROUND", False)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -1,26 +1,20 @@
 """A check of the rig: its devices and their rates, and a quiet train of pulses through the stream that sessions use."""
 
-from __future__ import annotations
-
 import tempfile
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter, sleep
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from feel321.stimuli.wav import read_wav
+from feel321.study.actuator.mixer import Frames
 from feel321.study.actuator.output import StreamOutput, open_stream
+from feel321.study.actuator.rig import Rig
 from feel321.study.actuator.stream import list_devices, list_rates
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from feel321.study.actuator.rig import Rig
-    from feel321.study.session.ports import Playback
+from feel321.study.session.ports import Playback
 
 RATES_HZ = (8000.0, 16000.0, 44100.0, 48000.0, 96000.0, 192000.0)
 
@@ -57,7 +51,7 @@ class Examination:
     error: str
 
 
-def survey_devices(*, rates_hz: Sequence[float] = RATES_HZ) -> list[dict[str, Any]]:
+def survey_devices() -> list[dict[str, Any]]:
     """List the devices: name, host API, channels, the rates at which each would play, and whether it is a program."""
     devices = list_devices()
     if not devices:
@@ -70,9 +64,7 @@ def survey_devices(*, rates_hz: Sequence[float] = RATES_HZ) -> list[dict[str, An
             "host_api": device.host_api,
             "outputs": device.n_outputs,
             "inputs": device.n_inputs,
-            "rates_hz": list_rates(
-                device, n_channels=1, rates_hz=rates_hz if device.n_outputs else ()
-            ),
+            "rates_hz": list_rates(device, RATES_HZ if device.n_outputs else ()),
             "is_program": device.is_program,
         }
         for device in devices
@@ -95,15 +87,13 @@ def examine_rig(
             played = _play_train(output, seconds=seconds, on_step=on_step)
             stops_ms = try_stops(output, lead_s=rig.masking.lead_s if rig.masking else 0.0)
             identity = output.identity
-        lags_ms = [
-            _find_lag(folder, int(playback.measured["file_number"]), sounds[PULSE], rate_hz=rate_hz)
-            for playback in played
-            if "file_number" in playback.measured
-        ]
+        numbers = [playback.measured.get("file_number") for playback in played]
+        files = [folder / f"{int(number):04}.wav" for number in numbers if number is not None]
+        lags_ms = [_find_lag(file, sounds[PULSE]) for file in files]
     return _sum_up(played, lags_ms, stops_ms, identity=identity)
 
 
-def make_pulse(rig: Rig, *, rate_hz: float, seconds: float = PULSE_S) -> NDArray[np.float32]:
+def make_pulse(rig: Rig, *, rate_hz: float, seconds: float = PULSE_S) -> Frames:
     """Make a quiet pulse for all actuators of a rig, shape (n, channels)."""
     n = max(round(seconds * rate_hz), 1)
     shape = np.hanning(n) * np.sin(2 * np.pi * PULSE_HZ * np.arange(n) / rate_hz)
@@ -148,9 +138,9 @@ def _await_end(output: StreamOutput) -> Playback:
     return output.collect()
 
 
-def _find_lag(folder: Path, number: int, pulse: NDArray[np.float32], *, rate_hz: float) -> float:
+def _find_lag(file: Path, pulse: Frames) -> float:
     """Find how late a pulse is in what the sensor measured, in ms."""
-    samples, _ = read_wav(folder / f"{number:04}.wav")
+    samples, rate_hz = read_wav(file)
     shape = pulse[:, int(np.argmax(np.abs(pulse).max(axis=0)))].astype(np.float64)
     return float(np.argmax(np.abs(np.correlate(samples, shape, mode="valid")))) / rate_hz * 1e3
 

@@ -7,21 +7,18 @@ Samples within the limits pass bit for bit. Others are changed one by one, so th
 the stream is cut into blocks; NaN becomes silence.
 """
 
-from __future__ import annotations
-
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping
+from feel321.study.actuator.rig import MaskingTable, Rig
+from feel321.types import Samples
 
-    from numpy.typing import NDArray
-
-    from feel321.study.actuator.rig import MaskingTable, Rig
-    from feel321.types import Samples
+Frames = NDArray[np.float32]  # what is played: (n, channels), or (n,) of one channel
+Sounds = Mapping[str, Frames]
 
 # The last line of defence for skin and coil: peak, RMS of any second, and duration, across successive stimuli.
 
@@ -55,7 +52,7 @@ class Limiter:
         self._limited, self._given = np.empty((2, max_frames), dtype=np.float32)
         self._differs = np.empty(max_frames, dtype=np.bool_)
 
-    def limit(self, samples: NDArray[np.float32]) -> int:
+    def limit(self, samples: Frames) -> int:
         """Limit the next block, shape (n,), in place; returns the number of samples that were changed."""
         given, differs = self._given[: len(samples)], self._differs[: len(samples)]
         np.copyto(given, samples)
@@ -72,7 +69,7 @@ class Limiter:
         np.not_equal(samples, given, out=differs)
         return int(np.count_nonzero(differs))
 
-    def _limit_duration(self, samples: NDArray[np.float32]) -> None:
+    def _limit_duration(self, samples: Frames) -> None:
         n = len(samples)
         moving = self._differs[:n]
         np.not_equal(samples, 0, out=moving)
@@ -88,7 +85,7 @@ class Limiter:
         self._run += n
         samples[allowed:] = 0
 
-    def _limit_energy(self, samples: NDArray[np.float32]) -> None:
+    def _limit_energy(self, samples: Frames) -> None:
         """Give each sample what the last second leaves of the energy.
 
         The energy of the last second is a walk E(i) = min(E(i-1) + d(i), limit), d being what is new less what is a
@@ -115,7 +112,7 @@ class Limiter:
         if self._place == self._window:
             self._place, self._walk, self._excess = 0, float(self._squares.sum()), 0.0
 
-    def _take_excess(self, samples: NDArray[np.float32], *, new: Samples, sums: Samples) -> None:
+    def _take_excess(self, samples: Frames, *, new: Samples, sums: Samples) -> None:
         n = len(samples)
         excess, rises, limited, rising = sums, self._rises[:n], self._limited[:n], self._differs[:n]
         np.subtract(sums, self._energy_limit, out=excess)
@@ -163,7 +160,7 @@ class Masker:
 
     def __init__(
         self,
-        noise: NDArray[np.float32],
+        noise: Frames,
         *,
         columns: list[int],
         ramp_frames: int,
@@ -176,10 +173,8 @@ class Masker:
         steps = np.arange(self._top + 1) / self._top
         self._ramp = (0.5 - 0.5 * np.cos(np.pi * steps)).astype(np.float32)
         self._block, self._gain = np.zeros((2, max_frames), dtype=np.float32)
-        self._counts, self._steps = (
-            np.arange(1, max_frames + 1),
-            np.zeros(max_frames, dtype=np.intp),
-        )
+        self._counts = np.arange(1, max_frames + 1)
+        self._steps = np.zeros(max_frames, dtype=np.intp)
         self.silence()
 
     def silence(self) -> None:
@@ -205,7 +200,7 @@ class Masker:
         is_heard = self._is_up or self._up_at < NEVER
         self._down_at = max(end + self._lead - self._top, end) if is_heard else NEVER
 
-    def fill(self, block: NDArray[np.float32], frame: int) -> None:
+    def fill(self, block: Frames, frame: int) -> None:
         """Write the noise into the headphones' channels of the next block, shape (n, channels)."""
         n = len(block)
         if not self._is_up and self._step == 0 and self._up_at >= frame + n:
@@ -249,7 +244,7 @@ class Cue:
     sound: (n_samples, channels); gap_frames: silence before it, at least.
     """
 
-    sound: NDArray[np.float32]
+    sound: Frames
     gap_frames: int
     onset_frame: int = NOT_SCHEDULED
     n_played: int = 0
@@ -267,12 +262,7 @@ class Mixer:
     """Mixes the samples of a rig's channels; sounds: (n_samples, channels)."""
 
     def __init__(
-        self,
-        rig: Rig,
-        sounds: Mapping[str, NDArray[np.float32]],
-        *,
-        rate_hz: float,
-        preroll_s: float = PREROLL_S,
+        self, rig: Rig, sounds: Sounds, *, rate_hz: float, preroll_s: float = PREROLL_S
     ) -> None:
         self.frame = 0
         self._rate_hz, self._sounds, self._sync = rate_hz, sounds, rig.sync
@@ -334,12 +324,12 @@ class Mixer:
         if self._masker:
             self._masker.silence()
 
-    def fill(self, out: NDArray[np.float32]) -> None:
+    def fill(self, out: Frames) -> None:
         """Fill the stream's next block, shape (n, channels)."""
         for start in range(0, len(out), self._block):
             self._fill(out[start : start + self._block])
 
-    def _fill(self, block: NDArray[np.float32]) -> None:
+    def _fill(self, block: Frames) -> None:
         block.fill(0)
         cue = self._take()
         end = self._play(cue, block) if cue else None
@@ -371,7 +361,7 @@ class Mixer:
             self._cue = cue
         return self._cue
 
-    def _play(self, cue: Cue, block: NDArray[np.float32]) -> int | None:
+    def _play(self, cue: Cue, block: Frames) -> int | None:
         """Write a stimulus and its sync pulse into this block; return the frame after its end if it ends here."""
         is_stopping = cue.is_stopping  # read once: another thread sets it
         first = max(cue.onset_frame - self.frame, 0)
@@ -388,7 +378,7 @@ class Mixer:
         is_over = is_stopping or cue.is_complete
         return self.frame + first + len(piece) if is_over else None
 
-    def _fade(self, piece: NDArray[np.float32]) -> int:
+    def _fade(self, piece: Frames) -> int:
         """Fade a vibration out in this piece; returns how many samples are left, the last of the fade being 0."""
         n = min(len(piece), len(self._fade_steps))
         gain = self._fade_gain[:n]

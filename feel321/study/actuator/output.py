@@ -7,44 +7,24 @@ that was just opened loses its first samples on some devices, so nothing is sche
 a device that runs dry, stands still or disappears is reported in the playback, not raised.
 """
 
-from __future__ import annotations
-
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from math import isnan
+from pathlib import Path
 from threading import Thread
 from time import perf_counter, sleep
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from feel321.stimuli.sets.manifest import Stimulus
 from feel321.stimuli.wav import write_wav
-from feel321.study.actuator.mixer import PREROLL_S, Cue, Mixer
+from feel321.study.actuator import stream as portaudio
+from feel321.study.actuator.mixer import PREROLL_S, Cue, Frames, Mixer, Sounds
 from feel321.study.actuator.rig import FILE_DEVICE, Rig, identify
-from feel321.study.actuator.stream import (
-    BlockTimes,
-    Device,
-    DeviceStream,
-    Fill,
-    Patience,
-    SessionClock,
-    Take,
-    check_channels,
-    find_device,
-    join,
-    list_devices,
-    refresh_devices,
-)
+from feel321.study.actuator.stream import BlockTimes, SessionClock, Take
 from feel321.study.session.ports import Playback
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-    from pathlib import Path
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from feel321.stimuli.sets.manifest import Stimulus
-
-    Sounds = Mapping[str, NDArray[np.float32]]
 
 
 class Output(Protocol):
@@ -92,7 +72,7 @@ class FileOutput:
         self._rig, self._rate_hz, self._folder, self._clock = rig, rate_hz, folder, clock
         self._mixer = Mixer(rig, sounds, rate_hz=rate_hz, preroll_s=0.0)
         self._block = np.zeros((BLOCK_FRAMES, rig.n_channels), dtype=np.float32)
-        self._blocks: list[NDArray[np.float32]] = []
+        self._blocks: list[Frames] = []
         self._cue: Cue | None = None
         self._begin_s = self._requested_s = 0.0
         self._first_frame = 0
@@ -170,9 +150,15 @@ class Connection:
     """The connection to a rig's device: opened until it runs steadily, and opened again if the device dies."""
 
     def __init__(
-        self, rig: Rig, *, rate_hz: float, fill: Fill, reset: Callable[[], None], preroll_s: float
+        self,
+        rig: Rig,
+        *,
+        rate_hz: float,
+        fill: portaudio.Fill,
+        reset: Callable[[], None],
+        preroll_s: float,
     ) -> None:
-        self.stream: DeviceStream | None = None
+        self.stream: portaudio.DeviceStream | None = None
         self._rig, self._rate_hz, self._fill, self._reset = rig, rate_hz, fill, reset
         self._preroll_s = preroll_s
         self._n_frames = 0
@@ -182,8 +168,10 @@ class Connection:
     def open(self) -> None:
         """Find the device, open it, and wait until it runs steadily."""
         wanted = self._rig.device
-        device = find_device(list_devices(), wanted.name, host_api=wanted.host_api)
-        check_channels(device, self._rig)
+        device = portaudio.find_device(
+            portaudio.list_devices(), wanted.name, host_api=wanted.host_api
+        )
+        portaudio.check_channels(device, self._rig)
         if not any(self._begin(device) for _ in range(N_OPENINGS)):
             raise OSError(f"device {device.name!r} does not run; is it in use elsewhere?")
 
@@ -195,7 +183,7 @@ class Connection:
             # Looking for devices can hang as long as a sound server does; the session must not.
             self._opening = Thread(target=self._reopen, daemon=True)
             self._opening.start()
-        if not join(self._opening, patience_s=REVIVING_S):
+        if not portaudio.join(self._opening, patience_s=REVIVING_S):
             return f"device {self._rig.device.name!r} does not answer; check it, then resume"
         self._opening = None
         return self._error
@@ -206,11 +194,13 @@ class Connection:
             self.stream.close()
         self.stream = None
 
-    def _begin(self, device: Device) -> bool:
+    def _begin(self, device: portaudio.Device) -> bool:
         self._n_frames = 0
         self._reset()
-        self.stream = DeviceStream(device, self._rig, rate_hz=self._rate_hz, fill=self._count)
-        patience = Patience()
+        self.stream = portaudio.DeviceStream(
+            device, self._rig, rate_hz=self._rate_hz, fill=self._count
+        )
+        patience = portaudio.Patience()
         while self._n_frames < self._preroll_s * self._rate_hz:
             if not self.stream.is_active or patience.look() > OPENING_S + self._preroll_s:
                 self.close()
@@ -219,8 +209,8 @@ class Connection:
         return True
 
     @staticmethod
-    def _runs(stream: DeviceStream) -> bool:
-        patience = Patience()
+    def _runs(stream: portaudio.DeviceStream) -> bool:
+        patience = portaudio.Patience()
         while not stream.find_fault():
             if not stream.is_silent:
                 return True
@@ -233,29 +223,14 @@ class Connection:
         self._error = ""
         self.close()
         try:
-            refresh_devices()
+            portaudio.refresh_devices()
             self.open()
         except OSError as problem:
             self._error = str(problem)
 
-    def _count(
-        self, out: NDArray[np.float32], block: BlockTimes, sensed: NDArray[np.float32] | None
-    ) -> None:
+    def _count(self, out: Frames, block: BlockTimes, sensed: Frames | None) -> None:
         self._fill(out, block, sensed)
         self._n_frames += len(out)
-
-
-@contextmanager
-def open_stream(
-    rig: Rig, sounds: Sounds, *, rate_hz: float, folder: Path, clock: SessionClock
-) -> Iterator[StreamOutput]:
-    """Open the device of a rig, and silence and close it whatever happens."""
-    output = StreamOutput(rig, sounds, rate_hz=rate_hz, folder=folder, clock=clock)
-    try:
-        output.open()
-        yield output
-    finally:
-        output.close()
 
 
 class StreamOutput:
@@ -271,7 +246,7 @@ class StreamOutput:
             rig, rate_hz=rate_hz, fill=self._fill, reset=self._mixer.reset, preroll_s=preroll_s
         )
         longest = max((len(sound) for sound in sounds.values()), default=0)
-        self._room: NDArray[np.float32] | None = None
+        self._room: Frames | None = None
         if rig.sensor is not None:
             self._room = np.zeros(longest + round(BEYOND_S * rate_hz), dtype=np.float32)
         self._take: Take | None = None
@@ -388,9 +363,7 @@ class StreamOutput:
             "sensor_gaps": float(take.n_sensor_gaps),
         }
 
-    def _fill(
-        self, out: NDArray[np.float32], block: BlockTimes, sensed: NDArray[np.float32] | None
-    ) -> None:
+    def _fill(self, out: Frames, block: BlockTimes, sensed: Frames | None) -> None:
         """Fill a block that the device asks for, in the device's own thread."""
         begin_s, take, frame = perf_counter(), self._take, self._mixer.frame
         self._mixer.fill(out)
@@ -400,3 +373,16 @@ class StreamOutput:
         if sensed is not None:
             take.record(sensed, frame=frame)
         take.longest_s = max(take.longest_s, perf_counter() - begin_s)
+
+
+@contextmanager
+def open_stream(
+    rig: Rig, sounds: Sounds, *, rate_hz: float, folder: Path, clock: SessionClock
+) -> Iterator[StreamOutput]:
+    """Open the device of a rig, and silence and close it whatever happens."""
+    output = StreamOutput(rig, sounds, rate_hz=rate_hz, folder=folder, clock=clock)
+    try:
+        output.open()
+        yield output
+    finally:
+        output.close()

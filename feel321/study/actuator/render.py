@@ -6,29 +6,21 @@ reaches the hand as the vector sum of the coils' directions, each times its weig
 angles. A rig that gives its coils no directions plays everything at weight 1.
 """
 
-from __future__ import annotations
-
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from operator import itemgetter
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
 from feel321.stimuli.recording import check_finite
+from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.stimuli.wav import read_wav
-from feel321.study.actuator.mixer import ROUNDING, WINDOW_S
+from feel321.study.actuator.mixer import ROUNDING, WINDOW_S, Frames
 from feel321.study.actuator.rig import AXES, REDUCED, ActuatorTable, Rig
+from feel321.types import Samples as Vector
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
-    from feel321.types import Samples as Vector
-
-    Mix = Mapping[str, Mapping[str, float]]
+Mix = Mapping[str, Mapping[str, float]]
 
 EQUAL_DB = 0.5  # energies that differ by less count as equal
 CANCELLED = 0.05  # motions that sum to less than this share of one coil's cancel each other
@@ -99,7 +91,7 @@ SOURCES = {1: (REDUCED,), len(AXES): AXES}  # what the channels of a file are, b
 
 def render_stimulus(
     stimulus: Stimulus, folder: Path, rig: Rig, *, full_scale_m_s2: float
-) -> NDArray[np.float32]:
+) -> Frames:
     """Render one stimulus for a rig, as samples of shape (n_samples, channels).
 
     Where study and actuator have the same full scale, the samples are those of the file times the coil's weight.
@@ -136,9 +128,7 @@ def render_stimulus(
     return rendered
 
 
-def render_set(
-    stimuli: StimulusSet, rig: Rig, *, full_scale_m_s2: float
-) -> dict[str, NDArray[np.float32]]:
+def render_set(stimuli: StimulusSet, rig: Rig, *, full_scale_m_s2: float) -> dict[str, Frames]:
     """Render every stimulus of a set, so that no file is read while a session runs."""
     return {
         stimulus.stimulus_id: render_stimulus(
@@ -189,7 +179,7 @@ def slide_rms(samples: Vector, n_window: int) -> Vector:
 
 
 def _find_excesses(
-    stimulus: Stimulus, rendered: NDArray[np.float32], rig: Rig
+    stimulus: Stimulus, rendered: Frames, rig: Rig
 ) -> Iterator[tuple[str, str, float, str]]:
     """Find where a stimulus asks too much: actuator, limit, what it asks, and the stimulus."""
     limits, rate_hz = rig.limits, stimulus.rate_hz

@@ -9,18 +9,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from feel321.study.settings.fields import (
-    Count,
-    Finite,
-    NotNegative,
-    Positive,
-    Some,
-    TomlTable,
-    Words,
-    check_some,
-    one_of,
-    parse_toml,
-)
+from feel321.study.settings import fields
 
 FILE_DEVICE = "file"  # the name of the device that renders to WAV files
 REDUCED = "reduced"  # what an actuator plays of one-axis stimuli
@@ -29,16 +18,16 @@ LOUDEST_MASKING = 0.15  # of full scale: peaks of minutes of Gaussian noise are 
 
 Channel = Annotated[int, Field(ge=1, le=1024)]
 Level = Annotated[float, Field(gt=0, le=1)]
-Acceleration = Annotated[Positive, Field(le=1e6)]
-Fade = Annotated[NotNegative, Field(le=60)]
+Acceleration = Annotated[fields.Positive, Field(le=1e6)]
+Fade = Annotated[fields.NotNegative, Field(le=60)]
 
 
-class DeviceTable(TomlTable):
+class DeviceTable(fields.TomlTable):
     """`[device]`: the audio device that drives the actuators."""
 
-    name: Words = FILE_DEVICE
-    host_api: Words | None = None
-    latency_s: Annotated[Positive, Field(le=2)] = 0.05
+    name: fields.Words = FILE_DEVICE
+    host_api: fields.Words | None = None
+    latency_s: Annotated[fields.Positive, Field(le=2)] = 0.05
 
 
 def _check_direction(direction: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -47,36 +36,40 @@ def _check_direction(direction: tuple[float, float, float]) -> tuple[float, floa
     return direction
 
 
-Direction = Annotated[tuple[Finite, Finite, Finite], AfterValidator(_check_direction)]
+Direction = Annotated[
+    tuple[fields.Finite, fields.Finite, fields.Finite], AfterValidator(_check_direction)
+]
 
 
-class ActuatorTable(TomlTable):
+class ActuatorTable(fields.TomlTable):
     """`[[actuators]]`: one actuator; `render` explains directions and weights."""
 
-    name: Words
+    name: fields.Words
     channel: Channel
     full_scale_m_s2: Acceleration = 100.0
-    plays: Annotated[tuple[Annotated[str, one_of((REDUCED, *AXES))], ...], Some] = (REDUCED,)
+    plays: Annotated[tuple[Annotated[str, fields.one_of((REDUCED, *AXES))], ...], fields.Some] = (
+        REDUCED,
+    )
     direction: Direction | None = None
-    weight: Annotated[Positive, Field(le=100)] | None = None
+    weight: Annotated[fields.Positive, Field(le=100)] | None = None
 
 
-class LimitsTable(TomlTable):
+class LimitsTable(fields.TomlTable):
     """`[limits]`: limits of each actuator; the RMS is that of any second."""
 
     peak_m_s2: Acceleration
     rms_m_s2: Acceleration
-    duration_s: Positive
+    duration_s: fields.Positive
 
 
-class MaskingTable(TomlTable):
+class MaskingTable(fields.TomlTable):
     """`[masking]`: pink noise on headphones while something vibrates."""
 
     channels: tuple[Channel, ...]
     rms: Annotated[float, Field(gt=0, le=LOUDEST_MASKING)] = 0.05
     ramp_s: Fade = 0.2
     lead_s: Fade = 0.5
-    seed: Count = 1
+    seed: fields.Count = 1
 
     @model_validator(mode="after")
     def _is_on_in_time(self) -> Self:
@@ -90,19 +83,19 @@ class MaskingTable(TomlTable):
         return self
 
 
-class SensorTable(TomlTable):
+class SensorTable(fields.TomlTable):
     """`[sensor]`: an input channel that measures the vibration."""
 
     channel: Channel
     full_scale_m_s2: Acceleration
 
 
-class SyncTable(TomlTable):
+class SyncTable(fields.TomlTable):
     """`[sync]`: a pulse at the onset of each stimulus."""
 
     channel: Channel
     level: Level = 0.5
-    duration_s: Annotated[Positive, Field(le=1)] = 0.005
+    duration_s: Annotated[fields.Positive, Field(le=1)] = 0.005
 
 
 VOICE_COILS = (
@@ -112,11 +105,11 @@ VOICE_COILS = (
 
 
 def _check_actuators(actuators: tuple[ActuatorTable, ...]) -> tuple[ActuatorTable, ...]:
-    check_some(tuple(actuator.name for actuator in actuators))
+    fields.check_some(tuple(actuator.name for actuator in actuators))
     return actuators
 
 
-class Rig(TomlTable):
+class Rig(fields.TomlTable):
     """The whole of `rig.toml`."""
 
     device: DeviceTable = DeviceTable()
@@ -143,7 +136,7 @@ class Rig(TomlTable):
 
 def read_rig(path: Path) -> Rig:
     """Read and check a `rig.toml`."""
-    rig = parse_toml(path, Rig)
+    rig = fields.parse_toml(path, Rig)
     uses: dict[int, list[str]] = {}
     for channel, use in rig.outputs():
         uses.setdefault(channel, []).append(use)

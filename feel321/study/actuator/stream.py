@@ -3,8 +3,6 @@
 All times are the device's own, in s.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -13,21 +11,17 @@ from functools import partial
 from threading import Thread
 from time import perf_counter
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from feel321.study.actuator.mixer import Cue
-    from feel321.study.actuator.rig import Rig
+from feel321.study.actuator.mixer import Cue, Frames
+from feel321.study.actuator.rig import Rig
 
 Foreign = Any  # sounddevice has no types
-
+# In s since the session began, without the time between its openings.
 SessionClock = Callable[[], float]
-"""Seconds since the session began, without the time between its openings."""
-
-Fill: TypeAlias = "Callable[[NDArray[np.float32], BlockTimes, NDArray[np.float32] | None], None]"
+Fill = Callable[[Frames, "BlockTimes", Frames | None], None]
 
 FALLBACKS = ("default", "sysdefault")  # not always the same device, so no study can use them
 
@@ -114,14 +108,14 @@ def list_devices() -> list[Device]:
     ]
 
 
-def list_rates(device: Device, *, n_channels: int, rates_hz: Sequence[float]) -> list[float]:
-    """List the rates at which a device would play, of those that are tried."""
-    sounddevice, settings = _load(), {"device": device.index, "channels": n_channels}
+def list_rates(device: Device, rates_hz: Sequence[float]) -> list[float]:
+    """List the rates at which a device would play on one channel, of those that are tried."""
+    sounddevice, settings = _load(), {"device": device.index, "channels": 1, "dtype": "float32"}
     taken = []
     with _silence_stderr():
         for rate_hz in rates_hz:
             with suppress(sounddevice.PortAudioError):
-                sounddevice.check_output_settings(**settings, samplerate=rate_hz, dtype="float32")
+                sounddevice.check_output_settings(**settings, samplerate=rate_hz)
                 taken.append(rate_hz)
     return taken
 
@@ -236,7 +230,7 @@ class Take:
 
     rate_hz: float
     latency_s: float
-    sensor: NDArray[np.float32] | None = None
+    sensor: Frames | None = None
     cue: Cue | None = None
     onset_s: float | None = None
     end_s: float | None = None
@@ -273,7 +267,7 @@ class Take:
             self.end_frame = self.cue.onset_frame + n_played if n_played else frame
             self.end_s = block.dac_s + (self.end_frame - frame) / self.rate_hz
 
-    def record(self, samples: NDArray[np.float32], *, frame: int) -> None:
+    def record(self, samples: Frames, *, frame: int) -> None:
         """Keep what the sensor measured, shape (n,), since the frame of the onset went out; it comes back later."""
         if self.sensor is None or self.cue is None or self.onset_s is None:
             return
@@ -283,7 +277,7 @@ class Take:
         self.n_sensed += len(piece)
 
     @property
-    def sensed(self) -> NDArray[np.float32]:
+    def sensed(self) -> Frames:
         """What the sensor measured, in fractions of its full scale."""
         room = np.zeros(0, dtype=np.float32) if self.sensor is None else self.sensor
         return room[: self.n_sensed]
@@ -405,9 +399,6 @@ class DeviceStream:
     def _refill(self, waited_s: float, *, block_s: float) -> bool:
         """Count a block, and return whether the device had waited for it longer than it had samples for."""
         left_s = self._held_s - waited_s
-        self._held_s = (
-            self.latency_s + block_s
-            if left_s < 0
-            else min(self.latency_s, left_s) + block_s * DRIFT
-        )
+        held_s = min(self.latency_s, left_s) + block_s * DRIFT
+        self._held_s = self.latency_s + block_s if left_s < 0 else held_s
         return left_s < 0

@@ -3,31 +3,18 @@
 matplotlib brings the font's file, so participants of every lab see the same letters whatever fonts are installed.
 """
 
-from __future__ import annotations
-
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
 from math import cos, pi, sin
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+from matplotlib.ft2font import FT2Font
 
 from feel321.protocols.trial import RATING_RANGE
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from matplotlib.ft2font import FT2Font
-
-# Light on dark tires less in a dim room. The three hues are Okabe and Ito's, which every kind of colour vision can
-# distinguish; none of them is the only sign of anything.
-GROUND = "#14171c"
-PANEL = "#20252d"
-LINE = "#4a515c"
-DIM = "#b3b8c0"
-INK = "#f4f4f2"
-BLUE = "#56b4e9"
-ORANGE = "#e69f00"
+GROUND, INK = "#14171c", "#f4f4f2"  # light on dark tires less in a dim room
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +40,7 @@ class Box:
         """Whether a point lies in it."""
         return self.left <= x < self.right and self.top <= y < self.bottom
 
-    def grow(self, by: float) -> Box:
+    def grow(self, by: float) -> "Box":
         """Move every edge out by so many pixels."""
         return Box(self.left - by, self.top - by, self.width + 2 * by, self.height + 2 * by)
 
@@ -161,17 +148,9 @@ def _open_font(*, bold: bool) -> FT2Font:
     return font
 
 
-def find_height(lines: Sequence[str], size: float) -> float:
-    """Compute the height of lines of text, in pixels."""
-    return len(lines) * size * LEADING
-
-
 # What every page and trial is put on, and the unit that all its sizes are counted in.
 
 WIDE = 1.58  # screens at least this wide for their height are measured by their height
-
-BODY, SMALL, QUESTION, TITLE = 3.0, 2.8, 4.0, 5.6
-"""Sizes of letters (em) in units; at 1 m nothing may be smaller than 2.2 % of the screen's height."""
 
 STRIPS = {
     "top": (2.5, 7.0),
@@ -232,6 +211,10 @@ class Sheet:
     def measure(self, words: str, size: float, *, bold: bool = False) -> float:
         """Measure the width of a line of text, in pixels; size: in units."""
         return measure(words, size * self.unit, bold=bold)
+
+    def find_height(self, n_lines: float, size: float) -> float:
+        """Compute the height of lines of text, in pixels; size: in units."""
+        return n_lines * size * self.unit * LEADING
 
     def wrap(self, words: str, width: float, size: float, *, bold: bool = False) -> list[str]:
         """Break a text into lines of at most a width in pixels; line breaks of its author stay. size: in units."""

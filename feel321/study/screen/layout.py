@@ -7,28 +7,16 @@ from typing import Any
 
 from feel321.protocols.texts import PageText
 from feel321.protocols.trial import RATING_RANGE, Page, Scale, Trial
-from feel321.study.screen.drawing import (
-    BLUE,
-    BODY,
-    DIM,
-    GROUND,
-    INK,
-    LEADING,
-    LINE,
-    ORANGE,
-    PANEL,
-    QUESTION,
-    SMALL,
-    TITLE,
-    Box,
-    Photo,
-    Sheet,
-    Target,
-    Text,
-    find_height,
-    measure,
-)
+from feel321.study.screen.drawing import GROUND, INK, Box, Photo, Sheet, Target, Text, measure
 from feel321.study.session.ports import Place
+
+# The three hues are Okabe and Ito's, which every kind of colour vision can distinguish; none of them is the only sign
+# of anything.
+PANEL, LINE, DIM = "#20252d", "#4a515c", "#b3b8c0"
+BLUE, ORANGE = "#56b4e9", "#e69f00"
+
+BODY, SMALL, QUESTION, TITLE = 3.0, 2.8, 4.0, 5.6
+"""Sizes of letters (em) in units; at 1 m nothing may be smaller than 2.2 % of the screen's height."""
 
 LAST_PAGE = "end"  # the page after which there is nothing
 
@@ -98,9 +86,7 @@ class ScreenTexts:
 def make_screen_texts(tables: Mapping[str, Any]) -> ScreenTexts:
     """Pick the screen's texts from those of a language."""
     pages = {key: PageText(key, **entry) for key, entry in tables["pages"].items()}
-    return ScreenTexts(
-        pages, tables["refusals"], tables["prompts"], tables["parts"], tables["keys"]
-    )
+    return ScreenTexts(pages, *(tables[name] for name in ("refusals", "prompts", "parts", "keys")))
 
 
 HINTS = {
@@ -186,7 +172,7 @@ def find_overflows(texts: ScreenTexts, scales: Iterable[Scale]) -> list[str]:
 def _add_notice(sheet: Sheet, words: str) -> None:
     unit, strip = sheet.unit, sheet.find_strip("notice")
     lines = sheet.wrap(words, strip.width - 6 * unit, BODY, bold=True)
-    height = find_height(lines, BODY * unit)
+    height = sheet.find_height(len(lines), BODY)
     mark = Box(strip.left, strip.top + strip.height / 2 - height / 2, 0.8 * unit, height)
     box = Box(mark.right + 2 * unit, mark.top, strip.width - 4 * unit, height)
     sheet.fill(mark, ORANGE)
@@ -222,10 +208,10 @@ def _add_text(sheet: Sheet, view: View, page: Page, *, texts: ScreenTexts) -> No
     words = text.text.replace("{done}", str(view.place.done))
     paragraphs = words.replace("{total}", str(view.place.total)).strip().splitlines()
     heading = sheet.wrap(text.title, width, TITLE, bold=True)
-    title_height = find_height(heading, TITLE * unit)
+    title_height = sheet.find_height(len(heading), TITLE)
     for size in TEXT_SIZES:
         blocks = [sheet.wrap(paragraph, width, size) for paragraph in paragraphs]
-        heights = [find_height(block, size * unit) for block in blocks]
+        heights = [sheet.find_height(len(block), size) for block in blocks]
         gap = 0.73 * size * unit
         height = title_height + sum(gap + block for block in heights)
         if height <= body.height:
@@ -350,7 +336,7 @@ def _label_anchors(sheet: Sheet, track: Box, scale: Scale, *, top: float) -> Non
     for place, word in enumerate(scale.anchors):
         width = sheet.measure(word, SMALL)
         x = track.left + track.width * (place / (count - 1) if count > 1 else 0.5)
-        box = Box(x - width / 2, top, width, SMALL * sheet.unit * LEADING)
+        box = Box(x - width / 2, top, width, sheet.find_height(1, SMALL))
         sheet.write(box, word, SMALL, color=DIM, align="center")
 
 
@@ -374,7 +360,7 @@ class _TrialLayout:
         lines = sheet.wrap(self.find_question(), body.width, QUESTION, bold=True)
         box = Box(body.left, top, body.width, 0)
         sheet.write(box, lines, QUESTION, bold=True, align="center")
-        top += find_height(lines, QUESTION * unit) + (1.5 if is_rows else 3.0) * unit
+        top += sheet.find_height(len(lines), QUESTION) + (1.5 if is_rows else 3.0) * unit
         box = Box(body.left, top, body.width, body.bottom - top)
         if view.picture and not is_rows:
             below = self.find_slider_height() if view.kind == "slider" else 0.0
@@ -384,7 +370,7 @@ class _TrialLayout:
             box = Box(box.left, top, box.width, body.bottom - top)
         {"rows": self.add_rows, "choice": self.add_choice}.get(view.kind, self.add_slider)(box)
         _add_buttons(sheet, [_Button(self.texts.keys["pause"], "pause")], self.list_buttons())
-        if view.state == "answering":
+        if view.can_answer:
             _add_hints(sheet, [self.texts.keys[key] for key in HINTS[view.kind]])
 
     def find_question(self) -> str:
@@ -438,7 +424,7 @@ class _TrialLayout:
     def find_slider_height(self) -> float:
         """Compute the height of a slider with the number over it and the words under it, in pixels."""
         lines = 1 + bool(self.scale.anchors) + _count_label_lines(self.scale, self.sheet)
-        return (ABOVE + TRACK + UNDER + lines * BODY * LEADING) * self.sheet.unit
+        return (ABOVE + TRACK + UNDER) * self.sheet.unit + self.sheet.find_height(lines, BODY)
 
     def add_slider(self, box: Box) -> None:
         sheet, view, unit = self.sheet, self.view, self.sheet.unit
@@ -454,7 +440,7 @@ class _TrialLayout:
             words = f"{view.typed}_" if view.typed or value is None else f"{value:.0f}"
             number, size = sheet.measure("100_", QUESTION, bold=True), QUESTION * unit
             left = track.left + at * track.width - number / 2
-            over = Box(left, track.top - 1.9 * size, number, size * LEADING)
+            over = Box(left, track.top - 1.9 * size, number, sheet.find_height(1, QUESTION))
             sheet.write(over, words, QUESTION, bold=True, align="center")
         _add_marker(sheet, track, value, color=BLUE if is_ready else LINE)
         if is_ready:
@@ -463,7 +449,7 @@ class _TrialLayout:
     def label_ends(self, track: Box) -> None:
         """Write the numbers and words of both ends under the track, and what stands in between."""
         sheet, scale = self.sheet, self.scale
-        step, top = BODY * sheet.unit * LEADING, track.bottom + UNDER * sheet.unit
+        step, top = sheet.find_height(1, BODY), track.bottom + UNDER * sheet.unit
         if scale.anchors:
             _label_anchors(sheet, track, self.scale, top=top)
             top += step
@@ -479,22 +465,21 @@ class _TrialLayout:
 
     def add_rows(self, box: Box) -> None:
         """Set the reference beside the words of the scale, and under them a row for each vibration."""
-        sheet, unit, small = self.sheet, self.sheet.unit, SMALL * self.sheet.unit
+        sheet, unit = self.sheet, self.sheet.unit
         rated = [judgement.part for judgement in self.trial.judgements]
         names = {part.name: self.texts.name_part(part.name) for part in self.trial.parts}
         width = max(sheet.measure(name, SMALL, bold=True) for name in names.values()) + 9 * unit
-        left, head = box.left + width + 12 * unit, 2 * LEADING * small + 1.2 * unit
+        step = sheet.find_height(1, SMALL)
+        left, head = box.left + width + 12 * unit, 2 * step + 1.2 * unit
         track = Box(left, box.top, box.right - 12 * unit - left, 0)
         row = min(ROW * unit, (box.height - head) / len(rated))
-        step, half = small * LEADING, track.width / 2
+        half = track.width / 2
         sheet.write(Box(left, box.top, half, step), self.scale.low_label, SMALL)
         high = Box(left + half, box.top, half, step)
         sheet.write(high, self.scale.high_label, SMALL, align="right")
         _label_anchors(sheet, track, self.scale, top=box.top + step)
         fields = {
-            name: Box(box.left, box.top, width, head - 1.2 * unit)
-            for name in names
-            if name not in rated
+            name: Box(box.left, box.top, width, 2 * step) for name in names if name not in rated
         }
         for place, name in enumerate(rated):
             line = Box(box.left, box.top + head + place * row, box.width, row)

@@ -3,25 +3,19 @@
 It shows, plays and passes on what the participant does; the engine decides what is accepted.
 """
 
-from __future__ import annotations
-
 from collections import deque
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from math import ceil
-from typing import TYPE_CHECKING
 
+from feel321.protocols.trial import Page, Part, Scale, Trial
+from feel321.stimuli.sets.manifest import Stimulus
+from feel321.study.actuator.output import Output
 from feel321.study.screen.drawing import Sheet
 from feel321.study.screen.input import CONFIRM, PAUSE, STOP, Answer, InputEvent, Request, Twice
 from feel321.study.screen.layout import Hand, ScreenTexts, View, compose
+from feel321.study.screen.window import Window
 from feel321.study.session.ports import Abort, Act, Confirm, Feel, Pause, Place, Playback, Surface
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-
-    from feel321.protocols.trial import Page, Part, Scale, Trial
-    from feel321.stimuli.sets.manifest import Stimulus
-    from feel321.study.actuator.output import Output
-    from feel321.study.screen.window import Window
 
 DOUBLE_S = 0.4  # a second click within this time is half of a double one: it leaves no page
 

@@ -5,21 +5,14 @@ here as in `feel321 simulate`. The next key follows from what is on the screen a
 lost is pressed again, and one too many is taken back.
 """
 
-from __future__ import annotations
-
+from collections.abc import Callable, Mapping
 from math import copysign
-from typing import TYPE_CHECKING
 
+from feel321.protocols.trial import Trial
+from feel321.stimuli.sets.manifest import Stimulus
+from feel321.study.observer.participant import Experience, Participant
 from feel321.study.screen.input import AGAIN, CONFIRM, REFERENCE, ROW_STEPS, STEPS
 from feel321.study.screen.layout import Hand, View
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from feel321.protocols.trial import Trial
-    from feel321.stimuli.sets.manifest import Stimulus
-    from feel321.study.observer.participant import Experience, Participant
-
 
 KEYSYMS = {"enter": "Return", "pageup": "Prior", "pagedown": "Next"}
 """X11's names of keys, where they are not ours, beginning with a capital."""

@@ -9,30 +9,17 @@ would answer for the participant. (Under Xvfb it received none of 20 keys, the w
 every millisecond or two between frames, and stamped by the session's own clock.
 """
 
-from __future__ import annotations
-
 import os
 import time
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from feel321.study.screen.drawing import (
-    FONT,
-    GROUND,
-    Area,
-    Item,
-    Photo,
-    Text,
-    find_font_files,
-    round_corners,
-)
+from feel321.study.screen import drawing
 from feel321.study.screen.input import InputEvent, drop_repeats, hold_signals, name_key
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    Foreign = Any  # PsychoPy has no types
+Foreign = Any  # PsychoPy has no types
 
 FRAME_S = 1 / 60  # shortest time for a frame; a slower screen decides for itself
 POLL_S = 0.0015  # how often events are collected between frames
@@ -61,17 +48,20 @@ class Easel:
     """Makes PsychoPy's objects of items, and keeps them as long as they are shown."""
 
     handle: Foreign
-    drawn: dict[Item, Foreign] = field(default_factory=dict, init=False)
+    drawn: dict[drawing.Item, Foreign] = field(default_factory=dict, init=False)
 
-    def draw(self, items: tuple[Item, ...]) -> None:
+    def draw(self, items: tuple[drawing.Item, ...]) -> None:
         """Draw items; the objects of those that are not shown any longer are let go."""
-        makers: dict[type, Callable[..., Foreign]] = {Text: self._make_text, Area: self._make_area}
-        makers[Photo] = self._make_picture
-        self.drawn = {item: self.drawn.get(item) or makers[type(item)](item) for item in items}
+        self.drawn = {item: self.drawn.get(item) or self._make(item) for item in items}
         for stimulus in self.drawn.values():
             stimulus.draw()
 
-    def _make_text(self, text: Text) -> Foreign:
+    def _make(self, item: drawing.Item) -> Foreign:
+        if isinstance(item, drawing.Photo):
+            return self._make_picture(item)
+        return self._make_text(item) if isinstance(item, drawing.Text) else self._make_area(item)
+
+    def _make_text(self, text: drawing.Text) -> Foreign:
         from psychopy.visual.text import TextStim
 
         box = text.box
@@ -79,7 +69,7 @@ class Easel:
         return TextStim(
             self.handle,
             text.words,
-            font=FONT,
+            font=drawing.FONT,
             bold=text.bold,
             height=text.size,
             color=text.color,
@@ -90,19 +80,19 @@ class Easel:
             wrapWidth=10 * self.handle.size[0],  # lines were broken by the layout
         )
 
-    def _make_area(self, area: Area) -> Foreign:
+    def _make_area(self, area: drawing.Area) -> Foreign:
         from psychopy.visual.shape import BaseShapeStim
 
         box = area.box.grow(-area.line_px / 2) if area.line else area.box
         return BaseShapeStim(
             self.handle,
-            vertices=[self._turn_up(x, y) for x, y in round_corners(box, area.round_px)],
+            vertices=[self._turn_up(x, y) for x, y in drawing.round_corners(box, area.round_px)],
             fillColor=area.fill or None,
             lineColor=area.line or None,
             lineWidth=area.line_px,
         )
 
-    def _make_picture(self, photo: Photo) -> Foreign:
+    def _make_picture(self, photo: drawing.Photo) -> Foreign:
         from psychopy.visual.image import ImageStim
 
         box = photo.box
@@ -128,7 +118,7 @@ class Window:
         self.handle, self.clock, self.deliver_signals = handle, clock, deliver_signals
         self.frames, self.easel = FrameCounts(), Easel(handle)
         self._events: list[InputEvent] = []
-        self._shown: tuple[Item, ...] = ()
+        self._shown: tuple[drawing.Item, ...] = ()
         self._due_s = self._redraw_s = 0.0
         self._is_closed = False
 
@@ -138,7 +128,7 @@ class Window:
         width, height = self.handle.size
         return int(width), int(height)
 
-    def show(self, items: Sequence[Item]) -> list[InputEvent]:
+    def show(self, items: Sequence[drawing.Item]) -> list[InputEvent]:
         """Show items for a frame, and collect what is done in it."""
         items = tuple(items)
         began = time.perf_counter()
@@ -160,7 +150,7 @@ class Window:
         with suppress(*_list_graphics_errors()):
             self.handle.close()
 
-    def _draw(self, items: tuple[Item, ...]) -> None:
+    def _draw(self, items: tuple[drawing.Item, ...]) -> None:
         try:
             self.handle.winHandle.switch_to()  # only then does pyglet free what texts of former screens took
             self.easel.draw(items)
@@ -250,7 +240,7 @@ def _open_handle(*, windowed: bool, size: tuple[int, int], screen: int) -> Forei
             allowGUI=windowed,
             units="pix",
             monitor=monitors.Monitor("feel321", width=60, distance=100),
-            color=GROUND,
+            color=drawing.GROUND,
             checkTiming=False,
             # Nearly all edges are straight, and where a processor draws it doubles a frame's time.
             multiSample=False,
@@ -264,7 +254,7 @@ def _open_handle(*, windowed: bool, size: tuple[int, int], screen: int) -> Forei
         ) from None
     from pyglet import font
 
-    for file in find_font_files():
+    for file in drawing.find_font_files():
         font.add_file(str(file))
     handle.mouseVisible = True
     return handle

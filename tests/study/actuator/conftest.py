@@ -49,6 +49,7 @@ class Pulse:
     folder: Path
     channels: int
     server: subprocess.Popen[bytes] | None = None
+    was_halted: bool = False
 
     @property
     def socket(self) -> Path:
@@ -65,10 +66,14 @@ class Pulse:
         }
         return {**os.environ, **own}
 
+    def name_devices(self) -> None:
+        """Tell ALSA of the server, under two names."""
+        names = ALSA_NAMES.format(socket=self.socket)
+        (self.folder / "asound.conf").write_text(names, encoding="utf-8")
+
     def start(self) -> None:
-        (self.folder / "asound.conf").write_text(
-            ALSA_NAMES.format(socket=self.socket), encoding="utf-8"
-        )
+        self.name_devices()
+        self.was_halted = False
         self.socket.unlink(missing_ok=True)
         command = [
             "pulseaudio", "-n", "--daemonize=no", "--use-pid-file=no", "--exit-idle-time=-1", "--disable-shm=yes",
@@ -106,6 +111,7 @@ class Pulse:
     def halted(self) -> Iterator[None]:
         """Stop the server's process for a while, as a busy machine would."""
         assert self.server is not None
+        self.was_halted = True
         self.server.send_signal(signal.SIGSTOP)
         try:
             yield
@@ -190,28 +196,44 @@ def insist() -> Callable[..., Any]:
     return measure_until_calm
 
 
-@pytest.fixture
-def make_pulse() -> Iterator[Callable[[int], Pulse]]:
-    """Start servers; all are ended, by their own ids."""
+@pytest.fixture(scope="session")
+def pulses() -> Iterator[Callable[[int], Pulse]]:
+    """Gives a server with so many channels, the one of former tests if they left it whole; all end by their own ids."""
+    servers: dict[int, Pulse] = {}
     with ExitStack() as stack:
 
-        def make(channels: int) -> Pulse:
-            # A socket's path must be short, which a test's own folder is not.
-            folder = stack.enter_context(
-                tempfile.TemporaryDirectory(prefix="feel321-", ignore_cleanup_errors=True)
-            )
-            pulse = Pulse(Path(folder), channels)
-            stack.callback(pulse.kill)
-            pulse.start()
+        def give(channels: int) -> Pulse:
+            if channels not in servers:
+                # A socket's path must be short, which a test's own folder is not.
+                folder = stack.enter_context(
+                    tempfile.TemporaryDirectory(prefix="feel321-", ignore_cleanup_errors=True)
+                )
+                servers[channels] = Pulse(Path(folder), channels)
+                stack.callback(servers[channels].kill)
+            pulse = servers[channels]
+            if pulse.was_halted:
+                pulse.kill()
+            if pulse.server is None:
+                pulse.start()
+            pulse.name_devices()
             return pulse
 
-        yield make
+        yield give
 
 
 @pytest.fixture
-def pulse(request: pytest.FixtureRequest, make_pulse: Callable[[int], Pulse]) -> Pulse:
+def pulse(request: pytest.FixtureRequest, pulses: Callable[[int], Pulse]) -> Pulse:
     """A server with a null sink; `parametrize(..., indirect=True)` gives it other than four channels."""
-    return make_pulse(getattr(request, "param", 4))
+    return pulses(getattr(request, "param", 4))
+
+
+@pytest.fixture
+def fresh_pulse(pulses: Callable[[int], Pulse]) -> Pulse:
+    """A server that nobody has used: one whose clients came and went may swallow the begin of a duplex stream."""
+    pulse = pulses(4)
+    pulse.kill()
+    pulse.start()
+    return pulse
 
 
 class Player:

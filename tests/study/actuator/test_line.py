@@ -317,7 +317,7 @@ def test_a_device_that_hangs_does_not_hang_the_session(
     stream.active = False
     answers = Event()
     monkeypatch.setattr("feel321.study.actuator.output.REVIVING_S", 0.05)
-    monkeypatch.setattr("feel321.study.actuator.output.refresh_devices", answers.wait)
+    monkeypatch.setattr("feel321.study.actuator.stream.refresh_devices", answers.wait)
     output.start("a", gap_s=0.0)
     assert not output.is_playing
     assert "does not answer" in output.collect().error
@@ -366,6 +366,37 @@ def test_a_stop_is_measured_and_told_though_the_device_is_slow(
     assert delivery.onset_s is not None
     # The session's clock stands still meanwhile; the device's says 100 samples, a fade, and its latency.
     assert delivery.measured["stop_s"] == pytest.approx(0.104 + 0.1)
+
+
+@pytest.mark.usefixtures("sounddevice")
+def test_a_stop_is_measured_from_the_first_of_several(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    session = Clock()
+    output, stream = open_output(monkeypatch, tmp_path, clock=session)
+    output.start("a", gap_s=0.0)
+    stream.ask()
+    output.stop()
+    session.wait(0.05)
+    output.stop()
+    while output.is_playing:
+        stream.ask()
+    assert output.collect().measured["stop_s"] == pytest.approx(0.104 + 0.1)
+
+
+@pytest.mark.usefixtures("sounddevice")
+def test_what_a_device_still_held_when_it_died_was_not_felt(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    output, stream = open_output(monkeypatch, tmp_path)
+    output.start("a", gap_s=0.0)
+    stream.ask()
+    stream.ask()
+    stream.active = False
+    assert not output.is_playing
+    delivery = output.collect()
+    assert (delivery.completed, delivery.measured["n_samples"]) == (False, 150)
+    assert delivery.error.startswith("device 'coils' stopped")
 
 
 @pytest.mark.usefixtures("sounddevice")

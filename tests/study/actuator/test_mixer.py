@@ -141,6 +141,16 @@ def test_a_stop_fades_and_does_not_cut() -> None:
     assert np.abs(steps).max() == pytest.approx(0.5 / 40, rel=1e-3)
 
 
+def test_the_last_sample_of_a_fade_is_exactly_silent() -> None:
+    rig = make_rig()
+    mixer = Mixer(rig, make_sounds(rig), rate_hz=8200.0, preroll_s=0.0)
+    mixer.start("a", gap_s=0.0)
+    fill(mixer, 100, [100], 2)
+    mixer.stop()
+    # A fade of 41 samples: 41 times 1/41 is not 1 in single precision.
+    assert not fill(mixer, 100, [100], 2)[40:].any()
+
+
 def test_a_stop_in_the_last_block_is_not_complete() -> None:
     mixer, _ = make_mixer(n=130)
     cue = mixer.start("a", gap_s=0)

@@ -390,12 +390,12 @@ SENSOR = "[sensor]\nchannel = 4\nfull_scale_m_s2 = 100.0"
 
 
 def test_what_the_sensor_measures_is_kept_from_the_onset_on(
-    pulse: Any, open_player: Any, make_rig: Any, make_sound: Any, insist: Any, tmp_path: Path
+    fresh_pulse: Any, open_player: Any, make_rig: Any, make_sound: Any, insist: Any, tmp_path: Path
 ) -> None:
     sounds = {name: make_sound(n, n=RATE_HZ // 2, channels=4) for n, name in enumerate("ab")}
     for sound in sounds.values():
         sound[:, 3] = sound[:, 0]
-    player = open_player(pulse, make_rig(SENSOR, channels=4, latency_s=0.15), sounds)
+    player = open_player(fresh_pulse, make_rig(SENSOR, channels=4, latency_s=0.15), sounds)
     player.hear()
 
     def play() -> tuple[list[Any], list[int]]:

@@ -5,6 +5,7 @@ import os
 import queue
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from contextlib import suppress
@@ -12,7 +13,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from runpy import run_path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import pytest
 
@@ -52,19 +53,16 @@ def display() -> Iterator[Callable[[int, int], dict[str, str]]]:
 
 
 @dataclass
-class Seat:
-    """A participant's seat: a screen that a process of its own shows, and keys and a mouse that reach it."""
+class Leader:
+    """A process that shows what it is told to, and the lines that it says."""
 
     process: subprocess.Popen[str]
-    env: dict[str, str]
-    is_held: bool
-    told: list[dict[str, Any]] = field(default_factory=list)
+    errors: IO[str]
+    is_free: bool = True
     lines: queue.Queue[str] = field(default_factory=queue.Queue)
-    view: dict[str, Any] = field(default_factory=dict)
-    seen: int = 0
     reader: threading.Thread = field(init=False)
 
-    def start_reading(self) -> None:
+    def __post_init__(self) -> None:
         def read() -> None:
             for line in self.process.stdout or ():
                 self.lines.put(line)
@@ -72,6 +70,34 @@ class Seat:
 
         self.reader = threading.Thread(target=read, daemon=True)
         self.reader.start()
+
+    def end(self) -> None:
+        self.process.kill()
+        self.process.wait()
+        self.reader.join()
+        for stream in (self.process.stdin, self.process.stdout, self.errors):
+            if stream is not None:
+                stream.close()
+
+
+@dataclass
+class Seat:
+    """A participant's seat: a screen that a process of its own shows, and keys and a mouse that reach it."""
+
+    leader: Leader
+    env: dict[str, str]
+    is_held: bool
+    told: list[dict[str, Any]] = field(default_factory=list)
+    view: dict[str, Any] = field(default_factory=dict)
+    seen: int = 0
+
+    @property
+    def process(self) -> subprocess.Popen[str]:
+        return self.leader.process
+
+    @property
+    def lines(self) -> queue.Queue[str]:
+        return self.leader.lines
 
     @property
     def events(self) -> list[dict[str, Any]]:
@@ -129,7 +155,7 @@ class Seat:
         end_s = time.monotonic() + PATIENCE_S
         while self.count_obeyed() == n_before:
             line = self._read_line(end_s)
-            if not line:
+            if not line or "ready" in json.loads(line):
                 self.lines.put(line)
                 return
             self._take(line)
@@ -152,9 +178,12 @@ class Seat:
         return self.view
 
     def finish(self) -> list[dict[str, Any]]:
-        """Wait for the end of the process; gives what the journal would hold."""
+        """Wait until the screen is closed; gives what the journal would hold."""
         while line := self.lines.get(timeout=PATIENCE_S):
             self._take(line)
+            if "ready" in self.told[-1]:
+                self.leader.is_free = True
+                return self.events
         assert self.process.wait(PATIENCE_S) == 0, self.read_errors()
         return self.events
 
@@ -190,7 +219,8 @@ class Seat:
         ).stdout
 
     def read_errors(self) -> str:
-        return self.process.stderr.read() if self.process.stderr else ""
+        self.leader.errors.seek(0)
+        return self.leader.errors.read()
 
     def _take(self, line: str) -> None:
         words = json.loads(line)
@@ -199,57 +229,48 @@ class Seat:
 
 
 @pytest.fixture(scope="session")
-def hire(
-    display: Callable[[int, int], dict[str, str]],
-) -> Iterator[Callable[[], subprocess.Popen[str]]]:
-    """Gives a process that waits for what to show; the next one starts meanwhile, which takes seconds."""
+def leaders(display: Callable[[int, int], dict[str, str]]) -> Iterator[Callable[[], Leader]]:
+    """Gives a process that waits for what to show; a spare one starts meanwhile, which takes seconds."""
     env = display(*SIZE)
-    pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
-    waiting: list[subprocess.Popen[str]] = []
+    started: list[Leader] = []
 
     def start() -> None:
+        errors = tempfile.TemporaryFile("w+", encoding="utf-8")  # noqa: SIM115 - open as long as the process
         command = [sys.executable, str(HERE / "lead.py")]
-        waiting.append(subprocess.Popen(command, env=env, **pipes, text=True))
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": errors}
+        started.append(Leader(subprocess.Popen(command, env=env, **pipes, text=True), errors))
 
-    def give() -> subprocess.Popen[str]:
-        start()
-        return waiting.pop(0)
+    def give() -> Leader:
+        if sum(leader.is_free for leader in started) < 2:
+            start()
+        leader = next(leader for leader in started if leader.is_free)
+        leader.is_free = False
+        return leader
 
-    start()
     yield give
-    for process in waiting:
-        end(process)
+    for leader in started:
+        leader.end()
 
 
 @pytest.fixture
 def seat(
-    display: Callable[[int, int], dict[str, str]], hire: Callable[[], subprocess.Popen[str]]
+    display: Callable[[int, int], dict[str, str]], leaders: Callable[[], Leader]
 ) -> Iterator[Callable[..., Seat]]:
     """Seats participants before screens that lead through given steps."""
     seats: list[Seat] = []
 
     def take_seat(*steps: dict[str, Any], **spec: Any) -> Seat:
-        process = hire()
-        assert process.stdin is not None
-        process.stdin.write(json.dumps({"steps": steps, "size": SIZE, **spec}) + "\n")
-        process.stdin.flush()
-        seats.append(Seat(process, display(*SIZE), spec.get("held", False)))
-        seats[-1].start_reading()
+        leader = leaders()
+        assert leader.process.stdin is not None
+        leader.process.stdin.write(json.dumps({"steps": steps, "size": SIZE, **spec}) + "\n")
+        leader.process.stdin.flush()
+        seats.append(Seat(leader, display(*SIZE), spec.get("held", False)))
         return seats[-1]
 
     yield take_seat
     for taken in seats:
-        end(taken.process, taken.reader)
-
-
-def end(process: subprocess.Popen[str], reader: threading.Thread | None = None) -> None:
-    process.kill()
-    process.wait()
-    if reader is not None:
-        reader.join()
-    for stream in (process.stdin, process.stdout, process.stderr):
-        if stream is not None:
-            stream.close()
+        if not taken.leader.is_free:
+            taken.leader.process.kill()
 
 
 @pytest.fixture(scope="session")

@@ -1,6 +1,6 @@
 """Every kind of screen: as views for the tests of the layout, and as pictures for people to look at.
 
-Run it by itself, on a display: gallery.py FOLDER WIDTH HEIGHT LANGUAGE...
+Run it by itself, on a display: gallery.py FOLDER [LANGUAGE WIDTH HEIGHT]...
 """
 
 from __future__ import annotations
@@ -187,22 +187,21 @@ def capture(window: Window, path: Path) -> None:
     window.handle.movieFrames = []
 
 
-def save_gallery(folder: Path, size: tuple[int, int], languages: list[str]) -> None:
+def save_gallery(folder: Path, size: tuple[int, int], language: str) -> None:
     """Save a picture of every screen."""
     from feel321.protocols.texts import read_scales
 
     picture = write_picture(folder / "surface.png")
-    with open_screen(clock=time.perf_counter) as window:
+    with open_screen(clock=time.perf_counter, windowed=True, size=size) as window:
         assert window.size == size
-        for language in languages:
-            tables = read_texts(language)
-            texts = make_screen_texts(tables)
-            views = make_views(read_scales(language), tables, picture=picture)
-            for name, view in views.items():
-                window.show(compose(view, texts, size=window.size).items)
-                check_widths(window)
-                capture(window, folder / f"{name} {language}.png".replace(" ", "_"))
+        tables = read_texts(language)
+        texts = make_screen_texts(tables)
+        for name, view in make_views(read_scales(language), tables, picture=picture).items():
+            window.show(compose(view, texts, size=window.size).items)
+            check_widths(window)
+            capture(window, folder / f"{name} {language}.png".replace(" ", "_"))
 
 
 if __name__ == "__main__":
-    save_gallery(Path(sys.argv[1]), (int(sys.argv[2]), int(sys.argv[3])), sys.argv[4:])
+    for language, width, height in zip(*[iter(sys.argv[2:])] * 3, strict=True):
+        save_gallery(Path(sys.argv[1]), (int(width), int(height)), language)

@@ -1,6 +1,7 @@
 """Leads a participant through steps with a real window and a silent output, and tells on stdout what happens.
 
-Run on a display: lead.py. The first line that it reads is JSON with `steps`, `size`, `language` and more; see `main`.
+Run on a display: lead.py. A line of JSON says what to show, with `steps`, `size`, `language` and more, see `main`; what
+follows are orders. When that is over, it waits for the next one, for importing PsychoPy takes longer than most tests.
 """
 
 from __future__ import annotations
@@ -37,6 +38,9 @@ class Clock:
     """The session's clock; a test may hold it, so that nothing is over before somebody slow has done something."""
 
     def __init__(self) -> None:
+        self.restart()
+
+    def restart(self) -> None:
         self._began_s, self._held_s = time.perf_counter(), None
 
     def __call__(self) -> float:
@@ -55,28 +59,38 @@ clock = Clock()
 ORDERS = {"hold": clock.hold, "go on": clock.go_on, "look": lambda: None}
 
 
+given: queue.SimpleQueue[str] = queue.SimpleQueue()
+"""The lines that were read, and an empty one at their end."""
+
+
+def read() -> None:
+    # A buffer would be locked at the end.
+    with open(0, "rb", buffering=0, closefd=False) as lines:
+        for line in lines:
+            given.put(line.decode().strip())
+    given.put("")
+
+
+def await_spec() -> str:
+    """Wait for what to show next; orders that came too late for the last screen are dropped."""
+    while (line := given.get()) and not line.startswith("{"):
+        pass
+    return line
+
+
 class Orders:
     """What a test asks for, one word a line; obeyed between two frames, and told when the next frame is over."""
 
     def __init__(self) -> None:
-        self._given: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._obeyed: list[str] = []
-        threading.Thread(target=self._read, daemon=True).start()
-
-    def _read(self) -> None:
-        with open(
-            0, "rb", buffering=0, closefd=False
-        ) as orders:  # a buffer would be locked at the end
-            for line in orders:
-                self._given.put(line.decode().strip())
 
     def obey(self) -> None:
         for order in self._obeyed:
             tell(obeyed=order)
         self._obeyed.clear()
-        while not self._given.empty():
-            self._obeyed.append(self._given.get())
-            ORDERS[self._obeyed[-1]]()
+        while not given.empty() and (line := given.get()):
+            self._obeyed.append(line)
+            ORDERS[line]()
 
 
 class SilentOutput:
@@ -153,7 +167,9 @@ def conduct(step: dict[str, Any], setup: Setup) -> None:
         conduct_trial(gallery["make_trial"](step.pop("trial"), **step), Place(12, 80), setup)
 
 
-def main(spec: dict[str, Any]) -> None:
+def main(spec: dict[str, Any]) -> bool:
+    """Lead through what a test wants; returns whether the window was ours to the end, so that another may be opened."""
+    clock.restart()
     if spec.get("held"):
         clock.hold()
     tables = read_texts(spec.get("language", "en"))
@@ -179,11 +195,11 @@ def main(spec: dict[str, Any]) -> None:
         finally:
             tell(frames=asdict(window.frames))
     tell(event="closed")
+    return not window._is_closed
 
 
 if __name__ == "__main__":
     import_module("psychopy.visual.text")  # beforehand: it takes seconds
-    with open(0, "rb", buffering=0, closefd=False) as given:
-        line = given.readline()
-    if line:
-        main(json.loads(line))
+    threading.Thread(target=read, daemon=True).start()
+    while (spec := await_spec()) and main(json.loads(spec)):
+        tell(ready=True)

@@ -12,9 +12,8 @@ import pytest
 
 from feel321.protocols.texts import list_languages, read_scales, read_texts
 from feel321.protocols.trial import Page
-from feel321.study.screen import drawing
+from feel321.study.screen import layout
 from feel321.study.screen.drawing import (
-    BODY,
     LEADING,
     Area,
     Box,
@@ -25,7 +24,7 @@ from feel321.study.screen.drawing import (
     measure,
     round_corners,
 )
-from feel321.study.screen.layout import View, compose, make_screen_texts
+from feel321.study.screen.layout import BODY, View, compose, make_screen_texts
 from feel321.study.session.ports import Place
 
 if TYPE_CHECKING:
@@ -122,7 +121,7 @@ def test_slider_has_no_marker_until_it_was_moved(gallery: dict[str, Any]) -> Non
         )
         items = compose(views[name], texts, size=(1920, 1080)).items
         return sum(
-            isinstance(i, Area) and i.fill == drawing.BLUE and overlap(i.box, target.box)
+            isinstance(i, Area) and i.fill == layout.BLUE and overlap(i.box, target.box)
             for i in items
         )
 
@@ -152,7 +151,7 @@ def find_luminance(color: str) -> float:
 )
 def test_contrast(ink: str, ground: str) -> None:
     high, low = sorted(
-        (find_luminance(getattr(drawing, name)) for name in (ink, ground)), reverse=True
+        (find_luminance(getattr(layout, name)) for name in (ink, ground)), reverse=True
     )
     assert (high + 0.05) / (low + 0.05) >= 7.0  # WCAG 2, level AAA
 
@@ -197,17 +196,22 @@ def test_texts_break_where_they_are_too_wide() -> None:
     assert measure("Continue", 100.0) == pytest.approx(468, abs=1)
 
 
+SHOWN = {"de": (1024, 768), "en": (1920, 1080)}
+
+
 def test_pictures_of_every_screen(display: Callable[..., dict[str, str]], tmp_path: Path) -> None:
     """The real window shows every screen; its letters are as wide as the layout takes them for."""
-    size, script = (1024, 768), Path(__file__).with_name("gallery.py")
-    command = [sys.executable, str(script), str(tmp_path), *map(str, size), *list_languages()]
-    subprocess.run(command, env=display(*size), check=True, capture_output=True, timeout=600)
+    assert set(SHOWN) == set(list_languages())
+    asked = [str(word) for language, size in SHOWN.items() for word in (language, *size)]
+    command = [sys.executable, str(Path(__file__).with_name("gallery.py")), str(tmp_path), *asked]
+    env = display(*max(SHOWN.values()))
+    subprocess.run(command, env=env, check=True, capture_output=True, timeout=600)
     pictures = [path for path in tmp_path.glob("*.png") if path.name != "surface.png"]
-    assert len(pictures) > 30 * len(list_languages())
+    assert len(pictures) > 30 * len(SHOWN)
     from matplotlib.image import imread
 
     for path in pictures:
         pixels = imread(path)
-        assert pixels.shape[:2] == (size[1], size[0])
+        assert pixels.shape[1::-1] == SHOWN[path.stem[-2:]]
         assert pixels[..., :3].max() > 0.9  # something is written
         assert pixels[..., :3].mean() < 0.35  # on a dark ground

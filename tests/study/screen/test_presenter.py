@@ -314,6 +314,11 @@ def test_held_arrows_repeat_and_speed_up(seat: Callable[..., Any]) -> None:
     assert set(moves[1:-1]) <= {1.0}  # where it came to rest, not every step
 
 
+def find_window(here: Any) -> str:
+    """Find the number of the window that is seen; those of former screens are put away."""
+    return here.do("search", "--onlyvisible", "--name", "PsychoPy").split()[0]
+
+
 def close_by_manager(here: Any) -> None:
     """Ask the window to close, as its button and Alt-F4 do."""
     from Xlib import X
@@ -321,9 +326,7 @@ def close_by_manager(here: Any) -> None:
     from Xlib.protocol.event import ClientMessage
 
     display = Display(here.env["DISPLAY"])
-    window = display.create_resource_object(
-        "window", int(here.do("search", "--name", "PsychoPy").split()[0])
-    )
+    window = display.create_resource_object("window", int(find_window(here)))
     protocols, delete = display.intern_atom("WM_PROTOCOLS"), display.intern_atom("WM_DELETE_WINDOW")
     window.send_event(
         ClientMessage(
@@ -335,7 +338,7 @@ def close_by_manager(here: Any) -> None:
 
 
 def close_by_force(here: Any) -> None:
-    here.do("windowclose", here.do("search", "--name", "PsychoPy").split()[0])
+    here.do("windowclose", find_window(here))
 
 
 def test_a_display_that_is_not_there_is_one_line() -> None:
@@ -367,7 +370,7 @@ def test_a_window_that_is_put_away_pauses_a_trial_and_ends_nothing(
 ) -> None:
     here = seat({"page": "main"}, {"trial": "realism"}, duration_s=300.0, windowed=True)
     here.see(page="main")
-    window = here.do("search", "--name", "PsychoPy").split()[0]
+    window = find_window(here)
     for state in ("reading", "feeling"):
         here.see(state=state)
         here.do("windowunmap", "--sync", window)
@@ -390,7 +393,7 @@ def test_a_key_that_is_let_go_elsewhere_does_not_go_on(seat: Callable[..., Any])
     here.see(markers={"test": 50.0})
     here.do("keydown", "Right")
     here.until(lambda view: view["markers"]["test"] > 52.0)
-    here.do("windowunmap", "--sync", here.do("search", "--name", "PsychoPy").split()[0])
+    here.do("windowunmap", "--sync", find_window(here))
     here.do("keyup", "Right")
     here.see(page="pause")
     here.process.send_signal(signal.SIGINT)
