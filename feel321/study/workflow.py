@@ -13,6 +13,7 @@ from feel321.stimuli.sets.anchors import quietest_hz
 from feel321.stimuli.sets.build import Foreseen, build_stimuli, foresee_stimuli
 from feel321.stimuli.sets.manifest import StimulusSet, check_stimuli, read_stimuli
 from feel321.stimuli.sets.recipe import Recipe
+from feel321.study import strength
 from feel321.study.actuator.render import find_mix
 from feel321.study.actuator.rig import Rig, read_rig
 from feel321.study.findings import Problems
@@ -33,13 +34,6 @@ from feel321.study.settings.read import (
     try_recordings,
 )
 from feel321.study.settings.schema import Settings, count_groups
-from feel321.study.strength import (
-    find_clipping,
-    find_reach,
-    find_rig_limits,
-    find_strength,
-    find_unfelt,
-)
 
 Progress = Callable[[int, int], None]
 
@@ -94,7 +88,9 @@ def simulate_study(
     room, ledger_notice = open_room(study, settings, stimuli, now=now)
     notices = run_simulation(room, settings, participants, seed=seed, progress=progress)
     if warn is not None:
-        for notice in filter(None, (find_unfelt(settings, stimuli), ledger_notice, *notices)):
+        for notice in filter(
+            None, (strength.find_unfelt(settings, stimuli), ledger_notice, *notices)
+        ):
             warn(notice)
     write_roster(study)
     return write_ratings(study, stimuli)
@@ -124,14 +120,14 @@ def check_study(study: StudyFolder, *, progress: Progress | None = None) -> Prob
     except ValueError as error:
         unusable = [f"{study.settings.name}: {error}"]
     problems += unusable
-    strength = Problems()
+    found = Problems()
     if recipe is not None and not unread and not unusable:
         try:
             foreseen = foresee_stimuli(recordings, study.stimuli, recipe=recipe, progress=progress)
-            strength = _find_strength(study, settings, recordings, foreseen=foreseen, rig=rig)
+            found = _find_strength(study, settings, recordings, foreseen=foreseen, rig=rig)
         except ValueError as error:
             problems.append(str(error))
-    problems += strength.problems
+    problems += found.problems
     if study.stimuli.exists():
         problems += _check_set(study, settings, recordings, recipe=recipe)
     elif study.participants:
@@ -139,9 +135,9 @@ def check_study(study: StudyFolder, *, progress: Progress | None = None) -> Prob
             f"{study.stimuli}: missing, but sessions were run with it; put it back or build it again"
         )
     return replace(
-        strength,
+        found,
         problems=tuple(problems),
-        warnings=(*strength.warnings, *([] if problems else find_warnings(study, settings))),
+        warnings=(*found.warnings, *([] if problems else find_warnings(study, settings))),
         remarks=tuple(f"{one.name}: {text}" for one in recordings for text in one.warnings),
     )
 
@@ -156,14 +152,14 @@ def _find_strength(
 ) -> Problems:
     """Find out how strong stimuli are, and, where there is a rig, how it brings them to the hand."""
     recipe = make_recipe(settings)
-    found = find_strength(settings, foreseen, recipe)
+    found = strength.find_strength(settings, foreseen, recipe)
     is_built = study.manifest.exists()  # then its files are examined themselves
-    problems = [*found.problems, *([] if is_built else find_clipping(foreseen, recipe))]
+    problems = [*found.problems, *([] if is_built else strength.find_clipping(foreseen, recipe))]
     if rig is None:
         return replace(found, problems=tuple(problems))
     name = study.rig.name
-    limits = [] if is_built else find_rig_limits(rig, foreseen, recipe.reference)
-    reach = find_reach(rig, recordings, recipe)
+    limits = [] if is_built else strength.find_rig_limits(rig, foreseen, recipe.reference)
+    reach = strength.find_reach(rig, recordings, recipe)
     return Problems(
         problems=(*problems, *(f"{name}: {line}" for line in limits)),
         warnings=(*found.warnings, *(f"{name}: {line}" for line in reach.warnings)),
