@@ -196,3 +196,13 @@ def test_metrics_that_are_declared_must_be_in_the_manifest(
         "Metrics rms_m_s2 were asked for with this analysis; study.toml declares "
         "spectral_match_bounded, temporal_match."
     )
+
+
+def test_draws_are_as_declared_unless_asked_for_and_the_seed_is_the_studys(
+    pilot: Study, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    chosen: list[dict[str, object]] = []
+    monkeypatch.setattr("feel321.study.analyze.write_report", lambda *_, **how: chosen.append(how))
+    pilot.analyze()
+    pilot.analyze(draws=7)
+    assert [(how["draws"], how["seed"]) for how in chosen] == [(2000, 5), (7, 5)]
