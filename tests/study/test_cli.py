@@ -21,6 +21,7 @@ from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.synthesis import make_scene
 from feel321.stimuli.wav import read_wav, write_wav
 from feel321.study import cli
+from feel321.study.actuator import doctor
 from feel321.study.cli import main
 from feel321.study.commands import shared
 from feel321.study.folder import read_template
@@ -768,3 +769,17 @@ def test_every_exit_code_is_documented() -> None:
     assert cli.__doc__ is not None
     codes = (cli.DONE, cli.COULD_NOT, cli.WRONG_USE, cli.INTERRUPTED)
     assert all(str(code) in cli.__doc__ for code in codes)
+
+
+@pytest.mark.parametrize(("failed", "underruns", "code"), [(0, 0, 0), (1, 0, 1), (0, 1, 1)])
+def test_doctor_fails_where_a_pulse_failed_or_the_device_ran_dry(
+    failed: int, underruns: int, code: int, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    found = doctor.Examination(
+        "coil", "ALSA", 48000.0, 20.0, 10, failed, underruns, 30.0, 0.1, 0.2, None, None, None, None, 1.0,
+        is_program=False, error="",
+    )  # fmt: skip
+    monkeypatch.setattr(doctor, "survey_devices", list)
+    monkeypatch.setattr(doctor, "examine_rig", lambda *_, **__: found)
+    assert main(["doctor", "--device", "coil"]) == code
+    assert f"pulses 10, failed {failed}, underruns {underruns}" in capsys.readouterr().out
