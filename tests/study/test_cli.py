@@ -567,7 +567,10 @@ def test_new_begins_a_study_and_refuses_to_begin_it_twice(tmp_path: Path, capsys
     assert main(["new", str(tmp_path / "a")]) == 0
     assert (tmp_path / "a" / "study.toml").read_text(encoding="utf-8") == read_template()
     assert main(["new", str(tmp_path / "a")]) == 1
-    assert "nothing is overwritten" in capsys.readouterr().err
+    assert (
+        "study.toml: already exists and is not overwritten; move it away or use it"
+        in capsys.readouterr().err
+    )
 
 
 def test_the_next_command_can_be_pasted(tmp_path: Path, capsys: Capture) -> None:

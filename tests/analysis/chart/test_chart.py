@@ -15,15 +15,19 @@ import pandas as pd
 import pytest
 
 from feel321.analysis.tradeoff.chart.accuracy import ReducerVariant, draw_turns, measure_accuracy
-from feel321.analysis.tradeoff.chart.compute import FULL, QUICK, compute_chart
+from feel321.analysis.tradeoff.chart.compute import (
+    FULL,
+    QUICK,
+    compute_chart,
+    merge_equal,
+    write_chart,
+)
 from feel321.analysis.tradeoff.chart.figures import draw_cost, draw_latency
 from feel321.analysis.tradeoff.chart.page import (
     collect_notes,
     describe_answers,
     dump_data,
     list_axes,
-    merge_equal,
-    write_chart,
 )
 from feel321.analysis.tradeoff.chart.points import (
     GROUPS,
@@ -58,7 +62,7 @@ BROWSER = next(
 
 def dump(chart: Chart) -> str:
     tables = chart.to_frames()
-    return dump_data(tables, list_axes(tables))
+    return dump_data(tables, merge_equal(tables), list_axes(tables))
 
 
 def test_every_reducer_scene_measure_and_sweep_is_there(tiny: Chart) -> None:
@@ -138,7 +142,8 @@ def test_rated_members_of_a_point_stand_beside_it(rated: Chart) -> None:
 def test_a_chart_is_small_to_look_at_and_goes_through_pickle(rated: Chart) -> None:
     assert pickle.loads(pickle.dumps(rated)) == rated  # noqa: S301 - our own bytes
     assert len(repr(rated)) <= 200
-    assert rated.summary().splitlines() == list(describe_answers(rated.to_frames()))
+    tables = rated.to_frames()
+    assert rated.summary().splitlines() == list(describe_answers(tables, merge_equal(tables)))
 
 
 def test_recordings_need_names_of_their_own(make_recording: Callable[[str], Recording]) -> None:
