@@ -33,7 +33,7 @@ def plot_scatter(ratings: Table | DataFrame, metric: str, *, ax: Axes | None = N
     metric : str
         Column to plot against.
     ax : Axes, optional
-        Where to plot; the current axes if left out.
+        Where to plot; a new figure if left out.
 
     Returns
     -------
@@ -72,7 +72,7 @@ def plot_profile(ratings: Table | DataFrame, *, ax: Axes | None = None) -> Axes:
     ratings : Table or DataFrame
         Ratings; several scales and levels get a colour each.
     ax : Axes, optional
-        Where to plot; the current axes if left out.
+        Where to plot; a new figure if left out.
 
     Returns
     -------
@@ -109,7 +109,7 @@ def plot_slopes(models: Primary | Mapping[Any, Primary], *, ax: Axes | None = No
     models : Primary or Mapping of Primary
         What `fit_primary` or `fit_attributes` returned.
     ax : Axes, optional
-        Where to plot; the current axes if left out.
+        Where to plot; a new figure if left out.
 
     Returns
     -------
@@ -123,10 +123,10 @@ def plot_slopes(models: Primary | Mapping[Any, Primary], *, ax: Axes | None = No
         rows += [term for term in map(str, slopes.index) if term not in rows]
         places = [rows.index(str(term)) for term in slopes.index]
         label = format_name(", ".join(name) if isinstance(name, tuple) else str(name))
-        points = ax.plot(slopes["estimate"], places, "o", label=label or None)
-        ax.hlines(places, slopes["low"], slopes["high"], color=points[0].get_color())
+        points = ax.plot(slopes["tenth"], places, "o", label=label or None)
+        ax.hlines(places, slopes["tenth_low"], slopes["tenth_high"], color=points[0].get_color())
     ax.axvline(0, color="0.6", linewidth=0.8)
-    ax.set_yticks(range(len(rows)), rows)
+    ax.set_yticks(range(len(rows)), [format_name(name) for name in rows])
     ax.set(xlabel="Change in rating per +0.1 of the metric", ylim=(len(rows) - 0.5, -0.5))
     if len(items) > 1:
         ax.legend()
@@ -141,7 +141,7 @@ def plot_recording(signal: Recording | Reduced, *, ax: Axes | None = None) -> Ax
     signal : Recording or Reduced
         Samples with their rate.
     ax : Axes, optional
-        Where to plot; the current axes if left out.
+        Where to plot; a new figure if left out.
 
     Returns
     -------
@@ -178,7 +178,7 @@ def plot_spectrum(
     window_s : float
         Length of Welch's windows, in s.
     ax : Axes, optional
-        Where to plot; the current axes if left out.
+        Where to plot; a new figure if left out.
 
     Returns
     -------
@@ -214,7 +214,7 @@ def plot_spectrogram(
     window_s : float
         Length of a window, in s; windows overlap by half.
     ax : Axes, optional
-        Where to plot; the current axes if left out.
+        Where to plot; a new figure if left out.
 
     Returns
     -------
@@ -230,7 +230,7 @@ def plot_spectrogram(
     from feel321.stimuli.spectra import spectrogram
 
     ax, found = _find_axes(ax), spectrogram(signal, window_s=window_s)
-    strongest = found.density.max()
+    strongest = found.density.max() or 1.0  # a silent signal is at the floor throughout
     level = 10 * np.log10(np.maximum(found.density / strongest, 10 ** (FLOOR_DB / 10)))
     ax.pcolormesh(found.times_s, found.frequencies_hz, level, shading="auto", vmin=FLOOR_DB, vmax=0)
     ax.set(xlabel="Time (s)", ylabel="Frequency (Hz)", ylim=(0, min(1000, signal.rate_hz / 2)))

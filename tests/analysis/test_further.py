@@ -170,16 +170,10 @@ def test_values_may_be_handed_over_and_are_told(small: object) -> None:
     table = read_table(small.ratings, small.manifest, further=handed)
     np.testing.assert_array_equal(table.rows[MEAN], values[table.rows["stimulus_id"]])
     assert "They were drawn." in table.notes
-    inputs = describe_inputs(
-        small.ratings, small.manifest, table=table, further=handed, choices=Choices()
-    )
+    inputs = describe_inputs({}, table=table, further=handed, choices=Choices())
     assert inputs["further_metrics"] == MEAN
     other = describe_inputs(
-        small.ratings,
-        small.manifest,
-        table=table,
-        further=Further(handed.metrics + 1e-15),
-        choices=Choices(),
+        {}, table=table, further=Further(handed.metrics + 1e-15), choices=Choices()
     )
     assert inputs["further_metrics_sha256"] != other["further_metrics_sha256"]
 
@@ -273,9 +267,9 @@ def test_what_is_handed_over_must_be_metrics(small: object) -> None:
 def test_inputs_hold_digests_of_whatever_decided(small: object) -> None:
     def describe(**how: object) -> dict[str, str]:
         table = read_table(small.ratings, small.manifest, **how)
-        return describe_inputs(
-            small.ratings, small.manifest, table=table, further=None, choices=Choices(seed=7)
-        )
+        given = {role: getattr(small, role) for role in ("ratings", "manifest")}
+        roster = {"participants": small.ratings.with_name("participants.csv")}
+        return describe_inputs(given | roster, table=table, further=None, choices=Choices(seed=7))
 
     plain = describe()
     assert list(plain) == [

@@ -204,12 +204,24 @@ def test_plots_go_onto_the_axes_given(table: results.Table, realism: results.Tab
     models = analysis.fit_attributes(table.rows, table.metrics)
     analysis.plot_slopes(models, ax=axes[2])
     assert len(axes[2].get_legend().get_texts()) == 2
+    axes[2].clear()
     analysis.plot_slopes(models["realism"], ax=axes[2])
+    slopes = models["realism"].slopes
+    dots, *_ = axes[2].get_lines()
+    assert list(dots.get_xdata()) == list(slopes["tenth"])  # as the axis says: per +0.1
+    bars = [bar[:, 0].tolist() for bar in axes[2].collections[0].get_segments()]
+    assert bars == slopes[["tenth_low", "tenth_high"]].to_numpy().tolist()
     scene = stimuli.make_scene("hard_taps", duration_s=0.5)
     for axis, name in zip(axes[3:], ("recording", "spectrum", "spectrogram"), strict=True):
         assert getattr(analysis, f"plot_{name}")(scene, ax=axis) is axis
     with pytest.raises(TypeError, match="rate_hz must be given with plain samples"):
         analysis.plot_recording([1.0])
+
+
+def test_silence_has_a_spectrogram_at_its_floor() -> None:
+    silent = stimuli.Recording(np.zeros((3, 2000)), 2000.0, "silent")
+    ax = analysis.plot_spectrogram(silent, ax=Figure().subplots())
+    assert (ax.collections[0].get_array() == -80).all()
 
 
 @pytest.mark.parametrize("name", analysis._OLD)
@@ -231,3 +243,22 @@ def test_names_of_other_packages_are_repeated_rightly() -> None:
     assert schema.SURFACE == SURFACE
     scales = {protocol.scale for protocol in PROTOCOLS.values()}
     assert set(schema.APART) <= scales
+
+
+@pytest.mark.usefixtures("short")
+def test_a_report_of_tables_in_memory_is_that_of_their_files(
+    study: object, table: results.Table, tmp_path: Path
+) -> None:
+    frames = [pd.read_csv(path) for path in (study.ratings, study.manifest)]
+    filed = analysis.write_report(study.ratings, study.manifest, tmp_path / "a", draws=5)
+    framed = analysis.write_report(*frames, tmp_path / "b", draws=5)
+    whole = analysis.write_report(table, folder=tmp_path / "c", draws=5)
+    assert filed.numbers == framed.numbers == whole.numbers
+    assert filed.inputs["ratings"] == "ratings.csv"
+    assert framed.inputs["ratings"] == whole.inputs["ratings"] == "a table in memory"
+    assert len(framed.inputs["manifest_sha256"]) == 64
+    assert "manifest" not in whole.inputs
+    with pytest.raises(ValueError, match="sources and further must be left out with a Table"):
+        analysis.write_report(table, metrics=["temporal_match"], folder=tmp_path / "d")
+    with pytest.raises(TypeError, match="ratings must be a path"):
+        analysis.write_report(frames[0], folder=tmp_path / "d")

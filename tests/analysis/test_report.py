@@ -451,7 +451,7 @@ def test_what_the_second_process_cannot_draw_is_drawn_here(
     drawing = partial(draw_discrimination, {"x": discriminate(18, 24)})
     pictures = [
         Picture("a", "A.", drawing),
-        Picture("b", "B.", lambda: drawing(observer="differencing")),
+        Picture("b", "B.", lambda: draw_discrimination({"y": discriminate(9, 24)})),
     ]
     content = {"files": list_files(["a", "b"], [])}
     for name, artist in (("healthy", folder._ARTIST), ("ill", "raise SystemExit(1)")):

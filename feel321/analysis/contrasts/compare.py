@@ -7,13 +7,14 @@ first, then a participant's stimuli, then participants, so that nobody counts tw
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from feel321.analysis.arrays import CONFIDENCE, check_columns, read_numbers
-from feel321.analysis.mixed.model import contrast, fit_mixed
+from feel321.analysis.mixed.model import MixedFit, contrast, fit_mixed
 from feel321.analysis.table.items import (
     Table,
     choose_arms,
@@ -300,9 +301,9 @@ def _summarise(means: DataFrame, key: list[str]) -> DataFrame:
 CELL = ["participant", "recording", "reducer", "item"]
 
 GROUPS = {
-    "participant": ["participant"], "recording": ["recording"], "item": ["item"], "source": ["source"],
+    "participant": ["participant"], "recording": ["recording"], "item": ["item"],
     "participant:recording": ["participant", "recording"], "participant:which": ["participant", "reducer"],
-    "source:which": ["source", "reducer"],
+    "source": ["source"], "source:which": ["source", "reducer"],
 }  # fmt: skip
 """Spreads of the model of reducers -> the columns that they are over."""
 
@@ -413,20 +414,36 @@ def compare_reducers(  # noqa: PLR0913 - which rows, and the margin in either fo
     if first == second:
         raise ValueError(f"second must be another reducer than the first, got {second!r} twice")
     (low, high), more_notes = _find_margin(rows, margin, (low, high))
-    cells = rows.groupby(CELL, observed=True)["rating"].mean().reset_index()
-    codes = {name: f"c{number}" for number, name in enumerate(rated)}
-    sources = cells["recording"].map(find_sources(rows))
-    cells = cells.assign(source=sources, which=cells["reducer"].map(codes))
-    fit = fit_mixed(formula := _write_formula(cells), cells)
-    found = contrast(fit, {f"which{codes[first]}": 1, f"which{codes[second]}": -1})
+    fit, terms, n = fit_reducers(rows, rated)
+    found = contrast(fit, {terms[first]: 1, terms[second]: -1})
     numbers = found.estimate, found.se, found.df
     same = equivalence(*numbers, low=low, high=high)
     worse = non_inferiority(*numbers, margin=low)
     return ReducerDifference(
         first, second, *numbers, found.p, found.low, found.high, low, high,
         p_equivalence=same.p, p_non_inferiority=worse.p, equivalent=same.equivalent,
-        non_inferior=worse.non_inferior, n=len(cells), formula=formula, notes=(*notes, *more_notes),
+        non_inferior=worse.non_inferior, n=n, formula=fit.formula, notes=(*notes, *more_notes),
     )  # fmt: skip
+
+
+def fit_reducers(rows: DataFrame, names: Sequence[str]) -> tuple[MixedFit, dict[str, str], int]:
+    """Fit the model of `compare_reducers`; return it, the term of each reducer, and how many cells there are."""
+    cells = rows.groupby(CELL, observed=True)["rating"].mean().reset_index()
+    codes = {name: f"c{number}" for number, name in enumerate(names)}
+    sources = cells["recording"].map(find_sources(rows))
+    cells = cells.assign(source=sources, which=cells["reducer"].map(codes))
+    terms = {name: f"which{code}" for name, code in codes.items()}
+    return fit_mixed(_write_formula(cells), cells), terms, len(cells)
+
+
+def find_repeat_sd(rows: DataFrame) -> tuple[float, int]:
+    """Find the standard deviation of a rater's repeated ratings (NaN without repeats), and how many are repeated."""
+    cells = rows.groupby(["participant", "item"], observed=True)["rating"]
+    repeated = cells.transform("size") > 1
+    n = int(repeated.sum())
+    freedom = n - len(rows[repeated].groupby(["participant", "item"], observed=True))
+    left = (rows["rating"] - cells.transform("mean"))[repeated]
+    return (float(np.sqrt((left**2).sum() / freedom)) if freedom else float("nan")), n
 
 
 def _find_margin(
@@ -438,14 +455,12 @@ def _find_margin(
     if low is not None or high is not None:
         raise ValueError("margin must be one number, or low and high both, got another combination")
     if margin is None:
-        cells = rows.groupby(["participant", "item"], observed=True)["rating"]
-        freedom = int((cells.size() - 1).sum())
-        squares = float(((rows["rating"] - cells.transform("mean")) ** 2).sum())
-        if not squares > 0:
+        sd, _ = find_repeat_sd(rows)
+        if not sd > 0:
             raise ValueError(
                 "margin must be given, because nobody rated a stimulus twice differently; fix it in points"
             )
-        margin = float(np.sqrt(squares / freedom)) / 2
+        margin = sd / 2
         note = "The margin is half the standard deviation with which people repeat their ratings."
         return (-margin, margin), (note,)
     if not margin > 0:

@@ -6,21 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from feel321.analysis.figures.style import (
-    BLACK,
-    BLUE,
-    COLUMN_CM,
-    GREY,
-    MARGIN_CM,
-    RED,
-    Look,
-    add_title,
-    fit_text,
-    new_canvas,
-    new_figure,
-    plot_marks,
-    print_style,
-)
+from feel321.analysis.figures import style
+from feel321.analysis.figures.style import Look
 from feel321.analysis.screening.rules import RULES
 from feel321.analysis.words import MINUS, format_name, format_span
 
@@ -40,14 +27,7 @@ CURVE_CM, ROW_CM, UNIVERSES_AXIS_CM = 4.0, 0.36, 1.2
 LABEL_CM = 2.9
 
 
-def draw_multiverse(
-    curve: DataFrame,
-    *,
-    rules: Sequence[str],
-    counts: tuple[int, int],
-    estimate: str,
-    interval: str = "95 % intervals",
-) -> Figure:
+def draw_multiverse(curve: DataFrame, *, rules: Sequence[str], counts: tuple[int, int]) -> Figure:
     """Draw the estimate for every distinct set of raters, from the smallest up, and the rules that leave it.
 
     curve, rules: of a `Multiverse`. counts: combinations of rules, and distinct sets without an estimate.
@@ -56,28 +36,31 @@ def draw_multiverse(
         raise ValueError("result must have a universe with an estimate, got none; see its notes")
     rules = list(rules)
     heights = [CURVE_CM, ROW_CM * len(rules)]
-    with print_style():
-        figure = new_canvas(sum(heights) + UNIVERSES_AXIS_CM)
+    with style.print_style():
+        figure = style.new_canvas(sum(heights) + UNIVERSES_AXIS_CM)
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=heights)
         _draw_curve(upper, curve, alone=~curve[rules].any(axis=1).to_numpy(bool))
         _draw_rules(lower, curve[rules].to_numpy(bool).T, names=rules)
-        upper.set_ylabel(fit_text(estimate, CURVE_CM, lines=3))
+        upper.set_ylabel("Points per +0.1")
         lower.set_xlabel("Sets of raters, from the smallest estimate up")
-        add_title(figure, _describe_sets(counts, curve, interval))
+        style.add_title(figure, _describe_sets(counts, curve))
     return figure
 
 
 def _draw_curve(axes: Axes, curve: DataFrame, *, alone: NDArray[np.bool_]) -> None:
     place = np.arange(1, len(curve) + 1)
     value, low, high = curve[["value", "low", "high"]].to_numpy(np.float64).T
-    for chosen, look, size in ((~alone, Look(BLUE, "o"), 3.5), (alone, Look(RED, "D"), 5)):
+    for chosen, look, size in (
+        (~alone, Look(style.BLUE, "o"), 3.5),
+        (alone, Look(style.RED, "D"), 5),
+    ):
         at = place[chosen]
         bars: dict[str, Any] = {"color": look.colour, "linewidth": 0.8, "alpha": 0.6}
         axes.vlines(at, low[chosen], high[chosen], zorder=2, **bars)
-        plot_marks(axes, at, value[chosen], look=look, size=size)
+        style.plot_marks(axes, at, value[chosen], look=look, size=size)
     for everybody in value[alone]:
-        axes.axhline(everybody, color=RED, linewidth=0.6, linestyle="--", zorder=1)
-    axes.axhline(0, color=GREY, linewidth=0.6, zorder=1)
+        axes.axhline(everybody, color=style.RED, linewidth=0.6, linestyle="--", zorder=1)
+    axes.axhline(0, color=style.GREY, linewidth=0.6, zorder=1)
     axes.locator_params(axis="y", nbins=5)
     axes.tick_params(axis="x", length=0, labelbottom=False)
 
@@ -85,19 +68,19 @@ def _draw_curve(axes: Axes, curve: DataFrame, *, alone: NDArray[np.bool_]) -> No
 def _draw_rules(axes: Axes, applied: NDArray[np.bool_], *, names: list[str]) -> None:
     for row, chosen in enumerate(applied):
         sets = np.flatnonzero(chosen) + 1
-        style: dict[str, Any] = {"marker": "s", "markersize": 2.2, "markeredgewidth": 0}
-        axes.plot(sets, np.full(len(sets), -row), color=BLACK, linestyle="none", **style)
-    labels = [fit_text(format_name(name), LABEL_CM, lines=1) for name in names]
+        strokes: dict[str, Any] = {"marker": "s", "markersize": 2.2, "markeredgewidth": 0}
+        axes.plot(sets, np.full(len(sets), -row), color=style.BLACK, linestyle="none", **strokes)
+    labels = [style.fit_text(format_name(name), LABEL_CM, lines=1) for name in names]
     axes.set_yticks(-np.arange(len(names)), labels)
     axes.set(ylim=(0.6 - len(names), 0.6), xlim=(0.2, applied.shape[1] + 0.8))
     axes.tick_params(axis="y", length=0)
     axes.locator_params(axis="x", integer=True)
 
 
-def _describe_sets(counts: tuple[int, int], curve: DataFrame, interval: str) -> str:
+def _describe_sets(counts: tuple[int, int], curve: DataFrame) -> str:
     combinations, lost = counts
     without = f" {lost} without an estimate are left out." if lost else ""
-    bars = f"Bars: {interval}. " if curve["low"].notna().any() else "No intervals. "
+    bars = "Bars: 95 % intervals. " if curve["low"].notna().any() else "No intervals. "
     sets = "set" if len(curve) == 1 else "sets"
     return (
         f"{len(curve)} distinct {sets} of raters from {combinations} combinations of screening rules; "
@@ -123,13 +106,13 @@ def draw_raters(screening: Screening) -> Figure:
     """Draw every rater's share under every rule against the rule's limit."""
     table = screening.table
     parts = {rule: table[table["rule"] == rule] for rule in screening.limits}
-    with print_style():
+    with style.print_style():
         texts = {
             rule: _describe_rule(rule, parts[rule], limit)
             for rule, limit in screening.limits.items()
         }
         heights = [STRIP_CM + GAP_CM + LINE_CM * (1 + text.count("\n")) for text in texts.values()]
-        figure, axes = new_figure(sum(heights) + QUALITY_AXIS_CM)
+        figure, axes = style.new_figure(sum(heights) + QUALITY_AXIS_CM)
         low = min(0.0, table["share"].min(), table["limit"].min())
         limits = (float(low) - 0.02, max(1.0, float(table["share"].max())) + 0.02)
         axes.set(xlim=limits, ylim=(-sum(heights), 0), yticks=[])
@@ -142,7 +125,7 @@ def draw_raters(screening: Screening) -> Figure:
             "Share of judgements; or the rule's correlation,\nor SD as share of the scale"
         )
         number = table["participant"].nunique()
-        add_title(
+        style.add_title(
             figure,
             f"Screening, n = {number} participants, a point each; line: the rule's limit; cross: flagged. No "
             "intervals: values describe these ratings. Flagged raters should be followed up, not automatically "
@@ -152,28 +135,31 @@ def draw_raters(screening: Screening) -> Figure:
 
 
 def _describe_rule(rule: str, part: DataFrame, limit: float) -> str:
-    known, width = RULES[rule], COLUMN_CM - 3 * MARGIN_CM
+    known, width = RULES[rule], style.COLUMN_CM - 3 * style.MARGIN_CM
     says = known.says.format(limit=limit).replace("%", " %").replace(" -", f" {MINUS}")
-    source = fit_text(f"{says[:1].upper()}{says[1:]} ({known.source})", width, lines=3)
+    source = style.fit_text(f"{says[:1].upper()}{says[1:]} ({known.source})", width, lines=3)
     silent = int(part["share"].isna().sum())
     if silent == len(part):
-        return f"{source}\n{fit_text(f'Not applied: it needs {known.needs}.', width)}"
+        return f"{source}\n{style.fit_text(f'Not applied: it needs {known.needs}.', width)}"
     few = f"; not applied to {silent}" if silent else ""
     names = [str(name) for name in part.loc[part["hit"], "participant"]]
-    shown = ", ".join(fit_text(name, NAME_CM, lines=1) for name in names[:NAMED])
+    shown = ", ".join(style.fit_text(name, NAME_CM, lines=1) for name in names[:NAMED])
     more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
     hits = f"Flagged: {shown}{more}" if names else "Nobody flagged"
-    return f"{source}\n{fit_text(f'{hits}{few}', width)}"
+    return f"{source}\n{style.fit_text(f'{hits}{few}', width)}"
 
 
 def _draw_strip(axes: Axes, part: DataFrame, *, bottom: float) -> None:
     share, hit = part["share"].to_numpy(np.float64), part["hit"].to_numpy(bool)
     height = bottom + STRIP_CM * (0.15 + 0.7 * (np.arange(len(part)) * GOLDEN % 1))
     limit = part["limit"].iloc[0]
-    axes.axhline(bottom, color=BLACK, linewidth=0.3, zorder=1)
-    axes.vlines(limit, bottom, bottom + STRIP_CM, color=BLACK, linewidth=1.0, zorder=2)
+    axes.axhline(bottom, color=style.BLACK, linewidth=0.3, zorder=1)
+    axes.vlines(limit, bottom, bottom + STRIP_CM, color=style.BLACK, linewidth=1.0, zorder=2)
     # Nothing to draw is not drawn: unclipped, it would count as a point in the figure's corner.
-    for chosen, look, size in ((~hit, Look(BLUE, "o"), 3.5), (hit, Look(RED, "X"), 5.0)):
+    for chosen, look, size in (
+        (~hit, Look(style.BLUE, "o"), 3.5),
+        (hit, Look(style.RED, "X"), 5.0),
+    ):
         if np.isfinite(share[chosen]).any():
-            style: dict[str, Any] = {"markeredgewidth": 0.3, "alpha": 0.8, "clip_on": False}
-            plot_marks(axes, share[chosen], height[chosen], look=look, size=size, **style)
+            strokes: dict[str, Any] = {"markeredgewidth": 0.3, "alpha": 0.8, "clip_on": False}
+            style.plot_marks(axes, share[chosen], height[chosen], look=look, size=size, **strokes)

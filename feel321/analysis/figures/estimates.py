@@ -12,24 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from feel321.analysis.agreement import SMALLEST
-from feel321.analysis.figures.style import (
-    BLACK,
-    BLUE,
-    GREY,
-    PALE,
-    THIN,
-    Look,
-    add_legend,
-    add_title,
-    assign_looks,
-    fit_text,
-    label_scale,
-    make_handles,
-    new_canvas,
-    new_figure,
-    plot_marks,
-    print_style,
-)
+from feel321.analysis.figures import style
+from feel321.analysis.figures.style import Look
 from feel321.analysis.table.items import format_recordings
 from feel321.analysis.table.schema import HIGHEST, LOWEST, ROLES
 from feel321.analysis.words import format_name, format_number, format_span, wrap_name
@@ -59,7 +43,7 @@ FARTHEST = 6.0
 """An interval is cut, with an arrow, where it is this many times as wide as the range of the estimates and of half
 of all intervals: one that is uninformative must not squeeze all others."""
 
-PLAIN = Look(BLACK, "o")
+PLAIN = Look(style.BLACK, "o")
 UNKNOWN = "no estimate"
 
 
@@ -89,7 +73,7 @@ class ForestRow:
 
 def fit_rows(rows: Iterable[ForestRow], *, width_cm: float = LABEL_CM) -> list[ForestRow]:
     """Break the labels of rows to two lines at most that fit their place."""
-    return [replace(row, label=fit_text(row.label, width_cm)) for row in rows]
+    return [replace(row, label=style.fit_text(row.label, width_cm)) for row in rows]
 
 
 def find_height(rows: Iterable[ForestRow]) -> float:
@@ -122,7 +106,7 @@ def draw_rows(
     middles = heights / 2 - np.cumsum(heights)
     axes.set(xlim=limits, ylim=(-find_height(rows), 0))
     if zero:
-        axes.axvline(0, color=GREY, linewidth=0.6, zorder=1)
+        axes.axvline(0, color=style.GREY, linewidth=0.6, zorder=1)
     for row, middle in zip(rows, middles.tolist(), strict=True):
         for place, mark in enumerate(row.marks):
             height = middle + MARK_CM * ((len(row.marks) - 1) / 2 - place)
@@ -136,28 +120,24 @@ def draw_rows(
 
 def _draw_mark(axes: Axes, mark: Mark, *, height: float, limits: tuple[float, float]) -> None:
     if np.isnan(mark.value):
-        axes.text(sum(limits) / 2, height, UNKNOWN, ha="center", va="center", color=GREY)
+        axes.text(sum(limits) / 2, height, UNKNOWN, ha="center", va="center", color=style.GREY)
         return
-    style: dict[str, Any] = {"color": mark.look.colour, "zorder": 3, "clip_on": False}
+    strokes: dict[str, Any] = {"color": mark.look.colour, "zorder": 3, "clip_on": False}
     low, high = np.clip((mark.low, mark.high), *limits)
-    axes.plot([low, high], [height, height], linewidth=1.0, solid_capstyle="butt", **style)
+    axes.plot([low, high], [height, height], linewidth=1.0, solid_capstyle="butt", **strokes)
     for beyond, edge, arrow in (
         (mark.low < limits[0], limits[0], "<"),
         (mark.high > limits[1], limits[1], ">"),
     ):
         if beyond:
-            axes.plot(edge, height, marker=arrow, markersize=3, markeredgewidth=0, **style)
+            axes.plot(edge, height, marker=arrow, markersize=3, markeredgewidth=0, **strokes)
     if np.isfinite(mark.value):
-        plot_marks(axes, mark.value, height, look=mark.look, filled=mark.filled, clip_on=False)
+        style.plot_marks(
+            axes, mark.value, height, look=mark.look, filled=mark.filled, clip_on=False
+        )
 
 
 # Forest plot: slopes of the primary model, and what other choices make of them.
-
-MOST = 3
-"""Attributes whose variants fit side by side."""
-
-PANEL_CM = 4.3
-"""What labels leave of the column."""
 
 STANDARDISED = "SD of ratings per SD of metric"
 
@@ -166,36 +146,31 @@ RESCALED = "ratings rescaled"
 """Headings: of variants that come once per name, and of those that follow them."""
 
 
-def draw_slopes(
-    models: Mapping[str, Primary], *, variants: Mapping[str, DataFrame] | None = None
-) -> Figure:
+def draw_slopes(models: Mapping[str, Primary], *, variants: DataFrame | None = None) -> Figure:
     """Draw the slopes of the primary model per attribute and metric, points per +0.1 with Satterthwaite intervals.
 
-    variants: attribute -> what `vary_primary` returns, of three attributes at most: a second panel of standardised
-    slopes, which alone compare across units.
+    variants: what `vary_primary` returns of a single attribute: a second panel of standardised slopes, which alone
+    compare across units.
     """
     if not models:
         raise ValueError("models must hold one or more attributes with their models, got none")
-    varied = dict(variants or {})
-    if len(varied) > MOST:
-        raise ValueError(
-            f"variants must be of at most {MOST} attributes, got {len(varied)}; draw several figures"
-        )
     metrics = [str(name) for model in models.values() for name in model.slopes.index]
-    metrics += [str(name) for table in varied.values() for name in table["metric"]]
-    looks = assign_looks(list(dict.fromkeys(metrics)))
-    with print_style():
-        rows = fit_rows(_list_slopes(models, looks))
-        below = {name: fit_rows(_list_variants(table, looks)) for name, table in varied.items()}
-        heights = [find_height(rows), *([max(map(find_height, below.values()))] if below else [])]
-        figure = new_canvas(sum(heights) + AXIS_CM * (2 + bool(below)))
-        grid = figure.add_gridspec(len(heights), max(1, len(below)), height_ratios=heights)
-        axes = figure.add_subplot(grid[0, :])
-        draw_rows(axes, rows, limits=find_limits(rows, 0), zero=True)
-        axes.set_xlabel("Points of rating per +0.1 of metric")
-        _draw_variants([figure.add_subplot(grid[1, place]) for place in range(len(below))], below)
-        add_title(figure, _describe_slopes(models, varied))
-        add_legend(figure, make_handles({format_name(name): look for name, look in looks.items()}))
+    metrics += [] if variants is None else list(map(str, variants["metric"]))
+    looks = style.assign_looks(list(dict.fromkeys(metrics)))
+    with style.print_style():
+        panels = [fit_rows(_list_slopes(models, looks))]
+        panels += [] if variants is None else [fit_rows(_list_variants(variants, looks))]
+        heights = list(map(find_height, panels))
+        figure = style.new_canvas(sum(heights) + AXIS_CM * (1 + len(panels)))
+        both = figure.subplots(len(panels), 1, height_ratios=heights, squeeze=False)[:, 0]
+        labels = ("Points of rating per +0.1 of metric", STANDARDISED)
+        for axes, rows, label in zip(both, panels, labels, strict=False):
+            draw_rows(axes, rows, limits=find_limits(rows, 0), zero=True)
+            axes.set_xlabel(label)
+        style.add_title(figure, _describe_slopes(models, variants))
+        style.add_legend(
+            figure, style.make_handles({format_name(name): look for name, look in looks.items()})
+        )
     return figure
 
 
@@ -228,29 +203,19 @@ def _mark_slopes(row: Mapping[Hashable, object], looks: Mapping[str, Look]) -> M
     return Mark(value, low, high, looks[str(row["metric"])], filled=not row["singular"])
 
 
-def _draw_variants(panels: list[Axes], below: Mapping[str, list[ForestRow]]) -> None:
-    limits = find_limits([row for rows in below.values() for row in rows], 0)
-    for place, (axes, (attribute, rows)) in enumerate(zip(panels, below.items(), strict=True)):
-        draw_rows(axes, rows, limits=limits, zero=True)
-        axes.locator_params(axis="x", nbins=5 - len(below))
-        axes.set_title(fit_text(format_name(attribute), PANEL_CM / len(below)))
-        axes.set_xlabel(fit_text(STANDARDISED, PANEL_CM / len(below), lines=4))
-        if place:
-            axes.tick_params(axis="y", labelleft=False)
-
-
-def _describe_slopes(models: Mapping[str, Primary], varied: Mapping[str, DataFrame]) -> str:
+def _describe_slopes(models: Mapping[str, Primary], variants: DataFrame | None) -> str:
     def span(what: str) -> str:
         return f"{format_span(getattr(model, f'n_{what}') for model in models.values())} {what}"
 
     shared = any(model.n_sources < model.n_recordings for model in models.values())
     scenes = f"{span('recordings')} of {span('sources')}" if shared else span("recordings")
     items = format_span(model.n_items for model in models.values())
-    singular = any(model.fit.singular for model in models.values()) or any(
-        table["singular"].any() for table in varied.values()
+    singular = any(model.fit.singular for model in models.values()) or (
+        variants is not None and variants["singular"].any()
     )
     hollow = " Hollow: singular fit (a spread estimated as zero)." if singular else ""
-    second = "\nBelow: the same slopes, standardised, under other choices." if varied else ""
+    below = "\nBelow: the same slopes, standardised, under other choices."
+    second = "" if variants is None else below
     return (
         f"Slopes within recordings, mixed model; bars: 95 % Satterthwaite intervals. "
         f"n = {span('participants')}, {scenes}, {items} stimuli.{hollow}{second}"
@@ -259,16 +224,11 @@ def _describe_slopes(models: Mapping[str, Primary], varied: Mapping[str, DataFra
 
 # Equivalence plot: differences between reducers against the margin within which they would not matter.
 
-EQUIVALENT, OPEN = Look(BLUE, "o"), Look(BLACK, "D")
+EQUIVALENT, OPEN = Look(style.BLUE, "o"), Look(style.BLACK, "D")
 
 
 def draw_equivalence(
-    contrasts: Mapping[str, Equivalence],
-    *,
-    n_participants: int,
-    n_recordings: int,
-    n_sources: int | None = None,
-    unit: str = "points of rating",
+    contrasts: Mapping[str, Equivalence], *, n_participants: int, n_recordings: int, n_sources: int
 ) -> Figure:
     """Draw 90 % intervals of differences, such as ``dft321 − mag321``, against the margin of equivalence."""
     margins = {(test.low, test.high) for test in contrasts.values()}
@@ -277,19 +237,19 @@ def draw_equivalence(
             f"contrasts must have one margin for all, got {len(margins)}; draw a figure for each"
         )
     ((low, high),) = margins
-    with print_style():
+    with style.print_style():
         rows = fit_rows(ForestRow(name, (_mark(test),)) for name, test in contrasts.items())
-        figure, axes = new_figure(find_height(rows) + AXIS_CM)
-        axes.axvspan(low, high, color=PALE, linewidth=0, zorder=0)
+        figure, axes = style.new_figure(find_height(rows) + AXIS_CM)
+        axes.axvspan(low, high, color=style.PALE, linewidth=0, zorder=0)
         draw_rows(axes, rows, limits=find_limits(rows, 0, low, high), zero=True)
-        axes.set_xlabel(f"Difference ({unit})")
+        axes.set_xlabel("Difference (points of rating)")
         shown = sum(test.equivalent for test in contrasts.values())
         margin = f"{format_number(low, kind='rating')} to {format_number(high, kind='rating')}"
-        add_title(
+        style.add_title(
             figure,
-            f"Bars: 90 % intervals, of two one-sided tests at 5 %. Shaded: margin, {margin} {unit}. "
+            f"Bars: 90 % intervals, of two one-sided tests at 5 %. Shaded: margin, {margin} points of rating. "
             f"Filled: equivalent, {shown} of {len(contrasts)}; hollow: not shown. n = {n_participants} participants, "
-            f"{format_recordings(n_recordings, n_sources or n_recordings)}.",
+            f"{format_recordings(n_recordings, n_sources)}.",
         )
     return figure
 
@@ -321,8 +281,8 @@ def draw_profile(
     """Draw ratings per reducer as a raincloud: every participant, their distribution, the mean and its interval."""
     labels = _label_rows(profile, list(looks))
     places = _place_rows(labels)
-    with print_style():
-        figure, axes = new_figure(height_cm=3.0 - ROW_CM * min(places.values()))
+    with style.print_style():
+        figure, axes = style.new_figure(height_cm=3.0 - ROW_CM * min(places.values()))
         _draw_people(axes, participants, places=places)
         for (role, name), height in places.items():
             chosen = (participants["role"] == role) & (participants["reducer"] == name)
@@ -335,9 +295,9 @@ def draw_profile(
         axes.set(xlim=(LOWEST - 2, HIGHEST + 2), ylim=(min(places.values()) - 0.6, 0.8))
         if apart := [height for (role, _), height in places.items() if role != ROLES[0]]:
             line = max(apart) + (TWO_LINES + APART) / 2
-            axes.axhline(line, color=GREY, linewidth=THIN, linestyle=":")
+            axes.axhline(line, color=style.GREY, linewidth=style.THIN, linestyle=":")
         # A label of the figure, not the axes: long names may leave the axes less room than the words need.
-        figure.supxlabel(label_scale(profile["scale"].iloc[0]))
+        figure.supxlabel(style.label_scale(profile["scale"].iloc[0]))
         figure.suptitle(_describe_people(profile["n_participants"]), x=0.02, ha="left")
     return figure
 
@@ -372,13 +332,13 @@ def _place_rows(labels: Mapping[tuple[str, str], str]) -> dict[tuple[str, str], 
 def _draw_people(
     axes: Axes, participants: DataFrame, *, places: Mapping[tuple[str, str], float]
 ) -> None:
-    style: dict[str, Any] = {"color": GREY, "linewidth": 0.4, "alpha": 0.6}
-    style |= {"marker": ".", "markersize": 2}
+    strokes: dict[str, Any] = {"color": style.GREY, "linewidth": 0.4, "alpha": 0.6}
+    strokes |= {"marker": ".", "markersize": 2}
     is_test = participants["role"] == ROLES[0]
     for (joined, _), part in participants.groupby([is_test, "participant"]):
         height = np.array([places[key] for key in zip(part["role"], part["reducer"], strict=True)])
         down, rating = np.argsort(-height), part["rating"].to_numpy(np.float64)
-        axes.plot(rating[down], height[down], linestyle="-" if joined else "none", **style)
+        axes.plot(rating[down], height[down], linestyle="-" if joined else "none", **strokes)
 
 
 def _draw_cloud(axes: Axes, ratings: NDArray[np.float64], *, height: float, look: Look) -> None:
@@ -390,14 +350,14 @@ def _draw_cloud(axes: Axes, ratings: NDArray[np.float64], *, height: float, look
     density = np.exp(-0.5 * np.square((place[:, None] - ratings) / width)).sum(axis=1)
     seen, base = density > CLOUD_EDGE * density.max(), height + CLOUD_OFF
     top = base + CLOUD_ROWS * density / density.max()
-    style: dict[str, Any] = {"color": look.colour, "alpha": 0.3, "linewidth": 0, "zorder": 2}
+    strokes: dict[str, Any] = {"color": look.colour, "alpha": 0.3, "linewidth": 0, "zorder": 2}
     around = np.concatenate([place[seen], place[seen][::-1]])
-    axes.fill(around, np.concatenate([top[seen], np.full(seen.sum(), base)]), **style)
+    axes.fill(around, np.concatenate([top[seen], np.full(seen.sum(), base)]), **strokes)
 
 
 def _draw_mean(axes: Axes, row: Mapping[Hashable, Any], *, height: float, look: Look) -> None:
     spread = np.array([[row["mean"] - row["low"]], [row["high"] - row["mean"]]])
-    style: dict[str, Any] = {"color": look.colour, "fmt": look.marker, "markersize": 4.5}
-    style |= {"markeredgecolor": "white", "markeredgewidth": THIN, "elinewidth": 1.2}
+    strokes: dict[str, Any] = {"color": look.colour, "fmt": look.marker, "markersize": 4.5}
+    strokes |= {"markeredgecolor": "white", "markeredgewidth": style.THIN, "elinewidth": 1.2}
     error = None if np.isnan(spread).any() else spread
-    axes.errorbar(row["mean"], height, xerr=error, capsize=2.5, zorder=3, **style)
+    axes.errorbar(row["mean"], height, xerr=error, capsize=2.5, zorder=3, **strokes)

@@ -7,40 +7,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from feel321.analysis.figures.estimates import (
-    AXIS_CM,
-    ForestRow,
-    Mark,
-    draw_rows,
-    find_height,
-    find_limits,
-    fit_rows,
-)
-from feel321.analysis.figures.style import (
-    BLACK,
-    BLUE,
-    COLUMN_CM,
-    GREY,
-    MARGIN_CM,
-    PALE,
-    RED,
-    THIN,
-    Look,
-    add_legend,
-    add_title,
-    assign_looks,
-    fit_text,
-    label_scale,
-    make_handles,
-    new_canvas,
-    new_figure,
-    plot_marks,
-    print_style,
-)
+from feel321.analysis.figures import estimates, style
+from feel321.analysis.figures.style import Look
 from feel321.analysis.table.items import format_recordings
 from feel321.analysis.table.schema import HIGHEST, LOWEST
 from feel321.analysis.words import format_axis, format_interval, format_number, format_span
-from feel321.doors import check_name
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -71,8 +42,8 @@ CUT = -1.0
 def draw_scatter(panel: Panel, association: Association, *, looks: Mapping[str, Look]) -> Figure:
     """Draw the mean rating of each test stimulus against a metric."""
     parts = dict(tuple(panel.stimuli.groupby("reducer", observed=True)))
-    with print_style():
-        figure, axes = new_figure(height_cm=8.2)
+    with style.print_style():
+        figure, axes = style.new_figure(height_cm=8.2)
         shown = {
             name: scatter_reducer(axes, parts[name], metric=association.metric, look=look)
             for name, look in looks.items()
@@ -80,11 +51,11 @@ def draw_scatter(panel: Panel, association: Association, *, looks: Mapping[str, 
         }
         values = panel.stimuli[association.metric].to_numpy(np.float64)
         _mark_clipped(axes, values, falling=association.value < 0)
-        axes.set(xlabel=format_axis(association.metric), ylabel=label_scale(panel.scale))
+        axes.set(xlabel=format_axis(association.metric), ylabel=style.label_scale(panel.scale))
         axes.set_ylim(LOWEST - 3, HIGHEST + 3)
         axes.locator_params(axis="x", nbins=5)
         axes.set_title(_describe_association(association))
-        add_legend(figure, shown)
+        style.add_legend(figure, shown)
     return figure
 
 
@@ -95,10 +66,10 @@ def scatter_reducer(
     true = stimuli[metric].to_numpy(np.float64)
     mean, low, high = stimuli[["mean", "low", "high"]].to_numpy(np.float64).T
     shown, inside = np.maximum(true, CUT), true >= CUT
-    axes.vlines(shown, low, high, colors=GREY, linewidths=0.35, alpha=0.6, zorder=1)
-    hollow: dict[str, Any] = {"filled": False, "markeredgewidth": THIN}
-    plot_marks(axes, shown[~inside], mean[~inside], look=look, size=size, **hollow)
-    return plot_marks(axes, shown[inside], mean[inside], look=look, size=size)
+    axes.vlines(shown, low, high, colors=style.GREY, linewidths=0.35, alpha=0.6, zorder=1)
+    hollow: dict[str, Any] = {"filled": False, "markeredgewidth": style.THIN}
+    style.plot_marks(axes, shown[~inside], mean[~inside], look=look, size=size, **hollow)
+    return style.plot_marks(axes, shown[inside], mean[inside], look=look, size=size)
 
 
 def count_clipped(metric: NDArray[np.float64]) -> int:
@@ -153,16 +124,18 @@ def draw_mapping(
     """Draw mean ratings against a metric in one panel per recording; bars: 95 % t intervals over participants."""
     recordings = list(dict.fromkeys(stimuli["recording"]))
     rows = -(-len(recordings) // COLUMNS)
-    with print_style():
+    with style.print_style():
         heights = [ROW_CM * rows + LABELS_CM, STRIP_CM]
-        figure = new_canvas(sum(heights))
+        figure = style.new_canvas(sum(heights))
         upper, lower = figure.subfigures(2, 1, height_ratios=heights, squeeze=False)[:, 0]
         shown = _draw_panels(upper, stimuli, judged, metric=association.metric, looks=looks)
         upper.supxlabel(format_axis(association.metric))
-        upper.supylabel(fit_text(label_scale(scale).replace("\n", " "), ROW_CM * rows + 1, lines=3))
+        upper.supylabel(
+            style.fit_text(style.label_scale(scale).replace("\n", " "), ROW_CM * rows + 1, lines=3)
+        )
         _draw_strip(lower.add_subplot(), association)
-        add_title(figure, _describe_mapping(stimuli, judged, association))
-        add_legend(figure, {name: shown[name] for name in looks if name in shown})
+        style.add_title(figure, _describe_mapping(stimuli, judged, association))
+        style.add_legend(figure, {name: shown[name] for name in looks if name in shown})
     return figure
 
 
@@ -176,15 +149,15 @@ def _draw_panels(
     )
     values = stimuli[metric].to_numpy(np.float64)
     x = np.linspace(max(values.min(), CUT), values.max(), CURVE_POINTS)
-    width = (COLUMN_CM - 1.6) / columns
+    width = (style.COLUMN_CM - 1.6) / columns
     shown: dict[str, Line2D] = {}
     for axes, (name, part) in zip(grid.flat, parts, strict=False):
-        axes.plot(x, Polynomial(judged.coefficients)(x), color=BLACK, linewidth=1.0, zorder=2)
+        axes.plot(x, Polynomial(judged.coefficients)(x), color=style.BLACK, linewidth=1.0, zorder=2)
         for reducer, own in part.groupby("reducer", observed=True):
             shown[str(reducer)] = scatter_reducer(
                 axes, own, metric=metric, look=looks[str(reducer)], size=SIZE
             )
-        axes.set_title(fit_text(str(name), width - 2 * MARGIN_CM, lines=2))
+        axes.set_title(style.fit_text(str(name), width - 2 * style.MARGIN_CM, lines=2))
         axes.locator_params(nbins=3)
     grid.flat[0].set_ylim(_find_range(stimuli))
     for number, axes in enumerate(grid.flat):
@@ -207,11 +180,11 @@ def _draw_strip(axes: Axes, association: Association) -> None:
     """Draw the correlation on its own axis, with the highest that noise allows."""
     value, ceiling, falling = association.value, association.ceiling, association.value < 0
     ends = [association.low, association.high]
-    axes.plot(ends, [0, 0], linewidth=1.2, color=BLUE, clip_on=False, zorder=3)
-    plot_marks(axes, value, 0, look=Look(BLUE, "o"), size=4.5, clip_on=False)
+    axes.plot(ends, [0, 0], linewidth=1.2, color=style.BLUE, clip_on=False, zorder=3)
+    style.plot_marks(axes, value, 0, look=Look(style.BLUE, "o"), size=4.5, clip_on=False)
     for limit in (ceiling, *([-ceiling] if falling else [])):
-        axes.axvline(limit, color=BLACK, linestyle="--", linewidth=1.0, zorder=2)
-    axes.axvline(0, color=GREY, linewidth=0.6, zorder=1)
+        axes.axvline(limit, color=style.BLACK, linestyle="--", linewidth=1.0, zorder=2)
+    axes.axvline(0, color=style.GREY, linewidth=0.6, zorder=1)
     low = float(np.nanmin([0.0, association.low, value, -ceiling if falling else 0.0]))
     axes.set(xlim=(low - 0.02, 1.02), ylim=(-1, 1), yticks=[])
     axes.spines["left"].set_visible(False)
@@ -236,7 +209,7 @@ def _describe_mapping(stimuli: DataFrame, judged: P1401, association: Associatio
 
 # Residuals of a mixed model: whether they are normal, and as spread at every height of the scale.
 
-HEIGHT_CM, LABEL_CM = 4.6, 2.6
+HEIGHT_CM = 4.6
 MOST = 2000
 """Points that an eye can use; of more rows this many are drawn, evenly through their order."""
 
@@ -246,25 +219,24 @@ BINS, BINNED = 10, 20
 POINTS: dict[str, Any] = {"marker": "o", "linestyle": "none", "markersize": 2, "markeredgewidth": 0}
 
 
-def draw_residuals(fit: MixedFit, *, unit: str = "points") -> Figure:
+def draw_residuals(fit: MixedFit) -> Figure:
     """Draw a normal quantile plot of the residuals, and the residuals against the fitted values.
 
     The k-th of n normal values in order lies between the quantiles of Beta(k, n - k + 1), turned into normal ones;
     the band is pointwise: one point in twenty lies outside by chance, and neighbours leave it together.
     """
-    with print_style():
-        figure = new_canvas(HEIGHT_CM)
+    with style.print_style():
+        figure = style.new_canvas(HEIGHT_CM)
         left, right = figure.subplots(1, 2)
         _draw_quantiles(left, fit.residuals)
         _draw_spread(right, fit.fitted, fit.residuals)
         left.set(xlabel="Normal quantile (SD)", ylabel="Residual (SD)")
-        across, up = (fit_text(f"{what} ({unit})", LABEL_CM) for what in ("Fitted", "Residual"))
-        right.set(xlabel=across, ylabel=up)
+        right.set(xlabel="Fitted (points)", ylabel="Residual (points)")
         for axes in (left, right):
             axes.locator_params(nbins=4)
         n = len(fit.residuals)
         drawn = f", {MOST} of them drawn" if n > MOST else ""
-        add_title(
+        style.add_title(
             figure,
             f"Residuals of the mixed model, n = {n} rows{drawn}. Left: band, 95 % pointwise for normal residuals. "
             f"Right: line and band, median and quartiles, row after row in parts of equal size.",
@@ -282,24 +254,24 @@ def _draw_quantiles(axes: Axes, residuals: Values) -> None:
     rank = chosen + 1
     expected = ndtri((rank - 0.5) / n)
     low, high = (ndtri(betaincinv(rank, n - rank + 1, share)) for share in (0.025, 0.975))
-    axes.fill_between(expected, low, high, color=PALE, linewidth=0, zorder=0)
-    axes.axline((0, 0), slope=1, color=GREY, linewidth=0.6, zorder=1)
-    axes.plot(expected, ordered[chosen], color=BLUE, zorder=2, **POINTS)
+    axes.fill_between(expected, low, high, color=style.PALE, linewidth=0, zorder=0)
+    axes.axline((0, 0), slope=1, color=style.GREY, linewidth=0.6, zorder=1)
+    axes.plot(expected, ordered[chosen], color=style.BLUE, zorder=2, **POINTS)
 
 
 def _draw_spread(axes: Axes, fitted: Values, residuals: Values) -> None:
     order = np.argsort(fitted, kind="stable")
     chosen = order[_choose(len(order))]
-    axes.axhline(0, color=GREY, linewidth=0.6, zorder=1)
-    axes.plot(fitted[chosen], residuals[chosen], color=BLUE, alpha=0.4, zorder=2, **POINTS)
+    axes.axhline(0, color=style.GREY, linewidth=0.6, zorder=1)
+    axes.plot(fitted[chosen], residuals[chosen], color=style.BLUE, alpha=0.4, zorder=2, **POINTS)
     parts = np.array_split(order, min(BINS, len(order) // BINNED)) if len(order) >= BINNED else []
     if len(parts) > 1:
         middles = [np.median(fitted[part]) for part in parts]
         low, half, high = np.array([
             np.quantile(residuals[part], (0.25, 0.5, 0.75)) for part in parts
         ]).T
-        axes.fill_between(middles, low, high, color=RED, alpha=0.25, linewidth=0, zorder=3)
-        axes.plot(middles, half, color=RED, linewidth=1.0, zorder=4)
+        axes.fill_between(middles, low, high, color=style.RED, alpha=0.25, linewidth=0, zorder=3)
+        axes.plot(middles, half, color=style.RED, linewidth=1.0, zorder=4)
 
 
 def _choose(n: int) -> NDArray[np.intp]:
@@ -310,40 +282,34 @@ def _choose(n: int) -> NDArray[np.intp]:
 # Map of stimuli: what people tell apart, how sure each place is, and how many dimensions are enough.
 
 MAP_CM, STRESS_CM, MAP_AXIS_CM = 6.2, 2.2, 1.2
-ORIGINAL = Look(BLACK, "*")
+ORIGINAL, STAR = "original", Look(style.BLACK, "*")
+"""The hidden reference, and how it is drawn."""
+
 LARGE = 9
 
 
-def draw_space(
-    ellipses: Ellipses,
-    names: Sequence[str],
-    *,
-    original: str = "original",
-    stress: Sequence[float] = (),
-    looks: Mapping[str, Look] | None = None,
-) -> Figure:
+def draw_space(ellipses: Ellipses, names: Sequence[str], *, stress: Sequence[float] = ()) -> Figure:
     """Draw the group's map with an ellipse per stimulus."""
     n = len(ellipses.space.positions)
     if len(names) != n or len(set(names)) != n:
         raise ValueError(
             f"names must be one for each of {n} stimuli, got {len(set(names))} different ones"
         )
-    chosen = assign_looks([name for name in names if name != original])
-    chosen |= {**(looks or {}), original: ORIGINAL}
-    with print_style():
+    looks = style.assign_looks([name for name in names if name != ORIGINAL]) | {ORIGINAL: STAR}
+    with style.print_style():
         heights = [MAP_CM, STRESS_CM] if len(stress) else [MAP_CM]
-        figure = new_canvas(sum(heights) + MAP_AXIS_CM * len(heights))
+        figure = style.new_canvas(sum(heights) + MAP_AXIS_CM * len(heights))
         panels = figure.subplots(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
-        _draw_map(panels[0], ellipses, looks=[chosen[name] for name in names])
+        _draw_map(panels[0], ellipses, looks=[looks[name] for name in names])
         if len(stress):
             _draw_stress(panels[1], stress)
-        star = " Star: original." if original in names else ""
-        add_title(
+        star = " Star: original." if ORIGINAL in names else ""
+        style.add_title(
             figure,
             f"Group map of dissimilarity, stress-1 = {ellipses.space.stress:.2f}. Ellipses: 95 % bootstrap regions "
             f"over n = {ellipses.n_participants} participants ({ellipses.draws} draws).{star}",
         )
-        add_legend(figure, make_handles({name: chosen[name] for name in names}))
+        style.add_legend(figure, style.make_handles({name: looks[name] for name in names}))
     return figure
 
 
@@ -352,15 +318,15 @@ def _draw_map(axes: Axes, ellipses: Ellipses, *, looks: Sequence[Look]) -> None:
 
     places = zip(ellipses.space.positions, ellipses.half_axes, ellipses.angle, looks, strict=True)
     for place, half, angle, look in places:
-        style: dict[str, Any] = {
+        strokes: dict[str, Any] = {
             "facecolor": look.colour,
             "alpha": 0.15,
             "linewidth": 0,
             "zorder": 1,
         }
-        axes.add_patch(Ellipse(tuple(place), *(2 * half), angle=float(angle), **style))
-        size = LARGE if look == ORIGINAL else 4.5
-        plot_marks(axes, place[0], place[1], look=look, size=size, markeredgewidth=0.4)
+        axes.add_patch(Ellipse(tuple(place), *(2 * half), angle=float(angle), **strokes))
+        size = LARGE if look == STAR else 4.5
+        style.plot_marks(axes, place[0], place[1], look=look, size=size, markeredgewidth=0.4)
     unit = "rank order only" if ellipses.space.ordinal else "unit of dissimilarity"
     axes.set(xlabel=f"Dimension 1 ({unit})", ylabel=f"Dimension 2 ({unit})")
     axes.autoscale_view()
@@ -370,7 +336,7 @@ def _draw_map(axes: Axes, ellipses: Ellipses, *, looks: Sequence[Look]) -> None:
 
 def _draw_stress(axes: Axes, stress: Sequence[float]) -> None:
     numbers = list(range(1, len(stress) + 1))
-    axes.plot(numbers, stress, marker="o", color=BLACK, markersize=3.5, clip_on=False)
+    axes.plot(numbers, stress, marker="o", color=style.BLACK, markersize=3.5, clip_on=False)
     axes.set(xlabel="Number of dimensions", ylabel="Stress-1")
     axes.set(xticks=numbers, ylim=(0, 1.1 * max(*stress, 0.1)))
     axes.locator_params(axis="y", nbins=4)
@@ -378,40 +344,28 @@ def _draw_stress(axes: Axes, stress: Sequence[float]) -> None:
 
 # Paired judgements: d' of ABX trials.
 
-OBSERVERS = {"independent": "independent observations", "differencing": "differencing"}
-"""Model of the observer -> its name in words."""
-
-AXIS_LABEL_CM = 6.5
+ENDS = ("", "_low", "_high")
 
 
-def draw_discrimination(
-    results: Mapping[str, Discrimination], *, observer: str = "independent"
-) -> Figure:
+def draw_discrimination(results: Mapping[str, Discrimination]) -> Figure:
     """Draw the d' of each pair of stimuli that was compared in ABX trials, by the pair's name."""
-    check_name(observer, OBSERVERS, "observer")
     if not results:
         raise ValueError("results must hold one pair or more, got none")
     rows = []
     for name, found in results.items():
-        value, low, high = (
-            float(getattr(found, f"d_{observer}{end}")) for end in ("", "_low", "_high")
-        )
-        label = f"{name} ({found.n_correct}/{found.n_trials})"
-        rows.append(ForestRow(label, (Mark(value, low, high, Look(BLUE, "o")),)))
-    trials = format_span(found.n_trials for found in results.values())
-    text = (
-        f"ABX, observer's model: {OBSERVERS[observer]}. Bars: 95 % Wilson intervals of the share correct, as d′. "
-        f"n = {trials} trials per pair (correct/trials in brackets). Line: guessing."
-    )
-    return _draw(rows, "d′", text)
-
-
-def _draw(labelled: Sequence[ForestRow], label: str, text: str) -> Figure:
-    with print_style():
-        rows = fit_rows(labelled)
-        figure, axes = new_figure(find_height(rows) + AXIS_CM)
-        draw_rows(axes, rows, limits=find_limits(rows, 0), zero=True)
+        value, low, high = (float(getattr(found, f"d_independent{end}")) for end in ENDS)
+        mark = estimates.Mark(value, low, high, Look(style.BLUE, "o"))
+        rows.append(estimates.ForestRow(f"{name} ({found.n_correct}/{found.n_trials})", (mark,)))
+    rows = estimates.fit_rows(rows)
+    with style.print_style():
+        figure, axes = style.new_figure(estimates.find_height(rows) + estimates.AXIS_CM)
+        estimates.draw_rows(axes, rows, limits=estimates.find_limits(rows, 0), zero=True)
         # A label of the figure, not the axes: long names may leave the axes less room than the words need.
-        figure.supxlabel(fit_text(label, AXIS_LABEL_CM))
-        add_title(figure, text)
+        figure.supxlabel("d′")
+        trials = format_span(found.n_trials for found in results.values())
+        style.add_title(
+            figure,
+            "ABX, observer's model: independent observations. Bars: 95 % Wilson intervals of the share correct, as "
+            f"d′. n = {trials} trials per pair (correct/trials in brackets). Line: guessing.",
+        )
     return figure

@@ -8,12 +8,15 @@ not estimable.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from feel321.analysis import words
 from feel321.analysis.primary.plan import REDUCER, SOURCE, make_cells
 from feel321.analysis.primary.sensitivity import (
     ENOUGH,
+    MOVED,
     NOT_ESTIMABLE,
     OPEN,
     PREDICTS,
@@ -26,26 +29,14 @@ from feel321.analysis.primary.sensitivity import (
 from feel321.analysis.report.parts import ITEM, SIGNIFICANCE, RatingsPart, format_p
 from feel321.analysis.report.section import METRIC, RATINGS, Column, TableForm
 from feel321.analysis.table.items import format_recordings
-from feel321.analysis.words import (
-    COUNT,
-    Claim,
-    Line,
-    capitalise,
-    format_estimate,
-    format_name,
-    format_number,
-    join_words,
-    name_path,
-)
+from feel321.analysis.words import COUNT, Claim, Line
 
 if TYPE_CHECKING:
-    from feel321.analysis.primary.model import Primary
-
-    Row = dict[Any, Any]
-    from collections.abc import Iterator, Sequence
-
     from pandas import DataFrame
 
+    from feel321.analysis.primary.model import Primary
+
+Row = dict[Any, Any]
 
 NEEDS = {
     "detectable": ("Detectable", "slope", "slope per +0.1 found with 80 % power"),
@@ -88,13 +79,16 @@ def describe_need(row: Row, *, scenes: str = "recordings") -> str:
     """Say what would settle an inconclusive slope."""
     if row["p_holm"] < SIGNIFICANCE or not is_sound(row):
         return ""
-    metric = format_name(row["metric"])
+    metric = words.format_name(row["metric"])
     if_so = f"If the true slope on {metric} is the one estimated here,"
     if math.isfinite(row["_participants"]):
-        people = format_number(row["_participants"], kind=COUNT)
+        people = words.format_number(row["_participants"], kind=COUNT)
         return f"{if_so} {people} participants with these recordings would give 80 % power."
     if math.isfinite(row["_recordings"]):
-        more, most = format_number(row["_recordings"], kind=COUNT), format_number(row["_infinite"])
+        more, most = (
+            words.format_number(row["_recordings"], kind=COUNT),
+            words.format_number(row["_infinite"]),
+        )
         alone = f"adding participants alone would not settle it (power at most {most})"
         return f"{if_so} {alone}; {more} {scenes} with as many participants would give 80 % power."
     return f"A slope on {metric} as small as the one estimated here is out of reach of any study of this kind."
@@ -163,15 +157,15 @@ def describe_loss(
     part: RatingsPart, metrics: Sequence[str], reason: str
 ) -> tuple[Line, list[Claim]]:
     """Say that no model can be fitted to a part, and why."""
-    named = join_words([format_name(name) for name in metrics], "or")
+    named = words.join_words([words.format_name(name) for name in metrics], "or")
     alike = part.rows["rating"].min() == part.rows["rating"].max()
     why = "all ratings are the same" if alike else reason.removesuffix(".")
     text = f"Whether {named} predicts {part.ratings} cannot be estimated: {why}."
     claims = [
-        Claim(*part.place, name, NOT_ESTIMABLE, "", name_path("slope", *part.place, name))
+        Claim(*part.place, name, NOT_ESTIMABLE, "", words.name_path("slope", *part.place, name))
         for name in metrics
     ]
-    return Line(text, capitalise(part.subject)), claims
+    return Line(text, words.capitalise(part.subject)), claims
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -205,6 +199,16 @@ class Finding:
         """Units without which verdict or sign change."""
         return self.influence.find_turns(self.metric)
 
+    @property
+    def hinges(self) -> DataFrame:
+        """Units without which the verdict changes, or the direction of a slope that predicts.
+
+        That an estimate near zero changes its sign is no news where nothing is claimed.
+        """
+        turns = self.turns
+        plain = turns.empty or self.verdict == PREDICTS
+        return turns if plain else turns[turns["verdict"] == PREDICTS]
+
     def make_claim(self) -> Claim:
         """State the conclusion for a program."""
         turns = tuple(_name_unit(row) for row in self.turns.to_dict("records"))
@@ -215,14 +219,14 @@ class Finding:
                 if self.metric in pair and _find_better(row, self.model.slopes) == self.metric:
                     worse += [name for name in pair if name != self.metric]
         place, found = self.part.place, (self.verdict, self.direction)
-        number = name_path("slope", *place, self.metric)
+        number = words.name_path("slope", *place, self.metric)
         return Claim(*place, self.metric, *found, number, turns, better_than=tuple(worse))
 
 
 def describe_findings(found: Sequence[Finding], needs: Sequence[str]) -> Iterator[Line]:
     """Say what the model of a part shows, the finding of each metric first."""
     part, model, influence = found[0].part, found[0].model, found[0].influence
-    subject = capitalise(part.subject)
+    subject = words.capitalise(part.subject)
     if all(one.verdict == NOT_ESTIMABLE for one in found):
         yield Line(_describe_blank(found), subject)
         return
@@ -242,7 +246,7 @@ def describe_findings(found: Sequence[Finding], needs: Sequence[str]) -> Iterato
 
 def _describe_finding(found: Finding) -> str:
     """Say whether a metric predicts ratings, how strongly, and on what that hinges."""
-    metric, ratings = format_name(found.metric), found.part.ratings
+    metric, ratings = words.format_name(found.metric), found.part.ratings
     if found.verdict == NOT_ESTIMABLE:
         return _describe_blank([found])
     hinge = _describe_hinge(found)
@@ -250,12 +254,12 @@ def _describe_finding(found: Finding) -> str:
         return f"Whether {metric} predicts {ratings} is open{hinge}. {_describe_effect(found)}"
     opposite = f" in the opposite direction (higher match, {LOWER} ratings)"
     way = "" if found.direction == HIGHER else opposite
-    return f"{capitalise(metric)} predicts {ratings}{way}{hinge}. {_describe_effect(found)}"
+    return f"{words.capitalise(metric)} predicts {ratings}{way}{hinge}. {_describe_effect(found)}"
 
 
 def _describe_blank(found: Sequence[Finding]) -> str:
     """Say that nothing can be estimated, and what there is too little of."""
-    names = join_words([format_name(one.metric) for one in found], "or")
+    names = words.join_words([words.format_name(one.metric) for one in found], "or")
     units = _count_units(found[0].model).items()
     few = [f"{size} {name}{'s' * (size != 1)}" for name, size in units if size < FEWEST]
     lack = f" with {' and '.join(few)}: at least {FEWEST} are needed{' of each' * (len(few) > 1)}"
@@ -269,7 +273,7 @@ def _describe_effect(found: Finding) -> str:
     changes = []
     for key, ends in (("quartile_effect", "quartile"), ("tenth", "tenth")):
         row = found.row
-        told, interval = format_estimate(
+        told, interval = words.format_estimate(
             row[key], row[f"{ends}_low"], row[f"{ends}_high"], kind="rating"
         )
         higher = found.direction == HIGHER
@@ -284,17 +288,19 @@ def _describe_effect(found: Finding) -> str:
 
 def _describe_hinge(found: Finding) -> str:
     """Say which units a verdict hinges on, and what would be concluded without the most influential one."""
-    rows = found.influence.find_moves(found.metric).to_dict("records")
-    turns = [row for row in rows if row["turns"]]
-    if turns:
+    if turns := found.hinges.to_dict("records"):
         join = ", but" if found.verdict == PREDICTS else ", and"
-        without = f"the {_name_unit(turns[0])}: without it {_describe_without(turns[0], found)}"
+        without = (
+            f"the {_name_unit(turns[0])}: without it {_describe_without(turns[0], found.metric)}"
+        )
         others = _list_others(turns, "; it also turns without")
         return f"{join} this hinges on {without}{others}"
+    moves = found.influence.find_moves(found.metric).to_dict("records")
+    rows = [row for row in moves if abs(row["shift"]) > MOVED]
     if not rows:
         return ""
     value, interval = _tell_tenth(rows[0])
-    instead = format_number(found.row["tenth"], kind="rating")
+    instead = words.format_number(found.row["tenth"], kind="rating")
     others = _list_others(rows, "; also without")
     told = f"{value}, {interval}, instead of {instead} points per +0.1{others}"
     unit = _name_unit(rows[0])
@@ -306,22 +312,20 @@ def _list_others(rows: Sequence[Row], lead: str) -> str:
     names, more = [f"the {_name_unit(row)}" for row in rows[1:NAMED]], len(rows) - NAMED
     if not names:
         return ""
-    listed = f"{', '.join(names)} and {more} more" if more > 0 else join_words(names)
+    listed = f"{', '.join(names)} and {more} more" if more > 0 else words.join_words(names)
     return f"{lead} {listed}"
 
 
-def _describe_without(row: Row, found: Finding) -> str:
+def _describe_without(row: Row, metric: str) -> str:
     evidence = "{} points per +0.1, {}".format(*_tell_tenth(row))
-    if row["verdict"] == OPEN and found.verdict == PREDICTS:
+    if row["verdict"] == OPEN:
         return f"the association is open ({evidence})"
-    if row["verdict"] == PREDICTS:
-        way, metric = HIGHER if row["tenth"] > 0 else LOWER, format_name(found.metric)
-        return f"a higher {metric} is associated with {way} ratings ({evidence})"
-    return f"the estimate changes its sign ({evidence})"
+    way = HIGHER if row["tenth"] > 0 else LOWER
+    return f"a higher {words.format_name(metric)} is associated with {way} ratings ({evidence})"
 
 
 def _tell_tenth(row: Row) -> tuple[str, str]:
-    return format_estimate(row["tenth"], row["tenth_low"], row["tenth_high"], kind="rating")
+    return words.format_estimate(row["tenth"], row["tenth_low"], row["tenth_high"], kind="rating")
 
 
 def _name_unit(row: Row) -> str:
@@ -335,18 +339,20 @@ def _compare(row: Row, found: Sequence[Finding]) -> str:
     ends = tuple(row[f"standardised_{end}"] for end in ("estimate", "low", "high"))
     if math.isnan(ends[1]) or NOT_ESTIMABLE in {first.verdict, second.verdict}:
         return ""
-    if unsteady := [format_name(one.metric) for one in (first, second) if not one.turns.empty]:
-        names = join_words(unsteady)
+    if unsteady := [
+        words.format_name(one.metric) for one in (first, second) if not one.hinges.empty
+    ]:
+        names = words.join_words(unsteady)
         return f"which metric predicts better is left open: the verdict on {names} is not stable."
     evidence = "standardised slopes differ by {}, 95 % CI {}".format(
-        *format_estimate(*ends, kind="slope")
+        *words.format_estimate(*ends, kind="slope")
     )
     better, ratings = _find_better(row, first.model.slopes), first.part.ratings
     if not better or by_metric[better].verdict != PREDICTS:
-        names = f"{format_name(first.metric)} or {format_name(second.metric)}"
+        names = f"{words.format_name(first.metric)} or {words.format_name(second.metric)}"
         return f"the data do not show whether {names} predicts {ratings} better ({evidence})."
-    worse = format_name((second if better == first.metric else first).metric)
-    return f"{format_name(better)} predicts {ratings} better than {worse} does ({evidence})."
+    worse = words.format_name((second if better == first.metric else first).metric)
+    return f"{words.format_name(better)} predicts {ratings} better than {worse} does ({evidence})."
 
 
 def _find_better(row: Row, slopes: DataFrame) -> str:
@@ -360,7 +366,7 @@ def _find_better(row: Row, slopes: DataFrame) -> str:
 
 def _describe_exceptions(influence: Influence, part: RatingsPart) -> str:
     told = [
-        f"{row['reducer']} was rated {format_number(abs(row['excess']), kind='rating')} points "
+        f"{row['reducer']} was rated {words.format_number(abs(row['excess']), kind='rating')} points "
         f"{HIGHER if row['excess'] > 0 else LOWER} than the metrics predict from the other reducers"
         for row in influence.exceptions.reset_index().to_dict("records")
         if row["exceptional"]
@@ -385,12 +391,14 @@ def _describe_evidence(found: Sequence[Finding]) -> str:
     few = [f"{name}s" for name, size in _count_units(model).items() if FEWEST <= size < FEW]
     claimed = any(one.verdict == PREDICTS for one in found)
     steady = [
-        format_name(one.metric) for one in found if one.verdict != NOT_ESTIMABLE and one.turns.empty
+        words.format_name(one.metric)
+        for one in found
+        if one.verdict != NOT_ESTIMABLE and one.hinges.empty
     ]
     told = ""
     if few and claimed:
-        told = f" With so few {join_words(few)} this is a hint rather than a result."
+        told = f" With so few {words.join_words(few)} this is a hint rather than a result."
     if steady and len(found[0].influence.table):
         units = "No single recording or reducer, and none of the most influential stimuli, changes"
-        told += f" {units} the verdict on {join_words(steady, 'or')}."
+        told += f" {units} the verdict on {words.join_words(steady, 'or')}."
     return f"{sizes}; {together}.{told}"

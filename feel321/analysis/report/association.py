@@ -5,14 +5,14 @@ and is made in `feel321.analysis.report.answer`; correlations are beside it, for
 said of them is never stronger than the numbers.
 """
 
-from __future__ import annotations
-
 import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from feel321.analysis import words
 from feel321.analysis.agreement import SMALLEST
 from feel321.analysis.association.correlate import (
     Association,
@@ -45,25 +45,9 @@ from feel321.analysis.table.items import make_items
 from feel321.analysis.table.notes import SPACE, note_apart
 from feel321.analysis.table.reading import Table, order_reducers
 from feel321.analysis.table.schema import APART, PAIRED, describe_explored
-from feel321.analysis.words import (
-    COUNT,
-    ONE_WAY,
-    TWO_WAY,
-    Claim,
-    Line,
-    capitalise,
-    format_estimate,
-    format_interval,
-    format_method,
-    format_name,
-    format_number,
-    format_span,
-)
+from feel321.analysis.words import COUNT, ONE_WAY, TWO_WAY, Claim, Line
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
-    Row = dict[str, Any]
+Row = dict[str, Any]
 
 LEADING, RANKED = "pearson", "spearman"
 """The method that is shown first, and the one it is checked against."""
@@ -177,7 +161,7 @@ def _list_rows(panels: Sequence[Panel], name: str) -> list[Row]:
     return [
         {
             "scale": panel.scale, "level": panel.level, "_ratings": f"{panel.scale}, {panel.level}",
-            "_kind": format_method(one.method), **asdict(one),
+            "_kind": words.format_method(one.method), **asdict(one),
         }
         for panel in panels
         for one in getattr(panel, name)
@@ -209,9 +193,10 @@ def _map_panel(
             items = make_items(part.rows, [one.metric])
             judged = p1401(items.ratings.T, items.metrics[0], order=MAPPED)
             caption = (
-                f"Mean {format_name(panel.scale)} rating of each test stimulus against its {format_name(one.metric)}, "
-                f"recording by recording (level {format_name(panel.level)}), with the mapping of ITU-T P.1401 that was "
-                f"fitted to all of them. {_describe_bars(panel)} Below: the correlation with its 95 % two-way "
+                f"Mean {words.format_name(panel.scale)} rating of each test stimulus against its "
+                f"{words.format_name(one.metric)}, recording by recording (level {words.format_name(panel.level)}), "
+                "with the mapping of ITU-T P.1401 that was fitted to all of them. "
+                f"{_describe_bars(panel)} Below: the correlation with its 95 % two-way "
                 "interval, and the highest correlation that the noise in the ratings allows."
             )
             draw = partial(draw_mapping, panel.stimuli, judged, one, scale=panel.scale, looks=looks)
@@ -226,13 +211,13 @@ def _map_panel(
 
 
 def _picture_scatter(panel: Panel, one: Association, looks: Mapping[str, Look]) -> Picture:
-    metric = format_name(one.metric)
+    metric = words.format_name(one.metric)
     caption = (
-        f"Mean {format_name(panel.scale)} rating of each test stimulus against its {metric} "
-        f"(level {format_name(panel.level)}). {_describe_bars(panel)}"
+        f"Mean {words.format_name(panel.scale)} rating of each test stimulus against its {metric} "
+        f"(level {words.format_name(panel.level)}). {_describe_bars(panel)}"
     )
     if clipped := count_clipped(panel.stimuli[one.metric].to_numpy()):
-        below = f"{clipped} with a {metric} below {format_number(CUT, kind='count')}"
+        below = f"{clipped} with a {metric} below {words.format_number(CUT, kind='count')}"
         caption += f" Hollow symbols at the left edge: {below}, counted in full in r."
     slug = make_slug("scatter", panel.scale, panel.level, one.metric)
     return Picture(slug, caption, partial(draw_scatter, panel, one, looks=looks))
@@ -242,7 +227,7 @@ def _describe_bars(panel: Panel) -> str:
     counts = panel.stimuli["n_participants"]
     if counts.max() < SMALLEST:
         return "One participant each, so no intervals."
-    who = f"{format_span(counts)} participants who rated it"
+    who = f"{words.format_span(counts)} participants who rated it"
     return f"Thin grey bars: 95 % t intervals over the {who}."
 
 
@@ -258,12 +243,12 @@ def _note_panels(panels: Iterable[Panel]) -> Iterator[str]:
     for panel in panels:
         lead = f"{panel.scale}, {panel.level}"
         notes = [
-            (note, f"{format_method(one.method)} with {one.metric}")
+            (note, f"{words.format_method(one.method)} with {one.metric}")
             for one in panel.associations
             for note in one.notes
         ]
         notes += [
-            (note, f"{format_method(two.method)} with {two.first} less {two.second}")
+            (note, f"{words.format_method(two.method)} with {two.first} less {two.second}")
             for two in panel.differences
             for note in two.notes
         ]
@@ -294,7 +279,7 @@ def _sum_up(panel: Panel, *, several: bool) -> str:
     ranked = {result.metric: result for result in panel.associations if result.method == RANKED}
     found = "; ".join(_describe_correlation(result, ranked[result.metric]) for result in leading)
     known = not math.isnan(leading[0].ceiling)
-    ceiling = f"; the noise ceiling is {format_number(leading[0].ceiling)}" if known else ""
+    ceiling = f"; the noise ceiling is {words.format_number(leading[0].ceiling)}" if known else ""
     compared = "".join(
         f" {_describe_difference(two)}" for two in panel.differences if two.method == LEADING
     )
@@ -303,28 +288,28 @@ def _sum_up(panel: Panel, *, several: bool) -> str:
 
 
 def _describe_correlation(result: Association, ranked: Association) -> str:
-    name = format_name(result.metric)
+    name = words.format_name(result.metric)
     if math.isnan(result.value):
         why = result.notes[0].removeprefix("No correlation: ").removesuffix(".")
         return f"no correlation with {name} ({why})"
-    r = f"r\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}{format_number(result.value)} with {name}"
+    r = f"r\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}{words.format_number(result.value)} with {name}"
     if math.isnan(result.low):
         return f"{r}, without an interval"
     covers = ", which covers zero" if _covers_zero(result) else ""
     # A few outlying values may hide what the ranks of all others show.
     contradicts = _covers_zero(result) != _covers_zero(ranked) or result.value * ranked.value < 0
-    ranks = f"; by ranks {format_number(ranked.value)}, {format_interval(ranked.low, ranked.high)}"
+    ranks = f"; by ranks {words.format_number(ranked.value)}, {words.format_interval(ranked.low, ranked.high)}"
     ranks = ranks if contradicts and not math.isnan(ranked.low) else ""
-    return f"{r} (95 % two-way interval {format_interval(result.low, result.high)}{covers}{ranks})"
+    return f"{r} (95 % two-way interval {words.format_interval(result.low, result.high)}{covers}{ranks})"
 
 
 def _describe_difference(two: Difference) -> str:
-    names = f"{format_name(two.first)} and {format_name(two.second)}"
+    names = f"{words.format_name(two.first)} and {words.format_name(two.second)}"
     if math.isnan(two.low):
         return f"The correlations with {names} cannot be compared by an interval."
     zero = "covers zero" if _covers_zero(two) else "excludes zero"
-    interval = f"{format_interval(two.low, two.high)}, which {zero}"
-    return f"The correlations with {names} differ by {format_number(two.value)} ({interval})."
+    interval = f"{words.format_interval(two.low, two.high)}, which {zero}"
+    return f"The correlations with {names} differ by {words.format_number(two.value)} ({interval})."
 
 
 def _covers_zero(result: Association | Difference) -> bool:
@@ -336,8 +321,9 @@ def _covers_zero(result: Association | Difference) -> bool:
 
 def name_subject(panel: Panel, *, several: bool) -> str:
     """Name what a panel's lines are listed under on the page."""
-    return capitalise(
-        format_name(panel.scale) + (f" (level {format_name(panel.level)})" if several else "")
+    return words.capitalise(
+        words.format_name(panel.scale)
+        + (f" (level {words.format_name(panel.level)})" if several else "")
     )
 
 
@@ -358,7 +344,7 @@ def reconcile(panel: Panel, claims: Sequence[Claim]) -> str:
     ]
     told += [
         "{} correlates more (difference in r {}, 95 % CI {})".format(
-            format_name(stronger), *format_estimate(two.value, two.low, two.high)
+            words.format_name(stronger), *words.format_estimate(two.value, two.low, two.high)
         )
         for two in panel.differences
         if two.method == LEADING
@@ -390,9 +376,9 @@ def _disagrees(one: Association, claim: Claim) -> bool:
 
 
 def _contrast(one: Association) -> str:
-    told, interval = format_estimate(one.value, one.low, one.high)
+    told, interval = words.format_estimate(one.value, one.low, one.high)
     zero = ", which covers zero" if _covers_zero(one) else ""
-    metric = format_name(one.metric)
+    metric = words.format_name(one.metric)
     return f"mean ratings correlate with {metric} at r = {told} (95 % CI {interval}{zero})"
 
 
@@ -426,9 +412,11 @@ def compute_further(table: Table, choices: Choices) -> Section:
                 rng = choices.make_rng(key, *part.place, metric, method)
                 drawn = correlate_items(alone, (metric,), method, draws=choices.draws, rng=rng)
                 own.append(drawn.associate(metric))
-        rows += [part.keys | {"_kind": format_method(one.method)} | asdict(one) for one in own]
+        rows += [
+            part.keys | {"_kind": words.format_method(one.method)} | asdict(one) for one in own
+        ]
         told = _group(
-            (note, f"{format_method(one.method)} with {format_name(one.metric)}")
+            (note, f"{words.format_method(one.method)} with {words.format_name(one.metric)}")
             for one in own
             for note in one.notes
         )
@@ -436,7 +424,9 @@ def compute_further(table: Table, choices: Choices) -> Section:
             whose = "further metrics" if len(names) == len(own) else "; ".join(names)
             notes.append(f"{part.lead}, {whose}: {note}")
     known = describe_explored(table.metrics)
-    meanings = "; ".join(f"{format_name(name)}: {known[name].meaning}" for name in table.further)
+    meanings = "; ".join(
+        f"{words.format_name(name)}: {known[name].meaning}" for name in table.further
+    )
     return Section(
         key=key,
         title="Further metrics, explored",

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from feel321.analysis.contrasts.discrimination import discriminate_pairs
 from feel321.analysis.figures.scatter import draw_discrimination, draw_space
@@ -35,12 +37,9 @@ from feel321.analysis.table.schema import ANSWERED, APART, PAIRED
 from feel321.analysis.words import COUNT, Line, count_number, format_name, format_number
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
     from pandas import DataFrame
 
-    Row = dict[str, Any]
+Row = dict[str, Any]
 
 # ABX trials: how well what a reducer made is distinguished from its reference.
 

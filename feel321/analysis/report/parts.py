@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from feel321.analysis.primary.model import CENTRED, FEW, fit_cells
+from feel321.analysis.primary.model import CENTRED, FEW, fit_slopes
 from feel321.analysis.table.items import find_sources
 from feel321.analysis.table.schema import APART
 from feel321.analysis.words import format_name, format_number, format_ratings, name_path
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Iterable, Iterator, Mapping
-
     from pandas import DataFrame, Series
 
     from feel321.analysis.primary.plan import Cells
@@ -179,18 +178,8 @@ def fit_rest(cells: Cells, out: Iterable[Hashable], *, people: int) -> DataFrame
         raise ValueError(
             f"One rater of {people} is left: an interval would not know how people differ."
         )
-    slopes = fit_cells(rest).table
+    slopes = fit_slopes(rest).table
     return slopes.assign(**dict.fromkeys(CENTRED.values(), np.nan))
-
-
-def find_repeat_sd(rows: DataFrame) -> tuple[float, int]:
-    """Find the standard deviation of a rater's repeated ratings (NaN without repeats), and how many are repeated."""
-    cells = rows.groupby([WHO, ITEM], observed=True)["rating"]
-    repeated = cells.transform("size") > 1
-    n = int(repeated.sum())
-    freedom = n - len(rows[repeated].groupby([WHO, ITEM], observed=True))
-    left = (rows["rating"] - cells.transform("mean"))[repeated]
-    return (float(np.sqrt((left**2).sum() / freedom)) if freedom else float("nan")), n
 
 
 def count_units(rows: DataFrame) -> dict[str, int]:

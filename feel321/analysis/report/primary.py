@@ -1,15 +1,14 @@
 """Section: the primary model's slopes, what single stimuli, recordings and reducers do to them, and what they need."""
 
-from __future__ import annotations
-
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from feel321.analysis.association.correlate import correlate
 from feel321.analysis.figures.estimates import draw_slopes
 from feel321.analysis.figures.scatter import draw_residuals
-from feel321.analysis.primary.model import Primary, fit_cells, fit_primary, tabulate_slopes
+from feel321.analysis.primary.model import Primary, fit_primary, fit_slopes, tabulate_slopes
 from feel321.analysis.primary.plan import make_cells
 from feel321.analysis.primary.sensitivity import find_candidates, measure_influence
 from feel321.analysis.report.answer import (
@@ -39,16 +38,12 @@ from feel321.analysis.report.section import (
     read_methods,
     stack,
 )
+from feel321.analysis.table.reading import Table
 from feel321.analysis.table.schema import STAND_INS
 from feel321.analysis.words import COUNT, TWO_WAY, Claim, Line
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
-    from feel321.analysis.table.reading import Table
-
-    Row = dict[Any, Any]
-    Fits = Mapping[str, tuple[RatingsPart, Primary]]
+Row = dict[Any, Any]
+Fits = Mapping[str, tuple[RatingsPart, Primary]]
 
 TENTH = "points of rating per +0.1 of the metric"
 SLOPE = "slope.{scale}.{level}.{metric}"
@@ -188,18 +183,29 @@ def _stack(fits: Fits, choose: Any) -> Any:  # noqa: ANN401 - a table of a model
 
 
 def _fit_parts(table: Table, choices: Choices) -> tuple[Fits, list[str], list[Line], list[Claim]]:
-    """Fit every part that can be fitted; say why another cannot."""
+    """Fit every part that can be fitted; say why another part, or a metric of one, cannot."""
     fits, notes, lines, claims = {}, [], [], []
     for part in thin_parts(table, choices):
         notes += [part.thinned] if part.thinned else []
         try:
-            fits[part.lead] = part, fit_primary(part.rows, table.metrics)
+            fits[part.lead] = part, (model := fit_primary(part.rows, table.metrics))
+            lost = [name for name in table.metrics if name not in model.slopes.index]
+            told = [describe_loss(part, [name], _explain_loss(part, name)) for name in lost]
         except ValueError as error:
             notes.append(f"{part.lead}: no primary model. {error}")
-            line, lost = describe_loss(part, table.metrics, str(error))
-            lines.append(line)
-            claims += lost
+            told = [describe_loss(part, table.metrics, str(error))]
+        lines += [line for line, _ in told]
+        claims += [claim for _, own in told for claim in own]
     return fits, notes, lines, claims
+
+
+def _explain_loss(part: RatingsPart, metric: str) -> str:
+    varies = part.rows.groupby("recording", observed=True)[metric].nunique().max() > 1
+    return (
+        "within recordings it follows from the other metrics"
+        if varies
+        else "the stimuli of a recording do not differ in it"
+    )
 
 
 def _list_findings(table: Table, fits: Fits, slopes: Any) -> list[Finding]:  # noqa: ANN401 - a table, or none
@@ -335,7 +341,7 @@ def _compare_paper(part: RatingsPart, metrics: list[str], choices: Choices) -> R
         "n_items": ranks.n_items,
     }  # fmt: skip
     for name, some in (("raw", cells), ("rest", cells.leave_out(ITEM, item))):
-        slope = fit_cells(some).table.loc[RAW]
+        slope = fit_slopes(some).table.loc[RAW]
         row |= {f"{name}{end}": slope[f"tenth{end}"] for end in ("", "_low", "_high")}
         row[f"{name}_n"] = len(some.table)
     return row

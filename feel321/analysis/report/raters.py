@@ -1,20 +1,13 @@
 """The raters: who was flagged by which screening rule, how far they agree, and the slopes without those flagged."""
 
-from __future__ import annotations
-
+from collections.abc import Hashable, Iterator
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from feel321.analysis.contrasts.compare import find_repeat_sd
 from feel321.analysis.figures.choices import draw_raters
 from feel321.analysis.primary.plan import make_cells
-from feel321.analysis.report.parts import (
-    Choices,
-    RatingsPart,
-    find_repeat_sd,
-    fit_rest,
-    split_parts,
-    thin_parts,
-)
+from feel321.analysis.report.parts import Choices, RatingsPart, fit_rest, split_parts, thin_parts
 from feel321.analysis.report.section import (
     METRIC,
     NAME,
@@ -30,13 +23,9 @@ from feel321.analysis.report.section import (
 )
 from feel321.analysis.screening.rules import RULES
 from feel321.analysis.screening.screen import Screening, screen_raters
+from feel321.analysis.table.reading import Table
 from feel321.analysis.table.schema import APART, PAIR
 from feel321.analysis.words import COUNT, count_number, format_name, name_path
-
-if TYPE_CHECKING:
-    from collections.abc import Hashable, Iterator
-
-    from feel321.analysis.table.reading import Table
 
 KEY, TITLE = "raters", "Raters"
 GROUPS = {
@@ -209,4 +198,6 @@ def _describe_flagged(screening: Screening) -> str:
         included = "those of ITU-R BS.1534-3 included"
         of_standard = "all by ITU-R BS.1534-3 rules" if whole else included
     raters = f"{whole or 'None'} of {everyone} raters {'was' if whole == 1 else 'were'} flagged"
+    if everyone == 1:
+        raters = f"The only rater was {'' if whole else 'not '}flagged"
     return f"{raters} by screening rules ({of_standard}). Nobody was removed."

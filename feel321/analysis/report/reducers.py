@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import asdict
 from functools import partial
 from itertools import combinations
@@ -9,10 +10,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from feel321.analysis import words
 from feel321.analysis.agreement import SMALLEST
 from feel321.analysis.contrasts.compare import (
     Equivalence,
     equivalence,
+    find_repeat_sd,
+    fit_reducers,
     non_inferiority,
     participant_means,
     profile_reducers,
@@ -29,7 +33,6 @@ from feel321.analysis.report.parts import (
     RatingsPart,
     count_units,
     describe_reach,
-    find_repeat_sd,
     format_p,
     select_tests,
     thin_parts,
@@ -54,23 +57,12 @@ from feel321.analysis.report.section import (
 from feel321.analysis.table.items import find_sources
 from feel321.analysis.table.reading import Table, order_reducers
 from feel321.analysis.table.schema import ANSWERED, PAIR, ROLES
-from feel321.analysis.words import (
-    COUNT,
-    capitalise,
-    count_number,
-    format_estimate,
-    format_measure,
-    format_name,
-    make_number,
-    name_path,
-)
+from feel321.analysis.words import COUNT, Number
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from pandas import DataFrame
 
-    Row = dict[Any, Any]
+Row = dict[Any, Any]
 
 # Ratings per reducer: means, their intervals over participants, hidden reference and anchors beside them.
 
@@ -128,7 +120,7 @@ def _picture_profiles(
 
 
 def _caption_profile(scale: str, level: str, profile: DataFrame) -> str:
-    caption = f"Mean {format_measure(scale)} per reducer (level {format_name(level)})"
+    caption = f"Mean {words.format_measure(scale)} per reducer (level {words.format_name(level)})"
     if profile["n_participants"].max() < SMALLEST:
         caption += "; one participant each, so no intervals."
     else:
@@ -234,9 +226,9 @@ def _gather_arms(part: DataFrame, metrics: tuple[str, ...]) -> DataFrame:
 
 
 def _describe_levels(row: Row) -> str:
-    what, metric = f"{format_name(row['scale'])} ratings", format_name(row["of"])
-    first, second = format_name(row["first"]), format_name(row["second"])
-    value, interval = format_estimate(row["estimate"], row["low"], row["high"], kind="slope")
+    what, metric = f"{words.format_name(row['scale'])} ratings", words.format_name(row["of"])
+    first, second = words.format_name(row["first"]), words.format_name(row["second"])
+    value, interval = words.format_estimate(row["estimate"], row["low"], row["high"], kind="slope")
     found = f"{value} points, 95 % CI {interval}; {format_p(row['p_holm'])}"
     decided, more = row["p_holm"] < SIGNIFICANCE, row["estimate"] > 0
     if not decided and row["of"] == "rating":
@@ -247,7 +239,7 @@ def _describe_levels(row: Row) -> str:
     reach = describe_reach(row["_reach"])
     if row["of"] == "rating":
         way = "higher" if more else "lower"
-        return f"{capitalise(what)} are {way} at {first} than at {second} ({found}){reach}."
+        return f"{words.capitalise(what)} are {way} at {first} than at {second} ({found}){reach}."
     size = "larger" if more else "smaller"
     slope = f"the slope on {metric} is {size} at {first} than at {second}"
     return f"For {what} {slope} ({found}){reach}."
@@ -289,7 +281,8 @@ class _Pair(NamedTuple):
 
 def compute_contrasts(table: Table, choices: Choices) -> Section:
     """Compare every two reducers on every scale and level."""
-    answers, notes, grids, numbers, rows = [], [], [], [], []
+    answers, notes, grids, rows = [], [], [], []
+    numbers: list[Number] = []
     pictures: list[Picture] = []
     # A person's reducers are so many effects.
     for part in thin_parts(table, choices, n_slopes=table.rows[REDUCER].nunique(), matched=False):
@@ -304,14 +297,7 @@ def compute_contrasts(table: Table, choices: Choices) -> Section:
         own = [_word_tests(part.keys | pair.row) for pair in pairs]
         caption = _caption_contrasts(part, margin, len(pairs))
         grids.append(CONTRASTS.build(own, caption=caption))
-        counts = {"n_differ": _count_different(pairs), "n_pairs": len(pairs)}
-        numbers += [
-            make_number(name_path("margin", *part.place), margin.points, margin.source, n=margin.n),
-            *(
-                count_number(name_path("contrasts", *part.place, name), count, n=len(pairs))
-                for name, count in counts.items()
-            ),
-        ]
+        numbers += _list_numbers(part, margin, pairs)
         answers.append(_describe_contrasts(pairs, part))
         rows += own
         pictures += _picture_equivalence(pairs, part)
@@ -326,6 +312,14 @@ def compute_contrasts(table: Table, choices: Choices) -> Section:
         notes=notes,
         how=read_methods("contrasts"),
     )
+
+
+def _list_numbers(part: RatingsPart, margin: _Margin, pairs: list[_Pair]) -> Iterator[Number]:
+    name = words.name_path("margin", *part.place)
+    yield words.make_number(name, margin.points, margin.source, n=margin.n)
+    for what, count in {"n_differ": _count_different(pairs), "n_pairs": len(pairs)}.items():
+        name = words.name_path("contrasts", *part.place, what)
+        yield words.count_number(name, count, n=len(pairs))
 
 
 def _find_margin(part: RatingsPart, choices: Choices) -> _Margin:
@@ -343,43 +337,16 @@ def _compare_reducers(rows: DataFrame, margin: _Margin) -> list[_Pair]:
     names = order_reducers(rows[REDUCER])
     if len(names) == 1:
         raise ValueError(f"Only one was rated, '{names[0]}'.")
-    codes = {name: f"c{number}" for number, name in enumerate(names)}
-    groups = rows.groupby(["participant", "recording", REDUCER, ITEM], observed=True)
-    cells = groups["rating"].mean().reset_index()
-    cells["source"] = cells["recording"].map(find_sources(rows))
-    fit = fit_mixed(_write_formula(cells), cells.assign(which=cells[REDUCER].map(codes)))
-    found: list[Row] = []
-    for first, second in combinations(names, 2):
-        weights = {f"which{codes[first]}": 1, f"which{codes[second]}": -1}
-        pair = {"first": first, "second": second}
-        found.append(pair | asdict(contrast(fit, weights)))
+    fit, terms, n = fit_reducers(rows, names)
+    found: list[Row] = [
+        {"first": one, "second": two} | asdict(contrast(fit, {terms[one]: 1, terms[two]: -1}))
+        for one, two in combinations(names, 2)
+    ]
     adjusted = adjust_holm([row["p"] for row in found])
     return [
-        _test(row | {"p_holm": holm, "n": len(cells)}, margin)
+        _test(row | {"p_holm": holm, "n": n}, margin)
         for row, holm in zip(found, adjusted, strict=True)
     ]
-
-
-def _write_formula(cells: DataFrame) -> str:
-    """Write the model; a spread that has one row per level is in the residual already."""
-    groups = {
-        "participant": ["participant"], "recording": ["recording"], ITEM: [ITEM],
-        "participant:recording": ["participant", "recording"], "participant:which": ["participant", REDUCER],
-        "source": ["source"], "source:which": ["source", REDUCER],
-    }  # fmt: skip
-    sizes = {name: len(cells.drop_duplicates(columns)) for name, columns in groups.items()}
-    kept = [name for name, size in sizes.items() if 1 < size < len(cells)]
-    if sizes["recording"] == 1:
-        kept = [name for name in kept if name not in {ITEM, "participant:recording"}]
-    if sizes["source"] in {1, sizes["recording"]}:
-        kept = [name for name in kept if not name.startswith("source")]
-    if sizes["participant"] == 1:
-        kept = [name for name in kept if not name.startswith("participant")]
-    if not kept:
-        raise ValueError(
-            "One participant and one recording leave nothing to judge a difference by."
-        )
-    return " + ".join(["rating ~ 0 + which", *(f"(1 | {name})" for name in kept)])
 
 
 def _test(row: Row, margin: _Margin) -> _Pair:
@@ -403,7 +370,7 @@ def _word_tests(row: Row) -> Row:
 def _caption_contrasts(part: RatingsPart, margin: _Margin, n_pairs: int) -> str:
     several = [f"other {name}s" for name, count in count_units(part.rows).items() if count > 1]
     others = " and ".join(several).replace("participants", "people")
-    differ = CONTRASTS.caption.format(capitalise(part.subject), others, n_pairs)
+    differ = CONTRASTS.caption.format(words.capitalise(part.subject), others, n_pairs)
     if not margin.points > 0:
         return f"{differ} {margin.source}"
     return f"{differ} Margin of equivalence and non-inferiority: {margin.points:.1f} points ({margin.source})."
@@ -419,7 +386,8 @@ def _describe_contrasts(pairs: list[_Pair], part: RatingsPart, most: int = 5) ->
         for pair in pairs
         if pair.test and pair.test.equivalent
     ]
-    more = f" and {len(alike) - most} more pairs" if len(alike) > most else ""
+    left = len(alike) - most
+    more = f" and {left} more pair{'s' * (left > 1)}" if left > 0 else ""
     same = f"shown to be equivalent: {'; '.join(alike[:most])}{more}"
     if not alike:
         tested = any(pair.test for pair in pairs)
@@ -427,7 +395,7 @@ def _describe_contrasts(pairs: list[_Pair], part: RatingsPart, most: int = 5) ->
     differ = _count_different(pairs)
     reach = describe_reach(count_units(part.rows), claimed=bool(alike) or differ > 0)
     told = f"{differ} of {len(pairs)} pairs of reducers differ after Holm's adjustment"
-    return f"{capitalise(part.subject)}: {told}; {same}{reach}."
+    return f"{words.capitalise(part.subject)}: {told}; {same}{reach}."
 
 
 def _picture_equivalence(pairs: list[_Pair], part: RatingsPart) -> Iterator[Picture]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from dataclasses import replace
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from feel321.analysis import words
 from feel321.analysis.figures.choices import draw_multiverse
 from feel321.analysis.figures.estimates import draw_slopes
 from feel321.analysis.primary.model import fit_primary
@@ -33,25 +35,15 @@ from feel321.analysis.report.section import (
     stack,
 )
 from feel321.analysis.screening.screen import screen_raters
-from feel321.analysis.words import (
-    COUNT,
-    TWO_WAY,
-    Line,
-    capitalise,
-    format_interval,
-    format_name,
-    format_number,
-)
+from feel321.analysis.words import COUNT, TWO_WAY, Line
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Iterator, Mapping
-
     from pandas import DataFrame
 
     from feel321.analysis.table.reading import Table
 
-    Row = dict[Any, Any]
-    Universes = dict[tuple[str, str], tuple[RatingsPart, Multiverse]]
+Row = dict[Any, Any]
+Universes = dict[tuple[str, str], tuple[RatingsPart, Multiverse]]
 
 # The primary slopes under other choices: of data, of scale, of raters.
 
@@ -59,6 +51,7 @@ KEY_ROBUSTNESS = "robustness"
 MOST_CELLS = 20_000
 """Participants x stimuli beyond which some sixty models would take many minutes."""
 
+FLAT = "the metric does not differ within recordings"
 VARIANTS = TableForm(
     "Standardised slope under other choices, with 95 % t intervals (Satterthwaite's df); p not adjusted. Only "
     "standardised slopes can be compared across units. A dash: no model; the notes say why.",
@@ -190,7 +183,7 @@ def _remember_slopes(rows: DataFrame, metrics: tuple[str, ...]) -> Callable[...,
         who = frozenset(rows["participant"])
         if who not in known:
             known[who] = fit(who)
-        none = UniverseEstimate(float("nan"), note=f"{metric} does not differ within recordings")
+        none = UniverseEstimate(float("nan"), note=FLAT)
         found = known[who].get(metric, none)
         if found.note:
             raise ValueError(found.note)
@@ -205,31 +198,32 @@ def _picture_variants(part: RatingsPart, metrics: tuple[str, ...], table: DataFr
         "standardised, under other choices; 95 % Satterthwaite intervals."
     )
     models = {part.lead: fit_primary(part.rows, metrics, explain=False)}
-    draw = partial(draw_slopes, models, variants={part.lead: table})
+    draw = partial(draw_slopes, models, variants=table)
     return Picture(make_slug("variants", *part.place), caption, draw)
 
 
 def _picture_universes(metric: str, part: RatingsPart, result: Multiverse) -> Picture:
     caption = (
-        f"Slope of {part.ratings} on {format_name(metric)}, points per +0.1, for every distinct set of raters that the "
-        "screening rules leave, from the smallest up; 95 % Satterthwaite intervals. Below: the rules applied."
+        f"Slope of {part.ratings} on {words.format_name(metric)}, points per +0.1, for every distinct set of raters "
+        "that the screening rules leave, from the smallest up; 95 % Satterthwaite intervals. Below: the rules applied."
     )
     counts = (result.n_combinations, len(result.table) - len(result.curve))
     rules = tuple(result.screening.rules)
-    draw = partial(
-        draw_multiverse, result.curve, rules=rules, counts=counts, estimate="Points per +0.1"
-    )
+    draw = partial(draw_multiverse, result.curve, rules=rules, counts=counts)
     return Picture(make_slug("multiverse", *part.place, metric), caption, draw, detail=True)
 
 
 def _describe_universes(metric: str, part: RatingsPart, result: Multiverse) -> str:
-    what = f"Slope of {part.ratings} on {format_name(metric)}"
+    what = f"Slope of {part.ratings} on {words.format_name(metric)}"
     if not len(result.curve):
-        return f"{what}: no set of raters is large enough to fit the model."
+        large = "no set of raters is large enough to fit the model"
+        return f"{what}: {FLAT if set(result.table['note']) == {FLAT} else large}."
     if result.n_distinct == 1:
         alone = f"the {result.n_combinations} combinations of screening rules leave 1 distinct set of raters, everyone"
-        return f"{what}: {format_number(result.median, kind='slope')} points per +0.1; {alone}."
-    reach = format_interval(result.smallest, result.largest, kind="slope")
+        return (
+            f"{what}: {words.format_number(result.median, kind='slope')} points per +0.1; {alone}."
+        )
+    reach = words.format_interval(result.smallest, result.largest, kind="slope")
     sets = f"{result.n_distinct} distinct sets of raters"
     some = f"{len(result.curve)} of " if len(result.curve) < result.n_distinct else ""
     few = "; the others leave too few raters to fit the model" if some else ""
@@ -378,34 +372,41 @@ def _sum_up(found: list[tuple[RatingsPart, Refined]]) -> Iterator[Line]:
         return
     others = "further " if len(rest) < len(found) else ""
     claim = f"No {others}refined metric is recommended"
-    gains = sorted(gain["value"] for gain in rest if np.isfinite(gain["low"]))
-    if not gains:
-        yield Line(f"{claim}: gains have no interval here.")
+    known = [gain for gain in rest if np.isfinite(gain["low"]) and gain["plain"] > 0]
+    if not known:
+        opposed = any(gain["plain"] < 0 for gain in rest)
+        yield Line(f"{claim}: {OPPOSED if opposed else 'gains have no interval here'}.")
         return
-    reach = format_interval(gains[0], gains[-1]) if len(gains) > 1 else format_number(gains[0])
-    covering = sum(gain["low"] <= 0 <= gain["high"] for gain in rest)
-    each = "its interval covers" if len(rest) == 1 else "each 95 % two-way interval covers"
-    shown = f"; {each} zero" if covering == len(rest) else ""
+    gains = sorted(gain["value"] for gain in known)
+    reach = (
+        words.format_interval(gains[0], gains[-1])
+        if len(gains) > 1
+        else words.format_number(gains[0])
+    )
+    covering = all(gain["low"] <= 0 <= gain["high"] for gain in known)
+    each = "its interval covers" if len(known) == 1 else "each 95 % two-way interval covers"
+    shown = f"; {each} zero" if covering else ""
     gained = f"gain{'s' if len(gains) > 1 else ''} in correlation over the best single metric {reach}, out of fold"
     yield Line(f"{claim} ({gained}{shown}).")
 
 
+OPPOSED = "the strongest single metric correlates negatively, so a gain in correlation over it shows nothing"
+
+
 def _find_best(result: Refined) -> Row:
-    """Find the gain over the metric that correlates most by itself."""
-    best: Row = result.gains.sort_values("plain", ascending=False).to_dict("records")[0]
+    """Find the gain over the metric that correlates most by itself, in either direction."""
+    best: Row = result.gains.sort_values("plain", key=abs, ascending=False).to_dict("records")[0]
     return best
 
 
 def _describe_refined(part: RatingsPart, result: Refined) -> Line:
-    gain, line = _find_best(result), Line("", capitalise(part.subject))
+    gain, line = _find_best(result), Line("", words.capitalise(part.subject))
     what = "it" if result.recommended else "the metric that the search chose"
-    best = (
-        f"the best single metric, {format_name(gain['metric'])}, at {format_number(gain['plain'])}"
-    )
-    interval = f"95 % two-way interval {format_interval(gain['low'], gain['high'])}"
+    best = f"the best single metric, {words.format_name(gain['metric'])}, at {words.format_number(gain['plain'])}"
+    interval = f"95 % two-way interval {words.format_interval(gain['low'], gain['high'])}"
     scored = (
         f"in cross-validation {what} correlates with rating differences within recordings at "
-        f"r = {format_number(result.value)}, and {best} (gain {format_number(gain['value'])}, {interval})"
+        f"r = {words.format_number(result.value)}, and {best} (gain {words.format_number(gain['value'])}, {interval})"
     )
     if result.recommended:
         text = f"{_name_choice(result)} predicts better than each metric alone: {scored}."
@@ -413,6 +414,8 @@ def _describe_refined(part: RatingsPart, result: Refined) -> Line:
     none = "no refined metric is recommended: "
     if np.isnan(gain["low"]):
         return replace(line, text=f"{none}its gain has no interval here.")
+    if gain["plain"] < 0:
+        return replace(line, text=f"{none}{OPPOSED} ({best}).")
     if gain["low"] > 0:
         simple = "but one is not chosen on all ratings, or does not gain over every single metric"
         return replace(line, text=f"{none}{scored}, {simple}.")
@@ -424,4 +427,4 @@ def _name_choice(result: Refined) -> str:
     if result.chosen == EQUAL:
         return "the sum of the metrics, each in standard deviations, with equal weights,"
     several = " + " in result.chosen
-    return f"{'the weighted sum of ' if several else ''}{format_name(result.chosen)}"
+    return f"{'the weighted sum of ' if several else ''}{words.format_name(result.chosen)}"

@@ -1,11 +1,10 @@
 """ITU-T P.1401 and the classic tests of correlations, for comparison with the literature."""
 
-from __future__ import annotations
-
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from functools import partial
 from itertools import combinations, product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -22,12 +21,8 @@ from feel321.analysis.report.section import (
     read_methods,
 )
 from feel321.analysis.table.items import Items, make_items
+from feel321.analysis.table.reading import Table
 from feel321.analysis.words import COUNT
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from feel321.analysis.table.reading import Table
 
 ORDERS = (1, 3)
 NUMBERS = (

@@ -5,8 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
 import platform
 from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from itertools import chain
@@ -29,19 +31,15 @@ from feel321.analysis.report.parts import Choices
 from feel321.analysis.report.section import Section, number_pictures, render_template
 from feel321.analysis.screening.rules import RULES
 from feel321.analysis.table.items import find_sources, format_recordings
-from feel321.analysis.table.reading import ROSTER_FILE, Further, Table, read_table
+from feel321.analysis.table.reading import ROSTER_FILE, Further, Table, find_tables, read_table
 from feel321.analysis.words import Claim, Line, Number, count_number, format_note
-from feel321.doors import as_path, as_seed, follow
+from feel321.doors import as_seed, follow
 from feel321.records import Result
+from feel321.types import PathLike, Progress, Rng
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-
     from markupsafe import Markup
     from pandas import DataFrame
-
-    from feel321.types import PathLike, Progress, Rng
-
 
 SCHEMA_VERSION = 1
 """Version of ``results.schema.json``, which describes ``results.json``: raised when a field changes or goes."""
@@ -176,28 +174,38 @@ def _count_table(table: Table) -> Iterator[Number]:
         yield count_number(f"size.{name}", size, n=len(rows))
 
 
+IN_MEMORY = "a table in memory"
+
+
 def describe_inputs(
-    ratings: Path, manifest: Path, *, table: Table, further: Further | None, choices: Choices
+    given: Mapping[str, Path | DataFrame],
+    *,
+    table: Table,
+    further: Further | None,
+    choices: Choices,
 ) -> dict[str, str]:
     """Describe everything that decides a report: files, choices and what was handed over, each with its digest."""
-    roster = ratings.with_name(ROSTER_FILE)
-    files = {"ratings": ratings, "manifest": manifest, "participants": roster}
     told: dict[str, str] = {}
-    for role, path in files.items():
-        if path.is_file() or role != "participants":
-            told |= {role: path.name, f"{role}_sha256": _digest(path.read_bytes())}
+    for role, source in given.items():
+        if not isinstance(source, Path):
+            told |= {role: IN_MEMORY, f"{role}_sha256": _digest_rows(source)}
+        elif source.is_file() or role != "participants":
+            told |= {role: source.name, f"{role}_sha256": _digest(source.read_bytes())}
     found = find_sources(table.rows)
     if not found.is_unique:
         told["sources"] = format_recordings(len(found), found.nunique())
         told["sources_sha256"] = _digest(json.dumps(found.to_dict(), sort_keys=True).encode())
     if further is not None and not further.metrics.empty:
-        rows = further.metrics.sort_index().to_csv(float_format="%.17g", lineterminator="\n")
         told["further_metrics"] = ", ".join(map(str, further.metrics))
-        told["further_metrics_sha256"] = _digest(rows.encode())
+        told["further_metrics_sha256"] = _digest_rows(further.metrics.sort_index(), index=True)
     told["metrics"] = ", ".join(table.metrics)
     for name, value in asdict(choices).items():
         told[name] = "from repeated ratings" if value is None else str(value)
     return told
+
+
+def _digest_rows(rows: DataFrame, *, index: bool = False) -> str:
+    return _digest(rows.to_csv(index=index, float_format="%.17g", lineterminator="\n").encode())
 
 
 def _digest(content: bytes) -> str:
@@ -231,9 +239,9 @@ there is none."""
 
 
 def write_report(  # noqa: PLR0913 - every choice that changes a report has a name of its own
-    ratings_path: PathLike,
-    manifest_path: PathLike,
-    folder: PathLike,
+    ratings_path: PathLike | DataFrame | Table,
+    manifest_path: PathLike | DataFrame | None = None,
+    folder: PathLike = "report",
     *,
     draws: int = 2000,
     margin: float | None = None,
@@ -248,13 +256,14 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
 
     Parameters
     ----------
-    ratings_path : str or path
-        ``ratings.csv``, from feel321 or from elsewhere.
-    manifest_path : str or path
-        ``manifest.csv`` of the stimuli that were rated.
+    ratings_path : path, DataFrame or Table
+        Ratings, as `read_table` takes them: ``ratings.csv``, from feel321 or from elsewhere, or a study's folder. Or
+        the Table that it returned.
+    manifest_path : path or DataFrame, optional
+        ``manifest.csv`` of the stimuli that were rated; left out for a study or a Table.
     folder : str or path
-        The report's folder. The files of a former report, which its ``results.json`` lists, are replaced;
-        all others stay.
+        The report's folder; "report" in the current one if left out. The files of a former report, which its
+        ``results.json`` lists, are replaced; all others stay.
     draws : int
         Bootstrap draws per interval, and random pairings per permutation test; at least 2.
     margin : float, optional
@@ -293,20 +302,21 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     >>> results = analysis.write_report("ratings.csv", "manifest.csv", "report")  # doctest: +SKIP
     >>> print(results.summary())  # doctest: +SKIP
     """
-    ratings, manifest = as_path(ratings_path, "ratings"), as_path(manifest_path, "manifest")
     seed = as_seed(rng) if seed is None else seed
     choices = Choices(draws=draws, margin=margin, seed=seed)
     with (
         ResultsFolder(folder, background=True) as target,
         follow(progress or False, "report") as move,
     ):
-        table = read_table(ratings, manifest, metrics=metrics, sources=sources, further=further)
+        table, given = _open(
+            ratings_path, manifest_path, metrics=metrics, sources=sources, further=further
+        )
         sections = []
         for section in _compute(table, choices, move):
             sections.append(section)
             target.draw(section.pictures)
         sections = _reconcile(sections)
-        inputs = describe_inputs(ratings, manifest, table=table, further=further, choices=choices)
+        inputs = describe_inputs(given, table=table, further=further, choices=choices)
         results = gather_results(table, sections, inputs=inputs)
         target.write(
             results.to_dict(),
@@ -314,6 +324,28 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
             tables={name: rows for section in sections for name, rows in section.tables.items()},
         )
     return replace(results, path=target.path)
+
+
+def _open(
+    ratings: PathLike | DataFrame | Table,
+    manifest: PathLike | DataFrame | None,
+    **choices: Any,  # noqa: ANN401 - those of read_table
+) -> tuple[Table, dict[str, Path | DataFrame]]:
+    """Read the ratings; return them with what they were read from."""
+    if isinstance(ratings, Table):
+        if manifest is not None or any(choice is not None for choice in choices.values()):
+            raise ValueError(
+                "manifest, metrics, sources and further must be left out with a Table, which has them; give them to "
+                "read_table"
+            )
+        return ratings, {"ratings": ratings.rows}
+    if manifest is None:
+        ratings, manifest = find_tables(ratings)
+    given: dict[str, Any] = {"ratings": ratings, "manifest": manifest}
+    paths = {role: Path(one) for role, one in given.items() if isinstance(one, str | os.PathLike)}
+    if "ratings" in paths:
+        paths["participants"] = paths["ratings"].with_name(ROSTER_FILE)
+    return read_table(ratings, manifest, **choices), given | paths
 
 
 def compute_sections(

@@ -19,7 +19,7 @@ def test_intervals_stand_against_the_margin(said: Callable[[Figure], str]) -> No
         "a − b": equivalence(1.0, 1.2, 11, low=-5, high=5),
         "a − c": equivalence(4.0, 1.2, 11, low=-5, high=5),
     }
-    figure = draw_equivalence(tests, n_participants=12, n_recordings=8)
+    figure = draw_equivalence(tests, n_participants=12, n_recordings=8, n_sources=8)
     (axes,) = figure.axes
     assert axes.patches[0].get_x() == -5
     assert axes.patches[0].get_width() == 10
@@ -46,7 +46,7 @@ def test_long_names_stay_inside_and_apart(
         f"{one} − {other}": equivalence(number / 5 - 5, 1, 11, low=-5, high=5)
         for number, (one, other) in enumerate(combinations(names, 2))
     }
-    figure = draw_equivalence(tests, n_participants=20, n_recordings=10)
+    figure = draw_equivalence(tests, n_participants=20, n_recordings=10, n_sources=10)
     assert len(figure.axes[0].get_yticks()) == 66
     assert faults(figure) == []
 
@@ -57,4 +57,4 @@ def test_no_common_margin_is_refused(margins: tuple[float, ...]) -> None:
     with pytest.raises(
         ValueError, match=f"contrasts must have one margin for all, got {len(margins)}"
     ):
-        draw_equivalence(tests, n_participants=12, n_recordings=8)
+        draw_equivalence(tests, n_participants=12, n_recordings=8, n_sources=8)

@@ -25,8 +25,8 @@ def make_ellipses(n: int = 12, *, ordinal: bool = False) -> Ellipses:
 
 def test_stimuli_and_ellipses_stand_where_the_numbers_say(said: Callable[[Figure], str]) -> None:
     found, names = make_ellipses(4), ["a", "original", "b", "c"]
-    looks = assign_looks(["c", "b", "a"])
-    figure = draw_space(found, names, looks=looks)
+    looks = assign_looks(["a", "b", "c"])
+    figure = draw_space(found, names)
     (axes,) = figure.axes
     np.testing.assert_array_equal(
         [line.get_xydata()[0] for line in axes.lines], found.space.positions
@@ -80,6 +80,10 @@ def test_long_names_stay_inside_and_apart(
     names: list[str], faults: Callable[[Figure], list[str]]
 ) -> None:
     assert (
-        faults(draw_space(make_ellipses(), names, original=names[3], stress=[0.4, 0.2, 0.1, 0.0]))
+        faults(
+            draw_space(
+                make_ellipses(), [*names[:3], "original", *names[4:]], stress=[0.4, 0.2, 0.1, 0.0]
+            )
+        )
         == []
     )

@@ -32,21 +32,9 @@ def test_d_prime_is_drawn_with_what_it_rests_on(said: Callable[[Figure], str]) -
         assert part in said(figure)
 
 
-def test_the_other_observer_has_other_numbers() -> None:
-    result = discriminate(18, 24)
-    (axes,) = draw_discrimination({"x − y": result}, observer="differencing").axes
-    assert [line.get_xdata()[0] for line in axes.lines if line.get_marker() == "o"] == [
-        result.d_differencing
-    ]
-
-
 def test_what_cannot_be_drawn_is_refused() -> None:
     with pytest.raises(ValueError, match="results must hold one pair or more, got none"):
         draw_discrimination({})
-    with pytest.raises(
-        ValueError, match="observer must be one of independent, differencing; got 'ideal'"
-    ):
-        draw_discrimination({"x": discriminate(1, 2)}, observer="ideal")
 
 
 def test_long_names_stay_inside_and_apart(

@@ -87,9 +87,4 @@ def test_residuals_that_are_all_zero_are_drawn(fit: MixedFit) -> None:
 
 def test_words_stay_inside_and_apart(fit: MixedFit, faults: Callable[[Figure], list[str]]) -> None:
     assert faults(draw_residuals(fit)) == []
-    assert (
-        faults(
-            draw_residuals(replace(fit, residuals=fit.residuals * 1e5), unit="points of the scale")
-        )
-        == []
-    )
+    assert faults(draw_residuals(replace(fit, residuals=fit.residuals * 1e5))) == []

@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def draw(result: Multiverse, *, estimate: str) -> Figure:
+def draw(result: Multiverse) -> Figure:
     counts = (result.n_combinations, len(result.table) - len(result.curve))
     rules = result.screening.rules
-    return draw_multiverse(result.curve, rules=rules, counts=counts, estimate=estimate)
+    return draw_multiverse(result.curve, rules=rules, counts=counts)
 
 
 def estimate(rows: pd.DataFrame) -> tuple[float, float, float]:
@@ -43,7 +43,7 @@ def result(tidy: Callable[..., pd.DataFrame]) -> Multiverse:
 def test_universes_stand_in_order_over_their_rules(
     result: Multiverse, said: Callable[[Figure], str]
 ) -> None:
-    figure = draw(result, estimate="Mean above 50 (points)")
+    figure = draw(result)
     upper, lower = figure.axes
     curve = result.curve
     drawn = np.concatenate([
@@ -62,14 +62,14 @@ def test_universes_stand_in_order_over_their_rules(
         "95 % intervals",
         "participants",
         f"{len(curve)} distinct",
-        "Mean above 50 (points)",
+        "Points per +0.1",
         "test retest",
     ):
         assert part in said(figure)
 
 
 def test_nobody_excluded_is_the_diamond(result: Multiverse, said: Callable[[Figure], str]) -> None:
-    figure = draw(result, estimate="Mean")
+    figure = draw(result)
     assert " Diamond, dashed line: nobody excluded." in said(figure)
     upper = figure.axes[0]
     (diamond,) = (line for line in upper.lines if line.get_marker() == "D")
@@ -81,20 +81,19 @@ def test_universes_without_an_estimate_are_counted(
 ) -> None:
     table = result.table.copy()
     table.loc[1, ["value", "low", "high"]] = np.nan
-    assert "1 without an estimate" in said(draw(replace(result, table=table), estimate="Mean"))
+    assert "1 without an estimate" in said(draw(replace(result, table=table)))
     table[["value", "low", "high"]] = np.nan
     with pytest.raises(ValueError, match="result must have a universe with an estimate"):
-        draw(replace(result, table=table), estimate="Mean")
+        draw(replace(result, table=table))
 
 
 def test_no_intervals_are_said(result: Multiverse, said: Callable[[Figure], str]) -> None:
     table = result.table.assign(low=np.nan, high=np.nan)
-    assert "No intervals." in said(draw(replace(result, table=table), estimate="Mean"))
+    assert "No intervals." in said(draw(replace(result, table=table)))
 
 
 def test_words_stay_inside_and_apart(
     result: Multiverse, faults: Callable[[Figure], list[str]]
 ) -> None:
     table = pd.concat([result.table] * 40, ignore_index=True)
-    label = "Slope of realism on spectral match (points of rating per +0.1 of metric)"
-    assert faults(draw(replace(result, table=table), estimate=label)) == []
+    assert faults(draw(replace(result, table=table))) == []

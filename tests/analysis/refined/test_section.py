@@ -148,3 +148,10 @@ def test_what_has_no_interval_is_not_recommended(make_table: Callable[..., Table
     assert [str(line) for line in section.verdict] == [
         "No refined metric is recommended: gains have no interval here."
     ]
+
+
+def test_ratings_that_fall_with_the_metrics_are_no_gain(make_table: Callable[..., Table]) -> None:
+    section = compute_refined(make_table(spectral=-40, temporal=0), CHOICES)
+    (line,) = map(str, section.verdict)
+    assert "the strongest single metric correlates negatively" in line
+    assert "spectral match, at −" in section.answers[0]

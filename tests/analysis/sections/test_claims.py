@@ -141,3 +141,44 @@ def test_tables_and_sentences_tell_a_slope_in_the_same_digits(
     table = TableForm("", [estimate("Slope", "estimate", "slope")], path="slope").build([row])
     assert table.rows == ((value, interval),)
     assert format_estimate(*ends, kind="slope") == (value, interval)
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (lambda _: 0.5, "the stimuli of a recording do not differ in it"),
+        (lambda rows: 1 - rows["spectral_match"], "within recordings it follows from the other metrics"),
+    ],
+)  # fmt: skip
+def test_a_declared_metric_without_a_slope_is_not_passed_over(
+    tidy: Callable[..., pd.DataFrame], change: Callable[[pd.DataFrame], object], why: str
+) -> None:
+    rows = tidy(1, participants=4, recordings=4).assign(temporal_match=change)
+    section = primary.compute(Table(rows, METRICS, ()), Choices(draws=2))
+    (line,) = (str(line) for line in section.verdict if "temporal match predicts" in str(line))
+    lead = "Realism: Whether temporal match predicts realism ratings cannot be estimated"
+    assert line == f"{lead}: {why}."
+    verdicts = {claim.metric: claim.verdict for claim in section.claims}
+    assert verdicts["temporal_match"] == "not_estimable"
+    assert list(verdicts) == list(METRICS)
+
+
+@pytest.mark.parametrize(("without", "hinges"), [("open", False), ("predicts", True)])
+def test_an_open_verdict_hinges_on_what_would_close_it_only(
+    tidy: Callable[..., pd.DataFrame],
+    monkeypatch: pytest.MonkeyPatch,
+    without: str,
+    *,
+    hinges: bool,
+) -> None:
+    """An estimate near zero changes its sign without this reducer or that; its verdict does not."""
+    unit = {"kind": "reducer", "unit": "pca321", "metric": "temporal_match", "verdict": without}
+    numbers = {"tenth": -0.1, "tenth_low": -0.5, "tenth_high": 0.3, "shift": 0.4, "p_holm": 0.5}
+    table = pd.DataFrame([unit | numbers | {"turns": True, "moves": True}])
+    found = Influence(table, pd.DataFrame({"excess": [], "p": [], "exceptional": []}))
+    monkeypatch.setattr(primary, "measure_influence", lambda *_, **__: found)
+    _, (_, temporal), whole = tell(tidy(1, participants=8, recordings=6))
+    assert ("is open, and this hinges on the reducer pca321" in temporal) == hinges
+    assert ("the verdict on temporal match is not stable" in whole) == hinges
+    better = "spectral match predicts realism ratings better than temporal match does"
+    assert (better in whole) != hinges

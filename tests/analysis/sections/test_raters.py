@@ -9,7 +9,7 @@ import pytest
 
 from feel321.analysis.primary.multiverse import run_multiverse
 from feel321.analysis.report import raters, robustness
-from feel321.analysis.report.parts import split_parts
+from feel321.analysis.report.parts import Choices, split_parts
 from feel321.analysis.screening.screen import screen_raters
 from feel321.analysis.table.reading import read_table
 
@@ -69,3 +69,13 @@ def test_sets_of_raters_are_counted_and_not_combinations(read: Callable[[str], T
     alone = "the 2 combinations of screening rules leave 1 distinct set of raters, everyone"
     assert say(1, ["too_fast"]) == f"{lead}6.00 points per +0.1; {alone}."
     assert say(9) == f"{lead}no set of raters is large enough to fit the model."
+
+
+def test_a_metric_without_a_slope_is_not_blamed_on_the_raters(read: Callable[[str], Table]) -> None:
+    table = read("mushra")
+    table.rows["temporal_match"] = 0.5
+    part = next(split_parts(table))
+    found = robustness._run_universes(table, part, Choices(draws=2))[part.lead, "temporal_match"]
+    said = robustness._describe_universes("temporal_match", *found)
+    lead = "Slope of comfort ratings on temporal match: "
+    assert said == f"{lead}the metric does not differ within recordings."
