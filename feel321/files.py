@@ -25,7 +25,7 @@ def create_text(path: Path, text: str) -> None:
     """Write a text file where none is yet."""
     if path.exists():
         raise FileExistsError(
-            f"{path}: is there already, nothing is overwritten; move it away or use it"
+            f"{path}: already exists and is not overwritten; move it away or use it"
         )
     write_text(path, text)
 

@@ -1,13 +1,12 @@
 """Steps of a study that need the analysis: the report, and the recordings for chart, stress and advise."""
 
-from __future__ import annotations
-
 import os
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import chain, count
+from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -17,6 +16,7 @@ from feel321.analysis.table.reading import Further, Table, read_table
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.match import METRICS
+from feel321.stimuli.recording import Recording
 from feel321.stimuli.rotation import match_rotations, random_rotations
 from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
 from feel321.stimuli.synthesis import SCENES, make_scene
@@ -26,13 +26,7 @@ from feel321.study.ratings import write_ratings
 from feel321.study.settings.read import list_origins, make_recipe, read_settings, try_recordings
 from feel321.study.settings.schema import AnalysisTable, Settings
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-    from pathlib import Path
-
-    from feel321.stimuli.recording import Recording
-
-    Progress = Callable[[int, int], None]
+Progress = Callable[[int, int], None]
 
 # The report: of a study's own ratings, or of tables from elsewhere.
 

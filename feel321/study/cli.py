@@ -78,7 +78,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         code = feel321.main(args=arguments, prog_name="feel321", standalone_mode=False)
     except click.UsageError as error:
-        return _complain(_hint(error), code=WRONG_USE)
+        path = error.ctx.command_path if error.ctx else "feel321"
+        hint = f"{error.format_message().rstrip('.')}; see: {path} --help"
+        return _complain(hint, code=WRONG_USE)
     except (Interrupted, click.Abort) as stop:
         kept = "; what is done is kept, the same command continues"
         resumed = RESUMED.intersection(stop.args)
@@ -88,11 +90,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         return _complain(_describe(error), code=COULD_NOT)
     return int(code or DONE)
-
-
-def _hint(error: click.UsageError) -> str:
-    path = error.ctx.command_path if error.ctx else "feel321"
-    return f"{error.format_message().rstrip('.')}; see: {path} --help"
 
 
 def _describe(error: Exception) -> str:

@@ -15,13 +15,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
 class Problems(Result):
-    """What `Study.check` found.
+    """What `Study.check` found, as a whole or in one part of a study.
 
     problems: what stands in the way of the study; warnings: what is allowed and may not be meant; notes: how strongly
     the stimuli are played; remarks: what was noticed in the recordings; figures: the numbers behind them.
     """
 
-    problems: tuple[str, ...]
+    problems: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from importlib.resources import files
+from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
@@ -13,9 +15,6 @@ from feel321.study.session.journal import list_journals
 from feel321.study.session.plan import PARTICIPANT_ID
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-    from pathlib import Path
-
     from feel321.stimuli.sets.recipe import Recipe
 
 

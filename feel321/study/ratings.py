@@ -3,15 +3,18 @@
 It may be deleted at any time: it is written anew, byte for byte the same, from what the journals hold.
 """
 
-from __future__ import annotations
-
 import csv
 import io
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 from feel321.files import write_text
 from feel321.protocols.tasks import score_trial
+from feel321.protocols.trial import Trial
+from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.study.columns import RATING_COLUMNS
+from feel321.study.folder import StudyFolder
 from feel321.study.session.events import (
     PartPlayed,
     SessionBegun,
@@ -28,39 +31,14 @@ from feel321.study.session.plan import (
     require_own_plan,
 )
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from feel321.protocols.trial import Trial
-    from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
-    from feel321.study.folder import StudyFolder
-
 _KINDS = {kind.event for kind in (TrialShown, PartPlayed, TrialRated)}
 
 
 def write_ratings(study: StudyFolder, stimuli: StimulusSet) -> int:
-    """Write all completed judgements of a study, of unfinished sessions too.
+    """Write all completed judgements of a study, of unfinished sessions too, and count them.
 
     Training and practice are left out; they stand in the journals. An attempt that was bad, or a session that
     was begun anew, is there and marked as rejected.
-
-    Parameters
-    ----------
-    study : StudyFolder
-        The study with its journals; the table is replaced in one step.
-    stimuli : StimulusSet
-        The set that was judged.
-
-    Returns
-    -------
-    int
-        Number of rows.
-
-    Raises
-    ------
-    ValueError
-        If a plan or journal is broken or was written with another stimulus set.
     """
     rows = [row for folder in study.participants for row in read_judgements(folder, stimuli)]
     text = io.StringIO(newline="")

@@ -12,12 +12,14 @@ import hashlib
 import os
 import re
 import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor, as_completed
 from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
 from itertools import count, islice
+from pathlib import Path
 from shlex import quote
 from threading import Event, Lock
 from time import perf_counter
@@ -50,6 +52,7 @@ from feel321.study.session.plan import (
     make_plan,
     open_session,
 )
+from feel321.study.session.ports import Place, Presenter
 from feel321.study.settings.read import (
     find_language,
     list_surfaces,
@@ -62,20 +65,14 @@ from feel321.study.settings.read import (
 from feel321.study.strength import find_unfelt
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-    from pathlib import Path
-
     from sqlalchemy import Engine
 
     from feel321.protocols.trial import Scale
     from feel321.study.actuator.output import Output
     from feel321.study.screen.layout import Hand
-    from feel321.study.session.ports import Place, Presenter
     from feel321.study.settings.schema import Settings
 
-    MakePresenter = Callable[
-        [Plan, Journal, Mapping[str, Stimulus]], AbstractContextManager[Presenter]
-    ]
+MakePresenter = Callable[[Plan, Journal, Mapping[str, Stimulus]], AbstractContextManager[Presenter]]
 
 TRIALS_BETWEEN_NOTES = 25
 """Trials that the ledger may lag behind the journals of simulated participants; it follows real ones trial by trial."""
@@ -290,27 +287,18 @@ SIDE_BY_SIDE = 16
 """Sessions at the same time: each waits for the disk after every record, and a disk syncs several files at once."""
 
 
-@dataclass(frozen=True, slots=True)
-class Simulation:
-    """A study with simulated participants."""
-
-    study: StudyFolder
-    settings: Settings
-    stimuli: StimulusSet
-    seed: int
-    now: Clock
-
-
 def run_simulation(
-    simulation: Simulation, participants: int, *, progress: Callable[[int, int], None] | None = None
+    room: Room,
+    settings: Settings,
+    participants: int,
+    *,
+    seed: int,
+    progress: Callable[[int, int], None] | None = None,
 ) -> list[str]:
     """Run the sessions of simulated participants; finished ones are kept, broken ones resumed."""
-    settings = simulation.settings
-    room, notice = open_room(simulation.study, settings, simulation.stimuli, now=simulation.now)
-    names = list_participants(simulation.study, participants)
+    names = list_participants(room.study, participants)
     plans = plan_sessions(room, settings, names, simulated=True)
-    casting = cast_observers(settings, simulation.stimuli, seed=simulation.seed)
-    notices = [notice] if notice else []
+    casting = cast_observers(settings, room.stimuli, seed=seed)
     tally = _Tally(plans, progress)
     pool = ThreadPoolExecutor(SIDE_BY_SIDE)
     try:
@@ -320,12 +308,11 @@ def run_simulation(
             )
             for place, plan in enumerate(plans)
         ]
-        notices += [notice for session in as_completed(sessions) if (notice := session.result())]
+        return sorted(filter(None, [session.result() for session in as_completed(sessions)]))
     finally:
         # After an error or Ctrl-C the other sessions end with the trial that they are in.
         tally.stop.set()
         pool.shutdown(cancel_futures=True)
-    return sorted(notices)
 
 
 def list_participants(study: StudyFolder, number: int) -> list[str]:

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Iterator
+from dataclasses import asdict, dataclass, fields
 from itertools import groupby
 from math import lcm, prod
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from feel321.protocols.balance import measure_balance, pool_balances, williams_square
 from feel321.protocols.tasks import is_as_expected
+from feel321.records import Result
 from feel321.study.ledger.progress import make_progress
 from feel321.study.session.events import PageRead, SessionFinished, SessionReleased, TrialRated
 from feel321.study.session.plan import TOMBSTONE_FILE, Dossier, Plan, read_as_written, read_dossier
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator
-    from pathlib import Path
+    from pandas import DataFrame
 
     from feel321.protocols.trial import Trial
     from feel321.study.folder import StudyFolder
@@ -183,12 +185,40 @@ class ParticipantStatus:
     problem: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Status:
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Status(Result):
     """Progress of a study."""
 
     participants: tuple[ParticipantStatus, ...]
     balance: BalanceAsRun | None
+
+    def to_frame(self) -> DataFrame:
+        """Return one row per participant."""
+        import pandas as pd
+
+        columns = [field.name for field in fields(ParticipantStatus)]
+        return pd.DataFrame([asdict(entry) for entry in self.participants], columns=columns)
+
+    def summary(self) -> str:
+        """Write what `feel321 status` prints."""
+        lines = [f"{'participant':<14}{'state':<11}{'done':>5}{'left':>6}  last activity"]
+        for entry in self.participants:
+            lines += [_describe(entry), *(f"{'':<14}{warning}" for warning in entry.warnings)]
+        return "\n".join([*lines, *describe_balance(self.balance)])
+
+    def __repr__(self) -> str:
+        """Count the participants in each state."""
+        counts = Counter(entry.state or "unreadable" for entry in self.participants)
+        states = ", ".join(f"{count} {state}" for state, count in counts.items())
+        return f"Status({states or 'no participants'})"
+
+
+def _describe(entry: ParticipantStatus) -> str:
+    if entry.problem:
+        return f"{entry.participant:<14}{'?':<11}{'?':>5}{'?':>6}  {entry.problem}"
+    notes = "; ".join(filter(None, ("simulated" if entry.simulated else "", entry.groups)))
+    tail = f"  {entry.last_activity}{f' ({notes})' if notes else ''}".rstrip()
+    return f"{entry.participant:<14}{entry.state:<11}{entry.done:>5}{entry.left:>6}{tail}"
 
 
 def read_status(

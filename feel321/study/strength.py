@@ -4,16 +4,18 @@ Everything here works on what a build would make (`feel321.stimuli.sets.build.fo
 whether it was made yet or not.
 """
 
-from __future__ import annotations
-
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
 from math import inf, log10
-from typing import TYPE_CHECKING
+from operator import itemgetter
+
+import numpy as np
 
 from feel321.protocols.trial import SURFACE
 from feel321.stimuli.condition import condition
+from feel321.stimuli.recording import Recording
 from feel321.stimuli.sets.anchors import THRESHOLDS, to_db
 from feel321.stimuli.sets.build import Foreseen, foresee_stimuli
+from feel321.stimuli.sets.manifest import StimulusSet
 from feel321.stimuli.sets.recipe import (
     GAIN_PER_RECORDING,
     ONE_GAIN,
@@ -21,26 +23,12 @@ from feel321.stimuli.sets.recipe import (
     Recipe,
     find_headroom_cost,
 )
+from feel321.study.actuator import render
 from feel321.study.actuator.mixer import ROUNDING
-from feel321.study.actuator.render import (
-    EQUAL_DB,
-    find_directions,
-    find_mix,
-    original_energy,
-    reduced_energy,
-)
 from feel321.study.actuator.rig import AXES, REDUCED, Rig
+from feel321.study.findings import Problems
 from feel321.study.settings.read import make_design, make_recipe
 from feel321.study.settings.schema import ACCEPT, Settings
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from feel321.stimuli.recording import Recording
-    from feel321.stimuli.sets.manifest import StimulusSet
 
 WEAK_DB = 10.0
 """Stimuli with a lower sensation level are listed: they are felt, but hardly as what they are."""
@@ -49,36 +37,29 @@ COSTLY_DB = 1.0
 """A recording that takes less headroom from the others is not worth a line."""
 
 
-@dataclass(frozen=True, slots=True)
-class Findings:
-    """What was found, one line each."""
-
-    problems: list[str] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-    figures: dict[str, object] = field(default_factory=dict)
-
-
 # How strongly a study's stimuli will be felt: sensation levels and gains.
 
 
-def find_strength(settings: Settings, foreseen: Sequence[Foreseen], recipe: Recipe) -> Findings:
+def find_strength(settings: Settings, foreseen: Sequence[Foreseen], recipe: Recipe) -> Problems:
     """Find out how strongly the stimuli of a study will be felt."""
-    unfelt = list(_find_weak(foreseen, recipe, least=-inf, below=0.0))
+    unfelt = tuple(_find_weak(foreseen, recipe, least=-inf, below=0.0))
     weak = _find_weak(foreseen, recipe, least=0.0, below=WEAK_DB)
     is_accepted = settings.stimuli.below_threshold == ACCEPT
     levels = {
-        recording: {curve: _find_range(own, curve) for curve in THRESHOLDS}
+        recording: {
+            curve: [end(one.sensation_levels_db[curve] for one in own) for end in (min, max)]
+            for curve in THRESHOLDS
+        }
         for recording, own in _group(foreseen).items()
     }
-    return Findings(
-        problems=[] if is_accepted else unfelt,
-        warnings=[
-            *(unfelt if is_accepted else []),
+    return Problems(
+        problems=() if is_accepted else unfelt,
+        warnings=(
+            *(unfelt if is_accepted else ()),
             *weak,
             *_compare_with_surface(settings, foreseen),
-        ],
-        notes=[*describe_gains(foreseen, recipe), *_list_levels(levels)],
+        ),
+        notes=(*describe_gains(foreseen, recipe), *_list_levels(levels)),
         figures={
             "gain": recipe.gain,
             "threshold": recipe.threshold,
@@ -159,26 +140,20 @@ def _own_level(one: Foreseen, recipe: Recipe) -> float:
     return one.sensation_levels_db[recipe.threshold]
 
 
-def _find_range(own: Sequence[Foreseen], curve: str) -> list[float]:
-    levels = [one.sensation_levels_db[curve] for one in own]
-    return [min(levels), max(levels)]
-
-
 def _find_weak(
     foreseen: Sequence[Foreseen], recipe: Recipe, *, least: float, below: float
 ) -> Iterator[str]:
     """List the recordings whose stimuli have sensation levels in a range, and what helps them."""
     accept = f', or accept it: below_threshold = "{ACCEPT}" under [stimuli]'
-    where = f"{below:g} dB over the detection threshold ({recipe.threshold})"
+    where = f"below the detection threshold ({recipe.threshold}), not to be felt"
+    if below:
+        where = f"less than {below:g} dB over the detection threshold ({recipe.threshold})"
     for recording, own in _group(foreseen).items():
         weak = [one for one in own if least <= _own_level(one, recipe) < below]
         if not weak:
             continue
-        how = f"less than {where}"
-        if not below:
-            how = f"below the detection threshold ({recipe.threshold}), not to be felt"
         yield (
-            f"recording {recording!r}: {len(weak)} of {len(own)} stimuli {how}: {_list_weak(weak, recipe)}; "
+            f"recording {recording!r}: {len(weak)} of {len(own)} stimuli {where}: {_list_weak(weak, recipe)}; "
             f"{_advise(own, weak, recipe)}{'' if below else accept}"
         )
 
@@ -186,8 +161,7 @@ def _find_weak(
 def _list_weak(weak: Sequence[Foreseen], recipe: Recipe) -> str:
     several = len({one.level for one in weak}) > 1 or len(recipe.levels) > 1
     texts = []
-    for one in sorted(weak, key=lambda one: _own_level(one, recipe)):
-        level = _own_level(one, recipe)
+    for level, one in sorted(((_own_level(one, recipe), one) for one in weak), key=itemgetter(0)):
         name = f"{one.reducer} {one.level}" if several else one.reducer
         texts.append(f"{name} silent" if level == -inf else f"{name} {write_db(level)} dB")
     return ", ".join(texts)
@@ -253,49 +227,44 @@ def write_db(value: float) -> str:
 # What a rig makes of the strength of stimuli: equal energy for one axis and for three, and peaks that it can play.
 
 
-def find_reach(rig: Rig, recordings: Sequence[Recording], recipe: Recipe) -> Findings:
+def find_reach(rig: Rig, recordings: Sequence[Recording], recipe: Recipe) -> Problems:
     """Compare the energy with which one-axis stimuli and the three-axis reference reach the hand."""
     if recipe.reference != ORIGINAL:
-        return Findings()
-    directions, unknown = find_directions(rig)
+        return Problems()
+    directions, unknown = render.find_directions(rig)
     if unknown:
-        return Findings(
-            warnings=[
-                f"actuators {', '.join(map(repr, unknown))}: no direction is known, so it is unknown whether one-axis "
-                "stimuli and the three-axis reference reach the hand with equal energy; add direction = [x, y, z] "
-                "to every actuator"
-            ]
+        line = (
+            f"actuators {', '.join(map(repr, unknown))}: no direction is known, so it is unknown whether one-axis "
+            "stimuli and the three-axis reference reach the hand with equal energy; add direction = [x, y, z] "
+            "to every actuator"
         )
-    mix = find_mix(rig)
-    reduced = reduced_energy(mix, directions)
-    differences = {
-        recording.name: energy_db(
-            reduced, original_energy(mix, directions, _covariance(recording, recipe))
-        )
-        for recording in recordings
-    }
+        return Problems(warnings=(line,))
+    mix = render.find_mix(rig)
+    reduced = render.reduced_energy(mix, directions)
+    differences: dict[str, float] = {}
+    for recording in recordings:
+        acceleration = condition(recording, recipe.conditioning).acceleration
+        covariance = np.einsum("in,jn->ij", acceleration, acceleration)
+        original = render.original_energy(mix, directions, covariance)
+        differences[recording.name] = energy_db(reduced, original)
     name = max(differences, key=lambda name: abs(differences[name]))
-    figures: dict[str, object] = {"reduced_over_reference_db": differences}
+    figures = {"reduced_over_reference_db": differences}
     worst = differences[name]
-    if abs(worst) < EQUAL_DB:
+    if abs(worst) < render.EQUAL_DB:
         same = "one-axis stimuli and the three-axis reference reach the hand with equal energy"
-        return Findings(notes=[f"{same} (difference {write_db(worst)} dB)"], figures=figures)
-    return Findings(
-        warnings=[_describe_difference(rig, worst, name, among=differences)], figures=figures
-    )
+        return Problems(notes=(f"{same} (difference {write_db(worst)} dB)",), figures=figures)
+    warning = _describe_difference(rig, worst, name, among=differences)
+    return Problems(warnings=(warning,), figures=figures)
 
 
 def find_rig_limits(rig: Rig, foreseen: Sequence[Foreseen], reference: str) -> list[str]:
     """Find what a rig cannot play, by the peaks of stimuli that are not built yet."""
     needed = (REDUCED, *AXES) if reference == ORIGINAL else (REDUCED,)
-    missing = [
-        source
-        for source in needed
-        if not any(source in actuator.plays for actuator in rig.actuators)
-    ]
+    played = {source for actuator in rig.actuators for source in actuator.plays}
+    missing = [source for source in needed if source not in played]
     remedy = "add it to `plays`, or name a reference in study.toml that the rig can play"
     lines = [f"no actuator plays {', '.join(missing)}; {remedy}"] if missing else []
-    mix = find_mix(rig)
+    mix = render.find_mix(rig)
     worst = max((one for one in foreseen if one.reducer != ORIGINAL), key=lambda one: one.peak_m_s2)
     for actuator in rig.actuators:
         asked = worst.peak_m_s2 * mix[actuator.name].get(REDUCED, 0.0)
@@ -312,28 +281,18 @@ def find_rig_limits(rig: Rig, foreseen: Sequence[Foreseen], reference: str) -> l
     return lines
 
 
-def _covariance(recording: Recording, recipe: Recipe) -> NDArray[np.float64]:
-    import numpy as np
-
-    acceleration = condition(recording, recipe.conditioning).acceleration
-    return np.asarray(np.einsum("in,jn->ij", acceleration, acceleration))
-
-
 def _describe_difference(
     rig: Rig, difference_db: float, recording: str, *, among: dict[str, float]
 ) -> str:
     """Describe that strength gives the reference away, and which weights would avoid that."""
-    mix = find_mix(rig)
+    mix = render.find_mix(rig)
     factor = 10 ** (-difference_db / 20)
     weights = {
         name: factors[REDUCED] * factor for name, factors in mix.items() if REDUCED in factors
     }
     how = ", ".join(f"{name!r} {weight:.4g}" for name, weight in weights.items())
-    where = (
-        ""
-        if max(among.values()) - min(among.values()) < EQUAL_DB
-        else f" in recording {recording!r}"
-    )
+    is_alike = max(among.values()) - min(among.values()) < render.EQUAL_DB
+    where = "" if is_alike else f" in recording {recording!r}"
     than = "stronger" if difference_db > 0 else "weaker"
     remedy = f"set weight: {how}"
     if not all(actuator.direction for actuator in rig.actuators):

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
+from feel321.doors import as_path, as_seed, follow
 from feel321.study.folder import StudyFolder, create_study, require_study
 from feel321.study.session.journal import Clock, utc_now
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-    from pathlib import Path
-
     from pandas import DataFrame
 
     from feel321.analysis.report.write import Results
@@ -239,8 +239,6 @@ class Study(Contents):
         Study
             The study.
         """
-        from feel321.doors import as_path
-
         return cls(create_study(as_path(path), bundled=like), progress)
 
     @classmethod
@@ -259,8 +257,6 @@ class Study(Contents):
         Study
             The study.
         """
-        from feel321.doors import as_path
-
         return cls(require_study(as_path(path)), progress)
 
     def check(self) -> Problems:
@@ -271,18 +267,10 @@ class Study(Contents):
         Problems
             All that was found, at once.
         """
-        from feel321.doors import follow
-        from feel321.study.findings import Problems
-        from feel321.study.workflow import check_study, find_warnings
+        from feel321.study.workflow import check_study
 
         with follow(self.progress, "check") as step:
-            recordings, problems, strength = check_study(self.folder, progress=step)
-        warnings = [] if problems else find_warnings(self.folder)
-        remarks = tuple(f"{one.name}: {text}" for one in recordings for text in one.warnings)
-        warnings = [*strength.warnings, *warnings]
-        return Problems(
-            tuple(problems), tuple(warnings), tuple(strength.notes), remarks, strength.figures
-        )
+            return check_study(self.folder, progress=step)
 
     def build(self, workers: int = 1) -> StimulusSet:
         """Build the stimulus set; only what changed is made again.
@@ -297,7 +285,6 @@ class Study(Contents):
         StimulusSet
             The set.
         """
-        from feel321.doors import follow
         from feel321.study.workflow import build_study
 
         with follow(self.progress, "build") as step:
@@ -324,7 +311,6 @@ class Study(Contents):
         """
         import pandas as pd
 
-        from feel321.doors import as_seed, follow
         from feel321.study.workflow import simulate_study
 
         with follow(self.progress, "simulate") as step:
@@ -346,7 +332,6 @@ class Study(Contents):
         Status
             Participants and balance.
         """
-        from feel321.doors import follow
         from feel321.study.status import read_status
 
         with follow(self.progress, "status") as step:
@@ -360,7 +345,6 @@ class Study(Contents):
         Audit
             Every change, and the seal.
         """
-        from feel321.doors import follow
         from feel321.study.audit import audit_study, make_seal
         from feel321.study.findings import Audit
 
@@ -380,7 +364,6 @@ class Study(Contents):
         Results
             Every number of the report, and its answer.
         """
-        from feel321.doors import follow
         from feel321.study.analyze import analyze_study
 
         with follow(self.progress, "analyze") as step:

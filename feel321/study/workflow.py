@@ -1,30 +1,28 @@
 """Steps of a study before the analysis: check, build, simulate."""
 
-from __future__ import annotations
-
 import csv
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
 
 from feel321.protocols.order import find_crowding
 from feel321.protocols.texts import read_scales
 from feel321.protocols.trial import CHOOSING
 from feel321.stimuli.condition import condition, fade
+from feel321.stimuli.recording import Recording
 from feel321.stimuli.sets.anchors import quietest_hz
 from feel321.stimuli.sets.build import Foreseen, build_stimuli, foresee_stimuli
 from feel321.stimuli.sets.manifest import StimulusSet, check_stimuli, read_stimuli
+from feel321.stimuli.sets.recipe import Recipe
+from feel321.study import strength
 from feel321.study.actuator.render import find_mix
 from feel321.study.actuator.rig import Rig, read_rig
+from feel321.study.findings import Problems
 from feel321.study.folder import StudyFolder, find_changes, is_in_use
 from feel321.study.ledger.progress import write_roster
 from feel321.study.ratings import write_ratings
+from feel321.study.session.journal import Clock
 from feel321.study.session.plan import PLAN_FILE, make_plan
-from feel321.study.sessions import (
-    Simulation,
-    list_rig_problems,
-    require_current_set,
-    run_simulation,
-)
+from feel321.study.sessions import list_rig_problems, open_room, require_current_set, run_simulation
 from feel321.study.settings.read import (
     find_language,
     list_remarks,
@@ -36,23 +34,8 @@ from feel321.study.settings.read import (
     try_recordings,
 )
 from feel321.study.settings.schema import Settings, count_groups
-from feel321.study.strength import (
-    Findings,
-    find_clipping,
-    find_reach,
-    find_rig_limits,
-    find_strength,
-    find_unfelt,
-)
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from feel321.stimuli.recording import Recording
-    from feel321.stimuli.sets.recipe import Recipe
-    from feel321.study.session.journal import Clock
-
-    Progress = Callable[[int, int], None]
+Progress = Callable[[int, int], None]
 
 
 def build_study(
@@ -102,10 +85,12 @@ def simulate_study(
     stimuli = read_stimuli(study.stimuli)
     require_current_set(study, settings)
     seed = settings.study.seed if seed is None else seed
-    simulation = Simulation(study, settings, stimuli, seed, now)
-    notices = run_simulation(simulation, participants, progress=progress)
+    room, ledger_notice = open_room(study, settings, stimuli, now=now)
+    notices = run_simulation(room, settings, participants, seed=seed, progress=progress)
     if warn is not None:
-        for notice in filter(None, (find_unfelt(settings, stimuli), *notices)):
+        for notice in filter(
+            None, (strength.find_unfelt(settings, stimuli), ledger_notice, *notices)
+        ):
             warn(notice)
     write_roster(study)
     return write_ratings(study, stimuli)
@@ -114,20 +99,12 @@ def simulate_study(
 # Everything that stands in the way of a study, found in one go.
 
 
-class Checked(NamedTuple):
-    """What a check found."""
-
-    recordings: list[Recording]
-    problems: list[str]
-    strength: Findings
-
-
-def check_study(study: StudyFolder, *, progress: Progress | None = None) -> Checked:
+def check_study(study: StudyFolder, *, progress: Progress | None = None) -> Problems:
     """Check settings, recordings, pictures, texts, strength of the stimuli, rig and, once built, the stimulus set."""
     try:
         settings = read_settings(study.settings)
     except ValueError as error:
-        return Checked([], str(error).splitlines(), Findings())
+        return Problems(tuple(str(error).splitlines()))
     recordings, unread = try_recordings(settings, study.path)
     rig, rig_problems = _check_rig(study, settings)
     problems = [
@@ -143,21 +120,26 @@ def check_study(study: StudyFolder, *, progress: Progress | None = None) -> Chec
     except ValueError as error:
         unusable = [f"{study.settings.name}: {error}"]
     problems += unusable
-    strength = Findings()
+    found = Problems()
     if recipe is not None and not unread and not unusable:
         try:
             foreseen = foresee_stimuli(recordings, study.stimuli, recipe=recipe, progress=progress)
-            strength = _find_strength(study, settings, recordings, foreseen=foreseen, rig=rig)
+            found = _find_strength(study, settings, recordings, foreseen=foreseen, rig=rig)
         except ValueError as error:
             problems.append(str(error))
-    problems += strength.problems
+    problems += found.problems
     if study.stimuli.exists():
         problems += _check_set(study, settings, recordings, recipe=recipe)
     elif study.participants:
         problems.append(
             f"{study.stimuli}: missing, but sessions were run with it; put it back or build it again"
         )
-    return Checked(recordings, problems, strength)
+    return replace(
+        found,
+        problems=tuple(problems),
+        warnings=(*found.warnings, *([] if problems else find_warnings(study, settings))),
+        remarks=tuple(f"{one.name}: {text}" for one in recordings for text in one.warnings),
+    )
 
 
 def _find_strength(
@@ -167,22 +149,22 @@ def _find_strength(
     *,
     foreseen: Sequence[Foreseen],
     rig: Rig | None,
-) -> Findings:
+) -> Problems:
     """Find out how strong stimuli are, and, where there is a rig, how it brings them to the hand."""
     recipe = make_recipe(settings)
-    found = find_strength(settings, foreseen, recipe)
+    found = strength.find_strength(settings, foreseen, recipe)
     is_built = study.manifest.exists()  # then its files are examined themselves
-    found.problems.extend([] if is_built else find_clipping(foreseen, recipe))
+    problems = [*found.problems, *([] if is_built else strength.find_clipping(foreseen, recipe))]
     if rig is None:
-        return found
+        return replace(found, problems=tuple(problems))
     name = study.rig.name
-    limits = [] if is_built else find_rig_limits(rig, foreseen, recipe.reference)
-    reach = find_reach(rig, recordings, recipe)
-    return Findings(
-        [*found.problems, *(f"{name}: {line}" for line in limits)],
-        [*found.warnings, *(f"{name}: {line}" for line in reach.warnings)],
-        [*(f"{name}: {line}" for line in reach.notes), *found.notes],
-        {**found.figures, **reach.figures},
+    limits = [] if is_built else strength.find_rig_limits(rig, foreseen, recipe.reference)
+    reach = strength.find_reach(rig, recordings, recipe)
+    return Problems(
+        problems=(*problems, *(f"{name}: {line}" for line in limits)),
+        warnings=(*found.warnings, *(f"{name}: {line}" for line in reach.warnings)),
+        notes=(*(f"{name}: {line}" for line in reach.notes), *found.notes),
+        figures={**found.figures, **reach.figures},
     )
 
 
@@ -303,9 +285,8 @@ def _check_rig(study: StudyFolder, settings: Settings) -> tuple[Rig | None, list
     return rig, list_rig_problems(study, rig, settings=settings, stimuli=stimuli)
 
 
-def find_warnings(study: StudyFolder) -> list[str]:
+def find_warnings(study: StudyFolder, settings: Settings) -> list[str]:
     """Find what is allowed in a study and still worth knowing."""
-    settings = read_settings(study.settings)
     remarks = [f"{study.settings.name}: {remark}" for remark in list_remarks(settings)]
     if settings.session.order != "random" or not study.stimuli.exists():
         return remarks

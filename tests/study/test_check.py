@@ -8,6 +8,7 @@ import pytest
 
 from feel321.protocols.texts import CATALOG
 from feel321.stimuli.wav import write_wav
+from feel321.study.settings.read import read_settings
 from feel321.study.workflow import build_study, check_study, find_warnings
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ def ask(study: StudyFolder) -> list[str]:
     text = study.settings.read_text(encoding="utf-8")
     text = text.replace('scene = "bumps"', 'scene = "bumps"\npicture = "pictures/oak.png"')
     study.settings.write_text(f'{text}[session]\nlanguage = "fr.toml"\n', encoding="utf-8")
-    return check_study(study)[1]
+    return list(check_study(study).problems)
 
 
 def test_pictures_and_texts_that_are_missing_are_named(study: StudyFolder, ask: list[str]) -> None:
@@ -46,7 +47,7 @@ def test_texts_that_no_screen_has_room_for_are_named(
 ) -> None:
     text = study.settings.read_text(encoding="utf-8")
     study.settings.write_text(f'{text}[session]\nconsent = "{consent}"\n', encoding="utf-8")
-    assert check_study(study)[1] == [f"texts in en: {words}"]
+    assert list(check_study(study).problems) == [f"texts in en: {words}"]
 
 
 def test_questions_and_labels_that_are_too_long_are_named(study: StudyFolder) -> None:
@@ -56,7 +57,7 @@ def test_questions_and_labels_that_are_too_long_are_named(study: StudyFolder) ->
     (study.path / "own.toml").write_text(long, encoding="utf-8")
     text = study.settings.read_text(encoding="utf-8")
     study.settings.write_text(f'{text}[session]\nlanguage = "own.toml"\n', encoding="utf-8")
-    problems = check_study(study)[1]
+    problems = check_study(study).problems
     assert len(problems) == 2
     assert "its question must take at most" in problems[0]
     assert "its longer label must" in problems[1]
@@ -66,7 +67,7 @@ def test_gaps_in_texts_are_all_named(study: StudyFolder, ask: list[str]) -> None
     assert len(ask) == 2
     english = (CATALOG / "en.toml").read_text(encoding="utf-8")
     (study.path / "fr.toml").write_text(english.replace("again =", "agian ="), encoding="utf-8")
-    assert [line.split(": ", 1)[1] for line in check_study(study)[1][1:]] == [
+    assert [line.split(": ", 1)[1] for line in check_study(study).problems[1:]] == [
         "keys.again is missing; compare protocols/catalog/en.toml",
         "keys.agian is not a known text; compare protocols/catalog/en.toml",
     ]
@@ -77,7 +78,7 @@ def test_once_they_are_there_nothing_is_left_to_mend(study: StudyFolder, ask: li
     (study.path / "pictures").mkdir()
     (study.path / "pictures" / "oak.png").touch()
     (study.path / "fr.toml").write_bytes((CATALOG / "en.toml").read_bytes())
-    assert check_study(study)[1] == []
+    assert list(check_study(study).problems) == []
 
 
 def test_every_group_that_feels_something_else_is_planned(
@@ -87,7 +88,7 @@ def test_every_group_that_feels_something_else_is_planned(
     text += '[between]\nprotocol = ["realism", "similarity"]\ngrip = ["pen", "power"]\n'
     study.settings.write_text(text, encoding="utf-8")
     build_study(study)
-    assert check_study(study)[1] == []
+    assert list(check_study(study).problems) == []
     planned: list[int] = []
 
     def refuse(*_: object, number: int, **__: object) -> None:
@@ -95,7 +96,10 @@ def test_every_group_that_feels_something_else_is_planned(
         raise ValueError(f"group {number} has nothing to feel")
 
     monkeypatch.setattr("feel321.study.workflow.make_plan", refuse)
-    assert check_study(study)[1] == ["group 1 has nothing to feel", "group 2 has nothing to feel"]
+    assert list(check_study(study).problems) == [
+        "group 1 has nothing to feel",
+        "group 2 has nothing to feel",
+    ]
     assert planned == [1, 2]  # The grip changes nothing.
 
 
@@ -115,7 +119,7 @@ def test_what_a_build_would_refuse_is_found_for_every_recording(
 ) -> None:
     settings = study.settings.read_text(encoding="utf-8").replace("[stimuli]", f"[stimuli]\n{text}")
     study.settings.write_text(settings, encoding="utf-8")
-    first, second = check_study(study)[1]
+    first, second = check_study(study).problems
     assert first.startswith(problem)
     assert second.startswith("recording 'hard_taps': ")
     with pytest.raises(ValueError, match=r"^recording 'bumps': ") as caught:
@@ -127,21 +131,21 @@ def test_a_silent_recording_is_found_before_the_build(study: StudyFolder) -> Non
     write_wav(study.path / "still.wav", [[0.0] * 8000] * 3, 8000)
     text = '[[recordings]]\nfile = "still.wav"\nunit = "g"\n[stimuli]\nreducers = ["sax321"]\n'
     study.settings.write_text(text, encoding="utf-8")
-    (problem,) = check_study(study)[1]
+    (problem,) = check_study(study).problems
     assert problem.startswith(
         "recording 'still': 'still' is silent between 20 and 1000 Hz and can have no anchors"
     )
     study.settings.write_text(f"{text}anchors = false", encoding="utf-8")
-    (problem,) = check_study(study)[1]
+    (problem,) = check_study(study).problems
     assert problem.startswith("recording 'still': the recording has no energy from 20 to 1000 Hz")
     with pytest.raises(ValueError, match="has no energy from 20 to 1000 Hz"):
         build_study(study)
 
 
 def test_remarks_on_settings_need_no_stimuli(study: StudyFolder) -> None:
-    assert find_warnings(study) == []
+    assert find_warnings(study, read_settings(study.settings)) == []
     text = study.settings.read_text(encoding="utf-8") + "[session.breaks]\nrest_s = 0\n"
     study.settings.write_text(text, encoding="utf-8")
-    assert [line.split(": ")[:2] for line in find_warnings(study)] == [
-        ["study.toml", "session.breaks.rest_s"]
-    ]
+    assert [
+        line.split(": ")[:2] for line in find_warnings(study, read_settings(study.settings))
+    ] == [["study.toml", "session.breaks.rest_s"]]

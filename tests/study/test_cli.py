@@ -21,6 +21,7 @@ from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.synthesis import make_scene
 from feel321.stimuli.wav import read_wav, write_wav
 from feel321.study import cli
+from feel321.study.actuator import doctor
 from feel321.study.cli import main
 from feel321.study.commands import shared
 from feel321.study.folder import read_template
@@ -566,7 +567,10 @@ def test_new_begins_a_study_and_refuses_to_begin_it_twice(tmp_path: Path, capsys
     assert main(["new", str(tmp_path / "a")]) == 0
     assert (tmp_path / "a" / "study.toml").read_text(encoding="utf-8") == read_template()
     assert main(["new", str(tmp_path / "a")]) == 1
-    assert "nothing is overwritten" in capsys.readouterr().err
+    assert (
+        "study.toml: already exists and is not overwritten; move it away or use it"
+        in capsys.readouterr().err
+    )
 
 
 def test_the_next_command_can_be_pasted(tmp_path: Path, capsys: Capture) -> None:
@@ -641,6 +645,21 @@ def test_demo_leaves_other_peoples_folders_alone(tmp_path: Path, capsys: Capture
         in capsys.readouterr().err
     )
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
+
+
+def test_demo_leaves_a_study_of_another_version_or_an_edited_one_alone(
+    tmp_path: Path, capsys: Capture
+) -> None:
+    assert main(["new", str(tmp_path)]) == 0
+    with (tmp_path / "study.toml").open("a", encoding="utf-8") as file:
+        file.write("# mine\n")
+    capsys.readouterr()
+    assert main(["demo", "--dir", str(tmp_path)]) == 1
+    assert capsys.readouterr().err == (
+        f"feel321: {tmp_path}/study.toml: edited, or written by another version of feel321, so this is not the study "
+        "that demo runs; name another folder with --dir, or delete this one\n"
+    )
+    assert not (tmp_path / "stimuli").exists()
 
 
 def test_demo_adds_nobody_to_a_study_in_which_people_took_part(
@@ -753,3 +772,17 @@ def test_every_exit_code_is_documented() -> None:
     assert cli.__doc__ is not None
     codes = (cli.DONE, cli.COULD_NOT, cli.WRONG_USE, cli.INTERRUPTED)
     assert all(str(code) in cli.__doc__ for code in codes)
+
+
+@pytest.mark.parametrize(("failed", "underruns", "code"), [(0, 0, 0), (1, 0, 1), (0, 1, 1)])
+def test_doctor_fails_where_a_pulse_failed_or_the_device_ran_dry(
+    failed: int, underruns: int, code: int, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    found = doctor.Examination(
+        "coil", "ALSA", 48000.0, 20.0, 10, failed, underruns, 30.0, 0.1, 0.2, None, None, None, None, 1.0,
+        is_program=False, error="",
+    )  # fmt: skip
+    monkeypatch.setattr(doctor, "survey_devices", list)
+    monkeypatch.setattr(doctor, "examine_rig", lambda *_, **__: found)
+    assert main(["doctor", "--device", "coil"]) == code
+    assert f"pulses 10, failed {failed}, underruns {underruns}" in capsys.readouterr().out

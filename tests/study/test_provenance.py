@@ -50,7 +50,7 @@ def test_a_set_that_was_just_built_is_the_one_that_the_settings_ask_for(built: S
     assert (
         find_changes(built.stimuli, make_recipe(settings), {"bumps": None, "hard_taps": None}) == []
     )
-    assert check_study(built)[1] == []
+    assert list(check_study(built).problems) == []
 
 
 @pytest.mark.parametrize(
@@ -77,19 +77,19 @@ def test_a_stale_set_is_listed_by_check_and_refused_by_simulate(
     old: str, new: str, message: str, built: StudyFolder
 ) -> None:
     change(built, old, new)
-    assert check_study(built)[1] == [f"{built.stimuli}: {message}; run feel321 build"]
+    assert list(check_study(built).problems) == [f"{built.stimuli}: {message}; run feel321 build"]
     with pytest.raises(ValueError, match=message) as caught:
         simulate(built)
     assert str(caught.value).endswith(f"; run feel321 build {built.path}")
     assert built.participants == []
     build_study(built)
-    assert check_study(built)[1] == []
+    assert list(check_study(built).problems) == []
 
 
 def test_check_knows_a_recording_by_its_content(built: StudyFolder) -> None:
     change(built, 'scene = "bumps"', 'scene = "bumps"\nseed = 9')
     message = "recording 'bumps': is not the one that the set was built from; run feel321 build"
-    assert check_study(built)[1] == [f"{built.stimuli}: {message}"]
+    assert list(check_study(built).problems) == [f"{built.stimuli}: {message}"]
 
 
 @pytest.mark.parametrize(
@@ -132,7 +132,7 @@ def test_a_manifest_json_that_is_none_is_said_and_mended(
     path.unlink()
     if content is not None:
         path.write_bytes(content)
-    for problems in (check_study(built)[1], audit_study(built)):
+    for problems in (list(check_study(built).problems), audit_study(built)):
         assert len(problems) == 1
         assert problems[0].startswith(f"{path}: is missing or damaged (")
         assert problems[0].endswith(
@@ -141,7 +141,7 @@ def test_a_manifest_json_that_is_none_is_said_and_mended(
     with pytest.raises(ValueError, match="is missing or damaged"):
         simulate(built)
     build_study(built)
-    assert check_study(built)[1] == audit_study(built) == []
+    assert [*check_study(built).problems, *audit_study(built)] == []
 
 
 @pytest.mark.parametrize("name", ["manifest.json", "manifest.csv"])
@@ -166,14 +166,14 @@ def test_a_set_of_which_nobody_can_tell_whether_it_is_in_use_is_not_replaced(
 
 
 def test_a_missing_set_is_a_finding_once_sessions_have_begun(study: StudyFolder) -> None:
-    assert check_study(study)[1] == audit_study(study) == []
+    assert [*check_study(study).problems, *audit_study(study)] == []
     use_folder = study.sessions / "p01"
     use_folder.mkdir(parents=True)
     (use_folder / ".lock").touch()
     assert audit_study(study) == []
     (use_folder / "plan.json").write_text("{}", encoding="utf-8")
     assert any("there is no manifest" in finding for finding in audit_study(study))
-    assert check_study(study)[1] == [
+    assert list(check_study(study).problems) == [
         f"{study.stimuli}: missing, but sessions were run with it; put it back or build it again"
     ]
 

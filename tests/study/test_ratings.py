@@ -82,22 +82,32 @@ def test_one_row_per_judgement_with_what_the_plan_and_the_set_say(
     assert all(row | constant == row for row in rows)
 
 
+@pytest.mark.parametrize(("is_felt_again", "onset_s"), [(True, 4.5), (False, 2.5)])
 def test_onset_is_that_of_what_is_judged_as_felt_last_and_underruns_add_up(
-    present: Present, scripted: type, stimuli: StimulusSet, tmp_path: Path
+    present: Present,
+    scripted: type,
+    stimuli: StimulusSet,
+    tmp_path: Path,
+    *,
+    is_felt_again: bool,
+    onset_s: float,
 ) -> None:
     again = [Feel(0.0), Confirm(0.0, {"test": 50.0}, 1.5)]
     dry = [
         Playback(1.0, 1.0, underruns=2),
         Playback(2.0, 2.5),
-        Playback(3.0, 3.5, underruns=1),
+        Playback(3.0, 3.5, underruns=1, completed=is_felt_again),
         Playback(4.0, 4.5),
     ]
     present(scripted(acts={(11, 1): again}, playbacks={(11, 1): dry}))
     rows = read_judgements(tmp_path / "sessions" / "p01", stimuli)
     bad, good = (row for row in rows if row["trial"] == 11)
-    assert (bad["onset_s"], bad["underruns"], bad["rejected"]) == (4.5, 3, "true")
+    assert (bad["onset_s"], bad["underruns"], bad["rejected"]) == (onset_s, 3, "true")
     assert (good["underruns"], good["rejected"]) == (0, "false")
-    assert len(rows) == 21
+    assert [row["trial"] for row in rows] == sorted([
+        *range(1, 21),
+        11,
+    ])  # though it came again later
 
 
 def test_a_session_that_was_begun_anew_counts_no_more_and_is_kept(

@@ -262,7 +262,7 @@ def test_no_rig_is_one_line(ready: StudyFolder) -> None:
         FileNotFoundError, match=r"rig\.toml: there is none; feel321 new DIR writes one"
     ):
         visit(ready)
-    assert check_study(ready)[1] == []  # Simulated participants need none.
+    assert list(check_study(ready).problems) == []  # Simulated participants need none.
 
 
 def test_a_rig_that_cannot_play_the_stimuli_is_refused_by_run_and_check_alike(
@@ -272,15 +272,15 @@ def test_a_rig_that_cannot_play_the_stimuli_is_refused_by_run_and_check_alike(
     ready.rig.write_text(text, encoding="utf-8")
     with pytest.raises(ValueError, match=r"^rig\.toml: .*no actuator plays reduced") as error:
         visit(ready)
-    assert check_study(ready)[1] == str(error.value).splitlines()
+    assert list(check_study(ready).problems) == str(error.value).splitlines()
     assert not ready.ledger.exists()
 
 
 def test_check_finds_mistakes_in_the_rig_before_anything_is_built(tmp_path: Path) -> None:
     study = create_study(tmp_path / "a")
-    assert check_study(study)[1] == []
+    assert list(check_study(study).problems) == []
     study.rig.write_text("[device]\nnme = 'x'\n", encoding="utf-8")
-    assert [line.partition(":")[0] for line in check_study(study)[1]] == ["rig.toml"] * 2
+    assert [line.partition(":")[0] for line in check_study(study).problems] == ["rig.toml"] * 2
 
 
 def test_new_keeps_a_rig_that_is_there(tmp_path: Path) -> None:

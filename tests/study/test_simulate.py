@@ -17,8 +17,9 @@ from feel321.study.audit import audit_study
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger.slots import list_forgotten
 from feel321.study.ratings import write_ratings
-from feel321.study.session.journal import read_journal
-from feel321.study.sessions import SIDE_BY_SIDE, Simulation, run_simulation
+from feel321.study.session.events import SessionReleased
+from feel321.study.session.journal import create_journal, read_journal
+from feel321.study.sessions import SIDE_BY_SIDE, list_participants
 from feel321.study.settings.read import read_settings
 from feel321.study.status import read_status
 from feel321.study.workflow import build_study, check_study, find_warnings, simulate_study
@@ -75,7 +76,7 @@ def test_three_participants_judge_everything_twice(whole: StudyFolder) -> None:
     ]
     assert all(s.state == "finished" and s.simulated and s.last_activity > "2026" for s in status)
     assert audit_study(whole) == []
-    assert check_study(whole)[1] == []
+    assert list(check_study(whole).problems) == []
 
 
 def test_progress_counts_every_trial_up_to_the_last(copy: StudyFolder) -> None:
@@ -103,13 +104,19 @@ def test_progress_counts_what_earlier_runs_did(copy: StudyFolder) -> None:
     assert len(steps) == 15 + 20 + 3
 
 
+def test_who_was_released_or_withdrew_is_not_simulated_again(copy: StudyFolder) -> None:
+    path = copy.sessions / "sim001" / "session-02.jsonl"  # the newest journal counts
+    create_journal(path, now=lambda: datetime.now(UTC)).write(SessionReleased())
+    (copy.sessions / "sim003" / "withdrawn.json").touch()
+    assert list_participants(copy, 3) == ["sim002", "sim004", "sim005"]
+
+
 def test_what_was_mended_on_resuming_is_reported(copy: StudyFolder) -> None:
     torn = copy.journals[1]
     torn.write_bytes(torn.read_bytes()[:-9])
     copy.ledger.unlink()
-    settings, stimuli = read_settings(copy.settings), read_stimuli(copy.stimuli)
-    simulation = Simulation(copy, settings, stimuli, settings.study.seed, lambda: datetime.now(UTC))
-    notices = run_simulation(simulation, 3)
+    notices: list[str] = []
+    simulate(copy, participants=3, warn=notices.append)
     rebuilt, mended = notices
     assert (
         rebuilt
@@ -117,7 +124,8 @@ def test_what_was_mended_on_resuming_is_reported(copy: StudyFolder) -> None:
     )
     assert mended.startswith(f"{torn}: ")
     assert mended.endswith("were moved to session-01.jsonl.torn1")
-    assert run_simulation(simulation, 3) == []
+    simulate(copy, participants=3, warn=notices.append)
+    assert len(notices) == 2
 
 
 def test_an_error_in_one_session_ends_the_others_with_the_trial_that_they_are_in(
@@ -242,7 +250,7 @@ def test_check_finds_every_problem_at_once(copy: StudyFolder) -> None:
     )
     copy.settings.write_text(text, encoding="utf-8")
     next(copy.stimuli.glob("*.wav")).unlink()
-    problems = check_study(copy)[1]
+    problems = check_study(copy).problems
     for words in ("recording 'a'", "recording 'b'", "study.toml: rate_hz must be", ".wav"):
         assert any(words in problem for problem in problems)
 
@@ -251,27 +259,29 @@ def test_check_finds_that_a_protocol_lacks_its_reference(copy: StudyFolder) -> N
     shutil.rmtree(copy.sessions)
     text = copy.settings.read_text(encoding="utf-8") + 'reference = "none"\n'
     copy.settings.write_text(text, encoding="utf-8")
-    assert any("for the reference 'original', got 0" in problem for problem in check_study(copy)[1])
+    assert any(
+        "for the reference 'original', got 0" in problem for problem in check_study(copy).problems
+    )
 
 
 def test_check_warns_of_an_order_that_cannot_be_kept(copy: StudyFolder) -> None:
-    assert find_warnings(copy) == []  # Squares have no such rule.
+    assert find_warnings(copy, read_settings(copy.settings)) == []  # Squares have no such rule.
     taps = '[[recordings]]\nscene = "hard_taps"\nduration_s = 0.5\n'
     text = copy.settings.read_text(encoding="utf-8").replace(taps, "")
     copy.settings.write_text(text + '[session]\norder = "random"\n', encoding="utf-8")
     shutil.rmtree(copy.sessions)
     build_study(copy)
-    assert find_warnings(copy) == [
+    assert find_warnings(copy, read_settings(copy.settings)) == [
         f"order 'random': {task}: 4 of 5 trials follow one of the same recording"
         for task in ("realism", "similarity")
     ]
     shutil.rmtree(copy.stimuli)
-    assert find_warnings(copy) == []
+    assert find_warnings(copy, read_settings(copy.settings)) == []
 
 
 def test_check_reports_mistakes_in_the_settings_alone(copy: StudyFolder) -> None:
     copy.settings.write_text("[rig]\nzzz = 1", encoding="utf-8")
-    assert len(check_study(copy)[1]) == 2
+    assert len(check_study(copy).problems) == 2
 
 
 def test_nothing_can_be_analysed_before_anybody_rated(copy: StudyFolder) -> None:

@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from math import nan
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
 from feel321.stimuli.formats.read import read_recording
-from feel321.stimuli.sets.build import foresee_stimuli
+from feel321.stimuli.sets.anchors import THRESHOLDS
+from feel321.stimuli.sets.build import Foreseen, foresee_stimuli
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.stimuli.sets.recipe import Recipe
 from feel321.stimuli.synthesis import make_scene
 from feel321.stimuli.wav import write_wav
+from feel321.study.actuator.render import find_mix
+from feel321.study.actuator.rig import read_rig
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder, create_study
 from feel321.study.sessions import Visit, run_participant
+from feel321.study.settings.read import read_settings
+from feel321.study.strength import describe_gains, find_rig_limits, find_strength, find_unfelt
 from feel321.study.workflow import build_study, check_study
 
 if TYPE_CHECKING:
@@ -63,9 +71,9 @@ def test_check_says_the_same_before_and_after_the_build(
     set_up(study, 'gain = 0.2\nthreshold = "grasped_stylus"')
     before = check_study(study)
     build_study(study)
-    assert check_study(study).strength == before.strength
+    assert check_study(study) == before
     rows = read_stimuli(study.stimuli).stimuli
-    low, high = before.strength.figures["sensation_levels_db"]["hard_taps"]["grasped_stylus"]
+    low, high = before.figures["sensation_levels_db"]["hard_taps"]["grasped_stylus"]
     levels = [row.sensation_level_db for row in rows if row.recording == "hard_taps"]
     assert (min(levels), max(levels)) == (low, high)
     weak = [
@@ -73,7 +81,7 @@ def test_check_says_the_same_before_and_after_the_build(
         for row in rows
         if 0 <= row.sensation_level_db < 10 and row.recording == "hard_taps"
     ]
-    lines = [line for line in before.strength.warnings if line.startswith("recording 'hard_taps'")]
+    lines = [line for line in before.warnings if line.startswith("recording 'hard_taps'")]
     assert bool(weak) == bool(lines)
     assert all(name in lines[0] for name in weak)
     assert main(["build", str(study.path)]) == 0
@@ -95,6 +103,10 @@ def test_sessions_of_what_cannot_be_felt_are_refused_and_simulated_with_a_warnin
     assert not study.ledger.exists()
     assert main(["simulate", str(study.path), "--participants", "2"]) == 0
     assert "feel321: warning: 12 of 12 stimuli" in capsys.readouterr().err
+    with pytest.raises(
+        FileNotFoundError, match=r"rig\.toml: there is none"
+    ):  # tried out all the same
+        run_participant(replace(study, is_rehearsal=True), Visit("p01"), now=now)
     set_up(study, 'below_threshold = "accept"')  # needs no new set
     with pytest.raises(FileNotFoundError, match=r"rig\.toml: there is none"):
         run_participant(study, Visit("p01"), now=now)
@@ -136,19 +148,19 @@ def test_beside_a_real_surface_the_gain_is_one_or_named(study: StudyFolder) -> N
     )
     text += "[tasks.realism]\nsurface = true\n[rig]\nfull_scale_m_s2 = 20\n"
     study.settings.write_text(text, encoding="utf-8")
-    (line,) = check_study(study).strength.warnings
+    (line,) = check_study(study).warnings
     assert line.startswith("tasks realism: the real surface is felt, but stimuli are played at 0.")
     assert line.endswith('set gain = 1.0 and levels = ["as_is"] under [stimuli]')
     checked = check_study(set_up(study, "gain = 1.0"))
-    assert checked.strength.warnings == []
+    assert checked.warnings == ()
     assert len(checked.problems) == 2
     assert "stimuli will be clipped at full scale (20 m/s²), by up to " in checked.problems[0]
     study.settings.write_text(
         study.settings.read_text(encoding="utf-8").replace("= 20\n", "= 400\n"), encoding="utf-8"
     )
-    assert check_study(study).problems == []
+    assert list(check_study(study).problems) == []
     build_study(study)
-    assert check_study(study).problems == []
+    assert list(check_study(study).problems) == []
 
 
 def test_the_rig_is_compared_before_anything_is_built(tmp_path: Path) -> None:
@@ -157,8 +169,8 @@ def test_the_rig_is_compared_before_anything_is_built(tmp_path: Path) -> None:
         '[[recordings]]\nscene = "bumps"\nduration_s = 0.5\n', encoding="utf-8"
     )
     checked = check_study(study)
-    assert checked.problems == []
-    assert checked.strength.notes[0].endswith(
+    assert checked.problems == ()
+    assert checked.notes[0].endswith(
         "reference reach the hand with equal energy (difference 0.0 dB)"
     )
     text = study.rig.read_text(encoding="utf-8")
@@ -170,7 +182,7 @@ def test_the_rig_is_compared_before_anything_is_built(tmp_path: Path) -> None:
     ]
     assert "above limits.peak_m_s2 of 20; lower gain or headroom" in problems[0]
     study.rig.write_text(text.replace('"reduced", "y"', '"reduced"'), encoding="utf-8")
-    assert check_study(study).problems == [
+    assert list(check_study(study).problems) == [
         "rig.toml: no actuator plays y; add it to `plays`, or name a reference in study.toml that the rig can play"
     ]
     study.rig.write_text(text.replace("[0, 1, 0]", "[-1, 0, 0]"), encoding="utf-8")
@@ -196,3 +208,49 @@ def test_real_recordings_below_threshold_are_found_and_a_gain_of_their_own_helps
         for gain, foreseen in found.items()
     }
     assert unfelt == {"set": {"decay_5k", "handheld_7k"}, "per_recording": set()}
+
+
+def foresee(recording: str = "oak", reducer: str = "dft321", **own: float) -> Foreseen:
+    """A stimulus without samples."""
+    levels = dict.fromkeys(THRESHOLDS, own.get("level_db", 20.0))
+    return Foreseen(recording, reducer, "test", "as_is", 1.0, own.get("peak_m_s2", 1.0), levels)
+
+
+@pytest.mark.parametrize(("louder_db", "count"), [(1.2, 1), (0.8, 0)])
+def test_a_recording_that_costs_the_others_a_decibel_is_named(louder_db: float, count: int) -> None:
+    foreseen = [foresee("oak", peak_m_s2=10 ** (louder_db / 20)), foresee("ash")]
+    lines = [line for line in describe_gains(foreseen, Recipe()) if line.startswith("headroom")]
+    assert len(lines) == count
+    assert all("the peak of recording 'oak' (dft321) sets the gain" in line for line in lines)
+
+
+def test_a_gain_of_its_own_is_limited_by_the_loudest_stimulus_of_the_recording(
+    study: StudyFolder,
+) -> None:
+    # Headroom is 90 m/s^2: 6.0 dB above the loudest, 39.1 dB above the weak one.
+    foreseen = [foresee(peak_m_s2=45.0), foresee(reducer="mag321", level_db=5.0)]
+    (line,) = find_strength(read_settings(study.settings), foreseen, Recipe()).warnings
+    assert line.endswith(
+        'mag321 5.0 dB; gain = "per_recording" plays this recording 6.0 dB stronger'
+    )
+
+
+def test_silence_cannot_be_felt(study: StudyFolder) -> None:
+    rows = [SimpleNamespace(stimulus_id=name, sensation_level_db=nan) for name in ("a", "b")]
+    rows.append(SimpleNamespace(stimulus_id="c", sensation_level_db=0.0))
+    unfelt: Any = SimpleNamespace(stimuli=rows)
+    line = find_unfelt(read_settings(study.settings), unfelt)
+    assert line.startswith("2 of 3 stimuli, such as a, are below the detection threshold")
+
+
+def test_peaks_of_reduced_stimuli_are_held_against_the_coils_up_to_rounding(tmp_path: Path) -> None:
+    rig = read_rig(create_study(tmp_path).rig)
+    most = 100 / find_mix(rig)["left coil"]["reduced"]
+    louder = foresee(reducer="original", peak_m_s2=500.0)  # checked once it is built
+    allowed = [louder, foresee(peak_m_s2=most * (1 + 1e-12))]
+    assert find_rig_limits(rig, allowed, "original") == []
+    lines = find_rig_limits(rig, [louder, foresee(peak_m_s2=1.01 * most)], "original")
+    assert [line.split(";")[0] for line in lines] == [
+        f"actuator '{name} coil': oak dft321 will ask for 101 m/s², above limits.peak_m_s2 of 100"
+        for name in ("left", "right")
+    ]

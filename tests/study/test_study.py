@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
 from feel321 import study as face
@@ -63,7 +64,12 @@ def test_steps_find_what_the_verbs_find(pilot: Study, capsys: pytest.CaptureFixt
     assert main(["audit", folder]) == 0
     assert f"seal: {audit.seal};" in capsys.readouterr().out
     assert audit.findings == ()
-    assert [entry.state for entry in pilot.status().participants] == ["finished"] * 2
+    status = pilot.status()
+    assert repr(status) == "Status(2 finished)"
+    assert status.to_frame()["state"].tolist() == ["finished"] * 2
+    assert status.to_dict()["participants"][0]["participant"] == "sim001"
+    assert main(["status", folder]) == 0
+    assert capsys.readouterr().out == status.summary() + "\n"
     assert len(pilot.table().rows) == (~pilot.ratings()["rejected"]).sum()
 
 
@@ -95,8 +101,13 @@ def test_settings_are_changed_in_their_place(tmp_path: Path) -> None:
     for change, message in (
         ({"session.order": "latin"}, "study.toml: session.order must be one of williams"),
         ({"sesion.order": "random"}, "sesion: unknown setting; did you mean session"),
-        ({"recordings.name": "x"}, "settings must have names such as 'session.repeats'"),
+        (
+            {"recordings.name": "x"},
+            "recordings.name: recordings is not a table of settings; edit study.toml",
+        ),
         ({"seed": 1}, "settings must have names such as"),
+        ({"rig.headroom": float("nan")}, "rig.headroom must be text, a number, true or false"),
+        ({"study.name": tmp_path}, "study.name must be text, a number"),
     ):
         with pytest.raises(ValueError, match=re.escape(message)):
             study.with_settings(change)
@@ -116,6 +127,47 @@ def test_every_setting_of_the_template_can_be_changed_and_nothing_else_changes()
         before, after = text.split("\n"), change_settings(text, {name: value}).split("\n")
         assert sum(line not in after for line in before) <= 3
         assert sum(line not in before for line in after) <= 2
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("[ session ]  # a\n  repeats = 2  # b\n", "[ session ]  # a\nrepeats = 3  # b\n"),
+        ('[session]\n"repeats" = 2\n', "[session]\nrepeats = 3\n"),
+        ("", "\n\n[session]\nrepeats = 3\n"),
+        (
+            "[session.breaks]\nrest_s = 9\n",
+            "[session.breaks]\nrest_s = 9\n\n[session]\nrepeats = 3\n",
+        ),
+        ("session.repeats = 2\n", None),
+        ("session = { repeats = 2 }\n", None),
+        ('[session]\nconsent = """\n[rig]\n"""\nrepeats = 2\n', None),
+    ],
+)
+def test_odd_forms_of_a_setting_are_changed_or_refused(before: str, after: str | None) -> None:
+    changes = {"session.repeats": np.int64(3)}
+    if after is None:
+        with pytest.raises(
+            ValueError, match=r"^session\.repeats: not written in a way that can be"
+        ):
+            change_settings(before, changes)
+    else:
+        assert change_settings(before, changes) == after
+
+
+def test_line_ends_stay_and_a_broken_file_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "study.toml"
+    path.write_bytes(b"\xef\xbb\xbf" + SHORT.replace("\n", "\r\n").encode())
+    study = Study.open(tmp_path).with_settings({"study.seed": 6, "rig.headroom": 0.5})
+    assert (study.settings.study.seed, study.settings.rig.headroom) == (6, 0.5)
+    assert (
+        path.read_bytes().count(b"\r\n") == path.read_bytes().count(b"\n") == SHORT.count("\n") + 3
+    )
+    path.write_text("[study\n", encoding="utf-8")
+    with pytest.raises(
+        ValueError, match=r"study\.toml: not valid TOML \(.*line 1.*\); fix that place"
+    ):
+        study.with_settings({"study.seed": 6})
 
 
 def test_old_names_are_found_with_a_warning() -> None:
@@ -144,3 +196,13 @@ def test_metrics_that_are_declared_must_be_in_the_manifest(
         "Metrics rms_m_s2 were asked for with this analysis; study.toml declares "
         "spectral_match_bounded, temporal_match."
     )
+
+
+def test_draws_are_as_declared_unless_asked_for_and_the_seed_is_the_studys(
+    pilot: Study, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    chosen: list[dict[str, object]] = []
+    monkeypatch.setattr("feel321.study.analyze.write_report", lambda *_, **how: chosen.append(how))
+    pilot.analyze()
+    pilot.analyze(draws=7)
+    assert [(how["draws"], how["seed"]) for how in chosen] == [(2000, 5), (7, 5)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -11,21 +12,10 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from feel321.study.commands.shared import (
-    FILE,
-    json_option,
-    participant_option,
-    print_json,
-    seed_option,
-    show_progress,
-    study_argument,
-    warn,
-)
+from feel321.study.commands import shared
 from feel321.study.folder import StudyFolder, require_study
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
     from feel321.study.actuator.doctor import Examination
     from feel321.study.actuator.rig import Rig
     from feel321.study.session.ports import Place
@@ -37,24 +27,15 @@ class Terminated(KeyboardInterrupt):
 
 
 @click.command(epilog="Example: feel321 run my-study --participant p07")
-@study_argument
-@participant_option
-@click.option("--windowed", is_flag=True, help="A window instead of the whole screen.")
+@shared.study_argument
+@shared.participant_option
+@shared.flag("--windowed", "A window instead of the whole screen.")
 @click.option(
     "--device", metavar="NAME", help="Audio device; 'file' writes WAV files.  [default: rig.toml's]"
 )
-@click.option(
-    "--rehearse",
-    is_flag=True,
-    help="Try it out: the session is stored in rehearsals/ and never analysed.",
-)
-@click.option(
-    "--simulate-participant",
-    "simulated",
-    is_flag=True,
-    help="A simulated participant presses the keys.",
-)
-@seed_option(" of the simulated participant")
+@shared.flag("--rehearse", "Try it out: the session is stored in rehearsals/ and never analysed.")
+@shared.flag("--simulate-participant", "A simulated participant presses the keys.", "simulated")
+@shared.seed_option(" of the simulated participant")
 @click.pass_context
 def run(  # noqa: PLR0913 - one parameter per option
     context: click.Context,
@@ -76,7 +57,7 @@ def run(  # noqa: PLR0913 - one parameter per option
     log = _Log(participant, _write_command(context))
     folder = replace(study.folder, is_rehearsal=rehearse)
     with _catch_termination(), log.watch():
-        outcome = run_participant(folder, visit, now=study.now, on_step=log.note, warn=warn)
+        outcome = run_participant(folder, visit, now=study.now, on_step=log.note, warn=shared.warn)
         if outcome.stopped:
             log.say_how_to_resume(outcome.stopped)
             context.exit(1)
@@ -146,7 +127,7 @@ RATE_HZ = 48000.0
 
 
 @click.command(epilog="Example: feel321 doctor my-study --seconds 10")
-@click.argument("folder", metavar="[STUDY]", type=FILE, required=False)
+@click.argument("folder", metavar="[STUDY]", type=shared.FILE, required=False)
 @click.option(
     "--device",
     help="Another device than the rig's: its name, or a part of it that no other one has.",
@@ -158,7 +139,7 @@ RATE_HZ = 48000.0
     show_default=True,
     help="Duration of the pulse train, in s.",
 )
-@json_option
+@shared.json_option
 @click.pass_context
 def doctor(
     context: click.Context,
@@ -178,10 +159,13 @@ def doctor(
     rig, rate_hz = _find_rig(folder, device=device)
     devices, found = survey_devices(), None
     if rig is not None and seconds:
-        with show_progress("pulses") as progress:
+        with shared.show_progress("pulses") as progress:
             found = examine_rig(rig, rate_hz=rate_hz, seconds=seconds, on_step=progress)
     if as_json:
-        print_json({"devices": devices, "examination": None if found is None else asdict(found)})
+        shared.print_json({
+            "devices": devices,
+            "examination": None if found is None else asdict(found),
+        })
     else:
         for one in devices:
             click.echo(_describe_device(one))
@@ -235,9 +219,9 @@ def _print_examination(found: Examination | None) -> None:
         )
     click.echo("\n".join(lines))
     if found.is_program:
-        warn(
+        shared.warn(
             f"{found.device}: a program plays it (a sound server, say), which may convert the rate and copy channels "
             "to others without notice; name the card itself, or give it as many channels there as the rig has"
         )
     if found.error:
-        warn(found.error)
+        shared.warn(found.error)

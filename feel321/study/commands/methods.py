@@ -2,30 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import wraps
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from feel321.study.commands.shared import (
-    FILE,
-    folder_argument,
-    json_option,
-    print_json,
-    print_results,
-    report_warnings,
-    seed_option,
-    show_progress,
-    warn,
-)
+from feel321.study.commands import shared
 from feel321.study.folder import StudyFolder
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-
     from feel321.analysis.tradeoff.advise.scene import Rated
     from feel321.stimuli.recording import Recording
 
@@ -51,7 +40,7 @@ class MethodTask:
             self.study.path, scenes=self.scenes, extra=self.extra, conditioned=conditioned
         )
         if conditioned:
-            report_warnings(recordings)
+            shared.report_warnings(recordings)
         return recordings
 
 
@@ -59,23 +48,21 @@ def comparison_options(output: str) -> Callable[[Verb], Verb]:
     """Give a verb STUDY and the options that say which recordings; it receives `task` and `as_json`."""
 
     def give(verb: Verb) -> Verb:
-        @folder_argument
+        @shared.folder_argument
+        @shared.flag("--scenes", "Also use the bundled scenes; no study required.")
         @click.option(
-            "--scenes", is_flag=True, help="Also use the bundled scenes; no study required."
-        )
-        @click.option(
-            "--recordings", "extra", type=FILE, multiple=True,
+            "--recordings", "extra", type=shared.FILE, multiple=True,
             help="Also use this recording, or a folder of them; repeatable; no study required.",
         )  # fmt: skip
         @click.option(
             "-o",
             "--output",
             "target",
-            type=FILE,
+            type=shared.FILE,
             help=f"Folder of the results.  [default: STUDY/{output}]",
         )
-        @seed_option("", default="the study's, or 0")
-        @json_option
+        @shared.seed_option("", default="the study's, or 0")
+        @shared.json_option
         @wraps(verb)
         def ask_then_do(
             *,
@@ -117,7 +104,7 @@ def chart(*, task: MethodTask, full: bool, as_json: bool) -> None:
     from feel321.study.analyze import find_ratings
 
     recordings, ratings = task.gather(), find_ratings(task.study)
-    with show_progress("chart") as progress:
+    with shared.show_progress("chart") as progress:
         measured = compute_chart(
             recordings,
             ratings=ratings,
@@ -126,7 +113,7 @@ def chart(*, task: MethodTask, full: bool, as_json: bool) -> None:
             progress=progress,
         )
     measured.write(task.output)
-    print_results(task.output, as_json=as_json)
+    shared.print_results(task.output, as_json=as_json)
 
 
 @click.command(epilog="Example: feel321 stress my-study --scenes")
@@ -141,33 +128,25 @@ def stress(*, task: MethodTask, as_json: bool) -> None:
 
     recordings = task.gather()
     sensor = {recording.name: recording for recording in task.gather(conditioned=False)}
-    with show_progress("stress") as progress:
+    with shared.show_progress("stress") as progress:
         result = stress_reducers(recordings, sensor=sensor, seed=task.seed, progress=progress)
     result.write(task.output)
     for name, lines in result.warnings.items():
         for line in lines:
-            warn(f"{name}: {line}")
-    print_results(task.output, as_json=as_json)
+            shared.warn(f"{name}: {line}")
+    shared.print_results(task.output, as_json=as_json)
 
 
 @click.command(epilog="Example: feel321 advise my-study --scenes --online --latency-ms 45")
 @comparison_options("advice")
-@click.option("--online", is_flag=True, help="The reducer runs while the vibration is made.")
-@click.option(
-    "--latency-ms",
-    type=float,
-    help="Longest delay online, of reducer, block and device, in ms.  [default: 45]",
+@shared.flag("--online", "The reducer runs while the vibration is made.")
+@shared.number_option(
+    "--latency-ms", "Longest delay online, of reducer, block and device, in ms.", "45"
 )
-@click.option(
-    "--block-ms",
-    type=float,
-    help="Length of a block online, in ms.  [default: 64 samples at 48 kHz, 1.33]",
+@shared.number_option(
+    "--block-ms", "Length of a block online, in ms.", "64 samples at 48 kHz, 1.33"
 )
-@click.option(
-    "--device-ms",
-    type=float,
-    help="Delay of sensor, driver and actuator online, in ms.  [default: 5]",
-)
+@shared.number_option("--device-ms", "Delay of sensor, driver and actuator online, in ms.", "5")
 @click.option(
     "--mounting",
     type=click.Choice(["any", "recorded"]),
@@ -182,14 +161,10 @@ def stress(*, task: MethodTask, as_json: bool) -> None:
     show_default=True,
     help="Axes that the actuator can move, 1 to 3.",
 )
-@click.option(
-    "--tolerance",
-    type=float,
-    help="Largest energy change taken as imperceptible, as a Weber fraction.  [default: 0.22]",
+@shared.number_option(
+    "--tolerance", "Largest energy change taken as imperceptible, as a Weber fraction.", "0.22"
 )
-@click.option(
-    "--segment", "segment_s", type=float, help="Advise for segments of this duration, in s."
-)
+@shared.number_option("--segment", "Advise for segments of this duration, in s.")
 def advise(  # noqa: PLR0913 - every option has a name of its own
     *,
     task: MethodTask,
@@ -201,7 +176,7 @@ def advise(  # noqa: PLR0913 - every option has a name of its own
     mounting: str,
     axes: int,
     tolerance: float | None,
-    segment_s: float | None,
+    segment: float | None,
 ) -> None:
     """Name the simplest sufficient reducer for every scene.
 
@@ -216,20 +191,20 @@ def advise(  # noqa: PLR0913 - every option has a name of its own
         limits = Tolerance() if tolerance is None else Tolerance(tolerance)
         times = {name: value for name, value in given.items() if value is not None}
         context = Context(online=online, axes=axes, tolerance=limits, mounting=mounting, **times)
-        segment = None if segment_s is None else check_segment(segment_s)
+        segment_s = None if segment is None else check_segment(segment)
     recordings, ratings = task.gather(), _read_ratings(task.study)
-    with show_progress("advise") as progress:
+    with shared.show_progress("advise") as progress:
         study = advise_recordings(
             recordings,
             context,
             seed=task.seed,
-            segment_s=segment,
+            segment_s=segment_s,
             ratings=ratings,
             progress=progress,
         )
         content = write_advice(study, task.output)
     if as_json:
-        print_json(content)
+        shared.print_json(content)
         return
     click.echo(study.summary())
     click.echo(task.output / "index.html")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable, Iterable
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,7 +15,6 @@ from feel321.study.folder import require_study
 from feel321.study.study import Study
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
     from contextlib import AbstractContextManager
     from os import PathLike
 
@@ -36,13 +36,25 @@ class _GivenPath(click.Path):
 
 FILE = _GivenPath(path_type=Path)
 
-json_option = click.option("--json", "as_json", is_flag=True, help="Print figures as JSON.")
+
+def flag(option: str, text: str, name: str = "") -> Callable[[Verb], Verb]:
+    """Give a verb a switch; it receives it under the option's name or another one."""
+    return click.option(option, *([name] if name else []), is_flag=True, help=text)
+
+
+def number_option(option: str, text: str, default: str = "") -> Callable[[Verb], Verb]:
+    """Give a verb a number that may be left out; the default stands in the help only."""
+    shown = f"  [default: {default}]" if default else ""
+    return click.option(option, type=float, help=text + shown)
+
+
+json_option = flag("--json", "Print the numbers as JSON.", "as_json")
 folder_argument = click.argument("folder", metavar="[STUDY]", default=Path(), type=FILE)
 participant_option = click.option(
     "--participant", metavar="ID", required=True, help="The participant's code."
 )
-rehearsals_option = click.option(
-    "--rehearsals", is_flag=True, help="Those of run --rehearse instead."
+rehearsals_option = flag(
+    "--rehearsals", "Take the rehearsals (run --rehearse) instead of the sessions."
 )
 
 
@@ -78,18 +90,14 @@ def recording_argument(verb: Verb) -> Verb:
     @click.option(
         "--unit", help="Unit of the samples: m/s^2, g or mg.  [default: what the file says]"
     )
-    @click.option(
-        "--rate-hz", type=float, help="Sampling rate in Hz.  [default: what the file says]"
-    )
+    @number_option("--rate-hz", "Sampling rate in Hz.", "what the file says")
     @click.option(
         "--columns",
         callback=_split_columns,
         help="Names or numbers (from 0), such as time,x,y,z.  [default: by name]",
     )
-    @click.option("--full-scale", type=float, help="Full scale of integer samples, in the unit.")
-    @click.option(
-        "--resample", is_flag=True, help="Interpolate irregular sampling to an even rate."
-    )
+    @number_option("--full-scale", "Full scale of integer samples, in the unit.")
+    @flag("--resample", "Interpolate irregular sampling to an even rate.")
     @wraps(verb)
     def read_then_do(
         *,
@@ -130,12 +138,12 @@ def report_warnings(recordings: Iterable[Recording]) -> None:
 
 
 def print_json(entry: object) -> None:
-    """Print figures as JSON."""
+    """Print numbers as JSON."""
     click.echo(dump_json(entry))
 
 
 def dump_json(entry: object) -> str:
-    """Write figures as JSON, which knows no NaN and no infinity: both become null.
+    """Write numbers as JSON, which knows no NaN and no infinity: both become null.
 
     Examples
     --------

@@ -4,26 +4,18 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
 from inspect import signature
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from feel321.study.commands.shared import (
-    FILE,
-    dump_json,
-    json_option,
-    print_json,
-    recording_argument,
-    warn,
-)
+from feel321.study.commands import shared
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
     from feel321.stimuli.condition import Conditioning
     from feel321.stimuli.recording import Recording
     from feel321.types import Samples
@@ -31,10 +23,9 @@ if TYPE_CHECKING:
 RATE_TOLERANCE_HZ = 1.0
 """A WAV header holds whole Hz only; a recording's true rate may lie between."""
 
-raw_option = click.option(
+raw_option = shared.flag(
     "--raw",
-    is_flag=True,
-    help="Use the recording as it was measured; a study removes the offset and keeps 20 to 1000 Hz.",
+    "Use the recording as it was measured; a study removes the offset and keeps 20 to 1000 Hz.",
 )
 
 
@@ -68,22 +59,20 @@ def _check_wav(_context: click.Context, _parameter: click.Parameter, path: Path)
 
 
 @click.command(epilog="Example: feel321 reduce oak.csv --reducer dft321 -o oak-dft321.wav")
-@recording_argument
+@shared.recording_argument
 @click.option("--reducer", type=ReducerName(), required=True, help="The 321 transform.")
 @click.option(
     "-o",
     "--output",
-    type=FILE,
+    type=shared.FILE,
     callback=_check_wav,
     required=True,
     help="The .wav file to write; a JSON file goes beside it.",
 )
-@click.option(
-    "--window-ms", type=float, help="Window of the reducers that have one.  [default: 35]"
-)
+@shared.number_option("--window-ms", "Window of the reducers that have one.", "35")
 @raw_option
-@click.option("--force", is_flag=True, help="Replace the output if it exists.")
-@json_option
+@shared.flag("--force", "Replace the output if it exists.")
+@shared.json_option
 def reduce(  # noqa: PLR0913 - one per option
     *,
     recording: Recording,
@@ -120,9 +109,9 @@ def reduce(  # noqa: PLR0913 - one per option
         **_match(conditioned, reduced),
     }
     write_wav(output, reduced, round(recording.rate_hz))
-    write_text(sidecar, dump_json(facts) + "\n")
+    write_text(sidecar, shared.dump_json(facts) + "\n")
     if as_json:
-        print_json(facts)
+        shared.print_json(facts)
     else:
         click.echo(
             f"{output}: {recording.name} through {reducer}, {recording.n_samples} samples, m/s^2"
@@ -131,10 +120,10 @@ def reduce(  # noqa: PLR0913 - one per option
 
 
 @click.command(epilog="Example: feel321 match oak.csv oak-dft321.wav --json")
-@recording_argument
-@click.argument("reduced", metavar="REDUCED.wav", type=FILE)
+@shared.recording_argument
+@click.argument("reduced", metavar="REDUCED.wav", type=shared.FILE)
 @raw_option
-@json_option
+@shared.json_option
 def match(*, recording: Recording, reduced: Path, raw: bool, as_json: bool) -> None:
     """Match a reduced WAV file, in m/s^2, against its recording.
 
@@ -149,7 +138,7 @@ def match(*, recording: Recording, reduced: Path, raw: bool, as_json: bool) -> N
     facts = _list_steps(recording, steps) | {"conditioning_from": source}
     facts |= _match(_condition(recording, steps), samples)
     if as_json:
-        print_json(facts)
+        shared.print_json(facts)
     else:
         _print_matches(facts)
     if facts["reasons"]:
@@ -223,7 +212,9 @@ def _find_steps(
     if facts is None:
         return Conditioning(), f"assumed: no {sidecar.name} of reduce beside it"
     if facts["recording_sha256"] != recording.sha256:
-        warn(f"{sidecar.name}: was written for another recording or file than {recording.name}")
+        shared.warn(
+            f"{sidecar.name}: was written for another recording or file than {recording.name}"
+        )
     # None for --raw, and in the files of versions that conditioned nothing.
     source, steps = f"as {sidecar.name} says", facts.get("conditioning")
     if steps is None:

@@ -6,36 +6,18 @@ import sys
 from dataclasses import asdict, replace
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING
 
 import click
 
-from feel321.study.commands.shared import (
-    FILE,
-    folder_argument,
-    is_terminal,
-    json_option,
-    participant_option,
-    print_json,
-    print_results,
-    rehearsals_option,
-    report_warnings,
-    seed_option,
-    show_progress,
-    study_argument,
-    warn,
-)
+from feel321.study.commands import shared
 from feel321.study.folder import StudyFolder, create_study, list_bundled, read_template
 from feel321.study.study import Study
-
-if TYPE_CHECKING:
-    from feel321.study.status import ParticipantStatus
 
 DEMO_PARTICIPANTS = 16
 
 
 @click.command(epilog="Example: feel321 new my-study --study park2019")
-@click.argument("folder", metavar="DIR", type=FILE)
+@click.argument("folder", metavar="DIR", type=shared.FILE)
 @click.option(
     "--study", "bundled", type=click.Choice(list_bundled()), help="A published study to run again."
 )
@@ -46,8 +28,8 @@ def new(folder: Path, *, bundled: str | None) -> None:
 
 
 @click.command(epilog="Example: feel321 check my-study")
-@study_argument
-@json_option
+@shared.study_argument
+@shared.json_option
 @click.pass_context
 def check(context: click.Context, *, study: Study, as_json: bool) -> None:
     """Check everything that a study needs.
@@ -56,9 +38,9 @@ def check(context: click.Context, *, study: Study, as_json: bool) -> None:
     """
     found = study.check()
     for text in (*found.remarks, *found.warnings):
-        warn(text)
+        shared.warn(text)
     if as_json:
-        print_json({
+        shared.print_json({
             "problems": found.problems,
             "warnings": found.warnings,
             "notes": found.notes,
@@ -73,7 +55,7 @@ def check(context: click.Context, *, study: Study, as_json: bool) -> None:
 
 
 @click.command(epilog="Example: feel321 build my-study --workers 2")
-@study_argument
+@shared.study_argument
 @click.option(
     "--workers",
     type=click.IntRange(min=1),
@@ -81,20 +63,20 @@ def check(context: click.Context, *, study: Study, as_json: bool) -> None:
     show_default=True,
     help="Number of processes.",
 )
-@json_option
+@shared.json_option
 def build(*, study: Study, workers: int, as_json: bool) -> None:
     """Build the stimulus set; only what changed is made again."""
     from feel321.study.strength import describe_built
     from feel321.study.workflow import build_study
 
-    with show_progress("build") as progress:
+    with shared.show_progress("build") as progress:
         recordings, stimuli = build_study(study.folder, workers=workers, progress=progress)
-    report_warnings(recordings)
+    shared.report_warnings(recordings)
     notes = describe_built(study.settings, recordings, stimuli)
     count, sha256 = len(stimuli.stimuli), stimuli.sha256
     if as_json:
         folder = str(stimuli.folder)
-        print_json({"stimuli": count, "folder": folder, "sha256": sha256, "notes": notes})
+        shared.print_json({"stimuli": count, "folder": folder, "sha256": sha256, "notes": notes})
     else:
         click.echo("\n".join([f"{stimuli.folder}: {count} stimuli, set {sha256[:12]}", *notes]))
 
@@ -103,14 +85,14 @@ def build(*, study: Study, workers: int, as_json: bool) -> None:
 @click.option(
     "--dir",
     "folder",
-    type=FILE,
+    type=shared.FILE,
     default=Path("demo-study"),
     show_default=True,
     help="Folder of the study.",
 )
 def demo(folder: Path) -> None:
     """Run a whole study with simulated participants."""
-    study = Study(_open_demo(folder), is_terminal(), warn=warn)
+    study = Study(_open_demo(folder), shared.is_terminal(), warn=shared.warn)
     stimuli = study.build()
     click.echo(f"{stimuli.folder}: {len(stimuli.stimuli)} stimuli")
     rows = _simulate(study, DEMO_PARTICIPANTS)
@@ -118,20 +100,20 @@ def demo(folder: Path) -> None:
         f"{study.folder.ratings}: {rows} ratings of {DEMO_PARTICIPANTS} simulated participants"
     )
     study.analyze()
-    print_results(study.folder.report, as_json=False)
+    shared.print_results(study.folder.report, as_json=False)
 
 
 def _simulate(study: Study, participants: int, seed: int | None = None) -> int:
     from feel321.study.workflow import simulate_study  # no pandas: a table of ratings is not wanted
 
-    with show_progress("simulate") as progress:
+    with shared.show_progress("simulate") as progress:
         return simulate_study(
             study.folder,
             participants=participants,
             seed=seed,
             now=study.now,
             progress=progress,
-            warn=warn,
+            warn=shared.warn,
         )
 
 
@@ -142,12 +124,14 @@ def _open_demo(folder: Path) -> StudyFolder:
     study = StudyFolder(folder)
     if not folder.exists() or not any(folder.iterdir()):
         return create_study(folder)
-    if (
-        not study.settings.is_file()
-        or study.settings.read_text(encoding="utf-8") != read_template()
-    ):
+    if not study.settings.is_file():
         raise FileExistsError(
             f"{folder}: holds files that demo did not write; name another folder with --dir"
+        )
+    if study.settings.read_text(encoding="utf-8") != read_template():
+        raise FileExistsError(
+            f"{study.settings}: edited, or written by another version of feel321, so this is not the study that demo "
+            "runs; name another folder with --dir, or delete this one"
         )
     if people := [entry.name for entry in study.participants if not NUMBERED.fullmatch(entry.name)]:
         raise FileExistsError(
@@ -161,7 +145,7 @@ def _open_demo(folder: Path) -> StudyFolder:
 
 
 @click.command(epilog="Example: feel321 simulate my-study --participants 16 --seed 1")
-@study_argument
+@shared.study_argument
 @click.option(
     "--participants",
     type=click.IntRange(1, 10_000),
@@ -169,8 +153,8 @@ def _open_demo(folder: Path) -> StudyFolder:
     show_default=True,
     help="Number of simulated participants.",
 )
-@seed_option(" of the participants")
-@json_option
+@shared.seed_option(" of the participants")
+@shared.json_option
 def simulate(*, study: Study, participants: int, seed: int | None, as_json: bool) -> None:
     """Run sessions with simulated participants, or resume them."""
     from feel321.study.sessions import find_planted
@@ -180,7 +164,7 @@ def simulate(*, study: Study, participants: int, seed: int | None, as_json: bool
     file = str(study.folder.ratings)
     if as_json:
         facts = {"participants": participants, "ratings": rows, "file": file, "planted": planted}
-        print_json(facts)
+        shared.print_json(facts)
         return
     slopes = ", ".join(f"{slope:.2f} per +0.1 of {metric}" for metric, slope in planted.items())
     click.echo(f"{file}: {rows} ratings")
@@ -192,46 +176,31 @@ def simulate(*, study: Study, participants: int, seed: int | None, as_json: bool
 
 
 @click.command(epilog="Example: feel321 status my-study")
-@study_argument
-@rehearsals_option
-@json_option
+@shared.study_argument
+@shared.rehearsals_option
+@shared.json_option
 def status(*, study: Study, rehearsals: bool, as_json: bool) -> None:
     """Show the progress of every participant."""
-    from feel321.study.status import describe_balance
-
     state = _choose(study, rehearsals=rehearsals).status()
     if as_json:
-        print_json(asdict(state))
+        shared.print_json(asdict(state))
         return
-    click.echo(f"{'participant':<14}{'state':<11}{'done':>5}{'left':>6}  last activity")
-    for entry in state.participants:
-        click.echo(_describe(entry))
-        for warning in entry.warnings:
-            click.echo(f"{'':<14}{warning}")
-    click.echo("\n".join(describe_balance(state.balance)))
+    click.echo(state.summary())
 
 
 def _choose(study: Study, *, rehearsals: bool) -> Study:
     return replace(study, folder=replace(study.folder, is_rehearsal=rehearsals))
 
 
-def _describe(entry: ParticipantStatus) -> str:
-    if entry.problem:
-        return f"{entry.participant:<14}{'?':<11}{'?':>5}{'?':>6}  {entry.problem}"
-    notes = "; ".join(filter(None, ("simulated" if entry.simulated else "", entry.groups)))
-    tail = f"  {entry.last_activity}{f' ({notes})' if notes else ''}".rstrip()
-    return f"{entry.participant:<14}{entry.state:<11}{entry.done:>5}{entry.left:>6}{tail}"
-
-
 @click.command(epilog="Example: feel321 audit my-study --expect 5fe2c1...")
-@study_argument
+@shared.study_argument
 @click.option(
     "--expect",
     metavar="DIGEST",
     help="The seal that an earlier audit printed; fail if it has changed.",
 )
-@rehearsals_option
-@json_option
+@shared.rehearsals_option
+@shared.json_option
 @click.pass_context
 def audit(
     context: click.Context, *, study: Study, expect: str | None, rehearsals: bool, as_json: bool
@@ -245,7 +214,7 @@ def audit(
             f"{path}: the seal must be {expect}, got {found.seal}; something was recorded or changed since"
         )
     if as_json:
-        print_json({"findings": findings, "seal": found.seal})
+        shared.print_json({"findings": findings, "seal": found.seal})
     else:
         good = f"{path}: {len(study.folder.journals)} journals, all as they were written"
         click.echo("\n".join(findings) or good)
@@ -254,10 +223,10 @@ def audit(
 
 
 @click.command(epilog="Example: feel321 withdraw my-study --participant p07 --yes")
-@study_argument
-@participant_option
+@shared.study_argument
+@shared.participant_option
 @click.option("--reason", default="", help="The reason, for the tombstone.")
-@click.option("--yes", "is_sure", is_flag=True, help="Do not ask.")
+@shared.flag("--yes", "Do not ask.", "is_sure")
 @click.pass_context
 def withdraw(
     context: click.Context, *, study: Study, participant: str, reason: str, is_sure: bool
@@ -275,7 +244,9 @@ def withdraw(
     if not is_sure and not click.confirm(question, err=True):
         click.echo(f"{folder.path}: nothing was removed")
         context.exit(1)
-    removed = withdraw_participant(folder, participant, now=study.now, reason=reason, warn=warn)
+    removed = withdraw_participant(
+        folder, participant, now=study.now, reason=reason, warn=shared.warn
+    )
     click.echo(
         f"{folder.sessions / participant}: removed {len(removed)} files; a tombstone keeps the code. "
         "Exports and other copies are yours to remove"
@@ -283,8 +254,8 @@ def withdraw(
 
 
 @click.command(epilog="Example: feel321 release my-study --participant p07")
-@study_argument
-@participant_option
+@shared.study_argument
+@shared.participant_option
 def release(*, study: Study, participant: str) -> None:
     """Free the slot of a participant who will not return.
 
@@ -297,18 +268,18 @@ def release(*, study: Study, participant: str) -> None:
 
 
 @click.command(epilog="Example: feel321 ledger my-study")
-@study_argument
-@click.option("--rebuild", is_flag=True, help="Make it anew from plans, journals and tombstones.")
-@json_option
+@shared.study_argument
+@shared.flag("--rebuild", "Make the ledger anew from plans, journals and tombstones.")
+@shared.json_option
 def ledger(*, study: Study, rebuild: bool, as_json: bool) -> None:
     """List participants and their design slots."""
     from feel321.study.ledger.slots import read_study_ledger, rebuild_ledger
 
     for line in rebuild_ledger(study.folder, now=study.now) if rebuild else []:
-        warn(line)
+        shared.warn(line)
     entries = read_study_ledger(study.folder)
     if as_json:
-        print_json([asdict(entry) for entry in entries])
+        shared.print_json([asdict(entry) for entry in entries])
         return
     click.echo(f"{'number':>6}  {'participant':<16}{'state':<12}{'done':>5} of")
     for entry in entries:
@@ -326,12 +297,18 @@ Example: feel321 analyze my-study
 
 
 @click.command(epilog=EXAMPLE)
-@folder_argument
+@shared.folder_argument
 @click.option(
-    "--ratings", type=FILE, help="Ratings from elsewhere; with --manifest, no study is needed."
+    "--ratings",
+    type=shared.FILE,
+    help="Ratings from elsewhere; with --manifest, no study is needed.",
 )
-@click.option("--manifest", type=FILE, help="The stimuli that were rated.  [default: the study's]")
-@click.option("--out", type=FILE, help="Folder of the report.  [default: report/ in the study]")
+@click.option(
+    "--manifest", type=shared.FILE, help="The stimuli that were rated.  [default: the study's]"
+)
+@click.option(
+    "--out", type=shared.FILE, help="Folder of the report.  [default: report/ in the study]"
+)
 @click.option(
     "--metric",
     "metrics",
@@ -339,7 +316,7 @@ Example: feel321 analyze my-study
     metavar="NAME",
     help="A numeric column of the manifest as a metric of the primary analysis; repeatable.  [default: as declared]",
 )
-@json_option
+@shared.json_option
 def analyze(
     folder: Path,
     *,
@@ -362,7 +339,7 @@ def analyze(
     from feel321.study.analyze import analyze_study
 
     study = StudyFolder(folder)
-    with show_progress("analyze") as progress:
+    with shared.show_progress("analyze") as progress:
         analyze_study(
             study,
             ratings=ratings,
@@ -371,4 +348,4 @@ def analyze(
             out=out,
             progress=progress,
         )
-    print_results(out or study.report, as_json=as_json)
+    shared.print_results(out or study.report, as_json=as_json)

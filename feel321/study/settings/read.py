@@ -11,6 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from feel321.doors import describe
 from feel321.files import write_text
 from feel321.protocols.tasks import PROTOCOLS, make_task
 from feel321.protocols.texts import read_texts
@@ -301,34 +302,57 @@ def change_settings(text: str, changes: Mapping[str, object]) -> str:
     headroom = 0.5  # of full scale
     """
     for name, value in changes.items():
+        if not re.fullmatch(r"[\w-]+(\.[\w-]+)+", name):
+            raise ValueError(f"settings must have names such as 'session.repeats', got {name!r}")
         wanted = tomllib.loads(text)
         *tables, key = name.split(".")
         inner: Any = wanted
-        for table in tables:
-            inner = inner.setdefault(table, {}) if isinstance(inner, dict) else None
-        if not re.fullmatch(r"[\w-]+(\.[\w-]+)+", name) or not isinstance(inner, dict):
-            raise ValueError(f"settings must have names such as 'session.repeats', got {name!r}")
-        inner.pop(key, None)
+        try:
+            for table in tables:
+                inner = inner.setdefault(table, {})
+            inner.pop(key, None)
+        except (AttributeError, TypeError):
+            raise ValueError(
+                f"{name}: {'.'.join(tables)} is not a table of settings; edit study.toml"
+            ) from None
+        line = None
         if value is not None:
-            inner[key] = json.loads(json.dumps(value))
-        line = None if value is None else f"{key} = {_write(value)}"
+            inner[key] = _as_toml(name, value)
+            line = f"{key} = {_write(inner[key])}"
         text = _change(text, ".".join(tables), key, line=line)
-        if tomllib.loads(text) != wanted:
+        if not _holds(text, wanted):
             raise ValueError(
                 f"{name}: not written in a way that can be changed here; edit study.toml"
             )
     return text
 
 
+def _as_toml(name: str, value: object) -> Any:  # noqa: ANN401 - whatever TOML holds
+    """Turn tuples into lists and numpy's numbers into Python's; refuse what TOML cannot hold."""
+    try:
+        return json.loads(json.dumps(value, allow_nan=False, default=lambda one: one.tolist()))
+    except (AttributeError, TypeError, ValueError):
+        raise ValueError(
+            f"{name} must be text, a number, true or false, or a list or table of these; got {describe(value)}"
+        ) from None
+
+
+def _holds(text: str, wanted: Mapping[str, Any]) -> bool:
+    try:
+        return tomllib.loads(text) == wanted
+    except tomllib.TOMLDecodeError:
+        return False
+
+
 def _change(text: str, table: str, key: str, *, line: str | None) -> str:
     lines = text.split("\n")
     heads = [number for number, one in enumerate(lines) if re.match(r"\s*\[", one)]
-    begin = next((n for n in heads if re.match(rf"\[{table}\]", lines[n])), None)
+    begin = next((n for n in heads if re.match(rf"\s*\[\s*{table}\s*\]", lines[n])), None)
     if begin is None:
         return text if line is None else f"{text.rstrip()}\n\n[{table}]\n{line}\n"
     end = min((number for number in heads if number > begin), default=len(lines))
     for number in range(begin + 1, end):
-        if re.match(rf"\s*{key}\s*=", lines[number]):
+        if re.match(rf"\s*(['\"]?){key}\1\s*=", lines[number]):
             last, comment = _find_end(lines, number, end)
             kept = [] if line is None else [f"{line}{comment}"]
             return "\n".join([*lines[:number], *kept, *lines[last + 1 :]])
@@ -357,14 +381,20 @@ def _write(value: object) -> str:
     if isinstance(value, dict):
         inner = ", ".join(f"{json.dumps(key)} = {_write(one)}" for key, one in value.items())
         return f"{{ {inner} }}"
-    return json.dumps(value, ensure_ascii=False)
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def edit_settings(path: Path, changes: Mapping[str, object]) -> None:
     """Change settings in a `study.toml`, which is left as it is if a setting is refused."""
-    text = change_settings(path.read_text(encoding="utf-8-sig"), changes)
+    before = path.read_bytes().decode("utf-8-sig")
+    newline = "\r\n" if "\r\n" in before else "\n"
+    try:
+        text = change_settings(before.replace("\r\n", "\n"), changes).replace("\n", newline)
+    except tomllib.TOMLDecodeError:
+        read_settings(path)  # which names the file and the line
+        raise
     with TemporaryDirectory() as folder:
         trial = Path(folder) / path.name
-        trial.write_text(text, encoding="utf-8")
+        trial.write_bytes(text.encode())
         read_settings(trial)
     write_text(path, text)

@@ -25,7 +25,7 @@ from feel321.study.strength import find_reach
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from feel321.study.strength import Findings
+    from feel321.study.findings import Problems
 
 RATE = 2000
 LIMITS = LimitsTable(peak_m_s2=100.0, rms_m_s2=100.0, duration_s=60.0)
@@ -132,18 +132,18 @@ def read(tmp_path: Path, text: str) -> Rig:
     return read_rig(tmp_path / "rig.toml")
 
 
-def compare(rig: Rig, **changes: Any) -> Findings:
+def compare(rig: Rig, **changes: Any) -> Problems:
     noise = np.random.default_rng(0).standard_normal((3, 4000))
     return find_reach(rig, [Recording(noise, 2000.0, "oak")], Recipe(**changes))
 
 
 def test_the_template_reaches_the_hand_with_equal_energy(tmp_path: Path) -> None:
     found = compare(read(tmp_path, TEMPLATE))
-    assert (found.problems, found.warnings) == ([], [])
-    assert found.notes == [
+    assert (found.problems, found.warnings) == ((), ())
+    assert list(found.notes) == [
         "one-axis stimuli and the three-axis reference reach the hand with equal energy (difference 0.0 dB)"
     ]
-    assert compare(read(tmp_path, TEMPLATE), reference="none").notes == []
+    assert compare(read(tmp_path, TEMPLATE), reference="none").notes == ()
 
 
 def test_a_rig_of_an_earlier_version_plays_as_it_did_and_is_warned_of(tmp_path: Path) -> None:
@@ -160,7 +160,7 @@ def test_a_rig_of_an_earlier_version_plays_as_it_did_and_is_warned_of(tmp_path: 
         "to every actuator, then these weights are the default"
     )
     mended = OLD.replace('"x"]', '"x"]\nweight = 0.7071').replace('"y"]', '"y"]\nweight = 0.7071')
-    assert compare(read(tmp_path, mended)).warnings == []
+    assert compare(read(tmp_path, mended)).warnings == ()
     # Its journals go on.
     assert set(identify(rig)["actuators"][0]) == {"name", "channel", "full_scale_m_s2", "plays"}
     assert identify(read(tmp_path, mended))["actuators"][0]["weight"] == 0.7071
@@ -195,7 +195,7 @@ def test_coils_for_axes_that_are_not_at_right_angles_are_warned_of_where_it_coun
     (warning,) = find_reach(rig, [together], Recipe()).warnings
     assert "4.7 dB weaker than the three-axis reference" in warning
     silent = Recording(np.zeros((3, 4000)), 2000.0, "silence")
-    assert find_reach(rig, [silent], Recipe()).warnings == []
+    assert find_reach(rig, [silent], Recipe()).warnings == ()
 
 
 @pytest.mark.parametrize(

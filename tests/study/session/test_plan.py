@@ -131,7 +131,7 @@ def test_participants_are_called_what_a_folder_can_be_called(
 def test_a_stored_plan_is_read_back_and_never_overwritten(plan: Plan, tmp_path: Path) -> None:
     create_plan(tmp_path / "plan.json", plan)
     assert require_plan(tmp_path / "plan.json") == plan
-    with pytest.raises(FileExistsError, match=r"already exists|is there already"):
+    with pytest.raises(FileExistsError, match="already exists"):
         create_plan(tmp_path / "plan.json", plan)
 
 

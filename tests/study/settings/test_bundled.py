@@ -55,7 +55,7 @@ def test_a_bundled_study_runs_from_check_to_ratings(
     bundled: StudyFolder, now: Callable[[], datetime]
 ) -> None:
     build_study(bundled)
-    assert check_study(bundled)[1] == []
+    assert list(check_study(bundled).problems) == []
     rows = simulate_study(bundled, participants=1, seed=None, now=now)
     assert rows == JUDGEMENTS[bundled.path.name]
     with bundled.ratings.open(encoding="utf-8", newline="") as file:

@@ -457,7 +457,7 @@ def test_a_new_study_is_never_made_over_an_old_one(tmp_path: Path) -> None:
     study = create_study(tmp_path / "new")
     study.settings.write_text(SHORTEST, encoding="utf-8")
     with pytest.raises(
-        FileExistsError, match=r"study\.toml: is there already, nothing is overwritten"
+        FileExistsError, match=r"study\.toml: already exists and is not overwritten"
     ):
         create_study(tmp_path / "new")
     assert study.settings.read_text(encoding="utf-8") == SHORTEST

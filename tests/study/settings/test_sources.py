@@ -74,9 +74,9 @@ def test_another_orientation_makes_the_set_stale_until_it_is_built_again(
 ) -> None:
     study.settings.write_text(f'{SCENE}name = "b"\nrotation = 1\n', encoding="utf-8")
     _, first = build_study(study)
-    assert check_study(study)[1] == []
+    assert list(check_study(study).problems) == []
     study.settings.write_text(f'{SCENE}name = "b"\nrotation = 2\n', encoding="utf-8")
-    assert check_study(study)[1] == [
+    assert list(check_study(study).problems) == [
         f"{study.stimuli}: recording 'b': is not the one that the set was built from; run feel321 build"
     ]
     build_study(study)
