@@ -99,3 +99,11 @@ def test_a_perfect_line_has_no_interval() -> None:
 def test_bad_input_is_refused_in_words(rows: tuple[object, object, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         repeated_measures_correlation(*rows)
+
+
+def test_the_interval_has_two_degrees_of_freedom_less_than_cases() -> None:
+    x, y = [0.1, 0.2, 0.4, 0.6, 0.7, 0.9], [60, 65, 75, 30, 38, 45]
+    found = repeated_measures_correlation(x, y, list("aaabbb"))
+    half = 1.959964 / math.sqrt(found.df - 1)
+    ends = [math.tanh(math.atanh(found.r) + sign * half) for sign in (-1, 1)]
+    assert [found.low, found.high] == pytest.approx(ends, rel=1e-6)
